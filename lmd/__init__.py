@@ -1,0 +1,1 @@
+"""Landmark deployment: where to put directional landmarks so that a moving camera sees enough of them."""

@@ -1,0 +1,82 @@
+"""Checks of user input: each raises `InputError` with one sentence that names the value."""
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+class InputError(ValueError):
+    """The user's input is wrong; the message is one sentence meant for the user."""
+
+
+def real(
+    name: str,
+    value: Any,
+    *,
+    above: float | None = None,
+    low: float | None = None,
+    high: float | None = None,
+    infinite: bool = False,
+) -> float:
+    """Return `value` as a float.
+
+    `above` is an open lower bound, `low` and `high` are closed; infinity passes only with `infinite`.
+
+    Raises:
+        InputError: `value` is not a number, is NaN, or is out of range.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float | np.floating | np.integer):
+        raise InputError(f"{name} must be a number, got {value!r}.")
+    number = float(value)
+    if math.isnan(number) or (math.isinf(number) and not infinite):
+        raise InputError(f"{name} must be finite, got {value!r}.")
+    if above is not None and not number > above:
+        raise InputError(f"{name} must be greater than {above:g}, got {value!r}.")
+    if low is not None and high is not None and not low <= number <= high:
+        raise InputError(f"{name} must be in [{low:g}, {high:g}], got {value!r}.")
+    if low is not None and number < low:
+        raise InputError(f"{name} must be at least {low:g}, got {value!r}.")
+    if high is not None and number > high:
+        raise InputError(f"{name} must be at most {high:g}, got {value!r}.")
+    return number
+
+
+def integer(name: str, value: Any, *, low: int, high: int | None = None) -> int:
+    """Return `value` as an int in [low, high].
+
+    Raises:
+        InputError: `value` is not a whole number or is out of range.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        raise InputError(f"{name} must be a whole number, got {value!r}.")
+    return int(real(name, value, low=low, high=high))
+
+
+def choice(name: str, value: Any, options: Sequence[str]) -> str:
+    """Return `value` if it is one of `options`.
+
+    Raises:
+        InputError: it is not.
+    """
+    if value not in options:
+        raise InputError(f"{name} must be one of {', '.join(options)}, got {value!r}.")
+    return str(value)
+
+
+def vector(name: str, value: Any, size: int, **bounds: Any) -> tuple[float, ...]:
+    """Return `value` as a tuple of `size` floats, each checked by `real`.
+
+    Raises:
+        InputError: wrong length, or an entry is not an admissible number.
+    """
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        raise InputError(f"{name} must be a list of {size} numbers, got {value!r}.")
+    entries = list(value)
+    if len(entries) != size:
+        raise InputError(f"{name} must be a list of {size} numbers, got {entries!r}.")
+    return tuple(real(f"{name}[{i}]", entry, **bounds) for i, entry in enumerate(entries))

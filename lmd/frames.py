@@ -1,0 +1,98 @@
+"""World and local frames: rotations, the optical axis, the landmark normal.
+
+The world frame has its origin at a floor corner of the room and z up, in metres. A local frame is posed by
+its origin and by yaw (alpha), pitch (beta) and roll (gamma) in radians. Everything here is a pure function of
+arrays; angles may have any shape `(...)`, vectors have shape `(..., 3)`.
+
+Source: Lei et al., "Optimization of Directional Landmark Deployment for Visual Observer on SE(3)", Sec. II.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lmd.checks import FloatArray
+
+# Maps the world axes to a local frame with zero angles: x right, y down, z (the optical axis) along world y.
+ZERO_ANGLES = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+
+def rotation(yaw: ArrayLike, pitch: ArrayLike, roll: ArrayLike = 0.0) -> FloatArray:
+    """Rotation from the world frame to the local frame, R = R^gamma R^beta R^alpha R_0 (frame equation).
+
+    Args:
+        yaw, pitch, roll: angles in radians, shapes that broadcast to `(...)`.
+
+    Returns:
+        `(..., 3, 3)`; its rows are the local x, y, z axes expressed in the world frame.
+    """
+    a, b, g = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in (yaw, pitch, roll)))
+    zero, one = np.zeros_like(a), np.ones_like(a)
+
+    def matrix(*rows: tuple[FloatArray, FloatArray, FloatArray]) -> FloatArray:
+        return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+    r_yaw = matrix((np.cos(a), zero, -np.sin(a)), (zero, one, zero), (np.sin(a), zero, np.cos(a)))
+    r_pitch = matrix((one, zero, zero), (zero, np.cos(b), np.sin(b)), (zero, -np.sin(b), np.cos(b)))
+    r_roll = matrix((np.cos(g), -np.sin(g), zero), (np.sin(g), np.cos(g), zero), (zero, zero, one))
+    return np.asarray(r_roll @ r_pitch @ r_yaw @ ZERO_ANGLES)
+
+
+def world_to_local(points: ArrayLike, origin: ArrayLike, world_to_local_rotation: FloatArray) -> FloatArray:
+    """Coordinates in the local frame, s^l = R (s - origin).
+
+    Args:
+        points: `(..., 3)` in the world frame, metres.
+        origin: `(..., 3)` origin of the local frame in the world, metres.
+        world_to_local_rotation: `(..., 3, 3)` from `rotation`.
+
+    Returns:
+        `(..., 3)` in the local frame, metres.
+    """
+    offset = np.asarray(points, dtype=np.float64) - np.asarray(origin, dtype=np.float64)
+    return np.asarray((world_to_local_rotation @ offset[..., None])[..., 0])
+
+
+def optical_axis(yaw: ArrayLike, pitch: ArrayLike) -> FloatArray:
+    """Unit optical axis Z^c in the world frame: (sin a cos b, cos a cos b, sin b).
+
+    This is the third row of `rotation`; roll does not move it. Positive pitch looks up.
+
+    Args:
+        yaw, pitch: radians, shape `(...)`.
+
+    Returns:
+        `(..., 3)` unit vectors.
+    """
+    a, b = np.asarray(yaw, dtype=np.float64), np.asarray(pitch, dtype=np.float64)
+    return np.stack([np.sin(a) * np.cos(b), np.cos(a) * np.cos(b), np.sin(b) * np.ones_like(a)], axis=-1)
+
+
+def landmark_normal(yaw: ArrayLike, pitch: ArrayLike) -> FloatArray:
+    """Unit normal of a landmark's front face, n = (-sin r cos e, cos r cos e, -sin e) (Eq. n_k).
+
+    Both angles enter with the sign opposite to `optical_axis`: the paper prints the two that way, and both are
+    kept as printed.
+
+    Args:
+        yaw: rho, radians, shape `(...)`.
+        pitch: eta, radians, shape `(...)`.
+
+    Returns:
+        `(..., 3)` unit vectors in the world frame.
+    """
+    return optical_axis(-np.asarray(yaw, dtype=np.float64), -np.asarray(pitch, dtype=np.float64))
+
+
+def normal_angles(normal: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Yaw in [-pi, pi] and pitch in [-pi/2, pi/2] of a unit normal: the inverse of `landmark_normal`.
+
+    Args:
+        normal: `(..., 3)` unit vectors in the world frame.
+
+    Returns:
+        yaw and pitch in radians, shape `(...)`; the yaw of a vertical normal is 0.
+    """
+    n = np.asarray(normal, dtype=np.float64)
+    vertical = np.hypot(n[..., 0], n[..., 1]) < 1e-12
+    yaw = np.where(vertical, 0.0, np.arctan2(-n[..., 0], n[..., 1]))
+    return yaw, -np.arcsin(np.clip(n[..., 2], -1.0, 1.0))

@@ -1,0 +1,154 @@
+"""Orientation PDFs: the probability of each camera orientation (yaw, pitch) on a discrete grid."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from lmd.checks import FloatArray, InputError, integer, real
+from lmd.frames import optical_axis
+from lmd.tables import read_numbers
+
+# Two axes are the same direction when every coordinate agrees to this many decimals.
+SAME_AXIS_DECIMALS = 12
+# A user's weights may miss a total of 1 by this much (weights printed with six decimals).
+SUM_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class OrientationPdf:
+    """A discrete orientation PDF D(alpha, beta).
+
+    Args:
+        yaw, pitch: angles of each orientation, radians, `(A,)`; pitch in [-pi/2, pi/2].
+        weight: probability of each orientation, `(A,)`, not negative, sum 1.
+        name: where it came from, for messages.
+
+    Raises:
+        InputError: shapes differ, an angle or weight is not finite or out of range, or the sum is not 1.
+    """
+
+    yaw: FloatArray
+    pitch: FloatArray
+    weight: FloatArray
+    name: str = "pdf"
+
+    def __post_init__(self) -> None:
+        arrays = [np.asarray(v, dtype=np.float64) for v in (self.yaw, self.pitch, self.weight)]
+        if not arrays[0].size or any(a.shape != (arrays[0].size,) for a in arrays):
+            raise InputError(f"{self.name}: yaw, pitch and weight must be non-empty lists of equal length.")
+        if not all(np.isfinite(a).all() for a in arrays):
+            raise InputError(f"{self.name} has a value that is not finite.")
+        _, pitch, weight = arrays
+        if (worst := np.abs(pitch).max()) > np.pi / 2 + 1e-9:
+            raise InputError(f"{self.name}: pitch must be in [-pi/2, pi/2], got {worst:g} in magnitude.")
+        if weight.min() < 0.0:
+            raise InputError(f"{self.name} has a negative weight, {weight.min():g}.")
+        if abs(weight.sum() - 1.0) > SUM_TOLERANCE:
+            raise InputError(f"{self.name}: the weights must sum to 1, they sum to {weight.sum():.9g}.")
+        for field, array in zip(("yaw", "pitch", "weight"), arrays, strict=True):
+            array = array.copy()
+            array.flags.writeable = False
+            object.__setattr__(self, field, array)
+
+    @cached_property
+    def _distinct(self) -> tuple[FloatArray, np.ndarray, FloatArray]:
+        axes = optical_axis(self.yaw, self.pitch)
+        rounded = np.round(axes, SAME_AXIS_DECIMALS) + 0.0  # + 0.0 turns -0 into 0
+        # Ordered by height first: the fast path looks only at a band of heights.
+        _, first, inverse = np.unique(rounded[:, ::-1], axis=0, return_index=True, return_inverse=True)
+        inverse = inverse.reshape(-1)
+        weight = np.bincount(inverse, weights=self.weight)
+        return axes[first], inverse, np.asarray(weight, dtype=np.float64)
+
+    @property
+    def axes(self) -> FloatArray:
+        """Distinct optical axes, `(D, 3)` unit vectors ordered by their z coordinate.
+
+        Poles and the +-pi seam appear once; `grid_325` has 266.
+        """
+        return self._distinct[0]
+
+    @property
+    def axis_of(self) -> np.ndarray:
+        """Index into `axes` of each orientation, `(A,)`."""
+        return self._distinct[1]
+
+    @property
+    def axis_weight(self) -> FloatArray:
+        """Probability of each distinct axis, `(D,)`: the sum over its orientations."""
+        return self._distinct[2]
+
+
+def _divisions(value: int) -> int:
+    return integer("pdf.divisions", value, low=1)
+
+
+def _product(yaw: FloatArray, pitch: FloatArray, weight: FloatArray, name: str) -> OrientationPdf:
+    grid_yaw, grid_pitch = (grid.reshape(-1) for grid in np.meshgrid(yaw, pitch, indexing="ij"))
+    return OrientationPdf(grid_yaw, grid_pitch, np.tile(weight, len(yaw)), name)
+
+
+def _cell_pitches(divisions: int) -> FloatArray:
+    """Pitch at the middle of each of `divisions` bands between -pi/2 and pi/2."""
+    return np.asarray((np.arange(divisions) + 0.5) * (np.pi / divisions) - np.pi / 2)
+
+
+def _open_yaws(divisions: int) -> FloatArray:
+    """Yaw from -pi in steps of pi / divisions, pi excluded."""
+    return np.asarray(np.arange(2 * divisions) * (np.pi / divisions) - np.pi)
+
+
+def grid_with_ends(divisions: int = 12) -> OrientationPdf:
+    """Uniform over the angles on a grid that includes both ends (`grid_325` for 12 divisions).
+
+    The grid of the paper's tables: every printed maximum is a multiple of 1/325. It is a probability over angles,
+    not over the sphere: the poles count 25 times, the seam at +-pi twice.
+
+    Args:
+        divisions: the step is pi / divisions in yaw and pitch.
+    """
+    n = _divisions(divisions)
+    yaw, pitch = np.linspace(-np.pi, np.pi, 2 * n + 1), np.linspace(-np.pi / 2, np.pi / 2, n + 1)
+    total = len(yaw) * len(pitch)
+    return _product(yaw, pitch, np.full(len(pitch), 1.0 / total), f"pdf grid_{total}")
+
+
+def grid_of_cells(divisions: int = 12) -> OrientationPdf:
+    """Uniform over the angles on the grid of the paper's text (`grid_288` for 12 divisions).
+
+    Yaw -pi, ..., pi - step; pitch at the middle of each step. Args as in `grid_with_ends`.
+    """
+    n = _divisions(divisions)
+    return _product(_open_yaws(n), _cell_pitches(n), np.full(n, 1.0 / (2 * n * n)), f"pdf grid_{2 * n * n}")
+
+
+def solid_angle(divisions: int = 12) -> OrientationPdf:
+    """Uniform over the sphere: each cell of `grid_of_cells` weighs its solid angle over 4 pi."""
+    n = _divisions(divisions)
+    edges = np.sin(np.linspace(-np.pi / 2, np.pi / 2, n + 1))
+    return _product(_open_yaws(n), _cell_pitches(n), np.diff(edges) / (4 * n), "pdf sphere")
+
+
+def level_flight(divisions: int = 12, pitch: float = 0.0) -> OrientationPdf:
+    """Uniform in yaw at a fixed pitch (Eq. D_DJI, the UAV of the experiment).
+
+    Args:
+        divisions: the yaw step is pi / divisions.
+        pitch: radians.
+    """
+    n = _divisions(divisions)
+    fixed = real("pdf.pitch", pitch, low=-np.pi / 2, high=np.pi / 2)
+    return _product(_open_yaws(n), np.array([fixed]), np.array([1.0 / (2 * n)]), "pdf yaw")
+
+
+def from_csv(path: str | None) -> OrientationPdf:
+    """A PDF from a CSV with the columns yaw, pitch (radians) and weight (sum 1).
+
+    Raises:
+        InputError: no path, an unreadable file, or weights that are no probabilities.
+    """
+    if path is None:
+        raise InputError("pdf.path is missing: pdf=samples needs a CSV with the columns yaw,pitch,weight.")
+    yaw, pitch, weight = read_numbers(path, ("yaw", "pitch", "weight"), name="pdf.path").T
+    return OrientationPdf(yaw, pitch, weight, str(path))

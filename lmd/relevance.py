@@ -1,0 +1,77 @@
+"""Rel(p), the relevance of a position: uniform, by regions, or from a file."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lmd.checks import FloatArray, InputError, real, vector
+from lmd.tables import read_numbers
+
+# A position and a row of the weights file are the same point within this distance, metres.
+SAME_POINT = 1e-6
+
+
+@dataclass(frozen=True)
+class Relevance:
+    """How much each position of the reachable area matters (Rel in Eq. H of the paper).
+
+    Args:
+        background: weight of positions in no region.
+        regions: boxes `{low: [x, y, z], high: [x, y, z], weight: w}` in metres, world frame, borders included;
+            a later region overrides an earlier one.
+        path: CSV with columns `x,y,z,weight` that gives a weight to every position of the grid; replaces
+            background and regions.
+
+    Raises:
+        InputError: a weight is negative, a region is malformed, or both regions and a file are given.
+    """
+
+    background: float = 1.0
+    regions: Sequence[Mapping[str, Any]] = ()
+    path: str | None = None
+
+    def __post_init__(self) -> None:
+        real("room.relevance.background", self.background, low=0.0)
+        if self.path is not None and self.regions:
+            raise InputError(f"room.relevance takes regions or a path, not both (path is {self.path!r}).")
+        for i, region in enumerate(self.regions):
+            name = f"room.relevance.regions[{i}]"
+            if not isinstance(region, Mapping) or set(region) != {"low", "high", "weight"}:
+                raise InputError(f"{name} must have the keys low, high and weight, got {region!r}.")
+            real(f"{name}.weight", region["weight"], low=0.0)
+            low, high = vector(f"{name}.low", region["low"], 3), vector(f"{name}.high", region["high"], 3)
+            if any(a > b for a, b in zip(low, high, strict=True)):
+                raise InputError(f"{name} is empty: low = {list(low)} exceeds high = {list(high)}.")
+
+    def weights(self, points: FloatArray) -> FloatArray:
+        """Weights of `points` `(P, 3)`, shape `(P,)`.
+
+        Raises:
+            InputError: every weight is zero, or a point has no row in the file.
+        """
+        weights = self._from_file(self.path, points) if self.path is not None else self._from_regions(points)
+        if not weights.any():
+            raise InputError("room.relevance gives every position the weight 0.")
+        return weights
+
+    def _from_regions(self, points: FloatArray) -> FloatArray:
+        weights = np.full(len(points), float(self.background))
+        for region in self.regions:
+            inside = (points >= np.asarray(region["low"])) & (points <= np.asarray(region["high"]))
+            weights[inside.all(axis=1)] = float(region["weight"])
+        return weights
+
+    @staticmethod
+    def _from_file(path: str, points: FloatArray) -> FloatArray:
+        from scipy.spatial import cKDTree
+
+        table = read_numbers(path, ("x", "y", "z", "weight"), name="room.relevance.path")
+        if (table[:, 3] < 0.0).any():
+            raise InputError(f"{path} has a negative weight, {table[:, 3].min():g}.")
+        distance, row = cKDTree(table[:, :3]).query(points)
+        if distance.max() > SAME_POINT:
+            x, y, z = points[int(np.argmax(distance))]
+            raise InputError(f"{path} has no weight for the position ({x:g}, {y:g}, {z:g}).")
+        return np.asarray(table[row, 3])

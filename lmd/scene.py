@@ -1,0 +1,23 @@
+"""A scene: everything that stays fixed while landmarks move."""
+
+from dataclasses import dataclass
+
+from lmd.camera import Camera
+from lmd.pdf import OrientationPdf
+from lmd.room import Room
+from lmd.visibility import Limits, Visibility
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Room, camera, orientation PDF and visibility model."""
+
+    room: Room
+    camera: Camera
+    pdf: OrientationPdf
+    visibility: Visibility
+
+    @property
+    def limits(self) -> Limits:
+        """Depth bounds of the coverage criteria."""
+        return Limits.of(self.camera, self.visibility)
