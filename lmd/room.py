@@ -129,9 +129,9 @@ def _wall(name: str, size: tuple[float, float, float]) -> Wall:
     lx, ly, lz = size
     return {
         "x_min": Wall(name, zero, ey, ez, ex, (ly, lz)),
-        "x_max": Wall(name, lx * ex, ey, ez, -ex, (ly, lz)),
+        "x_max": Wall(name, lx * ex, ey, ez, 0.0 - ex, (ly, lz)),
         "y_min": Wall(name, zero, ex, ez, ey, (lx, lz)),
-        "y_max": Wall(name, ly * ey, ex, ez, -ey, (lx, lz)),
+        "y_max": Wall(name, ly * ey, ex, ez, 0.0 - ey, (lx, lz)),
         "floor": Wall(name, zero, ex, ey, ez, (lx, ly)),
-        "ceiling": Wall(name, lz * ez, ex, ey, -ez, (lx, ly)),
+        "ceiling": Wall(name, lz * ez, ex, ey, 0.0 - ez, (lx, ly)),
     }[name]

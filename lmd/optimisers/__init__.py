@@ -1,0 +1,1 @@
+"""Optimisers: each maximises a `CoverageProblem` within an exact budget."""

@@ -1,0 +1,114 @@
+"""The elimination genetic algorithm of the paper (Sec. IV-B)."""
+
+import numpy as np
+
+from lmd.checks import FloatArray, InputError, choice, integer, real
+from lmd.optimisers.base import AskTell
+
+
+class EGA(AskTell):
+    """Elimination genetic algorithm, the nine-tuple (W, Fit, pop_0, M, Q, Y_min, Y_max, Psi, T).
+
+    Each generation the best chromosome survives unchanged, so the best fitness never falls; the Q worst are
+    replaced by random ones; the others form the recombinant pool, exchange a run of genes and mutate. Fit is the
+    problem's fitness, pop_0 the problem's start (filled up with random chromosomes), T the budget.
+
+    Where the paper is silent, a named parameter decides. The defaults are the literal reading.
+
+    Args:
+        population: M.
+        eliminated: Q, with Q + 1 <= M.
+        recombination_min, recombination_max: Y_min and Y_max, the shortest and longest run of genes exchanged, as
+            fractions of the chromosome: the printed 100 and 300 of 450 genes.
+        mutation_probability: Psi, for each gene of a recombined chromosome.
+        partner: who recombines with whom: `pool` pairs the pool at random and both exchange; `survivor` gives each
+            a run of the survivor's genes.
+        acceptance: `always` lets a child replace its parent; `if_better` only if its fitness is not lower.
+        mutation: `reset` draws a new gene; `gaussian` moves it by a normal step.
+        mutation_scale: standard deviation of that step (genes span 1).
+        encoding: W, see `AskTell`.
+        seed: see `Optimiser`.
+
+    Raises:
+        InputError: a parameter is out of range.
+    """
+
+    def __init__(
+        self,
+        population: int = 30,
+        eliminated: int = 7,
+        recombination_min: float = 100 / 450,
+        recombination_max: float = 300 / 450,
+        mutation_probability: float = 0.1,
+        partner: str = "pool",
+        acceptance: str = "always",
+        mutation: str = "reset",
+        mutation_scale: float = 0.05,
+        encoding: str | None = None,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(seed, encoding)
+        self.population_size = self.start_size = integer("optimiser.population", population, low=2)
+        self.eliminated = integer("optimiser.eliminated", eliminated, low=0)
+        if self.eliminated + 1 > self.population_size:
+            raise InputError(f"optimiser.eliminated = {eliminated} leaves no survivor among {population}.")
+        self.recombination_max = real("optimiser.recombination_max", recombination_max, low=0.0, high=1.0)
+        self.recombination_min = real(
+            "optimiser.recombination_min", recombination_min, low=0.0, high=self.recombination_max
+        )
+        self.mutation_probability = real("optimiser.mutation_probability", mutation_probability, low=0.0, high=1.0)
+        self.partner = choice("optimiser.partner", partner, ("pool", "survivor"))
+        self.acceptance = choice("optimiser.acceptance", acceptance, ("always", "if_better"))
+        self.mutation = choice("optimiser.mutation", mutation, ("reset", "gaussian"))
+        self.mutation_scale = real("optimiser.mutation_scale", mutation_scale, above=0.0)
+        self.population: FloatArray | None = None  # (M, dim), the survivor first
+        self.fitness: FloatArray
+
+    def _ask(self) -> FloatArray:
+        if self.population is None:
+            missing = self.population_size - len(self.start)
+            return np.vstack([self.start, self.rng.random((missing, self.dim))])
+        pool = self.population[1 : self.population_size - self.eliminated]
+        newcomers = self.rng.random((self.eliminated, self.dim))
+        return np.vstack([self._mutate(self._recombine(pool)), newcomers])
+
+    def _tell(self, genes: FloatArray, fitness: FloatArray) -> None:
+        if self.population is not None:
+            parents, parent_fitness = self.population[1:], self.fitness[1:]
+            if self.acceptance == "if_better":
+                worse = fitness < parent_fitness
+                worse[len(worse) - self.eliminated :] = False  # the eliminated go whatever replaces them
+                genes = np.where(worse[:, None], parents, genes)
+                fitness = np.where(worse, parent_fitness, fitness)
+            genes = np.vstack([self.population[:1], genes])
+            fitness = np.concatenate([self.fitness[:1], fitness])
+        order = np.argsort(-fitness, kind="stable")
+        self.population, self.fitness = genes[order], fitness[order]
+
+    def _recombine(self, pool: FloatArray) -> FloatArray:
+        """Children `(M - 1 - Q, dim)` of the pool, row i descending from parent i."""
+        assert self.population is not None
+        children = pool.copy()
+        if self.partner == "survivor":
+            for child in children:
+                run = self._run_of_genes()
+                child[run] = self.population[0, run]
+            return children
+        order = self.rng.permutation(len(pool))
+        for i, j in zip(order[0::2], order[1::2], strict=False):  # one of an odd pool stays alone
+            run = self._run_of_genes()
+            children[i, run], children[j, run] = pool[j, run], pool[i, run]
+        return children
+
+    def _run_of_genes(self) -> slice:
+        shortest, longest = (round(f * self.dim) for f in (self.recombination_min, self.recombination_max))
+        length = int(self.rng.integers(shortest, longest, endpoint=True))
+        first = int(self.rng.integers(0, self.dim - length, endpoint=True))
+        return slice(first, first + length)
+
+    def _mutate(self, genes: FloatArray) -> FloatArray:
+        """Each gene mutates with the probability Psi."""
+        mutates = self.rng.random(genes.shape) < self.mutation_probability
+        if self.mutation == "reset":
+            return np.where(mutates, self.rng.random(genes.shape), genes)
+        return genes + mutates * self.rng.normal(0.0, self.mutation_scale, genes.shape)

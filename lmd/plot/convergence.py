@@ -1,0 +1,50 @@
+"""How the best deployment found improves with the number of evaluations, as a PNG."""
+
+from pathlib import Path
+
+import pandas as pd
+
+
+def save_convergence_figure(path: str | Path, history: pd.DataFrame, title: str) -> None:
+    """Write a PNG with the best fitness so far as a step line over evaluations.
+
+    Args:
+        path: the PNG.
+        history: one row per recorded moment, at least one, with the columns `evaluations`, `best_fitness` (qualified
+            ratio in [0, 1]) and `wall_time` (seconds since the start).
+        title: one line above the axes.
+    """
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
+
+    evaluations, best = history["evaluations"].to_numpy(), 100.0 * history["best_fitness"].to_numpy()
+    figure = Figure(figsize=(9.0, 5.0), dpi=100, layout="constrained")
+    axes = figure.add_subplot()
+    axes.step(evaluations, best, where="post", linewidth=1.8)
+    axes.plot(evaluations[-1], best[-1], "o", color="C0", clip_on=False)
+    axes.set(title=title, xlabel="evaluations", ylabel="best qualified ratio [%]", ylim=(0.0, 100.0))
+    axes.set_xlim(left=0)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.xaxis.set_major_formatter("{x:,.0f}")
+    axes.grid(alpha=0.4)
+    # In the half of the axes that the end of the line leaves free.
+    y, align = (0.04, "bottom") if best[-1] > 50.0 else (0.96, "top")
+    axes.text(
+        0.97,
+        y,
+        f"{best[-1]:.2f} % after {evaluations[-1]:,} evaluations, {_duration(history['wall_time'].iloc[-1])}",
+        transform=axes.transAxes,
+        horizontalalignment="right",
+        verticalalignment=align,
+        bbox={"boxstyle": "round", "facecolor": "white", "edgecolor": "0.7"},
+    )
+    figure.savefig(path)
+
+
+def _duration(seconds: float) -> str:
+    """`75.3` as `1 min 15 s`."""
+    if seconds < 60.0:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s"

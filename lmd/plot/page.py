@@ -1,0 +1,172 @@
+"""The figure of a deployment as an interactive HTML page that needs no network."""
+
+import html
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lmd.checks import FloatArray
+from lmd.coverage.reference import qualified
+from lmd.deployment import Deployment
+from lmd.plot import common
+from lmd.room import Room
+
+BALL = 5.5  # diameter, pixels
+CAMERA = {"eye": {"x": 0.82, "y": -1.84, "z": 0.58}, "center": {"x": 0.0, "y": 0.0, "z": -0.05}}
+BARE = {"showgrid": False, "zeroline": False, "showspikes": False}  # the box of the room suffices
+HEAD = 0.5  # part of an arrow that is its head
+
+PAGE = """<!DOCTYPE html>
+<html lang="en">
+<head><meta charset="utf-8"><title>{title}</title><style>html, body {{ margin: 0; height: 100%; }}</style></head>
+<body>{figure}</body>
+</html>
+"""
+
+
+def save_scene_page(
+    path: str | Path,
+    room: Room,
+    deployment: Deployment,
+    positions: FloatArray,
+    probability: FloatArray,
+    thold_p: float,
+    n: int,
+    title: str,
+) -> None:
+    """Write a self-contained page: the scene of `save_scene_figure`, to turn, zoom and point at.
+
+    Two buttons switch the positions between colours of P_n and qualified or not.
+
+    Args:
+        path: the HTML file.
+        room: drawn as a black box, its reachable area as a dashed grey one.
+        deployment: drawn as red arrows along the normals.
+        positions: `(P, 3)`, metres.
+        probability: P_n at each position, `(P,)`.
+        thold_p: probability from which on a position qualifies.
+        n: landmarks that must be covered.
+        title: of the page and above the scene.
+    """
+    import plotly.graph_objects as go
+
+    good = qualified(probability, thold_p)
+    surroundings = [*_box_traces(room), *_landmark_traces(deployment)]
+    hover = [f"P<sub>{n}</sub> = {p:.4f}<br>{_place(at)}" for p, at in zip(probability, positions, strict=True)]
+
+    def balls(chosen: Any, name: str, **marker: Any) -> Any:
+        """Balls at the positions with the indices `chosen`."""
+        return go.Scatter3d(
+            **_xyz(positions[chosen]),
+            mode="markers",
+            name=name,
+            text=[hover[i] for i in chosen],
+            hoverinfo="text",
+            marker={"size": BALL * common.ball_scale(room, len(positions)), **marker},
+        )
+
+    by_probability = balls(
+        np.arange(len(positions)),
+        "position",
+        color=probability,
+        colorscale=common.COLOUR_MAP.capitalize(),
+        cmin=0.0,
+        cmax=1.0,
+        opacity=0.8,
+        colorbar={"title": {"text": common.colour_label(n), "side": "right"}, "len": 0.7},
+    )
+    labels = common.qualified_labels(good, thold_p)
+    green = balls(np.flatnonzero(good), labels[0], color=common.QUALIFIED, opacity=0.8)
+    grey = balls(np.flatnonzero(~good), labels[1], color=common.UNQUALIFIED, opacity=0.4)
+    green.visible = grey.visible = False
+
+    figure = go.Figure([*surroundings, by_probability, green, grey])
+    buttons = [
+        {"label": label, "method": "restyle", "args": [{"visible": [True] * len(surroundings) + shown}]}
+        for label, shown in (("probability", [True, False, False]), ("qualified or not", [False, True, True]))
+    ]
+    axes = {
+        f"{axis}axis": {
+            "title": {"text": text},
+            "range": [0.0, length],
+            **BARE,
+        }
+        for axis, text, length in zip("xyz", common.AXIS_LABELS, room.size, strict=True)
+    }
+    figure.update_layout(
+        template="plotly_white",
+        title={"text": html.escape(title), "x": 0.5, "y": 0.97},
+        margin={"l": 0, "r": 120, "t": 60, "b": 0, "autoexpand": False},  # nothing moves when buttons are pressed
+        legend={"x": 0.01, "y": 0.9, "bgcolor": "rgba(255, 255, 255, 0.6)"},
+        scene={"aspectmode": "data", "camera": CAMERA, **axes},
+        updatemenus=[
+            {"type": "buttons", "direction": "right", "x": 0.01, "y": 1.0, "xanchor": "left", "buttons": buttons}
+        ],
+    )
+    body = figure.to_html(
+        config={"displaylogo": False, "responsive": True, "showSendToCloud": False},
+        include_plotlyjs=True,
+        full_html=False,
+        default_height="100vh",
+    )
+    Path(path).write_text(PAGE.format(title=html.escape(title), figure=body), encoding="utf-8")
+
+
+def _box_traces(room: Room) -> list[Any]:
+    import plotly.graph_objects as go
+
+    styles = {"room": {"color": common.ROOM}, "reachable area": {"color": common.REACHABLE, "dash": "dot"}}
+    return [
+        go.Scatter3d(
+            **_xyz(_strokes(edges)), mode="lines", name=name, line={"width": 3, **styles[name]}, hoverinfo="skip"
+        )
+        for name, edges in common.boxes(room).items()
+    ]
+
+
+def _landmark_traces(deployment: Deployment) -> list[Any]:
+    """Shafts, which show what the normal is, and heads, which carry the hover text."""
+    import plotly.graph_objects as go
+
+    tips = deployment.positions + common.ARROW_LENGTH * deployment.normals
+    heads = HEAD * common.ARROW_LENGTH * deployment.normals
+    hover = [
+        f"landmark {i}<br>{_place(at)}<br>normal ({normal[0]:.4g}, {normal[1]:.4g}, {normal[2]:.4g})"
+        for i, (at, normal) in enumerate(zip(deployment.positions, deployment.normals + 0.0, strict=True))
+    ]
+    shafts = go.Scatter3d(
+        **_xyz(_strokes(np.stack([deployment.positions, tips], axis=1))),
+        mode="lines",
+        name="landmark and its normal",
+        legendgroup="landmarks",
+        line={"width": 4, "color": common.LANDMARK},
+        hoverinfo="skip",
+    )
+    cones = go.Cone(
+        **_xyz(tips),
+        **dict(zip("uvw", heads.T, strict=True)),
+        anchor="tip",
+        sizemode="raw",
+        sizeref=1.0,
+        legendgroup="landmarks",
+        colorscale=[common.LANDMARK, common.LANDMARK],
+        showscale=False,
+        text=hover,
+        hoverinfo="text",
+    )
+    return [shafts, cones]
+
+
+def _strokes(segments: FloatArray) -> FloatArray:
+    """Segments `(M, 2, 3)` as one line of points `(3 M, 3)`, which NaN interrupts."""
+    gaps = np.full((len(segments), 1, 3), np.nan)
+    return np.asarray(np.concatenate([segments, gaps], axis=1).reshape(-1, 3))
+
+
+def _xyz(points: FloatArray) -> dict[str, FloatArray]:
+    return dict(zip("xyz", points.T, strict=True))
+
+
+def _place(at: FloatArray) -> str:
+    return f"x {at[0]:.3f} m, y {at[1]:.3f} m, z {at[2]:.3f} m"

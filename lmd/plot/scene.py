@@ -1,0 +1,115 @@
+"""The paper's figure of a deployment: room, landmarks and how well each position sees them, as a PNG."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lmd.checks import FloatArray
+from lmd.coverage.reference import qualified
+from lmd.deployment import Deployment
+from lmd.plot import common
+from lmd.room import Room
+
+ELEVATION, AZIMUTH = 16.0, -66.0  # of the viewer, degrees
+BACK, BALLS, FRONT = 1, 2, 3  # z-orders
+BALL = 7.0  # diameter, points
+
+
+def save_scene_figure(
+    path: str | Path,
+    room: Room,
+    deployment: Deployment,
+    positions: FloatArray,
+    probability: FloatArray,
+    thold_p: float,
+    n: int,
+    title: str,
+) -> None:
+    """Write a PNG of 1500 x 750 pixels: positions coloured by P_n, and by whether they qualify.
+
+    Args:
+        path: the PNG.
+        room: drawn as a black box, its reachable area as a dashed grey one.
+        deployment: drawn as red arrows along the normals.
+        positions: `(P, 3)`, metres.
+        probability: P_n at each position, `(P,)`.
+        thold_p: probability from which on a position qualifies.
+        n: landmarks that must be covered.
+        title: one line above the panels.
+    """
+    from matplotlib.colors import to_rgba_array
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+    good = qualified(probability, thold_p)
+    figure = Figure(figsize=(15.0, 7.5), dpi=100, facecolor="white")
+    figure.suptitle(title, fontsize=17, y=0.97)
+    left, right = (
+        figure.add_axes((x, 0.1, 0.5, 0.86), projection="3d", computed_zorder=False) for x in (-0.005, 0.495)
+    )
+    for axes in (left, right):
+        _draw_surroundings(axes, room, deployment)
+    balls = _draw_balls(left, room, positions, c=probability, cmap=common.COLOUR_MAP, vmin=0.0, vmax=1.0, alpha=0.7)
+    faces = to_rgba_array(np.where(good, common.QUALIFIED, common.UNQUALIFIED), np.where(good, 0.8, 0.45))
+    _draw_balls(right, room, positions, c=faces)
+
+    bar = figure.colorbar(balls, cax=figure.add_axes((0.1, 0.1, 0.3, 0.022)), orientation="horizontal")
+    bar.set_label(common.colour_label(n), fontsize=12)
+    bar.ax.axvline(thold_p, color="white", linewidth=4.0)
+    bar.ax.axvline(thold_p, color="black", linewidth=1.5)
+
+    lines = [
+        Line2D([], [], color=common.ROOM, label="room"),
+        Line2D([], [], color=common.REACHABLE, linestyle="--", label="reachable area"),
+        Line2D([], [], **_symbol(r"$\rightarrow$", 24, common.LANDMARK), label="landmark and its normal"),
+    ]
+    colours = (common.QUALIFIED, common.UNQUALIFIED)
+    dots = [
+        Line2D([], [], **_symbol("o", 9, colour), label=label)
+        for colour, label in zip(colours, common.qualified_labels(good, thold_p), strict=True)
+    ]
+    for handles, x, y in ((lines, 0.5, 0.9), (dots, 0.75, 0.095)):
+        figure.legend(handles=handles, loc="center", bbox_to_anchor=(x, y), ncols=3, frameon=False, fontsize=12)
+    figure.savefig(path)
+
+
+def _draw_surroundings(axes: Any, room: Room, deployment: Deployment) -> None:
+    """Room, reachable area, landmarks and axes: all but the balls."""
+    from matplotlib.ticker import MaxNLocator, MultipleLocator
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection
+
+    axes.view_init(elev=ELEVATION, azim=AZIMUTH)
+    axes.set_proj_type("persp", focal_length=1.4)
+    # The box is scaled to the panel by its diagonal; a tower has to shrink to stay between title and colour bar.
+    axes.set_box_aspect(room.size, zoom=min(1.0, 0.6 * math.hypot(*room.size) / room.size[2]))
+    axes.grid(False)
+    step = np.diff(MaxNLocator(8, steps=[1, 2, 5, 10]).tick_values(0.0, max(room.size)))[0]
+    for axis, label, length in zip("xyz", common.AXIS_LABELS, room.size, strict=True):
+        axes.set(**{f"{axis}lim": (0.0, length), f"{axis}label": label})
+        getattr(axes, f"{axis}axis").set_major_locator(MultipleLocator(step))
+        getattr(axes, f"{axis}axis").pane.set_visible(False)
+    # matplotlib has no depth buffer: what is nearer to the viewer than the balls gets a higher z-order.
+    elevation, azimuth = np.radians((ELEVATION, AZIMUTH))
+    viewer = np.array((np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)))
+    for name, colour, style in (("room", common.ROOM, "-"), ("reachable area", common.REACHABLE, "--")):
+        edges = common.boxes(room)[name]
+        near = (edges.mean(axis=1) - np.asarray(room.size) / 2.0) @ viewer > 0.0
+        for part, zorder in ((near, FRONT), (~near, BACK)):
+            axes.add_collection(
+                Line3DCollection(edges[part], colors=colour, linestyles=style, linewidths=1.2, zorder=zorder)
+            )
+    near = deployment.normals @ viewer < 0.0  # on the walls whose backs the viewer looks at
+    for part, zorder in ((near, FRONT), (~near, BACK)):
+        start, arrow = deployment.positions[part], common.ARROW_LENGTH * deployment.normals[part]
+        axes.quiver(*start.T, *arrow.T, color=common.LANDMARK, linewidth=1.6, arrow_length_ratio=0.4, zorder=zorder)
+
+
+def _draw_balls(axes: Any, room: Room, positions: FloatArray, **colours: Any) -> Any:
+    area = (BALL * common.ball_scale(room, len(positions))) ** 2
+    return axes.scatter(*positions.T, s=area, linewidths=0, depthshade=False, zorder=BALLS, **colours)
+
+
+def _symbol(marker: str, size: float, colour: str) -> dict[str, Any]:
+    return {"marker": marker, "markersize": size, "color": colour, "linestyle": "none"}

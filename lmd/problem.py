@@ -1,0 +1,136 @@
+"""The one fitness interface: a scene and an objective as a problem every optimiser can take."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from lmd.checks import FloatArray, InputError, integer, real
+from lmd.coverage.evaluator import Evaluator
+from lmd.coverage.kernels import PROBABILITY_ONE
+from lmd.coverage.reference import cost, qualified
+from lmd.deployment import Deployment, DeploymentSource
+from lmd.encoding import make_encoding
+from lmd.scene import Scene
+
+
+@dataclass(frozen=True)
+class Objective:
+    """What a deployment is for.
+
+    Args:
+        n: landmarks the camera must see at the same time.
+        thold_p: probability of that from which on a position is qualified.
+
+    Raises:
+        InputError: n < 1 or thold_p outside [0, 1].
+    """
+
+    n: int
+    thold_p: float
+
+    def __post_init__(self) -> None:
+        integer("objective.n", self.n, low=1)
+        object.__setattr__(self, "thold_p", real("objective.thold_p", self.thold_p, low=0.0, high=1.0))
+
+
+class CoverageProblem:
+    """Maximise the relevance-weighted share of positions whose P_n reaches thold_p (Eq. argmaxH, normalised).
+
+    Args:
+        scene: what stays fixed.
+        objective: n and thold_p.
+        start: deployments an optimiser may start from; they also fix the number of landmarks K.
+        encoding: `wall` or `paper`, how genes describe landmarks.
+        flush: landmarks lie flat on their wall.
+        threads: worker threads, all processors by default; results do not depend on it.
+
+    Raises:
+        InputError: n exceeds K, or the start cannot be drawn.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        objective: Objective,
+        start: DeploymentSource,
+        encoding: str = "wall",
+        flush: bool = True,
+        threads: int | None = None,
+    ) -> None:
+        self.scene = scene
+        self.objective = objective
+        self.start = start
+        self.flush = flush
+        self.count = len(start.draw(scene.room, np.random.default_rng(0)))
+        if objective.n > self.count:
+            raise InputError(f"objective.n = {objective.n} exceeds the number of landmarks, {self.count}.")
+        if threads is not None:
+            integer("threads", threads, low=1)
+        self.evaluator = Evaluator(scene, threads=threads)
+        self.relevance = scene.room.relevance.weights(self.evaluator.positions)
+        self.use_encoding(encoding)
+
+    def use_encoding(self, kind: str) -> None:
+        """Describe landmarks by the encoding called `kind` from now on."""
+        self.encoding = make_encoding(kind, self.scene.room, self.flush)
+
+    @property
+    def dim(self) -> int:
+        """Number of genes L."""
+        return self.count * self.encoding.genes_per_landmark
+
+    def evaluate(self, genes: FloatArray) -> FloatArray:
+        """Fitness in [0, 1] of genes `(B, dim)` in the unit box, shape `(B,)`, to maximise."""
+        positions, normals = self.encoding.decode(np.asarray(genes, dtype=np.float64))
+        units = self.evaluator.units(positions, normals, self.objective.n)
+        is_qualified = qualified(units / PROBABILITY_ONE, self.objective.thold_p)
+        # A product and a sum over the last axis: each row is added in the same order whatever the batch.
+        return np.asarray((is_qualified * self.relevance).sum(axis=1) / self.relevance.sum())
+
+    def decode(self, genes: FloatArray) -> Deployment:
+        """The deployment described by genes `(dim,)`."""
+        positions, normals = self.encoding.decode(np.asarray(genes, dtype=np.float64)[None])
+        return Deployment(positions[0], normals[0])
+
+    def encode(self, deployment: Deployment) -> FloatArray:
+        """Genes `(dim,)` that describe `deployment`."""
+        return self.encoding.encode(deployment)
+
+    def starting_genes(self, size: int, rng: np.random.Generator) -> FloatArray:
+        """Genes of up to `size` starting deployments, `(S, dim)`; one if the start does not vary."""
+        draws = size if self.start.varies else 1
+        return np.stack([self.encode(self.start.draw(self.scene.room, rng)) for _ in range(draws)])
+
+    def probabilities(self, deployment: Deployment) -> FloatArray:
+        """P_n at every position, `(P,)`."""
+        return self.evaluator.probabilities(deployment, self.objective.n)
+
+    def metrics(self, deployment: Deployment) -> dict[str, float]:
+        """The paper's three indices, H, and the fitness of `deployment` (fractions in [0, 1]; H is a sum)."""
+        probability = self.probabilities(deployment)
+        is_qualified = qualified(probability, self.objective.thold_p)
+        total = cost(is_qualified, self.relevance)
+        return {
+            "qualified_ratio": float(is_qualified.mean()),
+            "average_coverage_probability": float(probability.mean()),
+            "maximum_coverage_probability": float(probability.max()),
+            "cost": total,
+            "fitness": total / float(self.relevance.sum()),
+        }
+
+    def settings(self) -> Mapping[str, Any]:
+        """What the figures of `metrics` depend on, for the record."""
+        room = self.scene.room
+        return {
+            "n": self.objective.n,
+            "thold_p": self.objective.thold_p,
+            "landmarks": self.count,
+            "positions": len(self.evaluator.positions),
+            "orientations": len(self.evaluator.axis_of),
+            "room_size": list(room.size),
+            "room_positions": room.positions,
+            "walls": list(room.walls),
+            **asdict(self.scene.visibility),
+        }

@@ -1,0 +1,177 @@
+"""Experiment tracking: the only importer of mlflow."""
+
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from lmd.checks import InputError
+
+if TYPE_CHECKING:
+    from mlflow import MlflowClient
+
+# mlflow reads these once, when it is imported. Nothing leaves the machine unless tracking.uri says so.
+os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
+os.environ.setdefault("DO_NOT_TRACK", "true")
+
+BATCH = 1000  # metrics mlflow takes in one call
+PARAM_LENGTH = 6000  # characters mlflow takes in one parameter
+
+
+class Tracker(Protocol):
+    """Where a run is recorded."""
+
+    @property
+    def run_id(self) -> str | None:
+        """Identifies the started run; None where nothing is recorded."""
+
+    def start(self, name: str, params: Mapping[str, Any], tags: Mapping[str, str], run_id: str | None) -> None:
+        """Begin a run, or continue the one called `run_id`."""
+
+    def log_curve(self, metric: str, points: Iterable[tuple[int, float, float]]) -> None:
+        """Log a curve of (step, value, seconds since the run began)."""
+
+    def log_metrics(self, metrics: Mapping[str, float]) -> None:
+        """Log final figures."""
+
+    def log_artifacts(self, paths: Iterable[Path]) -> None:
+        """Keep copies of files."""
+
+    def finish(self, status: str, reason: str = "") -> None:
+        """End the run as FINISHED, KILLED or FAILED, with the reason as a tag."""
+
+    def describe(self) -> str:
+        """One line that tells the user where the run is."""
+
+
+class NoTracker:
+    """Records nothing (`tracking=none`)."""
+
+    run_id = None
+
+    def start(self, name: str, params: Mapping[str, Any], tags: Mapping[str, str], run_id: str | None) -> None:
+        """Do nothing."""
+
+    def log_curve(self, metric: str, points: Iterable[tuple[int, float, float]]) -> None:
+        """Do nothing."""
+
+    def log_metrics(self, metrics: Mapping[str, float]) -> None:
+        """Do nothing."""
+
+    def log_artifacts(self, paths: Iterable[Path]) -> None:
+        """Do nothing."""
+
+    def finish(self, status: str, reason: str = "") -> None:
+        """Do nothing."""
+
+    def describe(self) -> str:
+        """See `Tracker.describe`."""
+        return "not tracked (tracking=none)"
+
+
+class MlflowTracker:
+    """Records runs in mlflow, by default in a sqlite file that needs no server.
+
+    Args:
+        uri: tracking store: `sqlite:///path` (relative to the working directory) or the address of a server.
+        experiment_name: the mlflow experiment that holds the runs.
+    """
+
+    def __init__(self, uri: str, experiment_name: str) -> None:
+        self.uri = uri
+        self.experiment_name = experiment_name
+        self._run_id: str | None = None
+        self._start_ms = 0
+        self._client: MlflowClient | None = None
+
+    @property
+    def run_id(self) -> str | None:
+        """See `Tracker.run_id`."""
+        return self._run_id
+
+    @property
+    def client(self) -> "MlflowClient":
+        """The mlflow client, connected on first use."""
+        if self._client is None:
+            self._client = self._connect()
+        return self._client
+
+    def _connect(self) -> "MlflowClient":
+        from mlflow import MlflowClient
+        from mlflow.exceptions import MlflowException
+
+        try:
+            if not self.uri.startswith("sqlite:///"):
+                return MlflowClient(tracking_uri=self.uri)
+            database = Path(self.uri.removeprefix("sqlite:///")).resolve()
+            database.parent.mkdir(parents=True, exist_ok=True)
+            from filelock import FileLock
+
+            # Processes that create the tables of one fresh database at the same time kill each other.
+            with FileLock(f"{database}.lock"):
+                client = MlflowClient(tracking_uri=f"sqlite:///{database}")
+                if client.get_experiment_by_name(self.experiment_name) is None:
+                    artifacts = database.parent / "artifacts"
+                    client.create_experiment(self.experiment_name, artifact_location=artifacts.as_uri())
+            return client
+        except (MlflowException, OSError) as error:
+            raise InputError(f"tracking.uri = {self.uri!r} cannot be used: {str(error).splitlines()[0]}") from error
+
+    def start(self, name: str, params: Mapping[str, Any], tags: Mapping[str, str], run_id: str | None) -> None:
+        """See `Tracker.start`."""
+        from mlflow.entities import Param, RunTag
+
+        if run_id is not None:
+            self._run_id = run_id
+            self.client.update_run(run_id, status="RUNNING")
+            self._start_ms = int(self.client.get_run(run_id).info.start_time)
+            return
+        experiment = self.client.get_experiment_by_name(self.experiment_name)
+        experiment_id = experiment.experiment_id if experiment else self.client.create_experiment(self.experiment_name)
+        run = self.client.create_run(experiment_id, run_name=name)
+        self._run_id, self._start_ms = run.info.run_id, int(run.info.start_time)
+        self.client.log_batch(
+            self._run_id,
+            params=[Param(key, str(value)[:PARAM_LENGTH]) for key, value in params.items()],
+            tags=[RunTag(key, value) for key, value in tags.items()],
+        )
+
+    def log_curve(self, metric: str, points: Iterable[tuple[int, float, float]]) -> None:
+        """See `Tracker.log_curve`."""
+        from mlflow.entities import Metric
+
+        curve = [Metric(metric, value, self._start_ms + int(1000 * at), step) for step, value, at in points]
+        for first in range(0, len(curve), BATCH):
+            self.client.log_batch(self._id, metrics=curve[first : first + BATCH])
+
+    def log_metrics(self, metrics: Mapping[str, float]) -> None:
+        """See `Tracker.log_metrics`."""
+        import time
+
+        from mlflow.entities import Metric
+
+        now = int(1000 * time.time())
+        self.client.log_batch(self._id, metrics=[Metric(key, value, now, 0) for key, value in metrics.items()])
+
+    def log_artifacts(self, paths: Iterable[Path]) -> None:
+        """See `Tracker.log_artifacts`."""
+        for path in paths:
+            self.client.log_artifact(self._id, str(path))
+
+    def finish(self, status: str, reason: str = "") -> None:
+        """See `Tracker.finish`."""
+        if self._run_id is None:
+            return
+        if reason:
+            self.client.set_tag(self._run_id, "reason", reason)
+        self.client.set_terminated(self._run_id, status)
+
+    def describe(self) -> str:
+        """See `Tracker.describe`."""
+        return f"run {self._run_id} in {self.uri} (make ui)"
+
+    @property
+    def _id(self) -> str:
+        if self._run_id is None:
+            raise RuntimeError("the run has not been started")
+        return self._run_id

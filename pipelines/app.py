@@ -1,0 +1,110 @@
+"""What the pipelines share: where the configuration is, building objects from it, and reporting bad input."""
+
+import shutil
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf
+
+if TYPE_CHECKING:
+    from lmd.problem import CoverageProblem
+
+CONF = str(Path(__file__).resolve().parents[1] / "conf")
+
+
+def instantiate(node: Any, **extra: Any) -> Any:
+    """Build the object a config node describes; the only place that calls Hydra's instantiate.
+
+    Raises:
+        InputError: the object refuses its arguments.
+    """
+    import hydra.utils
+    from hydra.errors import InstantiationException
+
+    from lmd.checks import InputError
+
+    try:
+        return hydra.utils.instantiate(node, **extra, _convert_="all")
+    except InstantiationException as error:
+        cause: BaseException | None = error.__cause__
+        while cause is not None and not isinstance(cause, InputError):
+            cause = cause.__cause__
+        if cause is not None:
+            raise cause from None
+        raise InputError(" ".join(str(error).split())) from error
+
+
+def build_problem(cfg: DictConfig) -> "CoverageProblem":
+    """The problem a composed configuration describes."""
+    from lmd.problem import CoverageProblem
+    from lmd.scene import Scene
+
+    scene = Scene(
+        room=instantiate(cfg.room),
+        camera=instantiate(cfg.camera),
+        pdf=instantiate(cfg.pdf),
+        visibility=instantiate(cfg.visibility),
+    )
+    return CoverageProblem(
+        scene,
+        instantiate(cfg.objective),
+        instantiate(cfg.deployment),
+        encoding=cfg.encoding.kind,
+        flush=cfg.encoding.flush,
+        threads=cfg.threads,
+    )
+
+
+def flat_settings(cfg: DictConfig, *keys: str) -> dict[str, Any]:
+    """The resolved settings below `keys` (all by default) as `{"room.spacing": 0.5, ...}`."""
+    resolved = OmegaConf.to_container(cfg, resolve=True)
+    assert isinstance(resolved, dict)
+    flat: dict[str, Any] = {}
+
+    def visit(prefix: str, value: Any) -> None:
+        if isinstance(value, dict):
+            for key, inner in value.items():
+                visit(f"{prefix}.{key}", inner)
+        else:
+            flat[prefix] = value
+
+    for key in keys or tuple(str(name) for name in resolved):
+        visit(key, resolved[key])
+    return flat
+
+
+def run_directory() -> Path:
+    """The Hydra output directory of this job."""
+    return Path(HydraConfig.get().runtime.output_dir)
+
+
+def choices() -> dict[str, str]:
+    """The option picked in each config group, e.g. `{"room": "paper_simulation"}`."""
+    picked = HydraConfig.get().runtime.choices
+    return {str(k): str(v) for k, v in picked.items() if not str(k).startswith("hydra/") and v is not None}
+
+
+@contextmanager
+def input_errors_reported() -> Iterator[None]:
+    """Turn an `InputError` into one sentence on stderr and exit code 1, and leave no trace of the run.
+
+    In a sweep the error is passed on to Hydra, which runs the other jobs and then reports it.
+    """
+    from lmd.checks import InputError
+
+    try:
+        yield
+    except InputError as error:
+        hydra = HydraConfig.get()
+        directory = run_directory()
+        if {path.name for path in directory.iterdir()} <= {".hydra", f"{hydra.job.name}.log"}:
+            shutil.rmtree(directory)
+        if hydra.mode == RunMode.MULTIRUN:
+            raise
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(1)

@@ -1,0 +1,92 @@
+"""Find a deployment: `python -m pipelines.optimise [overrides]`."""
+
+import shlex
+import sys
+from typing import TYPE_CHECKING
+
+import hydra
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from pipelines.app import CONF, build_problem, choices, flat_settings, input_errors_reported, instantiate, run_directory
+
+if TYPE_CHECKING:
+    from lmd.checkpoint import Checkpoint
+    from lmd.optimisers.base import Budget, Result
+    from lmd.problem import CoverageProblem
+    from lmd.tracking import Tracker
+
+# What a resumed run must share with the run it continues.
+SAME_WHEN_RESUMED = ("room", "camera", "pdf", "visibility", "objective", "encoding", "deployment", "optimiser", "seed")
+
+
+@hydra.main(version_base="1.3", config_path=CONF, config_name="optimise")
+def main(cfg: DictConfig) -> float:
+    """Optimise, record and show; returns the best fitness, for sweepers."""
+    with input_errors_reported():
+        return optimise(cfg)
+
+
+def optimise(cfg: DictConfig) -> float:
+    """Run one optimisation as configured."""
+    from lmd.checkpoint import Checkpoint
+    from lmd.checks import real
+    from lmd.optimisers.base import Budget
+    from pipelines.recording import record, tracked_run
+
+    problem = build_problem(cfg)
+    budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
+    real("checkpoint_seconds", cfg.checkpoint_seconds, above=0.0)
+    settings = flat_settings(cfg, *SAME_WHEN_RESUMED)
+    if cfg.resume is None:
+        checkpoint = Checkpoint(instantiate(cfg.optimiser, seed=cfg.seed), settings, None)
+    else:
+        checkpoint = Checkpoint.load(cfg.resume, settings)
+    subject = choices()["optimiser"]
+    with tracked_run(cfg, problem, subject, checkpoint.run_id) as tracker:
+        checkpoint.run_id = tracker.run_id
+        result = _run(cfg, problem, budget, checkpoint, tracker)
+        interrupted = result.stopped == "interrupted"
+        fitness = record(
+            cfg,
+            problem,
+            tracker,
+            result.deployment,
+            result.history,
+            subject=subject,
+            summary={"evaluations": result.evaluations, "wall_time": result.seconds, "stopped": result.stopped},
+            status="KILLED" if interrupted else "FINISHED",
+        )
+    if interrupted:
+        overrides = [o for o in HydraConfig.get().overrides.task if not o.startswith("resume=")]
+        again = shlex.join([*overrides, f"resume={run_directory()}"])
+        print(f"interrupted; go on with: python -m pipelines.optimise {again}", file=sys.stderr)
+        sys.exit(130)
+    return fitness
+
+
+def _run(
+    cfg: DictConfig, problem: "CoverageProblem", budget: "Budget", checkpoint: "Checkpoint", tracker: "Tracker"
+) -> "Result":
+    from pipelines.progress import Progress, StopOnSignal
+
+    directory = run_directory()
+    with StopOnSignal() as stop:
+        progress = Progress(
+            budget.evaluations,
+            tracker,
+            save=lambda: checkpoint.save(directory),
+            every=cfg.checkpoint_seconds,
+            stop=stop,
+            resumed=checkpoint.optimiser,
+        )
+        try:
+            result = checkpoint.optimiser.run(problem, budget, progress)
+            progress.flush(checkpoint.optimiser)
+        finally:
+            progress.close()
+    return result
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,62 @@
+"""What every run leaves in its directory."""
+
+import json
+import shutil
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from lmd.deployment import Deployment
+    from lmd.optimisers.base import Record
+    from lmd.problem import CoverageProblem
+
+
+def write_outputs(
+    directory: Path,
+    problem: "CoverageProblem",
+    deployment: "Deployment",
+    history: "Sequence[Record]",
+    *,
+    title: str,
+    page: bool,
+    summary: Mapping[str, Any],
+) -> tuple[dict[str, float], list[Path]]:
+    """Write landmarks.csv, metrics.json, history.csv and the pictures, all of them or none.
+
+    Args:
+        directory: the run's directory.
+        problem: gives the metrics and the probabilities shown.
+        deployment: what is written and shown.
+        history: best fitness over the run.
+        title: heads the pictures.
+        page: whether to write the interactive page.
+        summary: further entries of metrics.json.
+
+    Returns:
+        the metrics of `deployment`, and the files.
+    """
+    import pandas as pd
+
+    from lmd.plot.convergence import save_convergence_figure
+    from lmd.plot.page import save_scene_page
+    from lmd.plot.scene import save_scene_figure
+
+    room, objective = problem.scene.room, problem.objective
+    positions, probability = problem.evaluator.positions, problem.probabilities(deployment)
+    metrics = problem.metrics(deployment)
+    shown = (room, deployment, positions, probability, objective.thold_p, objective.n, title)
+    table = pd.DataFrame(history)
+    with tempfile.TemporaryDirectory(dir=directory, prefix=".partial_") as name:
+        partial = Path(name)
+        deployment.to_csv(partial / "landmarks.csv")
+        document = {**metrics, **summary, "settings": problem.settings()}
+        (partial / "metrics.json").write_text(json.dumps(document, indent=2) + "\n")
+        table.to_csv(partial / "history.csv", index=False)
+        save_scene_figure(partial / "scene.png", *shown)
+        save_convergence_figure(partial / "convergence.png", table, title)
+        if page:
+            save_scene_page(partial / "scene.html", *shown)
+        written = [Path(shutil.move(path, directory / path.name)) for path in sorted(partial.iterdir())]
+    return metrics, written

@@ -1,0 +1,94 @@
+"""Starting a tracked run, and recording what came out of it."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from lmd.deployment import Deployment
+from lmd.optimisers.base import Record
+from lmd.problem import CoverageProblem
+from pipelines.app import choices, flat_settings, instantiate, run_directory
+from pipelines.outputs import write_outputs
+
+if TYPE_CHECKING:
+    from lmd.tracking import Tracker
+
+
+def title_of(problem: CoverageProblem, subject: str) -> str:
+    """A short name for a run: what it is about and the settings that matter most."""
+    return f"{subject} n={problem.objective.n} p={problem.objective.thold_p:g} K={problem.count}"
+
+
+@contextmanager
+def tracked_run(
+    cfg: DictConfig, problem: CoverageProblem, subject: str, run_id: str | None = None
+) -> "Iterator[Tracker]":
+    """A started run of the configured tracker; an exception marks it FAILED, Ctrl-C KILLED.
+
+    Args:
+        cfg: logged as parameters.
+        problem: named in the run's name.
+        subject: what the run is about.
+        run_id: continue this run.
+    """
+    tracker: Tracker = instantiate(cfg.tracking)
+    tags = {f"choice.{group}": option for group, option in choices().items()}
+    tags["overrides"] = " ".join(HydraConfig.get().overrides.task)
+    tracker.start(f"{title_of(problem, subject)} seed={cfg.seed}", flat_settings(cfg), tags, run_id)
+    try:
+        yield tracker
+    except BaseException as error:
+        tracker.finish(
+            "KILLED" if isinstance(error, KeyboardInterrupt) else "FAILED", f"{type(error).__name__}: {error}"
+        )
+        raise
+
+
+def record(
+    cfg: DictConfig,
+    problem: CoverageProblem,
+    tracker: "Tracker",
+    deployment: Deployment,
+    history: Sequence[Record],
+    *,
+    subject: str,
+    summary: Mapping[str, Any],
+    status: str = "FINISHED",
+) -> float:
+    """Write the outputs, log them, end the run with `status` and print a report; returns the fitness."""
+    directory = run_directory()
+    metrics, files = write_outputs(
+        directory,
+        problem,
+        deployment,
+        history,
+        title=f"{title_of(problem, subject)}, {choices()['room']}",
+        page=cfg.page,
+        summary={**summary, "seed": cfg.seed},
+    )
+    figures = {key: value for key, value in summary.items() if isinstance(value, int | float)}
+    tracker.log_metrics({**metrics, **figures})
+    tracker.log_artifacts([*files, *sorted((directory / ".hydra").glob("*.yaml"))])
+    tracker.finish(status)
+    lines = {key.replace("_", " "): f"{value:g}" for key, value in figures.items()}
+    lines["files"] = f"{directory}: {', '.join(path.name for path in files)}"
+    lines["picture"] = str(directory / "scene.png")
+    lines["mlflow"] = tracker.describe()
+    print(report(problem, metrics, lines))
+    return metrics["fitness"]
+
+
+def report(problem: CoverageProblem, metrics: Mapping[str, float], lines: Mapping[str, str]) -> str:
+    """The figures of a run as text for the terminal, followed by labelled `lines`."""
+    objective = problem.objective
+    rows = {
+        "qualified ratio": f"{metrics['qualified_ratio']:.2%} of {len(problem.relevance)} positions see at least "
+        f"{objective.n} of {problem.count} landmarks with probability {objective.thold_p:g}",
+        "average probability": f"{metrics['average_coverage_probability']:.2%}",
+        "maximum probability": f"{metrics['maximum_coverage_probability']:.2%}",
+        **lines,
+    }
+    return "\n".join(f"{label:<20} {text}" for label, text in rows.items())

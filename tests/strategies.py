@@ -1,0 +1,155 @@
+"""What the property tests draw from: valid rooms, cameras, PDFs, visibility models and deployments."""
+
+import math
+
+import numpy as np
+from hypothesis import strategies as st
+
+from lmd import pdf
+from lmd.camera import Camera
+from lmd.deployment import Deployment, RandomDeployment
+from lmd.frames import optical_axis
+from lmd.room import Room
+from lmd.scene import Scene
+from lmd.visibility import OCCLUSION_MODES, Visibility
+
+yaws = st.floats(-math.pi, math.pi)
+pitches = st.floats(-math.pi / 2, math.pi / 2)
+unit_vectors = st.tuples(yaws, pitches).map(lambda angles: optical_axis(*angles))
+points = st.tuples(*[st.floats(-10.0, 10.0)] * 3).map(np.array)
+seeds = st.integers(0, 2**32 - 1)
+
+
+@st.composite
+def cameras(draw):
+    focal_length = draw(st.floats(2.0, 12.0))
+    width, height = draw(st.floats(200.0, 2000.0)), draw(st.floats(200.0, 2000.0))
+    centre = draw(st.sampled_from([(0.5, 0.5), (0.2, 0.6), (0.7, 0.9)]))
+    return Camera(
+        focal_length=focal_length,
+        pixel_width=draw(st.sampled_from([0.002, 0.0058, 0.01])),
+        pixel_height=draw(st.sampled_from([0.002, 0.0058, 0.01])),
+        principal_point=(centre[0] * width, centre[1] * height),
+        image_width=width,
+        image_height=height,
+        aperture=draw(st.floats(0.5, 10.0)),
+        focus_distance=draw(st.one_of(st.just(math.inf), st.floats(200.0, 1e4))),
+    )
+
+
+@st.composite
+def visibilities(draw):
+    return Visibility(
+        thold=draw(st.floats(0.05, 1.0)),
+        nu=draw(st.one_of(st.sampled_from([0.0, 0.05, 0.1, 0.5]), st.floats(0.0, 0.5))),
+        occlusion=draw(st.sampled_from(OCCLUSION_MODES)),
+        circle_of_confusion=draw(st.sampled_from([1.0, 4.0, 10.0])),
+    )
+
+
+@st.composite
+def rooms(draw, spacings=(0.4, 0.7, 1.1)):
+    size = draw(st.tuples(*[st.floats(1.0, 6.0)] * 3))
+    shares = draw(st.tuples(*[st.sampled_from([0.1, 0.3, 1.0])] * 3))
+    return Room(
+        size=size,
+        reachable_size=tuple(s * share for s, share in zip(size, shares, strict=True)),
+        # At most three cells along an axis keep a scene small.
+        spacing=tuple(
+            max(draw(st.sampled_from(spacings)), s * share / 3.0) for s, share in zip(size, shares, strict=True)
+        ),
+        positions=draw(st.sampled_from(["cells", "vertices"])),
+    )
+
+
+@st.composite
+def sampled_pdfs(draw):
+    angles = draw(st.lists(st.tuples(yaws, pitches), min_size=1, max_size=30))
+    weight = np.array([draw(st.floats(0.01, 1.0)) for _ in angles])
+    return pdf.OrientationPdf(*np.array(angles).T, weight / weight.sum())
+
+
+divisions = st.integers(4, 6)
+pdfs = st.one_of(
+    st.builds(pdf.grid_with_ends, divisions),
+    st.builds(pdf.grid_of_cells, divisions),
+    st.builds(pdf.solid_angle, divisions),
+    st.builds(pdf.level_flight, divisions, pitch=pitches),
+    sampled_pdfs(),
+)
+
+
+def scenes(room=rooms(), visibility=visibilities()):  # noqa: B008
+    return st.builds(Scene, room, cameras(), pdfs, visibility)
+
+
+@st.composite
+def flush_deployments(draw, room, most=12):
+    return RandomDeployment(draw(st.integers(1, most))).draw(room, np.random.default_rng(draw(seeds)))
+
+
+@st.composite
+def free_deployments(draw, room, most=12):
+    """Anywhere in the room with any normal; some coincide, some sit on a camera position."""
+    count = draw(st.integers(1, most))
+    rng = np.random.default_rng(draw(seeds))
+    positions = rng.random((count, 3)) * room.size
+    normals = rng.normal(size=(count, 3))
+    grid = room.grid()
+    for k in range(count):
+        match draw(st.sampled_from(["anywhere", "anywhere", "coincident", "near", "at a camera", "facing one"])):
+            case "coincident":
+                positions[k] = positions[rng.integers(count)]
+            case "near":
+                positions[k] = np.clip(positions[rng.integers(count)] + rng.normal(scale=0.1, size=3), 0.0, room.size)
+            case "at a camera":
+                positions[k] = grid[rng.integers(len(grid))]
+            case "facing one":
+                normals[k] = grid[rng.integers(len(grid))] - positions[k] + 1e-9
+    return Deployment(positions, normals / np.linalg.norm(normals, axis=1, keepdims=True))
+
+
+def deployments(room, most=12):
+    return st.one_of(flush_deployments(room, most), free_deployments(room, most))
+
+
+@st.composite
+def scenes_with_deployments(draw, **parts):
+    scene = draw(scenes(**parts))
+    return scene, draw(deployments(scene.room))
+
+
+def _perpendicular(axis, towards):
+    side = towards - (towards @ axis) * axis
+    length = np.linalg.norm(side)
+    return side / length if length > 1e-6 else _perpendicular(axis, np.roll(towards, 1) + axis[::-1])
+
+
+@st.composite
+def scenes_with_boundary_landmarks(draw):
+    """Landmarks exactly on a limit of the coverage of some grid position and axis, nudged by some rounding errors."""
+    scene = draw(scenes())
+    camera, visibility, limits = scene.camera, scene.visibility, scene.limits
+    near, far = camera.depth_of_field(visibility.circle_of_confusion)
+    deepest = min(camera.resolution_depth(visibility.thold), far)
+    grid, axes = scene.room.grid(), scene.pdf.axes
+    positions, normals = [], []
+    for _ in range(draw(st.integers(1, 5))):
+        here, axis = draw(st.sampled_from(list(grid))), draw(st.sampled_from(list(axes)))
+        side = _perpendicular(axis, draw(st.one_of(unit_vectors, st.just(np.array([0.0, 0.0, 1.0])))))
+        angle = draw(st.sampled_from([0.0, 0.5, 1.0, 1.0])) * camera.cone_half_angle
+        if draw(st.booleans()):
+            angle = math.acos(limits.min_cosine)
+        depth = draw(st.sampled_from([near, deepest, limits.min_depth, limits.max_depth, (near + deepest) / 2.0]))
+        depth *= 1.0 + draw(st.integers(-2, 2)) * 2.0**-52
+        sight = math.cos(angle) * axis + math.sin(angle) * side
+        offset = sight * depth / draw(st.sampled_from([math.cos(angle), 1.0]))
+        facing, across = -sight, _perpendicular(sight, side + axis)
+        positions.append(here + offset)
+        normals.append(draw(st.sampled_from([facing, facing, across, -across])))
+        if draw(st.booleans()):  # a second landmark exactly nu from the line of sight, or on top of the first
+            along = draw(st.sampled_from([0.5, 1.0, 1.5, -1.0, 0.0]))
+            positions.append(here + along * offset + draw(st.sampled_from([visibility.nu, 0.0])) * across)
+            normals.append(facing)
+    normals = np.array(normals)
+    return scene, Deployment(np.array(positions), normals / np.linalg.norm(normals, axis=1, keepdims=True))

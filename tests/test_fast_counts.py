@@ -1,0 +1,191 @@
+import math
+
+import numpy as np
+import pytest
+from conftest import facing, one_position_room, paper_room, paper_scene
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from strategies import (
+    cameras,
+    deployments,
+    pdfs,
+    points,
+    scenes,
+    scenes_with_boundary_landmarks,
+    scenes_with_deployments,
+    visibilities,
+)
+
+from lmd import pdf
+from lmd.coverage import reference
+from lmd.coverage.evaluator import Evaluator
+from lmd.deployment import Deployment, RandomDeployment, UniformDeployment
+from lmd.frames import optical_axis
+from lmd.scene import Scene
+from lmd.visibility import Visibility
+
+RNG = np.random.default_rng(0)
+any_case = st.one_of(scenes_with_deployments(), scenes_with_boundary_landmarks())
+
+
+def assert_counts_are_the_references(scene, deployment, threads=1):
+    assert_array_equal(Evaluator(scene, threads=threads).counts(deployment), reference.counts(scene, deployment))
+
+
+@given(scenes_with_deployments())
+def test_counts_are_those_of_the_reference(case):
+    assert_counts_are_the_references(*case)
+
+
+@settings(max_examples=300)
+@given(scenes_with_boundary_landmarks())
+def test_counts_on_a_boundary_are_those_of_the_reference(case):
+    assert_counts_are_the_references(*case)
+
+
+@pytest.mark.parametrize("occlusion", ["paper", "line_of_sight", "none"])
+@pytest.mark.parametrize("source", [UniformDeployment(90), RandomDeployment(90)])
+@pytest.mark.parametrize("build", [pdf.grid_with_ends, pdf.grid_of_cells, pdf.solid_angle])
+def test_counts_in_the_room_of_the_paper_are_those_of_the_reference(build, source, occlusion):
+    scene = paper_scene(paper_room(spacing=1.0), orientations=build(), occlusion=occlusion)
+    assert_counts_are_the_references(scene, source.draw(scene.room, np.random.default_rng(5)), threads=2)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0], ids=["upper", "lower"])
+@pytest.mark.parametrize("rim", ["near limit", "field of view"])
+def test_an_axis_on_the_rim_of_a_cap_counts_at_whatever_height_it_is(rim, side):
+    # A micrometre from multiples of 1/256 of the unit sphere's radius, where a table of heights may have its edges.
+    heights = (np.arange(-250, 251)[:, None] / 256.0 + np.array([0.0, -1e-6, 1e-6])).ravel()
+    pitch, here = np.arcsin(heights), np.full(3, 2.0)
+    orientations = pdf.OrientationPdf(np.zeros(len(pitch)), pitch, np.full(len(pitch), 1.0 / len(pitch)))
+    scene = paper_scene(one_position_room(here), orientations=orientations, occlusion="none")
+    if rim == "near limit":
+        depth, away = scene.limits.min_depth, 1e-9  # the cap of a landmark at the near limit is a point
+    else:
+        depth, away = 2.0, math.acos(scene.limits.min_cosine)
+    landmarks = here + depth * optical_axis(np.zeros(len(pitch)), pitch - side * away)
+    assert_counts_are_the_references(scene, facing(here, *landmarks))
+
+
+@given(any_case, st.integers(1, 4))
+def test_threads_change_nothing(case, n):
+    scene, deployment = case
+    one = Evaluator(scene, threads=1)
+    for threads in (2, 3):
+        several = Evaluator(scene, threads=threads)
+        assert_array_equal(several.counts(deployment), one.counts(deployment))
+        assert_array_equal(several.probabilities(deployment, n), one.probabilities(deployment, n))
+
+
+@given(any_case, st.integers(1, 4), st.floats(0.0, 1.0))
+def test_probabilities_and_qualified_positions_are_those_of_the_reference(case, n, thold_p):
+    scene, deployment = case
+    fast = Evaluator(scene, threads=1).probabilities(deployment, n)
+    expected = reference.coverage_probability(reference.counts(scene, deployment), scene.pdf, n)
+    assert_allclose(fast, expected, rtol=0.0, atol=1e-12)
+    for threshold in (thold_p, *expected[:3]):
+        assert_array_equal(reference.qualified(fast, threshold), reference.qualified(expected, threshold))
+
+
+@given(any_case)
+def test_probabilities_lie_in_the_unit_interval_and_fall_with_n(case):
+    scene, deployment = case
+    evaluator = Evaluator(scene, threads=1)
+    by_n = np.array([evaluator.probabilities(deployment, n) for n in range(1, len(deployment) + 2)])
+    assert by_n.min() >= 0.0
+    assert by_n.max() <= 1.0
+    assert (np.diff(by_n, axis=0) <= 0.0).all()
+    assert (by_n[-1] == 0.0).all()
+
+
+@pytest.mark.parametrize("build", [pdf.grid_with_ends, pdf.grid_of_cells, pdf.solid_angle])
+@pytest.mark.parametrize("divisions", [1, 3, 4, 12, 24])
+def test_a_camera_that_always_sees_a_landmark_has_probability_one(build, divisions):
+    orientations, here = build(divisions), np.full(3, 3.0)
+    scene = paper_scene(one_position_room(here), orientations=orientations, occlusion="none")
+    (probability,) = Evaluator(scene, threads=1).probabilities(facing(here, *(here + 2.0 * orientations.axes)), 1)
+    assert 1.0 - 1e-12 <= probability <= 1.0
+
+
+@given(st.data(), scenes(visibility=st.builds(Visibility, st.floats(0.05, 1.0), occlusion=st.just("none"))))
+def test_one_more_landmark_never_lowers_a_count_without_occlusion(data, scene):
+    deployment = data.draw(deployments(scene.room))
+    fewer = Deployment(deployment.positions[:-1], deployment.normals[:-1]) if len(deployment) > 1 else None
+    counts = Evaluator(scene, threads=1).counts(deployment)
+    assert (counts >= (Evaluator(scene, threads=1).counts(fewer) if fewer else 0)).all()
+
+
+@given(scenes_with_deployments(), st.randoms())
+def test_the_order_of_landmarks_does_not_matter(case, random):
+    scene, deployment = case
+    order = random.sample(range(len(deployment)), len(deployment))
+    shuffled = Deployment(deployment.positions[order], deployment.normals[order])
+    evaluator = Evaluator(scene, threads=1)
+    assert_array_equal(evaluator.counts(shuffled), evaluator.counts(deployment))
+
+
+@given(scenes(), st.integers(1, 3))
+def test_a_batch_scores_each_deployment_as_if_alone(scene, n):
+    batch = [UniformDeployment(7).draw(scene.room, RNG), RandomDeployment(7).draw(scene.room, RNG)]
+    evaluator = Evaluator(scene, threads=2)
+    units = evaluator.units(np.stack([d.positions for d in batch]), np.stack([d.normals for d in batch]), n)
+    expected = np.stack([evaluator.probabilities(d, n) for d in batch])
+    assert_array_equal(units / 2.0**52, expected)
+
+
+@given(scenes_with_deployments())
+def test_chosen_positions_count_as_those_of_the_grid(case):
+    scene, deployment = case
+    grid = scene.room.grid()
+    some = Evaluator(scene, positions=grid[::-2], threads=2).counts(deployment)
+    assert_array_equal(some, Evaluator(scene, threads=2).counts(deployment)[::-2])
+
+
+# Signed permutations of the world axes, and what each does to yaw and pitch.
+SYMMETRIES = {
+    "mirrored in x": (np.diag([-1.0, 1.0, 1.0]), lambda yaw, pitch: (-yaw, pitch)),
+    "mirrored in y": (np.diag([1.0, -1.0, 1.0]), lambda yaw, pitch: (math.pi - yaw, pitch)),
+    "mirrored in z": (np.diag([1.0, 1.0, -1.0]), lambda yaw, pitch: (yaw, -pitch)),
+    "turned about z": (
+        np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+        lambda yaw, pitch: (yaw - math.pi / 2, pitch),
+    ),
+}
+
+
+@pytest.mark.parametrize("symmetry", SYMMETRIES)
+@given(data=st.data(), camera=cameras(), orientations=pdfs, visibility=visibilities(), shift=points)
+def test_a_scene_counts_the_same(symmetry, data, camera, orientations, visibility, shift):
+    matrix, turn = SYMMETRIES[symmetry]
+    room = paper_room(spacing=1.5)
+    deployment = data.draw(deployments(room))
+    # Multiples of 1/16 m move without rounding, so that what lies on a boundary stays there.
+    here, landmarks, shift = (np.round(16.0 * v) / 16.0 for v in (room.grid(), deployment.positions, shift))
+    yaw, pitch = turn(orientations.yaw, orientations.pitch)
+    moved = Scene(room, camera, pdf.OrientationPdf(yaw, pitch, orientations.weight), visibility)
+    before = Evaluator(Scene(room, camera, orientations, visibility), here, threads=1)
+    after = Evaluator(moved, here @ matrix.T + shift, threads=1)
+    normals = deployment.normals
+    assert_array_equal(
+        after.counts(Deployment(landmarks @ matrix.T + shift, normals @ matrix.T)),
+        before.counts(Deployment(landmarks, normals)),
+    )
+
+
+@pytest.mark.parametrize("symmetry", ["mirrored in x", "mirrored in y", "mirrored in z"])
+@given(seed=st.integers(0, 1000), n=st.integers(1, 3))
+def test_the_room_of_the_paper_scores_its_mirror_image_the_same(symmetry, seed, n):
+    matrix, _ = SYMMETRIES[symmetry]
+    room = paper_room(spacing=1.5)
+    scene = paper_scene(room, orientations=pdf.solid_angle(6))  # the mirrors map this PDF onto itself
+    deployment = RandomDeployment(40).draw(room, np.random.default_rng(seed))
+    centre = np.array(room.size) / 2.0
+    image = Deployment((deployment.positions - centre) @ matrix.T + centre, deployment.normals @ matrix.T)
+    evaluator = Evaluator(scene, threads=1)
+    assert_allclose(
+        np.sort(evaluator.probabilities(image, n)),
+        np.sort(evaluator.probabilities(deployment, n)),
+        rtol=0.0,
+        atol=1e-12,
+    )

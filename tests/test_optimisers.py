@@ -1,0 +1,149 @@
+"""What every optimiser promises, checked for every config in conf/optimiser."""
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import paper_room, paper_scene
+from hydra import compose, initialize_config_dir
+
+from lmd import pdf
+from lmd.checks import InputError
+from lmd.deployment import RandomDeployment, UniformDeployment
+from lmd.optimisers.base import AskTell, Budget
+from lmd.problem import CoverageProblem, Objective
+from pipelines.app import CONF, instantiate
+
+NAMES = sorted(path.stem for path in Path(CONF, "optimiser").glob("*.yaml"))
+BUDGET = 200
+
+
+def make(name, seed=0):
+    with initialize_config_dir(CONF, version_base="1.3"):
+        return instantiate(compose("optimise", [f"optimiser={name}"]).optimiser, seed=seed)
+
+
+def problem(start=None, threads=1):
+    scene = paper_scene(room=paper_room(spacing=1.5), orientations=pdf.grid_with_ends(6))
+    return CoverageProblem(scene, Objective(2, 0.5), start or RandomDeployment(30), threads=threads)
+
+
+class NanProblem(CoverageProblem):
+    """Every third evaluation fails."""
+
+    def evaluate(self, genes):
+        fitness = super().evaluate(genes)
+        fitness[::3] = np.nan
+        return fitness
+
+
+@pytest.fixture(scope="module", params=NAMES)
+def name(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def result(name):
+    return make(name).run(problem(), Budget(BUDGET))
+
+
+def test_it_improves_on_its_start(name):
+    start = UniformDeployment(30)
+    p = problem(start)
+    before = p.metrics(start.draw(p.scene.room, np.random.default_rng()))["fitness"]
+    assert make(name).run(p, Budget(BUDGET)).fitness > before
+
+
+def test_it_spends_the_budget_to_the_evaluation(result):
+    assert result.evaluations == BUDGET
+    assert result.stopped == "budget"
+
+
+@pytest.mark.parametrize("evaluations", [1, 7, 31])
+def test_it_keeps_any_budget(name, evaluations):
+    assert make(name).run(problem(), Budget(evaluations)).evaluations <= evaluations
+
+
+def test_it_stops_when_its_time_is_up(name):
+    result = make(name).run(problem(), Budget(10**9, seconds=0.2))
+    assert 0 < result.evaluations < 10**6
+
+
+def test_its_best_fitness_never_falls_and_is_that_of_its_deployment(result):
+    best = [record.best_fitness for record in result.history]
+    assert best == sorted(best)
+    assert best[-1] == result.fitness == problem().metrics(result.deployment)["fitness"]
+
+
+def test_its_history_counts_up_to_what_was_spent(result):
+    evaluations = [record.evaluations for record in result.history]
+    assert evaluations == sorted(set(evaluations))
+    assert evaluations[-1] == result.evaluations
+
+
+def test_same_seed_same_result_on_any_number_of_threads(name, result):
+    again = make(name).run(problem(threads=2), Budget(BUDGET))
+    np.testing.assert_array_equal(again.deployment.positions, result.deployment.positions)
+    assert [r.best_fitness for r in again.history] == [r.best_fitness for r in result.history]
+
+
+def test_another_seed_another_result(name, result):
+    other = make(name, seed=1).run(problem(), Budget(BUDGET))
+    assert not np.array_equal(other.deployment.positions, result.deployment.positions)
+
+
+def test_it_survives_failed_evaluations(name):
+    p = problem()
+    failing = NanProblem(p.scene, p.objective, p.start, threads=1)
+    assert make(name).run(failing, Budget(BUDGET)).fitness > 0.0
+
+
+def test_interrupted_and_resumed_it_ends_where_it_would_have(name, result):
+    calls = iter(range(10**9))
+    optimiser = make(name)
+    stopped = optimiser.run(problem(), Budget(BUDGET), lambda _: next(calls) == 2)
+    assert stopped.stopped == "interrupted"
+    assert stopped.evaluations < BUDGET
+    resumed = pickle.loads(pickle.dumps(optimiser)).run(problem(), Budget(BUDGET))
+    np.testing.assert_array_equal(resumed.deployment.positions, result.deployment.positions)
+    assert [r.evaluations for r in resumed.history] == [r.evaluations for r in result.history]
+
+
+def test_a_run_in_which_every_evaluation_fails_says_so():
+    class Hopeless(CoverageProblem):
+        def evaluate(self, genes):
+            return np.full(len(genes), np.nan)
+
+    p = problem()
+    with pytest.raises(InputError, match="EGA found no deployment: every evaluation failed"):
+        make("ega").run(Hopeless(p.scene, p.objective, p.start), Budget(40))
+
+
+def test_genes_outside_the_unit_box_are_clipped():
+    class Outside(AskTell):
+        def _ask(self):
+            return np.full((2, self.dim), 7.0)
+
+        def _tell(self, genes, fitness):
+            assert genes.max() == 1.0
+
+    Outside().run(problem(), Budget(4))
+
+
+def test_genes_of_the_wrong_shape_are_refused():
+    class Wrong(AskTell):
+        def _ask(self):
+            return np.zeros((2, 3))
+
+        def _tell(self, genes, fitness):
+            raise AssertionError
+
+    with pytest.raises(InputError, match=r"Wrong asked for genes of shape \(2, 3\), not \(B, 60\)"):
+        Wrong().run(problem(), Budget(4))
+
+
+@pytest.mark.parametrize("values", [{"evaluations": 0}, {"evaluations": 1.5}, {"evaluations": 5, "seconds": 0}])
+def test_an_impossible_budget_is_refused(values):
+    with pytest.raises(InputError, match=r"budget\.(evaluations|seconds)"):
+        Budget(**values)

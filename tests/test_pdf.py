@@ -1,0 +1,193 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from strategies import pdfs
+
+from lmd import pdf
+from lmd.checks import InputError
+from lmd.coverage import reference
+from lmd.frames import optical_axis
+
+BUILDERS = [pdf.grid_with_ends, pdf.grid_of_cells, pdf.solid_angle, pdf.level_flight]
+
+
+def second_moment(orientations):
+    return (orientations.axes.T * orientations.axis_weight) @ orientations.axes
+
+
+def test_the_grid_with_both_ends_has_325_orientations_and_266_axes():
+    orientations = pdf.grid_with_ends()
+    assert len(orientations.weight) == 325
+    assert len(orientations.axes) == 266
+    assert (orientations.weight == 1.0 / 325.0).all()
+
+
+@pytest.mark.parametrize("build", [pdf.grid_of_cells, pdf.solid_angle])
+def test_the_grid_of_cells_has_288_orientations_all_distinct(build):
+    assert len(build().weight) == len(build().axes) == 288
+
+
+def test_the_grid_with_ends_counts_the_poles_25_times_and_the_seam_twice():
+    orientations = pdf.grid_with_ends()
+    count = np.rint(orientations.axis_weight * 325).astype(int)
+    assert count[0] == count[-1] == 25
+    seam = np.abs(orientations.axes @ [0.0, -1.0, 0.0] - np.hypot(*orientations.axes[:, :2].T)) < 1e-9
+    assert (count[1:-1] == np.where(seam, 2, 1)[1:-1]).all()
+
+
+def test_the_grids_step_by_15_degrees_as_printed():
+    step = math.pi / 12
+    assert_allclose(np.unique(pdf.grid_with_ends().yaw), np.arange(-12, 13) * step, atol=1e-12)
+    assert_allclose(np.unique(pdf.grid_with_ends().pitch), np.arange(-6, 7) * step, atol=1e-12)
+    assert_allclose(np.unique(pdf.grid_of_cells().yaw), np.arange(-12, 12) * step, atol=1e-12)
+    assert_allclose(np.unique(pdf.grid_of_cells().pitch), np.arange(-11, 12, 2) * step / 2, atol=1e-12)
+
+
+@pytest.mark.parametrize("build", BUILDERS)
+@given(divisions=st.integers(1, 30))
+def test_every_pdf_sums_to_one(build, divisions):
+    orientations = build(divisions)
+    assert orientations.weight.min() > 0.0
+    assert orientations.weight.sum() == pytest.approx(1.0, abs=1e-12)
+    assert orientations.axis_weight.sum() == pytest.approx(1.0, abs=1e-12)
+
+
+@given(pdfs)
+def test_axes_are_unit_ordered_by_height_and_map_back_to_the_orientations(orientations):
+    axes = orientations.axes
+    assert_allclose(np.linalg.norm(axes, axis=1), 1.0)
+    assert (np.diff(axes[:, 2]) > -1e-11).all()
+    expected = optical_axis(orientations.yaw, orientations.pitch)
+    assert_allclose(axes[orientations.axis_of], expected, rtol=0.0, atol=1e-11)
+
+
+@given(pdfs)
+def test_distinct_axes_carry_the_weight_of_their_orientations(orientations):
+    seen = orientations.axes[:, 0] > 0.1
+    by_orientation = reference.coverage_probability(seen[orientations.axis_of], orientations, 1)
+    assert orientations.axis_weight[seen].sum() == pytest.approx(by_orientation, abs=1e-12)
+
+
+@pytest.mark.parametrize(("divisions", "error"), [(6, 2e-2), (12, 5e-3), (24, 2e-3)])
+def test_solid_angle_is_uniform_on_the_sphere(divisions, error):
+    sphere = pdf.solid_angle(divisions)
+    assert_allclose(sphere.axis_weight @ sphere.axes, 0.0, atol=1e-12)
+    assert_allclose(second_moment(sphere), np.eye(3) / 3.0, atol=error)
+
+
+def test_solid_angle_gives_a_polar_cap_its_share_of_the_sphere():
+    sphere = pdf.solid_angle()
+    above = sphere.weight[sphere.pitch > math.pi / 4].sum()
+    assert above == pytest.approx((1.0 - math.sin(math.pi / 4)) / 2.0)
+
+
+@pytest.mark.parametrize("build", [pdf.grid_with_ends, pdf.grid_of_cells])
+def test_uniform_angles_are_not_uniform_on_the_sphere(build):
+    assert second_moment(build())[2, 2] > 0.45
+
+
+def test_level_flight_looks_all_around_at_one_pitch():
+    level = pdf.level_flight(12)
+    assert len(level.weight) == len(level.axes) == 24
+    assert_allclose(level.axes[:, 2], 0.0)
+    assert_allclose(pdf.level_flight(12, pitch=-0.3).axes[:, 2], math.sin(-0.3))
+
+
+@pytest.mark.parametrize("count", [3, 7, 24, 325])
+def test_weights_printed_with_six_decimals_are_accepted(count):
+    printed = np.round(np.full(count, 1.0 / count), 6)
+    assert len(pdf.OrientationPdf(np.linspace(-3.0, 3.0, count), np.zeros(count), printed).weight) == count
+
+
+def test_a_pdf_cannot_be_changed_from_outside():
+    weight = np.array([0.5, 0.5])
+    orientations = pdf.OrientationPdf(np.zeros(2), np.zeros(2), weight)
+    weight[:] = 7.0
+    assert orientations.weight.tolist() == [0.5, 0.5]
+    with pytest.raises(ValueError, match="read-only"):
+        orientations.weight[0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("yaw", "pitch", "weight", "named"),
+    [
+        ([0, 1], [0, 0], [0.5, 0.4], "must sum to 1, they sum to 0.9"),
+        ([0, 1], [0, 0], [1.5, -0.5], "negative weight, -0.5"),
+        ([0, 1], [0, 1.6], [0.5, 0.5], "pitch must be in .* got 1.6"),
+        ([0, math.nan], [0, 0], [0.5, 0.5], "not finite"),
+        ([0, 1], [0], [0.5, 0.5], "equal length"),
+        ([], [], [], "non-empty"),
+    ],
+)
+def test_what_is_no_pdf_is_refused(yaw, pitch, weight, named):
+    with pytest.raises(InputError, match=f"^mine.*{named}"):
+        pdf.OrientationPdf(yaw, pitch, weight, "mine")
+
+
+@pytest.mark.parametrize("build", BUILDERS)
+@pytest.mark.parametrize("divisions", [0, -3, 1.5, "12", True, None])
+def test_divisions_must_be_a_positive_whole_number(build, divisions):
+    with pytest.raises(InputError, match=rf"pdf\.divisions .*{divisions!r}"):
+        build(divisions)
+
+
+@pytest.mark.parametrize("pitch", [1.6, -2.0, math.nan, "level"])
+def test_level_flight_refuses_a_pitch_beyond_the_poles(pitch):
+    with pytest.raises(InputError, match=rf"pdf\.pitch .*{pitch!r}"):
+        pdf.level_flight(12, pitch)
+
+
+def test_a_csv_is_read_by_column_name(write):
+    orientations = pdf.from_csv(write("weight, pitch, yaw\n0.25,0.1,1\n0.75,-0.1,2\n"))
+    assert orientations.yaw.tolist() == [1.0, 2.0]
+    assert orientations.pitch.tolist() == [0.1, -0.1]
+    assert orientations.weight.tolist() == [0.25, 0.75]
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("yaw,pitch,weight\n0,0,0.5\n1,0,0.4\n", "must sum to 1, they sum to 0.9"),
+        ("yaw,pitch,roll,weight\n0,0,0,1\n", "unknown column 'roll'"),
+        ("yaw,weight\n0,1\n", "lacks the column 'pitch'"),
+        ("0,0,1\n", "unknown column '0'"),
+        ("", "is empty"),
+        ("\n\n", "is empty"),
+        ("yaw,pitch,weight\n", "header but no rows"),
+        ("yaw,pitch,weight\n0,0,0.5\nnan,0,0.5\n", "line 3: yaw is 'nan', not a finite number"),
+        ("yaw,pitch,weight\n0,-inf,1\n", "line 2: pitch is '-inf', not a finite number"),
+        ("yaw,pitch,weight\n0,up,1\n", "line 2: pitch is 'up', not a number"),
+        ("yaw,pitch,weight\n0,,1\n", "line 2: pitch is '', not a number"),
+        ("yaw,pitch,weight\n0,1\n", "line 2: weight is ''"),
+        ("yaw,pitch,weight\n0,0,1.5\n1,0,-0.5\n", "negative weight, -0.5"),
+        ("yaw,pitch,weight\n0,90,1\n", "pitch must be in .* got 90"),
+    ],
+)
+def test_a_bad_csv_is_refused_with_its_name_and_the_value(write, text, named):
+    with pytest.raises(InputError, match=rf"samples\.csv.*{named}"):
+        pdf.from_csv(write(text, "samples.csv"))
+
+
+def test_a_row_longer_than_the_header_is_refused(write):
+    with pytest.raises(InputError, match=r"samples\.csv"):
+        pdf.from_csv(write("yaw,pitch,weight\n0,0,0.5,7\n1,0,0.5,7\n", "samples.csv"))
+
+
+def test_a_missing_file_is_refused_by_name(tmp_path):
+    with pytest.raises(InputError, match=r"pdf\.path: there is no file .*nowhere\.csv"):
+        pdf.from_csv(str(tmp_path / "nowhere.csv"))
+    with pytest.raises(InputError, match=r"pdf\.path: .*cannot be read as CSV"):
+        pdf.from_csv(str(tmp_path))
+    with pytest.raises(InputError, match=r"pdf\.path is missing"):
+        pdf.from_csv(None)
+
+
+def test_a_binary_file_is_refused_by_name(tmp_path):
+    path = tmp_path / "photo.csv"
+    path.write_bytes(b"\x89PNG\xff\xfe\x00")
+    with pytest.raises(InputError, match=r"photo\.csv"):
+        pdf.from_csv(str(path))

@@ -1,0 +1,123 @@
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.image import imread
+
+from lmd.deployment import Deployment, UniformDeployment
+from lmd.plot.common import box_edges, qualified_labels
+from lmd.plot.convergence import save_convergence_figure
+from lmd.plot.page import save_scene_page
+from lmd.plot.scene import save_scene_figure
+from lmd.room import Room
+
+ROOM = Room(size=(3.0, 2.0, 2.5), reachable_size=(2.0, 1.0, 1.5), spacing=0.8)
+PROBABILITY = np.linspace(0.0, 1.0, len(ROOM.grid()))
+THOLD_P, N = 0.65, 2
+
+
+@pytest.fixture(name="deployment")
+def _deployment() -> Deployment:
+    return UniformDeployment(7).draw(ROOM, np.random.default_rng(0))
+
+
+def save(function, path: Path, deployment: Deployment, probability: np.ndarray = PROBABILITY, title: str = "T") -> None:
+    function(path, ROOM, deployment, ROOM.grid(), probability, THOLD_P, N, title)
+
+
+def test_box_edges_are_the_twelve_edges_of_the_box():
+    edges = box_edges(np.array([1.0, 2.0, 3.0]), np.array([2.0, 4.0, 6.0]))
+    assert edges.shape == (12, 2, 3)
+    assert len(np.unique(edges.reshape(12, 6), axis=0)) == 12
+    along = np.abs(edges[:, 1] - edges[:, 0])
+    assert ((along > 0).sum(axis=1) == 1).all()
+    np.testing.assert_array_equal(along.sum(axis=0), [4.0, 8.0, 12.0])
+    np.testing.assert_array_equal(np.unique(edges.reshape(-1, 3), axis=0)[[0, -1]], [[1, 2, 3], [2, 4, 6]])
+
+
+def test_labels_state_the_shares():
+    assert qualified_labels(np.array([True, False, False, False]), 0.65) == (
+        "qualified, probability ≥ 0.65 (25.0 %)",
+        "unqualified (75.0 %)",
+    )
+
+
+def colours_in(picture: np.ndarray, red: int, green: int, blue: int) -> int:
+    """Pixels within 6 levels of a colour."""
+    return int((np.abs(picture[..., :3] * 255 - [red, green, blue]) <= 6).all(axis=-1).sum())
+
+
+def test_scene_figure_has_the_stated_size_and_shows_qualified_positions_in_the_right_panel(tmp_path, deployment):
+    shown = {}
+    for name, probability in (("none", 0.0), ("all", 1.0)):
+        path = tmp_path / f"{name}.png"
+        save(save_scene_figure, path, deployment, np.full_like(PROBABILITY, probability))
+        picture = imread(path)
+        assert picture.shape[:2] == (750, 1500)
+        assert 30_000 < path.stat().st_size < 500_000
+        # Balls only, without the legend below: green at 80 % on white, and the red of the arrows.
+        shown[name] = colours_in(picture[100:640, 750:], 72, 171, 103)
+        assert colours_in(picture[100:640], 214, 39, 40) > 200
+    assert shown["none"] == 0
+    assert shown["all"] > 500
+
+
+def test_plotting_libraries_load_late_and_pyplot_never(tmp_path, deployment):
+    deployment.to_csv(tmp_path / "deployment.csv")
+    code = """if True:
+        import sys
+        import lmd.plot.convergence, lmd.plot.page, lmd.plot.scene
+        assert not {"matplotlib", "plotly"} & set(sys.modules)
+        import numpy as np
+        from lmd.deployment import Deployment
+        from lmd.room import Room
+        room = Room((3.0, 2.0, 2.5), (2.0, 1.0, 1.5), 0.8)
+        lmd.plot.scene.save_scene_figure(
+            "a.png", room, Deployment.from_csv("deployment.csv"), room.grid(), np.ones(len(room.grid())), 0.65, 2, "T"
+        )
+        assert "matplotlib.pyplot" not in sys.modules
+    """
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
+
+
+def test_page_is_self_contained_and_holds_landmarks_positions_and_both_buttons(tmp_path, deployment):
+    path = tmp_path / "scene.html"
+    save(save_scene_page, path, deployment, title="90 < 100 & more")
+    page = path.read_text(encoding="utf-8")
+    assert "<title>90 &lt; 100 &amp; more</title>" in page
+    tags = re.findall(r"<(?:script|link|img|iframe)\b[^>]*>", page)
+    assert tags
+    assert not [tag for tag in tags if re.search(r"""(?:src|href)\s*=\s*["']?(?:https?:)?//""", tag)]
+    assert "cdnjs" not in page  # MathJax
+    data = page[page.rindex("Plotly.newPlot") :].replace('": ', '":')
+    assert '"displaylogo":false' in data
+    assert '"showSendToCloud":false' in data
+    assert all(f"landmark {i}\\u003cbr" in data for i in range(7))
+    x, y, z = ROOM.grid()[5]
+    assert f"= {PROBABILITY[5]:.4f}\\u003cbr\\u003ex {x:.3f} m, y {y:.3f} m, z {z:.3f} m" in data
+    assert '"label":"probability"' in data
+    assert '"label":"qualified or not"' in data
+    assert qualified_labels(PROBABILITY >= THOLD_P, THOLD_P)[1] in data
+
+
+@pytest.mark.parametrize(("draw", "name"), [(save_scene_figure, "scene.png"), (save_scene_page, "scene.html")])
+@pytest.mark.parametrize("probability", [0.0, 1.0])
+def test_one_landmark_and_one_position(tmp_path, draw, name, probability):
+    one = Deployment(np.array([[0.0, 1.0, 1.0]]), np.array([[1.0, 0.0, 0.0]]))
+    draw(tmp_path / name, ROOM, one, ROOM.grid()[:1], np.array([probability]), THOLD_P, 1, "T")
+    assert (tmp_path / name).stat().st_size > 30_000
+
+
+@pytest.mark.parametrize("rows", [1, 4])
+def test_convergence_figure(tmp_path, rows):
+    history = pd.DataFrame(
+        {"evaluations": [30, 60, 90, 120], "best_fitness": [0.2, 0.5, 0.5, 0.9], "wall_time": [0.5, 40.0, 75.0, 3700.0]}
+    )
+    path = tmp_path / "convergence.png"
+    save_convergence_figure(path, history[:rows], "Convergence")
+    assert imread(path).shape[:2] == (500, 900)
+    assert path.stat().st_size > 8_000

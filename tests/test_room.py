@@ -1,0 +1,205 @@
+import math
+
+import numpy as np
+import pytest
+from conftest import SIDE_WALLS, experiment_room, paper_room
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from strategies import rooms
+
+from lmd.checks import InputError
+from lmd.relevance import Relevance
+from lmd.room import WALLS, Room
+
+
+@pytest.mark.parametrize(("positions", "shape", "count"), [("cells", (12, 7, 9), 756), ("vertices", (13, 8, 10), 1040)])
+def test_paper_room_has_756_cells_or_1040_vertices(positions, shape, count):
+    room = paper_room(positions=positions)
+    assert room.grid_shape() == shape
+    assert room.grid().shape == (count, 3)
+
+
+def test_experiment_room_has_147_cells():
+    assert experiment_room().grid_shape() == (7, 7, 3)
+    assert len(experiment_room().grid()) == 147
+
+
+def test_paper_cells_are_centred_on_half_metres():
+    grid = paper_room().grid()
+    assert_allclose(grid[0], [1.0, 1.0, 1.0])
+    assert_allclose(grid[1], [1.0, 1.0, 1.5])
+    assert_allclose(grid[-1], [6.5, 4.0, 5.0])
+
+
+def test_vertices_reach_the_corners_of_the_reachable_box():
+    grid = paper_room(positions="vertices").grid()
+    assert_allclose([grid[0], grid[-1]], [[0.75, 0.75, 0.75], [6.75, 4.25, 5.25]])
+
+
+@given(rooms())
+def test_every_position_lies_in_the_reachable_box_and_the_room(room):
+    grid = room.grid()
+    assert len(grid) == math.prod(room.grid_shape()) == len(np.unique(grid, axis=0))
+    assert (grid >= room.reachable_low - 1e-12).all()
+    assert (grid <= room.reachable_high + 1e-12).all()
+    assert room.contains(grid).all()
+
+
+@given(rooms())
+def test_the_grid_is_centred_and_no_coarser_than_the_spacing(room):
+    grid = room.grid()
+    assert_allclose(grid.mean(axis=0), np.array(room.size) / 2.0)
+    for axis in range(3):
+        gaps = np.diff(np.unique(np.round(grid[:, axis], 9)))
+        assert (gaps <= room.spacing[axis] + 1e-8).all()
+
+
+def test_spacing_may_differ_per_axis():
+    assert paper_room(spacing=(1.0, 0.5, 4.5)).grid_shape() == (6, 7, 1)
+
+
+@given(rooms(), st.sampled_from(WALLS))
+def test_wall_normals_point_inwards(room, name):
+    wall = next(w for w in room.landmark_walls() if w.name == name)
+    middle = wall.point(wall.extent[0] / 2.0, wall.extent[1] / 2.0)
+    assert_allclose(np.stack([wall.u, wall.v, wall.normal]) @ np.stack([wall.u, wall.v, wall.normal]).T, np.eye(3))
+    assert wall.normal @ (np.array(room.size) / 2.0 - middle) > 0.0
+
+
+@given(rooms())
+def test_the_six_walls_have_the_corners_and_the_area_of_the_room(room):
+    walls, (x, y, z) = room.landmark_walls(), room.size
+    for wall in walls:
+        corners = wall.point(*np.meshgrid([0.0, wall.extent[0]], [0.0, wall.extent[1]]))
+        assert np.isin(corners / np.array(room.size), [0.0, 1.0]).all()
+    assert sum(wall.area for wall in walls) == pytest.approx(2 * (x * y + y * z + z * x))
+
+
+@pytest.mark.parametrize(
+    ("name", "corner", "far_corner", "normal"),
+    [
+        ("x_min", [0, 0, 0], [0, 5, 6], [1, 0, 0]),
+        ("x_max", [7.5, 0, 0], [7.5, 5, 6], [-1, 0, 0]),
+        ("y_min", [0, 0, 0], [7.5, 0, 6], [0, 1, 0]),
+        ("y_max", [0, 5, 0], [7.5, 5, 6], [0, -1, 0]),
+        ("floor", [0, 0, 0], [7.5, 5, 0], [0, 0, 1]),
+        ("ceiling", [0, 0, 6], [7.5, 5, 6], [0, 0, -1]),
+    ],
+)
+def test_each_wall_is_where_its_name_says(name, corner, far_corner, normal):
+    (wall,) = paper_room(walls=(name,)).landmark_walls()
+    assert_array_equal(wall.point(0.0, 0.0), corner)
+    assert_array_equal(wall.point(*wall.extent), far_corner)
+    assert_array_equal(wall.normal, normal)
+
+
+@given(rooms(), st.sampled_from(range(6)), st.floats(0, 1), st.floats(0, 1))
+def test_wall_coordinates_invert_wall_points(room, index, a, b):
+    wall = room.landmark_walls()[index]
+    at = np.array([a, b]) * wall.extent
+    assert_allclose(wall.coordinates(wall.point(*at) + 0.3 * wall.normal), at, atol=1e-12)
+    assert_allclose(wall.coordinates(wall.point(*at) + 100.0 * wall.v)[1], wall.extent[1])
+
+
+def test_walls_keep_the_order_asked_for():
+    assert [wall.name for wall in experiment_room(walls=["y_max", "floor"]).landmark_walls()] == ["y_max", "floor"]
+    assert tuple(wall.name for wall in experiment_room().landmark_walls()) == SIDE_WALLS
+
+
+def test_a_micrometre_outside_is_still_inside():
+    inside = paper_room().contains([[0, 0, 0], [7.5, 5, 6], [7.5 + 1e-7, 5, 6], [7.51, 5, 6], [1, -0.01, 1]])
+    assert inside.tolist() == [True, True, True, False, False]
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"size": (7.5, 5.0)}, r"room\.size .*\[7\.5, 5\.0\]"),
+        ({"size": (7.5, 5.0, 0.0)}, r"room\.size\[2\] .*0\.0"),
+        ({"size": (7.5, math.nan, 6.0)}, r"room\.size\[1\] .*nan"),
+        ({"size": "big"}, r"room\.size .*'big'"),
+        ({"reachable_size": (6.0, 5.1, 4.5)}, r"room\.reachable_size = \[6\.0, 5\.1, 4\.5\] exceeds room\.size"),
+        ({"reachable_size": (6.0, -1.0, 4.5)}, r"room\.reachable_size\[1\] .*-1\.0"),
+        ({"spacing": 0.0}, r"room\.spacing .*0\.0"),
+        ({"spacing": math.inf}, r"room\.spacing .*inf"),
+        ({"spacing": (0.5, 0.5)}, r"room\.spacing .*\[0\.5, 0\.5\]"),
+        ({"positions": "corners"}, r"room\.positions must be one of cells, vertices, got 'corners'"),
+        ({"walls": ()}, r"room\.walls .*\(\)"),
+        ({"walls": "floor"}, r"room\.walls .*'floor'"),
+        ({"walls": ("floor", "floor")}, r"room\.walls .*each once"),
+        ({"walls": ("floor", "roof")}, r"room\.walls .*'roof'"),
+    ],
+)
+def test_a_bad_room_is_refused_by_name(change, named):
+    with pytest.raises(InputError, match=named):
+        paper_room(**change)
+
+
+UPPER_HALF = {"low": [0, 0, 3.0], "high": [7.5, 5, 6], "weight": 3}
+
+
+def test_every_position_matters_alike_by_default():
+    assert_array_equal(paper_room().relevance.weights(paper_room().grid()), np.ones(756))
+
+
+def test_a_region_weighs_what_lies_in_it_and_the_background_the_rest():
+    grid = paper_room().grid()
+    weights = Relevance(background=0.5, regions=[UPPER_HALF]).weights(grid)
+    assert_array_equal(weights, np.where(grid[:, 2] >= 3.0, 3.0, 0.5))
+
+
+def test_a_later_region_overrides_an_earlier_one():
+    corner = {"low": [0, 0, 0], "high": [1, 1, 6], "weight": 0}
+    weights = Relevance(regions=[UPPER_HALF, corner]).weights(np.array([[1, 1, 5], [1, 1, 1], [2, 1, 5], [2, 1, 1.0]]))
+    assert weights.tolist() == [0.0, 0.0, 3.0, 1.0]
+
+
+def test_positions_on_the_border_of_a_region_belong_to_it_however_they_were_rounded():
+    room = Room(size=(3, 3, 3), reachable_size=(2.1, 2.1, 2.1), spacing=0.3)  # cell centres at 0.6, 0.9, ..., 2.4
+    inner = {"low": [0.9, 0.9, 0.9], "high": [2.1, 2.1, 2.1], "weight": 1}
+    assert Relevance(background=0, regions=[inner]).weights(room.grid()).sum() == 5**3
+
+
+def test_a_file_weighs_every_position_in_any_row_order(write):
+    grid = experiment_room().grid()
+    expected = np.arange(len(grid), dtype=float)
+    rows = [f"{x!r},{y!r},{z!r},{w}" for (x, y, z), w in zip(grid.tolist(), expected, strict=True)]
+    relevance = Relevance(path=write("\n".join(["x,y,z,weight", *reversed(rows)])))
+    assert_array_equal(relevance.weights(grid), expected)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"background": -1.0}, r"room\.relevance\.background .*-1\.0"),
+        ({"background": math.nan}, r"room\.relevance\.background .*nan"),
+        ({"regions": [{"low": [0, 0, 0], "weight": 1}]}, r"regions\[0\] must have the keys low, high and weight"),
+        ({"regions": [UPPER_HALF, UPPER_HALF | {"weight": -2}]}, r"regions\[1\]\.weight .*-2"),
+        ({"regions": [UPPER_HALF | {"low": [0, 0]}]}, r"regions\[0\]\.low .*\[0, 0\]"),
+        ({"regions": [UPPER_HALF | {"low": [8, 0, 0]}]}, r"regions\[0\] is empty"),
+        ({"regions": [UPPER_HALF], "path": "w.csv"}, r"regions or a path, not both \(path is 'w\.csv'\)"),
+    ],
+)
+def test_a_bad_relevance_is_refused_by_name(change, named):
+    with pytest.raises(InputError, match=named):
+        Relevance(**change)
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("x,y,z,weight\n1,1,1,-3", r"table\.csv has a negative weight, -3"),
+        ("x,y,z,weight\n1,1,2,1", r"table\.csv has no weight for the position \(1, 1, 1\)"),
+        ("x,y,z,weight\n1,1,1,0", r"every position the weight 0"),
+        ("x,y,z\n1,1,1", r"table\.csv lacks the column 'weight'"),
+    ],
+)
+def test_a_bad_relevance_file_is_refused_by_name(write, text, named):
+    with pytest.raises(InputError, match=named):
+        Relevance(path=write(text)).weights(np.ones((1, 3)))
+
+
+def test_an_irrelevant_room_is_refused():
+    with pytest.raises(InputError, match="every position the weight 0"):
+        Relevance(background=0.0).weights(np.ones((2, 3)))
