@@ -1,0 +1,80 @@
+from pathlib import Path
+
+import pytest
+from conftest import PAPER_CAMERA, PRINTED_EXPERIMENT_CAMERA
+from hydra import compose, initialize_config_dir
+
+from lmd.camera import Camera
+from pipelines.app import CONF, build_problem, flat_settings, instantiate
+
+GROUPS = [
+    (path.parent.name, path.stem) for path in sorted(Path(CONF).glob("*/*.yaml")) if path.parent.name != "experiment"
+]
+EXPERIMENTS = sorted(path.stem for path in Path(CONF, "experiment").glob("*.yaml"))
+NEEDS_A_FILE = {("pdf", "samples"), ("deployment", "file")}
+
+
+def composed(app, *overrides):
+    with initialize_config_dir(CONF, version_base="1.3"):
+        return compose(app, list(overrides))
+
+
+@pytest.mark.parametrize(("group", "option"), GROUPS)
+def test_every_option_composes_and_builds(group, option):
+    cfg = composed("optimise", f"{group}={option}")
+    instantiate(cfg.optimiser, seed=0)
+    instantiate(cfg.tracking)
+    if (group, option) not in NEEDS_A_FILE:
+        build_problem(cfg)
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_every_experiment_composes_and_builds(experiment):
+    for app in ("optimise", "evaluate"):
+        build_problem(composed(app, f"experiment={experiment}"))
+
+
+def test_the_default_is_the_papers_simulation():
+    problem = build_problem(composed("optimise"))
+    assert instantiate(composed("optimise").camera) == Camera(**PAPER_CAMERA)
+    assert len(problem.evaluator.positions) == 756
+    assert len(problem.evaluator.axis_of) == 325
+    assert (problem.count, problem.objective.n, problem.objective.thold_p) == (90, 2, 0.65)
+    assert problem.scene.visibility.thold == 0.28
+    assert problem.scene.visibility.nu == 0.05
+
+
+def test_the_papers_other_grids_are_a_choice():
+    problem = build_problem(composed("optimise", "room.positions=vertices", "pdf=grid_288"))
+    assert len(problem.evaluator.positions) == 1040
+    assert len(problem.evaluator.axis_of) == 288
+
+
+def test_the_printed_experiment_camera_is_shipped_as_printed():
+    assert instantiate(composed("optimise", "camera=paper_experiment_printed").camera) == Camera(
+        **PRINTED_EXPERIMENT_CAMERA
+    )
+
+
+def test_the_papers_experiment_is_one_word():
+    problem = build_problem(composed("optimise", "experiment=paper_experiment"))
+    assert len(problem.evaluator.positions) == 147
+    assert (problem.count, problem.objective.thold_p) == (80, 0.7)
+    assert len(problem.scene.room.landmark_walls()) == 4
+
+
+def test_the_literal_ega_has_the_printed_chromosome():
+    cfg = composed("optimise", "optimiser=ega")
+    problem = build_problem(cfg)
+    problem.use_encoding(cfg.optimiser.encoding)
+    assert problem.dim == 450
+
+
+def test_settings_are_flattened_for_the_record():
+    flat = flat_settings(composed("optimise"), "objective", "seed")
+    assert flat == {
+        "objective._target_": "lmd.problem.Objective",
+        "objective.n": 2,
+        "objective.thold_p": 0.65,
+        "seed": 0,
+    }

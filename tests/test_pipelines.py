@@ -1,0 +1,223 @@
+"""The two commands as a user meets them: a process, its messages, its exit code and the files it leaves."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from mlflow import MlflowClient
+
+ROOT = Path(__file__).parents[1]
+SMALL = ["room.spacing=1.5", "objective.thold_p=0.5"]
+FILES = ["convergence.png", "history.csv", "landmarks.csv", "metrics.json", "scene.html", "scene.png"]
+HEADER = "id,x,y,z,nx,ny,nz\n"
+
+
+def command(pipeline, *overrides):
+    return [sys.executable, "-m", f"pipelines.{pipeline}", *SMALL, *overrides]
+
+
+def environment():
+    return os.environ | {"PYTHONPATH": str(ROOT)}
+
+
+def call(pipeline, *overrides, cwd):
+    return subprocess.run(
+        command(pipeline, *overrides), cwd=cwd, env=environment(), capture_output=True, text=True, check=False
+    )
+
+
+def read_metrics(directory):
+    return json.loads((directory / "metrics.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def optimised(tmp_path_factory):
+    """A tracked run of 90 evaluations in its own working directory."""
+    cwd = tmp_path_factory.mktemp("work")
+    done = call(
+        "optimise", "optimiser=ega", "budget.evaluations=90", "deployment.count=40", "hydra.run.dir=run", cwd=cwd
+    )
+    assert done.returncode == 0, done.stderr
+    return cwd, done.stdout
+
+
+def test_a_run_leaves_its_files_and_nothing_else(optimised):
+    cwd, _ = optimised
+    left = {path.name for path in (cwd / "run").iterdir()}
+    assert left == {*FILES, ".hydra", "optimise.log", "checkpoint.pkl"}
+    assert all((cwd / "run" / name).stat().st_size for name in FILES)
+
+
+def test_the_files_follow_the_contract(optimised):
+    run = optimised[0] / "run"
+    assert (run / "landmarks.csv").read_text().startswith(HEADER)
+    assert len(pd.read_csv(run / "landmarks.csv")) == 40
+    history = pd.read_csv(run / "history.csv")
+    assert list(history) == ["evaluations", "best_fitness", "wall_time"]
+    assert history.evaluations.iloc[-1] == 90
+    metrics = read_metrics(run)
+    for key in ("qualified_ratio", "average_coverage_probability", "maximum_coverage_probability"):
+        assert 0.0 <= metrics[key] <= 1.0
+    assert metrics["evaluations"] == 90
+    assert metrics["settings"]["n"] == 2
+
+
+def test_the_terminal_shows_the_figures_and_where_things_are(optimised):
+    cwd, out = optimised
+    assert re.search(r"qualified ratio +\d+\.\d\d% of 36 positions see at least 2 of 40 landmarks", out)
+    assert str(cwd / "run" / "scene.png") in out
+    assert re.search(r"mlflow +run [0-9a-f]{32} in sqlite:///outputs/mlflow\.db", out)
+
+
+def test_mlflow_has_the_run(optimised):
+    cwd, _ = optimised
+    client = MlflowClient(tracking_uri=f"sqlite:///{cwd}/outputs/mlflow.db")
+    (run,) = client.search_runs([client.get_experiment_by_name("lmd").experiment_id])
+    assert run.info.status == "FINISHED"
+    assert run.data.params["deployment.count"] == "40"
+    assert run.data.tags["choice.optimiser"] == "ega"
+    assert "budget.evaluations=90" in run.data.tags["overrides"]
+    assert run.data.metrics["qualified_ratio"] == read_metrics(cwd / "run")["qualified_ratio"]
+    assert len(client.get_metric_history(run.info.run_id, "best_fitness")) == 4
+    assert {*FILES, "config.yaml"} <= {file.path for file in client.list_artifacts(run.info.run_id)}
+
+
+def test_evaluating_what_was_optimised_gives_the_same_metrics(optimised):
+    cwd, _ = optimised
+    overrides = ("deployment=file", "deployment.path=run/landmarks.csv", "hydra.run.dir=score", "tracking=none")
+    done = call("evaluate", *overrides, cwd=cwd)
+    assert done.returncode == 0, done.stderr
+    before, after = read_metrics(cwd / "run"), read_metrics(cwd / "score")
+    for key in ("qualified_ratio", "average_coverage_probability", "settings"):
+        assert after[key] == before[key]
+    assert (cwd / "score" / "landmarks.csv").read_bytes() == (cwd / "run" / "landmarks.csv").read_bytes()
+    assert not (cwd / "score" / "checkpoint.pkl").exists()
+
+
+def test_same_config_same_result(optimised):
+    cwd, _ = optimised
+    call("optimise", "optimiser=ega", "budget.evaluations=90", "deployment.count=40", "hydra.run.dir=again",
+         "tracking=none", "threads=1", cwd=cwd)  # fmt: skip
+    assert (cwd / "again" / "landmarks.csv").read_bytes() == (cwd / "run" / "landmarks.csv").read_bytes()
+
+
+def test_interrupted_it_keeps_the_best_and_resumes(tmp_path):
+    settings = ["optimiser=ega", "deployment.count=40", "page=false", "tracking.uri=sqlite:///store.db"]
+    endless = command(
+        "optimise", *settings, "budget.evaluations=100000000", "checkpoint_seconds=0.2", "hydra.run.dir=run"
+    )
+    process = subprocess.Popen(endless, cwd=tmp_path, env=environment(), stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 120
+    while not (tmp_path / "run" / "checkpoint.pkl").exists() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 130, err
+    first = read_metrics(tmp_path / "run")
+    assert first["stopped"] == "interrupted"
+    assert first["fitness"] == pd.read_csv(tmp_path / "run" / "history.csv").best_fitness.max()
+    (again,) = re.findall(r"go on with: python -m pipelines\.optimise (.*)", err)
+    assert again.endswith(f"resume={tmp_path / 'run'}")
+
+    client = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db")
+    (run,) = client.search_runs(["1"])
+    assert run.info.status == "KILLED"
+
+    budget = f"budget.evaluations={first['evaluations'] + 58}"
+    resumed = call("optimise", *settings, budget, "resume=run", "hydra.run.dir=run2", cwd=tmp_path)
+    assert resumed.returncode == 0, resumed.stderr
+    second = read_metrics(tmp_path / "run2")
+    assert second["evaluations"] == first["evaluations"] + 58
+    assert second["fitness"] >= first["fitness"]
+    (run,) = client.search_runs(["1"])
+    assert run.info.status == "FINISHED"
+
+    refused = call("optimise", *settings, "resume=run", "objective.n=3", "hydra.run.dir=run3", cwd=tmp_path)
+    assert refused.returncode == 1
+    assert "was made with objective.n = 2, not 3" in refused.stderr
+
+
+LANDMARK = "0,0,1,1,1,0,0\n"
+BAD_INPUT = {
+    "outside": (HEADER + LANDMARK + "1,0,9,1,1,0,0\n", [], "bad.csv: landmark 1 at (0, 9, 1) lies outside the room"),
+    "not unit": (HEADER + "0,0,1,1,2,0,0\n", [], "bad.csv: landmark 0: the normal must have length 1, it has 2"),
+    "n > K": (HEADER + LANDMARK, [], "objective.n = 2 exceeds the number of landmarks, 1"),
+    "thold_p": (HEADER + LANDMARK * 2, ["objective.thold_p=1.2"], "objective.thold_p must be in [0, 1], got 1.2"),
+    "column": ("id,x,y,z,nx,ny,nz,colour\n", [], "bad.csv has an unknown column 'colour'"),
+    "missing column": ("id,x,y,z\n0,0,1,1\n", [], "bad.csv lacks the column 'nx'"),
+    "empty": ("", [], "bad.csv is empty"),
+    "no rows": (HEADER, [], "bad.csv has a header but no rows"),
+    "nan": (HEADER + LANDMARK + "1,nan,1,1,1,0,0\n", [], "bad.csv line 3: x is 'nan', not a finite number"),
+    "text": (HEADER + "0,left,1,1,1,0,0\n", [], "bad.csv line 2: x is 'left', not a number"),
+    "no file": (HEADER, ["deployment.path=none.csv"], "deployment.path: there is no file 'none.csv'"),
+    "no path": (HEADER, ["deployment.path=null"], "deployment.path is missing"),
+    "count": (HEADER + LANDMARK * 2, ["deployment.count=3"], "bad.csv has 2 landmarks, but deployment.count = 3"),
+    "seed": (HEADER + LANDMARK * 2, ["seed=-1"], "seed must be at least 0, got -1"),
+    "threads": (HEADER + LANDMARK * 2, ["threads=0"], "threads must be at least 1, got 0"),
+    "room": (HEADER + LANDMARK * 2, ["room.size=[1,2]"], "room.size must be a list of 3 numbers, got [1, 2]"),
+    "unknown argument": (HEADER + LANDMARK * 2, ["+camera.zoom=2"], "unexpected keyword argument 'zoom'"),
+    "encoding": (HEADER + LANDMARK * 2, ["encoding.kind=tree"], "encoding.kind must be one of paper, wall, got 'tree'"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_INPUT)
+def test_bad_input_gets_one_sentence_and_leaves_nothing(case, tmp_path):
+    text, overrides, message = BAD_INPUT[case]
+    (tmp_path / "bad.csv").write_text(text)
+    done = call("evaluate", "deployment=file", "deployment.path=bad.csv", "hydra.run.dir=run", *overrides, cwd=tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: ")
+    assert message in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bad.csv"]
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("yaw,pitch,weight\n0,0,0.5\n", "pdf.csv: the weights must sum to 1, they sum to 0.5"),
+        ("yaw,pitch,weight\n0,0,-1\n0,1,2\n", "pdf.csv has a negative weight, -1"),
+        ("yaw,pitch,weight\n0,3,1\n", "pdf.csv: pitch must be in [-pi/2, pi/2], got 3"),
+        ("yaw,roll,weight\n0,0,1\n", "pdf.csv has an unknown column 'roll'"),
+    ],
+)
+def test_a_bad_pdf_gets_one_sentence(table, message, tmp_path):
+    (tmp_path / "pdf.csv").write_text(table)
+    done = call("optimise", "pdf=samples", "pdf.path=pdf.csv", "tracking=none", cwd=tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: ")
+    assert message in done.stderr
+
+
+def test_a_sweep_runs_the_other_jobs_and_fails(tmp_path):
+    overrides = ["hydra.mode=MULTIRUN", "objective.n=2,500", "tracking=none", "page=false", "hydra.sweep.dir=sweep"]
+    done = call("evaluate", *overrides, cwd=tmp_path)
+    assert done.returncode == 1
+    assert "objective.n = 500 exceeds the number of landmarks, 90" in done.stderr
+    assert (tmp_path / "sweep" / "0" / "metrics.json").exists()
+    assert not (tmp_path / "sweep" / "1" / "metrics.json").exists()
+
+
+@pytest.mark.parametrize("pipeline", ["optimise", "evaluate"])
+def test_help_lists_the_groups_without_loading_the_model(pipeline, tmp_path):
+    code = f"""
+import sys
+from pipelines.{pipeline} import main
+sys.argv = ["{pipeline}", "--help"]
+try:
+    main()
+finally:
+    print([name for name in ("numba", "mlflow", "matplotlib", "pandas") if name in sys.modules])
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=environment(), capture_output=True, text=True, check=False
+    )
+    assert "deployment: file, random, uniform" in done.stdout
+    assert done.stdout.rstrip().endswith("[]")

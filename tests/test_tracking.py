@@ -1,0 +1,93 @@
+import multiprocessing
+
+import pytest
+from mlflow import MlflowClient
+
+from lmd.checks import InputError
+from lmd.tracking import MlflowTracker, NoTracker
+
+
+@pytest.fixture(scope="module")
+def uri(tmp_path_factory):
+    return f"sqlite:///{tmp_path_factory.mktemp('store')}/mlflow.db"
+
+
+def started(uri, **values):
+    tracker = MlflowTracker(uri, "tests")
+    tracker.start("a run", values.get("params", {}), values.get("tags", {}), values.get("run_id"))
+    return tracker
+
+
+def stored(tracker):
+    return MlflowClient(tracking_uri=tracker.uri).get_run(tracker.run_id)
+
+
+def test_a_run_keeps_its_params_tags_metrics_and_name(uri):
+    tracker = started(uri, params={"room.size": [1, 2, 3], "seed": 0}, tags={"choice.room": "hall"})
+    tracker.log_metrics({"qualified_ratio": 0.5})
+    tracker.finish("FINISHED")
+    run = stored(tracker)
+    assert run.data.params == {"room.size": "[1, 2, 3]", "seed": "0"}
+    assert run.data.tags["choice.room"] == "hall"
+    assert run.data.metrics == {"qualified_ratio": 0.5}
+    assert run.info.run_name == "a run"
+    assert run.info.status == "FINISHED"
+
+
+def test_a_long_curve_is_logged_whole(uri):
+    tracker = started(uri)
+    tracker.log_curve("best_fitness", [(i, i / 2500, i * 0.001) for i in range(2500)])
+    history = MlflowClient(tracking_uri=uri).get_metric_history(tracker.run_id, "best_fitness")
+    assert sorted(m.step for m in history) == list(range(2500))
+
+
+def test_artifacts_are_kept_beside_the_database(uri, tmp_path):
+    (tmp_path / "landmarks.csv").write_text("id\n")
+    tracker = started(uri)
+    tracker.log_artifacts([tmp_path / "landmarks.csv"])
+    assert [f.path for f in MlflowClient(tracking_uri=uri).list_artifacts(tracker.run_id)] == ["landmarks.csv"]
+    assert str(stored(tracker).info.artifact_uri).startswith("file://")
+
+
+def test_a_run_can_be_continued(uri):
+    first = started(uri, params={"seed": 0})
+    first.finish("KILLED")
+    second = started(uri, run_id=first.run_id, params={"seed": 0})
+    second.log_metrics({"fitness": 1.0})
+    second.finish("FINISHED")
+    assert second.run_id == first.run_id
+    assert stored(second).info.status == "FINISHED"
+
+
+def test_a_failed_run_says_why(uri):
+    tracker = started(uri)
+    tracker.finish("FAILED", "ValueError: no")
+    assert stored(tracker).info.status == "FAILED"
+    assert stored(tracker).data.tags["reason"] == "ValueError: no"
+
+
+def test_a_run_that_never_started_can_be_finished(uri):
+    MlflowTracker(uri, "tests").finish("FAILED")
+
+
+def test_a_store_that_cannot_be_used_is_named():
+    with pytest.raises(InputError, match=r"tracking\.uri = 'sqlite:////proc/none/mlflow\.db' cannot be used"):
+        started("sqlite:////proc/none/mlflow.db")
+
+
+def _start(uri):
+    return started(uri).run_id
+
+
+def test_processes_that_start_together_on_no_database_all_get_a_run(tmp_path):
+    with multiprocessing.get_context("spawn").Pool(4) as pool:
+        ids = pool.map(_start, [f"sqlite:///{tmp_path}/fresh.db"] * 4)
+    assert len(set(ids)) == 4
+
+
+def test_no_tracker_records_nothing():
+    tracker = NoTracker()
+    tracker.start("a run", {}, {}, None)
+    tracker.log_metrics({"fitness": 1.0})
+    assert tracker.run_id is None
+    assert "tracking=none" in tracker.describe()
