@@ -56,7 +56,7 @@ class Deployment:
         if outside.size:
             x, y, z = self.positions[outside[0]]
             raise InputError(
-                f"landmark {outside[0]} at ({x:g}, {y:g}, {z:g}) lies outside the room of "
+                f"landmark {outside[0]} at ({x:.9g}, {y:.9g}, {z:.9g}) lies outside the room of "
                 f"{' x '.join(f'{s:g}' for s in room.size)} m."
             )
 

@@ -93,6 +93,6 @@ def normal_angles(normal: ArrayLike) -> tuple[FloatArray, FloatArray]:
         yaw and pitch in radians, shape `(...)`; the yaw of a vertical normal is 0.
     """
     n = np.asarray(normal, dtype=np.float64)
-    vertical = np.hypot(n[..., 0], n[..., 1]) < 1e-12
-    yaw = np.where(vertical, 0.0, np.arctan2(-n[..., 0], n[..., 1]))
-    return yaw, -np.arcsin(np.clip(n[..., 2], -1.0, 1.0))
+    level = np.hypot(n[..., 0], n[..., 1])
+    yaw = np.where(level < 1e-12, 0.0, np.arctan2(-n[..., 0], n[..., 1]))
+    return yaw, -np.arctan2(n[..., 2], level)

@@ -1,5 +1,6 @@
 """Orientation PDFs: the probability of each camera orientation (yaw, pitch) on a discrete grid."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,8 +12,8 @@ from lmd.tables import read_numbers
 
 # Two axes are the same direction when every coordinate agrees to this many decimals.
 SAME_AXIS_DECIMALS = 12
-# A user's weights may miss a total of 1 by this much (weights printed with six decimals).
-SUM_TOLERANCE = 1e-6
+# Each weight may be off by this much: weights printed with six decimals are accepted, and normalised.
+PRINTED_WEIGHT = 0.5e-6
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,7 @@ class OrientationPdf:
 
     Args:
         yaw, pitch: angles of each orientation, radians, `(A,)`; pitch in [-pi/2, pi/2].
-        weight: probability of each orientation, `(A,)`, not negative, sum 1.
+        weight: probability of each orientation, `(A,)`, not negative, sum 1 (what rounding misses is made up).
         name: where it came from, for messages.
 
     Raises:
@@ -44,8 +45,9 @@ class OrientationPdf:
             raise InputError(f"{self.name}: pitch must be in [-pi/2, pi/2], got {worst:g} in magnitude.")
         if weight.min() < 0.0:
             raise InputError(f"{self.name} has a negative weight, {weight.min():g}.")
-        if abs(weight.sum() - 1.0) > SUM_TOLERANCE:
+        if abs(weight.sum() - 1.0) > PRINTED_WEIGHT * len(weight) + 1e-9:
             raise InputError(f"{self.name}: the weights must sum to 1, they sum to {weight.sum():.9g}.")
+        arrays[2] = weight / math.fsum(weight)
         for field, array in zip(("yaw", "pitch", "weight"), arrays, strict=True):
             array = array.copy()
             array.flags.writeable = False

@@ -59,7 +59,8 @@ class Relevance:
     def _from_regions(self, points: FloatArray) -> FloatArray:
         weights = np.full(len(points), float(self.background))
         for region in self.regions:
-            inside = (points >= np.asarray(region["low"])) & (points <= np.asarray(region["high"]))
+            low, high = np.asarray(region["low"]), np.asarray(region["high"])
+            inside = (points >= low - SAME_POINT) & (points <= high + SAME_POINT)
             weights[inside.all(axis=1)] = float(region["weight"])
         return weights
 

@@ -72,12 +72,12 @@ class Room:
         reachable = vector("room.reachable_size", self.reachable_size, 3, above=0.0)
         if any(inner > outer for inner, outer in zip(reachable, size, strict=True)):
             raise InputError(f"room.reachable_size = {list(reachable)} exceeds room.size = {list(size)}.")
-        if isinstance(self.spacing, int | float):
+        if np.isscalar(self.spacing):
             object.__setattr__(self, "spacing", real("room.spacing", self.spacing, above=0.0))
         else:
             object.__setattr__(self, "spacing", vector("room.spacing", self.spacing, 3, above=0.0))
         choice("room.positions", self.positions, ("cells", "vertices"))
-        if isinstance(self.walls, str) or not self.walls or len(set(self.walls)) != len(self.walls):
+        if not isinstance(self.walls, list | tuple) or not self.walls or len(set(self.walls)) != len(self.walls):
             raise InputError(f"room.walls must list at least one wall, each once, got {self.walls!r}.")
         for name in self.walls:
             choice("room.walls", name, WALLS)

@@ -1,5 +1,6 @@
 """Reading CSV tables of numbers, with messages that name the file and the value."""
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -25,10 +26,13 @@ def read_numbers(path: str | Path, columns: Sequence[str], *, name: str, optiona
         InputError: the file is missing or empty, a column is missing or unknown, a value is no finite number.
     """
     try:
-        frame = pd.read_csv(path, dtype=str, skipinitialspace=True, keep_default_na=False, index_col=False)
+        with warnings.catch_warnings():
+            # Without this, pandas drops fields beyond the header and carries on with the wrong columns.
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            frame = pd.read_csv(path, dtype=str, skipinitialspace=True, keep_default_na=False, index_col=False)
     except FileNotFoundError:
         raise InputError(f"{name}: there is no file {str(path)!r}.") from None
-    except (OSError, UnicodeDecodeError, pd.errors.ParserError) as error:
+    except (OSError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.ParserWarning) as error:
         raise InputError(f"{name}: {str(path)!r} cannot be read as CSV ({str(error).strip()}).") from None
     except pd.errors.EmptyDataError:
         raise InputError(f"{path} is empty; expected the columns {','.join(columns)}.") from None

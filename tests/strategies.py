@@ -148,7 +148,7 @@ def scenes_with_boundary_landmarks(draw):
         positions.append(here + offset)
         normals.append(draw(st.sampled_from([facing, facing, across, -across])))
         if draw(st.booleans()):  # a second landmark exactly nu from the line of sight, or on top of the first
-            along = draw(st.sampled_from([0.5, 1.0, 1.5, -1.0, 0.0]))
+            along = draw(st.sampled_from([0.5, 1.0, 1.0 + 2.0**-32, 1.0 + 2.0**-29, 1.5, -1.0, 0.0]))
             positions.append(here + along * offset + draw(st.sampled_from([visibility.nu, 0.0])) * across)
             normals.append(facing)
     normals = np.array(normals)

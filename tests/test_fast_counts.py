@@ -22,8 +22,9 @@ from lmd.coverage import reference
 from lmd.coverage.evaluator import Evaluator
 from lmd.deployment import Deployment, RandomDeployment, UniformDeployment
 from lmd.frames import optical_axis
+from lmd.room import Room
 from lmd.scene import Scene
-from lmd.visibility import Visibility
+from lmd.visibility import TOLERANCE, Visibility
 
 RNG = np.random.default_rng(0)
 any_case = st.one_of(scenes_with_deployments(), scenes_with_boundary_landmarks())
@@ -66,6 +67,28 @@ def test_an_axis_on_the_rim_of_a_cap_counts_at_whatever_height_it_is(rim, side):
         depth, away = 2.0, math.acos(scene.limits.min_cosine)
     landmarks = here + depth * optical_axis(np.zeros(len(pitch)), pitch - side * away)
     assert_counts_are_the_references(scene, facing(here, *landmarks))
+
+
+@pytest.mark.parametrize(
+    ("along", "across", "occlusion", "hides"),
+    [
+        (1.0, 0.05 * (1 + TOLERANCE), "paper", True),
+        (1.0, math.nextafter(0.05 * (1 + TOLERANCE), 1.0), "paper", False),
+        (1.0, 0.05 * (1 + TOLERANCE), "line_of_sight", True),
+        (1.0, math.nextafter(0.05 * (1 + TOLERANCE), 1.0), "line_of_sight", False),
+        (2.0 + 2.0**-31, 0.0, "line_of_sight", True),
+        (2.0 + 2.0**-28, 0.0, "line_of_sight", False),
+        (2.0 + 2.0**-28, 0.0, "paper", True),
+    ],
+)
+def test_the_last_place_from_which_a_landmark_hides_another(along, across, occlusion, hides):
+    # The camera in the origin and landmarks on its axes: no rounding but that of the decision itself.
+    room = Room(size=(4.0, 4.0, 4.0), reachable_size=(4.0, 4.0, 4.0), spacing=4.0, positions="vertices")
+    scene = paper_scene(room, orientations=pdf.OrientationPdf([0.0], [0.0], [1.0]), occlusion=occlusion)
+    deployment = Deployment([[0.0, 2.0, 0.0], [across, along, 0.0]], [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
+    counts = Evaluator(scene, threads=1).counts(deployment)
+    assert counts[0, 0] == (not hides)
+    assert_array_equal(counts, reference.counts(scene, deployment))
 
 
 @given(any_case, st.integers(1, 4))

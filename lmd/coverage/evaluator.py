@@ -37,6 +37,8 @@ class Evaluator:
         self.axes = np.ascontiguousarray(scene.pdf.axes.T)
         self.index = kernels.height_index(self.axes[2])
         self.weights = np.rint(scene.pdf.axis_weight * PROBABILITY_ONE).astype(np.int64)
+        # What rounding left over goes to the heaviest axis, so that certainty is exactly one.
+        self.weights[np.argmax(self.weights)] += PROBABILITY_ONE - self.weights.sum()
         self.limits = np.array([limits.min_cosine, limits.min_depth, limits.max_depth])
         self.reach = (visibility.nu * (1.0 + TOLERANCE)) ** 2
         self.mode = kernels.OCCLUSION_CODES[visibility.occlusion if visibility.tests_other_landmarks else "none"]

@@ -27,7 +27,7 @@ from lmd.visibility import TOLERANCE
 PROBABILITY_ONE = 1 << 52
 # Number of equal intervals of [-1, 1] in which the start of a band of axes is tabulated.
 HEIGHT_BINS = 512
-# Heights this far beyond the cone's ends are still tested; rounding is ten orders of magnitude smaller.
+# Heights this far beyond the cone's ends are still tested; rounding moves the end of a narrow cone by 2e-8.
 HEIGHT_MARGIN = 1e-6
 
 OCCLUSION_CODES = {"none": 0, "paper": 1, "line_of_sight": 2}
@@ -54,7 +54,8 @@ def _band(height, cosine, index):
     high = 1.0 if height >= cosine else height * cosine + across * sine
     scale = HEIGHT_BINS / 2.0
     first = max(math.floor((low - HEIGHT_MARGIN + 1.0) * scale), 0)
-    last = min(math.floor((high + HEIGHT_MARGIN + 1.0) * scale) + 1, HEIGHT_BINS + 1)
+    # Twice the margin: the table starts each bin one margin early.
+    last = min(math.floor((high + 2.0 * HEIGHT_MARGIN + 1.0) * scale) + 1, HEIGHT_BINS + 1)
     return index[first], index[last]
 
 
@@ -109,11 +110,10 @@ def add_cap(k, offset, limits, axes, index, counts, step):
     x, y, z, distance = offset[0, k], offset[1, k], offset[2, k], offset[4, k]
     low, high = max(distance * limits[0], limits[1]), limits[2]
     first, last = _band(z / distance, low / distance, index)
-    # Slices, so that the compiler sees indices that cannot be negative and vectorises the loop.
-    ax, ay, az, band = axes[0, first:last], axes[1, first:last], axes[2, first:last], counts[first:last]
-    for a in range(last - first):
-        depth = ax[a] * x + ay[a] * y + az[a] * z
-        band[a] += step * ((depth >= low) & (depth <= high))
+    # Unsigned, so that the compiler sees indices that cannot be negative and vectorises the loop.
+    for a in range(np.uint64(first), np.uint64(last)):
+        depth = axes[0, a] * x + axes[1, a] * y + axes[2, a] * z
+        counts[a] += step * ((depth >= low) & (depth <= high))
 
 
 @njit(nogil=True, cache=True)

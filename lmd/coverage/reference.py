@@ -36,7 +36,8 @@ def resolution(camera: Camera, depth: FloatArray) -> FloatArray:
         depth: z^c, any shape, metres; what lies behind the camera has resolution 0.
     """
     positive = np.where(depth > 0.0, depth, np.inf)
-    return np.asarray(camera.resolution_at_one_metre / positive)
+    with np.errstate(over="ignore"):  # a depth too small to divide by has infinite resolution
+        return np.asarray(camera.resolution_at_one_metre / positive)
 
 
 def field_of_view(camera: Camera, depth: FloatArray, distance: FloatArray) -> BoolArray:
@@ -118,7 +119,7 @@ def coverage_strength(scene: Scene, deployment: Deployment, position: FloatArray
     seen = field_of_view(camera, depth, distance[None, :])
     seen &= focus(camera, visibility.circle_of_confusion, depth)
     seen &= occlusion(offset, distance, deployment.normals, visibility)[None, :]
-    return np.asarray(resolution(camera, depth) * seen)
+    return np.where(seen, resolution(camera, depth), 0.0)
 
 
 def coverage_caps(scene: Scene, deployment: Deployment, position: FloatArray, axes: FloatArray) -> BoolArray:

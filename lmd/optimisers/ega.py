@@ -4,6 +4,7 @@ import numpy as np
 
 from lmd.checks import FloatArray, InputError, choice, integer, real
 from lmd.optimisers.base import AskTell
+from lmd.optimisers.operators import exchange, recombination_range, reset, run_of_genes
 
 
 class EGA(AskTell):
@@ -52,10 +53,7 @@ class EGA(AskTell):
         self.eliminated = integer("optimiser.eliminated", eliminated, low=0)
         if self.eliminated + 1 > self.population_size:
             raise InputError(f"optimiser.eliminated = {eliminated} leaves no survivor among {population}.")
-        self.recombination_max = real("optimiser.recombination_max", recombination_max, low=0.0, high=1.0)
-        self.recombination_min = real(
-            "optimiser.recombination_min", recombination_min, low=0.0, high=self.recombination_max
-        )
+        self.recombination_min, self.recombination_max = recombination_range(recombination_min, recombination_max)
         self.mutation_probability = real("optimiser.mutation_probability", mutation_probability, low=0.0, high=1.0)
         self.partner = choice("optimiser.partner", partner, ("pool", "survivor"))
         self.acceptance = choice("optimiser.acceptance", acceptance, ("always", "if_better"))
@@ -88,27 +86,18 @@ class EGA(AskTell):
     def _recombine(self, pool: FloatArray) -> FloatArray:
         """Children `(M - 1 - Q, dim)` of the pool, row i descending from parent i."""
         assert self.population is not None
+        shortest, longest = self.recombination_min, self.recombination_max
+        if self.partner == "pool":
+            return exchange(self.rng, pool, shortest, longest)
         children = pool.copy()
-        if self.partner == "survivor":
-            for child in children:
-                run = self._run_of_genes()
-                child[run] = self.population[0, run]
-            return children
-        order = self.rng.permutation(len(pool))
-        for i, j in zip(order[0::2], order[1::2], strict=False):  # one of an odd pool stays alone
-            run = self._run_of_genes()
-            children[i, run], children[j, run] = pool[j, run], pool[i, run]
+        for child in children:
+            run = run_of_genes(self.rng, self.dim, shortest, longest)
+            child[run] = self.population[0, run]
         return children
-
-    def _run_of_genes(self) -> slice:
-        shortest, longest = (round(f * self.dim) for f in (self.recombination_min, self.recombination_max))
-        length = int(self.rng.integers(shortest, longest, endpoint=True))
-        first = int(self.rng.integers(0, self.dim - length, endpoint=True))
-        return slice(first, first + length)
 
     def _mutate(self, genes: FloatArray) -> FloatArray:
         """Each gene mutates with the probability Psi."""
-        mutates = self.rng.random(genes.shape) < self.mutation_probability
         if self.mutation == "reset":
-            return np.where(mutates, self.rng.random(genes.shape), genes)
+            return reset(self.rng, genes, self.mutation_probability)
+        mutates = self.rng.random(genes.shape) < self.mutation_probability
         return genes + mutates * self.rng.normal(0.0, self.mutation_scale, genes.shape)

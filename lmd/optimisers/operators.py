@@ -1,0 +1,38 @@
+"""The operators the paper's genetic algorithms share (Sec. IV-B)."""
+
+import numpy as np
+
+from lmd.checks import FloatArray, real
+
+
+def recombination_range(shortest: float, longest: float) -> tuple[float, float]:
+    """Y_min and Y_max as checked fractions of the chromosome.
+
+    Raises:
+        InputError: not 0 <= shortest <= longest <= 1.
+    """
+    longest = real("optimiser.recombination_max", longest, low=0.0, high=1.0)
+    return real("optimiser.recombination_min", shortest, low=0.0, high=longest), longest
+
+
+def run_of_genes(rng: np.random.Generator, dim: int, shortest: float, longest: float) -> slice:
+    """A run of genes somewhere in a chromosome of `dim`; its length is between two fractions of `dim`."""
+    length = int(rng.integers(round(shortest * dim), round(longest * dim), endpoint=True))
+    first = int(rng.integers(0, dim - length, endpoint=True))
+    return slice(first, first + length)
+
+
+def exchange(rng: np.random.Generator, parents: FloatArray, shortest: float, longest: float) -> FloatArray:
+    """Children `(B, dim)`: parents pair up at random and exchange a run; one left over stays alone."""
+    children = parents.copy()
+    order = rng.permutation(len(parents))
+    for i, j in zip(order[0::2], order[1::2], strict=False):
+        run = run_of_genes(rng, parents.shape[1], shortest, longest)
+        children[i, run], children[j, run] = parents[j, run], parents[i, run]
+    return children
+
+
+def reset(rng: np.random.Generator, genes: FloatArray, probability: float) -> FloatArray:
+    """Each gene is drawn anew with `probability`."""
+    mutates = rng.random(genes.shape) < probability
+    return np.where(mutates, rng.random(genes.shape), genes)

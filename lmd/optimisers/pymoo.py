@@ -1,0 +1,85 @@
+"""Any single-objective algorithm of pymoo behind `AskTell`."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from lmd.checks import FloatArray, InputError
+from lmd.optimisers.wrapped import Session, Wrapped, filled_up
+
+
+class Pymoo(Wrapped):
+    """A pymoo algorithm on the unit box.
+
+    Its first population is the start, filled up with uniform genes. pymoo's default rules for stopping are set
+    aside: the budget decides. Local searches keep theirs and restart from the best genes when they end.
+
+    Args:
+        algorithm: makes the algorithm; in YAML a node with `_target_` (the class), `_partial_: true` and its
+            parameters, operators included.
+        encoding: see `AskTell`.
+        seed: see `Optimiser`.
+
+    Raises:
+        InputError: `algorithm` does not make a pymoo algorithm.
+    """
+
+    def __init__(self, algorithm: Callable[[], Any], encoding: str | None = None, seed: int = 0) -> None:
+        from pymoo.core.algorithm import Algorithm
+
+        super().__init__(seed, encoding)
+        self.algorithm = algorithm
+        if not callable(algorithm):
+            raise InputError(f"optimiser.algorithm must be a class with _partial_: true, got {algorithm!r}.")
+        try:
+            made = algorithm()
+        except Exception as error:  # each algorithm refuses parameters in its own way
+            raise InputError(f"optimiser.algorithm cannot be made: {error}") from error
+        if not isinstance(made, Algorithm):
+            raise InputError(f"optimiser.algorithm makes a {type(made).__name__}, not a pymoo algorithm.")
+        self.start_size = _size(made)
+
+    def _open(self, start: FloatArray, rng: np.random.Generator) -> Session:
+        return _Session(self.algorithm(), start, rng)
+
+
+def _size(algorithm: Any) -> int:
+    """How many genes the algorithm begins with; a local search goes on from the best of them."""
+    return int(getattr(algorithm, "n_sample_points", None) or getattr(algorithm, "pop_size", None) or 1)
+
+
+class _Session:
+    def __init__(self, algorithm: Any, start: FloatArray, rng: np.random.Generator) -> None:
+        from pymoo.algorithms.base.local import LocalSearch
+        from pymoo.core.problem import Problem
+        from pymoo.core.termination import NoTermination
+
+        dim = start.shape[1]
+        if hasattr(algorithm, "initialization"):
+            algorithm.initialization.sampling = filled_up(start, _size(algorithm), rng)
+        settings: dict[str, Any] = {"seed": int(rng.integers(2**31))}
+        if not isinstance(algorithm, LocalSearch):
+            settings["termination"] = NoTermination()
+        self.problem = Problem(n_var=dim, n_obj=1, xl=np.zeros(dim), xu=np.ones(dim))
+        self.algorithm = algorithm.setup(self.problem, **settings)
+        self.asked: Any = None  # a population, or an individual
+
+    def ask(self) -> FloatArray | None:
+        while self.algorithm.has_next():
+            self.asked = self.algorithm.ask()
+            if self.asked is not None:
+                return np.atleast_2d(self.asked.get("X"))
+            self.algorithm.advance()  # between two phases of an algorithm there may be nothing to evaluate
+        return None
+
+    def tell(self, genes: FloatArray, losses: FloatArray) -> None:
+        from pymoo.core.population import Population
+        from pymoo.problems.static import StaticProblem
+
+        asked = self.asked if isinstance(self.asked, Population) else Population.create(self.asked)
+        asked.set("X", genes)
+        # The algorithm's own evaluator, because it counts the evaluations the algorithm goes by.
+        static = StaticProblem(self.problem, F=losses[:, None])
+        self.algorithm.evaluator.eval(static, asked, skip_already_evaluated=False)
+        self.algorithm.tell(infills=self.asked)

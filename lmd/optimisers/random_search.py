@@ -1,0 +1,31 @@
+"""Random search: what any optimiser has to beat."""
+
+import numpy as np
+
+from lmd.checks import FloatArray, integer
+from lmd.optimisers.base import AskTell
+
+
+class RandomSearch(AskTell):
+    """The start, then uniform genes.
+
+    Args:
+        batch: deployments drawn at a time; the result does not depend on it.
+        encoding: see `AskTell`; with `wall`, uniform genes are uniform over the walls.
+        seed: see `Optimiser`.
+
+    Raises:
+        InputError: `batch` is not positive.
+    """
+
+    def __init__(self, batch: int = 30, encoding: str | None = None, seed: int = 0) -> None:
+        super().__init__(seed, encoding)
+        self.batch = integer("optimiser.batch", batch, low=1)
+
+    def _ask(self) -> FloatArray:
+        if not self.books.evaluations:
+            return np.vstack([self.start, self.rng.random((self.batch - 1, self.dim))])
+        return self.rng.random((self.batch, self.dim))
+
+    def _tell(self, genes: FloatArray, fitness: FloatArray) -> None:
+        """Nothing to learn."""

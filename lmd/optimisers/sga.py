@@ -1,0 +1,61 @@
+"""The standard genetic algorithm the paper compares with (Sec. V-A)."""
+
+import numpy as np
+
+from lmd.checks import FloatArray, integer, real
+from lmd.optimisers.base import AskTell
+from lmd.optimisers.operators import exchange, recombination_range, reset
+
+
+class SGA(AskTell):
+    """Standard genetic algorithm.
+
+    Each generation M parents are drawn with a probability proportional to their fitness (a roulette wheel, so one
+    chromosome can be drawn often), pair up, exchange a run of genes and mutate; the children replace the
+    population. Nothing is kept, so the population can get worse; the result is the best chromosome ever met.
+
+    Args:
+        population: M.
+        recombination_min, recombination_max: the shortest and longest run of genes exchanged, as fractions of the
+            chromosome.
+        mutation_probability: of each gene, which is then drawn anew.
+        encoding: see `AskTell`.
+        seed: see `Optimiser`.
+
+    Raises:
+        InputError: a parameter is out of range.
+    """
+
+    def __init__(
+        self,
+        population: int = 30,
+        recombination_min: float = 100 / 450,
+        recombination_max: float = 300 / 450,
+        mutation_probability: float = 0.1,
+        encoding: str | None = None,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(seed, encoding)
+        self.population_size = self.start_size = integer("optimiser.population", population, low=2)
+        self.recombination_min, self.recombination_max = recombination_range(recombination_min, recombination_max)
+        self.mutation_probability = real("optimiser.mutation_probability", mutation_probability, low=0.0, high=1.0)
+        self.population: FloatArray | None = None  # (M, dim)
+        self.fitness: FloatArray
+
+    def _ask(self) -> FloatArray:
+        if self.population is None:
+            missing = self.population_size - len(self.start)
+            return np.vstack([self.start, self.rng.random((missing, self.dim))])
+        parents = self.population[self._roulette()]
+        children = exchange(self.rng, parents, self.recombination_min, self.recombination_max)
+        return reset(self.rng, children, self.mutation_probability)
+
+    def _tell(self, genes: FloatArray, fitness: FloatArray) -> None:
+        self.population, self.fitness = genes, fitness
+
+    def _roulette(self) -> np.ndarray:
+        """Indices of M parents; a failed evaluation has no share of the wheel, and if none has, all are equal."""
+        share = np.maximum(self.fitness, 0.0)
+        if not share.any():
+            share = np.ones(len(share))
+        return self.rng.choice(len(share), size=len(share), p=share / share.sum())

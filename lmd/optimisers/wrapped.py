@@ -1,0 +1,140 @@
+"""What the wrapped libraries share: seeding, silence, restarts and going on after a checkpoint."""
+
+import io
+import random
+import warnings
+import zlib
+from abc import abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
+from typing import Any, Protocol
+from unittest.mock import patch
+
+import numpy as np
+
+from lmd.checks import FloatArray, InputError
+from lmd.optimisers.base import AskTell
+
+# Libraries minimise finite losses: what a failed evaluation costs them; fitness lies in [0, 1].
+FAILED = 1e3
+
+
+class Session(Protocol):
+    """One optimiser of a library at work; it minimises."""
+
+    def ask(self) -> FloatArray | None:
+        """The next genes `(B, dim)`, or None when the optimiser considers itself done."""
+
+    def tell(self, genes: FloatArray, losses: FloatArray) -> None:
+        """The losses `(B,)` of the genes asked for, which are now inside the unit box."""
+
+
+class Wrapped(AskTell):
+    """Library optimisers behind `AskTell`; subclasses write `_open` only.
+
+    - An optimiser that ends before the budget does is followed by a fresh one with a new seed that starts from the
+      best genes so far.
+    - Library objects hold generators, threads and closures, so a pickle leaves them out and keeps what they were
+      told; going on repeats the conversation, which costs no evaluation.
+    - Libraries draw from the global random generators. They get their own, and the caller's are put back.
+    """
+
+    def __init__(self, seed: int = 0, encoding: str | None = None) -> None:
+        super().__init__(seed, encoding)
+        self.told: list[tuple[int, FloatArray]] = []  # (checksum of the genes, their losses)
+        self.session: Session | None = None
+
+    @abstractmethod
+    def _open(self, start: FloatArray, rng: np.random.Generator) -> Session:
+        """A session that begins with `start` `(S, dim)`, if it can use a start, and draws from `rng`."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        transient = ("session", "session_rng", "global_state", "best")
+        return {key: value for key, value in self.__dict__.items() if key not in transient} | {"session": None}
+
+    def _ask(self) -> FloatArray:
+        if self.session is None:
+            self._repeat()
+        return self._next()
+
+    def _tell(self, genes: FloatArray, fitness: FloatArray) -> None:
+        losses = np.where(np.isfinite(fitness), -fitness, FAILED)
+        self.told.append((zlib.crc32(genes.tobytes()), losses))
+        self._pass_on(genes, losses)
+
+    def _repeat(self) -> None:
+        """Open the first session and repeat what was said before the checkpoint."""
+        self.session_rng = np.random.default_rng(self.seed)
+        self.global_state = _global_state_of(self.seed)
+        self.best: tuple[float, FloatArray] = (np.inf, self.start)
+        with self._own_world():
+            self.session = self._open(self.start, self.session_rng)
+        for checksum, losses in self.told:
+            genes = np.clip(self._next(), 0.0, 1.0)
+            if zlib.crc32(genes.tobytes()) != checksum:
+                raise InputError(
+                    f"{type(self).__name__} cannot go on: on this machine its library proposes other genes than the "
+                    "checkpoint was made with."
+                )
+            self._pass_on(genes, losses)
+
+    def _next(self) -> FloatArray:
+        assert self.session is not None
+        with self._own_world():
+            genes = self.session.ask()
+            if genes is None:
+                self.session = self._open(self.best[1], self.session_rng)
+                genes = self.session.ask()
+        if genes is None:
+            raise InputError(f"{type(self).__name__}: the library's optimiser ended before its first proposal.")
+        return np.asarray(genes, dtype=np.float64)
+
+    def _pass_on(self, genes: FloatArray, losses: FloatArray) -> None:
+        assert self.session is not None
+        least = int(np.argmin(losses))
+        if losses[least] < self.best[0]:
+            self.best = (float(losses[least]), genes[least : least + 1].copy())
+        with self._own_world():
+            self.session.tell(genes, losses)
+
+    @contextmanager
+    def _own_world(self) -> Iterator[None]:
+        """Global random generators for the library alone, all seeded, and neither prints nor warnings from it."""
+        outside = _global_state()
+        _set_global_state(self.global_state)
+        default_rng = np.random.default_rng
+
+        def seeded(seed: Any = None) -> np.random.Generator:
+            return default_rng(self.session_rng.integers(2**63) if seed is None else seed)
+
+        try:
+            with (
+                patch("numpy.random.default_rng", seeded),
+                warnings.catch_warnings(action="ignore"),
+                redirect_stdout(io.StringIO()),
+            ):
+                yield
+        finally:
+            self.global_state = _global_state()
+            _set_global_state(outside)
+
+
+def _global_state() -> tuple[Any, Any]:
+    return random.getstate(), np.random.get_state()  # noqa: NPY002
+
+
+def _set_global_state(state: tuple[Any, Any]) -> None:
+    random.setstate(state[0])
+    np.random.set_state(state[1])  # noqa: NPY002
+
+
+def _global_state_of(seed: int) -> tuple[Any, Any]:
+    """The global state that seeding with `seed` would give."""
+    legacy = np.random.RandomState(seed % 2**32)  # noqa: NPY002
+    return random.Random(seed).getstate(), legacy.get_state()
+
+
+def filled_up(start: FloatArray, size: int, rng: np.random.Generator) -> FloatArray:
+    """`(size, dim)`: the start, cut or filled up with uniform genes."""
+    missing = max(size - len(start), 0)
+    return np.vstack([start[:size], rng.random((missing, start.shape[1]))])
