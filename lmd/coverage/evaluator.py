@@ -34,9 +34,9 @@ class Evaluator:
         self.positions = np.ascontiguousarray(scene.room.grid() if positions is None else positions)
         self.threads = threads or available_threads()
         self.axis_of = scene.pdf.axis_of
-        self.axes = np.ascontiguousarray(scene.pdf.axes.T)
-        self.index = kernels.height_index(self.axes[2])
-        self.weights = np.rint(scene.pdf.axis_weight * PROBABILITY_ONE).astype(np.int64)
+        self.axes = kernels.in_blocks(scene.pdf.axes.T)
+        self.index = kernels.height_index(scene.pdf.axes[:, 2])
+        self.weights = np.rint(kernels.in_blocks(scene.pdf.axis_weight) * PROBABILITY_ONE).astype(np.int64)
         # What rounding left over goes to the heaviest axis, so that certainty is exactly one.
         self.weights[np.argmax(self.weights)] += PROBABILITY_ONE - self.weights.sum()
         self.limits = np.array([limits.min_cosine, limits.min_depth, limits.max_depth])

@@ -28,7 +28,7 @@ class Fixed(NamedTuple):
     reach: float
     mode: int
     axes: np.ndarray
-    index: np.ndarray
+    bands: np.ndarray
     weights: np.ndarray
     n: int
 
@@ -49,7 +49,7 @@ class State(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Working memory: a row of counts `(1, D)`, and who hides or is hidden `(K,)`, before and after a move."""
+    """Working memory: a row of counts `(D,)`, and who hides or is hidden `(K,)`, before and after a move."""
 
     counts: np.ndarray
     hid: np.ndarray
@@ -67,22 +67,22 @@ def reaches(x, y, z, nx, ny, nz, limits):
 
 
 @njit(nogil=True, cache=True)
-def change_cap(x, y, z, sign, limits, axes, index, weights, n, counts, row):
-    """Add (sign 1) or remove (-1) the cap of the landmark at offset (x, y, z) in `counts[row]`.
+def change_cap(x, y, z, sign, limits, axes, bands, weights, n, counts):
+    """Add (sign 1) or remove (-1) the cap of the landmark at offset (x, y, z) in `counts` `(D,)`.
 
     Returns the change of P_n in units.
     """
     distance = np.sqrt(x * x + y * y + z * z)
     low, high = max(distance * limits[0], limits[1]), limits[2]
-    first, last = _band(z / distance, low / distance, index)
+    first, last = _band(z / distance, low / distance, bands)
     crossing = n - 1 if sign > 0 else n
     change = np.int64(0)
     for a in range(np.uint64(first), np.uint64(last)):
         depth = axes[0, a] * x + axes[1, a] * y + axes[2, a] * z
         inside = (depth >= low) & (depth <= high)
-        count = counts[row, a]
-        change += weights[a] * (inside & (count == crossing))
-        counts[row, a] = count + sign * inside
+        count = counts[a]
+        change += weights[a] if inside & (count == crossing) else 0
+        counts[a] = count + sign if inside else count
     return sign * change
 
 
@@ -113,77 +113,57 @@ def _flag_hiding(px, py, pz, x, y, z, landmarks, reach, mode, hides, hidden_by):
     return count_hides, count_hidden
 
 
-@njit(nogil=True, cache=True, inline="always")
-def shift(
-    p, k, ax, ay, az, nx, ny, nz, positions, limits, reach, mode, axes, index, weights, n,
-    landmarks, reachable, hidden, hid, hides, hidden_by, counts, row, commit,
-):  # fmt: skip
-    """Change of P_n (units) at position p when landmark k moves to (ax, ay, az) with normal (nx, ny, nz).
-
-    `counts[row]` is what is changed: a copy for a trial, the state's own row when `commit` is set, which also updates
-    `hidden` and `reachable` (but not `landmarks`, `normals` and `units`, shared by all positions).
-    """
-    px, py, pz = positions[p, 0], positions[p, 1], positions[p, 2]
-    x, y, z = landmarks[0, k] - px, landmarks[1, k] - py, landmarks[2, k] - pz
-    x1, y1, z1 = ax - px, ay - py, az - pz
-    reached = reaches(x1, y1, z1, nx, ny, nz, limits)
-    change = np.int64(0)
-    if reachable[p, k] and hidden[p, k] == 0:
-        change += change_cap(x, y, z, -1, limits, axes, index, weights, n, counts, row)
-    blocked = 0
-    if mode:
-        count_hid, _ = _flag_hiding(px, py, pz, x, y, z, landmarks, reach, mode, hid, hidden_by)
-        count_hides, blocked = _flag_hiding(px, py, pz, x1, y1, z1, landmarks, reach, mode, hides, hidden_by)
-        blocked -= hidden_by[k]  # where it was before it moved
-        if count_hid > hid[k] or count_hides > hides[k]:
-            for i in range(landmarks.shape[1]):
-                if i == k or hid[i] == hides[i]:
-                    continue
-                before = hidden[p, i]
-                after = before - 1 if hid[i] else before + 1
-                if reachable[p, i] and (before == 0 or after == 0):
-                    ox, oy, oz = landmarks[0, i] - px, landmarks[1, i] - py, landmarks[2, i] - pz
-                    sign = 1 if after == 0 else -1
-                    change += change_cap(ox, oy, oz, sign, limits, axes, index, weights, n, counts, row)
-                if commit:
-                    hidden[p, i] = after
-    if reached and blocked == 0:
-        change += change_cap(x1, y1, z1, 1, limits, axes, index, weights, n, counts, row)
-    if commit:
-        hidden[p, k] = blocked
-        reachable[p, k] = reached
-    return change
-
-
 @njit(nogil=True, cache=True)
-def trial(k, ax, ay, az, nx, ny, nz, fixed, state, scratch, units):
-    """Write P_n in units at every position, as it would be with landmark k at (ax, ay, az), into `units` `(P,)`."""
-    # Unpacked once: reading an array out of a tuple in the loop costs an atomic reference count.
-    positions, limits, reach, mode, axes, index, weights, n = fixed
-    landmarks, _, counts, reachable, hidden, before = state
+def move(k, ax, ay, az, nx, ny, nz, fixed, state, scratch, units, commit):
+    """Write P_n in units with landmark k at (ax, ay, az) and normal (nx, ny, nz) into `units` `(P,)`.
+
+    A trial leaves `state` as it is; with `commit` the landmark really moves.
+    """
+    # Unpacked once, and the loop body not split into functions: passing an array on costs an atomic reference count.
+    positions, limits, reach, mode, axes, bands, weights, n = fixed
+    landmarks, normals, counts, reachable, hidden, before = state
     row, hid, hides, hidden_by = scratch
     for p in range(len(units)):
-        for a in range(counts.shape[1]):  # a slice assignment would take ten times as long
-            row[0, a] = counts[p, a]
-        units[p] = before[p] + shift(
-            p, k, ax, ay, az, nx, ny, nz, positions, limits, reach, mode, axes, index, weights, n,
-            landmarks, reachable, hidden, hid, hides, hidden_by, row, 0, False,
-        )  # fmt: skip
-
-
-@njit(nogil=True, cache=True)
-def commit(k, ax, ay, az, nx, ny, nz, fixed, state, scratch):
-    """Move landmark k to (ax, ay, az) with normal (nx, ny, nz)."""
-    positions, limits, reach, mode, axes, index, weights, n = fixed
-    landmarks, normals, counts, reachable, hidden, units = state
-    _, hid, hides, hidden_by = scratch
-    for p in range(len(units)):
-        units[p] += shift(
-            p, k, ax, ay, az, nx, ny, nz, positions, limits, reach, mode, axes, index, weights, n,
-            landmarks, reachable, hidden, hid, hides, hidden_by, counts, p, True,
-        )  # fmt: skip
-    landmarks[0, k], landmarks[1, k], landmarks[2, k] = ax, ay, az
-    normals[0, k], normals[1, k], normals[2, k] = nx, ny, nz
+        px, py, pz = positions[p, 0], positions[p, 1], positions[p, 2]
+        x, y, z = landmarks[0, k] - px, landmarks[1, k] - py, landmarks[2, k] - pz
+        x1, y1, z1 = ax - px, ay - py, az - pz
+        leaves = reachable[p, k] and hidden[p, k] == 0
+        comes = reached = reaches(x1, y1, z1, nx, ny, nz, limits)
+        blocked, others = 0, False
+        if mode:
+            count_hid, _ = _flag_hiding(px, py, pz, x, y, z, landmarks, reach, mode, hid, hidden_by)
+            count_hides, blocked = _flag_hiding(px, py, pz, x1, y1, z1, landmarks, reach, mode, hides, hidden_by)
+            blocked -= hidden_by[k]  # where it was before it moved
+            comes = reached and blocked == 0
+            others = count_hid > hid[k] or count_hides > hides[k]
+        units[p] = before[p]
+        if leaves or comes or others:
+            for a in range(counts.shape[1]):  # a slice assignment would take ten times as long
+                row[a] = counts[p, a]
+            if leaves:
+                units[p] += change_cap(x, y, z, -1, limits, axes, bands, weights, n, row)
+            if others:
+                for i in range(landmarks.shape[1]):
+                    if i == k or hid[i] == hides[i]:
+                        continue
+                    was = hidden[p, i]
+                    now = was - 1 if hid[i] else was + 1
+                    if reachable[p, i] and (was == 0 or now == 0):
+                        ox, oy, oz = landmarks[0, i] - px, landmarks[1, i] - py, landmarks[2, i] - pz
+                        sign = 1 if now == 0 else -1
+                        units[p] += change_cap(ox, oy, oz, sign, limits, axes, bands, weights, n, row)
+                    if commit:
+                        hidden[p, i] = now
+            if comes:
+                units[p] += change_cap(x1, y1, z1, 1, limits, axes, bands, weights, n, row)
+            if commit:
+                for a in range(counts.shape[1]):
+                    counts[p, a] = row[a]
+        if commit:
+            hidden[p, k], reachable[p, k], before[p] = blocked, reached, units[p]
+    if commit:
+        landmarks[0, k], landmarks[1, k], landmarks[2, k] = ax, ay, az
+        normals[0, k], normals[1, k], normals[2, k] = nx, ny, nz
 
 
 @njit(nogil=True, cache=True)
@@ -197,7 +177,7 @@ def _fill(fixed, state):
         position = fixed.positions[p]
         count_at(
             position, state.landmarks, state.normals, fixed.limits, fixed.reach, fixed.mode, fixed.axes,
-            fixed.index, offset, row,
+            fixed.bands, offset, row,
         )  # fmt: skip
         state.counts[p] = row
         state.units[p] = units_of(row, fixed.weights, fixed.n)
@@ -237,4 +217,4 @@ def state_of(fixed: Fixed, deployment: Deployment) -> State:
 def scratch_of(state: State) -> Scratch:
     """Working memory for trials on `state`."""
     flags = np.empty((3, state.landmarks.shape[1]), dtype=np.uint8)
-    return Scratch(np.empty_like(state.counts[:1]), flags[0], flags[1], flags[2])
+    return Scratch(np.empty_like(state.counts[0]), flags[0], flags[1], flags[2])

@@ -25,6 +25,9 @@ from lmd.visibility import TOLERANCE
 # A probability of 1 in the integer units of the kernels: quantisation is far below TOLERANCE, and a sum of
 # at most one fits a double exactly.
 PROBABILITY_ONE = 1 << 52
+# Axes come in blocks of this many, the last one filled up with zero vectors that nothing covers: loops over whole
+# blocks vectorise without a remainder.
+BLOCK = 16
 # Number of equal intervals of [-1, 1] in which the start of a band of axes is tabulated.
 HEIGHT_BINS = 512
 # Heights this far beyond the cone's ends are still tested; rounding moves the end of a narrow cone by 2e-8.
@@ -34,8 +37,14 @@ OCCLUSION_CODES = {"none": 0, "paper": 1, "line_of_sight": 2}
 _PAPER = OCCLUSION_CODES["paper"]
 
 
+def in_blocks(values: FloatArray) -> FloatArray:
+    """Fill the last axis of `values` `(..., D)` up with zeros to whole blocks."""
+    missing = -values.shape[-1] % BLOCK
+    return np.ascontiguousarray(np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, missing)]))
+
+
 def height_index(heights: FloatArray) -> np.ndarray:
-    """`index[b]`: the first axis at or above the bottom of height bin b, `(HEIGHT_BINS + 2,)`.
+    """`index[b]`: the first axis at or above the bottom of height bin b, less a margin, `(HEIGHT_BINS + 2,)`.
 
     Args:
         heights: z coordinates of the axes in ascending order, `(D,)`.
@@ -46,7 +55,7 @@ def height_index(heights: FloatArray) -> np.ndarray:
 
 @njit(nogil=True, cache=True)
 def _band(height, cosine, index):
-    """First and last + 1 axis that can lie within arccos(cosine) of a direction at `height`."""
+    """First and last + 1 axis that can lie within arccos(cosine) of a direction at `height`, in whole blocks."""
     cosine = min(max(cosine, -1.0), 1.0)
     sine = math.sqrt(1.0 - cosine * cosine)
     across = math.sqrt(max(0.0, 1.0 - height * height))
@@ -56,7 +65,7 @@ def _band(height, cosine, index):
     first = max(math.floor((low - HEIGHT_MARGIN + 1.0) * scale), 0)
     # Twice the margin: the table starts each bin one margin early.
     last = min(math.floor((high + 2.0 * HEIGHT_MARGIN + 1.0) * scale) + 1, HEIGHT_BINS + 1)
-    return index[first], index[last]
+    return index[first] & -BLOCK, (index[last] + BLOCK - 1) & -BLOCK
 
 
 @njit(nogil=True, cache=True)
@@ -136,7 +145,8 @@ def counts_in_range(first, last, positions, landmarks, normals, limits, reach, m
         limits: min_cosine, min_depth, max_depth.
         reach: squared virtual diameter with tolerance.
         mode: a value of `OCCLUSION_CODES`.
-        axes: `(3, D)` sorted by height, with their `height_index`.
+        axes: `(3, D)` sorted by height and filled up by `in_blocks`.
+        index: their `height_index`.
     """
     offset = np.empty((5, landmarks.shape[2]))
     for b in range(landmarks.shape[0]):

@@ -1,0 +1,63 @@
+"""CMA-ES of pycma behind `AskTell`."""
+
+from typing import Any
+
+import numpy as np
+
+from lmd.checks import FloatArray, choice, integer, real
+from lmd.optimisers.wrapped import Session, Wrapped
+
+
+class PyCma(Wrapped):
+    """Covariance matrix adaptation on the unit box.
+
+    The mean begins at the start; when the strategy stops by itself, a fresh one begins at the best genes.
+
+    Args:
+        variant: what is learnt: `full`, every covariance, which takes some 100 evaluations per gene; `separable`, one
+            variance per gene; `vkd`, the variances and a few directions.
+        step: initial standard deviation sigma_0 (genes span 1).
+        population: lambda; None for 4 + 3 ln(dim).
+        encoding: see `AskTell`.
+        seed: see `Optimiser`.
+
+    Raises:
+        InputError: a parameter is out of range.
+    """
+
+    def __init__(
+        self,
+        variant: str = "full",
+        step: float = 0.1,
+        population: int | None = None,
+        encoding: str | None = None,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(seed, encoding)
+        self.variant = choice("optimiser.variant", variant, ("full", "separable", "vkd"))
+        self.step = real("optimiser.step", step, above=0.0)
+        self.population = None if population is None else integer("optimiser.population", population, low=4)
+
+    def _open(self, start: FloatArray, rng: np.random.Generator) -> Session:
+        return _Session(self, start[0], rng)
+
+
+class _Session:
+    def __init__(self, settings: PyCma, mean: FloatArray, rng: np.random.Generator) -> None:
+        import cma
+        from cma.restricted_gaussian_sampler import GaussVkDSampler
+
+        options: dict[str, Any] = {"bounds": [0, 1], "seed": int(rng.integers(1, 2**31)), "verbose": -9, "verb_log": 0}
+        if settings.population is not None:
+            options["popsize"] = settings.population
+        if settings.variant == "separable":
+            options["CMA_diagonal"] = True
+        if settings.variant == "vkd":
+            options = GaussVkDSampler.extend_cma_options(options)
+        self.strategy = cma.CMAEvolutionStrategy(mean, settings.step, options)
+
+    def ask(self) -> FloatArray | None:
+        return None if self.strategy.stop() else np.array(self.strategy.ask())
+
+    def tell(self, genes: FloatArray, losses: FloatArray) -> None:
+        self.strategy.tell(list(genes), list(losses))
