@@ -107,6 +107,11 @@ class CoverageProblem:
         """P_n at every position, `(P,)`."""
         return self.evaluator.probabilities(deployment, self.objective.n)
 
+    def fitness(self, deployment: Deployment) -> float:
+        """Fitness in [0, 1] of `deployment`."""
+        is_qualified = qualified(self.probabilities(deployment), self.objective.thold_p)
+        return cost(is_qualified, self.relevance) / float(self.relevance.sum())
+
     def metrics(self, deployment: Deployment) -> dict[str, float]:
         """The paper's three indices, H, and the fitness of `deployment` (fractions in [0, 1]; H is a sum)."""
         probability = self.probabilities(deployment)

@@ -73,7 +73,7 @@ def _run(
     directory = run_directory()
     with StopOnSignal() as stop:
         progress = Progress(
-            budget.evaluations,
+            budget,
             tracker,
             save=lambda: checkpoint.save(directory),
             every=cfg.checkpoint_seconds,

@@ -9,7 +9,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from lmd.optimisers.base import Optimiser
+from lmd.optimisers.base import Budget, Optimiser
 from lmd.tracking import Tracker
 
 CURVE_POINTS = 500  # points of a whole run kept in the tracked curve
@@ -45,37 +45,42 @@ class Progress:
     """The callback of a run: shows the best fitness, logs the curve and saves checkpoints as it goes.
 
     Args:
-        evaluations: the budget, where the bar ends.
+        budget: where the bar ends.
         tracker: receives the curve.
         save: saves a checkpoint.
         every: seconds between checkpoints.
         stop: ends the run.
-        done: the books of a run that goes on, whose curve is logged already.
+        resumed: the optimiser before the run; what is in its books is logged already.
     """
 
     def __init__(
         self,
-        evaluations: int,
+        budget: Budget,
         tracker: Tracker,
         save: Callable[[], None],
         every: float,
         stop: StopOnSignal,
         resumed: Optimiser,
     ) -> None:
-        self.evaluations, self.tracker, self.save, self.every, self.stop = evaluations, tracker, save, every, stop
+        self.budget, self.tracker, self.save, self.every, self.stop = budget, tracker, save, every, stop
+        self.bucket = -1
         self.saved = time.monotonic()
         self.logged = len(resumed.books.history)
         # On a terminal the bar is live; in a log file a line now and then is enough.
         interval = 0.1 if sys.stderr.isatty() else 15.0
         self.bar = tqdm(
-            total=evaluations, initial=resumed.books.evaluations, unit="eval", mininterval=interval, leave=False
+            total=budget.evaluations,
+            initial=int(resumed.books.evaluations),
+            unit=" evaluations",
+            mininterval=interval,
+            leave=False,
         )
 
     def __call__(self, optimiser: Optimiser) -> bool:
         """See `lmd.optimisers.base.Callback`."""
         books = optimiser.books
         self.bar.set_postfix_str(f"best {books.best_fitness:.2%}", refresh=False)
-        self.bar.update(books.evaluations - self.bar.n)
+        self.bar.update(int(books.evaluations) - self.bar.n)
         if time.monotonic() - self.saved >= self.every:
             self.flush(optimiser)
         return self.stop.requested
@@ -84,10 +89,11 @@ class Progress:
         """Save a checkpoint and log what the curve has gained."""
         history = optimiser.books.history
         points = []
-        for i in range(self.logged, len(history)):
-            before = history[i - 1].evaluations if i else -1
-            if _bucket(before, self.evaluations) != _bucket(history[i].evaluations, self.evaluations):
-                points.append((int(history[i].evaluations), history[i].best_fitness, history[i].wall_time))
+        for record in history[self.logged :]:
+            bucket = int(CURVE_POINTS * self.budget.used(record.evaluations, record.wall_time))
+            if bucket != self.bucket:
+                points.append((int(record.evaluations), record.best_fitness, record.wall_time))
+                self.bucket = bucket
         self.tracker.log_curve("best_fitness", points)
         self.logged = len(history)
         self.save()
@@ -96,7 +102,3 @@ class Progress:
     def close(self) -> None:
         """Remove the bar."""
         self.bar.close()
-
-
-def _bucket(evaluations: float, budget: int) -> int:
-    return int(evaluations * CURVE_POINTS // budget)

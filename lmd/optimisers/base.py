@@ -18,20 +18,33 @@ class Budget:
     """What a run may spend.
 
     Args:
-        evaluations: full evaluations of a deployment; never exceeded.
+        evaluations: full evaluations of a deployment, never exceeded; one moved landmark counts 1/K. None for no
+            limit.
         seconds: wall time after which no new evaluation starts; None for no limit.
 
     Raises:
-        InputError: a limit is not positive.
+        InputError: a limit is not positive, or there is none.
     """
 
-    evaluations: int
+    evaluations: int | None = None
     seconds: float | None = None
 
     def __post_init__(self) -> None:
-        integer("budget.evaluations", self.evaluations, low=1)
+        if self.evaluations is None and self.seconds is None:
+            raise InputError("budget.evaluations or budget.seconds must be given.")
+        if self.evaluations is not None:
+            integer("budget.evaluations", self.evaluations, low=1)
         if self.seconds is not None:
             real("budget.seconds", self.seconds, above=0.0)
+
+    @property
+    def limit(self) -> float:
+        """Evaluations allowed, infinity for no limit."""
+        return math.inf if self.evaluations is None else self.evaluations
+
+    def used(self, evaluations: float, seconds: float) -> float:
+        """Share of the budget that is spent, by whichever limit is nearer; 1 or more when it is used up."""
+        return max(evaluations / self.limit, seconds / (self.seconds or math.inf))
 
 
 @dataclass(frozen=True)
@@ -47,19 +60,17 @@ class Record:
 class Books:
     """What has been spent and found so far; survives in a checkpoint."""
 
-    evaluations: int = 0
+    evaluations: float = 0
     seconds: float = 0.0
     best_fitness: float = -math.inf
-    best_genes: FloatArray | None = None
     history: list[Record] = field(default_factory=list)
 
-    def enter(self, genes: FloatArray, fitness: FloatArray) -> None:
-        """Book a batch: genes `(B, dim)` and their fitness `(B,)`."""
-        self.evaluations += len(genes)
-        best = int(np.argmax(fitness))
-        if fitness[best] > self.best_fitness:
-            self.best_fitness, self.best_genes = float(fitness[best]), genes[best].copy()
-        self.history.append(Record(self.evaluations, self.best_fitness, self.seconds))
+    def enter(self, evaluations: float, fitness: float) -> bool:
+        """Book that `evaluations` are spent by now and the last of them reached `fitness`; True if that is the best."""
+        is_best = fitness > self.best_fitness
+        self.evaluations, self.best_fitness = evaluations, max(fitness, self.best_fitness)
+        self.history.append(Record(evaluations, self.best_fitness, self.seconds))
+        return is_best
 
 
 @dataclass(frozen=True)
@@ -105,6 +116,11 @@ class Optimiser(ABC):
     def run(self, problem: CoverageProblem, budget: Budget, callback: Callback | None = None) -> Result:
         """Maximise `problem` within `budget`; deterministic for a given seed and problem."""
 
+    def _result(self, deployment: Deployment, stopped: str) -> Result:
+        """What `run` returns, from the books."""
+        books = self.books
+        return Result(deployment, books.best_fitness, books.evaluations, books.seconds, tuple(books.history), stopped)
+
 
 class AskTell(Optimiser):
     """Optimisers that propose batches of genes and are told their fitness.
@@ -129,6 +145,7 @@ class AskTell(Optimiser):
     def __init__(self, seed: int = 0, encoding: str | None = None) -> None:
         super().__init__(seed)
         self.encoding = encoding
+        self.best_genes: FloatArray | None = None
 
     @abstractmethod
     def _ask(self) -> FloatArray:
@@ -148,8 +165,13 @@ class AskTell(Optimiser):
     def tell(self, genes: FloatArray, fitness: FloatArray) -> None:
         """Book a batch and pass it on; NaN counts as -inf."""
         fitness = np.where(np.isnan(fitness), -np.inf, fitness)
-        self.books.enter(genes, fitness)
+        self._book(genes, fitness)
         self._tell(genes, fitness)
+
+    def _book(self, genes: FloatArray, fitness: FloatArray) -> None:
+        best = int(np.argmax(fitness))
+        if self.books.enter(self.books.evaluations + len(genes), float(fitness[best])):
+            self.best_genes = genes[best].copy()
 
     def run(self, problem: CoverageProblem, budget: Budget, callback: Callback | None = None) -> Result:
         """See `Optimiser.run`. A batch that would exceed the budget is cut short."""
@@ -162,27 +184,19 @@ class AskTell(Optimiser):
             self.start = problem.starting_genes(self.start_size, self.rng)
         clock = time.perf_counter() - books.seconds
         stopped = "budget"
-        while books.evaluations < budget.evaluations and not (budget.seconds and books.seconds >= budget.seconds):
+        while budget.used(books.evaluations, books.seconds) < 1.0:
             genes = self.ask()
-            left = budget.evaluations - books.evaluations
-            fitness = problem.evaluate(genes[:left])
+            asked = len(genes)
+            genes = genes[: int(min(asked, budget.limit - books.evaluations))]
+            fitness = problem.evaluate(genes)
             books.seconds = time.perf_counter() - clock
-            if len(fitness) < len(genes):  # the method cannot learn from half a batch
-                books.enter(genes[:left], np.where(np.isnan(fitness), -np.inf, fitness))
-                if callback:
-                    callback(self)
-                break
-            self.tell(genes, fitness)
+            if len(genes) == asked:
+                self.tell(genes, fitness)
+            else:  # the method cannot learn from half a batch
+                self._book(genes, np.where(np.isnan(fitness), -np.inf, fitness))
             if callback and callback(self):
                 stopped = "interrupted"
                 break
-        if books.best_genes is None:
+        if self.best_genes is None:
             raise InputError(f"{type(self).__name__} found no deployment: every evaluation failed.")
-        return Result(
-            deployment=problem.decode(books.best_genes),
-            fitness=books.best_fitness,
-            evaluations=books.evaluations,
-            seconds=books.seconds,
-            history=tuple(books.history),
-            stopped=stopped,
-        )
+        return self._result(problem.decode(self.best_genes), stopped)

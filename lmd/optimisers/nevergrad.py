@@ -1,7 +1,8 @@
-"""Any registered optimiser of nevergrad behind `AskTell`."""
+"""Any optimiser of nevergrad behind `AskTell`."""
 
 import difflib
 import warnings
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -14,10 +15,12 @@ class Nevergrad(Wrapped):
     """A nevergrad optimiser on the unit box, told the start.
 
     Args:
-        name: what nevergrad registers it as, e.g. `TwoPointsDE`, `NGOpt`, `DiscreteLenglerOnePlusOne`.
+        name: a registered optimiser, e.g. `TwoPointsDE`, `NGOpt`, `RLSOnePlusOne`, or a family to be configured by
+            `options`, e.g. `DifferentialEvolution`, `EvolutionStrategy`.
+        options: parameters of the family.
         workers: deployments asked for before any of them is told; 1 where the method can do no more.
         budget: evaluations the method plans with, which some need to know; None leaves it in the dark.
-        step: standard deviation of an initial step (genes span 1); None for nevergrad's own, 1/6.
+        step: standard deviation of a step (genes span 1); None for nevergrad's own, 1/6.
         encoding: see `AskTell`.
         seed: see `Optimiser`.
 
@@ -28,25 +31,40 @@ class Nevergrad(Wrapped):
     def __init__(
         self,
         name: str = "NGOpt",
+        options: Mapping[str, Any] | None = None,
         workers: int = 1,
         budget: int | None = None,
         step: float | None = None,
         encoding: str | None = None,
         seed: int = 0,
     ) -> None:
-        from nevergrad.optimization import registry
-
         super().__init__(seed, encoding)
         self.name = name
-        self.workers = integer("optimiser.workers", workers, low=1)
+        self.options = dict(options or {})
+        self.workers = self.start_size = integer("optimiser.workers", workers, low=1)
         self.budget = None if budget is None else integer("optimiser.budget", budget, low=1)
         self.step = None if step is None else real("optimiser.step", step, above=0.0)
-        if name not in registry:
-            close = difflib.get_close_matches(str(name), sorted(registry), n=5, cutoff=0.4)
-            raise InputError(
-                f"optimiser.name = {name!r} is not in nevergrad" + (f"; close: {', '.join(close)}." if close else ".")
-            )
-        self.start_size = self.workers
+        self.method()
+
+    def method(self) -> Callable[..., Any]:
+        """What makes the optimiser.
+
+        Raises:
+            InputError: nevergrad has none of that name, or it refuses the options.
+        """
+        from nevergrad.optimization import families, registry
+
+        if self.name in registry and not self.options:
+            return registry[self.name]  # type: ignore[no-any-return]
+        if self.name not in families.__all__:
+            known = sorted(families.__all__ if self.options else {*registry, *families.__all__})
+            close = ", ".join(difflib.get_close_matches(str(self.name), known, n=5, cutoff=0.3))
+            kind = "a family that takes optimiser.options" if self.options else "an optimiser"
+            raise InputError(f"optimiser.name = {self.name!r} is not {kind} of nevergrad; close: {close or 'none'}.")
+        try:
+            return getattr(families, self.name)(**self.options)  # type: ignore[no-any-return]
+        except Exception as error:  # each family refuses options in its own way
+            raise InputError(f"optimiser.options do not suit nevergrad's {self.name}: {error}") from error
 
     def _open(self, start: FloatArray, rng: np.random.Generator) -> Session:
         return _Session(self, start, rng)
@@ -56,22 +74,18 @@ class _Session:
     def __init__(self, settings: Nevergrad, start: FloatArray, rng: np.random.Generator) -> None:
         import nevergrad
 
+        self.name = settings.name
         box = nevergrad.p.Array(init=start[0], lower=0.0, upper=1.0)
         if settings.step is not None:
             box.set_mutation(sigma=settings.step)
         box.random_state = np.random.RandomState(rng.integers(2**32))
-        method = nevergrad.optimizers.registry[settings.name]
-        self.name = settings.name
-        self.workers = settings.workers
+        method = settings.method()
+        self.workers = 1 if getattr(method, "no_parallelization", False) else settings.workers
         try:
-            try:
-                self.optimiser = method(box, budget=settings.budget, num_workers=self.workers)
-            except ValueError:  # it cannot work in parallel
-                self.workers = 1
-                self.optimiser = method(box, budget=settings.budget, num_workers=1)
+            self.optimiser = method(box, budget=settings.budget, num_workers=self.workers)
         except Exception as error:  # missing extras, a missing budget: each says it in its own way
             raise InputError(f"nevergrad's {self.name} cannot be made: {error}") from error
-        if not self.optimiser.no_parallelization:
+        if not self.optimiser.recast:  # those only know what they asked for, but begin at the first start anyway
             for genes in start[::-1]:  # the last one suggested is asked first
                 self.optimiser.suggest(genes)
         self.asked: list[Any] = []

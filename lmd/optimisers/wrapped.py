@@ -130,7 +130,7 @@ def _set_global_state(state: tuple[Any, Any]) -> None:
 
 def _global_state_of(seed: int) -> tuple[Any, Any]:
     """The global state that seeding with `seed` would give."""
-    legacy = np.random.RandomState(seed % 2**32)  # noqa: NPY002
+    legacy = np.random.RandomState(seed % 2**32)
     return random.Random(seed).getstate(), legacy.get_state()
 
 

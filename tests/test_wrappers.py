@@ -1,0 +1,206 @@
+"""What the wrapped libraries add to the contract in test_optimisers."""
+
+import pickle
+import random
+from functools import partial
+
+import numpy as np
+import pytest
+from hydra import compose, initialize_config_dir
+
+from lmd.checks import InputError
+from lmd.optimisers.nevergrad import Nevergrad
+from lmd.optimisers.pycma import PyCma
+from lmd.optimisers.pymoo import Pymoo
+from lmd.optimisers.random_search import RandomSearch
+from lmd.optimisers.wrapped import Wrapped
+from pipelines.app import CONF, instantiate
+
+
+def run(optimiser, batches, dim=12, fitness=lambda genes: -np.abs(genes - 0.3).sum(axis=1)):
+    """Start or go on with an optimiser; returns the batches it asked for."""
+    if not optimiser.books.evaluations:
+        optimiser.dim, optimiser.rng, optimiser.start = dim, np.random.default_rng(0), np.full((1, dim), 0.6)
+    asked = []
+    for _ in range(batches):
+        asked.append(optimiser.ask())
+        optimiser.tell(asked[-1], fitness(asked[-1]))
+    return asked
+
+
+def pymoo(name, **parameters):
+    from pymoo.algorithms.soo.nonconvex import cmaes, de, direct, ga, isres, pattern, pso
+
+    module = {
+        "GA": ga,
+        "DE": de,
+        "PSO": pso,
+        "CMAES": cmaes,
+        "PatternSearch": pattern,
+        "ISRES": isres,
+        "DIRECT": direct,
+    }
+    return Pymoo(partial(getattr(module[name], name), **parameters))
+
+
+class Stubborn(Wrapped):
+    """Its library's optimiser asks for one point and ends."""
+
+    opened: list[float]
+
+    def _open(self, start, rng):
+        self.opened = [*getattr(self, "opened", []), float(start[0, 0])]
+
+        class Session:
+            left = 1
+
+            def ask(self):
+                self.left -= 1
+                return None if self.left < 0 else rng.random((1, start.shape[1]))
+
+            def tell(self, genes, losses):
+                print("chatter")
+
+        return Session()
+
+
+@pytest.mark.parametrize("name", ["GA", "DE", "PSO", "ISRES"])
+def test_populations_of_pymoo_begin_with_the_start(name):
+    first = run(pymoo(name, pop_size=8), 1)[0]
+    np.testing.assert_array_equal(first[0], np.full(12, 0.6))
+
+
+@pytest.mark.parametrize("name", ["GA", "CMAES", "PatternSearch", "DIRECT"])
+def test_pymoo_gets_better(name):
+    optimiser = pymoo(name)
+    run(optimiser, 60)
+    assert optimiser.books.best_fitness > -2.0  # the start is at -3.6
+
+
+@pytest.mark.parametrize("name", ["TwoPointsDE", "PSO", "OnePlusOne", "CMA", "Cobyla"])
+def test_nevergrad_begins_with_the_start(name):
+    first = run(Nevergrad(name, budget=200), 1)[0]
+    np.testing.assert_allclose(first[0], np.full(12, 0.6))
+
+
+def test_a_nevergrad_method_that_cannot_work_in_parallel_is_asked_one_by_one():
+    assert [len(genes) for genes in run(Nevergrad("Cobyla", workers=5, budget=100), 3)] == [1, 1, 1]
+    assert [len(genes) for genes in run(Nevergrad("TwoPointsDE", workers=5), 3)] == [5, 5, 5]
+
+
+def test_a_nevergrad_family_takes_options():
+    run(Nevergrad("DifferentialEvolution", options={"crossover": "twopoints", "popsize": 10}), 3)
+    with pytest.raises(InputError, match=r"optimiser\.options do not suit nevergrad's DifferentialEvolution: .*genes"):
+        Nevergrad("DifferentialEvolution", options={"genes": 2})
+    with pytest.raises(InputError, match=r"optimiser\.name = 'TwoPointsDE' is not a family that takes optimiser\.opt"):
+        Nevergrad("TwoPointsDE", options={"popsize": 10})
+
+
+def test_a_misspelt_nevergrad_optimiser_brings_up_the_close_ones():
+    with pytest.raises(
+        InputError, match=r"optimiser\.name = 'TwoPointDE' is not an optimiser of .*; close: TwoPointsDE"
+    ):
+        Nevergrad("TwoPointDE")
+
+
+def test_a_nevergrad_optimiser_without_what_it_needs_says_so():
+    with pytest.raises(InputError, match=r"nevergrad's DiscreteBSOOnePlusOne failed: .*needs a budget"):
+        run(Nevergrad("DiscreteBSOOnePlusOne"), 3)
+
+
+def test_nevergrad_is_told_the_budget_of_the_run():
+    with initialize_config_dir(CONF, version_base="1.3"):
+        node = compose("optimise", ["optimiser=nevergrad", "budget.evaluations=77"]).optimiser
+    assert instantiate(node, seed=0).budget == 77
+
+
+@pytest.mark.parametrize("variant", ["full", "separable", "vkd"])
+def test_every_variant_of_pycma_gets_better(variant):
+    optimiser = PyCma(variant, step=0.2)
+    run(optimiser, 40)
+    assert optimiser.books.best_fitness > -1.0
+
+
+def test_an_optimiser_that_ends_is_followed_by_one_that_starts_from_the_best():
+    optimiser = Stubborn()
+    asked = [float(genes[0, 0]) for genes in run(optimiser, 20, fitness=lambda genes: genes[:, 0])]
+    assert len(set(asked)) == 20  # each with another seed
+    assert optimiser.opened == [0.6, *np.maximum.accumulate(asked)[:-1]]
+
+
+def test_pycma_goes_on_after_it_has_converged():
+    optimiser = PyCma("full", step=0.3)
+    flat = run(optimiser, 120, dim=2, fitness=lambda genes: np.zeros(len(genes)))
+    assert len(flat) == 120
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: pymoo("PatternSearch"),
+        lambda: pymoo("CMAES", sigma=0.3),
+        lambda: Nevergrad("LognormalDiscreteOnePlusOne"),
+        lambda: Nevergrad("Cobyla", budget=100),
+        lambda: PyCma("vkd"),
+        lambda: Stubborn(),
+    ],
+)
+def test_a_pickled_optimiser_goes_on_as_if_nothing_had_happened(make):
+    whole = make()
+    expected = run(whole, 12)
+    interrupted = make()
+    asked = run(interrupted, 5) + run(pickle.loads(pickle.dumps(interrupted)), 7)
+    for one, other in zip(asked, expected, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_going_on_with_a_library_that_proposes_other_genes_is_refused():
+    optimiser = Nevergrad("OnePlusOne")
+    run(optimiser, 3)
+    optimiser.told[1] = (optimiser.told[1][0] ^ 1, optimiser.told[1][1])
+    with pytest.raises(InputError, match="Nevergrad cannot go on: on this machine its library proposes other genes"):
+        run(pickle.loads(pickle.dumps(optimiser)), 1)
+
+
+def test_failed_evaluations_cost_a_finite_loss():
+    for optimiser in (pymoo("CMAES"), PyCma(), Nevergrad("TwoPointsDE")):
+        run(optimiser, 4, fitness=lambda genes: np.where(np.arange(len(genes)) == 0, -np.inf, genes[:, 0]))
+        assert all(np.isfinite(losses).all() for _, losses in optimiser.told)
+
+
+def test_libraries_leave_the_global_generators_alone_and_are_silent(capfd, recwarn):
+    before = np.random.get_state()[1].copy(), random.getstate()  # noqa: NPY002
+    for optimiser in (pymoo("CMAES"), PyCma(), Nevergrad("LognormalDiscreteOnePlusOne"), Stubborn()):
+        run(optimiser, 5)
+    np.testing.assert_array_equal(np.random.get_state()[1], before[0])  # noqa: NPY002
+    assert random.getstate() == before[1]
+    assert capfd.readouterr() == ("", "")
+    assert not list(recwarn)
+
+
+def test_random_search_does_not_depend_on_its_batch():
+    one, other = run(RandomSearch(batch=4), 6), run(RandomSearch(batch=12), 2)
+    np.testing.assert_array_equal(np.concatenate(one), np.concatenate(other))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Pymoo("GA"), r"optimiser\.algorithm must be a class with _partial_: true, got 'GA'"),
+        (lambda: Pymoo(dict), r"optimiser\.algorithm makes a dict, not a pymoo algorithm"),
+        (
+            lambda: pymoo("DE", variant="DE/rand"),
+            r"optimiser\.algorithm cannot be made: Please provide a valid variant",
+        ),
+        (lambda: Nevergrad("DE", workers=0), r"optimiser\.workers must be at least 1, got 0"),
+        (lambda: Nevergrad("DE", step=0), r"optimiser\.step must be greater than 0, got 0"),
+        (lambda: Nevergrad("DE", budget=0.5), r"optimiser\.budget must be a whole number, got 0\.5"),
+        (lambda: PyCma("sparse"), r"optimiser\.variant must be one of full, separable, vkd, got 'sparse'"),
+        (lambda: PyCma(step=-1), r"optimiser\.step must be greater than 0, got -1"),
+        (lambda: PyCma(population=2), r"optimiser\.population must be at least 4, got 2"),
+        (lambda: RandomSearch(batch=0), r"optimiser\.batch must be at least 1, got 0"),
+    ],
+)
+def test_impossible_parameters_are_refused(make, message):
+    with pytest.raises(InputError, match=message):
+        make()
