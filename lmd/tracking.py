@@ -97,8 +97,12 @@ class MlflowTracker:
         return self._client
 
     def _connect(self) -> "MlflowClient":
+        import logging
+
         from mlflow import MlflowClient
         from mlflow.exceptions import MlflowException
+
+        logging.getLogger("mlflow.store.db.utils").setLevel(logging.WARNING)  # it announces every new table
 
         try:
             if not self.uri.startswith("sqlite:///"):

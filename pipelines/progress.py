@@ -3,13 +3,13 @@
 import signal
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import Any
 
 from tqdm import tqdm
 
-from lmd.optimisers.base import Budget, Optimiser
+from lmd.optimisers.base import Budget, Optimiser, Record
 from lmd.tracking import Tracker
 
 CURVE_POINTS = 500  # points of a whole run kept in the tracked curve
@@ -41,6 +41,13 @@ class StopOnSignal:
             signal.signal(number, handler)
 
 
+def thinned(history: Sequence[Record], most: int = CURVE_POINTS) -> list[tuple[int, float, float]]:
+    """At most `most` points (evaluations, best fitness, seconds), evenly chosen, the last record among them."""
+    stride = -(-len(history) // most) or 1
+    kept = reversed(history[::-1][::stride])
+    return [(int(r.evaluations), r.best_fitness, r.wall_time) for r in kept]
+
+
 class Progress:
     """The callback of a run: shows the best fitness, logs the curve and saves checkpoints as it goes.
 
@@ -63,7 +70,7 @@ class Progress:
         resumed: Optimiser,
     ) -> None:
         self.budget, self.tracker, self.save, self.every, self.stop = budget, tracker, save, every, stop
-        self.bucket = -1
+        self.used = budget.used(resumed.books.evaluations, resumed.books.seconds)
         self.saved = time.monotonic()
         self.logged = len(resumed.books.history)
         # On a terminal the bar is live; in a log file a line now and then is enough.
@@ -87,15 +94,11 @@ class Progress:
 
     def flush(self, optimiser: Optimiser) -> None:
         """Save a checkpoint and log what the curve has gained."""
-        history = optimiser.books.history
-        points = []
-        for record in history[self.logged :]:
-            bucket = int(CURVE_POINTS * self.budget.used(record.evaluations, record.wall_time))
-            if bucket != self.bucket:
-                points.append((int(record.evaluations), record.best_fitness, record.wall_time))
-                self.bucket = bucket
-        self.tracker.log_curve("best_fitness", points)
-        self.logged = len(history)
+        books = optimiser.books
+        used = self.budget.used(books.evaluations, books.seconds)
+        new = books.history[self.logged :]
+        self.tracker.log_curve("best_fitness", thinned(new, 1 + int(CURVE_POINTS * (used - self.used))))
+        self.logged, self.used = len(books.history), used
         self.save()
         self.saved = time.monotonic()
 

@@ -2,8 +2,8 @@
 
 import itertools
 import os
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 
@@ -35,7 +35,7 @@ class Evaluator:
         self.threads = threads or available_threads()
         self.axis_of = scene.pdf.axis_of
         self.axes = kernels.in_blocks(scene.pdf.axes.T)
-        self.index = kernels.height_index(scene.pdf.axes[:, 2])
+        self.bands = kernels.height_index(scene.pdf.axes[:, 2])
         self.weights = np.rint(kernels.in_blocks(scene.pdf.axis_weight) * PROBABILITY_ONE).astype(np.int64)
         # What rounding left over goes to the heaviest axis, so that certainty is exactly one.
         self.weights[np.argmax(self.weights)] += PROBABILITY_ONE - self.weights.sum()
@@ -44,10 +44,9 @@ class Evaluator:
         self.mode = kernels.OCCLUSION_CODES[visibility.occlusion if visibility.tests_other_landmarks else "none"]
 
     def counts(self, deployment: Deployment) -> np.ndarray:
-        """Landmarks covered at every position and orientation of the PDF, `(P, A)` int32."""
-        out = np.empty((1, len(self.positions), self.axes.shape[1]), dtype=np.int32)
-        self._run(kernels.counts_in_range, deployment.positions[None], deployment.normals[None], out)
-        return np.asarray(out[0][:, self.axis_of])
+        """Landmarks covered at every position and orientation of the PDF, `(P, A)` int16."""
+        _, counts = self._evaluate(deployment.positions[None], deployment.normals[None], 1, keep=True)
+        return np.asarray(counts[0][:, self.axis_of])
 
     def units(self, positions: FloatArray, normals: FloatArray, n: int) -> np.ndarray:
         """P_n at every position in units of 1 / `PROBABILITY_ONE`.
@@ -59,25 +58,29 @@ class Evaluator:
         Returns:
             `(B, P)` int64.
         """
-        out = np.empty((len(positions), len(self.positions)), dtype=np.int64)
-        self._run(kernels.units_in_range, positions, normals, self.weights, n, out)
-        return out
+        return self._evaluate(positions, normals, n, keep=False)[0]
 
     def probabilities(self, deployment: Deployment, n: int) -> FloatArray:
         """P_n at every position, `(P,)`."""
         units = self.units(deployment.positions[None], deployment.normals[None], n)
         return np.asarray(units[0] / PROBABILITY_ONE)
 
-    def _run(self, kernel: Callable[..., None], positions: FloatArray, normals: FloatArray, *rest: object) -> None:
-        """Run `kernel` over all positions, shared between threads."""
-        landmarks = np.ascontiguousarray(positions.transpose(0, 2, 1))
-        facing = np.ascontiguousarray(normals.transpose(0, 2, 1))
-        scene = (self.positions, landmarks, facing, self.limits, self.reach, self.mode, self.axes, self.index)
-        edges = np.linspace(0, len(self.positions), self.threads + 1).astype(int)
+    def _evaluate(
+        self, positions: FloatArray, normals: FloatArray, n: int, keep: bool
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """P_n in units `(B, P)`, and with `keep` the counts `(B, P, D)`; positions are shared between threads."""
+        size = len(self.positions)
+        units = np.empty((len(positions), size), dtype=np.int64)
+        counts = np.empty((len(positions), size, self.axes.shape[1]) if keep else (0, 0, 0), dtype=np.int16)
+        scene = (self.positions, *(np.ascontiguousarray(v.transpose(0, 2, 1)) for v in (positions, normals)))
+        rest = (self.limits, self.reach, self.mode, self.axes, self.bands, self.weights, n, units, counts, keep)
+        kernel: Any = kernels.evaluate_range
         if self.threads == 1:
-            kernel(0, len(self.positions), *scene, *rest)
-            return
+            kernel(0, size, *scene, *rest)
+            return units, counts
+        edges = np.linspace(0, size, self.threads + 1).astype(int)
         with ThreadPoolExecutor(self.threads) as pool:
-            jobs = [pool.submit(kernel, a, b, *scene, *rest) for a, b in itertools.pairwise(edges)]
-            for job in jobs:
+            ranges = itertools.pairwise(edges)
+            for job in [pool.submit(kernel, a, b, *scene, *rest) for a, b in ranges]:
                 job.result()
+        return units, counts

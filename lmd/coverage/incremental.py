@@ -15,13 +15,15 @@ import numpy as np
 from numba import njit
 
 from lmd.coverage.evaluator import Evaluator
-from lmd.coverage.kernels import _PAPER, _band, count_at, units_of
+from lmd.coverage.kernels import OCCLUSION_CODES, band_of, evaluate_range
 from lmd.deployment import Deployment
 from lmd.visibility import TOLERANCE
 
+_LINE_OF_SIGHT = OCCLUSION_CODES["line_of_sight"]
+
 
 class Fixed(NamedTuple):
-    """What does not change while landmarks move; the arguments of the kernels, see `kernels.counts_in_range`."""
+    """What does not change while landmarks move; the arguments of `kernels.evaluate_range`."""
 
     positions: np.ndarray
     limits: np.ndarray
@@ -59,7 +61,7 @@ class Scratch(NamedTuple):
 
 @njit(nogil=True, cache=True)
 def reaches(x, y, z, nx, ny, nz, limits):
-    """`kernels._reachable` for a landmark at offset (x, y, z) from the camera."""
+    """Whether a landmark at offset (x, y, z) faces the camera and some depth up to its distance is in limits."""
     distance = np.sqrt(x * x + y * y + z * z)
     if distance * limits[0] > limits[2] or distance * (1.0 + TOLERANCE) < limits[1]:
         return False
@@ -74,7 +76,7 @@ def change_cap(x, y, z, sign, limits, axes, bands, weights, n, counts):
     """
     distance = np.sqrt(x * x + y * y + z * z)
     low, high = max(distance * limits[0], limits[1]), limits[2]
-    first, last = _band(z / distance, low / distance, bands)
+    first, last = band_of(z / distance, low / distance, bands)
     crossing = n - 1 if sign > 0 else n
     change = np.int64(0)
     for a in range(np.uint64(first), np.uint64(last)):
@@ -103,7 +105,7 @@ def _flag_hiding(px, py, pz, x, y, z, landmarks, reach, mode, hides, hidden_by):
         cz = ox * y - oy * x
         cross = cx * cx + cy * cy + cz * cz
         a, b = cross <= reach * other, cross <= bound
-        if mode != _PAPER:
+        if mode == _LINE_OF_SIGHT:
             in_front = x * ox + y * oy + z * oz > 0.0
             a = a & in_front & (squared <= other * (1.0 + TOLERANCE))
             b = b & in_front & (other <= further)
@@ -168,35 +170,25 @@ def move(k, ax, ay, az, nx, ny, nz, fixed, state, scratch, units, commit):
 
 @njit(nogil=True, cache=True)
 def _fill(fixed, state):
-    """Compute counts, reachable, hidden and units of `state` from its landmarks."""
-    count = state.landmarks.shape[1]
-    offset = np.empty((5, count))
-    row = np.empty(state.counts.shape[1], dtype=np.int32)
-    flags = np.empty((2, count), dtype=np.uint8)
-    for p in range(len(state.units)):
-        position = fixed.positions[p]
-        count_at(
-            position, state.landmarks, state.normals, fixed.limits, fixed.reach, fixed.mode, fixed.axes,
-            fixed.bands, offset, row,
-        )  # fmt: skip
-        state.counts[p] = row
-        state.units[p] = units_of(row, fixed.weights, fixed.n)
+    """Compute `reachable` and `hidden` of `state` from its landmarks."""
+    positions, limits, reach, mode, _, _, _, _ = fixed
+    landmarks, normals, _, reachable, hidden, _ = state
+    count = landmarks.shape[1]
+    hides, hidden_by = np.empty(count, dtype=np.bool_), np.empty(count, dtype=np.bool_)
+    for p in range(len(positions)):
+        px, py, pz = positions[p, 0], positions[p, 1], positions[p, 2]
         for k in range(count):
-            x, y, z = offset[0, k], offset[1, k], offset[2, k]
-            normal = state.normals[:, k]
-            state.reachable[p, k] = reaches(x, y, z, normal[0], normal[1], normal[2], fixed.limits)
-            if fixed.mode:
-                _, by = _flag_hiding(
-                    position[0], position[1], position[2], x, y, z, state.landmarks, fixed.reach, fixed.mode,
-                    flags[0], flags[1],
-                )  # fmt: skip
-                state.hidden[p, k] = by - flags[1, k]
+            x, y, z = landmarks[0, k] - px, landmarks[1, k] - py, landmarks[2, k] - pz
+            reachable[p, k] = reaches(x, y, z, normals[0, k], normals[1, k], normals[2, k], limits)
+            if mode:
+                _, by = _flag_hiding(px, py, pz, x, y, z, landmarks, reach, mode, hides, hidden_by)
+                hidden[p, k] = by - hidden_by[k]
 
 
 def fixed_of(evaluator: Evaluator, n: int) -> Fixed:
     """The fixed part of an evaluator's scene."""
     e = evaluator
-    return Fixed(e.positions, e.limits, e.reach, e.mode, e.axes, e.index, e.weights, n)
+    return Fixed(e.positions, e.limits, e.reach, e.mode, e.axes, e.bands, e.weights, n)
 
 
 def state_of(fixed: Fixed, deployment: Deployment) -> State:
@@ -210,11 +202,13 @@ def state_of(fixed: Fixed, deployment: Deployment) -> State:
         hidden=np.zeros((positions, count), dtype=np.int16),
         units=np.zeros(positions, dtype=np.int64),
     )
+    evaluate_range(0, positions, fixed.positions, state.landmarks[None], state.normals[None], *fixed[1:],
+                   state.units[None], state.counts[None], True)  # fmt: skip
     _fill(fixed, state)
     return state
 
 
 def scratch_of(state: State) -> Scratch:
     """Working memory for trials on `state`."""
-    flags = np.empty((3, state.landmarks.shape[1]), dtype=np.uint8)
+    flags = np.empty((3, state.landmarks.shape[1]), dtype=np.bool_)
     return Scratch(np.empty_like(state.counts[0]), flags[0], flags[1], flags[2])

@@ -34,7 +34,7 @@ HEIGHT_BINS = 512
 HEIGHT_MARGIN = 1e-6
 
 OCCLUSION_CODES = {"none": 0, "paper": 1, "line_of_sight": 2}
-_PAPER = OCCLUSION_CODES["paper"]
+_LINE_OF_SIGHT = OCCLUSION_CODES["line_of_sight"]
 
 
 def in_blocks(values: FloatArray) -> FloatArray:
@@ -54,7 +54,7 @@ def height_index(heights: FloatArray) -> np.ndarray:
 
 
 @njit(nogil=True, cache=True)
-def _band(height, cosine, index):
+def band_of(height, cosine, bands):
     """First and last + 1 axis that can lie within arccos(cosine) of a direction at `height`, in whole blocks."""
     cosine = min(max(cosine, -1.0), 1.0)
     sine = math.sqrt(1.0 - cosine * cosine)
@@ -65,79 +65,14 @@ def _band(height, cosine, index):
     first = max(math.floor((low - HEIGHT_MARGIN + 1.0) * scale), 0)
     # Twice the margin: the table starts each bin one margin early.
     last = min(math.floor((high + 2.0 * HEIGHT_MARGIN + 1.0) * scale) + 1, HEIGHT_BINS + 1)
-    return index[first] & -BLOCK, (index[last] + BLOCK - 1) & -BLOCK
+    return bands[first] & -BLOCK, (bands[last] + BLOCK - 1) & -BLOCK
 
 
 @njit(nogil=True, cache=True)
-def _offsets(position, landmarks, offset):
-    """Write d = s - p, |d|^2 and |d| of every landmark into the rows of `offset` `(5, K)`."""
-    px, py, pz = position
-    for k in range(landmarks.shape[1]):
-        x, y, z = landmarks[0, k] - px, landmarks[1, k] - py, landmarks[2, k] - pz
-        squared = x * x + y * y + z * z
-        offset[0, k], offset[1, k], offset[2, k] = x, y, z
-        offset[3, k], offset[4, k] = squared, math.sqrt(squared)
-
-
-@njit(nogil=True, cache=True)
-def _reachable(k, offset, normals, limits):
-    """Whether landmark k faces the camera and some depth up to its distance is within the limits."""
-    distance = offset[4, k]
-    if distance * limits[0] > limits[2] or distance * (1.0 + TOLERANCE) < limits[1]:
-        return False
-    facing = normals[0, k] * offset[0, k] + normals[1, k] * offset[1, k] + normals[2, k] * offset[2, k]
-    return -facing > TOLERANCE * distance
-
-
-@njit(nogil=True, cache=True)
-def _hidden(k, offset, reach, mode):
-    """Whether another landmark lies within nu of the line of sight to landmark k (Eq. occlusion2)."""
-    x, y, z, squared = offset[0, k], offset[1, k], offset[2, k], offset[3, k]
-    bound = reach * squared
-    hiding = 0
-    for j in range(offset.shape[1]):
-        cx = offset[1, j] * z - offset[2, j] * y
-        cy = offset[2, j] * x - offset[0, j] * z
-        cz = offset[0, j] * y - offset[1, j] * x
-        hiding += cx * cx + cy * cy + cz * cz <= bound
-    if hiding <= 1 or mode == _PAPER:  # the landmark itself is always one of them
-        return hiding > 1
-    further = squared * (1.0 + TOLERANCE)
-    for j in range(offset.shape[1]):
-        cx = offset[1, j] * z - offset[2, j] * y
-        cy = offset[2, j] * x - offset[0, j] * z
-        cz = offset[0, j] * y - offset[1, j] * x
-        in_front = x * offset[0, j] + y * offset[1, j] + z * offset[2, j] > 0.0
-        if j != k and in_front and cx * cx + cy * cy + cz * cz <= bound and offset[3, j] <= further:
-            return True
-    return False
-
-
-@njit(nogil=True, cache=True)
-def add_cap(k, offset, limits, axes, index, counts, step):
-    """Add `step` to the count of every axis inside the cap of landmark k."""
-    x, y, z, distance = offset[0, k], offset[1, k], offset[2, k], offset[4, k]
-    low, high = max(distance * limits[0], limits[1]), limits[2]
-    first, last = _band(z / distance, low / distance, index)
-    # Unsigned, so that the compiler sees indices that cannot be negative and vectorises the loop.
-    for a in range(np.uint64(first), np.uint64(last)):
-        depth = axes[0, a] * x + axes[1, a] * y + axes[2, a] * z
-        counts[a] += step * ((depth >= low) & (depth <= high))
-
-
-@njit(nogil=True, cache=True)
-def count_at(position, landmarks, normals, limits, reach, mode, axes, index, offset, counts):
-    """Landmarks covered along every axis at one position, written into `counts` `(D,)`."""
-    counts[:] = 0
-    _offsets(position, landmarks, offset)
-    for k in range(landmarks.shape[1]):
-        if _reachable(k, offset, normals, limits) and not (mode and _hidden(k, offset, reach, mode)):
-            add_cap(k, offset, limits, axes, index, counts, 1)
-
-
-@njit(nogil=True, cache=True)
-def counts_in_range(first, last, positions, landmarks, normals, limits, reach, mode, axes, index, out):
-    """Fill `out[b, first:last]` `(B, P, D)` int32 with counts.
+def evaluate_range(
+    first, last, positions, landmarks, normals, limits, reach, mode, axes, bands, weights, n, units, counts, keep
+):  # fmt: skip
+    """Evaluate deployments at the positions `first` to `last`.
 
     Args:
         positions: `(P, 3)`.
@@ -146,29 +81,63 @@ def counts_in_range(first, last, positions, landmarks, normals, limits, reach, m
         reach: squared virtual diameter with tolerance.
         mode: a value of `OCCLUSION_CODES`.
         axes: `(3, D)` sorted by height and filled up by `in_blocks`.
-        index: their `height_index`.
+        bands: their `height_index`.
+        weights: probability of each axis in integer units, `(D,)`.
+        n: landmarks that must be covered.
+        units: `(B, P)` int64, receives P_n in integer units.
+        counts: `(B, P, D)` int16, receives landmarks covered per axis if `keep` is set.
     """
-    offset = np.empty((5, landmarks.shape[2]))
+    # One long body: handing arrays on to a function costs an atomic reference count, as much as the work itself.
+    count, size = landmarks.shape[2], axes.shape[1]
+    min_cosine, min_depth, max_depth = limits[0], limits[1], limits[2]
+    x, y, z = np.empty(count), np.empty(count), np.empty(count)
+    squared, distance = np.empty(count), np.empty(count)
+    candidate = np.empty(count, dtype=np.bool_)
+    row = np.empty(size, dtype=np.int16)
     for b in range(landmarks.shape[0]):
         for p in range(first, last):
-            count_at(positions[p], landmarks[b], normals[b], limits, reach, mode, axes, index, offset, out[b, p])
-
-
-@njit(nogil=True, cache=True)
-def units_of(counts, weights, n):
-    """P_n in integer units: the sum of `weights` `(D,)` int64 where at least n landmarks are covered."""
-    total = np.int64(0)
-    for a in range(len(counts)):
-        total += weights[a] * (counts[a] >= n)
-    return total
-
-
-@njit(nogil=True, cache=True)
-def units_in_range(first, last, positions, landmarks, normals, limits, reach, mode, axes, index, weights, n, out):
-    """Fill `out[b, first:last]` `(B, P)` int64 with P_n in integer units; arguments as in `counts_in_range`."""
-    offset = np.empty((5, landmarks.shape[2]))
-    counts = np.empty(axes.shape[1], dtype=np.int32)
-    for b in range(landmarks.shape[0]):
-        for p in range(first, last):
-            count_at(positions[p], landmarks[b], normals[b], limits, reach, mode, axes, index, offset, counts)
-            out[b, p] = units_of(counts, weights, n)
+            px, py, pz = positions[p, 0], positions[p, 1], positions[p, 2]
+            for k in range(count):
+                x[k], y[k], z[k] = landmarks[b, 0, k] - px, landmarks[b, 1, k] - py, landmarks[b, 2, k] - pz
+                squared[k] = x[k] * x[k] + y[k] * y[k] + z[k] * z[k]
+                distance[k] = math.sqrt(squared[k])
+                facing = normals[b, 0, k] * x[k] + normals[b, 1, k] * y[k] + normals[b, 2, k] * z[k]
+                in_reach = (distance[k] * min_cosine <= max_depth) & (distance[k] * (1.0 + TOLERANCE) >= min_depth)
+                candidate[k] = in_reach & (-facing > TOLERANCE * distance[k])
+            for a in range(size):
+                row[a] = 0
+            for k in range(count):
+                if not candidate[k]:
+                    continue
+                xk, yk, zk = x[k], y[k], z[k]
+                if mode:
+                    bound, further, hiding = reach * squared[k], squared[k] * (1.0 + TOLERANCE), 0
+                    for j in range(count):
+                        cx = y[j] * zk - z[j] * yk
+                        cy = z[j] * xk - x[j] * zk
+                        cz = x[j] * yk - y[j] * xk
+                        hiding += cx * cx + cy * cy + cz * cz <= bound
+                    if mode == _LINE_OF_SIGHT and hiding > 1:
+                        hiding = 1
+                        for j in range(count):
+                            cx = y[j] * zk - z[j] * yk
+                            cy = z[j] * xk - x[j] * zk
+                            cz = x[j] * yk - y[j] * xk
+                            in_front = xk * x[j] + yk * y[j] + zk * z[j] > 0.0
+                            near = cx * cx + cy * cy + cz * cz <= bound and squared[j] <= further
+                            hiding += j != k and in_front and near
+                    if hiding > 1:  # the landmark itself is always one of them
+                        continue
+                low = max(distance[k] * min_cosine, min_depth)
+                start, stop = band_of(zk / distance[k], low / distance[k], bands)
+                # Unsigned, so that the compiler sees indices that cannot be negative and vectorises the loop.
+                for a in range(np.uint64(start), np.uint64(stop)):
+                    depth = axes[0, a] * xk + axes[1, a] * yk + axes[2, a] * zk
+                    row[a] += (depth >= low) & (depth <= max_depth)
+            total = np.int64(0)
+            for a in range(size):
+                total += weights[a] if row[a] >= n else 0
+            units[b, p] = total
+            if keep:
+                for a in range(size):
+                    counts[b, p, a] = row[a]

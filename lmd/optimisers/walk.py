@@ -70,10 +70,10 @@ def walls_of(room: Room) -> Walls:
     """The walls of a room that may carry landmarks."""
     walls = room.landmark_walls()
     area = np.array([wall.area for wall in walls])
-    return Walls(
-        *(np.array([getattr(wall, name) for wall in walls]) for name in ("origin", "u", "v", "normal", "extent")),
-        shares=np.cumsum(area / area.sum()),
+    origin, u, v, normal, extent = (
+        np.array([getattr(wall, name) for wall in walls]) for name in ("origin", "u", "v", "normal", "extent")
     )
+    return Walls(origin, u, v, normal, extent, np.cumsum(area / area.sum()))
 
 
 @njit(nogil=True, cache=True)

@@ -1,0 +1,132 @@
+"""Compare optimisers: `python -m pipelines.compare optimisers=[annealing,ega] seeds=5 [overrides]`."""
+
+import multiprocessing
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import hydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
+from omegaconf import DictConfig, open_dict
+
+from pipelines.app import CONF, build_problem, input_errors_reported, instantiate, run_directory
+
+if TYPE_CHECKING:
+    from lmd.comparison import Outcome
+    from lmd.optimisers.base import Budget
+    from lmd.tracking import Tracker
+
+# Settings of the comparison itself; every other override is passed on to its runs.
+OWN_KEYS = ("optimisers", "seeds", "workers", "save_as", "budget", "seed", "tracking")
+
+
+@hydra.main(version_base="1.3", config_path=CONF, config_name="compare")
+def main(cfg: DictConfig) -> None:
+    """Run every optimiser with every seed, and write the table and the plot."""
+    with input_errors_reported():
+        compare(cfg)
+
+
+def compare(cfg: DictConfig) -> None:
+    """Run the configured comparison."""
+    from lmd.checks import InputError, integer
+    from lmd.comparison import comparison_table, to_markdown
+    from lmd.coverage.evaluator import available_threads
+    from lmd.optimisers.base import Budget
+    from lmd.plot.comparison import save_comparison_figure
+    from pipelines.recording import title_of, tracked_run
+
+    problem = build_problem(cfg)
+    budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
+    seeds = range(integer("seed", cfg.seed, low=0), cfg.seed + integer("seeds", cfg.seeds, low=1))
+    workers = available_threads() if cfg.workers is None else integer("workers", cfg.workers, low=1)
+    if not cfg.optimisers:
+        raise InputError("optimisers must name at least one optimiser.")
+    configs = {str(entry): _compose(str(entry)) for entry in cfg.optimisers}
+    jobs = [(name, configs[name], seed, budget) for seed in seeds for name in configs]
+    directory, outcomes = run_directory(), []
+    with tracked_run(cfg, problem, "compare") as tracker:
+        for outcome in _outcomes(jobs, workers):
+            outcomes.append(outcome)
+            _log_child(cfg, outcome, tracker.run_id)
+            print(f"{len(outcomes)}/{len(jobs)} {outcome.optimiser} seed={outcome.seed}: "
+                  f"{outcome.metrics['qualified_ratio']:.2%}", flush=True)  # fmt: skip
+        table = comparison_table(outcomes)
+        table.to_csv(directory / "comparison.csv", index=False)
+        markdown = to_markdown(table)
+        (directory / "comparison.md").write_text(markdown)
+        axis = "evaluations" if budget.evaluations else "wall_time"
+        save_comparison_figure(directory / "comparison.png", outcomes, axis, title_of(problem, f"{len(seeds)} seeds,"))
+        tracker.log_artifacts([directory / f"comparison.{kind}" for kind in ("csv", "md", "png")])
+        tracker.finish("FINISHED")
+    if cfg.save_as is not None:
+        for kind in ("md", "png"):
+            target = Path(f"{cfg.save_as}.{kind}")
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes((directory / f"comparison.{kind}").read_bytes())
+    print(f"\n{markdown}\nfiles: {directory}")
+
+
+def _compose(entry: str) -> DictConfig:
+    """The `optimise` configuration for one entry of `optimisers`: a name, then overrides of its own."""
+    from hydra.core.global_hydra import GlobalHydra
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+    from hydra.errors import HydraException
+
+    from lmd.checks import InputError
+
+    given = HydraConfig.get().overrides
+    parsed = OverridesParser.create().parse_overrides(list(given.task))
+    shared = [str(o.input_line) for o in parsed if str(o.key_or_group).split(".")[0] not in OWN_KEYS]
+    search_path = [o for o in given.hydra if o.startswith("hydra.searchpath=")]
+    name, *own = entry.split()
+    try:
+        loader = GlobalHydra.instance().config_loader()
+        cfg = loader.load_configuration(
+            "optimise", [*shared, *search_path, f"optimiser={name}", *own], RunMode.RUN, validate_sweep_overrides=False
+        )
+    except HydraException as error:
+        raise InputError(f"optimisers: {entry!r} is refused: {str(error).splitlines()[0]}") from error
+    with open_dict(cfg):
+        cfg.pop("hydra")
+    return cfg
+
+
+def _run(job: "tuple[str, DictConfig, int, Budget]") -> "Outcome":
+    """One run, on one thread."""
+    from lmd.comparison import Outcome
+
+    name, cfg, seed, budget = job
+    cfg.threads = 1
+    problem = build_problem(cfg)
+    result = instantiate(cfg.optimiser, seed=seed).run(problem, budget)
+    return Outcome(name, seed, problem.metrics(result.deployment), result.history)
+
+
+def _outcomes(jobs: "Sequence[tuple[str, DictConfig, int, Budget]]", workers: int) -> "Iterator[Outcome]":
+    """Results as they come, from processes of their own when there is more than one worker."""
+    if workers == 1:
+        yield from map(_run, jobs)
+        return
+    with multiprocessing.get_context("spawn").Pool(min(workers, len(jobs))) as pool:
+        yield from pool.imap_unordered(_run, jobs)
+
+
+def _log_child(cfg: DictConfig, outcome: "Outcome", parent: str | None) -> None:
+    """Record one run below the comparison's own."""
+    from pipelines.progress import thinned
+
+    tracker: Tracker = instantiate(cfg.tracking)
+    tags = {"choice.optimiser": outcome.optimiser.split()[0]}
+    if parent is not None:
+        tags["mlflow.parentRunId"] = parent
+    params = {"optimiser": outcome.optimiser, "seed": outcome.seed}
+    tracker.start(f"{outcome.optimiser} seed={outcome.seed}", params, tags, None)
+    tracker.log_curve("best_fitness", thinned(outcome.history))
+    tracker.log_metrics(outcome.metrics)
+    tracker.finish("FINISHED")
+
+
+if __name__ == "__main__":
+    main()

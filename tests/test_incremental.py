@@ -1,0 +1,47 @@
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import deployments, scenes_with_boundary_landmarks, scenes_with_deployments, seeds
+
+from lmd.coverage import reference
+from lmd.coverage.evaluator import Evaluator
+from lmd.coverage.incremental import fixed_of, move, scratch_of, state_of
+from lmd.deployment import Deployment
+
+
+def moved(scene, deployment, targets, n, rng):
+    """The state after moving random landmarks to each of `targets` in turn, and what the trials promised."""
+    fixed = fixed_of(Evaluator(scene, threads=1), n)
+    state = state_of(fixed, deployment)
+    scratch, units = scratch_of(state), np.empty_like(state.units)
+    for position, normal in zip(targets.positions, targets.normals, strict=True):
+        k = int(rng.integers(len(deployment)))
+        before = [array.copy() for array in state]
+        move(k, *position, *normal, fixed, state, scratch, units, False)
+        assert all((a == b).all() for a, b in zip(state, before, strict=True)), "a trial changed the state"
+        promised = units.copy()
+        move(k, *position, *normal, fixed, state, scratch, units, True)
+        np.testing.assert_array_equal(state.units, promised)
+    return fixed, state
+
+
+def check(scene, deployment, targets, n, seed):
+    fixed, state = moved(scene, deployment, targets, n, np.random.default_rng(seed))
+    now = Deployment(state.landmarks.T, state.normals.T)
+    for array, fresh in zip(state, state_of(fixed, now), strict=True):
+        np.testing.assert_array_equal(array, fresh)
+    np.testing.assert_array_equal(state.counts[:, scene.pdf.axis_of], reference.counts(scene, now))
+
+
+@settings(max_examples=60)
+@given(data=st.data(), n=st.integers(1, 4), seed=seeds)
+def test_after_any_moves_the_counts_are_the_references(data, n, seed):
+    scene, deployment = data.draw(scenes_with_deployments())
+    check(scene, deployment, data.draw(deployments(scene.room)), n, seed)
+
+
+@settings(max_examples=60)
+@given(scene_and_targets=scenes_with_boundary_landmarks(), n=st.integers(1, 3), seed=seeds, data=st.data())
+def test_moves_onto_a_boundary_are_exact_too(scene_and_targets, n, seed, data):
+    scene, targets = scene_and_targets
+    check(scene, data.draw(deployments(scene.room, most=6)), targets, n, seed)
