@@ -54,7 +54,8 @@ def test_curves_are_steps():
 def test_a_comparison_leaves_a_table_a_plot_and_nested_runs(tmp_path):
     done = call(
         "compare", "optimisers=[ega,'ega optimiser.population=12']", "seeds=2", "budget.evaluations=40",
-        "deployment.count=20", "hydra.run.dir=run", "save_as=docs/table", "tracking.uri=sqlite:///store.db", cwd=tmp_path,
+        "deployment.count=20", "hydra.run.dir=run", "save_as=docs/table", "tracking.uri=sqlite:///store.db",
+        cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     table = pd.read_csv(tmp_path / "run" / "comparison.csv")
@@ -110,7 +111,8 @@ def test_an_optimiser_is_added_from_a_folder_outside_the_repository(tmp_path):
     (group / "hill.yaml").write_text("_target_: climbing.HillClimber\nstep: 0.05\n")
     (tmp_path / "climbing.py").write_text(PLUGIN)
     overrides = [f"hydra.searchpath=[file://{tmp_path}/mine]", "optimiser=hill", "budget.evaluations=33",
-                 "deployment.count=20", "page=false", "hydra.run.dir=run", "tracking.uri=sqlite:///store.db"]  # fmt: skip
+                 "deployment.count=20", "page=false", "hydra.run.dir=run",
+                 "tracking.uri=sqlite:///store.db"]  # fmt: skip
     environ = environment()
     environ["PYTHONPATH"] += f":{tmp_path}"
     done = subprocess.run(

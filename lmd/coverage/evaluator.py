@@ -72,8 +72,22 @@ class Evaluator:
         size = len(self.positions)
         units = np.empty((len(positions), size), dtype=np.int64)
         counts = np.empty((len(positions), size, self.axes.shape[1]) if keep else (0, 0, 0), dtype=np.int16)
-        scene = (self.positions, *(np.ascontiguousarray(v.transpose(0, 2, 1)) for v in (positions, normals)))
-        rest = (self.limits, self.reach, self.mode, self.axes, self.bands, self.weights, n, units, counts, keep)
+        scene: tuple[Any, ...] = (
+            self.positions,
+            *(np.ascontiguousarray(v.transpose(0, 2, 1)) for v in (positions, normals)),
+        )
+        rest: tuple[Any, ...] = (
+            self.limits,
+            self.reach,
+            self.mode,
+            self.axes,
+            self.bands,
+            self.weights,
+            n,
+            units,
+            counts,
+            keep,
+        )
         kernel: Any = kernels.evaluate_range
         if self.threads == 1:
             kernel(0, size, *scene, *rest)

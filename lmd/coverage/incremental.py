@@ -195,8 +195,8 @@ def state_of(fixed: Fixed, deployment: Deployment) -> State:
     """The coverage of `deployment`, ready for moves."""
     positions, count, axes = len(fixed.positions), len(deployment), fixed.axes.shape[1]
     state = State(
-        landmarks=np.ascontiguousarray(deployment.positions.T),
-        normals=np.ascontiguousarray(deployment.normals.T),
+        landmarks=deployment.positions.T.copy(order="C"),
+        normals=deployment.normals.T.copy(order="C"),
         counts=np.zeros((positions, axes), dtype=np.int16),
         reachable=np.zeros((positions, count), dtype=np.bool_),
         hidden=np.zeros((positions, count), dtype=np.int16),
