@@ -7,7 +7,7 @@ EVALUATIONS ?= 3000
 export MLFLOW_DISABLE_TELEMETRY := true
 export DO_NOT_TRACK := true
 
-.PHONY: run test lint ui install docs clean
+.PHONY: install run test lint ui figures clean
 
 install: $(VENV)/installed
 
@@ -31,6 +31,10 @@ lint: install  ## style and types
 
 ui: install  ## browse the runs at http://127.0.0.1:5000
 	$(BIN)/mlflow ui --backend-store-uri sqlite:///outputs/mlflow.db --host 127.0.0.1 --port 5000
+
+figures: install  ## the picture in the README
+	$(BIN)/python -m pipelines.optimise seed=0 tracking=none page=false hydra.run.dir=outputs/figures
+	cp outputs/figures/scene.png docs/images/optimised.png
 
 clean:  ## remove the environment and caches, keep outputs
 	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
