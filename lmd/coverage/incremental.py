@@ -39,7 +39,8 @@ class State(NamedTuple):
     """Coverage of one deployment.
 
     landmarks, normals `(3, K)`; counts `(P, D)` landmarks covered per position and axis; reachable `(P, K)` whether
-    a landmark faces a position within reach of the camera; hidden `(P, K)` how many others hide it; units `(P,)` P_n.
+    a landmark faces a position within reach of the camera; hidden `(P, K)` how many others hide it, hiding `(P, K)` how
+    many others it hides; units `(P,)` P_n.
     """
 
     landmarks: np.ndarray
@@ -47,6 +48,7 @@ class State(NamedTuple):
     counts: np.ndarray
     reachable: np.ndarray
     hidden: np.ndarray
+    hiding: np.ndarray
     units: np.ndarray
 
 
@@ -55,6 +57,7 @@ class Scratch(NamedTuple):
 
     counts: np.ndarray
     hid: np.ndarray
+    hidden_by_then: np.ndarray
     hides: np.ndarray
     hidden_by: np.ndarray
 
@@ -123,21 +126,29 @@ def move(k, ax, ay, az, nx, ny, nz, fixed, state, scratch, units, commit):
     """
     # Unpacked once, and the loop body not split into functions: passing an array on costs an atomic reference count.
     positions, limits, reach, mode, axes, bands, weights, n = fixed
-    landmarks, normals, counts, reachable, hidden, before = state
-    row, hid, hides, hidden_by = scratch
+    landmarks, normals, counts, reachable, hidden, hiding, before = state
+    row, hid, hidden_by_then, hides, hidden_by = scratch
+    count = landmarks.shape[1]
+    for i in range(count):
+        hid[i] = hidden_by_then[i] = False
     for p in range(len(units)):
         px, py, pz = positions[p, 0], positions[p, 1], positions[p, 2]
         x, y, z = landmarks[0, k] - px, landmarks[1, k] - py, landmarks[2, k] - pz
         x1, y1, z1 = ax - px, ay - py, az - pz
         leaves = reachable[p, k] and hidden[p, k] == 0
         comes = reached = reaches(x1, y1, z1, nx, ny, nz, limits)
-        blocked, others = 0, False
+        blocked, others, known = 0, False, False
         if mode:
-            count_hid, _ = _flag_hiding(px, py, pz, x, y, z, landmarks, reach, mode, hid, hidden_by)
+            # Most landmarks hide nothing and are hidden by nothing: then there is nothing to find out again.
+            known = hiding[p, k] > 0 or (commit and hidden[p, k] > 0)
+            if known:
+                _flag_hiding(px, py, pz, x, y, z, landmarks, reach, mode, hid, hidden_by_then)
             count_hides, blocked = _flag_hiding(px, py, pz, x1, y1, z1, landmarks, reach, mode, hides, hidden_by)
-            blocked -= hidden_by[k]  # where it was before it moved
+            # Not itself, where it was before it moved.
+            count_hides -= hides[k]
+            blocked -= hidden_by[k]
             comes = reached and blocked == 0
-            others = count_hid > hid[k] or count_hides > hides[k]
+            others = hiding[p, k] > 0 or count_hides > 0
         units[p] = before[p]
         if leaves or comes or others:
             for a in range(counts.shape[1]):  # a slice assignment would take ten times as long
@@ -145,7 +156,7 @@ def move(k, ax, ay, az, nx, ny, nz, fixed, state, scratch, units, commit):
             if leaves:
                 units[p] += change_cap(x, y, z, -1, limits, axes, bands, weights, n, row)
             if others:
-                for i in range(landmarks.shape[1]):
+                for i in range(count):
                     if i == k or hid[i] == hides[i]:
                         continue
                     was = hidden[p, i]
@@ -163,6 +174,14 @@ def move(k, ax, ay, az, nx, ny, nz, fixed, state, scratch, units, commit):
                     counts[p, a] = row[a]
         if commit:
             hidden[p, k], reachable[p, k], before[p] = blocked, reached, units[p]
+            if mode:
+                if known or blocked > 0:
+                    for i in range(count):
+                        hiding[p, i] += hidden_by[i] - hidden_by_then[i]
+                hiding[p, k] = count_hides
+        if known:
+            for i in range(count):
+                hid[i] = hidden_by_then[i] = False
     if commit:
         landmarks[0, k], landmarks[1, k], landmarks[2, k] = ax, ay, az
         normals[0, k], normals[1, k], normals[2, k] = nx, ny, nz
@@ -170,9 +189,9 @@ def move(k, ax, ay, az, nx, ny, nz, fixed, state, scratch, units, commit):
 
 @njit(nogil=True, cache=True)
 def _fill(fixed, state):
-    """Compute `reachable` and `hidden` of `state` from its landmarks."""
+    """Compute `reachable`, `hidden` and `hiding` of `state` from its landmarks."""
     positions, limits, reach, mode, _, _, _, _ = fixed
-    landmarks, normals, _, reachable, hidden, _ = state
+    landmarks, normals, _, reachable, hidden, hiding, _ = state
     count = landmarks.shape[1]
     hides, hidden_by = np.empty(count, dtype=np.bool_), np.empty(count, dtype=np.bool_)
     for p in range(len(positions)):
@@ -181,8 +200,8 @@ def _fill(fixed, state):
             x, y, z = landmarks[0, k] - px, landmarks[1, k] - py, landmarks[2, k] - pz
             reachable[p, k] = reaches(x, y, z, normals[0, k], normals[1, k], normals[2, k], limits)
             if mode:
-                _, by = _flag_hiding(px, py, pz, x, y, z, landmarks, reach, mode, hides, hidden_by)
-                hidden[p, k] = by - hidden_by[k]
+                count_hides, by = _flag_hiding(px, py, pz, x, y, z, landmarks, reach, mode, hides, hidden_by)
+                hiding[p, k], hidden[p, k] = count_hides - hides[k], by - hidden_by[k]
 
 
 def fixed_of(evaluator: Evaluator, n: int) -> Fixed:
@@ -200,6 +219,7 @@ def state_of(fixed: Fixed, deployment: Deployment) -> State:
         counts=np.zeros((positions, axes), dtype=np.int16),
         reachable=np.zeros((positions, count), dtype=np.bool_),
         hidden=np.zeros((positions, count), dtype=np.int16),
+        hiding=np.zeros((positions, count), dtype=np.int16),
         units=np.zeros(positions, dtype=np.int64),
     )
     evaluate_range(0, positions, fixed.positions, state.landmarks[None], state.normals[None], *fixed[1:],
@@ -210,5 +230,5 @@ def state_of(fixed: Fixed, deployment: Deployment) -> State:
 
 def scratch_of(state: State) -> Scratch:
     """Working memory for trials on `state`."""
-    flags = np.empty((3, state.landmarks.shape[1]), dtype=np.bool_)
-    return Scratch(np.empty_like(state.counts[0]), flags[0], flags[1], flags[2])
+    flags = np.empty((4, state.landmarks.shape[1]), dtype=np.bool_)
+    return Scratch(np.empty_like(state.counts[0]), *flags)
