@@ -39,6 +39,7 @@ class Stage:
         share: weight of the average P_n beside the smooth step.
         jump: probability that a move goes anywhere on the walls.
         join: probability that a move goes next to another landmark.
+        together: probability that a landmark takes its n - 1 nearest neighbours along.
 
     Raises:
         InputError: a value is out of range.
@@ -51,6 +52,7 @@ class Stage:
     share: float = 0.1
     jump: float = 0.1
     join: float = 0.1
+    together: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("temperature", "width", "step"):
@@ -59,6 +61,7 @@ class Stage:
         real("optimiser.share", self.share, low=0.0)
         real("optimiser.jump", self.jump, low=0.0, high=1.0)
         real("optimiser.join", self.join, low=0.0, high=1.0 - self.jump)
+        real("optimiser.together", self.together, low=0.0, high=1.0)
 
     def climate(self, progress: float, near: float) -> Climate:
         """The conditions after a share `progress` in [0, 1] of the stage."""
@@ -68,7 +71,15 @@ class Stage:
             return float(first * (last / first) ** min(progress, 1.0))
 
         return Climate(
-            now(self.temperature), now(self.width), self.margin, self.share, now(self.step), self.jump, self.join, near
+            temperature=now(self.temperature),
+            width=now(self.width),
+            margin=self.margin,
+            share=self.share,
+            step=now(self.step),
+            jump=self.jump,
+            join=self.join,
+            near=near,
+            together=self.together,
         )
 
 
@@ -181,11 +192,11 @@ class _Ground:
 
     def __init__(self, problem: CoverageProblem) -> None:
         objective = problem.objective
-        self.single = fixed_of(problem.evaluator, objective.n)
+        self.single = fixed_of(problem.fitness_evaluator, objective.n)
         # A stack of n that nothing hides is seen whenever one landmark in its place is.
         self.stacked = self.single._replace(n=1, mode=0)
         threshold = math.ceil((objective.thold_p - TOLERANCE) * PROBABILITY_ONE)
-        self.goal = Goal(threshold, problem.relevance / problem.relevance.mean())
+        self.goal = Goal(threshold, problem.fitness_relevance / problem.fitness_relevance.mean())
         self.walls = walls_of(problem.scene.room)
 
     def enter(self, here: Deployment, in_stacks: bool, best: Deployment) -> None:

@@ -44,8 +44,8 @@ class PyCma(Wrapped):
 
 class _Session:
     def __init__(self, settings: PyCma, mean: FloatArray, rng: np.random.Generator) -> None:
-        import cma  # type: ignore[import-untyped]
-        from cma.restricted_gaussian_sampler import GaussVkDSampler  # type: ignore[import-untyped]
+        import cma
+        from cma.restricted_gaussian_sampler import GaussVkDSampler
 
         options: dict[str, Any] = {"bounds": [0, 1], "seed": int(rng.integers(1, 2**31)), "verbose": -9, "verb_log": 0}
         if settings.population is not None:

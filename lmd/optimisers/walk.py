@@ -1,4 +1,4 @@
-"""The Metropolis walk of simulated annealing: one landmark moves at a time on a smoothed objective.
+"""The Metropolis walk of simulated annealing: landmarks move one or a few at a time on a smoothed objective.
 
 The objective counts positions whose P_n reaches thold_p: a staircase that hides whether a move nearly qualified a
 position. The walk climbs a smooth stand-in, the relevance-weighted mean over positions of
@@ -45,7 +45,8 @@ class Climate(NamedTuple):
 
     temperature: loss (in the smoothed objective) accepted with probability 1/e; width, margin and share shape the
     smoothed objective; step: standard deviation of a local move, metres; jump: probability of a move to anywhere;
-    join: probability of a move next to another landmark, at a distance of about `near` metres.
+    join: probability of a move next to another landmark, at a distance of about `near` metres; together: probability
+    that a landmark takes its n - 1 nearest neighbours along, unchanged among themselves.
     """
 
     temperature: float
@@ -56,6 +57,7 @@ class Climate(NamedTuple):
     jump: float
     join: float
     near: float
+    together: float
 
 
 class Best(NamedTuple):
@@ -84,31 +86,82 @@ def _reflect(value, extent):
 
 
 @njit(nogil=True, cache=True)
+def _wall_of(k, state, walls):
+    """Index of the wall that landmark k faces away from."""
+    wall, facing = 0, -2.0
+    for w in range(len(walls.shares)):
+        cosine = 0.0
+        for i in range(3):
+            cosine += walls.normal[w, i] * state.normals[i, k]
+        if cosine > facing:
+            wall, facing = w, cosine
+    return wall
+
+
+@njit(nogil=True, cache=True)
 def _propose(k, state, walls, climate, rng):
     """A new place for landmark k, flush on a wall: index of the wall and wall coordinates."""
     kind = rng.random()
-    wall, last = 0, len(walls.shares) - 1
     if kind < climate.jump:
-        drawn = rng.random()
-        while wall < last and drawn > walls.shares[wall]:
+        wall, drawn = 0, rng.random()
+        while wall < len(walls.shares) - 1 and drawn > walls.shares[wall]:
             wall += 1
         return wall, rng.random() * walls.extent[wall, 0], rng.random() * walls.extent[wall, 1]
     near, step = k, climate.step
     if kind < climate.jump + climate.join:
         near, step = int(rng.random() * state.landmarks.shape[1]), climate.near
-    facing = -2.0
-    for w in range(last + 1):
-        cosine = 0.0
-        for i in range(3):
-            cosine += walls.normal[w, i] * state.normals[i, near]
-        if cosine > facing:
-            wall, facing = w, cosine
+    wall = _wall_of(near, state, walls)
     a, b = rng.normal() * step, rng.normal() * step
     for i in range(3):
         offset = state.landmarks[i, near] - walls.origin[wall, i]
         a += offset * walls.u[wall, i]
         b += offset * walls.v[wall, i]
     return wall, _reflect(a, walls.extent[wall, 0]), _reflect(b, walls.extent[wall, 1])
+
+
+@njit(nogil=True, cache=True)
+def _gather(k, state, group):
+    """Fill `group` with landmark k and its nearest neighbours."""
+    group[0] = k
+    for m in range(1, len(group)):
+        nearest = np.inf
+        for j in range(state.landmarks.shape[1]):
+            distance = 0.0
+            for i in range(3):
+                distance += (state.landmarks[i, j] - state.landmarks[i, k]) ** 2
+            taken = False
+            for other in group[:m]:
+                taken = taken or other == j
+            if distance < nearest and not taken:
+                nearest, group[m] = distance, j
+
+
+@njit(nogil=True, cache=True)
+def _places(group, state, walls, climate, rng, old, new):
+    """Write where the landmarks of `group` are and where they shall go, `(len(group), 6)`: position and normal.
+
+    The first goes to a proposed place, the others keep their offset from it in wall coordinates.
+    """
+    k = group[0]
+    before = _wall_of(k, state, walls)
+    wall, a, b = _propose(k, state, walls, climate, rng)
+    for m in range(len(group)):
+        da = db = 0.0
+        for i in range(3):
+            old[m, i], old[m, 3 + i] = state.landmarks[i, group[m]], state.normals[i, group[m]]
+            offset = state.landmarks[i, group[m]] - state.landmarks[i, k]
+            da += offset * walls.u[before, i]
+            db += offset * walls.v[before, i]
+        am, bm = _reflect(a + da, walls.extent[wall, 0]), _reflect(b + db, walls.extent[wall, 1])
+        for i in range(3):
+            new[m, i] = walls.origin[wall, i] + am * walls.u[wall, i] + bm * walls.v[wall, i]
+            new[m, 3 + i] = walls.normal[wall, i]
+
+
+@njit(nogil=True, cache=True)
+def _go(k, place, fixed, state, scratch, units, commit):
+    """`move` to a row of `_places`."""
+    move(k, place[0], place[1], place[2], place[3], place[4], place[5], fixed, state, scratch, units, commit)
 
 
 @njit(nogil=True, cache=True)
@@ -120,34 +173,46 @@ def _value(units, threshold, climate):
 
 @njit(nogil=True, cache=True)
 def walk(moves, fixed, state, scratch, goal, walls, climate, rng, best):
-    """Try `moves` moves from `state`, which ends where the walk ends; `best` is updated."""
-    before, threshold, relevance = state.units, goal.threshold, goal.relevance
-    positions, count = len(before), state.landmarks.shape[1]
-    units, value, trial = np.empty_like(before), np.empty(positions), np.empty(positions)
+    """Move landmarks `moves` times from `state`, which ends where the walk ends; `best` is updated."""
+    threshold, relevance = goal.threshold, goal.relevance
+    positions, count = len(state.units), state.landmarks.shape[1]
+    accepted, units = state.units.copy(), np.empty_like(state.units)
+    value, trial = np.empty(positions), np.empty(positions)
+    single, several = np.empty(1, dtype=np.int64), np.empty(min(fixed.n, count), dtype=np.int64)
+    old, new = np.empty((len(several), 6)), np.empty((len(several), 6))
     total = 0.0
     for p in range(positions):
-        value[p] = relevance[p] * _value(before[p], threshold, climate)
+        value[p] = relevance[p] * _value(accepted[p], threshold, climate)
         total += value[p]
-    for _ in range(moves):
-        k = int(rng.random() * count)
-        wall, a, b = _propose(k, state, walls, climate, rng)
-        x = walls.origin[wall, 0] + a * walls.u[wall, 0] + b * walls.v[wall, 0]
-        y = walls.origin[wall, 1] + a * walls.u[wall, 1] + b * walls.v[wall, 1]
-        z = walls.origin[wall, 2] + a * walls.u[wall, 2] + b * walls.v[wall, 2]
-        nx, ny, nz = walls.normal[wall, 0], walls.normal[wall, 1], walls.normal[wall, 2]
-        move(k, x, y, z, nx, ny, nz, fixed, state, scratch, units, False)
+    moved = 0
+    while moved < moves:
+        group = single
+        group[0] = int(rng.random() * count)
+        if moves - moved >= len(several) > 1 and rng.random() < climate.together:
+            _gather(group[0], state, several)
+            group = several
+        last = len(group) - 1
+        moved += last + 1
+        _places(group, state, walls, climate, rng, old, new)
+        for m in range(last):
+            _go(group[m], new[m], fixed, state, scratch, units, True)
+        _go(group[last], new[last], fixed, state, scratch, units, False)
         sum_value = fitness = 0.0
         for p in range(positions):
             trial[p] = value[p]
-            if units[p] != before[p]:
+            if units[p] != accepted[p]:
                 trial[p] = relevance[p] * _value(units[p], threshold, climate)
             sum_value += trial[p]
             fitness += relevance[p] * (units[p] >= threshold)
         gain = (sum_value - total) / positions
         if gain >= 0.0 or rng.random() < math.exp(gain / climate.temperature):
-            move(k, x, y, z, nx, ny, nz, fixed, state, scratch, units, True)
+            _go(group[last], new[last], fixed, state, scratch, units, True)
+            accepted[:] = units
             value, trial, total = trial, value, sum_value
             if fitness > best.fitness[0]:
                 best.fitness[0] = fitness
                 best.landmarks[:] = state.landmarks
                 best.normals[:] = state.normals
+        else:
+            for m in range(last):
+                _go(group[m], old[m], fixed, state, scratch, units, True)

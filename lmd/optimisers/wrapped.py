@@ -17,6 +17,9 @@ from lmd.optimisers.base import AskTell
 
 # Libraries minimise finite losses: what a failed evaluation costs them; fitness lies in [0, 1].
 FAILED = 1e3
+# Fitness is a share of positions, so many deployments tie. Later ones count as this much better: most libraries turn
+# ties down, and then never cross a plateau. Far less than one position is worth.
+NEWER = 1e-12
 
 
 class Session(Protocol):
@@ -58,7 +61,8 @@ class Wrapped(AskTell):
         return self._next()
 
     def _tell(self, genes: FloatArray, fitness: FloatArray) -> None:
-        losses = np.where(np.isfinite(fitness), -fitness, FAILED)
+        age = self.books.evaluations - np.arange(len(genes), 0, -1)
+        losses = np.where(np.isfinite(fitness), -fitness, FAILED) - NEWER * age
         self.told.append((zlib.crc32(genes.tobytes()), losses))
         self._pass_on(genes, losses)
 
