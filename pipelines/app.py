@@ -4,6 +4,7 @@ import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,10 +51,13 @@ def build_problem(cfg: DictConfig) -> "CoverageProblem":
         pdf=instantiate(cfg.pdf),
         visibility=instantiate(cfg.visibility),
     )
+    objective, start = instantiate(cfg.objective), instantiate(cfg.deployment)
+    if isinstance(start, partial):  # a source that depends on what the landmarks are for
+        start = start(scene=scene, objective=objective)
     return CoverageProblem(
         scene,
-        instantiate(cfg.objective),
-        instantiate(cfg.deployment),
+        objective,
+        start,
         encoding=cfg.encoding.kind,
         flush=cfg.encoding.flush,
         threads=cfg.threads,

@@ -129,8 +129,8 @@ class Annealing(Optimiser):
                 self.best = deployment
 
         if not self.spent:
-            self._begin(problem, limit)
-            enter(count, self.start)
+            spent = self._begin(problem, limit)
+            enter(spent + count, self.start)
         ground.enter(self.here, self.in_stacks, self.best)
         stopped = "budget"
         while (used := budget.used(self.spent / count, books.seconds)) < 1.0:
@@ -156,8 +156,8 @@ class Annealing(Optimiser):
                 break
         return self._result(self.best, stopped)
 
-    def _begin(self, problem: CoverageProblem, limit: float) -> None:
-        """Draw the start, and stack it if that pays."""
+    def _begin(self, problem: CoverageProblem, limit: float) -> int:
+        """Draw the start, and stack it if that pays; returns the landmarks moved to find the start."""
         n, count = problem.objective.n, problem.count
         self.rng = np.random.default_rng(self.seed)
         self.start = self.here = problem.start.draw(problem.scene.room, self.rng)
@@ -169,6 +169,7 @@ class Annealing(Optimiser):
             stacks = count // n
             self.angles = self.rng.uniform(0.0, 2.0 * np.pi, stacks)
             self.here = Deployment(self.start.positions[:stacks], self.start.normals[:stacks])
+        return 0
 
     def _apart(self, problem: CoverageProblem) -> Deployment:
         """The stacks pulled apart into n landmarks each; landmarks that fill no stack stay where they started."""

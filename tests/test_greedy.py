@@ -1,0 +1,79 @@
+import numpy as np
+import pytest
+from conftest import paper_room, paper_scene
+from hydra import compose, initialize_config_dir
+from test_optimisers import make, problem
+
+from lmd import pdf
+from lmd.coverage import reference
+from lmd.coverage.evaluator import Evaluator
+from lmd.coverage.poses import candidate_poses
+from lmd.deployment import Deployment, UniformDeployment
+from lmd.optimisers.base import Budget
+from lmd.optimisers.greedy import GreedyDeployment, select
+from lmd.problem import Objective
+from pipelines.app import CONF, build_problem
+
+SCENE = paper_scene(room=paper_room(spacing=2.0), orientations=pdf.solid_angle(5), occlusion="none")
+
+
+def surrogate(deployment, n):
+    """The mean over positions of the expected min(covered, n), by the reference."""
+    covered = np.minimum(reference.counts(SCENE, deployment), n)
+    return (covered * SCENE.pdf.weight).sum(axis=1).mean()
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_the_lazy_choice_is_the_greedy_choice(n):
+    poses, count = candidate_poses(SCENE.room, 2.5), 5
+    relevance = np.ones(len(SCENE.room.grid()))
+    chosen, evaluated = select(Evaluator(SCENE, threads=1), poses, relevance, n, count)
+    so_far: list[int] = []
+    for k in chosen:
+        values = [
+            surrogate(Deployment(poses.positions[[*so_far, j]], poses.normals[[*so_far, j]]), n)
+            for j in range(len(poses))
+            if j not in so_far
+        ]
+        so_far.append(int(k))
+        gained = surrogate(Deployment(poses.positions[so_far], poses.normals[so_far]), n)
+        assert gained == pytest.approx(max(values), abs=1e-12)
+    assert len(set(so_far)) == count
+    assert evaluated <= count * len(poses)
+
+
+def test_a_selection_stops_when_its_allowance_is_used_up():
+    poses = candidate_poses(SCENE.room, 2.5)
+    relevance = np.ones(len(SCENE.room.grid()))
+    chosen, evaluated = select(Evaluator(SCENE, threads=1), poses, relevance, 2, 30, allowance=len(poses) + 40)
+    assert 1 <= len(chosen) < 30
+    assert evaluated <= len(poses) + 40
+
+
+def test_greedy_beats_the_uniform_deployment_on_what_it_maximises():
+    greedy = GreedyDeployment(30, 0.8, SCENE, Objective(2, 0.5)).draw(SCENE.room, np.random.default_rng())
+
+    assert surrogate(greedy, 2) > surrogate(UniformDeployment(30).draw(SCENE.room, np.random.default_rng()), 2)
+
+
+def test_more_landmarks_than_poses_get_a_finer_grid():
+    greedy = GreedyDeployment(200, 2.5, SCENE, Objective(2, 0.5)).draw(SCENE.room, np.random.default_rng())
+    assert len(greedy) == 200
+    assert len(np.unique(greedy.positions, axis=0)) == 200
+
+
+@pytest.mark.parametrize("optimiser", ["ega", "annealing", "one_plus_one"])
+def test_any_optimiser_starts_from_greedy(optimiser):
+    overrides = ["deployment=greedy", "deployment.count=20", "deployment.spacing=0.8", "room.spacing=1.5", "threads=1"]
+    with initialize_config_dir(CONF, version_base="1.3"):
+        p = build_problem(compose("optimise", overrides))
+    start = p.fitness(p.start.draw(p.scene.room, np.random.default_rng()))
+    result = make(optimiser).run(p, Budget(20))
+    assert result.fitness >= start
+    assert result.history[0].best_fitness >= start
+
+
+def test_the_greedy_optimiser_pays_for_its_gains():
+    optimiser = make("greedy")
+    optimiser.run(problem(), Budget(200), lambda _: True)
+    assert optimiser.books.history[0].evaluations > 2.0
