@@ -1,8 +1,9 @@
 """Orientation PDFs: the probability of each camera orientation (yaw, pitch) on a discrete grid."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -15,6 +16,10 @@ SAME_AXIS_DECIMALS = 12
 # Each weight may be off by this much: weights printed with six decimals are accepted, and normalised.
 PRINTED_WEIGHT = 0.5e-6
 
+# Yaw and pitch (radians, `(S,)` each) from points `(S, 2)`: uniform points of the unit square become angles that
+# follow a continuous distribution.
+Angles = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+
 
 @dataclass(frozen=True)
 class OrientationPdf:
@@ -24,6 +29,8 @@ class OrientationPdf:
         yaw, pitch: angles of each orientation, radians, `(A,)`; pitch in [-pi/2, pi/2].
         weight: probability of each orientation, `(A,)`, not negative, sum 1 (what rounding misses is made up).
         name: where it came from, for messages.
+        refine: builds the same PDF at half the step; None for a PDF that is known only at its orientations.
+        continuous: the continuous distribution that the orientations stand for; None if they stand for themselves.
 
     Raises:
         InputError: shapes differ, an angle or weight is not finite or out of range, or the sum is not 1.
@@ -33,6 +40,8 @@ class OrientationPdf:
     pitch: FloatArray
     weight: FloatArray
     name: str = "pdf"
+    refine: "Callable[[], OrientationPdf] | None" = None
+    continuous: Angles | None = None
 
     def __post_init__(self) -> None:
         arrays = [np.asarray(v, dtype=np.float64) for v in (self.yaw, self.pitch, self.weight)]
@@ -81,14 +90,50 @@ class OrientationPdf:
         """Probability of each distinct axis, `(D,)`: the sum over its orientations."""
         return self._distinct[2]
 
+    def finer(self) -> "OrientationPdf":
+        """The same PDF at half the step, or itself where nothing is known between its orientations."""
+        return self if self.refine is None else self.refine()
+
+    def stratified(self, divisions: int, rng: np.random.Generator) -> "OrientationPdf":
+        """Orientations drawn from the continuous distribution, equally likely, or itself where there is none.
+
+        One is drawn in each of 2 divisions x divisions cells of equal probability: unbiased like independent draws, but
+        the P_n of a union of caps errs by divisions^-1.5 instead of divisions^-1, times a number well below 1.
+        """
+        if self.continuous is None:
+            return self
+        cells = np.stack(np.meshgrid(np.arange(2 * divisions), np.arange(divisions), indexing="ij"), axis=-1)
+        points = (cells + rng.random(cells.shape)) / (2 * divisions, divisions)
+        yaw, pitch = self.continuous(points.reshape(-1, 2))
+        return OrientationPdf(yaw, pitch, np.full(len(yaw), 1.0 / len(yaw)), f"{self.name}, stratified")
+
 
 def _divisions(value: int) -> int:
     return integer("pdf.divisions", value, low=1)
 
 
-def _product(yaw: FloatArray, pitch: FloatArray, weight: FloatArray, name: str) -> OrientationPdf:
+def _product(
+    yaw: FloatArray,
+    pitch: FloatArray,
+    weight: FloatArray,
+    name: str,
+    refine: Callable[[], OrientationPdf],
+    continuous: Angles,
+) -> OrientationPdf:
     grid_yaw, grid_pitch = (grid.reshape(-1) for grid in np.meshgrid(yaw, pitch, indexing="ij"))
-    return OrientationPdf(grid_yaw, grid_pitch, np.tile(weight, len(yaw)), name)
+    return OrientationPdf(grid_yaw, grid_pitch, np.tile(weight, len(yaw)), name, refine, continuous)
+
+
+def _uniform_angles(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return (2.0 * points[:, 0] - 1.0) * np.pi, (points[:, 1] - 0.5) * np.pi
+
+
+def _uniform_directions(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return (2.0 * points[:, 0] - 1.0) * np.pi, np.arcsin(2.0 * points[:, 1] - 1.0)
+
+
+def _uniform_yaw(points: FloatArray, pitch: float) -> tuple[FloatArray, FloatArray]:
+    return (2.0 * points[:, 0] - 1.0) * np.pi, np.full(len(points), pitch)
 
 
 def _cell_pitches(divisions: int) -> FloatArray:
@@ -113,7 +158,8 @@ def grid_with_ends(divisions: int = 12) -> OrientationPdf:
     n = _divisions(divisions)
     yaw, pitch = np.linspace(-np.pi, np.pi, 2 * n + 1), np.linspace(-np.pi / 2, np.pi / 2, n + 1)
     total = len(yaw) * len(pitch)
-    return _product(yaw, pitch, np.full(len(pitch), 1.0 / total), f"pdf grid_{total}")
+    refine = partial(grid_with_ends, 2 * n)
+    return _product(yaw, pitch, np.full(len(pitch), 1.0 / total), f"pdf grid_{total}", refine, _uniform_angles)
 
 
 def grid_of_cells(divisions: int = 12) -> OrientationPdf:
@@ -122,14 +168,16 @@ def grid_of_cells(divisions: int = 12) -> OrientationPdf:
     Yaw -pi, ..., pi - step; pitch at the middle of each step. Args as in `grid_with_ends`.
     """
     n = _divisions(divisions)
-    return _product(_open_yaws(n), _cell_pitches(n), np.full(n, 1.0 / (2 * n * n)), f"pdf grid_{2 * n * n}")
+    weight, refine = np.full(n, 1.0 / (2 * n * n)), partial(grid_of_cells, 2 * n)
+    return _product(_open_yaws(n), _cell_pitches(n), weight, f"pdf grid_{2 * n * n}", refine, _uniform_angles)
 
 
 def solid_angle(divisions: int = 12) -> OrientationPdf:
     """Uniform over the sphere: each cell of `grid_of_cells` weighs its solid angle over 4 pi."""
     n = _divisions(divisions)
-    edges = np.sin(np.linspace(-np.pi / 2, np.pi / 2, n + 1))
-    return _product(_open_yaws(n), _cell_pitches(n), np.diff(edges) / (4 * n), "pdf sphere")
+    weight = np.diff(np.sin(np.linspace(-np.pi / 2, np.pi / 2, n + 1))) / (4 * n)
+    refine = partial(solid_angle, 2 * n)
+    return _product(_open_yaws(n), _cell_pitches(n), weight, "pdf sphere", refine, _uniform_directions)
 
 
 def level_flight(divisions: int = 12, pitch: float = 0.0) -> OrientationPdf:
@@ -141,7 +189,8 @@ def level_flight(divisions: int = 12, pitch: float = 0.0) -> OrientationPdf:
     """
     n = _divisions(divisions)
     fixed = real("pdf.pitch", pitch, low=-np.pi / 2, high=np.pi / 2)
-    return _product(_open_yaws(n), np.array([fixed]), np.array([1.0 / (2 * n)]), "pdf yaw")
+    weight, refine = np.array([1.0 / (2 * n)]), partial(level_flight, 2 * n, fixed)
+    return _product(_open_yaws(n), np.array([fixed]), weight, "pdf yaw", refine, partial(_uniform_yaw, pitch=fixed))
 
 
 def from_csv(path: str | None) -> OrientationPdf:

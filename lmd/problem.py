@@ -1,7 +1,7 @@
 """The one fitness interface: a scene and an objective as a problem every optimiser can take."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,36 @@ from lmd.deployment import Deployment, DeploymentSource
 from lmd.encoding import make_encoding
 from lmd.scene import Scene
 
+# Seeds every draw of a `Design`: the problem is the same for every seed of an optimiser.
+DESIGN_STREAM = 0x64657369
+
+
+@dataclass(frozen=True)
+class Design:
+    """Random positions and orientations for a fitness that the room's grid cannot fool.
+
+    Args:
+        positions: drawn in the cell of each position of the room's grid, whose relevance they share.
+        divisions: orientations are drawn one in each of 2 `divisions` x `divisions` cells of equal probability, from
+            the continuous distribution that the PDF stands for; a PDF from samples is taken as it is.
+
+    Raises:
+        InputError: a number is less than 1.
+    """
+
+    positions: int = 4
+    divisions: int = 12
+
+    def __post_init__(self) -> None:
+        integer("objective.design.positions", self.positions, low=1)
+        integer("objective.design.divisions", self.divisions, low=1)
+
+    def evaluator(self, scene: Scene, threads: int | None) -> Evaluator:
+        """The evaluator at these positions and orientations; the positions go through the grid again and again."""
+        rng = np.random.default_rng(DESIGN_STREAM)
+        positions = np.vstack([scene.room.jittered_grid(rng) for _ in range(self.positions)])
+        return Evaluator(replace(scene, pdf=scene.pdf.stratified(self.divisions, rng)), positions, threads)
+
 
 @dataclass(frozen=True)
 class Objective:
@@ -22,6 +52,7 @@ class Objective:
     Args:
         n: landmarks the camera must see at the same time.
         thold_p: probability of that from which on a position is qualified.
+        design: where the fitness is measured; None for the room's grid and the PDF itself.
 
     Raises:
         InputError: n < 1 or thold_p outside [0, 1].
@@ -29,6 +60,7 @@ class Objective:
 
     n: int
     thold_p: float
+    design: Design | None = None
 
     def __post_init__(self) -> None:
         integer("objective.n", self.n, low=1)
@@ -37,6 +69,9 @@ class Objective:
 
 class CoverageProblem:
     """Maximise the relevance-weighted share of positions whose P_n reaches thold_p (Eq. argmaxH, normalised).
+
+    `evaluator` and `relevance` `(P,)` are those of the room's grid and the PDF, for every figure that is reported.
+    `fitness_evaluator` and `fitness_relevance` are those an optimiser climbs: the same, or the objective's design.
 
     Args:
         scene: what stays fixed.
@@ -70,6 +105,10 @@ class CoverageProblem:
             integer("threads", threads, low=1)
         self.evaluator = Evaluator(scene, threads=threads)
         self.relevance = scene.room.relevance.weights(self.evaluator.positions)
+        self.fitness_evaluator, self.fitness_relevance = self.evaluator, self.relevance
+        if objective.design is not None:
+            self.fitness_evaluator = objective.design.evaluator(scene, threads)
+            self.fitness_relevance = np.tile(self.relevance, objective.design.positions)
         self.use_encoding(encoding)
 
     def use_encoding(self, kind: str) -> None:
@@ -84,10 +123,10 @@ class CoverageProblem:
     def evaluate(self, genes: FloatArray) -> FloatArray:
         """Fitness in [0, 1] of genes `(B, dim)` in the unit box, shape `(B,)`, to maximise."""
         positions, normals = self.encoding.decode(np.asarray(genes, dtype=np.float64))
-        units = self.evaluator.units(positions, normals, self.objective.n)
+        units = self.fitness_evaluator.units(positions, normals, self.objective.n)
         is_qualified = qualified(units / PROBABILITY_ONE, self.objective.thold_p)
         # A product and a sum over the last axis: each row is added in the same order whatever the batch.
-        return np.asarray((is_qualified * self.relevance).sum(axis=1) / self.relevance.sum())
+        return np.asarray((is_qualified * self.fitness_relevance).sum(axis=1) / self.fitness_relevance.sum())
 
     def decode(self, genes: FloatArray) -> Deployment:
         """The deployment described by genes `(dim,)`."""
@@ -104,33 +143,32 @@ class CoverageProblem:
         return np.stack([self.encode(self.start.draw(self.scene.room, rng)) for _ in range(draws)])
 
     def probabilities(self, deployment: Deployment) -> FloatArray:
-        """P_n at every position, `(P,)`."""
+        """P_n at every position of the grid, `(P,)`."""
         return self.evaluator.probabilities(deployment, self.objective.n)
 
     def fitness(self, deployment: Deployment) -> float:
         """Fitness in [0, 1] of `deployment`."""
-        is_qualified = qualified(self.probabilities(deployment), self.objective.thold_p)
-        return cost(is_qualified, self.relevance) / float(self.relevance.sum())
+        probability = self.fitness_evaluator.probabilities(deployment, self.objective.n)
+        total = cost(qualified(probability, self.objective.thold_p), self.fitness_relevance)
+        return total / float(self.fitness_relevance.sum())
 
     def metrics(self, deployment: Deployment) -> dict[str, float]:
-        """The paper's three indices, H, and the fitness of `deployment` (fractions in [0, 1]; H is a sum)."""
+        """The paper's three indices and H on the grid, and the fitness (fractions in [0, 1]; H is a sum)."""
         probability = self.probabilities(deployment)
         is_qualified = qualified(probability, self.objective.thold_p)
-        total = cost(is_qualified, self.relevance)
         return {
             "qualified_ratio": float(is_qualified.mean()),
             "average_coverage_probability": float(probability.mean()),
             "maximum_coverage_probability": float(probability.max()),
-            "cost": total,
-            "fitness": total / float(self.relevance.sum()),
+            "cost": cost(is_qualified, self.relevance),
+            "fitness": self.fitness(deployment),
         }
 
     def settings(self) -> Mapping[str, Any]:
         """What the figures of `metrics` depend on, for the record."""
         room = self.scene.room
         return {
-            "n": self.objective.n,
-            "thold_p": self.objective.thold_p,
+            **asdict(self.objective),
             "landmarks": self.count,
             "positions": len(self.evaluator.positions),
             "orientations": len(self.evaluator.axis_of),

@@ -1,6 +1,7 @@
 """The room: a cuboid with walls that may carry landmarks, and a reachable box inside it."""
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -104,13 +105,34 @@ class Room:
 
     def grid(self) -> FloatArray:
         """Discrete positions Omega_d, `(P, 3)` in the world frame, metres; z varies fastest."""
+        return _combined(self._grid_axes())
+
+    def finer(self) -> "Room":
+        """The same room with half the spacing."""
+        return replace(self, spacing=tuple(np.broadcast_to(self.spacing, 3) / 2.0))
+
+    def jittered_grid(self, rng: np.random.Generator) -> FloatArray:
+        """One uniformly drawn position in the cell of each grid position, `(P, 3)` in the order of `grid`, metres.
+
+        The cell of a position is the part of the reachable box that is nearest to it.
+        """
+        lows, highs = [], []
+        for axis, low, high in zip(self._grid_axes(), self.reachable_low, self.reachable_high, strict=True):
+            between = (axis[1:] + axis[:-1]) / 2.0
+            lows.append(np.append(low, between))
+            highs.append(np.append(between, high))
+        low, high = _combined(lows), _combined(highs)
+        return low + rng.random(low.shape) * (high - low)
+
+    def _grid_axes(self) -> list[FloatArray]:
+        """Coordinates of the grid along x, y, z, metres."""
         axes = []
         for low, high, count in zip(self.reachable_low, self.reachable_high, self.grid_shape(), strict=True):
             if self.positions == "vertices":
                 axes.append(np.linspace(low, high, count))
             else:
                 axes.append(low + (high - low) * (np.arange(count) + 0.5) / count)
-        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        return axes
 
     def landmark_walls(self) -> tuple[Wall, ...]:
         """The walls that may carry landmarks, in the order of `walls`."""
@@ -121,6 +143,11 @@ class Room:
         p = np.asarray(points)
         inside = (p >= -PLACEMENT_TOLERANCE) & (p <= np.asarray(self.size) + PLACEMENT_TOLERANCE)
         return inside.all(axis=-1)
+
+
+def _combined(axes: Sequence[FloatArray]) -> FloatArray:
+    """Every combination of coordinates along x, y, z, `(P, 3)`; z varies fastest."""
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def _wall(name: str, size: tuple[float, float, float]) -> Wall:

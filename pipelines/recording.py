@@ -10,6 +10,7 @@ from omegaconf import DictConfig
 from lmd.deployment import Deployment
 from lmd.optimisers.base import Record
 from lmd.problem import CoverageProblem
+from lmd.validation import validation_metrics
 from pipelines.app import choices, flat_settings, instantiate, run_directory
 from pipelines.outputs import write_outputs
 
@@ -60,6 +61,7 @@ def record(
 ) -> float:
     """Write the outputs, log them, end the run with `status` and print a report; returns the fitness."""
     directory = run_directory()
+    validation = validation_metrics(problem, deployment, cfg.seed) if cfg.validate else {}
     metrics, files = write_outputs(
         directory,
         problem,
@@ -67,18 +69,33 @@ def record(
         history,
         title=f"{title_of(problem, subject)}, {choices()['room']}",
         page=cfg.page,
-        summary={**summary, "seed": cfg.seed},
+        summary={**summary, "seed": cfg.seed, **({"validation": validation} if validation else {})},
     )
     figures = {key: value for key, value in summary.items() if isinstance(value, int | float)}
-    tracker.log_metrics({**metrics, **figures})
+    tracker.log_metrics({**metrics, **figures, **{f"validation/{key}": value for key, value in validation.items()}})
     tracker.log_artifacts([*files, *sorted((directory / ".hydra").glob("*.yaml"))])
     tracker.finish(status)
-    lines = {key.replace("_", " "): f"{value:g}" for key, value in figures.items()}
+    lines = validation_lines(validation) | {key.replace("_", " "): f"{value:g}" for key, value in figures.items()}
     lines["files"] = f"{directory}: {', '.join(path.name for path in files)}"
     lines["picture"] = str(directory / "scene.png")
     lines["mlflow"] = tracker.describe()
     print(report(problem, metrics, lines))
     return metrics["fitness"]
+
+
+def validation_lines(validation: Mapping[str, float]) -> dict[str, str]:
+    """The figures of `validation_metrics` as labelled lines, none for none."""
+    if not validation:
+        return {}
+
+    def with_error(key: str) -> str:
+        return f"{validation[key]:.2%} +- {validation[f'{key}_standard_error']:.2%}"
+
+    return {
+        "on a finer grid": f"{validation['finer_grid_qualified_ratio']:.2%} of positions qualified",
+        "off the grid": f"{with_error('grid_free_qualified_ratio')} of random positions qualified, "
+        f"average probability {with_error('grid_free_average_coverage_probability')}",
+    }
 
 
 def report(problem: CoverageProblem, metrics: Mapping[str, float], lines: Mapping[str, str]) -> str:

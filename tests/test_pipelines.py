@@ -14,7 +14,7 @@ import pytest
 from mlflow import MlflowClient
 
 ROOT = Path(__file__).parents[1]
-SMALL = ["room.spacing=1.5", "objective.thold_p=0.5"]
+SMALL = ["room.spacing=1.5", "objective.thold_p=0.5", "validate=false"]
 FILES = ["convergence.png", "history.csv", "landmarks.csv", "metrics.json", "scene.html", "scene.png"]
 HEADER = "id,x,y,z,nx,ny,nz\n"
 
@@ -142,6 +142,34 @@ def test_interrupted_it_keeps_the_best_and_resumes(tmp_path):
     refused = call("optimise", *settings, "resume=run", "objective.n=3", "hydra.run.dir=run3", cwd=tmp_path)
     assert refused.returncode == 1
     assert "was made with objective.n = 2, not 3" in refused.stderr
+
+
+def test_a_run_is_validated_off_its_grid(tmp_path):
+    overrides = ("validate=true", "objective=robust", "page=false", "tracking.uri=sqlite:///store.db")
+    done = call("evaluate", *overrides, "hydra.run.dir=run", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    metrics = read_metrics(tmp_path / "run")
+    validation = metrics["validation"]
+    assert set(validation) == {
+        "finer_grid_qualified_ratio",
+        "grid_free_qualified_ratio",
+        "grid_free_qualified_ratio_standard_error",
+        "grid_free_average_coverage_probability",
+        "grid_free_average_coverage_probability_standard_error",
+    }
+    assert all(0.0 < value < 1.0 for value in validation.values())
+    assert metrics["fitness"] != metrics["qualified_ratio"]
+    assert metrics["settings"]["design"] == {"positions": 4, "divisions": 12}
+    (run,) = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db").search_runs(["1"])
+    assert {key: run.data.metrics[f"validation/{key}"] for key in validation} == validation
+    assert re.search(r"on a finer grid +\d+\.\d\d% of positions qualified", done.stdout)
+    assert re.search(r"off the grid +\d+\.\d\d% \+- \d\.\d\d% of random positions qualified", done.stdout)
+
+
+def test_validation_can_be_left_out(optimised):
+    cwd, out = optimised
+    assert "validation" not in read_metrics(cwd / "run")
+    assert "off the grid" not in out
 
 
 LANDMARK = "0,0,1,1,1,0,0\n"

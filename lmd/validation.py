@@ -1,0 +1,97 @@
+"""How good a deployment is off the grid it was optimised on.
+
+An optimiser pushes the positions it is scored at just past the threshold, for the orientations it is scored with:
+the qualified ratio on that grid flatters it. Three figures do not depend on that grid:
+
+- the qualified ratio on a finer grid: half the spacing, half the step of the orientations. It is computed in full
+  and has no standard error;
+- the grid-free qualified ratio: at random positions, uniform in the reachable box, with orientations drawn from the
+  continuous distribution the PDF stands for;
+- the grid-free average coverage probability, over the random poses of the same sample.
+
+Like `qualified_ratio`, all of them count every position alike, whatever its relevance.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lmd.checks import FloatArray, integer
+from lmd.coverage.evaluator import Evaluator
+from lmd.coverage.reference import qualified
+from lmd.deployment import Deployment
+from lmd.problem import CoverageProblem
+
+# Keeps the sample apart from every other use of the same seed.
+STREAM = 0x76616C
+
+
+@dataclass(frozen=True)
+class Sample:
+    """The random poses of a validation: `groups` times `positions` positions, each seen in many orientations.
+
+    The positions are independent. Those of one group share their orientations, one in each of 2 `divisions` x
+    `divisions` cells of equal probability, so that P_n is known to about 0.001: with thousands of orientations it is
+    without bias, and its noise moves as many positions over the threshold as below it. Another group has other
+    orientations, so what is left of their error averages out, and the spread of the groups shows it.
+
+    Args:
+        groups: at least 2.
+        positions: in each group.
+        divisions: of half a turn.
+
+    Raises:
+        InputError: a number is too small.
+    """
+
+    groups: int = 64
+    positions: int = 512
+    divisions: int = 46
+
+    def __post_init__(self) -> None:
+        integer("groups", self.groups, low=2)
+        integer("positions", self.positions, low=1)
+        integer("divisions", self.divisions, low=1)
+
+
+def validation_metrics(
+    problem: CoverageProblem, deployment: Deployment, seed: int, sample: Sample | None = None
+) -> dict[str, float]:
+    """The figures of this module, fractions in [0, 1], the same for any number of threads.
+
+    The standard error of the grid-free qualified ratio is the binomial one over positions; that of the average comes
+    from the spread of the groups, which covers the positions and the orientations.
+
+    Args:
+        problem: the scene, n and thold_p.
+        deployment: what is judged.
+        seed: of the sample.
+        sample: its size.
+    """
+    scene, objective = problem.scene, problem.objective
+    finer = Evaluator(replace(scene, room=scene.room.finer(), pdf=scene.pdf.finer()), threads=problem.evaluator.threads)
+    is_qualified = qualified(finer.probabilities(deployment, objective.n), objective.thold_p)
+    probability = sampled_probabilities(problem, deployment, seed, sample or Sample())
+    ratio = float(qualified(probability, objective.thold_p).mean())
+    means = probability.mean(axis=1)
+    return {
+        "finer_grid_qualified_ratio": float(is_qualified.mean()),
+        "grid_free_qualified_ratio": ratio,
+        "grid_free_qualified_ratio_standard_error": float(np.sqrt(ratio * (1.0 - ratio) / probability.size)),
+        "grid_free_average_coverage_probability": float(means.mean()),
+        "grid_free_average_coverage_probability_standard_error": float(means.std(ddof=1) / np.sqrt(len(means))),
+    }
+
+
+def sampled_probabilities(problem: CoverageProblem, deployment: Deployment, seed: int, sample: Sample) -> FloatArray:
+    """P_n at the random positions of a sample, `(groups, positions)`. Args as in `validation_metrics`."""
+    scene, room = problem.scene, problem.scene.room
+    rng = np.random.default_rng([seed, STREAM])
+    rows = []
+    for _ in range(sample.groups):
+        positions = rng.uniform(room.reachable_low, room.reachable_high, (sample.positions, 3))
+        drawn = replace(scene, pdf=scene.pdf.stratified(sample.divisions, rng))
+        rows.append(
+            Evaluator(drawn, positions, problem.evaluator.threads).probabilities(deployment, problem.objective.n)
+        )
+    return np.stack(rows)
