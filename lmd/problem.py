@@ -1,6 +1,7 @@
 """The one fitness interface: a scene and an objective as a problem every optimiser can take."""
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -31,8 +32,8 @@ class Design:
         InputError: a number is less than 1.
     """
 
-    positions: int = 4
-    divisions: int = 12
+    positions: int = 2
+    divisions: int = 24
 
     def __post_init__(self) -> None:
         integer("objective.design.positions", self.positions, low=1)
@@ -109,11 +110,13 @@ class CoverageProblem:
         if objective.design is not None:
             self.fitness_evaluator = objective.design.evaluator(scene, threads)
             self.fitness_relevance = np.tile(self.relevance, objective.design.positions)
-        self.use_encoding(encoding)
+        self.encoding = make_encoding(encoding, scene.room, flush)
 
-    def use_encoding(self, kind: str) -> None:
-        """Describe landmarks by the encoding called `kind` from now on."""
-        self.encoding = make_encoding(kind, self.scene.room, self.flush)
+    def encoded(self, kind: str) -> "CoverageProblem":
+        """The same problem with landmarks described by the encoding called `kind`."""
+        other = copy(self)
+        other.encoding = make_encoding(kind, self.scene.room, self.flush)
+        return other
 
     @property
     def dim(self) -> int:
@@ -172,8 +175,8 @@ class CoverageProblem:
             "landmarks": self.count,
             "positions": len(self.evaluator.positions),
             "orientations": len(self.evaluator.axis_of),
-            "room_size": list(room.size),
-            "room_positions": room.positions,
-            "walls": list(room.walls),
+            "pdf": self.scene.pdf.name,
+            "room": asdict(room),
+            "camera": asdict(self.scene.camera),
             **asdict(self.scene.visibility),
         }

@@ -1,6 +1,7 @@
 """Experiment tracking: the only importer of mlflow."""
 
 import os
+import time
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -25,8 +26,17 @@ class Tracker(Protocol):
     def run_id(self) -> str | None:
         """Identifies the started run; None where nothing is recorded."""
 
-    def start(self, name: str, params: Mapping[str, Any], tags: Mapping[str, str], run_id: str | None) -> None:
-        """Begin a run, or continue the one called `run_id`."""
+    def start(
+        self, name: str, params: Mapping[str, Any], tags: Mapping[str, str], run_id: str | None, ago: float = 0.0
+    ) -> None:
+        """Begin a run (`ago` seconds before now), or continue the one called `run_id`.
+
+        Raises:
+            InputError: the store cannot be used, or does not have the run to continue.
+        """
+
+    def discard(self) -> None:
+        """Forget the run: it should not have been started."""
 
     def log_curve(self, metric: str, points: Iterable[tuple[int, float, float]]) -> None:
         """Log a curve of (step, value, seconds since the run began)."""
@@ -49,7 +59,12 @@ class NoTracker:
 
     run_id = None
 
-    def start(self, name: str, params: Mapping[str, Any], tags: Mapping[str, str], run_id: str | None) -> None:
+    def start(
+        self, name: str, params: Mapping[str, Any], tags: Mapping[str, str], run_id: str | None, ago: float = 0.0
+    ) -> None:
+        """Do nothing."""
+
+    def discard(self) -> None:
         """Do nothing."""
 
     def log_curve(self, metric: str, points: Iterable[tuple[int, float, float]]) -> None:
@@ -100,39 +115,47 @@ class MlflowTracker:
         import logging
 
         from mlflow import MlflowClient
-        from mlflow.exceptions import MlflowException
 
         logging.getLogger("mlflow.store.db.utils").setLevel(logging.WARNING)  # it announces every new table
 
-        try:
-            if not self.uri.startswith("sqlite:///"):
-                return MlflowClient(tracking_uri=self.uri)
-            database = Path(self.uri.removeprefix("sqlite:///")).resolve()
-            database.parent.mkdir(parents=True, exist_ok=True)
-            from filelock import FileLock
+        if not self.uri.startswith("sqlite:///"):
+            return MlflowClient(tracking_uri=self.uri)
+        database = Path(self.uri.removeprefix("sqlite:///")).resolve()
+        database.parent.mkdir(parents=True, exist_ok=True)
+        from filelock import FileLock
 
-            # Processes that create the tables of one fresh database at the same time kill each other.
-            with FileLock(f"{database}.lock"):
-                client = MlflowClient(tracking_uri=f"sqlite:///{database}")
-                if client.get_experiment_by_name(self.experiment_name) is None:
-                    artifacts = database.parent / "artifacts"
-                    client.create_experiment(self.experiment_name, artifact_location=artifacts.as_uri())
-            return client
+        # Processes that create the tables of one fresh database at the same time kill each other.
+        with FileLock(f"{database}.lock"):
+            client = MlflowClient(tracking_uri=f"sqlite:///{database}")
+            if client.get_experiment_by_name(self.experiment_name) is None:
+                artifacts = database.parent / "artifacts"
+                client.create_experiment(self.experiment_name, artifact_location=artifacts.as_uri())
+        return client
+
+    def start(
+        self, name: str, params: Mapping[str, Any], tags: Mapping[str, str], run_id: str | None, ago: float = 0.0
+    ) -> None:
+        """See `Tracker.start`."""
+        from mlflow.exceptions import MlflowException
+
+        try:
+            self._start(name, params, tags, run_id, ago)
         except (MlflowException, OSError) as error:
             raise InputError(f"tracking.uri = {self.uri!r} cannot be used: {str(error).splitlines()[0]}") from error
 
-    def start(self, name: str, params: Mapping[str, Any], tags: Mapping[str, str], run_id: str | None) -> None:
-        """See `Tracker.start`."""
+    def _start(
+        self, name: str, params: Mapping[str, Any], tags: Mapping[str, str], run_id: str | None, ago: float
+    ) -> None:
         from mlflow.entities import Param, RunTag
 
         if run_id is not None:
-            self._run_id = run_id
             self.client.update_run(run_id, status="RUNNING")
+            self._run_id = run_id
             self._start_ms = int(self.client.get_run(run_id).info.start_time)
             return
         experiment = self.client.get_experiment_by_name(self.experiment_name)
         experiment_id = experiment.experiment_id if experiment else self.client.create_experiment(self.experiment_name)
-        run = self.client.create_run(experiment_id, run_name=name)
+        run = self.client.create_run(experiment_id, run_name=name, start_time=int(1000 * (time.time() - ago)))
         self._run_id, self._start_ms = run.info.run_id, int(run.info.start_time)
         self.client.log_batch(
             self._run_id,
@@ -150,8 +173,6 @@ class MlflowTracker:
 
     def log_metrics(self, metrics: Mapping[str, float]) -> None:
         """See `Tracker.log_metrics`."""
-        import time
-
         from mlflow.entities import Metric
 
         now = int(1000 * time.time())
@@ -169,6 +190,12 @@ class MlflowTracker:
         if reason:
             self.client.set_tag(self._run_id, "reason", reason)
         self.client.set_terminated(self._run_id, status)
+
+    def discard(self) -> None:
+        """See `Tracker.discard`."""
+        if self._run_id is not None:
+            self.client.delete_run(self._run_id)
+            self._run_id = None
 
     def describe(self) -> str:
         """See `Tracker.describe`."""

@@ -31,7 +31,7 @@ class Sample:
     """The random poses of a validation: `groups` times `positions` positions, each seen in many orientations.
 
     The positions are independent. Those of one group share their orientations, one in each of 2 `divisions` x
-    `divisions` cells of equal probability, so that P_n is known to about 0.001: with thousands of orientations it is
+    `divisions` cells of equal probability, so that P_n is known to about 0.002: with thousands of orientations it is
     without bias, and its noise moves as many positions over the threshold as below it. Another group has other
     orientations, so what is left of their error averages out, and the spread of the groups shows it.
 

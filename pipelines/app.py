@@ -13,6 +13,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 if TYPE_CHECKING:
+    from lmd.optimisers.base import Optimiser
     from lmd.problem import CoverageProblem
 
 CONF = str(Path(__file__).resolve().parents[1] / "conf")
@@ -53,7 +54,7 @@ def build_problem(cfg: DictConfig) -> "CoverageProblem":
     )
     objective, start = instantiate(cfg.objective), instantiate(cfg.deployment)
     if isinstance(start, partial):  # a source that depends on what the landmarks are for
-        start = start(scene=scene, objective=objective)
+        start = start(scene=scene, objective=objective, threads=cfg.threads)
     return CoverageProblem(
         scene,
         objective,
@@ -62,6 +63,29 @@ def build_problem(cfg: DictConfig) -> "CoverageProblem":
         flush=cfg.encoding.flush,
         threads=cfg.threads,
     )
+
+
+def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":
+    """The optimiser a composed configuration describes.
+
+    Raises:
+        InputError: it cannot be built, or is none.
+    """
+    from lmd.checks import InputError
+    from lmd.optimisers.base import Optimiser
+
+    optimiser = instantiate(cfg.optimiser, seed=seed)
+    if not isinstance(optimiser, Optimiser):
+        raise InputError(
+            f"optimiser._target_ = {cfg.optimiser.get('_target_')!r} makes a {type(optimiser).__name__}, which is not "
+            "derived from lmd.optimisers.base.Optimiser."
+        )
+    return optimiser
+
+
+def search_path() -> list[str]:
+    """The overrides that add folders of configuration, which others depend on."""
+    return [o for o in HydraConfig.get().overrides.hydra if o.startswith("hydra.searchpath=")]
 
 
 def flat_settings(cfg: DictConfig, *keys: str) -> dict[str, Any]:

@@ -8,9 +8,17 @@ from typing import TYPE_CHECKING
 import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
-from omegaconf import DictConfig, open_dict
+from omegaconf import DictConfig, ListConfig, open_dict
 
-from pipelines.app import CONF, build_problem, input_errors_reported, instantiate, run_directory
+from pipelines.app import (
+    CONF,
+    build_optimiser,
+    build_problem,
+    input_errors_reported,
+    instantiate,
+    run_directory,
+    search_path,
+)
 
 if TYPE_CHECKING:
     from lmd.comparison import Outcome
@@ -41,9 +49,11 @@ def compare(cfg: DictConfig) -> None:
     budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
     seeds = range(integer("seed", cfg.seed, low=0), cfg.seed + integer("seeds", cfg.seeds, low=1))
     workers = available_threads() if cfg.workers is None else integer("workers", cfg.workers, low=1)
-    if not cfg.optimisers:
+    if not isinstance(cfg.optimisers, ListConfig) or not all(str(entry).split() for entry in cfg.optimisers):
+        raise InputError(f"optimisers must be a list of names, got {cfg.optimisers!r}.")
+    configs = {str(entry): _compose(str(entry), cfg) for entry in cfg.optimisers}
+    if not configs:
         raise InputError("optimisers must name at least one optimiser.")
-    configs = {str(entry): _compose(str(entry)) for entry in cfg.optimisers}
     jobs = [(name, configs[name], seed, budget) for seed in seeds for name in configs]
     directory, outcomes = run_directory(), []
     with tracked_run(cfg, problem, "compare") as tracker:
@@ -68,7 +78,7 @@ def compare(cfg: DictConfig) -> None:
     print(f"\n{markdown}\nfiles: {directory}")
 
 
-def _compose(entry: str) -> DictConfig:
+def _compose(entry: str, cfg: DictConfig) -> DictConfig:
     """The `optimise` configuration for one entry of `optimisers`: a name, then overrides of its own."""
     from hydra.core.global_hydra import GlobalHydra
     from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -79,18 +89,22 @@ def _compose(entry: str) -> DictConfig:
     given = HydraConfig.get().overrides
     parsed = OverridesParser.create().parse_overrides(list(given.task))
     shared = [str(o.input_line) for o in parsed if str(o.key_or_group).split(".")[0] not in OWN_KEYS]
-    search_path = [o for o in given.hydra if o.startswith("hydra.searchpath=")]
     name, *own = entry.split()
     try:
         loader = GlobalHydra.instance().config_loader()
-        cfg = loader.load_configuration(
-            "optimise", [*shared, *search_path, f"optimiser={name}", *own], RunMode.RUN, validate_sweep_overrides=False
+        composed = loader.load_configuration(
+            "optimise",
+            [*shared, *search_path(), f"optimiser={name}", *own],
+            RunMode.RUN,
+            validate_sweep_overrides=False,
         )
     except HydraException as error:
         raise InputError(f"optimisers: {entry!r} is refused: {str(error).splitlines()[0]}") from error
-    with open_dict(cfg):
-        cfg.pop("hydra")
-    return cfg
+    with open_dict(composed):
+        composed.pop("hydra")
+    composed.budget, composed.threads = cfg.budget, 1
+    build_optimiser(composed, cfg.seed)  # what cannot be built fails before anything has run
+    return composed
 
 
 def _run(job: "tuple[str, DictConfig, int, Budget]") -> "Outcome":
@@ -98,9 +112,8 @@ def _run(job: "tuple[str, DictConfig, int, Budget]") -> "Outcome":
     from lmd.comparison import Outcome
 
     name, cfg, seed, budget = job
-    cfg.threads = 1
     problem = build_problem(cfg)
-    result = instantiate(cfg.optimiser, seed=seed).run(problem, budget)
+    result = build_optimiser(cfg, seed).run(problem, budget)
     return Outcome(name, seed, problem.metrics(result.deployment), result.history)
 
 
@@ -122,7 +135,8 @@ def _log_child(cfg: DictConfig, outcome: "Outcome", parent: str | None) -> None:
     if parent is not None:
         tags["mlflow.parentRunId"] = parent
     params = {"optimiser": outcome.optimiser, "seed": outcome.seed}
-    tracker.start(f"{outcome.optimiser} seed={outcome.seed}", params, tags, None)
+    ago = outcome.history[-1].wall_time
+    tracker.start(f"{outcome.optimiser} seed={outcome.seed}", params, tags, None, ago)
     tracker.log_curve("best_fitness", thinned(outcome.history))
     tracker.log_metrics(outcome.metrics)
     tracker.finish("FINISHED")

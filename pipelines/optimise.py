@@ -8,7 +8,16 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from pipelines.app import CONF, build_problem, choices, flat_settings, input_errors_reported, instantiate, run_directory
+from pipelines.app import (
+    CONF,
+    build_optimiser,
+    build_problem,
+    choices,
+    flat_settings,
+    input_errors_reported,
+    run_directory,
+    search_path,
+)
 
 if TYPE_CHECKING:
     from lmd.checkpoint import Checkpoint
@@ -39,7 +48,7 @@ def optimise(cfg: DictConfig) -> float:
     real("checkpoint_seconds", cfg.checkpoint_seconds, above=0.0)
     settings = flat_settings(cfg, *SAME_WHEN_RESUMED)
     if cfg.resume is None:
-        checkpoint = Checkpoint(instantiate(cfg.optimiser, seed=cfg.seed), settings, None)
+        checkpoint = Checkpoint(build_optimiser(cfg, cfg.seed), settings, None)
     else:
         checkpoint = Checkpoint.load(cfg.resume, settings)
     subject = choices()["optimiser"]
@@ -59,7 +68,7 @@ def optimise(cfg: DictConfig) -> float:
         )
     if interrupted:
         overrides = [o for o in HydraConfig.get().overrides.task if not o.startswith("resume=")]
-        again = shlex.join([*overrides, f"resume={run_directory()}"])
+        again = shlex.join([*search_path(), *overrides, f"resume={run_directory()}"])
         print(f"interrupted; go on with: python -m pipelines.optimise {again}", file=sys.stderr)
         sys.exit(130)
     return fitness

@@ -97,9 +97,9 @@ class Progress:
         books = optimiser.books
         used = self.budget.used(books.evaluations, books.seconds)
         new = books.history[self.logged :]
+        self.save()
         self.tracker.log_curve("best_fitness", thinned(new, 1 + int(CURVE_POINTS * (used - self.used))))
         self.logged, self.used = len(books.history), used
-        self.save()
         self.saved = time.monotonic()
 
     def close(self) -> None:

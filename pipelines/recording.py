@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
+from lmd.checks import InputError
 from lmd.deployment import Deployment
 from lmd.optimisers.base import Record
 from lmd.problem import CoverageProblem
@@ -27,7 +28,7 @@ def title_of(problem: CoverageProblem, subject: str) -> str:
 def tracked_run(
     cfg: DictConfig, problem: CoverageProblem, subject: str, run_id: str | None = None
 ) -> "Iterator[Tracker]":
-    """A started run of the configured tracker; an exception marks it FAILED, Ctrl-C KILLED.
+    """A started run of the configured tracker; an exception marks it FAILED, Ctrl-C KILLED, bad input leaves none.
 
     Args:
         cfg: logged as parameters.
@@ -41,6 +42,12 @@ def tracked_run(
     tracker.start(f"{title_of(problem, subject)} seed={cfg.seed}", flat_settings(cfg), tags, run_id)
     try:
         yield tracker
+    except InputError:
+        if run_id is None:
+            tracker.discard()
+        else:
+            tracker.finish("FAILED", "bad input")
+        raise
     except BaseException as error:
         tracker.finish(
             "KILLED" if isinstance(error, KeyboardInterrupt) else "FAILED", f"{type(error).__name__}: {error}"

@@ -65,9 +65,7 @@ def test_the_papers_experiment_is_one_word():
 
 def test_the_literal_ega_has_the_printed_chromosome():
     cfg = composed("optimise", "optimiser=ega")
-    problem = build_problem(cfg)
-    problem.use_encoding(cfg.optimiser.encoding)
-    assert problem.dim == 450
+    assert build_problem(cfg).encoded(cfg.optimiser.encoding).dim == 450
 
 
 def test_settings_are_flattened_for_the_record():

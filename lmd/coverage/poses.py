@@ -45,12 +45,17 @@ class Cells:
         """From each centre to the corners, `(N,)`, metres, rounded up."""
         return np.asarray(np.linalg.norm(self.half_u + self.half_v, axis=1) * (1.0 + TOLERANCE))
 
-    def quarters(self, picked: NDArray[np.bool_]) -> "Cells":
-        """The picked cells, `(N,)`, each cut into four."""
-        normals, centres = self.poses.normals[picked], self.poses.positions[picked]
-        u, v = self.half_u[picked] / 2.0, self.half_v[picked] / 2.0
-        points = np.concatenate([centres + i * u + j * v for i in (-1, 1) for j in (-1, 1)])
-        return Cells(Deployment(points, np.tile(normals, (4, 1))), np.tile(u, (4, 1)), np.tile(v, (4, 1)))
+    def picked(self, index: NDArray[Any]) -> "Cells":
+        """The cells that `index` selects, numbers or `(N,)` bool."""
+        return Cells(
+            Deployment(self.poses.positions[index], self.poses.normals[index]), self.half_u[index], self.half_v[index]
+        )
+
+    def quarters(self) -> "Cells":
+        """Each cell cut into four, `4 N` cells."""
+        u, v = self.half_u / 2.0, self.half_v / 2.0
+        points = np.concatenate([self.poses.positions + i * u + j * v for i in (-1, 1) for j in (-1, 1)])
+        return Cells(Deployment(points, np.tile(self.poses.normals, (4, 1))), np.tile(u, (4, 1)), np.tile(v, (4, 1)))
 
 
 def wall_cells(room: Room, spacing: float) -> Cells:
@@ -111,7 +116,7 @@ def _gains(start, stop, points, normals, slack, prices, positions, limits, axes,
 
 @njit(nogil=True, cache=True)
 def _cover(start, stop, points, normals, amounts, positions, limits, axes, bands, out):
-    """Write what covers positions `start` to `stop` into `out` `(P, D)`, which is zero; args as in `covered_amounts`."""
+    """Write what covers positions `start` to `stop` into `out` `(P, D)` of zeros; args as in `covered_amounts`."""
     for p in range(start, stop):
         for j in range(len(points)):
             if amounts[j] == 0.0:

@@ -68,7 +68,7 @@ class Stage:
 
         def now(values: Sequence[float]) -> float:
             first, last = values
-            return float(first * (last / first) ** min(progress, 1.0))
+            return float(first * (last / first) ** max(0.0, min(progress, 1.0)))
 
         return Climate(
             temperature=now(self.temperature),
@@ -122,10 +122,12 @@ class Annealing(Optimiser):
         limit = budget.limit * count
         ground = _Ground(problem)
 
-        def enter(moved: int, deployment: Deployment) -> None:
+        def enter(moved: int, deployment: Deployment | None) -> None:
+            """Book moves that led to `deployment`, or to nothing better than what is known."""
             self.spent += moved
+            fitness = -math.inf if deployment is None else problem.fitness(deployment)
             books.seconds = time.perf_counter() - clock
-            if books.enter(self.spent / count, problem.fitness(deployment)):
+            if books.enter(self.spent / count, fitness) and deployment is not None:
                 self.best = deployment
 
         if not self.spent:
@@ -148,9 +150,9 @@ class Annealing(Optimiser):
             else:
                 done = (used - self.skipped) / (1.0 - self.skipped)
                 near = self.spread * problem.scene.visibility.nu
-                ground.walk(chunk, self.single.climate(done, near), self.rng)
+                improved = ground.walk(chunk, self.single.climate(done, near), self.rng)
                 self.here = ground.here()
-                enter(chunk, ground.best())
+                enter(chunk, ground.best() if improved else None)
             if callback and callback(self):
                 stopped = "interrupted"
                 break
@@ -209,9 +211,11 @@ class _Ground:
         reached = (known.units >= self.goal.threshold) @ self.goal.relevance
         self._best = Best(np.array([float(reached)]), known.landmarks.copy(), known.normals.copy())
 
-    def walk(self, moves: int, climate: Climate, rng: np.random.Generator) -> None:
-        """Try `moves` moves."""
+    def walk(self, moves: int, climate: Climate, rng: np.random.Generator) -> bool:
+        """Try `moves` moves; True if one led to a better deployment than any before."""
+        before = self._best.fitness[0]
         walk(moves, self.fixed, self.state, self.scratch, self.goal, self.walls, climate, rng, self._best)
+        return bool(self._best.fitness[0] > before)
 
     def here(self) -> Deployment:
         """Where the walk is."""

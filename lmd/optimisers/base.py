@@ -177,7 +177,7 @@ class AskTell(Optimiser):
         """See `Optimiser.run`. A batch that would exceed the budget is cut short."""
         books = self.books
         if self.encoding is not None:
-            problem.use_encoding(self.encoding)
+            problem = problem.encoded(self.encoding)
         if not books.evaluations:
             self.dim = problem.dim
             self.rng = np.random.default_rng(self.seed)

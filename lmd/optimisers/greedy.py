@@ -96,7 +96,9 @@ class Greedy(Annealing):
         room, count = problem.scene.room, problem.count
         allowance = (limit - count) / 2
         poses = _poses_within(room, self.spacing, allowance / 2)
-        chosen, spent = select(problem.evaluator, poses, problem.relevance, problem.objective.n, count, allowance)
+        chosen, spent = select(
+            problem.fitness_evaluator, poses, problem.fitness_relevance, problem.objective.n, count, allowance
+        )
         rest = slice(len(chosen), count)
         self.start = self.here = Deployment(
             np.vstack([poses.positions[chosen], self.start.positions[rest]]),
@@ -116,6 +118,7 @@ class GreedyDeployment:
         spacing: of the grid of poses, metres.
         scene: what the landmarks are for.
         objective: how many must be covered.
+        threads: worker threads, all processors by default; the result does not depend on it.
 
     Raises:
         InputError: a value is out of range.
@@ -125,6 +128,7 @@ class GreedyDeployment:
     spacing: float
     scene: Scene
     objective: Objective
+    threads: int | None = None
     varies = False
 
     def __post_init__(self) -> None:
@@ -133,7 +137,7 @@ class GreedyDeployment:
 
     @cached_property
     def _deployment(self) -> Deployment:
-        evaluator = Evaluator(self.scene)
+        evaluator = Evaluator(self.scene, threads=self.threads)
         room = self.scene.room
         spacing, poses = self.spacing, candidate_poses(room, self.spacing)
         while len(poses) < self.count:

@@ -22,7 +22,7 @@ def save_convergence_figure(path: str | Path, history: pd.DataFrame, title: str)
     axes = figure.add_subplot()
     axes.step(evaluations, best, where="post", linewidth=1.8)
     axes.plot(evaluations[-1], best[-1], "o", color="C0", clip_on=False)
-    axes.set(title=title, xlabel="evaluations", ylabel="best qualified ratio [%]", ylim=(0.0, 100.0))
+    axes.set(title=title, xlabel="evaluations", ylabel="best fitness [%]", ylim=(0.0, 100.0))
     axes.set_xlim(left=0)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.xaxis.set_major_formatter("{x:,.0f}")
@@ -32,7 +32,7 @@ def save_convergence_figure(path: str | Path, history: pd.DataFrame, title: str)
     axes.text(
         0.97,
         y,
-        f"{best[-1]:.2f} % after {evaluations[-1]:,} evaluations, {_duration(history['wall_time'].iloc[-1])}",
+        f"{best[-1]:.2f} % after {evaluations[-1]:,.0f} evaluations, {_duration(history['wall_time'].iloc[-1])}",
         transform=axes.transAxes,
         horizontalalignment="right",
         verticalalignment=align,

@@ -1,0 +1,61 @@
+"""What no deployment can exceed: `python -m pipelines.bound deployment.count=90 [overrides]`."""
+
+import json
+from typing import Any
+
+import hydra
+from omegaconf import DictConfig
+
+from pipelines.app import CONF, build_problem, input_errors_reported, run_directory
+
+
+@hydra.main(version_base="1.3", config_path=CONF, config_name="bound")
+def main(cfg: DictConfig) -> None:
+    """Compute, record and show the bounds."""
+    with input_errors_reported():
+        bound(cfg)
+
+
+def bound(cfg: DictConfig) -> None:
+    """Bound what the configured problem admits."""
+    from lmd.bound import Search, average_bound, fewest_landmarks, qualified_bound
+    from lmd.checks import real
+    from pipelines.recording import tracked_run
+
+    problem = build_problem(cfg)
+    search = Search(cfg.bound.spacing, cfg.bound.iterations, cfg.bound.tolerance)
+    target = None if cfg.bound.target is None else real("bound.target", cfg.bound.target, low=0.0, high=1.0)
+    directory, count = run_directory(), problem.count
+    document: dict[str, Any] = {}
+    figures: dict[str, float] = {}
+    with tracked_run(cfg, problem, "bound") as tracker:
+        for label, key, method in (
+            ("fitness", "fitness", qualified_bound),
+            ("average probability", "average_coverage_probability", average_bound),
+        ):
+            result = method(problem, count, search)
+            document[key] = {"walls": result.walls, "grid": result.grid, "fractional": result.fractional}
+            figures |= {f"bound/{key}/{kind}": value for kind, value in document[key].items()}
+            _show(label, f"<= {result.walls:.2%} for any {count} landmarks flush on the walls; on the grid of poses "
+                  f"<= {result.grid:.2%}, where fractions of landmarks reach {result.fractional:.2%}")  # fmt: skip
+        if target is not None:
+            fewest = fewest_landmarks(problem, target, search)
+            document["target"] = {"fitness": target, "fewest_landmarks": fewest}
+            figures["bound/fewest_landmarks"] = fewest
+            _show("landmarks", f">= {fewest} for a fitness of {target:.2%}")
+        document["settings"] = problem.settings()
+        file = directory / "bound.json"
+        file.write_text(json.dumps(document, indent=2) + "\n")
+        tracker.log_metrics(figures)
+        tracker.log_artifacts([file, *sorted((directory / ".hydra").glob("*.yaml"))])
+        tracker.finish("FINISHED")
+    _show("files", str(file))
+    _show("mlflow", tracker.describe())
+
+
+def _show(label: str, text: str) -> None:
+    print(f"{label:<20} {text}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,263 @@
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import paper_room, paper_scene
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+from scipy.sparse import block_array, csr_array, eye_array, kron
+from strategies import scenes, scenes_with_boundary_landmarks, scenes_with_deployments, seeds
+from test_optimisers import make
+from test_pipelines import call
+
+from lmd import pdf
+from lmd.bound import (
+    Relaxation,
+    Search,
+    average_bound,
+    fewest_landmarks,
+    largest_gain,
+    qualified_bound,
+    smoothed_min,
+)
+from lmd.checks import InputError
+from lmd.coverage import reference
+from lmd.coverage.evaluator import Evaluator
+from lmd.coverage.poses import candidate_poses, covered_amounts, gains, wall_cells
+from lmd.deployment import Deployment, RandomDeployment
+from lmd.optimisers.base import Budget
+from lmd.problem import CoverageProblem, Objective
+from lmd.relevance import Relevance
+
+COARSE = Search(spacing=1.0, iterations=150, tolerance=1e-4)
+
+
+def small_problem(count=12, n=2, thold_p=0.3, threads=None, relevance=None, **visibility):
+    room = paper_room(spacing=2.0, relevance=relevance or Relevance())
+    scene = paper_scene(room, orientations=pdf.grid_with_ends(6), **visibility)
+    return CoverageProblem(scene, Objective(n, thold_p), RandomDeployment(count), threads=threads)
+
+
+def cover_matrix(scene, poses):
+    """Which pose covers which position and distinct axis, `(N, P * D)`, by the reference, each pose on its own."""
+    first = np.unique(scene.pdf.axis_of, return_index=True)[1]
+    return np.stack(
+        [reference.counts(scene, Deployment(poses.positions[[j]], poses.normals[[j]]))[:, first].ravel()
+         for j in range(len(poses))]
+    )  # fmt: skip
+
+
+def exact_bound(problem, poses, count, threshold, shares):
+    """max F over the grid by HiGHS: variables x (poses), m (position, axis), q (positions)."""
+    cover, weights = cover_matrix(problem.scene, poses), problem.scene.pdf.axis_weight
+    size, axes = len(shares), len(weights)
+    rows = block_array(
+        [
+            [csr_array(-cover.T / problem.objective.n), eye_array(size * axes), None],
+            [None, csr_array(-kron(eye_array(size), weights[None]) / threshold), eye_array(size)],
+        ]
+    )
+    cost = np.concatenate([np.zeros(len(poses) + size * axes), -shares])
+    total = np.concatenate([np.ones(len(poses)), np.zeros(size * axes + size)])[None]
+    bounds = [(0, None)] * len(poses) + [(None, 1)] * (size * axes + size)
+    solved = linprog(cost, rows, np.zeros(rows.shape[0]), total, [count], bounds, method="highs")
+    assert solved.success
+    return -solved.fun
+
+
+def test_candidates_are_the_centres_of_cells_on_every_wall():
+    room = paper_room()
+    poses = candidate_poses(room, 0.25)
+    assert len(poses) == 2 * (30 * 20 + 30 * 24 + 20 * 24)
+    poses.check_inside(room)
+    for wall in room.landmark_walls():
+        mine = (poses.normals == wall.normal).all(axis=1)
+        a, b = wall.coordinates(poses.positions[mine])
+        np.testing.assert_allclose(wall.point(a, b), poses.positions[mine], atol=1e-12)
+        np.testing.assert_allclose(np.unique(a.round(9)), np.arange(0.125, wall.extent[0], 0.25))
+        np.testing.assert_allclose(np.unique(b.round(9)), np.arange(0.125, wall.extent[1], 0.25))
+    assert len(candidate_poses(room, 100.0)) == 6
+
+
+@settings(max_examples=40)
+@given(st.one_of(scenes_with_deployments(), scenes_with_boundary_landmarks()), seeds)
+def test_gains_and_amounts_follow_the_reference(drawn, seed):
+    scene, poses = drawn
+    scene = replace(scene, visibility=replace(scene.visibility, occlusion="none"))
+    rng, evaluator = np.random.default_rng(seed), Evaluator(scene, threads=2)
+    cover = cover_matrix(scene, poses)
+    prices, amounts = np.zeros((len(evaluator.positions), evaluator.axes.shape[1])), rng.random(len(poses))
+    size = len(scene.pdf.axes)
+    # Powers of two add up exactly, so that a single wrong decision shows.
+    prices[:, :size] = 2.0 ** rng.integers(0, 20, (len(prices), size))
+    np.testing.assert_array_equal(gains(evaluator, poses, prices), cover @ prices[:, :size].ravel())
+    covered = covered_amounts(evaluator, poses, amounts)
+    np.testing.assert_allclose(covered[:, :size].ravel(), amounts @ cover, rtol=1e-12, atol=1e-12)
+    assert not covered[:, size:].any()
+
+
+@settings(max_examples=40)
+@given(scenes(), seeds, st.sampled_from([0.1, 0.5, 2.0]))
+def test_a_cell_earns_at_least_what_any_landmark_in_it_does(scene, seed, spacing):
+    evaluator, rng = Evaluator(scene, threads=1), np.random.default_rng(seed)
+    prices = rng.random((len(evaluator.positions), evaluator.axes.shape[1]))
+    cells = wall_cells(scene.room, spacing)
+    cells = cells.picked(rng.integers(len(cells.poses), size=20))
+    most = gains(evaluator, cells.poses, prices, cells.radius)
+    for corner in (False, True):
+        a, b = rng.uniform(-1.0, 1.0, (2, 20, 1))
+        a, b = (np.sign(a), np.sign(b)) if corner else (a, b)
+        inside = Deployment(cells.poses.positions + a * cells.half_u + b * cells.half_v, cells.poses.normals)
+        assert (gains(evaluator, inside, prices) <= most * (1.0 + 1e-12)).all()
+
+
+def test_the_largest_gain_is_certified():
+    evaluator = small_problem().evaluator
+    prices = np.random.default_rng(0).random((len(evaluator.positions), evaluator.axes.shape[1]))
+    coarse = largest_gain(evaluator, wall_cells(paper_room(), 0.5), prices, 2.0)
+    fine = gains(evaluator, candidate_poses(paper_room(), 0.05), prices).max()
+    assert coarse - 4.0 <= fine <= coarse
+
+
+def test_the_smoothed_min_has_the_slope_it_says():
+    v, step = np.linspace(-1.0, 3.0, 4001), 1e-6
+    value, slope = smoothed_min(v, 0.3)
+    assert (value <= np.minimum(v, 1.0) + 1e-12).all()
+    assert (value >= np.minimum(v, 1.0) - 0.3 / 4.0 - 1e-12).all()
+    np.testing.assert_allclose(slope, (smoothed_min(v + step, 0.3)[0] - smoothed_min(v - step, 0.3)[0]) / (2 * step),
+                               atol=1e-5)  # fmt: skip
+
+
+@settings(max_examples=30)
+@given(seeds, st.floats(0.05, 1.0), st.integers(1, 3), st.integers(1, 30))
+def test_every_dual_bounds_every_distribution_of_landmarks(seed, threshold, n, count):
+    problem, rng = small_problem(threads=1), np.random.default_rng(seed)
+    poses = candidate_poses(problem.scene.room, 1.0)
+    shares = rng.dirichlet(np.ones(len(problem.evaluator.positions)))
+    relaxation = Relaxation(problem.evaluator, shares, n, threshold)
+    _, dual = relaxation.smoothed(covered_amounts(problem.evaluator, poses, rng.random(len(poses))), 0.3)
+    x = count * rng.dirichlet(np.full(len(poses), 0.1))
+    bound = dual.bound(count, gains(problem.evaluator, poses, dual.prices).max())
+    assert relaxation.value(covered_amounts(problem.evaluator, poses, x)) <= bound + 1e-12
+
+
+@pytest.mark.parametrize("occlusion", ["none", "paper", "line_of_sight"])
+@pytest.mark.parametrize(("n", "thold_p"), [(1, 0.4), (2, 0.3), (3, 1.0), (2, 0.0)])
+def test_no_deployment_exceeds_the_bounds(n, thold_p, occlusion):
+    problem = small_problem(20, n, thold_p, occlusion=occlusion, relevance=Relevance(
+        regions=[{"low": [0, 0, 0], "high": [3, 5, 6], "weight": 3.0}]))  # fmt: skip
+    search = Search(spacing=0.7, iterations=40)
+    average, qualified = average_bound(problem, 20, search), qualified_bound(problem, 20, search)
+    rng = np.random.default_rng(0)
+    tried = [problem.start.draw(problem.scene.room, rng) for _ in range(30)]
+    tried.append(make("annealing").run(problem, Budget(100)).deployment)
+    for deployment in tried:
+        metrics = problem.metrics(deployment)
+        assert metrics["average_coverage_probability"] <= average.walls + 1e-12
+        assert metrics["fitness"] <= qualified.walls + 1e-12
+    for bound in (average, qualified):
+        assert 0.0 <= bound.fractional <= bound.grid + 1e-12 <= bound.walls + 2e-12 <= 1.0 + 2e-12
+
+
+@pytest.mark.parametrize(("n", "count"), [(1, 6), (2, 12), (3, 12)])
+def test_both_bounds_agree_with_a_linear_program(n, count):
+    problem = small_problem(count, n, 0.3)
+    poses, size = candidate_poses(problem.scene.room, COARSE.spacing), len(problem.relevance)
+    shares = np.full(size, 1.0 / size)
+    for method, threshold in ((average_bound, 1.0), (qualified_bound, 0.3)):
+        bound, exact = method(problem, count, COARSE), exact_bound(problem, poses, count, threshold, shares)
+        assert bound.fractional <= exact + 1e-9
+        assert exact - 1e-9 <= bound.grid <= exact + 1e-3
+
+
+def test_more_iterations_close_the_gap():
+    problem = small_problem()
+    gaps = []
+    for iterations in (1, 20, 150):
+        bound = average_bound(problem, 12, replace(COARSE, iterations=iterations))
+        gaps.append(bound.grid - bound.fractional)
+    assert gaps[0] > gaps[1] > gaps[2]
+    assert gaps[2] < 1e-3
+
+
+def test_more_landmarks_have_a_higher_bound_and_one_dual_bounds_every_number():
+    problem = small_problem()
+    bounds = {count: average_bound(problem, count, COARSE) for count in (4, 8, 16, 32)}
+    walls = [bound.walls for bound in bounds.values()]
+    assert walls == sorted(walls)
+    for bound in bounds.values():
+        for count, other in bounds.items():
+            assert bound.dual.bound(count, bound.gain) >= other.fractional - 1e-12
+
+
+def test_the_fewest_landmarks_are_where_the_bound_reaches_the_target():
+    problem = small_problem(thold_p=0.5)
+    fewest = fewest_landmarks(problem, 0.6, COARSE)
+    assert fewest > 3
+    assert qualified_bound(problem, fewest, COARSE).walls >= 0.6 - 1e-9
+    assert qualified_bound(problem, fewest - 2, COARSE).fractional < 0.6
+    assert fewest_landmarks(problem, 0.0, COARSE) == 2
+
+
+def test_a_target_out_of_reach_is_refused():
+    problem = small_problem(n=1, thold_p=1.0, thold=5.0)
+    with pytest.raises(InputError, match=r"bound\.target = 1 is out of reach of 10000 landmarks\."):
+        fewest_landmarks(problem, 1.0, COARSE)
+
+
+def test_where_nothing_can_be_seen_the_bound_says_so():
+    problem = small_problem(thold=5.0)
+    bound = average_bound(problem, 12, COARSE)
+    assert bound.walls <= COARSE.tolerance
+    assert bound.fractional == 0.0
+
+
+def test_the_result_does_not_depend_on_threads():
+    one, two = (average_bound(small_problem(threads=threads), 12, COARSE) for threads in (1, 3))
+    assert (one.walls, one.grid, one.fractional) == (two.walls, two.grid, two.fractional)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"spacing": 0.0}, "bound.spacing must be greater than 0, got 0.0"),
+        ({"spacing": math.nan}, "bound.spacing must be finite, got nan"),
+        ({"iterations": 0}, "bound.iterations must be at least 1, got 0"),
+        ({"iterations": 1.5}, "bound.iterations must be a whole number, got 1.5"),
+        ({"tolerance": -1}, "bound.tolerance must be greater than 0, got -1"),
+    ],
+)
+def test_a_bad_search_is_refused(changes, message):
+    with pytest.raises(InputError, match=message):
+        Search(**changes)
+
+
+SMALL_BOUND = ["room.spacing=2.0", "pdf.divisions=6", "bound.spacing=1.0", "bound.iterations=40", "tracking=none"]
+
+
+def test_the_command_prints_and_writes_the_bounds(tmp_path):
+    done = call("bound", *SMALL_BOUND, "deployment.count=12", "bound.target=0.5", "hydra.run.dir=run", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    document = json.loads((tmp_path / "run" / "bound.json").read_text())
+    assert f"<= {document['average_coverage_probability']['walls']:.2%} for any 12 landmarks" in done.stdout
+    assert f">= {document['target']['fewest_landmarks']} for a fitness of 50.00%" in done.stdout
+    assert document["settings"]["landmarks"] == 12
+    assert set(document["fitness"]) == {"walls", "grid", "fractional"}
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("bound.spacing=-1", "bound.spacing must be greater than 0, got -1"),
+        ("bound.target=1.5", "bound.target must be in [0, 1], got 1.5"),
+        ("deployment.count=1", "objective.n = 2 exceeds the number of landmarks, 1"),
+    ],
+)
+def test_bad_input_gets_one_sentence_and_leaves_nothing(override, message, tmp_path):
+    done = call("bound", *SMALL_BOUND, override, "hydra.run.dir=run", cwd=tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"error: {message}")
+    assert not list(tmp_path.iterdir())
