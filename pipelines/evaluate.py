@@ -1,4 +1,4 @@
-"""Score a deployment: `python -m pipelines.evaluate deployment=uniform|random|file [overrides]`."""
+"""Score a deployment: `python -m pipelines.evaluate deployment=uniform|random|greedy|file [overrides]`."""
 
 import time
 
