@@ -145,7 +145,7 @@ def test_interrupted_it_keeps_the_best_and_resumes(tmp_path):
 
 
 def test_a_run_is_validated_off_its_grid(tmp_path):
-    overrides = ("validate=true", "objective=robust", "page=false", "tracking.uri=sqlite:///store.db")
+    overrides = ("validate=true", "objective=robust", "objective.design.positions=4", "tracking.uri=sqlite:///store.db")
     done = call("evaluate", *overrides, "hydra.run.dir=run", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     metrics = read_metrics(tmp_path / "run")
@@ -159,7 +159,7 @@ def test_a_run_is_validated_off_its_grid(tmp_path):
     }
     assert all(0.0 < value < 1.0 for value in validation.values())
     assert metrics["fitness"] != metrics["qualified_ratio"]
-    assert metrics["settings"]["design"] == {"positions": 2, "divisions": 24}
+    assert metrics["settings"]["design"] == {"positions": 4, "divisions": 24}
     (run,) = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db").search_runs(["1"])
     assert {key: run.data.metrics[f"validation/{key}"] for key in validation} == validation
     assert re.search(r"on a finer grid +\d+\.\d\d% of positions qualified", done.stdout)
