@@ -244,9 +244,12 @@ def largest_gain(evaluator: Evaluator, cells: Cells, prices: FloatArray, toleran
         looked_at += len(most)
         order = np.argsort(-most)
         largest = max(largest, float(gains(evaluator, cells.picked(order[:PROBES]).poses, prices).max()))
-        for part in np.split(order, range(BATCH, len(order), BATCH)):
-            heapq.heappush(heap, (-float(most[part[0]]), looked_at + int(part[0]), cells.picked(part)))
-        bound, _, cells = heapq.heappop(heap)
-        if -bound <= largest + tolerance or looked_at > MOST_CELLS:
-            return max(largest + tolerance, -bound)
-        cells = cells.quarters()
+        order = order[most[order] > largest + tolerance]
+        for first in range(0, len(order), BATCH):
+            part = order[first : first + BATCH]
+            heapq.heappush(heap, (-float(most[part[0]]), looked_at + first, cells.picked(part)))
+        if not heap or -heap[0][0] <= largest + tolerance:
+            return largest + tolerance
+        if looked_at > MOST_CELLS:
+            return -heap[0][0]
+        cells = heapq.heappop(heap)[2].quarters()
