@@ -33,6 +33,9 @@ HEIGHT_BINS = 512
 # Heights this far beyond the cone's ends are still tested; rounding moves the end of a narrow cone by 2e-8.
 HEIGHT_MARGIN = 1e-6
 
+# The square of a cosine in single precision is off by less than this: a dozen roundings of 6e-8.
+SINGLE_ERROR = 2e-6
+
 OCCLUSION_CODES = {"none": 0, "paper": 1, "line_of_sight": 2}
 _LINE_OF_SIGHT = OCCLUSION_CODES["line_of_sight"]
 
@@ -53,22 +56,37 @@ def height_index(heights: FloatArray) -> np.ndarray:
     return np.append(np.searchsorted(heights, edges - HEIGHT_MARGIN), len(heights)).astype(np.int64)
 
 
-@njit(nogil=True, cache=True)
-def band_of(height, cosine, bands):
-    """First and last + 1 axis that can lie within arccos(cosine) of a direction at `height`, in whole blocks."""
-    cosine = min(max(cosine, -1.0), 1.0)
+@njit(nogil=True, cache=True, error_model="numpy")
+def cap_of(x, y, z, nx, ny, nz, slack, min_cosine, min_depth, max_depth):
+    """The cap of axes that cover a landmark at offset (x, y, z) with normal (nx, ny, nz).
+
+    With a `slack`, the cap that holds those of all landmarks at most `slack` away in the same plane (see `poses`).
+    Scalars only and no branch: a loop over landmarks or positions vectorises with it.
+
+    Returns:
+        whether there is a cap at all; the least depth; the first and last height bin its axes lie in, to be looked up
+        in `height_index` (meaningless without a cap).
+    """
+    distance = math.sqrt(x * x + y * y + z * z)
+    nearest = distance - slack
+    least = max(nearest * min_cosine, min_depth)
+    low = least - slack
+    reached = (nearest * min_cosine <= max_depth) & ((distance + slack) * (1.0 + TOLERANCE) >= min_depth)
+    reached &= -(nx * x + ny * y + nz * z) > TOLERANCE * nearest
+    height, cosine = z / distance, min(max(low / distance, -1.0), 1.0)
     sine = math.sqrt(1.0 - cosine * cosine)
     across = math.sqrt(max(0.0, 1.0 - height * height))
-    low = -1.0 if -height >= cosine else height * cosine - across * sine
-    high = 1.0 if height >= cosine else height * cosine + across * sine
+    wide = nearest <= 0.0  # the slack reaches the camera: any axis
+    bottom = -1.0 if wide | (-height >= cosine) else height * cosine - across * sine
+    top = 1.0 if wide | (height >= cosine) else height * cosine + across * sine
     scale = HEIGHT_BINS / 2.0
-    first = max(math.floor((low - HEIGHT_MARGIN + 1.0) * scale), 0)
+    first = math.floor((bottom - HEIGHT_MARGIN + 1.0) * scale)
     # Twice the margin: the table starts each bin one margin early.
-    last = min(math.floor((high + 2.0 * HEIGHT_MARGIN + 1.0) * scale) + 1, HEIGHT_BINS + 1)
-    return bands[first] & -BLOCK, (bands[last] + BLOCK - 1) & -BLOCK
+    last = math.floor((top + 2.0 * HEIGHT_MARGIN + 1.0) * scale) + 1
+    return reached, low, max(first, 0), min(last, HEIGHT_BINS + 1)
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def evaluate_range(
     first, last, positions, landmarks, normals, limits, reach, mode, axes, bands, weights, n, units, counts, keep
 ):  # fmt: skip
@@ -90,9 +108,13 @@ def evaluate_range(
     # One long body: handing arrays on to a function costs an atomic reference count, as much as the work itself.
     count, size = landmarks.shape[2], axes.shape[1]
     min_cosine, min_depth, max_depth = limits[0], limits[1], limits[2]
-    x, y, z = np.empty(count), np.empty(count), np.empty(count)
-    squared, distance = np.empty(count), np.empty(count)
-    candidate = np.empty(count, dtype=np.bool_)
+    x, y, z, squared, low = np.empty(count), np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    bottom, top = np.empty(count, dtype=np.int32), np.empty(count, dtype=np.int32)
+    reached = np.empty(count, dtype=np.bool_)
+    # Directions in single precision, filled up to whole vectors with landmarks that no direction comes close to.
+    padded = (count + BLOCK - 1) & -BLOCK
+    u, v, w = np.zeros(padded, np.float32), np.zeros(padded, np.float32), np.zeros(padded, np.float32)
+    close = np.full(padded, 2.0, np.float32)
     row = np.empty(size, dtype=np.int16)
     for b in range(landmarks.shape[0]):
         for p in range(first, last):
@@ -100,40 +122,45 @@ def evaluate_range(
             for k in range(count):
                 x[k], y[k], z[k] = landmarks[b, 0, k] - px, landmarks[b, 1, k] - py, landmarks[b, 2, k] - pz
                 squared[k] = x[k] * x[k] + y[k] * y[k] + z[k] * z[k]
-                distance[k] = math.sqrt(squared[k])
-                facing = normals[b, 0, k] * x[k] + normals[b, 1, k] * y[k] + normals[b, 2, k] * z[k]
-                in_reach = (distance[k] * min_cosine <= max_depth) & (distance[k] * (1.0 + TOLERANCE) >= min_depth)
-                candidate[k] = in_reach & (-facing > TOLERANCE * distance[k])
+                reached[k], low[k], bottom[k], top[k] = cap_of(
+                    x[k], y[k], z[k], normals[b, 0, k], normals[b, 1, k], normals[b, 2, k],
+                    0.0, min_cosine, min_depth, max_depth,
+                )  # fmt: skip
+            if mode:
+                for k in range(count):
+                    here = squared[k] == 0.0  # such a landmark hides all others
+                    scale = 0.0 if here else 1.0 / math.sqrt(squared[k])
+                    u[k], v[k], w[k] = scale * x[k], scale * y[k], scale * z[k]
+                    close[k] = -1.0 if here else 1.0 - SINGLE_ERROR - reach / squared[k]
             for a in range(size):
                 row[a] = 0
             for k in range(count):
-                if not candidate[k]:
+                if not reached[k]:
                     continue
                 xk, yk, zk = x[k], y[k], z[k]
                 if mode:
-                    bound, further, hiding = reach * squared[k], squared[k] * (1.0 + TOLERANCE), 0
-                    for j in range(count):
-                        cx = y[j] * zk - z[j] * yk
-                        cy = z[j] * xk - x[j] * zk
-                        cz = x[j] * yk - y[j] * xk
-                        hiding += cx * cx + cy * cy + cz * cz <= bound
-                    if mode == _LINE_OF_SIGHT and hiding > 1:
-                        hiding = 1
+                    uk, vk, wk, suspects = u[k], v[k], w[k], np.int32(0)
+                    for j in range(np.uint64(padded)):
+                        cosine = u[j] * uk + v[j] * vk + w[j] * wk
+                        suspects += np.int32(cosine * cosine >= close[j])
+                    if suspects > 1:  # the landmark itself is always one of them
+                        bound, further, hiding = reach * squared[k], squared[k] * (1.0 + TOLERANCE), 0
                         for j in range(count):
                             cx = y[j] * zk - z[j] * yk
                             cy = z[j] * xk - x[j] * zk
                             cz = x[j] * yk - y[j] * xk
-                            in_front = xk * x[j] + yk * y[j] + zk * z[j] > 0.0
-                            near = cx * cx + cy * cy + cz * cz <= bound and squared[j] <= further
-                            hiding += j != k and in_front and near
-                    if hiding > 1:  # the landmark itself is always one of them
-                        continue
-                low = max(distance[k] * min_cosine, min_depth)
-                start, stop = band_of(zk / distance[k], low / distance[k], bands)
+                            near = cx * cx + cy * cy + cz * cz <= bound
+                            if mode == _LINE_OF_SIGHT:
+                                near &= (xk * x[j] + yk * y[j] + zk * z[j] > 0.0) & (squared[j] <= further)
+                            hiding += near & (j != k)
+                        if hiding > 0:
+                            continue
+                least = low[k]
+                start, stop = bands[bottom[k]] & -BLOCK, (bands[top[k]] + BLOCK - 1) & -BLOCK
                 # Unsigned, so that the compiler sees indices that cannot be negative and vectorises the loop.
                 for a in range(np.uint64(start), np.uint64(stop)):
                     depth = axes[0, a] * xk + axes[1, a] * yk + axes[2, a] * zk
-                    row[a] += (depth >= low) & (depth <= max_depth)
+                    row[a] += (depth >= least) & (depth <= max_depth)
             total = np.int64(0)
             for a in range(size):
                 total += weights[a] if row[a] >= n else 0

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from lmd.checks import FloatArray, real
 from lmd.coverage.evaluator import Evaluator
-from lmd.coverage.kernels import band_of
+from lmd.coverage.kernels import BLOCK, cap_of
 from lmd.deployment import Deployment
 from lmd.room import Room
 from lmd.visibility import TOLERANCE
@@ -78,54 +78,55 @@ def candidate_poses(room: Room, spacing: float) -> Deployment:
     return wall_cells(room, spacing).poses
 
 
-@njit(nogil=True, cache=True)
-def _cap(x, y, z, nx, ny, nz, slack, limits, bands):
-    """Least and largest depth of the cap of a pose at offset (x, y, z), and its band of axes (empty if unreachable)."""
-    distance = np.sqrt(x * x + y * y + z * z)
-    nearest = distance - slack
-    low, high = max(nearest * limits[0], limits[1]) - slack, limits[2] + slack
-    unreachable = nearest * limits[0] > limits[2] or (distance + slack) * (1.0 + TOLERANCE) < limits[1]
-    if unreachable or -(nx * x + ny * y + nz * z) <= TOLERANCE * nearest:
-        return low, high, np.int64(0), np.int64(0)
-    if nearest <= 0.0:
-        return low, high, np.int64(0), bands[-1]
-    first, last = band_of(z / distance, low / distance, bands)
-    return low, high, first, last
-
-
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _gains(start, stop, points, normals, slack, prices, positions, limits, axes, bands, out):
-    """Write the gains of poses `start` to `stop` into `out` `(N,)`; args as in `gains`."""
-    row = np.empty(axes.shape[1])
+    """Write the gains of poses `start` to `stop` into `out` `(N,)`; args as in `gains`, positions `(3, P)`."""
+    min_cosine, min_depth, max_depth = limits[0], limits[1], limits[2]
+    size, row = positions.shape[1], np.empty(axes.shape[1])
+    x, y, z, low = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
+    bottom, top, reached = np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size, np.bool_)
     for j in range(start, stop):
+        px, py, pz = points[j, 0], points[j, 1], points[j, 2]
         nx, ny, nz = normals[j, 0], normals[j, 1], normals[j, 2]
+        near, high = slack[j], max_depth + slack[j]
+        for p in range(size):
+            x[p], y[p], z[p] = px - positions[0, p], py - positions[1, p], pz - positions[2, p]
+            reached[p], low[p], bottom[p], top[p] = cap_of(
+                x[p], y[p], z[p], nx, ny, nz, near, min_cosine, min_depth, max_depth
+            )
         for a in range(len(row)):
             row[a] = 0.0
-        for p in range(len(positions)):
-            x, y, z = points[j, 0] - positions[p, 0], points[j, 1] - positions[p, 1], points[j, 2] - positions[p, 2]
-            low, high, first, last = _cap(x, y, z, nx, ny, nz, slack[j], limits, bands)
+        for p in range(size):
+            if not reached[p]:
+                continue
+            xp, yp, zp, least = x[p], y[p], z[p], low[p]
+            start_axis, stop_axis = bands[bottom[p]] & -BLOCK, (bands[top[p]] + BLOCK - 1) & -BLOCK
             # One sum per axis, so that the loop vectorises without re-association.
-            for a in range(np.uint64(first), np.uint64(last)):
-                depth = axes[0, a] * x + axes[1, a] * y + axes[2, a] * z
-                row[a] += prices[p, a] if (depth >= low) & (depth <= high) else 0.0
+            for a in range(np.uint64(start_axis), np.uint64(stop_axis)):
+                depth = axes[0, a] * xp + axes[1, a] * yp + axes[2, a] * zp
+                row[a] += prices[p, a] if (depth >= least) & (depth <= high) else 0.0
         total = 0.0
         for a in range(len(row)):
             total += row[a]
         out[j] = total
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _cover(start, stop, points, normals, amounts, positions, limits, axes, bands, out):
     """Write what covers positions `start` to `stop` into `out` `(P, D)` of zeros; args as in `covered_amounts`."""
+    min_cosine, min_depth, max_depth = limits[0], limits[1], limits[2]
     for p in range(start, stop):
         for j in range(len(points)):
             if amounts[j] == 0.0:
                 continue
             x, y, z = points[j, 0] - positions[p, 0], points[j, 1] - positions[p, 1], points[j, 2] - positions[p, 2]
-            low, high, first, last = _cap(x, y, z, normals[j, 0], normals[j, 1], normals[j, 2], 0.0, limits, bands)
-            for a in range(np.uint64(first), np.uint64(last)):
-                depth = axes[0, a] * x + axes[1, a] * y + axes[2, a] * z
-                out[p, a] += amounts[j] if (depth >= low) & (depth <= high) else 0.0
+            nx, ny, nz = normals[j, 0], normals[j, 1], normals[j, 2]
+            reached, low, bottom, top = cap_of(x, y, z, nx, ny, nz, 0.0, min_cosine, min_depth, max_depth)
+            if reached:
+                first, last = bands[bottom] & -BLOCK, (bands[top] + BLOCK - 1) & -BLOCK
+                for a in range(np.uint64(first), np.uint64(last)):
+                    depth = axes[0, a] * x + axes[1, a] * y + axes[2, a] * z
+                    out[p, a] += amounts[j] if (depth >= low) & (depth <= max_depth) else 0.0
 
 
 def gains(evaluator: Evaluator, poses: Deployment, prices: FloatArray, slack: FloatArray | None = None) -> FloatArray:
@@ -142,7 +143,8 @@ def gains(evaluator: Evaluator, poses: Deployment, prices: FloatArray, slack: Fl
     """
     out, e = np.empty(len(poses)), evaluator
     slack = np.zeros(len(poses)) if slack is None else slack
-    fixed = (poses.positions, poses.normals, slack, prices, e.positions, e.limits, e.axes, e.bands, out)
+    positions = np.ascontiguousarray(e.positions.T)
+    fixed = (poses.positions, poses.normals, slack, prices, positions, e.limits, e.axes, e.bands, out)
     _shared(_gains, len(poses), e.threads, fixed)
     return out
 

@@ -199,7 +199,9 @@ class _Ground:
         # A stack of n that nothing hides is seen whenever one landmark in its place is.
         self.stacked = self.single._replace(n=1, mode=0)
         threshold = math.ceil((objective.thold_p - TOLERANCE) * PROBABILITY_ONE)
-        self.goal = Goal(threshold, problem.fitness_relevance / problem.fitness_relevance.mean())
+        relevance = np.zeros(self.single.positions.shape[1])
+        relevance[self.single.place] = problem.fitness_relevance / problem.fitness_relevance.sum()
+        self.goal = Goal(threshold, relevance)
         self.walls = walls_of(problem.scene.room)
 
     def enter(self, here: Deployment, in_stacks: bool, best: Deployment) -> None:

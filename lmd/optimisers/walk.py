@@ -34,7 +34,7 @@ class Walls(NamedTuple):
 
 
 class Goal(NamedTuple):
-    """The true objective: what qualifies a position (units of P_n), and its weight `(P,)`, with mean 1."""
+    """The true objective: what qualifies a position (units of P_n), and the weight of each, `(Q,)`, with sum 1."""
 
     threshold: int
     relevance: np.ndarray
@@ -204,7 +204,7 @@ def walk(moves, fixed, state, scratch, goal, walls, climate, rng, best):
                 trial[p] = relevance[p] * _value(units[p], threshold, climate)
             sum_value += trial[p]
             fitness += relevance[p] * (units[p] >= threshold)
-        gain = (sum_value - total) / positions
+        gain = sum_value - total
         if gain >= 0.0 or rng.random() < math.exp(gain / climate.temperature):
             _go(group[last], new[last], fixed, state, scratch, units, True)
             accepted[:] = units
