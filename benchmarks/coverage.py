@@ -1,24 +1,38 @@
-"""How fast the exact paths are: `python benchmarks/coverage.py`.
+"""How fast the exact paths are: `python benchmarks/coverage.py [--update docs/performance.md]`.
 
-Prints times and their ratio to the reference, all measured in one run on the paper's problem: 756 positions, 325
-orientations, 90 landmarks, the paper's occlusion test.
+Prints Markdown tables of times and ratios, all measured in one run on the paper's problem (756 positions, 325
+orientations, 90 landmarks, the paper's occlusion test) and on larger ones. With `--update`, the part of the page
+between the two marks is replaced by the output, and the plot of the scaling is written beside it.
 """
 
+import argparse
+import resource
+import subprocess
+import sys
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from hydra import compose, initialize_config_dir
+from numba import njit
 
 from lmd.coverage import reference
 from lmd.coverage.evaluator import Evaluator, available_threads
 from lmd.coverage.incremental import fixed_of, move, scratch_of, state_of
+from lmd.coverage.kernels import BLOCK, cap_of
 from lmd.coverage.poses import candidate_poses, gains
 from lmd.deployment import RandomDeployment
+from lmd.pdf import grid_with_ends
+from lmd.scene import Scene
 from pipelines.app import CONF, build_problem
 
+COUNT, N = 90, 2  # of the paper: landmarks, and how many must be seen
 DEPLOYMENTS = 20
 MOVES = 2000
+MARKS = ("<!-- benchmark -->", "<!-- end of benchmark -->")
 
 
 def best_of(repeats: int, work: Callable[[], object]) -> float:
@@ -32,37 +46,180 @@ def best_of(repeats: int, work: Callable[[], object]) -> float:
     return min(times)
 
 
+def paper_scene() -> Scene:
+    """The paper's simulation."""
+    with initialize_config_dir(CONF, version_base="1.3"):
+        return build_problem(compose("optimise")).scene
+
+
+@njit(nogil=True)
+def move_all(places, normals, fixed, state, scratch, units, commit):  # type: ignore[no-untyped-def]
+    """Move the landmarks in turn to each of the places `(M, 3)`, as an optimiser does."""
+    for i in range(len(places)):
+        place, normal, k = places[i], normals[i], i % state.landmarks.shape[1]
+        move(k, place[0], place[1], place[2], normal[0], normal[1], normal[2], fixed, state, scratch, units, commit)
+
+
+def evaluation(scene: Scene, count: int, threads: int, occlusion: bool = True, caps: bool = True) -> float:
+    """Seconds of one evaluation, in a batch of random deployments; without occlusion, or with no cap in reach."""
+    rng = np.random.default_rng(0)
+    drawn = [RandomDeployment(count).draw(scene.room, rng) for _ in range(DEPLOYMENTS)]
+    positions, normals = np.stack([d.positions for d in drawn]), np.stack([d.normals for d in drawn])
+    evaluator = Evaluator(scene, threads=threads)
+    if not occlusion:
+        evaluator.mode = 0
+    if not caps:
+        evaluator.limits = np.array([evaluator.limits[0], np.inf, evaluator.limits[2]])
+    return best_of(5, lambda: evaluator.units(positions, normals, N)) / DEPLOYMENTS
+
+
+def moves(scene: Scene, count: int, commit: bool) -> float:
+    """Seconds of moving one landmark to a random place."""
+    rng = np.random.default_rng(0)
+    start, targets = (RandomDeployment(size).draw(scene.room, rng) for size in (count, MOVES))
+    fixed = fixed_of(Evaluator(scene, threads=1), N)
+    state = state_of(fixed, start)
+    scratch, units = scratch_of(state), np.empty_like(state.units)
+    args = (targets.positions, targets.normals, fixed, state, scratch, units, commit)
+    return best_of(5, lambda: move_all(*args)) / MOVES
+
+
+def all_gains(scene: Scene, threads: int) -> tuple[int, float]:
+    """How many poses a grid of 25 cm has, and the seconds it takes to find the gain of each."""
+    poses, evaluator = candidate_poses(scene.room, 0.25), Evaluator(scene, threads=threads)
+    prices = np.ones((len(evaluator.positions), evaluator.axes.shape[1]))
+    return len(poses), best_of(5, lambda: gains(evaluator, poses, prices))
+
+
+def whole_pipeline() -> float:
+    """Seconds of the paper's EGA with its 12,000 evaluations from the command line, tracking and pictures included."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "pipelines.optimise", "optimiser=ega", f"hydra.run.dir={folder}/run"]
+        command.append(f"tracking.uri=sqlite:///{folder}/mlflow.db")
+        began = time.perf_counter()
+        subprocess.run(command, check=True, capture_output=True)
+        return time.perf_counter() - began
+
+
+def speed(scene: Scene) -> Iterator[str]:
+    """The main table: what one piece of work takes, against the reference."""
+    drawn = RandomDeployment(COUNT).draw(scene.room, np.random.default_rng(0))
+    base = best_of(3, lambda: reference.counts(scene, drawn))
+    rows = [("reference, one evaluation", base)]
+    for threads in sorted({1, available_threads()}):
+        label = f"one evaluation of a batch, {threads} thread{'s' * (threads > 1)}"
+        rows.append((label, evaluation(scene, COUNT, threads)))
+    rows += [(f"one landmark moved, {what}", moves(scene, COUNT, what != "tried")) for what in ("tried", "carried out")]
+    for threads in sorted({1, available_threads()}):
+        poses, seconds = all_gains(scene, threads)
+        rows.append((f"gain of each of {poses} poses, {threads} thread{'s' * (threads > 1)}", seconds))
+    yield "| work | milliseconds | reference / this |\n| --- | --- | --- |"
+    for name, seconds in rows:
+        yield f"| {name} | {1e3 * seconds:.3f} | {base / seconds:.1f} |"
+    yield f"\n`optimiser=ega`, 12,000 evaluations, the whole command: {whole_pipeline():.1f} s."
+
+
+def stages(scene: Scene) -> Iterator[str]:
+    """Where the time of one evaluation goes, on one thread, by leaving stages out."""
+    full = evaluation(scene, COUNT, 1)
+    unhidden = evaluation(scene, COUNT, 1, occlusion=False)
+    geometry = evaluation(scene, COUNT, 1, occlusion=False, caps=False)
+    pairs, reached, axes = work(scene)
+    rows = [
+        ("offset, distance, facing, band of axes", pairs, geometry),
+        ("hidden by another landmark", reached * COUNT, full - unhidden),
+        ("axis in the cap", axes, unhidden - geometry),
+    ]
+    yield "| stage | milliseconds | share | decisions | nanoseconds each |\n| --- | --- | --- | --- | --- |"
+    for name, decisions, seconds in rows:
+        each = 1e9 * seconds / decisions
+        yield f"| {name} | {1e3 * seconds:.3f} | {seconds / full:.0%} | {decisions:,} | {each:.2f} |"
+
+
+def work(scene: Scene) -> tuple[int, int, int]:
+    """Pairs of position and landmark of a random deployment, those in reach, and axes in the bands of their caps."""
+    drawn, limits = RandomDeployment(COUNT).draw(scene.room, np.random.default_rng(0)), scene.limits
+    evaluator = Evaluator(scene, threads=1)
+    reached = axes = 0
+    for position in evaluator.positions:
+        for offset, normal in zip(drawn.positions - position, drawn.normals, strict=True):
+            in_reach, _, bottom, top = cap_of(
+                *offset, *normal, 0.0, limits.min_cosine, limits.min_depth, limits.max_depth
+            )
+            reached += in_reach
+            first, last = evaluator.bands[bottom] & -BLOCK, (evaluator.bands[top] + BLOCK - 1) & -BLOCK
+            axes += int(last - first) if in_reach else 0
+    return len(evaluator.positions) * COUNT, int(reached), axes
+
+
+def scaling(scene: Scene, picture: Path | None) -> Iterator[str]:
+    """Cost against the number of positions, orientations and landmarks."""
+    fine_room = [replace(scene.room, spacing=spacing) for spacing in (1.0, 0.5, 0.25)]
+    fine_pdf = [grid_with_ends(divisions) for divisions in (6, 12, 24)]
+    sweeps = {
+        "positions": [(replace(scene, room=room), COUNT) for room in fine_room],
+        "orientations": [(replace(scene, pdf=pdf), COUNT) for pdf in fine_pdf],
+        "landmarks": [(scene, count) for count in (45, COUNT, 180, 500)],
+        "all": [(scene, COUNT), (replace(scene, room=fine_room[-1], pdf=fine_pdf[-1]), 500)],
+    }
+    yield "| varied | positions | orientations | landmarks | evaluation, ms | per product, ns | one moved, ms |"
+    yield "| --- | --- | --- | --- | --- | --- | --- |"
+    points: dict[str, list[tuple[int, float, float]]] = {}
+    for name, cases in sweeps.items():
+        for case, count in cases:
+            sizes = len(case.room.grid()), len(case.pdf.weight), count
+            seconds, moved = evaluation(case, count, 1), moves(case, count, commit=True)
+            product = int(np.prod(sizes))
+            cells = " | ".join(f"{size:,}" for size in sizes)
+            yield f"| {name} | {cells} | {1e3 * seconds:.3f} | {1e9 * seconds / product:.4f} | {1e3 * moved:.3f} |"
+            if name != "all":
+                points.setdefault(name, []).append((sizes[list(sweeps).index(name)], 1e3 * seconds, 1e3 * moved))
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    yield f"\nPeak memory of the benchmark, all libraries and the largest case included: {peak:.2f} GiB."
+    if picture:
+        plot(points, picture)
+
+
+def plot(points: dict[str, list[tuple[int, float, float]]], picture: Path) -> None:
+    """Cost against each dimension, with a line of slope 1."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, panels = plt.subplots(1, len(points), figsize=(10, 3.2), sharey=True, layout="constrained")
+    for panel, (name, rows) in zip(panels, points.items(), strict=True):
+        size, evaluated, moved = np.array(rows).T
+        panel.loglog(size, evaluated, "o-", label="full evaluation")
+        panel.loglog(size, moved, "s-", label="one landmark moved")
+        panel.loglog(size, evaluated[1] * size / size[1], ":", color="grey", label="proportional")
+        panel.set_xlabel(name)
+        panel.grid(alpha=0.3)
+    panels[0].set_ylabel("milliseconds, one thread")
+    panels[0].legend()
+    figure.savefig(picture, dpi=110)
+    plt.close(figure)
+
+
 def main() -> None:
     """Measure and print."""
-    with initialize_config_dir(CONF, version_base="1.3"):
-        problem = build_problem(compose("optimise"))
-    scene, rng = problem.scene, np.random.default_rng(0)
-    drawn = [RandomDeployment(90).draw(scene.room, rng) for _ in range(DEPLOYMENTS)]
-    positions, normals = np.stack([d.positions for d in drawn]), np.stack([d.normals for d in drawn])
-    rows = [("reference, one evaluation", best_of(3, lambda: reference.counts(scene, drawn[0])))]
-    for threads in sorted({1, available_threads()}):
-        evaluator = Evaluator(scene, threads=threads)
-        seconds = best_of(5, lambda e=evaluator: e.units(positions, normals, 2)) / DEPLOYMENTS
-        rows.append((f"kernels, one evaluation, {threads} thread{'s' * (threads > 1)}", seconds))
-    fixed = fixed_of(Evaluator(scene, threads=1), 2)
-    state = state_of(fixed, drawn[0])
-    scratch, units = scratch_of(state), np.empty_like(state.units)
-    targets = RandomDeployment(MOVES).draw(scene.room, rng)
-    for name, commit in (("tried", False), ("carried out", True)):
-
-        def moves(commit: bool = commit) -> None:
-            for i in range(MOVES):
-                move(i % 90, *targets.positions[i], *targets.normals[i], fixed, state, scratch, units, commit)
-
-        rows.append((f"one landmark moved, {name}", best_of(3, moves) / MOVES))
-    poses = candidate_poses(scene.room, 0.25)
-    evaluator = Evaluator(scene)
-    prices = np.ones((len(evaluator.positions), evaluator.axes.shape[1]))
-    seconds = best_of(3, lambda: gains(evaluator, poses, prices))
-    rows.append((f"gain of each of {len(poses)} poses, {evaluator.threads} threads", seconds))
-    print("| work | milliseconds | reference / this |\n| --- | --- | --- |")
-    for name, seconds in rows:
-        print(f"| {name} | {1e3 * seconds:.3f} | {rows[0][1] / seconds:.1f} |")
+    parser = argparse.ArgumentParser(description="Measure the exact paths; prints Markdown.")
+    parser.add_argument("--update", type=Path, metavar="PAGE", help="write the output between the marks of this page")
+    page = parser.parse_args().update
+    scene, lines = paper_scene(), []
+    sections = {
+        "## Speed": speed(scene),
+        "## Where the time goes": stages(scene),
+        "## Scaling": scaling(scene, page.parent / "images" / "scaling.png" if page else None),
+    }
+    for title, section in sections.items():
+        for line in (title, "", *section, ""):
+            print(line, flush=True)
+            lines.append(line)
+    if page:
+        before, rest = page.read_text().split(MARKS[0])
+        after = rest.split(MARKS[1])[1]
+        page.write_text("\n".join([before + MARKS[0], "", *lines, ""])[:-1] + MARKS[1] + after)
 
 
 if __name__ == "__main__":

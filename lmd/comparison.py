@@ -8,6 +8,7 @@ import pandas as pd
 from scipy.stats import mannwhitneyu
 
 from lmd.checks import FloatArray
+from lmd.deployment import Deployment
 from lmd.optimisers.base import Record
 
 MILESTONES = (0.50, 0.65, 0.80)
@@ -21,6 +22,7 @@ class Outcome:
     seed: int
     metrics: Mapping[str, float]
     history: Sequence[Record]
+    deployment: Deployment
 
     def evaluations_to(self, fitness: float) -> float:
         """Evaluations after which the best fitness reached `fitness`; infinity if it never did."""

@@ -56,26 +56,29 @@ def compare(cfg: DictConfig) -> None:
         raise InputError("optimisers must name at least one optimiser.")
     jobs = [(name, configs[name], seed, budget) for seed in seeds for name in configs]
     directory, outcomes = run_directory(), []
+    axis = "evaluations" if budget.evaluations else "wall_time"
     with tracked_run(cfg, problem, "compare") as tracker:
-        for outcome in _outcomes(jobs, workers):
-            outcomes.append(outcome)
-            _log_child(cfg, outcome, tracker.run_id)
-            print(f"{len(outcomes)}/{len(jobs)} {outcome.optimiser} seed={outcome.seed}: "
-                  f"{outcome.metrics['qualified_ratio']:.2%}", flush=True)  # fmt: skip
-        table = comparison_table(outcomes)
-        table.to_csv(directory / "comparison.csv", index=False)
-        markdown = to_markdown(table)
-        (directory / "comparison.md").write_text(markdown)
-        axis = "evaluations" if budget.evaluations else "wall_time"
-        save_comparison_figure(directory / "comparison.png", outcomes, axis, title_of(problem, f"{len(seeds)} seeds,"))
-        tracker.log_artifacts([directory / f"comparison.{kind}" for kind in ("csv", "md", "png")])
+        try:
+            for outcome in _outcomes(jobs, workers):
+                outcomes.append(outcome)
+                _log_child(cfg, outcome, tracker.run_id, directory)
+                print(f"{len(outcomes)}/{len(jobs)} {outcome.optimiser} seed={outcome.seed}: "
+                      f"{outcome.metrics['qualified_ratio']:.2%}", flush=True)  # fmt: skip
+        finally:  # interrupted, what is finished is still worth a table
+            if outcomes:
+                table = comparison_table(outcomes)
+                table.to_csv(directory / "comparison.csv", index=False)
+                (directory / "comparison.md").write_text(to_markdown(table))
+                title = title_of(problem, f"{len(seeds)} seeds,")
+                save_comparison_figure(directory / "comparison.png", outcomes, axis, title)
+                tracker.log_artifacts([directory / f"comparison.{kind}" for kind in ("csv", "md", "png")])
+                print(f"\n{to_markdown(table)}\nfiles: {directory}")
         tracker.finish("FINISHED")
     if cfg.save_as is not None:
         for kind in ("md", "png"):
             target = Path(f"{cfg.save_as}.{kind}")
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_bytes((directory / f"comparison.{kind}").read_bytes())
-    print(f"\n{markdown}\nfiles: {directory}")
 
 
 def _compose(entry: str, cfg: DictConfig) -> DictConfig:
@@ -114,7 +117,7 @@ def _run(job: "tuple[str, DictConfig, int, Budget]") -> "Outcome":
     name, cfg, seed, budget = job
     problem = build_problem(cfg)
     result = build_optimiser(cfg, seed).run(problem, budget)
-    return Outcome(name, seed, problem.metrics(result.deployment), result.history)
+    return Outcome(name, seed, problem.metrics(result.deployment), result.history, result.deployment)
 
 
 def _outcomes(jobs: "Sequence[tuple[str, DictConfig, int, Budget]]", workers: int) -> "Iterator[Outcome]":
@@ -126,8 +129,8 @@ def _outcomes(jobs: "Sequence[tuple[str, DictConfig, int, Budget]]", workers: in
         yield from pool.imap_unordered(_run, jobs)
 
 
-def _log_child(cfg: DictConfig, outcome: "Outcome", parent: str | None) -> None:
-    """Record one run below the comparison's own."""
+def _log_child(cfg: DictConfig, outcome: "Outcome", parent: str | None, directory: Path) -> None:
+    """Record one run below the comparison's own, its landmarks in a folder of its own in `directory`."""
     from pipelines.progress import thinned
 
     tracker: Tracker = instantiate(cfg.tracking)
@@ -139,6 +142,10 @@ def _log_child(cfg: DictConfig, outcome: "Outcome", parent: str | None) -> None:
     tracker.start(f"{outcome.optimiser} seed={outcome.seed}", params, tags, None, ago)
     tracker.log_curve("best_fitness", thinned(outcome.history))
     tracker.log_metrics(outcome.metrics)
+    landmarks = directory / "runs" / f"{outcome.optimiser.replace('/', '_')} seed={outcome.seed}" / "landmarks.csv"
+    landmarks.parent.mkdir(parents=True)
+    outcome.deployment.to_csv(landmarks)
+    tracker.log_artifacts([landmarks])
     tracker.finish("FINISHED")
 
 

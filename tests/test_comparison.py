@@ -1,21 +1,24 @@
 import json
+import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from mlflow import MlflowClient
-from test_pipelines import SMALL, call, environment
+from test_pipelines import SMALL, call, command, environment
 
 from lmd.comparison import Outcome, best_at, comparison_table, to_markdown
+from lmd.deployment import Deployment
 from lmd.optimisers.base import Record
 
 
 def outcome(name, seed, *fitness):
     history = [Record(10 * (i + 1), value, i + 1.0) for i, value in enumerate(fitness)]
     metrics = {"qualified_ratio": fitness[-1], "average_coverage_probability": 0.5, "maximum_coverage_probability": 0.9}
-    return Outcome(name, seed, metrics, history)
+    return Outcome(name, seed, metrics, history, Deployment([[0.0, 1.0, 1.0]], [[1.0, 0.0, 0.0]]))
 
 
 OUTCOMES = [
@@ -76,7 +79,26 @@ def test_a_comparison_gives_what_single_runs_give(tmp_path):
     call("compare", *shared, "optimisers=[ega]", "seeds=1", "seed=3", "workers=1", "hydra.run.dir=many", cwd=tmp_path)
     call("optimise", *shared, "optimiser=ega", "seed=3", "page=false", "hydra.run.dir=one", cwd=tmp_path)
     one = json.loads((tmp_path / "one" / "metrics.json").read_text())
+    landmarks = Path("landmarks.csv")
+    kept = tmp_path / "many" / "runs" / "ega seed=3" / landmarks
+    assert kept.read_text() == (tmp_path / "one" / landmarks).read_text()
     assert pd.read_csv(tmp_path / "many" / "comparison.csv").qualified_ratio[0] == one["qualified_ratio"]
+
+
+def test_an_interrupted_comparison_keeps_a_table_of_what_is_finished(tmp_path):
+    overrides = ["optimisers=[ega]", "seeds=500", "workers=1", "budget.evaluations=20", "deployment.count=20"]
+    overrides += ["hydra.run.dir=run", "tracking.uri=sqlite:///store.db"]
+    process = subprocess.Popen(
+        command("compare", *overrides), cwd=tmp_path, env=environment(), stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout.readline().startswith("1/500 ega seed=0")
+    process.send_signal(signal.SIGINT)
+    process.communicate()
+    assert process.returncode != 0
+    (row,) = pd.read_csv(tmp_path / "run" / "comparison.csv").itertuples()
+    assert 1 <= row.runs < 500
+    runs = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db").search_runs(["1"])
+    assert sorted({run.info.status for run in runs}) == ["FINISHED", "KILLED"]
 
 
 def test_a_misspelt_optimiser_fails_before_anything_runs(tmp_path):
