@@ -3,7 +3,7 @@
 import json
 import shutil
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -48,8 +48,8 @@ def write_outputs(
     metrics = problem.metrics(deployment)
     shown = (room, deployment, positions, probability, objective.thold_p, objective.n, title)
     table = pd.DataFrame(history)
-    with tempfile.TemporaryDirectory(dir=directory, prefix=".partial_") as name:
-        partial = Path(name)
+
+    def write(partial: Path) -> None:
         deployment.to_csv(partial / "landmarks.csv")
         document = {**metrics, **summary, "settings": problem.settings()}
         (partial / "metrics.json").write_text(json.dumps(document, indent=2) + "\n")
@@ -58,5 +58,16 @@ def write_outputs(
         save_convergence_figure(partial / "convergence.png", table, title)
         if page:
             save_scene_page(partial / "scene.html", *shown)
-        written = [Path(shutil.move(path, directory / path.name)) for path in sorted(partial.iterdir())]
-    return metrics, written
+
+    return metrics, all_or_none(directory, write)
+
+
+def all_or_none(directory: Path, write: Callable[[Path], None]) -> list[Path]:
+    """Let `write` fill a folder, then move its files to `directory`; where it fails nothing is left.
+
+    Returns:
+        the files in `directory`, sorted.
+    """
+    with tempfile.TemporaryDirectory(dir=directory, prefix=".partial_") as name:
+        write(Path(name))
+        return [Path(shutil.move(path, directory / path.name)) for path in sorted(Path(name).iterdir())]

@@ -28,7 +28,7 @@ def title_of(problem: CoverageProblem, subject: str) -> str:
 def tracked_run(
     cfg: DictConfig, problem: CoverageProblem, subject: str, run_id: str | None = None
 ) -> "Iterator[Tracker]":
-    """A started run of the configured tracker; an exception marks it FAILED, Ctrl-C KILLED, bad input leaves none.
+    """`tracked` with the name of a run on a coverage problem.
 
     Args:
         cfg: logged as parameters.
@@ -36,10 +36,23 @@ def tracked_run(
         subject: what the run is about.
         run_id: continue this run.
     """
+    with tracked(cfg, title_of(problem, subject), run_id) as tracker:
+        yield tracker
+
+
+@contextmanager
+def tracked(cfg: DictConfig, title: str, run_id: str | None = None) -> "Iterator[Tracker]":
+    """A started run of the configured tracker; an exception marks it FAILED, Ctrl-C KILLED, bad input leaves none.
+
+    Args:
+        cfg: logged as parameters.
+        title: the run's name, to which the seed is added.
+        run_id: continue this run.
+    """
     tracker: Tracker = instantiate(cfg.tracking)
     tags = {f"choice.{group}": option for group, option in choices().items()}
     tags["overrides"] = " ".join(HydraConfig.get().overrides.task)
-    tracker.start(f"{title_of(problem, subject)} seed={cfg.seed}", flat_settings(cfg), tags, run_id)
+    tracker.start(f"{title} seed={cfg.seed}", flat_settings(cfg), tags, run_id)
     try:
         yield tracker
     except InputError:
