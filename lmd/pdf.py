@@ -4,8 +4,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from lmd.checks import FloatArray, InputError, integer, real
 from lmd.frames import optical_axis
@@ -106,6 +108,10 @@ class OrientationPdf:
         points = (cells + rng.random(cells.shape)) / (2 * divisions, divisions)
         yaw, pitch = self.continuous(points.reshape(-1, 2))
         return OrientationPdf(yaw, pitch, np.full(len(yaw), 1.0 / len(yaw)), f"{self.name}, stratified")
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write `yaw,pitch,weight` with every digit, as `from_csv` reads it."""
+        pd.DataFrame({"yaw": self.yaw, "pitch": self.pitch, "weight": self.weight}).to_csv(path, index=False)
 
 
 def _divisions(value: int) -> int:

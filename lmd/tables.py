@@ -55,3 +55,12 @@ def read_numbers(path: str | Path, columns: Sequence[str], *, name: str, optiona
             if not np.isfinite(table[i, j]):
                 raise InputError(f"{path} line {i + 2}: {column} is {text!r}, not a finite number.")
     return table
+
+
+def has_column(path: str | Path, column: str) -> bool:
+    """Whether the header of a CSV names `column`; False for a file that `read_numbers` would refuse to read."""
+    try:
+        with Path(path).open() as file:
+            return column in (name.strip() for name in file.readline().split(","))
+    except (OSError, UnicodeDecodeError):
+        return False
