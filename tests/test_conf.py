@@ -7,8 +7,11 @@ from hydra import compose, initialize_config_dir
 from lmd.camera import Camera
 from pipelines.app import CONF, build_problem, flat_settings, instantiate
 
+OTHER_GROUPS = {"experiment", "recording"}  # tested below, and in test_estimate_pdf.py
 GROUPS = [
-    (path.parent.name, path.stem) for path in sorted(Path(CONF).glob("*/*.yaml")) if path.parent.name != "experiment"
+    (path.parent.name, path.stem)
+    for path in sorted(Path(CONF).glob("*/*.yaml"))
+    if path.parent.name not in OTHER_GROUPS
 ]
 EXPERIMENTS = sorted(path.stem for path in Path(CONF, "experiment").glob("*.yaml"))
 NEEDS_A_FILE = {("pdf", "samples"), ("deployment", "file")}

@@ -1,0 +1,112 @@
+"""An orientation PDF from data: `python -m pipelines.estimate_pdf recording.path=flight.csv [overrides]`."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import hydra
+from omegaconf import DictConfig
+
+from pipelines.app import CONF, choices, flat_settings, input_errors_reported, instantiate, run_directory
+
+if TYPE_CHECKING:
+    from lmd.orientation.estimate import Marginal, PdfEstimate
+
+
+@hydra.main(version_base="1.3", config_path=CONF, config_name="estimate_pdf")
+def main(cfg: DictConfig) -> None:
+    """Estimate, record and show."""
+    with input_errors_reported():
+        estimate(cfg)
+
+
+def estimate(cfg: DictConfig) -> None:
+    """Estimate the PDF of the configured recording."""
+    import numpy as np
+
+    from lmd.checks import integer
+    from lmd.orientation.estimate import estimate_pdf
+    from lmd.plot.orientation import save_orientation_figure
+    from pipelines.outputs import all_or_none
+    from pipelines.recording import tracked
+
+    rng = np.random.default_rng(integer("seed", cfg.seed, low=0))
+    recording = instantiate(cfg.recording).record(rng)
+    result = estimate_pdf(
+        recording,
+        rng,
+        divisions=cfg.divisions,
+        mean_interval=cfg.mean_interval,
+        significance=cfg.significance,
+    )
+    directory, subject = run_directory(), f"orientation PDF of {recording.name}"
+    document = {
+        "recording": {"name": recording.name, "records": len(recording.time), "duration": recording.duration},
+        **result.summary(),
+        "settings": flat_settings(cfg, "recording", "divisions", "mean_interval", "significance", "seed"),
+    }
+
+    def write(partial: Path) -> None:
+        result.pdf.to_csv(partial / "pdf.csv")
+        (partial / "pdf_estimate.json").write_text(json.dumps(document, indent=2) + "\n")
+        save_orientation_figure(partial / "pdf.png", result, subject)
+
+    with tracked(cfg, f"estimate_pdf {choices()['recording']}") as tracker:
+        files = all_or_none(directory, write)
+        tracker.log_metrics(_figures(result))
+        tracker.log_artifacts([*files, *sorted((directory / ".hydra").glob("*.yaml"))])
+        tracker.finish("FINISHED")
+    samples = result.samples
+    _show("samples", f"{len(samples)}, {samples.mean_interval:.3g} s apart on average (the motion stays correlated for "
+          f"{samples.correlation_time:.3g} s)")  # fmt: skip
+    _show("yaw", _described(result.yaw))
+    _show("pitch", _described(result.pitch))
+    _show("independence", _verdict(result))
+    _show("files", f"{directory}: {', '.join(path.name for path in files)}")
+    _show("picture", str(directory / "pdf.png"))
+    _show("use it with", f"pdf=samples pdf.path={directory / 'pdf.csv'}")
+    _show("mlflow", tracker.describe())
+
+
+def _figures(result: "PdfEstimate") -> dict[str, float]:
+    """Headline figures for the record."""
+    figures: dict[str, float] = {
+        "samples": len(result.samples),
+        "correlation_time": result.samples.correlation_time,
+        "mean_interval": result.samples.mean_interval,
+        "orientations": len(result.pdf.weight),
+    }
+    if result.independence is not None:
+        figures["independence/statistic"] = result.independence.statistic
+        figures["independence/p_value"] = result.independence.p_value
+    for angle, marginal in (("yaw", result.yaw), ("pitch", result.pitch)):
+        figures |= {f"{angle}/{key}": value for key, value in marginal.density.parameters.items()}
+        for candidate in marginal.candidates:
+            figures[f"{angle}/log_likelihood/{candidate.density.family}"] = candidate.log_likelihood
+    return figures
+
+
+def _described(marginal: "Marginal") -> str:
+    """The chosen density, and how far the others lie behind the best."""
+    parameters = ", ".join(f"{key.replace('_', ' ')} {value:.3g}" for key, value in marginal.density.parameters.items())
+    name = marginal.density.family.replace("_", " ") + (f" ({parameters})" if parameters else "")
+    behind = ", ".join(
+        f"{c.density.family.replace('_', ' ')} {c.behind:.4f} +- {c.standard_error:.4f}" for c in marginal.candidates
+    )
+    return f"{name}; behind the best: {behind}" if behind else name
+
+
+def _verdict(result: "PdfEstimate") -> str:
+    test = result.independence
+    if test is None:
+        return "nothing to test, an angle is fixed"
+    outcome = "rejected: the joint density is used" if test.rejected else "not rejected: the product is used"
+    return f"{outcome} (chi-squared {test.statistic:.1f}, p = {test.p_value:.4f})"
+
+
+def _show(label: str, text: str) -> None:
+    print(f"{label:<20} {text}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
