@@ -2,7 +2,8 @@
 
 import os
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -17,6 +18,8 @@ os.environ.setdefault("DO_NOT_TRACK", "true")
 
 BATCH = 1000  # metrics mlflow takes in one call
 PARAM_LENGTH = 6000  # characters mlflow takes in one parameter
+TAG_LENGTH = 5000  # and in one tag
+PARENT_TAG = "mlflow.parentRunId"  # names the run that this one is shown below
 
 
 class Tracker(Protocol):
@@ -37,6 +40,13 @@ class Tracker(Protocol):
 
     def discard(self) -> None:
         """Forget the run: it should not have been started."""
+
+    def end_lost(self, tags: Mapping[str, str], reason: str) -> bool:
+        """End as FAILED the runs with these tags that are still RUNNING; False if no run at all has these tags.
+
+        Raises:
+            InputError: the store cannot be used.
+        """
 
     def log_curve(self, metric: str, points: Iterable[tuple[int, float, float]]) -> None:
         """Log a curve of (step, value, seconds since the run began)."""
@@ -66,6 +76,10 @@ class NoTracker:
 
     def discard(self) -> None:
         """Do nothing."""
+
+    def end_lost(self, tags: Mapping[str, str], reason: str) -> bool:
+        """Do nothing."""
+        return True
 
     def log_curve(self, metric: str, points: Iterable[tuple[int, float, float]]) -> None:
         """Do nothing."""
@@ -127,19 +141,36 @@ class MlflowTracker:
         # Processes that create the tables of one fresh database at the same time kill each other.
         with FileLock(f"{database}.lock"):
             client = MlflowClient(tracking_uri=f"sqlite:///{database}")
-            if client.get_experiment_by_name(self.experiment_name) is None:
-                artifacts = database.parent / "artifacts"
-                client.create_experiment(self.experiment_name, artifact_location=artifacts.as_uri())
+            self._experiment_id(client, (database.parent / "artifacts").as_uri())
         return client
+
+    def _experiment_id(self, client: "MlflowClient", artifacts: str | None = None) -> str:
+        """The experiment, made with its artifacts at `artifacts` (by default where the store says) if there is none."""
+        from mlflow.exceptions import MlflowException
+
+        experiment = client.get_experiment_by_name(self.experiment_name)
+        if experiment is None:
+            try:
+                return str(client.create_experiment(self.experiment_name, artifact_location=artifacts))
+            except MlflowException as error:
+                experiment = client.get_experiment_by_name(self.experiment_name)
+                if experiment is None:  # it was not another process that was faster
+                    raise error
+        return str(experiment.experiment_id)
 
     def start(
         self, name: str, params: Mapping[str, Any], tags: Mapping[str, str], run_id: str | None, ago: float = 0.0
     ) -> None:
         """See `Tracker.start`."""
+        with self._store_errors_reported():
+            self._start(name, params, tags, run_id, ago)
+
+    @contextmanager
+    def _store_errors_reported(self) -> Iterator[None]:
         from mlflow.exceptions import MlflowException
 
         try:
-            self._start(name, params, tags, run_id, ago)
+            yield
         except (MlflowException, OSError) as error:
             raise InputError(f"tracking.uri = {self.uri!r} cannot be used: {str(error).splitlines()[0]}") from error
 
@@ -151,16 +182,18 @@ class MlflowTracker:
         if run_id is not None:
             self.client.update_run(run_id, status="RUNNING")
             self._run_id = run_id
-            self._start_ms = int(self.client.get_run(run_id).info.start_time)
+            run = self.client.get_run(run_id)
+            if "reason" in run.data.tags:  # why it had ended
+                self.client.delete_tag(run_id, "reason")
+            self._start_ms = int(run.info.start_time)
             return
-        experiment = self.client.get_experiment_by_name(self.experiment_name)
-        experiment_id = experiment.experiment_id if experiment else self.client.create_experiment(self.experiment_name)
-        run = self.client.create_run(experiment_id, run_name=name, start_time=int(1000 * (time.time() - ago)))
+        start_time = int(1000 * (time.time() - ago))
+        run = self.client.create_run(self._experiment_id(self.client), run_name=name, start_time=start_time)
         self._run_id, self._start_ms = run.info.run_id, int(run.info.start_time)
         self.client.log_batch(
             self._run_id,
             params=[Param(key, str(value)[:PARAM_LENGTH]) for key, value in params.items()],
-            tags=[RunTag(key, value) for key, value in tags.items()],
+            tags=[RunTag(key, value[:TAG_LENGTH]) for key, value in tags.items()],
         )
 
     def log_curve(self, metric: str, points: Iterable[tuple[int, float, float]]) -> None:
@@ -185,11 +218,23 @@ class MlflowTracker:
 
     def finish(self, status: str, reason: str = "") -> None:
         """See `Tracker.finish`."""
-        if self._run_id is None:
-            return
+        if self._run_id is not None:
+            self._end(self._run_id, status, reason)
+
+    def _end(self, run_id: str, status: str, reason: str) -> None:
         if reason:
-            self.client.set_tag(self._run_id, "reason", reason)
-        self.client.set_terminated(self._run_id, status)
+            self.client.set_tag(run_id, "reason", reason[:TAG_LENGTH])
+        self.client.set_terminated(run_id, status)
+
+    def end_lost(self, tags: Mapping[str, str], reason: str) -> bool:
+        """See `Tracker.end_lost`."""
+        with self._store_errors_reported():
+            wanted = " and ".join(f"tags.`{key}` = '{value}'" for key, value in tags.items())
+            runs = self.client.search_runs([self._experiment_id(self.client)], filter_string=wanted)
+            for run in runs:
+                if run.info.status == "RUNNING":
+                    self._end(run.info.run_id, "FAILED", reason)
+        return bool(runs)
 
     def discard(self) -> None:
         """See `Tracker.discard`."""

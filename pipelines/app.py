@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hydra.core.hydra_config import HydraConfig
-from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 if TYPE_CHECKING:
@@ -119,10 +118,7 @@ def choices() -> dict[str, str]:
 
 @contextmanager
 def input_errors_reported() -> Iterator[None]:
-    """Turn an `InputError` into one sentence on stderr and exit code 1, and leave no trace of the run.
-
-    In a sweep the error is passed on to Hydra, which runs the other jobs and then reports it.
-    """
+    """Turn an `InputError` into one sentence on stderr and exit code 1, and leave no trace of the run."""
     from lmd.checks import InputError
 
     try:
@@ -132,7 +128,5 @@ def input_errors_reported() -> Iterator[None]:
         directory = run_directory()
         if {path.name for path in directory.iterdir()} <= {".hydra", f"{hydra.job.name}.log"}:
             shutil.rmtree(directory)
-        if hydra.mode == RunMode.MULTIRUN:
-            raise
         print(f"error: {error}", file=sys.stderr)
         sys.exit(1)

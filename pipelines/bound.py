@@ -6,14 +6,14 @@ from typing import Any
 import hydra
 from omegaconf import DictConfig
 
-from pipelines.app import CONF, build_problem, input_errors_reported, run_directory
+from pipelines.app import CONF, build_problem, run_directory
+from pipelines.sweep import run
 
 
 @hydra.main(version_base="1.3", config_path=CONF, config_name="bound")
 def main(cfg: DictConfig) -> None:
     """Compute, record and show the bounds."""
-    with input_errors_reported():
-        bound(cfg)
+    run(cfg, bound)
 
 
 def bound(cfg: DictConfig) -> None:

@@ -14,11 +14,11 @@ from pipelines.app import (
     CONF,
     build_optimiser,
     build_problem,
-    input_errors_reported,
     instantiate,
     run_directory,
     search_path,
 )
+from pipelines.sweep import run
 
 if TYPE_CHECKING:
     from lmd.comparison import Outcome
@@ -32,8 +32,7 @@ OWN_KEYS = ("optimisers", "seeds", "workers", "save_as", "budget", "seed", "trac
 @hydra.main(version_base="1.3", config_path=CONF, config_name="compare")
 def main(cfg: DictConfig) -> None:
     """Run every optimiser with every seed, and write the table and the plot."""
-    with input_errors_reported():
-        compare(cfg)
+    run(cfg, compare)
 
 
 def compare(cfg: DictConfig) -> None:
@@ -131,19 +130,20 @@ def _outcomes(jobs: "Sequence[tuple[str, DictConfig, int, Budget]]", workers: in
 
 def _log_child(cfg: DictConfig, outcome: "Outcome", parent: str | None, directory: Path) -> None:
     """Record one run below the comparison's own, its landmarks in a folder of its own in `directory`."""
+    from lmd.tracking import PARENT_TAG
     from pipelines.progress import thinned
 
     tracker: Tracker = instantiate(cfg.tracking)
     tags = {"choice.optimiser": outcome.optimiser.split()[0]}
     if parent is not None:
-        tags["mlflow.parentRunId"] = parent
+        tags[PARENT_TAG] = parent
     params = {"optimiser": outcome.optimiser, "seed": outcome.seed}
     ago = outcome.history[-1].wall_time
     tracker.start(f"{outcome.optimiser} seed={outcome.seed}", params, tags, None, ago)
     tracker.log_curve("best_fitness", thinned(outcome.history))
     tracker.log_metrics(outcome.metrics)
     landmarks = directory / "runs" / f"{outcome.optimiser.replace('/', '_')} seed={outcome.seed}" / "landmarks.csv"
-    landmarks.parent.mkdir(parents=True)
+    landmarks.parent.mkdir(parents=True, exist_ok=True)  # a sweep may do a lost job again
     outcome.deployment.to_csv(landmarks)
     tracker.log_artifacts([landmarks])
     tracker.finish("FINISHED")

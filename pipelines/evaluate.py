@@ -5,14 +5,14 @@ import time
 import hydra
 from omegaconf import DictConfig
 
-from pipelines.app import CONF, build_problem, choices, input_errors_reported
+from pipelines.app import CONF, build_problem, choices
+from pipelines.sweep import run
 
 
 @hydra.main(version_base="1.3", config_path=CONF, config_name="evaluate")
-def main(cfg: DictConfig) -> float:
+def main(cfg: DictConfig) -> float | None:
     """Score, record and show; returns the fitness."""
-    with input_errors_reported():
-        return evaluate(cfg)
+    return run(cfg, evaluate)
 
 
 def evaluate(cfg: DictConfig) -> float:

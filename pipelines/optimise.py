@@ -14,10 +14,10 @@ from pipelines.app import (
     build_problem,
     choices,
     flat_settings,
-    input_errors_reported,
     run_directory,
     search_path,
 )
+from pipelines.sweep import run
 
 if TYPE_CHECKING:
     from lmd.checkpoint import Checkpoint
@@ -30,10 +30,9 @@ SAME_WHEN_RESUMED = ("room", "camera", "pdf", "visibility", "objective", "encodi
 
 
 @hydra.main(version_base="1.3", config_path=CONF, config_name="optimise")
-def main(cfg: DictConfig) -> float:
+def main(cfg: DictConfig) -> float | None:
     """Optimise, record and show; returns the best fitness, for sweepers."""
-    with input_errors_reported():
-        return optimise(cfg)
+    return run(cfg, optimise)
 
 
 def optimise(cfg: DictConfig) -> float:

@@ -13,10 +13,14 @@ from lmd.optimisers.base import Record
 from lmd.problem import CoverageProblem
 from lmd.validation import validation_metrics
 from pipelines.app import choices, flat_settings, instantiate, run_directory
+from pipelines.jobs import current_job, override_tags, reason_of
 from pipelines.outputs import write_outputs
 
 if TYPE_CHECKING:
     from lmd.tracking import Tracker
+
+# What the name of a run says anyway.
+IN_THE_NAME = ("optimiser", "deployment", "deployment.count", "objective.n", "objective.thold_p", "seed")
 
 
 def title_of(problem: CoverageProblem, subject: str) -> str:
@@ -50,21 +54,26 @@ def tracked(cfg: DictConfig, title: str, run_id: str | None = None) -> "Iterator
         run_id: continue this run.
     """
     tracker: Tracker = instantiate(cfg.tracking)
+    name, working_for = f"{title} seed={cfg.seed}", current_job()
+    overrides: Sequence[str] = HydraConfig.get().overrides.task
     tags = {f"choice.{group}": option for group, option in choices().items()}
-    tags["overrides"] = " ".join(HydraConfig.get().overrides.task)
-    tracker.start(f"{title} seed={cfg.seed}", flat_settings(cfg), tags, run_id)
+    if working_for is not None:
+        folder, job = working_for
+        name = " ".join([name, *(f"{key}={value}" for key, value in job.varied.items() if key not in IN_THE_NAME)])
+        overrides = job.overrides
+        tags |= job.tags(folder)
+    tags |= {"pipeline": HydraConfig.get().job.name} | override_tags(overrides)
+    tracker.start(name, choices() | flat_settings(cfg), tags, run_id)
     try:
         yield tracker
-    except InputError:
-        if run_id is None:
+    except InputError as error:
+        if run_id is None and working_for is None:
             tracker.discard()
         else:
-            tracker.finish("FAILED", "bad input")
+            tracker.finish("FAILED", reason_of(error))
         raise
     except BaseException as error:
-        tracker.finish(
-            "KILLED" if isinstance(error, KeyboardInterrupt) else "FAILED", f"{type(error).__name__}: {error}"
-        )
+        tracker.finish("KILLED" if isinstance(error, KeyboardInterrupt) else "FAILED", reason_of(error))
         raise
 
 

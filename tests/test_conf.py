@@ -3,6 +3,9 @@ from pathlib import Path
 import pytest
 from conftest import PAPER_CAMERA, PRINTED_EXPERIMENT_CAMERA
 from hydra import compose, initialize_config_dir
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.types import RunMode
 
 from lmd.camera import Camera
 from pipelines.app import CONF, build_problem, flat_settings, instantiate
@@ -14,6 +17,14 @@ GROUPS = [
     if path.parent.name not in OTHER_GROUPS
 ]
 EXPERIMENTS = sorted(path.stem for path in Path(CONF, "experiment").glob("*.yaml"))
+SWEEPS = {  # the pipeline of each stored sweep, and its number of jobs
+    "table2": ("optimise", 10),
+    "table2_baselines": ("evaluate", 10),
+    "table3": ("evaluate", 9),
+    "table3_reoptimised": ("optimise", 9),
+    "landmark_count": ("optimise", 10),
+    "optimisers": ("optimise", 55),
+}
 NEEDS_A_FILE = {("pdf", "samples"), ("deployment", "file")}
 
 
@@ -31,10 +42,34 @@ def test_every_option_composes_and_builds(group, option):
         build_problem(cfg)
 
 
-@pytest.mark.parametrize("experiment", EXPERIMENTS)
+@pytest.mark.parametrize("experiment", sorted({*EXPERIMENTS} - {*SWEEPS}))
 def test_every_experiment_composes_and_builds(experiment):
     for app in ("optimise", "evaluate"):
         build_problem(composed(app, f"experiment={experiment}"))
+
+
+@pytest.mark.parametrize("experiment", SWEEPS)
+def test_every_job_of_a_stored_sweep_differs_and_builds(experiment):
+    app, number = SWEEPS[experiment]
+    with initialize_config_dir(CONF, version_base="1.3"):
+        stored = compose(app, [f"experiment={experiment}"], return_hydra_config=True).hydra
+        assert stored.mode == RunMode.MULTIRUN
+        swept = [f"{key}={value}" for key, value in stored.sweeper.params.items()]
+        (jobs,) = BasicSweeper.split_arguments(OverridesParser.create().parse_overrides(swept), None)
+        assert len(set(map(tuple, jobs))) == number
+        for job in (jobs[0], jobs[-1]):
+            cfg = compose(app, [f"experiment={experiment}", *job])
+            if cfg.deployment.get("path", "") is not None:
+                build_problem(cfg)
+
+
+def test_table_2_has_the_papers_budget():
+    assert composed("optimise", "experiment=table2").budget.evaluations == 30 * 400
+
+
+def test_the_stored_optimisers_are_those_of_the_comparison():
+    stored = (Path(CONF) / "experiment" / "optimisers.yaml").read_text()
+    assert f"optimiser: {','.join(composed('compare').optimisers)}\n" in stored
 
 
 def test_the_default_is_the_papers_simulation():

@@ -224,15 +224,6 @@ def test_a_bad_pdf_gets_one_sentence(table, message, tmp_path):
     assert message in done.stderr
 
 
-def test_a_sweep_runs_the_other_jobs_and_fails(tmp_path):
-    overrides = ["hydra.mode=MULTIRUN", "objective.n=2,500", "tracking=none", "page=false", "hydra.sweep.dir=sweep"]
-    done = call("evaluate", *overrides, cwd=tmp_path)
-    assert done.returncode == 1
-    assert "objective.n = 500 exceeds the number of landmarks, 90" in done.stderr
-    assert (tmp_path / "sweep" / "0" / "metrics.json").exists()
-    assert not (tmp_path / "sweep" / "1" / "metrics.json").exists()
-
-
 @pytest.mark.parametrize("pipeline", ["optimise", "evaluate"])
 def test_help_lists_the_groups_without_loading_the_model(pipeline, tmp_path):
     code = f"""
