@@ -80,7 +80,7 @@ class Job:
     @property
     def label(self) -> str:
         """What tells it from the other jobs."""
-        return " ".join(f"{key}={value}" for key, value in self.varied.items())
+        return " ".join(f"{key}={value}" for key, value in self.varied.items()) or " ".join(self.overrides)
 
     def tags(self, folder: Path) -> dict[str, str]:
         """The tags of its tracked run that lead to the sweep."""

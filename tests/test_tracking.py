@@ -75,14 +75,44 @@ def test_a_store_that_cannot_be_used_is_named():
         started("sqlite:////proc/none/mlflow.db")
 
 
-def _start(uri):
-    return started(uri).run_id
+def start_together(uri, barrier, ids):
+    import mlflow  # noqa: F401 - before they start together
+
+    barrier.wait()
+    ids.put(started(uri).run_id)
 
 
-def test_processes_that_start_together_on_no_database_all_get_a_run(tmp_path):
-    with multiprocessing.get_context("spawn").Pool(4) as pool:
-        ids = pool.map(_start, [f"sqlite:///{tmp_path}/fresh.db"] * 4)
-    assert len(set(ids)) == 4
+def test_eight_processes_that_start_at_once_on_no_database_all_get_a_run(tmp_path):
+    spawn = multiprocessing.get_context("spawn")
+    barrier, ids = spawn.Barrier(8), spawn.Queue()
+    arguments = (f"sqlite:///{tmp_path}/fresh.db", barrier, ids)
+    processes = [spawn.Process(target=start_together, args=arguments) for _ in range(8)]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+    assert [process.exitcode for process in processes] == [0] * 8
+    assert len({ids.get(timeout=10) for _ in processes}) == 8
+
+
+def test_what_a_dead_process_left_running_is_ended(uri):
+    lost, other = started(uri, tags={"job": "a"}), started(uri, tags={"job": "b"})
+    over = started(uri, tags={"job": "a"})
+    over.finish("FINISHED")
+    assert MlflowTracker(uri, "tests").end_lost({"job": "a"}, "killed by SIGKILL")
+    assert stored(lost).info.status == "FAILED"
+    assert stored(lost).data.tags["reason"] == "killed by SIGKILL"
+    assert stored(other).info.status == "RUNNING"
+    assert stored(over).info.status == "FINISHED"
+    assert not MlflowTracker(uri, "tests").end_lost({"job": "c"}, "killed by SIGKILL")
+
+
+def test_a_continued_run_forgets_why_it_had_ended(uri):
+    first = started(uri)
+    first.finish("FAILED", "killed by SIGKILL")
+    second = started(uri, run_id=first.run_id)
+    second.finish("FINISHED")
+    assert "reason" not in stored(second).data.tags
 
 
 def test_no_tracker_records_nothing():

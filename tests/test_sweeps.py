@@ -1,0 +1,344 @@
+"""Sweeps as a user meets them: what they leave, what a failing job does to the others, and going on."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from mlflow import MlflowClient
+from test_pipelines import SMALL, call, environment
+
+from lmd.checks import InputError
+from pipelines.jobs import Job, held, key_and_value, quoted, reason_of, slug, varied_keys
+
+# Fails in the way it is told to, once it has evaluated something, until the file `repaired` is there.
+PLUGIN = """
+import os, signal, sys, time
+from pathlib import Path
+
+from lmd.optimisers.random_search import RandomSearch
+
+
+class Faulty(RandomSearch):
+    def __init__(self, fault, seed=0):
+        super().__init__(10, seed=seed, encoding="wall")
+        self.fault = fault
+
+    def _tell(self, genes, fitness):
+        print("threads", *(os.environ.get(f"{name}_NUM_THREADS") for name in ("NUMBA", "OMP", "OPENBLAS")))
+        if Path("repaired").exists():
+            return
+        if self.fault == "raise":
+            raise ValueError("no such luck")
+        if self.fault == "exit":
+            sys.exit(3)
+        if self.fault == "kill":
+            os.kill(os.getpid(), signal.SIGKILL)
+        if self.fault == "slow":
+            Path("pid").write_text(str(os.getpid()))
+            time.sleep(0.3)
+"""
+PARENT = "mlflow.parentRunId"
+
+
+@pytest.fixture
+def work(tmp_path):
+    return prepared(tmp_path)
+
+
+def prepared(cwd):
+    """A working directory with the optimiser `faulty`."""
+    (cwd / "mine" / "optimiser").mkdir(parents=True)
+    (cwd / "mine" / "optimiser" / "faulty.yaml").write_text("_target_: faulty.Faulty\nfault: none\n")
+    (cwd / "faulty.py").write_text(PLUGIN)
+    return cwd
+
+
+def sweep_command(cwd, faults, *overrides):
+    return [
+        sys.executable, "-m", "pipelines.optimise", "-m", *SMALL, f"hydra.searchpath=[file://{cwd}/mine]",
+        "page=false", "deployment.count=20", "budget.evaluations=400", "tracking.uri=sqlite:///store.db",
+        "optimiser=faulty", f"optimiser.fault={faults}", *overrides,
+    ]  # fmt: skip
+
+
+def sweep_environment(cwd):
+    environ = environment()
+    environ["PYTHONPATH"] += f":{cwd}"
+    return environ
+
+
+def sweep(cwd, faults, *overrides):
+    return subprocess.run(
+        sweep_command(cwd, faults, *overrides),
+        cwd=cwd, env=sweep_environment(cwd), capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+
+def start_sweep(cwd, faults):
+    """Start a sweep and wait until its slow job is at work."""
+    process = subprocess.Popen(
+        sweep_command(cwd, faults), cwd=cwd, env=sweep_environment(cwd), stderr=subprocess.PIPE, text=True
+    )
+    deadline = time.monotonic() + 120
+    while not (cwd / "pid").exists() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return process
+
+
+def runs(cwd):
+    """The parent run of the only sweep, and its children by what they were told to do."""
+    client = MlflowClient(tracking_uri=f"sqlite:///{cwd}/store.db")
+    found = client.search_runs(["1"])
+    (parent,) = [run for run in found if PARENT not in run.data.tags]
+    children = {}
+    for run in found:
+        if run is not parent:
+            assert run.data.tags[PARENT] == parent.info.run_id
+            children.setdefault(run.data.tags["override.optimiser.fault"], []).append(run)
+    return parent, children
+
+
+def table(cwd):
+    (path,) = cwd.glob("outputs/optimise_sweep/*/jobs.csv")
+    return pd.read_csv(path).set_index("optimiser.fault")
+
+
+def statuses(children):
+    return {fault: sorted(run.info.status for run in found) for fault, found in children.items()}
+
+
+@pytest.fixture(scope="module")
+def faulty(tmp_path_factory):
+    """A sweep of four jobs under joblib, three of which fail."""
+    cwd = prepared(tmp_path_factory.mktemp("faulty"))
+    return cwd, sweep(cwd, "none,raise,exit,kill", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
+
+
+def test_failing_jobs_do_not_lose_the_others_and_the_sweep_names_them(faulty):
+    cwd, done = faulty
+    assert done.returncode == 1
+    assert "1 of 4 jobs finished" in done.stdout
+    assert "failed: optimiser.fault=raise: ValueError: no such luck" in done.stderr
+    assert "failed: optimiser.fault=exit: exited with code 3 before it had finished" in done.stderr
+    assert "killed: optimiser.fault=kill: killed by SIGKILL" in done.stderr
+    rows = table(cwd)
+    assert rows.status.to_dict() == {"none": "finished", "raise": "failed", "exit": "failed", "kill": "killed"}
+    assert rows.qualified_ratio.notna().to_dict() == {"none": True, "raise": False, "exit": False, "kill": False}
+    left = json.loads((cwd / "outputs/optimise_sweep" / folder(cwd) / rows.folder["none"] / "metrics.json").read_text())
+    assert left["qualified_ratio"] == rows.qualified_ratio["none"]
+
+
+def folder(cwd):
+    (path,) = (cwd / "outputs" / "optimise_sweep").iterdir()
+    return path.name
+
+
+def test_a_sweep_is_one_parent_run_with_a_child_for_each_job(faulty):
+    cwd, _ = faulty
+    parent, children = runs(cwd)
+    assert parent.info.run_name == "sweep optimiser.fault"
+    assert parent.info.status == "FAILED"
+    assert parent.data.tags["reason"] == "3 of 4 jobs failed"
+    assert parent.data.tags["override.optimiser.fault"] == "none,raise,exit,kill"
+    assert parent.data.metrics == {"jobs": 4.0, "failed": 3.0}
+    client = MlflowClient(tracking_uri=f"sqlite:///{cwd}/store.db")
+    assert [file.path for file in client.list_artifacts(parent.info.run_id)] == ["jobs.csv"]
+    assert statuses(children) == {"none": ["FINISHED"], "raise": ["FAILED"], "exit": ["FAILED"], "kill": ["FAILED"]}
+    reasons = {fault: found[0].data.tags.get("reason") for fault, found in children.items()}
+    assert reasons == {
+        "none": None,
+        "raise": "ValueError: no such luck",
+        "exit": "exited with code 3 before it had finished",
+        "kill": "killed by SIGKILL",
+    }
+
+
+def test_a_child_says_what_it_is(faulty):
+    cwd, _ = faulty
+    _, children = runs(cwd)
+    (child,) = children["none"]
+    assert child.info.run_name == "faulty n=2 p=0.5 K=20 seed=0 optimiser.fault=none"
+    tags, params = child.data.tags, child.data.params
+    assert (tags["sweep"], tags["pipeline"], tags["choice.optimiser"]) == ("optimiser.fault", "optimise", "faulty")
+    assert tags["job"] == table(cwd).folder["none"]
+    assert tags["override.deployment.count"] == params["deployment.count"] == "20"
+    assert (params["optimiser"], params["optimiser.fault"]) == ("faulty", "none")
+    client = MlflowClient(tracking_uri=f"sqlite:///{cwd}/store.db")
+    assert len(client.get_metric_history(child.info.run_id, "best_fitness")) == 40
+
+
+def test_jobs_that_share_a_machine_have_one_thread_each(faulty):
+    cwd, _ = faulty
+    (output,) = cwd.glob("outputs/optimise_sweep/*/fault-none_*/output.log")
+    assert "threads 1 1 1\n" in output.read_text()
+    assert runs(cwd)[1]["none"][0].data.params["threads"] == "1"
+
+
+def test_the_same_sweep_again_does_only_what_is_missing(faulty):
+    cwd, _ = faulty
+    untouched = table(cwd).folder["none"]
+    before = (cwd / "outputs/optimise_sweep" / folder(cwd) / untouched / "metrics.json").stat().st_mtime_ns
+    (cwd / "repaired").touch()
+    again = sweep(cwd, "none,raise,exit,kill", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
+    assert again.returncode == 0, again.stderr
+    assert "going on after 1 finished jobs" in again.stdout
+    assert "done already: optimiser.fault=none" in again.stdout
+    assert again.stdout.count("finished in") == 3
+    assert (table(cwd).status == "finished").all()
+    assert (cwd / "outputs/optimise_sweep" / folder(cwd) / untouched / "metrics.json").stat().st_mtime_ns == before
+    parent, children = runs(cwd)
+    assert parent.info.status == "FINISHED"
+    assert "reason" not in parent.data.tags
+    assert statuses(children)["none"] == ["FINISHED"]
+    assert statuses(children)["kill"] == ["FAILED", "FINISHED"]
+
+
+def test_a_sweep_killed_with_its_job_goes_on_with_what_is_missing(work):
+    process = start_sweep(work, "none,slow")
+    process.kill()
+    os.kill(int((work / "pid").read_text()), signal.SIGKILL)
+    process.communicate(timeout=60)
+    parent, children = runs(work)
+    assert parent.info.status == "RUNNING"
+    assert statuses(children) == {"none": ["FINISHED"], "slow": ["RUNNING"]}
+
+    (work / "repaired").touch()
+    again = sweep(work, "none,slow")
+    assert again.returncode == 0, again.stderr
+    assert "done already: optimiser.fault=none" in again.stdout
+    parent, children = runs(work)
+    assert parent.info.status == "FINISHED"
+    assert statuses(children) == {"none": ["FINISHED"], "slow": ["FAILED", "FINISHED"]}
+    (lost,) = [run for run in children["slow"] if run.info.status == "FAILED"]
+    assert lost.data.tags["reason"] == "its process was killed, and the sweep with it"
+
+
+def test_an_interrupted_job_goes_on_from_its_checkpoint(work):
+    process = start_sweep(work, "slow")
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "the same command again does what is missing" in err
+    parent, children = runs(work)
+    assert (parent.info.status, parent.data.tags["reason"]) == ("FAILED", "the sweep was cut short")
+    (child,) = children["slow"]
+    assert child.info.status == "KILLED"
+    spent = child.data.metrics["evaluations"]
+    assert 0 < spent < 400
+
+    (work / "repaired").touch()
+    again = sweep(work, "slow")
+    assert again.returncode == 0, again.stderr
+    _, children = runs(work)
+    assert statuses(children) == {"slow": ["FINISHED"]}
+    assert children["slow"][0].info.run_id == child.info.run_id
+    assert children["slow"][0].data.metrics["evaluations"] == 400
+    assert "reason" not in children["slow"][0].data.tags
+
+
+def test_a_job_killed_under_submitit_does_not_lose_the_others(work):
+    done = sweep(work, "none,kill", "hydra/launcher=submitit_local")
+    assert done.returncode == 1
+    assert "killed: optimiser.fault=kill: killed by SIGKILL" in done.stderr
+    _, children = runs(work)
+    assert statuses(children) == {"none": ["FINISHED"], "kill": ["FAILED"]}
+    assert children["none"][0].data.params["threads"] == "1"
+
+
+def test_bad_input_in_one_job_is_a_failed_run_and_one_sentence(tmp_path):
+    done = call(
+        "evaluate",
+        "hydra.mode=MULTIRUN",
+        "objective.n=2,500",
+        "tracking.uri=sqlite:///store.db",
+        "page=false",
+        cwd=tmp_path,
+    )
+    assert done.returncode == 1
+    assert "objective.n = 500 exceeds the number of landmarks, 90" in done.stderr
+    found = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db").search_runs(["1"])
+    (failed,) = [run for run in found if run.info.status == "FAILED" and PARENT in run.data.tags]
+    assert failed.data.tags["reason"] == "objective.n = 500 exceeds the number of landmarks, 90."
+    assert sum(run.info.status == "FINISHED" for run in found) == 1
+
+
+def test_a_sweep_that_cannot_be_composed_leaves_nothing(tmp_path):
+    done = call("optimise", "hydra.mode=MULTIRUN", "optimiser=ega,egg", "tracking.uri=sqlite:///store.db", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "Could not find 'optimiser/egg'" in done.stderr
+    assert not list((tmp_path / "outputs" / "optimise_sweep").iterdir())
+    assert not MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db").search_runs(["1"])
+
+
+def test_a_stored_sweep_can_be_narrowed_and_its_files_used_as_they_are(tmp_path):
+    done = call(
+        "evaluate", "experiment=table2_baselines", "seed=0", "deployment=uniform", "tracking=none", cwd=tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    (landmarks,) = tmp_path.glob("outputs/evaluate_sweep/table2_baselines-*/*/landmarks.csv")
+    path = f"deployment.path={landmarks.relative_to(tmp_path)}"
+    done = call("evaluate", "experiment=table3", path, "tracking=none", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    (jobs,) = tmp_path.glob("outputs/evaluate_sweep/table3-*/jobs.csv")
+    rows = pd.read_csv(jobs)
+    assert rows["objective.n"].tolist() == [2, 3, 4]  # thold_p is given on the command line
+    assert rows.average_coverage_probability.is_monotonic_decreasing
+
+
+def test_folder_names_need_no_quotes_in_an_override():
+    assert slug("n-2_path-out/a b,c=d.csv") == "n-2_path-out-a-b-c-d.csv"
+
+
+def test_a_path_is_quoted_for_an_override():
+    assert quoted(Path("it's a\\b")) == r"'it\'s a\\b'"
+
+
+def test_what_varies_is_what_has_more_than_one_value():
+    overrides = ["optimiser=ega,sga", "objective.n=2", "seed=range(3)", "room.size=[1,2,3]"]
+    assert varied_keys(overrides) == ("optimiser", "seed")
+
+
+def test_an_override_is_split_at_its_first_equals_sign():
+    assert key_and_value("+room.note=a=b") == ("room.note", "a=b")
+
+
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (InputError("n = 0 is too few."), "n = 0 is too few."),
+        (ValueError("two\nlines"), "ValueError: two lines"),
+        (MemoryError(), "MemoryError"),
+        (SystemExit(3), "exited with code 3 before it had finished"),
+        (SystemExit(), "exited with code 0 before it had finished"),
+        (SystemExit("no licence"), "no licence"),
+    ],
+)
+def test_a_reason_is_one_line(error, reason):
+    assert reason_of(error) == reason
+
+
+def test_a_job_is_read_back_as_it_was_written(tmp_path):
+    job = Job("table2", "abc", 3, ("optimiser=ega",), {"optimiser": "ega"}, "finished", 0.5, "", 2.0)
+    assert Job.load(tmp_path) is None
+    job.save(tmp_path)
+    assert Job.load(tmp_path) == job
+    assert [path.name for path in tmp_path.iterdir()] == ["job.json"]
+
+
+def test_a_folder_is_held_by_one_process_and_the_child_that_inherits_it(tmp_path):
+    with held(tmp_path) as lock:
+        assert lock is not None
+        child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, pass_fds=(lock,))
+        with held(tmp_path, wait=False) as second:
+            assert second is None
+    with held(tmp_path, wait=False) as second:
+        assert second is None
+    child.communicate(b"\n")
+    with held(tmp_path, wait=False) as second:
+        assert second is not None
