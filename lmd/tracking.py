@@ -244,7 +244,7 @@ class MlflowTracker:
 
     def describe(self) -> str:
         """See `Tracker.describe`."""
-        return f"run {self._run_id} in {self.uri} (make ui)"
+        return f"run {self._run_id} in {self.uri}" + (" (make ui)" if self.uri.startswith("sqlite:") else "")
 
     @property
     def _id(self) -> str:

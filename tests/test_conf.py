@@ -63,6 +63,13 @@ def test_every_job_of_a_stored_sweep_differs_and_builds(experiment):
                 build_problem(cfg)
 
 
+def test_the_slurm_launcher_is_submitits_with_one_processor_a_job():
+    with initialize_config_dir(CONF, version_base="1.3"):
+        launcher = compose("optimise", ["hydra/launcher=slurm"], return_hydra_config=True).hydra.launcher
+    assert launcher._target_ == "hydra_plugins.hydra_submitit_launcher.submitit_launcher.SlurmLauncher"
+    assert (launcher.cpus_per_task, launcher.partition) == (1, None)
+
+
 def test_table_2_has_the_papers_budget():
     assert composed("optimise", "experiment=table2").budget.evaluations == 30 * 400
 
