@@ -107,9 +107,10 @@ def _supervise(cfg: DictConfig) -> float | None:
             print(f"finished in {job.seconds:.0f} s: {job.label}", flush=True)
             return job.value
         print(f"{job.status}: {job.label}: {job.reason} ({folder / OUTPUT})", flush=True)
+        if job.status != "interrupted":
+            _end_runs(cfg.tracking, folder, job, job.reason, name=f"{job.status} {job.label}")
         if interrupted:
             sys.exit(INTERRUPTED)
-        _end_runs(cfg.tracking, folder, job, job.reason, name=f"{job.status} {job.label}")
         return float("nan")
 
 
@@ -253,7 +254,9 @@ def _cut_short(config: DictConfig) -> None:
         if sweep is not None and sweep.run_id is not None:
             tracker.start(sweep.name, {}, {}, sweep.run_id)
             tracker.discard()
-        shutil.rmtree(folder)
+        (folder / "sweep.json").unlink(missing_ok=True)
+        if {path.name for path in folder.iterdir()} <= {"multirun.yaml"}:  # Hydra's, and nothing of the user's
+            shutil.rmtree(folder)
         return
     _close(config, "the sweep was cut short")
     print("the same command again does what is missing", file=sys.stderr)
