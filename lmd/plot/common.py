@@ -16,6 +16,14 @@ QUALIFIED = "#1a9641"
 UNQUALIFIED = "#9e9e9e"
 COLOUR_MAP = "viridis"  # known by this name to both libraries, even in lightness, hence safe to print
 AXIS_LABELS = ("x [m]", "y [m]", "z [m]")
+ELEVATION, AZIMUTH = 16.0, -66.0  # of the viewer in static figures, degrees
+
+
+def viewer() -> FloatArray:
+    """Unit vector `(3,)` from the middle of the room towards the viewer of static figures, world frame."""
+    elevation, azimuth = np.radians((ELEVATION, AZIMUTH))
+    horizontal = np.cos(elevation)
+    return np.array((horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), np.sin(elevation)))
 
 
 def box_edges(low: FloatArray, high: FloatArray) -> FloatArray:

@@ -1,18 +1,18 @@
-"""The paper's figure of a deployment: room, landmarks and how well each position sees them, as a PNG."""
+"""The paper's figures of deployments: room, landmarks and how well each position sees them, as PNGs."""
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from lmd.checks import FloatArray
-from lmd.coverage.reference import qualified
+from lmd.coverage.reference import BoolArray, qualified
 from lmd.deployment import Deployment
 from lmd.plot import common
 from lmd.room import Room
 
-ELEVATION, AZIMUTH = 16.0, -66.0  # of the viewer, degrees
 BACK, BALLS, FRONT = 1, 2, 3  # z-orders
 BALL = 7.0  # diameter, points
 
@@ -39,7 +39,6 @@ def save_scene_figure(
         n: landmarks that must be covered.
         title: one line above the panels.
     """
-    from matplotlib.colors import to_rgba_array
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
@@ -52,8 +51,7 @@ def save_scene_figure(
     for axes in (left, right):
         _draw_surroundings(axes, room, deployment)
     balls = _draw_balls(left, room, positions, c=probability, cmap=common.COLOUR_MAP, vmin=0.0, vmax=1.0, alpha=0.7)
-    faces = to_rgba_array(np.where(good, common.QUALIFIED, common.UNQUALIFIED), np.where(good, 0.8, 0.45))
-    _draw_balls(right, room, positions, c=faces)
+    _draw_balls(right, room, positions, c=_faces(good))
 
     bar = figure.colorbar(balls, cax=figure.add_axes((0.1, 0.1, 0.3, 0.022)), orientation="horizontal")
     bar.set_label(common.colour_label(n), fontsize=12)
@@ -75,12 +73,55 @@ def save_scene_figure(
     figure.savefig(path)
 
 
+def save_deployments_figure(
+    path: str | Path,
+    room: Room,
+    positions: FloatArray,
+    deployments: Mapping[str, tuple[Deployment, FloatArray]],
+    thold_p: float,
+    n: int,
+) -> None:
+    """Write a PNG of deployments side by side, two in a row: which positions each qualifies.
+
+    Args:
+        path: the PNG.
+        room: drawn in every panel.
+        positions: `(P, 3)`, metres.
+        deployments: a deployment and its P_n at each position, `(P,)`, by the name that heads its panel.
+        thold_p: probability from which on a position qualifies.
+        n: landmarks that must be covered.
+    """
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+    rows = math.ceil(len(deployments) / 2)
+    figure = Figure(figsize=(11.0, 4.6 * rows + 0.4), dpi=80, facecolor="white")
+    legend = 0.4 / figure.get_figheight()
+    for i, (name, (deployment, probability)) in enumerate(deployments.items()):
+        row, column = divmod(i, 2)
+        height = (1.0 - legend) / rows
+        bottom = 1.0 - (row + 1) * height
+        axes = figure.add_axes((0.5 * column, bottom, 0.5, height), projection="3d", computed_zorder=False)
+        good = qualified(probability, thold_p)
+        _draw_surroundings(axes, room, deployment)
+        _draw_balls(axes, room, positions, c=_faces(good))
+        figure.text(0.5 * column + 0.25, bottom + 0.97 * height, f"{name}: {good.mean():.2%} qualified",
+                    ha="center", va="top", fontsize=14)  # fmt: skip
+    handles = [
+        Line2D([], [], **_symbol(r"$\rightarrow$", 24, common.LANDMARK), label="landmark and its normal"),
+        Line2D([], [], **_symbol("o", 9, common.QUALIFIED), label=f"{common.colour_label(n)} ≥ {thold_p:g}"),
+        Line2D([], [], **_symbol("o", 9, common.UNQUALIFIED), label="unqualified"),
+    ]
+    figure.legend(handles=handles, loc="lower center", ncols=3, frameon=False, fontsize=11)
+    figure.savefig(path)
+
+
 def _draw_surroundings(axes: Any, room: Room, deployment: Deployment) -> None:
     """Room, reachable area, landmarks and axes: all but the balls."""
     from matplotlib.ticker import MaxNLocator, MultipleLocator
     from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
-    axes.view_init(elev=ELEVATION, azim=AZIMUTH)
+    axes.view_init(elev=common.ELEVATION, azim=common.AZIMUTH)
     axes.set_proj_type("persp", focal_length=1.4)
     # The box is scaled to the panel by its diagonal; a tower has to shrink to stay between title and colour bar.
     axes.set_box_aspect(room.size, zoom=min(1.0, 0.6 * math.hypot(*room.size) / room.size[2]))
@@ -91,8 +132,7 @@ def _draw_surroundings(axes: Any, room: Room, deployment: Deployment) -> None:
         getattr(axes, f"{axis}axis").set_major_locator(MultipleLocator(step))
         getattr(axes, f"{axis}axis").pane.set_visible(False)
     # matplotlib has no depth buffer: what is nearer to the viewer than the balls gets a higher z-order.
-    elevation, azimuth = np.radians((ELEVATION, AZIMUTH))
-    viewer = np.array((np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)))
+    viewer = common.viewer()
     for name, colour, style in (("room", common.ROOM, "-"), ("reachable area", common.REACHABLE, "--")):
         edges = common.boxes(room)[name]
         near = (edges.mean(axis=1) - np.asarray(room.size) / 2.0) @ viewer > 0.0
@@ -109,6 +149,14 @@ def _draw_surroundings(axes: Any, room: Room, deployment: Deployment) -> None:
 def _draw_balls(axes: Any, room: Room, positions: FloatArray, **colours: Any) -> Any:
     area = (BALL * common.ball_scale(room, len(positions))) ** 2
     return axes.scatter(*positions.T, s=area, linewidths=0, depthshade=False, zorder=BALLS, **colours)
+
+
+def _faces(is_qualified: BoolArray) -> Any:
+    """Colours `(P, 4)` of balls at qualified and unqualified positions `(P,)`."""
+    from matplotlib.colors import to_rgba_array
+
+    colours = np.where(is_qualified, common.QUALIFIED, common.UNQUALIFIED)
+    return to_rgba_array(colours, np.where(is_qualified, 0.8, 0.45))
 
 
 def _symbol(marker: str, size: float, colour: str) -> dict[str, Any]:

@@ -1,0 +1,107 @@
+import numpy as np
+import pandas as pd
+import pytest
+from conftest import paper_scene
+from matplotlib.image import imread
+
+from lmd import pdf
+from lmd.deployment import Deployment, UniformDeployment
+from lmd.frames import optical_axis
+from lmd.plot import common
+from lmd.plot.cap import hemisphere, save_cap_figure
+from lmd.plot.scene import save_deployments_figure
+from lmd.plot.sweep import save_heat_map, save_landmark_count_figure
+from lmd.room import Room
+
+ROOM = Room(size=(3.0, 2.0, 2.5), reachable_size=(2.0, 1.0, 1.5), spacing=0.8)
+UNIFORM = UniformDeployment(7).draw(ROOM, np.random.default_rng(0))
+GREEN_BALL = (72, 171, 103)  # green at 80 % on white
+
+
+def share(picture, *colour, within=6):
+    """Share of the pixels that have a colour."""
+    return (np.abs(picture[..., :3] * 255 - colour) <= within).all(axis=-1).mean()
+
+
+def green(picture):
+    """Share of the pixels that are clearly green."""
+    red, middle, blue = np.moveaxis(picture[..., :3], -1, 0)
+    return ((middle > red + 0.1) & (middle > blue + 0.1)).mean()
+
+
+@pytest.mark.parametrize("viewer", [common.viewer(), -common.viewer(), np.array([1.0, 0.0, 0.0])])
+def test_a_hemisphere_holds_unit_vectors_that_face_the_viewer(viewer):
+    axes = hemisphere(viewer, 60)
+    inside = ~np.isnan(axes[..., 0])
+    assert inside.mean() == pytest.approx(np.pi / 4.0, abs=0.01)
+    np.testing.assert_allclose(np.linalg.norm(axes[inside], axis=1), 1.0)
+    assert (axes[inside] @ viewer >= 0.0).all()
+
+
+def test_a_hemisphere_is_projected_along_the_line_of_sight():
+    axes = hemisphere(np.array([0.0, -1.0, 0.0]), 3)
+    np.testing.assert_allclose(axes[1, 1], [0.0, -1.0, 0.0])
+    np.testing.assert_allclose(axes[1, 2], [2 / 3, -np.sqrt(5) / 3, 0.0])  # to the right of someone who looks along +y
+    np.testing.assert_allclose(axes[2, 1], [0.0, -np.sqrt(5) / 3, 2 / 3])
+
+
+def cap_picture(path, landmarks, n):
+    """The spheres of a camera in the middle of a room with flush landmarks at `landmarks` beside each other."""
+    scene = paper_scene(orientations=pdf.grid_with_ends(), nu=0.05)
+    at = np.array([3.75, 2.5, 3.0])
+    positions = np.array([[x, 0.0, 3.0] for x in landmarks])
+    deployment = Deployment(positions, np.tile([0.0, 1.0, 0.0], (len(positions), 1)))
+    save_cap_figure(path, scene, deployment, at, n, "T")
+    return imread(path)[50:480]
+
+
+def test_the_cap_of_a_landmark_has_the_size_of_the_field_of_view(tmp_path):
+    picture = cap_picture(tmp_path / "one.png", [3.75], 1)
+    # Seen from the viewer, a circle of half-angle phi around the direction of -y, on one sphere of two.
+    scene = paper_scene()
+    foreshortening = -common.viewer() @ optical_axis(0.0, 0.0)
+    ellipse = np.sin(scene.camera.cone_half_angle) ** 2 * foreshortening
+    radius = radius_of_spheres(picture)
+    assert green(picture) * picture[..., 0].size == pytest.approx(np.pi * radius**2 * ellipse, rel=0.05)
+
+
+def radius_of_spheres(picture):
+    """Half the height of what is drawn, pixels."""
+    rows = np.flatnonzero((picture[..., :3] < 0.5).all(axis=-1).any(axis=1))
+    return (rows[-1] - rows[0] + 1) / 2.0
+
+
+def test_only_overlapping_caps_make_an_n_ple_cap(tmp_path):
+    one, two, three = (green(cap_picture(tmp_path / "cap.png", [3.5, 4.0], n)) for n in (1, 2, 3))
+    assert one > two > three == 0.0
+
+
+def test_each_panel_shows_its_own_deployment(tmp_path):
+    path = tmp_path / "panels.png"
+    none, everywhere = np.zeros(len(ROOM.grid())), np.ones(len(ROOM.grid()))
+    panels = {"a": (UNIFORM, none), "b": (UNIFORM, everywhere), "c": (UNIFORM, everywhere), "d": (UNIFORM, none)}
+    save_deployments_figure(path, ROOM, ROOM.grid(), panels, 0.65, 2)
+    picture = imread(path)
+    half, middle = picture.shape[0] // 2 - 20, picture.shape[1] // 2
+    shares = [
+        share(picture[rows, columns], *GREEN_BALL)
+        for rows in (slice(40, half), slice(half + 40, 2 * half - 40))
+        for columns in (slice(middle), slice(middle, None))
+    ]
+    assert [s > 0.001 for s in shares] == [False, True, True, False]
+
+
+def test_the_heat_map_is_dark_where_the_ratio_is_high_and_empty_where_there_is_no_run(tmp_path):
+    table = pd.DataFrame([[0.0, 1.0], [np.nan, 1.0]], index=[2, 3], columns=[0.5, 0.65])
+    save_heat_map(tmp_path / "heat.png", {"a": table, "b": table}, "T")
+    picture = imread(tmp_path / "heat.png")
+    assert share(picture, 0, 68, 27) > 0.2  # the end of matplotlib's Greens
+    save_heat_map(tmp_path / "heat.png", {"a": table * 0.0, "b": table * 0.0}, "T")
+    assert share(imread(tmp_path / "heat.png"), 0, 68, 27) < 0.01
+
+
+@pytest.mark.parametrize("rows", [1, 5])
+def test_the_landmark_count_figure(tmp_path, rows):
+    ratios = pd.DataFrame({"count": [30, 30, 60, 60, 90], "qualified_ratio": [0.1, 0.2, 0.5, 0.6, 0.9]})[:rows]
+    save_landmark_count_figure(tmp_path / "count.png", ratios, {"paper, EGA": (90, 0.8188)}, "T")
+    assert share(imread(tmp_path / "count.png"), 214, 39, 40) > 1e-5  # the reference
