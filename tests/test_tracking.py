@@ -4,7 +4,7 @@ import pytest
 from mlflow import MlflowClient
 
 from lmd.checks import InputError
-from lmd.tracking import MlflowTracker, NoTracker
+from lmd.tracking import MlflowReader, MlflowTracker, NoTracker
 
 
 @pytest.fixture(scope="module")
@@ -120,3 +120,49 @@ def test_no_tracker_records_nothing():
     tracker.log_metrics({"fitness": 1.0})
     assert tracker.run_id is None
     assert "tracking=none" in tracker.describe()
+
+
+@pytest.fixture(name="recorded")
+def _recorded(tmp_path):
+    """A store of its own with two runs, the first with a curve and a file; their ids."""
+    uri = f"sqlite:///{tmp_path}/mlflow.db"
+    (tmp_path / "landmarks.csv").write_text("id\n")
+    trackers = [started(uri, params={"seed": seed}, tags={"choice.room": "hall"}) for seed in range(2)]
+    trackers[0].log_curve("best_fitness", [(30, 0.25, 1.5), (60, 0.5, 3.0)])
+    trackers[0].log_metrics({"qualified_ratio": 0.5})
+    trackers[0].log_artifacts([tmp_path / "landmarks.csv"])
+    trackers[0].finish("FINISHED")
+    return uri, [tracker.run_id for tracker in trackers]
+
+
+def test_what_was_recorded_can_be_read(recorded):
+    uri, ids = recorded
+    reader = MlflowReader(uri, "tests")
+    runs = reader.runs()
+    assert list(runs.index) == ids
+    assert list(runs["params.seed"]) == ["0", "1"]
+    assert list(runs["tags.choice.room"]) == ["hall", "hall"]
+    assert list(runs["status"]) == ["FINISHED", "RUNNING"]
+    assert runs.loc[ids[0], "metrics.qualified_ratio"] == 0.5
+    assert runs["metrics.qualified_ratio"].isna()[ids[1]]
+    assert reader.curve(ids[0], "best_fitness") == [(30, 0.25, 1.5), (60, 0.5, 3.0)]
+    assert reader.curve(ids[1], "best_fitness") == []
+    assert reader.artifact(ids[0], "landmarks.csv").read_text() == "id\n"
+
+
+def test_more_runs_than_fit_a_page_are_read(recorded, monkeypatch):
+    uri, ids = recorded
+    search = MlflowClient.search_runs
+    monkeypatch.setattr(MlflowClient, "search_runs", lambda *args, **kwargs: search(*args, **kwargs, max_results=1))
+    assert list(MlflowReader(uri, "tests").runs().index) == ids
+
+
+def test_reading_makes_no_store_and_names_what_is_missing(recorded, tmp_path):
+    uri, ids = recorded
+    with pytest.raises(InputError, match=r"there is no file '.*none\.db'"):
+        MlflowReader(f"sqlite:///{tmp_path}/none.db", "tests")
+    assert not (tmp_path / "none.db").exists()
+    with pytest.raises(InputError, match="has no experiment called 'other'"):
+        MlflowReader(uri, "other")
+    with pytest.raises(InputError, match=r"has no file 'none\.csv'"):
+        MlflowReader(uri, "tests").artifact(ids[0], "none.csv")
