@@ -9,6 +9,7 @@ from scipy.stats import mannwhitneyu
 
 from lmd.checks import FloatArray
 from lmd.deployment import Deployment
+from lmd.document import Table
 from lmd.optimisers.base import Record
 
 MILESTONES = (0.50, 0.65, 0.80)
@@ -74,12 +75,12 @@ def comparison_table(outcomes: Sequence[Outcome]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def to_markdown(table: pd.DataFrame) -> str:
-    """`comparison_table` as a Markdown table, ratios in per cent."""
+def as_text(table: pd.DataFrame) -> Table:
+    """`comparison_table` for readers, ratios in per cent."""
     milestones = [f"evaluations_to_{milestone:.0%}" for milestone in MILESTONES]
     head = ["optimiser", "runs", "qualified ratio: median (min to max)", "average", "maximum"]
     head += [f"evaluations to {milestone:.0%}" for milestone in MILESTONES] + ["seconds", "p against the first"]
-    lines = [" | ".join(head), " | ".join(["---"] * len(head))]
+    rows: list[list[str]] = []
     for row in table.to_dict("records"):
         low, high = row["qualified_ratio_min"], row["qualified_ratio_max"]
         cells = [
@@ -89,9 +90,14 @@ def to_markdown(table: pd.DataFrame) -> str:
         ]
         cells += [f"{row['average']:.2%}", f"{row['maximum']:.2%}"]
         cells += ["–" if np.isinf(row[m]) else f"{row[m]:.0f}" for m in milestones]
-        cells += [f"{row['seconds']:.0f}", "" if len(lines) == 2 else f"{row['p_value']:.2g}"]
-        lines.append(" | ".join(cells))
-    return "\n".join(f"| {line} |" for line in lines) + "\n"
+        cells += [f"{row['seconds']:.0f}", f"{row['p_value']:.2g}" if rows else ""]
+        rows.append(cells)
+    return Table(head, rows)
+
+
+def to_markdown(table: pd.DataFrame) -> str:
+    """`comparison_table` as a Markdown table, ratios in per cent."""
+    return as_text(table).markdown() + "\n"
 
 
 def best_at(runs: Sequence[Outcome], axis: str, at: FloatArray) -> FloatArray:

@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 from matplotlib.image import imread
+from tracked import record_sweep, write_report
 
 from lmd.deployment import UniformDeployment
 from lmd.plot.page import save_scene_page
@@ -69,6 +70,16 @@ def test_the_interactive_page_of_a_scene(browser, tmp_path):
     shown = imread(io.BytesIO(browser.get_screenshot_as_png()))[..., :3]
     landmarks = (np.abs(shown - [214 / 255, 39 / 255, 40 / 255]) < 0.1).all(axis=-1)
     assert landmarks.sum() > 50  # drawn, not only there
+
+
+def test_the_report(browser, tmp_path):
+    uri = f"sqlite:///{tmp_path}/mlflow.db"
+    record_sweep(uri, tmp_path, "landmark_count", [({"deployment.count": k}, k / 100, "FINISHED") for k in (30, 90)])
+    write_report(tmp_path / "report", f"tracking.uri={uri}")
+    assert visit(browser, tmp_path / "report" / "report.html") == ([], [])
+    assert browser.title == "The paper's tables and figures, reproduced"
+    assert browser.execute_script("return document.querySelectorAll('td').length") == 6
+    assert browser.execute_script("return Array.from(document.images, image => image.naturalWidth)") == [800]
 
 
 def test_errors_and_requests_are_noticed(browser, tmp_path):

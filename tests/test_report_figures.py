@@ -11,10 +11,10 @@ from lmd.plot import common
 from lmd.plot.cap import hemisphere, save_cap_figure
 from lmd.plot.scene import save_deployments_figure
 from lmd.plot.sweep import save_heat_map, save_landmark_count_figure
+from lmd.problem import CoverageProblem, Objective
 from lmd.room import Room
 
 ROOM = Room(size=(3.0, 2.0, 2.5), reachable_size=(2.0, 1.0, 1.5), spacing=0.8)
-UNIFORM = UniformDeployment(7).draw(ROOM, np.random.default_rng(0))
 GREEN_BALL = (72, 171, 103)  # green at 80 % on white
 
 
@@ -76,11 +76,13 @@ def test_only_overlapping_caps_make_an_n_ple_cap(tmp_path):
     assert one > two > three == 0.0
 
 
-def test_each_panel_shows_its_own_deployment(tmp_path):
+def test_each_panel_shows_its_own_deployment_as_its_own_problem_scores_it(tmp_path):
     path = tmp_path / "panels.png"
-    none, everywhere = np.zeros(len(ROOM.grid())), np.ones(len(ROOM.grid()))
-    panels = {"a": (UNIFORM, none), "b": (UNIFORM, everywhere), "c": (UNIFORM, everywhere), "d": (UNIFORM, none)}
-    save_deployments_figure(path, ROOM, ROOM.grid(), panels, 0.65, 2)
+    scene, start = paper_scene(room=ROOM), UniformDeployment(7)
+    deployment = start.draw(ROOM, np.random.default_rng(0))
+    never, always = (CoverageProblem(scene, Objective(n, p), start, threads=1) for n, p in ((7, 1.0), (1, 0.0)))
+    panels = {name: (problem, deployment) for name, problem in zip("abcd", (never, always, always, never), strict=True)}
+    save_deployments_figure(path, panels, "T")
     picture = imread(path)
     half, middle = picture.shape[0] // 2 - 20, picture.shape[1] // 2
     shares = [

@@ -1,6 +1,7 @@
 """What the static and the interactive scene figure share: geometry, colours and wording."""
 
 import itertools
+from pathlib import Path
 
 import numpy as np
 
@@ -59,3 +60,12 @@ def qualified_labels(is_qualified: BoolArray, thold_p: float) -> tuple[str, str]
         f"qualified, probability ≥ {thold_p:g} ({share:.1f} %)",
         f"unqualified ({100.0 - share:.1f} %)",
     )
+
+
+def shrink(path: str | Path) -> None:
+    """Reduce a PNG in place to 256 colours: no difference to a figure's eye, a third of its size."""
+    from PIL import Image
+
+    with Image.open(path) as picture:
+        reduced = picture.convert("RGB").quantize(256)
+    reduced.save(path, optimize=True)

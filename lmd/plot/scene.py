@@ -11,6 +11,7 @@ from lmd.checks import FloatArray
 from lmd.coverage.reference import BoolArray, qualified
 from lmd.deployment import Deployment
 from lmd.plot import common
+from lmd.problem import CoverageProblem
 from lmd.room import Room
 
 BACK, BALLS, FRONT = 1, 2, 3  # z-orders
@@ -74,43 +75,35 @@ def save_scene_figure(
 
 
 def save_deployments_figure(
-    path: str | Path,
-    room: Room,
-    positions: FloatArray,
-    deployments: Mapping[str, tuple[Deployment, FloatArray]],
-    thold_p: float,
-    n: int,
+    path: str | Path, deployments: Mapping[str, tuple[CoverageProblem, Deployment]], title: str
 ) -> None:
     """Write a PNG of deployments side by side, two in a row: which positions each qualifies.
 
     Args:
         path: the PNG.
-        room: drawn in every panel.
-        positions: `(P, 3)`, metres.
-        deployments: a deployment and its P_n at each position, `(P,)`, by the name that heads its panel.
-        thold_p: probability from which on a position qualifies.
-        n: landmarks that must be covered.
+        deployments: a deployment and the problem that it is scored for, by the name that heads its panel.
+        title: one line above the panels.
     """
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
     rows = math.ceil(len(deployments) / 2)
-    figure = Figure(figsize=(11.0, 4.6 * rows + 0.4), dpi=80, facecolor="white")
-    legend = 0.4 / figure.get_figheight()
-    for i, (name, (deployment, probability)) in enumerate(deployments.items()):
-        row, column = divmod(i, 2)
-        height = (1.0 - legend) / rows
-        bottom = 1.0 - (row + 1) * height
-        axes = figure.add_axes((0.5 * column, bottom, 0.5, height), projection="3d", computed_zorder=False)
-        good = qualified(probability, thold_p)
-        _draw_surroundings(axes, room, deployment)
-        _draw_balls(axes, room, positions, c=_faces(good))
-        figure.text(0.5 * column + 0.25, bottom + 0.97 * height, f"{name}: {good.mean():.2%} qualified",
-                    ha="center", va="top", fontsize=14)  # fmt: skip
+    figure = Figure(figsize=(11.0, 4.6 * rows + 0.8), dpi=80, facecolor="white")
+    figure.suptitle(title, fontsize=14, y=1.0 - 0.1 / figure.get_figheight())
+    margin = 0.4 / figure.get_figheight()
+    height = (1.0 - 2.0 * margin) / rows
+    for i, (name, (problem, deployment)) in enumerate(deployments.items()):
+        left, bottom = 0.5 * (i % 2), 1.0 - margin - (1 + i // 2) * height
+        axes = figure.add_axes((left, bottom, 0.5, height), projection="3d", computed_zorder=False)
+        good = qualified(problem.probabilities(deployment), problem.objective.thold_p)
+        _draw_surroundings(axes, problem.scene.room, deployment)
+        _draw_balls(axes, problem.scene.room, problem.evaluator.positions, c=_faces(good))
+        label = f"{name}: {good.mean():.2%} qualified"
+        figure.text(left + 0.25, bottom + 0.97 * height, label, ha="center", va="top", fontsize=13)
     handles = [
         Line2D([], [], **_symbol(r"$\rightarrow$", 24, common.LANDMARK), label="landmark and its normal"),
-        Line2D([], [], **_symbol("o", 9, common.QUALIFIED), label=f"{common.colour_label(n)} ≥ {thold_p:g}"),
-        Line2D([], [], **_symbol("o", 9, common.UNQUALIFIED), label="unqualified"),
+        Line2D([], [], **_symbol("o", 9, common.QUALIFIED), label="qualified position"),
+        Line2D([], [], **_symbol("o", 9, common.UNQUALIFIED), label="unqualified position"),
     ]
     figure.legend(handles=handles, loc="lower center", ncols=3, frameon=False, fontsize=11)
     figure.savefig(path)

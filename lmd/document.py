@@ -1,0 +1,111 @@
+"""A page of text, tables and pictures, written as Markdown and as self-contained HTML.
+
+Texts and table cells may use two marks of Markdown, `code` between backticks and **bold**.
+"""
+
+import base64
+import html
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+STYLE = """
+body { font: 16px/1.5 sans-serif; max-width: 76rem; margin: 2rem auto; padding: 0 1rem; color: #222; }
+table { border-collapse: collapse; margin: 1rem 0; display: block; overflow-x: auto; font-size: 0.9rem; }
+th, td { border-bottom: 1px solid #ccc; padding: 0.3rem 0.7rem; text-align: right; }
+th:first-child, td:first-child { text-align: left; }
+figure { margin: 1rem 0; }
+figcaption { color: #555; font-size: 0.9rem; }
+img { max-width: 100%; }
+code { background: #f2f2f2; padding: 0 0.2rem; }
+"""
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of text cells, every row as long as `head`."""
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+    def markdown(self) -> str:
+        """The table as lines of Markdown."""
+        lines = [self.head, ["---"] * len(self.head), *self.rows]
+        return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A PNG and what it shows, in words."""
+
+    path: Path
+    caption: str
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading and what stands below it."""
+
+    title: str
+    blocks: Sequence[Text | Table | Picture]
+
+
+def to_markdown(sections: Sequence[Section], pictures: str) -> str:
+    """The sections as Markdown, below headings of the second level.
+
+    Args:
+        sections: in order.
+        pictures: where the page finds its pictures, as a prefix of their file names.
+    """
+    blocks: list[str] = []
+    for section in sections:
+        blocks.append(f"## {section.title}")
+        for block in section.blocks:
+            if isinstance(block, Text):
+                blocks.append(block.text)
+            elif isinstance(block, Table):
+                blocks.append(block.markdown())
+            else:
+                blocks.append(f"![{block.caption}]({pictures}{block.path.name})")
+    return "\n\n".join(blocks) + "\n"
+
+
+def to_html(title: str, sections: Sequence[Section]) -> str:
+    """The page as one HTML file that holds its pictures and its style."""
+    blocks = [f"<h1>{html.escape(title)}</h1>"]
+    for section in sections:
+        blocks.append(f"<h2>{html.escape(section.title)}</h2>")
+        for block in section.blocks:
+            if isinstance(block, Text):
+                blocks.append(f"<p>{_inline(block.text)}</p>")
+            elif isinstance(block, Table):
+                rows = [_row("th", block.head), *(_row("td", row) for row in block.rows)]
+                blocks.append("<table>\n" + "\n".join(rows) + "\n</table>")
+            else:
+                data = base64.b64encode(block.path.read_bytes()).decode("ascii")
+                caption = html.escape(block.caption)
+                image = f'<img alt="{caption}" src="data:image/png;base64,{data}">'
+                blocks.append(f"<figure>{image}<figcaption>{caption}</figcaption></figure>")
+    body = "\n".join(blocks)
+    return (
+        f'<!DOCTYPE html>\n<html lang="en">\n<head><meta charset="utf-8"><title>{html.escape(title)}</title>'
+        f"<style>{STYLE}</style></head>\n<body>\n{body}\n</body>\n</html>\n"
+    )
+
+
+def _row(tag: str, cells: Sequence[str]) -> str:
+    return "<tr>" + "".join(f"<{tag}>{_inline(cell)}</{tag}>" for cell in cells) + "</tr>"
+
+
+def _inline(text: str) -> str:
+    """Escaped text with its marks turned into tags."""
+    text = re.sub(r"\*\*(.+?)\*\*", r"<strong>\1</strong>", html.escape(text))
+    return re.sub(r"`([^`]*)`", r"<code>\1</code>", text)

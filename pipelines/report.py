@@ -1,0 +1,113 @@
+"""Report on the stored sweeps: `python -m pipelines.report [tracking.uri=...] [sweeps=[ID,...]] [save_as=PATH]`."""
+
+import shutil
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import hydra
+from omegaconf import DictConfig, ListConfig, OmegaConf
+
+from pipelines.app import CONF, build_problem, input_errors_reported, run_directory
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from lmd.deployment import Deployment
+    from lmd.problem import CoverageProblem
+    from lmd.tracking import MlflowReader
+
+TITLE = "The paper's tables and figures, reproduced"
+MARK = "<!-- What follows is written by python -m pipelines.report and overwritten by it. -->"
+
+
+@hydra.main(version_base="1.3", config_path=CONF, config_name="report")
+def main(cfg: DictConfig) -> None:
+    """Read the runs, write the report and say where it is."""
+    with input_errors_reported():
+        report(cfg)
+
+
+def report(cfg: DictConfig) -> None:
+    """Write report.html, report.md and its pictures to the run directory."""
+    from lmd.checks import InputError
+    from lmd.document import to_html, to_markdown
+    from lmd.report import Source, sections
+    from lmd.tracking import MlflowReader
+
+    if "uri" not in cfg.tracking:
+        raise InputError("A report reads what was tracked: it needs tracking=mlflow.")
+    kept = _kept_text(cfg.save_as)
+    reader = MlflowReader(cfg.tracking.uri, cfg.tracking.experiment_name)
+    runs = _chosen(reader.runs(), cfg.sweeps)
+    directory = run_directory()
+    with tempfile.TemporaryDirectory(dir=directory, prefix=".partial_") as name:
+        partial = Path(name)
+        found = sections(Source(reader, runs, lambda run_id: _load(reader, run_id), partial))
+        pictures = sorted(path.name for path in partial.iterdir())
+        (partial / "report.html").write_text(to_html(TITLE, found), encoding="utf-8")
+        (partial / "report.md").write_text(f"# {TITLE}\n\n{to_markdown(found, '')}", encoding="utf-8")
+        for path in sorted(partial.iterdir()):
+            shutil.move(path, directory / path.name)
+    print(f"report  {directory / 'report.html'}\n        {directory / 'report.md'}")
+    if cfg.save_as is not None:
+        page = Path(f"{cfg.save_as}.md")
+        folder = page.with_suffix("")
+        folder.mkdir(parents=True, exist_ok=True)
+        for picture in pictures:
+            shutil.copy(directory / picture, folder)
+        page.write_text(f"{kept}{MARK}\n\n{to_markdown(found, f'{folder.name}/')}", encoding="utf-8")
+        print(f"        {page}")
+
+
+def _kept_text(save_as: str | None) -> str:
+    """What stands above the generated part of the page to be written.
+
+    Raises:
+        InputError: the page is not one of ours.
+    """
+    from lmd.checks import InputError
+
+    page = Path(f"{save_as}.md")
+    if save_as is None or not page.exists():
+        return f"# {TITLE}\n\n"
+    text = page.read_text(encoding="utf-8")
+    if MARK not in text:
+        raise InputError(f"save_as: {str(page)!r} is not overwritten, for it lacks the line {MARK!r}.")
+    return text.split(MARK)[0]
+
+
+def _chosen(runs: "pd.DataFrame", sweeps: ListConfig | None) -> "pd.DataFrame":
+    """The runs of `sweeps` and of their jobs, all by default.
+
+    Raises:
+        InputError: a sweep has no runs.
+    """
+    from lmd.checks import InputError
+    from lmd.tracking import PARENT_TAG
+
+    if sweeps is None:
+        return runs
+    if not isinstance(sweeps, ListConfig):
+        raise InputError(f"sweeps must be a list of run ids, got {sweeps!r}.")
+    parents = runs.reindex(columns=[f"tags.{PARENT_TAG}"]).iloc[:, 0]
+    for sweep in sweeps:
+        if sweep not in set(parents):
+            raise InputError(f"sweeps: no run belongs to a sweep with the id {sweep!r}.")
+    return runs[parents.isin(list(sweeps)) | runs.index.isin(list(sweeps))]
+
+
+def _load(reader: "MlflowReader", run_id: str) -> "tuple[CoverageProblem, Deployment]":
+    """The problem a run was about and the deployment it found, from the files it kept."""
+    import numpy as np
+
+    cfg = OmegaConf.load(reader.artifact(run_id, "config.yaml"))
+    assert isinstance(cfg, DictConfig)
+    landmarks = reader.artifact(run_id, "landmarks.csv")
+    cfg.deployment = {"_target_": "lmd.deployment.FileDeployment", "path": str(landmarks)}  # in place of its start
+    problem = build_problem(cfg)
+    return problem, problem.start.draw(problem.scene.room, np.random.default_rng(0))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,212 @@
+"""The report: tables beside the printed ones, pictures, and what it says where runs are missing."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from tracked import record_all, record_sweep, write_report
+
+from lmd.checks import InputError
+from lmd.document import Picture, Section, Table, Text, to_html, to_markdown
+from lmd.paper import TABLE_2, TABLE_3
+from lmd.report import COMMANDS
+
+ROOT = Path(__file__).parents[1]
+PICTURES = {"cap.png", "convergence.png", "deployments.png", "landmark_count.png", "optimisers.png", "pairs.png"}
+
+
+def call(pipeline, *overrides, cwd):
+    command = [sys.executable, "-m", f"pipelines.{pipeline}", *overrides]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, check=False)
+
+
+def rows(markdown, first):
+    """Rows of a table that begin with the cells `first`."""
+    lines = [line.strip("| ").split(" | ") for line in markdown.splitlines() if line.startswith("| ")]
+    return [cells[len(first) :] for cells in lines if cells[: len(first)] == list(first)]
+
+
+@pytest.fixture(scope="module")
+def reported(tmp_path_factory):
+    """A store with every sweep, two of `table2`, and the report on it: its folder, the store, the ids of the sweeps."""
+    cwd = tmp_path_factory.mktemp("work")
+    uri = f"sqlite:///{cwd}/mlflow.db"
+    older = [({"optimiser": "ega"}, 0.75, "FINISHED"), ({"optimiser": "ega"}, 0.0, "FAILED")]
+    old = record_sweep(uri, cwd, "table2", older)
+    ids = record_all(uri, cwd) | {"old": old}
+    write_report(cwd / "report", f"tracking.uri={uri}")
+    return cwd / "report", f"tracking.uri={uri}", ids
+
+
+@pytest.fixture(scope="module")
+def markdown(reported):
+    return (reported[0] / "report.md").read_text()
+
+
+def test_the_printed_ratios_count_756_positions_and_the_maxima_325_orientations():
+    for printed in (*TABLE_2.values(), *TABLE_3.values()):
+        for value, parts in ((printed.qualified_ratio, 756), (printed.maximum_coverage_probability, 325)):
+            assert round(np.rint(value * parts) / parts, 4) == value
+    assert TABLE_3[2, 0.65] == TABLE_2["EGA"]
+
+
+def test_a_report_is_a_page_its_markdown_and_the_pictures(reported):
+    left = {path.name for path in reported[0].iterdir()}
+    assert left == {"report.html", "report.md", *PICTURES}
+    assert all((reported[0] / name).stat().st_size < 150_000 for name in PICTURES)
+    assert all(imread(reported[0] / name).ndim == 3 for name in PICTURES)
+
+
+def test_the_page_holds_everything_it_shows(reported):
+    page = (reported[0] / "report.html").read_text()
+    sources = re.findall(r"""(?:src|href)="([^"]{0,30})""", page)
+    assert len(sources) == len(PICTURES)
+    assert all(source.startswith("data:image/png;base64,") for source in sources)
+    assert page.count("<table>") == 5
+    assert "<script" not in page
+
+
+def test_table_2_has_the_median_and_the_range_of_the_newest_sweep_beside_what_was_printed(markdown):
+    assert rows(markdown, ["EGA"]) == [
+        [
+            "3",
+            "81.88%",
+            "50.00% (40.00% to 60.00%)",
+            "-31.88",
+            "75.00%",
+            "60.00%",
+            "-15.00",
+            "91.69%",
+            "90.00%",
+            "-1.69",
+            "–",
+        ]
+    ]
+    assert rows(markdown, ["SGA"])[0][:4] == ["1", "53.44%", "30.00%", "-23.44"]
+    assert rows(markdown, ["uniform"])[0][:4] == ["1", "43.92%", "20.00%", "-23.92"]
+    assert rows(markdown, ["initial"])[0][:4] == ["1", "11.11%", "10.00%", "-1.11"]
+
+
+def test_table_3_sets_each_pair_beside_its_own(markdown):
+    table, own = rows(markdown, ["3", "0.65"])
+    assert table[:4] == ["1", "37.04%", "36.50%", "-0.54"]
+    assert own == ["37.04%", "36.50%", "46.50%"]
+    without, own = rows(markdown, ["4", "0.80"])
+    assert without[:4] == ["0", "0.00%", "–", "–"]
+    assert own == ["0.00%", "–", "–"]
+
+
+def test_the_fewest_landmarks_that_reach_the_papers_ratio_are_named(markdown):
+    assert rows(markdown, ["60"]) == [["1", "60.00%"]]
+    assert "With 90 landmarks, the fewest here, the median run reaches 81.88%" in markdown
+
+
+def test_optimisers_are_ranked(markdown):
+    assert rows(markdown, ["`annealing`"])[0][:2] == ["1", "**90.00%** (90.00% to 90.00%)"]
+
+
+def test_every_section_says_which_command_made_its_runs(markdown):
+    said = (
+        "4 of 4 runs of `python -m pipelines.optimise experiment=table2 seed=0,1` with a budget of 60 evaluations; the"
+    )
+    assert said in markdown
+    assert "2 of 2 runs of `python -m pipelines.evaluate experiment=table2_baselines seed=0,1`" in markdown
+    assert "There are no finished runs" not in markdown
+
+
+def test_a_chosen_sweep_is_reported_without_what_failed_and_the_rest_names_its_commands(reported, tmp_path):
+    _, store, ids = reported
+    markdown = write_report(tmp_path / "chosen", store, f"sweeps=[{ids['old']}]")
+    assert rows(markdown, ["EGA"])[0][:4] == ["1", "81.88%", "75.00%", "-6.88"]
+    assert "1 of 2 runs of" in markdown
+    assert rows(markdown, ["SGA"])[0][:4] == ["0", "53.44%", "–", "–"]
+    for sweep, command in COMMANDS.items():
+        sentence = f"There are no finished runs of the sweep `{sweep}`; `{command}` makes them."
+        assert (sentence in markdown) == (sweep != "table2")
+
+
+@pytest.mark.parametrize(("sweep", "command"), COMMANDS.items())
+def test_the_commands_exist(sweep, command):
+    assert (ROOT / "conf" / "experiment" / f"{sweep}.yaml").is_file()
+    assert command.startswith(("python -m pipelines.optimise ", "python -m pipelines.evaluate "))
+    assert f" experiment={sweep}" in command
+
+
+def test_a_saved_page_keeps_what_stands_above_its_generated_part(reported, tmp_path):
+    _, store, ids = reported
+    page = tmp_path / "docs" / "reproduction.md"
+    chosen = (store, f"sweeps=[{ids['landmark_count']}]", f"save_as={page.with_suffix('')}")
+    write_report(tmp_path / "first", *chosen)
+    text = page.read_text()
+    assert text.startswith("# The paper's tables and figures, reproduced\n\n<!-- What follows")
+    page.write_text(text.replace("<!--", "An honest reading.\n\n<!--", 1).replace("60.00%", "old"))
+    write_report(tmp_path / "second", *chosen)
+    assert page.read_text() == text.replace("<!--", "An honest reading.\n\n<!--", 1)
+    assert [path.name for path in page.with_suffix("").iterdir()] == ["landmark_count.png"]
+    assert "](reproduction/landmark_count.png)" in text
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["tracking=none"], r"A report reads what was tracked: it needs tracking=mlflow\."),
+        (["tracking.uri=sqlite:///none.db"], r"tracking\.uri = 'sqlite:///none\.db': there is no file 'none\.db'\."),
+        (["tracking.experiment_name=x"], r"has no experiment called 'x' \(tracking\.experiment_name\)\."),
+        (["sweeps=[abc]"], r"sweeps: no run belongs to a sweep with the id 'abc'\."),
+        (["sweeps=abc"], r"sweeps must be a list of run ids, got 'abc'\."),
+        (["save_as=mine"], r"save_as: 'mine\.md' is not overwritten, for it lacks the line '<!-- What follows"),
+    ],
+)
+def test_bad_input_gets_one_sentence_and_leaves_nothing(reported, tmp_path, monkeypatch, overrides, message):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.md").write_text("# My page\n")
+    store = [] if overrides[0].startswith(("tracking=", "tracking.uri")) else [reported[1]]
+    with pytest.raises(InputError, match=message):
+        write_report(tmp_path / "bad", *store, *overrides)
+    assert not list((tmp_path / "bad").iterdir())
+    assert (tmp_path / "mine.md").read_text() == "# My page\n"
+
+
+def test_a_sweep_as_it_really_runs_is_reported(tmp_path):
+    small = ("room.spacing=2", "deployment.count=6", "objective.thold_p=0.3", "validate=false")
+    swept = call("evaluate", "experiment=table2_baselines", "deployment=uniform", "seed=0", *small, cwd=tmp_path)
+    assert swept.returncode == 0, swept.stderr
+    done = call("report", "hydra.run.dir=report", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert str(tmp_path / "report" / "report.html") in done.stdout
+    markdown = (tmp_path / "report" / "report.md").read_text()
+    assert rows(markdown, ["uniform"])[0][0] == "1"
+    assert "1 of 1 runs of `python -m pipelines.evaluate experiment=table2_baselines" in markdown
+    assert "](deployments.png)" in markdown
+
+
+def test_a_store_that_is_not_there_is_named_by_the_command(tmp_path):
+    done = call("report", cwd=tmp_path)
+    assert done.returncode == 1
+    assert re.fullmatch(r"error: tracking\.uri = .*: there is no file 'outputs/mlflow\.db'\.\n", done.stderr)
+    assert not list((tmp_path / "outputs" / "report").iterdir())
+
+
+PAGE = [Section("A < B", [Text("**bold** and `code <x>`"), Table(["name", "value"], [["`a`", "1"]])])]
+
+
+def test_markdown_of_a_document(tmp_path):
+    section = Section("Pictures", [Picture(tmp_path / "p.png", "What it shows")])
+    assert to_markdown([*PAGE, section], "images/") == (
+        "## A < B\n\n**bold** and `code <x>`\n\n| name | value |\n| --- | --- |\n| `a` | 1 |\n\n"
+        "## Pictures\n\n![What it shows](images/p.png)\n"
+    )
+
+
+def test_html_of_a_document_is_escaped_and_marked_up():
+    page = to_html("T & U", PAGE)
+    assert "<title>T &amp; U</title>" in page
+    assert "<h2>A &lt; B</h2>" in page
+    assert "<p><strong>bold</strong> and <code>code &lt;x&gt;</code></p>" in page
+    assert "<tr><td><code>a</code></td><td>1</td></tr>" in page

@@ -1,0 +1,86 @@
+"""Stores of tracked sweeps as the pipelines leave them, without the work, and reports on them."""
+
+import numpy as np
+import pytest
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+import pipelines.report
+from lmd.tracking import PARENT_TAG, MlflowTracker
+from pipelines.app import CONF, build_problem
+
+SMALL = ("room.spacing=1.5", "deployment.count=6", "objective.thold_p=0.5", "threads=1")
+AVERAGE, MAXIMUM = 0.6, 0.9  # of every run
+
+
+def small_config():
+    """A problem of 36 positions and six landmarks."""
+    with initialize_config_dir(CONF, version_base="1.3"):
+        return compose("optimise", [*SMALL, "deployment=uniform"])
+
+
+def record_sweep(uri, folder, name, jobs, pipeline="optimise"):
+    """Record a sweep and its jobs; returns the id of the parent run.
+
+    Args:
+        uri: the store.
+        folder: for the files that jobs keep.
+        name: of the sweep.
+        jobs: for each job the overrides that tell it from the others, its qualified ratio and its status.
+        pipeline: what ran.
+    """
+    cfg = small_config()
+    problem = build_problem(cfg)
+    problem.start.draw(problem.scene.room, np.random.default_rng(0)).to_csv(folder / "landmarks.csv")
+    OmegaConf.save(cfg, folder / "config.yaml")
+    sweep = {"sweep": name, "pipeline": pipeline}
+    parent = MlflowTracker(uri, "lmd")
+    parent.start(f"sweep {name}", {}, sweep | {"override.seed": "0,1", "override.experiment": name}, None)
+    for number, (overrides, ratio, status) in enumerate(jobs):
+        tracker = MlflowTracker(uri, "lmd")
+        tags = sweep | {"job": f"job-{number}", PARENT_TAG: parent.run_id}
+        tags |= {f"choice.{key}": value for key, value in overrides.items() if "." not in key}
+        settings = {"seed": number, "budget.evaluations": 60, "objective.n": 2, "objective.thold_p": 0.65}
+        tracker.start(f"{name} {number}", settings | {"deployment.count": 90} | overrides, tags, None)
+        if status == "FINISHED":
+            tracker.log_curve("best_fitness", [(30, ratio / 2.0, 0.1), (60, ratio, 0.2)])
+            tracker.log_metrics(
+                {
+                    "qualified_ratio": ratio,
+                    "average_coverage_probability": AVERAGE,
+                    "maximum_coverage_probability": MAXIMUM,
+                }
+            )
+            tracker.log_artifacts([folder / "landmarks.csv", folder / "config.yaml"])
+        tracker.finish(status)
+    parent.log_metrics({"jobs": len(jobs)})
+    parent.finish("FINISHED")
+    return parent.run_id
+
+
+def record_all(uri, folder):
+    """Every sweep that a report is made of; returns the parents' ids by name."""
+
+    def done(*jobs):
+        return [(overrides, ratio, "FINISHED") for overrides, ratio in jobs]
+
+    seeds = [({"optimiser": "ega"}, 0.4), ({"optimiser": "ega"}, 0.6), ({"optimiser": "ega"}, 0.5)]
+    pairs = [({"objective.n": n, "objective.thold_p": p}, 0.9 - 0.2 * n + p / 10) for n in (2, 3) for p in (0.5, 0.65)]
+    sweeps = {
+        "table2": (done(*seeds, ({"optimiser": "sga"}, 0.3)), "optimise"),
+        "table2_baselines": (done(({"deployment": "random"}, 0.1), ({"deployment": "uniform"}, 0.2)), "evaluate"),
+        "table3": (done(*pairs), "evaluate"),
+        "table3_reoptimised": (done(*((pair, ratio + 0.1) for pair, ratio in pairs)), "optimise"),
+        "landmark_count": (done(*(({"deployment.count": k}, k / 100) for k in (30, 60, 90))), "optimise"),
+        "optimisers": (done(({"optimiser": "annealing"}, 0.9), ({"optimiser": "ega"}, 0.5)), "optimise"),
+    }
+    return {name: record_sweep(uri, folder, name, jobs, pipeline) for name, (jobs, pipeline) in sweeps.items()}
+
+
+def write_report(folder, *overrides):
+    """Report into `folder`, which must not exist, in this process; returns the Markdown."""
+    folder.mkdir()
+    with initialize_config_dir(CONF, version_base="1.3"), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pipelines.report, "run_directory", lambda: folder)
+        pipelines.report.report(compose("report", list(overrides)))
+    return (folder / "report.md").read_text()
