@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import hydra
 from omegaconf import DictConfig
 
-from pipelines.app import CONF, choices, flat_settings, input_errors_reported, instantiate, run_directory
+from pipelines.app import CONF, choices, flat_settings, instantiate, run_directory
+from pipelines.sweep import run
 
 if TYPE_CHECKING:
     from lmd.orientation.estimate import Marginal, PdfEstimate
@@ -16,8 +17,7 @@ if TYPE_CHECKING:
 @hydra.main(version_base="1.3", config_path=CONF, config_name="estimate_pdf")
 def main(cfg: DictConfig) -> None:
     """Estimate, record and show."""
-    with input_errors_reported():
-        estimate(cfg)
+    run(cfg, estimate)
 
 
 def estimate(cfg: DictConfig) -> None:
