@@ -1,0 +1,1 @@
+"""Localisation with the landmarks a camera sees: trajectories, measurements, the observer and its rivals."""
