@@ -27,8 +27,8 @@ def camera_pose(position: ArrayLike, yaw: ArrayLike, pitch: ArrayLike, roll: Arr
 
 
 def pose_of(orientation: FloatArray, position: FloatArray) -> FloatArray:
-    """[R p; 0 1] from R `(..., 3, 3)` and p `(..., 3)`, `(..., 4, 4)`."""
-    pose = np.zeros((*position.shape[:-1], 4, 4))
+    """[R p; 0 1] from R `(..., 3, 3)` and p `(..., 3)`, which broadcast to `(..., 4, 4)`."""
+    pose = np.zeros((*np.broadcast_shapes(orientation.shape[:-2], position.shape[:-1]), 4, 4))
     pose[..., :3, :3], pose[..., :3, 3], pose[..., 3, 3] = orientation, position, 1.0
     return pose
 
