@@ -2,14 +2,15 @@
 
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig, OmegaConf
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf, open_dict
 
 if TYPE_CHECKING:
     from lmd.optimisers.base import Optimiser
@@ -85,6 +86,40 @@ def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":
 def search_path() -> list[str]:
     """The overrides that add folders of configuration, which others depend on."""
     return [o for o in HydraConfig.get().overrides.hydra if o.startswith("hydra.searchpath=")]
+
+
+def task_overrides() -> list[tuple[str, str]]:
+    """The overrides of this job as pairs of the key or group and the override itself."""
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+
+    parsed = OverridesParser.create().parse_overrides(list(HydraConfig.get().overrides.task))
+    return [(str(override.key_or_group), str(override.input_line)) for override in parsed]
+
+
+def recompose(config_name: str, overrides: Sequence[str], setting: str, entry: str) -> DictConfig:
+    """Another configuration of the running application, without Hydra's own part.
+
+    Args:
+        config_name: `optimise` and so on.
+        overrides: its overrides.
+        setting, entry: what asks for it, for messages.
+
+    Raises:
+        InputError: Hydra refuses the overrides.
+    """
+    from hydra.core.global_hydra import GlobalHydra
+    from hydra.errors import HydraException
+
+    from lmd.checks import InputError
+
+    try:
+        loader = GlobalHydra.instance().config_loader()
+        composed = loader.load_configuration(config_name, list(overrides), RunMode.RUN, validate_sweep_overrides=False)
+    except HydraException as error:
+        raise InputError(f"{setting}: {entry!r} is refused: {str(error).splitlines()[0]}") from error
+    with open_dict(composed):
+        composed.pop("hydra")
+    return composed
 
 
 def flat_settings(cfg: DictConfig, *keys: str) -> dict[str, Any]:

@@ -6,17 +6,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import hydra
-from hydra.core.hydra_config import HydraConfig
-from hydra.types import RunMode
-from omegaconf import DictConfig, ListConfig, open_dict
+from omegaconf import DictConfig, ListConfig
 
 from pipelines.app import (
     CONF,
     build_optimiser,
     build_problem,
     instantiate,
+    recompose,
     run_directory,
     search_path,
+    task_overrides,
 )
 from pipelines.sweep import run
 
@@ -82,28 +82,9 @@ def compare(cfg: DictConfig) -> None:
 
 def _compose(entry: str, cfg: DictConfig) -> DictConfig:
     """The `optimise` configuration for one entry of `optimisers`: a name, then overrides of its own."""
-    from hydra.core.global_hydra import GlobalHydra
-    from hydra.core.override_parser.overrides_parser import OverridesParser
-    from hydra.errors import HydraException
-
-    from lmd.checks import InputError
-
-    given = HydraConfig.get().overrides
-    parsed = OverridesParser.create().parse_overrides(list(given.task))
-    shared = [str(o.input_line) for o in parsed if str(o.key_or_group).split(".")[0] not in OWN_KEYS]
+    shared = [override for key, override in task_overrides() if key.split(".")[0] not in OWN_KEYS]
     name, *own = entry.split()
-    try:
-        loader = GlobalHydra.instance().config_loader()
-        composed = loader.load_configuration(
-            "optimise",
-            [*shared, *search_path(), f"optimiser={name}", *own],
-            RunMode.RUN,
-            validate_sweep_overrides=False,
-        )
-    except HydraException as error:
-        raise InputError(f"optimisers: {entry!r} is refused: {str(error).splitlines()[0]}") from error
-    with open_dict(composed):
-        composed.pop("hydra")
+    composed = recompose("optimise", [*shared, *search_path(), f"optimiser={name}", *own], "optimisers", entry)
     composed.budget, composed.threads = cfg.budget, 1
     build_optimiser(composed, cfg.seed)  # what cannot be built fails before anything has run
     return composed

@@ -1,12 +1,18 @@
 """Score a deployment: `python -m pipelines.evaluate deployment=uniform|random|greedy|file [overrides]`."""
 
 import time
+from typing import TYPE_CHECKING
 
 import hydra
 from omegaconf import DictConfig
 
-from pipelines.app import CONF, build_problem, choices
+from pipelines.app import CONF, build_problem, choices, run_directory
 from pipelines.sweep import run
+
+if TYPE_CHECKING:
+    from lmd.deployment import Deployment
+    from lmd.problem import CoverageProblem
+    from lmd.tracking import Tracker
 
 
 @hydra.main(version_base="1.3", config_path=CONF, config_name="evaluate")
@@ -30,7 +36,22 @@ def evaluate(cfg: DictConfig) -> float:
     history = [Record(1, problem.metrics(deployment)["fitness"], time.perf_counter() - began)]
     subject = choices()["deployment"]
     with tracked_run(cfg, problem, subject) as tracker:
-        return record(cfg, problem, tracker, deployment, history, subject=subject, summary={})
+        summary = localise(problem, deployment, tracker) if cfg.localisation else {}
+        return record(cfg, problem, tracker, deployment, history, subject=subject, summary=summary)
+
+
+def localise(problem: "CoverageProblem", deployment: "Deployment", tracker: "Tracker") -> dict[str, float]:
+    """Write and log the map of the bound on the pose of a single frame; returns its figures."""
+    from lmd.observer.cramer_rao import bound_map
+    from lmd.plot.localisation import save_bound_map
+    from pipelines.recording import title_of
+
+    bounds = bound_map(problem.scene, problem.evaluator, deployment)
+    table, picture = (run_directory() / f"localisation.{kind}" for kind in ("csv", "png"))
+    bounds.to_csv(table)
+    save_bound_map(picture, problem.scene.room, bounds, title_of(problem, "Cramer-Rao bound of one frame,"))
+    tracker.log_artifacts([table, picture])
+    return bounds.metrics()
 
 
 if __name__ == "__main__":

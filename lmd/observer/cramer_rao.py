@@ -1,14 +1,16 @@
 """The Cramer-Rao bound of a camera's pose from the pixels of the landmarks it sees.
 
-A perturbation X exp(w, v) moves a landmark at y = (x, y, z) in the camera's frame by y x w - v, and its image by J times
-that: with J_i = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)] [[y_i]x  -I] and pixel noise sigma the information
-is sum J_i^T J_i / sigma^2, and no unbiased estimate from this one frame has a smaller covariance than its inverse. Fewer
-than three landmarks, or three in line, do not fix the pose: the bound is infinite.
+A perturbation X exp(w, v) moves a landmark at y_i = (x, y, z) in the camera's frame by y_i x w - v, hence its image by
+J_i (w, v) with J_i = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)] [[y_i]x  -I]. With pixel noise sigma the
+information is sum J_i^T J_i / sigma^2, and no unbiased estimate from this one frame has a smaller covariance than its
+inverse. Fewer than three landmarks, or three in line, do not fix the pose: the bound is infinite.
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from lmd.camera import Camera
 from lmd.checks import FloatArray
@@ -85,12 +87,19 @@ class BoundMap:
     attitude: FloatArray
 
     def metrics(self) -> dict[str, float]:
-        """The share of poses that a single frame fixes, and the medians over positions of the bounds."""
-        return {
-            "pose_fixed_share": float(self.share.mean()),
-            "position_bound_mm_per_pixel": float(1e3 * np.median(self.position)),
-            "attitude_bound_mrad_per_pixel": float(1e3 * np.median(self.attitude)),
-        }
+        """The share of poses that a single frame fixes, and the medians of the bounds over positions that have one."""
+        metrics = {"pose_fixed_share": float(self.share.mean())}
+        some = self.share > 0.0
+        if some.any():
+            metrics["position_bound_mm_per_pixel"] = float(1e3 * np.median(self.position[some]))
+            metrics["attitude_bound_mrad_per_pixel"] = float(1e3 * np.median(self.attitude[some]))
+        return metrics
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write `x,y,z,share,position,attitude`, one row for each position, empty where the bound is infinite."""
+        values = np.column_stack([self.positions, self.share, self.position, self.attitude])
+        columns = ["x", "y", "z", "share", "position", "attitude"]
+        pd.DataFrame(values, columns=columns).replace(np.inf, np.nan).to_csv(path, index=False)
 
 
 def bound_map(scene: Scene, evaluator: Evaluator, deployment: Deployment) -> BoundMap:

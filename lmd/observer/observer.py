@@ -6,9 +6,9 @@ the landmarks visible at that instant. With the metric diag(l^2 I, I) on twists 
 - left-invariant, as printed:  -eps = (l^-2 sum k_i yh_i x e_i, sum k_i e_i),
 - right-invariant:             -eps = Ad_{Xh^-1} (l^-2 sum k_i C_i x s_i, sum k_i s_i) with s_i = C_i - Xh y_i,
 
-the latter with error dynamics that do not depend on the trajectory. The paper takes Q, k_0 and P from a work that is not
-public. Here Q(d) = -d e_4^T / m with d = Yh - Y and m landmarks in view, and P is the orthogonal projection to se(3): the
-term is then the translation k_0 mean(e_i), which damps for k_0 > 0.
+the latter with error dynamics that do not depend on the trajectory. The paper takes Q, k_0 and P from a work that is
+not public. Here Q(d) = -d e_4^T / m with d = Yh - Y and m landmarks in view, and P is the orthogonal projection to
+se(3): the term is then the translation k_0 mean(e_i), which damps for k_0 > 0.
 
 Source: Lei et al., "Optimization of Directional Landmark Deployment for Visual Observer on SE(3)", Sec. II-A.
 """

@@ -1,0 +1,112 @@
+"""What deployments do to localisation: errors and landmarks in view over time, and where in the room it is weak."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from lmd.checks import FloatArray
+from lmd.observer.cramer_rao import BoundMap
+from lmd.plot import common
+from lmd.room import Room
+
+QUANTITIES = {
+    "error": r"$Er = \|X - \hat X\|_F^2$",
+    "position": "position error [m]",
+    "attitude": "attitude error [rad]",
+}
+DECADES = 12  # below the largest error that are shown
+
+
+def save_error_figure(
+    path: str | Path, curves: pd.DataFrame, time: FloatArray, counts: dict[str, FloatArray], n: int, title: str
+) -> None:
+    """Write a PNG: for each estimator the errors over time, below them the landmarks in view.
+
+    Args:
+        path: the PNG.
+        curves: `Study.curves`.
+        time: of the frames, seconds, `(T,)`.
+        counts: landmarks in each frame of one flight, `(T,)`, by deployment.
+        n: drawn as a dotted line.
+        title: heads the picture.
+    """
+    from matplotlib.figure import Figure
+
+    estimators, names = list(curves.estimator.unique()), list(counts)
+    columns = len(estimators)
+    figure = Figure(figsize=(3.0 + 5.0 * columns, 12.0), dpi=100, layout="constrained")
+    figure.suptitle(title)
+    parts: Any = figure.subfigures(2, 1, height_ratios=[len(QUANTITIES), 1])
+    upper, lower = parts
+    panels = upper.subplots(len(QUANTITIES), columns, sharex=True, sharey="row", squeeze=False)
+    for row, (quantity, label) in zip(panels, QUANTITIES.items(), strict=True):
+        row[0].set_ylabel(label)
+        for axes, estimator in zip(row, estimators, strict=True):
+            for i, name in enumerate(names):
+                curve = curves[(curves.estimator == estimator) & (curves.deployment == name)]
+                low, median, high = (curve[f"{quantity}_{part}"].to_numpy() for part in ("low", "median", "high"))
+                axes.fill_between(curve.time, low, high, color=f"C{i}", alpha=0.2, lw=0)
+                axes.plot(curve.time, median, color=f"C{i}", lw=1.6, label=name)
+            axes.set_yscale("log")
+            axes.grid(alpha=0.3)
+        top = float(curves[f"{quantity}_high"].max())
+        if top > 0.0:  # a bound without noise is 0 and has no logarithm
+            row[0].set_ylim(bottom=max(top * 10.0**-DECADES, 0.3 * _least_positive(curves[f"{quantity}_low"])))
+    for axes, estimator in zip(panels[0], estimators, strict=True):
+        axes.set_title(estimator)
+    panels[0][-1].legend(frameon=False)
+    axes = lower.subplots()
+    for i, name in enumerate(names):
+        axes.step(time, counts[name], where="post", color=f"C{i}", lw=0.8, alpha=0.8)
+    axes.axhline(n, color="green", linestyle=":", lw=2.0)
+    axes.set(xlabel="time [s]", ylabel="landmarks in view, first flight")
+    axes.grid(alpha=0.3)
+    figure.savefig(path)
+
+
+def _least_positive(values: pd.Series) -> float:
+    return float(values[values > 0.0].min())
+
+
+def save_bound_map(path: str | Path, room: Room, bounds: BoundMap, title: str) -> None:
+    """Write a PNG: at each position, how often a single frame fixes the pose, and how well it does then.
+
+    Args:
+        path: the PNG.
+        room: drawn as a box.
+        bounds: of one deployment.
+        title: heads the picture.
+    """
+    from matplotlib.colors import LogNorm
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator
+
+    figure = Figure(figsize=(15.0, 7.0), dpi=100, facecolor="white", layout="constrained")
+    figure.suptitle(title)
+    finite = np.isfinite(bounds.position)
+    size = 49.0 * common.ball_scale(room, len(bounds.positions)) ** 2
+    shown: tuple[tuple[FloatArray, str, dict[str, Any]], ...] = (
+        (bounds.share, "share of orientations in which one frame fixes the pose", {"vmin": 0.0, "vmax": 1.0}),
+        (1e3 * np.where(finite, bounds.position, np.nan), "median position bound there [mm per pixel of noise]",
+         {"norm": LogNorm()}),
+    )  # fmt: skip
+    for i, (values, label, scale) in enumerate(shown, start=1):
+        axes = figure.add_subplot(1, 2, i, projection="3d")
+        axes.set_box_aspect(room.size)
+        for edges in common.boxes(room).values():
+            for edge in edges:
+                axes.plot(*edge.T, color=common.REACHABLE, lw=0.8)
+        axes.set(**dict(zip(("xlabel", "ylabel", "zlabel"), common.AXIS_LABELS, strict=True)))
+        drawn = np.isfinite(values)
+        colours = common.COLOUR_MAP if i == 1 else f"{common.COLOUR_MAP}_r"  # bright is good in both
+        balls = axes.scatter(
+            *bounds.positions[drawn].T, c=values[drawn], s=size, cmap=colours, linewidths=0, depthshade=False, **scale
+        )
+        if drawn.any():
+            bar = figure.colorbar(balls, ax=axes, orientation="horizontal", shrink=0.6, pad=0.02, label=label)
+            if "norm" in scale:
+                bar.set_ticks(LogLocator(subs=(1.0, 2.0, 5.0)), format="%g")
+                bar.minorticks_off()
+    figure.savefig(path)
