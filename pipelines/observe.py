@@ -15,13 +15,13 @@ from omegaconf import DictConfig, OmegaConf
 from pipelines.app import (
     CONF,
     build_problem,
-    input_errors_reported,
     instantiate,
     recompose,
     run_directory,
     search_path,
     task_overrides,
 )
+from pipelines.sweep import run
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,8 +40,7 @@ def main() -> None:
 @hydra.main(version_base="1.3", config_path=CONF, config_name="observe")
 def _main(cfg: DictConfig) -> None:
     """Fly, record and show."""
-    with input_errors_reported():
-        observe(cfg)
+    run(cfg, observe)
 
 
 def observe(cfg: DictConfig) -> None:
@@ -54,7 +53,7 @@ def observe(cfg: DictConfig) -> None:
     seeds = range(integer("seed", cfg.seed, low=0), cfg.seed + integer("seeds", cfg.seeds, low=1))
     problems = {name: build_problem(composed) for name, composed in _deployments(cfg).items()}
     problem = next(iter(problems.values()))
-    estimators = {name: instantiate(node) for name, node in cfg.estimator.items()}
+    estimators = {name: instantiate(node) for name, node in (cfg.get("estimator") or {}).items()}
     flights = Flights.draw(problem, instantiate(cfg.trajectory), instantiate(cfg.start), seeds)
     directory, n = run_directory(), problem.objective.n
     with tracked_run(cfg, problem, "observe") as tracker:

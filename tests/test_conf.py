@@ -10,12 +10,14 @@ from hydra.types import RunMode
 from lmd.camera import Camera
 from pipelines.app import CONF, build_problem, flat_settings, instantiate
 
-OTHER_GROUPS = {"experiment", "recording"}  # tested below, and in test_estimate_pdf.py
+ONLY_OBSERVE = ("trajectory", "detector", "estimator")
+OTHER_GROUPS = {"experiment", "recording", *ONLY_OBSERVE}  # tested below, and in test_estimate_pdf.py
 GROUPS = [
     (path.parent.name, path.stem)
     for path in sorted(Path(CONF).glob("*/*.yaml"))
     if path.parent.name not in OTHER_GROUPS
 ]
+FLIGHT_GROUPS = [(group, path.stem) for group in ONLY_OBSERVE for path in sorted(Path(CONF, group).glob("*.yaml"))]
 EXPERIMENTS = sorted(path.stem for path in Path(CONF, "experiment").glob("*.yaml"))
 SWEEPS = {  # the pipeline of each stored sweep, and its number of jobs
     "table2": ("optimise", 10),
@@ -40,6 +42,13 @@ def test_every_option_composes_and_builds(group, option):
     instantiate(cfg.tracking)
     if (group, option) not in NEEDS_A_FILE:
         build_problem(cfg)
+
+
+@pytest.mark.parametrize(("group", "option"), FLIGHT_GROUPS)
+def test_every_option_of_a_flight_composes_and_builds(group, option):
+    cfg = composed("observe", f"{group}=[{option}]" if group == "estimator" else f"{group}={option}")
+    for node in cfg.estimator.values() if group == "estimator" else [cfg[group]]:
+        instantiate(node)
 
 
 @pytest.mark.parametrize("experiment", sorted({*EXPERIMENTS} - {*SWEEPS}))

@@ -192,7 +192,7 @@ def test_no_number_of_landmarks_is_unstable_below_the_limit(form, count):
 @both_forms
 def test_too_long_a_time_between_frames_is_refused(form):
     poses = moving(3, np.zeros(6))
-    with pytest.raises(InputError, match=r"observer\.gain \+ observer\.damping = 50 1/s must stay below 40 1/s"):
+    with pytest.raises(InputError, match=r"observer\.gain \+ observer\.damping = 50 1/s must stay below 25 1/s"):
         Observer(form, 30.0, 20.0).errors(recording(poses, np.ones((3, 12), dtype=bool)), poses[:1])
 
 

@@ -1,0 +1,168 @@
+"""`pipelines.observe` as a user meets it: a process, its messages, its exit code and the files it leaves."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from mlflow import MlflowClient
+
+ROOT = Path(__file__).parents[1]
+SMALL = ["room.spacing=3", "seeds=2", "trajectory.duration=4", "trajectory.pace.frame_rate=10", "hydra.run.dir=run"]
+FILES = {"figures.csv", "curves.csv", "observe.md", "observe.json", "errors.png"}
+LANDMARKS = "id,x,y,z,nx,ny,nz\n0,0,1,1,1,0,0\n1,0,2,3,1,0,0\n2,7.5,2,3,-1,0,0\n"
+
+
+def call(*overrides, cwd, pipeline="observe", settings=SMALL):
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    line = [sys.executable, "-m", f"pipelines.{pipeline}", *settings, *overrides]
+    return subprocess.run(line, cwd=cwd, env=environment, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def observed(tmp_path_factory):
+    cwd = tmp_path_factory.mktemp("work")
+    (cwd / "mine.csv").write_text(LANDMARKS)
+    done = call("deployment=file,uniform,random", "deployment.path=mine.csv", "detector=noisy",
+                "estimator=[observer,left_observer,bound]", cwd=cwd)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return cwd, done.stdout
+
+
+def test_a_run_leaves_its_files_and_nothing_else(observed):
+    cwd, _ = observed
+    assert {path.name for path in (cwd / "run").iterdir()} == {*FILES, ".hydra", "observe.log"}
+
+
+def test_one_run_compares_the_deployments_over_the_same_flights(observed):
+    figures = pd.read_csv(observed[0] / "run" / "figures.csv")
+    assert list(figures.deployment.unique()) == ["file", "uniform", "random"]
+    assert list(figures.estimator.unique()) == ["observer", "left_observer", "bound"]
+    assert sorted(figures.seed.unique()) == [0, 1]
+    assert len(figures) == 18
+    assert (figures[figures.estimator == "observer"].available == 1.0).all()
+    curves = pd.read_csv(observed[0] / "run" / "curves.csv")
+    first = curves[(curves.estimator == "observer") & (curves.time == 0.0)]
+    assert np.ptp(first.error_median) < 1e-9
+
+
+def test_the_table_is_shown_and_kept(observed):
+    cwd, out = observed
+    table = (cwd / "run" / "observe.md").read_text()
+    assert table in out
+    assert len(table.splitlines()) == 11
+    assert str(cwd / "run") in out
+
+
+def test_the_medians_and_settings_are_kept(observed):
+    document = json.loads((observed[0] / "run" / "observe.json").read_text())
+    figures = pd.read_csv(observed[0] / "run" / "figures.csv")
+    mine = figures[(figures.deployment == "uniform") & (figures.estimator == "observer")]
+    assert document["medians"]["mean_error/uniform/observer"] == pytest.approx(mine.mean_error.median())
+    assert document["seeds"] == [0, 1]
+    assert document["settings"]["n"] == 2
+
+
+def test_mlflow_has_the_run(observed):
+    client = MlflowClient(tracking_uri=f"sqlite:///{observed[0]}/outputs/mlflow.db")
+    (run,) = client.search_runs([client.get_experiment_by_name("lmd").experiment_id])
+    assert run.info.status == "FINISHED"
+    assert run.data.tags["choice.trajectory"] == "random_motion"
+    assert run.data.params["deployments"] == "['file', 'uniform', 'random']"
+    assert "share_visible_2/random/observer" in run.data.metrics
+    assert len(client.get_metric_history(run.info.run_id, "position_over_time/uniform/observer")) == 41
+    assert {*FILES, "config.yaml"} <= {file.path for file in client.list_artifacts(run.info.run_id)}
+
+
+def test_deployments_can_have_names_and_overrides(tmp_path):
+    (tmp_path / "mine.csv").write_text(LANDMARKS)
+    entries = "deployments=['best: file deployment.path=mine.csv','few: uniform deployment.count=6',uniform]"
+    done = call(entries, "deployment.count=30", "tracking=none", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "mine.csv has 3 landmarks, but deployment.count = 30" in done.stderr
+    done = call(entries, "tracking=none", "seeds=1", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    figures = pd.read_csv(tmp_path / "run" / "figures.csv").set_index("deployment")
+    assert list(figures.index) == ["best", "few", "uniform"]
+    assert figures.mean_visible["few"] < figures.mean_visible["uniform"]
+
+
+def test_the_motivating_example_flies_twice_over_eighty_random_landmarks(tmp_path):
+    settings = [s for s in SMALL if not s.startswith("room.")]
+    done = call("experiment=motivating_example", "tracking=none", cwd=tmp_path, settings=settings)
+    assert done.returncode == 0, done.stderr
+    figures = pd.read_csv(tmp_path / "run" / "figures.csv")
+    assert list(figures.deployment.unique()) == ["random", "random all visible"]
+    assert (figures[figures.deployment == "random all visible"].mean_visible == 80).all()
+
+
+def test_evaluate_maps_where_localisation_is_weak(tmp_path):
+    settings = ["room.spacing=3", "validate=false", "page=false", "tracking=none", "hydra.run.dir=run"]
+    done = call(cwd=tmp_path, pipeline="evaluate", settings=settings)
+    assert done.returncode == 0, done.stderr
+    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert 0.0 < metrics["pose_fixed_share"] < 1.0
+    assert metrics["position_bound_mm_per_pixel"] > 0.0
+    assert len(pd.read_csv(tmp_path / "run" / "localisation.csv")) == metrics["settings"]["positions"]
+    assert (tmp_path / "run" / "localisation.png").stat().st_size > 30_000
+    assert "pose fixed share" in done.stdout
+
+
+BAD_INPUT = {
+    "no option": (["deployment=nowhere"], "deployments: 'nowhere' is refused: "),
+    "none": (["deployments=[]"], "deployments must list at least one option of conf/deployment"),
+    "no list": (["deployments=null"], "deployments must list at least one option of conf/deployment"),
+    "twice": (["deployment=uniform,uniform"], "deployments has 'uniform' twice: give them names"),
+    "name": (["deployments=['a/b: uniform']"], "deployments: the name 'a/b' must be of letters"),
+    "unused": (["deployment=uniform", "deployment.path=a.csv"], "deployment.path=a.csv is for none of the deployments"),
+    "no path": (["deployment=file"], "deployment.path is missing"),
+    "seeds": (["seeds=0"], "seeds must be at least 1, got 0"),
+    "estimator": (["estimator=[]"], "estimator must name at least one estimator"),
+    "gain": (["estimator.observer.gain=100"], "observer.gain + observer.damping = 101 1/s must stay below 20 1/s"),
+    "missed": (["detector.missed=2"], "detector.missed must be in [0, 1], got 2"),
+    "noise": (["all_visible=true", "detector=noisy"], "detector.pixel_noise must be 0 when all landmarks are visible"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_INPUT)
+def test_bad_input_gets_one_sentence_and_leaves_nothing(case, tmp_path):
+    overrides, message = BAD_INPUT[case]
+    done = call("deployments=[uniform]", *overrides, "tracking=none", cwd=tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: ")
+    assert message in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_trajectory_file_is_flown_by_every_seed(tmp_path):
+    rows = "".join(f"{0.1 * i:g},{2 + 0.01 * i:g},2,3,{0.02 * i:g},0\n" for i in range(20))
+    (tmp_path / "flight.csv").write_text("time,x,y,z,yaw,pitch\n" + rows)
+    settings = ["room.spacing=3", "seeds=2", "hydra.run.dir=run", "tracking=none", "deployment=uniform"]
+    done = call("trajectory=file", "trajectory.path=flight.csv", cwd=tmp_path, settings=settings)
+    assert done.returncode == 0, done.stderr
+    figures = pd.read_csv(tmp_path / "run" / "figures.csv")
+    assert figures.mean_visible[0] == figures.mean_visible[1]
+    assert figures.mean_error[0] != figures.mean_error[1]
+
+
+def test_help_lists_the_groups_without_loading_the_model(tmp_path):
+    code = """
+import sys
+from pipelines.observe import main
+sys.argv = ["observe", "--help"]
+try:
+    main()
+finally:
+    print([name for name in ("numba", "mlflow", "matplotlib", "pandas", "cv2", "gtsam") if name in sys.modules])
+"""
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    line = [sys.executable, "-c", code]
+    done = subprocess.run(line, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert "estimator: bound, iekf, left_observer, observer, pnp" in done.stdout
+    assert "trajectory: file, random_motion, waypoints" in done.stdout
+    assert done.stdout.rstrip().endswith("[]")
