@@ -60,6 +60,6 @@ def visible(evaluator: Evaluator, deployment: Deployment, positions: FloatArray,
     """
     seen = np.zeros((len(positions), len(deployment)), dtype=np.bool_)
     landmarks, normals = (np.ascontiguousarray(v.T) for v in (deployment.positions, deployment.normals))
-    poses = (np.ascontiguousarray(v) for v in (positions, axes))
-    _see(*poses, landmarks, normals, evaluator.limits, evaluator.reach, evaluator.mode, seen)
+    positions, axes = np.ascontiguousarray(positions), np.ascontiguousarray(axes)
+    _see(positions, axes, landmarks, normals, evaluator.limits, evaluator.reach, evaluator.mode, seen)
     return seen

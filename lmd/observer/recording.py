@@ -58,18 +58,13 @@ class Detector:
         Returns:
             `(..., 3)`, metres.
         """
-        noise = rng.normal(scale=self.pixel_noise, size=points.shape)
         if self.pixel_noise == 0.0:
             return points
-        in_front = np.where(points[..., 2:] > 0.0, points[..., 2:], 1.0)
-        focal = focal_pixels(camera)
-        width = np.maximum(focal[0] * self.edge / in_front + noise[..., 2:], 1.0)
-        return np.asarray(focal[0] * self.edge / width * self._ray(points, in_front, focal, noise))
-
-    def _ray(self, points: FloatArray, depth: FloatArray, focal: FloatArray, noise: FloatArray) -> FloatArray:
-        """(x / z, y / z, 1) with noise, `(..., 3)`."""
-        sideways = points[..., :2] / depth + noise[..., :2] / focal
-        return np.concatenate([sideways, np.ones_like(depth)], axis=-1)
+        focal, noise = focal_pixels(camera), rng.normal(scale=self.pixel_noise, size=points.shape)
+        depth = np.where(points[..., 2:] > 0.0, points[..., 2:], 1.0)
+        ray = np.concatenate([points[..., :2] / depth + noise[..., :2] / focal, np.ones_like(depth)], axis=-1)
+        width = np.maximum(focal[0] * self.edge / depth + noise[..., 2:], 1.0)
+        return np.asarray(focal[0] * self.edge / width * ray)
 
 
 def focal_pixels(camera: Camera) -> FloatArray:

@@ -17,7 +17,7 @@ from lmd.problem import CoverageProblem
 
 # Keeps the flights apart from every other use of the same seed.
 STREAM = 0x666C79
-SHARES = (1, 2, 3, 4)  # landmarks in view for which the share of time is reported
+SHARES = (1, 2, 3, 4)  # landmarks in view for which the share of time is reported, beside the objective's n
 SETTLED = 0.01  # of the initial Er
 QUANTILES = (0.1, 0.5, 0.9)  # over the seeds: band, median, band
 CURVE_WINDOWS = 300
@@ -92,7 +92,7 @@ class Outcome:
 
     Args:
         counts: landmarks in each frame, `(S, T)`.
-        shares: share of time with at least n landmarks for the n in `SHARES`, `(S,)` each.
+        shares: share of time with at least n landmarks, by n, `(S,)` each.
         errors: of each estimator.
     """
 
@@ -199,7 +199,7 @@ def conduct(
             recording = flights.recorded(problem, detector, everything)
             outcomes[f"{name} all visible" if everything else name] = Outcome(
                 recording.visible_counts,
-                {n: recording.share_visible(n) for n in SHARES},
+                {n: recording.share_visible(n) for n in sorted({*SHARES, problem.objective.n})},
                 {label: estimator.errors(recording, flights.start) for label, estimator in estimators.items()},
             )
     true = np.stack([trajectory.poses[:1] for trajectory in flights.trajectories])
@@ -212,7 +212,7 @@ def to_markdown(figures: pd.DataFrame, n: int) -> str:
 
     Args:
         figures: one row for each deployment, estimator and seed.
-        n: landmarks in view whose share of time is shown beside that of 3, one of `SHARES`.
+        n: of the objective; the share of time with as many in view is shown beside that with 3, which fix a pose.
     """
     head = ["deployment", "estimator", *(f"time with >= {m} in view" for m in sorted({n, 3}))]
     head += ["mean Er (10 to 90 %)", "settled after [s]", "position [mm]", "attitude [mrad]", "available"]
