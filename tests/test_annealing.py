@@ -39,7 +39,7 @@ def test_stacks_are_pulled_apart_by_the_spread():
     pairs = optimiser.here.positions.reshape(-1, 2, 3)
     inside = ((pairs > 0.1) & (pairs < np.array(p.scene.room.size) - 0.1)).sum(axis=2).min(axis=1) >= 2
     distance = np.linalg.norm(pairs[:, 0] - pairs[:, 1], axis=1)
-    np.testing.assert_allclose(distance[inside], 2.2 * 0.05)
+    np.testing.assert_allclose(distance[inside], 1.6 * 0.05)
 
 
 def test_a_given_start_is_not_stacked(tmp_path):

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -13,7 +12,7 @@ from lmd.observer.se3 import camera_pose, pose_of
 from lmd.pdf import OrientationPdf
 from lmd.room import Room
 from lmd.scene import Scene
-from lmd.tables import read_numbers
+from lmd.tables import has_column, read_numbers
 
 ANGLES = ("time", "x", "y", "z", "yaw", "pitch")
 QUATERNIONS = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -223,7 +222,7 @@ class FileTrajectory:
         """See `TrajectorySource.draw`; nothing here is random."""
         if self.path is None:
             raise InputError("trajectory.path is missing: trajectory=file needs a CSV of poses.")
-        has_quaternions = _first_line_names(self.path, "qw")
+        has_quaternions = has_column(self.path, "qw")
         table = read_numbers(self.path, QUATERNIONS if has_quaternions else ANGLES, name="trajectory.path")
         try:
             poses = _from_quaternions(table) if has_quaternions else camera_pose(table[:, 1:4], *table[:, 4:].T)
@@ -232,15 +231,6 @@ class FileTrajectory:
         except InputError as error:
             raise InputError(f"{self.path}: {error}") from None
         return trajectory
-
-
-def _first_line_names(path: str, column: str) -> bool:
-    """Whether the header has `column`; False for what cannot be read, of which `read_numbers` will complain."""
-    try:
-        with Path(path).open() as file:
-            return column in [name.strip() for name in file.readline().split(",")]
-    except (OSError, UnicodeDecodeError):
-        return False
 
 
 def _from_quaternions(table: FloatArray) -> FloatArray:

@@ -101,7 +101,7 @@ class Annealing(Optimiser):
     """
 
     def __init__(
-        self, stacked: Stage, single: Stage, stacked_share: float = 0.3, spread: float = 2.2, seed: int = 0
+        self, stacked: Stage, single: Stage, stacked_share: float = 0.3, spread: float = 1.6, seed: int = 0
     ) -> None:
         super().__init__(seed)
         self.stacked, self.single = stacked, single
