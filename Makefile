@@ -7,7 +7,7 @@ EVALUATIONS ?= 3000
 export MLFLOW_DISABLE_TELEMETRY := true
 export DO_NOT_TRACK := true
 
-.PHONY: install run test lint ui figures clean
+.PHONY: install run test lint ui figures paper-experiment clean
 
 install: $(VENV)/installed
 
@@ -35,6 +35,15 @@ ui: install  ## browse the runs at http://127.0.0.1:5000
 figures: install  ## the picture in the README
 	$(BIN)/python -m pipelines.optimise seed=0 tracking=none page=false hydra.run.dir=outputs/figures
 	cp outputs/figures/scene.png docs/images/optimised.png
+
+EXPERIMENT := outputs/paper_experiment
+WITH_PDF := experiment=paper_experiment pdf=samples pdf.path=$(EXPERIMENT)/pdf/pdf.csv
+
+paper-experiment: install  ## the paper's experiment, simulated: PDF from a recording, optimise, fly
+	$(BIN)/python -m pipelines.estimate_pdf recording=simulated recording.pitch_std=0 hydra.run.dir=$(EXPERIMENT)/pdf
+	$(BIN)/python -m pipelines.optimise $(WITH_PDF) budget.evaluations=$(EVALUATIONS) hydra.run.dir=$(EXPERIMENT)/optimised
+	$(BIN)/python -m pipelines.observe $(WITH_PDF) deployment=file,uniform,random \
+	  deployment.path=$(EXPERIMENT)/optimised/landmarks.csv hydra.run.dir=$(EXPERIMENT)/observed
 
 clean:  ## remove the environment and caches, keep outputs
 	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
