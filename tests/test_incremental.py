@@ -1,4 +1,6 @@
 import numpy as np
+import pytest
+from conftest import paper_room, paper_scene
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import deployments, scenes_with_boundary_landmarks, scenes_with_deployments, seeds
@@ -6,7 +8,7 @@ from strategies import deployments, scenes_with_boundary_landmarks, scenes_with_
 from lmd.coverage import reference
 from lmd.coverage.evaluator import Evaluator
 from lmd.coverage.incremental import fixed_of, move, scratch_of, state_of
-from lmd.deployment import Deployment
+from lmd.deployment import Deployment, RandomDeployment
 
 
 def moved(scene, deployment, targets, n, rng):
@@ -45,3 +47,14 @@ def test_after_any_moves_the_counts_are_the_references(data, n, seed):
 def test_moves_onto_a_boundary_are_exact_too(scene_and_targets, n, seed, data):
     scene, targets = scene_and_targets
     check(scene, data.draw(deployments(scene.room, most=6)), targets, n, seed)
+
+
+@pytest.mark.parametrize("occlusion", ["paper", "line_of_sight", "none"])
+def test_moves_in_the_papers_room_are_exact(occlusion):
+    # Many blocks of positions, and landmarks that are moved to where they hide each other.
+    scene, rng = paper_scene(paper_room(), occlusion=occlusion), np.random.default_rng(0)
+    deployment = RandomDeployment(90).draw(scene.room, rng)
+    near = rng.integers(90, size=60)
+    along = rng.normal(0.0, 0.07, (60, 3)) * (deployment.normals[near] == 0.0)
+    places = np.clip(deployment.positions[near] + along, 0.0, scene.room.size)
+    check(scene, deployment, Deployment(places, deployment.normals[near]), 2, 0)

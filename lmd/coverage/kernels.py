@@ -87,6 +87,22 @@ def cap_of(x, y, z, nx, ny, nz, slack, min_cosine, min_depth, max_depth):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
+def is_hidden(k, x, y, z, squared, reach, mode):
+    """Whether another landmark hides landmark k; offsets `x, y, z` and their `squared` lengths, `(K,)`."""
+    xk, yk, zk = x[k], y[k], z[k]
+    bound, further, hiding = reach * squared[k], squared[k] * (1.0 + TOLERANCE), 0
+    for j in range(len(x)):
+        cx = y[j] * zk - z[j] * yk
+        cy = z[j] * xk - x[j] * zk
+        cz = x[j] * yk - y[j] * xk
+        near = cx * cx + cy * cy + cz * cz <= bound
+        if mode == _LINE_OF_SIGHT:
+            near &= (xk * x[j] + yk * y[j] + zk * z[j] > 0.0) & (squared[j] <= further)
+        hiding += near & (j != k)
+    return hiding > 0
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
 def evaluate_range(
     first, last, positions, landmarks, normals, limits, reach, mode, axes, bands, weights, n, units, counts, keep
 ):  # fmt: skip
@@ -105,7 +121,8 @@ def evaluate_range(
         units: `(B, P)` int64, receives P_n in integer units.
         counts: `(B, P, D)` int16, receives landmarks covered per axis if `keep` is set.
     """
-    # One long body: handing arrays on to a function costs an atomic reference count, as much as the work itself.
+    # One long body but for the rare `is_hidden`: handing arrays on to a function costs atomic reference counts, as
+    # much as the work itself.
     count, size = landmarks.shape[2], axes.shape[1]
     min_cosine, min_depth, max_depth = limits[0], limits[1], limits[2]
     x, y, z, squared, low = np.empty(count), np.empty(count), np.empty(count), np.empty(count), np.empty(count)
@@ -143,18 +160,9 @@ def evaluate_range(
                     for j in range(np.uint64(padded)):
                         cosine = u[j] * uk + v[j] * vk + w[j] * wk
                         suspects += np.int32(cosine * cosine >= close[j])
-                    if suspects > 1:  # the landmark itself is always one of them
-                        bound, further, hiding = reach * squared[k], squared[k] * (1.0 + TOLERANCE), 0
-                        for j in range(count):
-                            cx = y[j] * zk - z[j] * yk
-                            cy = z[j] * xk - x[j] * zk
-                            cz = x[j] * yk - y[j] * xk
-                            near = cx * cx + cy * cy + cz * cz <= bound
-                            if mode == _LINE_OF_SIGHT:
-                                near &= (xk * x[j] + yk * y[j] + zk * z[j] > 0.0) & (squared[j] <= further)
-                            hiding += near & (j != k)
-                        if hiding > 0:
-                            continue
+                    # The landmark itself is always one of the suspects.
+                    if suspects > 1 and is_hidden(k, x, y, z, squared, reach, mode):
+                        continue
                 least = low[k]
                 start, stop = bands[bottom[k]] & -BLOCK, (bands[top[k]] + BLOCK - 1) & -BLOCK
                 # Unsigned, so that the compiler sees indices that cannot be negative and vectorises the loop.

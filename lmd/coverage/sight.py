@@ -9,12 +9,9 @@ from numba import njit
 
 from lmd.checks import FloatArray
 from lmd.coverage.evaluator import Evaluator
-from lmd.coverage.kernels import OCCLUSION_CODES, cap_of
+from lmd.coverage.kernels import cap_of, is_hidden
 from lmd.coverage.reference import BoolArray
 from lmd.deployment import Deployment
-from lmd.visibility import TOLERANCE
-
-_LINE_OF_SIGHT = OCCLUSION_CODES["line_of_sight"]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -35,18 +32,7 @@ def _see(positions, axes, landmarks, normals, limits, reach, mode, seen):
             depth = axes[i, 0] * xk + axes[i, 1] * yk + axes[i, 2] * zk
             if not reached or depth < low or depth > limits[2]:
                 continue
-            hiding = 0
-            if mode:
-                bound, further = reach * squared[k], squared[k] * (1.0 + TOLERANCE)
-                for j in range(count):
-                    cx = y[j] * zk - z[j] * yk
-                    cy = z[j] * xk - x[j] * zk
-                    cz = x[j] * yk - y[j] * xk
-                    near = cx * cx + cy * cy + cz * cz <= bound
-                    if mode == _LINE_OF_SIGHT:
-                        near &= (xk * x[j] + yk * y[j] + zk * z[j] > 0.0) & (squared[j] <= further)
-                    hiding += near & (j != k)
-            seen[i, k] = hiding == 0
+            seen[i, k] = not mode or not is_hidden(k, x, y, z, squared, reach, mode)
 
 
 def visible(evaluator: Evaluator, deployment: Deployment, positions: FloatArray, axes: FloatArray) -> BoolArray:
