@@ -22,7 +22,7 @@ run: install  ## the main job on the paper's room at a small budget
 	$(BIN)/python -m pipelines.optimise budget.evaluations=$(EVALUATIONS)
 
 test: install  ## the whole test suite
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 lint: install  ## style and types
 	$(BIN)/ruff check .
