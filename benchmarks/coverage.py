@@ -186,6 +186,7 @@ def plot(points: dict[str, list[tuple[int, float, float]]], picture: Path) -> No
 
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
+    from matplotlib.ticker import FixedLocator, NullLocator
 
     figure, panels = plt.subplots(1, len(points), figsize=(10, 3.2), sharey=True, layout="constrained")
     for panel, (name, rows) in zip(panels, points.items(), strict=True):
@@ -194,6 +195,9 @@ def plot(points: dict[str, list[tuple[int, float, float]]], picture: Path) -> No
         panel.loglog(size, moved, "s-", label="one landmark moved")
         panel.loglog(size, evaluated[1] * size / size[1], ":", color="grey", label="proportional")
         panel.set_xlabel(name)
+        panel.xaxis.set_major_locator(FixedLocator(size))
+        panel.xaxis.set_major_formatter("{x:,.0f}")
+        panel.xaxis.set_minor_locator(NullLocator())
         panel.grid(alpha=0.3)
     panels[0].set_ylabel("milliseconds, one thread")
     panels[0].legend()

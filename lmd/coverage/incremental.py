@@ -206,7 +206,7 @@ def move(k, ax, ay, az, nx, ny, nz, fixed, state, scratch, units, commit):
     caps, ranges, signs = scratch.caps, scratch.ranges, scratch.signs
     old_x, old_y, old_z, old_low, old_bottom, old_top, _ = scratch.old
     new_x, new_y, new_z, new_low, new_bottom, new_top, reached = scratch.new
-    known, known_who, known_hides, known_hidden_by, _, _ = scratch.before
+    known, known_who, known_hides, known_hidden_by, _, known_hidden = scratch.before
     found, who, hides, hidden_by, count_hides, count_hidden = scratch.after
     x, y, z = landmarks[0, k], landmarks[1, k], landmarks[2, k]
     _caps(x, y, z, normals[0, k], normals[1, k], normals[2, k], fixed.positions, fixed.limits, scratch.old)
@@ -288,10 +288,13 @@ def move(k, ax, ay, az, nx, ny, nz, fixed, state, scratch, units, commit):
             before[p] = units[p]
             hidden[k, p], reachable[k, p] = blocked, reached[p]
             if fixed.mode:
-                for m in range(known[b]):
-                    hiding[known_who[b, m], p] -= known_hidden_by[b, m, q]
-                for m in range(found[b]):
-                    hiding[who[b, m], p] += hidden_by[b, m, q]
+                # Nearly always nothing hid it and nothing does.
+                if known[b] > 0 and known_hidden[p] > 0:
+                    for m in range(known[b]):
+                        hiding[known_who[b, m], p] -= known_hidden_by[b, m, q]
+                if blocked > 0:
+                    for m in range(found[b]):
+                        hiding[who[b, m], p] += hidden_by[b, m, q]
                 hiding[k, p] = count_hides[p]
     if commit:
         landmarks[0, k], landmarks[1, k], landmarks[2, k] = ax, ay, az
