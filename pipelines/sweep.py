@@ -129,7 +129,7 @@ def _command(cfg: DictConfig, job: Job, folder: Path, continued: bool) -> list[s
     """The command line that does `job` and nothing else."""
     own = ["hydra.mode=RUN", f"hydra.run.dir={quoted(folder)}"]
     threads = _threads(cfg)
-    if threads is not None:
+    if threads is not None and "threads" in cfg:  # not every pipeline has them
         own.append(f"threads={threads}")
     if continued:
         own.append(f"resume={quoted(folder)}")
@@ -145,9 +145,9 @@ def _command(cfg: DictConfig, job: Job, folder: Path, continued: bool) -> list[s
 
 def _threads(cfg: DictConfig) -> int | None:
     """Threads of a job: as configured, or else one where jobs share a machine; None for every processor."""
-    launcher = HydraConfig.get().launcher
-    if cfg.threads is not None or launcher._target_.endswith("BasicLauncher"):
-        return None if cfg.threads is None else int(cfg.threads)
+    launcher, configured = HydraConfig.get().launcher, cfg.get("threads")
+    if configured is not None or launcher._target_.endswith("BasicLauncher"):
+        return None if configured is None else int(configured)
     return int(launcher.get("cpus_per_task") or 1)
 
 
