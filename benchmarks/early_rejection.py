@@ -8,8 +8,9 @@ temperature at which a run of `annealing` ends, beside how many are rejected whe
 import numpy as np
 from hydra import compose, initialize_config_dir
 
-from lmd.coverage.incremental import fixed_of, move, scratch_of, state_of
+from lmd.coverage.incremental import move, state_of
 from lmd.coverage.kernels import PROBABILITY_ONE
+from lmd.coverage.state import fixed_of, scratch_of
 from lmd.optimisers.base import Budget
 from pipelines.app import CONF, build_optimiser, build_problem
 

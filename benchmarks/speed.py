@@ -21,9 +21,10 @@ from numba import njit
 
 from lmd.coverage import reference
 from lmd.coverage.evaluator import Evaluator, available_threads
-from lmd.coverage.incremental import fixed_of, move, scratch_of, state_of
+from lmd.coverage.incremental import move, state_of
 from lmd.coverage.kernels import BLOCK, cap_of
 from lmd.coverage.poses import candidate_poses, gains
+from lmd.coverage.state import fixed_of, scratch_of
 from lmd.deployment import RandomDeployment
 from lmd.pdf import grid_with_ends
 from lmd.scene import Scene

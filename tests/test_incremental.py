@@ -7,7 +7,8 @@ from strategies import deployments, scenes_with_boundary_landmarks, scenes_with_
 
 from lmd.coverage import reference
 from lmd.coverage.evaluator import Evaluator
-from lmd.coverage.incremental import fixed_of, move, scratch_of, state_of
+from lmd.coverage.incremental import move, state_of
+from lmd.coverage.state import fixed_of, scratch_of
 from lmd.deployment import Deployment, RandomDeployment
 
 

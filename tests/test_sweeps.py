@@ -139,6 +139,17 @@ def folder(cwd):
     return path.name
 
 
+def test_a_pipeline_without_threads_is_swept_in_parallel_too(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "pipelines.estimate_pdf", "-m", "recording=simulated", "seed=1,2", "tracking=none",
+         "hydra/launcher=joblib"],
+        cwd=tmp_path, env=environment(), capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    (table,) = tmp_path.glob("outputs/estimate_pdf_sweep/*/jobs.csv")
+    assert pd.read_csv(table).status.tolist() == ["finished", "finished"]
+
+
 def test_a_sweep_is_one_parent_run_with_a_child_for_each_job(faulty):
     cwd, _ = faulty
     parent, children = runs(cwd)

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from lmd.checks import FloatArray, real, vector
-from lmd.coverage.incremental import fixed_of, scratch_of, state_of
+from lmd.coverage.incremental import state_of
 from lmd.coverage.kernels import PROBABILITY_ONE
+from lmd.coverage.state import fixed_of, scratch_of
 from lmd.deployment import Deployment
 from lmd.optimisers.base import Budget, Callback, Optimiser, Result
 from lmd.optimisers.walk import Best, Climate, Goal, walk, walls_of

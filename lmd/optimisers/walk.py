@@ -1,4 +1,4 @@
-"""The Metropolis walk of simulated annealing: landmarks move one or a few at a time on a smoothed objective.
+"""The Metropolis walk of simulated annealing: landmarks move, one or a few at a time, on a smoothed objective.
 
 The objective counts positions whose P_n reaches thold_p: a staircase that hides whether a move nearly qualified a
 position. The walk climbs a smooth stand-in, the relevance-weighted mean over positions of
