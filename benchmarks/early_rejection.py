@@ -8,7 +8,7 @@ temperature at which a run of `annealing` ends, beside how many are rejected whe
 import numpy as np
 from hydra import compose, initialize_config_dir
 
-from lmd.coverage.incremental import move, state_of
+from lmd.coverage.incremental import counts_of, state_of, try_move
 from lmd.coverage.kernels import PROBABILITY_ONE
 from lmd.coverage.state import fixed_of, scratch_of
 from lmd.optimisers.base import Budget
@@ -27,7 +27,7 @@ def main() -> None:
     evaluator, n = problem.evaluator, problem.objective.n
     fixed = fixed_of(evaluator, n)
     state = state_of(fixed, deployment)
-    scratch, units = scratch_of(state), np.empty_like(state.units)
+    scratch = scratch_of(state)
     rng = np.random.default_rng(0)
 
     def value(probability: np.ndarray) -> np.ndarray:
@@ -35,13 +35,13 @@ def main() -> None:
         return 1.0 / (1.0 + np.exp(-above / single.width[-1])) + single.share * probability
 
     def moved(k: int, place: np.ndarray, normal: np.ndarray) -> np.ndarray:
-        move(k, *place, *normal, fixed, state, scratch, units, False)
-        return units[fixed.place] / PROBABILITY_ONE
+        try_move(k, *place, *normal, fixed, state, scratch)
+        return scratch.units[fixed.place] / PROBABILITY_ONE
 
     before = state.units[fixed.place] / PROBABILITY_ONE
     # What one more landmark in the direction of any axis would add at each position, at most.
     weight = evaluator.weights / PROBABILITY_ONE
-    one_short = (state.counts[fixed.place] == n - 1) * weight
+    one_short = (counts_of(state, len(weight))[fixed.place] == n - 1) * weight
     in_cap = fixed.axes.T @ fixed.axes >= evaluator.limits[0]
     best_cap = (one_short @ in_cap).max(axis=1)
     exact, bound = np.empty(MOVES), np.empty(MOVES)

@@ -21,7 +21,7 @@ from numba import njit
 
 from lmd.coverage import reference
 from lmd.coverage.evaluator import Evaluator, available_threads
-from lmd.coverage.incremental import move, state_of
+from lmd.coverage.incremental import carry_out, state_of, try_move
 from lmd.coverage.kernels import BLOCK, cap_of
 from lmd.coverage.poses import candidate_poses, gains
 from lmd.coverage.state import fixed_of, scratch_of
@@ -54,11 +54,13 @@ def paper_scene() -> Scene:
 
 
 @njit(nogil=True)
-def move_all(places, normals, fixed, state, scratch, units, commit):  # type: ignore[no-untyped-def]
+def move_all(places, normals, fixed, state, scratch, commit):  # type: ignore[no-untyped-def]
     """Move the landmarks in turn to each of the places `(M, 3)`, as an optimiser does."""
     for i in range(len(places)):
         place, normal, k = places[i], normals[i], i % state.landmarks.shape[1]
-        move(k, place[0], place[1], place[2], normal[0], normal[1], normal[2], fixed, state, scratch, units, commit)
+        try_move(k, place[0], place[1], place[2], normal[0], normal[1], normal[2], fixed, state, scratch)
+        if commit:
+            carry_out(k, fixed, state, scratch)
 
 
 def evaluation(scene: Scene, count: int, threads: int, occlusion: bool = True, caps: bool = True) -> float:
@@ -75,13 +77,12 @@ def evaluation(scene: Scene, count: int, threads: int, occlusion: bool = True, c
 
 
 def moves(scene: Scene, count: int, commit: bool) -> float:
-    """Seconds of moving one landmark to a random place."""
+    """Seconds of trying one landmark at a random place, and of moving it there with `commit`."""
     rng = np.random.default_rng(0)
     start, targets = (RandomDeployment(size).draw(scene.room, rng) for size in (count, MOVES))
     fixed = fixed_of(Evaluator(scene, threads=1), N)
     state = state_of(fixed, start)
-    scratch, units = scratch_of(state), np.empty_like(state.units)
-    args = (targets.positions, targets.normals, fixed, state, scratch, units, commit)
+    args = (targets.positions, targets.normals, fixed, state, scratch_of(state), commit)
     return best_of(5, lambda: move_all(*args)) / MOVES
 
 

@@ -5,236 +5,278 @@ back, caps it now hides go, its new cap comes. Everything else at that position,
 the four happens, stays as it is. The decisions are those of `kernels`, operation by operation, so after any sequence
 of moves the counts equal a full evaluation's, bit for bit.
 
-A *trial* works on a copy of the counts of one position at a time and changes nothing; *commit* repeats an accepted
-move on the state itself. Both run the same code, in three passes:
+Sets of axes are bits. The caps of all landmarks where they are, and at each position the axes one landmark short of n
+and those with just n, are known beforehand. So a *trial* tests few axes. On the paper's problem, one local move:
 
-1. `_caps`: the old and the new cap at all positions, without a branch, so that the loop vectorises.
-2. `_neighbours`: who hides whom. Positions come in blocks of neighbours. Seen from a whole block, most landmarks are
-   so far off the direction of the moved one that no position of the block needs the exact test: nine in ten in the
-   paper's room.
-3. `move`: the caps that come and go, axis by axis, in the bands that can hold them.
+1. `see`: what is seen of the new place from all 756 positions, without a branch, so that the loop vectorises.
+2. `find_flips`: who hides whom. 250 of 4,320 pairs of landmark and block of positions need the exact test, 10 pass, and
+   another landmark appears or disappears at 29 positions.
+3. `_try_caps`, at the 290 other positions that see the old or the new place: P_n changes only at an axis that is one
+   short and not in the old cap, or has just n and is in it. With the tables of `cones`, of 35,000 axes in bands of
+   height 670 are left for the exact test.
+4. `_try_flips`, at the positions of step 2: counts, as binary digits of whole sets, with the caps added or taken away.
+
+`carry_out` makes the last trial true: it alone needs the new cap with all its axes.
 """
-
-import math
 
 import numpy as np
 from numba import njit
 
-from lmd.coverage.kernels import BLOCK, OCCLUSION_CODES, cap_of, evaluate_range
+from lmd.coverage.bits import ALL, BITS, NONE, ONE, lowest, unpacked
+from lmd.coverage.cones import NOWHERE, see
+from lmd.coverage.kernels import BLOCK
+from lmd.coverage.neighbours import blocks_with, find_flips, find_neighbours
 from lmd.coverage.state import Fixed, State, scratch_of
 from lmd.deployment import Deployment
-from lmd.visibility import TOLERANCE
 
-_LINE_OF_SIGHT = OCCLUSION_CODES["line_of_sight"]
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _caps(ax, ay, az, nx, ny, nz, positions, limits, caps):
-    """Fill `caps` for a landmark at (ax, ay, az) with normal (nx, ny, nz)."""
-    x, y, z, low, bottom, top, reached = caps
-    min_cosine, min_depth, max_depth = limits[0], limits[1], limits[2]
-    for p in range(positions.shape[1]):
-        x[p], y[p], z[p] = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
-        reached[p], low[p], bottom[p], top[p] = cap_of(
-            x[p], y[p], z[p], nx, ny, nz, 0.0, min_cosine, min_depth, max_depth
-        )
+# Indices are unsigned where it counts: without the code for negative ones, a loop takes about half the time.
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _neighbours(k, ax, ay, az, caps, fixed, landmarks, wanted, apart, flags, neighbours):
-    """Find which landmarks but k a landmark at (ax, ay, az) hides, and which hide it, in the `wanted` blocks.
-
-    A landmark o hides a if |a x o| <= nu |a|, and is hidden if |a x o| <= nu |o| (offsets from the position). From a
-    position delta away from the centre of the block, |delta| <= r, offsets are a - delta and o - delta. Their cross
-    product, a x o - (a - o) x delta, is shorter by at most r |a - o|, and both are at most |a| + |a - o| + r long. So
-    |a x o| > r |a - o| + nu (|a| + |a - o| + r), seen from the centre, settles the whole block.
-    """
-    positions, centres, radii, reach, mode = fixed.positions, fixed.centres, fixed.radii, fixed.reach, fixed.mode
-    x, y, z = caps.x, caps.y, caps.z
-    found, who, hides, hidden_by, count_hides, count_hidden = neighbours
-    nu = math.sqrt(reach) + TOLERANCE  # the tolerance covers the rounding of what follows
-    for i in range(landmarks.shape[1]):
-        dx, dy, dz = landmarks[0, i] - ax, landmarks[1, i] - ay, landmarks[2, i] - az
-        apart[i] = math.sqrt(dx * dx + dy * dy + dz * dz)
-    for b in range(len(radii)):
-        found[b] = 0
-        if not wanted[b]:
-            continue
-        first = b * BLOCK
-        px, py, pz, radius = centres[0, b], centres[1, b], centres[2, b], radii[b]
-        mx, my, mz = ax - px, ay - py, az - pz
-        shift = nu * (math.sqrt(mx * mx + my * my + mz * mz) + radius)
-        for i in range(landmarks.shape[1]):
-            ox, oy, oz = landmarks[0, i] - px, landmarks[1, i] - py, landmarks[2, i] - pz
-            cx = my * oz - mz * oy
-            cy = mz * ox - mx * oz
-            cz = mx * oy - my * ox
-            bound = (radius + nu) * apart[i] + shift
-            flags[i] = cx * cx + cy * cy + cz * cz <= bound * bound
-        flags[k] = False
-        count = 0
-        for i in range(landmarks.shape[1]):
-            who[b, count] = i
-            count += flags[i]
-        found[b] = count
-        for q in range(first, first + BLOCK):
-            count_hides[q] = count_hidden[q] = 0
-        for m in range(count):
-            lx, ly, lz = landmarks[0, who[b, m]], landmarks[1, who[b, m]], landmarks[2, who[b, m]]
-            for q in range(np.uint64(BLOCK)):
-                p = np.uint64(first) + q
-                ox, oy, oz = lx - positions[0, p], ly - positions[1, p], lz - positions[2, p]
-                squared = x[p] * x[p] + y[p] * y[p] + z[p] * z[p]
-                other = ox * ox + oy * oy + oz * oz
-                cx = oy * z[p] - oz * y[p]
-                cy = oz * x[p] - ox * z[p]
-                cz = ox * y[p] - oy * x[p]
-                cross = cx * cx + cy * cy + cz * cz
-                one, two = cross <= reach * other, cross <= reach * squared
-                if mode == _LINE_OF_SIGHT:
-                    in_front = x[p] * ox + y[p] * oy + z[p] * oz > 0.0
-                    one = one & in_front & (squared <= other * (1.0 + TOLERANCE))
-                    two = two & in_front & (other <= squared * (1.0 + TOLERANCE))
-                hides[b, m, q], hidden_by[b, m, q] = one, two
-                count_hides[p] += one
-                count_hidden[p] += two
+def _try_caps(k, fixed, state, scratch):
+    """Find P_n where landmark k comes or goes and no other does; copy it where nothing happens."""
+    axes, weights, max_depth = fixed.axes, fixed.weights, fixed.limits[2]
+    certain, possible = fixed.certain, fixed.possible
+    caps, reachable, hidden, short, just, before = (
+        state.caps, state.reachable, state.hidden, state.short, state.just, state.units
+    )  # fmt: skip
+    x, y, z, low, cell, limited, reached = scratch.new
+    count_hidden, flips, units = scratch.after.count_hidden, scratch.flips, scratch.units
+    old, inner, outer = scratch.mask, scratch.inner, scratch.outer
+    listed, unsure, places = scratch.listed, scratch.unsure, scratch.places
+    for p in range(np.uint64(len(units))):
+        units[p] = before[p]
+        seen = reached[p] & (count_hidden[p] == 0) & (not flips[p])
+        outer[p] = cell[p] if seen else NOWHERE
+        inner[p] = cell[p] if seen & (not limited[p]) else NOWHERE
+        old[p] = ALL if reachable[k, p] & (hidden[k, p] == 0) & (not flips[p]) else NONE
+    count, found, size = NONE, NONE, np.uint64(caps.shape[2])
+    for p in range(np.uint64(len(units))):
+        listed[count] = p
+        count += np.uint64((old[p] != NONE) | (outer[p] != NOWHERE))
+    for m in range(count):
+        p = listed[m]
+        i, o = np.uint64(inner[p]), np.uint64(outer[p])
+        for w in range(size):
+            was = caps[k, p, w] & old[p]
+            unsure[found] = (short[p, w] & ~was & possible[o, w]) | (just[p, w] & was & ~certain[i, w])
+            places[found] = p * size + w
+            found += np.uint64(unsure[found] != NONE)
+    for m in range(found):
+        left, p = unsure[m], places[m] // size
+        w = places[m] - p * size
+        px, py, pz, least = x[p], y[p], z[p], low[p] if outer[p] != NOWHERE else np.inf
+        was = caps[k, p, w] & old[p]
+        while left:
+            bit = lowest(left)
+            a = w * np.uint64(BITS) + bit
+            depth = axes[0, a] * px + axes[1, a] * py + axes[2, a] * pz
+            inside = (depth >= least) & (depth <= max_depth)
+            units[p] += weights[a] * (np.int64(inside) - np.int64(was >> bit & ONE))
+            left &= left - ONE
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def move(k, ax, ay, az, nx, ny, nz, fixed, state, scratch, units, commit):
-    """Write P_n in units with landmark k at (ax, ay, az) and normal (nx, ny, nz) into `units` `(Q,)`.
+def _try_flips(k, positions, fixed, state, scratch):
+    """Find P_n at `positions`, where other landmarks appear or disappear."""
+    axes, weights, possible, n, max_depth = fixed.axes, fixed.weights, fixed.possible, fixed.n, fixed.limits[2]
+    caps, reachable, hidden, counts, before = state.caps, state.reachable, state.hidden, state.counts, state.units
+    x, y, z, low, cell, _, reached = scratch.new
+    count_hidden, units, digits = scratch.after.count_hidden, scratch.units, scratch.digits
+    names, goes = scratch.names, scratch.goes
+    found, who, change = scratch.turns
+    size = np.uint64(counts.shape[2])
+    for p in positions:
+        b, q = p // np.uint64(BLOCK), p % np.uint64(BLOCK)
+        flipped = NONE
+        for m in range(np.uint64(found[b])):
+            i = np.uint64(who[b, m])
+            was, now = hidden[i, p], hidden[i, p] + change[b, m, q]
+            names[flipped], goes[flipped] = i, ALL if was == 0 else NONE
+            flipped += np.uint64(reachable[i, p] & ((was == 0) != (now == 0)))
+        names[flipped], goes[flipped] = k, ALL
+        flipped += np.uint64(reachable[k, p] & (hidden[k, p] == 0))
+        row = np.uint64(cell[p] if reached[p] & (count_hidden[p] == 0) else NOWHERE)
+        px, py, pz, least = x[p], y[p], z[p], low[p]
+        units[p] = before[p]
+        for w in range(np.uint64(counts.shape[1])):
+            # Whether counts are at least n: from the lowest digit up, each digit overrules those below.
+            had, has, almost = ALL, ALL, ALL
+            for j in range(size):
+                digits[j] = counts[p, w, j]
+                had = had & digits[j] if n >> j & 1 else had | digits[j]
+            for m in range(flipped):
+                carry = caps[names[m], p, w]
+                for j in range(size):
+                    digit = digits[j]
+                    digits[j] = digit ^ carry
+                    carry &= digit ^ goes[m]
+            for j in range(size):
+                has = has & digits[j] if n >> j & 1 else has | digits[j]
+                almost &= digits[j] if (n - 1) >> j & 1 else ~digits[j]
+            left = almost & possible[row, w]
+            while left:
+                bit = lowest(left)
+                a = w * np.uint64(BITS) + bit
+                depth = axes[0, a] * px + axes[1, a] * py + axes[2, a] * pz
+                has |= np.uint64((depth >= least) & (depth <= max_depth)) << bit
+                left &= left - ONE
+            left = had ^ has
+            while left:
+                bit = lowest(left)
+                weight = weights[w * np.uint64(BITS) + bit]
+                units[p] += weight if has >> bit & ONE else -weight
+                left &= left - ONE
 
-    A trial leaves `state` as it is; with `commit` the landmark really moves.
-    """
-    # Unpacked once, and the loop body not split into functions: passing an array on costs an atomic reference count.
-    axes, bands, weights, n, max_depth = fixed.axes, fixed.bands, fixed.weights, fixed.n, fixed.limits[2]
-    landmarks, normals, counts, reachable, hidden, hiding, before = state
-    row, difference, wanted = scratch.counts, scratch.difference, scratch.wanted
-    caps, ranges, signs = scratch.caps, scratch.ranges, scratch.signs
-    old_x, old_y, old_z, old_low, old_bottom, old_top, _ = scratch.old
-    new_x, new_y, new_z, new_low, new_bottom, new_top, reached = scratch.new
-    known, known_who, known_hides, known_hidden_by, _, known_hidden = scratch.before
-    found, who, hides, hidden_by, count_hides, count_hidden = scratch.after
-    x, y, z = landmarks[0, k], landmarks[1, k], landmarks[2, k]
-    _caps(x, y, z, normals[0, k], normals[1, k], normals[2, k], fixed.positions, fixed.limits, scratch.old)
-    _caps(ax, ay, az, nx, ny, nz, fixed.positions, fixed.limits, scratch.new)
-    if fixed.mode:
-        # Most landmarks hide nothing and are hidden by nothing: then there is nothing to find out again.
-        for b in range(len(wanted)):
-            some = np.int64(0)
-            for q in range(b * BLOCK, (b + 1) * BLOCK):
-                some += hiding[k, q] + (hidden[k, q] if commit else 0)
-            wanted[b] = some > 0
-        _neighbours(k, x, y, z, scratch.old, fixed, landmarks, wanted, scratch.apart, scratch.flags, scratch.before)
-        wanted[:] = True
-        _neighbours(k, ax, ay, az, scratch.new, fixed, landmarks, wanted, scratch.apart, scratch.flags, scratch.after)
-    for p in range(len(units)):
-        b, q = p // BLOCK, p % BLOCK
-        count = 0
-        blocked = count_hidden[p]
-        comes = reached[p] and blocked == 0
-        if reachable[k, p] and hidden[k, p] == 0:
-            caps[0, 0], caps[0, 1], caps[0, 2], caps[0, 3] = old_x[p], old_y[p], old_z[p], old_low[p]
-            ranges[0, 0], ranges[0, 1] = bands[old_bottom[p]] & -BLOCK, (bands[old_top[p]] + BLOCK - 1) & -BLOCK
-            signs[0] = -1
-            count = 1
-        if hiding[k, p] > 0 or count_hides[p] > 0:
-            for m in range(found[b]):
-                difference[who[b, m]] += hides[b, m, q]
-            for m in range(known[b]):
-                difference[known_who[b, m]] -= known_hides[b, m, q]
-            for m in range(found[b] + known[b]):
-                i = who[b, m] if m < found[b] else known_who[b, m - found[b]]
-                if difference[i] == 0:
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _recount(k, positions, fixed, state, scratch):
+    """Carry the last trial out on the caps of landmark k and the counts at `positions`."""
+    axes, certain, possible, n, max_depth = fixed.axes, fixed.certain, fixed.possible, fixed.n, fixed.limits[2]
+    caps, reachable, hidden, counts, short, just = (
+        state.caps, state.reachable, state.hidden, state.counts, state.short, state.just
+    )  # fmt: skip
+    x, y, z, low, cell, limited, reached = scratch.new
+    count_hidden, flips = scratch.after.count_hidden, scratch.flips
+    found, who, change = scratch.turns
+    size = np.uint64(counts.shape[2])
+    for p in positions:
+        b, q = p // np.uint64(BLOCK), p % np.uint64(BLOCK)
+        shown = ALL if reachable[k, p] & (hidden[k, p] == 0) else NONE
+        seen = ALL if reached[p] & (count_hidden[p] == 0) else NONE
+        outer = np.uint64(cell[p] if reached[p] else NOWHERE)
+        inner = np.uint64(cell[p] if reached[p] & (not limited[p]) else NOWHERE)
+        px, py, pz, least = x[p], y[p], z[p], low[p]
+        for w in range(np.uint64(counts.shape[1])):
+            cap = certain[inner, w]
+            left = possible[outer, w] & ~cap
+            while left:
+                bit = lowest(left)
+                a = w * np.uint64(BITS) + bit
+                depth = axes[0, a] * px + axes[1, a] * py + axes[2, a] * pz
+                cap |= np.uint64((depth >= least) & (depth <= max_depth)) << bit
+                left &= left - ONE
+            old, new = caps[k, p, w] & shown, cap & seen
+            caps[k, p, w] = cap
+            comes, goes = new & ~old, old & ~new
+            touched = comes | goes
+            j = NONE
+            while comes | goes:
+                digit = counts[p, w, j]
+                counts[p, w, j] = digit ^ (comes | goes)
+                comes, goes = comes & digit, goes & ~digit
+                j += ONE
+            for m in range(found[b] if flips[p] else 0):
+                i = np.uint64(who[b, m])
+                was, now = hidden[i, p], hidden[i, p] + change[b, m, q]
+                if not (reachable[i, p] & ((was == 0) != (now == 0))):
                     continue
-                was = hidden[i, p]
-                now = was + difference[i]
-                difference[i] = 0
-                if reachable[i, p] and (was == 0 or now == 0):
-                    ox = landmarks[0, i] - fixed.positions[0, p]
-                    oy = landmarks[1, i] - fixed.positions[1, p]
-                    oz = landmarks[2, i] - fixed.positions[2, p]
-                    _, low, bottom, top = cap_of(
-                        ox, oy, oz, 0.0, 0.0, 0.0, 0.0, fixed.limits[0], fixed.limits[1], max_depth
-                    )
-                    caps[count, 0], caps[count, 1], caps[count, 2], caps[count, 3] = ox, oy, oz, low
-                    ranges[count, 0], ranges[count, 1] = bands[bottom] & -BLOCK, (bands[top] + BLOCK - 1) & -BLOCK
-                    signs[count] = 1 if now == 0 else -1
-                    count += 1
-                if commit:
-                    hidden[i, p] = now
-        if comes:
-            caps[count, 0], caps[count, 1], caps[count, 2], caps[count, 3] = new_x[p], new_y[p], new_z[p], new_low[p]
-            ranges[count, 0], ranges[count, 1] = bands[new_bottom[p]] & -BLOCK, (bands[new_top[p]] + BLOCK - 1) & -BLOCK
-            signs[count] = 1
-            count += 1
-        change = np.int64(0)
-        if count:
-            first, last = ranges[0, 0], ranges[0, 1]
-            for j in range(1, count):
-                first, last = min(first, ranges[j, 0]), max(last, ranges[j, 1])
-            for a in range(np.uint64(first), np.uint64(last)):  # a slice assignment would take ten times as long
-                row[a] = counts[p, a]
-            for j in range(count):
-                ox, oy, oz, low = caps[j, 0], caps[j, 1], caps[j, 2], caps[j, 3]
-                sign = signs[j]
-                crossing = np.int16(n - 1 if sign > 0 else n)
-                gain = np.int64(0)
-                for a in range(np.uint64(ranges[j, 0]), np.uint64(ranges[j, 1])):
-                    depth = axes[0, a] * ox + axes[1, a] * oy + axes[2, a] * oz
-                    inside = (depth >= low) & (depth <= max_depth)
-                    covered = row[a]
-                    gain += weights[a] if inside & (covered == crossing) else 0
-                    row[a] = np.int16(covered + sign) if inside else covered
-                change += sign * gain
-            if commit:
-                for a in range(np.uint64(first), np.uint64(last)):
-                    counts[p, a] = row[a]
-        units[p] = before[p] + change
-        if commit:
-            before[p] = units[p]
-            hidden[k, p], reachable[k, p] = blocked, reached[p]
-            if fixed.mode:
-                # Nearly always nothing hid it and nothing does.
-                if known[b] > 0 and known_hidden[p] > 0:
-                    for m in range(known[b]):
-                        hiding[known_who[b, m], p] -= known_hidden_by[b, m, q]
-                if blocked > 0:
-                    for m in range(found[b]):
-                        hiding[who[b, m], p] += hidden_by[b, m, q]
-                hiding[k, p] = count_hides[p]
-    if commit:
-        landmarks[0, k], landmarks[1, k], landmarks[2, k] = ax, ay, az
-        normals[0, k], normals[1, k], normals[2, k] = nx, ny, nz
+                carry, mask = caps[i, p, w], ALL if was == 0 else NONE
+                touched |= carry
+                j = NONE
+                while carry:
+                    digit = counts[p, w, j]
+                    counts[p, w, j] = digit ^ carry
+                    carry &= digit ^ mask
+                    j += ONE
+            if touched:
+                one, two = ALL, ALL
+                for j in range(size):
+                    digit = counts[p, w, j]
+                    one &= digit if (n - 1) >> j & 1 else ~digit
+                    two &= digit if n >> j & 1 else ~digit
+                short[p, w], just[p, w] = one, two
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def try_move(k, ax, ay, az, nx, ny, nz, fixed, state, scratch):
+    """Find P_n with landmark k at (ax, ay, az) and normal (nx, ny, nz): `scratch.units`. `state` stays as it is."""
+    place, flips, listed = scratch.place, scratch.flips, scratch.listed
+    place[0], place[1], place[2], place[3], place[4], place[5] = ax, ay, az, nx, ny, nz
+    see(ax, ay, az, nx, ny, nz, fixed.positions, fixed.limits, scratch.new)
+    if fixed.mode:
+        find_flips(k, fixed, state, scratch)
+    _try_caps(np.uint64(k), fixed, state, scratch)
+    count = NONE
+    for p in range(np.uint64(len(flips))):
+        listed[count] = p
+        count += np.uint64(flips[p])
+    _try_flips(np.uint64(k), listed[:count], fixed, state, scratch)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def carry_out(k, fixed, state, scratch):
+    """Move landmark k to where it was tried last; no other move may have been tried or carried out since."""
+    landmarks, normals, reachable, hidden, hiding = (
+        state.landmarks, state.normals, state.reachable, state.hidden, state.hiding
+    )  # fmt: skip
+    place, reached, flips, old = scratch.place, scratch.new.reached, scratch.flips, scratch.old
+    listed, wanted, before, after = scratch.listed, scratch.wanted, scratch.before, scratch.after
+    found, who, change = scratch.turns
+    count = NONE
+    for p in range(np.uint64(len(flips))):
+        listed[count] = p
+        count += np.uint64(reachable[k, p] | reached[p] | flips[p])
+    _recount(np.uint64(k), listed[:count], fixed, state, scratch)
+    state.units[:] = scratch.units
+    if fixed.mode:
+        blocks_with(hidden[k], wanted)  # nearly everywhere nothing hid it
+        x, y, z = landmarks[0, k], landmarks[1, k], landmarks[2, k]
+        find_neighbours(k, x, y, z, old[0], old[1], old[2], fixed, landmarks, wanted, scratch.ways, before)
+        for b in range(len(found)):
+            for q in range(BLOCK if found[b] + before.found[b] + after.found[b] else 0):
+                p = b * BLOCK + q
+                for m in range(found[b]):
+                    hidden[who[b, m], p] += change[b, m, q]
+                for m in range(before.found[b]):
+                    hiding[before.who[b, m], p] -= before.hidden_by[b, m, q]
+                for m in range(after.found[b]):
+                    hiding[after.who[b, m], p] += after.hidden_by[b, m, q]
+    for p in range(len(flips)):
+        reachable[k, p], hidden[k, p], hiding[k, p] = reached[p], after.count_hidden[p], after.count_hides[p]
+    for i in range(3):
+        landmarks[i, k], normals[i, k] = place[i], place[3 + i]
 
 
 @njit(nogil=True, cache=True)
 def _fill(fixed, state, scratch):
-    """Compute `reachable`, `hidden` and `hiding` of `state` from its landmarks."""
+    """Let the landmarks of `state` come, one after the other."""
     landmarks, normals, new, after = state.landmarks, state.normals, scratch.new, scratch.after
+    positions = np.arange(len(state.units)).astype(np.uint64)
     scratch.wanted[:] = True
     for k in range(landmarks.shape[1]):
         x, y, z = landmarks[0, k], landmarks[1, k], landmarks[2, k]
-        _caps(x, y, z, normals[0, k], normals[1, k], normals[2, k], fixed.positions, fixed.limits, new)
-        state.reachable[k] = new.reached
+        see(x, y, z, normals[0, k], normals[1, k], normals[2, k], fixed.positions, fixed.limits, new)
         if fixed.mode:
-            _neighbours(k, x, y, z, new, fixed, landmarks, scratch.wanted, scratch.apart, scratch.flags, after)
-            state.hiding[k], state.hidden[k] = after.count_hides, after.count_hidden
+            find_neighbours(k, x, y, z, new.x, new.y, new.z, fixed, landmarks, scratch.wanted, scratch.ways, after)
+        _recount(np.uint64(k), positions, fixed, state, scratch)
+        state.reachable[k], state.hidden[k], state.hiding[k] = new.reached, after.count_hidden, after.count_hides
 
 
 def state_of(fixed: Fixed, deployment: Deployment) -> State:
     """The coverage of `deployment`, ready for moves."""
-    positions, count, axes = fixed.positions.shape[1], len(deployment), fixed.axes.shape[1]
+    positions, count, words = fixed.positions.shape[1], len(deployment), fixed.possible.shape[1]
     state = State(
         landmarks=deployment.positions.T.copy(order="C"),
         normals=deployment.normals.T.copy(order="C"),
-        counts=np.zeros((positions, axes), dtype=np.int16),
+        caps=np.zeros((count, positions, words), dtype=np.uint64),
         reachable=np.zeros((count, positions), dtype=np.bool_),
         hidden=np.zeros((count, positions), dtype=np.int16),
         hiding=np.zeros((count, positions), dtype=np.int16),
-        units=np.zeros(positions, dtype=np.int64),
+        counts=np.zeros((positions, words, max(count, fixed.n).bit_length()), dtype=np.uint64),
+        short=np.full((positions, words), ALL if fixed.n == 1 else NONE),  # nothing is covered yet
+        just=np.zeros((positions, words), dtype=np.uint64),
+        units=np.empty(positions, dtype=np.int64),
     )
-    evaluate_range(0, positions, np.ascontiguousarray(fixed.positions.T), state.landmarks[None], state.normals[None],
-                   *fixed[4:], state.units[None], state.counts[None], True)  # fmt: skip
     _fill(fixed, state, scratch_of(state))
+    state.units[:] = (counts_of(state, len(fixed.weights)) >= fixed.n) @ fixed.weights
     return state
+
+
+def counts_of(state: State, axes: int) -> np.ndarray:
+    """Landmarks covered at each position and each of so many `axes`, `(Q, axes)`."""
+    digits = unpacked(state.counts.transpose(2, 0, 1), axes)
+    counts = np.zeros(digits.shape[1:], dtype=np.int16)
+    for digit in digits[::-1]:
+        counts = 2 * counts + digit
+    return counts

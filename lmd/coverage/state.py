@@ -5,28 +5,30 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.checks import FloatArray
+from lmd.coverage.cones import cones
 from lmd.coverage.evaluator import Evaluator
-from lmd.coverage.kernels import BLOCK
-from lmd.visibility import TOLERANCE
+from lmd.coverage.kernels import BLOCK, SINGLE_ERROR
+from lmd.coverage.neighbours import LANES
 
 
 class Fixed(NamedTuple):
     """What does not change while landmarks move.
 
     positions `(3, Q)` in blocks of `BLOCK` neighbours, the last block filled up with copies; place `(P,)` where each
-    position of the evaluator is among them; centres `(3, Q / BLOCK)` and radii `(Q / BLOCK,)` of balls around the
-    blocks; the rest as in `kernels.evaluate_range`.
+    position of the evaluator is among them; centres and halves `(3, Q / BLOCK)` of the
+    sides of boxes around the blocks; certain, possible the tables of `cones`; the rest as in `kernels.evaluate_range`.
     """
 
     positions: np.ndarray
     place: np.ndarray
     centres: np.ndarray
-    radii: np.ndarray
+    halves: np.ndarray
     limits: np.ndarray
     reach: float
     mode: int
     axes: np.ndarray
-    bands: np.ndarray
+    certain: np.ndarray
+    possible: np.ndarray
     weights: np.ndarray
     n: int
 
@@ -34,37 +36,42 @@ class Fixed(NamedTuple):
 class State(NamedTuple):
     """Coverage of one deployment, positions in the order of `Fixed`.
 
-    landmarks, normals `(3, K)`; counts `(Q, D)` landmarks covered per position and axis; reachable `(K, Q)` whether
-    a landmark faces a position within reach of the camera; hidden `(K, Q)` how many others hide it, hiding `(K, Q)` how
-    many others it hides; units `(Q,)` P_n.
+    landmarks, normals `(3, K)`; caps `(K, Q, W)` the axes that cover a landmark nobody hides; reachable `(K, Q)`
+    whether there are any in reach; hidden `(K, Q)` how many others hide it, hiding `(K, Q)` how many others it hides;
+    counts `(Q, W, J)` the number of landmarks covered, binary digit by binary digit, the lowest first; short,
+    just `(Q, W)` where it is n - 1, and n; units `(Q,)` P_n.
     """
 
     landmarks: np.ndarray
     normals: np.ndarray
-    counts: np.ndarray
+    caps: np.ndarray
     reachable: np.ndarray
     hidden: np.ndarray
     hiding: np.ndarray
+    counts: np.ndarray
+    short: np.ndarray
+    just: np.ndarray
     units: np.ndarray
 
 
-class Caps(NamedTuple):
-    """The cap of one place seen from all positions, all `(Q,)`; see `kernels.cap_of`.
+class Place(NamedTuple):
+    """A place seen from all positions, all `(Q,)`; see `kernels.cap_of`.
 
-    x, y, z offset; low least depth; bottom, top height bins; reached whether there is a cap.
+    x, y, z offset; low least depth; cell of the direction; limited whether the cap is less than a cone; reached whether
+    there is a cap.
     """
 
     x: np.ndarray
     y: np.ndarray
     z: np.ndarray
     low: np.ndarray
-    bottom: np.ndarray
-    top: np.ndarray
+    cell: np.ndarray
+    limited: np.ndarray
     reached: np.ndarray
 
 
 class Neighbours(NamedTuple):
-    """Landmarks near the line of sight of one place, by block of positions.
+    """Landmarks that hide a place or are hidden by it, by block of positions.
 
     found `(Q / BLOCK,)` how many of them; who `(Q / BLOCK, K)` which; hides, hidden_by `(Q / BLOCK, K, BLOCK)` whether
     the place hides the landmark, or is hidden by it, seen from each position of the block; count_hides, count_hidden
@@ -79,26 +86,52 @@ class Neighbours(NamedTuple):
     count_hidden: np.ndarray
 
 
-class Scratch(NamedTuple):
-    """Working memory of `move`: what is seen of the old and of the new place, and the caps of one position.
+class Turns(NamedTuple):
+    """Landmarks that are hidden by more or fewer others after a move, by block of positions.
 
-    wanted `(Q / BLOCK,)` blocks in which to look for neighbours; apart `(K,)` distance of each landmark; flags `(K,)`;
-    counts `(D,)` a row; difference `(K,)` in the number of landmarks that hide each; caps `(K + 2, 4)` that come or go
-    at a position: offset and least depth, with ranges `(K + 2, 2)` of axes and signs `(K + 2,)`.
+    found `(Q / BLOCK,)` how many of them; who `(Q / BLOCK, K)` which; change `(Q / BLOCK, K, BLOCK)` in the number of
+    landmarks that hide it, seen from each position of the block.
     """
 
-    old: Caps
-    new: Caps
+    found: np.ndarray
+    who: np.ndarray
+    change: np.ndarray
+
+
+class Scratch(NamedTuple):
+    """The move tried last, and working memory.
+
+    place `(6,)` position and normal tried; units `(Q,)` P_n there; new: what is seen of it; old `(3, Q)` offset of the
+    place that it leaves; before, after: neighbours of both; turns: what follows for the others; flips `(Q,)` whether
+    another landmark appears or disappears.
+
+    Working memory of `neighbours`: wanted `(Q / BLOCK,)` blocks to look in; ways `(4, K)`, filled up to whole words, to
+    each landmark and how long; slot `(K,)` of each landmark in `turns`, -1 for none. Of `incremental`: listed
+    `(Q + 1,)` positions; mask `(Q,)` of the old cap; inner, outer `(Q,)` rows of the tables of `cones`; unsure, places
+    `(Q W + 1,)` sets of axes to be tested and where; names, goes `(K + 1,)` caps that come or go; digits `(J,)`. Lists
+    have room for one more, as an entry is written down before it is decided whether it stays.
+    """
+
+    place: np.ndarray
+    units: np.ndarray
+    new: Place
+    old: np.ndarray
     before: Neighbours
     after: Neighbours
+    turns: Turns
+    flips: np.ndarray
     wanted: np.ndarray
-    apart: np.ndarray
-    flags: np.ndarray
-    counts: np.ndarray
-    difference: np.ndarray
-    caps: np.ndarray
-    ranges: np.ndarray
-    signs: np.ndarray
+    ways: np.ndarray
+    slot: np.ndarray
+    listed: np.ndarray
+    mask: np.ndarray
+    inner: np.ndarray
+    outer: np.ndarray
+    unsure: np.ndarray
+    places: np.ndarray
+    names: np.ndarray
+    goes: np.ndarray
+    digits: np.ndarray
 
 
 def _in_blocks(positions: FloatArray) -> np.ndarray:
@@ -124,40 +157,56 @@ def fixed_of(evaluator: Evaluator, n: int) -> Fixed:
     place[order[::-1]] = np.arange(len(order))[::-1]  # the first of several copies
     positions = e.positions[order]
     blocks = positions.reshape(-1, BLOCK, 3)
-    centres = blocks.mean(axis=1)
-    radii = np.linalg.norm(blocks - centres[:, None], axis=2).max(axis=1) * (1.0 + TOLERANCE)
-    positions, centres = np.ascontiguousarray(positions.T), np.ascontiguousarray(centres.T)
-    return Fixed(positions, place, centres, radii, e.limits, e.reach, e.mode, e.axes, e.bands, e.weights, n)
+    least, most = blocks.min(axis=1), blocks.max(axis=1)
+    centres = (least + most) / 2.0
+    halves = ((most - least) / 2.0 * (1.0 + SINGLE_ERROR)).astype(np.float32)  # never less for the rounding
+    positions, centres, halves = (np.ascontiguousarray(part.T) for part in (positions, centres, halves))
+    certain, possible = cones(e.axes, e.limits[0])
+    scene = e.limits, e.reach, e.mode, e.axes, certain, possible, e.weights
+    return Fixed(positions, place, centres, halves, *scene, n)
 
 
 def scratch_of(state: State) -> Scratch:
-    """Working memory for trials on `state`."""
+    """Working memory for moves of `state`."""
     count, size = state.reachable.shape
-    blocks = size // BLOCK
-
-    def caps() -> Caps:
-        x, y, z, low = np.empty((4, size))
-        bottom, top = np.empty((2, size), dtype=np.int32)
-        return Caps(x, y, z, low, bottom, top, np.empty(size, dtype=np.bool_))
+    blocks, words, digits = size // BLOCK, *state.counts.shape[1:]
 
     def neighbours() -> Neighbours:
-        hides, hidden_by = np.empty((2, blocks, count, BLOCK), dtype=np.bool_)
+        hides, hidden_by = np.empty((2, blocks, count, BLOCK), dtype=np.int8)
         count_hides, count_hidden = np.zeros((2, size), dtype=np.int64)
-        # One column more: the search writes each landmark down before it decides whether to keep it.
-        who = np.empty((blocks, count + 1), dtype=np.int32)
+        who = np.empty((blocks, count), dtype=np.int32)
         return Neighbours(np.zeros(blocks, dtype=np.int64), who, hides, hidden_by, count_hides, count_hidden)
 
+    x, y, z, low = np.empty((4, size))
+    limited, reached = np.empty((2, size), dtype=np.bool_)
+    ways = np.zeros((4, -(-count // LANES) * LANES), dtype=np.float32)
+    ways[3] = -np.inf  # nothing comes close to those that fill up
+    inner, outer = np.empty((2, size), dtype=np.int32)
+    unsure, places = np.empty((2, size * words + 1), dtype=np.uint64)
+    names, goes = np.empty((2, count + 1), dtype=np.uint64)
     return Scratch(
-        old=caps(),
-        new=caps(),
+        place=np.empty(6),
+        units=state.units.copy(),
+        new=Place(x, y, z, low, np.empty(size, dtype=np.int32), limited, reached),
+        old=np.empty((3, size)),
         before=neighbours(),
         after=neighbours(),
+        turns=Turns(
+            found=np.zeros(blocks, dtype=np.int64),
+            who=np.empty((blocks, count), dtype=np.int32),
+            change=np.empty((blocks, count, BLOCK), dtype=np.int8),
+        ),
+        flips=np.zeros(size, dtype=np.bool_),
         wanted=np.empty(blocks, dtype=np.bool_),
-        apart=np.empty(count),
-        flags=np.empty(count, dtype=np.bool_),
-        counts=np.empty_like(state.counts[0]),
-        difference=np.zeros(count, dtype=np.int64),
-        caps=np.empty((count + 2, 4)),
-        ranges=np.empty((count + 2, 2), dtype=np.int64),
-        signs=np.empty(count + 2, dtype=np.int16),
+        ways=ways,
+        slot=np.full(count, -1, dtype=np.int64),
+        listed=np.empty(size + 1, dtype=np.uint64),
+        mask=np.empty(size, dtype=np.uint64),
+        inner=inner,
+        outer=outer,
+        unsure=unsure,
+        places=places,
+        names=names,
+        goes=goes,
+        digits=np.empty(digits, dtype=np.uint64),
     )

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from lmd.coverage.incremental import move
+from lmd.coverage.incremental import carry_out, try_move
 from lmd.coverage.kernels import PROBABILITY_ONE
 from lmd.room import Room
 
@@ -159,9 +159,9 @@ def _places(group, state, walls, climate, rng, old, new):
 
 
 @njit(nogil=True, cache=True)
-def _go(k, place, fixed, state, scratch, units, commit):
-    """`move` to a row of `_places`."""
-    move(k, place[0], place[1], place[2], place[3], place[4], place[5], fixed, state, scratch, units, commit)
+def _try(k, place, fixed, state, scratch):
+    """`try_move` to a row of `_places`."""
+    try_move(k, place[0], place[1], place[2], place[3], place[4], place[5], fixed, state, scratch)
 
 
 @njit(nogil=True, cache=True)
@@ -176,7 +176,7 @@ def walk(moves, fixed, state, scratch, goal, walls, climate, rng, best):
     """Move landmarks `moves` times from `state`, which ends where the walk ends; `best` is updated."""
     threshold, relevance = goal.threshold, goal.relevance
     positions, count = len(state.units), state.landmarks.shape[1]
-    accepted, units = state.units.copy(), np.empty_like(state.units)
+    accepted, units = state.units.copy(), scratch.units
     value, trial = np.empty(positions), np.empty(positions)
     single, several = np.empty(1, dtype=np.int64), np.empty(min(fixed.n, count), dtype=np.int64)
     old, new = np.empty((len(several), 6)), np.empty((len(several), 6))
@@ -195,8 +195,9 @@ def walk(moves, fixed, state, scratch, goal, walls, climate, rng, best):
         moved += last + 1
         _places(group, state, walls, climate, rng, old, new)
         for m in range(last):
-            _go(group[m], new[m], fixed, state, scratch, units, True)
-        _go(group[last], new[last], fixed, state, scratch, units, False)
+            _try(group[m], new[m], fixed, state, scratch)
+            carry_out(group[m], fixed, state, scratch)
+        _try(group[last], new[last], fixed, state, scratch)
         sum_value = fitness = 0.0
         for p in range(positions):
             trial[p] = value[p]
@@ -206,7 +207,7 @@ def walk(moves, fixed, state, scratch, goal, walls, climate, rng, best):
             fitness += relevance[p] * (units[p] >= threshold)
         gain = sum_value - total
         if gain >= 0.0 or rng.random() < math.exp(gain / climate.temperature):
-            _go(group[last], new[last], fixed, state, scratch, units, True)
+            carry_out(group[last], fixed, state, scratch)
             accepted[:] = units
             value, trial, total = trial, value, sum_value
             if fitness > best.fitness[0]:
@@ -215,4 +216,5 @@ def walk(moves, fixed, state, scratch, goal, walls, climate, rng, best):
                 best.normals[:] = state.normals
         else:
             for m in range(last):
-                _go(group[m], old[m], fixed, state, scratch, units, True)
+                _try(group[m], old[m], fixed, state, scratch)
+                carry_out(group[m], fixed, state, scratch)

@@ -1,0 +1,33 @@
+"""Sets of axes as bits: axis a is bit a % 64 of word a // 64."""
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba.extending import intrinsic
+
+BITS = 64
+NONE, ONE, ALL = np.uint64(0), np.uint64(1), np.uint64(2**64 - 1)
+
+
+@intrinsic
+def lowest(_typing_context: Any, word: Any) -> Any:
+    """Index of the lowest bit that is set in a word other than 0: one instruction."""
+
+    def codegen(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
+
+    return word(word), codegen
+
+
+def packed(flags: np.ndarray) -> np.ndarray:
+    """The sets `(..., W)` uint64 of `flags` `(..., D)`."""
+    missing = -flags.shape[-1] % BITS
+    padded = np.pad(flags, [(0, 0)] * (flags.ndim - 1) + [(0, missing)])
+    return np.packbits(padded, axis=-1, bitorder="little").view("<u8").astype(np.uint64, copy=False)
+
+
+def unpacked(words: np.ndarray, size: int) -> np.ndarray:
+    """The flags `(..., size)` of the sets `words` `(..., W)`, 0 or 1."""
+    octets = np.ascontiguousarray(words.astype("<u8", copy=False)).view(np.uint8)
+    return np.unpackbits(octets, axis=-1, count=size, bitorder="little")
