@@ -105,7 +105,7 @@ def _try_flips(k, positions, fixed, state, scratch):
             for j in range(size):
                 digits[j] = counts[p, w, j]
                 had = had & digits[j] if n >> j & 1 else had | digits[j]
-            for m in range(flipped):
+            for m in range(flipped):  # added with a carry, or taken away with a borrow, digit by digit
                 carry = caps[names[m], p, w]
                 for j in range(size):
                     digit = digits[j]
@@ -160,12 +160,10 @@ def _recount(k, positions, fixed, state, scratch):
             caps[k, p, w] = cap
             comes, goes = new & ~old, old & ~new
             touched = comes | goes
-            j = NONE
-            while comes | goes:
+            for j in range(size if touched else NONE):
                 digit = counts[p, w, j]
                 counts[p, w, j] = digit ^ (comes | goes)
                 comes, goes = comes & digit, goes & ~digit
-                j += ONE
             for m in range(found[b] if flips[p] else 0):
                 i = np.uint64(who[b, m])
                 was, now = hidden[i, p], hidden[i, p] + change[b, m, q]
@@ -173,12 +171,10 @@ def _recount(k, positions, fixed, state, scratch):
                     continue
                 carry, mask = caps[i, p, w], ALL if was == 0 else NONE
                 touched |= carry
-                j = NONE
-                while carry:
+                for j in range(size):
                     digit = counts[p, w, j]
                     counts[p, w, j] = digit ^ carry
                     carry &= digit ^ mask
-                    j += ONE
             if touched:
                 one, two = ALL, ALL
                 for j in range(size):
