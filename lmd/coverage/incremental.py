@@ -29,7 +29,7 @@ from lmd.coverage.neighbours import blocks_with, find_flips, find_neighbours
 from lmd.coverage.state import Fixed, State, scratch_of
 from lmd.deployment import Deployment
 
-# Indices are unsigned where it counts: without the code for negative ones, a loop takes about half the time.
+# Indices are unsigned where it counts: signed ones cost extra instructions, as they might be negative.
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
