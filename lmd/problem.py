@@ -27,22 +27,24 @@ class Design:
         positions: drawn in the cell of each position of the room's grid, whose relevance they share.
         divisions: orientations are drawn one in each of 2 `divisions` x `divisions` cells of equal probability, from
             the continuous distribution that the PDF stands for; a PDF from samples is taken as it is.
+        redrawn: like `positions`, for the samples that `CoverageProblem.resampled` draws anew again and again.
 
     Raises:
         InputError: a number is less than 1.
     """
 
-    positions: int = 2
-    divisions: int = 24
+    positions: int = 8
+    divisions: int = 12
+    redrawn: int = 4
 
     def __post_init__(self) -> None:
         integer("objective.design.positions", self.positions, low=1)
         integer("objective.design.divisions", self.divisions, low=1)
+        integer("objective.design.redrawn", self.redrawn, low=1)
 
-    def evaluator(self, scene: Scene, threads: int | None) -> Evaluator:
-        """The evaluator at these positions and orientations; the positions go through the grid again and again."""
-        rng = np.random.default_rng(DESIGN_STREAM)
-        positions = np.vstack([scene.room.jittered_grid(rng) for _ in range(self.positions)])
+    def evaluator(self, scene: Scene, repeats: int, rng: np.random.Generator, threads: int | None) -> Evaluator:
+        """The evaluator at a draw of `repeats` positions in each cell, which go through the grid again and again."""
+        positions = np.vstack([scene.room.jittered_grid(rng) for _ in range(repeats)])
         return Evaluator(replace(scene, pdf=scene.pdf.stratified(self.divisions, rng)), positions, threads)
 
 
@@ -108,8 +110,9 @@ class CoverageProblem:
         self.relevance = scene.room.relevance.weights(self.evaluator.positions)
         self.fitness_evaluator, self.fitness_relevance = self.evaluator, self.relevance
         if objective.design is not None:
-            self.fitness_evaluator = objective.design.evaluator(scene, threads)
-            self.fitness_relevance = np.tile(self.relevance, objective.design.positions)
+            rng, repeats = np.random.default_rng(DESIGN_STREAM), objective.design.positions
+            self.fitness_evaluator = objective.design.evaluator(scene, repeats, rng, threads)
+            self.fitness_relevance = np.tile(self.relevance, repeats)
         self.encoding = make_encoding(encoding, scene.room, flush)
 
     def encoded(self, kind: str) -> "CoverageProblem":
@@ -144,6 +147,17 @@ class CoverageProblem:
         """Genes of up to `size` starting deployments, `(S, dim)`; one if the start does not vary."""
         draws = size if self.start.varies else 1
         return np.stack([self.encode(self.start.draw(self.scene.room, rng)) for _ in range(draws)])
+
+    def resampled(self, rng: np.random.Generator) -> tuple[Evaluator, FloatArray] | None:
+        """A fresh draw of the objective's design and its relevance `(P * redrawn,)`; None if it has no design.
+
+        For methods that can change what they climb on the way: what is drawn anew cannot be learnt by heart.
+        """
+        design = self.objective.design
+        if design is None:
+            return None
+        evaluator = design.evaluator(self.scene, design.redrawn, rng, threads=1)
+        return evaluator, np.tile(self.relevance, design.redrawn)
 
     def probabilities(self, deployment: Deployment) -> FloatArray:
         """P_n at every position of the grid, `(P,)`."""

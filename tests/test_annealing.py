@@ -5,11 +5,12 @@ from test_optimisers import make, problem
 
 from lmd import pdf
 from lmd.checks import InputError
-from lmd.deployment import FileDeployment, RandomDeployment, UniformDeployment
+from lmd.deployment import Deployment, FileDeployment, RandomDeployment, UniformDeployment
 from lmd.optimisers.annealing import Stage
 from lmd.optimisers.base import Budget
+from lmd.optimisers.ground import Ground
 from lmd.optimisers.walk import _reflect
-from lmd.problem import CoverageProblem, Objective
+from lmd.problem import CoverageProblem, Design, Objective
 
 PAIRS = {"temperature": [1e-3, 1e-4], "width": [0.1, 0.01], "step": [1.0, 0.1]}
 
@@ -32,14 +33,65 @@ def test_every_landmark_ends_flush_on_an_allowed_wall(count, n):
     assert result.evaluations == 300
 
 
-def test_stacks_are_pulled_apart_by_the_spread():
+@pytest.mark.parametrize("size", [0.2, 1.0])
+def test_stacks_are_pulled_apart_by_the_spread(size):
     optimiser = make("annealing")
     p = problem()
-    optimiser.run(p, Budget(300), lambda o: not o.in_stacks)
-    pairs = optimiser.here.positions.reshape(-1, 2, 3)
+    optimiser.run(p, Budget(300), lambda o: o.books.evaluations > 50)
+    assert optimiser.in_stacks
+    pairs = optimiser._apart(p, size).positions.reshape(-1, 2, 3)
     inside = ((pairs > 0.1) & (pairs < np.array(p.scene.room.size) - 0.1)).sum(axis=2).min(axis=1) >= 2
     distance = np.linalg.norm(pairs[:, 0] - pairs[:, 1], axis=1)
-    np.testing.assert_allclose(distance[inside], 1.6 * 0.05)
+    np.testing.assert_allclose(distance[inside], size * 1.6 * 0.05)
+
+
+def test_plates_grow_to_their_size_and_stay_there(monkeypatch):
+    seen = []
+    enter = Ground.enter
+
+    def spy(self, here, best, in_stacks, size, rng):
+        enter(self, here, best, in_stacks, size, rng)
+        seen.append((in_stacks, size, self.is_true))
+
+    monkeypatch.setattr(Ground, "enter", spy)
+    make("annealing").run(problem(), Budget(300))
+    sizes = [size for in_stacks, size, _ in seen if not in_stacks]
+    assert seen[0] == (True, 1.0, False)
+    assert sizes == sorted(sizes)
+    assert 0.2 <= sizes[0] < 0.4
+    assert sizes[-1] == 1.0
+    assert all(is_true == (not in_stacks and size == 1.0) for in_stacks, size, is_true in seen)
+
+
+def test_smaller_plates_hide_less():
+    p = problem()
+    drawn = p.start.draw(p.scene.room, np.random.default_rng(0))
+    pairs = np.repeat(drawn.positions[:15], 2, axis=0)
+    pairs[::2, 2] = np.clip(pairs[::2, 2] + 0.03, 0.0, p.scene.room.size[2])
+    deployment = Deployment(pairs, np.repeat(drawn.normals[:15], 2, axis=0))
+    ground = Ground(p)
+    reached = []
+    for size in (0.2, 0.5, 1.0):
+        ground.enter(deployment, deployment, False, size, np.random.default_rng(0))
+        reached.append(int((ground._state.hidden > 0).sum()))
+    assert reached[0] < reached[1] < reached[2]
+    assert ground._best.fitness[0] == pytest.approx(p.fitness(deployment))
+
+
+def test_an_objective_with_a_design_is_climbed_on_fresh_draws():
+    design = Design(positions=2, divisions=6, redrawn=1)
+    p = problem()
+    p = CoverageProblem(p.scene, Objective(2, 0.3, design), p.start, threads=1)
+    ground, rng = Ground(p), np.random.default_rng(0)
+    deployment = p.start.draw(p.scene.room, rng)
+    ground.enter(deployment, deployment, False, 1.0, rng)
+    first = ground._fixed
+    ground.enter(deployment, deployment, False, 1.0, rng)
+    assert not ground.is_true
+    assert not np.isin(ground._fixed.positions[0], first.positions[0]).any()
+    result = make("annealing").run(p, Budget(300))
+    assert result.evaluations == 300
+    assert result.fitness == p.fitness(result.deployment)
 
 
 def test_a_given_start_is_not_stacked(tmp_path):

@@ -2,8 +2,14 @@
 
 Landmarks that serve a threshold of n organise themselves in clusters of about n. So from a random start the method
 first anneals K/n *stacks* of n landmarks on one point as if nothing hid anything, which is the problem for n = 1 with
-K/n landmarks: smaller, smoother and faster to evaluate. Then it pulls each stack apart by a little more than the
-distance at which plates hide each other and anneals single landmarks on the true objective.
+K/n landmarks: smaller, smoother and faster to evaluate. Then it pulls each stack apart, and anneals single landmarks
+coolly. To pull a stack apart by the whole distance at which plates no longer hide each other would throw away a part of
+what the stacks covered: landmarks of a stack no longer see the same. So plates are small at first and *grow* to their
+size, and the landmarks make room for each other little by little, while the walk keeps them where they are worth most.
+
+The walk then climbs a *stand-in* for the true problem: stacks, plates that are too small, or, for an objective with a
+design, positions and orientations drawn anew for each stretch of the walk, which nothing can be fitted to. Where a
+stand-in leads is looked at on the true problem now and then.
 """
 
 import math
@@ -14,18 +20,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from lmd.checks import FloatArray, real, vector
-from lmd.coverage.incremental import state_of
-from lmd.coverage.kernels import PROBABILITY_ONE
-from lmd.coverage.state import fixed_of, scratch_of
 from lmd.deployment import Deployment
 from lmd.optimisers.base import Budget, Callback, Optimiser, Result
-from lmd.optimisers.walk import Best, Climate, Goal, walk, walls_of
+from lmd.optimisers.ground import Ground
+from lmd.optimisers.walk import Climate, walls_of
 from lmd.problem import CoverageProblem
-from lmd.visibility import TOLERANCE
 
 CHUNK = 2000  # moved landmarks between two looks at the clock and the keyboard, at most
 CHUNKS = 500  # and at least this many in a run, so that the schedule is smooth
-LOOK = 10  # evaluations' worth of moves between two evaluations of the stacks pulled apart
+LOOK = 10  # evaluations' worth of moves between two looks, an evaluation each, at where a stand-in leads
+SMALLEST = 0.2  # of their virtual diameter: the size of plates when stacks are pulled apart
 
 
 @dataclass(frozen=True)
@@ -88,13 +92,15 @@ class Annealing(Optimiser):
     """Simulated annealing of stacks, then of single landmarks; landmarks it moves are flush on a wall.
 
     A start that does not vary (`uniform`, `file`) is improved as it is: the stacked stage is left out, as it is for
-    n = 1. A flush landmark is never worse than a tilted one inside a cuboid.
+    n = 1, and plates have their size from the beginning. A flush landmark is never worse than a tilted one inside a
+    cuboid.
 
     Args:
         stacked: conditions of the stage that moves stacks.
         single: conditions of the stage that moves single landmarks.
         stacked_share: share of the budget spent on stacks.
-        spread: distance between the landmarks of a stack pulled apart, in virtual diameters nu.
+        growth: share of the single stage in which plates grow to their virtual diameter nu.
+        spread: distance between the landmarks of a stack pulled apart, in virtual diameters.
         seed: see `Optimiser`.
 
     Raises:
@@ -102,14 +108,22 @@ class Annealing(Optimiser):
     """
 
     def __init__(
-        self, stacked: Stage, single: Stage, stacked_share: float = 0.3, spread: float = 1.6, seed: int = 0
+        self,
+        stacked: Stage,
+        single: Stage,
+        stacked_share: float = 0.5,
+        growth: float = 0.8,
+        spread: float = 1.6,
+        seed: int = 0,
     ) -> None:
         super().__init__(seed)
         self.stacked, self.single = stacked, single
         self.stacked_share = real("optimiser.stacked_share", stacked_share, low=0.0, high=0.9)
+        self.growth = real("optimiser.growth", growth, low=0.0, high=1.0)
         self.spread = real("optimiser.spread", spread, low=0.0)
         self.spent = 0  # moved landmarks: K make an evaluation
         self.in_stacks = False
+        self.skipped = 0.0  # share of the budget before the single stage
         self.rng: np.random.Generator
         self.start: Deployment
         self.angles: FloatArray  # direction in which each stack is pulled apart
@@ -118,10 +132,10 @@ class Annealing(Optimiser):
 
     def run(self, problem: CoverageProblem, budget: Budget, callback: Callback | None = None) -> Result:
         """See `Optimiser.run`."""
-        books, count, n = self.books, problem.count, problem.objective.n
+        books, count = self.books, problem.count
         clock = time.perf_counter() - books.seconds
         limit = budget.limit * count
-        ground = _Ground(problem)
+        ground = Ground(problem)
 
         def enter(moved: int, deployment: Deployment | None) -> None:
             """Book moves that led to `deployment`, or to nothing better than what is known."""
@@ -134,26 +148,29 @@ class Annealing(Optimiser):
         if not self.spent:
             spent = self._begin(problem, limit)
             enter(spent + count, self.start)
-        ground.enter(self.here, self.in_stacks, self.best)
         stopped = "budget"
         while (used := budget.used(self.spent / count, books.seconds)) < 1.0:
-            chunk = int(min(CHUNK, max(1.0, limit / CHUNKS), limit - self.spent))
-            if self.in_stacks:
-                # A look at where the stacks lead costs an evaluation: worth it only now and then.
-                moves = max(chunk, LOOK * count) // n
-                ground.walk(moves, self.stacked.climate(used / self.stacked_share, near=0.0), self.rng)
+            if self.in_stacks and used >= self.stacked_share:
+                self.in_stacks, self.here = False, self._apart(problem, SMALLEST if self.growth else 1.0)
+            size, climate = self._conditions(problem, used)
+            ground.enter(self.here, self.best, self.in_stacks, size, self.rng)
+            left = limit - self.spent
+            stretch = min(CHUNK, max(1.0, limit / CHUNKS), left)
+            if ground.is_true:
+                improved = ground.walk(int(stretch), climate, self.rng)
                 self.here = ground.here()
-                apart = self._apart(problem)
-                enter(moves * n + count, apart)
-                if budget.used(self.spent / count, books.seconds) >= self.stacked_share:
-                    self.in_stacks, self.here = False, apart
-                    ground.enter(self.here, self.in_stacks, self.best)
+                enter(int(stretch), ground.best() if improved else None)
+            elif left < count:  # too little for a look
+                enter(int(left), None)
             else:
-                done = (used - self.skipped) / (1.0 - self.skipped)
-                near = self.spread * problem.scene.visibility.nu
-                improved = ground.walk(chunk, self.single.climate(done, near), self.rng)
+                stretch = max(stretch, LOOK * count)
+                # The last stretch takes what would be too little for one more.
+                stretch = stretch if left >= 2 * (stretch + count) else left - count
+                each = problem.objective.n if self.in_stacks else 1
+                moves = int(stretch) // each
+                ground.walk(moves, climate, self.rng)
                 self.here = ground.here()
-                enter(chunk, ground.best() if improved else None)
+                enter(moves * each + count, self._apart(problem, 1.0) if self.in_stacks else self.here)
             if callback and callback(self):
                 stopped = "interrupted"
                 break
@@ -164,7 +181,7 @@ class Annealing(Optimiser):
         n, count = problem.objective.n, problem.count
         self.rng = np.random.default_rng(self.seed)
         self.start = self.here = problem.start.draw(problem.scene.room, self.rng)
-        looks = (LOOK + n + 1) * count  # the cost of one look at the stacks
+        looks = 2 * (LOOK + n + 1) * count  # the cost of two looks at the stacks
         stacked = self.stacked_share * limit > looks and (1.0 - self.stacked_share) * limit > looks
         self.in_stacks = problem.start.varies and n > 1 and stacked
         self.skipped = self.stacked_share if self.in_stacks else 0.0
@@ -174,13 +191,22 @@ class Annealing(Optimiser):
             self.here = Deployment(self.start.positions[:stacks], self.start.normals[:stacks])
         return 0
 
-    def _apart(self, problem: CoverageProblem) -> Deployment:
-        """The stacks pulled apart into n landmarks each; landmarks that fill no stack stay where they started."""
+    def _conditions(self, problem: CoverageProblem, used: float) -> tuple[float, Climate]:
+        """The size of plates, in virtual diameters, and the climate after a share `used` of the budget."""
+        if self.in_stacks:
+            return 1.0, self.stacked.climate(used / self.stacked_share, near=0.0)
+        done = (used - self.skipped) / (1.0 - self.skipped)
+        grown = min(done / self.growth, 1.0) if self.skipped and self.growth else 1.0
+        size = SMALLEST + (1.0 - SMALLEST) * grown
+        return size, self.single.climate(done, near=self.spread * size * problem.scene.visibility.nu)
+
+    def _apart(self, problem: CoverageProblem, size: float) -> Deployment:
+        """Each stack as n plates of this size, pulled apart; landmarks that fill no stack stay where they started."""
         n, room = problem.objective.n, problem.scene.room
         walls = walls_of(room)
         wall = np.argmax(self.here.normals @ walls.normal.T, axis=1)
         # Neighbours on the circle are `spread` apart.
-        radius = self.spread * problem.scene.visibility.nu / (2.0 * math.sin(math.pi / n))
+        radius = self.spread * size * problem.scene.visibility.nu / (2.0 * math.sin(math.pi / n))
         angle = self.angles[:, None] + 2.0 * np.pi * np.arange(n) / n
         offset = np.cos(angle)[..., None] * walls.u[wall][:, None] + np.sin(angle)[..., None] * walls.v[wall][:, None]
         positions = np.clip(self.here.positions[:, None] + radius * offset, 0.0, room.size).reshape(-1, 3)
@@ -189,41 +215,3 @@ class Annealing(Optimiser):
             np.vstack([positions, self.start.positions[rest]]),
             np.vstack([np.repeat(self.here.normals, n, axis=0), self.start.normals[rest]]),
         )
-
-
-class _Ground:
-    """A problem in the arrays of the walk, and where on it the walk is."""
-
-    def __init__(self, problem: CoverageProblem) -> None:
-        objective = problem.objective
-        self.single = fixed_of(problem.fitness_evaluator, objective.n)
-        # A stack of n that nothing hides is seen whenever one landmark in its place is.
-        self.stacked = self.single._replace(n=1, mode=0)
-        threshold = math.ceil((objective.thold_p - TOLERANCE) * PROBABILITY_ONE)
-        relevance = np.zeros(self.single.positions.shape[1])
-        relevance[self.single.place] = problem.fitness_relevance / problem.fitness_relevance.sum()
-        self.goal = Goal(threshold, relevance)
-        self.walls = walls_of(problem.scene.room)
-
-    def enter(self, here: Deployment, in_stacks: bool, best: Deployment) -> None:
-        """Go to `here`, stacks or single landmarks; `best` is what single landmarks have to beat."""
-        self.fixed = self.stacked if in_stacks else self.single
-        self.state = state_of(self.fixed, here)
-        self.scratch = scratch_of(self.state)
-        known = self.state if in_stacks else state_of(self.single, best)
-        reached = (known.units >= self.goal.threshold) @ self.goal.relevance
-        self._best = Best(np.array([float(reached)]), known.landmarks.copy(), known.normals.copy())
-
-    def walk(self, moves: int, climate: Climate, rng: np.random.Generator) -> bool:
-        """Try `moves` moves; True if one led to a better deployment than any before."""
-        before = self._best.fitness[0]
-        walk(moves, self.fixed, self.state, self.scratch, self.goal, self.walls, climate, rng, self._best)
-        return bool(self._best.fitness[0] > before)
-
-    def here(self) -> Deployment:
-        """Where the walk is."""
-        return Deployment(self.state.landmarks.T, self.state.normals.T)
-
-    def best(self) -> Deployment:
-        """The best deployment met."""
-        return Deployment(self._best.landmarks.T, self._best.normals.T)
