@@ -43,6 +43,7 @@ INDICES = {
     "average_coverage_probability": "average",
     "maximum_coverage_probability": "maximum",
 }
+RATIO = "metrics.qualified_ratio"
 GRID_FREE = "metrics.validation/grid_free_qualified_ratio"
 PAIR = ["params.objective.n", "params.objective.thold_p"]
 PARENT = f"tags.{PARENT_TAG}"
@@ -177,7 +178,15 @@ def _each_for_itself(source: Source) -> Blocks:
         "one deployment, re-scored": _by_pair(rescored),
         "each pair for itself": _by_pair(own),
     }
-    rows = [[f"{n}", f"{p:.2f}", *(_percent(column[n, p]) for column in columns.values())] for n, p in TABLE_3]
+    rows = [
+        [
+            f"{n}",
+            f"{p:.2f}",
+            f"{row.qualified_ratio:.2%}",
+            *(_spread(_of_pair(jobs, n, p)[RATIO]) for jobs in (rescored, own)),
+        ]
+        for (n, p), row in TABLE_3.items()
+    ]
     picture = source.picture(
         "pairs",
         "Qualified ratio over n and thold_p",
@@ -192,7 +201,7 @@ def _landmark_count(source: Source) -> Blocks:
     jobs = source.jobs("landmark_count")
     if jobs.empty:
         return [_missing("landmark_count")]
-    ratios = pd.DataFrame({"count": jobs[COUNT].astype(int), "qualified_ratio": jobs["metrics.qualified_ratio"]})
+    ratios = pd.DataFrame({"count": jobs[COUNT].astype(int), "qualified_ratio": jobs[RATIO]})
     groups = ratios.groupby("count")["qualified_ratio"]
     rows = [[f"{count}", f"{len(values)}", _spread(values)] for count, values in groups]
     target = TABLE_2["EGA"].qualified_ratio
@@ -276,13 +285,12 @@ def _of_pair(jobs: pd.DataFrame, n: int, thold_p: float) -> pd.DataFrame:
 
 def _by_pair(jobs: pd.DataFrame) -> pd.Series:
     """Median qualified ratio for each (n, thold_p) of Table III, NaN where there is no run."""
-    ratio = "metrics.qualified_ratio"
-    return pd.Series({pair: _of_pair(jobs, *pair)[ratio].median() for pair in TABLE_3})
+    return pd.Series({pair: _of_pair(jobs, *pair)[RATIO].median() for pair in TABLE_3})
 
 
 def _typical(jobs: pd.DataFrame) -> str:
     """Id of the run with the median qualified ratio, the lower one of two."""
-    return str(jobs["metrics.qualified_ratio"].sort_values(kind="stable").index[(len(jobs) - 1) // 2])
+    return str(jobs[RATIO].sort_values(kind="stable").index[(len(jobs) - 1) // 2])
 
 
 def _beside_head() -> list[str]:

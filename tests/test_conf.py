@@ -23,8 +23,8 @@ SWEEPS = {  # the pipeline of each stored sweep, and its number of jobs
     "table2": ("optimise", 10),
     "table2_baselines": ("evaluate", 10),
     "table3": ("evaluate", 9),
-    "table3_reoptimised": ("optimise", 9),
-    "landmark_count": ("optimise", 10),
+    "table3_reoptimised": ("optimise", 27),
+    "landmark_count": ("optimise", 11),
     "optimisers": ("optimise", 55),
 }
 NEEDS_A_FILE = {("pdf", "samples"), ("deployment", "file")}
