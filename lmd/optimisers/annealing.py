@@ -91,13 +91,13 @@ class Stage:
 class Annealing(Optimiser):
     """Simulated annealing of stacks, then of single landmarks; landmarks it moves are flush on a wall.
 
-    A start that does not vary (`uniform`, `file`) is improved as it is: the stacked stage is left out, as it is for
-    n = 1, and plates have their size from the beginning. A flush landmark is never worse than a tilted one inside a
-    cuboid.
+    A start that does not vary (`uniform`, `file`) is improved as it is, under conditions of its own and with plates of
+    their size from the beginning. A flush landmark is never worse than a tilted one inside a cuboid.
 
     Args:
-        stacked: conditions of the stage that moves stacks.
-        single: conditions of the stage that moves single landmarks.
+        stacked: conditions of the stage that moves stacks; for n = 1 these are single landmarks.
+        single: conditions of the stage that moves the landmarks of stacks pulled apart.
+        given: conditions of the only stage there is if the start is given: warmer, as it may be far from good.
         stacked_share: share of the budget spent on stacks.
         growth: share of the single stage in which plates grow to their virtual diameter nu.
         spread: distance between the landmarks of a stack pulled apart, in virtual diameters.
@@ -111,13 +111,14 @@ class Annealing(Optimiser):
         self,
         stacked: Stage,
         single: Stage,
+        given: Stage,
         stacked_share: float = 0.5,
         growth: float = 0.8,
         spread: float = 1.6,
         seed: int = 0,
     ) -> None:
         super().__init__(seed)
-        self.stacked, self.single = stacked, single
+        self.stacked, self.single, self.given = stacked, single, given
         self.stacked_share = real("optimiser.stacked_share", stacked_share, low=0.0, high=0.9)
         self.growth = real("optimiser.growth", growth, low=0.0, high=1.0)
         self.spread = real("optimiser.spread", spread, low=0.0)
@@ -183,7 +184,7 @@ class Annealing(Optimiser):
         self.start = self.here = problem.start.draw(problem.scene.room, self.rng)
         looks = 2 * (LOOK + n + 1) * count  # the cost of two looks at the stacks
         stacked = self.stacked_share * limit > looks and (1.0 - self.stacked_share) * limit > looks
-        self.in_stacks = problem.start.varies and n > 1 and stacked
+        self.in_stacks = problem.start.varies and stacked
         self.skipped = self.stacked_share if self.in_stacks else 0.0
         if self.in_stacks:
             stacks = count // n
@@ -196,9 +197,12 @@ class Annealing(Optimiser):
         if self.in_stacks:
             return 1.0, self.stacked.climate(used / self.stacked_share, near=0.0)
         done = (used - self.skipped) / (1.0 - self.skipped)
-        grown = min(done / self.growth, 1.0) if self.skipped and self.growth else 1.0
+        near = self.spread * problem.scene.visibility.nu
+        if not self.skipped:
+            return 1.0, self.given.climate(done, near)
+        grown = min(done / self.growth, 1.0) if self.growth else 1.0
         size = SMALLEST + (1.0 - SMALLEST) * grown
-        return size, self.single.climate(done, near=self.spread * size * problem.scene.visibility.nu)
+        return size, self.single.climate(done, near * size)
 
     def _apart(self, problem: CoverageProblem, size: float) -> Deployment:
         """Each stack as n plates of this size, pulled apart; landmarks that fill no stack stay where they started."""
@@ -206,7 +210,7 @@ class Annealing(Optimiser):
         walls = walls_of(room)
         wall = np.argmax(self.here.normals @ walls.normal.T, axis=1)
         # Neighbours on the circle are `spread` apart.
-        radius = self.spread * size * problem.scene.visibility.nu / (2.0 * math.sin(math.pi / n))
+        radius = 0.0 if n == 1 else self.spread * size * problem.scene.visibility.nu / (2.0 * math.sin(math.pi / n))
         angle = self.angles[:, None] + 2.0 * np.pi * np.arange(n) / n
         offset = np.cos(angle)[..., None] * walls.u[wall][:, None] + np.sin(angle)[..., None] * walls.v[wall][:, None]
         positions = np.clip(self.here.positions[:, None] + radius * offset, 0.0, room.size).reshape(-1, 3)
