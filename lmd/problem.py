@@ -1,5 +1,6 @@
 """The one fitness interface: a scene and an objective as a problem every optimiser can take."""
 
+import math
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import asdict, dataclass, replace
@@ -27,20 +28,17 @@ class Design:
         positions: drawn in the cell of each position of the room's grid, whose relevance they share.
         divisions: orientations are drawn one in each of 2 `divisions` x `divisions` cells of equal probability, from
             the continuous distribution that the PDF stands for; a PDF from samples is taken as it is.
-        redrawn: like `positions`, for the samples that `CoverageProblem.resampled` draws anew again and again.
 
     Raises:
         InputError: a number is less than 1.
     """
 
-    positions: int = 8
-    divisions: int = 12
-    redrawn: int = 4
+    positions: int = 20
+    divisions: int = 18
 
     def __post_init__(self) -> None:
         integer("objective.design.positions", self.positions, low=1)
         integer("objective.design.divisions", self.divisions, low=1)
-        integer("objective.design.redrawn", self.redrawn, low=1)
 
     def evaluator(self, scene: Scene, repeats: int, rng: np.random.Generator, threads: int | None) -> Evaluator:
         """The evaluator at a draw of `repeats` positions in each cell, which go through the grid again and again."""
@@ -148,16 +146,24 @@ class CoverageProblem:
         draws = size if self.start.varies else 1
         return np.stack([self.encode(self.start.draw(self.scene.room, rng)) for _ in range(draws)])
 
-    def resampled(self, rng: np.random.Generator) -> tuple[Evaluator, FloatArray] | None:
-        """A fresh draw of the objective's design and its relevance `(P * redrawn,)`; None if it has no design.
+    def resampled(self, share: float, rng: np.random.Generator) -> tuple[Evaluator, FloatArray] | None:
+        """A fresh draw of the objective's design with a share of its positions, and their relevance, `(Q,)`.
 
         For methods that can change what they climb on the way: what is drawn anew cannot be learnt by heart.
+
+        Args:
+            share: of the design's positions in each cell, at least one of them.
+            rng: draws them.
+
+        Returns:
+            None if the objective has no design.
         """
         design = self.objective.design
         if design is None:
             return None
-        evaluator = design.evaluator(self.scene, design.redrawn, rng, threads=1)
-        return evaluator, np.tile(self.relevance, design.redrawn)
+        repeats = max(1, math.ceil(share * design.positions))
+        evaluator = design.evaluator(self.scene, repeats, rng, threads=1)
+        return evaluator, np.tile(self.relevance, repeats)
 
     def probabilities(self, deployment: Deployment) -> FloatArray:
         """P_n at every position of the grid, `(P,)`."""

@@ -49,8 +49,8 @@ def test_plates_grow_to_their_size_and_stay_there(monkeypatch):
     seen = []
     enter = Ground.enter
 
-    def spy(self, here, best, in_stacks, size, rng):
-        enter(self, here, best, in_stacks, size, rng)
+    def spy(self, here, best, in_stacks, size, used, rng):
+        enter(self, here, best, in_stacks, size, used, rng)
         seen.append((in_stacks, size, self.is_true))
 
     monkeypatch.setattr(Ground, "enter", spy)
@@ -72,23 +72,26 @@ def test_smaller_plates_hide_less():
     ground = Ground(p)
     reached = []
     for size in (0.2, 0.5, 1.0):
-        ground.enter(deployment, deployment, False, size, np.random.default_rng(0))
+        ground.enter(deployment, deployment, False, size, 1.0, np.random.default_rng(0))
         reached.append(int((ground._state.hidden > 0).sum()))
     assert reached[0] < reached[1] < reached[2]
     assert ground._best.fitness[0] == pytest.approx(p.fitness(deployment))
 
 
 def test_an_objective_with_a_design_is_climbed_on_fresh_draws():
-    design = Design(positions=2, divisions=6, redrawn=1)
+    design = Design(positions=4, divisions=6)
     p = problem()
     p = CoverageProblem(p.scene, Objective(2, 0.3, design), p.start, threads=1)
     ground, rng = Ground(p), np.random.default_rng(0)
     deployment = p.start.draw(p.scene.room, rng)
-    ground.enter(deployment, deployment, False, 1.0, rng)
-    first = ground._fixed
-    ground.enter(deployment, deployment, False, 1.0, rng)
-    assert not ground.is_true
-    assert not np.isin(ground._fixed.positions[0], first.positions[0]).any()
+    positions = []
+    for used in (0.0, 0.7, 1.0, 1.0):
+        ground.enter(deployment, deployment, False, 1.0, used, rng)
+        assert not ground.is_true
+        positions.append(ground._fixed.positions[:, ground._fixed.place])
+    grid = len(p.evaluator.positions)
+    assert [x.shape[1] // grid for x in positions] == [1, 2, 4, 4]
+    assert not np.isin(positions[3][0], positions[2][0]).any()
     result = make("annealing").run(p, Budget(300))
     assert result.evaluations == 300
     assert result.fitness == p.fitness(result.deployment)

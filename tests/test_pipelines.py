@@ -159,7 +159,7 @@ def test_a_run_is_validated_off_its_grid(tmp_path):
     }
     assert all(0.0 < value < 1.0 for value in validation.values())
     assert metrics["fitness"] != metrics["qualified_ratio"]
-    assert metrics["settings"]["design"] == {"positions": 4, "divisions": 24}
+    assert metrics["settings"]["design"] == {"positions": 4, "divisions": 18}
     (run,) = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db").search_runs(["1"])
     assert {key: run.data.metrics[f"validation/{key}"] for key in validation} == validation
     assert re.search(r"on a finer grid +\d+\.\d\d% of positions qualified", done.stdout)

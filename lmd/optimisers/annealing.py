@@ -154,7 +154,7 @@ class Annealing(Optimiser):
             if self.in_stacks and used >= self.stacked_share:
                 self.in_stacks, self.here = False, self._apart(problem, SMALLEST if self.growth else 1.0)
             size, climate = self._conditions(problem, used)
-            ground.enter(self.here, self.best, self.in_stacks, size, self.rng)
+            ground.enter(self.here, self.best, self.in_stacks, size, used, self.rng)
             left = limit - self.spent
             stretch = min(CHUNK, max(1.0, limit / CHUNKS), left)
             if ground.is_true:

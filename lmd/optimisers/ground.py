@@ -39,7 +39,9 @@ class Ground:
         in_place[self._true.place] = relevance / relevance.sum()
         self._goal = Goal(math.ceil((objective.thold_p - TOLERANCE) * PROBABILITY_ONE), in_place)
 
-    def enter(self, here: Deployment, best: Deployment, in_stacks: bool, size: float, rng: np.random.Generator) -> None:
+    def enter(
+        self, here: Deployment, best: Deployment, in_stacks: bool, size: float, used: float, rng: np.random.Generator
+    ) -> None:
         """Make ready to walk on from `here`.
 
         Args:
@@ -47,9 +49,11 @@ class Ground:
             best: what single landmarks have to beat on the true problem.
             in_stacks: whether `here` is stacks.
             size: of the plates, in virtual diameters; 1 is the truth.
-            rng: draws the sample for an objective with a design.
+            used: share of the budget. Samples for an objective with a design grow with its square: a rough direction
+                will do for the first steps, but the last ones are lost in what a small sample errs.
+            rng: draws the samples.
         """
-        redrawn = self._problem.resampled(rng)
+        redrawn = self._problem.resampled(used**2, rng)
         if redrawn is None and self._stand_in == (in_stacks, size):
             return
         if redrawn is not None:
