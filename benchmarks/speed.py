@@ -21,10 +21,11 @@ from numba import njit
 
 from lmd.coverage import reference
 from lmd.coverage.evaluator import Evaluator, available_threads
-from lmd.coverage.incremental import carry_out, state_of, try_move
+from lmd.coverage.incremental import carry_out, state_of
 from lmd.coverage.kernels import BLOCK, cap_of
 from lmd.coverage.poses import candidate_poses, gains
 from lmd.coverage.state import fixed_of, scratch_of
+from lmd.coverage.trial import bound_move, finish_move
 from lmd.deployment import RandomDeployment
 from lmd.pdf import grid_with_ends
 from lmd.scene import Scene
@@ -33,6 +34,7 @@ from pipelines.app import CONF, build_problem
 COUNT, N = 90, 2  # of the paper: landmarks, and how many must be seen
 DEPLOYMENTS = 20
 MOVES = 2000
+STEPS = ("bounded", "tried", "carried out")
 MARKS = ("<!-- benchmark -->", "<!-- end of benchmark -->")
 
 
@@ -54,12 +56,14 @@ def paper_scene() -> Scene:
 
 
 @njit(nogil=True)
-def move_all(places, normals, fixed, state, scratch, commit):  # type: ignore[no-untyped-def]
-    """Move the landmarks in turn to each of the places `(M, 3)`, as an optimiser does."""
+def move_all(places, normals, fixed, state, scratch, steps):  # type: ignore[no-untyped-def]
+    """Move the landmarks in turn to each of the places `(M, 3)`, as an optimiser does: the first of `STEPS`."""
     for i in range(len(places)):
         place, normal, k = places[i], normals[i], i % state.landmarks.shape[1]
-        try_move(k, place[0], place[1], place[2], normal[0], normal[1], normal[2], fixed, state, scratch)
-        if commit:
+        bound_move(k, place[0], place[1], place[2], normal[0], normal[1], normal[2], fixed, state, scratch)
+        if steps > 1:
+            finish_move(k, fixed, state, scratch)
+        if steps > 2:
             carry_out(k, fixed, state, scratch)
 
 
@@ -76,13 +80,13 @@ def evaluation(scene: Scene, count: int, threads: int, occlusion: bool = True, c
     return best_of(5, lambda: evaluator.units(positions, normals, N)) / DEPLOYMENTS
 
 
-def moves(scene: Scene, count: int, commit: bool) -> float:
-    """Seconds of trying one landmark at a random place, and of moving it there with `commit`."""
+def moves(scene: Scene, count: int, step: str) -> float:
+    """Seconds of moving one landmark to a random place, up to one of `STEPS`."""
     rng = np.random.default_rng(0)
     start, targets = (RandomDeployment(size).draw(scene.room, rng) for size in (count, MOVES))
     fixed = fixed_of(Evaluator(scene, threads=1), N)
     state = state_of(fixed, start)
-    args = (targets.positions, targets.normals, fixed, state, scratch_of(state), commit)
+    args = (targets.positions, targets.normals, fixed, state, scratch_of(state), 1 + STEPS.index(step))
     return best_of(5, lambda: move_all(*args)) / MOVES
 
 
@@ -111,7 +115,7 @@ def speed(scene: Scene) -> Iterator[str]:
     for threads in sorted({1, available_threads()}):
         label = f"one evaluation of a batch, {threads} thread{'s' * (threads > 1)}"
         rows.append((label, evaluation(scene, COUNT, threads)))
-    rows += [(f"one landmark moved, {what}", moves(scene, COUNT, what != "tried")) for what in ("tried", "carried out")]
+    rows += [(f"one landmark moved, {step}", moves(scene, COUNT, step)) for step in STEPS]
     for threads in sorted({1, available_threads()}):
         poses, seconds = all_gains(scene, threads)
         rows.append((f"gain of each of {poses} poses, {threads} thread{'s' * (threads > 1)}", seconds))
@@ -170,7 +174,7 @@ def scaling(scene: Scene, picture: Path | None) -> Iterator[str]:
     for name, cases in sweeps.items():
         for case, count in cases:
             sizes = len(case.room.grid()), len(case.pdf.weight), count
-            seconds, moved = evaluation(case, count, 1), moves(case, count, commit=True)
+            seconds, moved = evaluation(case, count, 1), moves(case, count, "carried out")
             product = int(np.prod(sizes))
             cells = " | ".join(f"{size:,}" for size in sizes)
             yield f"| {name} | {cells} | {1e3 * seconds:.3f} | {1e9 * seconds / product:.4f} | {1e3 * moved:.3f} |"

@@ -7,8 +7,9 @@ from strategies import deployments, scenes_with_boundary_landmarks, scenes_with_
 
 from lmd.coverage import reference
 from lmd.coverage.evaluator import Evaluator
-from lmd.coverage.incremental import carry_out, counts_of, state_of, try_move
+from lmd.coverage.incremental import carry_out, counts_of, move, state_of, take_back
 from lmd.coverage.state import fixed_of, scratch_of
+from lmd.coverage.trial import bound_move, finish_move
 from lmd.deployment import Deployment, RandomDeployment
 
 
@@ -20,12 +21,22 @@ def moved(scene, deployment, targets, n, rng):
     for position, normal in zip(targets.positions, targets.normals, strict=True):
         k = int(rng.integers(len(deployment)))
         before = [array.copy() for array in state]
-        try_move(k, *position, *normal, fixed, state, scratch)
+        bound_move(k, *position, *normal, fixed, state, scratch)
+        most = scratch.units.copy()
+        finish_move(k, fixed, state, scratch)
         assert all((a == b).all() for a, b in zip(state, before, strict=True)), "a trial changed the state"
         promised = scratch.units.copy()
-        if rng.random() < 0.7:  # a trial may come to nothing
+        assert (promised <= most).all(), "not a bound"
+        end = rng.choice(["nothing", "carried out", "taken back", "moved", "moved and back"])
+        if end in ("carried out", "taken back"):
             carry_out(k, fixed, state, scratch)
-            np.testing.assert_array_equal(state.units, promised)
+        if end in ("moved", "moved and back"):
+            move(k, *position, *normal, fixed, state, scratch)
+        if end in ("taken back", "moved and back"):
+            take_back(k, fixed, state, scratch)
+        moves = end in ("carried out", "moved")
+        np.testing.assert_array_equal(state.units, promised if moves else before[-1])
+        assert moves or all((a == b).all() for a, b in zip(state, before, strict=True)), end
     return fixed, state
 
 
@@ -42,7 +53,7 @@ def check(scene, deployment, targets, n, seed):
 
 
 @settings(max_examples=60)
-@given(data=st.data(), n=st.integers(1, 4), seed=seeds)
+@given(data=st.data(), n=st.integers(1, 5), seed=seeds)
 def test_after_any_moves_the_counts_are_the_references(data, n, seed):
     scene, deployment = data.draw(scenes_with_deployments())
     check(scene, deployment, data.draw(deployments(scene.room)), n, seed)
@@ -64,3 +75,18 @@ def test_moves_in_the_papers_room_are_exact(occlusion):
     along = rng.normal(0.0, 0.07, (60, 3)) * (deployment.normals[near] == 0.0)
     places = np.clip(deployment.positions[near] + along, 0.0, scene.room.size)
     check(scene, deployment, Deployment(places, deployment.normals[near]), 2, 0)
+
+
+def test_several_moves_are_taken_back_one_by_one():
+    scene, rng = paper_scene(paper_room()), np.random.default_rng(0)
+    deployment, targets = (RandomDeployment(count).draw(scene.room, rng) for count in (30, 3))
+    fixed = fixed_of(Evaluator(scene, threads=1), 2)
+    state = state_of(fixed, deployment)
+    scratches = [scratch_of(state) for _ in range(3)]
+    before = [[array.copy() for array in state]]
+    for k, (position, normal, scratch) in enumerate(zip(targets.positions, targets.normals, scratches, strict=True)):
+        move(k % 2, *position, *normal, fixed, state, scratch)  # the first moves twice
+        before.append([array.copy() for array in state])
+    for k in range(2, -1, -1):
+        take_back(k % 2, fixed, state, scratches[k])
+        assert all((a == b).all() for a, b in zip(state, before[k], strict=True))

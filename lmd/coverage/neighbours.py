@@ -130,23 +130,34 @@ def blocks_with(some, wanted):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def find_flips(k, fixed, state, scratch):
-    """Set `flips` where another landmark appears or disappears as k moves to the place tried; fill `turns`."""
-    landmarks, reachable, hidden = state.landmarks, state.reachable, state.hidden
-    place, new, old, wanted, flips = scratch.place, scratch.new, scratch.old, scratch.wanted, scratch.flips
+def find_old(k, fixed, state, scratch):
+    """Fill `before` with what landmark k hides where it is."""
+    landmarks, old, wanted = state.landmarks, scratch.old, scratch.wanted
     ax, ay, az = landmarks[0, k], landmarks[1, k], landmarks[2, k]
     x, y, z = old[0], old[1], old[2]
     for p in range(len(x)):
         x[p], y[p], z[p] = ax - fixed.positions[0, p], ay - fixed.positions[1, p], az - fixed.positions[2, p]
     blocks_with(state.hiding[k], wanted)  # nearly everywhere it hides nothing: then there is nothing to find again
     find_neighbours(k, ax, ay, az, x, y, z, fixed, landmarks, wanted, scratch.ways, scratch.before)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def find_new(k, fixed, state, scratch):
+    """Fill `after` with what landmark k hides, and is hidden by, at the place tried."""
+    place, new, wanted = scratch.place, scratch.new, scratch.wanted
     wanted[:] = True
     find_neighbours(
-        k, place[0], place[1], place[2], new.x, new.y, new.z, fixed, landmarks, wanted, scratch.ways, scratch.after
-    )
+        k, place[0], place[1], place[2], new.x, new.y, new.z,
+        fixed, state.landmarks, wanted, scratch.ways, scratch.after,
+    )  # fmt: skip
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def find_flips(state, scratch):
+    """Fill `turns` from `before` and `after`; set `flips` where another landmark appears or disappears."""
+    reachable, hidden, flips = state.reachable, state.hidden, scratch.flips
     find_turns(scratch.before, scratch.after, scratch.turns, scratch.slot)
     found, who, change = scratch.turns
-    flips[:] = False
     for b in range(len(found)):
         for m in range(found[b]):
             i = who[b, m]

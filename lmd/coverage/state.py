@@ -101,20 +101,22 @@ class Turns(NamedTuple):
 class Scratch(NamedTuple):
     """The move tried last, and working memory.
 
-    place `(6,)` position and normal tried; units `(Q,)` P_n there; new: what is seen of it; old `(3, Q)` offset of the
-    place that it leaves; before, after: neighbours of both; turns: what follows for the others; flips `(Q,)` whether
-    another landmark appears or disappears.
+    place `(6,)` position and normal tried; units `(Q,)` P_n there; new: what is seen of it; cap `(Q, W)` axes that
+    cover it, and once the move is carried out those of the place left; old `(3, Q)` offset of the place that it leaves;
+    before, after: neighbours of both; turns: what follows for the others; flips `(Q,)` whether another landmark appears
+    or disappears.
 
     Working memory of `neighbours`: wanted `(Q / BLOCK,)` blocks to look in; ways `(4, K)`, filled up to whole words, to
-    each landmark and how long; slot `(K,)` of each landmark in `turns`, -1 for none. Of `incremental`: listed
-    `(Q + 1,)` positions; mask `(Q,)` of the old cap; inner, outer `(Q,)` rows of the tables of `cones`; unsure, places
-    `(Q W + 1,)` sets of axes to be tested and where; names, goes `(K + 1,)` caps that come or go; digits `(J,)`. Lists
-    have room for one more, as an entry is written down before it is decided whether it stays.
+    each landmark and how long; slot `(K,)` of each landmark in `turns`, -1 for none. Of `trial` and `incremental`:
+    listed `(Q + 1,)` positions; mask `(Q,)` of the old cap; inner, outer `(Q,)` rows of the tables of `cones`; unsure,
+    places `(Q W + 1,)` sets of axes to be tested and where; names, goes `(K + 1,)` caps that come or go; digits `(J,)`.
+    Lists have room for one more, as an entry is written down before it is decided whether it stays.
     """
 
     place: np.ndarray
     units: np.ndarray
     new: Place
+    cap: np.ndarray
     old: np.ndarray
     before: Neighbours
     after: Neighbours
@@ -188,6 +190,7 @@ def scratch_of(state: State) -> Scratch:
         place=np.empty(6),
         units=state.units.copy(),
         new=Place(x, y, z, low, np.empty(size, dtype=np.int32), limited, reached),
+        cap=np.zeros((size, words), dtype=np.uint64),
         old=np.empty((3, size)),
         before=neighbours(),
         after=neighbours(),

@@ -66,7 +66,8 @@ class Ground:
         else:
             self._fixed = self._true._replace(reach=self._true.reach * size**2)
         self._state = state_of(self._fixed, here)
-        self._scratch = scratch_of(self._state)
+        together = min(self._fixed.n, len(here))
+        self._scratches = tuple(scratch_of(self._state) for _ in range(together))
         known = state_of(self._true, best) if self.is_true else self._state
         reached = (known.units >= self._goal.threshold) @ self._goal.relevance
         self._best = Best(np.array([float(reached)]), known.landmarks.copy(), known.normals.copy())
@@ -74,7 +75,7 @@ class Ground:
     def walk(self, moves: int, climate: Climate, rng: np.random.Generator) -> bool:
         """Try `moves` moves; True if one led to a better deployment than any before."""
         before = self._best.fitness[0]
-        walk(moves, self._fixed, self._state, self._scratch, self._goal, self._walls, climate, rng, self._best)
+        walk(moves, self._fixed, self._state, self._scratches, self._goal, self._walls, climate, rng, self._best)
         return bool(self._best.fitness[0] > before)
 
     def here(self) -> Deployment:

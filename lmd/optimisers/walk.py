@@ -6,6 +6,11 @@ position. The walk climbs a smooth stand-in, the relevance-weighted mean over po
     1 / (1 + exp(-(P_n - thold_p - margin) / width)) + share * P_n,
 
 and keeps the deployment that is best on the true objective. As `width` shrinks the two become the same.
+
+Most moves are rejected, and most of these before they are tried exactly: the objective rises with every P_n, so with
+P_n at most what `bound_move` finds, it bounds the gain. If that is a loss, so is the gain, and the random number that
+decides is drawn at once. If even the bound is rejected, the gain would be too; otherwise the gain and the same number
+decide. So neither decisions nor random numbers depend on the bound.
 """
 
 import math
@@ -14,9 +19,13 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from lmd.coverage.incremental import carry_out, try_move
+from lmd.coverage.incremental import carry_out, move, take_back
 from lmd.coverage.kernels import PROBABILITY_ONE
+from lmd.coverage.trial import bound_move, finish_move
 from lmd.room import Room
+
+# Relative, for the bound: exp may fall by a rounding error or two where its argument rises.
+_SLACK = 1e-12
 
 
 class Walls(NamedTuple):
@@ -137,8 +146,8 @@ def _gather(k, state, group):
 
 
 @njit(nogil=True, cache=True)
-def _places(group, state, walls, climate, rng, old, new):
-    """Write where the landmarks of `group` are and where they shall go, `(len(group), 6)`: position and normal.
+def _places(group, state, walls, climate, rng, new):
+    """Write where the landmarks of `group` shall go, `(len(group), 6)`: position and normal.
 
     The first goes to a proposed place, the others keep their offset from it in wall coordinates.
     """
@@ -148,7 +157,6 @@ def _places(group, state, walls, climate, rng, old, new):
     for m in range(len(group)):
         da = db = 0.0
         for i in range(3):
-            old[m, i], old[m, 3 + i] = state.landmarks[i, group[m]], state.normals[i, group[m]]
             offset = state.landmarks[i, group[m]] - state.landmarks[i, k]
             da += offset * walls.u[before, i]
             db += offset * walls.v[before, i]
@@ -159,9 +167,15 @@ def _places(group, state, walls, climate, rng, old, new):
 
 
 @njit(nogil=True, cache=True)
-def _try(k, place, fixed, state, scratch):
-    """`try_move` to a row of `_places`."""
-    try_move(k, place[0], place[1], place[2], place[3], place[4], place[5], fixed, state, scratch)
+def _bound(k, place, fixed, state, scratch):
+    """`bound_move` to a row of `_places`."""
+    bound_move(k, place[0], place[1], place[2], place[3], place[4], place[5], fixed, state, scratch)
+
+
+@njit(nogil=True, cache=True)
+def _move(k, place, fixed, state, scratch):
+    """`move` to a row of `_places`."""
+    move(k, place[0], place[1], place[2], place[3], place[4], place[5], fixed, state, scratch)
 
 
 @njit(nogil=True, cache=True)
@@ -172,17 +186,43 @@ def _value(units, threshold, climate):
 
 
 @njit(nogil=True, cache=True)
-def walk(moves, fixed, state, scratch, goal, walls, climate, rng, best):
-    """Move landmarks `moves` times from `state`, which ends where the walk ends; `best` is updated."""
-    threshold, relevance = goal.threshold, goal.relevance
+def _sum_values(units, accepted, value, goal, climate, trial):
+    """The smoothed objective for `units`, its terms in `trial`; `value` has those for `accepted`."""
+    total = 0.0
+    for p in range(len(units)):
+        trial[p] = value[p]
+        if units[p] != accepted[p]:
+            trial[p] = goal.relevance[p] * _value(units[p], goal.threshold, climate)
+        total += trial[p]
+    return total
+
+
+@njit(nogil=True, cache=True)
+def _keep_best(state, goal, best):
+    """Update `best` if `state` is better."""
+    fitness = 0.0
+    for p in range(len(state.units)):
+        fitness += goal.relevance[p] * (state.units[p] >= goal.threshold)
+    if fitness > best.fitness[0]:
+        best.fitness[0] = fitness
+        best.landmarks[:] = state.landmarks
+        best.normals[:] = state.normals
+
+
+@njit(nogil=True, cache=True)
+def walk(moves, fixed, state, scratches, goal, walls, climate, rng, best):
+    """Move landmarks `moves` times from `state`, which ends where the walk ends; `best` is updated.
+
+    scratches: as many as landmarks can move together.
+    """
     positions, count = len(state.units), state.landmarks.shape[1]
-    accepted, units = state.units.copy(), scratch.units
+    accepted = state.units.copy()
     value, trial = np.empty(positions), np.empty(positions)
-    single, several = np.empty(1, dtype=np.int64), np.empty(min(fixed.n, count), dtype=np.int64)
-    old, new = np.empty((len(several), 6)), np.empty((len(several), 6))
+    single, several = np.empty(1, dtype=np.int64), np.empty(len(scratches), dtype=np.int64)
+    new = np.empty((len(several), 6))
     total = 0.0
     for p in range(positions):
-        value[p] = relevance[p] * _value(accepted[p], threshold, climate)
+        value[p] = goal.relevance[p] * _value(accepted[p], goal.threshold, climate)
         total += value[p]
     moved = 0
     while moved < moves:
@@ -193,28 +233,27 @@ def walk(moves, fixed, state, scratch, goal, walls, climate, rng, best):
             group = several
         last = len(group) - 1
         moved += last + 1
-        _places(group, state, walls, climate, rng, old, new)
+        scratch = scratches[last]
+        units = scratch.units
+        _places(group, state, walls, climate, rng, new)
         for m in range(last):
-            _try(group[m], new[m], fixed, state, scratch)
-            carry_out(group[m], fixed, state, scratch)
-        _try(group[last], new[last], fixed, state, scratch)
-        sum_value = fitness = 0.0
-        for p in range(positions):
-            trial[p] = value[p]
-            if units[p] != accepted[p]:
-                trial[p] = relevance[p] * _value(units[p], threshold, climate)
-            sum_value += trial[p]
-            fitness += relevance[p] * (units[p] >= threshold)
-        gain = sum_value - total
-        if gain >= 0.0 or rng.random() < math.exp(gain / climate.temperature):
+            _move(group[m], new[m], fixed, state, scratches[m])
+        _bound(group[last], new[last], fixed, state, scratch)
+        most = _sum_values(units, accepted, value, goal, climate, trial) - total + _SLACK * (1.0 + climate.share)
+        drawn = rng.random() if most < 0.0 else -1.0
+        taken = drawn < math.exp(min(most, 0.0) / climate.temperature) * (1.0 + _SLACK)
+        if taken:
+            finish_move(group[last], fixed, state, scratch)
+            sum_value = _sum_values(units, accepted, value, goal, climate, trial)
+            gain = sum_value - total
+            if gain < 0.0 <= most:
+                drawn = rng.random()
+            taken = gain >= 0.0 or drawn < math.exp(gain / climate.temperature)
+        if taken:
             carry_out(group[last], fixed, state, scratch)
             accepted[:] = units
             value, trial, total = trial, value, sum_value
-            if fitness > best.fitness[0]:
-                best.fitness[0] = fitness
-                best.landmarks[:] = state.landmarks
-                best.normals[:] = state.normals
+            _keep_best(state, goal, best)
         else:
-            for m in range(last):
-                _try(group[m], old[m], fixed, state, scratch)
-                carry_out(group[m], fixed, state, scratch)
+            for m in range(last - 1, -1, -1):
+                take_back(group[m], fixed, state, scratches[m])

@@ -1,0 +1,46 @@
+import numpy as np
+import pytest
+from conftest import paper_room, paper_scene
+
+from lmd import pdf
+from lmd.deployment import RandomDeployment
+from lmd.optimisers import walk as module
+from lmd.optimisers.annealing import Stage
+from lmd.optimisers.ground import Ground
+from lmd.problem import CoverageProblem, Objective
+
+
+def walked(n, occlusion, stage):
+    """Where 200 moves lead, the random numbers after them, and how many trials were finished."""
+    scene = paper_scene(paper_room(spacing=1.5), orientations=pdf.grid_with_ends(6), occlusion=occlusion)
+    problem = CoverageProblem(scene, Objective(n, 0.3), RandomDeployment(20), threads=1)
+    ground, rng = Ground(problem), np.random.default_rng(0)
+    start = problem.start.draw(scene.room, rng)
+    ground.enter(start, start, False, 1.0, rng)
+    finished = []
+
+    def spy(k, *rest):
+        finished.append(k)
+        finish(k, *rest)
+
+    finish = module.finish_move
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "finish_move", spy)
+        # Uncompiled, so that its parts can be exchanged.
+        climate = stage.climate(0.0, 0.1)
+        here = ground._state, ground._scratches, ground._goal, ground._walls
+        module.walk.py_func(200, ground._fixed, *here, climate, rng, ground._best)
+    return [*ground._state, *ground._best, rng.random()], len(finished)
+
+
+@pytest.mark.parametrize("occlusion", ["paper", "line_of_sight"])
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("temperature", [1e-2, 1e-6])
+def test_the_bound_changes_nothing_but_how_many_trials_are_finished(monkeypatch, occlusion, n, temperature):
+    stage = Stage([temperature] * 2, [0.05] * 2, [0.1] * 2, join=0.2, together=0.3)
+    bounded, some = walked(n, occlusion, stage)
+    monkeypatch.setattr(module, "_SLACK", 1e100)  # then the bound rejects nothing
+    exactly, every = walked(n, occlusion, stage)
+    for a, b in zip(bounded, exactly, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert some < 0.7 * every if temperature < 1e-5 else some <= every
