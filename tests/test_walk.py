@@ -16,7 +16,7 @@ def walked(n, occlusion, stage):
     problem = CoverageProblem(scene, Objective(n, 0.3), RandomDeployment(20), threads=1)
     ground, rng = Ground(problem), np.random.default_rng(0)
     start = problem.start.draw(scene.room, rng)
-    ground.enter(start, start, False, 1.0, rng)
+    ground.enter(start, start, False, 1.0, 1.0, rng)
     finished = []
 
     def spy(k, *rest):
