@@ -97,6 +97,14 @@ def test_an_objective_with_a_design_is_climbed_on_fresh_draws():
     assert result.fitness == p.fitness(result.deployment)
 
 
+def test_for_one_landmark_in_view_stacks_are_single_landmarks():
+    optimiser = make("annealing")
+    p = CoverageProblem(problem().scene, Objective(1, 0.5), RandomDeployment(30), threads=1)
+    optimiser.run(p, Budget(300), lambda o: o.books.evaluations > 50)
+    assert optimiser.in_stacks
+    np.testing.assert_array_equal(optimiser._apart(p, 1.0).positions, optimiser.here.positions)
+
+
 def test_a_given_start_is_not_stacked(tmp_path):
     start = UniformDeployment(30)
     p = problem(start)
