@@ -1,9 +1,9 @@
 """Moving one landmark at a time: exact counts and probabilities, updated instead of recomputed.
 
-`trial` finds what a move would lead to; `carry_out` makes the last trial true, and it alone needs the new cap with all
-its axes. It exchanges what `state` and `scratch` know of the two places, so that `take_back` only has to exchange them
-again. The decisions are those of `kernels`, operation by operation, so after any sequence of moves the counts equal
-a full evaluation's, bit for bit.
+`trial` (the module) finds what a move would lead to; `carry_out` makes the last trial true, and it alone needs the new
+cap with all its axes. It exchanges what `state` and `scratch` know of the two places, so that `take_back` only has to
+exchange them again. The decisions are those of `kernels`, operation by operation, so after any sequence of moves the
+counts equal a full evaluation's, bit for bit.
 """
 
 import numpy as np
