@@ -2,9 +2,8 @@
 
 The sphere of directions is cut into cells: it is projected onto an octahedron, which is unfolded into a square of
 `SIDE` x `SIDE` cells. For each cell, one table holds the axes whose cone contains *every* direction of the cell,
-another those whose cone contains *some*. Only axes in the second and not in the first need the exact test: 8 of the
-paper's 266, where 121 lie in the band of `kernels`. Where a limit of the depth cuts the cone (`limited`), the first
-table does not apply.
+another those whose cone contains *some*. Only axes in the second and not in the first need the exact test. Where a
+limit of the depth cuts the cone (`limited`), the first table does not apply.
 
 A cell is the projection of a parallelogram or of two triangles, so a cap that holds its corners holds all of it. With
 an axis at an angle alpha from the centre of a cell and the corners at most rho from it, the angles between the axis and

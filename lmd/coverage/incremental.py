@@ -1,9 +1,9 @@
 """Moving one landmark at a time: exact counts and probabilities, updated instead of recomputed.
 
 `trial` (the module) finds what a move would lead to; `carry_out` makes the last trial true, and it alone needs the new
-cap with all its axes. It exchanges what `state` and `scratch` know of the two places, so that `take_back` only has to
-exchange them again. The decisions are those of `kernels`, operation by operation, so after any sequence of moves the
-counts equal a full evaluation's, bit for bit.
+cap with all its axes. It exchanges what `state` and `scratch` know of the two places, P_n included, so that `take_back`
+only has to exchange them again. The decisions are those of `kernels`, operation by operation, so after any sequence of
+moves the counts equal a full evaluation's, bit for bit.
 """
 
 import numpy as np
@@ -12,9 +12,9 @@ from numba import njit
 from lmd.coverage.bits import ALL, BITS, NONE, ONE, lowest, unpacked
 from lmd.coverage.cones import NOWHERE, see
 from lmd.coverage.kernels import BLOCK
-from lmd.coverage.neighbours import blocks_with, find_flips, find_neighbours, find_new
+from lmd.coverage.neighbours import find_neighbours
 from lmd.coverage.state import Fixed, State, scratch_of
-from lmd.coverage.trial import look
+from lmd.coverage.trial import bound_move, finish_move
 from lmd.deployment import Deployment
 
 # Indices are unsigned where it counts: signed ones cost extra instructions, as they might be negative.
@@ -42,60 +42,49 @@ def _find_cap(positions, fixed, scratch):
             caps[p, w] = cap
 
 
+@njit(inline="always")
+def _ripple(p, w, changed, goes, n, counts, short, just):
+    """Count a landmark less at those axes `changed` that are in `goes`, one more at the others, digit by digit."""
+    one, two = ALL, ALL
+    for j in range(np.uint64(counts.shape[2])):
+        digit = counts[p, w, j]
+        now = digit ^ changed
+        changed &= digit ^ goes  # borrowed or carried
+        counts[p, w, j] = now
+        one &= now if (n - 1) >> j & 1 else ~now
+        two &= now if n >> j & 1 else ~now
+    short[p, w], just[p, w] = one, two
+
+
 @njit(nogil=True, cache=True, error_model="numpy")
 def _recount(k, positions, sign, fixed, state, scratch):
-    """Exchange the cap of landmark k for the other in `scratch` at `positions`; update counts and P_n.
+    """Exchange the cap of landmark k for the other in `scratch` at `positions`, and update the counts.
 
     `sign` says whether other landmarks turn as in `turns`, or, with -1, back.
     """
-    weights, n, caps, other = fixed.weights, fixed.n, state.caps, scratch.cap
-    reachable, hidden, counts, short, just, units = (
-        state.reachable, state.hidden, state.counts, state.short, state.just, state.units
-    )  # fmt: skip
+    n, caps, other = fixed.n, state.caps, scratch.cap
+    reachable, hidden, counts, short, just = state.reachable, state.hidden, state.counts, state.short, state.just
     reached, count_hidden, flips = scratch.new.reached, scratch.after.count_hidden, scratch.flips
     found, who, change = scratch.turns
-    size = np.uint64(counts.shape[2])
+    words = np.uint64(counts.shape[1])
     for p in positions:
-        b, q = p // np.uint64(BLOCK), p % np.uint64(BLOCK)
         shown = ALL if reachable[k, p] & (hidden[k, p] == 0) else NONE
         seen = ALL if reached[p] & (count_hidden[p] == 0) else NONE
-        for w in range(np.uint64(counts.shape[1])):
-            old, new = caps[k, p, w] & shown, other[p, w] & seen
-            caps[k, p, w], other[p, w] = other[p, w], caps[k, p, w]
-            comes, goes = new & ~old, old & ~new
-            touched = comes | goes
-            if not (touched or flips[p]):
-                continue
-            # Whether counts are at least n: from the lowest digit up, each digit overrules those below.
-            had, has = ALL, ALL
-            for j in range(size):
-                digit = counts[p, w, j]
-                had = had & digit if n >> j & 1 else had | digit
-                counts[p, w, j] = digit ^ (comes | goes)
-                comes, goes = comes & digit, goes & ~digit
-            for m in range(found[b] if flips[p] else 0):
-                i = np.uint64(who[b, m])
-                was, now = hidden[i, p], hidden[i, p] + sign * change[b, m, q]
-                if not (reachable[i, p] & ((was == 0) != (now == 0))):
-                    continue
-                carry, mask = caps[i, p, w], ALL if was == 0 else NONE
-                for j in range(size):
-                    digit = counts[p, w, j]
-                    counts[p, w, j] = digit ^ carry
-                    carry &= digit ^ mask
-            one, two = ALL, ALL
-            for j in range(size):
-                digit = counts[p, w, j]
-                has = has & digit if n >> j & 1 else has | digit
-                one &= digit if (n - 1) >> j & 1 else ~digit
-                two &= digit if n >> j & 1 else ~digit
-            short[p, w], just[p, w] = one, two
-            left = had ^ has
-            while left:
-                bit = lowest(left)
-                weight = weights[w * np.uint64(BITS) + bit]
-                units[p] += weight if has >> bit & ONE else -weight
-                left &= left - ONE
+        for w in range(words):
+            old, new = caps[k, p, w], other[p, w]
+            caps[k, p, w], other[p, w] = new, old
+            changed = (old & shown) ^ (new & seen)
+            if changed:
+                _ripple(p, w, changed, old & shown, n, counts, short, just)
+        if not flips[p]:
+            continue
+        b, q = p // np.uint64(BLOCK), p % np.uint64(BLOCK)
+        for m in range(found[b]):
+            i = np.uint64(who[b, m])
+            was, now = hidden[i, p], hidden[i, p] + sign * change[b, m, q]
+            if reachable[i, p] & ((was == 0) != (now == 0)):
+                for w in range(words):
+                    _ripple(p, w, caps[i, p, w], ALL if was == 0 else NONE, n, counts, short, just)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -112,10 +101,12 @@ def _touched(k, state, scratch):
 @njit(nogil=True, cache=True, error_model="numpy")
 def _exchange(k, sign, fixed, state, scratch):
     """Exchange landmark k for what `scratch` has of its other place."""
-    landmarks, normals, reachable, hidden, hiding = (
-        state.landmarks, state.normals, state.reachable, state.hidden, state.hiding
+    landmarks, normals, reachable, hidden, hiding, units = (
+        state.landmarks, state.normals, state.reachable, state.hidden, state.hiding, state.units
     )  # fmt: skip
-    place, reached, before, after = scratch.place, scratch.new.reached, scratch.before, scratch.after
+    place, others, reached, before, after = (
+        scratch.place, scratch.units, scratch.new.reached, scratch.before, scratch.after
+    )  # fmt: skip
     found, who, change = scratch.turns
     _recount(np.uint64(k), _touched(k, state, scratch), sign, fixed, state, scratch)
     if fixed.mode:
@@ -129,6 +120,7 @@ def _exchange(k, sign, fixed, state, scratch):
                 for m in range(after.found[b]):
                     hiding[after.who[b, m], p] += sign * after.hidden_by[b, m, q]
     for p in range(len(reached)):
+        units[p], others[p] = others[p], units[p]
         reachable[k, p], reached[p] = reached[p], reachable[k, p]
         hidden[k, p], after.count_hidden[p] = after.count_hidden[p], hidden[k, p]
         hiding[k, p], after.count_hides[p] = after.count_hides[p], hiding[k, p]
@@ -140,14 +132,7 @@ def _exchange(k, sign, fixed, state, scratch):
 @njit(nogil=True, cache=True, error_model="numpy")
 def carry_out(k, fixed, state, scratch):
     """Move landmark k to where it was tried last; no other move may have been tried or carried out since."""
-    landmarks, old, wanted = state.landmarks, scratch.old, scratch.wanted
     _find_cap(_touched(k, state, scratch), fixed, scratch)
-    if fixed.mode:
-        blocks_with(state.hidden[k], wanted)  # nearly everywhere nothing hid it
-        x, y, z = landmarks[0, k], landmarks[1, k], landmarks[2, k]
-        find_neighbours(
-            k, x, y, z, old[0], old[1], old[2], fixed, landmarks, wanted, scratch.ways, scratch.before
-        )  # fmt: skip
     _exchange(k, 1, fixed, state, scratch)
 
 
@@ -159,11 +144,9 @@ def take_back(k, fixed, state, scratch):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def move(k, ax, ay, az, nx, ny, nz, fixed, state, scratch):
-    """Move landmark k to (ax, ay, az) with normal (nx, ny, nz) without a trial."""
-    look(k, ax, ay, az, nx, ny, nz, fixed, state, scratch)
-    if fixed.mode:
-        find_new(k, fixed, state, scratch)
-        find_flips(state, scratch)
+    """Move landmark k to (ax, ay, az) with normal (nx, ny, nz)."""
+    bound_move(k, ax, ay, az, nx, ny, nz, fixed, state, scratch)
+    finish_move(k, fixed, state, scratch)
     carry_out(k, fixed, state, scratch)
 
 
@@ -181,6 +164,16 @@ def _fill(fixed, state, scratch):
         _find_cap(positions, fixed, scratch)
         _recount(np.uint64(k), positions, 1, fixed, state, scratch)
         state.reachable[k], state.hidden[k], state.hiding[k] = new.reached, after.count_hidden, after.count_hides
+    for p in positions:
+        for w in range(np.uint64(state.counts.shape[1])):
+            # Whether counts are at least n: from the lowest digit up, each digit overrules those below.
+            has = ALL
+            for j in range(np.uint64(state.counts.shape[2])):
+                digit = state.counts[p, w, j]
+                has = has & digit if fixed.n >> j & 1 else has | digit
+            while has:
+                state.units[p] += fixed.weights[w * np.uint64(BITS) + lowest(has)]
+                has &= has - ONE
 
 
 def state_of(fixed: Fixed, deployment: Deployment) -> State:

@@ -11,10 +11,8 @@ Positions come in blocks of neighbours. Two stages, from cheap to exact:
        h_y |e_z| + h_z |e_y| + nu (|m| + |h| + |e|),
 
    and so on around. All landmarks are tested in single precision, and `SINGLE_ERROR` covers its rounding: each of
-   the sums above is off by less than five roundings of 6e-8 of itself or of (|m| + |h|) |e|. In the paper's room 6 % of
-   the landmarks are left.
-2. Those left are tested from each position, by the inequalities of the reference. 4 % of them, seen from a block, hide
-   the place or are hidden by it.
+   the sums above is off by less than five roundings of 6e-8 of itself or of (|m| + |h|) |e|.
+2. Those left are tested from each position, by the inequalities of the reference.
 """
 
 import math
@@ -120,24 +118,18 @@ def find_turns(before, after, turns, slot):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def blocks_with(some, wanted):
-    """Set `wanted` for the blocks of positions where `some` is not zero."""
-    for b in range(len(wanted)):
-        total = np.int64(0)
-        for p in range(b * BLOCK, (b + 1) * BLOCK):
-            total += some[p]
-        wanted[b] = total != 0
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
 def find_old(k, fixed, state, scratch):
-    """Fill `before` with what landmark k hides where it is."""
-    landmarks, old, wanted = state.landmarks, scratch.old, scratch.wanted
+    """Fill `before` with what landmark k hides, and is hidden by, where it is."""
+    landmarks, hiding, hidden, old, wanted = state.landmarks, state.hiding, state.hidden, scratch.old, scratch.wanted
     ax, ay, az = landmarks[0, k], landmarks[1, k], landmarks[2, k]
     x, y, z = old[0], old[1], old[2]
     for p in range(len(x)):
         x[p], y[p], z[p] = ax - fixed.positions[0, p], ay - fixed.positions[1, p], az - fixed.positions[2, p]
-    blocks_with(state.hiding[k], wanted)  # nearly everywhere it hides nothing: then there is nothing to find again
+    for b in range(len(wanted)):  # nearly everywhere there are none: then there is nothing to find again
+        some = np.int16(0)
+        for p in range(b * BLOCK, (b + 1) * BLOCK):
+            some |= hiding[k, p] | hidden[k, p]
+        wanted[b] = some != 0
     find_neighbours(k, ax, ay, az, x, y, z, fixed, landmarks, wanted, scratch.ways, scratch.before)
 
 

@@ -5,29 +5,27 @@ back, caps it now hides go, its new cap comes. Everything else at that position,
 the four happens, stays as it is. The decisions are those of `kernels`, operation by operation.
 
 Sets of axes are bits. The caps of all landmarks where they are, and at each position the axes one landmark short of n
-and those with just n, are known beforehand. So a trial tests few axes. On the paper's problem, one local move:
+and those with just n, are known beforehand. So a trial tests few axes.
 
 `bound_move` leaves out what the new place hides and what hides it. Both only take caps away, and P_n never falls with
 another cap, so what it finds is never below P_n:
 
-1. `see`: what is seen of the new place from all 756 positions, without a branch, so that the loop vectorises.
-2. `find_old`, `find_flips`: what the old place hides comes back, at 7 positions.
-3. `_try_caps`, at the 310 other positions that see the old or the new place: P_n changes only at an axis that is one
-   short and not in the old cap, or has just n and is in it. With the tables of `cones`, of 35,000 axes in bands of
-   height 670 are left for the exact test.
+1. `see`: what is seen of the new place from all positions, without a branch, so that the loop vectorises.
+2. `find_old`, `find_flips`: what the old place hides comes back, at a few positions.
+3. `_try_caps`, at the other positions that see the old or the new place: P_n changes only at an axis that is one short
+   and not in the old cap, or has just n and is in it. The tables of `cones` settle most of these.
 4. `_try_flips`, at the positions of step 2: counts, as binary digits of whole sets, with the caps added or taken away.
 
 `finish_move` makes it exact:
 
-5. `find_new`, `find_flips`: who hides whom now. 250 of 4,320 pairs of landmark and block of positions need the exact
-   test, and 10 pass.
-6. `_try_flips` again, at the 15 positions where another landmark may appear or disappear or the new place is hidden.
+5. `find_new`, `find_flips`: who hides whom now.
+6. `_try_flips` again, where another landmark may appear or disappear or the new place is hidden.
 """
 
 import numpy as np
 from numba import njit
 
-from lmd.coverage.bits import ALL, BITS, NONE, ONE, lowest
+from lmd.coverage.bits import ALL, BITS, HALF, LOWER, NONE, ONE, lowest
 from lmd.coverage.cones import NOWHERE, see
 from lmd.coverage.kernels import BLOCK
 from lmd.coverage.neighbours import find_flips, find_new, find_old
@@ -63,20 +61,20 @@ def _try_caps(k, fixed, state, scratch):
         for w in range(size):
             was = caps[k, p, w] & old[p]
             unsure[found] = (short[p, w] & ~was & possible[o, w]) | (just[p, w] & was & ~certain[i, w])
-            places[found] = p * size + w
+            places[found] = p << HALF | w
             found += np.uint64(unsure[found] != NONE)
     for m in range(found):
-        left, p = unsure[m], places[m] // size
-        w = places[m] - p * size
+        left, p, w = unsure[m], places[m] >> HALF, places[m] & LOWER
         px, py, pz, least = x[p], y[p], z[p], low[p] if outer[p] != NOWHERE else np.inf
-        was = caps[k, p, w] & old[p]
+        was, change = caps[k, p, w] & old[p], np.int64(0)
         while left:
             bit = lowest(left)
             a = w * np.uint64(BITS) + bit
             depth = axes[0, a] * px + axes[1, a] * py + axes[2, a] * pz
             inside = (depth >= least) & (depth <= max_depth)
-            units[p] += weights[a] * (np.int64(inside) - np.int64(was >> bit & ONE))
+            change += weights[a] * (np.int64(inside) - np.int64(was >> bit & ONE))
             left &= left - ONE
+        units[p] += change
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

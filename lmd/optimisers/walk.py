@@ -251,7 +251,7 @@ def walk(moves, fixed, state, scratches, goal, walls, climate, rng, best):
             taken = gain >= 0.0 or drawn < math.exp(gain / climate.temperature)
         if taken:
             carry_out(group[last], fixed, state, scratch)
-            accepted[:] = units
+            accepted[:] = state.units
             value, trial, total = trial, value, sum_value
             _keep_best(state, goal, best)
         else:
