@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.checks import FloatArray
+from lmd.coverage.bits import BITS
 from lmd.coverage.cones import cones
 from lmd.coverage.evaluator import Evaluator
 from lmd.coverage.kernels import BLOCK, SINGLE_ERROR
@@ -16,7 +17,8 @@ class Fixed(NamedTuple):
 
     positions `(3, Q)` in blocks of `BLOCK` neighbours, the last block filled up with copies; place `(P,)` where each
     position of the evaluator is among them; centres and halves `(3, Q / BLOCK)` of the
-    sides of boxes around the blocks; certain, possible the tables of `cones`; the rest as in `kernels.evaluate_range`.
+    sides of boxes around the blocks; axes `(3, 64 W)` filled up with zeros to whole words; certain, possible the tables
+    of `cones`; the rest as in `kernels.evaluate_range`.
     """
 
     positions: np.ndarray
@@ -164,7 +166,8 @@ def fixed_of(evaluator: Evaluator, n: int) -> Fixed:
     halves = ((most - least) / 2.0 * (1.0 + SINGLE_ERROR)).astype(np.float32)  # never less for the rounding
     positions, centres, halves = (np.ascontiguousarray(part.T) for part in (positions, centres, halves))
     certain, possible = cones(e.axes, e.limits[0])
-    scene = e.limits, e.reach, e.mode, e.axes, certain, possible, e.weights
+    axes = np.pad(e.axes, [(0, 0), (0, BITS * possible.shape[1] - e.axes.shape[1])])
+    scene = e.limits, e.reach, e.mode, axes, certain, possible, e.weights
     return Fixed(positions, place, centres, halves, *scene, n)
 
 
