@@ -63,10 +63,11 @@ def cones(axes: FloatArray, min_cosine: float) -> np.ndarray:
     centres /= np.linalg.norm(centres, axis=-1, keepdims=True)
     cosine = np.einsum("cik,ck->ci", corners, centres)
     rho = _SLACK + np.arccos(np.clip(cosine, -1.0, 1.0)).max(axis=1, keepdims=True)
+    # The angle alpha at which every, and some, direction is still in the cone, by its cosine.
+    angle = np.arccos(np.clip([min_cosine + TOLERANCE, min_cosine - TOLERANCE], -1.0, 1.0)) + rho * [-1.0, 1.0]
+    least = np.where(angle < 0.0, np.inf, np.where(angle > np.pi, -np.inf, np.cos(angle))).T[..., None]
     table = np.zeros((2, NOWHERE + 1, packed(axes[0] > 0.0).size), dtype=np.uint64)
     for row in range(0, NOWHERE, SIDE):  # all angles at once would take much memory
         part = slice(row, row + SIDE)
-        alpha = np.arccos(np.clip(centres[part] @ axes, -1.0, 1.0))
-        table[0, part] = packed(np.cos(np.minimum(alpha + rho[part], np.pi)) >= min_cosine + TOLERANCE)
-        table[1, part] = packed(np.cos(np.maximum(alpha - rho[part], 0.0)) >= min_cosine - TOLERANCE)
+        table[:, part] = packed(centres[part] @ axes >= least[:, part])
     return table
