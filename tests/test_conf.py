@@ -11,7 +11,7 @@ from lmd.camera import Camera
 from pipelines.app import CONF, build_problem, flat_settings, instantiate
 
 ONLY_OBSERVE = ("trajectory", "detector", "estimator")
-OTHER_GROUPS = {"experiment", "recording", *ONLY_OBSERVE}  # tested below, and in test_estimate_pdf.py
+OTHER_GROUPS = {"experiment", "recording", *ONLY_OBSERVE}  # tested below, and in test_estimate_pdf_pipeline.py
 GROUPS = [
     (path.parent.name, path.stem)
     for path in sorted(Path(CONF).glob("*/*.yaml"))

@@ -1,0 +1,85 @@
+"""`python -m pipelines.estimate_pdf`."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+from matplotlib.image import imread
+from mlflow import MlflowClient
+from numpy.testing import assert_allclose
+from recordings import MOVING, estimated, simulated
+
+from lmd import pdf
+from lmd.orientation.recording import OrientationRecording
+from pipelines.app import CONF, instantiate
+
+ROOT = Path(__file__).parents[1]
+
+
+def call(*overrides, cwd):
+    return subprocess.run(
+        [sys.executable, "-m", "pipelines.estimate_pdf", "hydra.run.dir=run", *overrides],
+        cwd=cwd,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize("option", sorted(path.stem for path in Path(CONF, "recording").glob("*.yaml")))
+def test_every_kind_of_recording_composes_and_builds(option):
+    with initialize_config_dir(CONF, version_base="1.3"):
+        instantiate(compose("estimate_pdf", [f"recording={option}"]).recording)
+
+
+def test_the_command_leaves_a_pdf_that_the_other_pipelines_read(tmp_path):
+    simulated(**MOVING).to_csv(tmp_path / "flight.csv")
+    done = call("recording.path=flight.csv", "tracking.uri=sqlite:///store.db", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    run = tmp_path / "run"
+    assert {path.name for path in run.iterdir()} == {
+        ".hydra",
+        "estimate_pdf.log",
+        "pdf.csv",
+        "pdf.png",
+        "pdf_estimate.json",
+    }
+    assert imread(run / "pdf.png").shape[:2] == (500, 1500)
+    document = json.loads((run / "pdf_estimate.json").read_text())
+    assert document["yaw"]["family"] == "von_mises"
+    assert [c["family"] for c in document["pitch"]["candidates"]] == ["uniform", "normal", "kernel"]
+    assert document["independence"]["rejected"] == (document["form"] == "joint")
+    assert document["recording"]["name"] == "flight.csv"
+
+    orientations = pdf.from_csv(str(run / "pdf.csv"))
+    direct = estimated(OrientationRecording.from_csv(tmp_path / "flight.csv"), seed=0).pdf
+    assert_allclose(orientations.yaw, direct.yaw)
+    assert_allclose(orientations.weight, direct.weight)
+    with initialize_config_dir(CONF, version_base="1.3"):
+        read = instantiate(compose("optimise", ["pdf=samples", f"pdf.path={run / 'pdf.csv'}"]).pdf)
+    assert_allclose(read.weight, orientations.weight)
+
+    (tracked,) = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db").search_runs(["1"])
+    assert tracked.info.status == "FINISHED"
+    assert tracked.data.metrics["samples"] == document["sampling"]["samples"]
+    assert tracked.data.metrics["independence/p_value"] == document["independence"]["p_value"]
+
+
+def test_a_recording_that_is_too_short_gets_one_sentence_and_leaves_nothing(tmp_path):
+    simulated(duration=20.0).to_csv(tmp_path / "flight.csv")
+    done = call("recording.path=flight.csv", cwd=tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: flight.csv: 20 s at a mean interval of")
+    assert len(done.stderr.splitlines()) == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["flight.csv"]
+
+
+def test_a_missing_path_is_named(tmp_path):
+    done = call(cwd=tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: recording.path is missing")

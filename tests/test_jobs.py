@@ -1,0 +1,63 @@
+"""The jobs of a sweep: their names, their records on disk, the locks on their folders."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from lmd.checks import InputError
+from pipelines.jobs import Job, held, key_and_value, quoted, reason_of, slug, varied_keys
+
+
+def test_folder_names_need_no_quotes_in_an_override():
+    assert slug("n-2_path-out/a b,c=d.csv") == "n-2_path-out-a-b-c-d.csv"
+
+
+def test_a_path_is_quoted_for_an_override():
+    assert quoted(Path("it's a\\b")) == r"'it\'s a\\b'"
+
+
+def test_what_varies_is_what_has_more_than_one_value():
+    overrides = ["optimiser=ega,sga", "objective.n=2", "seed=range(3)", "room.size=[1,2,3]"]
+    assert varied_keys(overrides) == ("optimiser", "seed")
+
+
+def test_an_override_is_split_at_its_first_equals_sign():
+    assert key_and_value("+room.note=a=b") == ("room.note", "a=b")
+
+
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (InputError("n = 0 is too few."), "n = 0 is too few."),
+        (ValueError("two\nlines"), "ValueError: two lines"),
+        (MemoryError(), "MemoryError"),
+        (SystemExit(3), "exited with code 3 before it had finished"),
+        (SystemExit(), "exited with code 0 before it had finished"),
+        (SystemExit("no licence"), "no licence"),
+    ],
+)
+def test_a_reason_is_one_line(error, reason):
+    assert reason_of(error) == reason
+
+
+def test_a_job_is_read_back_as_it_was_written(tmp_path):
+    job = Job("table2", "abc", 3, ("optimiser=ega",), {"optimiser": "ega"}, "finished", 0.5, "", 2.0)
+    assert Job.load(tmp_path) is None
+    job.save(tmp_path)
+    assert Job.load(tmp_path) == job
+    assert [path.name for path in tmp_path.iterdir()] == ["job.json"]
+
+
+def test_a_folder_is_held_by_one_process_and_the_child_that_inherits_it(tmp_path):
+    with held(tmp_path) as lock:
+        assert lock is not None
+        child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, pass_fds=(lock,))
+        with held(tmp_path, wait=False) as second:
+            assert second is None
+    with held(tmp_path, wait=False) as second:
+        assert second is None
+    child.communicate(b"\n")
+    with held(tmp_path, wait=False) as second:
+        assert second is not None
