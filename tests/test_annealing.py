@@ -97,6 +97,21 @@ def test_an_objective_with_a_design_is_climbed_on_fresh_draws():
     assert result.fitness == p.fitness(result.deployment)
 
 
+@pytest.mark.parametrize("design", [None, Design(positions=2, divisions=6)])
+def test_samples_are_climbed_under_conditions_of_their_own(monkeypatch, design):
+    seen, walk = [], Ground.walk
+
+    def spy(self, moves, climate, rng):
+        seen.append((self._stand_in, climate.width))
+        return walk(self, moves, climate, rng)
+
+    monkeypatch.setattr(Ground, "walk", spy)
+    p, optimiser = problem(), make("annealing")
+    optimiser.run(CoverageProblem(p.scene, Objective(2, 0.3, design), p.start, threads=1), Budget(300))
+    last = min(width for (in_stacks, _), width in seen if not in_stacks)
+    assert (last < optimiser.sampled.width[1]) == (design is None)
+
+
 def test_for_one_landmark_in_view_stacks_are_single_landmarks():
     optimiser = make("annealing")
     p = CoverageProblem(problem().scene, Objective(1, 0.5), RandomDeployment(30), threads=1)

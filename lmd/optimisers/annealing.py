@@ -97,6 +97,7 @@ class Annealing(Optimiser):
     Args:
         stacked: conditions of the stage that moves stacks; for n = 1 these are single landmarks.
         single: conditions of the stage that moves the landmarks of stacks pulled apart.
+        sampled: the same for an objective with a design, whose samples the walk must not follow too closely.
         given: conditions of the only stage there is if the start is given: warmer, as it may be far from good.
         stacked_share: share of the budget spent on stacks.
         growth: share of the single stage in which plates grow to their virtual diameter nu.
@@ -111,6 +112,7 @@ class Annealing(Optimiser):
         self,
         stacked: Stage,
         single: Stage,
+        sampled: Stage,
         given: Stage,
         stacked_share: float = 0.5,
         growth: float = 0.8,
@@ -118,7 +120,7 @@ class Annealing(Optimiser):
         seed: int = 0,
     ) -> None:
         super().__init__(seed)
-        self.stacked, self.single, self.given = stacked, single, given
+        self.stacked, self.single, self.sampled, self.given = stacked, single, sampled, given
         self.stacked_share = real("optimiser.stacked_share", stacked_share, low=0.0, high=0.9)
         self.growth = real("optimiser.growth", growth, low=0.0, high=1.0)
         self.spread = real("optimiser.spread", spread, low=0.0)
@@ -202,7 +204,8 @@ class Annealing(Optimiser):
             return 1.0, self.given.climate(done, near)
         grown = min(done / self.growth, 1.0) if self.growth else 1.0
         size = SMALLEST + (1.0 - SMALLEST) * grown
-        return size, self.single.climate(done, near * size)
+        stage = self.single if problem.objective.design is None else self.sampled
+        return size, stage.climate(done, near * size)
 
     def _apart(self, problem: CoverageProblem, size: float) -> Deployment:
         """Each stack as n plates of this size, pulled apart; landmarks that fill no stack stay where they started."""

@@ -87,7 +87,7 @@ class Greedy(Annealing):
     """
 
     def __init__(self, spacing: float, single: Stage, seed: int = 0) -> None:
-        super().__init__(stacked=single, single=single, given=single, stacked_share=0.0, seed=seed)
+        super().__init__(stacked=single, single=single, sampled=single, given=single, stacked_share=0.0, seed=seed)
         self.spacing = real("optimiser.spacing", spacing, above=0.0)
 
     def _begin(self, problem: CoverageProblem, limit: float) -> int:
