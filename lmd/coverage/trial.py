@@ -131,23 +131,15 @@ def _try_flips(k, positions, fixed, state, scratch):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def look(k, ax, ay, az, nx, ny, nz, fixed, state, scratch):
-    """Begin to move landmark k to (ax, ay, az) with normal (nx, ny, nz): find what is seen of it, and what k hides."""
-    place, after = scratch.place, scratch.after
+def bound_move(k, ax, ay, az, nx, ny, nz, fixed, state, scratch):
+    """Find what P_n is at most with landmark k at (ax, ay, az) and normal (nx, ny, nz): `scratch.units`."""
+    place, after, flips, listed = scratch.place, scratch.after, scratch.flips, scratch.listed
     place[0], place[1], place[2], place[3], place[4], place[5] = ax, ay, az, nx, ny, nz
     see(ax, ay, az, nx, ny, nz, fixed.positions, fixed.limits, scratch.new)
-    scratch.flips[:] = False
+    flips[:] = False
     if fixed.mode:
         after.found[:] = after.count_hidden[:] = 0
         find_old(k, fixed, state, scratch)
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def bound_move(k, ax, ay, az, nx, ny, nz, fixed, state, scratch):
-    """Find what P_n is at most with landmark k at (ax, ay, az) and normal (nx, ny, nz): `scratch.units`."""
-    flips, listed = scratch.flips, scratch.listed
-    look(k, ax, ay, az, nx, ny, nz, fixed, state, scratch)
-    if fixed.mode:
         find_flips(state, scratch)
     _try_caps(np.uint64(k), fixed, state, scratch)
     count = NONE
