@@ -104,9 +104,9 @@ class Scratch(NamedTuple):
     """The move tried last, and working memory.
 
     place `(6,)` position and normal tried; units `(Q,)` P_n there; new: what is seen of it; cap `(Q, W)` axes that
-    cover it, and once the move is carried out those of the place left; old `(3, Q)` offset of the place that it leaves;
-    before, after: neighbours of both; turns: what follows for the others; flips `(Q,)` whether another landmark appears
-    or disappears.
+    cover it; old `(3, Q)` offset of the place that it leaves; before, after: neighbours of both; turns: what follows
+    for the others; flips `(Q,)` whether another landmark appears or disappears. Once the move is carried out, place,
+    units, cap, reached of `new` and the counts of `after` are those of the place left.
 
     Working memory of `neighbours`: wanted `(Q / BLOCK,)` blocks to look in; ways `(4, K)`, filled up to whole words, to
     each landmark and how long; slot `(K,)` of each landmark in `turns`, -1 for none. Of `trial` and `incremental`:
