@@ -37,7 +37,10 @@ def instantiate(node: Any, **extra: Any) -> Any:
         while cause is not None and not isinstance(cause, InputError):
             cause = cause.__cause__
         if cause is not None:
-            raise cause from None
+            # Where there are several of a kind, an object does not know which one it is; Hydra does.
+            message, key = str(cause), str(error).partition("full_key: ")[2].strip()
+            known = "." not in key or key in message
+            raise InputError(message if known else f"{message.removesuffix('.')} (in {key}).") from None
         raise InputError(" ".join(str(error).split())) from error
 
 

@@ -8,6 +8,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.types import RunMode
 
 from lmd.camera import Camera
+from lmd.checks import InputError
 from pipelines.app import CONF, build_problem, flat_settings, instantiate
 
 ONLY_OBSERVE = ("trajectory", "detector", "estimator")
@@ -70,6 +71,20 @@ def test_every_job_of_a_stored_sweep_differs_and_builds(experiment):
             cfg = compose(app, [f"experiment={experiment}", *job])
             if cfg.deployment.get("path", "") is not None:
                 build_problem(cfg)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("optimiser.single.jump=2", r"optimiser\.jump must be in \[0, 1\], got 2 \(in optimiser\.single\)\."),
+        ("camera.focal_length=-2", r"camera\.focal_length must be greater than 0, got -2\."),
+        ("room.relevance.background=-1", r"room\.relevance\.background must be at least 0, got -1\."),
+    ],
+)
+def test_a_refusal_tells_which_of_several_parts_it_means(override, message):
+    cfg = composed("optimise", override)
+    with pytest.raises(InputError, match=f"^{message}$"):
+        instantiate(cfg[override.split(".")[0]])
 
 
 def test_the_slurm_launcher_is_submitits_with_one_processor_a_job():
