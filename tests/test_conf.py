@@ -76,7 +76,7 @@ def test_every_job_of_a_stored_sweep_differs_and_builds(experiment):
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("optimiser.single.jump=2", r"optimiser\.jump must be in \[0, 1\], got 2 \(in optimiser\.single\)\."),
+        ("optimiser.single.jump=2", r"jump must be in \[0, 1\], got 2 \(in optimiser\.single\)\."),
         ("camera.focal_length=-2", r"camera\.focal_length must be greater than 0, got -2\."),
         ("room.relevance.background=-1", r"room\.relevance\.background must be at least 0, got -1\."),
     ],

@@ -7,6 +7,7 @@ from llvmlite import ir
 from numba.extending import intrinsic
 
 BITS = 64
+LANES = 32  # axes or landmarks tested at a time, a bit of a word each
 NONE, ONE, ALL = np.uint64(0), np.uint64(1), np.uint64(2**64 - 1)
 HALF, LOWER = np.uint64(32), np.uint64(2**32 - 1)  # two numbers in one word: a << HALF | b
 

@@ -9,10 +9,10 @@ moves the counts equal a full evaluation's, bit for bit.
 import numpy as np
 from numba import njit
 
-from lmd.coverage.bits import ALL, BITS, NONE, ONE, lowest, unpacked
+from lmd.coverage.bits import ALL, BITS, LANES, NONE, ONE, lowest, unpacked
 from lmd.coverage.cones import NOWHERE, see
 from lmd.coverage.kernels import BLOCK
-from lmd.coverage.neighbours import LANES, find_neighbours
+from lmd.coverage.neighbours import find_neighbours
 from lmd.coverage.state import Fixed, State, scratch_of
 from lmd.coverage.trial import bound_move, finish_move
 from lmd.deployment import Deployment

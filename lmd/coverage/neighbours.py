@@ -20,11 +20,9 @@ import math
 import numpy as np
 from numba import njit
 
-from lmd.coverage.bits import lowest
+from lmd.coverage.bits import LANES, lowest
 from lmd.coverage.kernels import BLOCK, OCCLUSION_CODES, SINGLE_ERROR
 from lmd.visibility import TOLERANCE
-
-LANES = 32  # landmarks tested at a time, a bit of a word each
 
 _LINE_OF_SIGHT = OCCLUSION_CODES["line_of_sight"]
 

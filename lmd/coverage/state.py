@@ -5,11 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.checks import FloatArray
-from lmd.coverage.bits import BITS
+from lmd.coverage.bits import BITS, LANES
 from lmd.coverage.cones import cones
 from lmd.coverage.evaluator import Evaluator
 from lmd.coverage.kernels import BLOCK, SINGLE_ERROR
-from lmd.coverage.neighbours import LANES
 
 
 class Fixed(NamedTuple):

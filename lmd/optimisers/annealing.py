@@ -60,13 +60,14 @@ class Stage:
     together: float = 0.0
 
     def __post_init__(self) -> None:
+        # Named without a prefix: an optimiser has several stages, and which one this is its configuration knows.
         for name in ("temperature", "width", "step"):
-            object.__setattr__(self, name, vector(f"optimiser.{name}", getattr(self, name), 2, above=0.0))
-        real("optimiser.margin", self.margin)
-        real("optimiser.share", self.share, low=0.0)
-        real("optimiser.jump", self.jump, low=0.0, high=1.0)
-        real("optimiser.join", self.join, low=0.0, high=1.0 - self.jump)
-        real("optimiser.together", self.together, low=0.0, high=1.0)
+            object.__setattr__(self, name, vector(name, getattr(self, name), 2, above=0.0))
+        real("margin", self.margin)
+        real("share", self.share, low=0.0)
+        real("jump", self.jump, low=0.0, high=1.0)
+        real("join", self.join, low=0.0, high=1.0 - self.jump)
+        real("together", self.together, low=0.0, high=1.0)
 
     def climate(self, progress: float, near: float) -> Climate:
         """The conditions after a share `progress` in [0, 1] of the stage."""
