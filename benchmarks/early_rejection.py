@@ -10,12 +10,12 @@ import numpy as np
 from hydra import compose, initialize_config_dir
 from numba import njit
 
-from lmd.coverage.incremental import move, state_of
-from lmd.coverage.kernels import PROBABILITY_ONE
-from lmd.coverage.state import fixed_of, scratch_of
-from lmd.coverage.trial import bound_move, finish_move
+from lmd.optimisers.annealing.walk import _places, walls_of
 from lmd.optimisers.base import Budget
-from lmd.optimisers.walk import _places, walls_of
+from lmd.sight.incremental.move import move, state_of
+from lmd.sight.incremental.state import fixed_of, scratch_of
+from lmd.sight.incremental.trial import bound_move, finish_move
+from lmd.sight.kernels import PROBABILITY_ONE
 from pipelines.app import CONF, build_optimiser, build_problem
 
 EVALUATIONS = 3000

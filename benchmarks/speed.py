@@ -19,16 +19,16 @@ import numpy as np
 from hydra import compose, initialize_config_dir
 from numba import njit
 
-from lmd.coverage import reference
-from lmd.coverage.evaluator import Evaluator, available_threads
-from lmd.coverage.incremental import carry_out, state_of
-from lmd.coverage.kernels import BLOCK, cap_of
-from lmd.coverage.poses import candidate_poses, gains
-from lmd.coverage.state import fixed_of, scratch_of
-from lmd.coverage.trial import bound_move, finish_move
 from lmd.deployment import RandomDeployment
 from lmd.pdf import grid_with_ends
 from lmd.scene import Scene
+from lmd.sight import reference
+from lmd.sight.evaluator import Evaluator, available_threads
+from lmd.sight.incremental.move import carry_out, state_of
+from lmd.sight.incremental.state import fixed_of, scratch_of
+from lmd.sight.incremental.trial import bound_move, finish_move
+from lmd.sight.kernels import BLOCK, cap_of
+from lmd.sight.poses import candidate_poses, gains
 from pipelines.app import CONF, build_problem
 
 COUNT, N = 90, 2  # of the paper: landmarks, and how many must be seen

@@ -9,7 +9,6 @@ from scipy.stats import mannwhitneyu
 
 from lmd.checks import FloatArray
 from lmd.deployment import Deployment
-from lmd.document import Table
 from lmd.optimisers.base import Record
 
 MILESTONES = (0.50, 0.65, 0.80)
@@ -73,31 +72,6 @@ def comparison_table(outcomes: Sequence[Outcome]) -> pd.DataFrame:
         row["p_value"] = float(mannwhitneyu(ratio, best).pvalue) if rows else 1.0
         rows.append(row)
     return pd.DataFrame(rows)
-
-
-def as_text(table: pd.DataFrame) -> Table:
-    """`comparison_table` for readers, ratios in per cent."""
-    milestones = [f"evaluations_to_{milestone:.0%}" for milestone in MILESTONES]
-    head = ["optimiser", "runs", "qualified ratio: median (min to max)", "average", "maximum"]
-    head += [f"evaluations to {milestone:.0%}" for milestone in MILESTONES] + ["seconds", "p against the first"]
-    rows: list[list[str]] = []
-    for row in table.to_dict("records"):
-        low, high = row["qualified_ratio_min"], row["qualified_ratio_max"]
-        cells = [
-            f"`{row['optimiser']}`",
-            f"{row['runs']}",
-            f"**{row['qualified_ratio']:.2%}** ({low:.2%} to {high:.2%})",
-        ]
-        cells += [f"{row['average']:.2%}", f"{row['maximum']:.2%}"]
-        cells += ["–" if np.isinf(row[m]) else f"{row[m]:.0f}" for m in milestones]
-        cells += [f"{row['seconds']:.0f}", f"{row['p_value']:.2g}" if rows else ""]
-        rows.append(cells)
-    return Table(head, rows)
-
-
-def to_markdown(table: pd.DataFrame) -> str:
-    """`comparison_table` as a Markdown table, ratios in per cent."""
-    return as_text(table).markdown() + "\n"
 
 
 def best_at(runs: Sequence[Outcome], axis: str, at: FloatArray) -> FloatArray:

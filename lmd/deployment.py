@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from lmd.checks import FloatArray, InputError, choice, integer
-from lmd.room import Room, Wall
+from lmd.space.cuboid import Room, Wall
 from lmd.tables import read_numbers
 
 COLUMNS = ("x", "y", "z", "nx", "ny", "nz")

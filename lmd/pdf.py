@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from lmd.checks import FloatArray, InputError, integer, real
-from lmd.frames import optical_axis
+from lmd.geometry.frames import optical_axis
 from lmd.tables import read_numbers
 
 # Two axes are the same direction when every coordinate agrees to this many decimals.

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from lmd.checks import FloatArray, InputError, integer, real
-from lmd.coverage.evaluator import Evaluator
-from lmd.coverage.kernels import PROBABILITY_ONE
-from lmd.coverage.reference import cost, qualified
 from lmd.deployment import Deployment, DeploymentSource
-from lmd.encoding import make_encoding
+from lmd.optimisers.encoding import make_encoding
 from lmd.scene import Scene
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.kernels import PROBABILITY_ONE
+from lmd.sight.reference import cost, qualified
 
 # Seeds every draw of a `Design`: the problem is the same for every seed of an optimiser.
 DESIGN_STREAM = 0x64657369

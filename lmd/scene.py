@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 from lmd.camera import Camera
 from lmd.pdf import OrientationPdf
-from lmd.room import Room
-from lmd.visibility import Limits, Visibility
+from lmd.sight.visibility import Limits, Visibility
+from lmd.space.cuboid import Room
 
 
 @dataclass(frozen=True)

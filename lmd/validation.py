@@ -17,10 +17,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lmd.checks import FloatArray, integer
-from lmd.coverage.evaluator import Evaluator
-from lmd.coverage.reference import qualified
 from lmd.deployment import Deployment
 from lmd.problem import CoverageProblem
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.reference import qualified
 
 # Keeps the sample apart from every other use of the same seed.
 STREAM = 0x76616C

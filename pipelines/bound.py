@@ -7,7 +7,7 @@ import hydra
 from omegaconf import DictConfig
 
 from pipelines.app import CONF, build_problem, run_directory
-from pipelines.sweep import run
+from pipelines.sweeps.supervisor import run
 
 
 @hydra.main(version_base="1.3", config_path=CONF, config_name="bound")
@@ -18,9 +18,9 @@ def main(cfg: DictConfig) -> None:
 
 def bound(cfg: DictConfig) -> None:
     """Bound what the configured problem admits."""
-    from lmd.bound import Search, average_bound, fewest_landmarks, qualified_bound
+    from lmd.bounds import Search, average_bound, fewest_landmarks, qualified_bound
     from lmd.checks import real
-    from pipelines.recording import tracked_run
+    from pipelines.tracked_run import tracked_run
 
     problem = build_problem(cfg)
     search = Search(cfg.bound.spacing, cfg.bound.iterations, cfg.bound.tolerance)

@@ -18,12 +18,12 @@ from pipelines.app import (
     search_path,
     task_overrides,
 )
-from pipelines.sweep import run
+from pipelines.sweeps.supervisor import run
 
 if TYPE_CHECKING:
     from lmd.comparison import Outcome
     from lmd.optimisers.base import Budget
-    from lmd.tracking import Tracker
+    from pipelines.tracking import Tracker
 
 # Settings of the comparison itself; every other override is passed on to its runs.
 OWN_KEYS = ("optimisers", "seeds", "workers", "save_as", "budget", "seed", "tracking")
@@ -38,11 +38,12 @@ def main(cfg: DictConfig) -> None:
 def compare(cfg: DictConfig) -> None:
     """Run the configured comparison."""
     from lmd.checks import InputError, integer
-    from lmd.comparison import comparison_table, to_markdown
-    from lmd.coverage.evaluator import available_threads
+    from lmd.comparison import comparison_table
     from lmd.optimisers.base import Budget
     from lmd.plot.comparison import save_comparison_figure
-    from pipelines.recording import title_of, tracked_run
+    from lmd.sight.evaluator import available_threads
+    from pipelines.reproduction.comparison import to_markdown
+    from pipelines.tracked_run import title_of, tracked_run
 
     problem = build_problem(cfg)
     budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
@@ -111,8 +112,8 @@ def _outcomes(jobs: "Sequence[tuple[str, DictConfig, int, Budget]]", workers: in
 
 def _log_child(cfg: DictConfig, outcome: "Outcome", parent: str | None, directory: Path) -> None:
     """Record one run below the comparison's own, its landmarks in a folder of its own in `directory`."""
-    from lmd.tracking import PARENT_TAG
     from pipelines.progress import thinned
+    from pipelines.tracking import PARENT_TAG
 
     tracker: Tracker = instantiate(cfg.tracking)
     tags = {"choice.optimiser": outcome.optimiser.split()[0]}

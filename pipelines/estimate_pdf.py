@@ -8,7 +8,7 @@ import hydra
 from omegaconf import DictConfig
 
 from pipelines.app import CONF, choices, flat_settings, instantiate, run_directory
-from pipelines.sweep import run
+from pipelines.sweeps.supervisor import run
 
 if TYPE_CHECKING:
     from lmd.orientation.estimate import Marginal, PdfEstimate
@@ -28,7 +28,7 @@ def estimate(cfg: DictConfig) -> None:
     from lmd.orientation.estimate import estimate_pdf
     from lmd.plot.orientation import save_orientation_figure
     from pipelines.outputs import all_or_none
-    from pipelines.recording import tracked
+    from pipelines.tracked_run import tracked
 
     rng = np.random.default_rng(integer("seed", cfg.seed, low=0))
     recording = instantiate(cfg.recording).record(rng)

@@ -7,12 +7,12 @@ import hydra
 from omegaconf import DictConfig
 
 from pipelines.app import CONF, build_problem, choices, run_directory
-from pipelines.sweep import run
+from pipelines.sweeps.supervisor import run
 
 if TYPE_CHECKING:
     from lmd.deployment import Deployment
     from lmd.problem import CoverageProblem
-    from lmd.tracking import Tracker
+    from pipelines.tracking import Tracker
 
 
 @hydra.main(version_base="1.3", config_path=CONF, config_name="evaluate")
@@ -27,7 +27,7 @@ def evaluate(cfg: DictConfig) -> float:
 
     from lmd.checks import integer
     from lmd.optimisers.base import Record
-    from pipelines.recording import record, tracked_run
+    from pipelines.tracked_run import record, tracked_run
 
     began = time.perf_counter()
     problem = build_problem(cfg)
@@ -42,9 +42,9 @@ def evaluate(cfg: DictConfig) -> float:
 
 def localise(problem: "CoverageProblem", deployment: "Deployment", tracker: "Tracker") -> dict[str, float]:
     """Write and log the map of the bound on the pose of a single frame; returns its figures."""
-    from lmd.observer.cramer_rao import bound_map
+    from lmd.localisation.cramer_rao import bound_map
     from lmd.plot.localisation import save_bound_map
-    from pipelines.recording import title_of
+    from pipelines.tracked_run import title_of
 
     bounds = bound_map(problem.scene, problem.evaluator, deployment)
     table, picture = (run_directory() / f"localisation.{kind}" for kind in ("csv", "png"))

@@ -21,12 +21,12 @@ from pipelines.app import (
     search_path,
     task_overrides,
 )
-from pipelines.sweep import run
+from pipelines.sweeps.supervisor import run
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from lmd.tracking import Tracker
+    from pipelines.tracking import Tracker
 
 NAME = re.compile(r"[\w.-]+")  # what mlflow takes in the name of a metric
 
@@ -46,9 +46,9 @@ def _main(cfg: DictConfig) -> None:
 def observe(cfg: DictConfig) -> None:
     """Localise a camera over the configured deployments."""
     from lmd.checks import integer
-    from lmd.observer.study import Flights, conduct, to_markdown
+    from lmd.localisation.study import Flights, conduct, to_markdown
     from lmd.plot.localisation import save_error_figure
-    from pipelines.recording import title_of, tracked_run
+    from pipelines.tracked_run import title_of, tracked_run
 
     seeds = range(integer("seed", cfg.seed, low=0), cfg.seed + integer("seeds", cfg.seeds, low=1))
     problems = {name: build_problem(composed) for name, composed in _deployments(cfg).items()}

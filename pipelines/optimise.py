@@ -17,13 +17,13 @@ from pipelines.app import (
     run_directory,
     search_path,
 )
-from pipelines.sweep import run
+from pipelines.sweeps.supervisor import run
 
 if TYPE_CHECKING:
     from lmd.checkpoint import Checkpoint
     from lmd.optimisers.base import Budget, Result
     from lmd.problem import CoverageProblem
-    from lmd.tracking import Tracker
+    from pipelines.tracking import Tracker
 
 # What a resumed run must share with the run it continues.
 SAME_WHEN_RESUMED = ("room", "camera", "pdf", "visibility", "objective", "encoding", "deployment", "optimiser", "seed")
@@ -40,7 +40,7 @@ def optimise(cfg: DictConfig) -> float:
     from lmd.checkpoint import Checkpoint
     from lmd.checks import real
     from lmd.optimisers.base import Budget
-    from pipelines.recording import record, tracked_run
+    from pipelines.tracked_run import record, tracked_run
 
     problem = build_problem(cfg)
     budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)

@@ -10,7 +10,7 @@ from typing import Any
 from tqdm import tqdm
 
 from lmd.optimisers.base import Budget, Optimiser, Record
-from lmd.tracking import Tracker
+from pipelines.tracking import Tracker
 
 CURVE_POINTS = 500  # points of a whole run kept in the tracked curve
 

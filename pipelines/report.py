@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from lmd.deployment import Deployment
     from lmd.problem import CoverageProblem
-    from lmd.tracking import MlflowReader
+    from pipelines.tracking import MlflowReader
 
 TITLE = "The paper's tables and figures, reproduced"
 MARK = "<!-- What follows is written by python -m pipelines.report and overwritten by it. -->"
@@ -31,9 +31,9 @@ def main(cfg: DictConfig) -> None:
 def report(cfg: DictConfig) -> None:
     """Write report.html, report.md and its pictures to the run directory."""
     from lmd.checks import InputError
-    from lmd.document import to_html, to_markdown
-    from lmd.report import Source, sections
-    from lmd.tracking import MlflowReader
+    from pipelines.reproduction.document import to_html, to_markdown
+    from pipelines.reproduction.sections import Source, sections
+    from pipelines.tracking import MlflowReader
 
     if "uri" not in cfg.tracking:
         raise InputError("A report reads what was tracked: it needs tracking=mlflow.")
@@ -84,7 +84,7 @@ def _chosen(runs: "pd.DataFrame", sweeps: ListConfig | None) -> "pd.DataFrame":
         InputError: a sweep has no runs.
     """
     from lmd.checks import InputError
-    from lmd.tracking import PARENT_TAG
+    from pipelines.tracking import PARENT_TAG
 
     if sweeps is None:
         return runs

@@ -7,9 +7,9 @@ from hypothesis import settings
 from lmd import pdf
 from lmd.camera import Camera
 from lmd.deployment import Deployment
-from lmd.room import Room
 from lmd.scene import Scene
-from lmd.visibility import Visibility
+from lmd.sight.visibility import Visibility
+from lmd.space.cuboid import Room
 
 settings.register_profile("lmd", deadline=None)  # the first example may wait for a compiler
 settings.load_profile("lmd")

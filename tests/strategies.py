@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from lmd import pdf
 from lmd.camera import Camera
 from lmd.deployment import Deployment, RandomDeployment
-from lmd.frames import optical_axis
-from lmd.room import Room
+from lmd.geometry.frames import optical_axis
 from lmd.scene import Scene
-from lmd.visibility import OCCLUSION_MODES, Visibility
+from lmd.sight.visibility import OCCLUSION_MODES, Visibility
+from lmd.space.cuboid import Room
 
 yaws = st.floats(-math.pi, math.pi)
 pitches = st.floats(-math.pi / 2, math.pi / 2)

@@ -7,9 +7,9 @@ from lmd import pdf
 from lmd.checks import InputError
 from lmd.deployment import Deployment, FileDeployment, RandomDeployment, UniformDeployment
 from lmd.optimisers.annealing import Stage
+from lmd.optimisers.annealing.surrogate import Ground
+from lmd.optimisers.annealing.walk import _reflect
 from lmd.optimisers.base import Budget
-from lmd.optimisers.ground import Ground
-from lmd.optimisers.walk import _reflect
 from lmd.problem import CoverageProblem, Design, Objective
 
 PAIRS = {"temperature": [1e-3, 1e-4], "width": [0.1, 0.01], "step": [1.0, 0.1]}

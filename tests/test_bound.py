@@ -14,7 +14,7 @@ from test_optimisers import make
 from test_pipelines import call
 
 from lmd import pdf
-from lmd.bound import (
+from lmd.bounds import (
     Relaxation,
     Search,
     average_bound,
@@ -24,13 +24,13 @@ from lmd.bound import (
     smoothed_min,
 )
 from lmd.checks import InputError
-from lmd.coverage import reference
-from lmd.coverage.evaluator import Evaluator
-from lmd.coverage.poses import candidate_poses, covered_amounts, gains, wall_cells
 from lmd.deployment import Deployment, RandomDeployment
 from lmd.optimisers.base import Budget
 from lmd.problem import CoverageProblem, Objective
-from lmd.relevance import Relevance
+from lmd.sight import reference
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.poses import candidate_poses, covered_amounts, gains, wall_cells
+from lmd.space.relevance import Relevance
 
 COARSE = Search(spacing=1.0, iterations=150, tolerance=1e-4)
 

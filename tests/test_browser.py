@@ -12,7 +12,7 @@ from tracked import record_sweep, write_report
 
 from lmd.deployment import UniformDeployment
 from lmd.plot.page import save_scene_page
-from lmd.room import Room
+from lmd.space.cuboid import Room
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 DRIVER = shutil.which("chromedriver")

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from strategies import cameras, visibilities
 
 from lmd.checks import InputError
-from lmd.visibility import TOLERANCE, Limits, Visibility
+from lmd.sight.visibility import TOLERANCE, Limits, Visibility
 
 
 def test_simulation_camera_is_sharp_from_0_9755_to_10_03_metres():

@@ -10,9 +10,10 @@ import pytest
 from mlflow import MlflowClient
 from test_pipelines import SMALL, call, command, environment
 
-from lmd.comparison import Outcome, best_at, comparison_table, to_markdown
+from lmd.comparison import Outcome, best_at, comparison_table
 from lmd.deployment import Deployment
 from lmd.optimisers.base import Record
+from pipelines.reproduction.comparison import to_markdown
 
 
 def outcome(name, seed, *fitness):

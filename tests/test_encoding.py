@@ -7,7 +7,7 @@ from strategies import flush_deployments, seeds
 
 from lmd.checks import InputError
 from lmd.deployment import Deployment
-from lmd.encoding import make_encoding
+from lmd.optimisers.encoding import make_encoding
 
 ROOMS = st.sampled_from([paper_room(), experiment_room(), paper_room(walls=("ceiling", "y_min"))])
 ENCODINGS = [("wall", True), ("wall", False), ("paper", True), ("paper", False)]

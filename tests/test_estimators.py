@@ -8,15 +8,15 @@ from conftest import paper_camera, paper_room, paper_scene
 from numpy.testing import assert_allclose, assert_array_equal
 
 from lmd.checks import InputError
-from lmd.coverage.evaluator import Evaluator
-from lmd.coverage.sight import visible
 from lmd.deployment import UniformDeployment
-from lmd.observer import se3
-from lmd.observer.cramer_rao import bound_map, pose_bound, pose_information
-from lmd.observer.estimators import CramerRaoBound, InvariantKalmanFilter, PerspectiveNPoint
-from lmd.observer.observer import Observer
-from lmd.observer.recording import Detector, Recording, focal_pixels, record
-from lmd.observer.trajectory import Pace, RandomMotion
+from lmd.localisation import se3
+from lmd.localisation.cramer_rao import bound_map, pose_bound, pose_information
+from lmd.localisation.estimators import CramerRaoBound, InvariantKalmanFilter, PerspectiveNPoint
+from lmd.localisation.measurements import Detector, Recording, focal_pixels, record
+from lmd.localisation.observer import Observer
+from lmd.localisation.trajectory import Pace, RandomMotion
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.views import visible
 
 SCENE = paper_scene()
 EVALUATOR = Evaluator(SCENE, threads=1)

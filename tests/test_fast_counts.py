@@ -18,13 +18,13 @@ from strategies import (
 )
 
 from lmd import pdf
-from lmd.coverage import reference
-from lmd.coverage.evaluator import Evaluator
 from lmd.deployment import Deployment, RandomDeployment, UniformDeployment
-from lmd.frames import optical_axis
-from lmd.room import Room
+from lmd.geometry.frames import optical_axis
 from lmd.scene import Scene
-from lmd.visibility import TOLERANCE, Visibility
+from lmd.sight import reference
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.visibility import TOLERANCE, Visibility
+from lmd.space.cuboid import Room
 
 RNG = np.random.default_rng(0)
 any_case = st.one_of(scenes_with_deployments(), scenes_with_boundary_landmarks())

@@ -6,7 +6,7 @@ from hypothesis import given
 from numpy.testing import assert_allclose
 from strategies import pitches, points, unit_vectors, yaws
 
-from lmd.frames import landmark_normal, normal_angles, optical_axis, rotation, world_to_local
+from lmd.geometry.frames import landmark_normal, normal_angles, optical_axis, rotation, world_to_local
 
 EXACT = {"rtol": 0.0, "atol": 1e-12}
 QUARTER = math.pi / 2

@@ -5,13 +5,13 @@ from hydra import compose, initialize_config_dir
 from test_optimisers import make, problem
 
 from lmd import pdf
-from lmd.coverage import reference
-from lmd.coverage.evaluator import Evaluator
-from lmd.coverage.poses import candidate_poses
 from lmd.deployment import Deployment, UniformDeployment
 from lmd.optimisers.base import Budget
 from lmd.optimisers.greedy import GreedyDeployment, select
 from lmd.problem import Objective
+from lmd.sight import reference
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.poses import candidate_poses
 from pipelines.app import CONF, build_problem
 
 SCENE = paper_scene(room=paper_room(spacing=2.0), orientations=pdf.solid_angle(5), occlusion="none")

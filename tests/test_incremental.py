@@ -5,12 +5,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import deployments, scenes_with_boundary_landmarks, scenes_with_deployments, seeds
 
-from lmd.coverage import reference
-from lmd.coverage.evaluator import Evaluator
-from lmd.coverage.incremental import carry_out, counts_of, move, state_of, take_back
-from lmd.coverage.state import fixed_of, scratch_of
-from lmd.coverage.trial import bound_move, finish_move
 from lmd.deployment import Deployment, RandomDeployment
+from lmd.sight import reference
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.incremental.move import carry_out, counts_of, move, state_of, take_back
+from lmd.sight.incremental.state import fixed_of, scratch_of
+from lmd.sight.incremental.trial import bound_move, finish_move
 
 
 def moved(scene, deployment, targets, n, rng):

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from lmd.checks import InputError
-from pipelines.jobs import Job, held, key_and_value, quoted, reason_of, slug, varied_keys
+from pipelines.sweeps.jobs import Job, held, key_and_value, quoted, reason_of, slug, varied_keys
 
 
 def test_folder_names_need_no_quotes_in_an_override():

@@ -3,9 +3,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from lmd.checks import InputError
-from lmd.observer import se3
-from lmd.observer.observer import FORMS, Observer, cost
-from lmd.observer.recording import Detector, Recording
+from lmd.localisation import se3
+from lmd.localisation.measurements import Detector, Recording
+from lmd.localisation.observer import FORMS, Observer, cost
 
 RNG = np.random.default_rng(0)
 LANDMARKS = RNG.uniform(-3.0, 3.0, (12, 3))

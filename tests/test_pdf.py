@@ -9,8 +9,8 @@ from strategies import pdfs
 
 from lmd import pdf
 from lmd.checks import InputError
-from lmd.coverage import reference
-from lmd.frames import optical_axis
+from lmd.geometry.frames import optical_axis
+from lmd.sight import reference
 
 BUILDERS = [pdf.grid_with_ends, pdf.grid_of_cells, pdf.solid_angle, pdf.level_flight]
 

@@ -13,7 +13,7 @@ from lmd.plot.common import box_edges, qualified_labels
 from lmd.plot.convergence import save_convergence_figure
 from lmd.plot.page import save_scene_page
 from lmd.plot.scene import save_scene_figure
-from lmd.room import Room
+from lmd.space.cuboid import Room
 
 ROOM = Room(size=(3.0, 2.0, 2.5), reachable_size=(2.0, 1.0, 1.5), spacing=0.8)
 PROBABILITY = np.linspace(0.0, 1.0, len(ROOM.grid()))
@@ -74,7 +74,7 @@ def test_plotting_libraries_load_late_and_pyplot_never(tmp_path, deployment):
         assert not {"matplotlib", "plotly"} & set(sys.modules)
         import numpy as np
         from lmd.deployment import Deployment
-        from lmd.room import Room
+        from lmd.space.cuboid import Room
         room = Room((3.0, 2.0, 2.5), (2.0, 1.0, 1.5), 0.8)
         lmd.plot.scene.save_scene_figure(
             "a.png", room, Deployment.from_csv("deployment.csv"), room.grid(), np.ones(len(room.grid())), 0.65, 2, "T"

@@ -15,7 +15,7 @@ import pytest
 from mlflow import MlflowClient
 from test_pipelines import call
 
-from lmd.tracking import MlflowTracker
+from pipelines.tracking import MlflowTracker
 
 PROCESSES, POINTS = 4, 1600
 

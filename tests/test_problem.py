@@ -4,10 +4,10 @@ from conftest import one_position_room, paper_room, paper_scene
 
 from lmd import pdf
 from lmd.checks import InputError
-from lmd.coverage import reference
 from lmd.deployment import RandomDeployment, UniformDeployment
 from lmd.problem import CoverageProblem, Objective
-from lmd.relevance import Relevance
+from lmd.sight import reference
+from lmd.space.relevance import Relevance
 
 
 def coarse_scene(**room):

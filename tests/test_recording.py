@@ -7,7 +7,7 @@ from recordings import MOVING, simulated
 from scipy.spatial.transform import Rotation
 
 from lmd.checks import InputError
-from lmd.frames import rotation
+from lmd.geometry.frames import rotation
 from lmd.orientation.recording import OrientationRecording
 from lmd.orientation.sampling import circular_difference
 

@@ -19,10 +19,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from strategies import cameras, free_deployments, pitches, points, seeds, unit_vectors, yaws
 
 from lmd import pdf
-from lmd.coverage import reference
 from lmd.deployment import Deployment, RandomDeployment, UniformDeployment
-from lmd.frames import optical_axis, rotation, world_to_local
-from lmd.visibility import TOLERANCE, Visibility
+from lmd.geometry.frames import optical_axis, rotation, world_to_local
+from lmd.sight import reference
+from lmd.sight.visibility import TOLERANCE, Visibility
 
 ORIGIN = np.zeros(3)
 HALF_ANGLE = math.atan(0.696)

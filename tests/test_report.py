@@ -12,9 +12,9 @@ from matplotlib.image import imread
 from tracked import record_all, record_sweep, write_report
 
 from lmd.checks import InputError
-from lmd.document import Picture, Section, Table, Text, to_html, to_markdown
-from lmd.paper import TABLE_2, TABLE_3
-from lmd.report import COMMANDS
+from pipelines.reproduction.document import Picture, Section, Table, Text, to_html, to_markdown
+from pipelines.reproduction.paper import TABLE_2, TABLE_3
+from pipelines.reproduction.sections import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 PICTURES = {"cap.png", "convergence.png", "deployments.png", "landmark_count.png", "optimisers.png", "pairs.png"}

@@ -6,13 +6,13 @@ from matplotlib.image import imread
 
 from lmd import pdf
 from lmd.deployment import Deployment, UniformDeployment
-from lmd.frames import optical_axis
+from lmd.geometry.frames import optical_axis
 from lmd.plot import common
 from lmd.plot.cap import hemisphere, save_cap_figure
 from lmd.plot.scene import save_deployments_figure
-from lmd.plot.sweep import save_heat_map, save_landmark_count_figure
 from lmd.problem import CoverageProblem, Objective
-from lmd.room import Room
+from lmd.space.cuboid import Room
+from pipelines.reproduction.plots import save_heat_map, save_landmark_count_figure
 
 ROOM = Room(size=(3.0, 2.0, 2.5), reachable_size=(2.0, 1.0, 1.5), spacing=0.8)
 GREEN_BALL = (72, 171, 103)  # green at 80 % on white

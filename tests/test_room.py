@@ -9,8 +9,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from strategies import rooms
 
 from lmd.checks import InputError
-from lmd.relevance import Relevance
-from lmd.room import WALLS, Room
+from lmd.space.cuboid import WALLS, Room
+from lmd.space.relevance import Relevance
 
 
 @pytest.mark.parametrize(("positions", "shape", "count"), [("cells", (12, 7, 9), 756), ("vertices", (13, 8, 10), 1040)])

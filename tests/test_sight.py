@@ -6,10 +6,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 from strategies import scenes_with_boundary_landmarks, scenes_with_deployments
 
-from lmd.coverage import reference
-from lmd.coverage.evaluator import Evaluator
-from lmd.coverage.sight import visible
 from lmd.deployment import UniformDeployment
+from lmd.sight import reference
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.views import visible
 
 any_case = st.one_of(scenes_with_deployments(), scenes_with_boundary_landmarks())
 

@@ -5,13 +5,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lmd.checks import InputError
 from lmd.deployment import RandomDeployment, UniformDeployment
-from lmd.observer import se3
-from lmd.observer.errors import Errors, pose_errors
-from lmd.observer.estimators import CramerRaoBound
-from lmd.observer.observer import Observer
-from lmd.observer.recording import Detector
-from lmd.observer.study import Flights, InitialError, Outcome, Study, conduct, to_markdown
-from lmd.observer.trajectory import Pace, RandomMotion
+from lmd.localisation import se3
+from lmd.localisation.errors import Errors, pose_errors
+from lmd.localisation.estimators import CramerRaoBound
+from lmd.localisation.measurements import Detector
+from lmd.localisation.observer import Observer
+from lmd.localisation.study import Flights, InitialError, Outcome, Study, conduct, to_markdown
+from lmd.localisation.trajectory import Pace, RandomMotion
 from lmd.problem import CoverageProblem, Objective
 
 SCENE = paper_scene(paper_room(spacing=3.0))

@@ -4,7 +4,7 @@ import pytest
 from mlflow import MlflowClient
 
 from lmd.checks import InputError
-from lmd.tracking import MlflowReader, MlflowTracker, NoTracker
+from pipelines.tracking import MlflowReader, MlflowTracker, NoTracker
 
 
 @pytest.fixture(scope="module")

@@ -6,9 +6,9 @@ from scipy.spatial.transform import Rotation
 
 from lmd import pdf
 from lmd.checks import InputError
-from lmd.frames import optical_axis
-from lmd.observer import se3
-from lmd.observer.trajectory import FileTrajectory, Pace, RandomMotion, Trajectory, Waypoints
+from lmd.geometry.frames import optical_axis
+from lmd.localisation import se3
+from lmd.localisation.trajectory import FileTrajectory, Pace, RandomMotion, Trajectory, Waypoints
 
 SCENE = paper_scene()
 PACE = Pace(speed=0.8, turn_rate=1.2, frame_rate=50.0)

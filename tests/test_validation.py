@@ -6,11 +6,11 @@ from conftest import paper_room, paper_scene
 
 from lmd import pdf
 from lmd.checks import InputError
-from lmd.coverage import reference
 from lmd.deployment import RandomDeployment, UniformDeployment
 from lmd.problem import CoverageProblem, Design, Objective
-from lmd.relevance import Relevance
-from lmd.room import Room
+from lmd.sight import reference
+from lmd.space.cuboid import Room
+from lmd.space.relevance import Relevance
 from lmd.validation import Sample, validation_metrics
 
 SMALL = Sample(groups=8, positions=50, divisions=12)

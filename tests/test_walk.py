@@ -6,7 +6,7 @@ from lmd import pdf
 from lmd.deployment import RandomDeployment
 from lmd.optimisers import walk as module
 from lmd.optimisers.annealing import Stage
-from lmd.optimisers.ground import Ground
+from lmd.optimisers.annealing.surrogate import Ground
 from lmd.problem import CoverageProblem, Objective
 
 

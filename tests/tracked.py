@@ -6,8 +6,8 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 import pipelines.report
-from lmd.tracking import PARENT_TAG, MlflowTracker
 from pipelines.app import CONF, build_problem
+from pipelines.tracking import PARENT_TAG, MlflowTracker
 
 SMALL = ("room.spacing=1.5", "deployment.count=6", "objective.thold_p=0.5", "threads=1")
 AVERAGE, MAXIMUM = 0.6, 0.9  # of every run

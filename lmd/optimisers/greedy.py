@@ -12,13 +12,13 @@ from functools import cached_property
 import numpy as np
 
 from lmd.checks import integer, real
-from lmd.coverage.evaluator import Evaluator
-from lmd.coverage.poses import candidate_poses, covered_amounts, gains
 from lmd.deployment import Deployment
 from lmd.optimisers.annealing import Annealing, Stage
 from lmd.problem import CoverageProblem, Objective
-from lmd.room import Room
 from lmd.scene import Scene
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.poses import candidate_poses, covered_amounts, gains
+from lmd.space.cuboid import Room
 
 BATCH = 32  # poses whose gains are brought up to date together
 

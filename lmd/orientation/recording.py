@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import norm, truncnorm, vonmises
 
 from lmd.checks import FloatArray, InputError, real
-from lmd.frames import normal_angles
+from lmd.geometry.frames import normal_angles
 from lmd.tables import has_column, read_numbers
 
 ANGLES = ("yaw", "pitch")

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from lmd.checks import FloatArray
-from lmd.coverage.reference import cap_count, coverage_caps, coverage_probability
 from lmd.deployment import Deployment
 from lmd.plot import common
 from lmd.scene import Scene
+from lmd.sight.reference import cap_count, coverage_caps, coverage_probability
 
 PIXELS = 320  # across a hemisphere
 HALVES = ("the half that faces the viewer of the scene", "the other half, from behind")

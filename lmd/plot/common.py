@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from lmd.checks import FloatArray
-from lmd.coverage.reference import BoolArray
-from lmd.room import Room
+from lmd.sight.reference import BoolArray
+from lmd.space.cuboid import Room
 
 ARROW_LENGTH = 0.35  # metres, drawn along the normal of a landmark
 LANDMARK = "#d62728"

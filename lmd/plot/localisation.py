@@ -7,9 +7,9 @@ import numpy as np
 import pandas as pd
 
 from lmd.checks import FloatArray
-from lmd.observer.cramer_rao import BoundMap
+from lmd.localisation.cramer_rao import BoundMap
 from lmd.plot import common
-from lmd.room import Room
+from lmd.space.cuboid import Room
 
 QUANTITIES = {
     "error": r"$Er = \|X - \hat X\|_F^2$",

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from lmd.checks import FloatArray
-from lmd.coverage.reference import qualified
 from lmd.deployment import Deployment
 from lmd.plot import common
-from lmd.room import Room
+from lmd.sight.reference import qualified
+from lmd.space.cuboid import Room
 
 BALL = 5.5  # diameter, pixels
 CAMERA = {"eye": {"x": 0.82, "y": -1.84, "z": 0.58}, "center": {"x": 0.0, "y": 0.0, "z": -0.05}}

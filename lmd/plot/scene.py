@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from lmd.checks import FloatArray
-from lmd.coverage.reference import BoolArray, qualified
 from lmd.deployment import Deployment
 from lmd.plot import common
 from lmd.problem import CoverageProblem
-from lmd.room import Room
+from lmd.sight.reference import BoolArray, qualified
+from lmd.space.cuboid import Room
 
 BACK, BALLS, FRONT = 1, 2, 3  # z-orders
 BALL = 7.0  # diameter, points

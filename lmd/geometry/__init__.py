@@ -1,0 +1,1 @@
+"""Frames, rotations and rigid motions."""

@@ -1,0 +1,131 @@
+"""Rigid motions: exponential, logarithm and the few other maps on SE(3) and se(3) that the observer needs.
+
+A pose X = [R p; 0 1] maps camera coordinates to world coordinates: the columns of R are the camera's axes (x right,
+y down, z the optical axis) in the world frame, p is the camera's position in metres. A twist (w, v) in body
+coordinates has the angular part first, rad (or rad/s), then the linear part, m (or m/s). Everything is a pure function
+of arrays with any leading shape `(...)`.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from lmd.checks import FloatArray
+from lmd.geometry.frames import rotation
+
+# Below this angle (rad) the coefficients of the exponential come from their Taylor series.
+SMALL_ANGLE = 1e-4
+
+
+def camera_pose(position: ArrayLike, yaw: ArrayLike, pitch: ArrayLike, roll: ArrayLike = 0.0) -> FloatArray:
+    """X of a camera at `position` `(..., 3)`, metres, with yaw, pitch and roll `(...)` as in `frames.rotation`.
+
+    Returns:
+        `(..., 4, 4)`.
+    """
+    return pose_of(np.swapaxes(rotation(yaw, pitch, roll), -1, -2), np.asarray(position, dtype=np.float64))
+
+
+def pose_of(orientation: FloatArray, position: FloatArray) -> FloatArray:
+    """[R p; 0 1] from R `(..., 3, 3)` and p `(..., 3)`, which broadcast to `(..., 4, 4)`."""
+    pose = np.zeros((*np.broadcast_shapes(orientation.shape[:-2], position.shape[:-1]), 4, 4))
+    pose[..., :3, :3], pose[..., :3, 3], pose[..., 3, 3] = orientation, position, 1.0
+    return pose
+
+
+def inverse(pose: FloatArray) -> FloatArray:
+    """X^-1 = [R^T -R^T p; 0 1], `(..., 4, 4)`."""
+    transposed = np.swapaxes(pose[..., :3, :3], -1, -2)
+    return pose_of(transposed, -(transposed @ pose[..., :3, 3:])[..., 0])
+
+
+def act(pose: FloatArray, points: FloatArray) -> FloatArray:
+    """R s + p for every point s.
+
+    Args:
+        pose: X, `(..., 4, 4)`.
+        points: `(..., K, 3)`, metres.
+
+    Returns:
+        `(..., K, 3)`.
+    """
+    return np.asarray(points @ np.swapaxes(pose[..., :3, :3], -1, -2) + pose[..., None, :3, 3])
+
+
+def skew(vector: FloatArray) -> FloatArray:
+    """[a]x with [a]x b = a x b, `(..., 3)` -> `(..., 3, 3)`."""
+    matrix = np.zeros((*vector.shape, 3))
+    x, y, z = (vector[..., i] for i in range(3))
+    matrix[..., 0, 1], matrix[..., 0, 2], matrix[..., 1, 2] = -z, y, -x
+    matrix[..., 1, 0], matrix[..., 2, 0], matrix[..., 2, 1] = z, -y, x
+    return matrix
+
+
+def wedge(twist: FloatArray) -> FloatArray:
+    """The matrix [[w]x v; 0 0] in se(3) of a twist, `(..., 6)` -> `(..., 4, 4)`."""
+    matrix = np.zeros((*twist.shape[:-1], 4, 4))
+    matrix[..., :3, :3], matrix[..., :3, 3] = skew(twist[..., :3]), twist[..., 3:]
+    return matrix
+
+
+def vee(matrix: FloatArray) -> FloatArray:
+    """The twist of a matrix in se(3), the inverse of `wedge`."""
+    angular = (matrix[..., 2, 1], matrix[..., 0, 2], matrix[..., 1, 0])
+    return np.concatenate([np.stack(angular, axis=-1), matrix[..., :3, 3]], axis=-1)
+
+
+def project(matrix: FloatArray) -> FloatArray:
+    """The nearest matrix of se(3) in the Frobenius norm: P([A a; b c]) = [(A - A^T)/2 a; 0 0], `(..., 4, 4)`."""
+    nearest = np.zeros_like(matrix)
+    block = matrix[..., :3, :3]
+    nearest[..., :3, :3], nearest[..., :3, 3] = (block - np.swapaxes(block, -1, -2)) / 2.0, matrix[..., :3, 3]
+    return nearest
+
+
+def adjoint(pose: FloatArray, twist: FloatArray) -> FloatArray:
+    """Ad_X (w, v) = (R w, p x R w + R v), `(..., 6)`: a body twist in world coordinates."""
+    orientation = pose[..., :3, :3]
+    angular = (orientation @ twist[..., :3, None])[..., 0]
+    linear = (orientation @ twist[..., 3:, None])[..., 0] + np.cross(pose[..., :3, 3], angular)
+    return np.concatenate([angular, linear], axis=-1)
+
+
+def exp(twist: FloatArray) -> FloatArray:
+    """The exponential map se(3) -> SE(3), `(..., 6)` -> `(..., 4, 4)`.
+
+    R = I + a [w]x + b [w]x^2 and p = (I + b [w]x + c [w]x^2) v with a = sin t / t, b = (1 - cos t) / t^2,
+    c = (t - sin t) / t^3 and t = |w|.
+    """
+    squared = (twist[..., :3] ** 2).sum(axis=-1)
+    small = squared < SMALL_ANGLE**2
+    angle = np.sqrt(np.where(small, 1.0, squared))
+    a = np.where(small, 1.0 - squared / 6.0, np.sin(angle) / angle)
+    b = np.where(small, 0.5 - squared / 24.0, 2.0 * (np.sin(angle / 2.0) / angle) ** 2)
+    c = np.where(small, 1.0 / 6.0 - squared / 120.0, (angle - np.sin(angle)) / angle**3)
+    w = skew(twist[..., :3])
+    a, b, c, once, twice = a[..., None, None], b[..., None, None], c[..., None, None], w, w @ w
+    translation = (np.eye(3) + b * once + c * twice) @ twist[..., 3:, None]
+    return pose_of(np.eye(3) + a * once + b * twice, translation[..., 0])
+
+
+def log(pose: FloatArray) -> FloatArray:
+    """The twist of least angle whose exponential is `pose`, `(..., 4, 4)` -> `(..., 6)`."""
+    leading = pose.shape[:-2]
+    angular = Rotation.from_matrix(pose[..., :3, :3].reshape(-1, 3, 3)).as_rotvec().reshape(*leading, 3)
+    squared = (angular**2).sum(axis=-1)
+    small = squared < SMALL_ANGLE**2
+    angle = np.sqrt(np.where(small, 1.0, squared))
+    half = angle / 2.0
+    factor = np.where(small, 1.0 / 12.0 + squared / 720.0, (1.0 - half / np.tan(half)) / angle**2)
+    w = skew(angular)
+    linear = (np.eye(3) - w / 2.0 + factor[..., None, None] * (w @ w)) @ pose[..., :3, 3:]
+    return np.concatenate([angular, linear[..., 0]], axis=-1)
+
+
+def angle_between(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Angle of the rotation from pose `a` to pose `b`, `(...)`, rad in [0, pi].
+
+    From |R_a - R_b|_F = 2 sqrt(2) sin(t / 2), which is accurate for small angles.
+    """
+    chord = np.linalg.norm(a[..., :3, :3] - b[..., :3, :3], axis=(-2, -1))
+    return np.asarray(2.0 * np.arcsin(np.clip(chord / np.sqrt(8.0), 0.0, 1.0)))

@@ -1,0 +1,156 @@
+"""What a camera records along its trajectories: which landmarks, and where they are in its own frame."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from lmd.camera import Camera
+from lmd.checks import FloatArray, InputError, real
+from lmd.deployment import Deployment
+from lmd.geometry.se3 import act, inverse, log
+from lmd.localisation.trajectory import Trajectory
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.reference import BoolArray
+from lmd.sight.views import visible
+
+
+@dataclass(frozen=True)
+class Detector:
+    """What becomes of a visible landmark in an image.
+
+    Noise has three independent parts for each landmark and frame, all normal with the same standard deviation: the two
+    image coordinates of its centre, and the apparent length of its edge, f a / z, that gives the depth z.
+
+    Args:
+        pixel_noise: standard deviation sigma, pixels; 0 for exact measurements.
+        missed: probability that a visible landmark is not detected.
+        edge: edge length a of a landmark, metres.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    pixel_noise: float = 0.0
+    missed: float = 0.0
+    edge: float = 0.1
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "pixel_noise", real("detector.pixel_noise", self.pixel_noise, low=0.0))
+        object.__setattr__(self, "missed", real("detector.missed", self.missed, low=0.0, high=1.0))
+        object.__setattr__(self, "edge", real("detector.edge", self.edge, above=0.0))
+
+    def detected(self, seen: BoolArray, rng: np.random.Generator) -> BoolArray:
+        """Those of the visible landmarks that are detected, same shape as `seen`."""
+        return seen & (rng.random(seen.shape) >= self.missed)
+
+    def measured(self, points: FloatArray, camera: Camera, rng: np.random.Generator) -> FloatArray:
+        """Measurements of landmarks at y = (x, y, z) in the camera's frame.
+
+        (x / z, y / z) carries the pixel noise over the focal length, z = f a / w that of the edge w >= 1 pixel.
+
+        Args:
+            points: `(..., 3)`, metres; meaningful where the depth z is positive.
+            camera: its focal length in pixels.
+            rng: source of the noise.
+
+        Returns:
+            `(..., 3)`, metres.
+        """
+        if self.pixel_noise == 0.0:
+            return points
+        focal, noise = focal_pixels(camera), rng.normal(scale=self.pixel_noise, size=points.shape)
+        depth = np.where(points[..., 2:] > 0.0, points[..., 2:], 1.0)
+        ray = np.concatenate([points[..., :2] / depth + noise[..., :2] / focal, np.ones_like(depth)], axis=-1)
+        width = np.maximum(focal[0] * self.edge / depth + noise[..., 2:], 1.0)
+        return np.asarray(focal[0] * self.edge / width * ray)
+
+
+def focal_pixels(camera: Camera) -> FloatArray:
+    """(f / s_u, f / s_v), pixels, `(2,)`."""
+    return np.array([camera.focal_length / camera.pixel_width, camera.focal_length / camera.pixel_height])
+
+
+@dataclass(frozen=True)
+class Recording:
+    """S runs of T frames, each over K landmarks.
+
+    Args:
+        time: of the frames, seconds, `(T,)`.
+        poses: the true X, `(S, T, 4, 4)`.
+        landmarks: C_i in the world frame, metres, `(S, K, 3)`.
+        seen: which landmarks each frame detects, `(S, T, K)`.
+        points: measured y_i in the camera's frame, metres, `(S, T, K, 3)`; meaningful where seen.
+        camera: that recorded them.
+        detector: that found them.
+    """
+
+    time: FloatArray
+    poses: FloatArray
+    landmarks: FloatArray
+    seen: BoolArray
+    points: FloatArray
+    camera: Camera
+    detector: Detector
+
+    @cached_property
+    def twists(self) -> FloatArray:
+        """U between each frame and the next, X_t+1 = X_t exp(h U), `(S, T - 1, 6)`, rad/s and m/s in the body frame."""
+        return log(inverse(self.poses[:, :-1]) @ self.poses[:, 1:]) / np.diff(self.time)[:, None]
+
+    @property
+    def visible_counts(self) -> FloatArray:
+        """Landmarks in each frame, `(S, T)`."""
+        return np.asarray(self.seen.sum(axis=-1))
+
+    def share_visible(self, n: int) -> FloatArray:
+        """Share of time with at least n landmarks, `(S,)`; each frame stands for the time until the next."""
+        enough, steps = self.visible_counts[:, :-1] >= n, np.diff(self.time)
+        return np.asarray(enough @ steps / steps.sum())
+
+
+def record(
+    evaluator: Evaluator,
+    camera: Camera,
+    detector: Detector,
+    deployments: Sequence[Deployment],
+    trajectories: Sequence[Trajectory],
+    rngs: Sequence[np.random.Generator],
+    all_visible: bool = False,
+) -> Recording:
+    """Record S trajectories, each over a deployment of its own.
+
+    Args:
+        evaluator: the scene, whose visibility model decides what is seen.
+        camera: its focal length in pixels.
+        detector: noise and missed detections.
+        deployments, trajectories, rngs: S of each; the trajectories share their times.
+        all_visible: the camera sees every landmark at all times, as an observer without a camera model assumes.
+
+    Raises:
+        InputError: noise is asked for where all landmarks are visible: what is behind the camera has no image.
+    """
+    if all_visible and detector.pixel_noise > 0.0:
+        raise InputError(
+            f"detector.pixel_noise must be 0 when all landmarks are visible, got {detector.pixel_noise:g}: "
+            "a landmark behind the camera has no image."
+        )
+    seen, points = [], []
+    for deployment, trajectory, rng in zip(deployments, trajectories, rngs, strict=True):
+        poses, shape = trajectory.poses, (len(trajectory.time), len(deployment))
+        if all_visible:
+            sight = np.ones(shape, dtype=np.bool_)
+        else:
+            sight = visible(evaluator, deployment, poses[:, :3, 3], poses[:, :3, 2])
+        seen.append(detector.detected(sight, rng))
+        points.append(detector.measured(act(inverse(poses), deployment.positions), camera, rng))
+    return Recording(
+        trajectories[0].time,
+        np.stack([trajectory.poses for trajectory in trajectories]),
+        np.stack([deployment.positions for deployment in deployments]),
+        np.stack(seen),
+        np.stack(points),
+        camera,
+        detector,
+    )

@@ -1,0 +1,245 @@
+"""What deployments do to localisation: the same flights over each of them, and the figures of a table and a plot."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from lmd.checks import FloatArray, InputError, real
+from lmd.geometry.se3 import exp
+from lmd.localisation.errors import Errors, pose_errors
+from lmd.localisation.estimators import Estimator
+from lmd.localisation.measurements import Detector, Recording, record
+from lmd.localisation.trajectory import Trajectory, TrajectorySource
+from lmd.problem import CoverageProblem
+
+# Keeps the flights apart from every other use of the same seed.
+STREAM = 0x666C79
+SHARES = (1, 2, 3, 4)  # landmarks in view for which the share of time is reported, beside the objective's n
+SETTLED = 0.01  # of the initial Er
+QUANTILES = (0.1, 0.5, 0.9)  # over the seeds: band, median, band
+CURVE_WINDOWS = 300
+
+
+@dataclass(frozen=True)
+class InitialError:
+    """How wrong the first estimate is; the directions are random.
+
+    Args:
+        position: metres.
+        attitude: rad.
+
+    Raises:
+        InputError: a value is negative, or the attitude is more than pi.
+    """
+
+    position: float
+    attitude: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position", real("start.position", self.position, low=0.0))
+        object.__setattr__(self, "attitude", real("start.attitude", self.attitude, low=0.0, high=np.pi))
+
+    def applied(self, pose: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """A first estimate for a camera at `pose` `(4, 4)`."""
+        directions = rng.normal(size=(2, 3))
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        turn = np.concatenate([self.attitude * directions[0], np.zeros(3)])
+        estimate = pose @ exp(turn)
+        estimate[:3, 3] += self.position * directions[1]
+        return np.asarray(estimate)
+
+
+@dataclass(frozen=True)
+class Flights:
+    """S flights, the same for every deployment: one for each seed.
+
+    Args:
+        seeds: `(S,)`.
+        trajectories: S of them with the same times.
+        start: first estimate of each, `(S, 4, 4)`.
+    """
+
+    seeds: Sequence[int]
+    trajectories: Sequence[Trajectory]
+    start: FloatArray
+
+    @classmethod
+    def draw(
+        cls, problem: CoverageProblem, source: TrajectorySource, initial: InitialError, seeds: Sequence[int]
+    ) -> "Flights":
+        """One flight for each seed in the scene of `problem`."""
+        trajectories, start = [], []
+        for seed in seeds:
+            motion, error = np.random.default_rng([seed, STREAM]).spawn(2)
+            trajectories.append(source.draw(problem.scene, motion))
+            start.append(initial.applied(trajectories[-1].poses[0], error))
+        return cls(seeds, trajectories, np.stack(start))
+
+    def recorded(self, problem: CoverageProblem, detector: Detector, all_visible: bool) -> Recording:
+        """The flights over the deployment that `problem` starts from; a random one is another for each seed."""
+        scene = problem.scene
+        deployments = [problem.start.draw(scene.room, np.random.default_rng(seed)) for seed in self.seeds]
+        rngs = [np.random.default_rng([seed, STREAM, 1]) for seed in self.seeds]
+        return record(problem.evaluator, scene.camera, detector, deployments, self.trajectories, rngs, all_visible)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of the S flights over one deployment.
+
+    Args:
+        counts: landmarks in each frame, `(S, T)`.
+        shares: share of time with at least n landmarks, by n, `(S,)` each.
+        errors: of each estimator.
+    """
+
+    counts: FloatArray
+    shares: Mapping[int, FloatArray]
+    errors: Mapping[str, Errors]
+
+
+@dataclass(frozen=True)
+class Study:
+    """The outcome for each deployment.
+
+    Args:
+        seeds: of the flights.
+        time: of the frames, seconds, `(T,)`.
+        initial: Er of the first estimates, `(S,)`.
+        outcomes: by the deployment's name.
+    """
+
+    seeds: Sequence[int]
+    time: FloatArray
+    initial: FloatArray
+    outcomes: Mapping[str, Outcome]
+
+    def figures(self) -> pd.DataFrame:
+        """One row for each deployment, estimator and seed.
+
+        Columns: `mean_visible`, `share_visible_<n>`; `mean_error` (Er over the whole flight); `settling_time` (s, from
+        when on Er stays below 1 % of its initial value, infinite if it does not or if there are frames without an
+        estimate); `position_error` (m) and `attitude_error` (rad), medians over the second half of the flight;
+        `available`, the share of frames with an estimate.
+        """
+        rows = []
+        for name, outcome in self.outcomes.items():
+            for estimator, errors in outcome.errors.items():
+                columns = {
+                    "mean_visible": outcome.counts.mean(axis=1),
+                    **{f"share_visible_{n}": share for n, share in outcome.shares.items()},
+                    **self._error_figures(errors),
+                }
+                for i, seed in enumerate(self.seeds):
+                    values = {key: float(column[i]) for key, column in columns.items()}
+                    rows.append({"deployment": name, "estimator": estimator, "seed": seed, **values})
+        return pd.DataFrame(rows)
+
+    def _error_figures(self, errors: Errors) -> dict[str, FloatArray]:
+        half = len(self.time) // 2
+        large = errors.frobenius > SETTLED * self.initial[:, None]
+        after = len(self.time) - large[:, ::-1].argmax(axis=1)  # the frame after the last large one
+        settled = np.append(self.time - self.time[0], np.inf)[np.where(large.any(axis=1), after, 0)]
+        settled = np.where(errors.available < 1.0, np.inf, settled)
+        return {
+            "mean_error": _each_run(np.mean, errors.frobenius),
+            "settling_time": settled,
+            "position_error": _each_run(np.median, errors.position[:, half:]),
+            "attitude_error": _each_run(np.median, errors.attitude[:, half:]),
+            "available": errors.available,
+        }
+
+    def curves(self) -> pd.DataFrame:
+        """Errors over time, in up to `CURVE_WINDOWS` windows: quantiles over the seeds and the frames of a window.
+
+        Columns: `deployment`, `estimator`, `time` (s, middle of the window), and for each of `error` (Er), `position`
+        (m) and `attitude` (rad) the `_low`, `_median` and `_high` quantile (10, 50 and 90 %), NaN without an estimate.
+        """
+        windows = np.array_split(np.arange(len(self.time)), min(CURVE_WINDOWS, len(self.time)))
+        time = [float(self.time[window].mean()) for window in windows]
+        parts = []
+        for name, outcome in self.outcomes.items():
+            for estimator, errors in outcome.errors.items():
+                columns: dict[str, FloatArray] = {}
+                for label in ("frobenius", "position", "attitude"):
+                    bands = np.array([_band(getattr(errors, label)[:, window]) for window in windows])
+                    short = "error" if label == "frobenius" else label
+                    columns |= {f"{short}_{part}": bands[:, i] for i, part in enumerate(("low", "median", "high"))}
+                parts.append(pd.DataFrame({"deployment": name, "estimator": estimator, "time": time, **columns}))
+        return pd.concat(parts, ignore_index=True)
+
+
+def conduct(
+    problems: Mapping[str, CoverageProblem],
+    flights: Flights,
+    detector: Detector,
+    estimators: Mapping[str, Estimator],
+    all_visible: bool,
+) -> Study:
+    """Fly over each deployment and let each estimator localise the camera.
+
+    Args:
+        problems: by the deployment's name; all share one scene.
+        flights: what is flown.
+        detector: noise and missed detections.
+        estimators: by name.
+        all_visible: fly over each deployment a second time, as `<name> all visible`, with every landmark in view.
+
+    Raises:
+        InputError: an estimator is missing, or cannot work with what is recorded.
+    """
+    if not estimators:
+        raise InputError("estimator must name at least one estimator.")
+    outcomes = {}
+    for name, problem in problems.items():
+        for everything in (False, True) if all_visible else (False,):
+            recording = flights.recorded(problem, detector, everything)
+            outcomes[f"{name} all visible" if everything else name] = Outcome(
+                recording.visible_counts,
+                {n: recording.share_visible(n) for n in sorted({*SHARES, problem.objective.n})},
+                {label: estimator.errors(recording, flights.start) for label, estimator in estimators.items()},
+            )
+    true = np.stack([trajectory.poses[:1] for trajectory in flights.trajectories])
+    initial = pose_errors(true, flights.start[:, None]).frobenius[:, 0]
+    return Study(flights.seeds, flights.trajectories[0].time, initial, outcomes)
+
+
+def to_markdown(figures: pd.DataFrame, n: int) -> str:
+    """`Study.figures` as a Markdown table: medians over the seeds.
+
+    Args:
+        figures: one row for each deployment, estimator and seed.
+        n: of the objective; the share of time with as many in view is shown beside that with 3, which fix a pose.
+    """
+    head = ["deployment", "estimator", *(f"time with >= {m} in view" for m in sorted({n, 3}))]
+    head += ["mean Er (10 to 90 %)", "settled after [s]", "position [mm]", "attitude [mrad]", "available"]
+    lines = [" | ".join(head), " | ".join(["---"] * len(head))]
+    for (name, estimator), runs in figures.groupby(["deployment", "estimator"], sort=False):
+        middle = runs.median(numeric_only=True)
+        low, high = runs.mean_error.quantile(QUANTILES[0]), runs.mean_error.quantile(QUANTILES[2])
+        lines.append(" | ".join([
+            f"{name}",
+            f"{estimator}",
+            *(f"{runs[f'share_visible_{m}'].mean():.2%}" for m in sorted({n, 3})),
+            f"{middle.mean_error:.3g} ({low:.3g} to {high:.3g})",
+            f"{middle.settling_time:.1f}" if np.isfinite(middle.settling_time) else "–",
+            f"{1e3 * middle.position_error:.3g}",
+            f"{1e3 * middle.attitude_error:.3g}",
+            f"{runs.available.mean():.1%}",
+        ]))  # fmt: skip
+    return "\n".join(f"| {line} |" for line in lines) + "\n"
+
+
+def _each_run(reduce: Callable[[FloatArray], Any], values: FloatArray) -> FloatArray:
+    """`reduce` over the finite values of each row, NaN for a row without."""
+    rows = [row[np.isfinite(row)] for row in values]
+    return np.array([reduce(row) if row.size else np.nan for row in rows])
+
+
+def _band(values: FloatArray) -> FloatArray:
+    """`QUANTILES` of the finite values, NaN without any."""
+    finite = values[np.isfinite(values)]
+    return np.quantile(finite, QUANTILES) if finite.size else np.full(len(QUANTILES), np.nan)

@@ -1,0 +1,242 @@
+"""Trajectories: where the camera is and where it looks, frame by frame."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from lmd.checks import FloatArray, InputError, real, vector
+from lmd.geometry.se3 import camera_pose, pose_of
+from lmd.pdf import OrientationPdf
+from lmd.scene import Scene
+from lmd.space.cuboid import Room
+from lmd.tables import has_column, read_numbers
+
+ANGLES = ("time", "x", "y", "z", "yaw", "pitch")
+QUATERNIONS = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
+# A quaternion printed with a few decimals is still a unit quaternion.
+QUATERNION_TOLERANCE = 1e-3
+# Greatest slope of the minimum-jerk profile, at its middle.
+PEAK = 1.875
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """The poses of a camera at the instants of its T frames.
+
+    Args:
+        time: seconds, increasing, `(T,)`, T >= 2.
+        poses: X at each instant, camera to world, `(T, 4, 4)`.
+
+    Raises:
+        InputError: fewer than two frames, or a time that is not later than the one before.
+    """
+
+    time: FloatArray
+    poses: FloatArray
+
+    def __post_init__(self) -> None:
+        if len(self.time) < 2:
+            raise InputError(f"a trajectory must have at least 2 frames, got {len(self.time)}.")
+        late = np.flatnonzero(np.diff(self.time) <= 0.0)
+        if late.size:
+            before, after = self.time[late[0]], self.time[late[0] + 1]
+            raise InputError(f"the times of a trajectory must increase, but {after:g} s follows {before:g} s.")
+
+    def check_inside(self, room: Room) -> None:
+        """Raise `InputError` if the camera leaves the closed room."""
+        positions = self.poses[:, :3, 3]
+        outside = np.flatnonzero(~room.contains(positions))
+        if outside.size:
+            x, y, z = positions[outside[0]]
+            raise InputError(
+                f"the camera at {self.time[outside[0]]:g} s, ({x:.9g}, {y:.9g}, {z:.9g}), is outside the room of "
+                f"{' x '.join(f'{s:g}' for s in room.size)} m."
+            )
+
+
+class TrajectorySource(Protocol):
+    """Something that provides trajectories."""
+
+    def draw(self, scene: Scene, rng: np.random.Generator) -> Trajectory:
+        """A trajectory inside the room of `scene`.
+
+        Raises:
+            InputError: there is none.
+        """
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How fast a camera goes from one waypoint to the next, and how often it takes a frame.
+
+    Between two waypoints position, yaw and pitch follow the minimum-jerk profile 10 t^3 - 15 t^4 + 6 t^5, as slowly as
+    both limits ask for; at a waypoint the camera is at rest.
+
+    Args:
+        speed: limit of |v|, m/s.
+        turn_rate: limit of |w|, rad/s; yaw and pitch turn about perpendicular axes.
+        frame_rate: frames per second.
+
+    Raises:
+        InputError: a value is not positive.
+    """
+
+    speed: float
+    turn_rate: float
+    frame_rate: float
+
+    def __post_init__(self) -> None:
+        for name in ("speed", "turn_rate", "frame_rate"):
+            object.__setattr__(self, name, real(f"trajectory.pace.{name}", getattr(self, name), above=0.0))
+
+    def seconds(self, steps: FloatArray) -> FloatArray:
+        """Time that each change (x, y, z, yaw, pitch) `(..., 5)` takes, `(...)`."""
+        way, turn = np.linalg.norm(steps[..., :3], axis=-1), np.linalg.norm(steps[..., 3:], axis=-1)
+        return np.asarray(PEAK * np.maximum(way / self.speed, turn / self.turn_rate))
+
+    def through(self, waypoints: FloatArray, duration: float | None = None) -> Trajectory:
+        """The trajectory through waypoints (x, y, z, yaw, pitch).
+
+        Args:
+            waypoints: `(N, 5)`, metres and radians; the yaw turns the shorter way.
+            duration: seconds after which it ends; None for the last waypoint.
+
+        Raises:
+            InputError: two consecutive waypoints are the same.
+        """
+        path = waypoints.copy()
+        path[:, 3] = np.unwrap(path[:, 3])
+        steps = np.diff(path, axis=0)
+        seconds = self.seconds(steps)
+        if (still := np.flatnonzero(seconds == 0.0)).size:
+            raise InputError(f"waypoints {still[0]} and {still[0] + 1} are the same, {waypoints[still[0]].tolist()}.")
+        arrival = np.concatenate([[0.0], np.cumsum(seconds)])
+        end = arrival[-1] if duration is None else duration
+        # The small allowance keeps 0.3 s at 10 frames per second at 3 steps however the product rounds.
+        time = np.arange(int(end * self.frame_rate + 1e-9) + 1) / self.frame_rate
+        leg = np.clip(np.searchsorted(arrival, time, side="right") - 1, 0, len(steps) - 1)
+        t = (time - arrival[leg]) / seconds[leg]
+        x, y, z, yaw, pitch = (path[leg] + (t**3 * (10.0 - 15.0 * t + 6.0 * t**2))[:, None] * steps[leg]).T
+        return Trajectory(time, camera_pose(np.stack([x, y, z], axis=1), yaw, pitch))
+
+
+@dataclass(frozen=True)
+class RandomMotion:
+    """Random movement in the reachable area: from one random waypoint to the next.
+
+    Waypoints are uniform in the reachable box, their orientations follow the orientation PDF of the scene.
+
+    Args:
+        duration: seconds.
+        pace: limits and frame rate.
+
+    Raises:
+        InputError: the duration is not positive.
+    """
+
+    duration: float
+    pace: Pace
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "duration", real("trajectory.duration", self.duration, above=0.0))
+
+    def draw(self, scene: Scene, rng: np.random.Generator) -> Trajectory:
+        """See `TrajectorySource.draw`."""
+        room, left, waypoints = scene.room, self.duration, [_random_waypoint(scene, rng)]
+        while left > 0.0:
+            waypoints.append(_random_waypoint(scene, rng))
+            left -= float(self.pace.seconds(_shortest(waypoints[-1] - waypoints[-2])))
+        trajectory = self.pace.through(np.array(waypoints), self.duration)
+        trajectory.check_inside(room)
+        return trajectory
+
+
+def _random_waypoint(scene: Scene, rng: np.random.Generator) -> FloatArray:
+    position = rng.uniform(scene.room.reachable_low, scene.room.reachable_high)
+    return np.concatenate([position, _random_orientation(scene.pdf, rng)])
+
+
+def _random_orientation(pdf: OrientationPdf, rng: np.random.Generator) -> FloatArray:
+    """Yaw and pitch from the continuous distribution a PDF stands for, or from the PDF where there is none."""
+    if pdf.continuous is not None:
+        return np.concatenate(pdf.continuous(rng.random((1, 2))))
+    drawn = rng.choice(len(pdf.weight), p=pdf.weight)
+    return np.array([pdf.yaw[drawn], pdf.pitch[drawn]])
+
+
+def _shortest(step: FloatArray) -> FloatArray:
+    """A change of (x, y, z, yaw, pitch) `(5,)` with the yaw brought into [-pi, pi)."""
+    yaw = (step[3] + np.pi) % (2.0 * np.pi) - np.pi
+    return np.array([*step[:3], yaw, step[4]])
+
+
+@dataclass(frozen=True)
+class Waypoints:
+    """Through given waypoints.
+
+    Args:
+        points: [x, y, z, yaw, pitch] each, metres and radians, at least two.
+        pace: limits and frame rate.
+
+    Raises:
+        InputError: fewer than two waypoints, or one that is not five finite numbers with a pitch in [-pi/2, pi/2].
+    """
+
+    points: Sequence[Sequence[float]]
+    pace: Pace
+
+    def __post_init__(self) -> None:
+        if isinstance(self.points, str) or not isinstance(self.points, Sequence) or len(self.points) < 2:
+            raise InputError(
+                f"trajectory.points must list at least 2 waypoints [x, y, z, yaw, pitch], got {self.points!r}."
+            )
+        for i, point in enumerate(self.points):
+            *_, pitch = vector(f"trajectory.points[{i}]", point, 5)
+            real(f"trajectory.points[{i}] pitch", pitch, low=-np.pi / 2, high=np.pi / 2)
+
+    def draw(self, scene: Scene, rng: np.random.Generator) -> Trajectory:
+        """See `TrajectorySource.draw`; nothing here is random."""
+        trajectory = self.pace.through(np.array(self.points, dtype=np.float64))
+        trajectory.check_inside(scene.room)
+        return trajectory
+
+
+@dataclass(frozen=True)
+class FileTrajectory:
+    """A recorded or planned trajectory from a CSV, one row for each frame.
+
+    The columns are time,x,y,z,yaw,pitch (seconds, metres, radians, as in `lmd.geometry.frames.optical_axis`) or
+    time,x,y,z,qx,qy,qz,qw: the unit quaternion of the rotation from the camera's frame (x right, y down, z the optical
+    axis) to the world's.
+
+    Args:
+        path: the CSV.
+    """
+
+    path: str | None
+
+    def draw(self, scene: Scene, rng: np.random.Generator) -> Trajectory:
+        """See `TrajectorySource.draw`; nothing here is random."""
+        if self.path is None:
+            raise InputError("trajectory.path is missing: trajectory=file needs a CSV of poses.")
+        has_quaternions = has_column(self.path, "qw")
+        table = read_numbers(self.path, QUATERNIONS if has_quaternions else ANGLES, name="trajectory.path")
+        try:
+            poses = _from_quaternions(table) if has_quaternions else camera_pose(table[:, 1:4], *table[:, 4:].T)
+            trajectory = Trajectory(table[:, 0], poses)
+            trajectory.check_inside(scene.room)
+        except InputError as error:
+            raise InputError(f"{self.path}: {error}") from None
+        return trajectory
+
+
+def _from_quaternions(table: FloatArray) -> FloatArray:
+    """Poses `(T, 4, 4)` from rows of `QUATERNIONS`."""
+    length = np.linalg.norm(table[:, 4:], axis=1)
+    worst = int(np.argmax(np.abs(length - 1.0)))
+    if abs(length[worst] - 1.0) > QUATERNION_TOLERANCE:
+        raise InputError(f"frame {worst}: the quaternion must have length 1, it has {length[worst]:g}.")
+    return pose_of(Rotation.from_quat(table[:, 4:]).as_matrix(), table[:, 1:4])

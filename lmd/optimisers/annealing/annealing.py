@@ -1,0 +1,167 @@
+"""Simulated annealing on the walls: our own method, and the strongest here.
+
+Landmarks that serve a threshold of n organise themselves in clusters of about n. So from a random start the method
+first anneals K/n *stacks* of n landmarks on one point as if nothing hid anything, which is the problem for n = 1 with
+K/n landmarks: smaller, smoother and faster to evaluate. Then it pulls each stack apart, and anneals single landmarks
+coolly. To pull a stack apart by the whole distance at which plates no longer hide each other would throw away a part of
+what the stacks covered: landmarks of a stack no longer see the same. So plates are small at first and *grow* to their
+size, and the landmarks make room for each other little by little, while the walk keeps them where they are worth most.
+
+The walk then climbs a *stand-in* for the true problem: stacks, plates that are too small, or, for an objective with a
+design, positions and orientations drawn anew for each stretch of the walk, which nothing can be fitted to. Where a
+stand-in leads is looked at on the true problem now and then.
+"""
+
+import math
+import time
+
+import numpy as np
+
+from lmd.checks import FloatArray, real
+from lmd.deployment import Deployment
+from lmd.optimisers.annealing.stage import Stage
+from lmd.optimisers.annealing.surrogate import Ground
+from lmd.optimisers.annealing.walk import Climate, walls_of
+from lmd.optimisers.base import Budget, Callback, Optimiser, Result
+from lmd.problem import CoverageProblem
+
+CHUNK = 2000  # moved landmarks between two looks at the clock and the keyboard, at most
+CHUNKS = 500  # and at least this many in a run, so that the schedule is smooth
+LOOK = 10  # evaluations' worth of moves between two looks, an evaluation each, at where a stand-in leads
+SMALLEST = 0.2  # of their virtual diameter: the size of plates when stacks are pulled apart
+
+
+class Annealing(Optimiser):
+    """Simulated annealing of stacks, then of single landmarks; landmarks it moves are flush on a wall.
+
+    A start that does not vary (`uniform`, `file`) is improved as it is, under conditions of its own and with plates of
+    their size from the beginning. A flush landmark is never worse than a tilted one inside a cuboid.
+
+    Args:
+        stacked: conditions of the stage that moves stacks; for n = 1 these are single landmarks.
+        single: conditions of the stage that moves the landmarks of stacks pulled apart.
+        sampled: the same for an objective with a design, whose samples the walk must not follow too closely.
+        given: conditions of the only stage there is if the start is given: warmer, as it may be far from good.
+        stacked_share: share of the budget spent on stacks.
+        growth: share of the single stage in which plates grow to their virtual diameter nu.
+        spread: distance between the landmarks of a stack pulled apart, in virtual diameters.
+        seed: see `Optimiser`.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    def __init__(
+        self,
+        stacked: Stage,
+        single: Stage,
+        sampled: Stage,
+        given: Stage,
+        stacked_share: float = 0.5,
+        growth: float = 0.8,
+        spread: float = 1.6,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(seed)
+        self.stacked, self.single, self.sampled, self.given = stacked, single, sampled, given
+        self.stacked_share = real("optimiser.stacked_share", stacked_share, low=0.0, high=0.9)
+        self.growth = real("optimiser.growth", growth, low=0.0, high=1.0)
+        self.spread = real("optimiser.spread", spread, low=0.0)
+        self.spent = 0  # moved landmarks: K make an evaluation
+        self.in_stacks = False
+        self.skipped = 0.0  # share of the budget before the single stage
+        self.rng: np.random.Generator
+        self.start: Deployment
+        self.angles: FloatArray  # direction in which each stack is pulled apart
+        self.here: Deployment  # where the walk is: stacks first, then landmarks
+        self.best: Deployment
+
+    def run(self, problem: CoverageProblem, budget: Budget, callback: Callback | None = None) -> Result:
+        """See `Optimiser.run`."""
+        books, count = self.books, problem.count
+        clock = time.perf_counter() - books.seconds
+        limit = budget.limit * count
+        ground = Ground(problem)
+
+        def enter(moved: int, deployment: Deployment | None) -> None:
+            """Book moves that led to `deployment`, or to nothing better than what is known."""
+            self.spent += moved
+            fitness = -math.inf if deployment is None else problem.fitness(deployment)
+            books.seconds = time.perf_counter() - clock
+            if books.enter(self.spent / count, fitness) and deployment is not None:
+                self.best = deployment
+
+        if not self.spent:
+            spent = self._begin(problem, limit)
+            enter(spent + count, self.start)
+        stopped = "budget"
+        while (used := budget.used(self.spent / count, books.seconds)) < 1.0:
+            if self.in_stacks and used >= self.stacked_share:
+                self.in_stacks, self.here = False, self._apart(problem, SMALLEST if self.growth else 1.0)
+            size, climate = self._conditions(problem, used)
+            ground.enter(self.here, self.best, self.in_stacks, size, used, self.rng)
+            left = limit - self.spent
+            stretch = min(CHUNK, max(1.0, limit / CHUNKS), left)
+            if ground.is_true:
+                improved = ground.walk(int(stretch), climate, self.rng)
+                self.here = ground.here()
+                enter(int(stretch), ground.best() if improved else None)
+            elif left < count:  # too little for a look
+                enter(int(left), None)
+            else:
+                stretch = max(stretch, LOOK * count)
+                # The last stretch takes what would be too little for one more.
+                stretch = stretch if left >= 2 * (stretch + count) else left - count
+                each = problem.objective.n if self.in_stacks else 1
+                moves = int(stretch) // each
+                ground.walk(moves, climate, self.rng)
+                self.here = ground.here()
+                enter(moves * each + count, self._apart(problem, 1.0) if self.in_stacks else self.here)
+            if callback and callback(self):
+                stopped = "interrupted"
+                break
+        return self._result(self.best, stopped)
+
+    def _begin(self, problem: CoverageProblem, limit: float) -> int:
+        """Draw the start, and stack it if that pays; returns the landmarks moved to find the start."""
+        n, count = problem.objective.n, problem.count
+        self.rng = np.random.default_rng(self.seed)
+        self.start = self.here = problem.start.draw(problem.scene.room, self.rng)
+        looks = 2 * (LOOK + n + 1) * count  # the cost of two looks at the stacks
+        stacked = self.stacked_share * limit > looks and (1.0 - self.stacked_share) * limit > looks
+        self.in_stacks = problem.start.varies and stacked
+        self.skipped = self.stacked_share if self.in_stacks else 0.0
+        if self.in_stacks:
+            stacks = count // n
+            self.angles = self.rng.uniform(0.0, 2.0 * np.pi, stacks)
+            self.here = Deployment(self.start.positions[:stacks], self.start.normals[:stacks])
+        return 0
+
+    def _conditions(self, problem: CoverageProblem, used: float) -> tuple[float, Climate]:
+        """The size of plates, in virtual diameters, and the climate after a share `used` of the budget."""
+        if self.in_stacks:
+            return 1.0, self.stacked.climate(used / self.stacked_share, near=0.0)
+        done = (used - self.skipped) / (1.0 - self.skipped)
+        near = self.spread * problem.scene.visibility.nu
+        if not self.skipped:
+            return 1.0, self.given.climate(done, near)
+        grown = min(done / self.growth, 1.0) if self.growth else 1.0
+        size = SMALLEST + (1.0 - SMALLEST) * grown
+        stage = self.single if problem.objective.design is None else self.sampled
+        return size, stage.climate(done, near * size)
+
+    def _apart(self, problem: CoverageProblem, size: float) -> Deployment:
+        """Each stack as n plates of this size, pulled apart; landmarks that fill no stack stay where they started."""
+        n, room = problem.objective.n, problem.scene.room
+        walls = walls_of(room)
+        wall = np.argmax(self.here.normals @ walls.normal.T, axis=1)
+        # Neighbours on the circle are `spread` apart.
+        radius = 0.0 if n == 1 else self.spread * size * problem.scene.visibility.nu / (2.0 * math.sin(math.pi / n))
+        angle = self.angles[:, None] + 2.0 * np.pi * np.arange(n) / n
+        offset = np.cos(angle)[..., None] * walls.u[wall][:, None] + np.sin(angle)[..., None] * walls.v[wall][:, None]
+        positions = np.clip(self.here.positions[:, None] + radius * offset, 0.0, room.size).reshape(-1, 3)
+        rest = slice(len(positions), problem.count)
+        return Deployment(
+            np.vstack([positions, self.start.positions[rest]]),
+            np.vstack([np.repeat(self.here.normals, n, axis=0), self.start.normals[rest]]),
+        )

@@ -1,0 +1,64 @@
+"""The conditions of a stage of simulated annealing, as a user sets them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from lmd.checks import real, vector
+from lmd.optimisers.annealing.walk import Climate
+
+
+@dataclass(frozen=True)
+class Stage:
+    """The conditions of one stage; pairs run geometrically from the first to the second value.
+
+    Args:
+        temperature: loss in the smoothed objective (a mean over positions) accepted with probability 1/e.
+        width: of the smooth step around the threshold, in probability.
+        step: standard deviation of a local move, metres.
+        margin: how far above thold_p the middle of the smooth step lies.
+        share: weight of the average P_n beside the smooth step.
+        jump: probability that a move goes anywhere on the walls.
+        join: probability that a move goes next to another landmark.
+        together: probability that a landmark takes its n - 1 nearest neighbours along.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    temperature: Sequence[float]
+    width: Sequence[float]
+    step: Sequence[float]
+    margin: float = 0.0
+    share: float = 0.1
+    jump: float = 0.1
+    join: float = 0.1
+    together: float = 0.0
+
+    def __post_init__(self) -> None:
+        # Named without a prefix: an optimiser has several stages, and which one this is its configuration knows.
+        for name in ("temperature", "width", "step"):
+            object.__setattr__(self, name, vector(name, getattr(self, name), 2, above=0.0))
+        real("margin", self.margin)
+        real("share", self.share, low=0.0)
+        real("jump", self.jump, low=0.0, high=1.0)
+        real("join", self.join, low=0.0, high=1.0 - self.jump)
+        real("together", self.together, low=0.0, high=1.0)
+
+    def climate(self, progress: float, near: float) -> Climate:
+        """The conditions after a share `progress` in [0, 1] of the stage."""
+
+        def now(values: Sequence[float]) -> float:
+            first, last = values
+            return float(first * (last / first) ** max(0.0, min(progress, 1.0)))
+
+        return Climate(
+            temperature=now(self.temperature),
+            width=now(self.width),
+            margin=self.margin,
+            share=self.share,
+            step=now(self.step),
+            jump=self.jump,
+            join=self.join,
+            near=near,
+            together=self.together,
+        )

@@ -1,0 +1,100 @@
+"""Counts and probabilities of many deployments in one scene, on the fast exact path."""
+
+import itertools
+import os
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+
+from lmd.checks import FloatArray
+from lmd.deployment import Deployment
+from lmd.scene import Scene
+from lmd.sight import kernels
+from lmd.sight.kernels import PROBABILITY_ONE
+from lmd.sight.visibility import TOLERANCE
+
+
+def available_threads() -> int:
+    """Processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class Evaluator:
+    """Evaluates deployments at every position of a scene.
+
+    Args:
+        scene: what stays fixed.
+        positions: `(P, 3)` camera positions, metres; the room's grid by default.
+        threads: worker threads; all available processors by default. Results do not depend on it.
+    """
+
+    def __init__(self, scene: Scene, positions: FloatArray | None = None, threads: int | None = None) -> None:
+        limits, visibility = scene.limits, scene.visibility
+        self.positions = np.ascontiguousarray(scene.room.grid() if positions is None else positions)
+        self.threads = threads or available_threads()
+        self.axis_of = scene.pdf.axis_of
+        self.axes = kernels.in_blocks(scene.pdf.axes.T)
+        self.bands = kernels.height_index(scene.pdf.axes[:, 2])
+        self.weights = np.rint(kernels.in_blocks(scene.pdf.axis_weight) * PROBABILITY_ONE).astype(np.int64)
+        # What rounding left over goes to the heaviest axis, so that certainty is exactly one.
+        self.weights[np.argmax(self.weights)] += PROBABILITY_ONE - self.weights.sum()
+        self.limits = np.array([limits.min_cosine, limits.min_depth, limits.max_depth])
+        self.reach = (visibility.nu * (1.0 + TOLERANCE)) ** 2
+        self.mode = kernels.OCCLUSION_CODES[visibility.occlusion if visibility.tests_other_landmarks else "none"]
+
+    def counts(self, deployment: Deployment) -> np.ndarray:
+        """Landmarks covered at every position and orientation of the PDF, `(P, A)` int16."""
+        _, counts = self._evaluate(deployment.positions[None], deployment.normals[None], 1, keep=True)
+        return np.asarray(counts[0][:, self.axis_of])
+
+    def units(self, positions: FloatArray, normals: FloatArray, n: int) -> np.ndarray:
+        """P_n at every position in units of 1 / `PROBABILITY_ONE`.
+
+        Args:
+            positions, normals: `(B, K, 3)` landmarks of B deployments.
+            n: landmarks that must be covered.
+
+        Returns:
+            `(B, P)` int64.
+        """
+        return self._evaluate(positions, normals, n, keep=False)[0]
+
+    def probabilities(self, deployment: Deployment, n: int) -> FloatArray:
+        """P_n at every position, `(P,)`."""
+        units = self.units(deployment.positions[None], deployment.normals[None], n)
+        return np.asarray(units[0] / PROBABILITY_ONE)
+
+    def _evaluate(
+        self, positions: FloatArray, normals: FloatArray, n: int, keep: bool
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """P_n in units `(B, P)`, and with `keep` the counts `(B, P, D)`; positions are shared between threads."""
+        size = len(self.positions)
+        units = np.empty((len(positions), size), dtype=np.int64)
+        counts = np.empty((len(positions), size, self.axes.shape[1]) if keep else (0, 0, 0), dtype=np.int16)
+        scene: tuple[Any, ...] = (
+            self.positions,
+            *(np.ascontiguousarray(v.transpose(0, 2, 1)) for v in (positions, normals)),
+        )
+        rest: tuple[Any, ...] = (
+            self.limits,
+            self.reach,
+            self.mode,
+            self.axes,
+            self.bands,
+            self.weights,
+            n,
+            units,
+            counts,
+            keep,
+        )
+        kernel: Any = kernels.evaluate_range
+        if self.threads == 1:
+            kernel(0, size, *scene, *rest)
+            return units, counts
+        edges = np.linspace(0, size, self.threads + 1).astype(int)
+        with ThreadPoolExecutor(self.threads) as pool:
+            ranges = itertools.pairwise(edges)
+            for job in [pool.submit(kernel, a, b, *scene, *rest) for a, b in ranges]:
+                job.result()
+        return units, counts

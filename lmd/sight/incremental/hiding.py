@@ -1,0 +1,156 @@
+"""Which landmarks hide a place, which it hides, and which of these appear or disappear as one landmark moves.
+
+Positions come in blocks of neighbours. Two stages, from cheap to exact:
+
+1. Seen from a whole block, most landmarks are so far off the direction of the place that no position of the block needs
+   the exact test. Let m be the offset of the place a from the centre of the block, e = o - a the way from there to a
+   landmark o. From a position delta away from the centre, a and o lie at a' = m - delta and o' = a' + e. One of them
+   hides the other only if |a' x o'| <= nu max(|a'|, |o'|). As a' x o' = m x e - delta x e, and the block fits into a
+   box of half the size h, the first component of m x e is then at most
+
+       h_y |e_z| + h_z |e_y| + nu (|m| + |h| + |e|),
+
+   and so on around. All landmarks are tested in single precision, and `SINGLE_ERROR` covers its rounding: each of
+   the sums above is off by less than five roundings of 6e-8 of itself or of (|m| + |h|) |e|.
+2. Those left are tested from each position, by the inequalities of the reference.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from lmd.sight.incremental.bits import LANES, lowest
+from lmd.sight.kernels import BLOCK, OCCLUSION_CODES, SINGLE_ERROR
+from lmd.sight.visibility import TOLERANCE
+
+_LINE_OF_SIGHT = OCCLUSION_CODES["line_of_sight"]
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def find_neighbours(k, ax, ay, az, x, y, z, fixed, landmarks, wanted, ways, neighbours):
+    """Fill `neighbours` of a place (ax, ay, az) of landmark k, at offsets `x, y, z`, in the `wanted` blocks."""
+    positions, centres, halves, reach, mode = fixed.positions, fixed.centres, fixed.halves, fixed.reach, fixed.mode
+    found, who, hides, hidden_by, count_hides, count_hidden = neighbours
+    nu = math.sqrt(reach) * (1.0 + SINGLE_ERROR) + TOLERANCE
+    for i in range(landmarks.shape[1]):
+        dx, dy, dz = landmarks[0, i] - ax, landmarks[1, i] - ay, landmarks[2, i] - az
+        ways[0, i], ways[1, i], ways[2, i], ways[3, i] = dx, dy, dz, math.sqrt(dx * dx + dy * dy + dz * dz)
+    for b in range(len(found)):
+        found[b] = 0
+        if not wanted[b]:
+            continue
+        first, last = np.uint64(b * BLOCK), np.uint64((b + 1) * BLOCK)
+        for p in range(first, last):
+            count_hides[p] = count_hidden[p] = 0
+        mx, my, mz = ax - centres[0, b], ay - centres[1, b], az - centres[2, b]
+        hx, hy, hz = halves[0, b], halves[1, b], halves[2, b]
+        far = math.sqrt(mx * mx + my * my + mz * mz) + math.sqrt(hx * hx + hy * hy + hz * hz)
+        shift, slope = np.float32(nu * far), np.float32(nu + SINGLE_ERROR * far)
+        ux, uy, uz = np.float32(mx), np.float32(my), np.float32(mz)
+        kept = 0
+        for start in range(np.uint64(0), np.uint64(ways.shape[1]), np.uint64(LANES)):
+            close = np.uint32(0)
+            for lane in range(np.uint64(LANES)):
+                i = start + lane
+                ex, ey, ez = ways[0, i], ways[1, i], ways[2, i]
+                room = shift + slope * ways[3, i]
+                near = abs(uy * ez - uz * ey) <= hz * abs(ey) + hy * abs(ez) + room
+                near &= abs(uz * ex - ux * ez) <= hx * abs(ez) + hz * abs(ex) + room
+                near &= abs(ux * ey - uy * ex) <= hy * abs(ex) + hx * abs(ey) + room
+                close |= np.uint32(near) << np.uint32(lane)
+            while close:
+                i = start + lowest(np.uint64(close))
+                close &= close - np.uint32(1)
+                lx, ly, lz = landmarks[0, i], landmarks[1, i], landmarks[2, i]
+                some = np.int64(0)
+                for p in range(first, last):
+                    ox, oy, oz = lx - positions[0, p], ly - positions[1, p], lz - positions[2, p]
+                    squared = x[p] * x[p] + y[p] * y[p] + z[p] * z[p]
+                    other = ox * ox + oy * oy + oz * oz
+                    cx = oy * z[p] - oz * y[p]
+                    cy = oz * x[p] - ox * z[p]
+                    cz = ox * y[p] - oy * x[p]
+                    some += cx * cx + cy * cy + cz * cz <= reach * max(squared, other)
+                if some == 0 or i == np.uint64(k):
+                    continue
+                for p in range(first, last):
+                    ox, oy, oz = lx - positions[0, p], ly - positions[1, p], lz - positions[2, p]
+                    squared = x[p] * x[p] + y[p] * y[p] + z[p] * z[p]
+                    other = ox * ox + oy * oy + oz * oz
+                    cx = oy * z[p] - oz * y[p]
+                    cy = oz * x[p] - ox * z[p]
+                    cz = ox * y[p] - oy * x[p]
+                    cross = cx * cx + cy * cy + cz * cz
+                    one, two = cross <= reach * other, cross <= reach * squared
+                    if mode == _LINE_OF_SIGHT:
+                        in_front = x[p] * ox + y[p] * oy + z[p] * oz > 0.0
+                        one = one & in_front & (squared <= other * (1.0 + TOLERANCE))
+                        two = two & in_front & (other <= squared * (1.0 + TOLERANCE))
+                    hides[b, kept, p - first], hidden_by[b, kept, p - first] = one, two
+                    count_hides[p] += one
+                    count_hidden[p] += two
+                who[b, kept] = i
+                kept += 1
+        found[b] = kept
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def find_turns(before, after, turns, slot):
+    """Merge what a landmark hides `before` and `after` a move into how many more others hide each of the others."""
+    found, who, change = turns
+    for b in range(len(found)):
+        found[b] = 0
+        for m in range(before.found[b] + after.found[b]):
+            new = m >= before.found[b]
+            j = m - before.found[b] if new else m
+            i = after.who[b, j] if new else before.who[b, j]
+            if slot[i] < 0:
+                slot[i], who[b, found[b]] = found[b], i
+                change[b, found[b]] = 0
+                found[b] += 1
+            for q in range(BLOCK):
+                change[b, slot[i], q] += after.hides[b, j, q] if new else -before.hides[b, j, q]
+        for m in range(found[b]):
+            slot[who[b, m]] = -1
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def find_old(k, fixed, state, scratch):
+    """Fill `before` with what landmark k hides, and is hidden by, where it is."""
+    landmarks, hiding, hidden, old, wanted = state.landmarks, state.hiding, state.hidden, scratch.old, scratch.wanted
+    ax, ay, az = landmarks[0, k], landmarks[1, k], landmarks[2, k]
+    x, y, z = old[0], old[1], old[2]
+    for p in range(len(x)):
+        x[p], y[p], z[p] = ax - fixed.positions[0, p], ay - fixed.positions[1, p], az - fixed.positions[2, p]
+    for b in range(len(wanted)):  # nearly everywhere there are none: then there is nothing to find again
+        some = np.int16(0)
+        for p in range(b * BLOCK, (b + 1) * BLOCK):
+            some |= hiding[k, p] | hidden[k, p]
+        wanted[b] = some != 0
+    find_neighbours(k, ax, ay, az, x, y, z, fixed, landmarks, wanted, scratch.ways, scratch.before)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def find_new(k, fixed, state, scratch):
+    """Fill `after` with what landmark k hides, and is hidden by, at the place tried."""
+    place, new, wanted = scratch.place, scratch.new, scratch.wanted
+    wanted[:] = True
+    find_neighbours(
+        k, place[0], place[1], place[2], new.x, new.y, new.z,
+        fixed, state.landmarks, wanted, scratch.ways, scratch.after,
+    )  # fmt: skip
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def find_flips(state, scratch):
+    """Fill `turns` from `before` and `after`; set `flips` where another landmark appears or disappears."""
+    reachable, hidden, flips = state.reachable, state.hidden, scratch.flips
+    find_turns(scratch.before, scratch.after, scratch.turns, scratch.slot)
+    found, who, change = scratch.turns
+    for b in range(len(found)):
+        for m in range(found[b]):
+            i = who[b, m]
+            for q in range(BLOCK):
+                p = b * BLOCK + q
+                flips[p] |= reachable[i, p] & ((hidden[i, p] == 0) != (hidden[i, p] + change[b, m, q] == 0))

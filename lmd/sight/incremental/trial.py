@@ -1,0 +1,165 @@
+"""Trying to move one landmark: P_n if it stood elsewhere, first bounded, then exact.
+
+A moved landmark changes the counts at a position in at most four ways: its old cap goes, caps it used to hide come
+back, caps it now hides go, its new cap comes. Everything else at that position, and every position where none of
+the four happens, stays as it is. The decisions are those of `kernels`, operation by operation.
+
+Sets of axes are bits. The caps of all landmarks where they are, and at each position the axes one landmark short of n
+and those with just n, are known beforehand. So a trial tests few axes.
+
+`bound_move` leaves out what the new place hides and what hides it. Both only take caps away, and P_n never falls with
+another cap, so what it finds is never below P_n:
+
+1. `see`: what is seen of the new place from all positions, without a branch, so that the loop vectorises.
+2. `find_old`, `find_flips`: what the old place hides comes back, at a few positions.
+3. `_try_caps`, at the other positions that see the old or the new place: P_n changes only at an axis that is one short
+   and not in the old cap, or has just n and is in it. The tables of `cones` settle most of these.
+4. `_try_flips`, at the positions of step 2: counts, as binary digits of whole sets, with the caps added or taken away.
+
+`finish_move` makes it exact:
+
+5. `find_new`, `find_flips`: who hides whom now.
+6. `_try_flips` again, where another landmark may appear or disappear or the new place is hidden.
+"""
+
+import numpy as np
+from numba import njit
+
+from lmd.sight.incremental.bits import ALL, BITS, HALF, LOWER, NONE, ONE, lowest
+from lmd.sight.incremental.directions import NOWHERE, see
+from lmd.sight.incremental.hiding import find_flips, find_new, find_old
+from lmd.sight.kernels import BLOCK
+
+# Indices are unsigned where it counts: signed ones cost extra instructions, as they might be negative.
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _try_caps(k, fixed, state, scratch):
+    """Bound P_n where landmark k comes or goes and no other appears; copy it where nothing happens."""
+    axes, weights, max_depth = fixed.axes, fixed.weights, fixed.limits[2]
+    certain, possible = fixed.certain, fixed.possible
+    caps, reachable, hidden, short, just, before = (
+        state.caps, state.reachable, state.hidden, state.short, state.just, state.units
+    )  # fmt: skip
+    x, y, z, low, cell, limited, reached = scratch.new
+    flips, units = scratch.flips, scratch.units
+    old, inner, outer = scratch.mask, scratch.inner, scratch.outer
+    listed, unsure, places = scratch.listed, scratch.unsure, scratch.places
+    for p in range(np.uint64(len(units))):
+        units[p] = before[p]
+        seen = reached[p] & (not flips[p])
+        outer[p] = cell[p] if seen else NOWHERE
+        inner[p] = cell[p] if seen & (not limited[p]) else NOWHERE
+        old[p] = ALL if reachable[k, p] & (hidden[k, p] == 0) & (not flips[p]) else NONE
+    count, found, size = NONE, NONE, np.uint64(caps.shape[2])
+    for p in range(np.uint64(len(units))):
+        listed[count] = p
+        count += np.uint64((old[p] != NONE) | (outer[p] != NOWHERE))
+    for m in range(count):
+        p = listed[m]
+        i, o = np.uint64(inner[p]), np.uint64(outer[p])
+        for w in range(size):
+            was = caps[k, p, w] & old[p]
+            unsure[found] = (short[p, w] & ~was & possible[o, w]) | (just[p, w] & was & ~certain[i, w])
+            places[found] = p << HALF | w
+            found += np.uint64(unsure[found] != NONE)
+    for m in range(found):
+        left, p, w = unsure[m], places[m] >> HALF, places[m] & LOWER
+        px, py, pz, least = x[p], y[p], z[p], low[p] if outer[p] != NOWHERE else np.inf
+        was, change = caps[k, p, w] & old[p], np.int64(0)
+        while left:
+            bit = lowest(left)
+            a = w * np.uint64(BITS) + bit
+            depth = axes[0, a] * px + axes[1, a] * py + axes[2, a] * pz
+            inside = (depth >= least) & (depth <= max_depth)
+            change += weights[a] * (np.int64(inside) - np.int64(was >> bit & ONE))
+            left &= left - ONE
+        units[p] += change
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _try_flips(k, positions, fixed, state, scratch):
+    """Find P_n at `positions`, where other landmarks may appear or disappear."""
+    axes, weights, possible, n, max_depth = fixed.axes, fixed.weights, fixed.possible, fixed.n, fixed.limits[2]
+    caps, reachable, hidden, counts, before = state.caps, state.reachable, state.hidden, state.counts, state.units
+    x, y, z, low, cell, _, reached = scratch.new
+    count_hidden, units, digits = scratch.after.count_hidden, scratch.units, scratch.digits
+    names, goes = scratch.names, scratch.goes
+    found, who, change = scratch.turns
+    size = np.uint64(counts.shape[2])
+    for p in positions:
+        b, q = p // np.uint64(BLOCK), p % np.uint64(BLOCK)
+        flipped = NONE
+        for m in range(np.uint64(found[b])):
+            i = np.uint64(who[b, m])
+            was, now = hidden[i, p], hidden[i, p] + change[b, m, q]
+            names[flipped], goes[flipped] = i, ALL if was == 0 else NONE
+            flipped += np.uint64(reachable[i, p] & ((was == 0) != (now == 0)))
+        names[flipped], goes[flipped] = k, ALL
+        flipped += np.uint64(reachable[k, p] & (hidden[k, p] == 0))
+        row = np.uint64(cell[p] if reached[p] & (count_hidden[p] == 0) else NOWHERE)
+        px, py, pz, least = x[p], y[p], z[p], low[p]
+        units[p] = before[p]
+        for w in range(np.uint64(counts.shape[1])):
+            # Whether counts are at least n: from the lowest digit up, each digit overrules those below.
+            had, has, almost = ALL, ALL, ALL
+            for j in range(size):
+                digits[j] = counts[p, w, j]
+                had = had & digits[j] if n >> j & 1 else had | digits[j]
+            for m in range(flipped):  # added with a carry, or taken away with a borrow, digit by digit
+                carry = caps[names[m], p, w]
+                for j in range(size):
+                    digit = digits[j]
+                    digits[j] = digit ^ carry
+                    carry &= digit ^ goes[m]
+            for j in range(size):
+                has = has & digits[j] if n >> j & 1 else has | digits[j]
+                almost &= digits[j] if (n - 1) >> j & 1 else ~digits[j]
+            left = almost & possible[row, w]
+            while left:
+                bit = lowest(left)
+                a = w * np.uint64(BITS) + bit
+                depth = axes[0, a] * px + axes[1, a] * py + axes[2, a] * pz
+                has |= np.uint64((depth >= least) & (depth <= max_depth)) << bit
+                left &= left - ONE
+            left = had ^ has
+            while left:
+                bit = lowest(left)
+                weight = weights[w * np.uint64(BITS) + bit]
+                units[p] += weight if has >> bit & ONE else -weight
+                left &= left - ONE
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def bound_move(k, ax, ay, az, nx, ny, nz, fixed, state, scratch):
+    """Find what P_n is at most with landmark k at (ax, ay, az) and normal (nx, ny, nz): `scratch.units`."""
+    place, after, flips, listed = scratch.place, scratch.after, scratch.flips, scratch.listed
+    place[0], place[1], place[2], place[3], place[4], place[5] = ax, ay, az, nx, ny, nz
+    see(ax, ay, az, nx, ny, nz, fixed.positions, fixed.limits, scratch.new)
+    flips[:] = False
+    if fixed.mode:
+        after.found[:] = after.count_hidden[:] = 0
+        find_old(k, fixed, state, scratch)
+        find_flips(state, scratch)
+    _try_caps(np.uint64(k), fixed, state, scratch)
+    count = NONE
+    for p in range(np.uint64(len(flips))):
+        listed[count] = p
+        count += np.uint64(flips[p])
+    _try_flips(np.uint64(k), listed[:count], fixed, state, scratch)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def finish_move(k, fixed, state, scratch):
+    """Make what `bound_move` found exact."""
+    if not fixed.mode:
+        return
+    flips, listed = scratch.flips, scratch.listed
+    reached, count_hidden = scratch.new.reached, scratch.after.count_hidden
+    find_new(k, fixed, state, scratch)
+    find_flips(state, scratch)
+    count = NONE
+    for p in range(np.uint64(len(flips))):
+        listed[count] = p
+        count += np.uint64(flips[p] | (reached[p] & (count_hidden[p] != 0)))
+    _try_flips(np.uint64(k), listed[:count], fixed, state, scratch)

@@ -1,0 +1,1 @@
+"""Rooms: the surfaces that carry landmarks, and where the camera may be."""

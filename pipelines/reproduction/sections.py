@@ -1,0 +1,319 @@
+"""The reproduction report: what the stored sweeps found, beside what the paper printed."""
+
+import shlex
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from lmd.comparison import Outcome, comparison_table
+from lmd.deployment import Deployment
+from lmd.optimisers.base import Record
+from lmd.plot.cap import save_cap_figure
+from lmd.plot.common import shrink
+from lmd.plot.comparison import save_comparison_figure
+from lmd.plot.scene import save_deployments_figure
+from lmd.problem import CoverageProblem
+from pipelines.reproduction.comparison import as_text
+from pipelines.reproduction.document import Picture, Section, Table, Text
+from pipelines.reproduction.paper import TABLE_2, TABLE_3, Printed
+from pipelines.reproduction.plots import save_heat_map, save_landmark_count_figure
+from pipelines.tracking import PARENT_TAG, MlflowReader
+
+# The sweeps a report is made of, and the commands that run them.
+COMMANDS = {
+    "table2": "python -m pipelines.optimise experiment=table2",
+    "table2_baselines": "python -m pipelines.evaluate experiment=table2_baselines",
+    "table3": "python -m pipelines.evaluate experiment=table3 deployment.path=RUN/landmarks.csv",
+    "table3_reoptimised": "python -m pipelines.optimise experiment=table3_reoptimised",
+    "landmark_count": "python -m pipelines.optimise experiment=landmark_count",
+    "optimisers": "python -m pipelines.optimise experiment=optimisers",
+}
+# Rows of Table II: sweep, and the tag and value that tell their runs from the others of the sweep.
+TABLE_2_RUNS = {
+    "EGA": ("table2", "tags.choice.optimiser", "ega"),
+    "SGA": ("table2", "tags.choice.optimiser", "sga"),
+    "uniform": ("table2_baselines", "tags.choice.deployment", "uniform"),
+    "initial": ("table2_baselines", "tags.choice.deployment", "random"),
+}
+PANELS = ("initial", "EGA", "SGA", "uniform")  # the order of the paper's figure
+INDICES = {
+    "qualified_ratio": "qualified ratio",
+    "average_coverage_probability": "average",
+    "maximum_coverage_probability": "maximum",
+}
+RATIO = "metrics.qualified_ratio"
+GRID_FREE = "metrics.validation/grid_free_qualified_ratio"
+PAIR = ["params.objective.n", "params.objective.thold_p"]
+PARENT = f"tags.{PARENT_TAG}"
+OVERRIDE = "tags.override."
+BUDGET = "params.budget.evaluations"
+COUNT = "params.deployment.count"
+NOTHING = "–"  # in a cell without runs
+
+# Everything a report looks at in a job's run; a store may lack some.
+COLUMNS = [
+    *("status", "started", "tags.sweep", "tags.job", PARENT, "tags.choice.optimiser", "tags.choice.deployment"),
+    *("params.seed", BUDGET, COUNT, *PAIR, *(f"metrics.{index}" for index in INDICES), GRID_FREE),
+]
+
+# The problem and the deployment of a run, by its id.
+Load = Callable[[str], tuple[CoverageProblem, Deployment]]
+Blocks = list[Text | Table | Picture]
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a report is made from.
+
+    Args:
+        reader: of the tracking store.
+        runs: the runs to report on, as `MlflowReader.runs` gives them.
+        load: gives back what a run was about.
+        folder: where pictures are written.
+    """
+
+    reader: MlflowReader
+    runs: pd.DataFrame
+    load: Load
+    folder: Path
+
+    def jobs(self, sweep: str) -> pd.DataFrame:
+        """The finished runs of the newest sweep of that name, one for each job, the oldest first."""
+        runs = self.runs.reindex(columns=COLUMNS)
+        jobs: pd.DataFrame = runs[(runs["tags.sweep"] == sweep) & (runs["status"] == "FINISHED") & runs[PARENT].notna()]
+        if jobs.empty:
+            return jobs
+        jobs = jobs[jobs[PARENT] == jobs[PARENT].iloc[-1]]
+        return jobs.drop_duplicates("tags.job", keep="last")
+
+    def outcomes(self, jobs: pd.DataFrame) -> list[Outcome]:
+        """What optimisations found, and how they converged."""
+        return [
+            Outcome(
+                job["tags.choice.optimiser"],
+                int(job["params.seed"]),
+                {index: job[f"metrics.{index}"] for index in INDICES},
+                [Record(*point) for point in self.reader.curve(str(run_id), "best_fitness")],
+                Deployment.from_csv(self.reader.artifact(str(run_id), "landmarks.csv")),
+            )
+            for run_id, job in jobs.iterrows()
+        ]
+
+    def picture(self, name: str, caption: str, draw: Callable[[Path], None]) -> Picture:
+        """A picture drawn by `draw` into the folder."""
+        path = self.folder / f"{name}.png"
+        draw(path)
+        shrink(path)
+        return Picture(path, caption)
+
+
+def sections(source: Source) -> list[Section]:
+    """The whole report, in order; what lacks its runs says which command makes them."""
+    return [
+        Section("Table II: four deployments", _table_2(source)),
+        Section("Convergence", _convergence(source)),
+        Section("An n-ple coverage spherical cap", _cap(source)),
+        Section("Table III: one deployment, nine pairs (n, thold_p)", _table_3(source)),
+        Section("Every pair optimised for itself", _each_for_itself(source)),
+        Section("How many landmarks?", _landmark_count(source)),
+        Section("Optimisers", _optimisers(source)),
+    ]
+
+
+def _table_2(source: Source) -> Blocks:
+    found = {name: _of_row(source, name) for name in TABLE_2}
+    rows = [[name, *_beside(printed, found[name])] for name, printed in TABLE_2.items()]
+    table = Table(["deployment", *_beside_head()], rows)
+    blocks: Blocks = [*_origins(source, "table2", "table2_baselines"), table]
+    shown = {name: source.load(_typical(found[name])) for name in PANELS if len(found[name])}
+    if not shown:
+        return blocks[:-1]
+    title = "Of each row the run with the median qualified ratio"
+    picture = source.picture("deployments", title, lambda path: save_deployments_figure(path, shown, title))
+    return [*blocks, picture]
+
+
+def _convergence(source: Source) -> Blocks:
+    jobs = source.jobs("table2")
+    if jobs.empty:
+        return [_missing("table2")]
+    return [_curves(source, "convergence", source.outcomes(jobs), "EGA and SGA")]
+
+
+def _cap(source: Source) -> Blocks:
+    jobs = _of_row(source, "EGA")
+    if jobs.empty:
+        return [_missing("table2")]
+    problem, deployment = source.load(_typical(jobs))
+    room, n = problem.scene.room, problem.objective.n
+    positions = problem.evaluator.positions
+    middle = positions[np.argmin(np.linalg.norm(positions - np.asarray(room.size) / 2.0, axis=1))]
+    title = "The reachable unit sphere near the middle of the room, EGA's deployment"
+    return [
+        source.picture(
+            "cap",
+            f"Optical axes by the number of landmarks they cover, the {n}-ple cap outlined",
+            lambda path: save_cap_figure(path, problem.scene, deployment, middle, n, title),
+        )
+    ]
+
+
+def _table_3(source: Source) -> Blocks:
+    jobs = source.jobs("table3")
+    if jobs.empty:
+        return [_missing("table3")]
+    rows = [[f"{n}", f"{p:.2f}", *_beside(printed, _of_pair(jobs, n, p))] for (n, p), printed in TABLE_3.items()]
+    return [*_origins(source, "table3"), Table(["n", "thold_p", *_beside_head()], rows)]
+
+
+def _each_for_itself(source: Source) -> Blocks:
+    own, rescored = source.jobs("table3_reoptimised"), source.jobs("table3")
+    if own.empty:
+        return [_missing("table3_reoptimised")]
+    printed = pd.Series({pair: row.qualified_ratio for pair, row in TABLE_3.items()})
+    columns = {
+        "printed": printed,
+        "one deployment, re-scored": _by_pair(rescored),
+        "each pair for itself": _by_pair(own),
+    }
+    rows = [
+        [
+            f"{n}",
+            f"{p:.2f}",
+            f"{row.qualified_ratio:.2%}",
+            *(_spread(_of_pair(jobs, n, p)[RATIO]) for jobs in (rescored, own)),
+        ]
+        for (n, p), row in TABLE_3.items()
+    ]
+    picture = source.picture(
+        "pairs",
+        "Qualified ratio over n and thold_p",
+        lambda path: save_heat_map(
+            path, {name: column.unstack() for name, column in columns.items()}, "Qualified ratio"
+        ),
+    )
+    return [*_origins(source, "table3_reoptimised"), Table(["n", "thold_p", *columns], rows), picture]
+
+
+def _landmark_count(source: Source) -> Blocks:
+    jobs = source.jobs("landmark_count")
+    if jobs.empty:
+        return [_missing("landmark_count")]
+    ratios = pd.DataFrame({"count": jobs[COUNT].astype(int), "qualified_ratio": jobs[RATIO]})
+    groups = ratios.groupby("count")["qualified_ratio"]
+    rows = [[f"{count}", f"{len(values)}", _spread(values)] for count, values in groups]
+    target = TABLE_2["EGA"].qualified_ratio
+    medians = groups.median()
+    enough = medians.index[medians >= target]
+    answer = f"With {enough[0]} landmarks, the fewest" if len(enough) else "With no number of landmarks"
+    picture = source.picture(
+        "landmark_count",
+        "Qualified ratio against the number of landmarks",
+        lambda path: save_landmark_count_figure(
+            path,
+            ratios,
+            {f"paper, {name}": (90, TABLE_2[name].qualified_ratio) for name in ("EGA", "uniform")},
+            "Qualified ratio against the number of landmarks",
+        ),
+    )
+    return [
+        *_origins(source, "landmark_count"),
+        Table(["K", "runs", "qualified ratio"], rows),
+        Text(f"{answer} here, the median run reaches {target:.2%}, which the paper's EGA reached with 90."),
+        picture,
+    ]
+
+
+def _optimisers(source: Source) -> Blocks:
+    jobs = source.jobs("optimisers")
+    if jobs.empty:
+        return [_missing("optimisers")]
+    outcomes = source.outcomes(jobs)
+    picture = _curves(source, "optimisers", outcomes, "Optimisers")
+    return [*_origins(source, "optimisers"), as_text(comparison_table(outcomes)), picture]
+
+
+def _curves(source: Source, name: str, outcomes: list[Outcome], title: str) -> Picture:
+    return source.picture(
+        name,
+        "Best fitness against evaluations: the median of the seeds, with a band from the worst to the best",
+        lambda path: save_comparison_figure(path, outcomes, "evaluations", title),
+    )
+
+
+def _origins(source: Source, *sweeps: str) -> list[Text]:
+    """Which runs a section is about: one paragraph for each sweep."""
+    return [_origin(source, sweep) for sweep in sweeps]
+
+
+def _origin(source: Source, sweep: str) -> Text:
+    jobs = source.jobs(sweep)
+    if jobs.empty:
+        return _missing(sweep)
+    parent = source.runs.loc[jobs[PARENT].iloc[-1]]
+    given = {str(key).removeprefix(OVERRIDE): value for key, value in parent.filter(like=OVERRIDE).dropna().items()}
+    overrides = shlex.join(
+        f"{key}={value}" for key, value in sorted(given.items(), key=lambda item: item[0] != "experiment")
+    )
+    command = f"python -m pipelines.{parent['tags.pipeline']} {overrides}"
+    planned = parent.get("metrics.jobs", np.nan)  # known once the sweep has ended
+    share = f"{len(jobs)}" if pd.isna(planned) else f"{len(jobs)} of {planned:.0f}"
+    spent = jobs[BUDGET].dropna().unique()
+    budget = f" with a budget of {' or '.join(spent)} evaluations" if len(spent) else ""
+    return Text(
+        f"{share} runs of `{command}`{budget}; the last began on {jobs['started'].max():%Y-%m-%d at %H:%M} UTC."
+    )
+
+
+def _missing(sweep: str) -> Text:
+    return Text(f"There are no finished runs of the sweep `{sweep}`; `{COMMANDS[sweep]}` makes them.")
+
+
+def _of_row(source: Source, name: str) -> pd.DataFrame:
+    """The runs of a row of Table II."""
+    sweep, column, value = TABLE_2_RUNS[name]
+    jobs = source.jobs(sweep)
+    return jobs[jobs[column] == value]
+
+
+def _of_pair(jobs: pd.DataFrame, n: int, thold_p: float) -> pd.DataFrame:
+    """The runs for (n, thold_p)."""
+    return jobs[(jobs[PAIR].astype(float) == [n, thold_p]).all(axis=1)]
+
+
+def _by_pair(jobs: pd.DataFrame) -> pd.Series:
+    """Median qualified ratio for each (n, thold_p) of Table III, NaN where there is no run."""
+    return pd.Series({pair: _of_pair(jobs, *pair)[RATIO].median() for pair in TABLE_3})
+
+
+def _typical(jobs: pd.DataFrame) -> str:
+    """Id of the run with the median qualified ratio, the lower one of two."""
+    return str(jobs[RATIO].sort_values(kind="stable").index[(len(jobs) - 1) // 2])
+
+
+def _beside_head() -> list[str]:
+    columns = [f"{name}: {what}" for name in INDICES.values() for what in ("paper", "here", "difference")]
+    return ["runs", *columns, "qualified ratio off the grid: here"]
+
+
+def _beside(printed: Printed, jobs: pd.DataFrame) -> list[str]:
+    """A row that sets the median of runs beside what was printed, in per cent, and their difference in points."""
+    cells = [f"{len(jobs)}"]
+    for index in INDICES:
+        paper, values = getattr(printed, index), jobs[f"metrics.{index}"]
+        here = _spread(values) if index == "qualified_ratio" else _percent(values.median())
+        cells += [f"{paper:.2%}", here, f"{100.0 * (values.median() - paper):+.2f}" if len(jobs) else NOTHING]
+    return [*cells, _percent(jobs[GRID_FREE].median())]
+
+
+def _spread(ratios: "pd.Series[float]") -> str:
+    """The median in per cent, with the range if they differ."""
+    median = _percent(ratios.median())
+    return median if ratios.nunique() < 2 else f"{median} ({ratios.min():.2%} to {ratios.max():.2%})"
+
+
+def _percent(ratio: float) -> str:
+    return NOTHING if np.isnan(ratio) else f"{ratio:.2%}"

@@ -1,0 +1,140 @@
+"""Starting a tracked run, and recording what came out of it."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from lmd.checks import InputError
+from lmd.deployment import Deployment
+from lmd.optimisers.base import Record
+from lmd.problem import CoverageProblem
+from lmd.validation import validation_metrics
+from pipelines.app import choices, flat_settings, instantiate, run_directory
+from pipelines.outputs import write_outputs
+from pipelines.sweeps.jobs import current_job, override_tags, reason_of
+
+if TYPE_CHECKING:
+    from pipelines.tracking import Tracker
+
+# What the name of a run says anyway.
+IN_THE_NAME = ("optimiser", "deployment", "deployment.count", "objective.n", "objective.thold_p", "seed")
+
+
+def title_of(problem: CoverageProblem, subject: str) -> str:
+    """A short name for a run: what it is about and the settings that matter most."""
+    return f"{subject} n={problem.objective.n} p={problem.objective.thold_p:g} K={problem.count}"
+
+
+@contextmanager
+def tracked_run(
+    cfg: DictConfig, problem: CoverageProblem, subject: str, run_id: str | None = None
+) -> "Iterator[Tracker]":
+    """`tracked` with the name of a run on a coverage problem.
+
+    Args:
+        cfg: logged as parameters.
+        problem: named in the run's name.
+        subject: what the run is about.
+        run_id: continue this run.
+    """
+    with tracked(cfg, title_of(problem, subject), run_id) as tracker:
+        yield tracker
+
+
+@contextmanager
+def tracked(cfg: DictConfig, title: str, run_id: str | None = None) -> "Iterator[Tracker]":
+    """A started run of the configured tracker; an exception marks it FAILED, Ctrl-C KILLED, bad input leaves none.
+
+    Args:
+        cfg: logged as parameters.
+        title: the run's name, to which the seed is added.
+        run_id: continue this run.
+    """
+    tracker: Tracker = instantiate(cfg.tracking)
+    name, working_for = f"{title} seed={cfg.seed}", current_job()
+    overrides: Sequence[str] = HydraConfig.get().overrides.task
+    tags = {f"choice.{group}": option for group, option in choices().items()}
+    if working_for is not None:
+        folder, job = working_for
+        name = " ".join([name, *(f"{key}={value}" for key, value in job.varied.items() if key not in IN_THE_NAME)])
+        overrides = job.overrides
+        tags |= job.tags(folder)
+    tags |= {"pipeline": HydraConfig.get().job.name} | override_tags(overrides)
+    tracker.start(name, choices() | flat_settings(cfg), tags, run_id)
+    try:
+        yield tracker
+    except InputError as error:
+        if run_id is None and working_for is None:
+            tracker.discard()
+        else:
+            tracker.finish("FAILED", reason_of(error))
+        raise
+    except BaseException as error:
+        tracker.finish("KILLED" if isinstance(error, KeyboardInterrupt) else "FAILED", reason_of(error))
+        raise
+
+
+def record(
+    cfg: DictConfig,
+    problem: CoverageProblem,
+    tracker: "Tracker",
+    deployment: Deployment,
+    history: Sequence[Record],
+    *,
+    subject: str,
+    summary: Mapping[str, Any],
+    status: str = "FINISHED",
+) -> float:
+    """Write the outputs, log them, end the run with `status` and print a report; returns the fitness."""
+    directory = run_directory()
+    validation = validation_metrics(problem, deployment, cfg.seed) if cfg.validate else {}
+    metrics, files = write_outputs(
+        directory,
+        problem,
+        deployment,
+        history,
+        title=f"{title_of(problem, subject)}, {choices()['room']}",
+        page=cfg.page,
+        summary={**summary, "seed": cfg.seed, **({"validation": validation} if validation else {})},
+    )
+    figures = {key: value for key, value in summary.items() if isinstance(value, int | float)}
+    tracker.log_metrics({**metrics, **figures, **{f"validation/{key}": value for key, value in validation.items()}})
+    tracker.log_artifacts([*files, *sorted((directory / ".hydra").glob("*.yaml"))])
+    tracker.finish(status)
+    lines = validation_lines(validation) | {key.replace("_", " "): f"{value:g}" for key, value in figures.items()}
+    lines["files"] = f"{directory}: {', '.join(path.name for path in files)}"
+    lines["picture"] = str(directory / "scene.png")
+    lines["mlflow"] = tracker.describe()
+    print(report(problem, metrics, lines))
+    return metrics["fitness"]
+
+
+def validation_lines(validation: Mapping[str, float]) -> dict[str, str]:
+    """The figures of `validation_metrics` as labelled lines, none for none."""
+    if not validation:
+        return {}
+
+    def with_error(key: str) -> str:
+        return f"{validation[key]:.2%} +- {validation[f'{key}_standard_error']:.2%}"
+
+    return {
+        "on a finer grid": f"{validation['finer_grid_qualified_ratio']:.2%} of positions qualified",
+        "off the grid": f"{with_error('grid_free_qualified_ratio')} of random positions qualified, "
+        f"average probability {with_error('grid_free_average_coverage_probability')}",
+    }
+
+
+def report(problem: CoverageProblem, metrics: Mapping[str, float], lines: Mapping[str, str]) -> str:
+    """The figures of a run as text for the terminal, followed by labelled `lines`."""
+    objective = problem.objective
+    rows = {
+        "qualified ratio": f"{metrics['qualified_ratio']:.2%} of {len(problem.relevance)} positions see at least "
+        f"{objective.n} of {problem.count} landmarks with probability {objective.thold_p:g}",
+        "average probability": f"{metrics['average_coverage_probability']:.2%}",
+        "maximum probability": f"{metrics['maximum_coverage_probability']:.2%}",
+        **lines,
+    }
+    return "\n".join(f"{label:<20} {text}" for label, text in rows.items())
