@@ -10,10 +10,11 @@ import numpy as np
 from hydra import compose, initialize_config_dir
 from numba import njit
 
+from lmd.objectives.coverage_field import coverage_field
 from lmd.optimisers.annealing.walk import _places, walls_of
 from lmd.optimisers.base import Budget
 from lmd.sight.incremental.move import move, state_of
-from lmd.sight.incremental.state import fixed_of, scratch_of
+from lmd.sight.incremental.state import scratch_of
 from lmd.sight.incremental.trial import bound_move, finish_move
 from lmd.sight.kernels import PROBABILITY_ONE
 from pipelines.app import CONF, build_optimiser, build_problem
@@ -24,24 +25,24 @@ REPEATS = 10
 
 
 @njit(nogil=True)
-def try_all(who, places, fixed, state, scratch, finish):  # type: ignore[no-untyped-def]
+def try_all(who, places, field, state, scratch, finish):  # type: ignore[no-untyped-def]
     """Try each of the moves, or only bound it; P_n of each, in units."""
     units = np.empty((len(who), len(state.units)), dtype=np.int64)
     for i in range(len(who)):
         place = places[i]
-        bound_move(who[i], place[0], place[1], place[2], place[3], place[4], place[5], fixed, state, scratch)
+        bound_move(who[i], place[0], place[1], place[2], place[3], place[4], place[5], field, state, scratch)
         if finish:
-            finish_move(who[i], fixed, state, scratch)
+            finish_move(who[i], field, state, scratch)
         units[i] = scratch.units
     return units
 
 
 @njit(nogil=True)
-def move_all(who, places, fixed, state, scratch):  # type: ignore[no-untyped-def]
+def move_all(who, places, field, state, scratch):  # type: ignore[no-untyped-def]
     """Carry out each of the moves."""
     for i in range(len(who)):
         place = places[i]
-        move(who[i], place[0], place[1], place[2], place[3], place[4], place[5], fixed, state, scratch)
+        move(who[i], place[0], place[1], place[2], place[3], place[4], place[5], field, state, scratch)
 
 
 def main() -> None:
@@ -50,16 +51,16 @@ def main() -> None:
         cfg = compose("optimise")
     problem, optimiser = build_problem(cfg), build_optimiser(cfg, 0)
     optimiser.run(problem, Budget(EVALUATIONS))
-    fixed = fixed_of(problem.fitness_evaluator, problem.objective.n)
-    state = state_of(fixed, optimiser.here)
-    climate = optimiser.single.climate(1.0, near=optimiser.spread * problem.scene.visibility.nu)
+    field = coverage_field(problem.fitness_evaluator, problem.objective.n)
+    state = state_of(field, optimiser.here)
+    climate = optimiser.single.settings(1.0, near=optimiser.spread * problem.scene.visibility.nu)
     rng, walls = np.random.default_rng(0), walls_of(problem.scene.room)
     who, places = rng.integers(problem.count, size=MOVES), np.empty((MOVES, 6))
     for i in range(MOVES):
         _places(who[i : i + 1], state, walls, climate, rng, places[i : i + 1])
 
     def mean_value(units: np.ndarray) -> np.ndarray:
-        probability = units[..., fixed.place] / PROBABILITY_ONE
+        probability = units[..., field.index_of] / PROBABILITY_ONE
         above = probability - problem.objective.thold_p - climate.margin
         value = 1.0 / (1.0 + np.exp(-above / climate.width)) + climate.share * probability
         return value @ problem.fitness_relevance / problem.fitness_relevance.sum()
@@ -70,16 +71,16 @@ def main() -> None:
     for _ in range(REPEATS):
         for finish in best:
             began = time.perf_counter()
-            units[finish] = try_all(who, places, fixed, state, scratch, finish)
+            units[finish] = try_all(who, places, field, state, scratch, finish)
             best[finish] = min(best[finish], time.perf_counter() - began)
     lowest = climate.temperature * np.log(rng.random(MOVES))
     gain, bound = (mean_value(units[finish]) - mean_value(state.units) for finish in (True, False))
     rejected, early = gain < lowest, bound < lowest
     carried_out = np.inf
     for _ in range(REPEATS):
-        state = state_of(fixed, optimiser.here)
+        state = state_of(field, optimiser.here)
         began = time.perf_counter()
-        move_all(who[~rejected], places[~rejected], fixed, state, scratch)
+        move_all(who[~rejected], places[~rejected], field, state, scratch)
         carried_out = min(carried_out, time.perf_counter() - began)
     print(f"{MOVES} moves of one landmark at the end of a run of {EVALUATIONS} evaluations:")
     print(f"rejected: {rejected.mean():.1%}; of these by the bound: {early.sum() / rejected.sum():.1%}")

@@ -20,12 +20,13 @@ from hydra import compose, initialize_config_dir
 from numba import njit
 
 from lmd.deployment import RandomDeployment
+from lmd.objectives.coverage_field import coverage_field
 from lmd.pdf import grid_with_ends
 from lmd.scene import Scene
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator, available_threads
 from lmd.sight.incremental.move import carry_out, state_of
-from lmd.sight.incremental.state import fixed_of, scratch_of
+from lmd.sight.incremental.state import scratch_of
 from lmd.sight.incremental.trial import bound_move, finish_move
 from lmd.sight.kernels import BLOCK, cap_of
 from lmd.sight.poses import candidate_poses, gains
@@ -56,15 +57,15 @@ def paper_scene() -> Scene:
 
 
 @njit(nogil=True)
-def move_all(places, normals, fixed, state, scratch, steps):  # type: ignore[no-untyped-def]
+def move_all(places, normals, field, state, scratch, steps):  # type: ignore[no-untyped-def]
     """Move the landmarks in turn to each of the places `(M, 3)`, as an optimiser does: the first of `STEPS`."""
     for i in range(len(places)):
         place, normal, k = places[i], normals[i], i % state.landmarks.shape[1]
-        bound_move(k, place[0], place[1], place[2], normal[0], normal[1], normal[2], fixed, state, scratch)
+        bound_move(k, place[0], place[1], place[2], normal[0], normal[1], normal[2], field, state, scratch)
         if steps > 1:
-            finish_move(k, fixed, state, scratch)
+            finish_move(k, field, state, scratch)
         if steps > 2:
-            carry_out(k, fixed, state, scratch)
+            carry_out(k, field, state, scratch)
 
 
 def evaluation(scene: Scene, count: int, threads: int, occlusion: bool = True, caps: bool = True) -> float:
@@ -84,9 +85,9 @@ def moves(scene: Scene, count: int, step: str) -> float:
     """Seconds of moving one landmark to a random place, up to one of `STEPS`."""
     rng = np.random.default_rng(0)
     start, targets = (RandomDeployment(size).draw(scene.room, rng) for size in (count, MOVES))
-    fixed = fixed_of(Evaluator(scene, threads=1), N)
-    state = state_of(fixed, start)
-    args = (targets.positions, targets.normals, fixed, state, scratch_of(state), 1 + STEPS.index(step))
+    field = coverage_field(Evaluator(scene, threads=1), N)
+    state = state_of(field, start)
+    args = (targets.positions, targets.normals, field, state, scratch_of(state), 1 + STEPS.index(step))
     return best_of(5, lambda: move_all(*args)) / MOVES
 
 

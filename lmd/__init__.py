@@ -1,1 +1,79 @@
-"""Landmark deployment: where to put directional landmarks so that a moving camera sees enough of them."""
+"""Landmark deployment: where fiducial markers go so that a camera can localise itself from them.
+
+A room with its surfaces, a camera, the orientations it takes and what counts as seen make a `Scene`; with an objective
+and a start that is a `Problem`; `optimise` finds a deployment for it, `evaluate` scores any.
+
+    >>> import lmd
+    >>> room = lmd.Cuboid(size=(3.2, 3.2, 1.7), reachable_size=(2.6, 2.6, 1.2), spacing=0.8)
+    >>> camera = lmd.Camera(focal_length=4.03, pixel_width=0.0033, pixel_height=0.0033, principal_point=(960, 540),
+    ...                     image_width=1920, image_height=1080, aperture=1.44)
+    >>> scene = lmd.Scene(room, camera, lmd.pdf.level_flight(), lmd.Visibility(thold=0.28))
+    >>> problem = lmd.Problem(scene, lmd.Coverage(n=2, thold_p=0.7), lmd.RandomDeployment(count=20))
+    >>> result = lmd.optimise(problem, evaluations=60, seed=0)
+    >>> len(result.deployment)
+    20
+    >>> lmd.evaluate(problem, result.deployment)["fitness"] == result.fitness
+    True
+
+What is exported here is all that most users need; `lmd.<package>` has the rest.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from lmd import pdf as pdf
+    from lmd.camera import Camera as Camera
+    from lmd.checks import InputError as InputError
+    from lmd.deployment import Deployment as Deployment
+    from lmd.deployment import FileDeployment as FileDeployment
+    from lmd.deployment import RandomDeployment as RandomDeployment
+    from lmd.deployment import UniformDeployment as UniformDeployment
+    from lmd.objectives.coverage import Coverage as Coverage
+    from lmd.objectives.sampling import Sampling as Sampling
+    from lmd.optimisers.annealing import Annealing as Annealing
+    from lmd.optimisers.base import Budget as Budget
+    from lmd.optimisers.base import Result as Result
+    from lmd.plot.scene import save_scene_figure as save_scene_figure
+    from lmd.problem import Problem as Problem
+    from lmd.run import evaluate as evaluate
+    from lmd.run import optimise as optimise
+    from lmd.scene import Scene as Scene
+    from lmd.sight.paper import Visibility as Visibility
+    from lmd.space.cuboid import Cuboid as Cuboid
+
+# Where each name lives. Imported when first asked for: the compiler alone takes a second to load.
+_HOMES = {
+    "Annealing": "lmd.optimisers.annealing",
+    "Budget": "lmd.optimisers.base",
+    "Camera": "lmd.camera",
+    "Coverage": "lmd.objectives.coverage",
+    "Cuboid": "lmd.space.cuboid",
+    "Deployment": "lmd.deployment",
+    "FileDeployment": "lmd.deployment",
+    "InputError": "lmd.checks",
+    "Problem": "lmd.problem",
+    "RandomDeployment": "lmd.deployment",
+    "Result": "lmd.optimisers.base",
+    "Sampling": "lmd.objectives.sampling",
+    "Scene": "lmd.scene",
+    "UniformDeployment": "lmd.deployment",
+    "Visibility": "lmd.sight.paper",
+    "evaluate": "lmd.run",
+    "optimise": "lmd.run",
+    "save_scene_figure": "lmd.plot.scene",
+}
+
+__all__ = [*_HOMES, "pdf"]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "pdf":
+        return importlib.import_module("lmd.pdf")
+    if name in _HOMES:
+        return getattr(importlib.import_module(_HOMES[name]), name)
+    raise AttributeError(f"module 'lmd' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -30,12 +30,13 @@ import numpy as np
 
 from lmd.checks import FloatArray, InputError, integer, real
 from lmd.deployment import Deployment
-from lmd.problem import CoverageProblem
+from lmd.objectives.coverage import Coverage
+from lmd.problem import Problem
+from lmd.sight.criteria import TOLERANCE
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.sight.poses import Cells, covered_amounts, gains, wall_cells
-from lmd.sight.visibility import TOLERANCE
-from lmd.space.cuboid import Room
+from lmd.space.space import Space
 
 # The smoothed min is rounded off this far on both sides of its kink: at first, and in the end. Halved as x improves.
 FIRST_WIDTH, LAST_WIDTH, STEPS_PER_WIDTH = 0.3, 0.01, 25
@@ -71,7 +72,7 @@ class Search:
         InputError: a number is out of range.
     """
 
-    spacing: float = 0.25
+    spacing: float = 0.125
     iterations: int = 200
     tolerance: float = 1e-3
 
@@ -82,7 +83,7 @@ class Search:
 
 
 @dataclass(frozen=True)
-class Bound:
+class UpperBound:
     """An upper bound, as fractions in [0, 1].
 
     Args:
@@ -142,25 +143,26 @@ def smoothed_min(v: FloatArray, width: float) -> tuple[FloatArray, FloatArray]:
     return np.where(slope < 1.0, 1.0 - width * slope**2, v), slope
 
 
-def average_bound(problem: CoverageProblem, count: int, search: Search) -> Bound:
+def average_upper_bound(problem: Problem, count: int, search: Search) -> UpperBound:
     """Bounds `average_coverage_probability` (positions count alike) for `count` landmarks."""
     size = len(problem.evaluator.positions)
-    relaxation = Relaxation(problem.evaluator, np.full(size, 1.0 / size), problem.objective.n, 1.0)
+    relaxation = Relaxation(problem.evaluator, np.full(size, 1.0 / size), _coverage_of(problem).n, 1.0)
     return _bound(relaxation, problem.scene.room, count, search)
 
 
-def qualified_bound(problem: CoverageProblem, count: int, search: Search) -> Bound:
+def qualified_upper_bound(problem: Problem, count: int, search: Search) -> UpperBound:
     """Bounds the fitness, the qualified share of positions weighted by relevance, for `count` landmarks."""
     evaluator, relevance = problem.fitness_evaluator, problem.fitness_relevance
     # Positions qualify from TOLERANCE below thold_p; where nothing is asked, all do.
-    threshold = problem.objective.thold_p - TOLERANCE
+    objective = _coverage_of(problem)
+    threshold = objective.thold_p - TOLERANCE
     if threshold <= 0.0:
-        return Bound(1.0, 1.0, 1.0, Dual(1.0, np.zeros((len(relevance), evaluator.axes.shape[1]))), 0.0)
-    relaxation = Relaxation(evaluator, relevance / relevance.sum(), problem.objective.n, threshold)
+        return UpperBound(1.0, 1.0, 1.0, Dual(1.0, np.zeros((len(relevance), evaluator.axes.shape[1]))), 0.0)
+    relaxation = Relaxation(evaluator, relevance / relevance.sum(), objective.n, threshold)
     return _bound(relaxation, problem.scene.room, count, search)
 
 
-def fewest_landmarks(problem: CoverageProblem, target: float, search: Search) -> int:
+def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
     """No fewer landmarks than this reach a fitness of `target`.
 
     A dual bounds every K by a line in K: too few landmarks become as many as their own line asks for, which by
@@ -170,20 +172,28 @@ def fewest_landmarks(problem: CoverageProblem, target: float, search: Search) ->
         InputError: not even `MOST_LANDMARKS` reach it.
     """
     real("bound.target", target, low=0.0, high=1.0)
-    count = problem.objective.n
-    while (bound := qualified_bound(problem, count, search)).walls < target - TOLERANCE:
+    count = _coverage_of(problem).n
+    while (bound := qualified_upper_bound(problem, count, search)).walls < target - TOLERANCE:
         count = math.ceil((target - bound.dual.constant) / bound.gain - TOLERANCE)
         if count > MOST_LANDMARKS:
             raise InputError(f"bound.target = {target:g} is out of reach of {MOST_LANDMARKS} landmarks.")
     return count
 
 
-def _bound(relaxation: Relaxation, room: Room, count: int, search: Search) -> Bound:
+def _coverage_of(problem: Problem) -> Coverage:
+    if not isinstance(problem.objective, Coverage):
+        raise InputError(
+            f"there is no upper bound for the objective {type(problem.objective).__name__}, only for Coverage."
+        )
+    return problem.objective
+
+
+def _bound(relaxation: Relaxation, room: Space, count: int, search: Search) -> UpperBound:
     """Multipliers found on the grid of poses, and what they prove for the whole walls."""
     cells = wall_cells(room, search.spacing)
     dual, grid, fractional = _solve(relaxation, cells.poses, count, search)
     gain = largest_gain(relaxation.evaluator, cells, dual.prices, search.tolerance / count)
-    return Bound(dual.bound(count, gain), grid, fractional, dual, gain)
+    return UpperBound(dual.bound(count, gain), grid, fractional, dual, gain)
 
 
 def _solve(relaxation: Relaxation, poses: Deployment, count: int, search: Search) -> tuple[Dual, float, float]:

@@ -28,7 +28,7 @@ class Camera:
         principal_point: (o_u, o_v), pixels from the left and top border.
         image_width, image_height: w and h, pixels.
         aperture: effective diameter d_a, mm.
-        focus_distance: d_s, mm; infinity is allowed.
+        focus_distance: d_s, mm; infinity, the default, is allowed.
 
     Raises:
         InputError: a value is not positive, the principal point lies outside the image, or the focus distance
@@ -42,7 +42,7 @@ class Camera:
     image_width: float
     image_height: float
     aperture: float
-    focus_distance: float
+    focus_distance: float = math.inf
 
     def __post_init__(self) -> None:
         for name in ("focal_length", "pixel_width", "pixel_height", "image_width", "image_height", "aperture"):

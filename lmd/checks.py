@@ -8,10 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
 
 
 class InputError(ValueError):
-    """The user's input is wrong; the message is one sentence meant for the user."""
+    """The user's input is wrong.
+
+    Args:
+        message: one sentence meant for the user.
+        argument: the name of the argument that the message begins with, if it does.
+    """
+
+    def __init__(self, message: str, argument: str | None = None) -> None:
+        super().__init__(message)
+        self.argument = argument
 
 
 def real(

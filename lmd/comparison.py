@@ -15,7 +15,7 @@ MILESTONES = (0.50, 0.65, 0.80)
 
 
 @dataclass(frozen=True)
-class Outcome:
+class OptimiserRun:
     """One run of one optimiser."""
 
     optimiser: str
@@ -29,52 +29,47 @@ class Outcome:
         return next((r.evaluations for r in self.history if r.best_fitness >= fitness), np.inf)
 
 
-def by_optimiser(outcomes: Sequence[Outcome]) -> dict[str, list[Outcome]]:
-    """Outcomes grouped by optimiser, the highest median qualified ratio first."""
-    groups: dict[str, list[Outcome]] = {}
-    for outcome in outcomes:
-        groups.setdefault(outcome.optimiser, []).append(outcome)
+def by_optimiser(runs: Sequence[OptimiserRun], key: str) -> dict[str, list[OptimiserRun]]:
+    """Runs grouped by optimiser, the highest median of the figure `key` first."""
+    groups: dict[str, list[OptimiserRun]] = {}
+    for run in runs:
+        groups.setdefault(run.optimiser, []).append(run)
 
     def median(name: str) -> float:
-        return float(np.median([o.metrics["qualified_ratio"] for o in groups[name]]))
+        return float(np.median([run.metrics[key] for run in groups[name]]))
 
     return {name: groups[name] for name in sorted(groups, key=median, reverse=True)}
 
 
-def comparison_table(outcomes: Sequence[Outcome]) -> pd.DataFrame:
+def comparison_table(runs: Sequence[OptimiserRun], key: str) -> pd.DataFrame:
     """One row per optimiser, the best first.
 
-    Columns: runs; median, min and max of the qualified ratio; median average and maximum coverage probability;
-    median evaluations to reach each milestone (infinite if most runs never do); median wall time in seconds; and the
-    two-sided Mann-Whitney p-value of its qualified ratios against those of the first row.
+    Columns: optimiser, runs; the median, `<key>_min` and `<key>_max` of the objective's headline `key`; the medians of
+    all other figures; median evaluations to reach each milestone (infinite if most runs never do); median wall time in
+    seconds; and the two-sided Mann-Whitney p-value of the headline against that of the first row.
     """
-    groups = by_optimiser(outcomes)
+    groups = by_optimiser(runs, key)
 
-    def values(name: str, metric: str) -> list[float]:
-        return [o.metrics[metric] for o in groups[name]]
+    def values(name: str, figure: str) -> list[float]:
+        return [run.metrics[figure] for run in groups[name]]
 
-    best = values(next(iter(groups)), "qualified_ratio")
+    best = values(next(iter(groups)), key)
+    others = [figure for figure in runs[0].metrics if figure != key]
     rows: list[dict[str, float | str]] = []
-    for name, runs in groups.items():
-        ratio = values(name, "qualified_ratio")
-        row: dict[str, float | str] = {
-            "optimiser": name,
-            "runs": len(runs),
-            "qualified_ratio": float(np.median(ratio)),
-            "qualified_ratio_min": min(ratio),
-            "qualified_ratio_max": max(ratio),
-            "average": float(np.median(values(name, "average_coverage_probability"))),
-            "maximum": float(np.median(values(name, "maximum_coverage_probability"))),
-        }
+    for name, group in groups.items():
+        reached = values(name, key)
+        row: dict[str, float | str] = {"optimiser": name, "runs": len(group)}
+        row |= {key: float(np.median(reached)), f"{key}_min": min(reached), f"{key}_max": max(reached)}
+        row |= {figure: float(np.median(values(name, figure))) for figure in others}
         for milestone in MILESTONES:
-            row[f"evaluations_to_{milestone:.0%}"] = float(np.median([o.evaluations_to(milestone) for o in runs]))
-        row["seconds"] = float(np.median([o.history[-1].wall_time for o in runs]))
-        row["p_value"] = float(mannwhitneyu(ratio, best).pvalue) if rows else 1.0
+            row[f"evaluations_to_{milestone:.0%}"] = float(np.median([run.evaluations_to(milestone) for run in group]))
+        row["seconds"] = float(np.median([run.history[-1].wall_time for run in group]))
+        row["p_value"] = float(mannwhitneyu(reached, best).pvalue) if rows else 1.0
         rows.append(row)
     return pd.DataFrame(rows)
 
 
-def best_at(runs: Sequence[Outcome], axis: str, at: FloatArray) -> FloatArray:
+def best_at(runs: Sequence[OptimiserRun], axis: str, at: FloatArray) -> FloatArray:
     """Best fitness of each run at points `at` `(N,)` of an axis of `Record`, `(R, N)`; NaN before its first record."""
     curves = []
     for run in runs:

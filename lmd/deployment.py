@@ -1,19 +1,22 @@
 """Deployments: where the landmarks are, and the ways to come by one."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 import pandas as pd
 
-from lmd.checks import FloatArray, InputError, choice, integer
-from lmd.space.cuboid import Room, Wall
+from lmd.checks import BoolArray, FloatArray, InputError, IntArray, choice, integer
+from lmd.space.space import Space
+from lmd.space.surface import Surface, SurfaceArrays
 from lmd.tables import read_numbers
 
 COLUMNS = ("x", "y", "z", "nx", "ny", "nz")
 # A normal printed with a few decimals is still a unit normal.
 NORMAL_TOLERANCE = 1e-3
+# A normal this close to that of its surface is flush with it.
+FLUSH = 1e-6
 
 
 @dataclass(frozen=True)
@@ -23,6 +26,8 @@ class Deployment:
     Args:
         positions: `(K, 3)`, world frame, metres.
         normals: `(K, 3)` unit normals of the front faces, world frame.
+        surfaces: `(K,)`, index of the surface of its room that each hangs on, -1 where none is known, the default: see
+            `hung`.
 
     Raises:
         InputError: wrong shapes, no landmark, a value that is not finite, or a normal that is not unit.
@@ -30,6 +35,7 @@ class Deployment:
 
     positions: FloatArray
     normals: FloatArray
+    surfaces: IntArray = None  # type: ignore[assignment] # always an array once made
 
     def __post_init__(self) -> None:
         for name in ("positions", "normals"):
@@ -42,6 +48,12 @@ class Deployment:
             object.__setattr__(self, name, array)
         if len(self.positions) != len(self.normals):
             raise InputError(f"a deployment has {len(self.positions)} positions but {len(self.normals)} normals.")
+        count = len(self.positions)
+        surfaces = np.full(count, -1) if self.surfaces is None else np.array(self.surfaces, dtype=np.int64)
+        if surfaces.shape != (count,):
+            raise InputError(f"deployment surfaces must have the shape (K,), got {surfaces.shape}.")
+        surfaces.flags.writeable = False
+        object.__setattr__(self, "surfaces", surfaces)
         length = np.linalg.norm(self.normals, axis=1)
         worst = int(np.argmax(np.abs(length - 1.0)))
         if abs(length[worst] - 1.0) > NORMAL_TOLERANCE:
@@ -50,15 +62,57 @@ class Deployment:
     def __len__(self) -> int:
         return len(self.positions)
 
-    def check_inside(self, room: Room) -> None:
-        """Raise `InputError` if a landmark lies outside the closed room."""
+    def __getitem__(self, chosen: slice | IntArray | BoolArray) -> "Deployment":
+        """The landmarks that `chosen` selects."""
+        return Deployment(self.positions[chosen], self.normals[chosen], self.surfaces[chosen])
+
+    def __add__(self, other: "Deployment") -> "Deployment":
+        """The landmarks of both."""
+        parts = ((getattr(self, name), getattr(other, name)) for name in ("positions", "normals", "surfaces"))
+        return Deployment(*(np.concatenate(part) for part in parts))
+
+    def hung(self, room: Space) -> "Deployment":
+        """The same landmarks with the surfaces of `room` that they hang on.
+
+        Raises:
+            InputError: a landmark lies outside the room.
+        """
         outside = np.flatnonzero(~room.contains(self.positions))
         if outside.size:
-            x, y, z = self.positions[outside[0]]
+            raise InputError(f"landmark {self._place(outside[0])} lies outside the {room.describe()}.")
+        return replace(self, surfaces=room.surfaces_of(self.positions, self.normals))
+
+    def movable(self, room: Space, flush: bool = True) -> "Deployment":
+        """`hung`, for an optimiser that moves landmarks along surfaces.
+
+        Args:
+            room: has the surfaces.
+            flush: whether landmarks must lie flat.
+
+        Raises:
+            InputError: a landmark hangs on no surface, faces into its surface, or does not lie flat on it.
+        """
+        hung, surfaces = self.hung(room), room.surfaces()
+        if (floating := np.flatnonzero(hung.surfaces < 0)).size:
             raise InputError(
-                f"landmark {outside[0]} at ({x:.9g}, {y:.9g}, {z:.9g}) lies outside the room of "
-                f"{' x '.join(f'{s:g}' for s in room.size)} m."
+                f"landmark {self._place(floating[0])} is on no wall that may carry landmarks "
+                f"({', '.join(surface.name for surface in surfaces)}), so it cannot be a start."
             )
+        normals = np.array([surface.normal for surface in surfaces])[hung.surfaces]
+        cosine = (self.normals * normals).sum(axis=1)
+        if cosine.min() < 0.0:
+            raise InputError(f"landmark {int(np.argmin(cosine))} faces into its wall, so it cannot be a start.")
+        deviation = np.linalg.norm(self.normals - normals, axis=1)
+        if flush and deviation.max() > FLUSH:
+            raise InputError(
+                f"landmark {int(np.argmax(deviation))} is not flush with its wall; only an encoding "
+                "that is not flush can start from it."
+            )
+        return hung
+
+    def _place(self, k: int) -> str:
+        x, y, z = self.positions[k]
+        return f"{k} at ({x:.9g}, {y:.9g}, {z:.9g})"
 
     def to_csv(self, path: str | Path) -> None:
         """Write `id,x,y,z,nx,ny,nz` with every digit, so that reading it back gives the same numbers."""
@@ -74,7 +128,7 @@ class Deployment:
         Raises:
             InputError: the file cannot be read, or what it holds is no deployment.
         """
-        table = read_numbers(path, COLUMNS, name="deployment.path", optional=("id",))
+        table = read_numbers(path, COLUMNS, name="path", optional=("id",))
         try:
             deployment = cls(table[:, :3], table[:, 3:])
         except InputError as error:
@@ -91,8 +145,8 @@ class DeploymentSource(Protocol):
     def varies(self) -> bool:
         """Whether two draws differ."""
 
-    def draw(self, room: Room, rng: np.random.Generator) -> Deployment:
-        """A deployment inside `room`."""
+    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
+        """A deployment inside `room`, its landmarks with their surfaces."""
 
 
 @dataclass(frozen=True)
@@ -103,15 +157,14 @@ class RandomDeployment:
     varies = True
 
     def __post_init__(self) -> None:
-        integer("deployment.count", self.count, low=1)
+        integer("count", self.count, low=1)
 
-    def draw(self, room: Room, rng: np.random.Generator) -> Deployment:
+    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
         """See `DeploymentSource.draw`."""
-        walls = room.landmark_walls()
-        area = np.array([wall.area for wall in walls])
-        picked = rng.choice(len(walls), size=self.count, p=area / area.sum())
-        fraction = rng.random((self.count, 2))
-        return _flush([(walls[w], f * np.asarray(walls[w].extent)) for w, f in zip(picked, fraction, strict=True)])
+        surfaces = SurfaceArrays.of(room.surfaces())
+        area = surfaces.extent.prod(axis=1)
+        picked = rng.choice(len(area), size=self.count, p=area / area.sum())
+        return _flush(surfaces, picked, rng.random((self.count, 2)) * surfaces.extent[picked])
 
 
 @dataclass(frozen=True)
@@ -129,23 +182,22 @@ class UniformDeployment:
     varies = False
 
     def __post_init__(self) -> None:
-        integer("deployment.count", self.count, low=1)
-        choice("deployment.layout", self.layout, ("per_wall", "by_area"))
+        integer("count", self.count, low=1)
+        choice("layout", self.layout, ("per_wall", "by_area"))
 
-    def draw(self, room: Room, rng: np.random.Generator) -> Deployment:
+    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
         """See `DeploymentSource.draw`; nothing here is random."""
-        walls = room.landmark_walls()
-        area = np.array([wall.area for wall in walls])
-        share = area / area.sum() if self.layout == "by_area" else np.full(len(walls), 1.0 / len(walls))
+        surfaces = room.surfaces()
+        area = np.array([surface.area for surface in surfaces])
+        share = area / area.sum() if self.layout == "by_area" else np.full(len(area), 1.0 / len(area))
         quota = share * self.count
         counts = np.floor(quota + 1e-9).astype(int)
-        # Largest remainder first; the larger wall wins a tie.
+        # Largest remainder first; the larger surface wins a tie.
         order = np.lexsort((-area, -np.round(quota - counts, 9)))
         counts[order[: self.count - counts.sum()]] += 1
-        places = [
-            (wall, np.asarray(point)) for wall, n in zip(walls, counts, strict=True) for point in _wall_grid(wall, n)
-        ]
-        return _flush(places)
+        grids = [_grid(surface, n) for surface, n in zip(surfaces, counts, strict=True)]
+        at = np.array([point for grid in grids for point in grid])
+        return _flush(SurfaceArrays.of(surfaces), np.repeat(np.arange(len(surfaces)), counts), at)
 
 
 @dataclass(frozen=True)
@@ -161,40 +213,37 @@ class FileDeployment:
     count: int | None = None
     varies = False
 
-    def draw(self, room: Room, rng: np.random.Generator) -> Deployment:
+    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
         """See `DeploymentSource.draw`."""
         if self.path is None:
-            raise InputError("deployment.path is missing: deployment=file needs a CSV of landmarks.")
+            raise InputError("path is missing: a CSV of landmarks is needed.", "path")
         deployment = Deployment.from_csv(self.path)
         if self.count is not None and self.count != len(deployment):
-            raise InputError(f"{self.path} has {len(deployment)} landmarks, but deployment.count = {self.count}.")
+            raise InputError(f"count = {self.count}, but {self.path} has {len(deployment)} landmarks.", "count")
         try:
-            deployment.check_inside(room)
+            return deployment.hung(room)
         except InputError as error:
             raise InputError(f"{self.path}: {error}") from None
-        return deployment
 
 
-def _flush(places: list[tuple[Wall, FloatArray]]) -> Deployment:
-    """Landmarks flush on walls at wall coordinates `(2,)`."""
-    return Deployment(
-        np.array([wall.point(at[0], at[1]) for wall, at in places]), np.array([wall.normal for wall, _ in places])
-    )
+def _flush(surfaces: SurfaceArrays, surface: IntArray, at: FloatArray) -> Deployment:
+    """Landmarks flush on their surfaces `(K,)` at surface coordinates `(K, 2)`."""
+    return Deployment(surfaces.points(surface, at), surfaces.normal[surface], surface)
 
 
 # A grid whose cells are more elongated than this gives way to one with rows of unequal number.
 MAX_ELONGATION = 3.0
 
 
-def _wall_grid(wall: Wall, count: int) -> list[tuple[float, float]]:
-    """Wall coordinates of `count` cell centres, with cells as square as an even grid allows.
+def _grid(surface: Surface, count: int) -> list[tuple[float, float]]:
+    """Surface coordinates of `count` cell centres, with cells as square as an even grid allows.
 
     The grid runs along the longer side; 15 landmarks on the paper's walls make 5 x 3.
     """
     if count == 0:
         return []
-    swap = wall.extent[1] > wall.extent[0]
-    long, short = max(wall.extent), min(wall.extent)
+    swap = surface.extent[1] > surface.extent[0]
+    long, short = max(surface.extent), min(surface.extent)
 
     def elongation(rows: int) -> float:
         cell = (long / (count / rows)) / (short / rows)

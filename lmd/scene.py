@@ -1,23 +1,25 @@
 """A scene: everything that stays fixed while landmarks move."""
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 from lmd.camera import Camera
 from lmd.pdf import OrientationPdf
-from lmd.sight.visibility import Limits, Visibility
-from lmd.space.cuboid import Room
+from lmd.sight.criteria import Criteria
+from lmd.space.space import Space
 
 
 @dataclass(frozen=True)
 class Scene:
     """Room, camera, orientation PDF and visibility model."""
 
-    room: Room
+    room: Space
     camera: Camera
     pdf: OrientationPdf
-    visibility: Visibility
+    visibility: Criteria
 
-    @property
-    def limits(self) -> Limits:
-        """Depth bounds of the coverage criteria."""
-        return Limits.of(self.camera, self.visibility)
+    @cached_property
+    def sight(self) -> Any:
+        """The visibility model compiled for the camera, a `lmd.sight.criteria.Sight`."""
+        return self.visibility.sight(self.camera)

@@ -16,11 +16,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lmd.checks import FloatArray, integer
+from lmd.checks import BoolArray, FloatArray, integer
 from lmd.deployment import Deployment
-from lmd.problem import CoverageProblem
+from lmd.problem import Problem
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.reference import qualified
 
 # Keeps the sample apart from every other use of the same seed.
 STREAM = 0x76616C
@@ -55,12 +54,13 @@ class Sample:
 
 
 def validation_metrics(
-    problem: CoverageProblem, deployment: Deployment, seed: int, sample: Sample | None = None
+    problem: Problem, deployment: Deployment, seed: int, sample: Sample | None = None
 ) -> dict[str, float]:
     """The figures of this module, fractions in [0, 1], the same for any number of threads.
 
-    The standard error of the grid-free qualified ratio is the binomial one over positions; that of the average comes
-    from the spread of the groups, which covers the positions and the orientations.
+    They are the means over positions that the objective names in `shares`: its headline on the finer grid, all of them
+    grid-free. The standard error of a share of positions is the binomial one; that of a mean of values comes from the
+    spread of the groups, which covers the positions and the orientations.
 
     Args:
         problem: the scene, n and thold_p.
@@ -70,28 +70,33 @@ def validation_metrics(
     """
     scene, objective = problem.scene, problem.objective
     finer = Evaluator(replace(scene, room=scene.room.finer(), pdf=scene.pdf.finer()), threads=problem.evaluator.threads)
-    is_qualified = qualified(finer.probabilities(deployment, objective.n), objective.thold_p)
-    probability = sampled_probabilities(problem, deployment, seed, sample or Sample())
-    ratio = float(qualified(probability, objective.thold_p).mean())
-    means = probability.mean(axis=1)
-    return {
-        "finer_grid_qualified_ratio": float(is_qualified.mean()),
-        "grid_free_qualified_ratio": ratio,
-        "grid_free_qualified_ratio_standard_error": float(np.sqrt(ratio * (1.0 - ratio) / probability.size)),
-        "grid_free_average_coverage_probability": float(means.mean()),
-        "grid_free_average_coverage_probability_standard_error": float(means.std(ddof=1) / np.sqrt(len(means))),
-    }
+    landmarks = deployment.positions[None], deployment.normals[None]
+    on_finer_grid = objective.shares(objective.values(finer, *landmarks)[0])
+    key = objective.headline.key
+    metrics = {f"finer_grid_{key}": float(on_finer_grid[key].mean())}
+    sampled = sampled_values(problem, deployment, seed, sample or Sample())
+    for key, shares in objective.shares(sampled).items():
+        metrics[f"grid_free_{key}"], metrics[f"grid_free_{key}_standard_error"] = _mean_and_error(shares)
+    return metrics
 
 
-def sampled_probabilities(problem: CoverageProblem, deployment: Deployment, seed: int, sample: Sample) -> FloatArray:
-    """P_n at the random positions of a sample, `(groups, positions)`. Args as in `validation_metrics`."""
-    scene, room = problem.scene, problem.scene.room
+def _mean_and_error(shares: FloatArray | BoolArray) -> tuple[float, float]:
+    """The mean of a sample `(groups, positions)` and its standard error."""
+    if shares.dtype == np.bool_:
+        ratio = float(shares.mean())
+        return ratio, float(np.sqrt(ratio * (1.0 - ratio) / shares.size))
+    means = shares.mean(axis=1)
+    return float(means.mean()), float(means.std(ddof=1) / np.sqrt(len(means)))
+
+
+def sampled_values(problem: Problem, deployment: Deployment, seed: int, sample: Sample) -> FloatArray:
+    """The objective's value at the positions of a sample, `(groups, positions)`. Args as in `validation_metrics`."""
+    scene, landmarks = problem.scene, (deployment.positions[None], deployment.normals[None])
     rng = np.random.default_rng([seed, STREAM])
     rows = []
     for _ in range(sample.groups):
-        positions = rng.uniform(room.reachable_low, room.reachable_high, (sample.positions, 3))
+        positions = scene.room.sample(sample.positions, rng)
         drawn = replace(scene, pdf=scene.pdf.stratified(sample.divisions, rng))
-        rows.append(
-            Evaluator(drawn, positions, problem.evaluator.threads).probabilities(deployment, problem.objective.n)
-        )
+        evaluator = Evaluator(drawn, positions, problem.evaluator.threads)
+        rows.append(problem.objective.values(evaluator, *landmarks)[0])
     return np.stack(rows)

@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 if TYPE_CHECKING:
     from lmd.optimisers.base import Optimiser
-    from lmd.problem import CoverageProblem
+    from lmd.problem import Problem
 
 CONF = str(Path(__file__).resolve().parents[1] / "conf")
 
@@ -44,9 +44,9 @@ def instantiate(node: Any, **extra: Any) -> Any:
         raise InputError(" ".join(str(error).split())) from error
 
 
-def build_problem(cfg: DictConfig) -> "CoverageProblem":
+def build_problem(cfg: DictConfig) -> "Problem":
     """The problem a composed configuration describes."""
-    from lmd.problem import CoverageProblem
+    from lmd.problem import Problem
     from lmd.scene import Scene
 
     scene = Scene(
@@ -58,14 +58,7 @@ def build_problem(cfg: DictConfig) -> "CoverageProblem":
     objective, start = instantiate(cfg.objective), instantiate(cfg.deployment)
     if isinstance(start, partial):  # a source that depends on what the landmarks are for
         start = start(scene=scene, objective=objective, threads=cfg.threads)
-    return CoverageProblem(
-        scene,
-        objective,
-        start,
-        encoding=cfg.encoding.kind,
-        flush=cfg.encoding.flush,
-        threads=cfg.threads,
-    )
+    return Problem(scene, objective, start, cfg.threads)
 
 
 def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":
@@ -75,7 +68,7 @@ def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":
         InputError: it cannot be built, or is none.
     """
     from lmd.checks import InputError
-    from lmd.optimisers.base import Optimiser
+    from lmd.optimisers.base import AskTell, Optimiser
 
     optimiser = instantiate(cfg.optimiser, seed=seed)
     if not isinstance(optimiser, Optimiser):
@@ -83,6 +76,8 @@ def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":
             f"optimiser._target_ = {cfg.optimiser.get('_target_')!r} makes a {type(optimiser).__name__}, which is not "
             "derived from lmd.optimisers.base.Optimiser."
         )
+    if isinstance(optimiser, AskTell):
+        optimiser.encoding, optimiser.flush = optimiser.encoding or cfg.encoding.kind, cfg.encoding.flush
     return optimiser
 
 

@@ -18,7 +18,7 @@ def main(cfg: DictConfig) -> None:
 
 def bound(cfg: DictConfig) -> None:
     """Bound what the configured problem admits."""
-    from lmd.bounds import Search, average_bound, fewest_landmarks, qualified_bound
+    from lmd.bounds import Search, average_upper_bound, fewest_landmarks, qualified_upper_bound
     from lmd.checks import real
     from pipelines.tracked_run import tracked_run
 
@@ -30,8 +30,8 @@ def bound(cfg: DictConfig) -> None:
     figures: dict[str, float] = {}
     with tracked_run(cfg, problem, "bound") as tracker:
         for label, key, method in (
-            ("fitness", "fitness", qualified_bound),
-            ("average probability", "average_coverage_probability", average_bound),
+            ("fitness", "fitness", qualified_upper_bound),
+            ("average probability", "average_coverage_probability", average_upper_bound),
         ):
             result = method(problem, count, search)
             document[key] = {"walls": result.walls, "grid": result.grid, "fractional": result.fractional}

@@ -21,7 +21,7 @@ from pipelines.app import (
 from pipelines.sweeps.supervisor import run
 
 if TYPE_CHECKING:
-    from lmd.comparison import Outcome
+    from lmd.comparison import OptimiserRun
     from lmd.optimisers.base import Budget
     from pipelines.tracking import Tracker
 
@@ -55,24 +55,24 @@ def compare(cfg: DictConfig) -> None:
     if not configs:
         raise InputError("optimisers must name at least one optimiser.")
     jobs = [(name, configs[name], seed, budget) for seed in seeds for name in configs]
-    directory, outcomes = run_directory(), []
+    directory, headline, runs = run_directory(), problem.objective.headline, []
     axis = "evaluations" if budget.evaluations else "wall_time"
     with tracked_run(cfg, problem, "compare") as tracker:
         try:
-            for outcome in _outcomes(jobs, workers):
-                outcomes.append(outcome)
-                _log_child(cfg, outcome, tracker.run_id, directory)
-                print(f"{len(outcomes)}/{len(jobs)} {outcome.optimiser} seed={outcome.seed}: "
-                      f"{outcome.metrics['qualified_ratio']:.2%}", flush=True)  # fmt: skip
+            for done in _runs(jobs, workers):
+                runs.append(done)
+                _log_child(cfg, done, tracker.run_id, directory)
+                figure = headline.text(done.metrics[headline.key])
+                print(f"{len(runs)}/{len(jobs)} {done.optimiser} seed={done.seed}: {figure}", flush=True)
         finally:  # interrupted, what is finished is still worth a table
-            if outcomes:
-                table = comparison_table(outcomes)
+            if runs:
+                table = comparison_table(runs, headline.key)
                 table.to_csv(directory / "comparison.csv", index=False)
-                (directory / "comparison.md").write_text(to_markdown(table))
+                (directory / "comparison.md").write_text(to_markdown(table, headline))
                 title = title_of(problem, f"{len(seeds)} seeds,")
-                save_comparison_figure(directory / "comparison.png", outcomes, axis, title)
+                save_comparison_figure(directory / "comparison.png", runs, axis, headline, title)
                 tracker.log_artifacts([directory / f"comparison.{kind}" for kind in ("csv", "md", "png")])
-                print(f"\n{to_markdown(table)}\nfiles: {directory}")
+                print(f"\n{to_markdown(table, headline)}\nfiles: {directory}")
         tracker.finish("FINISHED")
     if cfg.save_as is not None:
         for kind in ("md", "png"):
@@ -91,17 +91,17 @@ def _compose(entry: str, cfg: DictConfig) -> DictConfig:
     return composed
 
 
-def _run(job: "tuple[str, DictConfig, int, Budget]") -> "Outcome":
+def _run(job: "tuple[str, DictConfig, int, Budget]") -> "OptimiserRun":
     """One run, on one thread."""
-    from lmd.comparison import Outcome
+    from lmd.comparison import OptimiserRun
 
     name, cfg, seed, budget = job
     problem = build_problem(cfg)
     result = build_optimiser(cfg, seed).run(problem, budget)
-    return Outcome(name, seed, problem.metrics(result.deployment), result.history, result.deployment)
+    return OptimiserRun(name, seed, problem.metrics(result.deployment), result.history, result.deployment)
 
 
-def _outcomes(jobs: "Sequence[tuple[str, DictConfig, int, Budget]]", workers: int) -> "Iterator[Outcome]":
+def _runs(jobs: "Sequence[tuple[str, DictConfig, int, Budget]]", workers: int) -> "Iterator[OptimiserRun]":
     """Results as they come, from processes of their own when there is more than one worker."""
     if workers == 1:
         yield from map(_run, jobs)
@@ -110,23 +110,23 @@ def _outcomes(jobs: "Sequence[tuple[str, DictConfig, int, Budget]]", workers: in
         yield from pool.imap_unordered(_run, jobs)
 
 
-def _log_child(cfg: DictConfig, outcome: "Outcome", parent: str | None, directory: Path) -> None:
+def _log_child(cfg: DictConfig, run: "OptimiserRun", parent: str | None, directory: Path) -> None:
     """Record one run below the comparison's own, its landmarks in a folder of its own in `directory`."""
     from pipelines.progress import thinned
     from pipelines.tracking import PARENT_TAG
 
     tracker: Tracker = instantiate(cfg.tracking)
-    tags = {"choice.optimiser": outcome.optimiser.split()[0]}
+    tags = {"choice.optimiser": run.optimiser.split()[0]}
     if parent is not None:
         tags[PARENT_TAG] = parent
-    params = {"optimiser": outcome.optimiser, "seed": outcome.seed}
-    ago = outcome.history[-1].wall_time
-    tracker.start(f"{outcome.optimiser} seed={outcome.seed}", params, tags, None, ago)
-    tracker.log_curve("best_fitness", thinned(outcome.history))
-    tracker.log_metrics(outcome.metrics)
-    landmarks = directory / "runs" / f"{outcome.optimiser.replace('/', '_')} seed={outcome.seed}" / "landmarks.csv"
+    params = {"optimiser": run.optimiser, "seed": run.seed}
+    ago = run.history[-1].wall_time
+    tracker.start(f"{run.optimiser} seed={run.seed}", params, tags, None, ago)
+    tracker.log_curve("best_fitness", thinned(run.history))
+    tracker.log_metrics(run.metrics)
+    landmarks = directory / "runs" / f"{run.optimiser.replace('/', '_')} seed={run.seed}" / "landmarks.csv"
     landmarks.parent.mkdir(parents=True, exist_ok=True)  # a sweep may do a lost job again
-    outcome.deployment.to_csv(landmarks)
+    run.deployment.to_csv(landmarks)
     tracker.log_artifacts([landmarks])
     tracker.finish("FINISHED")
 

@@ -11,7 +11,7 @@ from pipelines.sweeps.supervisor import run
 
 if TYPE_CHECKING:
     from lmd.deployment import Deployment
-    from lmd.problem import CoverageProblem
+    from lmd.problem import Problem
     from pipelines.tracking import Tracker
 
 
@@ -40,7 +40,7 @@ def evaluate(cfg: DictConfig) -> float:
         return record(cfg, problem, tracker, deployment, history, subject=subject, summary=summary)
 
 
-def localise(problem: "CoverageProblem", deployment: "Deployment", tracker: "Tracker") -> dict[str, float]:
+def localise(problem: "Problem", deployment: "Deployment", tracker: "Tracker") -> dict[str, float]:
     """Write and log the map of the bound on the pose of a single frame; returns its figures."""
     from lmd.localisation.cramer_rao import bound_map
     from lmd.plot.localisation import save_bound_map

@@ -22,7 +22,7 @@ from pipelines.sweeps.supervisor import run
 if TYPE_CHECKING:
     from lmd.checkpoint import Checkpoint
     from lmd.optimisers.base import Budget, Result
-    from lmd.problem import CoverageProblem
+    from lmd.problem import Problem
     from pipelines.tracking import Tracker
 
 # What a resumed run must share with the run it continues.
@@ -74,7 +74,7 @@ def optimise(cfg: DictConfig) -> float:
 
 
 def _run(
-    cfg: DictConfig, problem: "CoverageProblem", budget: "Budget", checkpoint: "Checkpoint", tracker: "Tracker"
+    cfg: DictConfig, problem: "Problem", budget: "Budget", checkpoint: "Checkpoint", tracker: "Tracker"
 ) -> "Result":
     from pipelines.progress import Progress, StopOnSignal
 

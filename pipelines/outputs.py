@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from lmd.deployment import Deployment
     from lmd.optimisers.base import Record
-    from lmd.problem import CoverageProblem
+    from lmd.problem import Problem
 
 
 def write_outputs(
     directory: Path,
-    problem: "CoverageProblem",
+    problem: "Problem",
     deployment: "Deployment",
     history: "Sequence[Record]",
     *,
@@ -27,7 +27,7 @@ def write_outputs(
 
     Args:
         directory: the run's directory.
-        problem: gives the metrics and the probabilities shown.
+        problem: what it is scored for.
         deployment: what is written and shown.
         history: best fitness over the run.
         title: heads the pictures.
@@ -43,10 +43,7 @@ def write_outputs(
     from lmd.plot.page import save_scene_page
     from lmd.plot.scene import save_scene_figure
 
-    room, objective = problem.scene.room, problem.objective
-    positions, probability = problem.evaluator.positions, problem.probabilities(deployment)
     metrics = problem.metrics(deployment)
-    shown = (room, deployment, positions, probability, objective.thold_p, objective.n, title)
     table = pd.DataFrame(history)
 
     def write(partial: Path) -> None:
@@ -54,10 +51,10 @@ def write_outputs(
         document = {**metrics, **summary, "settings": problem.settings()}
         (partial / "metrics.json").write_text(json.dumps(document, indent=2) + "\n")
         table.to_csv(partial / "history.csv", index=False)
-        save_scene_figure(partial / "scene.png", *shown)
-        save_convergence_figure(partial / "convergence.png", table, title)
+        save_scene_figure(partial / "scene.png", problem, deployment, title)
+        save_convergence_figure(partial / "convergence.png", table, problem.objective.headline, title)
         if page:
-            save_scene_page(partial / "scene.html", *shown)
+            save_scene_page(partial / "scene.html", problem, deployment, title)
 
     return metrics, all_or_none(directory, write)
 

@@ -57,7 +57,7 @@ class Progress:
         save: saves a checkpoint.
         every: seconds between checkpoints.
         stop: ends the run.
-        resumed: the optimiser before the run; what is in its books is logged already.
+        resumed: the optimiser before the run; what is in its ledger is logged already.
     """
 
     def __init__(
@@ -70,14 +70,14 @@ class Progress:
         resumed: Optimiser,
     ) -> None:
         self.budget, self.tracker, self.save, self.every, self.stop = budget, tracker, save, every, stop
-        self.used = budget.used(resumed.books.evaluations, resumed.books.seconds)
+        self.used = budget.used(resumed.ledger.evaluations, resumed.ledger.seconds)
         self.saved = time.monotonic()
-        self.logged = len(resumed.books.history)
+        self.logged = len(resumed.ledger.history)
         # On a terminal the bar is live; in a log file a line now and then is enough.
         interval = 0.1 if sys.stderr.isatty() else 15.0
         self.bar = tqdm(
             total=budget.evaluations,
-            initial=int(resumed.books.evaluations),
+            initial=int(resumed.ledger.evaluations),
             unit=" evaluations",
             mininterval=interval,
             leave=False,
@@ -85,21 +85,21 @@ class Progress:
 
     def __call__(self, optimiser: Optimiser) -> bool:
         """See `lmd.optimisers.base.Callback`."""
-        books = optimiser.books
-        self.bar.set_postfix_str(f"best {books.best_fitness:.2%}", refresh=False)
-        self.bar.update(int(books.evaluations) - self.bar.n)
+        ledger = optimiser.ledger
+        self.bar.set_postfix_str(f"best {ledger.best_fitness:.2%}", refresh=False)
+        self.bar.update(int(ledger.evaluations) - self.bar.n)
         if time.monotonic() - self.saved >= self.every:
             self.flush(optimiser)
         return self.stop.requested
 
     def flush(self, optimiser: Optimiser) -> None:
         """Save a checkpoint and log what the curve has gained."""
-        books = optimiser.books
-        used = self.budget.used(books.evaluations, books.seconds)
-        new = books.history[self.logged :]
+        ledger = optimiser.ledger
+        used = self.budget.used(ledger.evaluations, ledger.seconds)
+        new = ledger.history[self.logged :]
         self.save()
         self.tracker.log_curve("best_fitness", thinned(new, 1 + int(CURVE_POINTS * (used - self.used))))
-        self.logged, self.used = len(books.history), used
+        self.logged, self.used = len(ledger.history), used
         self.saved = time.monotonic()
 
     def close(self) -> None:

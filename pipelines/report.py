@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from lmd.deployment import Deployment
-    from lmd.problem import CoverageProblem
+    from lmd.problem import Problem
     from pipelines.tracking import MlflowReader
 
 TITLE = "The paper's tables and figures, reproduced"
@@ -97,7 +97,7 @@ def _chosen(runs: "pd.DataFrame", sweeps: ListConfig | None) -> "pd.DataFrame":
     return runs[parents.isin(list(sweeps)) | runs.index.isin(list(sweeps))]
 
 
-def _load(reader: "MlflowReader", run_id: str) -> "tuple[CoverageProblem, Deployment]":
+def _load(reader: "MlflowReader", run_id: str) -> "tuple[Problem, Deployment]":
     """The problem a run was about and the deployment it found, from the files it kept."""
     import numpy as np
 

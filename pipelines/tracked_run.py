@@ -10,7 +10,7 @@ from omegaconf import DictConfig
 from lmd.checks import InputError
 from lmd.deployment import Deployment
 from lmd.optimisers.base import Record
-from lmd.problem import CoverageProblem
+from lmd.problem import Problem
 from lmd.validation import validation_metrics
 from pipelines.app import choices, flat_settings, instantiate, run_directory
 from pipelines.outputs import write_outputs
@@ -23,15 +23,13 @@ if TYPE_CHECKING:
 IN_THE_NAME = ("optimiser", "deployment", "deployment.count", "objective.n", "objective.thold_p", "seed")
 
 
-def title_of(problem: CoverageProblem, subject: str) -> str:
+def title_of(problem: Problem, subject: str) -> str:
     """A short name for a run: what it is about and the settings that matter most."""
-    return f"{subject} n={problem.objective.n} p={problem.objective.thold_p:g} K={problem.count}"
+    return f"{subject} {problem.objective.name} K={problem.count}"
 
 
 @contextmanager
-def tracked_run(
-    cfg: DictConfig, problem: CoverageProblem, subject: str, run_id: str | None = None
-) -> "Iterator[Tracker]":
+def tracked_run(cfg: DictConfig, problem: Problem, subject: str, run_id: str | None = None) -> "Iterator[Tracker]":
     """`tracked` with the name of a run on a coverage problem.
 
     Args:
@@ -79,7 +77,7 @@ def tracked(cfg: DictConfig, title: str, run_id: str | None = None) -> "Iterator
 
 def record(
     cfg: DictConfig,
-    problem: CoverageProblem,
+    problem: Problem,
     tracker: "Tracker",
     deployment: Deployment,
     history: Sequence[Record],
@@ -104,7 +102,8 @@ def record(
     tracker.log_metrics({**metrics, **figures, **{f"validation/{key}": value for key, value in validation.items()}})
     tracker.log_artifacts([*files, *sorted((directory / ".hydra").glob("*.yaml"))])
     tracker.finish(status)
-    lines = validation_lines(validation) | {key.replace("_", " "): f"{value:g}" for key, value in figures.items()}
+    described = problem.objective.describe_validation(validation) if validation else {}
+    lines = described | {key.replace("_", " "): f"{value:g}" for key, value in figures.items()}
     lines["files"] = f"{directory}: {', '.join(path.name for path in files)}"
     lines["picture"] = str(directory / "scene.png")
     lines["mlflow"] = tracker.describe()
@@ -112,29 +111,8 @@ def record(
     return metrics["fitness"]
 
 
-def validation_lines(validation: Mapping[str, float]) -> dict[str, str]:
-    """The figures of `validation_metrics` as labelled lines, none for none."""
-    if not validation:
-        return {}
-
-    def with_error(key: str) -> str:
-        return f"{validation[key]:.2%} +- {validation[f'{key}_standard_error']:.2%}"
-
-    return {
-        "on a finer grid": f"{validation['finer_grid_qualified_ratio']:.2%} of positions qualified",
-        "off the grid": f"{with_error('grid_free_qualified_ratio')} of random positions qualified, "
-        f"average probability {with_error('grid_free_average_coverage_probability')}",
-    }
-
-
-def report(problem: CoverageProblem, metrics: Mapping[str, float], lines: Mapping[str, str]) -> str:
+def report(problem: Problem, metrics: Mapping[str, float], lines: Mapping[str, str]) -> str:
     """The figures of a run as text for the terminal, followed by labelled `lines`."""
-    objective = problem.objective
-    rows = {
-        "qualified ratio": f"{metrics['qualified_ratio']:.2%} of {len(problem.relevance)} positions see at least "
-        f"{objective.n} of {problem.count} landmarks with probability {objective.thold_p:g}",
-        "average probability": f"{metrics['average_coverage_probability']:.2%}",
-        "maximum probability": f"{metrics['maximum_coverage_probability']:.2%}",
-        **lines,
-    }
+    described = problem.objective.describe(metrics, len(problem.relevance), problem.count)
+    rows = {**described, **lines}
     return "\n".join(f"{label:<20} {text}" for label, text in rows.items())

@@ -8,8 +8,8 @@ from lmd import pdf
 from lmd.camera import Camera
 from lmd.deployment import Deployment
 from lmd.scene import Scene
-from lmd.sight.visibility import Visibility
-from lmd.space.cuboid import Room
+from lmd.sight.paper import Visibility
+from lmd.space.cuboid import Cuboid
 
 settings.register_profile("lmd", deadline=None)  # the first example may wait for a compiler
 settings.load_profile("lmd")
@@ -47,16 +47,16 @@ def printed_experiment_camera(**changes):
 
 
 def paper_room(**changes):
-    return Room(**({"size": (7.5, 5.0, 6.0), "reachable_size": (6.0, 3.5, 4.5), "spacing": 0.5} | changes))
+    return Cuboid(**({"size": (7.5, 5.0, 6.0), "reachable_size": (6.0, 3.5, 4.5), "spacing": 0.5} | changes))
 
 
 def experiment_room(**changes):
     fixed = {"size": (3.2, 3.2, 1.7), "reachable_size": (2.6, 2.6, 1.2), "spacing": 0.4, "walls": SIDE_WALLS}
-    return Room(**(fixed | changes))
+    return Cuboid(**(fixed | changes))
 
 
 def one_position_room(position=(2.0, 2.0, 2.0)):
-    return Room(size=tuple(2.0 * c for c in position), reachable_size=(0.1, 0.1, 0.1), spacing=1.0)
+    return Cuboid(size=tuple(2.0 * c for c in position), reachable_size=(0.1, 0.1, 0.1), spacing=1.0)
 
 
 def paper_scene(room=None, camera=None, orientations=None, **visibility):

@@ -10,8 +10,8 @@ from lmd.camera import Camera
 from lmd.deployment import Deployment, RandomDeployment
 from lmd.geometry.frames import optical_axis
 from lmd.scene import Scene
-from lmd.sight.visibility import OCCLUSION_MODES, Visibility
-from lmd.space.cuboid import Room
+from lmd.sight.paper import OCCLUSION_MODES, Visibility
+from lmd.space.cuboid import Cuboid
 
 yaws = st.floats(-math.pi, math.pi)
 pitches = st.floats(-math.pi / 2, math.pi / 2)
@@ -51,7 +51,7 @@ def visibilities(draw):
 def rooms(draw, spacings=(0.4, 0.7, 1.1)):
     size = draw(st.tuples(*[st.floats(1.0, 6.0)] * 3))
     shares = draw(st.tuples(*[st.sampled_from([0.1, 0.3, 1.0])] * 3))
-    return Room(
+    return Cuboid(
         size=size,
         reachable_size=tuple(s * share for s, share in zip(size, shares, strict=True)),
         # At most three cells along an axis keep a scene small.
@@ -129,7 +129,7 @@ def _perpendicular(axis, towards):
 def scenes_with_boundary_landmarks(draw):
     """Landmarks exactly on a limit of the coverage of some grid position and axis, nudged by some rounding errors."""
     scene = draw(scenes())
-    camera, visibility, limits = scene.camera, scene.visibility, scene.limits
+    camera, visibility, limits = scene.camera, scene.visibility, scene.sight
     near, far = camera.depth_of_field(visibility.circle_of_confusion)
     deepest = min(camera.resolution_depth(visibility.thold), far)
     grid, axes = scene.room.grid(), scene.pdf.axes

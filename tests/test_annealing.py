@@ -6,17 +6,19 @@ from test_optimisers import make, problem
 from lmd import pdf
 from lmd.checks import InputError
 from lmd.deployment import Deployment, FileDeployment, RandomDeployment, UniformDeployment
+from lmd.objectives.coverage import Coverage
+from lmd.objectives.sampling import Sampling
 from lmd.optimisers.annealing import Stage
-from lmd.optimisers.annealing.surrogate import Ground
+from lmd.optimisers.annealing.surrogate import Surrogate
 from lmd.optimisers.annealing.walk import _reflect
 from lmd.optimisers.base import Budget
-from lmd.problem import CoverageProblem, Design, Objective
+from lmd.problem import Problem
 
 PAIRS = {"temperature": [1e-3, 1e-4], "width": [0.1, 0.01], "step": [1.0, 0.1]}
 
 
 def flush_on_walls(room, deployment):
-    walls = room.landmark_walls()
+    walls = room.surfaces()
     on = [np.abs((deployment.positions - w.origin) @ w.normal) < 1e-9 for w in walls]
     faces = [(deployment.normals == w.normal).all(axis=1) for w in walls]
     return (np.array(on) & np.array(faces)).any(axis=0).all()
@@ -26,7 +28,7 @@ def flush_on_walls(room, deployment):
 def test_every_landmark_ends_flush_on_an_allowed_wall(count, n):
     room = paper_room(spacing=1.5, walls=("x_min", "ceiling", "y_max"))
     scene = paper_scene(room=room, orientations=pdf.grid_with_ends(6))
-    p = CoverageProblem(scene, Objective(n, 0.3), RandomDeployment(count), threads=1)
+    p = Problem(scene, Coverage(n, 0.3), RandomDeployment(count), threads=1)
     result = make("annealing").run(p, Budget(300))
     assert len(result.deployment) == count
     assert flush_on_walls(room, result.deployment)
@@ -37,9 +39,9 @@ def test_every_landmark_ends_flush_on_an_allowed_wall(count, n):
 def test_stacks_are_pulled_apart_by_the_spread(size):
     optimiser = make("annealing")
     p = problem()
-    optimiser.run(p, Budget(300), lambda o: o.books.evaluations > 50)
+    optimiser.run(p, Budget(300), lambda o: o.ledger.evaluations > 50)
     assert optimiser.in_stacks
-    pairs = optimiser._apart(p, size).positions.reshape(-1, 2, 3)
+    pairs = optimiser._apart(p, 2, size).positions.reshape(-1, 2, 3)
     inside = ((pairs > 0.1) & (pairs < np.array(p.scene.room.size) - 0.1)).sum(axis=2).min(axis=1) >= 2
     distance = np.linalg.norm(pairs[:, 0] - pairs[:, 1], axis=1)
     np.testing.assert_allclose(distance[inside], size * 1.6 * 0.05)
@@ -47,13 +49,13 @@ def test_stacks_are_pulled_apart_by_the_spread(size):
 
 def test_plates_grow_to_their_size_and_stay_there(monkeypatch):
     seen = []
-    enter = Ground.enter
+    prepare = Surrogate.prepare
 
     def spy(self, here, best, in_stacks, size, used, rng):
-        enter(self, here, best, in_stacks, size, used, rng)
+        prepare(self, here, best, in_stacks, size, used, rng)
         seen.append((in_stacks, size, self.is_true))
 
-    monkeypatch.setattr(Ground, "enter", spy)
+    monkeypatch.setattr(Surrogate, "prepare", spy)
     make("annealing").run(problem(), Budget(300))
     sizes = [size for in_stacks, size, _ in seen if not in_stacks]
     assert seen[0] == (True, 1.0, False)
@@ -69,55 +71,55 @@ def test_smaller_plates_hide_less():
     pairs = np.repeat(drawn.positions[:15], 2, axis=0)
     pairs[::2, 2] = np.clip(pairs[::2, 2] + 0.03, 0.0, p.scene.room.size[2])
     deployment = Deployment(pairs, np.repeat(drawn.normals[:15], 2, axis=0))
-    ground = Ground(p)
+    surrogate = Surrogate(p)
     reached = []
     for size in (0.2, 0.5, 1.0):
-        ground.enter(deployment, deployment, False, size, 1.0, np.random.default_rng(0))
-        reached.append(int((ground._state.hidden > 0).sum()))
+        surrogate.prepare(deployment, deployment, False, size, 1.0, np.random.default_rng(0))
+        reached.append(int((surrogate._state.hidden > 0).sum()))
     assert reached[0] < reached[1] < reached[2]
-    assert ground._best.fitness[0] == pytest.approx(p.fitness(deployment))
+    assert surrogate._best.fitness[0] == pytest.approx(p.fitness_of(deployment))
 
 
-def test_an_objective_with_a_design_is_climbed_on_fresh_draws():
-    design = Design(positions=4, divisions=6)
+def test_an_objective_with_a_sampling_is_climbed_on_fresh_draws():
+    sampling = Sampling(positions=4, divisions=6)
     p = problem()
-    p = CoverageProblem(p.scene, Objective(2, 0.3, design), p.start, threads=1)
-    ground, rng = Ground(p), np.random.default_rng(0)
+    p = Problem(p.scene, Coverage(2, 0.3, sampling), p.start, threads=1)
+    surrogate, rng = Surrogate(p), np.random.default_rng(0)
     deployment = p.start.draw(p.scene.room, rng)
     positions = []
     for used in (0.0, 0.7, 1.0, 1.0):
-        ground.enter(deployment, deployment, False, 1.0, used, rng)
-        assert not ground.is_true
-        positions.append(ground._fixed.positions[:, ground._fixed.place])
+        surrogate.prepare(deployment, deployment, False, 1.0, used, rng)
+        assert not surrogate.is_true
+        positions.append(surrogate._field.positions[:, surrogate._field.index_of])
     grid = len(p.evaluator.positions)
     assert [x.shape[1] // grid for x in positions] == [1, 2, 4, 4]
     assert not np.isin(positions[3][0], positions[2][0]).any()
     result = make("annealing").run(p, Budget(300))
     assert result.evaluations == 300
-    assert result.fitness == p.fitness(result.deployment)
+    assert result.fitness == p.fitness_of(result.deployment)
 
 
-@pytest.mark.parametrize("design", [None, Design(positions=2, divisions=6)])
-def test_samples_are_climbed_under_conditions_of_their_own(monkeypatch, design):
-    seen, walk = [], Ground.walk
+@pytest.mark.parametrize("sampling", [None, Sampling(positions=2, divisions=6)])
+def test_samples_are_climbed_under_conditions_of_their_own(monkeypatch, sampling):
+    seen, walk = [], Surrogate.walk
 
-    def spy(self, moves, climate, rng):
-        seen.append((self._stand_in, climate.width))
-        return walk(self, moves, climate, rng)
+    def spy(self, moves, settings, rng):
+        seen.append((self._climbed, settings.width))
+        return walk(self, moves, settings, rng)
 
-    monkeypatch.setattr(Ground, "walk", spy)
+    monkeypatch.setattr(Surrogate, "walk", spy)
     p, optimiser = problem(), make("annealing")
-    optimiser.run(CoverageProblem(p.scene, Objective(2, 0.3, design), p.start, threads=1), Budget(300))
+    optimiser.run(Problem(p.scene, Coverage(2, 0.3, sampling), p.start, threads=1), Budget(300))
     last = min(width for (in_stacks, _), width in seen if not in_stacks)
-    assert (last < optimiser.sampled.width[1]) == (design is None)
+    assert (last < optimiser.sampled.width[1]) == (sampling is None)
 
 
 def test_for_one_landmark_in_view_stacks_are_single_landmarks():
     optimiser = make("annealing")
-    p = CoverageProblem(problem().scene, Objective(1, 0.5), RandomDeployment(30), threads=1)
-    optimiser.run(p, Budget(300), lambda o: o.books.evaluations > 50)
+    p = Problem(problem().scene, Coverage(1, 0.5), RandomDeployment(30), threads=1)
+    optimiser.run(p, Budget(300), lambda o: o.ledger.evaluations > 50)
     assert optimiser.in_stacks
-    np.testing.assert_array_equal(optimiser._apart(p, 1.0).positions, optimiser.here.positions)
+    np.testing.assert_array_equal(optimiser._apart(p, 1, 1.0).positions, optimiser.here.positions)
 
 
 def test_a_given_start_is_not_stacked(tmp_path):
@@ -137,10 +139,10 @@ def test_a_coordinate_beyond_a_wall_is_folded_back():
 
 def test_conditions_run_geometrically_from_first_to_last():
     stage = Stage(**PAIRS)
-    assert stage.climate(0.0, 0.1).temperature == 1e-3
-    assert stage.climate(0.5, 0.1).temperature == pytest.approx(np.sqrt(1e-7))
-    assert stage.climate(1.0, 0.1).step == pytest.approx(0.1)
-    assert stage.climate(2.0, 0.1).width == pytest.approx(0.01)
+    assert stage.settings(0.0, 0.1).temperature == 1e-3
+    assert stage.settings(0.5, 0.1).temperature == pytest.approx(np.sqrt(1e-7))
+    assert stage.settings(1.0, 0.1).step == pytest.approx(0.1)
+    assert stage.settings(2.0, 0.1).width == pytest.approx(0.01)
 
 
 @pytest.mark.parametrize(

@@ -17,16 +17,17 @@ from lmd import pdf
 from lmd.bounds import (
     Relaxation,
     Search,
-    average_bound,
+    average_upper_bound,
     fewest_landmarks,
     largest_gain,
-    qualified_bound,
+    qualified_upper_bound,
     smoothed_min,
 )
 from lmd.checks import InputError
 from lmd.deployment import Deployment, RandomDeployment
+from lmd.objectives.coverage import Coverage
 from lmd.optimisers.base import Budget
-from lmd.problem import CoverageProblem, Objective
+from lmd.problem import Problem
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses, covered_amounts, gains, wall_cells
@@ -38,7 +39,7 @@ COARSE = Search(spacing=1.0, iterations=150, tolerance=1e-4)
 def small_problem(count=12, n=2, thold_p=0.3, threads=None, relevance=None, **visibility):
     room = paper_room(spacing=2.0, relevance=relevance or Relevance())
     scene = paper_scene(room, orientations=pdf.grid_with_ends(6), **visibility)
-    return CoverageProblem(scene, Objective(n, thold_p), RandomDeployment(count), threads=threads)
+    return Problem(scene, Coverage(n, thold_p), RandomDeployment(count), threads=threads)
 
 
 def cover_matrix(scene, poses):
@@ -72,8 +73,8 @@ def test_candidates_are_the_centres_of_cells_on_every_wall():
     room = paper_room()
     poses = candidate_poses(room, 0.25)
     assert len(poses) == 2 * (30 * 20 + 30 * 24 + 20 * 24)
-    poses.check_inside(room)
-    for wall in room.landmark_walls():
+    assert (poses.hung(room).surfaces >= 0).all()
+    for wall in room.surfaces():
         mine = (poses.normals == wall.normal).all(axis=1)
         a, b = wall.coordinates(poses.positions[mine])
         np.testing.assert_allclose(wall.point(a, b), poses.positions[mine], atol=1e-12)
@@ -150,7 +151,7 @@ def test_no_deployment_exceeds_the_bounds(n, thold_p, occlusion):
     problem = small_problem(20, n, thold_p, occlusion=occlusion, relevance=Relevance(
         regions=[{"low": [0, 0, 0], "high": [3, 5, 6], "weight": 3.0}]))  # fmt: skip
     search = Search(spacing=0.7, iterations=40)
-    average, qualified = average_bound(problem, 20, search), qualified_bound(problem, 20, search)
+    average, qualified = average_upper_bound(problem, 20, search), qualified_upper_bound(problem, 20, search)
     rng = np.random.default_rng(0)
     tried = [problem.start.draw(problem.scene.room, rng) for _ in range(30)]
     tried.append(make("annealing").run(problem, Budget(100)).deployment)
@@ -167,7 +168,7 @@ def test_both_bounds_agree_with_a_linear_program(n, count):
     problem = small_problem(count, n, 0.3)
     poses, size = candidate_poses(problem.scene.room, COARSE.spacing), len(problem.relevance)
     shares = np.full(size, 1.0 / size)
-    for method, threshold in ((average_bound, 1.0), (qualified_bound, 0.3)):
+    for method, threshold in ((average_upper_bound, 1.0), (qualified_upper_bound, 0.3)):
         bound, exact = method(problem, count, COARSE), exact_bound(problem, poses, count, threshold, shares)
         assert bound.fractional <= exact + 1e-9
         assert exact - 1e-9 <= bound.grid <= exact + 1e-3
@@ -177,7 +178,7 @@ def test_more_iterations_close_the_gap():
     problem = small_problem()
     gaps = []
     for iterations in (1, 20, 150):
-        bound = average_bound(problem, 12, replace(COARSE, iterations=iterations))
+        bound = average_upper_bound(problem, 12, replace(COARSE, iterations=iterations))
         gaps.append(bound.grid - bound.fractional)
     assert gaps[0] > gaps[1] > gaps[2]
     assert gaps[2] < 1e-3
@@ -185,7 +186,7 @@ def test_more_iterations_close_the_gap():
 
 def test_more_landmarks_have_a_higher_bound_and_one_dual_bounds_every_number():
     problem = small_problem()
-    bounds = {count: average_bound(problem, count, COARSE) for count in (4, 8, 16, 32)}
+    bounds = {count: average_upper_bound(problem, count, COARSE) for count in (4, 8, 16, 32)}
     walls = [bound.walls for bound in bounds.values()]
     assert walls == sorted(walls)
     for bound in bounds.values():
@@ -197,8 +198,8 @@ def test_the_fewest_landmarks_are_where_the_bound_reaches_the_target():
     problem = small_problem(thold_p=0.5)
     fewest = fewest_landmarks(problem, 0.6, COARSE)
     assert fewest > 3
-    assert qualified_bound(problem, fewest, COARSE).walls >= 0.6 - 1e-9
-    assert qualified_bound(problem, fewest - 2, COARSE).fractional < 0.6
+    assert qualified_upper_bound(problem, fewest, COARSE).walls >= 0.6 - 1e-9
+    assert qualified_upper_bound(problem, fewest - 2, COARSE).fractional < 0.6
     assert fewest_landmarks(problem, 0.0, COARSE) == 2
 
 
@@ -210,13 +211,13 @@ def test_a_target_out_of_reach_is_refused():
 
 def test_where_nothing_can_be_seen_the_bound_says_so():
     problem = small_problem(thold=5.0)
-    bound = average_bound(problem, 12, COARSE)
+    bound = average_upper_bound(problem, 12, COARSE)
     assert bound.walls <= COARSE.tolerance
     assert bound.fractional == 0.0
 
 
 def test_the_result_does_not_depend_on_threads():
-    one, two = (average_bound(small_problem(threads=threads), 12, COARSE) for threads in (1, 3))
+    one, two = (average_upper_bound(small_problem(threads=threads), 12, COARSE) for threads in (1, 3))
     assert (one.walls, one.grid, one.fractional) == (two.walls, two.grid, two.fractional)
 
 

@@ -12,7 +12,7 @@ from tracked import record_sweep, write_report
 
 from lmd.deployment import UniformDeployment
 from lmd.plot.page import save_scene_page
-from lmd.space.cuboid import Room
+from lmd.space.cuboid import Cuboid
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 DRIVER = shutil.which("chromedriver")
@@ -60,7 +60,7 @@ def visit(browser, path):
 
 
 def test_the_interactive_page_of_a_scene(browser, tmp_path):
-    room = Room(size=(3.0, 2.0, 2.5), reachable_size=(2.0, 1.0, 1.5), spacing=0.8)
+    room = Cuboid(size=(3.0, 2.0, 2.5), reachable_size=(2.0, 1.0, 1.5), spacing=0.8)
     deployment = UniformDeployment(7).draw(room, np.random.default_rng(0))
     page = tmp_path / "scene.html"
     save_scene_page(page, room, deployment, room.grid(), np.linspace(0, 1, len(room.grid())), 0.65, 2, "The scene")

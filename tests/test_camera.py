@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from strategies import cameras, visibilities
 
 from lmd.checks import InputError
-from lmd.sight.visibility import TOLERANCE, Limits, Visibility
+from lmd.sight.criteria import TOLERANCE
+from lmd.sight.paper import Visibility
 
 
 def test_simulation_camera_is_sharp_from_0_9755_to_10_03_metres():
@@ -88,7 +89,7 @@ def test_true_experiment_camera_has_23_9_degrees_and_a_near_limit_of_0_44_metres
 
 @given(cameras(), visibilities())
 def test_max_depth_is_the_last_double_that_passes(camera, visibility):
-    limit, far = Limits.of(camera, visibility).max_depth, camera.depth_of_field(visibility.circle_of_confusion)[1]
+    limit, far = visibility.sight(camera).max_depth, camera.depth_of_field(visibility.circle_of_confusion)[1]
 
     def passes(depth):
         resolved = camera.resolution_at_one_metre / depth >= visibility.thold * (1.0 - TOLERANCE)
@@ -100,7 +101,7 @@ def test_max_depth_is_the_last_double_that_passes(camera, visibility):
 
 @given(cameras(), visibilities())
 def test_limits_hold_the_nominal_bounds_with_one_tolerance(camera, visibility):
-    limits = Limits.of(camera, visibility)
+    limits = visibility.sight(camera)
     near, far = camera.depth_of_field(visibility.circle_of_confusion)
     assert limits.min_depth == near * (1.0 - TOLERANCE)
     assert limits.min_cosine == math.cos(camera.cone_half_angle) - TOLERANCE
@@ -152,7 +153,7 @@ def test_principal_point_must_lie_inside_the_image(value):
     ],
 )
 def test_a_visibility_value_out_of_range_is_named(name, value):
-    with pytest.raises(InputError, match=rf"^visibility\.{name} .*{value!r}\.$"):
+    with pytest.raises(InputError, match=rf"^{name} .*{value!r}\.$"):
         Visibility(**({"thold": 0.28} | {name: value}))
 
 

@@ -10,60 +10,62 @@ import pytest
 from mlflow import MlflowClient
 from test_pipelines import SMALL, call, command, environment
 
-from lmd.comparison import Outcome, best_at, comparison_table
+from lmd.comparison import OptimiserRun, best_at, comparison_table
 from lmd.deployment import Deployment
+from lmd.objectives.coverage import Coverage
 from lmd.optimisers.base import Record
 from pipelines.reproduction.comparison import to_markdown
 
 
-def outcome(name, seed, *fitness):
+def run_of(name, seed, *fitness):
     history = [Record(10 * (i + 1), value, i + 1.0) for i, value in enumerate(fitness)]
     metrics = {"qualified_ratio": fitness[-1], "average_coverage_probability": 0.5, "maximum_coverage_probability": 0.9}
-    return Outcome(name, seed, metrics, history, Deployment([[0.0, 1.0, 1.0]], [[1.0, 0.0, 0.0]]))
+    return OptimiserRun(name, seed, metrics, history, Deployment([[0.0, 1.0, 1.0]], [[1.0, 0.0, 0.0]]))
 
 
-OUTCOMES = [
-    outcome("slow", 0, 0.2, 0.4),
-    outcome("slow", 1, 0.1, 0.5),
-    outcome("fast", 0, 0.5, 0.9),
-    outcome("fast", 1, 0.7, 0.8),
+KEY = "qualified_ratio"
+RUNS = [
+    run_of("slow", 0, 0.2, 0.4),
+    run_of("slow", 1, 0.1, 0.5),
+    run_of("fast", 0, 0.5, 0.9),
+    run_of("fast", 1, 0.7, 0.8),
 ]
 
 
 def test_the_best_median_comes_first():
-    table = comparison_table(OUTCOMES)
+    table = comparison_table(RUNS, KEY)
     assert table.optimiser.tolist() == ["fast", "slow"]
     assert table.qualified_ratio.tolist() == pytest.approx([0.85, 0.45])
     assert table.qualified_ratio_min.tolist() == [0.8, 0.4]
 
 
 def test_milestones_count_evaluations_and_infinity_means_never():
-    table = comparison_table(OUTCOMES)
+    table = comparison_table(RUNS, KEY)
     assert table["evaluations_to_50%"].tolist() == [10.0, np.inf]
     assert table["evaluations_to_65%"].tolist() == [15.0, np.inf]
 
 
 def test_the_markdown_table_has_a_row_for_each():
-    lines = to_markdown(comparison_table(OUTCOMES)).splitlines()
+    lines = to_markdown(comparison_table(RUNS, KEY), Coverage.headline).splitlines()
     assert len(lines) == 4
     assert "**85.00%** (80.00% to 90.00%)" in lines[2]
     assert "–" in lines[3]
 
 
 def test_curves_are_steps():
-    curve = best_at(OUTCOMES[:1], "evaluations", np.array([5, 10, 15, 20, 99]))
+    curve = best_at(RUNS[:1], "evaluations", np.array([5, 10, 15, 20, 99]))
     np.testing.assert_array_equal(curve, [[np.nan, 0.2, 0.2, 0.4, 0.4]])
 
 
 def test_a_comparison_leaves_a_table_a_plot_and_nested_runs(tmp_path):
     done = call(
-        "compare", "optimisers=[ega,'ega optimiser.population=12']", "seeds=2", "budget.evaluations=40",
+        "compare", "optimisers=[ega,'ega +optimiser.population=12']", "seeds=2", "budget.evaluations=40",
         "deployment.count=20", "hydra.run.dir=run", "save_as=docs/table", "tracking.uri=sqlite:///store.db",
         cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     table = pd.read_csv(tmp_path / "run" / "comparison.csv")
-    assert set(table.optimiser) == {"ega", "ega optimiser.population=12"}
+    assert set(table.optimiser) == {"ega", "ega +optimiser.population=12"}
     assert (table.runs == 2).all()
     for kind in ("md", "png"):
         saved = (tmp_path / "docs" / f"table.{kind}").read_bytes()

@@ -129,7 +129,7 @@ def test_the_papers_experiment_is_one_word():
     problem = build_problem(composed("optimise", "experiment=paper_experiment"))
     assert len(problem.evaluator.positions) == 147
     assert (problem.count, problem.objective.thold_p) == (80, 0.7)
-    assert len(problem.scene.room.landmark_walls()) == 4
+    assert len(problem.scene.room.surfaces()) == 4
 
 
 def test_the_literal_ega_has_the_printed_chromosome():

@@ -24,11 +24,11 @@ def random(count, room=None, seed=0):
 
 
 def per_wall(deployment, room):
-    return [int((wall.normal == deployment.normals).all(axis=1).sum()) for wall in room.landmark_walls()]
+    return [int((wall.normal == deployment.normals).all(axis=1).sum()) for wall in room.surfaces()]
 
 
 def is_flush(deployment, room):
-    walls = room.landmark_walls()
+    walls = room.surfaces()
     return all(
         any((n == w.normal).all() and abs((s - w.origin) @ w.normal) < 1e-12 for w in walls)
         for s, n in zip(deployment.positions, deployment.normals, strict=True)
@@ -55,7 +55,7 @@ def test_uniform_landmarks_are_as_many_as_asked_flush_inside_and_apart(room, cou
     deployment = uniform(count, room, layout=layout)
     assert len(deployment) == count
     assert is_flush(deployment, room)
-    deployment.check_inside(room)
+    assert (deployment.hung(room).surfaces >= 0).all()
     assert len(np.unique(np.hstack([deployment.positions, deployment.normals]), axis=0)) == count
 
 
@@ -67,7 +67,7 @@ def test_per_wall_counts_differ_by_at_most_one(room, count):
 
 @given(rooms(), st.integers(1, 100))
 def test_by_area_counts_are_the_shares_rounded(room, count):
-    area = np.array([wall.area for wall in room.landmark_walls()])
+    area = np.array([wall.area for wall in room.surfaces()])
     counts = per_wall(uniform(count, room, layout="by_area"), room)
     assert (np.abs(counts - count * area / area.sum()) < 1.0).all()
 
@@ -111,7 +111,7 @@ def test_a_prime_count_still_covers_the_wall():
 
 def test_random_landmarks_are_shared_in_proportion_to_area():
     room = paper_room()
-    area = np.array([wall.area for wall in room.landmark_walls()])
+    area = np.array([wall.area for wall in room.surfaces()])
     counts = per_wall(random(6000, room, seed=1), room)
     assert chisquare(counts, 6000 * area / area.sum()).pvalue > 0.01
 
@@ -127,7 +127,7 @@ def test_random_landmarks_are_flush_inside_and_set_by_the_seed(room, count, seed
     deployment = random(count, room, seed)
     assert len(deployment) == count
     assert is_flush(deployment, room)
-    deployment.check_inside(room)
+    assert (deployment.hung(room).surfaces >= 0).all()
     assert_array_equal(deployment.positions, random(count, room, seed).positions)
 
 
@@ -193,14 +193,14 @@ def test_a_row_longer_than_the_header_is_refused(write):
 
 def test_a_file_with_another_count_is_refused(write):
     path = write(HEADER + "0,1,1,0,0,0,1\n", "landmarks.csv")
-    with pytest.raises(InputError, match=r"landmarks\.csv has 1 landmarks, but deployment\.count = 90"):
+    with pytest.raises(InputError, match=r"^count = 90, but .*landmarks\.csv has 1 landmarks"):
         FileDeployment(path, 90).draw(paper_room(), np.random.default_rng(0))
 
 
 def test_a_deployment_from_a_file_needs_one(tmp_path):
-    with pytest.raises(InputError, match=r"deployment\.path is missing"):
+    with pytest.raises(InputError, match=r"path is missing"):
         FileDeployment(None).draw(paper_room(), np.random.default_rng(0))
-    with pytest.raises(InputError, match=r"deployment\.path: there is no file .*nowhere\.csv"):
+    with pytest.raises(InputError, match=r"path: there is no file .*nowhere\.csv"):
         FileDeployment(str(tmp_path / "nowhere.csv")).draw(paper_room(), np.random.default_rng(0))
 
 
@@ -222,10 +222,10 @@ def test_what_is_no_deployment_is_refused(positions, normals, named):
 @pytest.mark.parametrize("source", [RandomDeployment, UniformDeployment])
 @pytest.mark.parametrize("count", [0, -1, 2.5, "90", None, True])
 def test_the_count_must_be_a_positive_whole_number(source, count):
-    with pytest.raises(InputError, match=rf"deployment\.count .*{count!r}"):
+    with pytest.raises(InputError, match=rf"count .*{count!r}"):
         source(count)
 
 
 def test_an_unknown_layout_is_refused():
-    with pytest.raises(InputError, match=r"deployment\.layout must be one of per_wall, by_area, got 'spiral'"):
+    with pytest.raises(InputError, match=r"layout must be one of per_wall, by_area, got 'spiral'"):
         UniformDeployment(90, layout="spiral")

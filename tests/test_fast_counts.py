@@ -22,9 +22,10 @@ from lmd.deployment import Deployment, RandomDeployment, UniformDeployment
 from lmd.geometry.frames import optical_axis
 from lmd.scene import Scene
 from lmd.sight import reference
+from lmd.sight.criteria import TOLERANCE
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.visibility import TOLERANCE, Visibility
-from lmd.space.cuboid import Room
+from lmd.sight.paper import Visibility
+from lmd.space.cuboid import Cuboid
 
 RNG = np.random.default_rng(0)
 any_case = st.one_of(scenes_with_deployments(), scenes_with_boundary_landmarks())
@@ -62,9 +63,9 @@ def test_an_axis_on_the_rim_of_a_cap_counts_at_whatever_height_it_is(rim, side):
     orientations = pdf.OrientationPdf(np.zeros(len(pitch)), pitch, np.full(len(pitch), 1.0 / len(pitch)))
     scene = paper_scene(one_position_room(here), orientations=orientations, occlusion="none")
     if rim == "near limit":
-        depth, away = scene.limits.min_depth, 1e-9  # the cap of a landmark at the near limit is a point
+        depth, away = scene.sight.min_depth, 1e-9  # the cap of a landmark at the near limit is a point
     else:
-        depth, away = 2.0, math.acos(scene.limits.min_cosine)
+        depth, away = 2.0, math.acos(scene.sight.min_cosine)
     landmarks = here + depth * optical_axis(np.zeros(len(pitch)), pitch - side * away)
     assert_counts_are_the_references(scene, facing(here, *landmarks))
 
@@ -83,7 +84,7 @@ def test_an_axis_on_the_rim_of_a_cap_counts_at_whatever_height_it_is(rim, side):
 )
 def test_the_last_place_from_which_a_landmark_hides_another(along, across, occlusion, hides):
     # The camera in the origin and landmarks on its axes: no rounding but that of the decision itself.
-    room = Room(size=(4.0, 4.0, 4.0), reachable_size=(4.0, 4.0, 4.0), spacing=4.0, positions="vertices")
+    room = Cuboid(size=(4.0, 4.0, 4.0), reachable_size=(4.0, 4.0, 4.0), spacing=4.0, positions="vertices")
     scene = paper_scene(room, orientations=pdf.OrientationPdf([0.0], [0.0], [1.0]), occlusion=occlusion)
     deployment = Deployment([[0.0, 2.0, 0.0], [across, along, 0.0]], [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
     counts = Evaluator(scene, threads=1).counts(deployment)

@@ -6,9 +6,9 @@ from test_optimisers import make, problem
 
 from lmd import pdf
 from lmd.deployment import Deployment, UniformDeployment
+from lmd.objectives.coverage import CappedCount, Coverage
 from lmd.optimisers.base import Budget
 from lmd.optimisers.greedy import GreedyDeployment, select
-from lmd.problem import Objective
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses
@@ -27,7 +27,7 @@ def surrogate(deployment, n):
 def test_the_lazy_choice_is_the_greedy_choice(n):
     poses, count = candidate_poses(SCENE.room, 2.5), 5
     relevance = np.ones(len(SCENE.room.grid()))
-    chosen, evaluated = select(Evaluator(SCENE, threads=1), poses, relevance, n, count)
+    chosen, evaluated = select(CappedCount(Evaluator(SCENE, threads=1), relevance, n), poses, count)
     so_far: list[int] = []
     for k in chosen:
         values = [
@@ -45,19 +45,20 @@ def test_the_lazy_choice_is_the_greedy_choice(n):
 def test_a_selection_stops_when_its_allowance_is_used_up():
     poses = candidate_poses(SCENE.room, 2.5)
     relevance = np.ones(len(SCENE.room.grid()))
-    chosen, evaluated = select(Evaluator(SCENE, threads=1), poses, relevance, 2, 30, allowance=len(poses) + 40)
+    selection = CappedCount(Evaluator(SCENE, threads=1), relevance, 2)
+    chosen, evaluated = select(selection, poses, 30, allowance=len(poses) + 40)
     assert 1 <= len(chosen) < 30
     assert evaluated <= len(poses) + 40
 
 
 def test_greedy_beats_the_uniform_deployment_on_what_it_maximises():
-    greedy = GreedyDeployment(30, 0.8, SCENE, Objective(2, 0.5)).draw(SCENE.room, np.random.default_rng())
+    greedy = GreedyDeployment(30, SCENE, Coverage(2, 0.5), 0.8).draw(SCENE.room, np.random.default_rng())
 
     assert surrogate(greedy, 2) > surrogate(UniformDeployment(30).draw(SCENE.room, np.random.default_rng()), 2)
 
 
 def test_more_landmarks_than_poses_get_a_finer_grid():
-    greedy = GreedyDeployment(200, 2.5, SCENE, Objective(2, 0.5)).draw(SCENE.room, np.random.default_rng())
+    greedy = GreedyDeployment(200, SCENE, Coverage(2, 0.5), 2.5).draw(SCENE.room, np.random.default_rng())
     assert len(greedy) == 200
     assert len(np.unique(greedy.positions, axis=0)) == 200
 
@@ -67,7 +68,7 @@ def test_any_optimiser_starts_from_greedy(optimiser):
     overrides = ["deployment=greedy", "deployment.count=20", "deployment.spacing=0.8", "room.spacing=1.5", "threads=1"]
     with initialize_config_dir(CONF, version_base="1.3"):
         p = build_problem(compose("optimise", overrides))
-    start = p.fitness(p.start.draw(p.scene.room, np.random.default_rng()))
+    start = p.fitness_of(p.start.draw(p.scene.room, np.random.default_rng()))
     result = make(optimiser).run(p, Budget(20))
     assert result.fitness >= start
     assert result.history[0].best_fitness >= start
@@ -76,4 +77,4 @@ def test_any_optimiser_starts_from_greedy(optimiser):
 def test_the_greedy_optimiser_pays_for_its_gains():
     optimiser = make("greedy")
     optimiser.run(problem(), Budget(200), lambda _: True)
-    assert optimiser.books.history[0].evaluations > 2.0
+    assert optimiser.ledger.history[0].evaluations > 2.0

@@ -6,50 +6,52 @@ from hypothesis import strategies as st
 from strategies import deployments, scenes_with_boundary_landmarks, scenes_with_deployments, seeds
 
 from lmd.deployment import Deployment, RandomDeployment
+from lmd.objectives.coverage_field import coverage_field
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.incremental.move import carry_out, counts_of, move, state_of, take_back
-from lmd.sight.incremental.state import fixed_of, scratch_of
+from lmd.sight.incremental.state import scratch_of
 from lmd.sight.incremental.trial import bound_move, finish_move
 
 
 def moved(scene, deployment, targets, n, rng):
     """The state after moving random landmarks to each of `targets` in turn, and what the trials promised."""
-    fixed = fixed_of(Evaluator(scene, threads=1), n)
-    state = state_of(fixed, deployment)
+    field = coverage_field(Evaluator(scene, threads=1), n)
+    state = state_of(field, deployment)
     scratch = scratch_of(state)
     for position, normal in zip(targets.positions, targets.normals, strict=True):
         k = int(rng.integers(len(deployment)))
         before = [array.copy() for array in state]
-        bound_move(k, *position, *normal, fixed, state, scratch)
+        pose = np.concatenate([position, normal])
+        bound_move(k, pose, -1, field, state, scratch)
         most = scratch.units.copy()
-        finish_move(k, fixed, state, scratch)
+        finish_move(k, field, state, scratch)
         assert all((a == b).all() for a, b in zip(state, before, strict=True)), "a trial changed the state"
         promised = scratch.units.copy()
         assert (promised <= most).all(), "not a bound"
         end = rng.choice(["nothing", "carried out", "taken back", "moved", "moved and back"])
         if end in ("carried out", "taken back"):
-            carry_out(k, fixed, state, scratch)
+            carry_out(k, field, state, scratch)
         if end in ("moved", "moved and back"):
-            move(k, *position, *normal, fixed, state, scratch)
+            move(k, pose, -1, field, state, scratch)
         if end in ("taken back", "moved and back"):
-            take_back(k, fixed, state, scratch)
+            take_back(k, field, state, scratch)
         moves = end in ("carried out", "moved")
         np.testing.assert_array_equal(state.units, promised if moves else before[-1])
         assert moves or all((a == b).all() for a, b in zip(state, before, strict=True)), end
-    return fixed, state
+    return field, state
 
 
 def check(scene, deployment, targets, n, seed):
-    fixed, state = moved(scene, deployment, targets, n, np.random.default_rng(seed))
-    now = Deployment(state.landmarks.T, state.normals.T)
-    for array, fresh in zip(state, state_of(fixed, now), strict=True):
+    field, state = moved(scene, deployment, targets, n, np.random.default_rng(seed))
+    now = Deployment(state.landmarks.T, state.normals.T, state.surfaces)
+    for array, fresh in zip(state, state_of(field, now), strict=True):
         np.testing.assert_array_equal(array, fresh)
     evaluator = Evaluator(scene, threads=1)
     units = evaluator.units(now.positions[None], now.normals[None], n)[0]
-    np.testing.assert_array_equal(state.units[fixed.place], units)
+    np.testing.assert_array_equal(state.units[field.index_of], units)
     counts = counts_of(state, evaluator.axes.shape[1])
-    np.testing.assert_array_equal(counts[fixed.place][:, scene.pdf.axis_of], reference.counts(scene, now))
+    np.testing.assert_array_equal(counts[field.index_of][:, scene.pdf.axis_of], reference.counts(scene, now))
 
 
 @settings(max_examples=60)
@@ -80,13 +82,13 @@ def test_moves_in_the_papers_room_are_exact(occlusion):
 def test_several_moves_are_taken_back_one_by_one():
     scene, rng = paper_scene(paper_room()), np.random.default_rng(0)
     deployment, targets = (RandomDeployment(count).draw(scene.room, rng) for count in (30, 3))
-    fixed = fixed_of(Evaluator(scene, threads=1), 2)
-    state = state_of(fixed, deployment)
+    field = coverage_field(Evaluator(scene, threads=1), 2)
+    state = state_of(field, deployment)
     scratches = [scratch_of(state) for _ in range(3)]
     before = [[array.copy() for array in state]]
     for k, (position, normal, scratch) in enumerate(zip(targets.positions, targets.normals, scratches, strict=True)):
-        move(k % 2, *position, *normal, fixed, state, scratch)  # the first moves twice
+        move(k % 2, np.concatenate([position, normal]), 0, field, state, scratch)  # the first moves twice
         before.append([array.copy() for array in state])
     for k in range(2, -1, -1):
-        take_back(k % 2, fixed, state, scratches[k])
+        take_back(k % 2, field, state, scratches[k])
         assert all((a == b).all() for a, b in zip(state, before[k], strict=True))

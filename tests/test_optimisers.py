@@ -11,8 +11,9 @@ from hydra import compose, initialize_config_dir
 from lmd import pdf
 from lmd.checks import InputError
 from lmd.deployment import RandomDeployment, UniformDeployment
+from lmd.objectives.coverage import Coverage
 from lmd.optimisers.base import AskTell, Budget
-from lmd.problem import CoverageProblem, Objective
+from lmd.problem import Problem
 from pipelines.app import CONF, instantiate
 
 NAMES = sorted(path.stem for path in Path(CONF, "optimiser").glob("*.yaml"))
@@ -26,18 +27,18 @@ def make(name, seed=0):
 
 def problem(start=None, threads=1):
     scene = paper_scene(room=paper_room(spacing=1.5), orientations=pdf.grid_with_ends(6))
-    return CoverageProblem(scene, Objective(2, 0.5), start or RandomDeployment(30), threads=threads)
+    return Problem(scene, Coverage(2, 0.5), start or RandomDeployment(30), threads=threads)
 
 
-class NanProblem(CoverageProblem):
+class NanProblem(Problem):
     """Every third evaluation fails."""
 
     done = 0
 
-    def evaluate(self, genes):
-        fitness = super().evaluate(genes)
-        fitness[(self.done + np.arange(len(genes))) % 3 == 2] = np.nan
-        self.done += len(genes)
+    def fitness(self, positions, normals):
+        fitness = super().fitness(positions, normals)
+        fitness[(self.done + np.arange(len(fitness))) % 3 == 2] = np.nan
+        self.done += len(fitness)
         return fitness
 
 
@@ -114,9 +115,9 @@ def test_interrupted_and_resumed_it_ends_where_it_would_have(name, result):
 
 
 def test_a_run_in_which_every_evaluation_fails_says_so():
-    class Hopeless(CoverageProblem):
-        def evaluate(self, genes):
-            return np.full(len(genes), np.nan)
+    class Hopeless(Problem):
+        def fitness(self, positions, normals):
+            return np.full(len(positions), np.nan)
 
     p = problem()
     with pytest.raises(InputError, match="EGA found no deployment: every evaluation failed"):

@@ -6,18 +6,34 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import paper_scene
 from matplotlib.image import imread
 
-from lmd.deployment import Deployment, UniformDeployment
-from lmd.plot.common import box_edges, qualified_labels
+from lmd.deployment import Deployment, RandomDeployment, UniformDeployment
+from lmd.objectives.coverage import Coverage
+from lmd.plot.common import qualified_labels
 from lmd.plot.convergence import save_convergence_figure
 from lmd.plot.page import save_scene_page
 from lmd.plot.scene import save_scene_figure
-from lmd.space.cuboid import Room
+from lmd.problem import Problem
+from lmd.sight.evaluator import Evaluator
+from lmd.space.cuboid import Cuboid, box_edges
 
-ROOM = Room(size=(3.0, 2.0, 2.5), reachable_size=(2.0, 1.0, 1.5), spacing=0.8)
+ROOM = Cuboid(size=(3.0, 2.0, 2.5), reachable_size=(2.0, 1.0, 1.5), spacing=0.8)
 PROBABILITY = np.linspace(0.0, 1.0, len(ROOM.grid()))
-THOLD_P, N = 0.65, 2
+THOLD_P = 0.65
+SCENE = paper_scene(room=ROOM)
+
+
+class Shown(Problem):
+    """A problem with values of our own choice."""
+
+    def __init__(self, probability, count=7):
+        super().__init__(SCENE, Coverage(min(2, count), THOLD_P), RandomDeployment(count), threads=1)
+        self.probability = probability
+
+    def values(self, deployment):
+        return self.probability
 
 
 @pytest.fixture(name="deployment")
@@ -26,7 +42,7 @@ def _deployment() -> Deployment:
 
 
 def save(function, path: Path, deployment: Deployment, probability: np.ndarray = PROBABILITY, title: str = "T") -> None:
-    function(path, ROOM, deployment, ROOM.grid(), probability, THOLD_P, N, title)
+    function(path, Shown(probability), deployment, title)
 
 
 def test_box_edges_are_the_twelve_edges_of_the_box():
@@ -73,12 +89,13 @@ def test_plotting_libraries_load_late_and_pyplot_never(tmp_path, deployment):
         import lmd.plot.convergence, lmd.plot.page, lmd.plot.scene
         assert not {"matplotlib", "plotly"} & set(sys.modules)
         import numpy as np
-        from lmd.deployment import Deployment
-        from lmd.space.cuboid import Room
-        room = Room((3.0, 2.0, 2.5), (2.0, 1.0, 1.5), 0.8)
-        lmd.plot.scene.save_scene_figure(
-            "a.png", room, Deployment.from_csv("deployment.csv"), room.grid(), np.ones(len(room.grid())), 0.65, 2, "T"
-        )
+        import lmd
+        room = lmd.Cuboid((3.0, 2.0, 2.5), (2.0, 1.0, 1.5), 0.8)
+        camera = lmd.Camera(5.0, 0.0058, 0.0058, (800, 600), 1600, 1200, 10.0)
+        scene = lmd.Scene(room, camera, lmd.pdf.level_flight(), lmd.Visibility(0.28))
+        start = lmd.FileDeployment("deployment.csv")
+        problem = lmd.Problem(scene, lmd.Coverage(2, 0.65), start)
+        lmd.save_scene_figure("a.png", problem, start.draw(room, np.random.default_rng()), "T")
         assert "matplotlib.pyplot" not in sys.modules
     """
     subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
@@ -108,7 +125,9 @@ def test_page_is_self_contained_and_holds_landmarks_positions_and_both_buttons(t
 @pytest.mark.parametrize("probability", [0.0, 1.0])
 def test_one_landmark_and_one_position(tmp_path, draw, name, probability):
     one = Deployment(np.array([[0.0, 1.0, 1.0]]), np.array([[1.0, 0.0, 0.0]]))
-    draw(tmp_path / name, ROOM, one, ROOM.grid()[:1], np.array([probability]), THOLD_P, 1, "T")
+    shown = Shown(np.array([probability]), count=1)
+    shown.evaluator = Evaluator(SCENE, ROOM.grid()[:1])
+    draw(tmp_path / name, shown, one, "T")
     assert (tmp_path / name).stat().st_size > 30_000
 
 
@@ -118,6 +137,6 @@ def test_convergence_figure(tmp_path, rows):
         {"evaluations": [30, 60, 90, 120], "best_fitness": [0.2, 0.5, 0.5, 0.9], "wall_time": [0.5, 40.0, 75.0, 3700.0]}
     )
     path = tmp_path / "convergence.png"
-    save_convergence_figure(path, history[:rows], "Convergence")
+    save_convergence_figure(path, history[:rows], Coverage.headline, "Convergence")
     assert imread(path).shape[:2] == (500, 900)
     assert path.stat().st_size > 8_000

@@ -5,7 +5,8 @@ from conftest import one_position_room, paper_room, paper_scene
 from lmd import pdf
 from lmd.checks import InputError
 from lmd.deployment import RandomDeployment, UniformDeployment
-from lmd.problem import CoverageProblem, Objective
+from lmd.objectives.coverage import Coverage
+from lmd.problem import Problem
 from lmd.sight import reference
 from lmd.space.relevance import Relevance
 
@@ -15,7 +16,7 @@ def coarse_scene(**room):
 
 
 def problem(scene=None, n=2, thold_p=0.5, start=None, **options):
-    return CoverageProblem(scene or coarse_scene(), Objective(n, thold_p), start or RandomDeployment(40), **options)
+    return Problem(scene or coarse_scene(), Coverage(n, thold_p), start or RandomDeployment(40), **options)
 
 
 def test_metrics_are_the_references():
@@ -31,62 +32,54 @@ def test_metrics_are_the_references():
     assert metrics["fitness"] == metrics["qualified_ratio"]
 
 
-@pytest.mark.parametrize("encoding", ["wall", "paper"])
-@pytest.mark.parametrize("flush", [True, False])
-def test_fitness_of_genes_is_the_fitness_of_their_deployment(encoding, flush):
-    p = problem(encoding=encoding, flush=flush)
-    genes = np.random.default_rng(1).random((5, p.dim))
-    assert p.evaluate(genes).tolist() == [p.metrics(p.decode(g))["fitness"] for g in genes]
-
-
 def test_relevance_weighs_the_fitness_but_not_the_qualified_ratio():
     half = {"low": [0.0, 0.0, 0.0], "high": [3.75, 5.0, 6.0], "weight": 3.0}
     p = problem(coarse_scene(relevance=Relevance(regions=[half])))
     deployment = p.start.draw(p.scene.room, np.random.default_rng(0))
-    is_qualified = reference.qualified(p.probabilities(deployment), 0.5)
+    is_qualified = reference.qualified(p.values(deployment), 0.5)
     near = p.evaluator.positions[:, 0] <= 3.75
     metrics = p.metrics(deployment)
     assert metrics["qualified_ratio"] == is_qualified.mean()
     assert metrics["cost"] == 3 * is_qualified[near].sum() + is_qualified[~near].sum()
     assert metrics["fitness"] == pytest.approx(metrics["cost"] / (3 * near.sum() + (~near).sum()))
-    assert p.evaluate(p.encode(deployment)[None])[0] == pytest.approx(metrics["fitness"])
+    assert p.fitness_of(deployment) == metrics["fitness"]
+
+
+def drawn(p, size, seed):
+    rng = np.random.default_rng(seed)
+    deployments = [p.start.draw(p.scene.room, rng) for _ in range(size)]
+    return deployments, (np.stack([d.positions for d in deployments]), np.stack([d.normals for d in deployments]))
 
 
 def test_fitness_does_not_depend_on_threads_or_batch():
     one, three = problem(threads=1), problem(threads=3)
-    genes = np.random.default_rng(2).random((4, one.dim))
-    together = one.evaluate(genes)
-    np.testing.assert_array_equal(together, three.evaluate(genes))
-    np.testing.assert_array_equal(together, [one.evaluate(g[None])[0] for g in genes])
-
-
-def test_a_start_that_does_not_vary_is_drawn_once():
-    rng = np.random.default_rng(0)
-    assert problem(start=UniformDeployment(40)).starting_genes(7, rng).shape == (1, 80)
-    assert problem(start=RandomDeployment(40)).starting_genes(7, rng).shape == (7, 80)
+    deployments, landmarks = drawn(one, 4, 2)
+    together = one.fitness(*landmarks)
+    np.testing.assert_array_equal(together, three.fitness(*landmarks))
+    np.testing.assert_array_equal(together, [one.fitness_of(deployment) for deployment in deployments])
 
 
 def test_more_landmarks_than_exist_cannot_be_required():
-    with pytest.raises(InputError, match=r"objective\.n = 4 exceeds the number of landmarks, 3"):
+    with pytest.raises(InputError, match=r"^n = 4 exceeds the number of landmarks, 3"):
         problem(n=4, start=RandomDeployment(3))
 
 
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ((0, 0.5), r"objective\.n must be at least 1, got 0"),
-        ((1.5, 0.5), r"objective\.n must be a whole number, got 1\.5"),
-        (("two", 0.5), r"objective\.n must be a whole number, got 'two'"),
-        ((2, 1.01), r"objective\.thold_p must be in \[0, 1\], got 1\.01"),
-        ((2, -0.1), r"objective\.thold_p must be in \[0, 1\], got -0\.1"),
-        ((2, float("nan")), r"objective\.thold_p must be finite, got nan"),
+        ((0, 0.5), r"^n must be at least 1, got 0"),
+        ((1.5, 0.5), r"^n must be a whole number, got 1\.5"),
+        (("two", 0.5), r"^n must be a whole number, got 'two'"),
+        ((2, 1.01), r"^thold_p must be in \[0, 1\], got 1\.01"),
+        ((2, -0.1), r"^thold_p must be in \[0, 1\], got -0\.1"),
+        ((2, float("nan")), r"^thold_p must be finite, got nan"),
     ],
 )
 def test_an_impossible_objective_is_refused(values, message):
     with pytest.raises(InputError, match=message):
-        Objective(*values)
+        Coverage(*values)
 
 
 def test_one_position_is_a_problem_too():
     p = problem(paper_scene(room=one_position_room()), thold_p=0.0)
-    assert p.evaluate(np.random.default_rng(0).random((1, p.dim))) == [1.0]
+    assert p.fitness_of(p.start.draw(p.scene.room, np.random.default_rng(0))) == 1.0

@@ -21,8 +21,9 @@ from strategies import cameras, free_deployments, pitches, points, seeds, unit_v
 from lmd import pdf
 from lmd.deployment import Deployment, RandomDeployment, UniformDeployment
 from lmd.geometry.frames import optical_axis, rotation, world_to_local
-from lmd.sight import reference
-from lmd.sight.visibility import TOLERANCE, Visibility
+from lmd.sight import paper, reference
+from lmd.sight.criteria import TOLERANCE
+from lmd.sight.paper import Visibility
 
 ORIGIN = np.zeros(3)
 HALF_ANGLE = math.atan(0.696)
@@ -57,7 +58,7 @@ def test_the_printed_experiment_camera_sees_nothing_in_its_room(source):
     scene = paper_scene(
         experiment_room(), printed_experiment_camera(), pdf.level_flight(), thold=1e-3, occlusion="none"
     )
-    assert scene.limits.min_depth > math.hypot(*scene.room.size)
+    assert scene.sight.min_depth > math.hypot(*scene.room.size)
     assert not reference.counts(scene, source.draw(scene.room, np.random.default_rng(3))).any()
 
 
@@ -69,7 +70,7 @@ def test_the_printed_experiment_camera_sees_nothing_wherever_landmarks_are(data)
 
 
 def test_resolution_falls_with_depth_and_is_zero_behind_the_camera():
-    at = reference.resolution(paper_camera(), np.array([1.0, 2.0, -1.0, 0.0]))
+    at = paper.resolution(paper_camera(), np.array([1.0, 2.0, -1.0, 0.0]))
     assert_allclose(at, np.array([1.0, 0.5, 0.0, 0.0]) * 5 * 1778 / (1773 * 5.8))
 
 
@@ -79,7 +80,7 @@ def test_resolution_falls_with_depth_and_is_zero_behind_the_camera():
 )
 def test_the_field_of_view_is_a_closed_cone(angle, inside):
     distance = np.array([2.0])
-    assert reference.field_of_view(paper_camera(), distance * math.cos(angle), distance) == [inside]
+    assert paper.field_of_view(paper_camera(), distance * math.cos(angle), distance) == [inside]
     assert seen([2.0 * math.sin(angle), 2.0 * math.cos(angle), 0.0]) == [inside]
 
 
@@ -91,7 +92,7 @@ def test_the_cosine_form_of_the_field_of_view_is_the_printed_tangent_form(camera
     assume(abs(math.atan2(math.hypot(x, y), z) - camera.cone_half_angle) > 1e-6)
     printed = z > 0.0 and math.hypot(x, y) / z <= math.tan(camera.cone_half_angle)
     depth = optical_axis(yaw, pitch) @ (point - origin)
-    assert reference.field_of_view(camera, depth, distance) == printed
+    assert paper.field_of_view(camera, depth, distance) == printed
 
 
 @pytest.mark.parametrize(
@@ -99,7 +100,7 @@ def test_the_cosine_form_of_the_field_of_view_is_the_printed_tangent_form(camera
     [(0.0, False), (0.97, False), (NEAR, True), (5.0, True), (FAR, True), (10.03, False), (-2.0, False)],
 )
 def test_focus_is_a_closed_interval_of_depths(depth, sharp):
-    assert reference.focus(paper_camera(), 4.0, np.array(depth)) == sharp
+    assert paper.focus(paper_camera(), 4.0, np.array(depth)) == sharp
 
 
 @pytest.mark.parametrize(
@@ -125,7 +126,7 @@ def test_the_far_limit_of_focus_bounds_a_fine_resolution():
 )
 def test_a_landmark_seen_edge_on_or_from_behind_is_occluded(zeta, away):
     offset, normal = np.array([[0.0, 2.0, 0.0]]), np.array([[math.sin(zeta), -math.cos(zeta), 0.0]])
-    assert reference.faces_away(offset, np.array([2.0]), normal) == [away]
+    assert paper.faces_away(offset, np.array([2.0]), normal) == [away]
 
 
 @given(points, unit_vectors)
@@ -134,14 +135,14 @@ def test_facing_away_is_the_printed_elevation_angle(point, normal):
     assume(distance > 1e-3)
     zeta = math.acos(np.clip(normal @ (ORIGIN - point) / distance, -1.0, 1.0))
     assume(abs(zeta - math.pi / 2) > 1e-6)
-    assert reference.faces_away(point[None], np.array([distance]), normal[None]) == [zeta >= math.pi / 2]
+    assert paper.faces_away(point[None], np.array([distance]), normal[None]) == [zeta >= math.pi / 2]
 
 
 LOOKED_AT = [0.0, 2.0, 0.0]
 
 
 @pytest.mark.parametrize(
-    ("other", "paper", "line_of_sight"),
+    ("other", "whole_line", "line_of_sight"),
     [
         ([0.04, 1.0, 0.0], True, True),
         ([0.05, 1.0, 0.0], True, True),
@@ -155,16 +156,16 @@ LOOKED_AT = [0.0, 2.0, 0.0]
         ([0.0, 0.0, 0.0], True, False),  # at the camera itself
     ],
 )
-def test_who_hides_the_landmark_two_metres_ahead(other, paper, line_of_sight):
+def test_who_hides_the_landmark_two_metres_ahead(other, whole_line, line_of_sight):
     offset = np.array([LOOKED_AT, other])
-    for occlusion, hides in {"paper": paper, "line_of_sight": line_of_sight, "none": False}.items():
-        assert reference.hidden_by_others(offset, Visibility(0.28, 0.05, occlusion))[0] == hides
-        assert not reference.hidden_by_others(offset, Visibility(0.28, 0.0, occlusion)).any()
+    for occlusion, hides in {"paper": whole_line, "line_of_sight": line_of_sight, "none": False}.items():
+        assert paper.hidden_by_others(offset, Visibility(0.28, 0.05, occlusion))[0] == hides
+        assert not paper.hidden_by_others(offset, Visibility(0.28, 0.0, occlusion)).any()
 
 
 def test_hiding_is_not_mutual():
     # The near one is 4 cm off the line to the far one, the far one 8 cm off the line to the near one.
-    assert reference.hidden_by_others(np.array([LOOKED_AT, [0.04, 1.0, 0.0]]), Visibility(0.28)).tolist() == [
+    assert paper.hidden_by_others(np.array([LOOKED_AT, [0.04, 1.0, 0.0]]), Visibility(0.28)).tolist() == [
         True,
         False,
     ]
@@ -189,19 +190,25 @@ def test_hiding_is_the_printed_distance_to_the_line(seed, nu):
     np.fill_diagonal(distance, np.inf)
     assume((length > 0.05).all())
     assume((np.abs(distance - nu) > 1e-6).all())
-    assert_array_equal(reference.hidden_by_others(d, Visibility(0.28, nu)), (distance <= nu).any(axis=1))
+    assert_array_equal(paper.hidden_by_others(d, Visibility(0.28, nu)), (distance <= nu).any(axis=1))
+
+
+def strengths(deployment):
+    scene = paper_scene()
+    landmarks = deployment.positions, deployment.normals
+    return paper.coverage_strength(scene.camera, scene.visibility, ORIGIN, Y[None], *landmarks)
 
 
 def test_coverage_strength_is_the_resolution_where_every_criterion_holds():
     points = [[0, 2, 0], [0, 0.9, 0.3], [2, 1, 0], [0, -2, 0.5], [0.5, 2.5, 0]]
     deployment = facing(ORIGIN, *points)
     turned = Deployment(deployment.positions, np.vstack([deployment.normals[:4], -deployment.normals[4:]]))
-    strength = reference.coverage_strength(paper_scene(), turned, ORIGIN, Y[None])
+    strength = strengths(turned)
     assert_allclose(strength, [[5 * 1778 / (1773 * 5.8 * 2), 0, 0, 0, 0]])
 
 
 def test_coverage_strength_is_zero_however_small_the_depth():
-    strength = reference.coverage_strength(paper_scene(), facing(ORIGIN, [0.0, 1e-310, 1.0]), ORIGIN, Y[None])
+    strength = strengths(facing(ORIGIN, [0.0, 1e-310, 1.0]))
     assert strength.tolist() == [[0.0]]
 
 
@@ -235,7 +242,7 @@ def test_the_cost_sums_the_relevance_of_qualified_positions():
 
 
 def test_the_strength_threshold_is_closed_with_the_shared_tolerance():
-    at_two_metres = float(reference.resolution(paper_camera(), np.array(2.0)))
+    at_two_metres = float(paper.resolution(paper_camera(), np.array(2.0)))
     assert seen(LOOKED_AT, thold=at_two_metres) == [True]
     assert seen(LOOKED_AT, thold=at_two_metres * (1 + TOLERANCE / 2)) == [True]
     assert seen(LOOKED_AT, thold=at_two_metres * (1 + TOLERANCE * 3)) == [False]

@@ -7,14 +7,15 @@ from matplotlib.image import imread
 from lmd import pdf
 from lmd.deployment import Deployment, UniformDeployment
 from lmd.geometry.frames import optical_axis
+from lmd.objectives.coverage import Coverage
 from lmd.plot import common
 from lmd.plot.cap import hemisphere, save_cap_figure
 from lmd.plot.scene import save_deployments_figure
-from lmd.problem import CoverageProblem, Objective
-from lmd.space.cuboid import Room
+from lmd.problem import Problem
+from lmd.space.cuboid import Cuboid
 from pipelines.reproduction.plots import save_heat_map, save_landmark_count_figure
 
-ROOM = Room(size=(3.0, 2.0, 2.5), reachable_size=(2.0, 1.0, 1.5), spacing=0.8)
+ROOM = Cuboid(size=(3.0, 2.0, 2.5), reachable_size=(2.0, 1.0, 1.5), spacing=0.8)
 GREEN_BALL = (72, 171, 103)  # green at 80 % on white
 
 
@@ -80,7 +81,7 @@ def test_each_panel_shows_its_own_deployment_as_its_own_problem_scores_it(tmp_pa
     path = tmp_path / "panels.png"
     scene, start = paper_scene(room=ROOM), UniformDeployment(7)
     deployment = start.draw(ROOM, np.random.default_rng(0))
-    never, always = (CoverageProblem(scene, Objective(n, p), start, threads=1) for n, p in ((7, 1.0), (1, 0.0)))
+    never, always = (Problem(scene, Coverage(n, p), start, threads=1) for n, p in ((7, 1.0), (1, 0.0)))
     panels = {name: (problem, deployment) for name, problem in zip("abcd", (never, always, always, never), strict=True)}
     save_deployments_figure(path, panels, "T")
     picture = imread(path)

@@ -51,7 +51,7 @@ def test_nothing_is_kept_from_one_generation_to_the_next():
     genes = sga.ask()
     sga.tell(genes, np.zeros(6))
     assert not (sga.population == best).all(axis=1).any()
-    assert sga.books.best_fitness == 0.9
+    assert sga.ledger.best_fitness == 0.9
 
 
 def test_partners_exchange_genes_in_place():

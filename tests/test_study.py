@@ -12,7 +12,8 @@ from lmd.localisation.measurements import Detector
 from lmd.localisation.observer import Observer
 from lmd.localisation.study import Flights, InitialError, Outcome, Study, conduct, to_markdown
 from lmd.localisation.trajectory import Pace, RandomMotion
-from lmd.problem import CoverageProblem, Objective
+from lmd.objectives.coverage import Coverage
+from lmd.problem import Problem
 
 SCENE = paper_scene(paper_room(spacing=3.0))
 MOTION = RandomMotion(4.0, Pace(1.0, 1.0, 10.0))
@@ -20,7 +21,7 @@ INITIAL = InitialError(position=0.7, attitude=0.5)
 
 
 def problem(source):
-    return CoverageProblem(SCENE, Objective(2, 0.5), source, threads=1)
+    return Problem(SCENE, Coverage(2, 0.5), source, threads=1)
 
 
 PROBLEMS = {"uniform": problem(UniformDeployment(60)), "random": problem(RandomDeployment(60))}
@@ -145,7 +146,7 @@ def test_the_table_has_a_row_for_each_deployment_and_estimator():
 
 
 def test_the_objectives_own_number_is_reported_too():
-    many = CoverageProblem(SCENE, Objective(6, 0.5), UniformDeployment(60), threads=1)
+    many = Problem(SCENE, Coverage(6, 0.5), UniformDeployment(60), threads=1)
     study = conduct({"mine": many}, flights(0), Detector(), {"observer": Observer()}, False)
     assert list(study.outcomes["mine"].shares) == [1, 2, 3, 4, 6]
     assert "time with >= 6 in view" in to_markdown(study.figures(), 6)

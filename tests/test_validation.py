@@ -7,9 +7,11 @@ from conftest import paper_room, paper_scene
 from lmd import pdf
 from lmd.checks import InputError
 from lmd.deployment import RandomDeployment, UniformDeployment
-from lmd.problem import CoverageProblem, Design, Objective
+from lmd.objectives.coverage import Coverage
+from lmd.objectives.sampling import Sampling
+from lmd.problem import Problem
 from lmd.sight import reference
-from lmd.space.cuboid import Room
+from lmd.space.cuboid import Cuboid
 from lmd.space.relevance import Relevance
 from lmd.validation import Sample, validation_metrics
 
@@ -17,11 +19,11 @@ SMALL = Sample(groups=8, positions=50, divisions=12)
 RATIO, AVERAGE = "grid_free_qualified_ratio", "grid_free_average_coverage_probability"
 
 
-def coarse_problem(orientations=None, threads=None, design=None, **room):
+def coarse_problem(orientations=None, threads=None, sampling=None, **room):
     scene = paper_scene(
         room=paper_room(**({"spacing": 1.5} | room)), orientations=orientations or pdf.grid_with_ends(6)
     )
-    return CoverageProblem(scene, Objective(2, 0.4, design), UniformDeployment(90), threads=threads)
+    return Problem(scene, Coverage(2, 0.4, sampling), UniformDeployment(90), threads=threads)
 
 
 def deployment_of(problem, seed=0):
@@ -53,9 +55,9 @@ def test_samples_are_not_refined_but_the_positions_are():
 
 @pytest.mark.parametrize("thold_p", [0.1, 0.3, 0.9])
 def test_where_the_grid_is_all_there_is_the_figures_are_those_of_the_grid(thold_p):
-    point = Room(size=(4.0, 4.0, 4.0), reachable_size=(1e-12, 1e-12, 1e-12), spacing=1.0)
+    point = Cuboid(size=(4.0, 4.0, 4.0), reachable_size=(1e-12, 1e-12, 1e-12), spacing=1.0)
     scene = paper_scene(room=point, orientations=from_samples())
-    p = CoverageProblem(scene, Objective(1, thold_p), RandomDeployment(12))
+    p = Problem(scene, Coverage(1, thold_p), RandomDeployment(12))
     on_grid, metrics = p.metrics(deployment_of(p)), validation_metrics(p, deployment_of(p), 0, SMALL)
     assert 0.1 < on_grid["average_coverage_probability"] < 0.9
     assert metrics["finer_grid_qualified_ratio"] == metrics[RATIO] == on_grid["qualified_ratio"]
@@ -115,10 +117,10 @@ def test_a_jittered_position_is_nearer_to_its_own_grid_position_than_to_any_othe
     assert (jittered <= room.reachable_high).all()
 
 
-def test_a_design_measures_the_fitness_elsewhere_and_nothing_else():
+def test_a_sampling_measures_the_fitness_elsewhere_and_nothing_else():
     weighted = Relevance(regions=[{"low": [0.0, 0.0, 0.0], "high": [3.75, 5.0, 6.0], "weight": 3.0}])
     plain = coarse_problem(relevance=weighted)
-    robust = coarse_problem(relevance=weighted, design=Design(positions=2, divisions=5))
+    robust = coarse_problem(relevance=weighted, sampling=Sampling(positions=2, divisions=5))
     before, after = plain.metrics(deployment_of(plain)), robust.metrics(deployment_of(plain))
     assert after.pop("fitness") != before.pop("fitness")
     assert after == before
@@ -127,42 +129,43 @@ def test_a_design_measures_the_fitness_elsewhere_and_nothing_else():
     assert len(evaluator.axis_of) == 50
     qualified = reference.qualified(evaluator.probabilities(deployment_of(plain), 2), 0.4)
     weight = np.tile(plain.relevance, 2)
-    assert robust.fitness(deployment_of(plain)) == pytest.approx((qualified * weight).sum() / weight.sum())
+    assert robust.fitness_of(deployment_of(plain)) == pytest.approx((qualified * weight).sum() / weight.sum())
 
 
-def test_every_way_to_the_fitness_of_a_design_agrees():
-    p = coarse_problem(design=Design(2, 5))
-    genes = np.random.default_rng(0).random((3, p.dim))
-    fitness = p.evaluate(genes).tolist()
-    assert fitness == [p.fitness(p.decode(g)) for g in genes] == [p.metrics(p.decode(g))["fitness"] for g in genes]
+def test_every_way_to_the_fitness_of_a_sampling_agrees():
+    p = coarse_problem(sampling=Sampling(2, 5))
+    rng = np.random.default_rng(0)
+    drawn = [RandomDeployment(90).draw(p.scene.room, rng) for _ in range(3)]
+    fitness = p.fitness(np.stack([d.positions for d in drawn]), np.stack([d.normals for d in drawn])).tolist()
+    assert fitness == [p.fitness_of(d) for d in drawn] == [p.metrics(d)["fitness"] for d in drawn]
 
 
-def test_a_design_is_the_same_for_every_problem_and_leaves_samples_as_they_are():
-    one, two = (coarse_problem(from_samples(), threads=t, design=Design(2, 5)).fitness_evaluator for t in (1, 2))
+def test_a_sampling_is_the_same_for_every_problem_and_leaves_samples_as_they_are():
+    one, two = (coarse_problem(from_samples(), threads=t, sampling=Sampling(2, 5)).fitness_evaluator for t in (1, 2))
     np.testing.assert_array_equal(one.positions, two.positions)
     assert len(one.axis_of) == 40
 
 
 @pytest.mark.parametrize("name", ["positions", "divisions"])
-def test_an_empty_design_is_refused(name):
-    with pytest.raises(InputError, match=f"objective.design.{name} must be at least 1, got 0"):
-        Design(**{name: 0})
+def test_an_empty_sampling_is_refused(name):
+    with pytest.raises(InputError, match=f"^{name} must be at least 1, got 0"):
+        Sampling(**{name: 0})
 
 
-def test_a_design_generalises_better_than_the_grid():
+def test_a_sampling_generalises_better_than_the_grid():
     """On a coarse grid and few evaluations already."""
     from test_optimisers import make
 
     from lmd.optimisers.base import Budget
 
-    def validated(design):
+    def validated(sampling):
         scene = paper_scene(room=paper_room(spacing=1.5), orientations=pdf.grid_with_ends(6))
-        p = CoverageProblem(scene, Objective(2, 0.6, design), RandomDeployment(70), threads=1)
+        p = Problem(scene, Coverage(2, 0.6, sampling), RandomDeployment(70), threads=1)
         result = make("annealing").run(p, Budget(400))
         return p.metrics(result.deployment)["qualified_ratio"], validation_metrics(p, result.deployment, 0, SMALL)[
             RATIO
         ]
 
-    plain, robust = validated(None), validated(Design(4, 6))
+    plain, robust = validated(None), validated(Sampling(4, 6))
     assert plain[0] > robust[0]
     assert plain[1] < robust[1]

@@ -4,33 +4,34 @@ from conftest import paper_room, paper_scene
 
 from lmd import pdf
 from lmd.deployment import RandomDeployment
-from lmd.optimisers import walk as module
+from lmd.objectives.coverage import Coverage
 from lmd.optimisers.annealing import Stage
-from lmd.optimisers.annealing.surrogate import Ground
-from lmd.problem import CoverageProblem, Objective
+from lmd.optimisers.annealing import walk as module
+from lmd.optimisers.annealing.surrogate import Surrogate
+from lmd.problem import Problem
 
 
 def walked(n, occlusion, stage):
     """Where 200 moves lead, the random numbers after them, and how many trials were finished."""
     scene = paper_scene(paper_room(spacing=1.5), orientations=pdf.grid_with_ends(6), occlusion=occlusion)
-    problem = CoverageProblem(scene, Objective(n, 0.3), RandomDeployment(20), threads=1)
-    ground, rng = Ground(problem), np.random.default_rng(0)
+    problem = Problem(scene, Coverage(n, 0.3), RandomDeployment(20), threads=1)
+    surrogate, rng = Surrogate(problem), np.random.default_rng(0)
     start = problem.start.draw(scene.room, rng)
-    ground.enter(start, start, False, 1.0, 1.0, rng)
+    surrogate.prepare(start, start, False, 1.0, 1.0, rng)
     finished = []
 
-    def spy(k, *rest):
-        finished.append(k)
-        finish(k, *rest)
+    def spy(*arguments):
+        finished.append(arguments)
+        settle(*arguments)
 
-    finish = module.finish_move
+    settle = module.settle
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "finish_move", spy)
+        patch.setattr(module, "settle", spy)
         # Uncompiled, so that its parts can be exchanged.
-        climate = stage.climate(0.0, 0.1)
-        here = ground._state, ground._scratches, ground._goal, ground._walls
-        module.walk.py_func(200, ground._fixed, *here, climate, rng, ground._best)
-    return [*ground._state, *ground._best, rng.random()], len(finished)
+        settings = stage.settings(0.0, 0.1)
+        here = surrogate._state, surrogate._scratches, surrogate._target, surrogate._surfaces
+        module.walk.py_func(200, surrogate._field, *here, settings, rng, surrogate._best)
+    return [*surrogate._state, *surrogate._best, rng.random()], len(finished)
 
 
 @pytest.mark.parametrize("occlusion", ["paper", "line_of_sight"])

@@ -19,7 +19,7 @@ from pipelines.app import CONF, instantiate
 
 def run(optimiser, batches, dim=12, fitness=lambda genes: -np.abs(genes - 0.3).sum(axis=1)):
     """Start or go on with an optimiser; returns the batches it asked for."""
-    if not optimiser.books.evaluations:
+    if not optimiser.ledger.evaluations:
         optimiser.dim, optimiser.rng, optimiser.start = dim, np.random.default_rng(0), np.full((1, dim), 0.6)
     asked = []
     for _ in range(batches):
@@ -74,7 +74,7 @@ def test_populations_of_pymoo_begin_with_the_start(name):
 def test_pymoo_gets_better(name):
     optimiser = pymoo(name)
     run(optimiser, 60)
-    assert optimiser.books.best_fitness > -2.0  # the start is at -3.6
+    assert optimiser.ledger.best_fitness > -2.0  # the start is at -3.6
 
 
 @pytest.mark.parametrize("name", ["TwoPointsDE", "PSO", "OnePlusOne", "CMA", "Powell"])
@@ -118,7 +118,7 @@ def test_nevergrad_is_told_the_budget_of_the_run():
 def test_every_variant_of_pycma_gets_better(variant):
     optimiser = PyCma(variant, step=0.2)
     run(optimiser, 40)
-    assert optimiser.books.best_fitness > -1.0
+    assert optimiser.ledger.best_fitness > -1.0
 
 
 def test_an_optimiser_that_ends_is_followed_by_one_that_starts_from_the_best():

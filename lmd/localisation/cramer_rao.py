@@ -13,13 +13,12 @@ import numpy as np
 import pandas as pd
 
 from lmd.camera import Camera
-from lmd.checks import FloatArray
+from lmd.checks import BoolArray, FloatArray
 from lmd.deployment import Deployment
 from lmd.geometry.se3 import camera_pose, skew
 from lmd.localisation.measurements import focal_pixels
 from lmd.scene import Scene
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.reference import BoolArray
 from lmd.sight.views import visible
 
 # A smallest eigenvalue below this share of the largest is rounding: the pose is not fixed.

@@ -7,12 +7,11 @@ from functools import cached_property
 import numpy as np
 
 from lmd.camera import Camera
-from lmd.checks import FloatArray, InputError, real
+from lmd.checks import BoolArray, FloatArray, InputError, real
 from lmd.deployment import Deployment
 from lmd.geometry.se3 import act, inverse, log
 from lmd.localisation.trajectory import Trajectory
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.reference import BoolArray
 from lmd.sight.views import visible
 
 

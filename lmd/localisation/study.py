@@ -13,7 +13,7 @@ from lmd.localisation.errors import Errors, pose_errors
 from lmd.localisation.estimators import Estimator
 from lmd.localisation.measurements import Detector, Recording, record
 from lmd.localisation.trajectory import Trajectory, TrajectorySource
-from lmd.problem import CoverageProblem
+from lmd.problem import Problem
 
 # Keeps the flights apart from every other use of the same seed.
 STREAM = 0x666C79
@@ -67,9 +67,7 @@ class Flights:
     start: FloatArray
 
     @classmethod
-    def draw(
-        cls, problem: CoverageProblem, source: TrajectorySource, initial: InitialError, seeds: Sequence[int]
-    ) -> "Flights":
+    def draw(cls, problem: Problem, source: TrajectorySource, initial: InitialError, seeds: Sequence[int]) -> "Flights":
         """One flight for each seed in the scene of `problem`."""
         trajectories, start = [], []
         for seed in seeds:
@@ -78,7 +76,7 @@ class Flights:
             start.append(initial.applied(trajectories[-1].poses[0], error))
         return cls(seeds, trajectories, np.stack(start))
 
-    def recorded(self, problem: CoverageProblem, detector: Detector, all_visible: bool) -> Recording:
+    def recorded(self, problem: Problem, detector: Detector, all_visible: bool) -> Recording:
         """The flights over the deployment that `problem` starts from; a random one is another for each seed."""
         scene = problem.scene
         deployments = [problem.start.draw(scene.room, np.random.default_rng(seed)) for seed in self.seeds]
@@ -173,7 +171,7 @@ class Study:
 
 
 def conduct(
-    problems: Mapping[str, CoverageProblem],
+    problems: Mapping[str, Problem],
     flights: Flights,
     detector: Detector,
     estimators: Mapping[str, Estimator],

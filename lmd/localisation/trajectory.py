@@ -11,7 +11,7 @@ from lmd.checks import FloatArray, InputError, real, vector
 from lmd.geometry.se3 import camera_pose, pose_of
 from lmd.pdf import OrientationPdf
 from lmd.scene import Scene
-from lmd.space.cuboid import Room
+from lmd.space.space import Space
 from lmd.tables import has_column, read_numbers
 
 ANGLES = ("time", "x", "y", "z", "yaw", "pitch")
@@ -45,15 +45,15 @@ class Trajectory:
             before, after = self.time[late[0]], self.time[late[0] + 1]
             raise InputError(f"the times of a trajectory must increase, but {after:g} s follows {before:g} s.")
 
-    def check_inside(self, room: Room) -> None:
+    def check_inside(self, room: Space) -> None:
         """Raise `InputError` if the camera leaves the closed room."""
         positions = self.poses[:, :3, 3]
         outside = np.flatnonzero(~room.contains(positions))
         if outside.size:
             x, y, z = positions[outside[0]]
             raise InputError(
-                f"the camera at {self.time[outside[0]]:g} s, ({x:.9g}, {y:.9g}, {z:.9g}), is outside the room of "
-                f"{' x '.join(f'{s:g}' for s in room.size)} m."
+                f"the camera at {self.time[outside[0]]:g} s, ({x:.9g}, {y:.9g}, {z:.9g}), is outside the "
+                f"{room.describe()}."
             )
 
 
@@ -155,8 +155,7 @@ class RandomMotion:
 
 
 def _random_waypoint(scene: Scene, rng: np.random.Generator) -> FloatArray:
-    position = rng.uniform(scene.room.reachable_low, scene.room.reachable_high)
-    return np.concatenate([position, _random_orientation(scene.pdf, rng)])
+    return np.concatenate([scene.room.sample(1, rng)[0], _random_orientation(scene.pdf, rng)])
 
 
 def _random_orientation(pdf: OrientationPdf, rng: np.random.Generator) -> FloatArray:

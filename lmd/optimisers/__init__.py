@@ -1,1 +1,1 @@
-"""Optimisers: each maximises a `CoverageProblem` within an exact budget."""
+"""Optimisers: each maximises a `Problem` within an exact budget."""

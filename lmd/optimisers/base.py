@@ -1,4 +1,4 @@
-"""What every optimiser shares: the budget, the books, and the ask/tell loop."""
+"""What every optimiser shares: the budget, the ledger, and the ask/tell loop."""
 
 import math
 import time
@@ -10,7 +10,8 @@ import numpy as np
 
 from lmd.checks import FloatArray, InputError, integer, real
 from lmd.deployment import Deployment
-from lmd.problem import CoverageProblem
+from lmd.optimisers.encoding import make_encoding
+from lmd.problem import Problem
 
 
 @dataclass(frozen=True)
@@ -31,11 +32,11 @@ class Budget:
 
     def __post_init__(self) -> None:
         if self.evaluations is None and self.seconds is None:
-            raise InputError("budget.evaluations or budget.seconds must be given.")
+            raise InputError("evaluations or seconds must be given.")
         if self.evaluations is not None:
-            integer("budget.evaluations", self.evaluations, low=1)
+            integer("evaluations", self.evaluations, low=1)
         if self.seconds is not None:
-            real("budget.seconds", self.seconds, above=0.0)
+            real("seconds", self.seconds, above=0.0)
 
     @property
     def limit(self) -> float:
@@ -57,7 +58,7 @@ class Record:
 
 
 @dataclass
-class Books:
+class Ledger:
     """What has been spent and found so far; survives in a checkpoint."""
 
     evaluations: float = 0
@@ -65,8 +66,8 @@ class Books:
     best_fitness: float = -math.inf
     history: list[Record] = field(default_factory=list)
 
-    def enter(self, evaluations: float, fitness: float) -> bool:
-        """Book that `evaluations` are spent by now and the last of them reached `fitness`; True if that is the best."""
+    def note(self, evaluations: float, fitness: float) -> bool:
+        """Note that `evaluations` are spent by now and the last of them reached `fitness`; True if that is the best."""
         is_best = fitness > self.best_fitness
         self.evaluations, self.best_fitness = evaluations, max(fitness, self.best_fitness)
         self.history.append(Record(evaluations, self.best_fitness, self.seconds))
@@ -110,16 +111,16 @@ class Optimiser(ABC):
 
     def __init__(self, seed: int = 0) -> None:
         self.seed = integer("seed", seed, low=0)
-        self.books = Books()
+        self.ledger = Ledger()
 
     @abstractmethod
-    def run(self, problem: CoverageProblem, budget: Budget, callback: Callback | None = None) -> Result:
+    def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
         """Maximise `problem` within `budget`; deterministic for a given seed and problem."""
 
     def _result(self, deployment: Deployment, stopped: str) -> Result:
-        """What `run` returns, from the books."""
-        books = self.books
-        return Result(deployment, books.best_fitness, books.evaluations, books.seconds, tuple(books.history), stopped)
+        """What `run` returns, from the ledger."""
+        ledger, history = self.ledger, tuple(self.ledger.history)
+        return Result(deployment, ledger.best_fitness, ledger.evaluations, ledger.seconds, history, stopped)
 
 
 class AskTell(Optimiser):
@@ -133,11 +134,15 @@ class AskTell(Optimiser):
 
     Args:
         seed: see `Optimiser`.
-        encoding: how genes describe landmarks (`wall` or `paper`); None leaves the problem's own.
+        encoding: how genes describe landmarks, `wall` or `paper` (`lmd.optimisers.encoding`); None for `wall`, or what
+            the caller sets before `run`.
+
+    `flush` says whether landmarks lie flat on their surface; a caller may set it before `run`.
     """
 
     # How many starting deployments the method can use.
     start_size = 1
+    flush = True
     dim: int
     rng: np.random.Generator
     start: FloatArray
@@ -163,40 +168,43 @@ class AskTell(Optimiser):
         return np.clip(genes, 0.0, 1.0)
 
     def tell(self, genes: FloatArray, fitness: FloatArray) -> None:
-        """Book a batch and pass it on; NaN counts as -inf."""
+        """Note a batch and pass it on; NaN counts as -inf."""
         fitness = np.where(np.isnan(fitness), -np.inf, fitness)
-        self._book(genes, fitness)
+        self._note(genes, fitness)
         self._tell(genes, fitness)
 
-    def _book(self, genes: FloatArray, fitness: FloatArray) -> None:
+    def _note(self, genes: FloatArray, fitness: FloatArray) -> None:
         best = int(np.argmax(fitness))
-        if self.books.enter(self.books.evaluations + len(genes), float(fitness[best])):
+        if self.ledger.note(self.ledger.evaluations + len(genes), float(fitness[best])):
             self.best_genes = genes[best].copy()
 
-    def run(self, problem: CoverageProblem, budget: Budget, callback: Callback | None = None) -> Result:
+    def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
         """See `Optimiser.run`. A batch that would exceed the budget is cut short."""
-        books = self.books
-        if self.encoding is not None:
-            problem = problem.encoded(self.encoding)
-        if not books.evaluations:
-            self.dim = problem.dim
+        ledger = self.ledger
+        encoding = make_encoding(self.encoding or "wall", problem.scene.room, self.flush)
+        if not ledger.evaluations:
+            self.dim = problem.count * encoding.genes_per_landmark
             self.rng = np.random.default_rng(self.seed)
-            self.start = problem.starting_genes(self.start_size, self.rng)
-        clock = time.perf_counter() - books.seconds
+            draws = self.start_size if problem.start.varies else 1
+            starts = [problem.start.draw(problem.scene.room, self.rng) for _ in range(draws)]
+            self.start = np.stack([encoding.encode(start) for start in starts])
+        clock = time.perf_counter() - ledger.seconds
         stopped = "budget"
-        while budget.used(books.evaluations, books.seconds) < 1.0:
+        while budget.used(ledger.evaluations, ledger.seconds) < 1.0:
             genes = self.ask()
             asked = len(genes)
-            genes = genes[: int(min(asked, budget.limit - books.evaluations))]
-            fitness = problem.evaluate(genes)
-            books.seconds = time.perf_counter() - clock
+            genes = genes[: int(min(asked, budget.limit - ledger.evaluations))]
+            positions, normals, _ = encoding.decode(genes)
+            fitness = problem.fitness(positions, normals)
+            ledger.seconds = time.perf_counter() - clock
             if len(genes) == asked:
                 self.tell(genes, fitness)
             else:  # the method cannot learn from half a batch
-                self._book(genes, np.where(np.isnan(fitness), -np.inf, fitness))
+                self._note(genes, np.where(np.isnan(fitness), -np.inf, fitness))
             if callback and callback(self):
                 stopped = "interrupted"
                 break
         if self.best_genes is None:
             raise InputError(f"{type(self).__name__} found no deployment: every evaluation failed.")
-        return self._result(problem.decode(self.best_genes), stopped)
+        positions, normals, surfaces = encoding.decode(self.best_genes[None])
+        return self._result(Deployment(positions[0], normals[0], surfaces[0]), stopped)

@@ -1,9 +1,8 @@
 """Lazy greedy selection on a submodular stand-in, then a local search on the true objective.
 
-Whether at least n landmarks are covered is not submodular for n >= 2: the first landmark gains nothing. The sum of
-min(covered, n) over positions and axes is, if no landmark hides another; so adding the pose of the largest gain, one
-after the other, comes within 1 - 1/e of the best choice of poses for that sum. Gains only ever shrink, which is what
-makes the lazy variant (Minoux 1978) exact: a pose needs evaluating again only while its last known gain is the largest.
+The stand-in is the objective's `selection`. Adding the pose of the largest gain, one after the other, comes within
+1 - 1/e of the best choice of poses for it. Gains only ever shrink, which is what makes the lazy variant (Minoux 1978)
+exact: a pose needs evaluating again only while its last known gain is the largest.
 """
 
 from dataclasses import dataclass
@@ -13,34 +12,31 @@ import numpy as np
 
 from lmd.checks import integer, real
 from lmd.deployment import Deployment
+from lmd.objectives.base import Objective, Selection
 from lmd.optimisers.annealing import Annealing, Stage
-from lmd.problem import CoverageProblem, Objective
+from lmd.problem import Problem
 from lmd.scene import Scene
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.poses import candidate_poses, covered_amounts, gains
-from lmd.space.cuboid import Room
+from lmd.sight.poses import candidate_poses
+from lmd.space.space import Space
 
 BATCH = 32  # poses whose gains are brought up to date together
+SPACING = 0.25  # of the grid of poses, metres
+REFINED = Stage(temperature=(4e-5, 2e-5), width=(0.02, 0.006), step=(0.3, 0.05), margin=0.002, share=0.1)
 
 
-def select(
-    evaluator: Evaluator, poses: Deployment, relevance: np.ndarray, n: int, count: int, allowance: float = np.inf
-) -> tuple[np.ndarray, int]:
+def select(selection: Selection, poses: Deployment, count: int, allowance: float = np.inf) -> tuple[np.ndarray, int]:
     """Choose up to `count` of the `poses`, each at most once.
 
     Args:
-        evaluator: the scene.
+        selection: what is climbed, with nothing chosen yet.
         poses: N candidates.
-        relevance: weights of the positions, `(P,)`.
-        n: landmarks that should be covered at the same time.
         count: K.
         allowance: how many gains may be evaluated; fewer poses are chosen if it does not suffice.
 
     Returns:
         indices of the chosen poses in the order of choice, and the number of gains evaluated.
     """
-    prices = relevance[:, None] * (evaluator.weights / evaluator.weights.sum())
-    covered = np.zeros(prices.shape)
     known, taken = np.full(len(poses), np.inf), np.zeros(len(poses), dtype=bool)
     chosen: list[int] = []
     spent = 0
@@ -52,20 +48,19 @@ def select(
             batch = stale[np.argsort(-known[stale], kind="stable")[: BATCH if chosen else len(poses)]]
             if spent + len(batch) > allowance:
                 return np.array(chosen, dtype=int), spent
-            part = Deployment(poses.positions[batch], poses.normals[batch])
-            known[batch] = gains(evaluator, part, prices * (covered < n))
+            known[batch] = selection.gains(poses[batch])
             fresh[batch] = True
             spent += len(batch)
         chosen.append(best)
         known[best], taken[best] = -np.inf, True
-        covered += covered_amounts(evaluator, Deployment(poses.positions[[best]], poses.normals[[best]]), np.ones(1))
+        selection.add(poses[best : best + 1])
     return np.array(chosen, dtype=int), spent
 
 
-def _poses_within(room: Room, spacing: float, most: float) -> Deployment:
+def _poses_within(room: Space, spacing: float, most: float) -> Deployment:
     """`candidate_poses`, coarsened until there are no more than `most`."""
     poses = candidate_poses(room, spacing)
-    while len(poses) > max(most, len(room.walls)):
+    while len(poses) > max(most, len(room.surfaces())):
         spacing *= 1.3
         poses = candidate_poses(room, spacing)
     return poses
@@ -86,24 +81,21 @@ class Greedy(Annealing):
         InputError: the spacing is not positive.
     """
 
-    def __init__(self, spacing: float, single: Stage, seed: int = 0) -> None:
+    def __init__(self, spacing: float = SPACING, single: Stage = REFINED, seed: int = 0) -> None:
         super().__init__(stacked=single, single=single, sampled=single, given=single, stacked_share=0.0, seed=seed)
-        self.spacing = real("optimiser.spacing", spacing, above=0.0)
+        self.spacing = real("spacing", spacing, above=0.0)
 
-    def _begin(self, problem: CoverageProblem, limit: float) -> int:
+    def _begin(self, problem: Problem, stack: int, limit: float) -> int:
         """Build the start greedily; what the budget cannot pay for stays where the problem's start has it."""
-        super()._begin(problem, limit)
+        super()._begin(problem, stack, limit)
         room, count = problem.scene.room, problem.count
         allowance = (limit - count) / 2
         poses = _poses_within(room, self.spacing, allowance / 2)
-        chosen, spent = select(
-            problem.fitness_evaluator, poses, problem.fitness_relevance, problem.objective.n, count, allowance
-        )
-        rest = slice(len(chosen), count)
-        self.start = self.here = Deployment(
-            np.vstack([poses.positions[chosen], self.start.positions[rest]]),
-            np.vstack([poses.normals[chosen], self.start.normals[rest]]),
-        )
+        selection = problem.objective.selection(problem.fitness_evaluator, problem.fitness_relevance)
+        chosen, spent = select(selection, poses, count, allowance)
+        if len(chosen):
+            rest = self.start[len(chosen) :] if len(chosen) < count else None
+            self.start = self.here = poses[chosen] if rest is None else poses[chosen] + rest
         return spent
 
 
@@ -115,9 +107,9 @@ class GreedyDeployment:
 
     Args:
         count: K.
+        scene: where they hang.
+        objective: what they are for.
         spacing: of the grid of poses, metres.
-        scene: what the landmarks are for.
-        objective: how many must be covered.
         threads: worker threads, all processors by default; the result does not depend on it.
 
     Raises:
@@ -125,15 +117,15 @@ class GreedyDeployment:
     """
 
     count: int
-    spacing: float
     scene: Scene
     objective: Objective
+    spacing: float = SPACING
     threads: int | None = None
     varies = False
 
     def __post_init__(self) -> None:
-        integer("deployment.count", self.count, low=1)
-        real("deployment.spacing", self.spacing, above=0.0)
+        integer("count", self.count, low=1)
+        real("spacing", self.spacing, above=0.0)
 
     @cached_property
     def _deployment(self) -> Deployment:
@@ -144,9 +136,9 @@ class GreedyDeployment:
             spacing /= 1.3
             poses = candidate_poses(room, spacing)
         relevance = room.relevance.weights(evaluator.positions)
-        chosen, _ = select(evaluator, poses, relevance, self.objective.n, self.count)
-        return Deployment(poses.positions[chosen], poses.normals[chosen])
+        chosen, _ = select(self.objective.selection(evaluator, relevance), poses, self.count)
+        return poses[chosen]
 
-    def draw(self, room: Room, rng: np.random.Generator) -> Deployment:
+    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
         """See `DeploymentSource.draw`; nothing here is random."""
         return self._deployment

@@ -23,7 +23,7 @@ class RandomSearch(AskTell):
         self.batch = integer("optimiser.batch", batch, low=1)
 
     def _ask(self) -> FloatArray:
-        if not self.books.evaluations:
+        if not self.ledger.evaluations:
             return np.vstack([self.start, self.rng.random((self.batch - 1, self.dim))])
         return self.rng.random((self.batch, self.dim))
 

@@ -61,7 +61,7 @@ class Wrapped(AskTell):
         return self._next()
 
     def _tell(self, genes: FloatArray, fitness: FloatArray) -> None:
-        age = self.books.evaluations - np.arange(len(genes), 0, -1)
+        age = self.ledger.evaluations - np.arange(len(genes), 0, -1)
         losses = np.where(np.isfinite(fitness), -fitness, FAILED) - NEWER * age
         self.told.append((zlib.crc32(genes.tobytes()), losses))
         self._pass_on(genes, losses)

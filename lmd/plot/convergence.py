@@ -2,37 +2,42 @@
 
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
+from lmd.objectives.base import Headline
 
-def save_convergence_figure(path: str | Path, history: pd.DataFrame, title: str) -> None:
+
+def save_convergence_figure(path: str | Path, history: pd.DataFrame, headline: Headline, title: str) -> None:
     """Write a PNG with the best fitness so far as a step line over evaluations.
 
     Args:
         path: the PNG.
-        history: one row per recorded moment, at least one, with the columns `evaluations`, `best_fitness` (qualified
-            ratio in [0, 1]) and `wall_time` (seconds since the start).
+        history: one row per recorded moment, at least one, with the columns `evaluations`, `best_fitness` and
+            `wall_time` (seconds since the start).
+        headline: what the fitness is called and how it is shown.
         title: one line above the axes.
     """
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 
-    evaluations, best = history["evaluations"].to_numpy(), 100.0 * history["best_fitness"].to_numpy()
+    evaluations, best = history["evaluations"].to_numpy(), headline.scale * history["best_fitness"].to_numpy()
     figure = Figure(figsize=(9.0, 5.0), dpi=100, layout="constrained")
     axes = figure.add_subplot()
     axes.step(evaluations, best, where="post", linewidth=1.8)
     axes.plot(evaluations[-1], best[-1], "o", color="C0", clip_on=False)
-    axes.set(title=title, xlabel="evaluations", ylabel="best fitness [%]", ylim=(0.0, 100.0))
+    axes.set(title=title, xlabel="evaluations", ylabel=f"best fitness [{headline.unit}]", ylim=headline.limits)
     axes.set_xlim(left=0)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.xaxis.set_major_formatter("{x:,.0f}")
     axes.grid(alpha=0.4)
     # In the half of the axes that the end of the line leaves free.
-    y, align = (0.04, "bottom") if best[-1] > 50.0 else (0.96, "top")
+    y, align = (0.04, "bottom") if best[-1] > np.mean(axes.get_ylim()) else (0.96, "top")
     axes.text(
         0.97,
         y,
-        f"{best[-1]:.2f} % after {evaluations[-1]:,.0f} evaluations, {_duration(history['wall_time'].iloc[-1])}",
+        f"{best[-1]:.2f} {headline.unit} after {evaluations[-1]:,.0f} evaluations, "
+        f"{_duration(history['wall_time'].iloc[-1])}",
         transform=axes.transAxes,
         horizontalalignment="right",
         verticalalignment=align,

@@ -9,7 +9,7 @@ import pandas as pd
 from lmd.checks import FloatArray
 from lmd.localisation.cramer_rao import BoundMap
 from lmd.plot import common
-from lmd.space.cuboid import Room
+from lmd.space.space import Space
 
 QUANTITIES = {
     "error": r"$Er = \|X - \hat X\|_F^2$",
@@ -70,7 +70,7 @@ def _least_positive(values: pd.Series) -> float:
     return float(values[values > 0.0].min())
 
 
-def save_bound_map(path: str | Path, room: Room, bounds: BoundMap, title: str) -> None:
+def save_bound_map(path: str | Path, room: Space, bounds: BoundMap, title: str) -> None:
     """Write a PNG: at each position, how often a single frame fixes the pose, and how well it does then.
 
     Args:
@@ -94,8 +94,8 @@ def save_bound_map(path: str | Path, room: Room, bounds: BoundMap, title: str) -
     )  # fmt: skip
     for i, (values, label, scale) in enumerate(shown, start=1):
         axes = figure.add_subplot(1, 2, i, projection="3d")
-        axes.set_box_aspect(room.size)
-        for edges in common.boxes(room).values():
+        axes.set_box_aspect(common.size_of(room))
+        for edges in room.outline().values():
             for edge in edges:
                 axes.plot(*edge.T, color=common.REACHABLE, lw=0.8)
         axes.set(**dict(zip(("xlabel", "ylabel", "zlabel"), common.AXIS_LABELS, strict=True)))

@@ -1,6 +1,7 @@
 """The figure of a deployment as an interactive HTML page that needs no network."""
 
 import html
+import re
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,8 @@ import numpy as np
 from lmd.checks import FloatArray
 from lmd.deployment import Deployment
 from lmd.plot import common
-from lmd.sight.reference import qualified
-from lmd.space.cuboid import Room
+from lmd.problem import Problem
+from lmd.space.space import Space
 
 BALL = 5.5  # diameter, pixels
 CAMERA = {"eye": {"x": 0.82, "y": -1.84, "z": 0.58}, "center": {"x": 0.0, "y": 0.0, "z": -0.05}}
@@ -25,35 +26,25 @@ PAGE = """<!DOCTYPE html>
 """
 
 
-def save_scene_page(
-    path: str | Path,
-    room: Room,
-    deployment: Deployment,
-    positions: FloatArray,
-    probability: FloatArray,
-    thold_p: float,
-    n: int,
-    title: str,
-) -> None:
+def save_scene_page(path: str | Path, problem: Problem, deployment: Deployment, title: str) -> None:
     """Write a self-contained page: the scene of `save_scene_figure`, to turn, zoom and point at.
 
-    Two buttons switch the positions between colours of P_n and qualified or not.
+    Two buttons switch the positions between colours of the objective's value and qualified or not.
 
     Args:
         path: the HTML file.
-        room: drawn as a black box, its reachable area as a dashed grey one.
+        problem: its room is drawn in black, the reachable area dotted and grey.
         deployment: drawn as red arrows along the normals.
-        positions: `(P, 3)`, metres.
-        probability: P_n at each position, `(P,)`.
-        thold_p: probability from which on a position qualifies.
-        n: landmarks that must be covered.
         title: of the page and above the scene.
     """
     import plotly.graph_objects as go
 
-    good = qualified(probability, thold_p)
+    room, objective, positions = problem.scene.room, problem.objective, problem.evaluator.positions
+    values = problem.values(deployment)
+    good = objective.qualified(values)
     surroundings = [*_box_traces(room), *_landmark_traces(deployment)]
-    hover = [f"P<sub>{n}</sub> = {p:.4f}<br>{_place(at)}" for p, at in zip(probability, positions, strict=True)]
+    name = re.sub("_(.*)", r"<sub>\1</sub>", objective.value_name)
+    hover = [f"{name} = {value:.4f}<br>{_place(at)}" for value, at in zip(values, positions, strict=True)]
 
     def balls(chosen: Any, name: str, **marker: Any) -> Any:
         """Balls at the positions with the indices `chosen`."""
@@ -69,14 +60,14 @@ def save_scene_page(
     by_probability = balls(
         np.arange(len(positions)),
         "position",
-        color=probability,
+        color=values,
         colorscale=common.COLOUR_MAP.capitalize(),
         cmin=0.0,
         cmax=1.0,
         opacity=0.8,
-        colorbar={"title": {"text": common.colour_label(n), "side": "right"}, "len": 0.7},
+        colorbar={"title": {"text": objective.value_label, "side": "right"}, "len": 0.7},
     )
-    labels = common.qualified_labels(good, thold_p)
+    labels = common.qualified_labels(good, objective.threshold)
     green = balls(np.flatnonzero(good), labels[0], color=common.QUALIFIED, opacity=0.8)
     grey = balls(np.flatnonzero(~good), labels[1], color=common.UNQUALIFIED, opacity=0.4)
     green.visible = grey.visible = False
@@ -89,10 +80,10 @@ def save_scene_page(
     axes = {
         f"{axis}axis": {
             "title": {"text": text},
-            "range": [0.0, length],
+            "range": limits,
             **BARE,
         }
-        for axis, text, length in zip("xyz", common.AXIS_LABELS, room.size, strict=True)
+        for axis, text, *limits in zip("xyz", common.AXIS_LABELS, *room.bounds(), strict=True)
     }
     figure.update_layout(
         template="plotly_white",
@@ -113,7 +104,7 @@ def save_scene_page(
     Path(path).write_text(PAGE.format(title=html.escape(title), figure=body), encoding="utf-8")
 
 
-def _box_traces(room: Room) -> list[Any]:
+def _box_traces(room: Space) -> list[Any]:
     import plotly.graph_objects as go
 
     styles = {"room": {"color": common.ROOM}, "reachable area": {"color": common.REACHABLE, "dash": "dot"}}
@@ -121,7 +112,7 @@ def _box_traces(room: Room) -> list[Any]:
         go.Scatter3d(
             **_xyz(_strokes(edges)), mode="lines", name=name, line={"width": 3, **styles[name]}, hoverinfo="skip"
         )
-        for name, edges in common.boxes(room).items()
+        for name, edges in room.outline().items()
     ]
 
 

@@ -7,43 +7,31 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import FloatArray
+from lmd.checks import BoolArray, FloatArray
 from lmd.deployment import Deployment
 from lmd.plot import common
-from lmd.problem import CoverageProblem
-from lmd.sight.reference import BoolArray, qualified
-from lmd.space.cuboid import Room
+from lmd.problem import Problem
+from lmd.space.space import Space
 
 BACK, BALLS, FRONT = 1, 2, 3  # z-orders
 BALL = 7.0  # diameter, points
 
 
-def save_scene_figure(
-    path: str | Path,
-    room: Room,
-    deployment: Deployment,
-    positions: FloatArray,
-    probability: FloatArray,
-    thold_p: float,
-    n: int,
-    title: str,
-) -> None:
-    """Write a PNG of 1500 x 750 pixels: positions coloured by P_n, and by whether they qualify.
+def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment, title: str) -> None:
+    """Write a PNG of 1500 x 750 pixels: positions coloured by the objective's value, and by whether they qualify.
 
     Args:
         path: the PNG.
-        room: drawn as a black box, its reachable area as a dashed grey one.
+        problem: its room is drawn in black, the reachable area dashed and grey.
         deployment: drawn as red arrows along the normals.
-        positions: `(P, 3)`, metres.
-        probability: P_n at each position, `(P,)`.
-        thold_p: probability from which on a position qualifies.
-        n: landmarks that must be covered.
         title: one line above the panels.
     """
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-    good = qualified(probability, thold_p)
+    room, objective, positions = problem.scene.room, problem.objective, problem.evaluator.positions
+    values = problem.values(deployment)
+    good = objective.qualified(values)
     figure = Figure(figsize=(15.0, 7.5), dpi=100, facecolor="white")
     figure.suptitle(title, fontsize=17, y=0.97)
     left, right = (
@@ -51,13 +39,13 @@ def save_scene_figure(
     )
     for axes in (left, right):
         _draw_surroundings(axes, room, deployment)
-    balls = _draw_balls(left, room, positions, c=probability, cmap=common.COLOUR_MAP, vmin=0.0, vmax=1.0, alpha=0.7)
+    balls = _draw_balls(left, room, positions, c=values, cmap=common.COLOUR_MAP, vmin=0.0, vmax=1.0, alpha=0.7)
     _draw_balls(right, room, positions, c=_faces(good))
 
     bar = figure.colorbar(balls, cax=figure.add_axes((0.1, 0.1, 0.3, 0.022)), orientation="horizontal")
-    bar.set_label(common.colour_label(n), fontsize=12)
-    bar.ax.axvline(thold_p, color="white", linewidth=4.0)
-    bar.ax.axvline(thold_p, color="black", linewidth=1.5)
+    bar.set_label(objective.value_label, fontsize=12)
+    bar.ax.axvline(objective.threshold, color="white", linewidth=4.0)
+    bar.ax.axvline(objective.threshold, color="black", linewidth=1.5)
 
     lines = [
         Line2D([], [], color=common.ROOM, label="room"),
@@ -67,7 +55,7 @@ def save_scene_figure(
     colours = (common.QUALIFIED, common.UNQUALIFIED)
     dots = [
         Line2D([], [], **_symbol("o", 9, colour), label=label)
-        for colour, label in zip(colours, common.qualified_labels(good, thold_p), strict=True)
+        for colour, label in zip(colours, common.qualified_labels(good, objective.threshold), strict=True)
     ]
     for handles, x, y in ((lines, 0.5, 0.9), (dots, 0.75, 0.095)):
         figure.legend(handles=handles, loc="center", bbox_to_anchor=(x, y), ncols=3, frameon=False, fontsize=12)
@@ -75,7 +63,7 @@ def save_scene_figure(
 
 
 def save_deployments_figure(
-    path: str | Path, deployments: Mapping[str, tuple[CoverageProblem, Deployment]], title: str
+    path: str | Path, deployments: Mapping[str, tuple[Problem, Deployment]], title: str
 ) -> None:
     """Write a PNG of deployments side by side, two in a row: which positions each qualifies.
 
@@ -95,7 +83,7 @@ def save_deployments_figure(
     for i, (name, (problem, deployment)) in enumerate(deployments.items()):
         left, bottom = 0.5 * (i % 2), 1.0 - margin - (1 + i // 2) * height
         axes = figure.add_axes((left, bottom, 0.5, height), projection="3d", computed_zorder=False)
-        good = qualified(problem.probabilities(deployment), problem.objective.thold_p)
+        good = problem.objective.qualified(problem.values(deployment))
         _draw_surroundings(axes, problem.scene.room, deployment)
         _draw_balls(axes, problem.scene.room, problem.evaluator.positions, c=_faces(good))
         label = f"{name}: {good.mean():.2%} qualified"
@@ -109,7 +97,7 @@ def save_deployments_figure(
     figure.savefig(path)
 
 
-def _draw_surroundings(axes: Any, room: Room, deployment: Deployment) -> None:
+def _draw_surroundings(axes: Any, room: Space, deployment: Deployment) -> None:
     """Room, reachable area, landmarks and axes: all but the balls."""
     from matplotlib.ticker import MaxNLocator, MultipleLocator
     from mpl_toolkits.mplot3d.art3d import Line3DCollection
@@ -117,18 +105,19 @@ def _draw_surroundings(axes: Any, room: Room, deployment: Deployment) -> None:
     axes.view_init(elev=common.ELEVATION, azim=common.AZIMUTH)
     axes.set_proj_type("persp", focal_length=1.4)
     # The box is scaled to the panel by its diagonal; a tower has to shrink to stay between title and colour bar.
-    axes.set_box_aspect(room.size, zoom=min(1.0, 0.6 * math.hypot(*room.size) / room.size[2]))
+    (low, high), size = room.bounds(), common.size_of(room)
+    axes.set_box_aspect(size, zoom=min(1.0, 0.6 * math.hypot(*size) / size[2]))
     axes.grid(False)
-    step = np.diff(MaxNLocator(8, steps=[1, 2, 5, 10]).tick_values(0.0, max(room.size)))[0]
-    for axis, label, length in zip("xyz", common.AXIS_LABELS, room.size, strict=True):
-        axes.set(**{f"{axis}lim": (0.0, length), f"{axis}label": label})
+    step = np.diff(MaxNLocator(8, steps=[1, 2, 5, 10]).tick_values(0.0, max(size)))[0]
+    for axis, label, *limits in zip("xyz", common.AXIS_LABELS, low, high, strict=True):
+        axes.set(**{f"{axis}lim": limits, f"{axis}label": label})
         getattr(axes, f"{axis}axis").set_major_locator(MultipleLocator(step))
         getattr(axes, f"{axis}axis").pane.set_visible(False)
     # matplotlib has no depth buffer: what is nearer to the viewer than the balls gets a higher z-order.
     viewer = common.viewer()
     for name, colour, style in (("room", common.ROOM, "-"), ("reachable area", common.REACHABLE, "--")):
-        edges = common.boxes(room)[name]
-        near = (edges.mean(axis=1) - np.asarray(room.size) / 2.0) @ viewer > 0.0
+        edges = room.outline()[name]
+        near = (edges.mean(axis=1) - (low + high) / 2.0) @ viewer > 0.0
         for part, zorder in ((near, FRONT), (~near, BACK)):
             axes.add_collection(
                 Line3DCollection(edges[part], colors=colour, linestyles=style, linewidths=1.2, zorder=zorder)
@@ -139,7 +128,7 @@ def _draw_surroundings(axes: Any, room: Room, deployment: Deployment) -> None:
         axes.quiver(*start.T, *arrow.T, color=common.LANDMARK, linewidth=1.6, arrow_length_ratio=0.4, zorder=zorder)
 
 
-def _draw_balls(axes: Any, room: Room, positions: FloatArray, **colours: Any) -> Any:
+def _draw_balls(axes: Any, room: Space, positions: FloatArray, **colours: Any) -> Any:
     area = (BALL * common.ball_scale(room, len(positions))) ** 2
     return axes.scatter(*positions.T, s=area, linewidths=0, depthshade=False, zorder=BALLS, **colours)
 

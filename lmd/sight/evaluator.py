@@ -12,7 +12,6 @@ from lmd.deployment import Deployment
 from lmd.scene import Scene
 from lmd.sight import kernels
 from lmd.sight.kernels import PROBABILITY_ONE
-from lmd.sight.visibility import TOLERANCE
 
 
 def available_threads() -> int:
@@ -30,7 +29,6 @@ class Evaluator:
     """
 
     def __init__(self, scene: Scene, positions: FloatArray | None = None, threads: int | None = None) -> None:
-        limits, visibility = scene.limits, scene.visibility
         self.positions = np.ascontiguousarray(scene.room.grid() if positions is None else positions)
         self.threads = threads or available_threads()
         self.axis_of = scene.pdf.axis_of
@@ -39,9 +37,7 @@ class Evaluator:
         self.weights = np.rint(kernels.in_blocks(scene.pdf.axis_weight) * PROBABILITY_ONE).astype(np.int64)
         # What rounding left over goes to the heaviest axis, so that certainty is exactly one.
         self.weights[np.argmax(self.weights)] += PROBABILITY_ONE - self.weights.sum()
-        self.limits = np.array([limits.min_cosine, limits.min_depth, limits.max_depth])
-        self.reach = (visibility.nu * (1.0 + TOLERANCE)) ** 2
-        self.mode = kernels.OCCLUSION_CODES[visibility.occlusion if visibility.tests_other_landmarks else "none"]
+        self.sight = scene.sight
 
     def counts(self, deployment: Deployment) -> np.ndarray:
         """Landmarks covered at every position and orientation of the PDF, `(P, A)` int16."""
@@ -77,9 +73,7 @@ class Evaluator:
             *(np.ascontiguousarray(v.transpose(0, 2, 1)) for v in (positions, normals)),
         )
         rest: tuple[Any, ...] = (
-            self.limits,
-            self.reach,
-            self.mode,
+            self.sight,
             self.axes,
             self.bands,
             self.weights,

@@ -20,7 +20,7 @@ import numpy as np
 from numba import njit
 
 from lmd.checks import FloatArray
-from lmd.sight.visibility import TOLERANCE
+from lmd.sight.criteria import covers, from_position, hide
 
 # A probability of 1 in the integer units of the kernels: quantisation is far below TOLERANCE, and a sum of
 # at most one fits a double exactly.
@@ -35,9 +35,6 @@ HEIGHT_MARGIN = 1e-6
 
 # The square of a cosine in single precision is off by less than this: a dozen roundings of 6e-8.
 SINGLE_ERROR = 2e-6
-
-OCCLUSION_CODES = {"none": 0, "paper": 1, "line_of_sight": 2}
-_LINE_OF_SIGHT = OCCLUSION_CODES["line_of_sight"]
 
 
 def in_blocks(values: FloatArray) -> FloatArray:
@@ -56,64 +53,50 @@ def height_index(heights: FloatArray) -> np.ndarray:
     return np.append(np.searchsorted(heights, edges - HEIGHT_MARGIN), len(heights)).astype(np.int64)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def cap_of(x, y, z, nx, ny, nz, slack, min_cosine, min_depth, max_depth):
-    """The cap of axes that cover a landmark at offset (x, y, z) with normal (nx, ny, nz).
+@njit(inline="always")
+def band_of(x, y, z, low, slack):
+    """The heights of the axes whose depth of a landmark at offset (x, y, z) may reach `low`.
 
-    With a `slack`, the cap that holds those of all landmarks at most `slack` away in the same plane (see `poses`).
+    They lie in a cone around the direction of the landmark. With a `slack`, in that of any landmark so far away.
     Scalars only and no branch: a loop over landmarks or positions vectorises with it.
 
     Returns:
-        whether there is a cap at all; the least depth; the first and last height bin its axes lie in, to be looked up
-        in `height_index` (meaningless without a cap).
+        the first and last height bin, to be looked up in `height_index`.
     """
     distance = math.sqrt(x * x + y * y + z * z)
-    nearest = distance - slack
-    least = max(nearest * min_cosine, min_depth)
-    low = least - slack
-    reached = (nearest * min_cosine <= max_depth) & ((distance + slack) * (1.0 + TOLERANCE) >= min_depth)
-    reached &= -(nx * x + ny * y + nz * z) > TOLERANCE * nearest
     height, cosine = z / distance, min(max(low / distance, -1.0), 1.0)
     sine = math.sqrt(1.0 - cosine * cosine)
     across = math.sqrt(max(0.0, 1.0 - height * height))
-    wide = nearest <= 0.0  # the slack reaches the camera: any axis
+    wide = distance - slack <= 0.0  # the slack reaches the camera: any axis
     bottom = -1.0 if wide | (-height >= cosine) else height * cosine - across * sine
     top = 1.0 if wide | (height >= cosine) else height * cosine + across * sine
     scale = HEIGHT_BINS / 2.0
     first = math.floor((bottom - HEIGHT_MARGIN + 1.0) * scale)
     # Twice the margin: the table starts each bin one margin early.
     last = math.floor((top + 2.0 * HEIGHT_MARGIN + 1.0) * scale) + 1
-    return reached, low, max(first, 0), min(last, HEIGHT_BINS + 1)
+    return max(first, 0), min(last, HEIGHT_BINS + 1)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def is_hidden(k, x, y, z, squared, reach, mode):
+def is_hidden(k, x, y, z, squared, sight):
     """Whether another landmark hides landmark k; offsets `x, y, z` and their `squared` lengths, `(K,)`."""
-    xk, yk, zk = x[k], y[k], z[k]
-    bound, further, hiding = reach * squared[k], squared[k] * (1.0 + TOLERANCE), 0
+    xk, yk, zk, sk, hiding = x[k], y[k], z[k], squared[k], 0
     for j in range(len(x)):
-        cx = y[j] * zk - z[j] * yk
-        cy = z[j] * xk - x[j] * zk
-        cz = x[j] * yk - y[j] * xk
-        near = cx * cx + cy * cy + cz * cz <= bound
-        if mode == _LINE_OF_SIGHT:
-            near &= (xk * x[j] + yk * y[j] + zk * z[j] > 0.0) & (squared[j] <= further)
-        hiding += near & (j != k)
+        hides, _ = hide(sight, x[j], y[j], z[j], squared[j], xk, yk, zk, sk)
+        hiding += hides & (j != k)
     return hiding > 0
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def evaluate_range(
-    first, last, positions, landmarks, normals, limits, reach, mode, axes, bands, weights, n, units, counts, keep
+    first, last, positions, landmarks, normals, sight, axes, bands, weights, n, units, counts, keep
 ):  # fmt: skip
     """Evaluate deployments at the positions `first` to `last`.
 
     Args:
         positions: `(P, 3)`.
         landmarks, normals: `(B, 3, K)`.
-        limits: min_cosine, min_depth, max_depth.
-        reach: squared virtual diameter with tolerance.
-        mode: a value of `OCCLUSION_CODES`.
+        sight: the compiled model of sight.
         axes: `(3, D)` sorted by height and filled up by `in_blocks`.
         bands: their `height_index`.
         weights: probability of each axis in integer units, `(D,)`.
@@ -124,7 +107,7 @@ def evaluate_range(
     # One long body but for the rare `is_hidden`: handing arrays on to a function costs atomic reference counts, as
     # much as the work itself.
     count, size = landmarks.shape[2], axes.shape[1]
-    min_cosine, min_depth, max_depth = limits[0], limits[1], limits[2]
+    reach = sight.reach
     x, y, z, squared, low = np.empty(count), np.empty(count), np.empty(count), np.empty(count), np.empty(count)
     bottom, top = np.empty(count, dtype=np.int32), np.empty(count, dtype=np.int32)
     reached = np.empty(count, dtype=np.bool_)
@@ -139,11 +122,11 @@ def evaluate_range(
             for k in range(count):
                 x[k], y[k], z[k] = landmarks[b, 0, k] - px, landmarks[b, 1, k] - py, landmarks[b, 2, k] - pz
                 squared[k] = x[k] * x[k] + y[k] * y[k] + z[k] * z[k]
-                reached[k], low[k], bottom[k], top[k] = cap_of(
-                    x[k], y[k], z[k], normals[b, 0, k], normals[b, 1, k], normals[b, 2, k],
-                    0.0, min_cosine, min_depth, max_depth,
-                )  # fmt: skip
-            if mode:
+                reached[k], low[k], _ = from_position(
+                    sight, x[k], y[k], z[k], normals[b, 0, k], normals[b, 1, k], normals[b, 2, k], 0.0
+                )
+                bottom[k], top[k] = band_of(x[k], y[k], z[k], low[k], 0.0)
+            if reach >= 0.0:
                 for k in range(count):
                     here = squared[k] == 0.0  # such a landmark hides all others
                     scale = 0.0 if here else 1.0 / math.sqrt(squared[k])
@@ -155,20 +138,20 @@ def evaluate_range(
                 if not reached[k]:
                     continue
                 xk, yk, zk = x[k], y[k], z[k]
-                if mode:
+                nx, ny, nz = normals[b, 0, k], normals[b, 1, k], normals[b, 2, k]
+                if reach >= 0.0:
                     uk, vk, wk, suspects = u[k], v[k], w[k], np.int32(0)
                     for j in range(np.uint64(padded)):
                         cosine = u[j] * uk + v[j] * vk + w[j] * wk
                         suspects += np.int32(cosine * cosine >= close[j])
                     # The landmark itself is always one of the suspects.
-                    if suspects > 1 and is_hidden(k, x, y, z, squared, reach, mode):
+                    if suspects > 1 and is_hidden(k, x, y, z, squared, sight):
                         continue
                 least = low[k]
                 start, stop = bands[bottom[k]] & -BLOCK, (bands[top[k]] + BLOCK - 1) & -BLOCK
                 # Unsigned, so that the compiler sees indices that cannot be negative and vectorises the loop.
                 for a in range(np.uint64(start), np.uint64(stop)):
-                    depth = axes[0, a] * xk + axes[1, a] * yk + axes[2, a] * zk
-                    row[a] += (depth >= least) & (depth <= max_depth)
+                    row[a] += covers(sight, xk, yk, zk, nx, ny, nz, least, 0.0, axes, a)
             total = np.int64(0)
             for a in range(size):
                 total += weights[a] if row[a] >= n else 0

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from lmd.checks import FloatArray, real
 from lmd.deployment import Deployment
+from lmd.sight.criteria import TOLERANCE, covers, from_position
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.kernels import BLOCK, cap_of
-from lmd.sight.visibility import TOLERANCE
-from lmd.space.cuboid import Room
+from lmd.sight.kernels import BLOCK, band_of
+from lmd.space.space import Space
 
 # Poses, or positions, that a thread works on at a time: the work differs much between walls.
 CHUNKS_PER_THREAD = 8
@@ -47,53 +47,51 @@ class Cells:
 
     def picked(self, index: NDArray[Any]) -> "Cells":
         """The cells that `index` selects, numbers or `(N,)` bool."""
-        return Cells(
-            Deployment(self.poses.positions[index], self.poses.normals[index]), self.half_u[index], self.half_v[index]
-        )
+        return Cells(self.poses[index], self.half_u[index], self.half_v[index])
 
     def quarters(self) -> "Cells":
         """Each cell cut into four, `4 N` cells."""
         u, v = self.half_u / 2.0, self.half_v / 2.0
         points = np.concatenate([self.poses.positions + i * u + j * v for i in (-1, 1) for j in (-1, 1)])
-        return Cells(Deployment(points, np.tile(self.poses.normals, (4, 1))), np.tile(u, (4, 1)), np.tile(v, (4, 1)))
+        normals, surfaces = np.tile(self.poses.normals, (4, 1)), np.tile(self.poses.surfaces, 4)
+        return Cells(Deployment(points, normals, surfaces), np.tile(u, (4, 1)), np.tile(v, (4, 1)))
 
 
-def wall_cells(room: Room, spacing: float) -> Cells:
+def wall_cells(room: Space, spacing: float) -> Cells:
     """The walls that may carry landmarks cut into equal cells at most `spacing` metres wide, wall by wall."""
     real("spacing", spacing, above=0.0)
     parts = []
-    for wall in room.landmark_walls():
+    for number, wall in enumerate(room.surfaces()):
         # The small allowance keeps 7.5 / 0.25 at 30 cells however the division rounds.
         counts = [max(int(np.ceil(length / spacing - 1e-9)), 1) for length in wall.extent]
         half_u, half_v = (length / n / 2.0 for length, n in zip(wall.extent, counts, strict=True))
         i, j = (index.reshape(-1) for index in np.indices(counts))
         points = wall.point((2 * i + 1) * half_u, (2 * j + 1) * half_v)
-        parts.append((points, *(np.tile(v, (len(points), 1)) for v in (wall.normal, half_u * wall.u, half_v * wall.v))))
-    points, normals, us, vs = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    return Cells(Deployment(points, normals), us, vs)
+        repeated = (np.tile(v, (len(points), 1)) for v in (wall.normal, half_u * wall.u, half_v * wall.v))
+        parts.append((points, *repeated, np.full(len(points), number)))
+    points, normals, us, vs, surfaces = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    return Cells(Deployment(points, normals, surfaces), us, vs)
 
 
-def candidate_poses(room: Room, spacing: float) -> Deployment:
+def candidate_poses(room: Space, spacing: float) -> Deployment:
     """A flush landmark at the centre of every cell of `wall_cells`."""
     return wall_cells(room, spacing).poses
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _gains(start, stop, points, normals, slack, prices, positions, limits, axes, bands, out):
+def _gains(start, stop, points, normals, slack, prices, positions, sight, axes, bands, out):
     """Write the gains of poses `start` to `stop` into `out` `(N,)`; args as in `gains`, positions `(3, P)`."""
-    min_cosine, min_depth, max_depth = limits[0], limits[1], limits[2]
     size, row = positions.shape[1], np.empty(axes.shape[1])
     x, y, z, low = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
     bottom, top, reached = np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size, np.bool_)
     for j in range(start, stop):
         px, py, pz = points[j, 0], points[j, 1], points[j, 2]
         nx, ny, nz = normals[j, 0], normals[j, 1], normals[j, 2]
-        near, high = slack[j], max_depth + slack[j]
+        near = slack[j]
         for p in range(size):
             x[p], y[p], z[p] = px - positions[0, p], py - positions[1, p], pz - positions[2, p]
-            reached[p], low[p], bottom[p], top[p] = cap_of(
-                x[p], y[p], z[p], nx, ny, nz, near, min_cosine, min_depth, max_depth
-            )
+            reached[p], low[p], _ = from_position(sight, x[p], y[p], z[p], nx, ny, nz, near)
+            bottom[p], top[p] = band_of(x[p], y[p], z[p], low[p], near)
         for a in range(len(row)):
             row[a] = 0.0
         for p in range(size):
@@ -103,8 +101,8 @@ def _gains(start, stop, points, normals, slack, prices, positions, limits, axes,
             start_axis, stop_axis = bands[bottom[p]] & -BLOCK, (bands[top[p]] + BLOCK - 1) & -BLOCK
             # One sum per axis, so that the loop vectorises without re-association.
             for a in range(np.uint64(start_axis), np.uint64(stop_axis)):
-                depth = axes[0, a] * xp + axes[1, a] * yp + axes[2, a] * zp
-                row[a] += prices[p, a] if (depth >= least) & (depth <= high) else 0.0
+                covered = covers(sight, xp, yp, zp, nx, ny, nz, least, near, axes, a)
+                row[a] += prices[p, a] if covered else 0.0
         total = 0.0
         for a in range(len(row)):
             total += row[a]
@@ -112,21 +110,21 @@ def _gains(start, stop, points, normals, slack, prices, positions, limits, axes,
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _cover(start, stop, points, normals, amounts, positions, limits, axes, bands, out):
+def _cover(start, stop, points, normals, amounts, positions, sight, axes, bands, out):
     """Write what covers positions `start` to `stop` into `out` `(P, D)` of zeros; args as in `covered_amounts`."""
-    min_cosine, min_depth, max_depth = limits[0], limits[1], limits[2]
     for p in range(start, stop):
         for j in range(len(points)):
             if amounts[j] == 0.0:
                 continue
             x, y, z = points[j, 0] - positions[p, 0], points[j, 1] - positions[p, 1], points[j, 2] - positions[p, 2]
             nx, ny, nz = normals[j, 0], normals[j, 1], normals[j, 2]
-            reached, low, bottom, top = cap_of(x, y, z, nx, ny, nz, 0.0, min_cosine, min_depth, max_depth)
+            reached, low, _ = from_position(sight, x, y, z, nx, ny, nz, 0.0)
             if reached:
+                bottom, top = band_of(x, y, z, low, 0.0)
                 first, last = bands[bottom] & -BLOCK, (bands[top] + BLOCK - 1) & -BLOCK
                 for a in range(np.uint64(first), np.uint64(last)):
-                    depth = axes[0, a] * x + axes[1, a] * y + axes[2, a] * z
-                    out[p, a] += amounts[j] if (depth >= low) & (depth <= max_depth) else 0.0
+                    covered = covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a)
+                    out[p, a] += amounts[j] if covered else 0.0
 
 
 def gains(evaluator: Evaluator, poses: Deployment, prices: FloatArray, slack: FloatArray | None = None) -> FloatArray:
@@ -144,7 +142,7 @@ def gains(evaluator: Evaluator, poses: Deployment, prices: FloatArray, slack: Fl
     out, e = np.empty(len(poses)), evaluator
     slack = np.zeros(len(poses)) if slack is None else slack
     positions = np.ascontiguousarray(e.positions.T)
-    fixed = (poses.positions, poses.normals, slack, prices, positions, e.limits, e.axes, e.bands, out)
+    fixed = (poses.positions, poses.normals, slack, prices, positions, e.sight, e.axes, e.bands, out)
     _shared(_gains, len(poses), e.threads, fixed)
     return out
 
@@ -161,7 +159,7 @@ def covered_amounts(evaluator: Evaluator, poses: Deployment, amounts: FloatArray
         `(P, D)`, the same for any number of threads.
     """
     out, e = np.zeros((len(evaluator.positions), evaluator.axes.shape[1])), evaluator
-    fixed = (poses.positions, poses.normals, amounts, e.positions, e.limits, e.axes, e.bands, out)
+    fixed = (poses.positions, poses.normals, amounts, e.positions, e.sight, e.axes, e.bands, out)
     _shared(_cover, len(e.positions), e.threads, fixed)
     return out
 

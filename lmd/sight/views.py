@@ -7,16 +7,16 @@ is what a moving camera sees.
 import numpy as np
 from numba import njit
 
-from lmd.checks import FloatArray
+from lmd.checks import BoolArray, FloatArray
 from lmd.deployment import Deployment
+from lmd.sight.criteria import covers, from_position
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.kernels import cap_of, is_hidden
-from lmd.sight.reference import BoolArray
+from lmd.sight.kernels import is_hidden
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _see(positions, axes, landmarks, normals, limits, reach, mode, seen):
-    """Fill `seen` `(N, K)` of False; positions and axes `(N, 3)`, the others as in `kernels.evaluate_range`."""
+def _see(positions, axes, landmarks, normals, sight, seen):
+    """Fill `seen` `(N, K)` of False; positions `(N, 3)`, axes `(3, N)`, the others as in `kernels.evaluate_range`."""
     count = landmarks.shape[1]
     x, y, z, squared = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
     for i in range(len(positions)):
@@ -25,14 +25,10 @@ def _see(positions, axes, landmarks, normals, limits, reach, mode, seen):
             x[k], y[k], z[k] = landmarks[0, k] - px, landmarks[1, k] - py, landmarks[2, k] - pz
             squared[k] = x[k] * x[k] + y[k] * y[k] + z[k] * z[k]
         for k in range(count):
-            xk, yk, zk = x[k], y[k], z[k]
-            reached, low, _, _ = cap_of(
-                xk, yk, zk, normals[0, k], normals[1, k], normals[2, k], 0.0, limits[0], limits[1], limits[2]
-            )
-            depth = axes[i, 0] * xk + axes[i, 1] * yk + axes[i, 2] * zk
-            if not reached or depth < low or depth > limits[2]:
-                continue
-            seen[i, k] = not mode or not is_hidden(k, x, y, z, squared, reach, mode)
+            xk, yk, zk, nx, ny, nz = x[k], y[k], z[k], normals[0, k], normals[1, k], normals[2, k]
+            reached, low, _ = from_position(sight, xk, yk, zk, nx, ny, nz, 0.0)
+            if reached and covers(sight, xk, yk, zk, nx, ny, nz, low, 0.0, axes, i):
+                seen[i, k] = sight.reach < 0.0 or not is_hidden(k, x, y, z, squared, sight)
 
 
 def visible(evaluator: Evaluator, deployment: Deployment, positions: FloatArray, axes: FloatArray) -> BoolArray:
@@ -46,6 +42,6 @@ def visible(evaluator: Evaluator, deployment: Deployment, positions: FloatArray,
     """
     seen = np.zeros((len(positions), len(deployment)), dtype=np.bool_)
     landmarks, normals = (np.ascontiguousarray(v.T) for v in (deployment.positions, deployment.normals))
-    positions, axes = np.ascontiguousarray(positions), np.ascontiguousarray(axes)
-    _see(positions, axes, landmarks, normals, evaluator.limits, evaluator.reach, evaluator.mode, seen)
+    positions, axes = np.ascontiguousarray(positions), np.ascontiguousarray(axes.T)
+    _see(positions, axes, landmarks, normals, evaluator.sight, seen)
     return seen

@@ -1,13 +1,14 @@
-"""The room: a cuboid with walls that may carry landmarks, and a reachable box inside it."""
+"""A cuboid room with walls that may carry landmarks, and a reachable box inside it."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
-from lmd.checks import FloatArray, InputError, choice, real, vector
+from lmd.checks import BoolArray, FloatArray, InputError, IntArray, choice, real, vector
 from lmd.space.relevance import Relevance
+from lmd.space.surface import Surface, SurfaceArrays
 
 WALLS = ("x_min", "x_max", "y_min", "y_max", "floor", "ceiling")
 # Landmarks this far (m) outside still count as inside: a CSV rounded to micrometres is not an error.
@@ -15,39 +16,8 @@ PLACEMENT_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True)
-class Wall:
-    """A rectangle that may carry landmarks: points are origin + a u + b v, 0 <= (a, b) <= extent.
-
-    `u` runs horizontally and `v` up on side walls; on floor and ceiling they run along x and y. `normal` points
-    into the room. Vectors are `(3,)` in the world frame, extents in metres.
-    """
-
-    name: str
-    origin: FloatArray
-    u: FloatArray
-    v: FloatArray
-    normal: FloatArray
-    extent: tuple[float, float]
-
-    @property
-    def area(self) -> float:
-        """Square metres."""
-        return self.extent[0] * self.extent[1]
-
-    def point(self, a: FloatArray | float, b: FloatArray | float) -> FloatArray:
-        """World points `(..., 3)` at wall coordinates `a`, `b` of shape `(...)`, metres."""
-        a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
-        return np.asarray(self.origin + a[..., None] * self.u + b[..., None] * self.v)
-
-    def coordinates(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Wall coordinates of the projections of world points `(..., 3)`, clipped to the wall."""
-        offset = np.asarray(points) - self.origin
-        return np.clip(offset @ self.u, 0.0, self.extent[0]), np.clip(offset @ self.v, 0.0, self.extent[1])
-
-
-@dataclass(frozen=True)
-class Room:
-    """A cuboid room with a centred reachable box (Sec. V-A of the paper).
+class Cuboid:
+    """A cuboid room with a centred reachable box (Sec. V-A of the paper); a `lmd.space.space.Space`.
 
     Args:
         size: inner length, width, height along x, y, z, metres.
@@ -69,19 +39,19 @@ class Room:
     relevance: Relevance = field(default_factory=Relevance)
 
     def __post_init__(self) -> None:
-        size = vector("room.size", self.size, 3, above=0.0)
-        reachable = vector("room.reachable_size", self.reachable_size, 3, above=0.0)
+        size = vector("size", self.size, 3, above=0.0)
+        reachable = vector("reachable_size", self.reachable_size, 3, above=0.0)
         if any(inner > outer for inner, outer in zip(reachable, size, strict=True)):
-            raise InputError(f"room.reachable_size = {list(reachable)} exceeds room.size = {list(size)}.")
+            raise InputError(f"reachable_size = {list(reachable)} exceeds size = {list(size)}.", "reachable_size")
         if np.isscalar(self.spacing):
-            object.__setattr__(self, "spacing", real("room.spacing", self.spacing, above=0.0))
+            object.__setattr__(self, "spacing", real("spacing", self.spacing, above=0.0))
         else:
-            object.__setattr__(self, "spacing", vector("room.spacing", self.spacing, 3, above=0.0))
-        choice("room.positions", self.positions, ("cells", "vertices"))
+            object.__setattr__(self, "spacing", vector("spacing", self.spacing, 3, above=0.0))
+        choice("positions", self.positions, ("cells", "vertices"))
         if not isinstance(self.walls, list | tuple) or not self.walls or len(set(self.walls)) != len(self.walls):
-            raise InputError(f"room.walls must list at least one wall, each once, got {self.walls!r}.")
+            raise InputError(f"walls must list at least one wall, each once, got {self.walls!r}.", "walls")
         for name in self.walls:
-            choice("room.walls", name, WALLS)
+            choice("walls", name, WALLS)
         object.__setattr__(self, "size", size)
         object.__setattr__(self, "reachable_size", reachable)
         object.__setattr__(self, "walls", tuple(self.walls))
@@ -107,7 +77,7 @@ class Room:
         """Discrete positions Omega_d, `(P, 3)` in the world frame, metres; z varies fastest."""
         return _combined(self._grid_axes())
 
-    def finer(self) -> "Room":
+    def finer(self) -> "Cuboid":
         """The same room with half the spacing."""
         return replace(self, spacing=tuple(np.broadcast_to(self.spacing, 3) / 2.0))
 
@@ -134,15 +104,45 @@ class Room:
                 axes.append(low + (high - low) * (np.arange(count) + 0.5) / count)
         return axes
 
-    def landmark_walls(self) -> tuple[Wall, ...]:
+    def sample(self, size: int, rng: np.random.Generator) -> FloatArray:
+        """Positions drawn uniformly from the reachable box, `(size, 3)`, metres."""
+        return rng.uniform(self.reachable_low, self.reachable_high, (size, 3))
+
+    def surfaces(self) -> tuple[Surface, ...]:
         """The walls that may carry landmarks, in the order of `walls`."""
         return tuple(_wall(name, self.size) for name in self.walls)
 
-    def contains(self, points: Any) -> Any:
+    def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
+        """See `Space.surfaces_of`; at an edge between two walls, the one whose normal is nearer to the landmark's."""
+        walls = SurfaceArrays.of(self.surfaces())
+        on_wall = (np.abs(walls.depth(positions)) <= PLACEMENT_TOLERANCE) & self.contains(positions)[..., None]
+        nearest = np.argmax(np.where(on_wall, normals @ walls.normal.T, -np.inf), axis=-1)
+        return np.where(on_wall.any(axis=-1), nearest, -1)
+
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """See `Space.bounds`."""
+        return np.zeros(3), np.asarray(self.size)
+
+    def contains(self, points: FloatArray) -> BoolArray:
         """Whether points `(..., 3)` lie in the closed room, `(...)` bool."""
         p = np.asarray(points)
         inside = (p >= -PLACEMENT_TOLERANCE) & (p <= np.asarray(self.size) + PLACEMENT_TOLERANCE)
-        return inside.all(axis=-1)
+        return np.asarray(inside.all(axis=-1))
+
+    def clear(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
+        """See `Space.clear`: a cuboid is convex and empty."""
+        return np.ones(np.broadcast_shapes(starts.shape, ends.shape)[:-1], dtype=np.bool_)
+
+    def outline(self) -> dict[str, FloatArray]:
+        """See `Space.outline`."""
+        return {
+            "room": box_edges(*self.bounds()),
+            "reachable area": box_edges(self.reachable_low, self.reachable_high),
+        }
+
+    def describe(self) -> str:
+        """See `Space.describe`."""
+        return f"room of {' x '.join(f'{length:g}' for length in self.size)} m"
 
 
 def _combined(axes: Sequence[FloatArray]) -> FloatArray:
@@ -150,15 +150,22 @@ def _combined(axes: Sequence[FloatArray]) -> FloatArray:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def _wall(name: str, size: tuple[float, float, float]) -> Wall:
+def _wall(name: str, size: tuple[float, float, float]) -> Surface:
     ex, ey, ez = np.eye(3)
     zero = np.zeros(3)
     lx, ly, lz = size
     return {
-        "x_min": Wall(name, zero, ey, ez, ex, (ly, lz)),
-        "x_max": Wall(name, lx * ex, ey, ez, 0.0 - ex, (ly, lz)),
-        "y_min": Wall(name, zero, ex, ez, ey, (lx, lz)),
-        "y_max": Wall(name, ly * ey, ex, ez, 0.0 - ey, (lx, lz)),
-        "floor": Wall(name, zero, ex, ey, ez, (lx, ly)),
-        "ceiling": Wall(name, lz * ez, ex, ey, 0.0 - ez, (lx, ly)),
+        "x_min": Surface(name, zero, ey, ez, ex, (ly, lz)),
+        "x_max": Surface(name, lx * ex, ey, ez, 0.0 - ex, (ly, lz)),
+        "y_min": Surface(name, zero, ex, ez, ey, (lx, lz)),
+        "y_max": Surface(name, ly * ey, ex, ez, 0.0 - ey, (lx, lz)),
+        "floor": Surface(name, zero, ex, ey, ez, (lx, ly)),
+        "ceiling": Surface(name, lz * ez, ex, ey, 0.0 - ez, (lx, ly)),
     }[name]
+
+
+def box_edges(low: FloatArray, high: FloatArray) -> FloatArray:
+    """The 12 edges of an axis-aligned box with corners `low` and `high` `(3,)`, as `(12, 2, 3)`."""
+    bits = np.array(list(itertools.product((0, 1), repeat=3)))
+    pairs = [(a, b) for a, b in itertools.combinations(bits, 2) if np.abs(a - b).sum() == 1]
+    return np.asarray(low + np.array(pairs) * (high - low))

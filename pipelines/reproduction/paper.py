@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Printed:
-    """The three indices of a row, fractions in [0, 1], by the names that `CoverageProblem.metrics` gives them."""
+    """The three indices of a row, fractions in [0, 1], by the names that `Problem.metrics` gives them."""
 
     qualified_ratio: float
     average_coverage_probability: float

@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from lmd.comparison import Outcome, comparison_table
+from lmd.comparison import OptimiserRun, comparison_table
 from lmd.deployment import Deployment
+from lmd.objectives.coverage import Coverage
 from lmd.optimisers.base import Record
 from lmd.plot.cap import save_cap_figure
 from lmd.plot.common import shrink
 from lmd.plot.comparison import save_comparison_figure
 from lmd.plot.scene import save_deployments_figure
-from lmd.problem import CoverageProblem
+from lmd.problem import Problem
 from pipelines.reproduction.comparison import as_text
 from pipelines.reproduction.document import Picture, Section, Table, Text
 from pipelines.reproduction.paper import TABLE_2, TABLE_3, Printed
@@ -60,7 +61,7 @@ COLUMNS = [
 ]
 
 # The problem and the deployment of a run, by its id.
-Load = Callable[[str], tuple[CoverageProblem, Deployment]]
+Load = Callable[[str], tuple[Problem, Deployment]]
 Blocks = list[Text | Table | Picture]
 
 
@@ -89,10 +90,10 @@ class Source:
         jobs = jobs[jobs[PARENT] == jobs[PARENT].iloc[-1]]
         return jobs.drop_duplicates("tags.job", keep="last")
 
-    def outcomes(self, jobs: pd.DataFrame) -> list[Outcome]:
+    def optimiser_runs(self, jobs: pd.DataFrame) -> list[OptimiserRun]:
         """What optimisations found, and how they converged."""
         return [
-            Outcome(
+            OptimiserRun(
                 job["tags.choice.optimiser"],
                 int(job["params.seed"]),
                 {index: job[f"metrics.{index}"] for index in INDICES},
@@ -140,7 +141,7 @@ def _convergence(source: Source) -> Blocks:
     jobs = source.jobs("table2")
     if jobs.empty:
         return [_missing("table2")]
-    return [_curves(source, "convergence", source.outcomes(jobs), "EGA and SGA")]
+    return [_curves(source, "convergence", source.optimiser_runs(jobs), "EGA and SGA")]
 
 
 def _cap(source: Source) -> Blocks:
@@ -150,7 +151,7 @@ def _cap(source: Source) -> Blocks:
     problem, deployment = source.load(_typical(jobs))
     room, n = problem.scene.room, problem.objective.n
     positions = problem.evaluator.positions
-    middle = positions[np.argmin(np.linalg.norm(positions - np.asarray(room.size) / 2.0, axis=1))]
+    middle = positions[np.argmin(np.linalg.norm(positions - np.mean(room.bounds(), axis=0), axis=1))]
     title = "The reachable unit sphere near the middle of the room, EGA's deployment"
     return [
         source.picture(
@@ -231,16 +232,20 @@ def _optimisers(source: Source) -> Blocks:
     jobs = source.jobs("optimisers")
     if jobs.empty:
         return [_missing("optimisers")]
-    outcomes = source.outcomes(jobs)
-    picture = _curves(source, "optimisers", outcomes, "Optimisers")
-    return [*_origins(source, "optimisers"), as_text(comparison_table(outcomes)), picture]
+    runs = source.optimiser_runs(jobs)
+    picture = _curves(source, "optimisers", runs, "Optimisers")
+    return [
+        *_origins(source, "optimisers"),
+        as_text(comparison_table(runs, Coverage.headline.key), Coverage.headline),
+        picture,
+    ]
 
 
-def _curves(source: Source, name: str, outcomes: list[Outcome], title: str) -> Picture:
+def _curves(source: Source, name: str, runs: list[OptimiserRun], title: str) -> Picture:
     return source.picture(
         name,
         "Best fitness against evaluations: the median of the seeds, with a band from the worst to the best",
-        lambda path: save_comparison_figure(path, outcomes, "evaluations", title),
+        lambda path: save_comparison_figure(path, runs, "evaluations", Coverage.headline, title),
     )
 
 

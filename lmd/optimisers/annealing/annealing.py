@@ -14,21 +14,29 @@ stand-in leads is looked at on the true problem now and then.
 
 import math
 import time
+from dataclasses import replace
 
 import numpy as np
 
 from lmd.checks import FloatArray, real
 from lmd.deployment import Deployment
 from lmd.optimisers.annealing.stage import Stage
-from lmd.optimisers.annealing.surrogate import Ground
-from lmd.optimisers.annealing.walk import Climate, walls_of
+from lmd.optimisers.annealing.surrogate import Surrogate
+from lmd.optimisers.annealing.walk import Settings
 from lmd.optimisers.base import Budget, Callback, Optimiser, Result
-from lmd.problem import CoverageProblem
+from lmd.problem import Problem
+from lmd.space.surface import SurfaceArrays
 
 CHUNK = 2000  # moved landmarks between two looks at the clock and the keyboard, at most
 CHUNKS = 500  # and at least this many in a run, so that the schedule is smooth
 LOOK = 10  # evaluations' worth of moves between two looks, an evaluation each, at where a stand-in leads
 SMALLEST = 0.2  # of their virtual diameter: the size of plates when stacks are pulled apart
+
+
+STACKED = Stage(temperature=(2e-3, 1e-5), width=(0.06, 0.003), step=(1.0, 0.1), jump=0.1, join=0.0)
+SINGLE = Stage(temperature=(2e-5, 2e-6), width=(0.006, 0.002), step=(0.1, 0.01), jump=0.03, join=0.05, together=0.3)
+SAMPLED = replace(SINGLE, width=(0.02, 0.004), share=0.2)
+GIVEN = replace(SINGLE, temperature=(1e-4, 2e-6), width=(0.02, 0.002), step=(0.3, 0.01))
 
 
 class Annealing(Optimiser):
@@ -53,10 +61,10 @@ class Annealing(Optimiser):
 
     def __init__(
         self,
-        stacked: Stage,
-        single: Stage,
-        sampled: Stage,
-        given: Stage,
+        stacked: Stage = STACKED,
+        single: Stage = SINGLE,
+        sampled: Stage = SAMPLED,
+        given: Stage = GIVEN,
         stacked_share: float = 0.5,
         growth: float = 0.8,
         spread: float = 1.6,
@@ -64,9 +72,9 @@ class Annealing(Optimiser):
     ) -> None:
         super().__init__(seed)
         self.stacked, self.single, self.sampled, self.given = stacked, single, sampled, given
-        self.stacked_share = real("optimiser.stacked_share", stacked_share, low=0.0, high=0.9)
-        self.growth = real("optimiser.growth", growth, low=0.0, high=1.0)
-        self.spread = real("optimiser.spread", spread, low=0.0)
+        self.stacked_share = real("stacked_share", stacked_share, low=0.0, high=0.9)
+        self.growth = real("growth", growth, low=0.0, high=1.0)
+        self.spread = real("spread", spread, low=0.0)
         self.spent = 0  # moved landmarks: K make an evaluation
         self.in_stacks = False
         self.skipped = 0.0  # share of the budget before the single stage
@@ -76,92 +84,93 @@ class Annealing(Optimiser):
         self.here: Deployment  # where the walk is: stacks first, then landmarks
         self.best: Deployment
 
-    def run(self, problem: CoverageProblem, budget: Budget, callback: Callback | None = None) -> Result:
+    def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
         """See `Optimiser.run`."""
-        books, count = self.books, problem.count
-        clock = time.perf_counter() - books.seconds
+        ledger, count = self.ledger, problem.count
+        clock = time.perf_counter() - ledger.seconds
         limit = budget.limit * count
-        ground = Ground(problem)
+        surrogate = Surrogate(problem)
 
-        def enter(moved: int, deployment: Deployment | None) -> None:
-            """Book moves that led to `deployment`, or to nothing better than what is known."""
+        def note(moved: int, deployment: Deployment | None) -> None:
+            """Note moves that led to `deployment`, or to nothing better than what is known."""
             self.spent += moved
-            fitness = -math.inf if deployment is None else problem.fitness(deployment)
-            books.seconds = time.perf_counter() - clock
-            if books.enter(self.spent / count, fitness) and deployment is not None:
+            fitness = -math.inf if deployment is None else problem.fitness_of(deployment)
+            ledger.seconds = time.perf_counter() - clock
+            if ledger.note(self.spent / count, fitness) and deployment is not None:
                 self.best = deployment
 
         if not self.spent:
-            spent = self._begin(problem, limit)
-            enter(spent + count, self.start)
+            spent = self._begin(problem, surrogate.stack, limit)
+            note(spent + count, self.start)
         stopped = "budget"
-        while (used := budget.used(self.spent / count, books.seconds)) < 1.0:
+        while (used := budget.used(self.spent / count, ledger.seconds)) < 1.0:
             if self.in_stacks and used >= self.stacked_share:
-                self.in_stacks, self.here = False, self._apart(problem, SMALLEST if self.growth else 1.0)
-            size, climate = self._conditions(problem, used)
-            ground.enter(self.here, self.best, self.in_stacks, size, used, self.rng)
+                self.in_stacks, self.here = (
+                    False,
+                    self._apart(problem, surrogate.stack, SMALLEST if self.growth else 1.0),
+                )
+            size, settings = self._conditions(problem, used)
+            surrogate.prepare(self.here, self.best, self.in_stacks, size, used, self.rng)
             left = limit - self.spent
             stretch = min(CHUNK, max(1.0, limit / CHUNKS), left)
-            if ground.is_true:
-                improved = ground.walk(int(stretch), climate, self.rng)
-                self.here = ground.here()
-                enter(int(stretch), ground.best() if improved else None)
+            if surrogate.is_true:
+                improved = surrogate.walk(int(stretch), settings, self.rng)
+                self.here = surrogate.here()
+                note(int(stretch), surrogate.best() if improved else None)
             elif left < count:  # too little for a look
-                enter(int(left), None)
+                note(int(left), None)
             else:
                 stretch = max(stretch, LOOK * count)
                 # The last stretch takes what would be too little for one more.
                 stretch = stretch if left >= 2 * (stretch + count) else left - count
-                each = problem.objective.n if self.in_stacks else 1
+                each = surrogate.stack if self.in_stacks else 1
                 moves = int(stretch) // each
-                ground.walk(moves, climate, self.rng)
-                self.here = ground.here()
-                enter(moves * each + count, self._apart(problem, 1.0) if self.in_stacks else self.here)
+                surrogate.walk(moves, settings, self.rng)
+                self.here = surrogate.here()
+                note(moves * each + count, self._apart(problem, surrogate.stack, 1.0) if self.in_stacks else self.here)
             if callback and callback(self):
                 stopped = "interrupted"
                 break
         return self._result(self.best, stopped)
 
-    def _begin(self, problem: CoverageProblem, limit: float) -> int:
+    def _begin(self, problem: Problem, stack: int, limit: float) -> int:
         """Draw the start, and stack it if that pays; returns the landmarks moved to find the start."""
-        n, count = problem.objective.n, problem.count
+        count = problem.count
         self.rng = np.random.default_rng(self.seed)
-        self.start = self.here = problem.start.draw(problem.scene.room, self.rng)
-        looks = 2 * (LOOK + n + 1) * count  # the cost of two looks at the stacks
-        stacked = self.stacked_share * limit > looks and (1.0 - self.stacked_share) * limit > looks
-        self.in_stacks = problem.start.varies and stacked
+        start = problem.start.draw(problem.scene.room, self.rng)
+        self.start = self.here = start.movable(problem.scene.room, flush=False)
+        looks = 2 * (LOOK + stack + 1) * count  # the cost of two looks at the stacks
+        pays = stack and self.stacked_share * limit > looks and (1.0 - self.stacked_share) * limit > looks
+        self.in_stacks = problem.start.varies and bool(pays)
         self.skipped = self.stacked_share if self.in_stacks else 0.0
         if self.in_stacks:
-            stacks = count // n
+            stacks = count // stack
             self.angles = self.rng.uniform(0.0, 2.0 * np.pi, stacks)
-            self.here = Deployment(self.start.positions[:stacks], self.start.normals[:stacks])
+            self.here = self.start[:stacks]
         return 0
 
-    def _conditions(self, problem: CoverageProblem, used: float) -> tuple[float, Climate]:
-        """The size of plates, in virtual diameters, and the climate after a share `used` of the budget."""
+    def _conditions(self, problem: Problem, used: float) -> tuple[float, Settings]:
+        """The size of plates and the settings of the walk after a share `used` of the budget."""
         if self.in_stacks:
-            return 1.0, self.stacked.climate(used / self.stacked_share, near=0.0)
+            return 1.0, self.stacked.settings(used / self.stacked_share, near=0.0)
         done = (used - self.skipped) / (1.0 - self.skipped)
-        near = self.spread * problem.scene.visibility.nu
+        near = self.spread * problem.scene.visibility.spacing
         if not self.skipped:
-            return 1.0, self.given.climate(done, near)
+            return 1.0, self.given.settings(done, near)
         grown = min(done / self.growth, 1.0) if self.growth else 1.0
         size = SMALLEST + (1.0 - SMALLEST) * grown
-        stage = self.single if problem.objective.design is None else self.sampled
-        return size, stage.climate(done, near * size)
+        stage = self.single if problem.objective.sampling is None else self.sampled
+        return size, stage.settings(done, near * size)
 
-    def _apart(self, problem: CoverageProblem, size: float) -> Deployment:
-        """Each stack as n plates of this size, pulled apart; landmarks that fill no stack stay where they started."""
-        n, room = problem.objective.n, problem.scene.room
-        walls = walls_of(room)
-        wall = np.argmax(self.here.normals @ walls.normal.T, axis=1)
+    def _apart(self, problem: Problem, stack: int, size: float) -> Deployment:
+        """Each stack as so many plates of this size, pulled apart; landmarks in no stack stay where they began."""
+        surfaces, surface = SurfaceArrays.of(problem.scene.room.surfaces()), self.here.surfaces
         # Neighbours on the circle are `spread` apart.
-        radius = 0.0 if n == 1 else self.spread * size * problem.scene.visibility.nu / (2.0 * math.sin(math.pi / n))
-        angle = self.angles[:, None] + 2.0 * np.pi * np.arange(n) / n
-        offset = np.cos(angle)[..., None] * walls.u[wall][:, None] + np.sin(angle)[..., None] * walls.v[wall][:, None]
-        positions = np.clip(self.here.positions[:, None] + radius * offset, 0.0, room.size).reshape(-1, 3)
-        rest = slice(len(positions), problem.count)
-        return Deployment(
-            np.vstack([positions, self.start.positions[rest]]),
-            np.vstack([np.repeat(self.here.normals, n, axis=0), self.start.normals[rest]]),
-        )
+        distance = self.spread * size * problem.scene.visibility.spacing
+        radius = 0.0 if stack == 1 else distance / (2.0 * math.sin(math.pi / stack))
+        angle = self.angles[:, None] + 2.0 * np.pi * np.arange(stack) / stack
+        centre = surfaces.coordinates(surface, self.here.positions)
+        at = centre[:, None] + radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        of = np.repeat(surface, stack)
+        apart = Deployment(surfaces.points(of, at.reshape(-1, 2)), surfaces.normal[of], of)
+        return apart if len(apart) == problem.count else apart + self.start[len(apart) :]

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from lmd.checks import real, vector
-from lmd.optimisers.annealing.walk import Climate
+from lmd.optimisers.annealing.walk import Settings
 
 
 @dataclass(frozen=True)
@@ -29,13 +29,12 @@ class Stage:
     width: Sequence[float]
     step: Sequence[float]
     margin: float = 0.0
-    share: float = 0.1
+    share: float = 0.02
     jump: float = 0.1
     join: float = 0.1
     together: float = 0.0
 
     def __post_init__(self) -> None:
-        # Named without a prefix: an optimiser has several stages, and which one this is its configuration knows.
         for name in ("temperature", "width", "step"):
             object.__setattr__(self, name, vector(name, getattr(self, name), 2, above=0.0))
         real("margin", self.margin)
@@ -44,14 +43,14 @@ class Stage:
         real("join", self.join, low=0.0, high=1.0 - self.jump)
         real("together", self.together, low=0.0, high=1.0)
 
-    def climate(self, progress: float, near: float) -> Climate:
+    def settings(self, progress: float, near: float) -> Settings:
         """The conditions after a share `progress` in [0, 1] of the stage."""
 
         def now(values: Sequence[float]) -> float:
             first, last = values
             return float(first * (last / first) ** max(0.0, min(progress, 1.0)))
 
-        return Climate(
+        return Settings(
             temperature=now(self.temperature),
             width=now(self.width),
             margin=self.margin,

@@ -1,14 +1,15 @@
 """The Metropolis walk of simulated annealing: landmarks move, one or a few at a time, on a smoothed objective.
 
-The objective counts positions whose P_n reaches thold_p: a staircase that hides whether a move nearly qualified a
-position. The walk climbs a smooth stand-in, the relevance-weighted mean over positions of
+An objective that counts positions whose value reaches a threshold is a staircase, which hides whether a move nearly
+qualified a position. The walk climbs a smooth stand-in (`smoothed`); for coverage this is the relevance-weighted mean
+over positions of
 
-    1 / (1 + exp(-(P_n - thold_p - margin) / width)) + share * P_n,
+    1 / (1 + exp(-(P_n - thold_p - margin) / width)) + share * P_n.
 
-and keeps the deployment that is best on the true objective. As `width` shrinks the two become the same.
+It keeps the deployment that is best on the true objective (`worth`). As `width` shrinks the two become the same.
 
-Most moves are rejected, and most of these before they are tried exactly: the objective rises with every P_n, so with
-P_n at most what `bound_move` finds, it bounds the gain. If that is a loss, so is the gain, and the random number that
+Most moves are rejected, and most of these before they are tried exactly: the objective rises with every value, so with
+values at most what `bound` finds, it bounds the gain. If that is a loss, so is the gain, and the random number that
 decides is drawn at once. If even the bound is rejected, the gain would be too; otherwise the gain and the same number
 decide. So neither decisions nor random numbers depend on the bound.
 """
@@ -19,37 +20,13 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from lmd.sight.incremental.move import carry_out, move, take_back
-from lmd.sight.incremental.trial import bound_move, finish_move
-from lmd.sight.kernels import PROBABILITY_ONE
-from lmd.space.cuboid import Room
+from lmd.objectives.field import accept, bound, settle, smoothed, undo, worth
 
 # Relative, for the bound: exp may fall by a rounding error or two where its argument rises.
 _SLACK = 1e-12
 
 
-class Walls(NamedTuple):
-    """The walls that may carry landmarks as arrays: origin, u, v, normal `(W, 3)`, extent `(W, 2)`, shares `(W,)`.
-
-    `shares` is the cumulative share of the area, for drawing a wall.
-    """
-
-    origin: np.ndarray
-    u: np.ndarray
-    v: np.ndarray
-    normal: np.ndarray
-    extent: np.ndarray
-    shares: np.ndarray
-
-
-class Goal(NamedTuple):
-    """The true objective: what qualifies a position (units of P_n), and the weight of each, `(Q,)`, with sum 1."""
-
-    threshold: int
-    relevance: np.ndarray
-
-
-class Climate(NamedTuple):
+class Settings(NamedTuple):
     """How the walk behaves while conditions last.
 
     temperature: loss (in the smoothed objective) accepted with probability 1/e; width, margin and share shape the
@@ -70,21 +47,12 @@ class Climate(NamedTuple):
 
 
 class Best(NamedTuple):
-    """The best deployment met: fitness `(1,)` (sum of relevance), landmarks and normals `(3, K)`."""
+    """The best deployment met: fitness `(1,)`, landmarks and normals `(3, K)`, surfaces `(K,)`."""
 
     fitness: np.ndarray
     landmarks: np.ndarray
     normals: np.ndarray
-
-
-def walls_of(room: Room) -> Walls:
-    """The walls of a room that may carry landmarks."""
-    walls = room.landmark_walls()
-    area = np.array([wall.area for wall in walls])
-    origin, u, v, normal, extent = (
-        np.array([getattr(wall, name) for wall in walls]) for name in ("origin", "u", "v", "normal", "extent")
-    )
-    return Walls(origin, u, v, normal, extent, np.cumsum(area / area.sum()))
+    surfaces: np.ndarray
 
 
 @njit(nogil=True, cache=True)
@@ -95,37 +63,24 @@ def _reflect(value, extent):
 
 
 @njit(nogil=True, cache=True)
-def _wall_of(k, state, walls):
-    """Index of the wall that landmark k faces away from."""
-    wall, facing = 0, -2.0
-    for w in range(len(walls.shares)):
-        cosine = 0.0
-        for i in range(3):
-            cosine += walls.normal[w, i] * state.normals[i, k]
-        if cosine > facing:
-            wall, facing = w, cosine
-    return wall
-
-
-@njit(nogil=True, cache=True)
-def _propose(k, state, walls, climate, rng):
-    """A new place for landmark k, flush on a wall: index of the wall and wall coordinates."""
+def _propose(k, state, surfaces, settings, rng):
+    """A new place for landmark k, flush on a surface: index of the surface and coordinates there."""
     kind = rng.random()
-    if kind < climate.jump:
-        wall, drawn = 0, rng.random()
-        while wall < len(walls.shares) - 1 and drawn > walls.shares[wall]:
-            wall += 1
-        return wall, rng.random() * walls.extent[wall, 0], rng.random() * walls.extent[wall, 1]
-    near, step = k, climate.step
-    if kind < climate.jump + climate.join:
-        near, step = int(rng.random() * state.landmarks.shape[1]), climate.near
-    wall = _wall_of(near, state, walls)
+    if kind < settings.jump:
+        s, drawn = 0, rng.random()
+        while s < len(surfaces.shares) - 1 and drawn > surfaces.shares[s]:
+            s += 1
+        return s, rng.random() * surfaces.extent[s, 0], rng.random() * surfaces.extent[s, 1]
+    near, step = k, settings.step
+    if kind < settings.jump + settings.join:
+        near, step = int(rng.random() * state.landmarks.shape[1]), settings.near
+    s = state.surfaces[near]
     a, b = rng.normal() * step, rng.normal() * step
     for i in range(3):
-        offset = state.landmarks[i, near] - walls.origin[wall, i]
-        a += offset * walls.u[wall, i]
-        b += offset * walls.v[wall, i]
-    return wall, _reflect(a, walls.extent[wall, 0]), _reflect(b, walls.extent[wall, 1])
+        offset = state.landmarks[i, near] - surfaces.origin[s, i]
+        a += offset * surfaces.u[s, i]
+        b += offset * surfaces.v[s, i]
+    return s, _reflect(a, surfaces.extent[s, 0]), _reflect(b, surfaces.extent[s, 1])
 
 
 @njit(nogil=True, cache=True)
@@ -146,71 +101,69 @@ def _gather(k, state, group):
 
 
 @njit(nogil=True, cache=True)
-def _places(group, state, walls, climate, rng, new):
-    """Write where the landmarks of `group` shall go, `(len(group), 6)`: position and normal.
+def propose(group, state, surfaces, settings, rng, new):
+    """Write where the landmarks of `group` shall go, `(len(group), 6)`: position and normal; returns the surface.
 
-    The first goes to a proposed place, the others keep their offset from it in wall coordinates.
+    The first goes to a proposed place, the others keep their offset from it in surface coordinates.
     """
     k = group[0]
-    before = _wall_of(k, state, walls)
-    wall, a, b = _propose(k, state, walls, climate, rng)
+    before = state.surfaces[k]
+    s, a, b = _propose(k, state, surfaces, settings, rng)
     for m in range(len(group)):
         da = db = 0.0
         for i in range(3):
             offset = state.landmarks[i, group[m]] - state.landmarks[i, k]
-            da += offset * walls.u[before, i]
-            db += offset * walls.v[before, i]
-        am, bm = _reflect(a + da, walls.extent[wall, 0]), _reflect(b + db, walls.extent[wall, 1])
+            da += offset * surfaces.u[before, i]
+            db += offset * surfaces.v[before, i]
+        am, bm = _reflect(a + da, surfaces.extent[s, 0]), _reflect(b + db, surfaces.extent[s, 1])
         for i in range(3):
-            new[m, i] = walls.origin[wall, i] + am * walls.u[wall, i] + bm * walls.v[wall, i]
-            new[m, 3 + i] = walls.normal[wall, i]
+            new[m, i] = surfaces.origin[s, i] + am * surfaces.u[s, i] + bm * surfaces.v[s, i]
+            new[m, 3 + i] = surfaces.normal[s, i]
+    return s
 
 
 @njit(nogil=True, cache=True)
-def _bound(k, place, fixed, state, scratch):
-    """`bound_move` to a row of `_places`."""
-    bound_move(k, place[0], place[1], place[2], place[3], place[4], place[5], fixed, state, scratch)
+def _move(field, k, pose, surface, state, scratch):
+    """Move landmark k, whatever that is worth."""
+    bound(field, k, pose, surface, state, scratch)
+    settle(field, k, state, scratch)
+    accept(field, k, state, scratch)
 
 
 @njit(nogil=True, cache=True)
-def _move(k, place, fixed, state, scratch):
-    """`move` to a row of `_places`."""
-    move(k, place[0], place[1], place[2], place[3], place[4], place[5], fixed, state, scratch)
-
-
-@njit(nogil=True, cache=True)
-def _value(units, threshold, climate):
-    """The smoothed objective at one position."""
-    above = (units - threshold) / PROBABILITY_ONE - climate.margin
-    return 1.0 / (1.0 + math.exp(-above / climate.width)) + climate.share * units / PROBABILITY_ONE
-
-
-@njit(nogil=True, cache=True)
-def _sum_values(units, accepted, value, goal, climate, trial):
+def _sum_values(units, accepted, value, target, settings, trial):
     """The smoothed objective for `units`, its terms in `trial`; `value` has those for `accepted`."""
     total = 0.0
     for p in range(len(units)):
         trial[p] = value[p]
         if units[p] != accepted[p]:
-            trial[p] = goal.relevance[p] * _value(units[p], goal.threshold, climate)
+            trial[p] = smoothed(target, p, units[p], settings.margin, settings.width, settings.share)
         total += trial[p]
     return total
 
 
 @njit(nogil=True, cache=True)
-def _keep_best(state, goal, best):
+def total_worth(target, units):
+    """The fitness of a deployment with the values `units`."""
+    total = 0.0
+    for p in range(len(units)):
+        total += worth(target, p, units[p])
+    return total
+
+
+@njit(nogil=True, cache=True)
+def _keep_best(state, target, best):
     """Update `best` if `state` is better."""
-    fitness = 0.0
-    for p in range(len(state.units)):
-        fitness += goal.relevance[p] * (state.units[p] >= goal.threshold)
+    fitness = total_worth(target, state.units)
     if fitness > best.fitness[0]:
         best.fitness[0] = fitness
         best.landmarks[:] = state.landmarks
         best.normals[:] = state.normals
+        best.surfaces[:] = state.surfaces
 
 
 @njit(nogil=True, cache=True)
-def walk(moves, fixed, state, scratches, goal, walls, climate, rng, best):
+def walk(moves, field, state, scratches, target, surfaces, settings, rng, best):
     """Move landmarks `moves` times from `state`, which ends where the walk ends; `best` is updated.
 
     scratches: as many as landmarks can move together.
@@ -222,38 +175,38 @@ def walk(moves, fixed, state, scratches, goal, walls, climate, rng, best):
     new = np.empty((len(several), 6))
     total = 0.0
     for p in range(positions):
-        value[p] = goal.relevance[p] * _value(accepted[p], goal.threshold, climate)
+        value[p] = smoothed(target, p, accepted[p], settings.margin, settings.width, settings.share)
         total += value[p]
     moved = 0
     while moved < moves:
         group = single
         group[0] = int(rng.random() * count)
-        if moves - moved >= len(several) > 1 and rng.random() < climate.together:
+        if moves - moved >= len(several) > 1 and rng.random() < settings.together:
             _gather(group[0], state, several)
             group = several
         last = len(group) - 1
         moved += last + 1
         scratch = scratches[last]
         units = scratch.units
-        _places(group, state, walls, climate, rng, new)
+        surface = propose(group, state, surfaces, settings, rng, new)
         for m in range(last):
-            _move(group[m], new[m], fixed, state, scratches[m])
-        _bound(group[last], new[last], fixed, state, scratch)
-        most = _sum_values(units, accepted, value, goal, climate, trial) - total + _SLACK * (1.0 + climate.share)
+            _move(field, group[m], new[m], surface, state, scratches[m])
+        bound(field, group[last], new[last], surface, state, scratch)
+        most = _sum_values(units, accepted, value, target, settings, trial) - total + _SLACK * (1.0 + settings.share)
         drawn = rng.random() if most < 0.0 else -1.0
-        taken = drawn < math.exp(min(most, 0.0) / climate.temperature) * (1.0 + _SLACK)
+        taken = drawn < math.exp(min(most, 0.0) / settings.temperature) * (1.0 + _SLACK)
         if taken:
-            finish_move(group[last], fixed, state, scratch)
-            sum_value = _sum_values(units, accepted, value, goal, climate, trial)
+            settle(field, group[last], state, scratch)
+            sum_value = _sum_values(units, accepted, value, target, settings, trial)
             gain = sum_value - total
             if gain < 0.0 <= most:
                 drawn = rng.random()
-            taken = gain >= 0.0 or drawn < math.exp(gain / climate.temperature)
+            taken = gain >= 0.0 or drawn < math.exp(gain / settings.temperature)
         if taken:
-            carry_out(group[last], fixed, state, scratch)
+            accept(field, group[last], state, scratch)
             accepted[:] = state.units
             value, trial, total = trial, value, sum_value
-            _keep_best(state, goal, best)
+            _keep_best(state, target, best)
         else:
             for m in range(last - 1, -1, -1):
-                take_back(group[m], fixed, state, scratches[m])
+                undo(field, group[m], state, scratches[m])

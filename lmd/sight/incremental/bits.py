@@ -4,11 +4,12 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
+from numba import njit
 from numba.extending import intrinsic
 
 BITS = 64
 LANES = 32  # axes or landmarks tested at a time, a bit of a word each
-NONE, ONE, ALL = np.uint64(0), np.uint64(1), np.uint64(2**64 - 1)
+ZERO, ONE, ALL = np.uint64(0), np.uint64(1), np.uint64(2**64 - 1)
 HALF, LOWER = np.uint64(32), np.uint64(2**32 - 1)  # two numbers in one word: a << HALF | b
 
 
@@ -20,6 +21,24 @@ def lowest(_typing_context: Any, word: Any) -> Any:
         return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
 
     return word(word), codegen
+
+
+@njit(inline="always")
+def add_digit(digit, carry, goes):  # type: ignore[no-untyped-def]
+    """A binary digit of counts with one more (or one less where `goes`) at `carry`, and what is carried or borrowed."""
+    return digit ^ carry, carry & (digit ^ goes)
+
+
+@njit(inline="always")
+def equal_so_far(equal, digit, n, j):  # type: ignore[no-untyped-def]
+    """Where counts equal n in digit j, too."""
+    return equal & (digit if n >> j & 1 else ~digit)
+
+
+@njit(inline="always")
+def at_least_so_far(reached, digit, n, j):  # type: ignore[no-untyped-def]
+    """Where counts are at least n: from the lowest digit j up, each overrules those below."""
+    return reached & digit if n >> j & 1 else reached | digit
 
 
 def packed(flags: np.ndarray) -> np.ndarray:

@@ -2,8 +2,8 @@
 
 The sphere of directions is cut into cells: it is projected onto an octahedron, which is unfolded into a square of
 `SIDE` x `SIDE` cells. For each cell, one table holds the axes whose cone contains *every* direction of the cell,
-another those whose cone contains *some*. Only axes in the second and not in the first need the exact test. Where a
-limit of the depth cuts the cone (`limited`), the first table does not apply.
+another those whose cone contains *some*. Only axes in the second and not in the first need the exact test. Where more
+than the cone decides (`limited`), the first table does not apply.
 
 A cell is the projection of a parallelogram or of two triangles, so a cap that holds its corners holds all of it. With
 an axis at an angle alpha from the centre of a cell and the corners at most rho from it, the angles between the axis and
@@ -16,9 +16,8 @@ import numpy as np
 from numba import njit
 
 from lmd.checks import FloatArray
+from lmd.sight.criteria import from_position
 from lmd.sight.incremental.bits import packed
-from lmd.sight.kernels import cap_of
-from lmd.sight.visibility import TOLERANCE
 
 SIDE = 64
 NOWHERE = SIDE * SIDE  # one row more than there are cells: no axis at all
@@ -38,20 +37,20 @@ def cell_of(x, y, z):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def see(ax, ay, az, nx, ny, nz, positions, limits, place):
-    """Fill `place` with what is seen of a landmark at (ax, ay, az) with normal (nx, ny, nz)."""
-    x, y, z, low, cell, limited, reached = place
-    min_cosine, min_depth, max_depth = limits[0], limits[1], limits[2]
+def see(ax, ay, az, nx, ny, nz, positions, sight, sighting):
+    """Fill `sighting` with what is seen of a landmark at (ax, ay, az) with normal (nx, ny, nz)."""
+    x, y, z, low, cell, limited, reached = sighting
     for p in range(positions.shape[1]):
         x[p], y[p], z[p] = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
-        reached[p], low[p], _, _ = cap_of(x[p], y[p], z[p], nx, ny, nz, 0.0, min_cosine, min_depth, max_depth)
+        reached[p], low[p], limited[p] = from_position(sight, x[p], y[p], z[p], nx, ny, nz, 0.0)
         cell[p] = cell_of(x[p], y[p], z[p])
-        distance = math.sqrt(x[p] * x[p] + y[p] * y[p] + z[p] * z[p])
-        limited[p] = (distance * min_cosine < min_depth) | (distance * (1.0 + TOLERANCE) > max_depth)
 
 
-def cones(axes: FloatArray, min_cosine: float) -> np.ndarray:
-    """Sets `(2, NOWHERE + 1, W)` of the axes `(3, D)` whose cone contains every, and some, direction of each cell."""
+def cones(axes: FloatArray, inner_cosine: float, outer_cosine: float) -> np.ndarray:
+    """Sets `(2, NOWHERE + 1, W)` of the axes `(3, D)` whose cone contains every, and some, direction of each cell.
+
+    The first are about the cone with `inner_cosine`, which contains nothing above 1, the second about `outer_cosine`.
+    """
     edge = np.linspace(-1.0, 1.0, SIDE + 1)
     u, v = np.meshgrid(edge, edge, indexing="ij")
     z = 1.0 - abs(u) - abs(v)
@@ -64,7 +63,7 @@ def cones(axes: FloatArray, min_cosine: float) -> np.ndarray:
     cosine = np.einsum("cik,ck->ci", corners, centres)
     rho = _SLACK + np.arccos(np.clip(cosine, -1.0, 1.0)).max(axis=1, keepdims=True)
     # The angle alpha at which every, and some, direction is still in the cone, by its cosine.
-    angle = np.arccos(np.clip([min_cosine + TOLERANCE, min_cosine - TOLERANCE], -1.0, 1.0)) + rho * [-1.0, 1.0]
+    angle = np.arccos(np.clip([inner_cosine, outer_cosine], -1.0, 1.0)) + rho * [-1.0, 1.0]
     least = np.where(angle < 0.0, np.inf, np.where(angle > np.pi, -np.inf, np.cos(angle))).T[..., None]
     table = np.zeros((2, NOWHERE + 1, packed(axes[0] > 0.0).size), dtype=np.uint64)
     for row in range(0, NOWHERE, SIDE):  # all angles at once would take much memory

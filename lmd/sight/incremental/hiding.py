@@ -5,10 +5,11 @@ Positions come in blocks of neighbours. Two stages, from cheap to exact:
 1. Seen from a whole block, most landmarks are so far off the direction of the place that no position of the block needs
    the exact test. Let m be the offset of the place a from the centre of the block, e = o - a the way from there to a
    landmark o. From a position delta away from the centre, a and o lie at a' = m - delta and o' = a' + e. One of them
-   hides the other only if |a' x o'| <= nu max(|a'|, |o'|). As a' x o' = m x e - delta x e, and the block fits into a
-   box of half the size h, the first component of m x e is then at most
+   hides the other only within r = sqrt(reach) of the line of sight: if |a' x o'| <= r max(|a'|, |o'|). As
+   a' x o' = m x e - delta x e, and the block fits into a box of half the size h, the first component of m x e is then
+   at most
 
-       h_y |e_z| + h_z |e_y| + nu (|m| + |h| + |e|),
+       h_y |e_z| + h_z |e_y| + r (|m| + |h| + |e|),
 
    and so on around. All landmarks are tested in single precision, and `SINGLE_ERROR` covers its rounding: each of
    the sums above is off by less than five roundings of 6e-8 of itself or of (|m| + |h|) |e|.
@@ -20,19 +21,17 @@ import math
 import numpy as np
 from numba import njit
 
+from lmd.sight.criteria import TOLERANCE, hide
 from lmd.sight.incremental.bits import LANES, lowest
-from lmd.sight.kernels import BLOCK, OCCLUSION_CODES, SINGLE_ERROR
-from lmd.sight.visibility import TOLERANCE
-
-_LINE_OF_SIGHT = OCCLUSION_CODES["line_of_sight"]
+from lmd.sight.kernels import BLOCK, SINGLE_ERROR
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def find_neighbours(k, ax, ay, az, x, y, z, fixed, landmarks, wanted, ways, neighbours):
+def find_neighbours(k, ax, ay, az, x, y, z, field, landmarks, wanted, ways, neighbours):
     """Fill `neighbours` of a place (ax, ay, az) of landmark k, at offsets `x, y, z`, in the `wanted` blocks."""
-    positions, centres, halves, reach, mode = fixed.positions, fixed.centres, fixed.halves, fixed.reach, fixed.mode
+    positions, centres, halves, sight = field.positions, field.centres, field.halves, field.sight
     found, who, hides, hidden_by, count_hides, count_hidden = neighbours
-    nu = math.sqrt(reach) * (1.0 + SINGLE_ERROR) + TOLERANCE
+    radius = math.sqrt(sight.reach) * (1.0 + SINGLE_ERROR) + TOLERANCE
     for i in range(landmarks.shape[1]):
         dx, dy, dz = landmarks[0, i] - ax, landmarks[1, i] - ay, landmarks[2, i] - az
         ways[0, i], ways[1, i], ways[2, i], ways[3, i] = dx, dy, dz, math.sqrt(dx * dx + dy * dy + dz * dz)
@@ -46,7 +45,7 @@ def find_neighbours(k, ax, ay, az, x, y, z, fixed, landmarks, wanted, ways, neig
         mx, my, mz = ax - centres[0, b], ay - centres[1, b], az - centres[2, b]
         hx, hy, hz = halves[0, b], halves[1, b], halves[2, b]
         far = math.sqrt(mx * mx + my * my + mz * mz) + math.sqrt(hx * hx + hy * hy + hz * hz)
-        shift, slope = np.float32(nu * far), np.float32(nu + SINGLE_ERROR * far)
+        shift, slope = np.float32(radius * far), np.float32(radius + SINGLE_ERROR * far)
         ux, uy, uz = np.float32(mx), np.float32(my), np.float32(mz)
         kept = 0
         for start in range(np.uint64(0), np.uint64(ways.shape[1]), np.uint64(LANES)):
@@ -68,31 +67,27 @@ def find_neighbours(k, ax, ay, az, x, y, z, fixed, landmarks, wanted, ways, neig
                     ox, oy, oz = lx - positions[0, p], ly - positions[1, p], lz - positions[2, p]
                     squared = x[p] * x[p] + y[p] * y[p] + z[p] * z[p]
                     other = ox * ox + oy * oy + oz * oz
-                    cx = oy * z[p] - oz * y[p]
-                    cy = oz * x[p] - ox * z[p]
-                    cz = ox * y[p] - oy * x[p]
-                    some += cx * cx + cy * cy + cz * cz <= reach * max(squared, other)
+                    one, two = hide(sight, x[p], y[p], z[p], squared, ox, oy, oz, other)
+                    some += one | two
                 if some == 0 or i == np.uint64(k):
                     continue
                 for p in range(first, last):
                     ox, oy, oz = lx - positions[0, p], ly - positions[1, p], lz - positions[2, p]
                     squared = x[p] * x[p] + y[p] * y[p] + z[p] * z[p]
                     other = ox * ox + oy * oy + oz * oz
-                    cx = oy * z[p] - oz * y[p]
-                    cy = oz * x[p] - ox * z[p]
-                    cz = ox * y[p] - oy * x[p]
-                    cross = cx * cx + cy * cy + cz * cz
-                    one, two = cross <= reach * other, cross <= reach * squared
-                    if mode == _LINE_OF_SIGHT:
-                        in_front = x[p] * ox + y[p] * oy + z[p] * oz > 0.0
-                        one = one & in_front & (squared <= other * (1.0 + TOLERANCE))
-                        two = two & in_front & (other <= squared * (1.0 + TOLERANCE))
+                    one, two = hide(sight, x[p], y[p], z[p], squared, ox, oy, oz, other)
                     hides[b, kept, p - first], hidden_by[b, kept, p - first] = one, two
                     count_hides[p] += one
                     count_hidden[p] += two
                 who[b, kept] = i
                 kept += 1
         found[b] = kept
+
+
+@njit(inline="always")
+def flips_with(reachable, was, now):
+    """Whether a landmark appears or disappears when `now` others hide it instead of `was`."""
+    return reachable & ((was == 0) != (now == 0))
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -116,29 +111,29 @@ def find_turns(before, after, turns, slot):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def find_old(k, fixed, state, scratch):
+def find_old(k, field, state, scratch):
     """Fill `before` with what landmark k hides, and is hidden by, where it is."""
     landmarks, hiding, hidden, old, wanted = state.landmarks, state.hiding, state.hidden, scratch.old, scratch.wanted
     ax, ay, az = landmarks[0, k], landmarks[1, k], landmarks[2, k]
     x, y, z = old[0], old[1], old[2]
     for p in range(len(x)):
-        x[p], y[p], z[p] = ax - fixed.positions[0, p], ay - fixed.positions[1, p], az - fixed.positions[2, p]
+        x[p], y[p], z[p] = ax - field.positions[0, p], ay - field.positions[1, p], az - field.positions[2, p]
     for b in range(len(wanted)):  # nearly everywhere there are none: then there is nothing to find again
         some = np.int16(0)
         for p in range(b * BLOCK, (b + 1) * BLOCK):
             some |= hiding[k, p] | hidden[k, p]
         wanted[b] = some != 0
-    find_neighbours(k, ax, ay, az, x, y, z, fixed, landmarks, wanted, scratch.ways, scratch.before)
+    find_neighbours(k, ax, ay, az, x, y, z, field, landmarks, wanted, scratch.ways, scratch.before)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def find_new(k, fixed, state, scratch):
+def find_new(k, field, state, scratch):
     """Fill `after` with what landmark k hides, and is hidden by, at the place tried."""
-    place, new, wanted = scratch.place, scratch.new, scratch.wanted
+    target, new, wanted = scratch.target, scratch.new, scratch.wanted
     wanted[:] = True
     find_neighbours(
-        k, place[0], place[1], place[2], new.x, new.y, new.z,
-        fixed, state.landmarks, wanted, scratch.ways, scratch.after,
+        k, target[0], target[1], target[2], new.x, new.y, new.z,
+        field, state.landmarks, wanted, scratch.ways, scratch.after,
     )  # fmt: skip
 
 
@@ -153,4 +148,4 @@ def find_flips(state, scratch):
             i = who[b, m]
             for q in range(BLOCK):
                 p = b * BLOCK + q
-                flips[p] |= reachable[i, p] & ((hidden[i, p] == 0) != (hidden[i, p] + change[b, m, q] == 0))
+                flips[p] |= flips_with(reachable[i, p], hidden[i, p], hidden[i, p] + change[b, m, q])

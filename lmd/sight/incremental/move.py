@@ -6,14 +6,28 @@ only has to exchange them again. The decisions are those of `kernels`, operation
 moves the counts equal a full evaluation's, bit for bit.
 """
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 
 from lmd.deployment import Deployment
-from lmd.sight.incremental.bits import ALL, BITS, LANES, NONE, ONE, lowest, unpacked
+from lmd.sight.criteria import covers
+from lmd.sight.incremental.bits import (
+    ALL,
+    BITS,
+    LANES,
+    ONE,
+    ZERO,
+    add_digit,
+    at_least_so_far,
+    equal_so_far,
+    lowest,
+    unpacked,
+)
 from lmd.sight.incremental.directions import NOWHERE, see
-from lmd.sight.incremental.hiding import find_neighbours
-from lmd.sight.incremental.state import Fixed, State, scratch_of
+from lmd.sight.incremental.hiding import find_neighbours, flips_with
+from lmd.sight.incremental.state import State, scratch_of
 from lmd.sight.incremental.trial import bound_move, finish_move
 from lmd.sight.kernels import BLOCK
 
@@ -21,26 +35,28 @@ from lmd.sight.kernels import BLOCK
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _find_cap(positions, fixed, scratch):
+def _find_cap(positions, field, scratch):
     """Find the axes that cover the place tried at `positions`, nobody hiding it.
 
     So many need the exact test that to test half a word at once is faster than to pick them out.
     """
-    axes, possible, max_depth = fixed.axes, fixed.possible, fixed.limits[2]
+    sight, axes, possible = field.sight, field.axes, field.possible
     x, y, z, low, cell, _, reached = scratch.new
+    target = scratch.target
+    nx, ny, nz = target[3], target[4], target[5]
     caps = scratch.cap
     for p in positions:
         row = np.uint64(cell[p] if reached[p] else NOWHERE)
         px, py, pz, least = x[p], y[p], z[p], low[p]
         for w in range(np.uint64(caps.shape[1])):
-            some, cap = possible[row, w], NONE
+            some, cap = possible[row, w], ZERO
             for first in range(np.uint64(0), np.uint64(BITS), np.uint64(LANES)):
                 if some >> first << np.uint64(BITS - LANES):
                     half = np.uint32(0)
                     for lane in range(np.uint64(LANES)):
                         a = w * np.uint64(BITS) + first + lane
-                        depth = axes[0, a] * px + axes[1, a] * py + axes[2, a] * pz
-                        half |= np.uint32((depth >= least) & (depth <= max_depth)) << np.uint32(lane)
+                        inside = covers(sight, px, py, pz, nx, ny, nz, least, 0.0, axes, a)
+                        half |= np.uint32(inside) << np.uint32(lane)
                     cap |= np.uint64(half) << first
             caps[p, w] = cap & some
 
@@ -50,29 +66,26 @@ def _ripple(p, w, changed, goes, n, counts, short, just):
     """Count a landmark less at those axes `changed` that are in `goes`, one more at the others, digit by digit."""
     one, two = ALL, ALL
     for j in range(np.uint64(counts.shape[2])):
-        digit = counts[p, w, j]
-        now = digit ^ changed
-        changed &= digit ^ goes  # borrowed or carried
-        counts[p, w, j] = now
-        one &= now if (n - 1) >> j & 1 else ~now
-        two &= now if n >> j & 1 else ~now
+        digit, changed = add_digit(counts[p, w, j], changed, goes)
+        counts[p, w, j] = digit
+        one, two = equal_so_far(one, digit, n - 1, j), equal_so_far(two, digit, n, j)
     short[p, w], just[p, w] = one, two
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _recount(k, positions, sign, fixed, state, scratch):
+def _recount(k, positions, sign, field, state, scratch):
     """Exchange the cap of landmark k for the other in `scratch` at `positions`, and update the counts.
 
     `sign` says whether other landmarks turn as in `turns`, or, with -1, back.
     """
-    n, caps, other = fixed.n, state.caps, scratch.cap
+    n, caps, other = field.n, state.caps, scratch.cap
     reachable, hidden, counts, short, just = state.reachable, state.hidden, state.counts, state.short, state.just
     reached, count_hidden, flips = scratch.new.reached, scratch.after.count_hidden, scratch.flips
     found, who, change = scratch.turns
     words = np.uint64(counts.shape[1])
     for p in positions:
-        shown = ALL if reachable[k, p] & (hidden[k, p] == 0) else NONE
-        seen = ALL if reached[p] & (count_hidden[p] == 0) else NONE
+        shown = ALL if reachable[k, p] & (hidden[k, p] == 0) else ZERO
+        seen = ALL if reached[p] & (count_hidden[p] == 0) else ZERO
         for w in range(words):
             old, new = caps[k, p, w], other[p, w]
             caps[k, p, w], other[p, w] = new, old
@@ -85,16 +98,16 @@ def _recount(k, positions, sign, fixed, state, scratch):
         for m in range(found[b]):
             i = np.uint64(who[b, m])
             was, now = hidden[i, p], hidden[i, p] + sign * change[b, m, q]
-            if reachable[i, p] & ((was == 0) != (now == 0)):
+            if flips_with(reachable[i, p], was, now):
                 for w in range(words):
-                    _ripple(p, w, caps[i, p, w], ALL if was == 0 else NONE, n, counts, short, just)
+                    _ripple(p, w, caps[i, p, w], ALL if was == 0 else ZERO, n, counts, short, just)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _touched(k, state, scratch):
     """Positions at which a move of landmark k may change anything."""
     reachable, reached, flips, listed = state.reachable, scratch.new.reached, scratch.flips, scratch.listed
-    count = NONE
+    count = ZERO
     for p in range(np.uint64(len(flips))):
         listed[count] = p
         count += np.uint64(reachable[k, p] | reached[p] | flips[p])
@@ -102,17 +115,17 @@ def _touched(k, state, scratch):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _exchange(k, sign, fixed, state, scratch):
+def _exchange(k, sign, field, state, scratch):
     """Exchange landmark k for what `scratch` has of its other place."""
     landmarks, normals, reachable, hidden, hiding, units = (
         state.landmarks, state.normals, state.reachable, state.hidden, state.hiding, state.units
     )  # fmt: skip
-    place, others, reached, before, after = (
-        scratch.place, scratch.units, scratch.new.reached, scratch.before, scratch.after
+    target, others, reached, before, after = (
+        scratch.target, scratch.units, scratch.new.reached, scratch.before, scratch.after
     )  # fmt: skip
     found, who, change = scratch.turns
-    _recount(np.uint64(k), _touched(k, state, scratch), sign, fixed, state, scratch)
-    if fixed.mode:
+    _recount(np.uint64(k), _touched(k, state, scratch), sign, field, state, scratch)
+    if field.sight.reach >= 0.0:
         for b in range(len(found)):
             for q in range(BLOCK if found[b] + before.found[b] + after.found[b] else 0):
                 p = b * BLOCK + q
@@ -128,73 +141,75 @@ def _exchange(k, sign, fixed, state, scratch):
         hidden[k, p], after.count_hidden[p] = after.count_hidden[p], hidden[k, p]
         hiding[k, p], after.count_hides[p] = after.count_hides[p], hiding[k, p]
     for i in range(3):
-        landmarks[i, k], place[i] = place[i], landmarks[i, k]
-        normals[i, k], place[3 + i] = place[3 + i], normals[i, k]
+        landmarks[i, k], target[i] = target[i], landmarks[i, k]
+        normals[i, k], target[3 + i] = target[3 + i], normals[i, k]
+    state.surfaces[k], scratch.surface[0] = scratch.surface[0], state.surfaces[k]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def carry_out(k, fixed, state, scratch):
+def carry_out(k, field, state, scratch):
     """Move landmark k to where it was tried last; no other move may have been tried or carried out since."""
-    _find_cap(_touched(k, state, scratch), fixed, scratch)
-    _exchange(k, 1, fixed, state, scratch)
+    _find_cap(_touched(k, state, scratch), field, scratch)
+    _exchange(k, 1, field, state, scratch)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def take_back(k, fixed, state, scratch):
+def take_back(k, field, state, scratch):
     """Undo the last `carry_out` with this `scratch`, all later ones being undone."""
-    _exchange(k, -1, fixed, state, scratch)
+    _exchange(k, -1, field, state, scratch)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def move(k, ax, ay, az, nx, ny, nz, fixed, state, scratch):
-    """Move landmark k to (ax, ay, az) with normal (nx, ny, nz)."""
-    bound_move(k, ax, ay, az, nx, ny, nz, fixed, state, scratch)
-    finish_move(k, fixed, state, scratch)
-    carry_out(k, fixed, state, scratch)
+def move(k, pose, surface, field, state, scratch):
+    """Move landmark k to `pose` `(6,)`, position and normal, on a surface."""
+    bound_move(k, pose, surface, field, state, scratch)
+    finish_move(k, field, state, scratch)
+    carry_out(k, field, state, scratch)
 
 
 @njit(nogil=True, cache=True)
-def _fill(fixed, state, scratch):
+def _fill(field, state, scratch):
     """Let the landmarks of `state` come, one after the other."""
     landmarks, normals, new, after = state.landmarks, state.normals, scratch.new, scratch.after
     positions = np.arange(len(state.units)).astype(np.uint64)
     scratch.wanted[:] = True
     for k in range(landmarks.shape[1]):
         x, y, z = landmarks[0, k], landmarks[1, k], landmarks[2, k]
-        see(x, y, z, normals[0, k], normals[1, k], normals[2, k], fixed.positions, fixed.limits, new)
-        if fixed.mode:
-            find_neighbours(k, x, y, z, new.x, new.y, new.z, fixed, landmarks, scratch.wanted, scratch.ways, after)
-        _find_cap(positions, fixed, scratch)
-        _recount(np.uint64(k), positions, 1, fixed, state, scratch)
+        for i in range(3):
+            scratch.target[i], scratch.target[3 + i] = landmarks[i, k], normals[i, k]
+        see(x, y, z, normals[0, k], normals[1, k], normals[2, k], field.positions, field.sight, new)
+        if field.sight.reach >= 0.0:
+            find_neighbours(k, x, y, z, new.x, new.y, new.z, field, landmarks, scratch.wanted, scratch.ways, after)
+        _find_cap(positions, field, scratch)
+        _recount(np.uint64(k), positions, 1, field, state, scratch)
         state.reachable[k], state.hidden[k], state.hiding[k] = new.reached, after.count_hidden, after.count_hides
     for p in positions:
         for w in range(np.uint64(state.counts.shape[1])):
-            # Whether counts are at least n: from the lowest digit up, each digit overrules those below.
             has = ALL
             for j in range(np.uint64(state.counts.shape[2])):
-                digit = state.counts[p, w, j]
-                has = has & digit if fixed.n >> j & 1 else has | digit
+                has = at_least_so_far(has, state.counts[p, w, j], field.n, j)
             while has:
-                state.units[p] += fixed.weights[w * np.uint64(BITS) + lowest(has)]
+                state.units[p] += field.weights[w * np.uint64(BITS) + lowest(has)]
                 has &= has - ONE
 
 
-def state_of(fixed: Fixed, deployment: Deployment) -> State:
-    """The coverage of `deployment`, ready for moves."""
-    positions, count, words = fixed.positions.shape[1], len(deployment), fixed.possible.shape[1]
+def state_of(field: Any, deployment: Deployment) -> State:
+    """The coverage of `deployment`, ready for moves; `field` a `lmd.objectives.coverage_field.CoverageField`."""
+    positions, count, words = field.positions.shape[1], len(deployment), field.possible.shape[1]
     state = State(
         landmarks=deployment.positions.T.copy(order="C"),
         normals=deployment.normals.T.copy(order="C"),
+        surfaces=deployment.surfaces.copy(),
         caps=np.zeros((count, positions, words), dtype=np.uint64),
         reachable=np.zeros((count, positions), dtype=np.bool_),
         hidden=np.zeros((count, positions), dtype=np.int16),
         hiding=np.zeros((count, positions), dtype=np.int16),
-        counts=np.zeros((positions, words, max(count, fixed.n).bit_length()), dtype=np.uint64),
-        short=np.full((positions, words), ALL if fixed.n == 1 else NONE),  # nothing is covered yet
+        counts=np.zeros((positions, words, max(count, field.n).bit_length()), dtype=np.uint64),
+        short=np.full((positions, words), ALL if field.n == 1 else ZERO),  # nothing is covered yet
         just=np.zeros((positions, words), dtype=np.uint64),
         units=np.zeros(positions, dtype=np.int64),
     )
-    _fill(fixed, state, scratch_of(state))
+    _fill(field, state, scratch_of(state))
     return state
 
 

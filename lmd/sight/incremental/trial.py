@@ -25,19 +25,32 @@ another cap, so what it finds is never below P_n:
 import numpy as np
 from numba import njit
 
-from lmd.sight.incremental.bits import ALL, BITS, HALF, LOWER, NONE, ONE, lowest
+from lmd.sight.criteria import covers
+from lmd.sight.incremental.bits import (
+    ALL,
+    BITS,
+    HALF,
+    LOWER,
+    ONE,
+    ZERO,
+    add_digit,
+    at_least_so_far,
+    equal_so_far,
+    lowest,
+)
 from lmd.sight.incremental.directions import NOWHERE, see
-from lmd.sight.incremental.hiding import find_flips, find_new, find_old
+from lmd.sight.incremental.hiding import find_flips, find_new, find_old, flips_with
 from lmd.sight.kernels import BLOCK
 
 # Indices are unsigned where it counts: signed ones cost extra instructions, as they might be negative.
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _try_caps(k, fixed, state, scratch):
+def _try_caps(k, field, state, scratch):
     """Bound P_n where landmark k comes or goes and no other appears; copy it where nothing happens."""
-    axes, weights, max_depth = fixed.axes, fixed.weights, fixed.limits[2]
-    certain, possible = fixed.certain, fixed.possible
+    sight, axes, weights, certain, possible = field.sight, field.axes, field.weights, field.certain, field.possible
+    target = scratch.target
+    nx, ny, nz = target[3], target[4], target[5]
     caps, reachable, hidden, short, just, before = (
         state.caps, state.reachable, state.hidden, state.short, state.just, state.units
     )  # fmt: skip
@@ -50,11 +63,11 @@ def _try_caps(k, fixed, state, scratch):
         seen = reached[p] & (not flips[p])
         outer[p] = cell[p] if seen else NOWHERE
         inner[p] = cell[p] if seen & (not limited[p]) else NOWHERE
-        old[p] = ALL if reachable[k, p] & (hidden[k, p] == 0) & (not flips[p]) else NONE
-    count, found, size = NONE, NONE, np.uint64(caps.shape[2])
+        old[p] = ALL if reachable[k, p] & (hidden[k, p] == 0) & (not flips[p]) else ZERO
+    count, found, size = ZERO, ZERO, np.uint64(caps.shape[2])
     for p in range(np.uint64(len(units))):
         listed[count] = p
-        count += np.uint64((old[p] != NONE) | (outer[p] != NOWHERE))
+        count += np.uint64((old[p] != ZERO) | (outer[p] != NOWHERE))
     for m in range(count):
         p = listed[m]
         i, o = np.uint64(inner[p]), np.uint64(outer[p])
@@ -62,7 +75,7 @@ def _try_caps(k, fixed, state, scratch):
             was = caps[k, p, w] & old[p]
             unsure[found] = (short[p, w] & ~was & possible[o, w]) | (just[p, w] & was & ~certain[i, w])
             places[found] = p << HALF | w
-            found += np.uint64(unsure[found] != NONE)
+            found += np.uint64(unsure[found] != ZERO)
     for m in range(found):
         left, p, w = unsure[m], places[m] >> HALF, places[m] & LOWER
         px, py, pz, least = x[p], y[p], z[p], low[p] if outer[p] != NOWHERE else np.inf
@@ -70,17 +83,18 @@ def _try_caps(k, fixed, state, scratch):
         while left:
             bit = lowest(left)
             a = w * np.uint64(BITS) + bit
-            depth = axes[0, a] * px + axes[1, a] * py + axes[2, a] * pz
-            inside = (depth >= least) & (depth <= max_depth)
+            inside = covers(sight, px, py, pz, nx, ny, nz, least, 0.0, axes, a)
             change += weights[a] * (np.int64(inside) - np.int64(was >> bit & ONE))
             left &= left - ONE
         units[p] += change
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _try_flips(k, positions, fixed, state, scratch):
+def _try_flips(k, positions, field, state, scratch):
     """Find P_n at `positions`, where other landmarks may appear or disappear."""
-    axes, weights, possible, n, max_depth = fixed.axes, fixed.weights, fixed.possible, fixed.n, fixed.limits[2]
+    sight, axes, weights, possible, n = field.sight, field.axes, field.weights, field.possible, field.n
+    target = scratch.target
+    nx, ny, nz = target[3], target[4], target[5]
     caps, reachable, hidden, counts, before = state.caps, state.reachable, state.hidden, state.counts, state.units
     x, y, z, low, cell, _, reached = scratch.new
     count_hidden, units, digits = scratch.after.count_hidden, scratch.units, scratch.digits
@@ -89,38 +103,34 @@ def _try_flips(k, positions, fixed, state, scratch):
     size = np.uint64(counts.shape[2])
     for p in positions:
         b, q = p // np.uint64(BLOCK), p % np.uint64(BLOCK)
-        flipped = NONE
+        flipped = ZERO
         for m in range(np.uint64(found[b])):
             i = np.uint64(who[b, m])
             was, now = hidden[i, p], hidden[i, p] + change[b, m, q]
-            names[flipped], goes[flipped] = i, ALL if was == 0 else NONE
-            flipped += np.uint64(reachable[i, p] & ((was == 0) != (now == 0)))
+            names[flipped], goes[flipped] = i, ALL if was == 0 else ZERO
+            flipped += np.uint64(flips_with(reachable[i, p], was, now))
         names[flipped], goes[flipped] = k, ALL
         flipped += np.uint64(reachable[k, p] & (hidden[k, p] == 0))
         row = np.uint64(cell[p] if reached[p] & (count_hidden[p] == 0) else NOWHERE)
         px, py, pz, least = x[p], y[p], z[p], low[p]
         units[p] = before[p]
         for w in range(np.uint64(counts.shape[1])):
-            # Whether counts are at least n: from the lowest digit up, each digit overrules those below.
             had, has, almost = ALL, ALL, ALL
             for j in range(size):
                 digits[j] = counts[p, w, j]
-                had = had & digits[j] if n >> j & 1 else had | digits[j]
-            for m in range(flipped):  # added with a carry, or taken away with a borrow, digit by digit
+                had = at_least_so_far(had, digits[j], n, j)
+            for m in range(flipped):
                 carry = caps[names[m], p, w]
                 for j in range(size):
-                    digit = digits[j]
-                    digits[j] = digit ^ carry
-                    carry &= digit ^ goes[m]
+                    digits[j], carry = add_digit(digits[j], carry, goes[m])
             for j in range(size):
-                has = has & digits[j] if n >> j & 1 else has | digits[j]
-                almost &= digits[j] if (n - 1) >> j & 1 else ~digits[j]
+                has = at_least_so_far(has, digits[j], n, j)
+                almost = equal_so_far(almost, digits[j], n - 1, j)
             left = almost & possible[row, w]
             while left:
                 bit = lowest(left)
                 a = w * np.uint64(BITS) + bit
-                depth = axes[0, a] * px + axes[1, a] * py + axes[2, a] * pz
-                has |= np.uint64((depth >= least) & (depth <= max_depth)) << bit
+                has |= np.uint64(covers(sight, px, py, pz, nx, ny, nz, least, 0.0, axes, a)) << bit
                 left &= left - ONE
             left = had ^ has
             while left:
@@ -131,35 +141,37 @@ def _try_flips(k, positions, fixed, state, scratch):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def bound_move(k, ax, ay, az, nx, ny, nz, fixed, state, scratch):
-    """Find what P_n is at most with landmark k at (ax, ay, az) and normal (nx, ny, nz): `scratch.units`."""
-    place, after, flips, listed = scratch.place, scratch.after, scratch.flips, scratch.listed
-    place[0], place[1], place[2], place[3], place[4], place[5] = ax, ay, az, nx, ny, nz
-    see(ax, ay, az, nx, ny, nz, fixed.positions, fixed.limits, scratch.new)
+def bound_move(k, pose, surface, field, state, scratch):
+    """Find what P_n is at most with landmark k at `pose` `(6,)`, position and normal, on a surface: `scratch.units`."""
+    after, flips, listed = scratch.after, scratch.flips, scratch.listed
+    scratch.surface[0] = surface
+    for i in range(6):
+        scratch.target[i] = pose[i]
+    see(pose[0], pose[1], pose[2], pose[3], pose[4], pose[5], field.positions, field.sight, scratch.new)
     flips[:] = False
-    if fixed.mode:
+    if field.sight.reach >= 0.0:
         after.found[:] = after.count_hidden[:] = 0
-        find_old(k, fixed, state, scratch)
+        find_old(k, field, state, scratch)
         find_flips(state, scratch)
-    _try_caps(np.uint64(k), fixed, state, scratch)
-    count = NONE
+    _try_caps(np.uint64(k), field, state, scratch)
+    count = ZERO
     for p in range(np.uint64(len(flips))):
         listed[count] = p
         count += np.uint64(flips[p])
-    _try_flips(np.uint64(k), listed[:count], fixed, state, scratch)
+    _try_flips(np.uint64(k), listed[:count], field, state, scratch)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def finish_move(k, fixed, state, scratch):
+def finish_move(k, field, state, scratch):
     """Make what `bound_move` found exact."""
-    if not fixed.mode:
+    if field.sight.reach < 0.0:
         return
     flips, listed = scratch.flips, scratch.listed
     reached, count_hidden = scratch.new.reached, scratch.after.count_hidden
-    find_new(k, fixed, state, scratch)
+    find_new(k, field, state, scratch)
     find_flips(state, scratch)
-    count = NONE
+    count = ZERO
     for p in range(np.uint64(len(flips))):
         listed[count] = p
         count += np.uint64(flips[p] | (reached[p] & (count_hidden[p] != 0)))
-    _try_flips(np.uint64(k), listed[:count], fixed, state, scratch)
+    _try_flips(np.uint64(k), listed[:count], field, state, scratch)

@@ -1,0 +1,120 @@
+"""What an objective must answer: the value of each position, what that is worth, and what it is called."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+from lmd.checks import BoolArray, FloatArray
+from lmd.deployment import Deployment
+from lmd.sight.evaluator import Evaluator
+
+if TYPE_CHECKING:
+    from lmd.objectives.field import Field, Target
+    from lmd.objectives.sampling import Sampling
+
+
+@dataclass(frozen=True)
+class Headline:
+    """The figure that an objective is about, as displays show it.
+
+    Args:
+        key: its name among the figures.
+        label: its name for readers.
+        scale: from the figure to the unit shown.
+        unit: shown behind the number.
+        limits: least and greatest value on axes, in the unit shown; None to fit the data.
+    """
+
+    key: str
+    label: str
+    scale: float = 100.0
+    unit: str = "%"
+    limits: tuple[float, float] | None = (0.0, 100.0)
+
+    def text(self, value: float) -> str:
+        """A value for readers, such as `81.88%`."""
+        return f"{self.scale * value:.2f}{self.unit}"
+
+    @property
+    def axis(self) -> str:
+        """The label of an axis."""
+        return f"{self.label} [{self.unit}]"
+
+
+class Selection(Protocol):
+    """A monotone submodular stand-in for an objective: what further landmarks gain, given those chosen."""
+
+    def gains(self, poses: Deployment) -> FloatArray:
+        """What each pose would add, `(N,)`; never more than it would have added before others were chosen."""
+
+    def add(self, pose: Deployment) -> None:
+        """Choose one landmark more."""
+
+
+class Objective(Protocol):
+    """What a deployment is for.
+
+    An objective with no more than this is climbed by every black box. `field` and `selection` say in a sentence
+    (`InputError`) that there is none, or give what `annealing` and `greedy` climb.
+    """
+
+    @property
+    def n(self) -> int:
+        """Landmarks that a useful view has at the least."""
+
+    @property
+    def sampling(self) -> "Sampling | None":
+        """Where the fitness is measured; None for the room's grid and the PDF itself."""
+
+    @property
+    def headline(self) -> Headline:
+        """The figure that displays show."""
+
+    @property
+    def name(self) -> str:
+        """What sets it apart from others of its kind, for titles, such as `n=2 p=0.65`."""
+
+    @property
+    def value_name(self) -> str:
+        """What the value of a position is called, such as `P_2`."""
+
+    @property
+    def value_label(self) -> str:
+        """What it means, for the legend of a picture."""
+
+    @property
+    def threshold(self) -> float:
+        """The value from which on a position is qualified."""
+
+    def check(self, count: int) -> None:
+        """Raise `InputError` if so many landmarks cannot serve it."""
+
+    def values(self, evaluator: Evaluator, positions: FloatArray, normals: FloatArray) -> FloatArray:
+        """The value of each position of `evaluator`, in [0, 1], `(B, P)`, for B deployments `(B, K, 3)`."""
+
+    def qualified(self, values: FloatArray) -> BoolArray:
+        """Which positions are good enough, same shape as `values`."""
+
+    def fitness(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
+        """What optimisers maximise, in [0, 1]: `(..., P)` values, weights `(P,)` -> `(...)`."""
+
+    def shares(self, values: FloatArray) -> Mapping[str, FloatArray | BoolArray]:
+        """The figures that are means over positions: what each position contributes, same shape as `values`."""
+
+    def figures(self, values: FloatArray, relevance: FloatArray) -> dict[str, float]:
+        """All figures of a deployment from the values of the grid's positions and their relevance, `(P,)` each."""
+
+    def describe(self, figures: Mapping[str, float], positions: int, count: int) -> dict[str, str]:
+        """The figures as labelled sentences for the terminal, for so many positions and landmarks."""
+
+    def describe_validation(self, figures: Mapping[str, float]) -> dict[str, str]:
+        """The same for the figures off the grid (`lmd.validation`)."""
+
+    def field(self, evaluator: Evaluator) -> "Field":
+        """The values at the positions of `evaluator`, ready to be updated as single landmarks move."""
+
+    def target(self, relevance: FloatArray) -> "Target":
+        """What the values of a field are worth, with weights `(Q,)` in the order of its positions."""
+
+    def selection(self, evaluator: Evaluator, relevance: FloatArray) -> Selection:
+        """A stand-in that greedy selection can climb, with nothing chosen."""

@@ -1,0 +1,172 @@
+"""The paper's objective: at least n landmarks in view with a probability that reaches a threshold."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from lmd.checks import BoolArray, FloatArray, InputError, integer, real
+from lmd.deployment import Deployment
+from lmd.objectives.base import Headline
+from lmd.objectives.coverage_field import CoverageField, coverage_field
+from lmd.objectives.field import smoothed, worth
+from lmd.objectives.sampling import Sampling
+from lmd.sight.criteria import TOLERANCE
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.kernels import PROBABILITY_ONE
+from lmd.sight.poses import covered_amounts, gains
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Multiple coverage probability: the relevance-weighted share of positions whose P_n reaches thold_p.
+
+    Eq. argmaxH of the paper, normalised. The value of a position p is P_n(p).
+
+    Args:
+        n: landmarks the camera must see at the same time.
+        thold_p: probability of that from which on a position is qualified.
+        sampling: where the fitness is measured; None for the room's grid and the PDF itself.
+
+    Raises:
+        InputError: n < 1 or thold_p outside [0, 1].
+    """
+
+    n: int
+    thold_p: float
+    sampling: Sampling | None = None
+
+    headline = Headline("qualified_ratio", "qualified ratio")
+
+    def __post_init__(self) -> None:
+        integer("n", self.n, low=1)
+        object.__setattr__(self, "thold_p", real("thold_p", self.thold_p, low=0.0, high=1.0))
+
+    @property
+    def name(self) -> str:
+        """See `Objective.name`."""
+        return f"n={self.n} p={self.thold_p:g}"
+
+    @property
+    def value_name(self) -> str:
+        """See `Objective.value_name`."""
+        return f"P_{self.n}"
+
+    @property
+    def value_label(self) -> str:
+        """See `Objective.value_label`."""
+        return f"probability of seeing at least {self.n} landmark{'s' if self.n > 1 else ''}"
+
+    @property
+    def threshold(self) -> float:
+        """See `Objective.threshold`."""
+        return self.thold_p
+
+    def check(self, count: int) -> None:
+        """See `Objective.check`."""
+        if self.n > count:
+            raise InputError(f"n = {self.n} exceeds the number of landmarks, {count}.", "n")
+
+    def values(self, evaluator: Evaluator, positions: FloatArray, normals: FloatArray) -> FloatArray:
+        """See `Objective.values`."""
+        return np.asarray(evaluator.units(positions, normals, self.n) / PROBABILITY_ONE)
+
+    def qualified(self, values: FloatArray) -> BoolArray:
+        """Qual: P_n(p) >= thold_p (Eq. Qual), same shape as `values`."""
+        return np.asarray(values >= self.thold_p - TOLERANCE)
+
+    def fitness(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
+        """See `Objective.fitness`."""
+        # A product and a sum over the last axis: each row is added in the same order whatever the batch.
+        return np.asarray((self.qualified(values) * relevance).sum(axis=-1) / relevance.sum())
+
+    def shares(self, values: FloatArray) -> Mapping[str, FloatArray | BoolArray]:
+        """See `Objective.shares`."""
+        return {"qualified_ratio": self.qualified(values), "average_coverage_probability": values}
+
+    def figures(self, values: FloatArray, relevance: FloatArray) -> dict[str, float]:
+        """The paper's three indices, fractions in [0, 1], and H, the cost (a sum of relevance, Eq. H2)."""
+        return {
+            **{key: float(share.mean()) for key, share in self.shares(values).items()},
+            "maximum_coverage_probability": float(values.max()),
+            "cost": float((self.qualified(values) * relevance).sum()),
+        }
+
+    def describe(self, figures: Mapping[str, float], positions: int, count: int) -> dict[str, str]:
+        """See `Objective.describe`."""
+        return {
+            "qualified ratio": f"{figures['qualified_ratio']:.2%} of {positions} positions see at least {self.n} of "
+            f"{count} landmarks with probability {self.thold_p:g}",
+            "average probability": f"{figures['average_coverage_probability']:.2%}",
+            "maximum probability": f"{figures['maximum_coverage_probability']:.2%}",
+        }
+
+    def describe_validation(self, figures: Mapping[str, float]) -> dict[str, str]:
+        """See `Objective.describe_validation`."""
+
+        def with_error(key: str) -> str:
+            return f"{figures[key]:.2%} +- {figures[f'{key}_standard_error']:.2%}"
+
+        return {
+            "on a finer grid": f"{figures['finer_grid_qualified_ratio']:.2%} of positions qualified",
+            "off the grid": f"{with_error('grid_free_qualified_ratio')} of random positions qualified, "
+            f"average probability {with_error('grid_free_average_coverage_probability')}",
+        }
+
+    def field(self, evaluator: Evaluator) -> CoverageField:
+        """See `Objective.field`."""
+        return coverage_field(evaluator, self.n)
+
+    def target(self, relevance: FloatArray) -> "Threshold":
+        """See `Objective.target`."""
+        return Threshold(math.ceil((self.thold_p - TOLERANCE) * PROBABILITY_ONE), relevance)
+
+    def selection(self, evaluator: Evaluator, relevance: FloatArray) -> "CappedCount":
+        """See `Objective.selection`."""
+        return CappedCount(evaluator, relevance, self.n)
+
+
+class Threshold(NamedTuple):
+    """Positions count from a `threshold` in units on, with weights `relevance` `(Q,)`; a `Target`."""
+
+    threshold: int
+    relevance: FloatArray
+
+
+@smoothed.register(Threshold)
+def _smoothed(target, p, units, margin, width, share):  # type: ignore[no-untyped-def]
+    above = (units - target.threshold) / PROBABILITY_ONE - margin
+    return target.relevance[p] * (1.0 / (1.0 + math.exp(-above / width)) + share * units / PROBABILITY_ONE)
+
+
+@worth.register(Threshold)
+def _worth(target, p, units):  # type: ignore[no-untyped-def]
+    return target.relevance[p] * (units >= target.threshold)
+
+
+class CappedCount:
+    """The sum of min(covered, n) over positions and axes, a `Selection`.
+
+    Whether at least n landmarks are covered is not submodular for n >= 2: the first landmark gains nothing. This sum
+    is, if no landmark hides another.
+
+    Args:
+        evaluator: the scene.
+        relevance: weights of its positions, `(P,)`.
+        n: landmarks that should be covered at the same time.
+    """
+
+    def __init__(self, evaluator: Evaluator, relevance: FloatArray, n: int) -> None:
+        self._evaluator, self._n = evaluator, n
+        self._prices = relevance[:, None] * (evaluator.weights / evaluator.weights.sum())
+        self._covered = np.zeros(self._prices.shape)
+
+    def gains(self, poses: Deployment) -> FloatArray:
+        """See `Selection.gains`."""
+        return gains(self._evaluator, poses, self._prices * (self._covered < self._n))
+
+    def add(self, pose: Deployment) -> None:
+        """See `Selection.add`."""
+        self._covered += covered_amounts(self._evaluator, pose, np.ones(1))

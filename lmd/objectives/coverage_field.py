@@ -1,0 +1,115 @@
+"""The incremental field of coverage: P_n at every position as single landmarks move (`lmd.sight.incremental`)."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lmd.checks import FloatArray
+from lmd.deployment import Deployment
+from lmd.objectives.field import accept, bound, settle, undo
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.incremental.bits import BITS
+from lmd.sight.incremental.directions import cones
+from lmd.sight.incremental.move import carry_out, state_of, take_back
+from lmd.sight.incremental.state import Scratch, State, scratch_of
+from lmd.sight.incremental.trial import bound_move, finish_move
+from lmd.sight.kernels import BLOCK, SINGLE_ERROR
+
+
+class CoverageField(NamedTuple):
+    """What does not change while landmarks move; a `lmd.objectives.field.Field`.
+
+    positions `(3, Q)` in blocks of `BLOCK` neighbours, the last block filled up with copies; index_of `(P,)` where each
+    position of the evaluator is among them; centres and halves `(3, Q / BLOCK)` of the sides of boxes around the
+    blocks; axes `(3, 64 W)` filled up with zeros to whole words; certain, possible the tables of `directions.cones`;
+    the rest as in `kernels.evaluate_range`.
+    """
+
+    positions: np.ndarray
+    index_of: np.ndarray
+    centres: np.ndarray
+    halves: np.ndarray
+    sight: Any
+    axes: np.ndarray
+    certain: np.ndarray
+    possible: np.ndarray
+    weights: np.ndarray
+    n: int
+
+    @property
+    def size(self) -> int:
+        """See `Field.size`."""
+        return int(self.positions.shape[1])
+
+    def state(self, deployment: Deployment) -> State:
+        """See `Field.state`."""
+        return state_of(self, deployment)
+
+    def scratch(self, state: State) -> Scratch:
+        """See `Field.scratch`."""
+        return scratch_of(state)
+
+    @property
+    def stack(self) -> int:
+        """See `Field.stack`."""
+        return self.n
+
+    def stacked(self) -> "CoverageField":
+        """See `Field.stacked`: a stack of n that nothing hides is seen whenever one landmark in its place is."""
+        return self._replace(n=1, sight=self.sight.unhidden())
+
+    def shrunk(self, size: float) -> "CoverageField":
+        """See `Field.shrunk`."""
+        return self._replace(sight=self.sight.shrunk(size))
+
+
+@bound.register(CoverageField)
+def _bound(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-def]
+    bound_move(k, pose, surface, field, state, scratch)
+
+
+@settle.register(CoverageField)
+def _settle(field, k, state, scratch):  # type: ignore[no-untyped-def]
+    finish_move(k, field, state, scratch)
+
+
+@accept.register(CoverageField)
+def _accept(field, k, state, scratch):  # type: ignore[no-untyped-def]
+    carry_out(k, field, state, scratch)
+
+
+@undo.register(CoverageField)
+def _undo(field, k, state, scratch):  # type: ignore[no-untyped-def]
+    take_back(k, field, state, scratch)
+
+
+def coverage_field(evaluator: Evaluator, n: int) -> CoverageField:
+    """The field of P_n at the positions of an evaluator."""
+    e = evaluator
+    order = _in_blocks(e.positions)
+    index_of = np.empty(len(e.positions), dtype=np.int64)
+    index_of[order[::-1]] = np.arange(len(order))[::-1]  # the first of several copies
+    positions = e.positions[order]
+    blocks = positions.reshape(-1, BLOCK, 3)
+    least, most = blocks.min(axis=1), blocks.max(axis=1)
+    centres = (least + most) / 2.0
+    halves = ((most - least) / 2.0 * (1.0 + SINGLE_ERROR)).astype(np.float32)  # never less for the rounding
+    positions, centres, halves = (np.ascontiguousarray(part.T) for part in (positions, centres, halves))
+    certain, possible = cones(e.axes, e.sight.inner_cosine, e.sight.outer_cosine)
+    axes = np.pad(e.axes, [(0, 0), (0, BITS * possible.shape[1] - e.axes.shape[1])])
+    return CoverageField(positions, index_of, centres, halves, e.sight, axes, certain, possible, e.weights, n)
+
+
+def _in_blocks(positions: FloatArray) -> np.ndarray:
+    """Indices `(Q,)` that put positions `(P, 3)` into blocks of neighbours, by cutting the longest side in two."""
+
+    def cut(part: np.ndarray) -> list[np.ndarray]:
+        if len(part) <= BLOCK:
+            return [part]
+        side = np.argmax(np.ptp(positions[part], axis=0))
+        part = part[np.argsort(positions[part, side], kind="stable")]
+        middle = (len(part) // BLOCK + 1) // 2 * BLOCK
+        return cut(part[:middle]) + cut(part[middle:])
+
+    order = np.concatenate(cut(np.arange(len(positions))))
+    return np.append(order, np.full(-len(order) % BLOCK, order[-1]))

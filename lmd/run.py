@@ -1,0 +1,50 @@
+"""The two verbs: find a deployment, score a deployment."""
+
+from lmd.deployment import Deployment
+from lmd.optimisers.annealing import Annealing
+from lmd.optimisers.base import Budget, Callback, Optimiser, Result
+from lmd.problem import Problem
+from lmd.validation import validation_metrics
+
+
+def optimise(
+    problem: Problem,
+    evaluations: int | None = None,
+    seconds: float | None = None,
+    seed: int = 0,
+    optimiser: Optimiser | None = None,
+    callback: Callback | None = None,
+) -> Result:
+    """Find a deployment for a problem.
+
+    Args:
+        problem: what is maximised.
+        evaluations: full evaluations it may cost at most; one moved landmark counts 1/K.
+        seconds: wall time after which no new evaluation starts. At least one of the two limits is needed.
+        seed: of the optimiser; the same seed gives the same result.
+        optimiser: the method; `Annealing`, our best, by default. One that is given has its own seed.
+        callback: called after every batch; returning True stops the run.
+
+    Raises:
+        InputError: there is no limit, or the optimiser cannot take the problem.
+    """
+    method = Annealing(seed=seed) if optimiser is None else optimiser
+    return method.run(problem, Budget(evaluations, seconds), callback)
+
+
+def evaluate(problem: Problem, deployment: Deployment, validate: bool = False, seed: int = 0) -> dict[str, float]:
+    """The figures of a deployment, fractions in [0, 1].
+
+    Args:
+        problem: what it is scored for.
+        deployment: any number of landmarks in the problem's room.
+        validate: also score it off the problem's grid, see `lmd.validation`; takes a second.
+        seed: of the sample used for that.
+
+    Raises:
+        InputError: a landmark lies outside the room.
+    """
+    deployment = deployment.hung(problem.scene.room)
+    problem.objective.check(len(deployment))
+    figures = problem.metrics(deployment)
+    return figures | validation_metrics(problem, deployment, seed) if validate else figures

@@ -1,0 +1,51 @@
+"""What a room must answer; everything else in the library asks nothing more of it."""
+
+from collections.abc import Mapping
+from typing import Protocol
+
+import numpy as np
+
+from lmd.checks import BoolArray, FloatArray, IntArray
+from lmd.space.relevance import Relevance
+from lmd.space.surface import Surface
+
+
+class Space(Protocol):
+    """A room: surfaces that may carry landmarks, and positions where the camera may be. World frame, metres."""
+
+    @property
+    def relevance(self) -> Relevance:
+        """Rel(p), how much each position matters."""
+
+    def surfaces(self) -> tuple[Surface, ...]:
+        """The surfaces that may carry landmarks; a landmark carries the index of its own."""
+
+    def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
+        """The index of the surface that each landmark `(K, 3)` hangs on, -1 where it hangs on none, `(K,)`."""
+
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper corner of a box around everything, `(3,)` each."""
+
+    def contains(self, points: FloatArray) -> BoolArray:
+        """Whether points `(..., 3)` lie in the closed room, `(...)`."""
+
+    def clear(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
+        """Whether nothing of the room stands between points `(..., 3)` inside it, `(...)`."""
+
+    def grid(self) -> FloatArray:
+        """Discrete positions Omega_d of the camera, `(P, 3)`."""
+
+    def finer(self) -> "Space":
+        """The same room with half the spacing of its grid."""
+
+    def jittered_grid(self, rng: np.random.Generator) -> FloatArray:
+        """One uniformly drawn position in the cell of each grid position, `(P, 3)` in the order of `grid`."""
+
+    def sample(self, size: int, rng: np.random.Generator) -> FloatArray:
+        """Positions drawn uniformly from where the camera may be, `(size, 3)`."""
+
+    def outline(self) -> Mapping[str, FloatArray]:
+        """Edges to draw, by what they belong to (`room`, `reachable area`), `(M, 2, 3)` each."""
+
+    def describe(self) -> str:
+        """The room in a few words, such as `room of 7.5 x 5 x 6 m`."""
