@@ -8,6 +8,7 @@ import time
 
 import numpy as np
 from hydra import compose, initialize_config_dir
+from lmd.pipelines.app import CONF, build_optimiser, build_problem
 from numba import njit
 
 from lmd.optimisers.annealing.walk import _places, walls_of
@@ -16,7 +17,6 @@ from lmd.sight.incremental.move import move, state_of
 from lmd.sight.incremental.state import fixed_of, scratch_of
 from lmd.sight.incremental.trial import bound_move, finish_move
 from lmd.sight.kernels import PROBABILITY_ONE
-from pipelines.app import CONF, build_optimiser, build_problem
 
 EVALUATIONS = 3000
 MOVES = 2000

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from hydra import compose, initialize_config_dir
+from lmd.pipelines.app import CONF, build_problem
 from numba import njit
 
 from lmd.deployment import RandomDeployment
@@ -29,7 +30,6 @@ from lmd.sight.incremental.state import fixed_of, scratch_of
 from lmd.sight.incremental.trial import bound_move, finish_move
 from lmd.sight.kernels import BLOCK, cap_of
 from lmd.sight.poses import candidate_poses, gains
-from pipelines.app import CONF, build_problem
 
 COUNT, N = 90, 2  # of the paper: landmarks, and how many must be seen
 DEPLOYMENTS = 20
@@ -100,7 +100,7 @@ def all_gains(scene: Scene, threads: int) -> tuple[int, float]:
 def whole_pipeline() -> float:
     """Seconds of the paper's EGA with its 12,000 evaluations from the command line, tracking and pictures included."""
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "pipelines.optimise", "optimiser=ega", f"hydra.run.dir={folder}/run"]
+        command = [sys.executable, "-m", "lmd.pipelines.optimise", "optimiser=ega", f"hydra.run.dir={folder}/run"]
         command.append(f"tracking.uri=sqlite:///{folder}/mlflow.db")
         began = time.perf_counter()
         subprocess.run(command, check=True, capture_output=True)

@@ -16,7 +16,22 @@ if TYPE_CHECKING:
     from lmd.optimisers.base import Optimiser
     from lmd.problem import CoverageProblem
 
-CONF = str(Path(__file__).resolve().parents[1] / "conf")
+PACKAGE = str(__package__)  # `pipelines` in a checkout, `lmd.pipelines` where lmd is installed
+IN_CHECKOUT = PACKAGE == "pipelines"
+CONF = str(Path(__file__).resolve().parents[1] / "conf")  # beside this package in both
+
+
+def lmd_package() -> str:
+    """The name of this package, for the configuration."""
+    return PACKAGE
+
+
+OmegaConf.register_new_resolver("lmd.package", lmd_package, replace=True)
+
+
+def command_of(pipeline: str) -> str:
+    """What starts a pipeline from where this one was started, for messages."""
+    return f"python -m pipelines.{pipeline}" if IN_CHECKOUT else f"lmd-{pipeline.replace('_', '-')}"
 
 
 def instantiate(node: Any, **extra: Any) -> Any:
@@ -89,6 +104,12 @@ def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":
 def search_path() -> list[str]:
     """The overrides that add folders of configuration, which others depend on."""
     return [o for o in HydraConfig.get().overrides.hydra if o.startswith("hydra.searchpath=")]
+
+
+def config_dir() -> list[str]:
+    """The option `--config-dir` this application was started with, none for none; another process needs it too."""
+    sources = HydraConfig.get().runtime.config_sources
+    return [word for source in sources if source.provider == "command-line" for word in ("--config-dir", source.path)]
 
 
 def task_overrides() -> list[tuple[str, str]]:

@@ -6,8 +6,8 @@ from typing import Any
 import hydra
 from omegaconf import DictConfig
 
-from pipelines.app import CONF, build_problem, run_directory
-from pipelines.sweeps.supervisor import run
+from .app import CONF, build_problem, run_directory
+from .sweeps.supervisor import run
 
 
 @hydra.main(version_base="1.3", config_path=CONF, config_name="bound")
@@ -20,7 +20,8 @@ def bound(cfg: DictConfig) -> None:
     """Bound what the configured problem admits."""
     from lmd.bounds import Search, average_bound, fewest_landmarks, qualified_bound
     from lmd.checks import real
-    from pipelines.tracked_run import tracked_run
+
+    from .tracked_run import tracked_run
 
     problem = build_problem(cfg)
     search = Search(cfg.bound.spacing, cfg.bound.iterations, cfg.bound.tolerance)

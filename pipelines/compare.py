@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import hydra
 from omegaconf import DictConfig, ListConfig
 
-from pipelines.app import (
+from .app import (
     CONF,
     build_optimiser,
     build_problem,
@@ -18,12 +18,13 @@ from pipelines.app import (
     search_path,
     task_overrides,
 )
-from pipelines.sweeps.supervisor import run
+from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
     from lmd.comparison import Outcome
     from lmd.optimisers.base import Budget
-    from pipelines.tracking import Tracker
+
+    from .tracking import Tracker
 
 # Settings of the comparison itself; every other override is passed on to its runs.
 OWN_KEYS = ("optimisers", "seeds", "workers", "save_as", "budget", "seed", "tracking")
@@ -42,8 +43,9 @@ def compare(cfg: DictConfig) -> None:
     from lmd.optimisers.base import Budget
     from lmd.plot.comparison import save_comparison_figure
     from lmd.sight.evaluator import available_threads
-    from pipelines.reproduction.comparison import to_markdown
-    from pipelines.tracked_run import title_of, tracked_run
+
+    from .reproduction.comparison import to_markdown
+    from .tracked_run import title_of, tracked_run
 
     problem = build_problem(cfg)
     budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
@@ -112,8 +114,8 @@ def _outcomes(jobs: "Sequence[tuple[str, DictConfig, int, Budget]]", workers: in
 
 def _log_child(cfg: DictConfig, outcome: "Outcome", parent: str | None, directory: Path) -> None:
     """Record one run below the comparison's own, its landmarks in a folder of its own in `directory`."""
-    from pipelines.progress import thinned
-    from pipelines.tracking import PARENT_TAG
+    from .progress import thinned
+    from .tracking import PARENT_TAG
 
     tracker: Tracker = instantiate(cfg.tracking)
     tags = {"choice.optimiser": outcome.optimiser.split()[0]}

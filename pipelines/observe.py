@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import hydra
 from omegaconf import DictConfig, OmegaConf
 
-from pipelines.app import (
+from .app import (
     CONF,
     build_problem,
     instantiate,
@@ -21,12 +21,12 @@ from pipelines.app import (
     search_path,
     task_overrides,
 )
-from pipelines.sweeps.supervisor import run
+from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from pipelines.tracking import Tracker
+    from .tracking import Tracker
 
 NAME = re.compile(r"[\w.-]+")  # what mlflow takes in the name of a metric
 
@@ -48,7 +48,8 @@ def observe(cfg: DictConfig) -> None:
     from lmd.checks import integer
     from lmd.localisation.study import Flights, conduct, to_markdown
     from lmd.plot.localisation import save_error_figure
-    from pipelines.tracked_run import title_of, tracked_run
+
+    from .tracked_run import title_of, tracked_run
 
     seeds = range(integer("seed", cfg.seed, low=0), cfg.seed + integer("seeds", cfg.seeds, low=1))
     problems = {name: build_problem(composed) for name, composed in _deployments(cfg).items()}

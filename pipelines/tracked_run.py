@@ -12,12 +12,13 @@ from lmd.deployment import Deployment
 from lmd.optimisers.base import Record
 from lmd.problem import CoverageProblem
 from lmd.validation import validation_metrics
-from pipelines.app import choices, flat_settings, instantiate, run_directory
-from pipelines.outputs import write_outputs
-from pipelines.sweeps.jobs import current_job, override_tags, reason_of
+
+from .app import choices, flat_settings, instantiate, run_directory
+from .outputs import write_outputs
+from .sweeps.jobs import current_job, override_tags, reason_of
 
 if TYPE_CHECKING:
-    from pipelines.tracking import Tracker
+    from .tracking import Tracker
 
 # What the name of a run says anyway.
 IN_THE_NAME = ("optimiser", "deployment", "deployment.count", "objective.n", "objective.thold_p", "seed")

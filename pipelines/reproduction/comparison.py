@@ -4,7 +4,8 @@ import numpy as np
 import pandas as pd
 
 from lmd.comparison import MILESTONES
-from pipelines.reproduction.document import Table
+
+from .document import Table
 
 
 def as_text(table: pd.DataFrame) -> Table:

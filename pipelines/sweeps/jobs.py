@@ -84,7 +84,7 @@ class Job:
 
     def tags(self, folder: Path) -> dict[str, str]:
         """The tags of its tracked run that lead to the sweep."""
-        from pipelines.tracking import PARENT_TAG
+        from ..tracking import PARENT_TAG
 
         return {"sweep": self.sweep, "job": folder.name} | ({PARENT_TAG: self.parent} if self.parent else {})
 

@@ -21,8 +21,8 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from pipelines.app import input_errors_reported, instantiate, run_directory, search_path
-from pipelines.sweeps.jobs import (
+from ..app import PACKAGE, config_dir, input_errors_reported, instantiate, run_directory, search_path
+from .jobs import (
     JOB_VARIABLE,
     Job,
     Sweep,
@@ -39,7 +39,7 @@ from pipelines.sweeps.jobs import (
 )
 
 if TYPE_CHECKING:
-    from pipelines.tracking import Tracker
+    from ..tracking import Tracker
 
 THREAD_VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 FIGURES = ("qualified_ratio", "average_coverage_probability", "maximum_coverage_probability")
@@ -136,7 +136,8 @@ def _command(cfg: DictConfig, job: Job, folder: Path, continued: bool) -> list[s
     return [
         sys.executable,
         "-m",
-        f"pipelines.{HydraConfig.get().job.config_name}",
+        f"{PACKAGE}.{HydraConfig.get().job.config_name}",
+        *config_dir(),
         *search_path(),
         *job.overrides,
         *own,
