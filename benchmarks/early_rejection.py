@@ -8,11 +8,11 @@ import time
 
 import numpy as np
 from hydra import compose, initialize_config_dir
-from lmd.pipelines.app import CONF, build_optimiser, build_problem
 from numba import njit
 
 from lmd.optimisers.annealing.walk import _places, walls_of
 from lmd.optimisers.base import Budget
+from lmd.pipelines.app import CONF, build_optimiser, build_problem
 from lmd.sight.incremental.move import move, state_of
 from lmd.sight.incremental.state import fixed_of, scratch_of
 from lmd.sight.incremental.trial import bound_move, finish_move

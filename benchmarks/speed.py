@@ -17,11 +17,11 @@ from pathlib import Path
 
 import numpy as np
 from hydra import compose, initialize_config_dir
-from lmd.pipelines.app import CONF, build_problem
 from numba import njit
 
 from lmd.deployment import RandomDeployment
 from lmd.pdf import grid_with_ends
+from lmd.pipelines.app import CONF, build_problem
 from lmd.scene import Scene
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator, available_threads

@@ -15,7 +15,9 @@ from lmd.validation import validation_metrics
 
 from .app import choices, flat_settings, instantiate, run_directory
 from .outputs import write_outputs
-from .sweeps.jobs import current_job, override_tags, reason_of
+from .sweeps.folder import current_job
+from .sweeps.jobs import reason_of
+from .sweeps.names import override_tags
 
 if TYPE_CHECKING:
     from .tracking import Tracker
@@ -62,7 +64,7 @@ def tracked(cfg: DictConfig, title: str, run_id: str | None = None) -> "Iterator
         folder, job = working_for
         name = " ".join([name, *(f"{key}={value}" for key, value in job.varied.items() if key not in IN_THE_NAME)])
         overrides = job.overrides
-        tags |= job.tags(folder)
+        tags |= job.tags(folder.name)
     tags |= {"pipeline": HydraConfig.get().job.name} | override_tags(overrides)
     tracker.start(name, choices() | flat_settings(cfg), tags, run_id)
     try:
