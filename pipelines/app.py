@@ -1,5 +1,6 @@
 """What the pipelines share: where the configuration is, building objects from it, and reporting bad input."""
 
+import re
 import shutil
 import sys
 from collections.abc import Iterator, Sequence
@@ -34,6 +35,27 @@ def command_of(pipeline: str) -> str:
     return f"python -m pipelines.{pipeline}" if IN_CHECKOUT else f"lmd-{pipeline.replace('_', '-')}"
 
 
+@contextmanager
+def keyed(group: str = "", **keys: str) -> Iterator[None]:
+    """Where an `InputError` begins with an argument, let it begin with the config key that the argument came from.
+
+    Args:
+        group: has the arguments as its keys; none for keys at the top.
+        keys: of arguments that come from elsewhere, by the names of the arguments.
+    """
+    from lmd.checks import InputError
+
+    try:
+        yield
+    except InputError as error:
+        if error.argument is None:
+            raise
+        argument = re.split(r"[^\w]", error.argument)[0]
+        named = argument == group.split(".")[0]  # by what was written to name its keys itself
+        key = keys.get(argument, argument if named or not group else f"{group}.{argument}")
+        raise InputError(key + str(error).removeprefix(argument)) from None
+
+
 def instantiate(node: Any, **extra: Any) -> Any:
     """Build the object a config node describes; the only place that calls Hydra's instantiate.
 
@@ -52,15 +74,20 @@ def instantiate(node: Any, **extra: Any) -> Any:
         while cause is not None and not isinstance(cause, InputError):
             cause = cause.__cause__
         if cause is not None:
-            # Where there are several of a kind, an object does not know which one it is; Hydra does.
-            message, key = str(cause), str(error).partition("full_key: ")[2].strip()
-            known = "." not in key or key in message
-            raise InputError(message if known else f"{message.removesuffix('.')} (in {key}).") from None
+            with keyed(str(error).partition("full_key: ")[2].strip(), **{name: name for name in extra}):
+                raise cause from None
         raise InputError(" ".join(str(error).split())) from error
 
 
 def build_problem(cfg: DictConfig) -> "CoverageProblem":
-    """The problem a composed configuration describes."""
+    """The problem a composed configuration describes.
+
+    Raises:
+        InputError: its parts do not fit together.
+    """
+    import numpy as np
+
+    from lmd.checks import integer
     from lmd.problem import CoverageProblem
     from lmd.scene import Scene
 
@@ -70,17 +97,19 @@ def build_problem(cfg: DictConfig) -> "CoverageProblem":
         pdf=instantiate(cfg.pdf),
         visibility=instantiate(cfg.visibility),
     )
+    threads = None if cfg.threads is None else integer("threads", cfg.threads, low=1)
     objective, start = instantiate(cfg.objective), instantiate(cfg.deployment)
-    if isinstance(start, partial):  # a source that depends on what the landmarks are for
-        start = start(scene=scene, objective=objective, threads=cfg.threads)
-    return CoverageProblem(
-        scene,
-        objective,
-        start,
-        encoding=cfg.encoding.kind,
-        flush=cfg.encoding.flush,
-        threads=cfg.threads,
-    )
+    # What only shows when the parts meet; the problem would refuse it too, but could not tell whose argument it is.
+    with keyed("room.relevance"):
+        scene.room.relevance.weights(scene.room.grid())
+    with keyed("deployment"):
+        if isinstance(start, partial):  # a source that depends on what the landmarks are for
+            start = start(scene=scene, objective=objective, threads=threads)
+        start.draw(scene.room, np.random.default_rng(0))
+    with keyed("objective", encoding="encoding", kind="encoding.kind"):
+        return CoverageProblem(
+            scene, objective, start, encoding=cfg.encoding.kind, flush=cfg.encoding.flush, threads=threads
+        )
 
 
 def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":

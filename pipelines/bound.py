@@ -6,7 +6,7 @@ from typing import Any
 import hydra
 from omegaconf import DictConfig
 
-from .app import CONF, build_problem, run_directory
+from .app import CONF, build_problem, keyed, run_directory
 from .sweeps.supervisor import run
 
 
@@ -24,8 +24,9 @@ def bound(cfg: DictConfig) -> None:
     from .tracked_run import tracked_run
 
     problem = build_problem(cfg)
-    search = Search(cfg.bound.spacing, cfg.bound.iterations, cfg.bound.tolerance)
-    target = None if cfg.bound.target is None else real("bound.target", cfg.bound.target, low=0.0, high=1.0)
+    with keyed("bound"):
+        search = Search(cfg.bound.spacing, cfg.bound.iterations, cfg.bound.tolerance)
+        target = None if cfg.bound.target is None else real("target", cfg.bound.target, low=0.0, high=1.0)
     directory, count = run_directory(), problem.count
     document: dict[str, Any] = {}
     figures: dict[str, float] = {}
@@ -40,7 +41,8 @@ def bound(cfg: DictConfig) -> None:
             _show(label, f"<= {result.walls:.2%} for any {count} landmarks flush on the walls; on the grid of poses "
                   f"<= {result.grid:.2%}, where fractions of landmarks reach {result.fractional:.2%}")  # fmt: skip
         if target is not None:
-            fewest = fewest_landmarks(problem, target, search)
+            with keyed("bound"):
+                fewest = fewest_landmarks(problem, target, search)
             document["target"] = {"fitness": target, "fewest_landmarks": fewest}
             figures["bound/fewest_landmarks"] = fewest
             _show("landmarks", f">= {fewest} for a fitness of {target:.2%}")

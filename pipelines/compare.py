@@ -13,6 +13,7 @@ from .app import (
     build_optimiser,
     build_problem,
     instantiate,
+    keyed,
     recompose,
     run_directory,
     search_path,
@@ -48,7 +49,8 @@ def compare(cfg: DictConfig) -> None:
     from .tracked_run import title_of, tracked_run
 
     problem = build_problem(cfg)
-    budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
+    with keyed("budget"):
+        budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
     seeds = range(integer("seed", cfg.seed, low=0), cfg.seed + integer("seeds", cfg.seeds, low=1))
     workers = available_threads() if cfg.workers is None else integer("workers", cfg.workers, low=1)
     if not isinstance(cfg.optimisers, ListConfig) or not all(str(entry).split() for entry in cfg.optimisers):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import hydra
 from omegaconf import DictConfig
 
-from .app import CONF, choices, flat_settings, instantiate, run_directory
+from .app import CONF, choices, flat_settings, instantiate, keyed, run_directory
 from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
@@ -32,7 +32,9 @@ def estimate(cfg: DictConfig) -> None:
     from .tracked_run import tracked
 
     rng = np.random.default_rng(integer("seed", cfg.seed, low=0))
-    recording = instantiate(cfg.recording).record(rng)
+    source = instantiate(cfg.recording)
+    with keyed("recording"):
+        recording = source.record(rng)
     result = estimate_pdf(
         recording,
         rng,

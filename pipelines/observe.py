@@ -16,6 +16,7 @@ from .app import (
     CONF,
     build_problem,
     instantiate,
+    keyed,
     recompose,
     run_directory,
     search_path,
@@ -55,10 +56,14 @@ def observe(cfg: DictConfig) -> None:
     problems = {name: build_problem(composed) for name, composed in _deployments(cfg).items()}
     problem = next(iter(problems.values()))
     estimators = {name: instantiate(node) for name, node in (cfg.get("estimator") or {}).items()}
-    flights = Flights.draw(problem, instantiate(cfg.trajectory), instantiate(cfg.start), seeds)
+    trajectory, start = instantiate(cfg.trajectory), instantiate(cfg.start)
+    with keyed("trajectory"):
+        flights = Flights.draw(problem, trajectory, start, seeds)
     directory, n = run_directory(), problem.objective.n
     with tracked_run(cfg, problem, "observe") as tracker:
-        study = conduct(problems, flights, instantiate(cfg.detector), estimators, cfg.all_visible)
+        detector = instantiate(cfg.detector)
+        with keyed(estimators="estimator"):
+            study = conduct(problems, flights, detector, estimators, cfg.all_visible)
         figures, curves = study.figures(), study.curves()
         markdown = to_markdown(figures, n)
         figures.to_csv(directory / "figures.csv", index=False)

@@ -16,6 +16,7 @@ from .app import (
     command_of,
     config_dir,
     flat_settings,
+    keyed,
     run_directory,
     search_path,
 )
@@ -47,7 +48,8 @@ def optimise(cfg: DictConfig) -> float:
     from .tracked_run import record, tracked_run
 
     problem = build_problem(cfg)
-    budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
+    with keyed("budget"):
+        budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
     real("checkpoint_seconds", cfg.checkpoint_seconds, above=0.0)
     settings = flat_settings(cfg, *SAME_WHEN_RESUMED)
     if cfg.resume is None:
