@@ -13,11 +13,11 @@ from numba import njit
 from lmd.objectives.coverage_field import coverage_field
 from lmd.optimisers.annealing.walk import _places, walls_of
 from lmd.optimisers.base import Budget
+from lmd.pipelines.app import CONF, build_optimiser, build_problem
 from lmd.sight.incremental.move import move, state_of
 from lmd.sight.incremental.state import scratch_of
 from lmd.sight.incremental.trial import bound_move, finish_move
 from lmd.sight.kernels import PROBABILITY_ONE
-from pipelines.app import CONF, build_optimiser, build_problem
 
 EVALUATIONS = 3000
 MOVES = 2000

@@ -22,6 +22,7 @@ from numba import njit
 from lmd.deployment import RandomDeployment
 from lmd.objectives.coverage_field import coverage_field
 from lmd.pdf import grid_with_ends
+from lmd.pipelines.app import CONF, build_problem
 from lmd.scene import Scene
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator, available_threads
@@ -30,7 +31,6 @@ from lmd.sight.incremental.state import scratch_of
 from lmd.sight.incremental.trial import bound_move, finish_move
 from lmd.sight.kernels import BLOCK, cap_of
 from lmd.sight.poses import candidate_poses, gains
-from pipelines.app import CONF, build_problem
 
 COUNT, N = 90, 2  # of the paper: landmarks, and how many must be seen
 DEPLOYMENTS = 20
@@ -101,7 +101,7 @@ def all_gains(scene: Scene, threads: int) -> tuple[int, float]:
 def whole_pipeline() -> float:
     """Seconds of the paper's EGA with its 12,000 evaluations from the command line, tracking and pictures included."""
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "pipelines.optimise", "optimiser=ega", f"hydra.run.dir={folder}/run"]
+        command = [sys.executable, "-m", "lmd.pipelines.optimise", "optimiser=ega", f"hydra.run.dir={folder}/run"]
         command.append(f"tracking.uri=sqlite:///{folder}/mlflow.db")
         began = time.perf_counter()
         subprocess.run(command, check=True, capture_output=True)

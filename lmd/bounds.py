@@ -77,9 +77,9 @@ class Search:
     tolerance: float = 1e-3
 
     def __post_init__(self) -> None:
-        real("bound.spacing", self.spacing, above=0.0)
-        integer("bound.iterations", self.iterations, low=1)
-        real("bound.tolerance", self.tolerance, above=0.0)
+        real("spacing", self.spacing, above=0.0)
+        integer("iterations", self.iterations, low=1)
+        real("tolerance", self.tolerance, above=0.0)
 
 
 @dataclass(frozen=True)
@@ -171,12 +171,12 @@ def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
     Raises:
         InputError: not even `MOST_LANDMARKS` reach it.
     """
-    real("bound.target", target, low=0.0, high=1.0)
+    real("target", target, low=0.0, high=1.0)
     count = _coverage_of(problem).n
     while (bound := qualified_upper_bound(problem, count, search)).walls < target - TOLERANCE:
         count = math.ceil((target - bound.dual.constant) / bound.gain - TOLERANCE)
         if count > MOST_LANDMARKS:
-            raise InputError(f"bound.target = {target:g} is out of reach of {MOST_LANDMARKS} landmarks.")
+            raise InputError(f"target = {target:g} is out of reach of {MOST_LANDMARKS} landmarks.", "target")
     return count
 
 

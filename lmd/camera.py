@@ -46,18 +46,20 @@ class Camera:
 
     def __post_init__(self) -> None:
         for name in ("focal_length", "pixel_width", "pixel_height", "image_width", "image_height", "aperture"):
-            object.__setattr__(self, name, real(f"camera.{name}", getattr(self, name), above=0.0))
-        focus = real("camera.focus_distance", self.focus_distance, above=0.0, infinite=True)
+            object.__setattr__(self, name, real(name, getattr(self, name), above=0.0))
+        focus = real("focus_distance", self.focus_distance, above=0.0, infinite=True)
         if focus <= self.focal_length:
             raise InputError(
-                f"camera.focus_distance must exceed camera.focal_length = {self.focal_length:g} mm, got {focus:g}."
+                f"focus_distance must exceed the focal length of {self.focal_length:g} mm, got {focus:g}.",
+                "focus_distance",
             )
         object.__setattr__(self, "focus_distance", focus)
-        u, v = vector("camera.principal_point", self.principal_point, 2)
+        u, v = vector("principal_point", self.principal_point, 2)
         if not (0.0 < u < self.image_width and 0.0 < v < self.image_height):
             raise InputError(
-                f"camera.principal_point must lie inside the {self.image_width:g} x {self.image_height:g} image, "
-                f"got [{u:g}, {v:g}]."
+                f"principal_point must lie inside the {self.image_width:g} x {self.image_height:g} image, "
+                f"got [{u:g}, {v:g}].",
+                "principal_point",
             )
         object.__setattr__(self, "principal_point", (u, v))
 

@@ -24,6 +24,12 @@ class InputError(ValueError):
         super().__init__(message)
         self.argument = argument
 
+    def within(self, whole: str) -> "InputError":
+        """The same about an argument of `whole`, an argument itself; unchanged where it names none."""
+        if self.argument is None:
+            return self
+        return InputError(f"{whole}.{self}", f"{whole}.{self.argument}")
+
 
 def real(
     name: str,
@@ -42,18 +48,18 @@ def real(
         InputError: `value` is not a number, is NaN, or is out of range.
     """
     if isinstance(value, bool) or not isinstance(value, int | float | np.floating | np.integer):
-        raise InputError(f"{name} must be a number, got {value!r}.")
+        raise InputError(f"{name} must be a number, got {value!r}.", name)
     number = float(value)
     if math.isnan(number) or (math.isinf(number) and not infinite):
-        raise InputError(f"{name} must be finite, got {value!r}.")
+        raise InputError(f"{name} must be finite, got {value!r}.", name)
     if above is not None and not number > above:
-        raise InputError(f"{name} must be greater than {above:g}, got {value!r}.")
+        raise InputError(f"{name} must be greater than {above:g}, got {value!r}.", name)
     if low is not None and high is not None and not low <= number <= high:
-        raise InputError(f"{name} must be in [{low:g}, {high:g}], got {value!r}.")
+        raise InputError(f"{name} must be in [{low:g}, {high:g}], got {value!r}.", name)
     if low is not None and number < low:
-        raise InputError(f"{name} must be at least {low:g}, got {value!r}.")
+        raise InputError(f"{name} must be at least {low:g}, got {value!r}.", name)
     if high is not None and number > high:
-        raise InputError(f"{name} must be at most {high:g}, got {value!r}.")
+        raise InputError(f"{name} must be at most {high:g}, got {value!r}.", name)
     return number
 
 
@@ -64,7 +70,7 @@ def integer(name: str, value: Any, *, low: int, high: int | None = None) -> int:
         InputError: `value` is not a whole number or is out of range.
     """
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
-        raise InputError(f"{name} must be a whole number, got {value!r}.")
+        raise InputError(f"{name} must be a whole number, got {value!r}.", name)
     return int(real(name, value, low=low, high=high))
 
 
@@ -75,7 +81,7 @@ def choice(name: str, value: Any, options: Sequence[str]) -> str:
         InputError: it is not.
     """
     if value not in options:
-        raise InputError(f"{name} must be one of {', '.join(options)}, got {value!r}.")
+        raise InputError(f"{name} must be one of {', '.join(options)}, got {value!r}.", name)
     return str(value)
 
 
@@ -86,8 +92,8 @@ def vector(name: str, value: Any, size: int, **bounds: Any) -> tuple[float, ...]
         InputError: wrong length, or an entry is not an admissible number.
     """
     if isinstance(value, str) or not isinstance(value, Iterable):
-        raise InputError(f"{name} must be a list of {size} numbers, got {value!r}.")
+        raise InputError(f"{name} must be a list of {size} numbers, got {value!r}.", name)
     entries = list(value)
     if len(entries) != size:
-        raise InputError(f"{name} must be a list of {size} numbers, got {entries!r}.")
+        raise InputError(f"{name} must be a list of {size} numbers, got {entries!r}.", name)
     return tuple(real(f"{name}[{i}]", entry, **bounds) for i, entry in enumerate(entries))

@@ -115,7 +115,7 @@ class OrientationPdf:
 
 
 def _divisions(value: int) -> int:
-    return integer("pdf.divisions", value, low=1)
+    return integer("divisions", value, low=1)
 
 
 def _product(
@@ -194,7 +194,7 @@ def level_flight(divisions: int = 12, pitch: float = 0.0) -> OrientationPdf:
         pitch: radians.
     """
     n = _divisions(divisions)
-    fixed = real("pdf.pitch", pitch, low=-np.pi / 2, high=np.pi / 2)
+    fixed = real("pitch", pitch, low=-np.pi / 2, high=np.pi / 2)
     weight, refine = np.array([1.0 / (2 * n)]), partial(level_flight, 2 * n, fixed)
     return _product(_open_yaws(n), np.array([fixed]), weight, "pdf yaw", refine, partial(_uniform_yaw, pitch=fixed))
 
@@ -206,6 +206,6 @@ def from_csv(path: str | None) -> OrientationPdf:
         InputError: no path, an unreadable file, or weights that are no probabilities.
     """
     if path is None:
-        raise InputError("pdf.path is missing: pdf=samples needs a CSV with the columns yaw,pitch,weight.")
-    yaw, pitch, weight = read_numbers(path, ("yaw", "pitch", "weight"), name="pdf.path").T
+        raise InputError("path is missing: a CSV with the columns yaw,pitch,weight is needed.", "path")
+    yaw, pitch, weight = read_numbers(path, ("yaw", "pitch", "weight"), name="path").T
     return OrientationPdf(yaw, pitch, weight, str(path))

@@ -16,7 +16,7 @@ def read_numbers(path: str | Path, columns: Sequence[str], *, name: str, optiona
     Args:
         path: the file.
         columns: columns that must be there.
-        name: the setting the path came from, for messages.
+        name: the argument the path came from, for messages.
         optional: columns that may be there and are ignored.
 
     Returns:
@@ -31,9 +31,9 @@ def read_numbers(path: str | Path, columns: Sequence[str], *, name: str, optiona
             warnings.simplefilter("error", pd.errors.ParserWarning)
             frame = pd.read_csv(path, dtype=str, skipinitialspace=True, keep_default_na=False, index_col=False)
     except FileNotFoundError:
-        raise InputError(f"{name}: there is no file {str(path)!r}.") from None
+        raise InputError(f"{name}: there is no file {str(path)!r}.", name) from None
     except (OSError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.ParserWarning) as error:
-        raise InputError(f"{name}: {str(path)!r} cannot be read as CSV ({str(error).strip()}).") from None
+        raise InputError(f"{name}: {str(path)!r} cannot be read as CSV ({str(error).strip()}).", name) from None
     except pd.errors.EmptyDataError:
         raise InputError(f"{path} is empty; expected the columns {','.join(columns)}.") from None
     frame.columns = [str(column).strip() for column in frame.columns]

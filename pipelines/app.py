@@ -1,5 +1,6 @@
 """What the pipelines share: where the configuration is, building objects from it, and reporting bad input."""
 
+import re
 import shutil
 import sys
 from collections.abc import Iterator, Sequence
@@ -16,7 +17,43 @@ if TYPE_CHECKING:
     from lmd.optimisers.base import Optimiser
     from lmd.problem import Problem
 
-CONF = str(Path(__file__).resolve().parents[1] / "conf")
+PACKAGE = str(__package__)  # `pipelines` in a checkout, `lmd.pipelines` where lmd is installed
+IN_CHECKOUT = PACKAGE == "pipelines"
+CONF = str(Path(__file__).resolve().parents[1] / "conf")  # beside this package in both
+
+
+def lmd_package() -> str:
+    """The name of this package, for the configuration."""
+    return PACKAGE
+
+
+OmegaConf.register_new_resolver("lmd.package", lmd_package, replace=True)
+
+
+def command_of(pipeline: str) -> str:
+    """What starts a pipeline from where this one was started, for messages."""
+    return f"python -m pipelines.{pipeline}" if IN_CHECKOUT else f"lmd-{pipeline.replace('_', '-')}"
+
+
+@contextmanager
+def keyed(group: str = "", **keys: str) -> Iterator[None]:
+    """Where an `InputError` begins with an argument, let it begin with the config key that the argument came from.
+
+    Args:
+        group: has the arguments as its keys; none for keys at the top.
+        keys: of arguments that come from elsewhere, by the names of the arguments.
+    """
+    from lmd.checks import InputError
+
+    try:
+        yield
+    except InputError as error:
+        if error.argument is None:
+            raise
+        argument = re.split(r"[^\w]", error.argument)[0]
+        named = argument == group.split(".")[0]  # by what was written to name its keys itself
+        key = keys.get(argument, argument if named or not group else f"{group}.{argument}")
+        raise InputError(key + str(error).removeprefix(argument)) from None
 
 
 def instantiate(node: Any, **extra: Any) -> Any:
@@ -37,15 +74,21 @@ def instantiate(node: Any, **extra: Any) -> Any:
         while cause is not None and not isinstance(cause, InputError):
             cause = cause.__cause__
         if cause is not None:
-            # Where there are several of a kind, an object does not know which one it is; Hydra does.
-            message, key = str(cause), str(error).partition("full_key: ")[2].strip()
-            known = "." not in key or key in message
-            raise InputError(message if known else f"{message.removesuffix('.')} (in {key}).") from None
+            with keyed(str(error).partition("full_key: ")[2].strip(), **{name: name for name in extra}):
+                raise cause from None
         raise InputError(" ".join(str(error).split())) from error
 
 
 def build_problem(cfg: DictConfig) -> "Problem":
-    """The problem a composed configuration describes."""
+    """The problem a composed configuration describes.
+
+    Raises:
+        InputError: its parts do not fit together.
+    """
+    import numpy as np
+
+    from lmd.checks import choice, integer
+    from lmd.optimisers.encoding import KINDS
     from lmd.problem import Problem
     from lmd.scene import Scene
 
@@ -55,10 +98,18 @@ def build_problem(cfg: DictConfig) -> "Problem":
         pdf=instantiate(cfg.pdf),
         visibility=instantiate(cfg.visibility),
     )
+    threads = None if cfg.threads is None else integer("threads", cfg.threads, low=1)
+    choice("encoding.kind", cfg.encoding.kind, KINDS)
     objective, start = instantiate(cfg.objective), instantiate(cfg.deployment)
-    if isinstance(start, partial):  # a source that depends on what the landmarks are for
-        start = start(scene=scene, objective=objective, threads=cfg.threads)
-    return Problem(scene, objective, start, cfg.threads)
+    # What only shows when the parts meet; the problem would refuse it too, but could not tell whose argument it is.
+    with keyed("room.relevance"):
+        scene.room.relevance.weights(scene.room.grid())
+    with keyed("deployment"):
+        if isinstance(start, partial):  # a source that depends on what the landmarks are for
+            start = start(scene=scene, objective=objective, threads=threads)
+        start.draw(scene.room, np.random.default_rng(0))
+    with keyed("objective"):
+        return Problem(scene, objective, start, threads)
 
 
 def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":
@@ -84,6 +135,12 @@ def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":
 def search_path() -> list[str]:
     """The overrides that add folders of configuration, which others depend on."""
     return [o for o in HydraConfig.get().overrides.hydra if o.startswith("hydra.searchpath=")]
+
+
+def config_dir() -> list[str]:
+    """The option `--config-dir` this application was started with, none for none; another process needs it too."""
+    sources = HydraConfig.get().runtime.config_sources
+    return [word for source in sources if source.provider == "command-line" for word in ("--config-dir", source.path)]
 
 
 def task_overrides() -> list[tuple[str, str]]:

@@ -6,8 +6,8 @@ from typing import Any
 import hydra
 from omegaconf import DictConfig
 
-from pipelines.app import CONF, build_problem, run_directory
-from pipelines.sweeps.supervisor import run
+from .app import CONF, build_problem, keyed, run_directory
+from .sweeps.supervisor import run
 
 
 @hydra.main(version_base="1.3", config_path=CONF, config_name="bound")
@@ -20,11 +20,13 @@ def bound(cfg: DictConfig) -> None:
     """Bound what the configured problem admits."""
     from lmd.bounds import Search, average_upper_bound, fewest_landmarks, qualified_upper_bound
     from lmd.checks import real
-    from pipelines.tracked_run import tracked_run
+
+    from .tracked_run import tracked_run
 
     problem = build_problem(cfg)
-    search = Search(cfg.bound.spacing, cfg.bound.iterations, cfg.bound.tolerance)
-    target = None if cfg.bound.target is None else real("bound.target", cfg.bound.target, low=0.0, high=1.0)
+    with keyed("bound"):
+        search = Search(cfg.bound.spacing, cfg.bound.iterations, cfg.bound.tolerance)
+        target = None if cfg.bound.target is None else real("target", cfg.bound.target, low=0.0, high=1.0)
     directory, count = run_directory(), problem.count
     document: dict[str, Any] = {}
     figures: dict[str, float] = {}
@@ -39,7 +41,8 @@ def bound(cfg: DictConfig) -> None:
             _show(label, f"<= {result.walls:.2%} for any {count} landmarks flush on the walls; on the grid of poses "
                   f"<= {result.grid:.2%}, where fractions of landmarks reach {result.fractional:.2%}")  # fmt: skip
         if target is not None:
-            fewest = fewest_landmarks(problem, target, search)
+            with keyed("bound"):
+                fewest = fewest_landmarks(problem, target, search)
             document["target"] = {"fitness": target, "fewest_landmarks": fewest}
             figures["bound/fewest_landmarks"] = fewest
             _show("landmarks", f">= {fewest} for a fitness of {target:.2%}")

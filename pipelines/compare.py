@@ -8,22 +8,24 @@ from typing import TYPE_CHECKING
 import hydra
 from omegaconf import DictConfig, ListConfig
 
-from pipelines.app import (
+from .app import (
     CONF,
     build_optimiser,
     build_problem,
     instantiate,
+    keyed,
     recompose,
     run_directory,
     search_path,
     task_overrides,
 )
-from pipelines.sweeps.supervisor import run
+from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
     from lmd.comparison import OptimiserRun
     from lmd.optimisers.base import Budget
-    from pipelines.tracking import Tracker
+
+    from .tracking import Tracker
 
 # Settings of the comparison itself; every other override is passed on to its runs.
 OWN_KEYS = ("optimisers", "seeds", "workers", "save_as", "budget", "seed", "tracking")
@@ -42,11 +44,13 @@ def compare(cfg: DictConfig) -> None:
     from lmd.optimisers.base import Budget
     from lmd.plot.comparison import save_comparison_figure
     from lmd.sight.evaluator import available_threads
-    from pipelines.reproduction.comparison import to_markdown
-    from pipelines.tracked_run import title_of, tracked_run
+
+    from .reproduction.comparison import to_markdown
+    from .tracked_run import title_of, tracked_run
 
     problem = build_problem(cfg)
-    budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
+    with keyed("budget"):
+        budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
     seeds = range(integer("seed", cfg.seed, low=0), cfg.seed + integer("seeds", cfg.seeds, low=1))
     workers = available_threads() if cfg.workers is None else integer("workers", cfg.workers, low=1)
     if not isinstance(cfg.optimisers, ListConfig) or not all(str(entry).split() for entry in cfg.optimisers):
@@ -112,8 +116,8 @@ def _runs(jobs: "Sequence[tuple[str, DictConfig, int, Budget]]", workers: int) -
 
 def _log_child(cfg: DictConfig, run: "OptimiserRun", parent: str | None, directory: Path) -> None:
     """Record one run below the comparison's own, its landmarks in a folder of its own in `directory`."""
-    from pipelines.progress import thinned
-    from pipelines.tracking import PARENT_TAG
+    from .progress import thinned
+    from .tracking import PARENT_TAG
 
     tracker: Tracker = instantiate(cfg.tracking)
     tags = {"choice.optimiser": run.optimiser.split()[0]}

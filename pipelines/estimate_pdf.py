@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import hydra
 from omegaconf import DictConfig
 
-from pipelines.app import CONF, choices, flat_settings, instantiate, run_directory
-from pipelines.sweeps.supervisor import run
+from .app import CONF, choices, flat_settings, instantiate, keyed, run_directory
+from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
     from lmd.orientation.estimate import Marginal, PdfEstimate
@@ -27,11 +27,14 @@ def estimate(cfg: DictConfig) -> None:
     from lmd.checks import integer
     from lmd.orientation.estimate import estimate_pdf
     from lmd.plot.orientation import save_orientation_figure
-    from pipelines.outputs import all_or_none
-    from pipelines.tracked_run import tracked
+
+    from .outputs import all_or_none
+    from .tracked_run import tracked
 
     rng = np.random.default_rng(integer("seed", cfg.seed, low=0))
-    recording = instantiate(cfg.recording).record(rng)
+    source = instantiate(cfg.recording)
+    with keyed("recording"):
+        recording = source.record(rng)
     result = estimate_pdf(
         recording,
         rng,

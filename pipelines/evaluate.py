@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING
 import hydra
 from omegaconf import DictConfig
 
-from pipelines.app import CONF, build_problem, choices, run_directory
-from pipelines.sweeps.supervisor import run
+from .app import CONF, build_problem, choices, run_directory
+from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
     from lmd.deployment import Deployment
     from lmd.problem import Problem
-    from pipelines.tracking import Tracker
+
+    from .tracking import Tracker
 
 
 @hydra.main(version_base="1.3", config_path=CONF, config_name="evaluate")
@@ -27,7 +28,8 @@ def evaluate(cfg: DictConfig) -> float:
 
     from lmd.checks import integer
     from lmd.optimisers.base import Record
-    from pipelines.tracked_run import record, tracked_run
+
+    from .tracked_run import record, tracked_run
 
     began = time.perf_counter()
     problem = build_problem(cfg)
@@ -44,7 +46,8 @@ def localise(problem: "Problem", deployment: "Deployment", tracker: "Tracker") -
     """Write and log the map of the bound on the pose of a single frame; returns its figures."""
     from lmd.localisation.cramer_rao import bound_map
     from lmd.plot.localisation import save_bound_map
-    from pipelines.tracked_run import title_of
+
+    from .tracked_run import title_of
 
     bounds = bound_map(problem.scene, problem.evaluator, deployment)
     table, picture = (run_directory() / f"localisation.{kind}" for kind in ("csv", "png"))

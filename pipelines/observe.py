@@ -12,21 +12,22 @@ from typing import TYPE_CHECKING
 import hydra
 from omegaconf import DictConfig, OmegaConf
 
-from pipelines.app import (
+from .app import (
     CONF,
     build_problem,
     instantiate,
+    keyed,
     recompose,
     run_directory,
     search_path,
     task_overrides,
 )
-from pipelines.sweeps.supervisor import run
+from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from pipelines.tracking import Tracker
+    from .tracking import Tracker
 
 NAME = re.compile(r"[\w.-]+")  # what mlflow takes in the name of a metric
 
@@ -48,16 +49,21 @@ def observe(cfg: DictConfig) -> None:
     from lmd.checks import integer
     from lmd.localisation.study import Flights, conduct, to_markdown
     from lmd.plot.localisation import save_error_figure
-    from pipelines.tracked_run import title_of, tracked_run
+
+    from .tracked_run import title_of, tracked_run
 
     seeds = range(integer("seed", cfg.seed, low=0), cfg.seed + integer("seeds", cfg.seeds, low=1))
     problems = {name: build_problem(composed) for name, composed in _deployments(cfg).items()}
     problem = next(iter(problems.values()))
     estimators = {name: instantiate(node) for name, node in (cfg.get("estimator") or {}).items()}
-    flights = Flights.draw(problem, instantiate(cfg.trajectory), instantiate(cfg.start), seeds)
+    trajectory, start = instantiate(cfg.trajectory), instantiate(cfg.start)
+    with keyed("trajectory"):
+        flights = Flights.draw(problem, trajectory, start, seeds)
     directory, n = run_directory(), problem.objective.n
     with tracked_run(cfg, problem, "observe") as tracker:
-        study = conduct(problems, flights, instantiate(cfg.detector), estimators, cfg.all_visible)
+        detector = instantiate(cfg.detector)
+        with keyed(estimators="estimator"):
+            study = conduct(problems, flights, detector, estimators, cfg.all_visible)
         figures, curves = study.figures(), study.curves()
         markdown = to_markdown(figures, n)
         figures.to_csv(directory / "figures.csv", index=False)

@@ -8,22 +8,26 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from pipelines.app import (
+from .app import (
     CONF,
     build_optimiser,
     build_problem,
     choices,
+    command_of,
+    config_dir,
     flat_settings,
+    keyed,
     run_directory,
     search_path,
 )
-from pipelines.sweeps.supervisor import run
+from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
     from lmd.checkpoint import Checkpoint
     from lmd.optimisers.base import Budget, Result
     from lmd.problem import Problem
-    from pipelines.tracking import Tracker
+
+    from .tracking import Tracker
 
 # What a resumed run must share with the run it continues.
 SAME_WHEN_RESUMED = ("room", "camera", "pdf", "visibility", "objective", "encoding", "deployment", "optimiser", "seed")
@@ -40,10 +44,12 @@ def optimise(cfg: DictConfig) -> float:
     from lmd.checkpoint import Checkpoint
     from lmd.checks import real
     from lmd.optimisers.base import Budget
-    from pipelines.tracked_run import record, tracked_run
+
+    from .tracked_run import record, tracked_run
 
     problem = build_problem(cfg)
-    budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
+    with keyed("budget"):
+        budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
     real("checkpoint_seconds", cfg.checkpoint_seconds, above=0.0)
     settings = flat_settings(cfg, *SAME_WHEN_RESUMED)
     if cfg.resume is None:
@@ -67,8 +73,8 @@ def optimise(cfg: DictConfig) -> float:
         )
     if interrupted:
         overrides = [o for o in HydraConfig.get().overrides.task if not o.startswith("resume=")]
-        again = shlex.join([*search_path(), *overrides, f"resume={run_directory()}"])
-        print(f"interrupted; go on with: python -m pipelines.optimise {again}", file=sys.stderr)
+        again = shlex.join([*config_dir(), *search_path(), *overrides, f"resume={run_directory()}"])
+        print(f"interrupted; go on with: {command_of('optimise')} {again}", file=sys.stderr)
         sys.exit(130)
     return fitness
 
@@ -76,7 +82,7 @@ def optimise(cfg: DictConfig) -> float:
 def _run(
     cfg: DictConfig, problem: "Problem", budget: "Budget", checkpoint: "Checkpoint", tracker: "Tracker"
 ) -> "Result":
-    from pipelines.progress import Progress, StopOnSignal
+    from .progress import Progress, StopOnSignal
 
     directory = run_directory()
     with StopOnSignal() as stop:

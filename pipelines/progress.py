@@ -10,7 +10,8 @@ from typing import Any
 from tqdm import tqdm
 
 from lmd.optimisers.base import Budget, Optimiser, Record
-from pipelines.tracking import Tracker
+
+from .tracking import Tracker
 
 CURVE_POINTS = 500  # points of a whole run kept in the tracked curve
 

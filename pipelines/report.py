@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING
 import hydra
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from pipelines.app import CONF, build_problem, input_errors_reported, run_directory
+from .app import CONF, build_problem, input_errors_reported, run_directory
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from lmd.deployment import Deployment
     from lmd.problem import Problem
-    from pipelines.tracking import MlflowReader
+
+    from .tracking import MlflowReader
 
 TITLE = "The paper's tables and figures, reproduced"
 MARK = "<!-- What follows is written by python -m pipelines.report and overwritten by it. -->"
@@ -31,9 +32,10 @@ def main(cfg: DictConfig) -> None:
 def report(cfg: DictConfig) -> None:
     """Write report.html, report.md and its pictures to the run directory."""
     from lmd.checks import InputError
-    from pipelines.reproduction.document import to_html, to_markdown
-    from pipelines.reproduction.sections import Source, sections
-    from pipelines.tracking import MlflowReader
+
+    from .reproduction.document import to_html, to_markdown
+    from .reproduction.sections import Source, sections
+    from .tracking import MlflowReader
 
     if "uri" not in cfg.tracking:
         raise InputError("A report reads what was tracked: it needs tracking=mlflow.")
@@ -84,7 +86,8 @@ def _chosen(runs: "pd.DataFrame", sweeps: ListConfig | None) -> "pd.DataFrame":
         InputError: a sweep has no runs.
     """
     from lmd.checks import InputError
-    from pipelines.tracking import PARENT_TAG
+
+    from .tracking import PARENT_TAG
 
     if sweeps is None:
         return runs

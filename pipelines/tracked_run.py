@@ -12,12 +12,15 @@ from lmd.deployment import Deployment
 from lmd.optimisers.base import Record
 from lmd.problem import Problem
 from lmd.validation import validation_metrics
-from pipelines.app import choices, flat_settings, instantiate, run_directory
-from pipelines.outputs import write_outputs
-from pipelines.sweeps.jobs import current_job, override_tags, reason_of
+
+from .app import choices, flat_settings, instantiate, run_directory
+from .outputs import write_outputs
+from .sweeps.folder import current_job
+from .sweeps.jobs import reason_of
+from .sweeps.names import override_tags
 
 if TYPE_CHECKING:
-    from pipelines.tracking import Tracker
+    from .tracking import Tracker
 
 # What the name of a run says anyway.
 IN_THE_NAME = ("optimiser", "deployment", "deployment.count", "objective.n", "objective.thold_p", "seed")
@@ -59,7 +62,7 @@ def tracked(cfg: DictConfig, title: str, run_id: str | None = None) -> "Iterator
         folder, job = working_for
         name = " ".join([name, *(f"{key}={value}" for key, value in job.varied.items() if key not in IN_THE_NAME)])
         overrides = job.overrides
-        tags |= job.tags(folder)
+        tags |= job.tags(folder.name)
     tags |= {"pipeline": HydraConfig.get().job.name} | override_tags(overrides)
     tracker.start(name, choices() | flat_settings(cfg), tags, run_id)
     try:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from lmd.checks import InputError
 
+from .app import IN_CHECKOUT
+
 if TYPE_CHECKING:
     import pandas as pd
     from mlflow import MlflowClient
@@ -246,7 +248,8 @@ class MlflowTracker:
 
     def describe(self) -> str:
         """See `Tracker.describe`."""
-        return f"run {self._run_id} in {self.uri}" + (" (make ui)" if self.uri.startswith("sqlite:") else "")
+        shown_by = "make ui" if IN_CHECKOUT else f"mlflow ui --backend-store-uri {self.uri}"
+        return f"run {self._run_id} in {self.uri}" + (f" ({shown_by})" if self.uri.startswith("sqlite:") else "")
 
     @property
     def _id(self) -> str:

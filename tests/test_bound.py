@@ -205,7 +205,7 @@ def test_the_fewest_landmarks_are_where_the_bound_reaches_the_target():
 
 def test_a_target_out_of_reach_is_refused():
     problem = small_problem(n=1, thold_p=1.0, thold=5.0)
-    with pytest.raises(InputError, match=r"bound\.target = 1 is out of reach of 10000 landmarks\."):
+    with pytest.raises(InputError, match=r"^target = 1 is out of reach of 10000 landmarks\."):
         fewest_landmarks(problem, 1.0, COARSE)
 
 
@@ -224,11 +224,11 @@ def test_the_result_does_not_depend_on_threads():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"spacing": 0.0}, "bound.spacing must be greater than 0, got 0.0"),
-        ({"spacing": math.nan}, "bound.spacing must be finite, got nan"),
-        ({"iterations": 0}, "bound.iterations must be at least 1, got 0"),
-        ({"iterations": 1.5}, "bound.iterations must be a whole number, got 1.5"),
-        ({"tolerance": -1}, "bound.tolerance must be greater than 0, got -1"),
+        ({"spacing": 0.0}, r"^spacing must be greater than 0, got 0.0"),
+        ({"spacing": math.nan}, r"^spacing must be finite, got nan"),
+        ({"iterations": 0}, r"^iterations must be at least 1, got 0"),
+        ({"iterations": 1.5}, r"^iterations must be a whole number, got 1.5"),
+        ({"tolerance": -1}, r"^tolerance must be greater than 0, got -1"),
     ],
 )
 def test_a_bad_search_is_refused(changes, message):

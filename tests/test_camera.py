@@ -121,13 +121,13 @@ POSITIVE = [name for name in PAPER_CAMERA if name not in ("principal_point", "fo
 @pytest.mark.parametrize("name", POSITIVE)
 @pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf, "5", None, True])
 def test_a_camera_length_must_be_a_positive_number(name, value):
-    with pytest.raises(InputError, match=rf"^camera\.{name} .*{value!r}\.$"):
+    with pytest.raises(InputError, match=rf"^{name} .*{value!r}\.$"):
         paper_camera(**{name: value})
 
 
 @pytest.mark.parametrize("value", [5.0, 4.0, 0.0, -1.0, math.nan, -math.inf, "far"])
 def test_focus_must_lie_beyond_the_focal_length(value):
-    with pytest.raises(InputError, match=r"camera\.focus_distance .*got"):
+    with pytest.raises(InputError, match=r"^focus_distance .*got"):
         paper_camera(focus_distance=value)
 
 
@@ -135,7 +135,7 @@ def test_focus_must_lie_beyond_the_focal_length(value):
     "value", [(0, 600), (1600, 600), (800, 0), (800, 1200), (-1, 600), (math.nan, 600), (800,), (1, 2, 3), "ab", 800]
 )
 def test_principal_point_must_lie_inside_the_image(value):
-    with pytest.raises(InputError, match=r"camera\.principal_point.*got"):
+    with pytest.raises(InputError, match=r"^principal_point.*got"):
         paper_camera(principal_point=value)
 
 

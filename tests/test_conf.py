@@ -1,3 +1,4 @@
+import re
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,8 @@ from hydra.types import RunMode
 
 from lmd.camera import Camera
 from lmd.checks import InputError
-from pipelines.app import CONF, build_problem, flat_settings, instantiate
+from lmd.optimisers.encoding import make_encoding
+from pipelines.app import CONF, build_optimiser, build_problem, flat_settings, instantiate, keyed
 
 ONLY_OBSERVE = ("trajectory", "detector", "estimator")
 OTHER_GROUPS = {"experiment", "recording", *ONLY_OBSERVE}  # tested below, and in test_estimate_pdf_pipeline.py
@@ -73,18 +75,68 @@ def test_every_job_of_a_stored_sweep_differs_and_builds(experiment):
                 build_problem(cfg)
 
 
+# Overrides of `observe`, which composes most groups, and how the refusal begins.
+REFUSED = {
+    "camera.focal_length=-2": "camera.focal_length must be greater than 0, got -2.",
+    "room.relevance.background=-1": "room.relevance.background must be at least 0, got -1.",
+    "room.relevance.path=none.csv": "room.relevance.path: there is no file 'none.csv'.",
+    "room.relevance.background=0": "room.relevance.background gives every position the weight 0.",
+    "room.relevance.regions=[{low: [0, 0], high: [1, 1, 1], weight: 1}]": "room.relevance.regions[0].low must be a",
+    "pdf.divisions=0": "pdf.divisions must be at least 1, got 0.",
+    "objective.sampling.positions=0": "objective.sampling.positions must be at least 1, got 0.",
+    "objective.n=91": "objective.n = 91 exceeds the number of landmarks, 90.",
+    "deployment.count=0": "deployment.count must be at least 1, got 0.",
+    "threads=0": "threads must be at least 1, got 0.",
+    "encoding.kind=tree": "encoding.kind must be one of",
+}
+PARTS = {
+    "trajectory.pace.speed=0": "trajectory.pace.speed must be greater than 0, got 0.",
+    "estimator.iekf.turn_noise=0": "estimator.iekf.turn_noise must be greater than 0, got 0.",
+    "start.position=-1": "start.position must be at least 0, got -1.",
+    "detector.missed=2": "detector.missed must be in [0, 1], got 2.",
+}
+
+
+@pytest.mark.parametrize("override", REFUSED)
+def test_a_problem_that_is_refused_names_the_whole_key(override):
+    with pytest.raises(InputError, match="^" + re.escape(REFUSED[override])):
+        build_problem(composed("optimise", "objective=robust", "deployment=uniform", override))
+
+
+@pytest.mark.parametrize("override", PARTS)
+def test_a_part_that_is_refused_names_the_whole_key(override):
+    cfg = composed("observe", "estimator=[iekf]", override)
+    group, name = override.split(".")[:2]
+    with pytest.raises(InputError, match="^" + re.escape(PARTS[override])):
+        instantiate(cfg.estimator[name] if group == "estimator" else cfg[group])
+
+
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("optimiser.single.jump=2", r"jump must be in \[0, 1\], got 2 \(in optimiser\.single\)\."),
-        ("camera.focal_length=-2", r"camera\.focal_length must be greater than 0, got -2\."),
-        ("room.relevance.background=-1", r"room\.relevance\.background must be at least 0, got -1\."),
+        ("+optimiser.single.temperature=[-1,1]", "optimiser.single.temperature[0] must be greater than 0, got -1."),
+        ("+optimiser.growth=2", "optimiser.growth must be in [0, 1], got 2."),
+        ("seed=-1", "seed must be at least 0, got -1."),
     ],
 )
-def test_a_refusal_tells_which_of_several_parts_it_means(override, message):
+def test_an_optimiser_that_is_refused_names_the_whole_key(override, message):
     cfg = composed("optimise", override)
-    with pytest.raises(InputError, match=f"^{message}$"):
-        instantiate(cfg[override.split(".")[0]])
+    with pytest.raises(InputError, match=f"^{re.escape(message)}$"):
+        build_optimiser(cfg, cfg.seed)
+
+
+def test_a_key_is_that_of_the_group_or_one_of_its_own_or_none():
+    def refused(error, group="", **keys):
+        with pytest.raises(InputError) as caught, keyed(group, **keys):
+            raise error
+        return str(caught.value)
+
+    assert refused(InputError("n is odd.", "n"), "objective") == "objective.n is odd."
+    assert refused(InputError("size[0] is odd.", "size[0]"), "room") == "room.size[0] is odd."
+    assert refused(InputError("kind is odd.", "kind"), "objective", kind="encoding.kind") == "encoding.kind is odd."
+    assert refused(InputError("gain is odd.", "gain").within("a").within("all"), all="each") == "each.a.gain is odd."
+    assert refused(InputError("room.size is odd.", "room.size"), "room") == "room.size is odd."
+    assert refused(InputError("The file is odd."), "room") == "The file is odd."
 
 
 def test_the_slurm_launcher_is_submitits_with_one_processor_a_job():
@@ -134,13 +186,13 @@ def test_the_papers_experiment_is_one_word():
 
 def test_the_literal_ega_has_the_printed_chromosome():
     cfg = composed("optimise", "optimiser=ega")
-    assert build_problem(cfg).encoded(cfg.optimiser.encoding).dim == 450
+    assert 90 * make_encoding(cfg.optimiser.encoding, build_problem(cfg).scene.room, True).genes_per_landmark == 450
 
 
 def test_settings_are_flattened_for_the_record():
     flat = flat_settings(composed("optimise"), "objective", "seed")
     assert flat == {
-        "objective._target_": "lmd.problem.Objective",
+        "objective._target_": "lmd.objectives.coverage.Coverage",
         "objective.n": 2,
         "objective.thold_p": 0.65,
         "seed": 0,

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lmd.checks import InputError
 from lmd.deployment import UniformDeployment
-from lmd.localisation import se3
+from lmd.geometry import se3
 from lmd.localisation.cramer_rao import bound_map, pose_bound, pose_information
 from lmd.localisation.estimators import CramerRaoBound, InvariantKalmanFilter, PerspectiveNPoint
 from lmd.localisation.measurements import Detector, Recording, focal_pixels, record
@@ -80,7 +80,7 @@ def test_all_visible_is_all_visible():
     assert_allclose(
         se3.act(FLIGHT.poses, recording.points[0]), np.broadcast_to(UNIFORM.positions, (401, 90, 3)), atol=1e-12
     )
-    with pytest.raises(InputError, match=r"detector\.pixel_noise must be 0 when all landmarks are visible, got 0\.5"):
+    with pytest.raises(InputError, match=r"^detector\.pixel_noise must be 0 when all landmarks are visible, got 0\.5"):
         recorded(Detector(pixel_noise=0.5), all_visible=True)
 
 
@@ -193,7 +193,7 @@ def test_a_missing_package_is_named(monkeypatch):
 
 
 def test_a_filter_without_spread_is_refused():
-    with pytest.raises(InputError, match=r"estimator\.iekf\.attitude must be greater than 0"):
+    with pytest.raises(InputError, match=r"^attitude must be greater than 0"):
         InvariantKalmanFilter(attitude=0.0, position=1.0)
 
 
@@ -202,7 +202,7 @@ def test_a_filter_without_spread_is_refused():
     [({"pixel_noise": -1.0}, "pixel_noise"), ({"missed": 1.5}, "missed"), ({"edge": 0.0}, "edge")],
 )
 def test_a_bad_detector_is_refused(change, message):
-    with pytest.raises(InputError, match=rf"detector\.{message} must be"):
+    with pytest.raises(InputError, match=rf"^{message} must be"):
         Detector(**change)
 
 

@@ -6,8 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from lmd.checkpoint import FILE
 from lmd.checks import InputError
-from pipelines.sweeps.jobs import Job, held, key_and_value, quoted, reason_of, slug, varied_keys
+from pipelines.sweeps.folder import JobFolder, SweepFolder
+from pipelines.sweeps.jobs import Job, Sweep, reason_of
+from pipelines.sweeps.names import key_and_value, quoted, slug, varied_keys
 
 
 def test_folder_names_need_no_quotes_in_an_override():
@@ -44,20 +47,36 @@ def test_a_reason_is_one_line(error, reason):
 
 def test_a_job_is_read_back_as_it_was_written(tmp_path):
     job = Job("table2", "abc", 3, ("optimiser=ega",), {"optimiser": "ega"}, "finished", 0.5, "", 2.0)
-    assert Job.load(tmp_path) is None
-    job.save(tmp_path)
-    assert Job.load(tmp_path) == job
+    folder = JobFolder(tmp_path)
+    assert folder.load() is None
+    folder.save(job)
+    assert folder.load() == job
     assert [path.name for path in tmp_path.iterdir()] == ["job.json"]
 
 
+def test_a_sweep_lists_its_jobs_in_their_order(tmp_path):
+    folder, sweep = SweepFolder(tmp_path / "seed"), Sweep("seed", ("seed",), None)
+    folder.save(sweep)
+    for number, name in ((1, "a"), (0, "b")):
+        (folder.path / name).mkdir()
+        JobFolder(folder.path / name).save(Job("seed", None, number, (), {}))
+    (folder.path / "notes").mkdir()
+    assert folder.load() == sweep
+    assert [(found.name, job.number) for found, job in folder.jobs()] == [("b", 0), ("a", 1)]
+
+
+def test_a_job_knows_the_checkpoint_of_its_run(tmp_path):
+    assert JobFolder(tmp_path).checkpoint.name == FILE
+
+
 def test_a_folder_is_held_by_one_process_and_the_child_that_inherits_it(tmp_path):
-    with held(tmp_path) as lock:
+    with JobFolder(tmp_path).held() as lock:
         assert lock is not None
         child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, pass_fds=(lock,))
-        with held(tmp_path, wait=False) as second:
+        with JobFolder(tmp_path).held(wait=False) as second:
             assert second is None
-    with held(tmp_path, wait=False) as second:
+    with JobFolder(tmp_path).held(wait=False) as second:
         assert second is None
     child.communicate(b"\n")
-    with held(tmp_path, wait=False) as second:
+    with JobFolder(tmp_path).held(wait=False) as second:
         assert second is not None

@@ -122,7 +122,7 @@ BAD_INPUT = {
     "no path": (["deployment=file"], "deployment.path is missing"),
     "seeds": (["seeds=0"], "seeds must be at least 1, got 0"),
     "estimator": (["estimator=[]"], "estimator must name at least one estimator"),
-    "gain": (["estimator.observer.gain=100"], "observer.gain + observer.damping = 101 1/s must stay below 20 1/s"),
+    "gain": (["estimator.observer.gain=100"], "estimator.observer.gain + damping = 101 1/s must stay below 20 1/s"),
     "missed": (["detector.missed=2"], "detector.missed must be in [0, 1], got 2"),
     "noise": (["all_visible=true", "detector=noisy"], "detector.pixel_noise must be 0 when all landmarks are visible"),
 }

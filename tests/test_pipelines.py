@@ -145,7 +145,12 @@ def test_interrupted_it_keeps_the_best_and_resumes(tmp_path):
 
 
 def test_a_run_is_validated_off_its_grid(tmp_path):
-    overrides = ("validate=true", "objective=robust", "objective.design.positions=4", "tracking.uri=sqlite:///store.db")
+    overrides = (
+        "validate=true",
+        "objective=robust",
+        "objective.sampling.positions=4",
+        "tracking.uri=sqlite:///store.db",
+    )
     done = call("evaluate", *overrides, "hydra.run.dir=run", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     metrics = read_metrics(tmp_path / "run")
@@ -159,7 +164,7 @@ def test_a_run_is_validated_off_its_grid(tmp_path):
     }
     assert all(0.0 < value < 1.0 for value in validation.values())
     assert metrics["fitness"] != metrics["qualified_ratio"]
-    assert metrics["settings"]["design"] == {"positions": 4, "divisions": 18}
+    assert metrics["settings"]["sampling"] == {"positions": 4, "divisions": 18}
     (run,) = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db").search_runs(["1"])
     assert {key: run.data.metrics[f"validation/{key}"] for key in validation} == validation
     assert re.search(r"on a finer grid +\d+\.\d\d% of positions qualified", done.stdout)
@@ -186,12 +191,12 @@ BAD_INPUT = {
     "text": (HEADER + "0,left,1,1,1,0,0\n", [], "bad.csv line 2: x is 'left', not a number"),
     "no file": (HEADER, ["deployment.path=none.csv"], "deployment.path: there is no file 'none.csv'"),
     "no path": (HEADER, ["deployment.path=null"], "deployment.path is missing"),
-    "count": (HEADER + LANDMARK * 2, ["deployment.count=3"], "bad.csv has 2 landmarks, but deployment.count = 3"),
+    "count": (HEADER + LANDMARK * 2, ["deployment.count=3"], "deployment.count = 3, but bad.csv has 2 landmarks"),
     "seed": (HEADER + LANDMARK * 2, ["seed=-1"], "seed must be at least 0, got -1"),
     "threads": (HEADER + LANDMARK * 2, ["threads=0"], "threads must be at least 1, got 0"),
     "room": (HEADER + LANDMARK * 2, ["room.size=[1,2]"], "room.size must be a list of 3 numbers, got [1, 2]"),
     "unknown argument": (HEADER + LANDMARK * 2, ["+camera.zoom=2"], "unexpected keyword argument 'zoom'"),
-    "encoding": (HEADER + LANDMARK * 2, ["encoding.kind=tree"], "encoding.kind must be one of paper, wall, got 'tree'"),
+    "encoding": (HEADER + LANDMARK * 2, ["encoding.kind=tree"], "encoding.kind must be one of wall, paper, got 'tree'"),
 }
 
 

@@ -62,10 +62,10 @@ def test_a_bad_recording_is_refused_with_its_name_and_the_value(write, text, nam
 @pytest.mark.parametrize(
     ("changes", "named"),
     [
-        ({"rate": 0.0}, "recording.rate must be greater than 0"),
-        ({"duration": 0.1}, "recording.duration must be at least 0.2, got 0.1"),
-        ({"pitch_std": -1.0}, "recording.pitch_std must be at least 0, got -1.0"),
-        ({"coupling": 1.5}, r"recording.coupling must be in \[-1, 1\], got 1.5"),
+        ({"rate": 0.0}, "^rate must be greater than 0"),
+        ({"duration": 0.1}, "^duration must be at least 0.2, got 0.1"),
+        ({"pitch_std": -1.0}, "^pitch_std must be at least 0, got -1.0"),
+        ({"coupling": 1.5}, r"^coupling must be in \[-1, 1\], got 1.5"),
     ],
 )
 def test_a_motion_that_cannot_be_is_refused(changes, named):

@@ -172,13 +172,13 @@ def test_a_file_weighs_every_position_in_any_row_order(write):
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        ({"background": -1.0}, r"room\.relevance\.background .*-1\.0"),
-        ({"background": math.nan}, r"room\.relevance\.background .*nan"),
+        ({"background": -1.0}, r"^background .*-1\.0"),
+        ({"background": math.nan}, r"^background .*nan"),
         ({"regions": [{"low": [0, 0, 0], "weight": 1}]}, r"regions\[0\] must have the keys low, high and weight"),
         ({"regions": [UPPER_HALF, UPPER_HALF | {"weight": -2}]}, r"regions\[1\]\.weight .*-2"),
         ({"regions": [UPPER_HALF | {"low": [0, 0]}]}, r"regions\[0\]\.low .*\[0, 0\]"),
         ({"regions": [UPPER_HALF | {"low": [8, 0, 0]}]}, r"regions\[0\] is empty"),
-        ({"regions": [UPPER_HALF], "path": "w.csv"}, r"regions or a path, not both \(path is 'w\.csv'\)"),
+        ({"regions": [UPPER_HALF], "path": "w.csv"}, r"^path = 'w\.csv' cannot be given beside regions"),
     ],
 )
 def test_a_bad_relevance_is_refused_by_name(change, named):

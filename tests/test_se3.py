@@ -6,8 +6,8 @@ from hypothesis.extra.numpy import arrays
 from numpy.testing import assert_allclose
 from scipy.linalg import expm
 
+from lmd.geometry import se3
 from lmd.geometry.frames import optical_axis, rotation, world_to_local
-from lmd.localisation import se3
 
 RNG = np.random.default_rng(0)
 

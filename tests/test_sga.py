@@ -68,10 +68,10 @@ def test_each_gene_mutates_with_the_given_probability():
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [
-        ({"population": 1}, r"optimiser\.population must be at least 2, got 1"),
-        ({"recombination_max": 1.5}, r"optimiser\.recombination_max must be in \[0, 1\], got 1\.5"),
-        ({"recombination_min": 0.9}, r"optimiser\.recombination_min must be in \[0, 0\.666667\], got 0\.9"),
-        ({"mutation_probability": 2}, r"optimiser\.mutation_probability must be in \[0, 1\], got 2"),
+        ({"population": 1}, r"^population must be at least 2, got 1"),
+        ({"recombination_max": 1.5}, r"^recombination_max must be in \[0, 1\], got 1\.5"),
+        ({"recombination_min": 0.9}, r"^recombination_min must be in \[0, 0\.666667\], got 0\.9"),
+        ({"mutation_probability": 2}, r"^mutation_probability must be in \[0, 1\], got 2"),
     ],
 )
 def test_impossible_parameters_are_refused(parameters, message):

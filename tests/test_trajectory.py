@@ -6,8 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from lmd import pdf
 from lmd.checks import InputError
+from lmd.geometry import se3
 from lmd.geometry.frames import optical_axis
-from lmd.localisation import se3
 from lmd.localisation.trajectory import FileTrajectory, Pace, RandomMotion, Trajectory, Waypoints
 
 SCENE = paper_scene()
@@ -115,13 +115,13 @@ def test_a_bad_file_gets_one_sentence(write, text, message):
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: drawn(FileTrajectory(None)), "trajectory.path is missing"),
-        (lambda: drawn(FileTrajectory("none.csv")), "trajectory.path: there is no file 'none.csv'"),
-        (lambda: Pace(0.0, 1.0, 1.0), "trajectory.pace.speed must be greater than 0"),
-        (lambda: RandomMotion(-1.0, PACE), "trajectory.duration must be greater than 0"),
-        (lambda: Waypoints([[1, 1, 1, 0, 0]], PACE), "trajectory.points must list at least 2 waypoints"),
-        (lambda: Waypoints([[1, 1, 1, 0, 0], [1, 1, 1]], PACE), r"trajectory.points\[1\] must be a list of 5 numbers"),
-        (lambda: Waypoints([[1, 1, 1, 0, 0], [1, 1, 1, 0, 2]], PACE), r"trajectory.points\[1\] pitch must be in"),
+        (lambda: drawn(FileTrajectory(None)), "^path is missing"),
+        (lambda: drawn(FileTrajectory("none.csv")), "path: there is no file 'none.csv'"),
+        (lambda: Pace(0.0, 1.0, 1.0), "^speed must be greater than 0"),
+        (lambda: RandomMotion(-1.0, PACE), "^duration must be greater than 0"),
+        (lambda: Waypoints([[1, 1, 1, 0, 0]], PACE), "^points must list at least 2 waypoints"),
+        (lambda: Waypoints([[1, 1, 1, 0, 0], [1, 1, 1]], PACE), r"^points\[1\] must be a list of 5 numbers"),
+        (lambda: Waypoints([[1, 1, 1, 0, 0], [1, 1, 1, 0, 2]], PACE), r"^points\[1\] pitch must be in"),
         (lambda: drawn(Waypoints([[1, 1, 1, 0, 0]] * 2, PACE)), "waypoints 0 and 1 are the same"),
         (lambda: drawn(Waypoints([[1, 1, 1, 0, 0], [1, 1, 9, 0, 0]], PACE)), "is outside the room"),
     ],

@@ -90,16 +90,14 @@ def test_a_nevergrad_method_that_cannot_work_in_parallel_is_asked_one_by_one():
 
 def test_a_nevergrad_family_takes_options():
     run(Nevergrad("DifferentialEvolution", options={"crossover": "twopoints", "popsize": 10}), 3)
-    with pytest.raises(InputError, match=r"optimiser\.options do not suit nevergrad's DifferentialEvolution: .*genes"):
+    with pytest.raises(InputError, match=r"^options do not suit nevergrad's DifferentialEvolution: .*genes"):
         Nevergrad("DifferentialEvolution", options={"genes": 2})
-    with pytest.raises(InputError, match=r"optimiser\.name = 'TwoPointsDE' is not a family that takes optimiser\.opt"):
+    with pytest.raises(InputError, match=r"^name = 'TwoPointsDE' is not a family that takes options"):
         Nevergrad("TwoPointsDE", options={"popsize": 10})
 
 
 def test_a_misspelt_nevergrad_optimiser_brings_up_the_close_ones():
-    with pytest.raises(
-        InputError, match=r"optimiser\.name = 'TwoPointDE' is not an optimiser of .*; close: TwoPointsDE"
-    ):
+    with pytest.raises(InputError, match=r"^name = 'TwoPointDE' is not an optimiser of .*; close: TwoPointsDE"):
         Nevergrad("TwoPointDE")
 
 
@@ -194,19 +192,19 @@ def test_random_search_does_not_depend_on_its_batch():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Pymoo("GA"), r"optimiser\.algorithm must be a class with _partial_: true, got 'GA'"),
-        (lambda: Pymoo(dict), r"optimiser\.algorithm makes a dict, not a pymoo algorithm"),
+        (lambda: Pymoo("GA"), r"^algorithm must be a function of no arguments, got 'GA'"),
+        (lambda: Pymoo(dict), r"^algorithm makes a dict, not a pymoo algorithm"),
         (
             lambda: pymoo("DE", variant="DE/rand"),
-            r"optimiser\.algorithm cannot be made: Please provide a valid variant",
+            r"^algorithm cannot be made: Please provide a valid variant",
         ),
-        (lambda: Nevergrad("DE", workers=0), r"optimiser\.workers must be at least 1, got 0"),
-        (lambda: Nevergrad("DE", step=0), r"optimiser\.step must be greater than 0, got 0"),
-        (lambda: Nevergrad("DE", budget=0.5), r"optimiser\.budget must be a whole number, got 0\.5"),
-        (lambda: PyCma("sparse"), r"optimiser\.variant must be one of full, separable, vkd, got 'sparse'"),
-        (lambda: PyCma(step=-1), r"optimiser\.step must be greater than 0, got -1"),
-        (lambda: PyCma(population=2), r"optimiser\.population must be at least 4, got 2"),
-        (lambda: RandomSearch(batch=0), r"optimiser\.batch must be at least 1, got 0"),
+        (lambda: Nevergrad("DE", workers=0), r"^workers must be at least 1, got 0"),
+        (lambda: Nevergrad("DE", step=0), r"^step must be greater than 0, got 0"),
+        (lambda: Nevergrad("DE", budget=0.5), r"^budget must be a whole number, got 0\.5"),
+        (lambda: PyCma("sparse"), r"^variant must be one of full, separable, vkd, got 'sparse'"),
+        (lambda: PyCma(step=-1), r"^step must be greater than 0, got -1"),
+        (lambda: PyCma(population=2), r"^population must be at least 4, got 2"),
+        (lambda: RandomSearch(batch=0), r"^batch must be at least 1, got 0"),
     ],
 )
 def test_impossible_parameters_are_refused(make, message):

@@ -99,7 +99,7 @@ class InvariantKalmanFilter:
 
     def __post_init__(self) -> None:
         for name in ("attitude", "position", "turn_noise", "motion_noise", "least_pixel_noise"):
-            object.__setattr__(self, name, real(f"estimator.iekf.{name}", getattr(self, name), above=0.0))
+            object.__setattr__(self, name, real(name, getattr(self, name), above=0.0))
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:
         """See `Estimator.errors`."""

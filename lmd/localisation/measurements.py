@@ -36,9 +36,9 @@ class Detector:
     edge: float = 0.1
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "pixel_noise", real("detector.pixel_noise", self.pixel_noise, low=0.0))
-        object.__setattr__(self, "missed", real("detector.missed", self.missed, low=0.0, high=1.0))
-        object.__setattr__(self, "edge", real("detector.edge", self.edge, above=0.0))
+        object.__setattr__(self, "pixel_noise", real("pixel_noise", self.pixel_noise, low=0.0))
+        object.__setattr__(self, "missed", real("missed", self.missed, low=0.0, high=1.0))
+        object.__setattr__(self, "edge", real("edge", self.edge, above=0.0))
 
     def detected(self, seen: BoolArray, rng: np.random.Generator) -> BoolArray:
         """Those of the visible landmarks that are detected, same shape as `seen`."""
@@ -132,9 +132,10 @@ def record(
     """
     if all_visible and detector.pixel_noise > 0.0:
         raise InputError(
-            f"detector.pixel_noise must be 0 when all landmarks are visible, got {detector.pixel_noise:g}: "
-            "a landmark behind the camera has no image."
-        )
+            f"pixel_noise must be 0 when all landmarks are visible, got {detector.pixel_noise:g}: "
+            "a landmark behind the camera has no image.",
+            "pixel_noise",
+        ).within("detector")
     seen, points = [], []
     for deployment, trajectory, rng in zip(deployments, trajectories, rngs, strict=True):
         poses, shape = trajectory.poses, (len(trajectory.time), len(deployment))

@@ -48,10 +48,10 @@ class Observer:
     length: float = 2.0
 
     def __post_init__(self) -> None:
-        choice("observer.form", self.form, FORMS)
-        object.__setattr__(self, "gain", real("observer.gain", self.gain, above=0.0))
-        object.__setattr__(self, "damping", real("observer.damping", self.damping, low=0.0))
-        object.__setattr__(self, "length", real("observer.length", self.length, above=0.0))
+        choice("form", self.form, FORMS)
+        object.__setattr__(self, "gain", real("gain", self.gain, above=0.0))
+        object.__setattr__(self, "damping", real("damping", self.damping, low=0.0))
+        object.__setattr__(self, "length", real("length", self.length, above=0.0))
 
     def landmark_gain(self, landmarks: FloatArray, measured: FloatArray, seen: BoolArray) -> FloatArray:
         """k_i, the same for all landmarks of an instant, `(...)`; 0 where none is seen.
@@ -122,9 +122,10 @@ class Observer:
     def _check_step(self, longest: float) -> None:
         if longest * (self.gain + self.damping) >= STABILITY_LIMIT:
             raise InputError(
-                f"observer.gain + observer.damping = {self.gain + self.damping:g} 1/s must stay below "
+                f"gain + damping = {self.gain + self.damping:g} 1/s must stay below "
                 f"{STABILITY_LIMIT / longest:g} 1/s, {STABILITY_LIMIT:g} over the longest time between frames, "
-                f"{longest:g} s."
+                f"{longest:g} s.",
+                "gain",
             )
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:

@@ -39,8 +39,8 @@ class InitialError:
     attitude: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "position", real("start.position", self.position, low=0.0))
-        object.__setattr__(self, "attitude", real("start.attitude", self.attitude, low=0.0, high=np.pi))
+        object.__setattr__(self, "position", real("position", self.position, low=0.0))
+        object.__setattr__(self, "attitude", real("attitude", self.attitude, low=0.0, high=np.pi))
 
     def applied(self, pose: FloatArray, rng: np.random.Generator) -> FloatArray:
         """A first estimate for a camera at `pose` `(4, 4)`."""
@@ -190,7 +190,7 @@ def conduct(
         InputError: an estimator is missing, or cannot work with what is recorded.
     """
     if not estimators:
-        raise InputError("estimator must name at least one estimator.")
+        raise InputError("estimators must name at least one estimator.", "estimators")
     outcomes = {}
     for name, problem in problems.items():
         for everything in (False, True) if all_visible else (False,):
@@ -198,11 +198,21 @@ def conduct(
             outcomes[f"{name} all visible" if everything else name] = Outcome(
                 recording.visible_counts,
                 {n: recording.share_visible(n) for n in sorted({*SHARES, problem.objective.n})},
-                {label: estimator.errors(recording, flights.start) for label, estimator in estimators.items()},
+                _errors(estimators, recording, flights.start),
             )
     true = np.stack([trajectory.poses[:1] for trajectory in flights.trajectories])
     initial = pose_errors(true, flights.start[:, None]).frobenius[:, 0]
     return Study(flights.seeds, flights.trajectories[0].time, initial, outcomes)
+
+
+def _errors(estimators: Mapping[str, Estimator], recording: Recording, start: FloatArray) -> dict[str, Errors]:
+    errors = {}
+    for name, estimator in estimators.items():
+        try:
+            errors[name] = estimator.errors(recording, start)
+        except InputError as error:
+            raise error.within(name).within("estimators") from None
+    return errors
 
 
 def to_markdown(figures: pd.DataFrame, n: int) -> str:

@@ -90,7 +90,7 @@ class Pace:
 
     def __post_init__(self) -> None:
         for name in ("speed", "turn_rate", "frame_rate"):
-            object.__setattr__(self, name, real(f"trajectory.pace.{name}", getattr(self, name), above=0.0))
+            object.__setattr__(self, name, real(name, getattr(self, name), above=0.0))
 
     def seconds(self, steps: FloatArray) -> FloatArray:
         """Time that each change (x, y, z, yaw, pitch) `(..., 5)` takes, `(...)`."""
@@ -141,7 +141,7 @@ class RandomMotion:
     pace: Pace
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "duration", real("trajectory.duration", self.duration, above=0.0))
+        object.__setattr__(self, "duration", real("duration", self.duration, above=0.0))
 
     def draw(self, scene: Scene, rng: np.random.Generator) -> Trajectory:
         """See `TrajectorySource.draw`."""
@@ -190,11 +190,11 @@ class Waypoints:
     def __post_init__(self) -> None:
         if isinstance(self.points, str) or not isinstance(self.points, Sequence) or len(self.points) < 2:
             raise InputError(
-                f"trajectory.points must list at least 2 waypoints [x, y, z, yaw, pitch], got {self.points!r}."
+                f"points must list at least 2 waypoints [x, y, z, yaw, pitch], got {self.points!r}.", "points"
             )
         for i, point in enumerate(self.points):
-            *_, pitch = vector(f"trajectory.points[{i}]", point, 5)
-            real(f"trajectory.points[{i}] pitch", pitch, low=-np.pi / 2, high=np.pi / 2)
+            *_, pitch = vector(f"points[{i}]", point, 5)
+            real(f"points[{i}] pitch", pitch, low=-np.pi / 2, high=np.pi / 2)
 
     def draw(self, scene: Scene, rng: np.random.Generator) -> Trajectory:
         """See `TrajectorySource.draw`; nothing here is random."""
@@ -220,9 +220,9 @@ class FileTrajectory:
     def draw(self, scene: Scene, rng: np.random.Generator) -> Trajectory:
         """See `TrajectorySource.draw`; nothing here is random."""
         if self.path is None:
-            raise InputError("trajectory.path is missing: trajectory=file needs a CSV of poses.")
+            raise InputError("path is missing: a CSV of poses is needed.", "path")
         has_quaternions = has_column(self.path, "qw")
-        table = read_numbers(self.path, QUATERNIONS if has_quaternions else ANGLES, name="trajectory.path")
+        table = read_numbers(self.path, QUATERNIONS if has_quaternions else ANGLES, name="path")
         try:
             poses = _from_quaternions(table) if has_quaternions else camera_pose(table[:, 1:4], *table[:, 4:].T)
             trajectory = Trajectory(table[:, 0], poses)

@@ -49,16 +49,16 @@ class EGA(AskTell):
         seed: int = 0,
     ) -> None:
         super().__init__(seed, encoding)
-        self.population_size = self.start_size = integer("optimiser.population", population, low=2)
-        self.eliminated = integer("optimiser.eliminated", eliminated, low=0)
+        self.population_size = self.start_size = integer("population", population, low=2)
+        self.eliminated = integer("eliminated", eliminated, low=0)
         if self.eliminated + 1 > self.population_size:
-            raise InputError(f"optimiser.eliminated = {eliminated} leaves no survivor among {population}.")
+            raise InputError(f"eliminated = {eliminated} leaves no survivor among {population}.", "eliminated")
         self.recombination_min, self.recombination_max = recombination_range(recombination_min, recombination_max)
-        self.mutation_probability = real("optimiser.mutation_probability", mutation_probability, low=0.0, high=1.0)
-        self.partner = choice("optimiser.partner", partner, ("pool", "survivor"))
-        self.acceptance = choice("optimiser.acceptance", acceptance, ("always", "if_better"))
-        self.mutation = choice("optimiser.mutation", mutation, ("reset", "gaussian"))
-        self.mutation_scale = real("optimiser.mutation_scale", mutation_scale, above=0.0)
+        self.mutation_probability = real("mutation_probability", mutation_probability, low=0.0, high=1.0)
+        self.partner = choice("partner", partner, ("pool", "survivor"))
+        self.acceptance = choice("acceptance", acceptance, ("always", "if_better"))
+        self.mutation = choice("mutation", mutation, ("reset", "gaussian"))
+        self.mutation_scale = real("mutation_scale", mutation_scale, above=0.0)
         self.population: FloatArray | None = None  # (M, dim), the survivor first
         self.fitness: FloatArray
 

@@ -5,8 +5,10 @@ The stand-in is the objective's `selection`. Adding the pose of the largest gain
 exact: a pose needs evaluating again only while its last known gain is the largest.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +16,7 @@ from lmd.checks import integer, real
 from lmd.deployment import Deployment
 from lmd.objectives.base import Objective, Selection
 from lmd.optimisers.annealing import Annealing, Stage
+from lmd.optimisers.annealing.stage import changed
 from lmd.problem import Problem
 from lmd.scene import Scene
 from lmd.sight.evaluator import Evaluator
@@ -74,14 +77,17 @@ class Greedy(Annealing):
 
     Args:
         spacing: of the grid, metres; coarsened if the budget could not pay for it.
-        single: conditions of the refinement, see `Annealing`.
+        single: conditions of the refinement, or what differs from the default ones, see `Annealing`.
         seed: see `Optimiser`.
 
     Raises:
         InputError: the spacing is not positive.
     """
 
-    def __init__(self, spacing: float = SPACING, single: Stage = REFINED, seed: int = 0) -> None:
+    def __init__(
+        self, spacing: float = SPACING, single: Stage | Mapping[str, Any] | None = None, seed: int = 0
+    ) -> None:
+        single = changed("single", REFINED, single)
         super().__init__(stacked=single, single=single, sampled=single, given=single, stacked_share=0.0, seed=seed)
         self.spacing = real("spacing", spacing, above=0.0)
 

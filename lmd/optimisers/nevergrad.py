@@ -41,9 +41,9 @@ class Nevergrad(Wrapped):
         super().__init__(seed, encoding)
         self.name = name
         self.options = dict(options or {})
-        self.workers = self.start_size = integer("optimiser.workers", workers, low=1)
-        self.budget = None if budget is None else integer("optimiser.budget", budget, low=1)
-        self.step = None if step is None else real("optimiser.step", step, above=0.0)
+        self.workers = self.start_size = integer("workers", workers, low=1)
+        self.budget = None if budget is None else integer("budget", budget, low=1)
+        self.step = None if step is None else real("step", step, above=0.0)
         self.method()
 
     def method(self) -> Callable[..., Any]:
@@ -59,12 +59,12 @@ class Nevergrad(Wrapped):
         if self.name not in families.__all__:
             known = sorted(families.__all__ if self.options else {*registry, *families.__all__})
             close = ", ".join(difflib.get_close_matches(str(self.name), known, n=5, cutoff=0.3))
-            kind = "a family that takes optimiser.options" if self.options else "an optimiser"
-            raise InputError(f"optimiser.name = {self.name!r} is not {kind} of nevergrad; close: {close or 'none'}.")
+            kind = "a family that takes options" if self.options else "an optimiser"
+            raise InputError(f"name = {self.name!r} is not {kind} of nevergrad; close: {close or 'none'}.", "name")
         try:
             return getattr(families, self.name)(**self.options)  # type: ignore[no-any-return]
         except Exception as error:  # each family refuses options in its own way
-            raise InputError(f"optimiser.options do not suit nevergrad's {self.name}: {error}") from error
+            raise InputError(f"options do not suit nevergrad's {self.name}: {error}", "options") from error
 
     def _open(self, start: FloatArray, rng: np.random.Generator) -> Session:
         return _Session(self, start, rng)

@@ -11,8 +11,8 @@ def recombination_range(shortest: float, longest: float) -> tuple[float, float]:
     Raises:
         InputError: not 0 <= shortest <= longest <= 1.
     """
-    longest = real("optimiser.recombination_max", longest, low=0.0, high=1.0)
-    return real("optimiser.recombination_min", shortest, low=0.0, high=longest), longest
+    longest = real("recombination_max", longest, low=0.0, high=1.0)
+    return real("recombination_min", shortest, low=0.0, high=longest), longest
 
 
 def run_of_genes(rng: np.random.Generator, dim: int, shortest: float, longest: float) -> slice:

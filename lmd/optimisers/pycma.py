@@ -34,9 +34,9 @@ class PyCma(Wrapped):
         seed: int = 0,
     ) -> None:
         super().__init__(seed, encoding)
-        self.variant = choice("optimiser.variant", variant, ("full", "separable", "vkd"))
-        self.step = real("optimiser.step", step, above=0.0)
-        self.population = None if population is None else integer("optimiser.population", population, low=4)
+        self.variant = choice("variant", variant, ("full", "separable", "vkd"))
+        self.step = real("step", step, above=0.0)
+        self.population = None if population is None else integer("population", population, low=4)
 
     def _open(self, start: FloatArray, rng: np.random.Generator) -> Session:
         return _Session(self, start[0], rng)

@@ -31,13 +31,13 @@ class Pymoo(Wrapped):
         super().__init__(seed, encoding)
         self.algorithm = algorithm
         if not callable(algorithm):
-            raise InputError(f"optimiser.algorithm must be a class with _partial_: true, got {algorithm!r}.")
+            raise InputError(f"algorithm must be a function of no arguments, got {algorithm!r}.", "algorithm")
         try:
             made = algorithm()
         except Exception as error:  # each algorithm refuses parameters in its own way
-            raise InputError(f"optimiser.algorithm cannot be made: {error}") from error
+            raise InputError(f"algorithm cannot be made: {error}", "algorithm") from error
         if not isinstance(made, Algorithm):
-            raise InputError(f"optimiser.algorithm makes a {type(made).__name__}, not a pymoo algorithm.")
+            raise InputError(f"algorithm makes a {type(made).__name__}, not a pymoo algorithm.", "algorithm")
         self.start_size = _size(made)
 
     def _open(self, start: FloatArray, rng: np.random.Generator) -> Session:

@@ -20,7 +20,7 @@ class RandomSearch(AskTell):
 
     def __init__(self, batch: int = 30, encoding: str | None = None, seed: int = 0) -> None:
         super().__init__(seed, encoding)
-        self.batch = integer("optimiser.batch", batch, low=1)
+        self.batch = integer("batch", batch, low=1)
 
     def _ask(self) -> FloatArray:
         if not self.ledger.evaluations:

@@ -36,9 +36,9 @@ class SGA(AskTell):
         seed: int = 0,
     ) -> None:
         super().__init__(seed, encoding)
-        self.population_size = self.start_size = integer("optimiser.population", population, low=2)
+        self.population_size = self.start_size = integer("population", population, low=2)
         self.recombination_min, self.recombination_max = recombination_range(recombination_min, recombination_max)
-        self.mutation_probability = real("optimiser.mutation_probability", mutation_probability, low=0.0, high=1.0)
+        self.mutation_probability = real("mutation_probability", mutation_probability, low=0.0, high=1.0)
         self.population: FloatArray | None = None  # (M, dim)
         self.fitness: FloatArray
 

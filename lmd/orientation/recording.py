@@ -92,9 +92,9 @@ class OrientationRecording:
         """
         if has_column(path, "yaw") or not has_column(path, "qw"):
             columns = ("time", *ANGLES)
-            time, yaw, pitch = read_numbers(path, columns, name="recording.path", optional=(*IGNORED, *QUATERNION)).T
+            time, yaw, pitch = read_numbers(path, columns, name="path", optional=(*IGNORED, *QUATERNION)).T
             return cls(time, yaw, pitch, str(path))
-        table = read_numbers(path, ("time", *QUATERNION), name="recording.path", optional=IGNORED)
+        table = read_numbers(path, ("time", *QUATERNION), name="path", optional=IGNORED)
         time, quaternion = table[:, 0], table[:, 1:]
         length = np.linalg.norm(quaternion, axis=1)
         if (off := np.abs(length - 1.0)).max() > UNIT_TOLERANCE:
@@ -121,7 +121,7 @@ class FileRecording:
     def record(self, rng: np.random.Generator) -> OrientationRecording:
         """See `RecordingSource.record`."""
         if self.path is None:
-            raise InputError("recording.path is missing: recording=file needs a CSV with the columns time,yaw,pitch.")
+            raise InputError("path is missing: a CSV with the columns time,yaw,pitch is needed.", "path")
         return OrientationRecording.from_csv(self.path)
 
 
@@ -159,14 +159,14 @@ class SimulatedRecording:
     coupling: float
 
     def __post_init__(self) -> None:
-        real("recording.rate", self.rate, above=0.0)
-        real("recording.duration", self.duration, low=2.0 / self.rate)
-        real("recording.correlation_time", self.correlation_time, above=0.0)
-        real("recording.yaw_mean", self.yaw_mean)
-        real("recording.yaw_concentration", self.yaw_concentration, low=0.0)
-        real("recording.pitch_mean", self.pitch_mean, low=-np.pi / 2, high=np.pi / 2)
-        real("recording.pitch_std", self.pitch_std, low=0.0)
-        real("recording.coupling", self.coupling, low=-1.0, high=1.0)
+        real("rate", self.rate, above=0.0)
+        real("duration", self.duration, low=2.0 / self.rate)
+        real("correlation_time", self.correlation_time, above=0.0)
+        real("yaw_mean", self.yaw_mean)
+        real("yaw_concentration", self.yaw_concentration, low=0.0)
+        real("pitch_mean", self.pitch_mean, low=-np.pi / 2, high=np.pi / 2)
+        real("pitch_std", self.pitch_std, low=0.0)
+        real("coupling", self.coupling, low=-1.0, high=1.0)
 
     def record(self, rng: np.random.Generator) -> OrientationRecording:
         """See `RecordingSource.record`."""

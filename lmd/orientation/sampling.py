@@ -77,7 +77,8 @@ def sample_at_random_intervals(
         interval = real("mean_interval", mean_interval, above=0.0)
         if interval < recording.step:
             raise InputError(
-                f"mean_interval = {interval:g} s is shorter than the step of {recording.name}, {recording.step:g} s."
+                f"mean_interval = {interval:g} s is shorter than the step of {recording.name}, {recording.step:g} s.",
+                "mean_interval",
             )
     most = int(2.0 * recording.duration / interval)
     times = recording.time[0] + np.cumsum(interval / 2.0 + rng.exponential(interval / 2.0, most))

@@ -20,6 +20,7 @@ import numpy as np
 from numba import njit
 
 from lmd.checks import FloatArray
+from lmd.compiled import kernel
 from lmd.sight.criteria import covers, from_position, hide
 
 # A probability of 1 in the integer units of the kernels: quantisation is far below TOLERANCE, and a sum of
@@ -77,7 +78,7 @@ def band_of(x, y, z, low, slack):
     return max(first, 0), min(last, HEIGHT_BINS + 1)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def is_hidden(k, x, y, z, squared, sight):
     """Whether another landmark hides landmark k; offsets `x, y, z` and their `squared` lengths, `(K,)`."""
     xk, yk, zk, sk, hiding = x[k], y[k], z[k], squared[k], 0
@@ -87,7 +88,7 @@ def is_hidden(k, x, y, z, squared, sight):
     return hiding > 0
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def evaluate_range(
     first, last, positions, landmarks, normals, sight, axes, bands, weights, n, units, counts, keep
 ):  # fmt: skip

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from lmd.checks import FloatArray, real
+from lmd.compiled import kernel
 from lmd.deployment import Deployment
 from lmd.sight.criteria import TOLERANCE, covers, from_position
 from lmd.sight.evaluator import Evaluator
@@ -78,7 +78,7 @@ def candidate_poses(room: Space, spacing: float) -> Deployment:
     return wall_cells(room, spacing).poses
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _gains(start, stop, points, normals, slack, prices, positions, sight, axes, bands, out):
     """Write the gains of poses `start` to `stop` into `out` `(N,)`; args as in `gains`, positions `(3, P)`."""
     size, row = positions.shape[1], np.empty(axes.shape[1])
@@ -109,7 +109,7 @@ def _gains(start, stop, points, normals, slack, prices, positions, sight, axes, 
         out[j] = total
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _cover(start, stop, points, normals, amounts, positions, sight, axes, bands, out):
     """Write what covers positions `start` to `stop` into `out` `(P, D)` of zeros; args as in `covered_amounts`."""
     for p in range(start, stop):

@@ -5,16 +5,16 @@ is what a moving camera sees.
 """
 
 import numpy as np
-from numba import njit
 
 from lmd.checks import BoolArray, FloatArray
+from lmd.compiled import kernel
 from lmd.deployment import Deployment
 from lmd.sight.criteria import covers, from_position
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import is_hidden
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _see(positions, axes, landmarks, normals, sight, seen):
     """Fill `seen` `(N, K)` of False; positions `(N, 3)`, axes `(3, N)`, the others as in `kernels.evaluate_range`."""
     count = landmarks.shape[1]

@@ -33,17 +33,17 @@ class Relevance:
     path: str | None = None
 
     def __post_init__(self) -> None:
-        real("room.relevance.background", self.background, low=0.0)
+        real("background", self.background, low=0.0)
         if self.path is not None and self.regions:
-            raise InputError(f"room.relevance takes regions or a path, not both (path is {self.path!r}).")
+            raise InputError(f"path = {self.path!r} cannot be given beside regions.", "path")
         for i, region in enumerate(self.regions):
-            name = f"room.relevance.regions[{i}]"
+            name = f"regions[{i}]"
             if not isinstance(region, Mapping) or set(region) != {"low", "high", "weight"}:
-                raise InputError(f"{name} must have the keys low, high and weight, got {region!r}.")
+                raise InputError(f"{name} must have the keys low, high and weight, got {region!r}.", name)
             real(f"{name}.weight", region["weight"], low=0.0)
             low, high = vector(f"{name}.low", region["low"], 3), vector(f"{name}.high", region["high"], 3)
             if any(a > b for a, b in zip(low, high, strict=True)):
-                raise InputError(f"{name} is empty: low = {list(low)} exceeds high = {list(high)}.")
+                raise InputError(f"{name} is empty: low = {list(low)} exceeds high = {list(high)}.", name)
 
     def weights(self, points: FloatArray) -> FloatArray:
         """Weights of `points` `(P, 3)`, shape `(P,)`.
@@ -53,7 +53,8 @@ class Relevance:
         """
         weights = self._from_file(self.path, points) if self.path is not None else self._from_regions(points)
         if not weights.any():
-            raise InputError("room.relevance gives every position the weight 0.")
+            given = "background" if self.path is None else "path"
+            raise InputError(f"{given} gives every position the weight 0.", given)
         return weights
 
     def _from_regions(self, points: FloatArray) -> FloatArray:
@@ -68,7 +69,7 @@ class Relevance:
     def _from_file(path: str, points: FloatArray) -> FloatArray:
         from scipy.spatial import cKDTree
 
-        table = read_numbers(path, ("x", "y", "z", "weight"), name="room.relevance.path")
+        table = read_numbers(path, ("x", "y", "z", "weight"), name="path")
         if (table[:, 3] < 0.0).any():
             raise InputError(f"{path} has a negative weight, {table[:, 3].min():g}.")
         distance, row = cKDTree(table[:, :3]).query(points)

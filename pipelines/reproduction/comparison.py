@@ -5,7 +5,8 @@ import pandas as pd
 
 from lmd.comparison import MILESTONES
 from lmd.objectives.base import Headline
-from pipelines.reproduction.document import Table
+
+from .document import Table
 
 # Figures beside the headline that readers want to see, if the objective has them.
 FURTHER = {"average_coverage_probability": "average", "maximum_coverage_probability": "maximum"}

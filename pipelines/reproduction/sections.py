@@ -17,20 +17,22 @@ from lmd.plot.common import shrink
 from lmd.plot.comparison import save_comparison_figure
 from lmd.plot.scene import save_deployments_figure
 from lmd.problem import Problem
-from pipelines.reproduction.comparison import as_text
-from pipelines.reproduction.document import Picture, Section, Table, Text
-from pipelines.reproduction.paper import TABLE_2, TABLE_3, Printed
-from pipelines.reproduction.plots import save_heat_map, save_landmark_count_figure
-from pipelines.tracking import PARENT_TAG, MlflowReader
+
+from ..app import command_of
+from ..tracking import PARENT_TAG, MlflowReader
+from .comparison import as_text
+from .document import Picture, Section, Table, Text
+from .paper import TABLE_2, TABLE_3, Printed
+from .plots import save_heat_map, save_landmark_count_figure
 
 # The sweeps a report is made of, and the commands that run them.
 COMMANDS = {
-    "table2": "python -m pipelines.optimise experiment=table2",
-    "table2_baselines": "python -m pipelines.evaluate experiment=table2_baselines",
-    "table3": "python -m pipelines.evaluate experiment=table3 deployment.path=RUN/landmarks.csv",
-    "table3_reoptimised": "python -m pipelines.optimise experiment=table3_reoptimised",
-    "landmark_count": "python -m pipelines.optimise experiment=landmark_count",
-    "optimisers": "python -m pipelines.optimise experiment=optimisers",
+    "table2": f"{command_of('optimise')} experiment=table2",
+    "table2_baselines": f"{command_of('evaluate')} experiment=table2_baselines",
+    "table3": f"{command_of('evaluate')} experiment=table3 deployment.path=RUN/landmarks.csv",
+    "table3_reoptimised": f"{command_of('optimise')} experiment=table3_reoptimised",
+    "landmark_count": f"{command_of('optimise')} experiment=landmark_count",
+    "optimisers": f"{command_of('optimise')} experiment=optimisers",
 }
 # Rows of Table II: sweep, and the tag and value that tell their runs from the others of the sweep.
 TABLE_2_RUNS = {
@@ -263,7 +265,7 @@ def _origin(source: Source, sweep: str) -> Text:
     overrides = shlex.join(
         f"{key}={value}" for key, value in sorted(given.items(), key=lambda item: item[0] != "experiment")
     )
-    command = f"python -m pipelines.{parent['tags.pipeline']} {overrides}"
+    command = f"{command_of(parent['tags.pipeline'])} {overrides}"
     planned = parent.get("metrics.jobs", np.nan)  # known once the sweep has ended
     share = f"{len(jobs)}" if pd.isna(planned) else f"{len(jobs)} of {planned:.0f}"
     spent = jobs[BUDGET].dropna().unique()

@@ -14,13 +14,15 @@ stand-in leads is looked at on the true problem now and then.
 
 import math
 import time
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from lmd.checks import FloatArray, real
 from lmd.deployment import Deployment
-from lmd.optimisers.annealing.stage import Stage
+from lmd.optimisers.annealing.stage import Stage, changed
 from lmd.optimisers.annealing.surrogate import Surrogate
 from lmd.optimisers.annealing.walk import Settings
 from lmd.optimisers.base import Budget, Callback, Optimiser, Result
@@ -49,7 +51,8 @@ class Annealing(Optimiser):
         stacked: conditions of the stage that moves stacks; for n = 1 these are single landmarks.
         single: conditions of the stage that moves the landmarks of stacks pulled apart.
         sampled: the same for an objective with a design, whose samples the walk must not follow too closely.
-        given: conditions of the only stage there is if the start is given: warmer, as it may be far from good.
+        given: conditions of the only stage there is if the start is given: warmer, as it may be far from good. Each of
+            the four is a `Stage`, or a mapping of what differs from the default one.
         stacked_share: share of the budget spent on stacks.
         growth: share of the single stage in which plates grow to their virtual diameter nu.
         spread: distance between the landmarks of a stack pulled apart, in virtual diameters.
@@ -61,17 +64,18 @@ class Annealing(Optimiser):
 
     def __init__(
         self,
-        stacked: Stage = STACKED,
-        single: Stage = SINGLE,
-        sampled: Stage = SAMPLED,
-        given: Stage = GIVEN,
+        stacked: Stage | Mapping[str, Any] | None = None,
+        single: Stage | Mapping[str, Any] | None = None,
+        sampled: Stage | Mapping[str, Any] | None = None,
+        given: Stage | Mapping[str, Any] | None = None,
         stacked_share: float = 0.5,
         growth: float = 0.8,
         spread: float = 1.6,
         seed: int = 0,
     ) -> None:
         super().__init__(seed)
-        self.stacked, self.single, self.sampled, self.given = stacked, single, sampled, given
+        self.stacked, self.single = changed("stacked", STACKED, stacked), changed("single", SINGLE, single)
+        self.sampled, self.given = changed("sampled", SAMPLED, sampled), changed("given", GIVEN, given)
         self.stacked_share = real("stacked_share", stacked_share, low=0.0, high=0.9)
         self.growth = real("growth", growth, low=0.0, high=1.0)
         self.spread = real("spread", spread, low=0.0)

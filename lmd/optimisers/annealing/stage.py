@@ -1,9 +1,10 @@
 """The conditions of a stage of simulated annealing, as a user sets them."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
-from lmd.checks import real, vector
+from lmd.checks import InputError, choice, real, vector
 from lmd.optimisers.annealing.walk import Settings
 
 
@@ -61,3 +62,19 @@ class Stage:
             near=near,
             together=self.together,
         )
+
+
+def changed(name: str, default: Stage, given: Stage | Mapping[str, Any] | None) -> Stage:
+    """The stage `given`, or the default one with what differs from it.
+
+    Raises:
+        InputError: a value is out of range, or there is no such condition.
+    """
+    if given is None or isinstance(given, Stage):
+        return given or default
+    try:
+        for key in given:
+            choice("condition", key, [field.name for field in fields(Stage)])
+        return replace(default, **given)
+    except InputError as error:
+        raise error.within(name) from None

@@ -18,8 +18,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from lmd.compiled import kernel
 from lmd.objectives.field import accept, bound, settle, smoothed, undo, worth
 
 # Relative, for the bound: exp may fall by a rounding error or two where its argument rises.
@@ -55,14 +55,14 @@ class Best(NamedTuple):
     surfaces: np.ndarray
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _reflect(value, extent):
     """Fold a coordinate that left [0, extent] back into it."""
     value = abs(value) % (2.0 * extent)
     return 2.0 * extent - value if value > extent else value
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _propose(k, state, surfaces, settings, rng):
     """A new place for landmark k, flush on a surface: index of the surface and coordinates there."""
     kind = rng.random()
@@ -83,7 +83,7 @@ def _propose(k, state, surfaces, settings, rng):
     return s, _reflect(a, surfaces.extent[s, 0]), _reflect(b, surfaces.extent[s, 1])
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _gather(k, state, group):
     """Fill `group` with landmark k and its nearest neighbours."""
     group[0] = k
@@ -100,7 +100,7 @@ def _gather(k, state, group):
                 nearest, group[m] = distance, j
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def propose(group, state, surfaces, settings, rng, new):
     """Write where the landmarks of `group` shall go, `(len(group), 6)`: position and normal; returns the surface.
 
@@ -122,7 +122,7 @@ def propose(group, state, surfaces, settings, rng, new):
     return s
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _move(field, k, pose, surface, state, scratch):
     """Move landmark k, whatever that is worth."""
     bound(field, k, pose, surface, state, scratch)
@@ -130,7 +130,7 @@ def _move(field, k, pose, surface, state, scratch):
     accept(field, k, state, scratch)
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _sum_values(units, accepted, value, target, settings, trial):
     """The smoothed objective for `units`, its terms in `trial`; `value` has those for `accepted`."""
     total = 0.0
@@ -142,7 +142,7 @@ def _sum_values(units, accepted, value, target, settings, trial):
     return total
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def total_worth(target, units):
     """The fitness of a deployment with the values `units`."""
     total = 0.0
@@ -151,7 +151,7 @@ def total_worth(target, units):
     return total
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _keep_best(state, target, best):
     """Update `best` if `state` is better."""
     fitness = total_worth(target, state.units)
@@ -162,7 +162,7 @@ def _keep_best(state, target, best):
         best.surfaces[:] = state.surfaces
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def walk(moves, field, state, scratches, target, surfaces, settings, rng, best):
     """Move landmarks `moves` times from `state`, which ends where the walk ends; `best` is updated.
 

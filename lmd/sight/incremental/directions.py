@@ -13,9 +13,9 @@ the directions of the cell are between alpha - rho and alpha + rho.
 import math
 
 import numpy as np
-from numba import njit
 
 from lmd.checks import FloatArray
+from lmd.compiled import kernel
 from lmd.sight.criteria import from_position
 from lmd.sight.incremental.bits import packed
 
@@ -25,7 +25,7 @@ NOWHERE = SIDE * SIDE  # one row more than there are cells: no axis at all
 _SLACK = 1e-6
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def cell_of(x, y, z):
     """The cell of the direction of (x, y, z), anything if that is zero."""
     scale = 1.0 / (abs(x) + abs(y) + abs(z))
@@ -36,7 +36,7 @@ def cell_of(x, y, z):
     return max(0, min(row, SIDE - 1)) * SIDE + max(0, min(column, SIDE - 1))
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def see(ax, ay, az, nx, ny, nz, positions, sight, sighting):
     """Fill `sighting` with what is seen of a landmark at (ax, ay, az) with normal (nx, ny, nz)."""
     x, y, z, low, cell, limited, reached = sighting

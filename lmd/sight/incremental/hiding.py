@@ -21,12 +21,13 @@ import math
 import numpy as np
 from numba import njit
 
+from lmd.compiled import kernel
 from lmd.sight.criteria import TOLERANCE, hide
 from lmd.sight.incremental.bits import LANES, lowest
 from lmd.sight.kernels import BLOCK, SINGLE_ERROR
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def find_neighbours(k, ax, ay, az, x, y, z, field, landmarks, wanted, ways, neighbours):
     """Fill `neighbours` of a place (ax, ay, az) of landmark k, at offsets `x, y, z`, in the `wanted` blocks."""
     positions, centres, halves, sight = field.positions, field.centres, field.halves, field.sight
@@ -90,7 +91,7 @@ def flips_with(reachable, was, now):
     return reachable & ((was == 0) != (now == 0))
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def find_turns(before, after, turns, slot):
     """Merge what a landmark hides `before` and `after` a move into how many more others hide each of the others."""
     found, who, change = turns
@@ -110,7 +111,7 @@ def find_turns(before, after, turns, slot):
             slot[who[b, m]] = -1
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def find_old(k, field, state, scratch):
     """Fill `before` with what landmark k hides, and is hidden by, where it is."""
     landmarks, hiding, hidden, old, wanted = state.landmarks, state.hiding, state.hidden, scratch.old, scratch.wanted
@@ -126,7 +127,7 @@ def find_old(k, field, state, scratch):
     find_neighbours(k, ax, ay, az, x, y, z, field, landmarks, wanted, scratch.ways, scratch.before)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def find_new(k, field, state, scratch):
     """Fill `after` with what landmark k hides, and is hidden by, at the place tried."""
     target, new, wanted = scratch.target, scratch.new, scratch.wanted
@@ -137,7 +138,7 @@ def find_new(k, field, state, scratch):
     )  # fmt: skip
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def find_flips(state, scratch):
     """Fill `turns` from `before` and `after`; set `flips` where another landmark appears or disappears."""
     reachable, hidden, flips = state.reachable, state.hidden, scratch.flips

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from lmd.compiled import kernel
 from lmd.deployment import Deployment
 from lmd.sight.criteria import covers
 from lmd.sight.incremental.bits import (
@@ -34,7 +35,7 @@ from lmd.sight.kernels import BLOCK
 # Indices are unsigned where it counts: signed ones cost extra instructions, as they might be negative.
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _find_cap(positions, field, scratch):
     """Find the axes that cover the place tried at `positions`, nobody hiding it.
 
@@ -72,7 +73,7 @@ def _ripple(p, w, changed, goes, n, counts, short, just):
     short[p, w], just[p, w] = one, two
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _recount(k, positions, sign, field, state, scratch):
     """Exchange the cap of landmark k for the other in `scratch` at `positions`, and update the counts.
 
@@ -103,7 +104,7 @@ def _recount(k, positions, sign, field, state, scratch):
                     _ripple(p, w, caps[i, p, w], ALL if was == 0 else ZERO, n, counts, short, just)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _touched(k, state, scratch):
     """Positions at which a move of landmark k may change anything."""
     reachable, reached, flips, listed = state.reachable, scratch.new.reached, scratch.flips, scratch.listed
@@ -114,7 +115,7 @@ def _touched(k, state, scratch):
     return listed[:count]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _exchange(k, sign, field, state, scratch):
     """Exchange landmark k for what `scratch` has of its other place."""
     landmarks, normals, reachable, hidden, hiding, units = (
@@ -146,20 +147,20 @@ def _exchange(k, sign, field, state, scratch):
     state.surfaces[k], scratch.surface[0] = scratch.surface[0], state.surfaces[k]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def carry_out(k, field, state, scratch):
     """Move landmark k to where it was tried last; no other move may have been tried or carried out since."""
     _find_cap(_touched(k, state, scratch), field, scratch)
     _exchange(k, 1, field, state, scratch)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def take_back(k, field, state, scratch):
     """Undo the last `carry_out` with this `scratch`, all later ones being undone."""
     _exchange(k, -1, field, state, scratch)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def move(k, pose, surface, field, state, scratch):
     """Move landmark k to `pose` `(6,)`, position and normal, on a surface."""
     bound_move(k, pose, surface, field, state, scratch)
@@ -167,7 +168,7 @@ def move(k, pose, surface, field, state, scratch):
     carry_out(k, field, state, scratch)
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _fill(field, state, scratch):
     """Let the landmarks of `state` come, one after the other."""
     landmarks, normals, new, after = state.landmarks, state.normals, scratch.new, scratch.after

@@ -23,8 +23,8 @@ another cap, so what it finds is never below P_n:
 """
 
 import numpy as np
-from numba import njit
 
+from lmd.compiled import kernel
 from lmd.sight.criteria import covers
 from lmd.sight.incremental.bits import (
     ALL,
@@ -45,7 +45,7 @@ from lmd.sight.kernels import BLOCK
 # Indices are unsigned where it counts: signed ones cost extra instructions, as they might be negative.
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _try_caps(k, field, state, scratch):
     """Bound P_n where landmark k comes or goes and no other appears; copy it where nothing happens."""
     sight, axes, weights, certain, possible = field.sight, field.axes, field.weights, field.certain, field.possible
@@ -89,7 +89,7 @@ def _try_caps(k, field, state, scratch):
         units[p] += change
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _try_flips(k, positions, field, state, scratch):
     """Find P_n at `positions`, where other landmarks may appear or disappear."""
     sight, axes, weights, possible, n = field.sight, field.axes, field.weights, field.possible, field.n
@@ -140,7 +140,7 @@ def _try_flips(k, positions, field, state, scratch):
                 left &= left - ONE
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def bound_move(k, pose, surface, field, state, scratch):
     """Find what P_n is at most with landmark k at `pose` `(6,)`, position and normal, on a surface: `scratch.units`."""
     after, flips, listed = scratch.after, scratch.flips, scratch.listed
@@ -161,7 +161,7 @@ def bound_move(k, pose, surface, field, state, scratch):
     _try_flips(np.uint64(k), listed[:count], field, state, scratch)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def finish_move(k, field, state, scratch):
     """Make what `bound_move` found exact."""
     if field.sight.reach < 0.0:

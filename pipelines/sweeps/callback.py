@@ -1,0 +1,119 @@
+"""What Hydra calls when a sweep begins and ends: its tracked run, and its table."""
+
+import atexit
+import csv
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hydra.experimental.callback import Callback
+from omegaconf import DictConfig
+
+from ..app import instantiate
+from .folder import JobFolder, SweepFolder
+from .jobs import Job, Sweep, reason_of
+from .names import override_tags, pin_sweep_folder, sweep_name, swept, varied_keys
+from .supervisor import LOST, end_runs
+
+if TYPE_CHECKING:
+    from ..tracking import Tracker
+
+FIGURES = ("qualified_ratio", "average_coverage_probability", "maximum_coverage_probability")
+
+
+class SweepRecord(Callback):
+    """Hydra callback that gives a sweep its parent run and, at its end, its table."""
+
+    def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
+        """Start the parent run, or continue that of the same sweep before."""
+        from lmd.checks import InputError
+
+        folder = SweepFolder(pin_sweep_folder(config))
+        before = folder.load()
+        overrides = swept(config)
+        sweep = Sweep(sweep_name(config), varied_keys(overrides), before.run_id if before else None)
+        try:
+            tracker: Tracker = instantiate(config.tracking)
+            tags = {"sweep": sweep.name, "pipeline": config.hydra.job.name, "folder": str(folder.path.resolve())}
+            tracker.start(f"sweep {sweep.name}", {}, tags | override_tags(overrides), sweep.run_id)
+        except InputError as error:
+            hint = f" (to start the sweep afresh, delete {folder.path})" if before else ""
+            print(f"error: {error}{hint}", file=sys.stderr)
+            sys.exit(1)
+        folder.save(replace(sweep, run_id=tracker.run_id))
+        atexit.register(_cut_short, config)
+        done = sum(job.status == "finished" for _, job in folder.jobs())
+        going_on = f", going on after {done} finished jobs (delete the folder to start afresh)" if before else ""
+        print(f"sweep {sweep.name} in {folder.path}{going_on}", flush=True)
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        """Write the table, end the parent run, and exit with 1 if a job has failed."""
+        atexit.unregister(_cut_short)
+        try:
+            failed = _close(config)
+        except Exception as error:  # Hydra would make it a warning
+            print(f"error: the sweep's run could not be ended: {reason_of(error)}", file=sys.stderr)
+            failed = True
+        if failed:
+            sys.exit(1)
+
+
+def _cut_short(config: DictConfig) -> None:
+    """Close a sweep that ended before all its jobs had."""
+    folder = SweepFolder(config.hydra.sweep.dir)
+    if not folder.jobs():  # the first job was refused
+        sweep = folder.load()
+        tracker: Tracker = instantiate(config.tracking)
+        if sweep is not None and sweep.run_id is not None:
+            tracker.start(sweep.name, {}, {}, sweep.run_id)
+            tracker.discard()
+        folder.discard()
+        return
+    _close(config, "the sweep was cut short")
+    print("the same command again does what is missing", file=sys.stderr)
+
+
+def _close(config: DictConfig, reason: str = "") -> bool:
+    """Write the table of a sweep and end its run, as FAILED if `reason` is given or a job failed; returns which."""
+    folder = SweepFolder(config.hydra.sweep.dir)
+    sweep = folder.load()
+    assert sweep is not None
+    for its_folder, job in folder.jobs():
+        if job.status == "running":
+            with its_folder.held(wait=False) as lock:
+                if lock is not None:
+                    its_folder.save(replace(job, status="killed", reason=LOST))
+                    end_runs(config.tracking, its_folder, job, LOST)
+    jobs = folder.jobs()
+    failed = [(its_folder, job) for its_folder, job in jobs if job.status != "finished"]
+    write_table(folder.table, sweep, jobs)
+    print(f"{len(jobs) - len(failed)} of {len(jobs)} jobs finished: {folder.table}", flush=True)
+    for its_folder, job in failed:
+        print(f"{job.status}: {job.label}: {job.reason} ({its_folder.output})", file=sys.stderr)
+    if failed:
+        reason = reason or f"{len(failed)} of {len(jobs)} jobs failed"
+    tracker: Tracker = instantiate(config.tracking)
+    tracker.start(sweep.name, {}, {}, sweep.run_id)
+    tracker.log_metrics({"jobs": len(jobs), "failed": len(failed)})
+    tracker.log_artifacts([folder.table])
+    tracker.finish("FAILED" if reason else "FINISHED", reason)
+    return bool(reason)
+
+
+def write_table(path: Path, sweep: Sweep, jobs: list[tuple[JobFolder, Job]]) -> None:
+    """A row for each job: its folder, what varies, its status, its figures, seconds, and why it failed."""
+    rows = []
+    for folder, job in jobs:
+        shows = job.status == "finished" and folder.metrics.exists()
+        figures = json.loads(folder.metrics.read_text()) if shows else {}
+        rows.append(
+            {"folder": folder.name, **job.varied, "status": job.status}
+            | {key: figures.get(key, "") for key in FIGURES}
+            | {"seconds": round(job.seconds, 1), "reason": job.reason}
+        )
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, ["folder", *sweep.varied, "status", *FIGURES, "seconds", "reason"])
+        writer.writeheader()
+        writer.writerows(rows)

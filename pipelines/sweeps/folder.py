@@ -1,0 +1,116 @@
+"""What a sweep and its jobs keep on disk, so that processes and machines can share it and a later sweep can go on."""
+
+import json
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from .jobs import Job, Sweep
+
+JOB_VARIABLE = "LMD_JOB"  # tells a process which job folder it works for
+
+
+class JobFolder:
+    """The folder of one job; what a run leaves there is named by the run.
+
+    Args:
+        path: where it is.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.record = self.path / "job.json"
+        self.output = self.path / "output.log"  # what the job printed
+        self.metrics = self.path / "metrics.json"
+        self.checkpoint = self.path / "checkpoint.pkl"  # as in lmd.checkpoint, which takes long to import
+
+    @property
+    def name(self) -> str:
+        """Its name below the sweep's folder."""
+        return self.path.name
+
+    def load(self) -> Job | None:
+        """The job; None where there is none."""
+        values = _load(self.record)
+        return None if values is None else Job(**(values | {"overrides": tuple(values["overrides"])}))
+
+    def save(self, job: Job) -> None:
+        """Write the job, whole or not at all."""
+        _save(self.record, asdict(job))
+
+    @contextmanager
+    def held(self, wait: bool = True) -> Iterator[int | None]:
+        """Hold it for this process and those that inherit the descriptor; None if another holds it.
+
+        Args:
+            wait: whether to wait for the other.
+        """
+        import fcntl
+
+        with (self.path / ".lock").open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                if not wait:
+                    yield None
+                    return
+                print(f"{self.path} is still being worked on by another process; waiting for it", flush=True)
+                fcntl.flock(lock, fcntl.LOCK_EX)
+            yield lock.fileno()
+
+
+class SweepFolder:
+    """The folder of a sweep, with a folder for each of its jobs.
+
+    Args:
+        path: where it is.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.record = self.path / "sweep.json"
+        self.table = self.path / "jobs.csv"
+
+    def load(self) -> Sweep | None:
+        """The sweep; None where there is none."""
+        values = _load(self.record)
+        return None if values is None else Sweep(**(values | {"varied": tuple(values["varied"])}))
+
+    def save(self, sweep: Sweep) -> None:
+        """Write the sweep, whole or not at all."""
+        self.path.mkdir(parents=True, exist_ok=True)
+        _save(self.record, asdict(sweep))
+
+    def jobs(self) -> list[tuple[JobFolder, Job]]:
+        """The jobs and their folders, in the order of the sweep."""
+        folders = [JobFolder(path) for path in self.path.iterdir()]
+        found = [(folder, job) for folder in folders if (job := folder.load()) is not None]
+        return sorted(found, key=lambda entry: entry[1].number)
+
+    def discard(self) -> None:
+        """Forget the sweep: no job has begun. What the user keeps there stays."""
+        self.record.unlink(missing_ok=True)
+        if {path.name for path in self.path.iterdir()} <= {"multirun.yaml"}:  # Hydra's
+            shutil.rmtree(self.path)
+
+
+def current_job() -> tuple[JobFolder, Job] | None:
+    """The job this process works for and its folder; None outside a sweep."""
+    path = os.environ.get(JOB_VARIABLE)
+    folder = JobFolder(path) if path else None
+    job = folder.load() if folder else None
+    return (folder, job) if folder and job else None
+
+
+def _load(path: Path) -> dict[str, Any] | None:
+    return dict(json.loads(path.read_text())) if path.is_file() else None
+
+
+def _save(path: Path, document: Mapping[str, Any]) -> None:
+    partial = path.with_suffix(f".{os.getpid()}.partial")
+    partial.write_text(json.dumps(document, indent=2) + "\n")
+    os.replace(partial, path)

@@ -1,0 +1,95 @@
+"""Names: of the folders of sweeps and jobs, of what a sweep varies, and of values in overrides."""
+
+import hashlib
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf, read_write
+
+from .folder import SweepFolder
+
+SLUG_LENGTH = 100
+
+
+def key_and_value(override: str) -> tuple[str, str]:
+    """`+objective.n=2` as (`objective.n`, `2`)."""
+    key, _, value = override.partition("=")
+    return key.lstrip("+~"), value
+
+
+def override_tags(overrides: Sequence[str]) -> dict[str, str]:
+    """Overrides as the tags of a tracked run, all in one and each by itself."""
+    each = {f"override.{key}": value for key, value in map(key_and_value, overrides)}
+    return {"overrides": " ".join(overrides)} | each
+
+
+def slug(text: str) -> str:
+    """`text` in characters that need no quotes in a path or an override."""
+    return re.sub(r"[^\w.-]+", "-", text)[:SLUG_LENGTH].strip("-.")
+
+
+def _digest(*parts: Any) -> str:
+    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:8]
+
+
+def _settings(root: DictConfig) -> Any:
+    """The resolved configuration without Hydra's own."""
+    return OmegaConf.to_container(
+        OmegaConf.masked_copy(root, [str(key) for key in root if key != "hydra"]), resolve=True
+    )
+
+
+def swept(root: DictConfig) -> list[str]:
+    """The overrides of a sweep: the stored ones, then those of the command line."""
+    return [f"{key}={value}" for key, value in (root.hydra.sweeper.get("params") or {}).items()] + list(
+        root.hydra.overrides.task
+    )
+
+
+def varied_keys(overrides: Sequence[str]) -> tuple[str, ...]:
+    """The keys of those `overrides` that have more than one value."""
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+
+    parsed = OverridesParser.create().parse_overrides(list(overrides))
+    return tuple(dict.fromkeys(str(o.key_or_group) for o in parsed if o.is_sweep_override()))
+
+
+def sweep_name(root: DictConfig) -> str:
+    """The experiment a sweep runs, or else what it varies."""
+    experiment = root.hydra.runtime.choices.get("experiment")
+    return str(experiment or slug("_".join(varied_keys(swept(root)))) or "sweep")
+
+
+def sweep_folder(*, _root_: DictConfig) -> str:
+    """Name of a sweep's folder: the same for the same command, another for any other."""
+    return f"{slug(sweep_name(_root_))}-{_digest(_settings(_root_), sorted(swept(_root_)))}"
+
+
+def job_folder(*, _root_: DictConfig) -> str:
+    """Name of a job's folder below that of its sweep: the same for the same configuration."""
+    sweep = SweepFolder(_root_.hydra.sweep.dir).load()
+    values = [key_and_value(override) for override in _root_.hydra.overrides.task]
+    kept = [f"{key.split('.')[-1]}-{value}" for key, value in values if sweep and key in sweep.varied]
+    return "_".join([*filter(None, [slug("_".join(kept))]), _digest(_settings(_root_))])
+
+
+def quoted(path: Path) -> str:
+    """A path as the value of an override."""
+    escaped = str(path).replace("\\", "\\\\").replace("'", "\\'")
+    return f"'{escaped}'"
+
+
+def pin_sweep_folder(config: DictConfig) -> Path:
+    """Give the jobs of a sweep the folder of the sweep, which their own configuration cannot tell; returns it."""
+    folder = Path(config.hydra.sweep.dir)
+    with read_write(config.hydra):
+        config.hydra.sweep.dir = str(folder)
+        config.hydra.overrides.hydra.append(f"hydra.sweep.dir={quoted(folder)}")  # from these the jobs are composed
+    return folder
+
+
+OmegaConf.register_new_resolver("lmd.sweep_folder", sweep_folder, replace=True)
+OmegaConf.register_new_resolver("lmd.job_folder", job_folder, replace=True)
