@@ -5,28 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import paper_room, paper_scene
-from hydra import compose, initialize_config_dir
+from small import make, problem
 
-from lmd import pdf
 from lmd.checks import InputError
-from lmd.deployment import RandomDeployment, UniformDeployment
+from lmd.deployment import UniformDeployment
 from lmd.optimisers.base import AskTell, Budget
-from lmd.problem import CoverageProblem, Objective
-from pipelines.app import CONF, instantiate
+from lmd.problem import CoverageProblem
+from pipelines.app import CONF
 
 NAMES = sorted(path.stem for path in Path(CONF, "optimiser").glob("*.yaml"))
 BUDGET = 200
-
-
-def make(name, seed=0):
-    with initialize_config_dir(CONF, version_base="1.3"):
-        return instantiate(compose("optimise", [f"optimiser={name}"]).optimiser, seed=seed)
-
-
-def problem(start=None, threads=1):
-    scene = paper_scene(room=paper_room(spacing=1.5), orientations=pdf.grid_with_ends(6))
-    return CoverageProblem(scene, Objective(2, 0.5), start or RandomDeployment(30), threads=threads)
 
 
 class NanProblem(CoverageProblem):

@@ -66,6 +66,7 @@ def test_scene_figure_has_the_stated_size_and_shows_qualified_positions_in_the_r
     assert shown["all"] > 500
 
 
+@pytest.mark.slow
 def test_plotting_libraries_load_late_and_pyplot_never(tmp_path, deployment):
     deployment.to_csv(tmp_path / "deployment.csv")
     code = """if True:

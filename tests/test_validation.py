@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import paper_room, paper_scene
+from paper import paper_room, paper_scene
 
 from lmd import pdf
 from lmd.checks import InputError

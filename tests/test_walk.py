@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
-from conftest import paper_room, paper_scene
+from paper import paper_room, paper_scene
 
 from lmd import pdf
 from lmd.deployment import RandomDeployment
-from lmd.optimisers import walk as module
 from lmd.optimisers.annealing import Stage
+from lmd.optimisers.annealing import walk as module
 from lmd.optimisers.annealing.surrogate import Ground
 from lmd.problem import CoverageProblem, Objective
 
