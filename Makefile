@@ -24,7 +24,7 @@ run: install  ## the main job on the paper's room at a small budget
 test: install  ## the whole test suite
 	$(BIN)/python -m pytest -n auto --dist loadfile
 
-quick: install  ## the tests that start no processes of their own
+quick: install  ## the tests that are not slow, for while you work
 	$(BIN)/python -m pytest -n auto --dist loadfile -m 'not slow'
 
 lint: install  ## style and types

@@ -14,6 +14,7 @@ from lmd.problem import CoverageProblem
 from pipelines.app import CONF
 
 NAMES = sorted(path.stem for path in Path(CONF, "optimiser").glob("*.yaml"))
+QUICK = {"annealing", "cma_es", "ega"}  # one of each kind
 BUDGET = 200
 
 
@@ -29,7 +30,7 @@ class NanProblem(CoverageProblem):
         return fitness
 
 
-@pytest.fixture(scope="module", params=NAMES)
+@pytest.fixture(scope="module", params=[pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in NAMES])
 def name(request):
     return request.param
 
