@@ -7,7 +7,7 @@ EVALUATIONS ?= 3000
 export MLFLOW_DISABLE_TELEMETRY := true
 export DO_NOT_TRACK := true
 
-.PHONY: install run test lint docs ui figures paper-experiment clean
+.PHONY: install run test quick lint docs ui figures paper-experiment clean
 
 install: $(VENV)/installed
 
@@ -23,6 +23,9 @@ run: install  ## the main job on the paper's room at a small budget
 
 test: install  ## the whole test suite
 	$(BIN)/python -m pytest -n auto --dist loadfile
+
+quick: install  ## the tests that are not slow, for while you work
+	$(BIN)/python -m pytest -n auto --dist loadfile -m 'not slow'
 
 lint: install  ## style and types
 	$(BIN)/ruff check .

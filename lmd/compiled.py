@@ -18,8 +18,8 @@ def kernel(function: Callable[..., Any]) -> Any:
 
     A division by zero gives infinity or NaN instead of an exception, as in NumPy.
     """
-    compiled = njit(nogil=True, error_model="numpy")(function)
-    compiled._cache = _Cache(function)
+    compiled: Any = njit(nogil=True, error_model="numpy")(function)
+    compiled._cache = _Cache(function)  # what njit(cache=True) does with its own class
     return compiled
 
 
@@ -54,7 +54,8 @@ class _Cache(FunctionCache):
 
 def _is_foreign(kind: Any) -> bool:
     """Whether a numba type is, or contains, a named tuple defined elsewhere."""
-    named = getattr(kind, "instance_class", None)  # of named tuples
+    named: Any = getattr(kind, "instance_class", None)  # of named tuples
     if named is not None and named.__module__.partition(".")[0] != "lmd":
         return True
-    return isinstance(kind, types.BaseTuple) and any(_is_foreign(part) for part in kind.types)
+    parts: Any = kind if isinstance(kind, types.BaseTuple) else ()
+    return any(_is_foreign(part) for part in parts)

@@ -1,77 +1,8 @@
-import math
-
-import numpy as np
 import pytest
 from hypothesis import settings
 
-from lmd import pdf
-from lmd.camera import Camera
-from lmd.deployment import Deployment
-from lmd.scene import Scene
-from lmd.sight.paper import Visibility
-from lmd.space.cuboid import Cuboid
-
 settings.register_profile("lmd", deadline=None)  # the first example may wait for a compiler
 settings.load_profile("lmd")
-
-PAPER_CAMERA = {
-    "focal_length": 5.0,
-    "pixel_width": 0.0058,
-    "pixel_height": 0.0058,
-    "principal_point": (800.0, 600.0),
-    "image_width": 1600.0,
-    "image_height": 1200.0,
-    "aperture": 10.0,
-    "focus_distance": 1778.0,
-}
-PRINTED_EXPERIMENT_CAMERA = {
-    "focal_length": 24.0,
-    "pixel_width": 0.0033,
-    "pixel_height": 0.0033,
-    "principal_point": (960.0, 540.0),
-    "image_width": 1920.0,
-    "image_height": 1080.0,
-    "aperture": 8.57,
-    "focus_distance": math.inf,
-}
-SIDE_WALLS = ("x_min", "x_max", "y_min", "y_max")
-X, Y, Z = np.eye(3)
-
-
-def paper_camera(**changes):
-    return Camera(**(PAPER_CAMERA | changes))
-
-
-def printed_experiment_camera(**changes):
-    return Camera(**(PRINTED_EXPERIMENT_CAMERA | changes))
-
-
-def paper_room(**changes):
-    return Cuboid(**({"size": (7.5, 5.0, 6.0), "reachable_size": (6.0, 3.5, 4.5), "spacing": 0.5} | changes))
-
-
-def experiment_room(**changes):
-    fixed = {"size": (3.2, 3.2, 1.7), "reachable_size": (2.6, 2.6, 1.2), "spacing": 0.4, "walls": SIDE_WALLS}
-    return Cuboid(**(fixed | changes))
-
-
-def one_position_room(position=(2.0, 2.0, 2.0)):
-    return Cuboid(size=tuple(2.0 * c for c in position), reachable_size=(0.1, 0.1, 0.1), spacing=1.0)
-
-
-def paper_scene(room=None, camera=None, orientations=None, **visibility):
-    return Scene(
-        room or paper_room(),
-        camera or paper_camera(),
-        orientations or pdf.grid_with_ends(),
-        Visibility(**({"thold": 0.28} | visibility)),
-    )
-
-
-def facing(camera_at, *points):
-    points = np.array(points, dtype=float)
-    normals = camera_at - points
-    return Deployment(points, normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
 
 @pytest.fixture

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
-from conftest import paper_room, paper_scene
-from test_optimisers import make, problem
+from paper import paper_room, paper_scene
+from small import make, problem
 
 from lmd import pdf
 from lmd.checks import InputError

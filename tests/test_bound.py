@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import paper_room, paper_scene
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from paper import paper_room, paper_scene
+from processes import call
 from scipy.optimize import linprog
 from scipy.sparse import block_array, csr_array, eye_array, kron
+from small import make
 from strategies import scenes, scenes_with_boundary_landmarks, scenes_with_deployments, seeds
-from test_optimisers import make
-from test_pipelines import call
 
 from lmd import pdf
 from lmd.bounds import (
@@ -239,6 +239,7 @@ def test_a_bad_search_is_refused(changes, message):
 SMALL_BOUND = ["room.spacing=2.0", "pdf.divisions=6", "bound.spacing=1.0", "bound.iterations=40", "tracking=none"]
 
 
+@pytest.mark.slow
 def test_the_command_prints_and_writes_the_bounds(tmp_path):
     done = call("bound", *SMALL_BOUND, "deployment.count=12", "bound.target=0.5", "hydra.run.dir=run", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -249,6 +250,7 @@ def test_the_command_prints_and_writes_the_bounds(tmp_path):
     assert set(document["fitness"]) == {"walls", "grid", "fractional"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("override", "message"),
     [

@@ -27,9 +27,8 @@ FLAGS = (
     "--disable-component-update",
     "--disable-sync",
 )
-pytestmark = pytest.mark.skipif(
-    not (CHROMIUM and DRIVER), reason="needs Chromium and its driver (Debian: apt-get install chromium chromium-driver)"
-)
+REASON = "needs Chromium and its driver (Debian: apt-get install chromium chromium-driver)"
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(not (CHROMIUM and DRIVER), reason=REASON)]
 
 
 @pytest.fixture(scope="module")

@@ -2,9 +2,9 @@ import dataclasses
 import math
 
 import pytest
-from conftest import PAPER_CAMERA, paper_camera, printed_experiment_camera
 from hypothesis import given
 from hypothesis import strategies as st
+from paper import PAPER_CAMERA, paper_camera, printed_experiment_camera
 from strategies import cameras, visibilities
 
 from lmd.checks import InputError

@@ -1,14 +1,13 @@
 import json
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from mlflow import MlflowClient
-from test_pipelines import SMALL, call, command, environment
+from processes import call, command, start
 
 from lmd.comparison import OptimiserRun, best_at, comparison_table
 from lmd.deployment import Deployment
@@ -57,6 +56,7 @@ def test_curves_are_steps():
     np.testing.assert_array_equal(curve, [[np.nan, 0.2, 0.2, 0.4, 0.4]])
 
 
+@pytest.mark.slow
 def test_a_comparison_leaves_a_table_a_plot_and_nested_runs(tmp_path):
     done = call(
         "compare", "optimisers=[ega,'ega +optimiser.population=12']", "seeds=2", "budget.evaluations=40",
@@ -77,6 +77,7 @@ def test_a_comparison_leaves_a_table_a_plot_and_nested_runs(tmp_path):
     assert all(r.info.status == "FINISHED" for r in runs)
 
 
+@pytest.mark.slow
 def test_a_comparison_gives_what_single_runs_give(tmp_path):
     shared = ("deployment.count=20", "tracking=none", "budget.evaluations=40")
     call("compare", *shared, "optimisers=[ega]", "seeds=1", "seed=3", "workers=1", "hydra.run.dir=many", cwd=tmp_path)
@@ -88,12 +89,11 @@ def test_a_comparison_gives_what_single_runs_give(tmp_path):
     assert pd.read_csv(tmp_path / "many" / "comparison.csv").qualified_ratio[0] == one["qualified_ratio"]
 
 
+@pytest.mark.slow
 def test_an_interrupted_comparison_keeps_a_table_of_what_is_finished(tmp_path):
     overrides = ["optimisers=[ega]", "seeds=500", "workers=1", "budget.evaluations=20", "deployment.count=20"]
     overrides += ["hydra.run.dir=run", "tracking.uri=sqlite:///store.db"]
-    process = subprocess.Popen(
-        command("compare", *overrides), cwd=tmp_path, env=environment(), stdout=subprocess.PIPE, text=True
-    )
+    process = start(command("compare", *overrides), cwd=tmp_path, stdout=subprocess.PIPE)
     assert process.stdout.readline().startswith("1/500 ega seed=0")
     process.send_signal(signal.SIGINT)
     process.communicate()
@@ -104,6 +104,7 @@ def test_an_interrupted_comparison_keeps_a_table_of_what_is_finished(tmp_path):
     assert sorted({run.info.status for run in runs}) == ["FINISHED", "KILLED"]
 
 
+@pytest.mark.slow
 def test_a_misspelt_optimiser_fails_before_anything_runs(tmp_path):
     done = call("compare", "optimisers=[ega,egg]", "tracking=none", "hydra.run.dir=run", cwd=tmp_path)
     assert done.returncode == 1
@@ -130,6 +131,7 @@ class HillClimber(AskTell):
 """
 
 
+@pytest.mark.slow
 def test_an_optimiser_is_added_from_a_folder_outside_the_repository(tmp_path):
     group = tmp_path / "mine" / "optimiser"
     group.mkdir(parents=True)
@@ -138,12 +140,7 @@ def test_an_optimiser_is_added_from_a_folder_outside_the_repository(tmp_path):
     overrides = [f"hydra.searchpath=[file://{tmp_path}/mine]", "optimiser=hill", "budget.evaluations=33",
                  "deployment.count=20", "page=false", "hydra.run.dir=run",
                  "tracking.uri=sqlite:///store.db"]  # fmt: skip
-    environ = environment()
-    environ["PYTHONPATH"] += f":{tmp_path}"
-    done = subprocess.run(
-        [sys.executable, "-m", "pipelines.optimise", *SMALL, *overrides],
-        cwd=tmp_path, env=environ, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    done = call("optimise", *overrides, cwd=tmp_path, folders=[tmp_path])
     assert done.returncode == 0, done.stderr
     assert json.loads((tmp_path / "run" / "metrics.json").read_text())["evaluations"] == 33
     (run,) = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db").search_runs(["1"])

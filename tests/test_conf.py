@@ -2,11 +2,11 @@ import re
 from pathlib import Path
 
 import pytest
-from conftest import PAPER_CAMERA, PRINTED_EXPERIMENT_CAMERA
 from hydra import compose, initialize_config_dir
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.types import RunMode
+from paper import PAPER_CAMERA, PRINTED_EXPERIMENT_CAMERA
 
 from lmd.camera import Camera
 from lmd.checks import InputError

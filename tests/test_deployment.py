@@ -2,10 +2,10 @@ import math
 
 import numpy as np
 import pytest
-from conftest import X, Y, Z, experiment_room, paper_room
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from paper import X, Y, Z, experiment_room, paper_room
 from scipy.stats import chisquare, kstest
 from strategies import deployments, rooms, seeds
 

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
-from conftest import experiment_room, paper_room
 from hypothesis import given
 from hypothesis import strategies as st
+from paper import experiment_room, paper_room
 from strategies import flush_deployments, seeds
 
 from lmd.checks import InputError

@@ -1,11 +1,9 @@
 """`python -m pipelines.estimate_pdf`."""
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
+import processes
 import pytest
 from hydra import compose, initialize_config_dir
 from matplotlib.image import imread
@@ -21,14 +19,7 @@ ROOT = Path(__file__).parents[1]
 
 
 def call(*overrides, cwd):
-    return subprocess.run(
-        [sys.executable, "-m", "pipelines.estimate_pdf", "hydra.run.dir=run", *overrides],
-        cwd=cwd,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    return processes.call("estimate_pdf", "hydra.run.dir=run", *overrides, cwd=cwd, settings=())
 
 
 @pytest.mark.parametrize("option", sorted(path.stem for path in Path(CONF, "recording").glob("*.yaml")))
@@ -37,6 +28,7 @@ def test_every_kind_of_recording_composes_and_builds(option):
         instantiate(compose("estimate_pdf", [f"recording={option}"]).recording)
 
 
+@pytest.mark.slow
 def test_the_command_leaves_a_pdf_that_the_other_pipelines_read(tmp_path):
     simulated(**MOVING).to_csv(tmp_path / "flight.csv")
     done = call("recording.path=flight.csv", "tracking.uri=sqlite:///store.db", cwd=tmp_path)
@@ -70,6 +62,7 @@ def test_the_command_leaves_a_pdf_that_the_other_pipelines_read(tmp_path):
     assert tracked.data.metrics["independence/p_value"] == document["independence"]["p_value"]
 
 
+@pytest.mark.slow
 def test_a_recording_that_is_too_short_gets_one_sentence_and_leaves_nothing(tmp_path):
     simulated(duration=20.0).to_csv(tmp_path / "flight.csv")
     done = call("recording.path=flight.csv", cwd=tmp_path)
@@ -79,6 +72,7 @@ def test_a_recording_that_is_too_short_gets_one_sentence_and_leaves_nothing(tmp_
     assert [path.name for path in tmp_path.iterdir()] == ["flight.csv"]
 
 
+@pytest.mark.slow
 def test_a_missing_path_is_named(tmp_path):
     done = call(cwd=tmp_path)
     assert done.returncode == 1

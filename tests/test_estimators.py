@@ -4,8 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import paper_camera, paper_room, paper_scene
 from numpy.testing import assert_allclose, assert_array_equal
+from paper import paper_camera, paper_room, paper_scene
 
 from lmd.checks import InputError
 from lmd.deployment import UniformDeployment

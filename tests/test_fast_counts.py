@@ -2,10 +2,10 @@ import math
 
 import numpy as np
 import pytest
-from conftest import facing, one_position_room, paper_room, paper_scene
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
+from paper import facing, one_position_room, paper_room, paper_scene
 from strategies import (
     cameras,
     deployments,

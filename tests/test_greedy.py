@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
-from conftest import paper_room, paper_scene
 from hydra import compose, initialize_config_dir
-from test_optimisers import make, problem
+from paper import paper_room, paper_scene
+from small import make, problem
 
 from lmd import pdf
 from lmd.deployment import Deployment, UniformDeployment

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
-from conftest import paper_room, paper_scene
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from paper import paper_room, paper_scene
 from strategies import deployments, scenes_with_boundary_landmarks, scenes_with_deployments, seeds
 
 from lmd.deployment import Deployment, RandomDeployment

@@ -69,6 +69,7 @@ def test_a_job_knows_the_checkpoint_of_its_run(tmp_path):
     assert JobFolder(tmp_path).checkpoint.name == FILE
 
 
+@pytest.mark.slow
 def test_a_folder_is_held_by_one_process_and_the_child_that_inherits_it(tmp_path):
     with JobFolder(tmp_path).held() as lock:
         assert lock is not None

@@ -21,6 +21,7 @@ def test_a_notebook_holds_no_outputs(path):
     assert not kept, f"strip them: nbstripout {path.relative_to(ROOT)}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs_and_leaves_nothing_behind(path, tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(ROOT))

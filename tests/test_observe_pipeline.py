@@ -8,19 +8,19 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import processes
 import pytest
 from mlflow import MlflowClient
 
 ROOT = Path(__file__).parents[1]
 SMALL = ["room.spacing=3", "seeds=2", "trajectory.duration=4", "trajectory.pace.frame_rate=10", "hydra.run.dir=run"]
+pytestmark = pytest.mark.slow
 FILES = {"figures.csv", "curves.csv", "observe.md", "observe.json", "errors.png"}
 LANDMARKS = "id,x,y,z,nx,ny,nz\n0,0,1,1,1,0,0\n1,0,2,3,1,0,0\n2,7.5,2,3,-1,0,0\n"
 
 
 def call(*overrides, cwd, pipeline="observe", settings=SMALL):
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    line = [sys.executable, "-m", f"pipelines.{pipeline}", *settings, *overrides]
-    return subprocess.run(line, cwd=cwd, env=environment, capture_output=True, text=True, check=False)
+    return processes.call(pipeline, *overrides, cwd=cwd, settings=settings)
 
 
 @pytest.fixture(scope="module")

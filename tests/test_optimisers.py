@@ -5,29 +5,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import paper_room, paper_scene
-from hydra import compose, initialize_config_dir
+from small import make, problem
 
-from lmd import pdf
 from lmd.checks import InputError
-from lmd.deployment import RandomDeployment, UniformDeployment
-from lmd.objectives.coverage import Coverage
+from lmd.deployment import UniformDeployment
 from lmd.optimisers.base import AskTell, Budget
 from lmd.problem import Problem
-from pipelines.app import CONF, instantiate
+from pipelines.app import CONF
 
 NAMES = sorted(path.stem for path in Path(CONF, "optimiser").glob("*.yaml"))
+QUICK = {"annealing", "cma_es", "ega"}  # one of each kind
 BUDGET = 200
-
-
-def make(name, seed=0):
-    with initialize_config_dir(CONF, version_base="1.3"):
-        return instantiate(compose("optimise", [f"optimiser={name}"]).optimiser, seed=seed)
-
-
-def problem(start=None, threads=1):
-    scene = paper_scene(room=paper_room(spacing=1.5), orientations=pdf.grid_with_ends(6))
-    return Problem(scene, Coverage(2, 0.5), start or RandomDeployment(30), threads=threads)
 
 
 class NanProblem(Problem):
@@ -42,7 +30,7 @@ class NanProblem(Problem):
         return fitness
 
 
-@pytest.fixture(scope="module", params=NAMES)
+@pytest.fixture(scope="module", params=[pytest.param(n, marks=() if n in QUICK else pytest.mark.slow) for n in NAMES])
 def name(request):
     return request.param
 

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from conftest import paper_camera, paper_room, paper_scene
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from paper import paper_camera, paper_room, paper_scene
 from strategies import deployments, rooms, seeds
 
 from lmd import pdf

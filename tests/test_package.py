@@ -74,6 +74,7 @@ def work(tmp_path):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_nothing_but_lmd_is_installed_and_nothing_is_missing(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
     version = PROJECT["project"]["version"]
@@ -84,6 +85,7 @@ def test_nothing_but_lmd_is_installed_and_nothing_is_missing(wheel):
         assert {f"{below}{path.relative_to(ROOT)}" for path in here} <= names
 
 
+@pytest.mark.slow
 def test_an_installed_command_works_in_an_empty_folder(commands, tmp_path):
     out = call(commands / "lmd-optimise", "optimiser=random_search", cwd=tmp_path)
     assert "(mlflow ui --backend-store-uri sqlite:///outputs/mlflow.db)" in out
@@ -91,6 +93,7 @@ def test_an_installed_command_works_in_an_empty_folder(commands, tmp_path):
     assert list(tmp_path.glob("outputs/optimise/*/landmarks.csv"))
 
 
+@pytest.mark.slow
 def test_an_installed_sweep_takes_an_optimiser_from_a_folder_of_ones_own(commands, work):
     out = call(commands / "lmd-optimise", "-m", "--config-dir", ".", "optimiser=mine", "seed=1,2", cwd=work)
     assert "2 of 2 jobs finished" in out

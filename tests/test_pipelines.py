@@ -1,36 +1,20 @@
 """The two commands as a user meets them: a process, its messages, its exit code and the files it leaves."""
 
 import json
-import os
 import re
 import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pandas as pd
 import pytest
 from mlflow import MlflowClient
+from processes import call, command, environment, start
 
-ROOT = Path(__file__).parents[1]
-SMALL = ["room.spacing=1.5", "objective.thold_p=0.5", "validate=false"]
 FILES = ["convergence.png", "history.csv", "landmarks.csv", "metrics.json", "scene.html", "scene.png"]
+pytestmark = pytest.mark.slow
 HEADER = "id,x,y,z,nx,ny,nz\n"
-
-
-def command(pipeline, *overrides):
-    return [sys.executable, "-m", f"pipelines.{pipeline}", *SMALL, *overrides]
-
-
-def environment():
-    return os.environ | {"PYTHONPATH": str(ROOT)}
-
-
-def call(pipeline, *overrides, cwd):
-    return subprocess.run(
-        command(pipeline, *overrides), cwd=cwd, env=environment(), capture_output=True, text=True, check=False
-    )
 
 
 def read_metrics(directory):
@@ -113,7 +97,7 @@ def test_interrupted_it_keeps_the_best_and_resumes(tmp_path):
     endless = command(
         "optimise", *settings, "budget.evaluations=100000000", "checkpoint_seconds=0.2", "hydra.run.dir=run"
     )
-    process = subprocess.Popen(endless, cwd=tmp_path, env=environment(), stderr=subprocess.PIPE, text=True)
+    process = start(endless, cwd=tmp_path, stderr=subprocess.PIPE)
     deadline = time.monotonic() + 120
     while not (tmp_path / "run" / "checkpoint.pkl").exists() and time.monotonic() < deadline:
         time.sleep(0.1)

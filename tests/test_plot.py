@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import paper_scene
 from matplotlib.image import imread
+from paper import paper_scene
 
 from lmd.deployment import Deployment, RandomDeployment, UniformDeployment
 from lmd.objectives.coverage import Coverage
@@ -82,6 +82,7 @@ def test_scene_figure_has_the_stated_size_and_shows_qualified_positions_in_the_r
     assert shown["all"] > 500
 
 
+@pytest.mark.slow
 def test_plotting_libraries_load_late_and_pyplot_never(tmp_path, deployment):
     deployment.to_csv(tmp_path / "deployment.csv")
     code = """if True:

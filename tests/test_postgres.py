@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from mlflow import MlflowClient
-from test_pipelines import call
+from processes import call
 
 from pipelines.tracking import MlflowTracker
 
@@ -36,7 +36,7 @@ def missing():
 
 
 REASON = missing()
-pytestmark = pytest.mark.skipif(REASON is not None, reason=str(REASON))
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(REASON is not None, reason=str(REASON))]
 
 
 def free_port():

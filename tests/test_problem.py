@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from conftest import one_position_room, paper_room, paper_scene
+from paper import one_position_room, paper_room, paper_scene
 
 from lmd import pdf
 from lmd.checks import InputError

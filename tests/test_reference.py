@@ -2,7 +2,10 @@ import math
 
 import numpy as np
 import pytest
-from conftest import (
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from paper import (
     Y,
     Z,
     experiment_room,
@@ -13,9 +16,6 @@ from conftest import (
     paper_scene,
     printed_experiment_camera,
 )
-from hypothesis import assume, given
-from hypothesis import strategies as st
-from numpy.testing import assert_allclose, assert_array_equal
 from strategies import cameras, free_deployments, pitches, points, seeds, unit_vectors, yaws
 
 from lmd import pdf

@@ -1,14 +1,12 @@
 """The report: tables beside the printed ones, pictures, and what it says where runs are missing."""
 
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.image import imread
+from processes import call
 from tracked import record_all, record_sweep, write_report
 
 from lmd.checks import InputError
@@ -18,12 +16,6 @@ from pipelines.reproduction.sections import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 PICTURES = {"cap.png", "convergence.png", "deployments.png", "landmark_count.png", "optimisers.png", "pairs.png"}
-
-
-def call(pipeline, *overrides, cwd):
-    command = [sys.executable, "-m", f"pipelines.{pipeline}", *overrides]
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, check=False)
 
 
 def rows(markdown, first):
@@ -173,11 +165,14 @@ def test_bad_input_gets_one_sentence_and_leaves_nothing(reported, tmp_path, monk
     assert (tmp_path / "mine.md").read_text() == "# My page\n"
 
 
+@pytest.mark.slow
 def test_a_sweep_as_it_really_runs_is_reported(tmp_path):
     small = ("room.spacing=2", "deployment.count=6", "objective.thold_p=0.3", "validate=false")
-    swept = call("evaluate", "experiment=table2_baselines", "deployment=uniform", "seed=0", *small, cwd=tmp_path)
+    swept = call(
+        "evaluate", "experiment=table2_baselines", "deployment=uniform", "seed=0", *small, cwd=tmp_path, settings=()
+    )
     assert swept.returncode == 0, swept.stderr
-    done = call("report", "hydra.run.dir=report", cwd=tmp_path)
+    done = call("report", "hydra.run.dir=report", cwd=tmp_path, settings=())
     assert done.returncode == 0, done.stderr
     assert str(tmp_path / "report" / "report.html") in done.stdout
     markdown = (tmp_path / "report" / "report.md").read_text()
@@ -186,8 +181,9 @@ def test_a_sweep_as_it_really_runs_is_reported(tmp_path):
     assert "](deployments.png)" in markdown
 
 
+@pytest.mark.slow
 def test_a_store_that_is_not_there_is_named_by_the_command(tmp_path):
-    done = call("report", cwd=tmp_path)
+    done = call("report", cwd=tmp_path, settings=())
     assert done.returncode == 1
     assert re.fullmatch(r"error: tracking\.uri = .*: there is no file 'outputs/mlflow\.db'\.\n", done.stderr)
     assert not list((tmp_path / "outputs" / "report").iterdir())

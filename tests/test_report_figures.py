@@ -1,8 +1,8 @@
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import paper_scene
 from matplotlib.image import imread
+from paper import paper_scene
 
 from lmd import pdf
 from lmd.deployment import Deployment, UniformDeployment

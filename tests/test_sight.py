@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
-from conftest import paper_scene
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
+from paper import paper_scene
 from strategies import scenes_with_boundary_landmarks, scenes_with_deployments
 
 from lmd.deployment import UniformDeployment

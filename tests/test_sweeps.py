@@ -4,13 +4,12 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 
 import pandas as pd
 import pytest
 from mlflow import MlflowClient
-from test_pipelines import SMALL, call, environment
+from processes import call, command, start
 
 # Fails in the way it is told to, once it has evaluated something, until the file `repaired` is there.
 PLUGIN = """
@@ -40,6 +39,7 @@ class Faulty(RandomSearch):
             time.sleep(0.3)
 """
 PARENT = "mlflow.parentRunId"
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
@@ -55,32 +55,21 @@ def prepared(cwd):
     return cwd
 
 
-def sweep_command(cwd, faults, *overrides):
+def settings(cwd, faults):
     return [
-        sys.executable, "-m", "pipelines.optimise", "-m", *SMALL, f"hydra.searchpath=[file://{cwd}/mine]",
-        "page=false", "deployment.count=20", "budget.evaluations=400", "tracking.uri=sqlite:///store.db",
-        "optimiser=faulty", f"optimiser.fault={faults}", *overrides,
+        "hydra.mode=MULTIRUN", f"hydra.searchpath=[file://{cwd}/mine]", "page=false", "deployment.count=20",
+        "budget.evaluations=400", "tracking.uri=sqlite:///store.db", "optimiser=faulty", f"optimiser.fault={faults}",
     ]  # fmt: skip
 
 
-def sweep_environment(cwd):
-    environ = environment()
-    environ["PYTHONPATH"] += f":{cwd}"
-    return environ
-
-
 def sweep(cwd, faults, *overrides):
-    return subprocess.run(
-        sweep_command(cwd, faults, *overrides),
-        cwd=cwd, env=sweep_environment(cwd), capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    return call("optimise", *settings(cwd, faults), *overrides, cwd=cwd, folders=[cwd])
 
 
 def start_sweep(cwd, faults):
     """Start a sweep and wait until its slow job is at work."""
-    process = subprocess.Popen(
-        sweep_command(cwd, faults), cwd=cwd, env=sweep_environment(cwd), stderr=subprocess.PIPE, text=True
-    )
+    line = command("optimise", *settings(cwd, faults))
+    process = start(line, cwd=cwd, folders=[cwd], stderr=subprocess.PIPE)
     deadline = time.monotonic() + 120
     while not (cwd / "pid").exists() and time.monotonic() < deadline:
         time.sleep(0.02)
@@ -136,11 +125,8 @@ def folder(cwd):
 
 
 def test_a_pipeline_without_threads_is_swept_in_parallel_too(tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-m", "pipelines.estimate_pdf", "-m", "recording=simulated", "seed=1,2", "tracking=none",
-         "hydra/launcher=joblib"],
-        cwd=tmp_path, env=environment(), capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    overrides = ("hydra.mode=MULTIRUN", "recording=simulated", "seed=1,2", "tracking=none", "hydra/launcher=joblib")
+    done = call("estimate_pdf", *overrides, cwd=tmp_path, settings=())
     assert done.returncode == 0, done.stderr
     (table,) = tmp_path.glob("outputs/estimate_pdf_sweep/*/jobs.csv")
     assert pd.read_csv(table).status.tolist() == ["finished", "finished"]

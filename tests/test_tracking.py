@@ -80,6 +80,7 @@ def start_together(uri, barrier, ids):
     ids.put(started(uri).run_id)
 
 
+@pytest.mark.slow
 def test_eight_processes_that_start_at_once_on_no_database_all_get_a_run(tmp_path):
     fresh = multiprocessing.get_context("forkserver")
     fresh.set_forkserver_preload(["mlflow.store.tracking.sqlalchemy_store"])  # imported once, and not eight times

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
-from conftest import paper_room, paper_scene
 from numpy.testing import assert_allclose, assert_array_equal
+from paper import paper_room, paper_scene
 from scipy.spatial.transform import Rotation
 
 from lmd import pdf

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import paper_room, paper_scene
+from paper import paper_room, paper_scene
 
 from lmd import pdf
 from lmd.checks import InputError
@@ -154,7 +154,7 @@ def test_an_empty_sampling_is_refused(name):
 
 def test_a_sampling_generalises_better_than_the_grid():
     """On a coarse grid and few evaluations already."""
-    from test_optimisers import make
+    from small import make
 
     from lmd.optimisers.base import Budget
 

@@ -29,6 +29,6 @@ def messages(path):
             yield node.value
 
 
-@pytest.mark.parametrize("path", modules())
+@pytest.mark.parametrize("path", list(modules()))
 def test_no_message_of_the_library_names_a_config_key(path):
     assert [text for text in messages(path) if KEY.search(text)] == []

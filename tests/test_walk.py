@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from conftest import paper_room, paper_scene
+from paper import paper_room, paper_scene
 
 from lmd import pdf
 from lmd.deployment import RandomDeployment

@@ -1,0 +1,35 @@
+"""Pipelines as a user starts them: processes of their own."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+SMALL = ("room.spacing=1.5", "objective.thold_p=0.5", "validate=false")
+
+
+def environment(*folders):
+    """Where Python finds the pipelines, and what else lies in `folders`."""
+    return os.environ | {"PYTHONPATH": os.pathsep.join(map(str, (ROOT, *folders)))}
+
+
+def command(pipeline, *overrides, settings=SMALL):
+    return [sys.executable, "-m", f"pipelines.{pipeline}", *settings, *overrides]
+
+
+def call(pipeline, *overrides, cwd, settings=SMALL, folders=()):
+    """Run a pipeline to its end, whatever that is."""
+    line = command(pipeline, *overrides, settings=settings)
+    environ = environment(*folders)
+    return subprocess.run(line, cwd=cwd, env=environ, capture_output=True, text=True, check=False)
+
+
+def start(line, *, cwd, folders=(), **streams):
+    """Start a command that Ctrl-C reaches, also where the tests ignore it because they run in the background."""
+
+    def listen():
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+    return subprocess.Popen(line, cwd=cwd, env=environment(*folders), text=True, preexec_fn=listen, **streams)

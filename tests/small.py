@@ -1,0 +1,20 @@
+"""A problem that takes no time, and the configured optimisers."""
+
+from hydra import compose, initialize_config_dir
+from paper import paper_room, paper_scene
+
+from lmd import pdf
+from lmd.deployment import RandomDeployment
+from lmd.objectives.coverage import Coverage
+from lmd.problem import Problem
+from pipelines.app import CONF, instantiate
+
+
+def make(name, seed=0):
+    with initialize_config_dir(CONF, version_base="1.3"):
+        return instantiate(compose("optimise", [f"optimiser={name}"]).optimiser, seed=seed)
+
+
+def problem(start=None, threads=1):
+    scene = paper_scene(room=paper_room(spacing=1.5), orientations=pdf.grid_with_ends(6))
+    return Problem(scene, Coverage(2, 0.5), start or RandomDeployment(30), threads=threads)
