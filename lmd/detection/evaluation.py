@@ -3,6 +3,7 @@
 N frames and K tags throughout; `predicted` and `detected` are `(N, K)` bool.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -101,7 +102,7 @@ def corner_error(found: FloatArray, expected: FloatArray) -> FloatArray:
 
 
 def quantiles_by(
-    value: FloatArray, error: FloatArray, bounds: ArrayLike, quantiles: ArrayLike = (0.5, 0.9)
+    value: FloatArray, error: FloatArray, bounds: ArrayLike, quantiles: Sequence[float] = (0.5, 0.9)
 ) -> tuple[FloatArray, NDArray[np.int64]]:
     """Quantiles of an error in classes of another value, as of corner errors by pitch.
 
@@ -117,6 +118,6 @@ def quantiles_by(
     known = np.isfinite(value) & np.isfinite(error)
     place = np.searchsorted(edges, value[known], side="right") - 1
     classes = [error[known][place == b] for b in range(len(edges) - 1)]
-    empty = np.full(np.shape(quantiles), np.nan)
+    empty = np.full(len(quantiles), np.nan)
     table = np.array([np.quantile(c, quantiles) if len(c) else empty for c in classes])
     return table, np.array([len(c) for c in classes])

@@ -70,7 +70,7 @@ class Imaging:
             grey = np.float32(GREY_LEVELS) * ratio ** np.float32(1.0 / self.gamma)
         if self.noise > 0.0:
             grey = grey + np.float32(self.noise) * rng.standard_normal(grey.shape, dtype=np.float32)
-        return np.clip(np.rint(grey), 0.0, GREY_LEVELS).astype(np.uint8)
+        return np.asarray(np.clip(np.rint(grey), 0.0, GREY_LEVELS), dtype=np.uint8)
 
     def shade(self, normals: FloatArray) -> FloatArray:
         """Grey levels of surfaces that face `normals` `(..., 3)`: light comes from above and from one side."""
