@@ -29,7 +29,7 @@ POSE = np.eye(4)
 
 @dataclass(frozen=True)
 class Sampling:
-    """Ranges that views are drawn from, uniformly.
+    """Ranges that views are drawn from: uniform, and log-uniform for sigma.
 
     Args:
         pitch: pixels a module.
@@ -42,9 +42,9 @@ class Sampling:
         InputError: a range is empty or out of bounds.
     """
 
-    pitch: tuple[float, float] = (1.0, 6.0)
+    pitch: tuple[float, float] = (0.5, 6.0)
     incidence: tuple[float, float] = (0.0, math.radians(88.0))
-    sigma: tuple[float, float] = (0.4, 3.0)
+    sigma: tuple[float, float] = (0.4, 2.0)
     noise: tuple[float, float] = (1.0, 5.0)
     texture: tuple[float, float] = (0.0, 10.0)
     exposure: tuple[float, float] = (0.5, 1.1)
@@ -101,11 +101,16 @@ def sample_views(
     """
     integer("count", count, low=1)
     ranges = sampling or Sampling()
-    pitches, tilts, sigmas = (rng.uniform(*r, count) for r in (ranges.pitch, ranges.incidence, ranges.sigma))
-    paper = pitches * (tag.modules + 2.0 * tag.quiet_zone)
-    diameter = math.sqrt(2.0) * paper / np.cos(tilts) + 2.0 * REACH * sigmas
-    patches = pattern(1.0, rng)
+    pitches, tilts = (rng.uniform(*span, count) for span in (ranges.pitch, ranges.incidence))
+    sigmas = np.exp(rng.uniform(math.log(ranges.sigma[0]), math.log(ranges.sigma[1]), count))
     width, height = image_size(camera)
+    # Off the axis by phi a pinhole stretches by up to 1 / cos(phi) more along one direction than along the other.
+    matrix = intrinsics(camera)
+    ends = (np.array([[0, 0], [width, 0], [0, height], [width, height]]) - matrix[:2, 2]) / np.diag(matrix)[:2]
+    stretch = math.sqrt(1.0 + (ends**2).sum(axis=1).max()) / np.cos(tilts)
+    paper = pitches * (tag.modules + 2.0 * tag.quiet_zone)
+    diameter = math.sqrt(2.0) * paper * stretch + 2.0 * REACH * sigmas
+    patches = pattern(1.0, rng)
     views = []
     for smaller, tile in pairwise((0, *TILES)):
         chosen = np.flatnonzero((smaller < diameter) & (diameter <= tile))
