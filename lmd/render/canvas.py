@@ -188,7 +188,7 @@ def _area(outline: FloatArray) -> float:
     return float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2.0)
 
 
-@lru_cache(maxsize=2048)
+@lru_cache(maxsize=512)
 def texture(tag: Tag, number: int, texels: int) -> UInt8Array:
     """A tag on its paper with `texels` a module: white and opaque, 0 or 255 each, `(S, S, 2)`."""
     modules = np.where(tag.picture(number), 255, 0).astype(np.uint8)
