@@ -4,7 +4,9 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from lmd.checks import InputError, real, vector
+import numpy as np
+
+from lmd.checks import FloatArray, InputError, real, vector
 
 MM_PER_M = 1000.0
 
@@ -105,6 +107,11 @@ class Camera:
         near = product / (aperture_focal + spread)
         far = product / (aperture_focal - spread) if aperture_focal > spread else math.inf
         return near / MM_PER_M, far / MM_PER_M
+
+    @property
+    def focal_pixels(self) -> FloatArray:
+        """(f / s_u, f / s_v), pixels, `(2,)`."""
+        return np.array([self.focal_length / self.pixel_width, self.focal_length / self.pixel_height])
 
     @property
     def resolution_at_one_metre(self) -> float:

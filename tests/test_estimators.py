@@ -12,7 +12,7 @@ from lmd.deployment import UniformDeployment
 from lmd.geometry import se3
 from lmd.localisation.cramer_rao import bound_map, pose_bound, pose_information
 from lmd.localisation.estimators import CramerRaoBound, InvariantKalmanFilter, PerspectiveNPoint
-from lmd.localisation.measurements import Detector, Recording, focal_pixels, record
+from lmd.localisation.measurements import Detector, Recording, record
 from lmd.localisation.observer import Observer
 from lmd.localisation.trajectory import Pace, RandomMotion
 from lmd.sight.evaluator import Evaluator
@@ -92,7 +92,7 @@ def test_missed_detections_are_as_many_as_said():
 
 
 def test_pixel_noise_is_as_large_as_said():
-    detector, focal = Detector(pixel_noise=0.8, edge=0.2), focal_pixels(SCENE.camera)
+    detector, focal = Detector(pixel_noise=0.8, edge=0.2), SCENE.camera.focal_pixels
     points = np.tile([0.3, -0.4, 2.0], (20_000, 1))
     measured = detector.measured(points, SCENE.camera, np.random.default_rng(0))
     image = focal * measured[:, :2] / measured[:, 2:]
@@ -103,12 +103,12 @@ def test_pixel_noise_is_as_large_as_said():
 
 
 def test_the_focal_length_in_pixels_is_that_of_each_side():
-    assert_allclose(focal_pixels(paper_camera(pixel_height=0.01)), [5.0 / 0.0058, 5.0 / 0.01])
+    assert_allclose(paper_camera(pixel_height=0.01).focal_pixels, [5.0 / 0.0058, 5.0 / 0.01])
 
 
 def test_the_information_is_that_of_the_images_slopes():
     recording = spread_out(1, Detector())
-    pose, landmarks, focal = recording.poses[0, 0], recording.landmarks[0], focal_pixels(SCENE.camera)
+    pose, landmarks, focal = recording.poses[0, 0], recording.landmarks[0], SCENE.camera.focal_pixels
 
     def image(at):
         points = se3.act(se3.inverse(at), landmarks)

@@ -16,7 +16,6 @@ from lmd.camera import Camera
 from lmd.checks import BoolArray, FloatArray
 from lmd.deployment import Deployment
 from lmd.geometry.se3 import camera_pose, skew
-from lmd.localisation.measurements import focal_pixels
 from lmd.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.views import visible
@@ -43,7 +42,7 @@ def pose_information(poses: FloatArray, landmarks: FloatArray, seen: BoolArray, 
     projection = np.zeros((len(points), 2, 3))
     projection[:, [0, 1], [0, 1]] = 1.0
     projection[:, :, 2] = -points[:, :2] / depth[:, 0]
-    projection *= focal_pixels(camera)[:, None] / depth
+    projection *= camera.focal_pixels[:, None] / depth
     moved = np.concatenate([skew(points), np.broadcast_to(-np.eye(3), (len(points), 3, 3))], axis=-1)
     jacobian = projection @ moved
     information = np.zeros((len(poses), 6, 6))

@@ -2,15 +2,16 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
-from lmd.checks import FloatArray, InputError, real
+from lmd.checks import FloatArray, real
 from lmd.geometry.se3 import act, inverse, skew
 from lmd.localisation.cramer_rao import pose_bound, pose_information
 from lmd.localisation.errors import Errors, pose_errors
-from lmd.localisation.measurements import Recording, focal_pixels
+from lmd.localisation.measurements import Recording
+from lmd.optional import optional
 
 # The fewest points of one frame from which OpenCV's general solvers take a pose.
 PNP_POINTS = 4
@@ -57,8 +58,8 @@ class PerspectiveNPoint:
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:
         """See `Estimator.errors`."""
-        cv2 = _optional("cv2")
-        focal = np.append(focal_pixels(recording.camera), 1.0)
+        cv2 = optional("cv2", "estimators")
+        focal = np.append(recording.camera.focal_pixels, 1.0)
         matrix = np.diag(focal)
         estimates = np.full_like(recording.poses, np.nan)
         enough = recording.visible_counts >= PNP_POINTS
@@ -108,7 +109,7 @@ class InvariantKalmanFilter:
 
     def _run(self, recording: Recording, s: int, start: FloatArray) -> Iterator[FloatArray]:
         """The estimates of run s, `(4, 4)` each."""
-        gtsam = _optional("gtsam")
+        gtsam = optional("gtsam", "estimators")
         spread = np.repeat([self.attitude, self.position], 3)
         drift = np.repeat([self.turn_noise, self.motion_noise], 3)
         ekf = gtsam.InvariantEKFPose3(gtsam.Pose3(start), np.diag(spread**2))
@@ -128,7 +129,7 @@ class InvariantKalmanFilter:
     def _covariance(self, measured: FloatArray, recording: Recording) -> FloatArray:
         """Covariance of each y_i = z (a, b, 1), `(m, 3, 3)`: pixel noise moves a and b, that of the edge moves z."""
         sigma = max(recording.detector.pixel_noise, self.least_pixel_noise)
-        focal, depth = focal_pixels(recording.camera), measured[:, 2:]
+        focal, depth = recording.camera.focal_pixels, measured[:, 2:]
         moved = np.zeros((len(measured), 3, 3))
         moved[:, [0, 1], [0, 1]] = depth * sigma / focal
         moved[:, :, 2] = measured * depth * sigma / (focal[0] * recording.detector.edge)
@@ -141,13 +142,3 @@ def _block_diagonal(blocks: FloatArray) -> FloatArray:
     matrix = np.zeros((m, 3, m, 3))
     matrix[np.arange(m), :, np.arange(m), :] = blocks
     return matrix.reshape(3 * m, 3 * m)
-
-
-def _optional(name: str) -> Any:
-    """An optional package, imported when first used."""
-    import importlib
-
-    try:
-        return importlib.import_module(name)
-    except ImportError:
-        raise InputError(f"this estimator needs the package {name}: pip install 'lmd[estimators]'.") from None

@@ -59,16 +59,11 @@ class Detector:
         """
         if self.pixel_noise == 0.0:
             return points
-        focal, noise = focal_pixels(camera), rng.normal(scale=self.pixel_noise, size=points.shape)
+        focal, noise = camera.focal_pixels, rng.normal(scale=self.pixel_noise, size=points.shape)
         depth = np.where(points[..., 2:] > 0.0, points[..., 2:], 1.0)
         ray = np.concatenate([points[..., :2] / depth + noise[..., :2] / focal, np.ones_like(depth)], axis=-1)
         width = np.maximum(focal[0] * self.edge / depth + noise[..., 2:], 1.0)
         return np.asarray(focal[0] * self.edge / width * ray)
-
-
-def focal_pixels(camera: Camera) -> FloatArray:
-    """(f / s_u, f / s_v), pixels, `(2,)`."""
-    return np.array([camera.focal_length / camera.pixel_width, camera.focal_length / camera.pixel_height])
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,150 @@
+"""Detectors of tags behind one interface.
+
+All corners are in image coordinates from the border (see `lmd.render.optics`) and in the order top-left, top-right,
+bottom-right, bottom-left of the tag as it hangs (see `lmd.tag`), whatever the library's own conventions are.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lmd.checks import FloatArray, InputError, choice, integer, real
+from lmd.optional import optional
+from lmd.render.imaging import UInt8Array
+from lmd.tag import FAMILIES, dictionary
+
+# OpenCV counts pixels from the centre of the first one.
+PIXEL_CENTRE = 0.5
+# What cv2.aruco calls top-left in a picture of an AprilTag is the bottom-right corner of AprilTag's own.
+HALF_TURN = [2, 3, 0, 1]
+# AprilTag begins at the bottom left and goes round counter-clockwise.
+APRILTAG_ORDER = [3, 2, 1, 0]
+# Settings of cv2.aruco. By default it leaves out tags whose perimeter is below 3 % of the image's longer side.
+ARUCO_PRESETS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "fine": {"minMarkerPerimeterRate": 0.008, "adaptiveThreshWinSizeStep": 4},
+}
+
+
+@dataclass(frozen=True)
+class Detections:
+    """What a detector finds in one image.
+
+    Args:
+        ids: numbers of the tags in their family, `(M,)`; one may occur twice.
+        corners: pixels from the border, order as above, `(M, 4, 2)`.
+
+    Raises:
+        InputError: shapes do not match.
+    """
+
+    ids: NDArray[np.int64]
+    corners: FloatArray
+
+    def __post_init__(self) -> None:
+        ids, corners = np.asarray(self.ids, dtype=np.int64), np.asarray(self.corners, dtype=np.float64)
+        if ids.ndim != 1 or corners.shape != (len(ids), 4, 2):
+            raise InputError(f"corners must have the shape (M, 4, 2) for M ids, got {corners.shape} for {ids.shape}.")
+        object.__setattr__(self, "ids", ids)
+        object.__setattr__(self, "corners", corners)
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+class Detector(Protocol):
+    """Something that finds tags in an image."""
+
+    def detect(self, image: UInt8Array) -> Detections:
+        """The tags in a grey image `(h, w)`.
+
+        Raises:
+            InputError: the image is no grey 8-bit image, or a package is missing.
+        """
+
+
+@dataclass(frozen=True)
+class ArucoDetector:
+    """`cv2.aruco`, corners refined by `CORNER_REFINE_SUBPIX`.
+
+    `CORNER_REFINE_APRILTAG` is no choice: its corners are off by about half a pixel.
+
+    Args:
+        family: one of `lmd.tag.FAMILIES`.
+        preset: `default`, or `fine` for smaller tags.
+
+    Raises:
+        InputError: an unknown family or preset.
+    """
+
+    family: str = "36h11"
+    preset: str = "default"
+
+    def __post_init__(self) -> None:
+        choice("family", self.family, tuple(FAMILIES))
+        choice("preset", self.preset, tuple(ARUCO_PRESETS))
+
+    @cached_property
+    def _detector(self) -> Any:
+        aruco = optional("cv2", "detection").aruco
+        parameters = aruco.DetectorParameters()
+        parameters.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
+        for name, value in ARUCO_PRESETS[self.preset].items():
+            setattr(parameters, name, value)
+        return aruco.ArucoDetector(dictionary(self.family), parameters)
+
+    def detect(self, image: UInt8Array) -> Detections:
+        """See `Detector.detect`."""
+        found, ids, _ = self._detector.detectMarkers(_grey(image))
+        if ids is None:
+            return _nothing()
+        corners = np.concatenate(found).astype(np.float64) + PIXEL_CENTRE
+        return Detections(ids.ravel(), corners[:, HALF_TURN] if FAMILIES[self.family].apriltag else corners)
+
+
+@dataclass(frozen=True)
+class AprilTagDetector:
+    """The AprilTag 3 library, by `pyapriltags`.
+
+    Args:
+        family: one of `lmd.tag.FAMILIES` that the library knows.
+        quad_decimate: factor by which the image is made smaller before quadrilaterals are looked for.
+        most_errors: wrong bits in a tag that are corrected, at most; the library itself corrects two.
+
+    Raises:
+        InputError: a family that is not AprilTag's, or a value out of range.
+    """
+
+    family: str = "36h11"
+    quad_decimate: float = 1.0
+    most_errors: int = 2
+
+    def __post_init__(self) -> None:
+        choice("family", self.family, tuple(name for name, family in FAMILIES.items() if family.apriltag))
+        object.__setattr__(self, "quad_decimate", real("quad_decimate", self.quad_decimate, low=1.0))
+        integer("most_errors", self.most_errors, low=0, high=2)
+
+    @cached_property
+    def _detector(self) -> Any:
+        library = optional("pyapriltags", "detection")
+        return library.Detector(families=FAMILIES[self.family].apriltag, nthreads=1, quad_decimate=self.quad_decimate)
+
+    def detect(self, image: UInt8Array) -> Detections:
+        """See `Detector.detect`."""
+        found = [tag for tag in self._detector.detect(_grey(image)) if tag.hamming <= self.most_errors]
+        if not found:
+            return _nothing()
+        return Detections(np.array([t.tag_id for t in found]), np.stack([t.corners[APRILTAG_ORDER] for t in found]))
+
+
+def _grey(image: UInt8Array) -> UInt8Array:
+    if not isinstance(image, np.ndarray) or image.ndim != 2 or image.dtype != np.uint8:
+        raise InputError(f"image must be a grey image of 8-bit numbers, got {getattr(image, 'dtype', type(image))}.")
+    return np.ascontiguousarray(image)
+
+
+def _nothing() -> Detections:
+    return Detections(np.empty(0, dtype=np.int64), np.empty((0, 4, 2)))

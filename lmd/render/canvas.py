@@ -1,0 +1,217 @@
+"""Painting planes in perspective: surfaces first, then tags from far to near.
+
+A tag is sampled several times a pixel through its homography into its bounding box only, averaged over each pixel,
+blurred together with its outline, and laid over what is behind it. On an even background that is exactly the blur of
+the tag and its surroundings.
+"""
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from lmd.checks import FloatArray
+from lmd.optional import optional
+from lmd.render.imaging import Float32Array, Imaging, UInt8Array
+from lmd.tag import Tag
+
+# What is nearer to the plane of the lens than this is not drawn, metres.
+NEAR = 0.02
+# A Gaussian is cut off at this many standard deviations.
+REACH = 3.5
+# Samples of one tag: one that fills the image gets fewer a pixel, it has pixels enough.
+MOST_SAMPLES = 4e6
+# The finest picture of a tag, texels a module.
+MOST_TEXELS = 64
+# Bits after the point in the vertices that OpenCV fills polygons between.
+SHIFT = 4
+
+
+class Canvas:
+    """Light on a pinhole image, float32 grey levels.
+
+    Args:
+        matrix: K, camera to homogeneous image coordinates from the border, `(3, 3)`.
+        size: width and height, pixels.
+        imaging: grey levels and sampling.
+    """
+
+    def __init__(self, matrix: FloatArray, size: tuple[int, int], imaging: Imaging) -> None:
+        self.matrix, self.imaging = matrix, imaging
+        self.light: Float32Array = np.full((size[1], size[0]), imaging.wall, dtype=np.float32)
+        self.cv2: Any = optional("cv2", "detection")
+
+    def outline(self, polygon: FloatArray) -> FloatArray:
+        """The image of what of a convex polygon `(M, 3)` (camera frame, metres) lies in front, `(m, 2)`, pixels."""
+        image = clipped(polygon) @ self.matrix.T
+        return np.asarray(image[:, :2] / image[:, 2:])
+
+    def surface(
+        self, plane: FloatArray, extent: tuple[float, float], grey: float, pattern: Float32Array | None
+    ) -> FloatArray:
+        """Draw a rectangle.
+
+        Args:
+            plane: columns u, v (unit) and the corner between them, camera frame, metres, `(3, 3)`.
+            extent: along u and v, metres.
+            grey: grey level.
+            pattern: added to it, `(T, T)`, repeated every T texels of `TEXEL` metres; None for a plain one.
+
+        Returns:
+            Its image outline, `(m, 2)`.
+        """
+        a, b = extent
+        outline = self.outline(np.array([[0.0, 0.0, 1.0], [a, 0.0, 1.0], [a, b, 1.0], [0.0, b, 1.0]]) @ plane.T)
+        window = self._window(outline, 0)
+        if window is None:
+            return outline
+        x, y, width, height = window
+        part = self.light[y : y + height, x : x + width]
+        mask = np.zeros((height, width), dtype=np.uint8)
+        self._fill(mask, outline - [x, y], 1)
+        drawn = np.full((height, width), grey, dtype=np.float32)
+        if pattern is not None:
+            texels = plane @ np.diag([TEXEL, TEXEL, 1.0])
+            drawn += self._warp(pattern, self.matrix @ texels, window, 1, self.cv2.BORDER_WRAP)
+        self.cv2.copyTo(drawn, mask, part)
+        return outline
+
+    def blur(self, sigma: float) -> None:
+        """Blur all that has been drawn; `sigma` in pixels."""
+        self.light = self._blurred(self.light, sigma)
+
+    def tag(
+        self, tag: Tag, number: int, square: FloatArray, sigma: float, hidden_by: Sequence[FloatArray] = ()
+    ) -> None:
+        """Draw a tag on its paper.
+
+        Args:
+            tag: its family and size.
+            number: its id.
+            square: corners of the black square in the order of `lmd.tag.CORNERS`, camera frame, metres, `(4, 3)`.
+            sigma: standard deviation of the blur, pixels.
+            hidden_by: image outlines `(m, 2)` of what is in front of it.
+        """
+        centre = square.mean(axis=0)
+        paper = centre + (1.0 + 2.0 * tag.quiet_zone / tag.modules) * (square - centre)
+        outline = self.outline(paper)
+        margin = math.ceil(REACH * sigma) + 1
+        window = self._window(outline, margin)
+        if window is None:
+            return
+        width, height = window[2:]
+        samples = max(1, min(self.imaging.supersampling, int(math.sqrt(MOST_SAMPLES / (width * height)))))
+        pitch = samples * math.sqrt(_area(outline)) / (tag.modules + 2.0 * tag.quiet_zone)
+        texels = int(np.clip(2 ** round(math.log2(max(pitch, 1.0))), 2, MOST_TEXELS))
+        picture = texture(tag, number, texels)
+        right, down = ((square[i] - square[0]) / (tag.modules * texels) for i in (1, 3))
+        plane = np.stack([right, down, centre - len(picture) / 2.0 * (right + down)], axis=1)
+        drawn = self._warp(picture, self.matrix @ plane, window, samples, self.cv2.BORDER_CONSTANT)
+        drawn = self.cv2.resize(drawn.astype(np.float32), (width, height), interpolation=self.cv2.INTER_AREA)
+        if (paper[:, 2] < NEAR).any():  # the homography also maps what is behind the lens, upside down
+            front = np.zeros((height, width), dtype=np.float32)
+            self._fill(front, outline - window[:2], 1)
+            drawn *= front[..., None]
+        drawn = self._blurred(drawn, sigma) / np.float32(255.0)
+        for shape in hidden_by:
+            self._fill(drawn, shape - window[:2], 0)
+        self._over(drawn, window)
+
+    def _over(self, drawn: Float32Array, window: tuple[int, int, int, int]) -> None:
+        """Lay a tag, its white and its opaque share `(h, w, 2)`, over the light in a window that may stick out."""
+        x, y, width, height = window
+        left, top = max(-x, 0), max(-y, 0)
+        inside = drawn[top : self.light.shape[0] - y, left : self.light.shape[1] - x]
+        part = self.light[y + top : y + height, x + left : x + width]
+        black, contrast = np.float32(self.imaging.black), np.float32(self.imaging.white - self.imaging.black)
+        part += inside[..., 1] * (black - part) + contrast * inside[..., 0]
+
+    def _window(self, outline: FloatArray, margin: int) -> tuple[int, int, int, int] | None:
+        """x, y, width and height of the part of the image around an outline; it may stick out by `margin`.
+
+        None if the outline with its margin does not touch the image.
+        """
+        if not len(outline):
+            return None
+        limit = np.array(self.light.shape[::-1])
+        low = np.maximum(np.floor(outline.min(axis=0)) - margin, -margin)
+        high = np.minimum(np.ceil(outline.max(axis=0)) + margin, limit + margin)
+        if (high <= np.maximum(low, 0)).any() or (low >= limit).any():
+            return None
+        (x, y), (width, height) = low.astype(int), (high - low).astype(int)
+        return int(x), int(y), int(width), int(height)
+
+    def _warp(
+        self, picture: Any, homography: FloatArray, window: tuple[int, int, int, int], samples: int, border: int
+    ) -> Any:
+        """`picture` seen through a homography (texels to pixels, both from the border), `samples` a pixel and axis."""
+        x, y, width, height = window
+        from_centre = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
+        to_window = np.array([[samples, 0.0, -samples * x - 0.5], [0.0, samples, -samples * y - 0.5], [0.0, 0.0, 1.0]])
+        size = (width * samples, height * samples)
+        matrix = to_window @ homography @ from_centre
+        return self.cv2.warpPerspective(picture, matrix, size, flags=self.cv2.INTER_LINEAR, borderMode=border)
+
+    def _blurred(self, light: Float32Array, sigma: float) -> Float32Array:
+        if sigma == 0.0:
+            return light
+        kernel = 2 * math.ceil(REACH * sigma) + 1
+        border = self.cv2.BORDER_REPLICATE
+        return np.asarray(self.cv2.GaussianBlur(light, (kernel, kernel), sigma, borderType=border))
+
+    def _fill(self, image: Any, outline: FloatArray, value: float) -> None:
+        """Fill a convex outline `(m, 2)`, pixels from the image's border."""
+        if len(outline) >= 3:
+            points = np.rint((outline - 0.5) * 2**SHIFT).astype(np.int32)
+            self.cv2.fillConvexPoly(image, points, (value,) * 4, lineType=self.cv2.LINE_8, shift=SHIFT)
+
+
+def clipped(polygon: FloatArray) -> FloatArray:
+    """The part of a convex polygon `(M, 3)` (camera frame) with z >= `NEAR`, `(m, 3)`; empty if there is none."""
+    depth = polygon[:, 2] - NEAR
+    if (depth >= 0.0).all():
+        return polygon
+    kept = []
+    for i, j in zip(range(len(polygon)), [*range(1, len(polygon)), 0], strict=True):
+        if depth[i] >= 0.0:
+            kept.append(polygon[i])
+        if (depth[i] >= 0.0) != (depth[j] >= 0.0):
+            kept.append(polygon[i] + depth[i] / (depth[i] - depth[j]) * (polygon[j] - polygon[i]))
+    return np.array(kept).reshape(-1, 3)
+
+
+def _area(outline: FloatArray) -> float:
+    """Area of a polygon `(m, 2)`."""
+    x, y = outline[:, 0], outline[:, 1]
+    return float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2.0)
+
+
+@lru_cache(maxsize=512)
+def texture(tag: Tag, number: int, texels: int) -> UInt8Array:
+    """A tag on its paper with `texels` a module: white and opaque, 0 or 255 each, `(S, S, 2)`."""
+    modules = np.where(tag.picture(number), 255, 0).astype(np.uint8)
+    margin = round(tag.quiet_zone * texels)
+    white = np.pad(np.kron(modules, np.ones((texels, texels), dtype=np.uint8)), margin, constant_values=255)
+    return np.stack([white, np.full_like(white, 255)], axis=-1)
+
+
+# Edge of a texel of a surface's pattern, metres, and texels until it repeats.
+TEXEL = 0.005
+PATTERN = 1024
+
+
+def pattern(amplitude: float, rng: np.random.Generator) -> Float32Array:
+    """Smooth irregular patches of all sizes, `(PATTERN, PATTERN)`: amplitude falls as 1 / frequency.
+
+    Args:
+        amplitude: standard deviation, grey levels.
+        rng: source of the pattern.
+    """
+    frequency = np.hypot(*np.meshgrid(np.fft.rfftfreq(PATTERN), np.fft.fftfreq(PATTERN)))
+    # Waves longer than an eighth of the whole would be a gradient across the wall, not a pattern.
+    spectrum = np.fft.rfft2(rng.standard_normal((PATTERN, PATTERN))) / np.maximum(frequency, 8.0 / PATTERN)
+    spectrum[0, 0] = 0.0
+    patches = np.fft.irfft2(spectrum, (PATTERN, PATTERN))
+    return np.asarray(amplitude * patches / patches.std(), dtype=np.float32)

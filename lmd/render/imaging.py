@@ -1,0 +1,81 @@
+"""What lies between a scene and its grey levels: surfaces, lens, exposure, noise."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lmd.checks import FloatArray, InputError, integer, real, vector
+
+UInt8Array = NDArray[np.uint8]
+Float32Array = NDArray[np.float32]
+GREY_LEVELS = 255.0
+
+
+@dataclass(frozen=True)
+class Imaging:
+    """How a scene becomes an 8-bit image. Surfaces reflect grey levels as seen at exposure 1 and gamma 1.
+
+    Args:
+        psf_sigma: standard deviation of the sharpest image of a point, pixels.
+        defocus: whether a thin lens (the camera's aperture and focus distance) adds its blur.
+        noise: standard deviation in each pixel, grey levels.
+        exposure: factor on the light.
+        gamma: grey = 255 (light / 255)^(1 / gamma).
+        white, black: of a tag, grey levels.
+        wall: mean grey level of surfaces; each is a little brighter or darker by the direction it faces.
+        texture: standard deviation of the pattern on surfaces, grey levels; 0 for plain ones.
+        texture_seed: of that pattern, which stays the same from frame to frame.
+        supersampling: samples along each axis of a pixel of a tag.
+        distortion: none, or OpenCV's k1, k2, p1, p2, k3.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    psf_sigma: float = 0.5
+    defocus: bool = True
+    noise: float = 2.0
+    exposure: float = 1.0
+    gamma: float = 1.0
+    white: float = 220.0
+    black: float = 25.0
+    wall: float = 150.0
+    texture: float = 0.0
+    texture_seed: int = 0
+    supersampling: int = 4
+    distortion: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("psf_sigma", "noise", "texture"):
+            object.__setattr__(self, name, real(name, getattr(self, name), low=0.0))
+        for name in ("exposure", "gamma"):
+            object.__setattr__(self, name, real(name, getattr(self, name), above=0.0))
+        for name in ("white", "black", "wall"):
+            object.__setattr__(self, name, real(name, getattr(self, name), low=0.0, high=GREY_LEVELS))
+        if self.white <= self.black:
+            raise InputError(f"white must exceed black = {self.black:g}, got {self.white:g}.")
+        integer("texture_seed", self.texture_seed, low=0)
+        integer("supersampling", self.supersampling, low=1, high=16)
+        if len(self.distortion):
+            object.__setattr__(self, "distortion", vector("distortion", self.distortion, 5))
+        else:
+            object.__setattr__(self, "distortion", ())
+
+    def develop(self, light: Float32Array, rng: np.random.Generator) -> UInt8Array:
+        """The 8-bit image of `light` in grey levels, same shape; the noise is drawn from `rng`."""
+        grey = light * np.float32(self.exposure)
+        if self.gamma != 1.0:
+            ratio = np.clip(grey, 0.0, None) / np.float32(GREY_LEVELS)
+            grey = np.float32(GREY_LEVELS) * ratio ** np.float32(1.0 / self.gamma)
+        if self.noise > 0.0:
+            grey = grey + np.float32(self.noise) * rng.standard_normal(grey.shape, dtype=np.float32)
+        return np.asarray(np.clip(np.rint(grey), 0.0, GREY_LEVELS), dtype=np.uint8)
+
+    def shade(self, normals: FloatArray) -> FloatArray:
+        """Grey levels of surfaces that face `normals` `(..., 3)`: light comes from above and from one side."""
+        return np.asarray(self.wall * (1.0 + normals @ LIGHT))
+
+
+# Makes each wall of a room a little different from its neighbours, so that its edges can be seen.
+LIGHT = np.array([0.03, 0.05, 0.08])

@@ -1,0 +1,157 @@
+"""Frames of a camera in a room with tags."""
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from lmd.camera import Camera
+from lmd.checks import BoolArray, FloatArray, InputError
+from lmd.geometry.se3 import exp
+from lmd.optional import optional
+from lmd.render.canvas import NEAR, Canvas, pattern
+from lmd.render.imaging import Float32Array, Imaging, UInt8Array
+from lmd.render.optics import blur_sigma, image_size, intrinsics, project, to_camera, undistort
+from lmd.render.room import TaggedRoom
+
+# A distorted image may need a pinhole image of at most this many times its width and height.
+WIDEST = 4.0
+# Pictures averaged to one with motion blur, at most.
+MOST_STEPS = 64
+# A tag this far (m) behind a surface hangs on it; farther, the surface hides it.
+FLUSH = 1e-3
+
+
+@dataclass(frozen=True)
+class Renderer:
+    """A camera in a room.
+
+    Args:
+        camera: intrinsics.
+        room: tags and surfaces.
+        imaging: light, lens and noise.
+
+    Raises:
+        InputError: the distortion bends the image too much for a pinhole picture of all of it.
+    """
+
+    camera: Camera
+    room: TaggedRoom
+    imaging: Imaging = field(default_factory=Imaging)
+
+    def frame(self, pose: FloatArray, rng: np.random.Generator, motion: FloatArray | None = None) -> UInt8Array:
+        """The image from a pose.
+
+        Args:
+            pose: X, camera to world, `(4, 4)`.
+            rng: source of the noise.
+            motion: how far the camera moves while the shutter is open, a body twist (w, v) times the exposure time,
+                rad and metres, `(6,)`; `pose` is in the middle of it.
+
+        Returns:
+            `(h, w)`.
+        """
+        light = self._light(pose) if motion is None else self._moving(pose, np.asarray(motion, dtype=np.float64))
+        if self._map is not None:
+            cv2 = optional("cv2", "detection")
+            light = cv2.remap(light, *self._map, cv2.INTER_CUBIC)
+        return self.imaging.develop(light, rng)
+
+    def corners(self, pose: FloatArray) -> FloatArray:
+        """Exact images of the tags' corners from poses `(..., 4, 4)`: `(..., K, 4, 2)`, pixels as in `optics`.
+
+        They are those of transparent walls: also of tags outside the image or turned away. NaN behind the camera.
+        """
+        flat = project(self.camera, pose, self.room.corners.reshape(-1, 3), self.imaging.distortion)
+        return flat.reshape(*flat.shape[:-2], -1, 4, 2)
+
+    def inside(self, pose: FloatArray, margin: float = 0.0) -> BoolArray:
+        """Which tags show their front with four corners at least `margin` pixels inside the image, `(..., K)`."""
+        room, size = self.room, np.array(image_size(self.camera))
+        image = self.corners(pose)
+        within = ((image >= margin) & (image <= size - margin)).all(axis=(-2, -1))
+        if self._map is not None:  # far outside, the distortion folds back into the image
+            pinhole = project(self.camera, pose, room.corners.reshape(-1, 3)).reshape(image.shape)
+            low, high = self._extent
+            within &= ((pinhole >= low) & (pinhole <= high)).all(axis=(-2, -1))
+        towards = pose[..., None, :3, 3] - room.centres
+        return np.asarray(within & ((towards * room.normals).sum(axis=-1) > 0.0))
+
+    def _light(self, pose: FloatArray) -> Float32Array:
+        """What falls on the pinhole image from one pose."""
+        low, high = self._extent
+        matrix = intrinsics(self.camera)
+        matrix[:2, 2] -= low
+        canvas = Canvas(matrix, (int(high[0] - low[0]), int(high[1] - low[1])), self.imaging)
+        position, room = pose[:3, 3], self.room
+        seen = [s for s in room.surfaces if (position - s.origin) @ s.normal > 0.0]
+        seen.sort(key=lambda s: -float(np.linalg.norm(s.origin + (np.array(s.extent) / 2.0) @ [s.u, s.v] - position)))
+        outlines = []
+        for s in seen:
+            plane = (np.stack([s.u, s.v, s.origin - position]) @ pose[:3, :3]).T
+            outlines.append(canvas.surface(plane, s.extent, float(self.imaging.shade(s.normal)), self._pattern))
+        if seen:
+            canvas.blur(self.imaging.psf_sigma)
+        squares = to_camera(pose, room.corners.reshape(-1, 3)).reshape(-1, 4, 3)
+        offset = position - room.centres
+        front = ((offset * room.normals).sum(axis=1) > 0.0) & (squares[..., 2] > NEAR).any(axis=1)
+        for k in sorted(np.flatnonzero(front), key=lambda k: -float(np.linalg.norm(offset[k]))):
+            depth = np.array([(room.centres[k] - s.origin) @ s.normal for s in seen])
+            hidden_by = [outlines[i] for i in np.flatnonzero(depth < -FLUSH)]
+            canvas.tag(room.tag, int(room.ids[k]), squares[k], self._sigma(squares[k]), hidden_by)
+        return canvas.light
+
+    def _sigma(self, square: FloatArray) -> float:
+        """Blur of a tag, by the depth of its centre, pixels."""
+        if not self.imaging.defocus:
+            return self.imaging.psf_sigma
+        return float(blur_sigma(self.camera, max(float(square[:, 2].mean()), NEAR), self.imaging.psf_sigma))
+
+    def _moving(self, pose: FloatArray, motion: FloatArray) -> Float32Array:
+        """The mean over the motion, in steps of about a pixel."""
+        ends = [self.corners(pose @ exp(t * motion))[self.inside(pose)] for t in (-0.5, 0.5)]
+        shift = np.linalg.norm(ends[1] - ends[0], axis=-1)
+        longest = float(np.nanmax(shift)) if np.isfinite(shift).any() else 0.0
+        steps = min(1 + math.ceil(longest), MOST_STEPS)
+        light = self._light(pose @ exp((0.5 / steps - 0.5) * motion))
+        for i in range(1, steps):
+            light += self._light(pose @ exp(((i + 0.5) / steps - 0.5) * motion))
+        return light / np.float32(steps)
+
+    @cached_property
+    def _pattern(self) -> Float32Array | None:
+        """The pattern on every surface."""
+        if self.imaging.texture == 0.0:
+            return None
+        return pattern(self.imaging.texture, np.random.default_rng(self.imaging.texture_seed))
+
+    @cached_property
+    def _pinhole(self) -> FloatArray | None:
+        """Where an image without distortion has each pixel's centre, `(h, w, 2)`, pixels from the border."""
+        if not self.imaging.distortion:
+            return None
+        width, height = image_size(self.camera)
+        pixels = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
+        matrix = intrinsics(self.camera)
+        focal, centre = np.diag(matrix)[:2], matrix[:2, 2]
+        return undistort((pixels - centre) / focal, self.imaging.distortion) * focal + centre
+
+    @cached_property
+    def _extent(self) -> tuple[FloatArray, FloatArray]:
+        """Low and high corner of the pinhole image, whole pixels from the camera's border."""
+        size = np.array(image_size(self.camera), dtype=np.float64)
+        if self._pinhole is None:
+            return np.zeros(2), size
+        low, high = np.floor(self._pinhole.min(axis=(0, 1))) - 2.0, np.ceil(self._pinhole.max(axis=(0, 1))) + 2.0
+        if not np.isfinite(high - low).all() or ((high - low) > WIDEST * size).any():
+            raise InputError(f"distortion bends the image too much, got {list(self.imaging.distortion)}.")
+        return low, high
+
+    @cached_property
+    def _map(self) -> tuple[Float32Array, Float32Array] | None:
+        """For `cv2.remap`: the pinhole image's pixel under each pixel of the distorted one."""
+        if self._pinhole is None:
+            return None
+        at = (self._pinhole - self._extent[0] - 0.5).astype(np.float32)
+        return np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1])

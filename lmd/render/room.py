@@ -1,0 +1,84 @@
+"""What a renderer draws: tags, and the surfaces that they hang on or that hide them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lmd.checks import FloatArray, InputError
+from lmd.tag import Tag, corners
+
+
+class Surface(Protocol):
+    """A rectangle origin + a u + b v with 0 <= (a, b) <= extent (metres), seen from the side its normal points to."""
+
+    @property
+    def origin(self) -> FloatArray:
+        """A corner, world frame, metres, `(3,)`."""
+
+    @property
+    def u(self) -> FloatArray:
+        """Unit vector along one edge, `(3,)`."""
+
+    @property
+    def v(self) -> FloatArray:
+        """Unit vector along the other, `(3,)`."""
+
+    @property
+    def normal(self) -> FloatArray:
+        """Unit vector, `(3,)`."""
+
+    @property
+    def extent(self) -> tuple[float, float]:
+        """Lengths along u and v, metres."""
+
+
+@dataclass(frozen=True)
+class TaggedRoom:
+    """K tags on the surfaces of a room.
+
+    Args:
+        tag: family and size of all of them.
+        ids: number of each in the family, all different, `(K,)`.
+        centres: world frame, metres, `(K, 3)`.
+        normals: unit normals of the front faces, `(K, 3)`.
+        ups: unit vectors in the tags' planes to their upper edges, `(K, 3)`.
+        surfaces: what is behind the tags, or in front of them.
+
+    Raises:
+        InputError: shapes do not match, an id occurs twice or is not in the family, or an up is not in its plane.
+    """
+
+    tag: Tag
+    ids: NDArray[np.int64]
+    centres: FloatArray
+    normals: FloatArray
+    ups: FloatArray
+    surfaces: Sequence[Surface] = ()
+
+    def __post_init__(self) -> None:
+        ids = np.asarray(self.ids)
+        object.__setattr__(self, "ids", ids)
+        if ids.ndim != 1 or len(np.unique(ids)) != len(ids) or not np.issubdtype(ids.dtype, np.integer):
+            raise InputError(f"ids must be different whole numbers, got {ids.tolist()}.")
+        if len(ids) and not (ids.min() >= 0 and ids.max() < self.tag.ids):
+            raise InputError(
+                f"ids must be in [0, {self.tag.ids - 1}] for family {self.tag.family}, got {ids.min()} to {ids.max()}."
+            )
+        for name in ("centres", "normals", "ups"):
+            array = np.asarray(getattr(self, name), dtype=np.float64)
+            if array.shape != (len(ids), 3) or not np.isfinite(array).all():
+                raise InputError(f"{name} must be finite and have the shape ({len(ids)}, 3), got {array.shape}.")
+            object.__setattr__(self, name, array)
+        lean = np.abs((self.normals * self.ups).sum(axis=1))
+        if len(ids) and lean.max() > 1e-3:
+            k = int(lean.argmax())
+            raise InputError(f"ups[{k}] must be perpendicular to normals[{k}], their product is {lean[k]:g}.")
+
+    @cached_property
+    def corners(self) -> FloatArray:
+        """Of the black squares in the order of `lmd.tag.CORNERS`, world frame, metres, `(K, 4, 3)`."""
+        return corners(self.centres, self.normals, self.ups, self.tag.size)

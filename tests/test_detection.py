@@ -1,0 +1,177 @@
+import math
+
+import numpy as np
+import pytest
+
+from lmd.camera import Camera
+from lmd.checks import InputError
+from lmd.detection.detectors import AprilTagDetector, ArucoDetector, Detections
+from lmd.detection.evaluation import (
+    agreement,
+    at_least,
+    corner_error,
+    match,
+    precision_recall,
+    quantiles_by,
+)
+from lmd.detection.fit import Limits, fit
+from lmd.detection.mosaic import Sampling, Views, sample_views
+from lmd.detection.pose import pose_error, pose_from_corners
+from lmd.geometry.se3 import camera_pose
+from lmd.render.imaging import Imaging
+from lmd.render.renderer import Renderer
+from lmd.render.room import TaggedRoom
+from lmd.space.cuboid import Room
+from lmd.tag import Tag
+
+CAMERA = Camera(5.0, 0.0116, 0.0116, (400.0, 300.0), 800.0, 600.0, 5.0, 1778.0)
+WALLS = Room((4.0, 3.0, 3.0), (2.0, 1.0, 1.0), 0.5).landmark_walls()
+TURNS = np.radians([0.0, 90.0, 180.0, 270.0, 37.0, 201.0, 333.0, 119.0])
+POSE = camera_pose([1.9, 1.0, 1.45], 0.1, 0.05, 0.1)
+DETECTORS = {
+    "aruco 36h11": (ArucoDetector("36h11"), "36h11", 0.6),
+    "aruco fine 36h11": (ArucoDetector("36h11", "fine"), "36h11", 0.6),
+    "aruco 25h9": (ArucoDetector("25h9"), "25h9", 0.6),
+    "aruco 4x4": (ArucoDetector("4x4_50"), "4x4_50", 0.6),
+    "aruco 6x6": (ArucoDetector("6x6_250"), "6x6_250", 0.6),
+    "apriltag 36h11": (AprilTagDetector("36h11"), "36h11", 0.3),
+    "apriltag 36h11, half size": (AprilTagDetector("36h11", quad_decimate=2.0), "36h11", 0.3),
+    "apriltag 25h9": (AprilTagDetector("25h9"), "25h9", 0.3),
+    "apriltag 16h5": (AprilTagDetector("16h5", most_errors=0), "16h5", 0.3),
+}
+
+
+def room(family):
+    """Eight tags, differently turned, on the wall y = 3."""
+    a, b = np.meshgrid([1.1, 1.6, 2.1, 2.6], [1.2, 1.8])
+    centres = np.stack([a.ravel(), np.full(8, 3.0), b.ravel()], axis=-1)
+    ups = np.stack([np.sin(TURNS), np.zeros(8), np.cos(TURNS)], axis=-1)
+    return TaggedRoom(Tag(0.2, family), np.arange(3, 11), centres, np.tile([0.0, -1.0, 0.0], (8, 1)), ups, WALLS)
+
+
+@pytest.mark.parametrize("name", DETECTORS)
+def test_known_answers(name):
+    detector, family, tolerance = DETECTORS[name]
+    renderer = Renderer(CAMERA, room(family), Imaging(texture=4.0))
+    found = detector.detect(renderer.frame(POSE, np.random.default_rng(0)))
+    expected = renderer.corners(POSE)
+    assert renderer.inside(POSE, 3.0).all()
+    assert sorted(found.ids) == list(range(3, 11))
+    matches = match(found, renderer.room.ids, expected)
+    assert matches.detected.all()
+    assert matches.false == 0
+    assert corner_error(matches.corners, expected).max() < tolerance
+    # A systematic half pixel would show in the mean.
+    assert np.abs((matches.corners - expected).mean(axis=(0, 1))).max() < 0.15
+    away, angle = pose_error(POSE, pose_from_corners(CAMERA, renderer.room.corners, matches.corners))
+    assert away < 0.01
+    assert angle < 0.01
+
+
+def test_an_image_without_tags():
+    blank = np.full((240, 320), 150, dtype=np.uint8)
+    for detector in (ArucoDetector(), AprilTagDetector()):
+        assert len(detector.detect(blank)) == 0
+        with pytest.raises(InputError, match="image must be a grey image of 8-bit numbers"):
+            detector.detect(blank.astype(float))
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (lambda: ArucoDetector("36h12"), "family must be one of 36h11"),
+        (lambda: ArucoDetector(preset="best"), "preset must be one of default, fine, got 'best'"),
+        (lambda: AprilTagDetector("4x4_50"), "family must be one of 36h11, 25h9, 16h5, got '4x4_50'"),
+        (lambda: AprilTagDetector(quad_decimate=0.5), "quad_decimate must be at least 1"),
+        (lambda: Detections(np.arange(2), np.zeros((1, 4, 2))), r"corners must have the shape \(M, 4, 2\)"),
+        (lambda: Sampling(pitch=(3.0, 2.0)), r"pitch must be a range \[low, high\], got \[3, 2\]"),
+    ],
+)
+def test_bad_input_gets_a_sentence(make, sentence):
+    with pytest.raises(InputError, match=sentence):
+        make()
+
+
+def test_pose_by_exact_corners():
+    renderer = Renderer(CAMERA, room("36h11"), Imaging(distortion=(-0.2, 0.05, 0.001, 0.002, 0.0)))
+    image = renderer.corners(POSE)
+    found = pose_from_corners(CAMERA, renderer.room.corners, image, renderer.imaging.distortion)
+    np.testing.assert_allclose(found, POSE, atol=1e-5)
+    only_one = np.where(np.arange(8)[:, None, None] == 2, image, np.nan)
+    found = pose_from_corners(CAMERA, renderer.room.corners, only_one, renderer.imaging.distortion)
+    np.testing.assert_allclose(found, POSE, atol=1e-3)
+    none = pose_from_corners(CAMERA, renderer.room.corners, np.full_like(image, np.nan))
+    assert np.isnan(none).all()
+    assert np.isnan(pose_error(POSE, none)).all()
+
+
+def test_matches_by_hand():
+    square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
+    expected = np.stack([square, square + 50.0, square + 100.0, np.full((4, 2), np.nan)])
+    found = Detections(
+        np.array([5, 5, 6, 7, 99, 8]),
+        # Tag 5 twice, tag 6 turned by a quarter, tag 7 elsewhere, no tag 99, and tag 8 is behind the camera.
+        np.stack([square + 2.0, square + 1.0, square[[1, 2, 3, 0]] + 50.0, square + 120.0, square, square]),
+    )
+    matches = match(found, np.array([5, 6, 7, 8]), expected)
+    assert matches.detected.tolist() == [True, False, False, False]
+    assert matches.false == 5
+    np.testing.assert_allclose(matches.corners[0], square + 1.0)
+    np.testing.assert_allclose(corner_error(matches.corners, expected), [math.sqrt(2.0), *[math.nan] * 3])
+
+
+def test_figures_by_hand():
+    predicted = np.array([[1, 1, 0], [1, 0, 0], [1, 1, 1], [0, 0, 0]], dtype=bool)
+    detected = np.array([[1, 0, 0], [1, 1, 0], [1, 1, 1], [0, 0, 0]], dtype=bool)
+    assert precision_recall(predicted, detected) == (5 / 6, 5 / 6)
+    precision, recall = precision_recall(predicted, detected, axis=0)
+    np.testing.assert_allclose(precision, [1.0, 0.5, 1.0])
+    np.testing.assert_allclose(recall, [1.0, 0.5, 1.0])
+    assert np.isnan(precision_recall(predicted, detected, axis=1)[0][3])
+    share, error = at_least(predicted)
+    np.testing.assert_allclose(share, [0.75, 0.5, 0.25, 0.0])
+    np.testing.assert_allclose(error, [math.sqrt(0.75 * 0.25 / 4), 0.25, math.sqrt(0.25 * 0.75 / 4), 0.0])
+    assert agreement(predicted, detected) == 0.5
+    assert agreement(predicted, detected, n=1) == 1.0
+
+
+def test_quantiles_by_hand():
+    value = np.array([1.0, 1.5, 2.0, 2.5, 9.0, np.nan])
+    error = np.array([0.1, 0.3, 1.0, np.nan, 5.0, 1.0])
+    table, count = quantiles_by(value, error, [1.0, 2.0, 3.0, 4.0], (0.5, 1.0))
+    np.testing.assert_allclose(table, [[0.2, 0.3], [1.0, 1.0], [np.nan, np.nan]])
+    assert count.tolist() == [2, 1, 0]
+
+
+def test_limits_of_known_views_are_found():
+    rng = np.random.default_rng(0)
+    true = Limits(pitch=0.8, blur=1.8, edge=20.0, incidence=math.radians(80.0))
+    pitch, incidence, sigma = rng.uniform([0.5, 0.0, 0.3], [6.0, 1.55, 2.0], (20000, 3)).T
+    edge = pitch * rng.uniform(4.0, 16.0, len(pitch))
+    found = true.found(pitch, incidence, edge, sigma)
+    views = Views(pitch, incidence, edge, sigma, found ^ (rng.random(len(pitch)) < 0.02), np.zeros(len(pitch)))
+    result = fit(views, rng)
+    limits = result.limits
+    assert limits.pitch == pytest.approx(0.8, abs=0.3)
+    assert limits.blur == pytest.approx(1.8, abs=0.15)
+    assert limits.edge == pytest.approx(20.0, abs=1.0)
+    assert limits.incidence == pytest.approx(math.radians(80.0), abs=0.02)
+    assert result.accuracy == pytest.approx(0.98, abs=0.01)
+    assert not true.found(*(np.array([math.nan]),) * 4)
+
+
+@pytest.mark.parametrize("detector", [ArucoDetector(), AprilTagDetector()])
+def test_easy_views_are_seen_and_hard_ones_are_not(detector):
+    easy = Sampling(pitch=(4.0, 6.0), incidence=(0.0, 1.0), sigma=(0.4, 0.6), noise=(1.0, 2.0))
+    views = sample_views(CAMERA, Tag(0.1), detector, 60, np.random.default_rng(0), easy)
+    assert len(views) == 60
+    assert views.seen.mean() > 0.95
+    assert np.nanmedian(views.error) < (0.5 if isinstance(detector, ArucoDetector) else 0.05)
+    assert (easy.pitch[0] - 1e-9 <= views.pitch).all()
+    assert (views.pitch <= easy.pitch[1] + 1e-9).all()
+    assert (views.incidence <= 1.0 + 1e-9).all()
+    hard = Sampling(pitch=(0.8, 1.2), sigma=(1.5, 2.0))
+    again = [sample_views(CAMERA, Tag(0.1), detector, 60, np.random.default_rng(0), hard) for _ in range(2)]
+    assert again[0].seen.mean() < 0.1
+    np.testing.assert_array_equal(again[0].pitch, again[1].pitch)
+    np.testing.assert_array_equal(again[0].seen, again[1].seen)

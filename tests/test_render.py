@@ -1,0 +1,193 @@
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from lmd.camera import Camera
+from lmd.checks import InputError
+from lmd.detection.detectors import AprilTagDetector
+from lmd.geometry.se3 import camera_pose, exp
+from lmd.render.imaging import Imaging
+from lmd.render.optics import distort, intrinsics, project, undistort
+from lmd.render.renderer import Renderer
+from lmd.render.room import TaggedRoom
+from lmd.space.cuboid import Room
+from lmd.tag import Tag
+
+# 500 pixels a metre at a depth of 1 m.
+CAMERA = Camera(5.0, 0.01, 0.01, (160.0, 120.0), 320.0, 240.0, 1.0, 1000.0)
+BARREL = (-0.25, 0.08, 0.001, -0.002, 0.01)
+SHARP = Imaging(psf_sigma=0.0, defocus=False, noise=0.0)
+ROOM = Room((4.0, 4.0, 3.0), (2.0, 2.0, 1.0), 0.5)
+ORIGIN = camera_pose([0.0, 0.0, 0.0], 0.0, 0.0)  # looks along y, up is z
+
+
+def facing(centre=(0.0, 1.0, 0.0), edge=0.16, turn=0.0, surfaces=(), family="36h11", number=7, normal=(0.0, -1.0, 0.0)):
+    """One tag that looks back at a camera at the origin, turned counter-clockwise as seen from the front."""
+    normal = np.array(normal)
+    up = np.array([0.0, 0.0, 1.0])
+    left = -np.cross(up, normal)
+    up = np.cos(turn) * up + np.sin(turn) * left
+    return TaggedRoom(Tag(edge, family), np.array([number]), np.array([centre]), normal[None], up[None], surfaces)
+
+
+def frame(camera=CAMERA, room=None, imaging=SHARP, pose=ORIGIN, seed=0, motion=None):
+    return Renderer(camera, room or facing(), imaging).frame(pose, np.random.default_rng(seed), motion)
+
+
+def test_projection_by_hand():
+    # 0.1 m right, 0.02 m up, 2 m ahead: 500 / 2 pixels a metre.
+    assert project(CAMERA, ORIGIN, np.array([[0.1, 2.0, 0.02]])).tolist() == [[185.0, 115.0]]
+    assert np.isnan(project(CAMERA, ORIGIN, np.array([[0.0, -1.0, 0.0]]))).all()
+
+
+def test_distortion_is_that_of_opencv_half_a_pixel_away():
+    points = np.random.default_rng(0).uniform([-0.5, -0.4, 1.0], [0.5, 0.4, 2.0], (50, 3))
+    matrix = intrinsics(CAMERA)
+    expected = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, np.array(BARREL))[0][:, 0]
+    pose = np.eye(4)
+    np.testing.assert_allclose(project(CAMERA, pose, points, BARREL), expected, atol=1e-9)
+    rays = points[:, :2] / points[:, 2:]
+    np.testing.assert_allclose(undistort(distort(rays, BARREL), BARREL), rays, atol=1e-9)
+
+
+def test_a_sharp_tag_is_its_picture():
+    # 0.16 m at 1 m are 80 pixels, 10 a module, from 120 to 200 across and from 80 to 160 down.
+    image = frame()
+    picture = np.kron(Tag(0.16).picture(7), np.ones((10, 10), dtype=bool))
+    margin = 3  # where one module ends and the next begins, sampling makes greys
+    inside = np.zeros((10, 10), dtype=bool)
+    inside[margin:-margin, margin:-margin] = True
+    sure = np.tile(inside, (8, 8))
+    expected = np.where(picture, SHARP.white, SHARP.black)
+    np.testing.assert_array_equal(image[80:160, 120:200][sure], expected[sure])
+    assert set(np.unique(image[:60])) == {int(SHARP.wall)}
+    # The paper has a margin of one module.
+    quiet = np.flatnonzero(image[:, 115] > 185)
+    assert (quiet[0], quiet[-1], len(quiet)) == (70, 169, 100)
+
+
+def test_up_is_up_and_turns_are_counter_clockwise():
+    upright = frame()[80:160, 120:200]
+    for quarters in range(4):
+        turned = frame(room=facing(turn=quarters * np.pi / 2.0))[80:160, 120:200]
+        np.testing.assert_allclose(turned.astype(int), np.rot90(upright, quarters).astype(int), atol=2)
+
+
+def test_the_seed_decides_the_noise():
+    noisy = Imaging(noise=3.0)
+    first, again, other = (frame(imaging=noisy, seed=seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert (first != other).mean() > 0.5
+    assert first[:50].std() == pytest.approx(3.0, rel=0.03)
+
+
+def test_exposure_and_gamma():
+    assert frame(imaging=replace(SHARP, exposure=0.5))[0, 0] == 75
+    assert frame(imaging=replace(SHARP, gamma=2.0))[0, 0] == round(255.0 * np.sqrt(150.0 / 255.0))
+    assert frame(imaging=replace(SHARP, exposure=3.0))[0, 0] == 255
+
+
+@pytest.mark.parametrize(
+    "room", [facing(normal=(0.0, 1.0, 0.0)), facing(centre=(0.0, -1.0, 0.0)), facing(centre=(5.0, 1.0, 0.0))]
+)
+def test_tags_turned_away_behind_or_outside_are_not_drawn(room):
+    assert (frame(room=room) == SHARP.wall).all()
+    assert not Renderer(CAMERA, room).inside(ORIGIN).any()
+
+
+@pytest.mark.parametrize("imaging", [SHARP, Imaging(psf_sigma=2.0, noise=0.0)])
+def test_a_cut_tag_is_a_part_of_the_whole(imaging):
+    wide = replace(CAMERA, image_width=520.0, principal_point=(260.0, 120.0))
+    room = facing(centre=(0.3, 1.0, 0.02), turn=0.3)
+    cut, whole = frame(room=room, imaging=imaging), frame(camera=wide, room=room, imaging=imaging)
+    np.testing.assert_allclose(cut.astype(int), whole[:, 100:420].astype(int), atol=1)
+    assert not Renderer(CAMERA, room).inside(ORIGIN)[0]
+    assert Renderer(wide, room).inside(ORIGIN)[0]
+
+
+def test_what_is_behind_the_lens_does_not_come_back_upside_down():
+    # A large tag on the floor from below the camera to behind it: nothing of it is above the horizon.
+    floor = TaggedRoom(
+        Tag(2.0), np.array([0]), np.array([[0.0, 0.5, -0.3]]), np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 1.0, 0.0]])
+    )
+    image = frame(room=floor)
+    assert (image[:120] == SHARP.wall).all()
+    assert (image[235:] != SHARP.wall).mean() > 0.9
+    assert np.isnan(Renderer(CAMERA, floor).corners(ORIGIN)).any()
+
+
+def test_a_surface_in_front_hides_a_tag():
+    wall = ROOM.landmark_walls()[2]  # y_min, faces along y
+    screen = replace(
+        wall, origin=np.array([-1.0, 0.5, -1.0]), u=np.array([1.0, 0.0, 0.0]), normal=np.array([0.0, -1.0, 0.0])
+    )
+    open_view, hidden = frame(room=facing()), frame(room=facing(surfaces=[replace(screen, extent=(1.0, 2.0))]))
+    alone = frame(room=facing(edge=1e-6, surfaces=[replace(screen, extent=(1.0, 2.0))]))
+    np.testing.assert_array_equal(hidden[:, :159], alone[:, :159])
+    np.testing.assert_array_equal(hidden[85:155, 162:], open_view[85:155, 162:])
+
+
+def test_textured_walls_stay_the_same_from_frame_to_frame():
+    room = facing(centre=(2.0, 3.999, 1.5), surfaces=ROOM.landmark_walls())
+    pose = camera_pose([2.0, 2.0, 1.5], 0.1, 0.0)
+    imaging = Imaging(noise=0.0, texture=8.0)
+    first = frame(room=room, imaging=imaging, pose=pose, seed=1)
+    np.testing.assert_array_equal(first, frame(room=room, imaging=imaging, pose=pose, seed=2))
+    assert 3.0 < first[:80, :80].std() < 12.0
+
+
+def test_defocus_softens_what_is_far():
+    # The same picture from 1 m, where the lens is focused, and from 3 m: discs of 0 and 3.4 pixels.
+    camera, imaging = replace(CAMERA, aperture=10.0), Imaging(noise=0.0)
+    near, far = (frame(camera, facing((0.0, z, 0.0), edge=0.16 * z), imaging) for z in (1.0, 3.0))
+    steepest = [np.abs(np.diff(image.astype(int), axis=1)).max() for image in (near, far)]
+    assert steepest[1] < 0.8 * steepest[0]
+
+
+def test_motion_blur_keeps_the_middle_and_the_light():
+    imaging = Imaging(noise=0.0, defocus=False)
+    motion = np.array([0.0, 0.0, 0.0, 0.02, 0.0, 0.0])  # 10 pixels
+    still, moving = frame(imaging=imaging), frame(imaging=imaging, motion=motion)
+    np.testing.assert_array_equal(frame(imaging=imaging, motion=np.zeros(6)), still)
+    light = still.astype(float) - 150.0, moving.astype(float) - 150.0
+    assert light[1].sum() == pytest.approx(light[0].sum(), rel=0.02)
+    column = np.arange(320) + 0.5
+    centre = [(np.abs(part) @ column).sum() / np.abs(part).sum() for part in light]
+    assert centre[1] == pytest.approx(centre[0], abs=1.0)
+    assert np.abs(np.diff(moving.astype(int), axis=1)).max() < np.abs(np.diff(still.astype(int), axis=1)).max() / 2
+
+
+def test_distorted_corners_are_where_the_picture_has_them():
+    room = facing(centre=(0.16, 1.0, 0.1), edge=0.1, turn=0.4)
+    imaging = Imaging(noise=0.0, distortion=BARREL)
+    renderer = Renderer(CAMERA, room, imaging)
+    found = AprilTagDetector().detect(renderer.frame(ORIGIN, np.random.default_rng(0)))
+    np.testing.assert_allclose(found.corners, renderer.corners(ORIGIN), atol=0.15)
+    assert np.abs(renderer.corners(ORIGIN) - Renderer(CAMERA, room).corners(ORIGIN)).max() > 1.0
+
+
+def test_many_poses_at_once():
+    renderer = Renderer(CAMERA, facing())
+    poses = np.stack([ORIGIN, ORIGIN @ exp(np.array([0.0, 0.5, 0.0, 0.0, 0.0, 0.0]))])
+    assert renderer.corners(poses).shape == (2, 1, 4, 2)
+    assert renderer.inside(poses).tolist() == [[True], [False]]
+    assert renderer.inside(poses, margin=81.0).tolist() == [[False], [False]]
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (lambda: Imaging(psf_sigma=-1.0), "psf_sigma must be at least 0"),
+        (lambda: Imaging(white=10.0), "white must exceed black = 25, got 10"),
+        (lambda: Imaging(distortion=(0.1, 0.2)), "distortion must be a list of 5 numbers"),
+        (lambda: facing(number=587), r"ids must be in \[0, 586\] for family 36h11"),
+        (lambda: replace(facing(), ups=np.array([[0.0, 1.0, 0.0]])), r"ups\[0\] must be perpendicular to normals\[0\]"),
+        (lambda: replace(facing(), centres=np.zeros((2, 3))), "centres must be finite and have the shape"),
+        (lambda: frame(imaging=Imaging(distortion=(-3.0, 0.0, 0.0, 0.0, 0.0))), "distortion bends the image too much"),
+    ],
+)
+def test_bad_input_gets_a_sentence(make, sentence):
+    with pytest.raises(InputError, match=sentence):
+        make()
