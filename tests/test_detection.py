@@ -21,11 +21,11 @@ from lmd.geometry.se3 import camera_pose
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
-from lmd.space.cuboid import Room
+from lmd.space.cuboid import Cuboid
 from lmd.tag import Tag
 
 CAMERA = Camera(5.0, 0.0116, 0.0116, (400.0, 300.0), 800.0, 600.0, 5.0, 1778.0)
-WALLS = Room((4.0, 3.0, 3.0), (2.0, 1.0, 1.0), 0.5).landmark_walls()
+WALLS = Cuboid((4.0, 3.0, 3.0), (2.0, 1.0, 1.0), 0.5).surfaces()
 TURNS = np.radians([0.0, 90.0, 180.0, 270.0, 37.0, 201.0, 333.0, 119.0])
 POSE = camera_pose([1.9, 1.0, 1.45], 0.1, 0.05, 0.1)
 DETECTORS = {

@@ -12,14 +12,14 @@ from lmd.render.imaging import Imaging
 from lmd.render.optics import distort, intrinsics, project, undistort
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
-from lmd.space.cuboid import Room
+from lmd.space.cuboid import Cuboid
 from lmd.tag import Tag
 
 # 500 pixels a metre at a depth of 1 m.
 CAMERA = Camera(5.0, 0.01, 0.01, (160.0, 120.0), 320.0, 240.0, 1.0, 1000.0)
 BARREL = (-0.25, 0.08, 0.001, -0.002, 0.01)
 SHARP = Imaging(psf_sigma=0.0, defocus=False, noise=0.0)
-ROOM = Room((4.0, 4.0, 3.0), (2.0, 2.0, 1.0), 0.5)
+ROOM = Cuboid((4.0, 4.0, 3.0), (2.0, 2.0, 1.0), 0.5)
 ORIGIN = camera_pose([0.0, 0.0, 0.0], 0.0, 0.0)  # looks along y, up is z
 
 
@@ -119,7 +119,7 @@ def test_what_is_behind_the_lens_does_not_come_back_upside_down():
 
 
 def test_a_surface_in_front_hides_a_tag():
-    wall = ROOM.landmark_walls()[2]  # y_min, faces along y
+    wall = ROOM.surfaces()[2]  # y_min, faces along y
     screen = replace(
         wall, origin=np.array([-1.0, 0.5, -1.0]), u=np.array([1.0, 0.0, 0.0]), normal=np.array([0.0, -1.0, 0.0])
     )
@@ -130,7 +130,7 @@ def test_a_surface_in_front_hides_a_tag():
 
 
 def test_textured_walls_stay_the_same_from_frame_to_frame():
-    room = facing(centre=(2.0, 3.999, 1.5), surfaces=ROOM.landmark_walls())
+    room = facing(centre=(2.0, 3.999, 1.5), surfaces=ROOM.surfaces())
     pose = camera_pose([2.0, 2.0, 1.5], 0.1, 0.0)
     imaging = Imaging(noise=0.0, texture=8.0)
     first = frame(room=room, imaging=imaging, pose=pose, seed=1)
