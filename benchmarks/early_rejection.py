@@ -11,13 +11,14 @@ from hydra import compose, initialize_config_dir
 from numba import njit
 
 from lmd.objectives.coverage_field import coverage_field
-from lmd.optimisers.annealing.walk import _places, walls_of
+from lmd.optimisers.annealing.walk import propose
 from lmd.optimisers.base import Budget
 from lmd.pipelines.app import CONF, build_optimiser, build_problem
 from lmd.sight.incremental.move import move, state_of
 from lmd.sight.incremental.state import scratch_of
 from lmd.sight.incremental.trial import bound_move, finish_move
 from lmd.sight.kernels import PROBABILITY_ONE
+from lmd.space.surface import SurfaceArrays
 
 EVALUATIONS = 3000
 MOVES = 2000
@@ -25,12 +26,11 @@ REPEATS = 10
 
 
 @njit(nogil=True)
-def try_all(who, places, field, state, scratch, finish):  # type: ignore[no-untyped-def]
+def try_all(who, places, surfaces, field, state, scratch, finish):  # type: ignore[no-untyped-def]
     """Try each of the moves, or only bound it; P_n of each, in units."""
     units = np.empty((len(who), len(state.units)), dtype=np.int64)
     for i in range(len(who)):
-        place = places[i]
-        bound_move(who[i], place[0], place[1], place[2], place[3], place[4], place[5], field, state, scratch)
+        bound_move(who[i], places[i], surfaces[i], field, state, scratch)
         if finish:
             finish_move(who[i], field, state, scratch)
         units[i] = scratch.units
@@ -38,11 +38,10 @@ def try_all(who, places, field, state, scratch, finish):  # type: ignore[no-unty
 
 
 @njit(nogil=True)
-def move_all(who, places, field, state, scratch):  # type: ignore[no-untyped-def]
+def move_all(who, places, surfaces, field, state, scratch):  # type: ignore[no-untyped-def]
     """Carry out each of the moves."""
     for i in range(len(who)):
-        place = places[i]
-        move(who[i], place[0], place[1], place[2], place[3], place[4], place[5], field, state, scratch)
+        move(who[i], places[i], surfaces[i], field, state, scratch)
 
 
 def main() -> None:
@@ -53,16 +52,15 @@ def main() -> None:
     optimiser.run(problem, Budget(EVALUATIONS))
     field = coverage_field(problem.fitness_evaluator, problem.objective.n)
     state = state_of(field, optimiser.here)
-    climate = optimiser.single.settings(1.0, near=optimiser.spread * problem.scene.visibility.nu)
-    rng, walls = np.random.default_rng(0), walls_of(problem.scene.room)
+    settings = optimiser.single.settings(1.0, near=optimiser.spread * problem.scene.visibility.spacing)
+    rng, room = np.random.default_rng(0), SurfaceArrays.of(problem.scene.room.surfaces())
     who, places = rng.integers(problem.count, size=MOVES), np.empty((MOVES, 6))
-    for i in range(MOVES):
-        _places(who[i : i + 1], state, walls, climate, rng, places[i : i + 1])
+    surfaces = np.array([propose(who[i : i + 1], state, room, settings, rng, places[i : i + 1]) for i in range(MOVES)])
 
     def mean_value(units: np.ndarray) -> np.ndarray:
         probability = units[..., field.index_of] / PROBABILITY_ONE
-        above = probability - problem.objective.thold_p - climate.margin
-        value = 1.0 / (1.0 + np.exp(-above / climate.width)) + climate.share * probability
+        above = probability - problem.objective.thold_p - settings.margin
+        value = 1.0 / (1.0 + np.exp(-above / settings.width)) + settings.share * probability
         return value @ problem.fitness_relevance / problem.fitness_relevance.sum()
 
     best = {False: np.inf, True: np.inf}
@@ -71,16 +69,16 @@ def main() -> None:
     for _ in range(REPEATS):
         for finish in best:
             began = time.perf_counter()
-            units[finish] = try_all(who, places, field, state, scratch, finish)
+            units[finish] = try_all(who, places, surfaces, field, state, scratch, finish)
             best[finish] = min(best[finish], time.perf_counter() - began)
-    lowest = climate.temperature * np.log(rng.random(MOVES))
+    lowest = settings.temperature * np.log(rng.random(MOVES))
     gain, bound = (mean_value(units[finish]) - mean_value(state.units) for finish in (True, False))
     rejected, early = gain < lowest, bound < lowest
     carried_out = np.inf
     for _ in range(REPEATS):
         state = state_of(field, optimiser.here)
         began = time.perf_counter()
-        move_all(who[~rejected], places[~rejected], field, state, scratch)
+        move_all(who[~rejected], places[~rejected], surfaces[~rejected], field, state, scratch)
         carried_out = min(carried_out, time.perf_counter() - began)
     print(f"{MOVES} moves of one landmark at the end of a run of {EVALUATIONS} evaluations:")
     print(f"rejected: {rejected.mean():.1%}; of these by the bound: {early.sum() / rejected.sum():.1%}")

@@ -1,4 +1,4 @@
-"""How fast the exact paths are: `python benchmarks/speed.py [--update docs/performance.md]`.
+"""How fast the exact paths are: `python benchmarks/speed.py [--update docs/results/performance.md]`.
 
 Prints Markdown tables of times and ratios, all measured in one run on the paper's problem (756 positions, 325
 orientations, 90 landmarks, the paper's occlusion test) and on larger ones. With `--update`, the part of the page
@@ -25,11 +25,12 @@ from lmd.pdf import grid_with_ends
 from lmd.pipelines.app import CONF, build_problem
 from lmd.scene import Scene
 from lmd.sight import reference
+from lmd.sight.criteria import from_position
 from lmd.sight.evaluator import Evaluator, available_threads
 from lmd.sight.incremental.move import carry_out, state_of
 from lmd.sight.incremental.state import scratch_of
 from lmd.sight.incremental.trial import bound_move, finish_move
-from lmd.sight.kernels import BLOCK, cap_of
+from lmd.sight.kernels import BLOCK, band_of
 from lmd.sight.poses import candidate_poses, gains
 
 COUNT, N = 90, 2  # of the paper: landmarks, and how many must be seen
@@ -57,11 +58,11 @@ def paper_scene() -> Scene:
 
 
 @njit(nogil=True)
-def move_all(places, normals, field, state, scratch, steps):  # type: ignore[no-untyped-def]
-    """Move the landmarks in turn to each of the places `(M, 3)`, as an optimiser does: the first of `STEPS`."""
-    for i in range(len(places)):
-        place, normal, k = places[i], normals[i], i % state.landmarks.shape[1]
-        bound_move(k, place[0], place[1], place[2], normal[0], normal[1], normal[2], field, state, scratch)
+def move_all(poses, surfaces, field, state, scratch, steps):  # type: ignore[no-untyped-def]
+    """Move the landmarks in turn to each of the poses `(M, 6)`, as an optimiser does: the first of `STEPS`."""
+    for i in range(len(poses)):
+        k = i % state.landmarks.shape[1]
+        bound_move(k, poses[i], surfaces[i], field, state, scratch)
         if steps > 1:
             finish_move(k, field, state, scratch)
         if steps > 2:
@@ -75,9 +76,9 @@ def evaluation(scene: Scene, count: int, threads: int, occlusion: bool = True, c
     positions, normals = np.stack([d.positions for d in drawn]), np.stack([d.normals for d in drawn])
     evaluator = Evaluator(scene, threads=threads)
     if not occlusion:
-        evaluator.mode = 0
+        evaluator.sight = evaluator.sight.unhidden()
     if not caps:
-        evaluator.limits = np.array([evaluator.limits[0], np.inf, evaluator.limits[2]])
+        evaluator.sight = evaluator.sight._replace(min_depth=np.inf)
     return best_of(5, lambda: evaluator.units(positions, normals, N)) / DEPLOYMENTS
 
 
@@ -87,7 +88,8 @@ def moves(scene: Scene, count: int, step: str) -> float:
     start, targets = (RandomDeployment(size).draw(scene.room, rng) for size in (count, MOVES))
     field = coverage_field(Evaluator(scene, threads=1), N)
     state = state_of(field, start)
-    args = (targets.positions, targets.normals, field, state, scratch_of(state), 1 + STEPS.index(step))
+    poses = np.hstack([targets.positions, targets.normals])
+    args = (poses, targets.surfaces, field, state, scratch_of(state), 1 + STEPS.index(step))
     return best_of(5, lambda: move_all(*args)) / MOVES
 
 
@@ -145,14 +147,13 @@ def stages(scene: Scene) -> Iterator[str]:
 
 def work(scene: Scene) -> tuple[int, int, int]:
     """Pairs of position and landmark of a random deployment, those in reach, and axes in the bands of their caps."""
-    drawn, limits = RandomDeployment(COUNT).draw(scene.room, np.random.default_rng(0)), scene.limits
+    drawn = RandomDeployment(COUNT).draw(scene.room, np.random.default_rng(0))
     evaluator = Evaluator(scene, threads=1)
     reached = axes = 0
     for position in evaluator.positions:
         for offset, normal in zip(drawn.positions - position, drawn.normals, strict=True):
-            in_reach, _, bottom, top = cap_of(
-                *offset, *normal, 0.0, limits.min_cosine, limits.min_depth, limits.max_depth
-            )
+            in_reach, low, _ = from_position(scene.sight, *offset, *normal, 0.0)
+            bottom, top = band_of(*offset, low, 0.0)
             reached += in_reach
             first, last = evaluator.bands[bottom] & -BLOCK, (evaluator.bands[top] + BLOCK - 1) & -BLOCK
             axes += int(last - first) if in_reach else 0

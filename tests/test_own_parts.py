@@ -36,6 +36,8 @@ from lmd.sight.views import visible
 from lmd.space.cuboid import Cuboid
 from lmd.validation import Sample, validation_metrics
 
+pytestmark = pytest.mark.slow  # what is made for classes from elsewhere is compiled anew each time
+
 LEAST_COSINE = 0.5  # of the incidence angle
 WIDE, HIGH = 0.9, 0.4  # tangents of the half-angles of an image that is level
 

@@ -69,7 +69,7 @@ class Ledger:
     def note(self, evaluations: float, fitness: float) -> bool:
         """Note that `evaluations` are spent by now and the last of them reached `fitness`; True if that is the best."""
         is_best = fitness > self.best_fitness
-        self.evaluations, self.best_fitness = evaluations, max(fitness, self.best_fitness)
+        self.evaluations, self.best_fitness = evaluations, fitness if is_best else self.best_fitness
         self.history.append(Record(evaluations, self.best_fitness, self.seconds))
         return is_best
 

@@ -6,6 +6,8 @@ from mlflow import MlflowClient
 from lmd.checks import InputError
 from pipelines.tracking import MlflowReader, MlflowTracker, NoTracker
 
+pytestmark = pytest.mark.slow  # mlflow makes its tables anew for each store
+
 
 @pytest.fixture(scope="module")
 def uri(tmp_path_factory):

@@ -12,7 +12,7 @@ import processes
 import pytest
 from mlflow import MlflowClient
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 SMALL = ["room.spacing=3", "seeds=2", "trajectory.duration=4", "trajectory.pace.frame_rate=10", "hydra.run.dir=run"]
 pytestmark = pytest.mark.slow
 FILES = {"figures.csv", "curves.csv", "observe.md", "observe.json", "errors.png"}
@@ -83,7 +83,7 @@ def test_deployments_can_have_names_and_overrides(tmp_path):
     entries = "deployments=['best: file deployment.path=mine.csv','few: uniform deployment.count=6',uniform]"
     done = call(entries, "deployment.count=30", "tracking=none", cwd=tmp_path)
     assert done.returncode == 1
-    assert "mine.csv has 3 landmarks, but deployment.count = 30" in done.stderr
+    assert "deployment.count = 30, but mine.csv has 3 landmarks" in done.stderr
     done = call(entries, "tracking=none", "seeds=1", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     figures = pd.read_csv(tmp_path / "run" / "figures.csv").set_index("deployment")

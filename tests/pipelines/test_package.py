@@ -11,7 +11,7 @@ from shutil import copytree, ignore_patterns
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 SMALL = ["room.spacing=1.5", "objective.thold_p=0.5", "validate=false", "page=false", "budget.evaluations=60"]
 

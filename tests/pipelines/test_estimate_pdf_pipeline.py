@@ -15,7 +15,7 @@ from lmd import pdf
 from lmd.orientation.recording import OrientationRecording
 from pipelines.app import CONF, instantiate
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 def call(*overrides, cwd):

@@ -1,0 +1,79 @@
+"""Who hides whom, found block by block, against the reference."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from paper import paper_room, paper_scene
+from strategies import scenes_with_deployments
+
+from lmd.deployment import RandomDeployment
+from lmd.objectives.coverage_field import coverage_field
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.incremental.hiding import flips_with
+from lmd.sight.incremental.move import state_of
+from lmd.sight.incremental.state import scratch_of
+from lmd.sight.incremental.trial import bound_move, finish_move
+from lmd.sight.kernels import BLOCK
+from lmd.sight.paper import hidden_by_others
+
+
+def hidden_counts(scene, landmarks, position):
+    """How many others hide each landmark, by the reference, one pair at a time."""
+    offset = landmarks - position
+    pairs = [[j != k and hidden_by_others(offset[[k, j]], scene.visibility)[0] for j in range(len(offset))]
+             for k in range(len(offset))]  # fmt: skip
+    return np.array(pairs, dtype=int)
+
+
+def check(scene, deployment):
+    field = coverage_field(Evaluator(scene, threads=1), 1)
+    state = state_of(field, deployment)
+    for p in range(0, field.positions.shape[1], 7):
+        hides = hidden_counts(scene, deployment.positions, field.positions[:, p])
+        np.testing.assert_array_equal(state.hidden[:, p], hides.sum(axis=1))
+        np.testing.assert_array_equal(state.hiding[:, p], hides.sum(axis=0))
+
+
+@settings(max_examples=40)
+@given(scenes_with_deployments())
+def test_a_state_knows_how_many_hide_each_landmark_and_how_many_it_hides(case):
+    check(*case)
+
+
+@pytest.mark.parametrize("occlusion", ["paper", "line_of_sight"])
+def test_so_it_is_in_a_room_of_many_blocks_full_of_landmarks(occlusion):
+    scene = paper_scene(paper_room(spacing=1.0), occlusion=occlusion, nu=0.3)
+    check(scene, RandomDeployment(60).draw(scene.room, np.random.default_rng(0)))
+
+
+@given(scenes_with_deployments(), st.data())
+def test_a_trial_finds_what_its_place_hides_and_who_hides_it(case, data):
+    scene, deployment = case
+    field = coverage_field(Evaluator(scene, threads=1), 1)
+    state = state_of(field, deployment)
+    if field.sight.reach < 0.0:
+        return
+    scratch = scratch_of(state)
+    k = data.draw(st.integers(0, len(deployment) - 1))
+    target = deployment.positions[data.draw(st.integers(0, len(deployment) - 1))] + data.draw(
+        st.sampled_from([0, 0.03])
+    )
+    bound_move(k, np.concatenate([target, deployment.normals[k]]), -1, field, state, scratch)
+    finish_move(k, field, state, scratch)
+    moved = deployment.positions.copy()
+    moved[k] = target
+    after = scratch.after
+    for p in range(0, field.positions.shape[1], 5):
+        hides = hidden_counts(scene, moved, field.positions[:, p])
+        assert after.count_hidden[p] == hides[k].sum()
+        assert after.count_hides[p] == hides[:, k].sum()
+        named = after.who[p // BLOCK, : after.found[p // BLOCK]]
+        assert set(np.flatnonzero(hides[k] | hides[:, k])) <= set(named.tolist())
+        assert k not in named
+
+
+def test_a_landmark_flips_where_the_first_comes_to_hide_it_or_the_last_ceases_to():
+    cases = [(0, 0), (0, 1), (1, 0), (1, 2), (2, 1), (0, 3)]
+    assert [bool(flips_with(True, was, now)) for was, now in cases] == [False, True, True, False, False, True]
+    assert not any(flips_with(False, was, now) for was, now in cases)
