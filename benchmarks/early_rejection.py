@@ -11,10 +11,11 @@ from hydra import compose, initialize_config_dir
 from numba import njit
 
 from lmd.objectives.coverage_field import coverage_field
+from lmd.objectives.field import move
 from lmd.optimisers.annealing.walk import propose
 from lmd.optimisers.base import Budget
 from lmd.pipelines.app import CONF, build_optimiser, build_problem
-from lmd.sight.incremental.move import move, state_of
+from lmd.sight.incremental.move import state_of
 from lmd.sight.incremental.state import scratch_of
 from lmd.sight.incremental.trial import bound_move, finish_move
 from lmd.sight.kernels import PROBABILITY_ONE
@@ -41,7 +42,7 @@ def try_all(who, places, surfaces, field, state, scratch, finish):  # type: igno
 def move_all(who, places, surfaces, field, state, scratch):  # type: ignore[no-untyped-def]
     """Carry out each of the moves."""
     for i in range(len(who)):
-        move(who[i], places[i], surfaces[i], field, state, scratch)
+        move(field, who[i], places[i], surfaces[i], state, scratch)
 
 
 def main() -> None:

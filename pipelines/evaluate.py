@@ -44,15 +44,15 @@ def evaluate(cfg: DictConfig) -> float:
 
 def localise(problem: "Problem", deployment: "Deployment", tracker: "Tracker") -> dict[str, float]:
     """Write and log the map of the bound on the pose of a single frame; returns its figures."""
-    from lmd.localisation.cramer_rao import bound_map
-    from lmd.plot.localisation import save_bound_map
+    from lmd.localisation.cramer_rao import cramer_rao_map
+    from lmd.plot.localisation import save_cramer_rao_map
 
     from .tracked_run import title_of
 
-    bounds = bound_map(problem.scene, problem.evaluator, deployment)
+    bounds = cramer_rao_map(problem.scene, problem.evaluator, deployment)
     table, picture = (run_directory() / f"localisation.{kind}" for kind in ("csv", "png"))
     bounds.to_csv(table)
-    save_bound_map(picture, problem.scene.room, bounds, title_of(problem, "Cramer-Rao bound of one frame,"))
+    save_cramer_rao_map(picture, problem.scene.room, bounds, title_of(problem, "Cramer-Rao bound of one frame,"))
     tracker.log_artifacts([table, picture])
     return bounds.metrics()
 

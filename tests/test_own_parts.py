@@ -18,6 +18,7 @@ from lmd.deployment import Deployment, RandomDeployment, UniformDeployment
 from lmd.objectives.base import Headline
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.coverage_field import coverage_field
+from lmd.objectives.field import move
 from lmd.optimisers.annealing import Annealing
 from lmd.optimisers.base import Budget
 from lmd.optimisers.ega import EGA
@@ -29,7 +30,7 @@ from lmd.scene import Scene
 from lmd.sight import reference
 from lmd.sight.criteria import TOLERANCE, from_position, hide, in_image
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.incremental.move import counts_of, move, state_of
+from lmd.sight.incremental.move import counts_of, state_of
 from lmd.sight.incremental.state import scratch_of
 from lmd.sight.kernels import evaluate_range
 from lmd.sight.views import visible
@@ -137,7 +138,7 @@ def test_every_fast_path_counts_by_a_criterion_of_ones_own(data, room, n, seed):
     state = state_of(field, deployment)
     scratch = scratch_of(state)
     for target in np.hstack([targets.positions, targets.normals]):
-        move(int(rng.integers(len(deployment))), target, -1, field, state, scratch)
+        move(field, int(rng.integers(len(deployment))), target, -1, state, scratch)
     now = Deployment(state.landmarks.T, state.normals.T)
     counts = counts_of(state, evaluator.axes.shape[1])[field.index_of][:, scene.pdf.axis_of]
     np.testing.assert_array_equal(counts, reference.counts(scene, now))

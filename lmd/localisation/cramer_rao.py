@@ -53,7 +53,7 @@ def pose_information(poses: FloatArray, landmarks: FloatArray, seen: BoolArray, 
     return information
 
 
-def pose_bound(information: FloatArray) -> tuple[FloatArray, FloatArray]:
+def cramer_rao_bound(information: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Smallest standard deviations of position (metres) and attitude (rad), `(...)` each, infinite where not fixed.
 
     They are the roots of the traces of the position and the attitude block of the inverse.
@@ -69,7 +69,7 @@ def pose_bound(information: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 @dataclass(frozen=True)
-class BoundMap:
+class CramerRaoMap:
     """Where localisation is weak: the bound for one pixel of noise over the orientations at each position.
 
     Args:
@@ -100,7 +100,7 @@ class BoundMap:
         pd.DataFrame(values, columns=columns).replace(np.inf, np.nan).to_csv(path, index=False)
 
 
-def bound_map(scene: Scene, evaluator: Evaluator, deployment: Deployment) -> BoundMap:
+def cramer_rao_map(scene: Scene, evaluator: Evaluator, deployment: Deployment) -> CramerRaoMap:
     """The bound at every position of `evaluator` and every orientation of the PDF."""
     pdf, positions = scene.pdf, evaluator.positions
     _, first = np.unique(pdf.axis_of, return_index=True)
@@ -111,11 +111,11 @@ def bound_map(scene: Scene, evaluator: Evaluator, deployment: Deployment) -> Bou
         poses = np.tile(turns, (len(here), 1, 1))
         poses[:, :3, 3] = np.repeat(here, len(turns), axis=0)
         seen = visible(evaluator, deployment, poses[:, :3, 3], poses[:, :3, 2])
-        parts.append(pose_bound(pose_information(poses, deployment.positions, seen, scene.camera)))
+        parts.append(cramer_rao_bound(pose_information(poses, deployment.positions, seen, scene.camera)))
     position, attitude = (np.concatenate(part).reshape(len(positions), -1) for part in zip(*parts, strict=True))
     weight = pdf.axis_weight
     share = np.isfinite(position) @ weight
-    return BoundMap(positions, share, _finite_median(position, weight), _finite_median(attitude, weight))
+    return CramerRaoMap(positions, share, _finite_median(position, weight), _finite_median(attitude, weight))
 
 
 def _finite_median(values: FloatArray, weight: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from lmd.checks import FloatArray, real
 from lmd.geometry.se3 import act, inverse, skew
-from lmd.localisation.cramer_rao import pose_bound, pose_information
+from lmd.localisation.cramer_rao import cramer_rao_bound, pose_information
 from lmd.localisation.errors import Errors, pose_errors
 from lmd.localisation.measurements import Recording
 from lmd.optional import optional
@@ -43,7 +43,7 @@ class CramerRaoBound:
         """See `Estimator.errors`."""
         runs = []
         for poses, landmarks, seen in zip(recording.poses, recording.landmarks, recording.seen, strict=True):
-            bounds = pose_bound(pose_information(poses, landmarks, seen, recording.camera))
+            bounds = cramer_rao_bound(pose_information(poses, landmarks, seen, recording.camera))
             runs.append([np.where(np.isfinite(bound), bound, np.nan) for bound in bounds])
         position, attitude = recording.detector.pixel_noise * np.array(runs).transpose(1, 0, 2)
         return Errors(position**2 + 2.0 * attitude**2, position, attitude)

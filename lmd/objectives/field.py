@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from lmd.checks import FloatArray
+from lmd.compiled import kernel
 from lmd.deployment import Deployment
 from lmd.dispatch import dispatched
 
@@ -92,6 +93,14 @@ def smoothed(target, p, units, margin, width, share):  # type: ignore[no-untyped
 @dispatched
 def worth(target, p, units):  # type: ignore[no-untyped-def]
     """What `units` at position p are worth: summed over the positions, the fitness."""
+
+
+@kernel
+def move(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-def]
+    """Move landmark k, whatever that is worth: `bound`, `settle` and `accept`."""
+    bound(field, k, pose, surface, state, scratch)
+    settle(field, k, state, scratch)
+    accept(field, k, state, scratch)
 
 
 def in_order(field: Field, relevance: FloatArray) -> FloatArray:

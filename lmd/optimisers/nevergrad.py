@@ -30,7 +30,7 @@ class Nevergrad(Wrapped):
 
     def __init__(
         self,
-        name: str = "NGOpt",
+        name: str,
         options: Mapping[str, Any] | None = None,
         workers: int = 1,
         budget: int | None = None,

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from lmd.checks import FloatArray
-from lmd.localisation.cramer_rao import BoundMap
+from lmd.localisation.cramer_rao import CramerRaoMap
 from lmd.plot import common
 from lmd.space.space import Space
 
@@ -70,7 +70,7 @@ def _least_positive(values: pd.Series) -> float:
     return float(values[values > 0.0].min())
 
 
-def save_bound_map(path: str | Path, room: Space, bounds: BoundMap, title: str) -> None:
+def save_cramer_rao_map(path: str | Path, room: Space, bounds: CramerRaoMap, title: str) -> None:
     """Write a PNG: at each position, how often a single frame fixes the pose, and how well it does then.
 
     Args:

@@ -121,12 +121,13 @@ def evaluate_range(
         for p in range(first, last):
             px, py, pz = positions[p, 0], positions[p, 1], positions[p, 2]
             for k in range(count):
-                x[k], y[k], z[k] = landmarks[b, 0, k] - px, landmarks[b, 1, k] - py, landmarks[b, 2, k] - pz
-                squared[k] = x[k] * x[k] + y[k] * y[k] + z[k] * z[k]
-                reached[k], low[k], _ = from_position(
-                    sight, x[k], y[k], z[k], normals[b, 0, k], normals[b, 1, k], normals[b, 2, k], 0.0
-                )
-                bottom[k], top[k] = band_of(x[k], y[k], z[k], low[k], 0.0)
+                # Kept in variables: to read back what was just written would keep the loop from vectorising.
+                xk, yk, zk = landmarks[b, 0, k] - px, landmarks[b, 1, k] - py, landmarks[b, 2, k] - pz
+                nx, ny, nz = normals[b, 0, k], normals[b, 1, k], normals[b, 2, k]
+                in_reach, least, _ = from_position(sight, xk, yk, zk, nx, ny, nz, 0.0)
+                bottom[k], top[k] = band_of(xk, yk, zk, least, 0.0)
+                x[k], y[k], z[k], squared[k] = xk, yk, zk, xk * xk + yk * yk + zk * zk
+                reached[k], low[k] = in_reach, least
             if reach >= 0.0:
                 for k in range(count):
                     here = squared[k] == 0.0  # such a landmark hides all others

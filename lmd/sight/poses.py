@@ -89,9 +89,10 @@ def _gains(start, stop, points, normals, slack, prices, positions, sight, axes, 
         nx, ny, nz = normals[j, 0], normals[j, 1], normals[j, 2]
         near = slack[j]
         for p in range(size):
-            x[p], y[p], z[p] = px - positions[0, p], py - positions[1, p], pz - positions[2, p]
-            reached[p], low[p], _ = from_position(sight, x[p], y[p], z[p], nx, ny, nz, near)
-            bottom[p], top[p] = band_of(x[p], y[p], z[p], low[p], near)
+            xp, yp, zp = px - positions[0, p], py - positions[1, p], pz - positions[2, p]
+            in_reach, least, _ = from_position(sight, xp, yp, zp, nx, ny, nz, near)
+            bottom[p], top[p] = band_of(xp, yp, zp, least, near)
+            x[p], y[p], z[p], reached[p], low[p] = xp, yp, zp, in_reach, least
         for a in range(len(row)):
             row[a] = 0.0
         for p in range(size):

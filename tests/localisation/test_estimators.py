@@ -10,7 +10,7 @@ from paper import paper_camera, paper_room, paper_scene
 from lmd.checks import InputError
 from lmd.deployment import UniformDeployment
 from lmd.geometry import se3
-from lmd.localisation.cramer_rao import bound_map, pose_bound, pose_information
+from lmd.localisation.cramer_rao import cramer_rao_bound, cramer_rao_map, pose_information
 from lmd.localisation.estimators import CramerRaoBound, InvariantKalmanFilter, PerspectiveNPoint
 from lmd.localisation.measurements import Detector, Recording, record
 from lmd.localisation.observer import Observer
@@ -118,7 +118,7 @@ def test_the_information_is_that_of_the_images_slopes():
     slopes = np.array([(image(pose @ plus) - image(pose @ minus)) / 2e-6 for plus, minus in steps])
     information = pose_information(pose[None], landmarks, recording.seen[0], SCENE.camera)[0]
     assert_allclose(information, slopes @ slopes.T, rtol=1e-5, atol=1e-3)
-    position, attitude = pose_bound(information)
+    position, attitude = cramer_rao_bound(information)
     variance = np.diag(np.linalg.inv(slopes @ slopes.T))
     assert_allclose([attitude**2, position**2], [variance[:3].sum(), variance[3:].sum()], rtol=1e-4)
 
@@ -145,7 +145,7 @@ def test_three_landmarks_in_line_do_not_fix_a_pose():
     in_line = se3.act(pose, np.array([[-0.5, 0.1, 2.0], [0.0, 0.2, 2.0], [0.5, 0.3, 2.0]]))
     information = pose_information(pose[None], in_line, np.ones((1, 3), dtype=bool), SCENE.camera)
     assert np.linalg.matrix_rank(information[0], tol=1e-6) == 5
-    assert np.isinf(pose_bound(information)[0])
+    assert np.isinf(cramer_rao_bound(information)[0])
 
 
 def test_the_bound_is_proportional_to_the_noise():
@@ -214,11 +214,11 @@ def coarse():
 
 def test_the_map_is_the_bound_of_every_pose(coarse, tmp_path):
     scene, evaluator = coarse
-    bounds = bound_map(scene, evaluator, UNIFORM)
+    bounds = cramer_rao_map(scene, evaluator, UNIFORM)
     here, orientations = evaluator.positions[5], scene.pdf
     poses = se3.camera_pose(here, orientations.yaw, orientations.pitch)
     seen = visible(evaluator, UNIFORM, poses[:, :3, 3], poses[:, :3, 2])
-    position, attitude = pose_bound(pose_information(poses, UNIFORM.positions, seen, scene.camera))
+    position, attitude = cramer_rao_bound(pose_information(poses, UNIFORM.positions, seen, scene.camera))
     finite = np.isfinite(position)
     assert_allclose(bounds.share[5], finite.mean())
     assert np.isclose(np.sort(position[finite]), bounds.position[5], rtol=1e-6).any()
@@ -236,7 +236,7 @@ def test_the_map_is_the_bound_of_every_pose(coarse, tmp_path):
 
 def test_where_no_frame_fixes_the_pose_there_is_no_bound(coarse, tmp_path):
     scene, evaluator = coarse
-    bounds = bound_map(scene, evaluator, UniformDeployment(2).draw(scene.room, np.random.default_rng(0)))
+    bounds = cramer_rao_map(scene, evaluator, UniformDeployment(2).draw(scene.room, np.random.default_rng(0)))
     assert (bounds.share == 0.0).all()
     assert np.isinf(bounds.position).all()
     assert bounds.metrics() == {"pose_fixed_share": 0.0}

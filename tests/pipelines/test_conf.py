@@ -1,3 +1,4 @@
+import inspect
 import re
 from pathlib import Path
 
@@ -6,6 +7,8 @@ from hydra import compose, initialize_config_dir
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.types import RunMode
+from hydra.utils import get_class
+from omegaconf import OmegaConf
 from paper import PAPER_CAMERA, PRINTED_EXPERIMENT_CAMERA
 
 from lmd.camera import Camera
@@ -182,6 +185,13 @@ def test_the_papers_experiment_is_one_word():
     assert len(problem.evaluator.positions) == 147
     assert (problem.count, problem.objective.thold_p) == (80, 0.7)
     assert len(problem.scene.room.surfaces()) == 4
+
+
+@pytest.mark.parametrize("path", sorted(Path(CONF, "optimiser").glob("*.yaml")), ids=lambda path: path.stem)
+def test_an_optimisers_file_repeats_no_default_of_its_class(path):
+    given = OmegaConf.to_container(OmegaConf.load(path))
+    defaults = inspect.signature(get_class(given.pop("_target_"))).parameters
+    assert not [key for key, value in given.items() if defaults[key].default == value]
 
 
 def test_the_literal_ega_has_the_printed_chromosome():

@@ -7,9 +7,10 @@ from strategies import deployments, scenes_with_boundary_landmarks, scenes_with_
 
 from lmd.deployment import Deployment, RandomDeployment
 from lmd.objectives.coverage_field import coverage_field
+from lmd.objectives.field import move
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.incremental.move import carry_out, counts_of, move, state_of, take_back
+from lmd.sight.incremental.move import carry_out, counts_of, state_of, take_back
 from lmd.sight.incremental.state import scratch_of
 from lmd.sight.incremental.trial import bound_move, finish_move
 
@@ -33,7 +34,7 @@ def moved(scene, deployment, targets, n, rng):
         if end in ("carried out", "taken back"):
             carry_out(k, field, state, scratch)
         if end in ("moved", "moved and back"):
-            move(k, pose, -1, field, state, scratch)
+            move(field, k, pose, -1, state, scratch)
         if end in ("taken back", "moved and back"):
             take_back(k, field, state, scratch)
         moves = end in ("carried out", "moved")
@@ -87,7 +88,7 @@ def test_several_moves_are_taken_back_one_by_one():
     scratches = [scratch_of(state) for _ in range(3)]
     before = [[array.copy() for array in state]]
     for k, (position, normal, scratch) in enumerate(zip(targets.positions, targets.normals, scratches, strict=True)):
-        move(k % 2, np.concatenate([position, normal]), 0, field, state, scratch)  # the first moves twice
+        move(field, k % 2, np.concatenate([position, normal]), 0, state, scratch)  # the first moves twice
         before.append([array.copy() for array in state])
     for k in range(2, -1, -1):
         take_back(k % 2, field, state, scratches[k])

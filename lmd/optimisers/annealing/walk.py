@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.compiled import kernel
-from lmd.objectives.field import accept, bound, settle, smoothed, undo, worth
+from lmd.objectives.field import accept, bound, move, settle, smoothed, undo, worth
 
 # Relative, for the bound: exp may fall by a rounding error or two where its argument rises.
 _SLACK = 1e-12
@@ -123,14 +123,6 @@ def propose(group, state, surfaces, settings, rng, new):
 
 
 @kernel
-def _move(field, k, pose, surface, state, scratch):
-    """Move landmark k, whatever that is worth."""
-    bound(field, k, pose, surface, state, scratch)
-    settle(field, k, state, scratch)
-    accept(field, k, state, scratch)
-
-
-@kernel
 def _sum_values(units, accepted, value, target, settings, trial):
     """The smoothed objective for `units`, its terms in `trial`; `value` has those for `accepted`."""
     total = 0.0
@@ -190,7 +182,7 @@ def walk(moves, field, state, scratches, target, surfaces, settings, rng, best):
         units = scratch.units
         surface = propose(group, state, surfaces, settings, rng, new)
         for m in range(last):
-            _move(field, group[m], new[m], surface, state, scratches[m])
+            move(field, group[m], new[m], surface, state, scratches[m])
         bound(field, group[last], new[last], surface, state, scratch)
         most = _sum_values(units, accepted, value, target, settings, trial) - total + _SLACK * (1.0 + settings.share)
         drawn = rng.random() if most < 0.0 else -1.0

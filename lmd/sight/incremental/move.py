@@ -29,7 +29,6 @@ from lmd.sight.incremental.bits import (
 from lmd.sight.incremental.directions import NOWHERE, see
 from lmd.sight.incremental.hiding import find_neighbours, flips_with
 from lmd.sight.incremental.state import State, scratch_of
-from lmd.sight.incremental.trial import bound_move, finish_move
 from lmd.sight.kernels import BLOCK
 
 # Indices are unsigned where it counts: signed ones cost extra instructions, as they might be negative.
@@ -158,14 +157,6 @@ def carry_out(k, field, state, scratch):
 def take_back(k, field, state, scratch):
     """Undo the last `carry_out` with this `scratch`, all later ones being undone."""
     _exchange(k, -1, field, state, scratch)
-
-
-@kernel
-def move(k, pose, surface, field, state, scratch):
-    """Move landmark k to `pose` `(6,)`, position and normal, on a surface."""
-    bound_move(k, pose, surface, field, state, scratch)
-    finish_move(k, field, state, scratch)
-    carry_out(k, field, state, scratch)
 
 
 @kernel
