@@ -2,12 +2,14 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lmd.camera import Camera
 from lmd.pdf import OrientationPdf
-from lmd.sight.criteria import Criteria
 from lmd.space.space import Space
+
+if TYPE_CHECKING:
+    from lmd.sight.criteria import Criteria
 
 
 @dataclass(frozen=True)
@@ -17,7 +19,7 @@ class Scene:
     room: Space
     camera: Camera
     pdf: OrientationPdf
-    visibility: Criteria
+    visibility: "Criteria"
 
     @cached_property
     def sight(self) -> Any:
