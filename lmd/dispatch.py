@@ -30,6 +30,11 @@ class Dispatched(Protocol):
         """Decorates the plain function for named tuples of a class, with the arguments of the dispatched one."""
 
 
+def _branchless(_call: Any, _caller: Any, callee: Any) -> bool:
+    """Whether numba itself shall inline a function, and not leave that to LLVM: loops over it then vectorise best."""
+    return len(callee.func_ir.blocks) == 1
+
+
 def dispatched(declaration: Function) -> Dispatched:
     """A function with the name and the docstring of `declaration`, whose body is never used."""
     table: dict[type, Function] = {}
@@ -50,5 +55,5 @@ def dispatched(declaration: Function) -> Dispatched:
     call.__name__, call.__doc__, call.__module__ = declaration.__name__, declaration.__doc__, declaration.__module__
     call.register = register  # type: ignore[attr-defined]
     # numpy's error model: a division by zero gives infinity instead of a branch that keeps loops from vectorising.
-    overload(call, strict=False, inline="always", jit_options={"error_model": "numpy"})(resolve)
+    overload(call, strict=False, inline=_branchless, jit_options={"error_model": "numpy"})(resolve)
     return cast(Dispatched, call)

@@ -8,10 +8,13 @@ import time
 import numpy as np
 import pytest
 from matplotlib.image import imread
+from paper import paper_scene
 from tracked import record_sweep, write_report
 
 from lmd.deployment import UniformDeployment
+from lmd.objectives.coverage import Coverage
 from lmd.plot.page import save_scene_page
+from lmd.problem import Problem
 from lmd.space.cuboid import Cuboid
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -60,9 +63,10 @@ def visit(browser, path):
 
 def test_the_interactive_page_of_a_scene(browser, tmp_path):
     room = Cuboid(size=(3.0, 2.0, 2.5), reachable_size=(2.0, 1.0, 1.5), spacing=0.8)
-    deployment = UniformDeployment(7).draw(room, np.random.default_rng(0))
+    problem = Problem(paper_scene(room), Coverage(2, 0.65), UniformDeployment(7), threads=1)
+    deployment = problem.start.draw(room, np.random.default_rng(0))
     page = tmp_path / "scene.html"
-    save_scene_page(page, room, deployment, room.grid(), np.linspace(0, 1, len(room.grid())), 0.65, 2, "The scene")
+    save_scene_page(page, problem, deployment, "The scene")
     assert visit(browser, page) == ([], [])
     assert browser.title == "The scene"
     assert browser.execute_script("return document.querySelectorAll('.gl-container canvas').length") > 0
