@@ -10,7 +10,7 @@ from lmd.camera import Camera
 from lmd.checks import BoolArray, FloatArray, InputError
 from lmd.geometry.se3 import exp
 from lmd.optional import optional
-from lmd.render.canvas import NEAR, Canvas, pattern
+from lmd.render.canvas import NEAR, Canvas, covering
 from lmd.render.imaging import Float32Array, Imaging, UInt8Array
 from lmd.render.optics import blur_sigma, image_size, intrinsics, project, to_camera, undistort
 from lmd.render.room import TaggedRoom
@@ -119,12 +119,13 @@ class Renderer:
             light += self._light(pose @ exp(((i + 0.5) / steps - 0.5) * motion))
         return light / np.float32(steps)
 
-    @cached_property
+    @property
     def _pattern(self) -> Float32Array | None:
         """The pattern on every surface."""
         if self.imaging.texture == 0.0:
             return None
-        return pattern(self.imaging.texture, np.random.default_rng(self.imaging.texture_seed))
+        longest = max((max(surface.extent) for surface in self.room.surfaces), default=0.0)
+        return covering(self.imaging.texture, self.imaging.texture_seed, longest)
 
     @cached_property
     def _pinhole(self) -> FloatArray | None:
