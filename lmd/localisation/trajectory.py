@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from lmd.checks import FloatArray, InputError, real, vector
 from lmd.geometry.se3 import camera_pose, pose_of
-from lmd.pdf import OrientationPdf
 from lmd.scene import Scene
 from lmd.space.space import Space
 from lmd.tables import has_column, read_numbers
@@ -155,15 +154,7 @@ class RandomMotion:
 
 
 def _random_waypoint(scene: Scene, rng: np.random.Generator) -> FloatArray:
-    return np.concatenate([scene.room.sample(1, rng)[0], _random_orientation(scene.pdf, rng)])
-
-
-def _random_orientation(pdf: OrientationPdf, rng: np.random.Generator) -> FloatArray:
-    """Yaw and pitch from the continuous distribution a PDF stands for, or from the PDF where there is none."""
-    if pdf.continuous is not None:
-        return np.concatenate(pdf.continuous(rng.random((1, 2))))
-    drawn = rng.choice(len(pdf.weight), p=pdf.weight)
-    return np.array([pdf.yaw[drawn], pdf.pitch[drawn]])
+    return np.concatenate([scene.room.sample(1, rng)[0], *scene.pdf.draw(1, rng)])
 
 
 def _shortest(step: FloatArray) -> FloatArray:
