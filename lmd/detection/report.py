@@ -165,7 +165,12 @@ def to_markdown(table: pd.DataFrame) -> str:
     head = ["deployment", "detector", *(f"P(>= {n}) predicted / detected" for n in NUMBERS), "frames agree on >= 2"]
     head += ["precision / recall of tags", "false a frame", "corners: median / 90 % [px]", "frames with a pose"]
     head += ["position: median / 90 % [mm]"]
-    blame = ["deployment", "detector", "detected, not predicted", *(f"of these fail {c}" for c in criteria)]
+    blame = [
+        "deployment",
+        "detector",
+        "detected, not predicted",
+        *(f"of these fail {c.replace('_', ' ')}" for c in criteria),
+    ]
     blame += ["predicted, not detected", "of these cut by the border", "of the others overlapping"]
     rows, wrong = [], []
     for row in table.to_dict("records"):

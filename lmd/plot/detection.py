@@ -9,10 +9,12 @@ import pandas as pd
 from lmd.checks import BoolArray, FloatArray
 from lmd.detection.evaluation import NUMBERS
 from lmd.optional import optional
+from lmd.plot.common import shrink
 from lmd.render.imaging import UInt8Array
 
 # Outlines in frames, red, green, blue.
 BOTH, ONLY_DETECTED, ONLY_PREDICTED = (26, 150, 65), (31, 119, 220), (214, 39, 40)
+PITCH_TICKS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 LEGEND = (
     (BOTH, "predicted and detected"),
     (ONLY_DETECTED, "detected, not predicted"),
@@ -54,11 +56,14 @@ def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd
                 axes.plot(_middle(rows), rows.predicted, "o--", color="#9e9e9e", label="predicted")
             axes.plot(_middle(rows), rows.detected, "o-", color=f"C{i}", label=detector)
         axes.set(xscale="log", xlabel="pixels a module, tags wholly in the image", ylim=(-0.02, 1.02))
-        axes.set_xticks([0.5, 1, 2, 4, 8], ["0.5", "1", "2", "4", "8"])
+        axes.set_xticks(PITCH_TICKS, [f"{tick:g}" for tick in PITCH_TICKS])
+        axes.set_xticks([], minor=True)
+        axes.set_xlim(PITCH_TICKS[0], PITCH_TICKS[-1])
         axes.grid(alpha=0.3)
     panels[0][0].set_ylabel("share of frames")
     panels[1][0].set_ylabel("share of tags")
-    panels[0][-1].legend(frameon=False, loc="upper right")
+    handles, labels = panels[0][0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
     figure.savefig(path)
 
 
@@ -83,7 +88,7 @@ def save_frame(
     """
     cv2 = optional("cv2", "detection")
     drawn = np.repeat(image[..., None], 3, axis=-1)
-    detected = np.isfinite(found).all(axis=(1, 2))
+    detected = np.asarray(np.isfinite(found).all(axis=(1, 2)))
     scale = max(1, round(image.shape[1] / 800))
     for k in np.flatnonzero(predicted | detected):
         colour = ONLY_PREDICTED if not detected[k] else BOTH if predicted[k] else ONLY_DETECTED
@@ -97,3 +102,4 @@ def save_frame(
         cv2.putText(drawn, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5 * scale, (255, 255, 255), 4 * scale, cv2.LINE_AA)
         cv2.putText(drawn, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5 * scale, colour, scale, cv2.LINE_AA)
     cv2.imwrite(str(path), drawn[..., ::-1])
+    shrink(path)

@@ -68,7 +68,8 @@ class Imaging:
     def develop(self, light: Float32Array, rng: np.random.Generator) -> UInt8Array:
         """The 8-bit image of `light` in grey levels, same shape; the noise is drawn from `rng`."""
         cv2 = optional("cv2", "detection")
-        grey, exposure = light, self.exposure
+        grey: FloatArray | Float32Array = light
+        exposure = self.exposure
         if self.gamma != 1.0:
             ratio = np.clip(light * np.float32(exposure), 0.0, None) / np.float32(GREY_LEVELS)
             grey, exposure = np.float32(GREY_LEVELS) * ratio ** np.float32(1.0 / self.gamma), 1.0
