@@ -120,6 +120,8 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
     poses = draw_poses(scene, count, seed)
     predicted = visible(problem.evaluator, deployment, poses[:, :3, 3], poses[:, :3, 2])
     renderer = Renderer(scene.camera, room, imaging)
+    with keyed("imaging"):
+        renderer.inside(poses[:1])
     return Subject(problem, Prediction(renderer, poses, predicted, verdicts(scene, deployment, poses)), detectors)
 
 
