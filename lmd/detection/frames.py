@@ -9,8 +9,10 @@ from lmd.checks import BoolArray, FloatArray, IntArray
 from lmd.deployment import Deployment
 from lmd.detection.detectors import Detector
 from lmd.detection.evaluation import Matches, match
+from lmd.detection.quality import apparent_edge, incidence, pitch
 from lmd.geometry.se3 import camera_pose
 from lmd.render.imaging import UInt8Array
+from lmd.render.optics import blur_sigma, to_camera
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
 from lmd.scene import Scene
@@ -33,30 +35,46 @@ def draw_poses(scene: Scene, count: int, seed: int) -> FloatArray:
     return camera_pose(positions, *scene.pdf.draw(count, rng))
 
 
-def upright(deployment: Deployment, room: Space) -> FloatArray:
-    """Unit vectors to the upper edges of tags that hang upright, `(K, 3)`: along v of their surfaces.
-
-    That is up on walls and along y on floor and ceiling. It serves also where no surface is known.
-    """
-    surfaces, normals = room.surfaces(), deployment.normals
+def upright(normals: FloatArray) -> FloatArray:
+    """Unit vectors to the upper edges of tags that hang upright, `(K, 3)`: up, or along y on a floor or a ceiling."""
     flat = np.hypot(normals[:, 0], normals[:, 1]) < VERTICAL
-    along = np.where(flat[:, None], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0])
-    known = np.flatnonzero(deployment.surfaces >= 0)
-    along[known] = [surfaces[number].v for number in deployment.surfaces[known]]
-    along -= (along * normals).sum(axis=1, keepdims=True) * normals
-    return np.asarray(along / np.linalg.norm(along, axis=1, keepdims=True))
+    return _in_plane(np.where(flat[:, None], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]), normals)
+
+
+def _in_plane(vectors: FloatArray, normals: FloatArray) -> FloatArray:
+    """Vectors `(K, 3)` projected to the planes with these unit normals, of length 1."""
+    inside = vectors - (vectors * normals).sum(axis=1, keepdims=True) * normals
+    return np.asarray(inside / np.linalg.norm(inside, axis=1, keepdims=True))
 
 
 def tagged_room(room: Space, deployment: Deployment, tag: Tag) -> TaggedRoom:
-    """A deployment with tag k at landmark k, upright, on all the surfaces of its room.
+    """A deployment with tag k at landmark k, its up along v of its surface, in a room of surfaces.
 
     Raises:
         InputError: the tag is a point, or its family is too small.
     """
     tag.check_count(len(deployment))
-    ids = np.arange(len(deployment))
-    hung = upright(deployment, room)
-    return TaggedRoom(tag, ids, deployment.positions, deployment.normals, hung, room.surfaces())
+    surfaces, normals, on = room.surfaces(), deployment.normals, deployment.surfaces
+    ups = upright(normals)
+    if (hung := on >= 0).any():
+        ups[hung] = _in_plane(np.array([surface.v for surface in surfaces])[on[hung]], normals[hung])
+    return TaggedRoom(tag, np.arange(len(deployment)), deployment.positions, normals, ups, surfaces)
+
+
+def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Pitch, incidence, edge and sigma of every tag, `(N, K)` each, as `lmd.detection.fit.Limits` takes them.
+
+    Args:
+        renderer: the camera and the tags.
+        poses: X, `(N, 4, 4)`.
+    """
+    room, camera, imaging = renderer.room, renderer.camera, renderer.imaging
+    where = poses, room.centres, room.normals
+    depth = to_camera(poses, room.centres)[..., 2]
+    depth = np.where(depth > 0.0, depth, np.nan)
+    sigma = blur_sigma(camera, depth, imaging.psf_sigma) if imaging.defocus else np.full_like(depth, imaging.psf_sigma)
+    edges = apparent_edge(camera, *where, room.tag)
+    return pitch(camera, *where, room.tag), incidence(*where), edges, sigma
 
 
 def overlapping(room: TaggedRoom) -> BoolArray:

@@ -1,5 +1,6 @@
 """What detectors found beside what was predicted: figures, and frames with the tags outlined."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from lmd.checks import BoolArray, FloatArray
+from lmd.detection.calibration import Calibration
 from lmd.detection.evaluation import NUMBERS
 from lmd.optional import optional
 from lmd.plot.common import shrink
@@ -14,6 +16,8 @@ from lmd.render.imaging import UInt8Array
 
 # Outlines in frames, red, green, blue.
 BOTH, ONLY_DETECTED, ONLY_PREDICTED = (26, 150, 65), (31, 119, 220), (214, 39, 40)
+# Classes of pitch over its limit.
+RATIOS = np.arange(0.3, 2.51, 0.1)
 PITCH_TICKS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 LEGEND = (
     (BOTH, "predicted and detected"),
@@ -64,6 +68,43 @@ def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd
     panels[1][0].set_ylabel("share of tags")
     handles, labels = panels[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    figure.savefig(path)
+
+
+def save_limits_figure(path: str | Path, calibrations: Mapping[str, Calibration], title: str) -> None:
+    """Write a PNG: for each detector which views it found, by pitch and blur, and how often by pitch over its limit.
+
+    Args:
+        path: the PNG.
+        calibrations: by the detector's name.
+        title: heads the picture.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12.0, 0.6 + 4.2 * len(calibrations)), dpi=100, layout="constrained")
+    figure.suptitle(title)
+    panels: Any = figure.subplots(len(calibrations), 2, squeeze=False)
+    for (left, right), (name, calibration) in zip(panels, calibrations.items(), strict=True):
+        views, limits = calibration.views, calibration.fit.limits
+        fair = (views.incidence <= limits.incidence) & (views.edge >= limits.edge)
+        for which, colour, label in ((views.seen, "C0", "found"), (~views.seen, "C3", "not found")):
+            chosen = fair & which
+            left.plot(views.sigma[chosen], views.pitch[chosen], ".", ms=3.0, alpha=0.5, color=colour, label=label)
+        sigma = np.linspace(views.sigma.min(), views.sigma.max(), 100)
+        left.plot(sigma, np.hypot(limits.pitch, limits.blur * sigma), "k", label="limit")
+        left.set(title=name, xlabel="blur sigma [px]", ylabel="pixels a module", ylim=(0.0, None))
+        left.legend(frameon=False, loc="upper left")
+        ratio = views.pitch / np.hypot(limits.pitch, limits.blur * views.sigma)
+        place = np.searchsorted(RATIOS, ratio, side="right") - 1
+        for b in range(len(RATIOS) - 1):
+            members = views.seen[fair & (place == b)]
+            if len(members):
+                share = members.mean()
+                error = np.sqrt(share * (1.0 - share) / len(members))
+                right.errorbar((RATIOS[b] + RATIOS[b + 1]) / 2.0, share, error, fmt="o", color="C0")
+        right.plot([RATIOS[0], 1.0, 1.0, RATIOS[-1]], [0.0, 0.0, 1.0, 1.0], "k", lw=1.0)
+        right.set(xlabel="pixels a module over the limit", ylabel="share found", ylim=(-0.02, 1.02))
+        right.grid(alpha=0.3)
     figure.savefig(path)
 
 
