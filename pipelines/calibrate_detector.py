@@ -2,7 +2,6 @@
 
 import json
 
-
 import hydra
 from omegaconf import DictConfig
 
@@ -34,16 +33,18 @@ def calibrate(cfg: DictConfig) -> None:
     told, directory, written = subject.prediction, run_directory(), []
     renderer, tag = told.renderer, told.renderer.room.tag
     with tracked(cfg, f"calibrate_detector {tag.family}") as tracker:
-        calibrations: dict[str, Calibration] = {}
-        seen = sightings({"room": subject}, seed, cfg.workers)["room"] if count else {}
+        fitted = {}
         for name, detector in subject.detectors.items():
             rng = np.random.default_rng([seed, STREAM])  # the same views for every detector
             with keyed("views"):
                 views = source.views(renderer.camera, tag, detector, renderer.imaging, rng)
-                fitted = fit(views, rng)
-            predicted = foreseen(fitted.limits, renderer, told.poses, border)
+                fitted[name] = views, fit(views, rng)
+        seen = sightings({"room": subject}, seed, cfg.workers)["room"] if count else {}
+        calibrations: dict[str, Calibration] = {}
+        for name, (views, limits) in fitted.items():
+            predicted = foreseen(limits.limits, renderer, told.poses, border)
             rooms = judged(predicted, seen[name]) if count else {}
-            calibrations[name] = Calibration(views, fitted, rooms)
+            calibrations[name] = Calibration(views, limits, rooms)
         for name, calibration in calibrations.items():
             heading = f"Limits of {name} for tags of the family {tag.family}: views={choices()['views']}, seed {seed}."
             written.append(directory / f"{tag.family}_{name}.yaml")

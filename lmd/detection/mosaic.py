@@ -55,7 +55,7 @@ class Sampling:
             most = math.pi / 2.0 if name == "incidence" else None
             low, high = vector(name, getattr(self, name), 2, low=least, high=most)
             if low > high:
-                raise InputError(f"{name} must be a range [low, high], got [{low:g}, {high:g}].")
+                raise InputError(f"{name} must be a range [low, high], got [{low:g}, {high:g}].", name)
             object.__setattr__(self, name, (low, high))
 
 

@@ -93,7 +93,7 @@ def save_limits_figure(path: str | Path, calibrations: Mapping[str, Calibration]
         sigma = np.linspace(views.sigma.min(), views.sigma.max(), 100)
         left.plot(sigma, np.hypot(limits.pitch, limits.blur * sigma), "k", label="limit")
         left.set(title=name, xlabel="blur sigma [px]", ylabel="pixels a module", ylim=(0.0, None))
-        left.legend(frameon=False, loc="upper left")
+        left.legend(loc="upper left", markerscale=3.0, framealpha=0.9)
         ratio = views.pitch / np.hypot(limits.pitch, limits.blur * views.sigma)
         place = np.searchsorted(RATIOS, ratio, side="right") - 1
         for b in range(len(RATIOS) - 1):

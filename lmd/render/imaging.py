@@ -57,7 +57,7 @@ class Imaging:
         for name in ("white", "black", "wall"):
             object.__setattr__(self, name, real(name, getattr(self, name), low=0.0, high=GREY_LEVELS))
         if self.white <= self.black:
-            raise InputError(f"white must exceed black = {self.black:g}, got {self.white:g}.")
+            raise InputError(f"white must exceed black = {self.black:g}, got {self.white:g}.", "white")
         integer("texture_seed", self.texture_seed, low=0)
         integer("supersampling", self.supersampling, low=1, high=16)
         if len(self.distortion):
