@@ -50,7 +50,7 @@ def observe(cfg: DictConfig) -> None:
     directory, n = run_directory(), problem.objective.n
     with tracked_run(cfg, problem, "observe") as tracker:
         detector = instantiate(cfg.detector)
-        with keyed(estimators="estimator"):
+        with keyed(estimators="estimator", family="detector.tag.family"):
             study = conduct(problems, flights, detector, estimators, cfg.all_visible)
         figures, curves = study.figures(), study.curves()
         markdown = to_markdown(figures, n)
