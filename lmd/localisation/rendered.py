@@ -41,7 +41,7 @@ class RenderedDetector:
 
     def __post_init__(self) -> None:
         if self.tag.is_point:
-            raise InputError("tag.edge must be given, in metres: a detector cannot read a point.", "tag")
+            raise InputError("edge must be given, in metres: a detector cannot read a point.", "edge").within("tag")
         object.__setattr__(self, "pixel_noise", real("pixel_noise", self.pixel_noise, above=0.0))
 
     @property
