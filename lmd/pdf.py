@@ -109,6 +109,13 @@ class OrientationPdf:
         yaw, pitch = self.continuous(points.reshape(-1, 2))
         return OrientationPdf(yaw, pitch, np.full(len(yaw), 1.0 / len(yaw)), f"{self.name}, stratified")
 
+    def draw(self, size: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """Yaw and pitch, `(size,)` each, from the continuous distribution, or from the PDF where there is none."""
+        if self.continuous is not None:
+            return self.continuous(rng.random((size, 2)))
+        drawn = rng.choice(len(self.weight), size, p=self.weight)
+        return self.yaw[drawn], self.pitch[drawn]
+
     def to_csv(self, path: str | Path) -> None:
         """Write `yaw,pitch,weight` with every digit, as `from_csv` reads it."""
         pd.DataFrame({"yaw": self.yaw, "pitch": self.pitch, "weight": self.weight}).to_csv(path, index=False)

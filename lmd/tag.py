@@ -111,7 +111,7 @@ class Tag:
     def check_count(self, count: int) -> None:
         """Raise `InputError` if the family has fewer than `count` different tags."""
         if count > self.ids:
-            raise InputError(f"family {self.family} has {self.ids} different tags, too few for {count}.")
+            raise InputError(f"family {self.family} has {self.ids} different tags, too few for {count}.", "family")
 
     def picture(self, number: int) -> BoolArray:
         """The modules of tag `number`, row 0 at the top, True where white, `(N, N)`.

@@ -1,7 +1,5 @@
 """Compare optimisers: `python -m pipelines.compare optimisers=[annealing,ega] seeds=5 [overrides]`."""
 
-import multiprocessing
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +18,7 @@ from .app import (
     task_overrides,
 )
 from .sweeps.supervisor import run
+from .workers import in_processes
 
 if TYPE_CHECKING:
     from lmd.comparison import OptimiserRun
@@ -43,7 +42,6 @@ def compare(cfg: DictConfig) -> None:
     from lmd.comparison import comparison_table
     from lmd.optimisers.base import Budget
     from lmd.plot.comparison import save_comparison_figure
-    from lmd.sight.evaluator import available_threads
 
     from .reproduction.comparison import to_markdown
     from .tracked_run import title_of, tracked_run
@@ -52,18 +50,18 @@ def compare(cfg: DictConfig) -> None:
     with keyed("budget"):
         budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
     seeds = range(integer("seed", cfg.seed, low=0), cfg.seed + integer("seeds", cfg.seeds, low=1))
-    workers = available_threads() if cfg.workers is None else integer("workers", cfg.workers, low=1)
     if not isinstance(cfg.optimisers, ListConfig) or not all(str(entry).split() for entry in cfg.optimisers):
         raise InputError(f"optimisers must be a list of names, got {cfg.optimisers!r}.")
     configs = {str(entry): _compose(str(entry), cfg) for entry in cfg.optimisers}
     if not configs:
         raise InputError("optimisers must name at least one optimiser.")
     jobs = [(name, configs[name], seed, budget) for seed in seeds for name in configs]
+    finished = in_processes(_run, jobs, cfg.workers)
     directory, headline, runs = run_directory(), problem.objective.headline, []
     axis = "evaluations" if budget.evaluations else "wall_time"
     with tracked_run(cfg, problem, "compare") as tracker:
         try:
-            for done in _runs(jobs, workers):
+            for done in finished:
                 runs.append(done)
                 _log_child(cfg, done, tracker.run_id, directory)
                 figure = headline.text(done.metrics[headline.key])
@@ -103,15 +101,6 @@ def _run(job: "tuple[str, DictConfig, int, Budget]") -> "OptimiserRun":
     problem = build_problem(cfg)
     result = build_optimiser(cfg, seed).run(problem, budget)
     return OptimiserRun(name, seed, problem.metrics(result.deployment), result.history, result.deployment)
-
-
-def _runs(jobs: "Sequence[tuple[str, DictConfig, int, Budget]]", workers: int) -> "Iterator[OptimiserRun]":
-    """Results as they come, from processes of their own when there is more than one worker."""
-    if workers == 1:
-        yield from map(_run, jobs)
-        return
-    with multiprocessing.get_context("spawn").Pool(min(workers, len(jobs))) as pool:
-        yield from pool.imap_unordered(_run, jobs)
 
 
 def _log_child(cfg: DictConfig, run: "OptimiserRun", parent: str | None, directory: Path) -> None:

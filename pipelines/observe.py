@@ -5,23 +5,13 @@ start a sweep here: it is read as `deployments=[a,b,c]`.
 """
 
 import json
-import re
-import sys
 from typing import TYPE_CHECKING
 
 import hydra
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
-from .app import (
-    CONF,
-    build_problem,
-    instantiate,
-    keyed,
-    recompose,
-    run_directory,
-    search_path,
-    task_overrides,
-)
+from .app import CONF, build_problem, instantiate, keyed, run_directory
+from .deployments import composed_deployments, read_deployment_as_a_list
 from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
@@ -29,12 +19,10 @@ if TYPE_CHECKING:
 
     from .tracking import Tracker
 
-NAME = re.compile(r"[\w.-]+")  # what mlflow takes in the name of a metric
-
 
 def main() -> None:
     """Read `deployment=...` as the list of deployments, then hand over to Hydra."""
-    sys.argv[1:] = [re.sub(r"^deployment=(.*)$", r"deployments=[\1]", argument) for argument in sys.argv[1:]]
+    read_deployment_as_a_list()
     _main()
 
 
@@ -53,7 +41,7 @@ def observe(cfg: DictConfig) -> None:
     from .tracked_run import title_of, tracked_run
 
     seeds = range(integer("seed", cfg.seed, low=0), cfg.seed + integer("seeds", cfg.seeds, low=1))
-    problems = {name: build_problem(composed) for name, composed in _deployments(cfg).items()}
+    problems = {name: build_problem(composed) for name, composed in composed_deployments(cfg, "observe").items()}
     problem = next(iter(problems.values()))
     estimators = {name: instantiate(node) for name, node in (cfg.get("estimator") or {}).items()}
     trajectory, start = instantiate(cfg.trajectory), instantiate(cfg.start)
@@ -62,7 +50,7 @@ def observe(cfg: DictConfig) -> None:
     directory, n = run_directory(), problem.objective.n
     with tracked_run(cfg, problem, "observe") as tracker:
         detector = instantiate(cfg.detector)
-        with keyed(estimators="estimator"):
+        with keyed(estimators="estimator", family="detector.tag.family"):
             study = conduct(problems, flights, detector, estimators, cfg.all_visible)
         figures, curves = study.figures(), study.curves()
         markdown = to_markdown(figures, n)
@@ -81,42 +69,6 @@ def observe(cfg: DictConfig) -> None:
         tracker.log_artifacts([*(directory / name for name in names), *sorted((directory / ".hydra").glob("*.yaml"))])
         tracker.finish("FINISHED")
     print(f"{markdown}\nfiles: {directory}\nmlflow: {tracker.describe()}")
-
-
-def _deployments(cfg: DictConfig) -> dict[str, DictConfig]:
-    """The configuration for each entry of `deployments`, under its name."""
-    from lmd.checks import InputError
-
-    entries = OmegaConf.to_container(cfg.deployments) if OmegaConf.is_list(cfg.deployments) else []
-    if not entries or not all(str(entry).split() for entry in entries):
-        raise InputError(f"deployments must list at least one option of conf/deployment, got {cfg.deployments!r}.")
-    composed: dict[str, DictConfig] = {}
-    used: set[str] = set()
-    for entry in map(str, entries):
-        first, *rest = entry.split()
-        name, option, own = (first[:-1], rest[0], rest[1:]) if first.endswith(":") and rest else (first, first, rest)
-        if name in composed:
-            raise InputError(f"deployments has {name!r} twice: give them names, e.g. 'mine: {entry}'.")
-        if not NAME.fullmatch(name):
-            raise InputError(f"deployments: the name {name!r} must be of letters, digits, _, - and dots.")
-        composed[name] = _compose(entry, option, own, used)
-    unused = [override for key, override in task_overrides() if key.startswith("deployment.") and key not in used]
-    if unused:
-        raise InputError(f"{unused[0]} is for none of the deployments {', '.join(composed)}.")
-    return composed
-
-
-def _compose(entry: str, option: str, own: list[str], used: set[str]) -> DictConfig:
-    """The configuration for one deployment, without overrides of keys it lacks; the keys it has go to `used`."""
-    keys = recompose("observe", [*search_path(), f"deployment={option}"], "deployments", entry).deployment
-    shared = []
-    for key, override in task_overrides():
-        group, _, rest = key.partition(".")
-        if group == "deployments" or (group == "deployment" and rest.split(".")[0] not in keys):
-            continue
-        used.add(key)
-        shared.append(override)
-    return recompose("observe", [*shared, *search_path(), f"deployment={option}", *own], "deployments", entry)
 
 
 def _medians(figures: "pd.DataFrame") -> dict[str, float]:

@@ -49,6 +49,12 @@ def thinned(history: Sequence[Record], most: int = CURVE_POINTS) -> list[tuple[i
     return [(int(r.evaluations), r.best_fitness, r.wall_time) for r in kept]
 
 
+def bar(total: int | None, unit: str, initial: int = 0) -> "tqdm[Any]":
+    """A progress bar: live on a terminal; in a log file a line now and then is enough."""
+    interval = 0.1 if sys.stderr.isatty() else 15.0
+    return tqdm(total=total, initial=initial, unit=f" {unit}", mininterval=interval, leave=False)
+
+
 class Progress:
     """The callback of a run: shows the best fitness, logs the curve and saves checkpoints as it goes.
 
@@ -74,15 +80,7 @@ class Progress:
         self.used = budget.used(resumed.ledger.evaluations, resumed.ledger.seconds)
         self.saved = time.monotonic()
         self.logged = len(resumed.ledger.history)
-        # On a terminal the bar is live; in a log file a line now and then is enough.
-        interval = 0.1 if sys.stderr.isatty() else 15.0
-        self.bar = tqdm(
-            total=budget.evaluations,
-            initial=int(resumed.ledger.evaluations),
-            unit=" evaluations",
-            mininterval=interval,
-            leave=False,
-        )
+        self.bar = bar(budget.evaluations, "evaluations", int(resumed.ledger.evaluations))
 
     def __call__(self, optimiser: Optimiser) -> bool:
         """See `lmd.optimisers.base.Callback`."""

@@ -5,7 +5,7 @@ bottom-right, bottom-left of the tag as it hangs (see `lmd.tag`), whatever the l
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
@@ -87,18 +87,9 @@ class ArucoDetector:
         choice("family", self.family, tuple(FAMILIES))
         choice("preset", self.preset, tuple(ARUCO_PRESETS))
 
-    @cached_property
-    def _detector(self) -> Any:
-        aruco = optional("cv2", "detection").aruco
-        parameters = aruco.DetectorParameters()
-        parameters.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
-        for name, value in ARUCO_PRESETS[self.preset].items():
-            setattr(parameters, name, value)
-        return aruco.ArucoDetector(dictionary(self.family), parameters)
-
     def detect(self, image: UInt8Array) -> Detections:
         """See `Detector.detect`."""
-        found, ids, _ = self._detector.detectMarkers(_grey(image))
+        found, ids, _ = _aruco(self.family, self.preset).detectMarkers(_grey(image))
         if ids is None:
             return _nothing()
         corners = np.concatenate(found).astype(np.float64) + PIXEL_CENTRE
@@ -127,17 +118,31 @@ class AprilTagDetector:
         object.__setattr__(self, "quad_decimate", real("quad_decimate", self.quad_decimate, low=1.0))
         integer("most_errors", self.most_errors, low=0, high=2)
 
-    @cached_property
-    def _detector(self) -> Any:
-        library = optional("pyapriltags", "detection")
-        return library.Detector(families=FAMILIES[self.family].apriltag, nthreads=1, quad_decimate=self.quad_decimate)
-
     def detect(self, image: UInt8Array) -> Detections:
         """See `Detector.detect`."""
-        found = [tag for tag in self._detector.detect(_grey(image)) if tag.hamming <= self.most_errors]
+        tags = _apriltag(self.family, self.quad_decimate).detect(_grey(image))
+        found = [tag for tag in tags if tag.hamming <= self.most_errors]
         if not found:
             return _nothing()
         return Detections(np.array([t.tag_id for t in found]), np.stack([t.corners[APRILTAG_ORDER] for t in found]))
+
+
+@lru_cache(maxsize=8)
+def _aruco(family: str, preset: str) -> Any:
+    """The detector of OpenCV; kept here, so that an `ArucoDetector` is only its settings and can go to a process."""
+    aruco = optional("cv2", "detection").aruco
+    parameters = aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
+    for name, value in ARUCO_PRESETS[preset].items():
+        setattr(parameters, name, value)
+    return aruco.ArucoDetector(dictionary(family), parameters)
+
+
+@lru_cache(maxsize=8)
+def _apriltag(family: str, quad_decimate: float) -> Any:
+    """The detector of AprilTag, kept as that of OpenCV is."""
+    library = optional("pyapriltags", "detection")
+    return library.Detector(families=FAMILIES[family].apriltag, nthreads=1, quad_decimate=quad_decimate)
 
 
 def _grey(image: UInt8Array) -> UInt8Array:

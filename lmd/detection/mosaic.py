@@ -6,7 +6,7 @@ settings depend.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -55,8 +55,33 @@ class Sampling:
             most = math.pi / 2.0 if name == "incidence" else None
             low, high = vector(name, getattr(self, name), 2, low=least, high=most)
             if low > high:
-                raise InputError(f"{name} must be a range [low, high], got [{low:g}, {high:g}].")
+                raise InputError(f"{name} must be a range [low, high], got [{low:g}, {high:g}].", name)
             object.__setattr__(self, name, (low, high))
+
+
+@dataclass(frozen=True)
+class Mosaics:
+    """Views of single tags in rendered mosaics, a `lmd.detection.calibration.Source`.
+
+    Args:
+        count: views to draw.
+        sampling: ranges that they are drawn from.
+
+    Raises:
+        InputError: there are fewer than two.
+    """
+
+    count: int = 6000
+    sampling: Sampling = field(default_factory=Sampling)
+
+    def __post_init__(self) -> None:
+        integer("count", self.count, low=2)
+
+    def views(
+        self, camera: Camera, tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
+    ) -> "Views":
+        """See `Source.views`; light and blur are drawn, not those of `imaging`."""
+        return sample_views(camera, tag, detector, self.count, rng, self.sampling)
 
 
 @dataclass(frozen=True)

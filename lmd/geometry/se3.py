@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from lmd.checks import FloatArray
+from lmd.checks import FloatArray, InputError
 from lmd.geometry.frames import rotation
 
 # Below this angle (rad) the coefficients of the exponential come from their Taylor series.
 SMALL_ANGLE = 1e-4
+# A quaternion printed with a few decimals is still a unit quaternion.
+QUATERNION_TOLERANCE = 1e-3
 
 
 def camera_pose(position: ArrayLike, yaw: ArrayLike, pitch: ArrayLike, roll: ArrayLike = 0.0) -> FloatArray:
@@ -31,6 +33,19 @@ def pose_of(orientation: FloatArray, position: FloatArray) -> FloatArray:
     pose = np.zeros((*np.broadcast_shapes(orientation.shape[:-2], position.shape[:-1]), 4, 4))
     pose[..., :3, :3], pose[..., :3, 3], pose[..., 3, 3] = orientation, position, 1.0
     return pose
+
+
+def poses_from_rows(rows: FloatArray) -> FloatArray:
+    """X from rows x, y, z, qx, qy, qz, qw `(T, 7)`: metres, and the unit quaternion of R, `(T, 4, 4)`.
+
+    Raises:
+        InputError: a quaternion is not unit.
+    """
+    length = np.linalg.norm(rows[:, 3:], axis=1)
+    worst = int(np.argmax(np.abs(length - 1.0)))
+    if abs(length[worst] - 1.0) > QUATERNION_TOLERANCE:
+        raise InputError(f"frame {worst}: the quaternion must have length 1, it has {length[worst]:g}.")
+    return pose_of(Rotation.from_quat(rows[:, 3:]).as_matrix(), rows[:, :3])
 
 
 def inverse(pose: FloatArray) -> FloatArray:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
@@ -13,6 +14,38 @@ from lmd.geometry.se3 import act, inverse, log
 from lmd.localisation.trajectory import Trajectory
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.views import visible
+
+
+class Sensor(Protocol):
+    """What becomes of landmarks in the images of a camera."""
+
+    @property
+    def pixel_noise(self) -> float:
+        """Standard deviation of image coordinates, pixels; 0 for exact measurements."""
+
+    @property
+    def edge(self) -> float:
+        """Edge length of a landmark, metres."""
+
+    def observed(
+        self,
+        evaluator: Evaluator,
+        camera: Camera,
+        deployment: Deployment,
+        poses: FloatArray,
+        rng: np.random.Generator,
+        all_visible: bool,
+    ) -> tuple[BoolArray, FloatArray]:
+        """Which of K landmarks each of T frames has, `(T, K)`, and where in the camera's frame, metres, `(T, K, 3)`.
+
+        Args:
+            evaluator: the scene.
+            camera: its intrinsics.
+            deployment: K landmarks.
+            poses: the true X, `(T, 4, 4)`.
+            rng: source of everything random.
+            all_visible: the camera sees every landmark, wherever it looks.
+        """
 
 
 @dataclass(frozen=True)
@@ -39,6 +72,23 @@ class Detector:
         object.__setattr__(self, "pixel_noise", real("pixel_noise", self.pixel_noise, low=0.0))
         object.__setattr__(self, "missed", real("missed", self.missed, low=0.0, high=1.0))
         object.__setattr__(self, "edge", real("edge", self.edge, above=0.0))
+
+    def observed(
+        self,
+        evaluator: Evaluator,
+        camera: Camera,
+        deployment: Deployment,
+        poses: FloatArray,
+        rng: np.random.Generator,
+        all_visible: bool,
+    ) -> tuple[BoolArray, FloatArray]:
+        """See `Sensor.observed`; a landmark is visible as the scene's visibility model says."""
+        if all_visible:
+            sight = np.ones((len(poses), len(deployment)), dtype=np.bool_)
+        else:
+            sight = visible(evaluator, deployment, poses[:, :3, 3], poses[:, :3, 2])
+        seen = self.detected(sight, rng)
+        return seen, self.measured(act(inverse(poses), deployment.positions), camera, rng)
 
     def detected(self, seen: BoolArray, rng: np.random.Generator) -> BoolArray:
         """Those of the visible landmarks that are detected, same shape as `seen`."""
@@ -86,7 +136,7 @@ class Recording:
     seen: BoolArray
     points: FloatArray
     camera: Camera
-    detector: Detector
+    detector: Sensor
 
     @cached_property
     def twists(self) -> FloatArray:
@@ -107,7 +157,7 @@ class Recording:
 def record(
     evaluator: Evaluator,
     camera: Camera,
-    detector: Detector,
+    detector: Sensor,
     deployments: Sequence[Deployment],
     trajectories: Sequence[Trajectory],
     rngs: Sequence[np.random.Generator],
@@ -133,13 +183,9 @@ def record(
         ).within("detector")
     seen, points = [], []
     for deployment, trajectory, rng in zip(deployments, trajectories, rngs, strict=True):
-        poses, shape = trajectory.poses, (len(trajectory.time), len(deployment))
-        if all_visible:
-            sight = np.ones(shape, dtype=np.bool_)
-        else:
-            sight = visible(evaluator, deployment, poses[:, :3, 3], poses[:, :3, 2])
-        seen.append(detector.detected(sight, rng))
-        points.append(detector.measured(act(inverse(poses), deployment.positions), camera, rng))
+        frames = detector.observed(evaluator, camera, deployment, trajectory.poses, rng, all_visible)
+        seen.append(frames[0])
+        points.append(frames[1])
     return Recording(
         trajectories[0].time,
         np.stack([trajectory.poses for trajectory in trajectories]),

@@ -11,7 +11,7 @@ from lmd.checks import FloatArray, InputError, real
 from lmd.geometry.se3 import exp
 from lmd.localisation.errors import Errors, pose_errors
 from lmd.localisation.estimators import Estimator
-from lmd.localisation.measurements import Detector, Recording, record
+from lmd.localisation.measurements import Recording, Sensor, record
 from lmd.localisation.trajectory import Trajectory, TrajectorySource
 from lmd.problem import Problem
 
@@ -76,7 +76,7 @@ class Flights:
             start.append(initial.applied(trajectories[-1].poses[0], error))
         return cls(seeds, trajectories, np.stack(start))
 
-    def recorded(self, problem: Problem, detector: Detector, all_visible: bool) -> Recording:
+    def recorded(self, problem: Problem, detector: Sensor, all_visible: bool) -> Recording:
         """The flights over the deployment that `problem` starts from; a random one is another for each seed."""
         scene = problem.scene
         deployments = [problem.start.draw(scene.room, np.random.default_rng(seed)) for seed in self.seeds]
@@ -173,7 +173,7 @@ class Study:
 def conduct(
     problems: Mapping[str, Problem],
     flights: Flights,
-    detector: Detector,
+    detector: Sensor,
     estimators: Mapping[str, Estimator],
     all_visible: bool,
 ) -> Study:

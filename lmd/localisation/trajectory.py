@@ -5,19 +5,15 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from lmd.checks import FloatArray, InputError, real, vector
-from lmd.geometry.se3 import camera_pose, pose_of
-from lmd.pdf import OrientationPdf
+from lmd.geometry.se3 import camera_pose, poses_from_rows
 from lmd.scene import Scene
 from lmd.space.space import Space
 from lmd.tables import has_column, read_numbers
 
 ANGLES = ("time", "x", "y", "z", "yaw", "pitch")
 QUATERNIONS = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
-# A quaternion printed with a few decimals is still a unit quaternion.
-QUATERNION_TOLERANCE = 1e-3
 # Greatest slope of the minimum-jerk profile, at its middle.
 PEAK = 1.875
 
@@ -155,15 +151,7 @@ class RandomMotion:
 
 
 def _random_waypoint(scene: Scene, rng: np.random.Generator) -> FloatArray:
-    return np.concatenate([scene.room.sample(1, rng)[0], _random_orientation(scene.pdf, rng)])
-
-
-def _random_orientation(pdf: OrientationPdf, rng: np.random.Generator) -> FloatArray:
-    """Yaw and pitch from the continuous distribution a PDF stands for, or from the PDF where there is none."""
-    if pdf.continuous is not None:
-        return np.concatenate(pdf.continuous(rng.random((1, 2))))
-    drawn = rng.choice(len(pdf.weight), p=pdf.weight)
-    return np.array([pdf.yaw[drawn], pdf.pitch[drawn]])
+    return np.concatenate([scene.room.sample(1, rng)[0], *scene.pdf.draw(1, rng)])
 
 
 def _shortest(step: FloatArray) -> FloatArray:
@@ -224,18 +212,9 @@ class FileTrajectory:
         has_quaternions = has_column(self.path, "qw")
         table = read_numbers(self.path, QUATERNIONS if has_quaternions else ANGLES, name="path")
         try:
-            poses = _from_quaternions(table) if has_quaternions else camera_pose(table[:, 1:4], *table[:, 4:].T)
+            poses = poses_from_rows(table[:, 1:]) if has_quaternions else camera_pose(table[:, 1:4], *table[:, 4:].T)
             trajectory = Trajectory(table[:, 0], poses)
             trajectory.check_inside(scene.room)
         except InputError as error:
             raise InputError(f"{self.path}: {error}") from None
         return trajectory
-
-
-def _from_quaternions(table: FloatArray) -> FloatArray:
-    """Poses `(T, 4, 4)` from rows of `QUATERNIONS`."""
-    length = np.linalg.norm(table[:, 4:], axis=1)
-    worst = int(np.argmax(np.abs(length - 1.0)))
-    if abs(length[worst] - 1.0) > QUATERNION_TOLERANCE:
-        raise InputError(f"frame {worst}: the quaternion must have length 1, it has {length[worst]:g}.")
-    return pose_of(Rotation.from_quat(table[:, 4:]).as_matrix(), table[:, 1:4])

@@ -57,7 +57,8 @@ class Canvas:
             plane: columns u, v (unit) and the corner between them, camera frame, metres, `(3, 3)`.
             extent: along u and v, metres.
             grey: grey level.
-            pattern: added to it, `(T, T)`, repeated every T texels of `TEXEL` metres; None for a plain one.
+            pattern: added to it, `(T, T)` texels of `TEXEL` metres, repeated where the rectangle is larger; None for a
+                plain one.
 
         Returns:
             Its image outline, `(m, 2)`.
@@ -74,7 +75,10 @@ class Canvas:
         drawn = np.full((height, width), grey, dtype=np.float32)
         if pattern is not None:
             texels = plane @ np.diag([TEXEL, TEXEL, 1.0])
-            drawn += self._warp(pattern, self.matrix @ texels, window, 1, self.cv2.BORDER_WRAP)
+            # Repeating is several times as slow, also outside the rectangle.
+            covers = max(extent) <= len(pattern) * TEXEL
+            border = self.cv2.BORDER_REPLICATE if covers else self.cv2.BORDER_WRAP
+            drawn += self._warp(pattern, self.matrix @ texels, window, 1, border)
         self.cv2.copyTo(drawn, mask, part)
         return outline
 
@@ -200,6 +204,21 @@ def texture(tag: Tag, number: int, texels: int) -> UInt8Array:
 # Edge of a texel of a surface's pattern, metres, and texels until it repeats.
 TEXEL = 0.005
 PATTERN = 1024
+# How often a pattern is kept side by side: 3 are 15 m and 38 MB.
+MOST_REPEATS = 3
+
+
+@lru_cache(maxsize=2)
+def covering(amplitude: float, seed: int, length: float) -> Float32Array:
+    """`pattern` repeated until it covers a square, as far as that takes little memory, `(T, T)`.
+
+    Args:
+        amplitude: standard deviation, grey levels.
+        seed: of the pattern.
+        length: of the square's edge, metres.
+    """
+    times = min(max(math.ceil(length / (PATTERN * TEXEL)), 1), MOST_REPEATS)
+    return np.tile(pattern(amplitude, np.random.default_rng(seed)), (times, times))
 
 
 def pattern(amplitude: float, rng: np.random.Generator) -> Float32Array:

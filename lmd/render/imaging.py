@@ -1,11 +1,14 @@
 """What lies between a scene and its grey levels: surfaces, lens, exposure, noise."""
 
+import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lmd.checks import FloatArray, InputError, integer, real, vector
+from lmd.optional import optional
 
 UInt8Array = NDArray[np.uint8]
 Float32Array = NDArray[np.float32]
@@ -54,7 +57,7 @@ class Imaging:
         for name in ("white", "black", "wall"):
             object.__setattr__(self, name, real(name, getattr(self, name), low=0.0, high=GREY_LEVELS))
         if self.white <= self.black:
-            raise InputError(f"white must exceed black = {self.black:g}, got {self.white:g}.")
+            raise InputError(f"white must exceed black = {self.black:g}, got {self.white:g}.", "white")
         integer("texture_seed", self.texture_seed, low=0)
         integer("supersampling", self.supersampling, low=1, high=16)
         if len(self.distortion):
@@ -64,18 +67,36 @@ class Imaging:
 
     def develop(self, light: Float32Array, rng: np.random.Generator) -> UInt8Array:
         """The 8-bit image of `light` in grey levels, same shape; the noise is drawn from `rng`."""
-        grey = light * np.float32(self.exposure)
+        cv2 = optional("cv2", "detection")
+        grey: FloatArray | Float32Array = light
+        exposure = self.exposure
         if self.gamma != 1.0:
-            ratio = np.clip(grey, 0.0, None) / np.float32(GREY_LEVELS)
-            grey = np.float32(GREY_LEVELS) * ratio ** np.float32(1.0 / self.gamma)
-        if self.noise > 0.0:
-            grey = grey + np.float32(self.noise) * rng.standard_normal(grey.shape, dtype=np.float32)
-        return np.asarray(np.clip(np.rint(grey), 0.0, GREY_LEVELS), dtype=np.uint8)
+            ratio = np.clip(light * np.float32(exposure), 0.0, None) / np.float32(GREY_LEVELS)
+            grey, exposure = np.float32(GREY_LEVELS) * ratio ** np.float32(1.0 / self.gamma), 1.0
+        # The sum is rounded and clipped to 8 bits as it is made.
+        return np.asarray(cv2.addWeighted(grey, exposure, _grain(grey.shape, rng), self.noise, 0.0, dtype=cv2.CV_8U))
 
     def shade(self, normals: FloatArray) -> FloatArray:
         """Grey levels of surfaces that face `normals` `(..., 3)`: light comes from above and from one side."""
         return np.asarray(self.wall * (1.0 + normals @ LIGHT))
 
 
+def _grain(shape: tuple[int, ...], rng: np.random.Generator) -> Float32Array:
+    """Independent standard normal numbers: a stretch, drawn by `rng`, of a long row that is made once.
+
+    Drawing them anew would take as long as the rest of the image. Two images may share numbers, at other pixels.
+    """
+    size, begin = math.prod(shape), int(rng.integers(SPARE_GRAIN))
+    return _grain_row(size + SPARE_GRAIN)[begin : begin + size].reshape(shape)
+
+
+@lru_cache(maxsize=2)
+def _grain_row(size: int) -> Float32Array:
+    """Standard normal numbers, the same every time, `(size,)`."""
+    return np.random.default_rng(0x6E6F697365).standard_normal(size, dtype=np.float32)
+
+
+# Starts that the noise of an image is drawn from.
+SPARE_GRAIN = 2**20
 # Makes each wall of a room a little different from its neighbours, so that its edges can be seen.
 LIGHT = np.array([0.03, 0.05, 0.08])

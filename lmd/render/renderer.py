@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import lru_cache
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from lmd.camera import Camera
 from lmd.checks import BoolArray, FloatArray, InputError
 from lmd.geometry.se3 import exp
 from lmd.optional import optional
-from lmd.render.canvas import NEAR, Canvas, pattern
+from lmd.render.canvas import NEAR, Canvas, covering
 from lmd.render.imaging import Float32Array, Imaging, UInt8Array
 from lmd.render.optics import blur_sigma, image_size, intrinsics, project, to_camera, undistort
 from lmd.render.room import TaggedRoom
@@ -119,39 +119,47 @@ class Renderer:
             light += self._light(pose @ exp(((i + 0.5) / steps - 0.5) * motion))
         return light / np.float32(steps)
 
-    @cached_property
+    @property
     def _pattern(self) -> Float32Array | None:
         """The pattern on every surface."""
         if self.imaging.texture == 0.0:
             return None
-        return pattern(self.imaging.texture, np.random.default_rng(self.imaging.texture_seed))
+        longest = max((max(surface.extent) for surface in self.room.surfaces), default=0.0)
+        return covering(self.imaging.texture, self.imaging.texture_seed, longest)
 
-    @cached_property
-    def _pinhole(self) -> FloatArray | None:
-        """Where an image without distortion has each pixel's centre, `(h, w, 2)`, pixels from the border."""
-        if not self.imaging.distortion:
-            return None
-        width, height = image_size(self.camera)
-        pixels = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
-        matrix = intrinsics(self.camera)
-        focal, centre = np.diag(matrix)[:2], matrix[:2, 2]
-        return undistort((pixels - centre) / focal, self.imaging.distortion) * focal + centre
-
-    @cached_property
+    @property
     def _extent(self) -> tuple[FloatArray, FloatArray]:
         """Low and high corner of the pinhole image, whole pixels from the camera's border."""
-        size = np.array(image_size(self.camera), dtype=np.float64)
-        if self._pinhole is None:
-            return np.zeros(2), size
-        low, high = np.floor(self._pinhole.min(axis=(0, 1))) - 2.0, np.ceil(self._pinhole.max(axis=(0, 1))) + 2.0
-        if not np.isfinite(high - low).all() or ((high - low) > WIDEST * size).any():
-            raise InputError(f"distortion bends the image too much, got {list(self.imaging.distortion)}.")
+        if not self.imaging.distortion:
+            return np.zeros(2), np.array(image_size(self.camera), dtype=np.float64)
+        low, high, _ = _undistorted(self.camera, self.imaging.distortion)
         return low, high
 
-    @cached_property
+    @property
     def _map(self) -> tuple[Float32Array, Float32Array] | None:
         """For `cv2.remap`: the pinhole image's pixel under each pixel of the distorted one."""
-        if self._pinhole is None:
-            return None
-        at = (self._pinhole - self._extent[0] - 0.5).astype(np.float32)
-        return np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1])
+        return _undistorted(self.camera, self.imaging.distortion)[2] if self.imaging.distortion else None
+
+
+@lru_cache(maxsize=2)
+def _undistorted(
+    camera: Camera, distortion: tuple[float, ...]
+) -> tuple[FloatArray, FloatArray, tuple[Float32Array, Float32Array]]:
+    """Low and high corner of the pinhole image that a distorted one is made of, and the map for `cv2.remap`.
+
+    It is kept here and not in a `Renderer`, which so goes to another process without it.
+
+    Raises:
+        InputError: the pinhole image would be too large.
+    """
+    width, height = image_size(camera)
+    pixels = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
+    matrix = intrinsics(camera)
+    focal, centre = np.diag(matrix)[:2], matrix[:2, 2]
+    pinhole = undistort((pixels - centre) / focal, distortion) * focal + centre
+    low, high = np.floor(pinhole.min(axis=(0, 1))) - 2.0, np.ceil(pinhole.max(axis=(0, 1))) + 2.0
+    size = np.array([width, height])
+    if not np.isfinite(high - low).all() or ((high - low) > WIDEST * size).any():
+        raise InputError(f"distortion bends the image too much, got {list(distortion)}.", "distortion")
+    at = (pinhole - low - 0.5).astype(np.float32)
+    return low, high, (np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1]))

@@ -29,6 +29,7 @@ class Evaluator:
     """
 
     def __init__(self, scene: Scene, positions: FloatArray | None = None, threads: int | None = None) -> None:
+        self.scene = scene
         self.positions = np.ascontiguousarray(scene.room.grid() if positions is None else positions)
         self.threads = threads or available_threads()
         self.axis_of = scene.pdf.axis_of

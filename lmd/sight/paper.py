@@ -73,6 +73,22 @@ class Visibility:
         strength = coverage_strength(camera, self, position, axes, landmarks, normals)
         return np.asarray(strength >= self.thold * (1.0 - TOLERANCE))
 
+    def verdicts(
+        self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
+    ) -> dict[str, BoolArray]:
+        """Whether landmarks meet each criterion taken by itself, `(A, K)` by its name; args as in `covered`."""
+        offset = landmarks - position
+        distance = np.sqrt(dot(offset, offset))
+        depth = dot(axes[:, None, :], offset[None, :, :])
+        everywhere = np.ones_like(depth, dtype=np.bool_)
+        return {
+            "resolution": resolution(camera, depth) >= self.thold * (1.0 - TOLERANCE),
+            "field_of_view": field_of_view(camera, depth, distance[None, :]),
+            "focus": focus(camera, self.circle_of_confusion, depth),
+            "facing": everywhere & ~faces_away(offset, distance, normals),
+            "hiding": everywhere & ~hidden_by_others(offset, self),
+        }
+
     def sight(self, camera: Camera) -> "PaperSight":
         """See `Criteria.sight`; `max_depth` is the largest double that passes both focus and resolution."""
         near, far = camera.depth_of_field(self.circle_of_confusion)

@@ -9,14 +9,18 @@ from paper import paper_camera, paper_room, paper_scene
 
 from lmd.checks import InputError
 from lmd.deployment import UniformDeployment
+from lmd.detection.detectors import ArucoDetector
 from lmd.geometry import se3
 from lmd.localisation.cramer_rao import cramer_rao_bound, cramer_rao_map, pose_information
 from lmd.localisation.estimators import CramerRaoBound, InvariantKalmanFilter, PerspectiveNPoint
 from lmd.localisation.measurements import Detector, Recording, record
 from lmd.localisation.observer import Observer
+from lmd.localisation.rendered import RenderedDetector
 from lmd.localisation.trajectory import Pace, RandomMotion
+from lmd.render.imaging import Imaging
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.views import visible
+from lmd.tag import Tag
 
 SCENE = paper_scene()
 EVALUATOR = Evaluator(SCENE, threads=1)
@@ -49,6 +53,19 @@ def spread_out(frames, detector, count=8, seed=0):
 
 def start_near(recording, size=0.3):
     return recording.poses[:, 0] @ se3.exp(np.full(6, size))
+
+
+def test_a_real_detector_measures_where_tags_are():
+    detector = RenderedDetector(Tag(0.2), ArucoDetector(), Imaging())
+    poses = FLIGHT.poses[:40:10]
+    rng = np.random.default_rng(0)
+    seen, points = detector.observed(EVALUATOR, SCENE.camera, UNIFORM, poses, rng, False)
+    assert seen.shape == (4, 90)
+    assert seen.sum(axis=1).min() >= 1
+    expected = se3.act(se3.inverse(poses), UNIFORM.positions)
+    off = np.linalg.norm(points - expected, axis=-1)[seen] / expected[seen][:, 2]
+    assert np.median(off) < 0.02
+    assert detector.edge == 0.2
 
 
 def test_a_recording_has_what_the_optimiser_counts():

@@ -17,13 +17,20 @@ from lmd.optimisers.encoding import make_encoding
 from pipelines.app import CONF, build_optimiser, build_problem, flat_settings, instantiate, keyed
 
 ONLY_OBSERVE = ("trajectory", "detector", "estimator")
-OTHER_GROUPS = {"experiment", "recording", *ONLY_OBSERVE}  # tested below, and in test_estimate_pdf_pipeline.py
+ONLY_RENDERED = ("detectors", "imaging", "tag", "views")
+OTHER_GROUPS = {
+    "experiment",
+    "recording",
+    *ONLY_OBSERVE,
+    *ONLY_RENDERED,
+}  # tested below, and in test_estimate_pdf_pipeline.py
 GROUPS = [
     (path.parent.name, path.stem)
     for path in sorted(Path(CONF).glob("*/*.yaml"))
     if path.parent.name not in OTHER_GROUPS
 ]
 FLIGHT_GROUPS = [(group, path.stem) for group in ONLY_OBSERVE for path in sorted(Path(CONF, group).glob("*.yaml"))]
+RENDERED_GROUPS = [(group, path.stem) for group in ONLY_RENDERED for path in sorted(Path(CONF, group).glob("*.yaml"))]
 EXPERIMENTS = sorted(path.stem for path in Path(CONF, "experiment").glob("*.yaml"))
 SWEEPS = {  # the pipeline of each stored sweep, and its number of jobs
     "table2": ("optimise", 10),
@@ -33,7 +40,7 @@ SWEEPS = {  # the pipeline of each stored sweep, and its number of jobs
     "landmark_count": ("optimise", 11),
     "optimisers": ("optimise", 55),
 }
-NEEDS_A_FILE = {("pdf", "samples"), ("deployment", "file")}
+NEEDS_A_FILE = {("pdf", "samples"), ("deployment", "file"), ("views", "images")}
 
 
 def composed(app, *overrides):
@@ -55,6 +62,14 @@ def test_every_option_of_a_flight_composes_and_builds(group, option):
     cfg = composed("observe", f"{group}=[{option}]" if group == "estimator" else f"{group}={option}")
     for node in cfg.estimator.values() if group == "estimator" else [cfg[group]]:
         instantiate(node)
+
+
+@pytest.mark.parametrize(("group", "option"), RENDERED_GROUPS)
+def test_every_option_of_rendered_frames_composes_and_builds(group, option):
+    cfg = composed("calibrate_detector", f"{group}=[{option}]" if group == "detectors" else f"{group}={option}")
+    for node in cfg.detectors.values() if group == "detectors" else [cfg[group]]:
+        if (group, option) not in NEEDS_A_FILE:
+            instantiate(node)
 
 
 @pytest.mark.parametrize("experiment", sorted({*EXPERIMENTS} - {*SWEEPS}))

@@ -112,6 +112,19 @@ def test_evaluate_maps_where_localisation_is_weak(tmp_path):
     assert "pose fixed share" in done.stdout
 
 
+def test_a_real_detector_reads_rendered_frames(tmp_path):
+    camera = ["camera.pixel_width=0.0116", "camera.pixel_height=0.0116", "camera.principal_point=[400,300]",
+              "camera.image_width=800", "camera.image_height=600"]  # fmt: skip
+    flight = ["seeds=2", "detector=rendered", "detector.tag.edge=0.3", "tracking=none"]
+    done = call("deployment=uniform", *camera, *flight, "estimator=[observer,pnp]", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    figures = pd.read_csv(tmp_path / "run" / "figures.csv")
+    by_frame = figures[figures.estimator == "pnp"]
+    assert by_frame.mean_visible.max() > 4.0
+    assert by_frame.position_error.min() < 0.1
+    assert (figures[figures.estimator == "observer"].available == 1.0).all()
+
+
 BAD_INPUT = {
     "no option": (["deployment=nowhere"], "deployments: 'nowhere' is refused: "),
     "none": (["deployments=[]"], "deployments must list at least one option of conf/deployment"),
@@ -124,6 +137,8 @@ BAD_INPUT = {
     "estimator": (["estimator=[]"], "estimator must name at least one estimator"),
     "gain": (["estimator.observer.gain=100"], "estimator.observer.gain + damping = 101 1/s must stay below 20 1/s"),
     "missed": (["detector.missed=2"], "detector.missed must be in [0, 1], got 2"),
+    "tag": (["detector=rendered", "detector.tag.edge=null"], "detector.tag.edge must be given, in metres: a detector"),
+    "ids": (["detector=rendered", "detector.tag.family=16h5"], "detector.tag.family 16h5 has 30 different tags, too"),
     "noise": (["all_visible=true", "detector=noisy"], "detector.pixel_noise must be 0 when all landmarks are visible"),
 }
 

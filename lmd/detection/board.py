@@ -1,0 +1,147 @@
+"""Views of tags in your own images of a printed board whose geometry is known."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from lmd.camera import Camera
+from lmd.checks import FloatArray, InputError, real
+from lmd.deployment import COLUMNS
+from lmd.detection.detectors import Detections, Detector
+from lmd.detection.evaluation import TOLERANCE, corner_error, match
+from lmd.detection.frames import qualities, upright
+from lmd.detection.mosaic import Views
+from lmd.detection.pose import pose_from_corners
+from lmd.geometry.se3 import poses_from_rows
+from lmd.optional import optional
+from lmd.render.imaging import Imaging, UInt8Array
+from lmd.render.optics import image_size
+from lmd.render.renderer import Renderer
+from lmd.render.room import TaggedRoom
+from lmd.tables import read_numbers
+from lmd.tag import Tag
+
+IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+
+
+@dataclass(frozen=True)
+class BoardImages:
+    """Images of a board of tags, a `lmd.detection.calibration.Source`.
+
+    Args:
+        folder: holds the images, all of one camera.
+        tags: CSV with the columns id,x,y,z,nx,ny,nz: number, centre (metres) and unit normal of each tag, in a frame of
+            your choice. Tags hang upright, or along y where they face along z.
+        poses: CSV with the columns image,x,y,z,qx,qy,qz,qw: the name of each image and the camera in the same frame (x
+            right, y down, z the optical axis). None: from the corners that the detector finds, with at least two tags.
+        tolerance: largest distance of a corner from where it should be, pixels.
+
+    Raises:
+        InputError: a value is missing or out of range.
+    """
+
+    folder: str | None
+    tags: str | None
+    poses: str | None = None
+    tolerance: float = TOLERANCE
+
+    def __post_init__(self) -> None:
+        if self.folder is None:
+            raise InputError("folder is missing: a folder of images is needed.", "folder")
+        if not Path(self.folder).is_dir():
+            raise InputError(f"folder: there is no folder {str(self.folder)!r}.", "folder")
+        if self.tags is None:
+            raise InputError("tags is missing: a CSV of the tags on the board is needed.", "tags")
+        object.__setattr__(self, "tolerance", real("tolerance", self.tolerance, above=0.0))
+
+    def views(self, camera: Camera, tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator) -> Views:
+        """See `Source.views`: each tag that shows its front wholly in an image whose pose is known."""
+        renderer = Renderer(camera, self.board(tag), imaging)
+        known = None if self.poses is None else self._known_poses(self.poses)
+        parts = []
+        for path in self.images():
+            image = _read(path, camera)
+            found = detector.detect(image)
+            pose = _pose_by(renderer, found, self.tolerance) if known is None else known.get(path.name)
+            if pose is None:
+                continue
+            expected = renderer.corners(pose)
+            matches = match(found, renderer.room.ids, expected, self.tolerance)
+            whole = renderer.inside(pose)
+            error = corner_error(matches.corners, expected)
+            parts.append(Views(*qualities(renderer, pose), matches.detected, error)[whole])
+        if not sum(map(len, parts)):
+            raise InputError(
+                f"folder: in no image of {str(self.folder)!r} is a tag of the board where it should be.", "folder"
+            )
+        return Views(*(np.concatenate([getattr(part, name) for part in parts]) for name in Views.__dataclass_fields__))
+
+    def images(self) -> list[Path]:
+        """The images of the folder, by name."""
+        assert self.folder is not None
+        found = sorted(path for path in Path(self.folder).iterdir() if path.suffix.lower() in IMAGES)
+        if not found:
+            raise InputError(f"folder: {str(self.folder)!r} has no images ({', '.join(IMAGES)}).", "folder")
+        return found
+
+    def board(self, tag: Tag) -> TaggedRoom:
+        """The tags of the board in its frame."""
+        assert self.tags is not None
+        table = read_numbers(self.tags, ("id", *COLUMNS), name="tags")
+        normals = table[:, 4:] / np.linalg.norm(table[:, 4:], axis=1, keepdims=True)
+        try:
+            return TaggedRoom(tag, table[:, 0].astype(np.int64), table[:, 1:4], normals, upright(normals))
+        except InputError as error:
+            raise InputError(f"{self.tags}: {error}") from None
+
+    def _known_poses(self, path: str) -> dict[str, FloatArray]:
+        """X by the image's name."""
+        rows = read_numbers(path, POSE, name="poses", optional=("image",))
+        table = pd.read_csv(path, dtype=str, skipinitialspace=True)
+        if "image" not in table:
+            raise InputError(f"{path} lacks the column 'image'; expected image,{','.join(POSE)}.")
+        names = [name.strip() for name in table["image"]]
+        missing = set(names) - {image.name for image in self.images()}
+        if missing:
+            raise InputError(f"{path}: {str(self.folder)!r} has no image {min(missing)!r}.")
+        try:
+            return dict(zip(names, poses_from_rows(rows), strict=True))
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+
+
+def _read(path: Path, camera: Camera) -> UInt8Array:
+    """A grey image, `(h, w)`.
+
+    Raises:
+        InputError: it cannot be read, or is not of the camera's size.
+    """
+    cv2 = optional("cv2", "detection")
+    image: UInt8Array | None = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise InputError(f"folder: {str(path)!r} cannot be read as an image.", "folder")
+    width, height = image_size(camera)
+    if image.shape != (height, width):
+        raise InputError(
+            f"folder: {str(path)!r} has {image.shape[1]} x {image.shape[0]} pixels, the camera {width} x {height}.",
+            "folder",
+        )
+    return image
+
+
+def _pose_by(renderer: Renderer, found: Detections, tolerance: float) -> FloatArray | None:
+    """X from the corners of the board's tags that were found; None with fewer than two, or if they do not agree."""
+    room = renderer.room
+    corners = np.full((len(room.ids), 4, 2), np.nan)
+    for k, number in enumerate(room.ids):
+        at = np.flatnonzero(found.ids == number)
+        if len(at) == 1:
+            corners[k] = found.corners[at[0]]
+    if np.isfinite(corners).all(axis=(1, 2)).sum() < 2:
+        return None
+    pose = pose_from_corners(renderer.camera, room.corners, corners, renderer.imaging.distortion)
+    error = corner_error(corners, renderer.corners(pose))
+    return pose if np.nanmedian(error) <= tolerance else None

@@ -1,0 +1,145 @@
+"""Detectors on rendered frames of a deployment."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lmd.checks import BoolArray, FloatArray, IntArray
+from lmd.deployment import Deployment
+from lmd.detection.detectors import Detector
+from lmd.detection.evaluation import Matches, match
+from lmd.detection.quality import apparent_edge, incidence, pitch
+from lmd.geometry.se3 import camera_pose
+from lmd.render.imaging import UInt8Array
+from lmd.render.optics import blur_sigma, to_camera
+from lmd.render.renderer import Renderer
+from lmd.render.room import TaggedRoom
+from lmd.scene import Scene
+from lmd.space.space import Space
+from lmd.tag import Tag
+
+# Keeps the poses and the noise apart from every other use of the same seed.
+STREAM = 0x646574656374
+# A normal this close to the vertical belongs to a floor or a ceiling.
+VERTICAL = 1e-6
+
+
+def draw_poses(scene: Scene, count: int, seed: int) -> FloatArray:
+    """Random poses X: positions uniform where the camera may be, orientations from the PDF, no roll, `(count, 4, 4)`.
+
+    They do not depend on what hangs in the room.
+    """
+    rng = np.random.default_rng([seed, STREAM])
+    positions = scene.room.sample(count, rng)
+    return camera_pose(positions, *scene.pdf.draw(count, rng))
+
+
+def upright(normals: FloatArray) -> FloatArray:
+    """Unit vectors to the upper edges of tags that hang upright, `(K, 3)`: up, or along y on a floor or a ceiling."""
+    flat = np.hypot(normals[:, 0], normals[:, 1]) < VERTICAL
+    return _in_plane(np.where(flat[:, None], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]), normals)
+
+
+def _in_plane(vectors: FloatArray, normals: FloatArray) -> FloatArray:
+    """Vectors `(K, 3)` projected to the planes with these unit normals, of length 1."""
+    inside = vectors - (vectors * normals).sum(axis=1, keepdims=True) * normals
+    return np.asarray(inside / np.linalg.norm(inside, axis=1, keepdims=True))
+
+
+def tagged_room(room: Space, deployment: Deployment, tag: Tag) -> TaggedRoom:
+    """A deployment with tag k at landmark k, its up along v of its surface, in a room of surfaces.
+
+    Raises:
+        InputError: the tag is a point, or its family is too small.
+    """
+    tag.check_count(len(deployment))
+    surfaces, normals, on = room.surfaces(), deployment.normals, deployment.surfaces
+    ups = upright(normals)
+    if (hung := on >= 0).any():
+        ups[hung] = _in_plane(np.array([surface.v for surface in surfaces])[on[hung]], normals[hung])
+    return TaggedRoom(tag, np.arange(len(deployment)), deployment.positions, normals, ups, surfaces)
+
+
+def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Pitch, incidence, edge and sigma of every tag, `(N, K)` each, as `lmd.detection.fit.Limits` takes them.
+
+    Args:
+        renderer: the camera and the tags.
+        poses: X, `(N, 4, 4)`.
+    """
+    room, camera, imaging = renderer.room, renderer.camera, renderer.imaging
+    where = poses, room.centres, room.normals
+    depth = to_camera(poses, room.centres)[..., 2]
+    depth = np.where(depth > 0.0, depth, np.nan)
+    sigma = blur_sigma(camera, depth, imaging.psf_sigma) if imaging.defocus else np.full_like(depth, imaging.psf_sigma)
+    edges = apparent_edge(camera, *where, room.tag)
+    return pitch(camera, *where, room.tag), incidence(*where), edges, sigma
+
+
+def overlapping(room: TaggedRoom) -> BoolArray:
+    """Which tags lie, with their quiet zones, over or under another one in the same plane, `(K,)`."""
+    right = np.cross(room.ups, room.normals)
+    offset = room.centres[None] - room.centres[:, None]  # from k to j, (K, K, 3)
+    a, b, c = (np.abs((offset * axis[:, None]).sum(axis=-1)) for axis in (right, room.ups, room.normals))
+    same_way = room.normals @ room.normals.T > 1.0 - 1e-6
+    edge = room.tag.paper_edge
+    over = same_way & (c < 1e-3) & (np.maximum(a, b) < edge * (1.0 - 1e-9))
+    np.fill_diagonal(over, False)
+    return np.asarray(over.any(axis=1))
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """What one detector made of N frames of K tags.
+
+    Args:
+        detected: with the right id in the right place, `(N, K)`.
+        corners: as found, pixels, `(N, K, 4, 2)`; NaN where not detected.
+        false: detections of no tag of the room, or of one that is elsewhere, `(N,)`.
+    """
+
+    detected: BoolArray
+    corners: FloatArray
+    false: IntArray
+
+    @classmethod
+    def joined(cls, parts: "Sequence[Sightings]") -> "Sightings":
+        """Those of all the frames of several parts."""
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__))
+
+
+def picture(renderer: Renderer, pose: FloatArray, number: int, seed: int) -> UInt8Array:
+    """Frame `number` of a run with this seed, the same wherever it is rendered, `(h, w)`."""
+    return renderer.frame(pose, np.random.default_rng([seed, STREAM, number]))
+
+
+def look(
+    renderer: Renderer, detectors: Mapping[str, Detector], poses: FloatArray, first: int, seed: int
+) -> dict[str, Sightings]:
+    """Render frames and let every detector read each.
+
+    Args:
+        renderer: the camera in the room.
+        detectors: by name.
+        poses: X of the frames, `(N, 4, 4)`.
+        first: number of the first of them; the noise of a frame depends on its number.
+        seed: of the run.
+
+    Returns:
+        Sightings by the detector's name.
+    """
+    expected, ids = renderer.corners(poses), renderer.room.ids
+    matches: dict[str, list[Matches]] = {name: [] for name in detectors}
+    for i, pose in enumerate(poses):
+        image = picture(renderer, pose, first + i, seed)
+        for name, detector in detectors.items():
+            matches[name].append(match(detector.detect(image), ids, expected[i]))
+    return {
+        name: Sightings(
+            np.stack([m.detected for m in found]),
+            np.stack([m.corners for m in found]),
+            np.array([m.false for m in found]),
+        )
+        for name, found in matches.items()
+    }

@@ -1,0 +1,199 @@
+"""What was predicted of frames beside what detectors made of them: rows of tables."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+import pandas as pd
+
+from lmd.checks import BoolArray, FloatArray
+from lmd.deployment import Deployment
+from lmd.detection.evaluation import NUMBERS, agreement, at_least, corner_error, precision_recall, quantiles_by
+from lmd.detection.frames import Sightings, overlapping
+from lmd.detection.pose import pose_error, pose_from_corners
+from lmd.detection.quality import pitch
+from lmd.render.renderer import Renderer
+from lmd.scene import Scene
+
+# Classes of pitch, pixels a module.
+PITCHES = np.array([0.0, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 6.0, 9.0, np.inf])
+QUANTILES = {"median": 0.5, "90": 0.9}
+
+
+class Explained(Protocol):
+    """What a visibility model may have so that it can be told which of its criteria leaves a tag out."""
+
+    def verdicts(
+        self, camera: Any, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
+    ) -> Mapping[str, BoolArray]:
+        """Whether landmarks meet each criterion taken by itself, `(A, K)` by its name; args as in `covered`."""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """N frames of a deployment and what a visibility model says of them.
+
+    Args:
+        renderer: the camera in the room with K tags.
+        poses: X, `(N, 4, 4)`.
+        visible: which tags the model counts as seen, `(N, K)`.
+        met: whether each of its criteria is met, `(N, K)` by name; empty where the model cannot say.
+    """
+
+    renderer: Renderer
+    poses: FloatArray
+    visible: BoolArray
+    met: Mapping[str, BoolArray]
+
+    @cached_property
+    def corners(self) -> FloatArray:
+        """Exact corners, pixels, `(N, K, 4, 2)`."""
+        return self.renderer.corners(self.poses)
+
+    @cached_property
+    def whole(self) -> BoolArray:
+        """Which tags show their front with all corners in the image, `(N, K)`."""
+        return self.renderer.inside(self.poses)
+
+    @cached_property
+    def pitch(self) -> FloatArray:
+        """Pixels a module, `(N, K)`; NaN for what is not wholly in the image."""
+        room = self.renderer.room
+        values = pitch(self.renderer.camera, self.poses, room.centres, room.normals, room.tag)
+        return np.where(self.whole, values, np.nan)
+
+    @cached_property
+    def overlapping(self) -> BoolArray:
+        """Which tags lie over or under another one, `(K,)`."""
+        return overlapping(self.renderer.room)
+
+
+def verdicts(scene: Scene, deployment: Deployment, poses: FloatArray) -> dict[str, BoolArray]:
+    """What the scene's visibility model says of its criteria in N poses, `(N, K)` each; nothing if it cannot tell."""
+    explain = getattr(scene.visibility, "verdicts", None)
+    if explain is None:
+        return {}
+    landmarks = deployment.positions, deployment.normals
+    rows = [explain(scene.camera, pose[:3, 3], pose[None, :3, 2], *landmarks) for pose in poses]
+    return {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
+
+
+def figures(prediction: Prediction, seen: Sightings) -> dict[str, float]:
+    """The figures of one deployment and one detector.
+
+    `predicted_<n>`, `detected_<n>`: P(>= n), each with its standard error `_error`; `agreement_<n>`, the share of
+    frames in which both agree on it; `precision`, `recall` over tags; `left_out`, the tags detected in a frame and not
+    predicted, and of these `left_out_<criterion>`, those that fail it (one may fail several); `overrated`, those
+    predicted and not detected, of these `overrated_cut` by the border, and `overrated_overlapping` of those that are
+    whole; `false_a_frame`; `corner_median`, `corner_90`, pixels; `pose_share`, the share of frames with a pose, and
+    the quantiles of its errors, metres and rad.
+    """
+    row: dict[str, float] = {"frames": len(prediction.poses), "tags": prediction.visible.shape[1]}
+    row["overlapping"] = int(prediction.overlapping.sum())
+    visible, detected = prediction.visible, seen.detected
+    for name, which in (("predicted", visible), ("detected", detected)):
+        shares = at_least(which)
+        for n, share, error in zip(NUMBERS, *shares, strict=True):
+            row[f"{name}_{n}"], row[f"{name}_{n}_error"] = float(share), float(error)
+    row |= {f"agreement_{n}": agreement(visible, detected, int(n)) for n in NUMBERS}
+    precision, recall = precision_recall(visible, detected)
+    row |= {"precision": float(precision), "recall": float(recall)}
+    left_out, overrated = detected & ~visible, visible & ~detected
+    row["left_out"] = int(left_out.sum())
+    row |= {f"left_out_{name}": int((left_out & ~met).sum()) for name, met in prediction.met.items()}
+    row["overrated"], row["overrated_cut"] = int(overrated.sum()), int((overrated & ~prediction.whole).sum())
+    row["overrated_overlapping"] = int((overrated & prediction.whole & prediction.overlapping).sum())
+    row["false_a_frame"] = float(seen.false.mean())
+    row |= _quantiles("corner", corner_error(seen.corners, prediction.corners))
+    renderer = prediction.renderer
+    poses = [
+        pose_from_corners(renderer.camera, renderer.room.corners, found, renderer.imaging.distortion)
+        for found in seen.corners
+    ]
+    position, attitude = pose_error(prediction.poses, np.stack(poses))
+    row["pose_share"] = float(np.isfinite(position).mean())
+    return row | _quantiles("position", position) | _quantiles("attitude", attitude)
+
+
+def _quantiles(name: str, values: FloatArray) -> dict[str, float]:
+    """`QUANTILES` of the finite values, NaN without any."""
+    known = values[np.isfinite(values)]
+    return {f"{name}_{key}": float(np.quantile(known, q)) if known.size else np.nan for key, q in QUANTILES.items()}
+
+
+def by_pitch(prediction: Prediction, seen: Sightings) -> pd.DataFrame:
+    """Tags that are wholly in the image, by their pitch.
+
+    Columns: `pitch_from`, `pitch_to` (pixels a module), `tags`, the shares `predicted` and `detected` of them, and
+    `corner_median`, `corner_90` (pixels). Classes without a tag are left out.
+    """
+    error = corner_error(seen.corners, prediction.corners)
+    place = np.searchsorted(PITCHES, prediction.pitch, side="right") - 1
+    quantiles, _ = quantiles_by(prediction.pitch, error, PITCHES, tuple(QUANTILES.values()))
+    rows = []
+    for b, corner in enumerate(quantiles):
+        members = (place == b) & prediction.whole
+        if members.any():
+            span = {"pitch_from": PITCHES[b], "pitch_to": PITCHES[b + 1], "tags": int(members.sum())}
+            shares = {"predicted": prediction.visible[members].mean(), "detected": seen.detected[members].mean()}
+            rows.append(span | shares | {f"corner_{key}": q for key, q in zip(QUANTILES, corner, strict=True)})
+    return pd.DataFrame(rows)
+
+
+def by_tag(prediction: Prediction, seen: Sightings) -> pd.DataFrame:
+    """A row for each tag: `id`, `overlapping`, frames it was `predicted` and `detected` in, `precision`, `recall`."""
+    precision, recall = precision_recall(prediction.visible, seen.detected, axis=0)
+    return pd.DataFrame({
+        "id": prediction.renderer.room.ids,
+        "overlapping": prediction.overlapping,
+        "predicted": prediction.visible.sum(axis=0),
+        "detected": seen.detected.sum(axis=0),
+        "precision": precision,
+        "recall": recall,
+    })  # fmt: skip
+
+
+def to_markdown(table: pd.DataFrame) -> str:
+    """`figures` as Markdown, one row for each deployment and detector.
+
+    Args:
+        table: with the columns `deployment` and `detector` before those of `figures`.
+    """
+    criteria = [c.removeprefix("left_out_") for c in table.columns if c.startswith("left_out_")]
+    head = ["deployment", "detector", *(f"P(>= {n}) predicted / detected" for n in NUMBERS), "frames agree on >= 2"]
+    head += ["precision / recall of tags", "false a frame", "corners: median / 90 % [px]", "frames with a pose"]
+    head += ["position: median / 90 % [mm]"]
+    blame = [
+        "deployment",
+        "detector",
+        "detected, not predicted",
+        *(f"of these fail {c.replace('_', ' ')}" for c in criteria),
+    ]
+    blame += ["predicted, not detected", "of these cut by the border", "of the others overlapping"]
+    rows, wrong = [], []
+    for row in table.to_dict("records"):
+        shares = [
+            f"{row[f'predicted_{n}']:.3f} / {row[f'detected_{n}']:.3f} ± {row[f'detected_{n}_error']:.3f}"
+            for n in NUMBERS
+        ]
+        names = [str(row["deployment"]), str(row["detector"])]
+        rows.append([
+            *names,
+            *shares,
+            f"{row['agreement_2']:.1%}",
+            f"{row['precision']:.3f} / {row['recall']:.3f}",
+            f"{row['false_a_frame']:.3f}",
+            f"{row['corner_median']:.2f} / {row['corner_90']:.2f}",
+            f"{row['pose_share']:.1%}",
+            f"{1e3 * row['position_median']:.2f} / {1e3 * row['position_90']:.2f}",
+        ])  # fmt: skip
+        counts = ["left_out", *(f"left_out_{c}" for c in criteria), "overrated", "overrated_cut"]
+        wrong.append([*names, *(f"{row[key]:,.0f}" for key in (*counts, "overrated_overlapping"))])
+    return f"{_table(head, rows)}\n{_table(blame, wrong)}"
+
+
+def _table(head: list[str], rows: list[list[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)

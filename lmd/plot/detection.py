@@ -1,0 +1,146 @@
+"""What detectors found beside what was predicted: figures, and frames with the tags outlined."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from lmd.checks import BoolArray, FloatArray
+from lmd.detection.calibration import Calibration
+from lmd.detection.evaluation import NUMBERS
+from lmd.optional import optional
+from lmd.plot.common import shrink
+from lmd.render.imaging import UInt8Array
+
+# Outlines in frames, red, green, blue.
+BOTH, ONLY_DETECTED, ONLY_PREDICTED = (26, 150, 65), (31, 119, 220), (214, 39, 40)
+# Classes of pitch over its limit.
+RATIOS = np.arange(0.3, 2.51, 0.1)
+PITCH_TICKS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+LEGEND = (
+    (BOTH, "predicted and detected"),
+    (ONLY_DETECTED, "detected, not predicted"),
+    (ONLY_PREDICTED, "predicted, not detected"),
+)
+
+
+def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd.DataFrame, title: str) -> None:
+    """Write a PNG: for each deployment P(>= n) predicted and detected, and below it both shares of tags by their pitch.
+
+    Args:
+        path: the PNG.
+        figures: rows of `lmd.detection.report.figures` with the columns `deployment` and `detector`.
+        pitches: those of `by_pitch`, with the same columns.
+        title: heads the picture.
+    """
+    from matplotlib.figure import Figure
+
+    names, detectors = list(figures.deployment.unique()), list(figures.detector.unique())
+    figure = Figure(figsize=(2.0 + 5.0 * len(names), 9.0), dpi=100, layout="constrained")
+    figure.suptitle(title)
+    panels: Any = figure.subplots(2, len(names), sharey="row", squeeze=False)
+    width = 0.8 / (1 + len(detectors))
+    for axes, name in zip(panels[0], names, strict=True):
+        rows = figures[figures.deployment == name].set_index("detector")
+        bars = [("predicted", rows.iloc[0], "predicted", "#9e9e9e")]
+        bars += [(detector, rows.loc[detector], "detected", f"C{i}") for i, detector in enumerate(detectors)]
+        for i, (label, row, which, colour) in enumerate(bars):
+            share, error = ([row[f"{which}_{n}{end}"] for n in NUMBERS] for end in ("", "_error"))
+            at = NUMBERS + (i - len(detectors) / 2.0) * width
+            axes.bar(at, share, width, yerr=error, color=colour, label=label, error_kw={"lw": 1.0})
+        axes.set(title=name, xticks=NUMBERS, xticklabels=[f"≥ {n}" for n in NUMBERS], ylim=(0.0, 1.02))
+        axes.set_xlabel("tags in a frame")
+        axes.grid(axis="y", alpha=0.3)
+    for axes, name in zip(panels[1], names, strict=True):
+        for i, detector in enumerate(detectors):
+            rows = pitches[(pitches.deployment == name) & (pitches.detector == detector)]
+            if i == 0:
+                axes.plot(_middle(rows), rows.predicted, "o--", color="#9e9e9e", label="predicted")
+            axes.plot(_middle(rows), rows.detected, "o-", color=f"C{i}", label=detector)
+        axes.set(xscale="log", xlabel="pixels a module, tags wholly in the image", ylim=(-0.02, 1.02))
+        axes.set_xticks(PITCH_TICKS, [f"{tick:g}" for tick in PITCH_TICKS])
+        axes.set_xticks([], minor=True)
+        axes.set_xlim(PITCH_TICKS[0], PITCH_TICKS[-1])
+        axes.grid(alpha=0.3)
+    panels[0][0].set_ylabel("share of frames")
+    panels[1][0].set_ylabel("share of tags")
+    handles, labels = panels[0][0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    figure.savefig(path)
+
+
+def save_limits_figure(path: str | Path, calibrations: Mapping[str, Calibration], title: str) -> None:
+    """Write a PNG: for each detector which views it found, by pitch and blur, and how often by pitch over its limit.
+
+    Args:
+        path: the PNG.
+        calibrations: by the detector's name.
+        title: heads the picture.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12.0, 0.6 + 4.2 * len(calibrations)), dpi=100, layout="constrained")
+    figure.suptitle(title)
+    panels: Any = figure.subplots(len(calibrations), 2, squeeze=False)
+    for (left, right), (name, calibration) in zip(panels, calibrations.items(), strict=True):
+        views, limits = calibration.views, calibration.fit.limits
+        fair = (views.incidence <= limits.incidence) & (views.edge >= limits.edge)
+        for which, colour, label in ((views.seen, "C0", "found"), (~views.seen, "C3", "not found")):
+            chosen = fair & which
+            left.plot(views.sigma[chosen], views.pitch[chosen], ".", ms=3.0, alpha=0.5, color=colour, label=label)
+        sigma = np.linspace(views.sigma.min(), views.sigma.max(), 100)
+        left.plot(sigma, np.hypot(limits.pitch, limits.blur * sigma), "k", label="limit")
+        left.set(title=name, xlabel="blur sigma [px]", ylabel="pixels a module", ylim=(0.0, None))
+        left.legend(loc="upper left", markerscale=3.0, framealpha=0.9)
+        ratio = views.pitch / np.hypot(limits.pitch, limits.blur * views.sigma)
+        place = np.searchsorted(RATIOS, ratio, side="right") - 1
+        for b in range(len(RATIOS) - 1):
+            members = views.seen[fair & (place == b)]
+            if len(members):
+                share = members.mean()
+                error = np.sqrt(share * (1.0 - share) / len(members))
+                right.errorbar((RATIOS[b] + RATIOS[b + 1]) / 2.0, share, error, fmt="o", color="C0")
+        right.plot([RATIOS[0], 1.0, 1.0, RATIOS[-1]], [0.0, 0.0, 1.0, 1.0], "k", lw=1.0)
+        right.set(xlabel="pixels a module over the limit", ylabel="share found", ylim=(-0.02, 1.02))
+        right.grid(alpha=0.3)
+    figure.savefig(path)
+
+
+def _middle(rows: pd.DataFrame) -> FloatArray:
+    """Where to draw classes of pitch: the geometric mean of their bounds, `(B,)`."""
+    low, high = rows.pitch_from.to_numpy(), rows.pitch_to.to_numpy()
+    low = np.where(low > 0.0, low, high / 1.5)
+    return np.asarray(np.sqrt(low * np.where(np.isfinite(high), high, 1.5 * low)))
+
+
+def save_frame(
+    path: str | Path, image: UInt8Array, expected: FloatArray, predicted: BoolArray, found: FloatArray
+) -> None:
+    """Write a frame as PNG with the tags outlined that were predicted or detected, and what the colours mean.
+
+    Args:
+        path: the PNG.
+        image: `(h, w)`.
+        expected: exact corners, pixels from the border, `(K, 4, 2)`; NaN behind the camera.
+        predicted: `(K,)`.
+        found: corners as detected, `(K, 4, 2)`; NaN where not detected.
+    """
+    cv2 = optional("cv2", "detection")
+    drawn = np.repeat(image[..., None], 3, axis=-1)
+    detected = np.asarray(np.isfinite(found).all(axis=(1, 2)))
+    scale = max(1, round(image.shape[1] / 800))
+    for k in np.flatnonzero(predicted | detected):
+        colour = ONLY_PREDICTED if not detected[k] else BOTH if predicted[k] else ONLY_DETECTED
+        square = found[k] if detected[k] else expected[k]
+        if np.isfinite(square).all():
+            centre = square.mean(axis=0)
+            wider = np.rint(centre + 1.25 * (square - centre) - 0.5).astype(np.int32)
+            cv2.polylines(drawn, [wider], True, colour, 2 * scale, cv2.LINE_AA)
+    for i, (colour, text) in enumerate(LEGEND):
+        at = (10 * scale, (18 + 18 * i) * scale)
+        cv2.putText(drawn, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5 * scale, (255, 255, 255), 4 * scale, cv2.LINE_AA)
+        cv2.putText(drawn, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5 * scale, colour, scale, cv2.LINE_AA)
+    cv2.imwrite(str(path), drawn[..., ::-1])
+    shrink(path)

@@ -1,0 +1,97 @@
+"""What a tag must be like for a detector to find it: `python -m pipelines.calibrate_detector detectors=[aruco]`."""
+
+import json
+
+import hydra
+from omegaconf import DictConfig
+
+from .app import CONF, choices, instantiate, keyed, run_directory
+from .sweeps.supervisor import run
+
+
+@hydra.main(version_base="1.3", config_path=CONF, config_name="calibrate_detector")
+def main(cfg: DictConfig) -> None:
+    """Fit, judge, record and show."""
+    run(cfg, calibrate)
+
+
+def calibrate(cfg: DictConfig) -> None:
+    """Fit limits to each of the configured detectors."""
+    import numpy as np
+
+    from lmd.checks import integer, real
+    from lmd.detection.calibration import Calibration, foreseen, judged
+    from lmd.detection.fit import fit
+    from lmd.plot.detection import save_limits_figure
+
+    from .detect import sightings, subject_of
+    from .tracked_run import tracked
+
+    seed, count = integer("seed", cfg.seed, low=0), integer("poses", cfg.poses, low=0)
+    border, source = real("border", cfg.border, low=0.0), instantiate(cfg.views)
+    subject = subject_of(cfg, max(count, 1), seed)
+    told, directory, written = subject.prediction, run_directory(), []
+    renderer, tag = told.renderer, told.renderer.room.tag
+    with tracked(cfg, f"calibrate_detector {tag.family}") as tracker:
+        fitted = {}
+        for name, detector in subject.detectors.items():
+            rng = np.random.default_rng([seed, STREAM])  # the same views for every detector
+            with keyed("views"):
+                views = source.views(renderer.camera, tag, detector, renderer.imaging, rng)
+                fitted[name] = views, fit(views, rng)
+        seen = sightings({"room": subject}, seed, cfg.workers)["room"] if count else {}
+        calibrations: dict[str, Calibration] = {}
+        for name, (views, limits) in fitted.items():
+            predicted = foreseen(limits.limits, renderer, told.poses, border)
+            rooms = judged(predicted, seen[name]) if count else {}
+            calibrations[name] = Calibration(views, limits, rooms)
+        for name, calibration in calibrations.items():
+            heading = f"Limits of {name} for tags of the family {tag.family}: views={choices()['views']}, seed {seed}."
+            written.append(directory / f"{tag.family}_{name}.yaml")
+            written[-1].write_text(calibration.preset(heading))
+        figures = {name: calibration.figures() for name, calibration in calibrations.items()}
+        markdown = to_markdown(figures)
+        (directory / "calibration.md").write_text(markdown)
+        (directory / "calibration.json").write_text(json.dumps({"seed": seed, "figures": figures}, indent=2) + "\n")
+        save_limits_figure(directory / "calibration.png", calibrations, f"{tag.family}, {choices()['views']}")
+        written += [directory / f"calibration.{kind}" for kind in ("md", "json", "png")]
+        tracker.log_metrics(
+            {
+                f"{key}/{name}": value
+                for name, row in figures.items()
+                for key, value in row.items()
+                if np.isfinite(value)
+            }
+        )
+        tracker.log_artifacts([*written, *sorted((directory / ".hydra").glob("*.yaml"))])
+        tracker.finish("FINISHED")
+    print(f"{markdown}\nfiles: {directory}\nmlflow: {tracker.describe()}")
+
+
+# Keeps the views apart from every other use of the same seed.
+STREAM = 0x7669657773
+
+
+def to_markdown(figures: dict[str, dict[str, float]]) -> str:
+    """A row for each detector: its limits, and how well they predict what they were not fitted to."""
+    import math
+
+    head = ["detector", "views", "a", "k", "m [px]", "b [degrees]", "held-out accuracy / precision / recall"]
+    head += [f"rooms: P(>= {n}) predicted / detected" for n in range(1, 5)]
+    head += ["rooms: precision / recall", "rooms: frames agree on >= 2"]
+    lines = [" | ".join(head), " | ".join(["---"] * len(head))]
+    for name, row in figures.items():
+        cells = [name, f"{row['views']:.0f}", f"{row['pitch']:.2g}", f"{row['blur']:.2g}", f"{row['edge']:.3g}"]
+        cells += [f"{math.degrees(row['incidence']):.0f}"]
+        cells += [f"{row['accuracy']:.3f} / {row['precision']:.3f} / {row['recall']:.3f}"]
+        if "room_frames" in row:
+            cells += [f"{row[f'room_predicted_{n}']:.3f} / {row[f'room_detected_{n}']:.3f}" for n in range(1, 5)]
+            cells += [f"{row['room_precision']:.3f} / {row['room_recall']:.3f}", f"{row['room_agreement_2']:.1%}"]
+        else:
+            cells += ["–"] * 6
+        lines.append(" | ".join(cells))
+    return "\n".join(f"| {line} |" for line in lines) + "\n"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,59 @@
+"""Pipelines that set several deployments beside each other in one run."""
+
+import re
+import sys
+
+from omegaconf import DictConfig, OmegaConf
+
+from .app import recompose, search_path, task_overrides
+
+NAME = re.compile(r"[\w.-]+")  # what mlflow takes in the name of a metric
+
+
+def read_deployment_as_a_list() -> None:
+    """Take `deployment=a,b,c` of the command line as `deployments=[a,b,c]`: all share one run, so it is no sweep."""
+    sys.argv[1:] = [re.sub(r"^deployment=(.*)$", r"deployments=[\1]", argument) for argument in sys.argv[1:]]
+
+
+def composed_deployments(cfg: DictConfig, config_name: str) -> dict[str, DictConfig]:
+    """The configuration for each entry of `deployments`, under its name.
+
+    Args:
+        cfg: of the running application.
+        config_name: what it composes, `observe` and so on.
+
+    Raises:
+        InputError: there is no entry, or one that is refused.
+    """
+    from lmd.checks import InputError
+
+    entries = OmegaConf.to_container(cfg.deployments) if OmegaConf.is_list(cfg.deployments) else []
+    if not entries or not all(str(entry).split() for entry in entries):
+        raise InputError(f"deployments must list at least one option of conf/deployment, got {cfg.deployments!r}.")
+    composed: dict[str, DictConfig] = {}
+    used: set[str] = set()
+    for entry in map(str, entries):
+        first, *rest = entry.split()
+        name, option, own = (first[:-1], rest[0], rest[1:]) if first.endswith(":") and rest else (first, first, rest)
+        if name in composed:
+            raise InputError(f"deployments has {name!r} twice: give them names, e.g. 'mine: {entry}'.")
+        if not NAME.fullmatch(name):
+            raise InputError(f"deployments: the name {name!r} must be of letters, digits, _, - and dots.")
+        composed[name] = _compose(config_name, entry, option, own, used)
+    unused = [override for key, override in task_overrides() if key.startswith("deployment.") and key not in used]
+    if unused:
+        raise InputError(f"{unused[0]} is for none of the deployments {', '.join(composed)}.")
+    return composed
+
+
+def _compose(config_name: str, entry: str, option: str, own: list[str], used: set[str]) -> DictConfig:
+    """The configuration for one deployment, without overrides of keys it lacks; the keys it has go to `used`."""
+    keys = recompose(config_name, [*search_path(), f"deployment={option}"], "deployments", entry).deployment
+    shared = []
+    for key, override in task_overrides():
+        group, _, rest = key.partition(".")
+        if group == "deployments" or (group == "deployment" and rest.split(".")[0] not in keys):
+            continue
+        used.add(key)
+        shared.append(override)
+    return recompose(config_name, [*shared, *search_path(), f"deployment={option}", *own], "deployments", entry)

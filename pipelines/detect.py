@@ -1,0 +1,235 @@
+"""What real detectors find of deployments: `python -m pipelines.detect deployment=uniform,random [overrides]`.
+
+Random poses are rendered and read by each detector, the same poses for every deployment. So `deployment=a,b,c` does not
+start a sweep here: it is read as `deployments=[a,b,c]`.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import hydra
+from omegaconf import DictConfig
+
+from .app import CONF, build_problem, instantiate, keyed, run_directory
+from .deployments import composed_deployments, read_deployment_as_a_list
+from .sweeps.supervisor import run
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import pandas as pd
+
+    from lmd.checks import FloatArray
+    from lmd.detection.detectors import Detector
+    from lmd.detection.frames import Sightings
+    from lmd.detection.report import Prediction
+    from lmd.problem import Problem
+    from lmd.render.renderer import Renderer
+
+CHUNK = 10  # frames that a worker renders and reads at a time
+
+
+def main() -> None:
+    """Read `deployment=...` as the list of deployments, then hand over to Hydra."""
+    read_deployment_as_a_list()
+    _main()
+
+
+@hydra.main(version_base="1.3", config_path=CONF, config_name="detect")
+def _main(cfg: DictConfig) -> None:
+    """Render, detect, record and show."""
+    run(cfg, detect)
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A deployment that is looked at, and by whom."""
+
+    problem: "Problem"
+    prediction: "Prediction"
+    detectors: Mapping[str, "Detector"]
+
+
+def detect(cfg: DictConfig) -> None:
+    """Let the configured detectors read frames of the configured deployments."""
+    from lmd.checks import integer
+    from lmd.detection.report import to_markdown
+    from lmd.plot.detection import save_calibration_figure
+
+    from .tracked_run import title_of, tracked_run
+
+    seed, count = integer("seed", cfg.seed, low=0), integer("poses", cfg.poses, low=1)
+    pictures = integer("pictures", cfg.pictures, low=0)
+    composed = composed_deployments(cfg, "detect")
+    subjects = {name: subject_of(own, count, seed) for name, own in composed.items()}
+    problem, directory = next(iter(subjects.values())).problem, run_directory()
+    with tracked_run(cfg, problem, "detect") as tracker:
+        seen = sightings(subjects, seed, cfg.workers)
+        figures, pitches, tags = _tables(subjects, seen)
+        markdown = to_markdown(figures)
+        (directory / "detect.md").write_text(markdown)
+        for name, table in (("figures", figures), ("pitches", pitches), ("tags", tags)):
+            table.to_csv(directory / f"{name}.csv", index=False)
+        metrics = _metrics(figures)
+        document = {"figures": metrics, "poses": count, "seed": seed, "settings": problem.settings()}
+        (directory / "detect.json").write_text(json.dumps(document, indent=2) + "\n")
+        title = title_of(problem, f"{count} poses,")
+        save_calibration_figure(directory / "calibration.png", figures, pitches, title)
+        frames = _save_frames(directory / "frames", subjects, seen, min(pictures, count), seed)
+        tracker.log_metrics(metrics)
+        names = ("detect.md", "figures.csv", "pitches.csv", "tags.csv", "detect.json", "calibration.png")
+        files = [*(directory / name for name in names), *frames]
+        tracker.log_artifacts([*files, *sorted((directory / ".hydra").glob("*.yaml"))])
+        tracker.finish("FINISHED")
+    print(f"{markdown}\nfiles: {directory}\nmlflow: {tracker.describe()}")
+
+
+def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
+    """A deployment with its prediction in random poses, and detectors that work.
+
+    Args:
+        cfg: with one deployment.
+        count: poses.
+        seed: draws them, and the deployment if it is random.
+
+    Raises:
+        InputError: the deployment, the tag or a detector is refused.
+    """
+    import numpy as np
+
+    from lmd.checks import InputError
+    from lmd.detection.frames import draw_poses, tagged_room
+    from lmd.detection.report import Prediction, verdicts
+    from lmd.render.renderer import Renderer
+    from lmd.sight.views import visible
+
+    problem, tag, imaging = build_problem(cfg), instantiate(cfg.tag), instantiate(cfg.imaging)
+    scene = problem.scene
+    if tag.is_point:
+        raise InputError("tag.edge must be given, in metres: a detector cannot read a point.")
+    detectors = {name: instantiate(node) for name, node in (cfg.get("detectors") or {}).items()}
+    if not detectors:
+        raise InputError("detectors must name at least one detector.")
+    for detector in detectors.values():
+        detector.detect(np.zeros((64, 64), dtype=np.uint8))  # a package that is missing is missed here
+    deployment = problem.start.draw(scene.room, np.random.default_rng(seed))
+    with keyed("tag"):
+        room = tagged_room(scene.room, deployment, tag)
+    poses = draw_poses(scene, count, seed)
+    predicted = visible(problem.evaluator, deployment, poses[:, :3, 3], poses[:, :3, 2])
+    renderer = Renderer(scene.camera, room, imaging)
+    with keyed("imaging"):
+        renderer.inside(poses[:1])
+    return Subject(problem, Prediction(renderer, poses, predicted, verdicts(scene, deployment, poses)), detectors)
+
+
+class Job(NamedTuple):
+    """Some frames of one subject, for a process of its own."""
+
+    name: str
+    renderer: "Renderer"
+    detectors: Mapping[str, "Detector"]
+    poses: "FloatArray"
+    first: int
+    seed: int
+
+
+def sightings(subjects: Mapping[str, Subject], seed: int, workers: int | None) -> dict[str, dict[str, "Sightings"]]:
+    """What each detector found, by the subject's and the detector's names.
+
+    Args:
+        subjects: by name.
+        seed: of the noise.
+        workers: processes, None for every processor; the result is the same.
+    """
+    from lmd.detection.frames import Sightings
+
+    from .progress import bar
+    from .workers import in_processes
+
+    jobs = [
+        Job(name, subject.prediction.renderer, subject.detectors, poses[first : first + CHUNK], first, seed)
+        for name, subject in subjects.items()
+        for poses in [subject.prediction.poses]
+        for first in range(0, len(poses), CHUNK)
+    ]
+    finished, found = in_processes(_look, jobs, workers), {}
+    with bar(sum(len(job.poses) for job in jobs), "frames") as progress:
+        for name, first, part in finished:
+            found[name, first] = part
+            progress.update(len(next(iter(part.values())).false))
+    parts = {name: [found[key] for key in sorted(found) if key[0] == name] for name in subjects}
+    return {
+        name: {key: Sightings.joined([part[key] for part in parts[name]]) for key in subject.detectors}
+        for name, subject in subjects.items()
+    }
+
+
+def _look(job: Job) -> tuple[str, int, dict[str, "Sightings"]]:
+    """One job, on one thread."""
+    from lmd.detection.frames import look
+    from lmd.optional import optional
+
+    optional("cv2", "detection").setNumThreads(1)
+    return job.name, job.first, look(job.renderer, job.detectors, job.poses, job.first, job.seed)
+
+
+def _tables(
+    subjects: Mapping[str, Subject], seen: Mapping[str, Mapping[str, "Sightings"]]
+) -> "tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]":
+    """Figures, classes of pitch and tags, each with the columns `deployment` and `detector`."""
+    import pandas as pd
+
+    from lmd.detection.report import by_pitch, by_tag, figures
+
+    rows, pitches, tags = [], [], []
+    for name, subject in subjects.items():
+        for detector, found in seen[name].items():
+            names = {"deployment": name, "detector": detector}
+            rows.append({**names, **figures(subject.prediction, found)})
+            pitches.append(by_pitch(subject.prediction, found).assign(**names))
+            tags.append(by_tag(subject.prediction, found).assign(**names))
+    ordered = [pd.concat(tables, ignore_index=True) for tables in (pitches, tags)]
+    first = ["deployment", "detector"]
+    by_class, by_id = (table[[*first, *table.columns.drop(first)]] for table in ordered)
+    return pd.DataFrame(rows), by_class, by_id
+
+
+def _metrics(figures: "pd.DataFrame") -> dict[str, float]:
+    """The finite figures as `<figure>/<deployment>/<detector>`."""
+    import math
+
+    return {
+        f"{key}/{row['deployment']}/{row['detector']}": float(value)
+        for row in figures.to_dict("records")
+        for key, value in row.items()
+        if key not in ("deployment", "detector") and math.isfinite(value)
+    }
+
+
+def _save_frames(
+    folder: "Path",
+    subjects: Mapping[str, Subject],
+    seen: Mapping[str, Mapping[str, "Sightings"]],
+    count: int,
+    seed: int,
+) -> "list[Path]":
+    """The first frames of each deployment as its first detector reads them."""
+    from lmd.detection.frames import picture
+    from lmd.plot.detection import save_frame
+
+    files = []
+    for name, subject in subjects.items():
+        found, told = next(iter(seen[name].values())), subject.prediction
+        for i in range(count):
+            folder.mkdir(exist_ok=True)
+            files.append(folder / f"{name}_{i}.png")
+            image = picture(told.renderer, told.poses[i], i, seed)
+            save_frame(files[-1], image, told.corners[i], told.visible[i], found.corners[i])
+    return files
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,255 @@
+"""Rooms of tags, frames of them, limits judged on them, and views from images of a board."""
+
+import math
+import pickle
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+
+from lmd import pdf
+from lmd.camera import Camera
+from lmd.checks import InputError
+from lmd.deployment import Deployment, UniformDeployment
+from lmd.detection.board import BoardImages
+from lmd.detection.calibration import Calibration, foreseen, judged
+from lmd.detection.detectors import AprilTagDetector, ArucoDetector
+from lmd.detection.fit import Fit, Limits
+from lmd.detection.frames import (
+    Sightings,
+    draw_poses,
+    look,
+    overlapping,
+    picture,
+    qualities,
+    tagged_room,
+    upright,
+)
+from lmd.detection.mosaic import Mosaics, Views
+from lmd.detection.report import Prediction, by_pitch, by_tag, figures, to_markdown, verdicts
+from lmd.geometry.se3 import camera_pose, poses_from_rows
+from lmd.render.imaging import Imaging
+from lmd.render.renderer import Renderer
+from lmd.render.room import TaggedRoom
+from lmd.scene import Scene
+from lmd.sight.paper import Visibility
+from lmd.space.cuboid import Cuboid
+from lmd.tag import Tag
+
+CAMERA = Camera(5.0, 0.0116, 0.0116, (400.0, 300.0), 800.0, 600.0, 5.0, 1778.0)
+ROOM = Cuboid((4.0, 3.0, 3.0), (2.0, 1.0, 1.0), 0.5)
+SCENE = Scene(ROOM, CAMERA, pdf.solid_angle(), Visibility(0.28))
+IMAGING = Imaging(texture=4.0)
+DETECTORS = {"aruco": ArucoDetector(), "apriltag": AprilTagDetector(quad_decimate=2.0)}
+
+
+def uniform(count=24):
+    return UniformDeployment(count).draw(ROOM, np.random.default_rng(0))
+
+
+def test_tags_hang_along_v_of_their_surfaces():
+    deployment = uniform()
+    room = tagged_room(ROOM, deployment, Tag(0.15))
+    expected = [ROOM.surfaces()[number].v for number in deployment.surfaces]
+    np.testing.assert_allclose(room.ups, expected)
+    np.testing.assert_allclose(upright(deployment.normals), expected)
+    # Where no surface is known, and where a tag leans off its wall.
+    loose = Deployment(deployment.positions, deployment.normals)
+    np.testing.assert_allclose(tagged_room(ROOM, loose, Tag(0.15)).ups, expected)
+    leaning = np.array([[0.6, 0.0, 0.8]])
+    np.testing.assert_allclose(upright(leaning), [[-0.8, 0.0, 0.6]])
+    with pytest.raises(InputError, match="family 16h5 has 30 different tags, too few for 36"):
+        tagged_room(ROOM, uniform(36), Tag(0.15, "16h5"))
+
+
+def test_tags_overlap_in_one_plane_only():
+    # Paper of 0.125 m: the second is 0.12 m beside the first, the third 0.13 m above it, the fourth on another wall.
+    centres = np.array([[1.0, 3.0, 1.0], [1.12, 3.0, 1.0], [1.0, 3.0, 1.13], [1.0, 0.0, 1.0], [1.0, 0.0, 2.0]])
+    normals = np.array([[0.0, -1.0, 0.0]] * 3 + [[0.0, 1.0, 0.0]] * 2)
+    room = tagged_room(ROOM, Deployment(centres, normals), Tag(0.1))
+    assert overlapping(room).tolist() == [True, True, False, False, False]
+    touching = Deployment(np.array([[1.0, 3.0, 1.0], [1.125, 3.0, 1.0]]), normals[:2])
+    assert not overlapping(tagged_room(ROOM, touching, Tag(0.1))).any()
+
+
+def test_poses_are_those_of_the_seed_and_inside():
+    poses = draw_poses(SCENE, 200, 3)
+    np.testing.assert_array_equal(poses, draw_poses(SCENE, 200, 3))
+    assert (draw_poses(SCENE, 200, 4) != poses).any()
+    position = poses[:, :3, 3]
+    assert ((position >= ROOM.reachable_low) & (position <= ROOM.reachable_high)).all()
+    np.testing.assert_allclose(poses[:, 2, 0], 0.0, atol=1e-12)  # the camera's x axis stays level: no roll
+
+
+def test_a_pdf_known_only_at_its_orientations_is_drawn_from_these():
+    two = pdf.OrientationPdf([0.0, 1.0], [0.1, -0.2], [0.25, 0.75])
+    yaw, pitch = two.draw(4000, np.random.default_rng(0))
+    assert set(zip(yaw.tolist(), pitch.tolist(), strict=True)) == {(0.0, 0.1), (1.0, -0.2)}
+    assert yaw.mean() == pytest.approx(0.75, abs=0.03)
+
+
+@pytest.fixture(scope="module")
+def seen():
+    deployment, poses = uniform(), draw_poses(SCENE, 12, 0)
+    renderer = Renderer(CAMERA, tagged_room(ROOM, deployment, Tag(0.2)), IMAGING)
+    met = verdicts(SCENE, deployment, poses)
+    visible = np.logical_and.reduce(list(met.values()))
+    return Prediction(renderer, poses, visible, met), look(renderer, DETECTORS, poses, 0, 7)
+
+
+def test_frames_are_the_same_in_parts_and_after_a_journey(seen):
+    prediction, whole = seen
+    renderer = pickle.loads(pickle.dumps(prediction.renderer))
+    parts = [
+        look(renderer, pickle.loads(pickle.dumps(DETECTORS)), prediction.poses[i : i + 5], i, 7) for i in (0, 5, 10)
+    ]
+    for name, together in whole.items():
+        joined = Sightings.joined([part[name] for part in parts])
+        np.testing.assert_array_equal(joined.detected, together.detected)
+        np.testing.assert_array_equal(joined.corners, together.corners)
+        np.testing.assert_array_equal(joined.false, together.false)
+    assert (picture(renderer, prediction.poses[0], 0, 7) != picture(renderer, prediction.poses[0], 1, 7)).any()
+
+
+def test_verdicts_of_the_paper_are_its_criteria(seen):
+    prediction, _ = seen
+    assert set(prediction.met) == {"resolution", "field_of_view", "focus", "facing", "hiding"}
+    deployment = uniform()
+    for i, pose in enumerate(prediction.poses):
+        covered = SCENE.visibility.covered(
+            CAMERA, pose[:3, 3], pose[None, :3, 2], deployment.positions, deployment.normals
+        )
+        np.testing.assert_array_equal(covered[0], prediction.visible[i])
+    silent = replace(SCENE, visibility=object())
+    assert verdicts(silent, deployment, prediction.poses) == {}
+
+
+def test_figures_count_what_happened(seen):
+    prediction, found = seen
+    for sightings in found.values():
+        row = figures(prediction, sightings)
+        both = (prediction.visible & sightings.detected).sum()
+        assert row["left_out"] == sightings.detected.sum() - both
+        assert row["overrated"] == prediction.visible.sum() - both
+        assert row["recall"] == pytest.approx(both / sightings.detected.sum())
+        assert row["detected_2"] == (sightings.detected.sum(axis=1) >= 2).mean()
+        assert row["pose_share"] == row["detected_1"]
+        assert row["position_median"] < 0.02
+        tags = by_tag(prediction, sightings)
+        assert tags.detected.sum() == sightings.detected.sum()
+        pitches = by_pitch(prediction, sightings)
+        assert pitches.tags.sum() == prediction.whole.sum()
+        assert (pitches.detected * pitches.tags).sum() <= sightings.detected.sum()
+    rows = [{"deployment": "uniform", "detector": name} | figures(prediction, s) for name, s in found.items()]
+    lines = to_markdown(pd.DataFrame(rows)).splitlines()
+    assert len(lines) == 9
+    assert {line.count("|") for line in lines[:4]} == {13}
+
+
+def test_limits_foresee_whole_frames(seen):
+    prediction, found = seen
+    limits = Limits(0.8, 1.8, 12.0, math.radians(84.0))
+    predicted = foreseen(limits, prediction.renderer, prediction.poses, 3.0)
+    pitch, incidence, edge, sigma = qualities(prediction.renderer, prediction.poses)
+    assert (incidence[predicted] <= limits.incidence).all()
+    assert (edge[predicted] >= 12.0).all()
+    assert (pitch[predicted] >= np.hypot(0.8, 1.8 * sigma[predicted])).all()
+    row = judged(predicted, found["aruco"])
+    assert row["precision"] > 0.85
+    assert row["recall"] > 0.85
+    assert row["agreement_2"] > figures(prediction, found["aruco"])["agreement_2"] - 1e-9
+
+
+def test_a_preset_is_yaml_with_its_evidence():
+    yaml = pytest.importorskip("yaml")
+    views = Views(*np.ones((4, 6)), np.ones(6, dtype=bool), np.zeros(6))
+    calibration = Calibration(views, Fit(Limits(0.8, 1.8, 14.0, 1.466), 0.95, 0.94, 0.93), {})
+    text = calibration.preset("Limits of aruco.\nSeed 0.")
+    assert text.startswith(
+        "# Limits of aruco.\n# Seed 0.\n# Fitted to half of 6 views; on the other half accuracy 0.950"
+    )
+    assert yaml.safe_load(text) == {
+        "_target_": "lmd.detection.fit.Limits", "pitch": 0.8, "blur": 1.8, "edge": 14, "incidence": 1.466
+    }  # fmt: skip
+    assert calibration.figures()["seen"] == 1.0
+
+
+def test_mosaics_are_views():
+    views = Mosaics(40).views(CAMERA, Tag(0.1), ArucoDetector(), IMAGING, np.random.default_rng(0))
+    assert 20 < len(views) <= 40
+    with pytest.raises(InputError, match="count must be at least 2, got 1"):
+        Mosaics(1)
+
+
+@pytest.fixture(scope="module")
+def board(tmp_path_factory):
+    """Eight images of six tags on a table, and the CSVs a user would write."""
+    folder = tmp_path_factory.mktemp("board")
+    (folder / "images").mkdir()
+    x, y = np.meshgrid([0.0, 0.2, 0.4], [0.0, 0.2])
+    centres = np.stack([x.ravel(), y.ravel(), np.zeros(6)], axis=1)
+    normals, ids = np.tile([0.0, 0.0, 1.0], (6, 1)), np.arange(4, 10)
+    renderer = Renderer(CAMERA, TaggedRoom(Tag(0.1), ids, centres, normals, np.tile([0.0, 1.0, 0.0], (6, 1))), IMAGING)
+    rows = np.hstack([ids[:, None], centres, normals])
+    pd.DataFrame(rows, columns=["id", "x", "y", "z", "nx", "ny", "nz"]).to_csv(folder / "tags.csv", index=False)
+    table = []
+    for i, height in enumerate(np.linspace(0.6, 4.0, 8)):
+        pose = camera_pose([0.2 + 0.1 * height, 0.1 - 0.3 * height, height], 0.1, -1.2, 0.05 * i)
+        cv2.imwrite(str(folder / "images" / f"{i}.png"), renderer.frame(pose, np.random.default_rng(i)))
+        table.append([f"{i}.png", *pose[:3, 3], *Rotation.from_matrix(pose[:3, :3]).as_quat()])
+    columns = ["image", "x", "y", "z", "qx", "qy", "qz", "qw"]
+    pd.DataFrame(table, columns=columns).to_csv(folder / "poses.csv", index=False)
+    return folder
+
+
+def of(board, **changed):
+    return BoardImages(**{"folder": str(board / "images"), "tags": str(board / "tags.csv"), **changed})
+
+
+def views_of(images, camera=CAMERA):
+    return images.views(camera, Tag(0.1), AprilTagDetector(), IMAGING, np.random.default_rng(0))
+
+
+def test_images_of_a_board_are_views(board):
+    known, found = views_of(of(board, poses=str(board / "poses.csv"))), views_of(of(board))
+    assert len(known) == 48  # also those of the far images, where nothing is found
+    assert known.pitch.max() > 4.0 > 1.5 > known.pitch.min()
+    assert known.seen[known.pitch > 3.0].all()
+    assert not known.seen[known.pitch < 1.2].any()
+    assert np.nanmax(known.error) < 1.0
+    # By the corners found the poses are almost the same; images with fewer than two tags are left out.
+    assert 0 < len(found) < len(known)
+    np.testing.assert_allclose(found.pitch, known.pitch[: len(found)], rtol=0.01)
+    np.testing.assert_array_equal(found.seen, known.seen[: len(found)])
+
+
+def test_images_that_do_not_fit_are_refused(board, tmp_path):
+    def refused(sentence, camera=CAMERA, **changed):
+        with pytest.raises(InputError, match=sentence):
+            views_of(of(board, **changed), camera)
+
+    refused("folder is missing", folder=None)
+    refused("folder: there is no folder 'nowhere'", folder="nowhere")
+    refused("has no images", folder=str(tmp_path))
+    refused("tags is missing", tags=None)
+    refused("tolerance must be greater than 0", tolerance=0.0)
+    refused("has 800 x 600 pixels, the camera 1600 x 1200", camera=replace(
+        CAMERA, image_width=1600.0, image_height=1200.0))  # fmt: skip
+    (tmp_path / "poses.csv").write_text("image,x,y,z,qx,qy,qz,qw\nother.png,0,0,1,0,0,0,1\n")
+    refused("has no image 'other.png'", poses=str(tmp_path / "poses.csv"))
+    (tmp_path / "poses.csv").write_text("x,y,z,qx,qy,qz,qw\n0,0,1,0,0,0,1\n")
+    refused("lacks the column 'image'", poses=str(tmp_path / "poses.csv"))
+    (tmp_path / "tags.csv").write_text("id,x,y,z,nx,ny,nz\n1,0,0,0,0,0,1\n1,1,0,0,0,0,1\n")
+    refused("ids must be different whole numbers", tags=str(tmp_path / "tags.csv"))
+
+
+def test_rows_of_poses_have_unit_quaternions():
+    turn = Rotation.from_rotvec([0.1, 0.2, 0.3])
+    pose = poses_from_rows(np.array([[1.0, 2.0, 3.0, *turn.as_quat()]]))
+    np.testing.assert_allclose(pose[0, :3, :3], turn.as_matrix())
+    assert pose[0, :3, 3].tolist() == [1.0, 2.0, 3.0]
+    with pytest.raises(InputError, match="frame 0: the quaternion must have length 1, it has 2"):
+        poses_from_rows(np.array([[1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 2.0]]))
