@@ -5,7 +5,7 @@ from functools import cached_property
 from typing import Any
 
 from lmd.camera import Camera
-from lmd.pdf import OrientationPdf
+from lmd.pdf import OrientationPdf, Orientations
 from lmd.sight.criteria import Criteria
 from lmd.space.space import Space
 
@@ -18,6 +18,11 @@ class Scene:
     camera: Camera
     pdf: OrientationPdf
     visibility: Criteria
+
+    @property
+    def orientations(self) -> Orientations:
+        """The distinct orientations of the PDF, as far as the visibility model tells them apart."""
+        return self.pdf.by_axis_and_roll if self.visibility.needs_roll else self.pdf.by_axis
 
     @cached_property
     def sight(self) -> Any:

@@ -137,7 +137,7 @@ def record(
         if all_visible:
             sight = np.ones(shape, dtype=np.bool_)
         else:
-            sight = visible(evaluator, deployment, poses[:, :3, 3], poses[:, :3, 2])
+            sight = visible(evaluator, deployment, poses[:, :3, 3], axis_and_right(poses))
         seen.append(detector.detected(sight, rng))
         points.append(detector.measured(act(inverse(poses), deployment.positions), camera, rng))
     return Recording(
