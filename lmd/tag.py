@@ -69,7 +69,8 @@ class Tag:
     def __post_init__(self) -> None:
         if self.edge is not None and real("edge", self.edge) < 0.0:
             raise InputError(
-                f"edge must be positive, in metres, or null for landmarks that are points, got {self.edge!r}."
+                f"edge must be positive, in metres, or null for landmarks that are points, got {self.edge!r}.",
+                "edge",
             )
         object.__setattr__(self, "edge", float(self.edge) if self.edge else None)
         choice("family", self.family, tuple(FAMILIES))
@@ -114,7 +115,7 @@ class Tag:
     def check_count(self, count: int) -> None:
         """Raise `InputError` if the family has fewer than `count` different tags."""
         if count > self.ids:
-            raise InputError(f"family {self.family} has {self.ids} different tags, too few for {count}.")
+            raise InputError(f"family {self.family} has {self.ids} different tags, too few for {count}.", "family")
 
     def picture(self, number: int) -> BoolArray:
         """The modules of tag `number`, row 0 at the top, True where white, `(N, N)`.
