@@ -50,5 +50,6 @@ def dispatched(declaration: Function) -> Dispatched:
     call.__name__, call.__doc__, call.__module__ = declaration.__name__, declaration.__doc__, declaration.__module__
     call.register = register  # type: ignore[attr-defined]
     # numpy's error model: a division by zero gives infinity instead of a branch that keeps loops from vectorising.
-    overload(call, strict=False, jit_options={"error_model": "numpy"})(resolve)
+    # Inlined whatever the size: only so do loops vectorise, and does what stays the same move out of them.
+    overload(call, strict=False, jit_options={"error_model": "numpy", "forceinline": True})(resolve)
     return cast(Dispatched, call)

@@ -1,8 +1,9 @@
 """Plates: the papers that tags are printed on. They hang wholly on their surface, and never overlap.
 
-Tags hang upright (`lmd.tag.upright`), so their papers are squares along the u and v of their surface: two do not overlap
-exactly if their centres are at least an edge apart along u or along v. Landmarks that are points have no plates, and
-nothing here changes them. Tags that are tilted or hang on no surface are not looked at: only a file has such.
+Tags hang upright (`lmd.tag.upright`), so their papers are squares along the u and v of their surface: two do not
+overlap exactly if their centres are at least an edge apart along u or along v. Landmarks that are points have no
+plates, and nothing here changes them. Tags that are tilted or hang on no surface are not looked at: only a file has
+such.
 """
 
 from dataclasses import dataclass
@@ -115,8 +116,8 @@ class Plates:
     ) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
         """Deployments whose plates are pushed apart, one after the other; what hangs properly stays as it is.
 
-        A plate that overlaps one before it goes to the nearest free place on its surface, and if there is none to one on
-        the next surface that has. Deterministic, so that a search may work with the places before the push.
+        A plate that overlaps one before it goes to the nearest free place on its surface, and if there is none to one
+        on the next surface that has. Deterministic, so that a search may work with the places before the push.
 
         Args:
             positions, normals: `(B, K, 3)`, flush.
@@ -153,18 +154,18 @@ class Plates:
 @kernel
 def _is_free(a, b, s, others, surface, at, least):  # type: ignore[no-untyped-def]
     """Whether a plate at (a, b) on surface s is at least `least` away from the first `others` plates."""
+    free = True
     for j in range(others):
-        if surface[j] == s and max(abs(at[j, 0] - a), abs(at[j, 1] - b)) < least:
-            return False
-    return True
+        free = free and (surface[j] != s or max(abs(at[j, 0] - a), abs(at[j, 1] - b)) >= least)
+    return free
 
 
 @kernel
 def _nearest_free(k, s, a, b, within, surface, at, extent, least, edge, lines, found):  # type: ignore[no-untyped-def]
     """Write the free place for plate k nearest to (a, b) on surface s to `found`; whether there is one.
 
-    A nearest place has each coordinate either unchanged or on a line: the border, or one that touches another plate. Only
-    plates at most `within` away make lines.
+    A nearest place has each coordinate either unchanged or on a line: the border, or one that touches another plate.
+    Only plates at most `within` away make lines.
     """
     lines[0, 0], lines[1, 0] = a, b
     lines[:, 1], lines[0, 2], lines[1, 2] = 0.0, extent[s, 0], extent[s, 1]

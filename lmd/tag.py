@@ -153,7 +153,7 @@ def corners(centres: FloatArray, normals: FloatArray, ups: FloatArray, edge: flo
 
 
 def upright(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Right and up of tags that hang upright, seen from the front: unit vectors `(..., 3)`, world frame; up x n = right.
+    """Right and up of tags that hang upright, seen from the front: unit vectors `(..., 3)`, world frame.
 
     Up is as near to +z as the tag's plane allows, and as near to +y for normals within `LEVEL` of vertical, so on floor
     and ceiling. All tags here hang so: a square looks alike after a quarter turn, so other turns would gain next to

@@ -24,7 +24,7 @@ from lmd.sight.fiducial import LIMITS, Fiducial
 from lmd.sight.incremental.move import counts_of, move, state_of
 from lmd.sight.incremental.state import scratch_of
 from lmd.sight.views import visible
-from lmd.tag import Tag, corners, upright
+from lmd.tag import LEVEL, Tag, corners, upright
 
 
 def fiducial_scene(room=None, orientations=None, edge=0.1, **fiducial):
@@ -42,7 +42,7 @@ def test_tags_hang_upright(normal):
     right, up = upright(normal)
     np.testing.assert_allclose(np.stack([right, up, normal]) @ np.stack([right, up, normal]).T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(np.cross(up, normal), right, atol=1e-12)
-    assert (up[2] > 0.0 and abs(right[2]) < 1e-15) if np.hypot(*normal[:2]) > 0.11 else up[1] > 0.9
+    assert (up[2] > 0.0 and abs(right[2]) < 1e-15) if np.hypot(*normal[:2]) > LEVEL else up[1] > 0.9
 
 
 def by_the_detection_package(scene, deployment, poses):

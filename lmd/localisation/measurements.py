@@ -9,7 +9,7 @@ import numpy as np
 from lmd.camera import Camera
 from lmd.checks import BoolArray, FloatArray, InputError, real
 from lmd.deployment import Deployment
-from lmd.geometry.se3 import act, inverse, log
+from lmd.geometry.se3 import act, axis_and_right, inverse, log
 from lmd.localisation.trajectory import Trajectory
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.views import visible

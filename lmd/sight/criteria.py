@@ -2,8 +2,9 @@
 
 Most of what decides depends on the camera's position alone, little on its orientation. So each criterion is told twice:
 once for all orientations from a position (`from_position`), once for one orientation (`in_image`): the optical axis and
-the image's right, which a model that asks for no more than a cone ignores. Whether another landmark is in the way is a third question (`hide`). The three functions are scalar, without a branch where it can be
-helped, and every kernel calls these and no others.
+the image's right, which a model that asks for a round cone ignores. Whether another landmark is in the way is a third
+question (`hide`). The three functions are scalar, without a branch where it can be helped, and every kernel calls these
+and no others.
 
 A model has two sides:
 

@@ -1,6 +1,6 @@
 """When a real detector sees a fiducial tag: its pitch, its size in the image, its corners, and plates in the way.
 
-Fitted to some 60,000 rendered tags in front of ArUco and AprilTag: it predicts detection of single tags in 95 to 96 % of
+Fitted to what ArUco and AprilTag found in renderings of some 60,000 single tags: it predicts them in 95 to 96 % of
 cases, and the probability of seeing at least n tags in whole rooms to 0.02. A tag is seen if
 
 - it faces the camera at an incidence of at most `incidence`;
@@ -11,9 +11,10 @@ cases, and the probability of seeing at least n tags in whole rooms to 0.02. A t
 - the corners of its black square lie in the rectangular image, at least `margin` pixels from its border;
 - no other plate covers its centre or a corner of its black square. Plates are squares of paper, quiet zone included.
 
-Let (u, v, w) be the tag's centre in the camera's frame and t, s its right and up there. Metres in its plane become pixels
-by J, whose columns are, for t and likewise for s, (f_u (t_u - t_w u / w) / w, f_v (t_v - t_w v / w) / w). The smaller
-eigenvalue of J^T J is at least T if 2 T <= |J|^2 and T^2 - |J|^2 T + det(J)^2 >= 0; |det J| = f_u f_v |n . d| / w^3.
+Let (u, v, w) be the tag's centre in the camera's frame and t, s its right and up there. Metres in its plane become
+pixels by J, whose columns are, for t and likewise for s, (f_u (t_u - t_w u / w) / w, f_v (t_v - t_w v / w) / w). The
+smaller eigenvalue of J^T J is at least T if 2 T <= |J|^2 and T^2 - |J|^2 T + det(J)^2 >= 0, and
+|det J| = f_u f_v |n . d| / w^3.
 
 A corner is within a border if it is in a half-space, so the tag is if its farthest corner is.
 
@@ -67,9 +68,9 @@ class Limits:
         object.__setattr__(self, "incidence", real("incidence", self.incidence, above=0.0, high=89.0))
 
 
-# Fitted to renderings, by detector and the beginning of the family's name; accuracy on other renderings .961, .955, .954,
-# .950. wpilib is AprilTag with the defaults of WPILib, whose least size of a cluster makes half of the tags of 6.6 pixels
-# a module appear and 95 % of 7.4, whatever the blur.
+# Fitted to renderings, by detector and the beginning of the family's name; accuracy on other renderings .961, .955,
+# .954, .950. wpilib is AprilTag with the defaults of WPILib, whose least size of a cluster makes half of the tags of
+# 6.6 pixels a module appear and 95 % of those of 7.4, whatever the blur.
 LIMITS = {
     ("apriltag", "36h11"): Limits(0.8, 1.8, 10.0, 84.0, 0.0),
     ("apriltag_decimate2", "36h11"): Limits(1.8, 1.6, 16.0, 80.0, 0.0),
@@ -247,6 +248,6 @@ def hidden_by_others(sight: FiducialSight, offset: FloatArray, normals: FloatArr
         share = height / (height - side)
         at = share[..., None] * points - offset
         within = (abs(dot(right, at)) <= sight.plate) & (abs(dot(up, at)) <= sight.plate)
-    hides = (crosses & within).any(axis=0)
+    hides: BoolArray = np.asarray(crosses & within).any(axis=0)
     hides[np.arange(len(offset)), np.arange(len(offset))] = False
     return np.asarray(hides.any(axis=1))

@@ -6,7 +6,6 @@ The same operations in the same order as the reference there, hence the same bit
 import math
 from typing import NamedTuple
 
-import numpy as np
 from numba import njit
 
 from lmd.checks import FloatArray
@@ -122,43 +121,41 @@ def _in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  
     return covered | ((slack > 0.0) & (w >= low))
 
 
-@njit(inline="always")
-def _passes(sight, x, y, z, nx, ny, nz, tx, ty, tz, ux, uy, uz, height, cx, cy, cz):  # type: ignore[no-untyped-def]
-    """Whether the line of sight to c passes through the paper at (x, y, z), above which the camera is by `height`."""
-    side = nx * cx + ny * cy + nz * cz + height
-    share = height / (height - side)
-    qx, qy, qz = share * cx - x, share * cy - y, share * cz - z
-    crosses = ((height > 0.0) & (side < -TOLERANCE)) | ((height < 0.0) & (side > TOLERANCE))
-    within = (abs(tx * qx + ty * qy + tz * qz) <= sight.plate) & (abs(ux * qx + uy * qy + uz * qz) <= sight.plate)
-    return crosses & within
-
-
-@njit(inline="always")
-def _hides(sight, ax, ay, az, nx, ny, nz, tx, ty, tz, ux, uy, uz, bx, by, bz, rx, ry, rz, sx, sy, sz):  # type: ignore[no-untyped-def]
-    """Whether plate A hides the centre or a corner of B, whose right and up, half an edge long, are r and s."""
-    h = -(nx * ax + ny * ay + nz * az)
-    hides = _passes(sight, ax, ay, az, nx, ny, nz, tx, ty, tz, ux, uy, uz, h, bx, by, bz)
-    px, py, pz, mx, my, mz = rx + sx, ry + sy, rz + sz, rx - sx, ry - sy, rz - sz
-    hides |= _passes(sight, ax, ay, az, nx, ny, nz, tx, ty, tz, ux, uy, uz, h, bx + px, by + py, bz + pz)
-    hides |= _passes(sight, ax, ay, az, nx, ny, nz, tx, ty, tz, ux, uy, uz, h, bx - px, by - py, bz - pz)
-    hides |= _passes(sight, ax, ay, az, nx, ny, nz, tx, ty, tz, ux, uy, uz, h, bx + mx, by + my, bz + mz)
-    hides |= _passes(sight, ax, ay, az, nx, ny, nz, tx, ty, tz, ux, uy, uz, h, bx - mx, by - my, bz - mz)
-    return hides
+@njit(error_model="numpy")
+def _hides(sight, ax, ay, az, nx, ny, nz, bx, by, bz, mx, my, mz):  # type: ignore[no-untyped-def]
+    """Whether plate A with normal n hides the centre or a corner of B with normal m."""
+    height = -(nx * ax + ny * ay + nz * az)
+    tx, ty, tz, ux, uy, uz = _upright(nx, ny, nz, sight.level)
+    rx, ry, rz, sx, sy, sz = _upright(mx, my, mz, sight.level)
+    rx, ry, rz = sight.half * rx, sight.half * ry, sight.half * rz
+    sx, sy, sz = sight.half * sx, sight.half * sy, sight.half * sz
+    for i in range(5):
+        # The centre, then r + s, -(r + s), r - s and -(r - s) from it.
+        way, up = (0.0 if i == 0 else 1.0 if i % 2 == 1 else -1.0), (1.0 if i < 3 else -1.0)
+        cx, cy, cz = bx + way * (rx + up * sx), by + way * (ry + up * sy), bz + way * (rz + up * sz)
+        side = nx * cx + ny * cy + nz * cz + height
+        if (height > 0.0 and side < -TOLERANCE) or (height < 0.0 and side > TOLERANCE):
+            share = height / (height - side)
+            qx, qy, qz = share * cx - ax, share * cy - ay, share * cz - az
+            along, across = abs(tx * qx + ty * qy + tz * qz), abs(ux * qx + uy * qy + uz * qz)
+            if along <= sight.plate and across <= sight.plate:
+                return True
+    return False
 
 
 @hide.register(FiducialSight)
 def _hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
-    px, py, pz, qx, qy, qz = _upright(ux, uy, uz, sight.level)
-    rx, ry, rz, sx, sy, sz = _upright(vx, vy, vz, sight.level)
-    h = sight.half
-    one = _hides(
-        sight, ax, ay, az, ux, uy, uz, px, py, pz, qx, qy, qz,
-        bx, by, bz, h * rx, h * ry, h * rz, h * sx, h * sy, h * sz,
-    )  # fmt: skip
-    two = _hides(
-        sight, bx, by, bz, vx, vy, vz, rx, ry, rz, sx, sy, sz,
-        ax, ay, az, h * px, h * py, h * pz, h * qx, h * qy, h * qz,
-    )  # fmt: skip
+    # Mostly the camera is in front of both planes, and no corner behind the other's: half the diagonal times the sine
+    # of the angle between the planes is how far a corner may be below the centre.
+    cx, cy, cz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    reach = 1.5 * sight.half * math.sqrt(cx * cx + cy * cy + cz * cz) - 0.5 * TOLERANCE
+    above_a, above_b = -(ux * ax + uy * ay + uz * az), -(vx * bx + vy * by + vz * bz)
+    b_above_a, a_above_b = ux * bx + uy * by + uz * bz + above_a, vx * ax + vy * ay + vz * az + above_b
+    one, two = not (above_a > 0.0 and b_above_a >= reach), not (above_b > 0.0 and a_above_b >= reach)
+    if one:
+        one = _hides(sight, ax, ay, az, ux, uy, uz, bx, by, bz, vx, vy, vz)
+    if two:
+        two = _hides(sight, bx, by, bz, vx, vy, vz, ax, ay, az, ux, uy, uz)
     return one, two
 
 

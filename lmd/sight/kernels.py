@@ -80,7 +80,7 @@ def band_of(x, y, z, low, slack):
 
 @kernel
 def is_hidden(k, x, y, z, squared, normals, sight):
-    """Whether another landmark hides landmark k; offsets `x, y, z`, their `squared` lengths `(K,)`, `normals (3, K)`."""
+    """Whether another hides landmark k; offsets `x, y, z` and their `squared` lengths `(K,)`, `normals` `(3, K)`."""
     xk, yk, zk, sk, hiding = x[k], y[k], z[k], squared[k], 0
     nx, ny, nz = normals[0, k], normals[1, k], normals[2, k]
     for j in range(len(x)):

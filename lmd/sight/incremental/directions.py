@@ -47,7 +47,7 @@ def see(ax, ay, az, nx, ny, nz, positions, sight, sighting):
 
 
 def cones(axes: FloatArray, inner_cosine: float, outer_cosine: float) -> np.ndarray:
-    """Sets `(2, NOWHERE + 1, W)` of the optical axes `(3, D)` whose cone contains every, and some, direction of each cell.
+    """Sets `(2, NOWHERE + 1, W)` of the axes `(3, D)` whose cone contains every, and some, direction of each cell.
 
     The first are about the cone with `inner_cosine`, which contains nothing above 1, the second about `outer_cosine`.
     """

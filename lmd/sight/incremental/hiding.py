@@ -29,7 +29,10 @@ from lmd.sight.kernels import BLOCK, SINGLE_ERROR
 
 @kernel
 def find_neighbours(k, ax, ay, az, nx, ny, nz, x, y, z, field, landmarks, normals, wanted, ways, neighbours):
-    """Fill `neighbours` of a place (ax, ay, az) of landmark k with normal (nx, ny, nz), at offsets `x, y, z`, in the `wanted` blocks."""
+    """Fill `neighbours` of a place (ax, ay, az) of landmark k, at offsets `x, y, z`, in the `wanted` blocks.
+
+    (nx, ny, nz) is its normal there.
+    """
     positions, centres, halves, sight = field.positions, field.centres, field.halves, field.sight
     found, who, hides, hidden_by, count_hides, count_hidden = neighbours
     radius = math.sqrt(sight.reach) * (1.0 + SINGLE_ERROR) + TOLERANCE
