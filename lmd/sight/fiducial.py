@@ -248,6 +248,6 @@ def hidden_by_others(sight: FiducialSight, offset: FloatArray, normals: FloatArr
         share = height / (height - side)
         at = share[..., None] * points - offset
         within = (abs(dot(right, at)) <= sight.plate) & (abs(dot(up, at)) <= sight.plate)
-    hides: BoolArray = np.asarray(crosses & within).any(axis=0)
+    hides = np.asarray(np.any(crosses & within, axis=0))
     hides[np.arange(len(offset)), np.arange(len(offset))] = False
     return np.asarray(hides.any(axis=1))
