@@ -147,7 +147,7 @@ def average_upper_bound(problem: Problem, count: int, search: Search) -> UpperBo
     """Bounds `average_coverage_probability` (positions count alike) for `count` landmarks."""
     size = len(problem.evaluator.positions)
     relaxation = Relaxation(problem.evaluator, np.full(size, 1.0 / size), _coverage_of(problem).n, 1.0)
-    return _bound(relaxation, problem.scene.room, count, search)
+    return _bound(relaxation, problem.scene.plates.hanging, count, search)
 
 
 def qualified_upper_bound(problem: Problem, count: int, search: Search) -> UpperBound:
@@ -159,7 +159,7 @@ def qualified_upper_bound(problem: Problem, count: int, search: Search) -> Upper
     if threshold <= 0.0:
         return UpperBound(1.0, 1.0, 1.0, Dual(1.0, np.zeros((len(relevance), evaluator.axes.shape[1]))), 0.0)
     relaxation = Relaxation(evaluator, relevance / relevance.sum(), objective.n, threshold)
-    return _bound(relaxation, problem.scene.room, count, search)
+    return _bound(relaxation, problem.scene.plates.hanging, count, search)
 
 
 def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:

@@ -10,9 +10,13 @@ import pandas as pd
 from lmd.checks import BoolArray, FloatArray, InputError, IntArray, choice, integer
 from lmd.space.space import Space
 from lmd.space.surface import Surface, SurfaceArrays
-from lmd.tables import read_numbers
+from lmd.tables import has_column, read_numbers
+from lmd.tag import upright
 
 COLUMNS = ("x", "y", "z", "nx", "ny", "nz")
+UP_COLUMNS = ("ux", "uy", "uz")
+# An up printed with a few decimals is still upright.
+UP_TOLERANCE = 1e-2
 # A normal printed with a few decimals is still a unit normal.
 NORMAL_TOLERANCE = 1e-3
 # A normal this close to that of its surface is flush with it.
@@ -114,25 +118,44 @@ class Deployment:
         x, y, z = self.positions[k]
         return f"{k} at ({x:.9g}, {y:.9g}, {z:.9g})"
 
-    def to_csv(self, path: str | Path) -> None:
-        """Write `id,x,y,z,nx,ny,nz` with every digit, so that reading it back gives the same numbers."""
-        table = pd.DataFrame(np.hstack([self.positions, self.normals]), columns=list(COLUMNS))
-        table.to_csv(path, index_label="id")
+    @property
+    def ups(self) -> FloatArray:
+        """Unit vectors to the upper edges of tags there, `(K, 3)`, world frame: all hang upright, see `lmd.tag`."""
+        return upright(self.normals)[1]
+
+    def to_csv(self, path: str | Path, ups: bool = False) -> None:
+        """Write `id,x,y,z,nx,ny,nz` with every digit, so that reading it back gives the same numbers.
+
+        Args:
+            path: the file.
+            ups: whether to add `ux,uy,uz`, for landmarks that are tags with an upper edge.
+        """
+        parts, columns = [self.positions, self.normals], list(COLUMNS)
+        if ups:
+            parts, columns = [*parts, self.ups], [*columns, *UP_COLUMNS]
+        pd.DataFrame(np.hstack(parts), columns=columns).to_csv(path, index_label="id")
 
     @classmethod
     def from_csv(cls, path: str | Path) -> "Deployment":
-        """Read a CSV with the columns x,y,z,nx,ny,nz (and id, which is ignored).
+        """Read a CSV with the columns x,y,z,nx,ny,nz (and id, which is ignored, and ux,uy,uz if tags hang upright).
 
         Normals are scaled to length 1 if they are printed with few decimals.
 
         Raises:
-            InputError: the file cannot be read, or what it holds is no deployment.
+            InputError: the file cannot be read, or what it holds is no deployment, or of tags that do not hang upright.
         """
-        table = read_numbers(path, COLUMNS, name="path", optional=("id",))
+        columns = COLUMNS + UP_COLUMNS if any(has_column(path, name) for name in UP_COLUMNS) else COLUMNS
+        table = read_numbers(path, columns, name="path", optional=("id",))
         try:
-            deployment = cls(table[:, :3], table[:, 3:])
+            deployment = cls(table[:, :3], table[:, 3:6])
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
+        turned = table[:, 6:] - deployment.ups if table.shape[1] > len(COLUMNS) else np.zeros((1, 3))
+        if (off := np.flatnonzero(np.linalg.norm(turned, axis=1) > UP_TOLERANCE)).size:
+            up, way = (", ".join(f"{value:.4g}" for value in v[off[0]]) for v in (table[:, 6:], deployment.ups))
+            raise InputError(
+                f"{path}: the up of landmark {off[0]} is ({up}), but tags hang upright here, which would be ({way})."
+            )
         length = np.linalg.norm(deployment.normals, axis=1, keepdims=True)
         exact = np.abs(length - 1.0) < 1e-12  # dividing these would only move the last bit
         return cls(deployment.positions, np.where(exact, deployment.normals, deployment.normals / length))

@@ -55,5 +55,7 @@ def dispatched(declaration: Function) -> Dispatched:
     call.__name__, call.__doc__, call.__module__ = declaration.__name__, declaration.__doc__, declaration.__module__
     call.register = register  # type: ignore[attr-defined]
     # numpy's error model: a division by zero gives infinity instead of a branch that keeps loops from vectorising.
-    overload(call, strict=False, inline=_branchless, jit_options={"error_model": "numpy"})(resolve)
+    # Inlined whatever the size: only so do loops vectorise, and does what stays the same move out of them.
+    options: Any = {"error_model": "numpy", "forceinline": True}
+    overload(call, strict=False, inline=_branchless, jit_options=options)(resolve)
     return cast(Dispatched, call)

@@ -5,13 +5,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from lmd.checks import FloatArray, InputError, integer, real
-from lmd.geometry.frames import optical_axis
-from lmd.tables import read_numbers
+from lmd.geometry.frames import optical_axis, rotation
+from lmd.tables import has_column, read_numbers
 
 # Two axes are the same direction when every coordinate agrees to this many decimals.
 SAME_AXIS_DECIMALS = 12
@@ -21,6 +22,18 @@ PRINTED_WEIGHT = 0.5e-6
 # Yaw and pitch (radians, `(S,)` each) from points `(S, 2)`: uniform points of the unit square become angles that
 # follow a continuous distribution.
 Angles = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+
+
+class Orientations(NamedTuple):
+    """Distinct orientations of the camera, ordered by the height of the optical axis.
+
+    axes `(D, 6)` the optical axis and the image's right as unit vectors in the world frame (down is axis x right);
+    index_of `(A,)` which of them each orientation of the PDF is; weight `(D,)` probability of each.
+    """
+
+    axes: FloatArray
+    index_of: np.ndarray
+    weight: FloatArray
 
 
 @dataclass(frozen=True)
@@ -33,6 +46,8 @@ class OrientationPdf:
         name: where it came from, for messages.
         refine: builds the same PDF at half the step; None for a PDF that is known only at its orientations.
         continuous: the continuous distribution that the orientations stand for; None if they stand for themselves.
+        roll: of the camera about its optical axis, radians, one for all or `(A,)`; one for all where there is a
+            `continuous` distribution, which knows of no roll.
 
     Raises:
         InputError: shapes differ, an angle or weight is not finite or out of range, or the sum is not 1.
@@ -44,53 +59,68 @@ class OrientationPdf:
     name: str = "pdf"
     refine: "Callable[[], OrientationPdf] | None" = None
     continuous: Angles | None = None
+    roll: FloatArray | float = 0.0
 
     def __post_init__(self) -> None:
-        arrays = [np.asarray(v, dtype=np.float64) for v in (self.yaw, self.pitch, self.weight)]
-        if not arrays[0].size or any(a.shape != (arrays[0].size,) for a in arrays):
-            raise InputError(f"{self.name}: yaw, pitch and weight must be non-empty lists of equal length.")
+        yaw, roll = (np.asarray(v, dtype=np.float64) for v in (self.yaw, self.roll))
+        rolls = np.full(yaw.shape, roll) if roll.ndim == 0 else roll
+        arrays = [yaw, *(np.asarray(v, dtype=np.float64) for v in (self.pitch, self.weight)), rolls]
+        if not yaw.size or any(a.shape != (yaw.size,) for a in arrays):
+            raise InputError(f"{self.name}: yaw, pitch, weight and roll must be non-empty lists of equal length.")
         if not all(np.isfinite(a).all() for a in arrays):
             raise InputError(f"{self.name} has a value that is not finite.")
-        _, pitch, weight = arrays
+        _, pitch, weight, _ = arrays
         if (worst := np.abs(pitch).max()) > np.pi / 2 + 1e-9:
             raise InputError(f"{self.name}: pitch must be in [-pi/2, pi/2], got {worst:g} in magnitude.")
         if weight.min() < 0.0:
             raise InputError(f"{self.name} has a negative weight, {weight.min():g}.")
         if abs(weight.sum() - 1.0) > PRINTED_WEIGHT * len(weight) + 1e-9:
             raise InputError(f"{self.name}: the weights must sum to 1, they sum to {weight.sum():.9g}.")
+        if self.continuous is not None and np.ptp(rolls) > 0.0:
+            raise InputError(f"{self.name}: a continuous distribution has one roll for all orientations.")
         arrays[2] = weight / math.fsum(weight)
-        for field, array in zip(("yaw", "pitch", "weight"), arrays, strict=True):
+        for field, array in zip(("yaw", "pitch", "weight", "roll"), arrays, strict=True):
             array = array.copy()
             array.flags.writeable = False
             object.__setattr__(self, field, array)
 
     @cached_property
-    def _distinct(self) -> tuple[FloatArray, np.ndarray, FloatArray]:
-        axes = optical_axis(self.yaw, self.pitch)
-        rounded = np.round(axes, SAME_AXIS_DECIMALS) + 0.0  # + 0.0 turns -0 into 0
+    def by_axis(self) -> "Orientations":
+        """The distinct optical axes, whatever the roll; poles and the +-pi seam appear once; `grid_325` has 266."""
+        return self._distinct(3)
+
+    @cached_property
+    def by_axis_and_roll(self) -> "Orientations":
+        """The distinct orientations: at the poles, each yaw is one."""
+        return self._distinct(6)
+
+    def _distinct(self, size: int) -> "Orientations":
+        """The orientations that differ in the first `size` coordinates of axis and right."""
+        # The axis by its own formula: the same bits as ever, which its rows of the rotation need not have.
+        right = rotation(self.yaw, self.pitch, self.roll)[:, 0]
+        axes = np.hstack([optical_axis(self.yaw, self.pitch), right])
+        rounded = np.round(axes[:, :size], SAME_AXIS_DECIMALS) + 0.0  # + 0.0 turns -0 into 0
         # Ordered by height first: the fast path looks only at a band of heights.
-        _, first, inverse = np.unique(rounded[:, ::-1], axis=0, return_index=True, return_inverse=True)
+        keys = np.hstack([rounded[:, 2::-1], rounded[:, 3:]])
+        _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
         inverse = inverse.reshape(-1)
         weight = np.bincount(inverse, weights=self.weight)
-        return axes[first], inverse, np.asarray(weight, dtype=np.float64)
+        return Orientations(axes[first], inverse, np.asarray(weight, dtype=np.float64))
 
     @property
     def axes(self) -> FloatArray:
-        """Distinct optical axes, `(D, 3)` unit vectors ordered by their z coordinate.
-
-        Poles and the +-pi seam appear once; `grid_325` has 266.
-        """
-        return self._distinct[0]
+        """Distinct optical axes, `(D, 3)` unit vectors ordered by their z coordinate."""
+        return self.by_axis.axes[:, :3]
 
     @property
     def axis_of(self) -> np.ndarray:
         """Index into `axes` of each orientation, `(A,)`."""
-        return self._distinct[1]
+        return self.by_axis.index_of
 
     @property
     def axis_weight(self) -> FloatArray:
         """Probability of each distinct axis, `(D,)`: the sum over its orientations."""
-        return self._distinct[2]
+        return self.by_axis.weight
 
     def finer(self) -> "OrientationPdf":
         """The same PDF at half the step, or itself where nothing is known between its orientations."""
@@ -107,18 +137,21 @@ class OrientationPdf:
         cells = np.stack(np.meshgrid(np.arange(2 * divisions), np.arange(divisions), indexing="ij"), axis=-1)
         points = (cells + rng.random(cells.shape)) / (2 * divisions, divisions)
         yaw, pitch = self.continuous(points.reshape(-1, 2))
-        return OrientationPdf(yaw, pitch, np.full(len(yaw), 1.0 / len(yaw)), f"{self.name}, stratified")
+        weight = np.full(len(yaw), 1.0 / len(yaw))
+        return OrientationPdf(yaw, pitch, weight, f"{self.name}, stratified", roll=np.asarray(self.roll)[0])
 
-    def draw(self, size: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """Yaw and pitch, `(size,)` each, from the continuous distribution, or from the PDF where there is none."""
+    def draw(self, size: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Yaw, pitch and roll, `(size,)` each, from the continuous distribution, or the PDF where there is none."""
+        roll = np.asarray(self.roll)
         if self.continuous is not None:
-            return self.continuous(rng.random((size, 2)))
+            return *self.continuous(rng.random((size, 2))), np.full(size, roll[0])
         drawn = rng.choice(len(self.weight), size, p=self.weight)
-        return self.yaw[drawn], self.pitch[drawn]
+        return self.yaw[drawn], self.pitch[drawn], roll[drawn]
 
     def to_csv(self, path: str | Path) -> None:
-        """Write `yaw,pitch,weight` with every digit, as `from_csv` reads it."""
-        pd.DataFrame({"yaw": self.yaw, "pitch": self.pitch, "weight": self.weight}).to_csv(path, index=False)
+        """Write `yaw,pitch,weight` with every digit, as `from_csv` reads it, and `roll` where there is any."""
+        columns = {"yaw": self.yaw, "pitch": self.pitch, "weight": self.weight}
+        pd.DataFrame(columns | ({"roll": self.roll} if np.any(self.roll) else {})).to_csv(path, index=False)
 
 
 def _divisions(value: int) -> int:
@@ -132,9 +165,10 @@ def _product(
     name: str,
     refine: Callable[[], OrientationPdf],
     continuous: Angles,
+    roll: float,
 ) -> OrientationPdf:
     grid_yaw, grid_pitch = (grid.reshape(-1) for grid in np.meshgrid(yaw, pitch, indexing="ij"))
-    return OrientationPdf(grid_yaw, grid_pitch, np.tile(weight, len(yaw)), name, refine, continuous)
+    return OrientationPdf(grid_yaw, grid_pitch, np.tile(weight, len(yaw)), name, refine, continuous, roll)
 
 
 def _uniform_angles(points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -159,7 +193,7 @@ def _open_yaws(divisions: int) -> FloatArray:
     return np.asarray(np.arange(2 * divisions) * (np.pi / divisions) - np.pi)
 
 
-def grid_with_ends(divisions: int = 12) -> OrientationPdf:
+def grid_with_ends(divisions: int = 12, roll: float = 0.0) -> OrientationPdf:
     """Uniform over the angles on a grid that includes both ends (`grid_325` for 12 divisions).
 
     The grid of the paper's tables: every printed maximum is a multiple of 1/325. It is a probability over angles,
@@ -167,52 +201,56 @@ def grid_with_ends(divisions: int = 12) -> OrientationPdf:
 
     Args:
         divisions: the step is pi / divisions in yaw and pitch.
+        roll: of the camera about its optical axis, radians.
     """
-    n = _divisions(divisions)
+    n, roll = _divisions(divisions), real("roll", roll)
     yaw, pitch = np.linspace(-np.pi, np.pi, 2 * n + 1), np.linspace(-np.pi / 2, np.pi / 2, n + 1)
     total = len(yaw) * len(pitch)
-    refine = partial(grid_with_ends, 2 * n)
-    return _product(yaw, pitch, np.full(len(pitch), 1.0 / total), f"pdf grid_{total}", refine, _uniform_angles)
+    refine = partial(grid_with_ends, 2 * n, roll)
+    return _product(yaw, pitch, np.full(len(pitch), 1.0 / total), f"pdf grid_{total}", refine, _uniform_angles, roll)
 
 
-def grid_of_cells(divisions: int = 12) -> OrientationPdf:
+def grid_of_cells(divisions: int = 12, roll: float = 0.0) -> OrientationPdf:
     """Uniform over the angles on the grid of the paper's text (`grid_288` for 12 divisions).
 
     Yaw -pi, ..., pi - step; pitch at the middle of each step. Args as in `grid_with_ends`.
     """
-    n = _divisions(divisions)
-    weight, refine = np.full(n, 1.0 / (2 * n * n)), partial(grid_of_cells, 2 * n)
-    return _product(_open_yaws(n), _cell_pitches(n), weight, f"pdf grid_{2 * n * n}", refine, _uniform_angles)
+    n, roll = _divisions(divisions), real("roll", roll)
+    weight, refine = np.full(n, 1.0 / (2 * n * n)), partial(grid_of_cells, 2 * n, roll)
+    return _product(_open_yaws(n), _cell_pitches(n), weight, f"pdf grid_{2 * n * n}", refine, _uniform_angles, roll)
 
 
-def solid_angle(divisions: int = 12) -> OrientationPdf:
+def solid_angle(divisions: int = 12, roll: float = 0.0) -> OrientationPdf:
     """Uniform over the sphere: each cell of `grid_of_cells` weighs its solid angle over 4 pi."""
-    n = _divisions(divisions)
+    n, roll = _divisions(divisions), real("roll", roll)
     weight = np.diff(np.sin(np.linspace(-np.pi / 2, np.pi / 2, n + 1))) / (4 * n)
-    refine = partial(solid_angle, 2 * n)
-    return _product(_open_yaws(n), _cell_pitches(n), weight, "pdf sphere", refine, _uniform_directions)
+    refine = partial(solid_angle, 2 * n, roll)
+    return _product(_open_yaws(n), _cell_pitches(n), weight, "pdf sphere", refine, _uniform_directions, roll)
 
 
-def level_flight(divisions: int = 12, pitch: float = 0.0) -> OrientationPdf:
+def level_flight(divisions: int = 12, pitch: float = 0.0, roll: float = 0.0) -> OrientationPdf:
     """Uniform in yaw at a fixed pitch (Eq. D_DJI, the UAV of the experiment).
 
     Args:
         divisions: the yaw step is pi / divisions.
-        pitch: radians.
+        pitch, roll: radians.
     """
-    n = _divisions(divisions)
+    n, roll = _divisions(divisions), real("roll", roll)
     fixed = real("pitch", pitch, low=-np.pi / 2, high=np.pi / 2)
-    weight, refine = np.array([1.0 / (2 * n)]), partial(level_flight, 2 * n, fixed)
-    return _product(_open_yaws(n), np.array([fixed]), weight, "pdf yaw", refine, partial(_uniform_yaw, pitch=fixed))
+    weight, refine = np.array([1.0 / (2 * n)]), partial(level_flight, 2 * n, fixed, roll)
+    return _product(
+        _open_yaws(n), np.array([fixed]), weight, "pdf yaw", refine, partial(_uniform_yaw, pitch=fixed), roll
+    )
 
 
 def from_csv(path: str | None) -> OrientationPdf:
-    """A PDF from a CSV with the columns yaw, pitch (radians) and weight (sum 1).
+    """A PDF from a CSV with the columns yaw, pitch (radians) and weight (sum 1), and if you like roll (radians).
 
     Raises:
         InputError: no path, an unreadable file, or weights that are no probabilities.
     """
     if path is None:
         raise InputError("path is missing: a CSV with the columns yaw,pitch,weight is needed.", "path")
-    yaw, pitch, weight = read_numbers(path, ("yaw", "pitch", "weight"), name="path").T
-    return OrientationPdf(yaw, pitch, weight, str(path))
+    columns = ["yaw", "pitch", "weight"] + ["roll"] * has_column(path, "roll")
+    yaw, pitch, weight, *roll = read_numbers(path, columns, name="path").T
+    return OrientationPdf(yaw, pitch, weight, str(path), roll=roll[0] if roll else 0.0)

@@ -37,7 +37,9 @@ class Problem:
         if threads is not None:
             integer("threads", threads, low=1)
         self.scene, self.objective, self.start = scene, objective, start
-        self.count = len(start.draw(scene.room, np.random.default_rng(0)))
+        self.count = len(self.draw(np.random.default_rng(0)))
+        if not scene.tag.is_point:
+            scene.tag.check_count(self.count)
         objective.check(self.count)
         self.evaluator = Evaluator(scene, threads=threads)
         self.relevance = scene.room.relevance.weights(self.evaluator.positions)
@@ -46,6 +48,10 @@ class Problem:
             rng, repeats = np.random.default_rng(SAMPLING_STREAM), objective.sampling.positions
             self.fitness_evaluator = objective.sampling.evaluator(scene, repeats, rng, threads)
             self.fitness_relevance = np.tile(self.relevance, repeats)
+
+    def draw(self, rng: np.random.Generator) -> Deployment:
+        """A deployment to start from, its landmarks with their surfaces, its plates apart."""
+        return self.scene.plates.draw(self.start, rng)
 
     def fitness(self, positions: FloatArray, normals: FloatArray) -> FloatArray:
         """Fitness in [0, 1], to maximise, of B deployments with landmarks `(B, K, 3)`, `(B,)`."""
@@ -97,6 +103,7 @@ class Problem:
             "pdf": scene.pdf.name,
             "room": _fields(scene.room),
             "camera": _fields(scene.camera),
+            **({} if scene.tag.is_point else {"tag": _fields(scene.tag)}),
             **_fields(scene.visibility),
         }
 

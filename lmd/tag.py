@@ -17,6 +17,9 @@ from lmd.optional import optional
 # bottom-left as seen from the front, which is the order of cv2.aruco.
 CORNERS = np.array([[-1.0, 1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]])
 
+# A normal whose horizontal part is at most this long counts as vertical: the tag lies on a floor or a ceiling.
+LEVEL = 0.1
+
 
 @dataclass(frozen=True)
 class Family:
@@ -66,7 +69,8 @@ class Tag:
     def __post_init__(self) -> None:
         if self.edge is not None and real("edge", self.edge) < 0.0:
             raise InputError(
-                f"edge must be positive, in metres, or null for landmarks that are points, got {self.edge!r}."
+                f"edge must be positive, in metres, or null for landmarks that are points, got {self.edge!r}.",
+                "edge",
             )
         object.__setattr__(self, "edge", float(self.edge) if self.edge else None)
         choice("family", self.family, tuple(FAMILIES))
@@ -146,3 +150,23 @@ def corners(centres: FloatArray, normals: FloatArray, ups: FloatArray, edge: flo
     """
     axes = np.stack([np.cross(ups, normals), np.broadcast_to(ups, np.shape(normals))], axis=-2)
     return np.asarray(centres[..., None, :] + edge / 2.0 * (CORNERS @ axes))
+
+
+def upright(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Right and up of tags that hang upright, seen from the front: unit vectors `(..., 3)`, world frame.
+
+    Up is as near to +z as the tag's plane allows, and as near to +y for normals within `LEVEL` of vertical, so on floor
+    and ceiling. All tags here hang so: a square looks alike after a quarter turn, so other turns would gain next to
+    nothing, and plates that are parallel to the edges of their wall can be mounted with a level.
+
+    Args:
+        normals: unit normals of the front faces, `(..., 3)`.
+    """
+    nx, ny, nz = np.moveaxis(np.asarray(normals, dtype=np.float64), -1, 0)
+    across, zero = nx * nx + ny * ny, np.zeros(nx.shape)
+    on_wall = across > LEVEL * LEVEL
+    square = np.where(on_wall, across, nx * nx + nz * nz)
+    length = np.sqrt(square)
+    right = np.where(on_wall, [-ny, nx, zero], [nz, zero, -nx]) / length
+    up = np.where(on_wall, [-(nx * nz), -(ny * nz), square], [-(nx * ny), square, -(ny * nz)]) / length
+    return np.moveaxis(right, 0, -1), np.moveaxis(up, 0, -1)

@@ -91,12 +91,15 @@ def build_problem(cfg: DictConfig) -> "Problem":
     from lmd.optimisers.encoding import KINDS
     from lmd.problem import Problem
     from lmd.scene import Scene
+    from lmd.tag import Tag
 
+    tag = instantiate(cfg.tag) if cfg.get("tag") else Tag()  # runs of old have none
     scene = Scene(
         room=instantiate(cfg.room),
         camera=instantiate(cfg.camera),
         pdf=instantiate(cfg.pdf),
         visibility=instantiate(cfg.visibility),
+        tag=tag,
     )
     threads = None if cfg.threads is None else integer("threads", cfg.threads, low=1)
     choice("encoding.kind", cfg.encoding.kind, KINDS)
@@ -107,7 +110,10 @@ def build_problem(cfg: DictConfig) -> "Problem":
     with keyed("deployment"):
         if isinstance(start, partial):  # a source that depends on what the landmarks are for
             start = start(scene=scene, objective=objective, threads=threads)
-        start.draw(scene.room, np.random.default_rng(0))
+        count = len(scene.plates.draw(start, np.random.default_rng(0)))
+    if not tag.is_point:
+        with keyed("tag"):
+            tag.check_count(count)
     with keyed("objective"):
         return Problem(scene, objective, start, threads)
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import hydra
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from .app import CONF, build_problem, instantiate, keyed, run_directory
 from .deployments import composed_deployments, read_deployment_as_a_list
@@ -102,10 +102,14 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
     from lmd.checks import InputError
     from lmd.detection.frames import draw_poses, tagged_room
     from lmd.detection.report import Prediction, verdicts
+    from lmd.geometry.se3 import axis_and_right
     from lmd.render.renderer import Renderer
     from lmd.sight.views import visible
 
-    problem, tag, imaging = build_problem(cfg), instantiate(cfg.tag), instantiate(cfg.imaging)
+    tag, imaging = instantiate(cfg.tag), instantiate(cfg.imaging)
+    # A model of points takes any deployment, and where papers overlap the pictures show it.
+    points = "tag" not in cfg.visibility
+    problem = build_problem(OmegaConf.merge(cfg, {"tag": {"edge": None}}) if points else cfg)  # type: ignore[arg-type]
     scene = problem.scene
     if tag.is_point:
         raise InputError("tag.edge must be given, in metres: a detector cannot read a point.")
@@ -118,7 +122,7 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
     with keyed("tag"):
         room = tagged_room(scene.room, deployment, tag)
     poses = draw_poses(scene, count, seed)
-    predicted = visible(problem.evaluator, deployment, poses[:, :3, 3], poses[:, :3, 2])
+    predicted = visible(problem.evaluator, deployment, poses[:, :3, 3], axis_and_right(poses))
     renderer = Renderer(scene.camera, room, imaging)
     with keyed("imaging"):
         renderer.inside(poses[:1])

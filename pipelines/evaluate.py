@@ -34,7 +34,7 @@ def evaluate(cfg: DictConfig) -> float:
     began = time.perf_counter()
     problem = build_problem(cfg)
     seed = integer("seed", cfg.seed, low=0)
-    deployment = problem.start.draw(problem.scene.room, np.random.default_rng(seed))
+    deployment = problem.draw(np.random.default_rng(seed))
     history = [Record(1, problem.metrics(deployment)["fitness"], time.perf_counter() - began)]
     subject = choices()["deployment"]
     with tracked_run(cfg, problem, subject) as tracker:

@@ -30,7 +30,9 @@ if TYPE_CHECKING:
     from .tracking import Tracker
 
 # What a resumed run must share with the run it continues.
-SAME_WHEN_RESUMED = ("room", "camera", "pdf", "visibility", "objective", "encoding", "deployment", "optimiser", "seed")
+SAME_WHEN_RESUMED = (
+    "room", "camera", "pdf", "tag", "visibility", "objective", "encoding", "deployment", "optimiser", "seed"
+)  # fmt: skip
 
 
 @hydra.main(version_base="1.3", config_path=CONF, config_name="optimise")

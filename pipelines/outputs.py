@@ -47,7 +47,7 @@ def write_outputs(
     table = pd.DataFrame(history)
 
     def write(partial: Path) -> None:
-        deployment.to_csv(partial / "landmarks.csv")
+        deployment.to_csv(partial / "landmarks.csv", ups=not problem.scene.tag.is_point)
         document = {**metrics, **summary, "settings": problem.settings()}
         (partial / "metrics.json").write_text(json.dumps(document, indent=2) + "\n")
         table.to_csv(partial / "history.csv", index=False)

@@ -109,7 +109,7 @@ def _load(reader: "MlflowReader", run_id: str) -> "tuple[Problem, Deployment]":
     landmarks = reader.artifact(run_id, "landmarks.csv")
     cfg.deployment = {"_target_": "lmd.deployment.FileDeployment", "path": str(landmarks)}  # in place of its start
     problem = build_problem(cfg)
-    return problem, problem.start.draw(problem.scene.room, np.random.default_rng(0))
+    return problem, problem.draw(np.random.default_rng(0))
 
 
 if __name__ == "__main__":

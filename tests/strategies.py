@@ -10,8 +10,10 @@ from lmd.camera import Camera
 from lmd.deployment import Deployment, RandomDeployment
 from lmd.geometry.frames import optical_axis
 from lmd.scene import Scene
+from lmd.sight.fiducial import LIMITS, Fiducial
 from lmd.sight.paper import OCCLUSION_MODES, Visibility
 from lmd.space.cuboid import Cuboid
+from lmd.tag import Tag
 
 yaws = st.floats(-math.pi, math.pi)
 pitches = st.floats(-math.pi / 2, math.pi / 2)
@@ -77,6 +79,27 @@ pdfs = st.one_of(
     st.builds(pdf.level_flight, divisions, pitch=pitches),
     sampled_pdfs(),
 )
+
+
+@st.composite
+def rolled_pdfs(draw):
+    drawn = draw(pdfs)
+    roll = np.array([draw(st.floats(-math.pi, math.pi)) for _ in range(draw(st.integers(1, 3)))])
+    return pdf.OrientationPdf(drawn.yaw, drawn.pitch, drawn.weight, roll=np.resize(roll, len(drawn.weight)))
+
+
+@st.composite
+def fiducials(draw):
+    detector, family = draw(st.sampled_from(list(LIMITS)))
+    edge = draw(st.one_of(st.sampled_from([0.05, 0.1, 0.3]), st.floats(0.05, 0.3)))
+    tag = Tag(edge, family if family == "36h11" else f"{family}_50", draw(st.sampled_from([0.0, 1.0, 2.0])))
+    return Fiducial(
+        tag, detector, psf_sigma=draw(st.sampled_from([0.0, 0.5, 2.0])), motion_blur=draw(st.sampled_from([0.0, 3.0]))
+    )
+
+
+def fiducial_scenes(room=rooms()):  # noqa: B008
+    return st.builds(Scene, room, cameras(), rolled_pdfs(), fiducials())
 
 
 def scenes(room=rooms(), visibility=visibilities()):  # noqa: B008

@@ -50,6 +50,7 @@ class Rectangle:
     range: float = 3.0
     size: float = 0.2
     spacing = 0.2
+    needs_roll = False
 
     def sight(self, camera):
         return RectangleSight(self.range, self.size**2)
@@ -63,7 +64,7 @@ class Rectangle:
         squared = x * x + y * y + z * z
         across = np.array([[np.cross(b, a) @ np.cross(b, a) for a in offset] for b in offset])  # over: b hides a
         hidden = (across <= self.size**2 * squared) & (squared[:, None] + TOLERANCE < squared)
-        ax, ay, az = axes.T[:, :, None]
+        ax, ay, az = axes.T[:3, :, None]
         depth = ax * x + ay * y + az * z
         level = np.sqrt(ax * ax + ay * ay)
         right = np.abs(ay * x - ax * y)
@@ -87,6 +88,9 @@ class RectangleSight(NamedTuple):
     def unhidden(self):
         return self._replace(reach=-1.0)
 
+    def among(self, low, high, landmarks, normals):
+        return self
+
     def shrunk(self, size):
         return self._replace(reach=self.reach * size**2)
 
@@ -101,7 +105,7 @@ def _from_position(sight, x, y, z, nx, ny, nz, slack):
 
 
 @in_image.register(RectangleSight)
-def _in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az):
+def _in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):
     depth = ax * x + ay * y + az * z
     level = math.sqrt(ax * ax + ay * ay)
     right = abs(ay * x - ax * y)
@@ -111,7 +115,7 @@ def _in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az):
 
 
 @hide.register(RectangleSight)
-def _hide(sight, ax, ay, az, a, bx, by, bz, b):
+def _hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):
     cx = ay * bz - az * by
     cy = az * bx - ax * bz
     cz = ax * by - ay * bx
@@ -130,7 +134,7 @@ def test_every_fast_path_counts_by_a_criterion_of_ones_own(data, room, n, seed):
     deployment, targets = data.draw(deployments(room)), data.draw(deployments(room, most=4))
     evaluator, rng = Evaluator(scene, threads=1), np.random.default_rng(seed)
     np.testing.assert_array_equal(evaluator.counts(deployment), reference.counts(scene, deployment))
-    axes = scene.pdf.axes
+    axes = scene.orientations.axes
     for position in scene.room.grid()[:2]:
         seen = visible(evaluator, deployment, np.tile(position, (len(axes), 1)), axes)
         np.testing.assert_array_equal(seen, reference.coverage_caps(scene, deployment, position, axes))

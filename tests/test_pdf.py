@@ -9,7 +9,7 @@ from strategies import pdfs
 
 from lmd import pdf
 from lmd.checks import InputError
-from lmd.geometry.frames import optical_axis
+from lmd.geometry.frames import optical_axis, rotation
 from lmd.sight import reference
 
 BUILDERS = [pdf.grid_with_ends, pdf.grid_of_cells, pdf.solid_angle, pdf.level_flight]
@@ -152,7 +152,7 @@ def test_a_csv_is_read_by_column_name(write):
     ("text", "named"),
     [
         ("yaw,pitch,weight\n0,0,0.5\n1,0,0.4\n", "must sum to 1, they sum to 0.9"),
-        ("yaw,pitch,roll,weight\n0,0,0,1\n", "unknown column 'roll'"),
+        ("yaw,pitch,tilt,weight\n0,0,0,1\n", "unknown column 'tilt'"),
         ("yaw,weight\n0,1\n", "lacks the column 'pitch'"),
         ("0,0,1\n", "unknown column '0'"),
         ("", "is empty"),
@@ -191,3 +191,24 @@ def test_a_binary_file_is_refused_by_name(tmp_path):
     path.write_bytes(b"\x89PNG\xff\xfe\x00")
     with pytest.raises(InputError, match=r"photo\.csv"):
         pdf.from_csv(str(path))
+
+
+def test_roll_tells_orientations_apart_only_where_it_is_asked_for(tmp_path):
+    angles = [0.0, 0.0, 1.0], [np.pi / 2, np.pi / 2, 0.0], [0.25, 0.25, 0.5]
+    same = pdf.OrientationPdf(*angles, roll=[0.3, 0.3, 0.0])
+    other = pdf.OrientationPdf(*angles, roll=[0.3, 0.4, 0.0])
+    assert [len(p.by_axis.axes) for p in (same, other)] == [2, 2]
+    assert [len(p.by_axis_and_roll.axes) for p in (same, other)] == [2, 3]
+    axes, index_of, weight = other.by_axis_and_roll
+    expected = rotation(other.yaw, other.pitch, other.roll)
+    assert_allclose(axes[index_of], np.hstack([expected[:, 2], expected[:, 0]]), atol=1e-12)
+    assert_allclose(weight[index_of], other.weight)
+    other.to_csv(tmp_path / "pdf.csv")
+    np.testing.assert_array_equal(pdf.from_csv(str(tmp_path / "pdf.csv")).roll, other.roll)
+
+
+@pytest.mark.parametrize("build", [pdf.grid_with_ends, pdf.grid_of_cells, pdf.solid_angle, pdf.level_flight])
+def test_a_fixed_roll_stays_when_a_pdf_is_refined_or_drawn_from(build):
+    rolled = build(4, roll=0.2)
+    for other in (rolled, rolled.finer(), rolled.stratified(3, np.random.default_rng(0))):
+        assert (other.roll == 0.2).all()

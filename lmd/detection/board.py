@@ -11,7 +11,7 @@ from lmd.checks import FloatArray, InputError, real
 from lmd.deployment import COLUMNS
 from lmd.detection.detectors import Detections, Detector
 from lmd.detection.evaluation import TOLERANCE, corner_error, match
-from lmd.detection.frames import qualities, upright
+from lmd.detection.frames import qualities
 from lmd.detection.mosaic import Views
 from lmd.detection.pose import pose_from_corners
 from lmd.geometry.se3 import poses_from_rows
@@ -21,7 +21,7 @@ from lmd.render.optics import image_size
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
 from lmd.tables import read_numbers
-from lmd.tag import Tag
+from lmd.tag import Tag, upright
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -93,7 +93,7 @@ class BoardImages:
         table = read_numbers(self.tags, ("id", *COLUMNS), name="tags")
         normals = table[:, 4:] / np.linalg.norm(table[:, 4:], axis=1, keepdims=True)
         try:
-            return TaggedRoom(tag, table[:, 0].astype(np.int64), table[:, 1:4], normals, upright(normals))
+            return TaggedRoom(tag, table[:, 0].astype(np.int64), table[:, 1:4], normals, upright(normals)[1])
         except InputError as error:
             raise InputError(f"{self.tags}: {error}") from None
 

@@ -17,16 +17,14 @@ from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
 from lmd.scene import Scene
 from lmd.space.space import Space
-from lmd.tag import Tag
+from lmd.tag import Tag, upright
 
 # Keeps the poses and the noise apart from every other use of the same seed.
 STREAM = 0x646574656374
-# A normal this close to the vertical belongs to a floor or a ceiling.
-VERTICAL = 1e-6
 
 
 def draw_poses(scene: Scene, count: int, seed: int) -> FloatArray:
-    """Random poses X: positions uniform where the camera may be, orientations from the PDF, no roll, `(count, 4, 4)`.
+    """Random poses X: positions uniform where the camera may be, orientations from the PDF, `(count, 4, 4)`.
 
     They do not depend on what hangs in the room.
     """
@@ -35,30 +33,15 @@ def draw_poses(scene: Scene, count: int, seed: int) -> FloatArray:
     return camera_pose(positions, *scene.pdf.draw(count, rng))
 
 
-def upright(normals: FloatArray) -> FloatArray:
-    """Unit vectors to the upper edges of tags that hang upright, `(K, 3)`: up, or along y on a floor or a ceiling."""
-    flat = np.hypot(normals[:, 0], normals[:, 1]) < VERTICAL
-    return _in_plane(np.where(flat[:, None], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]), normals)
-
-
-def _in_plane(vectors: FloatArray, normals: FloatArray) -> FloatArray:
-    """Vectors `(K, 3)` projected to the planes with these unit normals, of length 1."""
-    inside = vectors - (vectors * normals).sum(axis=1, keepdims=True) * normals
-    return np.asarray(inside / np.linalg.norm(inside, axis=1, keepdims=True))
-
-
 def tagged_room(room: Space, deployment: Deployment, tag: Tag) -> TaggedRoom:
-    """A deployment with tag k at landmark k, its up along v of its surface, in a room of surfaces.
+    """A deployment with tag k at landmark k, hanging upright, in a room of surfaces.
 
     Raises:
         InputError: the tag is a point, or its family is too small.
     """
     tag.check_count(len(deployment))
-    surfaces, normals, on = room.surfaces(), deployment.normals, deployment.surfaces
-    ups = upright(normals)
-    if (hung := on >= 0).any():
-        ups[hung] = _in_plane(np.array([surface.v for surface in surfaces])[on[hung]], normals[hung])
-    return TaggedRoom(tag, np.arange(len(deployment)), deployment.positions, normals, ups, surfaces)
+    _, ups = upright(deployment.normals)
+    return TaggedRoom(tag, np.arange(len(deployment)), deployment.positions, deployment.normals, ups, room.surfaces())
 
 
 def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

@@ -67,6 +67,11 @@ def act(pose: FloatArray, points: FloatArray) -> FloatArray:
     return np.asarray(points @ np.swapaxes(pose[..., :3, :3], -1, -2) + pose[..., None, :3, 3])
 
 
+def axis_and_right(pose: FloatArray) -> FloatArray:
+    """The optical axis and the image's right in the world frame, `(..., 6)`, of camera poses X `(..., 4, 4)`."""
+    return np.concatenate([pose[..., :3, 2], pose[..., :3, 0]], axis=-1)
+
+
 def skew(vector: FloatArray) -> FloatArray:
     """[a]x with [a]x b = a x b, `(..., 3)` -> `(..., 3, 3)`."""
     matrix = np.zeros((*vector.shape, 3))

@@ -15,7 +15,7 @@ import pandas as pd
 from lmd.camera import Camera
 from lmd.checks import BoolArray, FloatArray
 from lmd.deployment import Deployment
-from lmd.geometry.se3 import camera_pose, skew
+from lmd.geometry.se3 import axis_and_right, camera_pose, skew
 from lmd.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.views import visible
@@ -102,18 +102,17 @@ class CramerRaoMap:
 
 def cramer_rao_map(scene: Scene, evaluator: Evaluator, deployment: Deployment) -> CramerRaoMap:
     """The bound at every position of `evaluator` and every orientation of the PDF."""
-    pdf, positions = scene.pdf, evaluator.positions
-    _, first = np.unique(pdf.axis_of, return_index=True)
-    turns = camera_pose(np.zeros(3), pdf.yaw[first], pdf.pitch[first])
+    pdf, positions, weight = scene.pdf, evaluator.positions, scene.orientations.weight
+    _, first = np.unique(scene.orientations.index_of, return_index=True)
+    turns = camera_pose(np.zeros(3), pdf.yaw[first], pdf.pitch[first], np.asarray(pdf.roll)[first])
     per_chunk, parts = max(CHUNK // len(turns), 1), []
     for start in range(0, len(positions), per_chunk):
         here = positions[start : start + per_chunk]
         poses = np.tile(turns, (len(here), 1, 1))
         poses[:, :3, 3] = np.repeat(here, len(turns), axis=0)
-        seen = visible(evaluator, deployment, poses[:, :3, 3], poses[:, :3, 2])
+        seen = visible(evaluator, deployment, poses[:, :3, 3], axis_and_right(poses))
         parts.append(cramer_rao_bound(pose_information(poses, deployment.positions, seen, scene.camera)))
     position, attitude = (np.concatenate(part).reshape(len(positions), -1) for part in zip(*parts, strict=True))
-    weight = pdf.axis_weight
     share = np.isfinite(position) @ weight
     return CramerRaoMap(positions, share, _finite_median(position, weight), _finite_median(attitude, weight))
 

@@ -10,7 +10,7 @@ import numpy as np
 from lmd.camera import Camera
 from lmd.checks import BoolArray, FloatArray, InputError, real
 from lmd.deployment import Deployment
-from lmd.geometry.se3 import act, inverse, log
+from lmd.geometry.se3 import act, axis_and_right, inverse, log
 from lmd.localisation.trajectory import Trajectory
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.views import visible
@@ -86,7 +86,7 @@ class Detector:
         if all_visible:
             sight = np.ones((len(poses), len(deployment)), dtype=np.bool_)
         else:
-            sight = visible(evaluator, deployment, poses[:, :3, 3], poses[:, :3, 2])
+            sight = visible(evaluator, deployment, poses[:, :3, 3], axis_and_right(poses))
         seen = self.detected(sight, rng)
         return seen, self.measured(act(inverse(poses), deployment.positions), camera, rng)
 

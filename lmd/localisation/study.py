@@ -79,7 +79,7 @@ class Flights:
     def recorded(self, problem: Problem, detector: Sensor, all_visible: bool) -> Recording:
         """The flights over the deployment that `problem` starts from; a random one is another for each seed."""
         scene = problem.scene
-        deployments = [problem.start.draw(scene.room, np.random.default_rng(seed)) for seed in self.seeds]
+        deployments = [problem.draw(np.random.default_rng(seed)) for seed in self.seeds]
         rngs = [np.random.default_rng([seed, STREAM, 1]) for seed in self.seeds]
         return record(problem.evaluator, scene.camera, detector, deployments, self.trajectories, rngs, all_visible)
 

@@ -151,7 +151,7 @@ class RandomMotion:
 
 
 def _random_waypoint(scene: Scene, rng: np.random.Generator) -> FloatArray:
-    return np.concatenate([scene.room.sample(1, rng)[0], *scene.pdf.draw(1, rng)])
+    return np.concatenate([scene.room.sample(1, rng)[0], *scene.pdf.draw(1, rng)[:2]])
 
 
 def _shortest(step: FloatArray) -> FloatArray:

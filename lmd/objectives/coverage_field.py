@@ -95,7 +95,7 @@ def coverage_field(evaluator: Evaluator, n: int) -> CoverageField:
     centres = (least + most) / 2.0
     halves = ((most - least) / 2.0 * (1.0 + SINGLE_ERROR)).astype(np.float32)  # never less for the rounding
     positions, centres, halves = (np.ascontiguousarray(part.T) for part in (positions, centres, halves))
-    certain, possible = cones(e.axes, e.sight.inner_cosine, e.sight.outer_cosine)
+    certain, possible = cones(e.axes[:3], e.sight.inner_cosine, e.sight.outer_cosine)
     axes = np.pad(e.axes, [(0, 0), (0, BITS * possible.shape[1] - e.axes.shape[1])])
     return CoverageField(positions, index_of, centres, halves, e.sight, axes, certain, possible, e.weights, n)
 

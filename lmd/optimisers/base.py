@@ -126,6 +126,9 @@ class Optimiser(ABC):
 class AskTell(Optimiser):
     """Optimisers that propose batches of genes and are told their fitness.
 
+    The plates of tags with a size are pushed apart before they are evaluated (`lmd.plates`), the genes stay what they
+    are; a deployment whose plates find no room counts as a failed evaluation.
+
     Subclasses write `_ask` and `_tell` only. Before the first `_ask`, `run` sets
 
     - `self.dim`: number of genes,
@@ -181,12 +184,15 @@ class AskTell(Optimiser):
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
         """See `Optimiser.run`. A batch that would exceed the budget is cut short."""
         ledger = self.ledger
-        encoding = make_encoding(self.encoding or "wall", problem.scene.room, self.flush)
+        plates = problem.scene.plates
+        if plates.edge and not self.flush:
+            raise InputError("flush must be true where tags have a size: their papers lie flat on the wall.", "flush")
+        encoding = make_encoding(self.encoding or "wall", plates.hanging, self.flush)
         if not ledger.evaluations:
             self.dim = problem.count * encoding.genes_per_landmark
             self.rng = np.random.default_rng(self.seed)
             draws = self.start_size if problem.start.varies else 1
-            starts = [problem.start.draw(problem.scene.room, self.rng) for _ in range(draws)]
+            starts = [problem.draw(self.rng) for _ in range(draws)]
             self.start = np.stack([encoding.encode(start) for start in starts])
         clock = time.perf_counter() - ledger.seconds
         stopped = "budget"
@@ -194,8 +200,8 @@ class AskTell(Optimiser):
             genes = self.ask()
             asked = len(genes)
             genes = genes[: int(min(asked, budget.limit - ledger.evaluations))]
-            positions, normals, _ = encoding.decode(genes)
-            fitness = problem.fitness(positions, normals)
+            positions, normals, _, fits = plates.pushed(*encoding.decode(genes))
+            fitness = np.where(fits, problem.fitness(positions, normals), -np.inf)
             ledger.seconds = time.perf_counter() - clock
             if len(genes) == asked:
                 self.tell(genes, fitness)
@@ -206,5 +212,5 @@ class AskTell(Optimiser):
                 break
         if self.best_genes is None:
             raise InputError(f"{type(self).__name__} found no deployment: every evaluation failed.")
-        positions, normals, surfaces = encoding.decode(self.best_genes[None])
+        positions, normals, surfaces, _ = plates.pushed(*encoding.decode(self.best_genes[None]))
         return self._result(Deployment(positions[0], normals[0], surfaces[0]), stopped)

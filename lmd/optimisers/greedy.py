@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import integer, real
+from lmd.checks import InputError, integer, real
 from lmd.deployment import Deployment
 from lmd.objectives.base import Objective, Selection
 from lmd.optimisers.annealing import Annealing, Stage
 from lmd.optimisers.annealing.stage import changed
+from lmd.plates import Plates
 from lmd.problem import Problem
 from lmd.scene import Scene
 from lmd.sight.evaluator import Evaluator
@@ -28,13 +29,16 @@ SPACING = 0.25  # of the grid of poses, metres
 REFINED = Stage(temperature=(4e-5, 2e-5), width=(0.02, 0.006), step=(0.3, 0.05), margin=0.002, share=0.1)
 
 
-def select(selection: Selection, poses: Deployment, count: int, allowance: float = np.inf) -> tuple[np.ndarray, int]:
-    """Choose up to `count` of the `poses`, each at most once.
+def select(
+    selection: Selection, poses: Deployment, count: int, plates: Plates | None = None, allowance: float = np.inf
+) -> tuple[np.ndarray, int]:
+    """Choose up to `count` of the `poses`, each at most once, and none whose plate would overlap another's.
 
     Args:
         selection: what is climbed, with nothing chosen yet.
         poses: N candidates.
         count: K.
+        plates: of the tags; None for landmarks that are points.
         allowance: how many gains may be evaluated; fewer poses are chosen if it does not suffice.
 
     Returns:
@@ -43,7 +47,7 @@ def select(selection: Selection, poses: Deployment, count: int, allowance: float
     known, taken = np.full(len(poses), np.inf), np.zeros(len(poses), dtype=bool)
     chosen: list[int] = []
     spent = 0
-    while len(chosen) < min(count, len(poses)):
+    while len(chosen) < count and not taken.all():
         fresh = np.zeros(len(poses), dtype=bool)
         while not fresh[best := int(np.argmax(known))]:
             stale = np.flatnonzero(~fresh & ~taken)
@@ -55,7 +59,8 @@ def select(selection: Selection, poses: Deployment, count: int, allowance: float
             fresh[batch] = True
             spent += len(batch)
         chosen.append(best)
-        known[best], taken[best] = -np.inf, True
+        gone = plates.touched(poses, poses[best : best + 1]) if plates and plates.edge else best
+        known[gone], taken[gone] = -np.inf, True
         selection.add(poses[best : best + 1])
     return np.array(chosen, dtype=int), spent
 
@@ -94,14 +99,16 @@ class Greedy(Annealing):
     def _begin(self, problem: Problem, stack: int, limit: float) -> int:
         """Build the start greedily; what the budget cannot pay for stays where the problem's start has it."""
         super()._begin(problem, stack, limit)
-        room, count = problem.scene.room, problem.count
+        plates, count = problem.scene.plates, problem.count
         allowance = (limit - count) / 2
-        poses = _poses_within(room, self.spacing, allowance / 2)
+        poses = _poses_within(plates.hanging, self.spacing, allowance / 2)
         selection = problem.objective.selection(problem.fitness_evaluator, problem.fitness_relevance)
-        chosen, spent = select(selection, poses, count, allowance)
+        chosen, spent = select(selection, poses, count, plates, allowance)
         if len(chosen):
             rest = self.start[len(chosen) :] if len(chosen) < count else None
-            self.start = self.here = poses[chosen] if rest is None else poses[chosen] + rest
+            found = plates.apart(poses[chosen] if rest is None else poses[chosen] + rest)
+            if found is not None:
+                self.start = self.here = found
         return spent
 
 
@@ -136,13 +143,20 @@ class GreedyDeployment:
     @cached_property
     def _deployment(self) -> Deployment:
         evaluator = Evaluator(self.scene, threads=self.threads)
-        room = self.scene.room
+        plates = self.scene.plates
+        room = plates.hanging
         spacing, poses = self.spacing, candidate_poses(room, self.spacing)
         while len(poses) < self.count:
             spacing /= 1.3
             poses = candidate_poses(room, spacing)
         relevance = room.relevance.weights(evaluator.positions)
-        chosen, _ = select(self.objective.selection(evaluator, relevance), poses, self.count)
+        chosen, _ = select(self.objective.selection(evaluator, relevance), poses, self.count, plates)
+        if len(chosen) < self.count:
+            raise InputError(
+                f"spacing = {spacing:.4g} leaves room for {len(chosen)} plates of {plates.edge:.4g} m, too few for "
+                f"{self.count}.",
+                "spacing",
+            )
         return poses[chosen]
 
     def draw(self, room: Space, rng: np.random.Generator) -> Deployment:

@@ -83,7 +83,7 @@ def save_cap_figure(
         axes.add_patch(Circle((0.0, 0.0), 1.0, fill=False, clip_on=False))
         _mark_directions(axes, view)
     bar = figure.colorbar(image, ax=panels, orientation="horizontal", shrink=0.6, aspect=40, ticks=range(most + 1))
-    orientations = scene.pdf.axes[scene.pdf.axis_of]
+    orientations = scene.orientations.axes[scene.orientations.index_of]
     counts = cap_count(coverage_caps(scene, deployment, position, orientations))
     probability = coverage_probability(counts, scene.pdf, n)
     x, y, z = position
@@ -95,8 +95,12 @@ def save_cap_figure(
 
 
 def _counts(scene: Scene, deployment: Deployment, position: FloatArray, axes: FloatArray) -> FloatArray:
-    """Num(S_k^C(p)) of optical axes `(N, N, 3)`, `(N, N)`; NaN where the axis is."""
+    """Num(S_k^C(p)) of optical axes `(N, N, 3)` of a level camera, `(N, N)`; NaN where the axis is."""
     inside = ~np.isnan(axes[..., 0])
+    level = np.stack([axes[..., 1], -axes[..., 0], np.zeros(inside.shape)], axis=-1)  # axis x up
+    with np.errstate(invalid="ignore"):
+        right = level / np.linalg.norm(level, axis=-1, keepdims=True)
+    axes = np.concatenate([axes, right], axis=-1)
     counts = np.full(inside.shape, np.nan)
     counts[inside] = cap_count(coverage_caps(scene, deployment, position, axes[inside]))
     return counts

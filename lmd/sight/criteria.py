@@ -1,9 +1,10 @@
 """What a model of sight must answer: whether a camera covers a landmark, in two stages, and who hides whom.
 
 Most of what decides depends on the camera's position alone, little on its orientation. So each criterion is told twice:
-once for all orientations from a position (`from_position`), once for one orientation (`in_image`); whether another
-landmark is in the way is a third question (`hide`). The three functions are scalar, without a branch where it can be
-helped, and every kernel calls these and no others.
+once for all orientations from a position (`from_position`), once for one orientation (`in_image`): the optical axis and
+the image's right, which a model that asks for a round cone ignores. Whether another landmark is in the way is a third
+question (`hide`). The three functions are scalar, without a branch where it can be helped, and every kernel calls these
+and no others.
 
 A model has two sides:
 
@@ -46,12 +47,24 @@ class Sight(Protocol):
     def unhidden(self) -> "Sight":
         """The same where no landmark hides another."""
 
+    def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "Sight":
+        """The same for these landmarks: `unhidden` if that is easily known to make no difference.
+
+        Args:
+            low, high: corners of a box around all positions of the camera, `(3,)`, metres.
+            landmarks, normals: of B deployments, `(B, 3, K)`.
+        """
+
     def shrunk(self, size: float) -> "Sight":
         """The same with landmarks whose body, which hides others, is `size` times as large."""
 
 
 class Criteria(Protocol):
     """When a landmark counts as covered: what `visibility` of a scene must be."""
+
+    @property
+    def needs_roll(self) -> bool:
+        """Whether the camera's roll about its optical axis matters."""
 
     @property
     def spacing(self) -> float:
@@ -68,7 +81,7 @@ class Criteria(Protocol):
         Args:
             camera: the camera.
             position: p, `(3,)`, world frame, metres.
-            axes: its optical axes, `(A, 3)` unit vectors.
+            axes: its optical axes and the image's right, `(A, 6)`: two unit vectors.
             landmarks, normals: `(K, 3)` positions, metres, and unit normals.
         """
 
@@ -90,25 +103,28 @@ def from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped
 
 
 @dispatched
-def in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az):  # type: ignore[no-untyped-def]
+def in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
     """Whether a landmark that is `reached` is covered with the optical axis (ax, ay, az), nobody hiding it.
 
+    (rx, ry, rz) points to the right of the image, axis x right down.
     The other arguments are those and the answers of `from_position`; an infinite `low` is never covered.
     """
 
 
 @dispatched
-def hide(sight, ax, ay, az, a, bx, by, bz, b):  # type: ignore[no-untyped-def]
+def hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
     """Whether landmark A hides B, and B hides A, from where the camera is.
 
     Args:
         sight: the compiled model.
         ax, ay, az, bx, by, bz: offsets of the two from the camera, metres.
         a, b: their squared lengths.
+        ux, uy, uz, vx, vy, vz: unit normals of A and of B.
     """
 
 
 @njit(inline="always")
 def covers(sight, x, y, z, nx, ny, nz, low, slack, axes, a):  # type: ignore[no-untyped-def]
-    """`in_image` with axis a of `axes` `(3, D)`."""
-    return in_image(sight, x, y, z, nx, ny, nz, low, slack, axes[0, a], axes[1, a], axes[2, a])
+    """`in_image` with orientation a of `axes` `(6, D)`: axis and right."""
+    ax, ay, az, rx, ry, rz = axes[0, a], axes[1, a], axes[2, a], axes[3, a], axes[4, a], axes[5, a]
+    return in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz)

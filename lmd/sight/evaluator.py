@@ -31,11 +31,12 @@ class Evaluator:
     def __init__(self, scene: Scene, positions: FloatArray | None = None, threads: int | None = None) -> None:
         self.scene = scene
         self.positions = np.ascontiguousarray(scene.room.grid() if positions is None else positions)
+        self._low, self._high = self.positions.min(axis=0), self.positions.max(axis=0)
         self.threads = threads or available_threads()
-        self.axis_of = scene.pdf.axis_of
-        self.axes = kernels.in_blocks(scene.pdf.axes.T)
-        self.bands = kernels.height_index(scene.pdf.axes[:, 2])
-        self.weights = np.rint(kernels.in_blocks(scene.pdf.axis_weight) * PROBABILITY_ONE).astype(np.int64)
+        axes, self.axis_of, weight = scene.orientations
+        self.axes = kernels.in_blocks(axes.T)
+        self.bands = kernels.height_index(axes[:, 2])
+        self.weights = np.rint(kernels.in_blocks(weight) * PROBABILITY_ONE).astype(np.int64)
         # What rounding left over goes to the heaviest axis, so that certainty is exactly one.
         self.weights[np.argmax(self.weights)] += PROBABILITY_ONE - self.weights.sum()
         self.sight = scene.sight
@@ -74,7 +75,7 @@ class Evaluator:
             *(np.ascontiguousarray(v.transpose(0, 2, 1)) for v in (positions, normals)),
         )
         rest: tuple[Any, ...] = (
-            self.sight,
+            self.sight.among(self._low, self._high, *scene[1:]),
             self.axes,
             self.bands,
             self.weights,

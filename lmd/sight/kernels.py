@@ -79,11 +79,13 @@ def band_of(x, y, z, low, slack):
 
 
 @kernel
-def is_hidden(k, x, y, z, squared, sight):
-    """Whether another landmark hides landmark k; offsets `x, y, z` and their `squared` lengths, `(K,)`."""
+def is_hidden(k, x, y, z, squared, normals, sight):
+    """Whether another hides landmark k; offsets `x, y, z` and their `squared` lengths `(K,)`, `normals` `(3, K)`."""
     xk, yk, zk, sk, hiding = x[k], y[k], z[k], squared[k], 0
+    nx, ny, nz = normals[0, k], normals[1, k], normals[2, k]
     for j in range(len(x)):
-        hides, _ = hide(sight, x[j], y[j], z[j], squared[j], xk, yk, zk, sk)
+        ux, uy, uz = normals[0, j], normals[1, j], normals[2, j]
+        hides, _ = hide(sight, x[j], y[j], z[j], squared[j], xk, yk, zk, sk, ux, uy, uz, nx, ny, nz)
         hiding += hides & (j != k)
     return hiding > 0
 
@@ -98,7 +100,7 @@ def evaluate_range(
         positions: `(P, 3)`.
         landmarks, normals: `(B, 3, K)`.
         sight: the compiled model of sight.
-        axes: `(3, D)` sorted by height and filled up by `in_blocks`.
+        axes: axis and right, `(6, D)`, sorted by height of the axis and filled up by `in_blocks`.
         bands: their `height_index`.
         weights: probability of each axis in integer units, `(D,)`.
         n: landmarks that must be covered.
@@ -147,7 +149,7 @@ def evaluate_range(
                         cosine = u[j] * uk + v[j] * vk + w[j] * wk
                         suspects += np.int32(cosine * cosine >= close[j])
                     # The landmark itself is always one of the suspects.
-                    if suspects > 1 and is_hidden(k, x, y, z, squared, sight):
+                    if suspects > 1 and is_hidden(k, x, y, z, squared, normals[b], sight):
                         continue
                 least = low[k]
                 start, stop = bands[bottom[k]] & -BLOCK, (bands[top[k]] + BLOCK - 1) & -BLOCK

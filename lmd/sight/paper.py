@@ -49,6 +49,8 @@ class Visibility:
     occlusion: str = "paper"
     circle_of_confusion: float = 4.0
 
+    needs_roll = False  # see `Criteria.needs_roll`: the cone of view is round
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "thold", real("thold", self.thold, above=0.0))
         object.__setattr__(self, "nu", real("nu", self.nu, low=0.0))
@@ -198,7 +200,7 @@ def coverage_strength(
     landmarks: FloatArray,
     normals: FloatArray,
 ) -> FloatArray:
-    """Cs = C^R C^FOV C^F C^O (Eq. Cs_k), pixel/mm, `(A, K)`. Args as in `Criteria.covered`."""
+    """Cs = C^R C^FOV C^F C^O (Eq. Cs_k), pixel/mm, `(A, K)`. Args as in `Criteria.covered`; `(A, 3)` axes suffice."""
     offset = landmarks - position
     distance = np.sqrt(dot(offset, offset))
     depth = dot(axes[:, None, :], offset[None, :, :])
@@ -235,6 +237,10 @@ class PaperSight(NamedTuple):
         """See `Sight.unhidden`."""
         return self._replace(reach=-1.0)
 
+    def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "PaperSight":
+        """See `Sight.among`: a landmark may hide any other."""
+        return self
+
     def shrunk(self, size: float) -> "PaperSight":
         """See `Sight.shrunk`."""
         return self._replace(reach=self.reach * size**2)
@@ -254,13 +260,13 @@ def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untype
 
 
 @in_image.register(PaperSight)
-def _in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az):  # type: ignore[no-untyped-def]
+def _in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
     depth = ax * x + ay * y + az * z
     return (depth >= low) & (depth <= sight.max_depth + slack)
 
 
 @hide.register(PaperSight)
-def _hide(sight, ax, ay, az, a, bx, by, bz, b):  # type: ignore[no-untyped-def]
+def _hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
     cx = ay * bz - az * by
     cy = az * bx - ax * bz
     cz = ax * by - ay * bx

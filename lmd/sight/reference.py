@@ -17,7 +17,7 @@ from lmd.sight.criteria import TOLERANCE
 
 
 def coverage_caps(scene: Scene, deployment: Deployment, position: FloatArray, axes: FloatArray) -> BoolArray:
-    """Which axes lie in the coverage spherical cap S_k^C(p) of each landmark (Definition 1), `(A, K)`."""
+    """Which axes `(A, 6)` lie in the coverage spherical cap S_k^C(p) of each landmark (Definition 1), `(A, K)`."""
     return scene.visibility.covered(scene.camera, position, axes, deployment.positions, deployment.normals)
 
 
@@ -48,6 +48,6 @@ def cost(is_qualified: BoolArray, relevance: FloatArray) -> float:
 
 def counts(scene: Scene, deployment: Deployment) -> IntArray:
     """Landmarks covered at every grid position and orientation of the PDF, `(P, A)`."""
-    # Orientations that share an axis (poles, the seam) use the same bits.
-    axes = scene.pdf.axes[scene.pdf.axis_of]
+    # Orientations that are the same (poles, the seam) use the same bits.
+    axes = scene.orientations.axes[scene.orientations.index_of]
     return np.stack([cap_count(coverage_caps(scene, deployment, p, axes)) for p in scene.room.grid()])

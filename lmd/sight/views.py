@@ -16,7 +16,7 @@ from lmd.sight.kernels import is_hidden
 
 @kernel
 def _see(positions, axes, landmarks, normals, sight, seen):
-    """Fill `seen` `(N, K)` of False; positions `(N, 3)`, axes `(3, N)`, the others as in `kernels.evaluate_range`."""
+    """Fill `seen` `(N, K)` of False; positions `(N, 3)`, axes `(6, N)`, the others as in `kernels.evaluate_range`."""
     count = landmarks.shape[1]
     x, y, z, squared = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
     for i in range(len(positions)):
@@ -28,18 +28,20 @@ def _see(positions, axes, landmarks, normals, sight, seen):
             xk, yk, zk, nx, ny, nz = x[k], y[k], z[k], normals[0, k], normals[1, k], normals[2, k]
             reached, low, _ = from_position(sight, xk, yk, zk, nx, ny, nz, 0.0)
             if reached and covers(sight, xk, yk, zk, nx, ny, nz, low, 0.0, axes, i):
-                seen[i, k] = sight.reach < 0.0 or not is_hidden(k, x, y, z, squared, sight)
+                seen[i, k] = sight.reach < 0.0 or not is_hidden(k, x, y, z, squared, normals, sight)
 
 
 def visible(evaluator: Evaluator, deployment: Deployment, positions: FloatArray, axes: FloatArray) -> BoolArray:
-    """Whether each landmark is covered from each pose, `(N, K)`; roll does not matter.
+    """Whether each landmark is covered from each pose, `(N, K)`.
 
     Args:
         evaluator: the scene.
         deployment: K landmarks.
         positions: of the camera, `(N, 3)`, world frame, metres.
-        axes: its optical axes, `(N, 3)` unit vectors in the world frame.
+        axes: its optical axes and the image's right, `(N, 6)`: two unit vectors in the world frame
+            (`lmd.geometry.se3.axis_and_right`). Without the right, `(N, 3)`, for criteria that need no roll.
     """
+    axes = np.pad(axes, [(0, 0), (0, 6 - axes.shape[1])])
     seen = np.zeros((len(positions), len(deployment)), dtype=np.bool_)
     landmarks, normals = (np.ascontiguousarray(v.T) for v in (deployment.positions, deployment.normals))
     positions, axes = np.ascontiguousarray(positions), np.ascontiguousarray(axes.T)

@@ -1,12 +1,12 @@
 """Surfaces: flat rectangles that may carry landmarks."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from lmd.checks import FloatArray
+from lmd.checks import FloatArray, InputError
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,19 @@ class Surface:
     def area(self) -> float:
         """Square metres."""
         return self.extent[0] * self.extent[1]
+
+    def inset(self, margin: float) -> "Surface":
+        """The surface without a strip as wide as `margin`, metres, along its edges.
+
+        Raises:
+            InputError: nothing is left.
+        """
+        along, up = (length - 2.0 * margin for length in self.extent)
+        if min(along, up) < 0.0:
+            raise InputError(
+                f"surface {self.name} is {min(self.extent):.4g} m wide, too narrow for plates of {2.0 * margin:.4g} m."
+            )
+        return replace(self, origin=self.origin + margin * (self.u + self.v), extent=(along, up))
 
     def point(self, a: FloatArray | float, b: FloatArray | float) -> FloatArray:
         """World points `(..., 3)` at surface coordinates `a`, `b` of shape `(...)`, metres."""

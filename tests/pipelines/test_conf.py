@@ -17,7 +17,7 @@ from lmd.optimisers.encoding import make_encoding
 from pipelines.app import CONF, build_optimiser, build_problem, flat_settings, instantiate, keyed
 
 ONLY_OBSERVE = ("trajectory", "detector", "estimator")
-ONLY_RENDERED = ("detectors", "imaging", "tag", "views")
+ONLY_RENDERED = ("detectors", "imaging", "views")
 OTHER_GROUPS = {
     "experiment",
     "recording",
@@ -40,7 +40,8 @@ SWEEPS = {  # the pipeline of each stored sweep, and its number of jobs
     "landmark_count": ("optimise", 11),
     "optimisers": ("optimise", 55),
 }
-NEEDS_A_FILE = {("pdf", "samples"), ("deployment", "file"), ("views", "images")}
+# A file, or the edge of a tag.
+NEEDS_MORE = {("pdf", "samples"), ("deployment", "file"), ("views", "images"), ("visibility", "fiducial")}
 
 
 def composed(app, *overrides):
@@ -53,7 +54,7 @@ def test_every_option_composes_and_builds(group, option):
     cfg = composed("optimise", f"{group}={option}")
     instantiate(cfg.optimiser, seed=0)
     instantiate(cfg.tracking)
-    if (group, option) not in NEEDS_A_FILE:
+    if (group, option) not in NEEDS_MORE:
         build_problem(cfg)
 
 
@@ -68,7 +69,7 @@ def test_every_option_of_a_flight_composes_and_builds(group, option):
 def test_every_option_of_rendered_frames_composes_and_builds(group, option):
     cfg = composed("calibrate_detector", f"{group}=[{option}]" if group == "detectors" else f"{group}={option}")
     for node in cfg.detectors.values() if group == "detectors" else [cfg[group]]:
-        if (group, option) not in NEEDS_A_FILE:
+        if (group, option) not in NEEDS_MORE:
             instantiate(node)
 
 
@@ -222,3 +223,29 @@ def test_settings_are_flattened_for_the_record():
         "objective.thold_p": 0.65,
         "seed": 0,
     }
+
+
+def test_tags_and_what_a_detector_sees_are_a_choice():
+    problem = build_problem(composed("optimise", "tag.edge=0.2", "tag.quiet_zone=2", "visibility=fiducial"))
+    assert problem.scene.tag == problem.scene.visibility.tag
+    assert problem.scene.plates.edge == pytest.approx(0.3)
+    assert problem.settings()["tag"] == {"edge": 0.2, "family": "36h11", "quiet_zone": 2.0}
+    assert problem.settings()["detector"] == "aruco"
+    assert build_problem(composed("optimise", "tag=printed")).scene.plates.edge == pytest.approx(0.125)
+    assert build_problem(composed("optimise")).scene.plates.edge == 0.0
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["tag.edge=-1"], r"^tag\.edge must be positive"),
+        (["tag.edge=0.1", "tag.family=16h5"], r"^tag\.family 16h5 has 30 different tags, too few for 90"),
+        (["visibility=fiducial"], r"^tag\.edge must be given"),
+        (["tag.edge=1.5"], r"^deployment\.count = 90 tags do not fit: \d+ papers of 1\.875 m"),
+        (["visibility=fiducial", "tag.edge=0.1", "visibility.detector=eyes"], r"^visibility\.detector eyes was not"),
+        (["visibility=fiducial", "tag.edge=0.1", "+visibility.limits.pitch=-1"], r"^visibility\.limits\.pitch must be"),
+    ],
+)
+def test_tags_that_cannot_be_are_refused_with_their_key(overrides, message):
+    with pytest.raises(InputError, match=message):
+        build_problem(composed("optimise", *overrides))

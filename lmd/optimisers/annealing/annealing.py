@@ -131,7 +131,8 @@ class Annealing(Optimiser):
                 moves = int(stretch) // each
                 surrogate.walk(moves, settings, self.rng)
                 self.here = surrogate.here()
-                note(moves * each + count, self._apart(problem, surrogate.stack, 1.0) if self.in_stacks else self.here)
+                led_to = self._apart(problem, surrogate.stack, 1.0) if self.in_stacks else self.here
+                note(moves * each + count, problem.scene.plates.apart(led_to))
             if callback and callback(self):
                 stopped = "interrupted"
                 break
@@ -141,8 +142,8 @@ class Annealing(Optimiser):
         """Draw the start, and stack it if that pays; returns the landmarks moved to find the start."""
         count = problem.count
         self.rng = np.random.default_rng(self.seed)
-        start = problem.start.draw(problem.scene.room, self.rng)
-        self.start = self.here = start.movable(problem.scene.room, flush=False)
+        start, plates = problem.draw(self.rng), problem.scene.plates
+        self.start = self.here = start.movable(plates.room, flush=plates.edge > 0.0)
         looks = 2 * (LOOK + stack + 1) * count  # the cost of two looks at the stacks
         pays = stack and self.stacked_share * limit > looks and (1.0 - self.stacked_share) * limit > looks
         self.in_stacks = problem.start.varies and bool(pays)
@@ -158,7 +159,7 @@ class Annealing(Optimiser):
         if self.in_stacks:
             return 1.0, self.stacked.settings(used / self.stacked_share, near=0.0)
         done = (used - self.skipped) / (1.0 - self.skipped)
-        near = self.spread * problem.scene.visibility.spacing
+        near = self.spread * problem.scene.spacing
         if not self.skipped:
             return 1.0, self.given.settings(done, near)
         grown = min(done / self.growth, 1.0) if self.growth else 1.0
@@ -168,9 +169,9 @@ class Annealing(Optimiser):
 
     def _apart(self, problem: Problem, stack: int, size: float) -> Deployment:
         """Each stack as so many plates of this size, pulled apart; landmarks in no stack stay where they began."""
-        surfaces, surface = SurfaceArrays.of(problem.scene.room.surfaces()), self.here.surfaces
+        surfaces, surface = SurfaceArrays.of(problem.scene.plates.hanging.surfaces()), self.here.surfaces
         # Neighbours on the circle are `spread` apart.
-        distance = self.spread * size * problem.scene.visibility.spacing
+        distance = self.spread * size * problem.scene.spacing
         radius = 0.0 if stack == 1 else distance / (2.0 * math.sin(math.pi / stack))
         angle = self.angles[:, None] + 2.0 * np.pi * np.arange(stack) / stack
         centre = surfaces.coordinates(surface, self.here.positions)

@@ -6,6 +6,7 @@ from lmd.checks import FloatArray
 from lmd.deployment import Deployment
 from lmd.objectives.field import in_order
 from lmd.optimisers.annealing.walk import Best, Settings, total_worth, walk
+from lmd.plates import TOUCHING
 from lmd.problem import Problem
 from lmd.sight.evaluator import Evaluator
 from lmd.space.surface import SurfaceArrays
@@ -23,8 +24,9 @@ class Surrogate:
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
-        self._surfaces = SurfaceArrays.of(problem.scene.room.surfaces())
+        self._surfaces = SurfaceArrays.of(problem.scene.plates.hanging.surfaces())
         self._survey(problem.fitness_evaluator, problem.fitness_relevance)
+        self._apart = 0.0  # least distance between plates
         self._climbed: tuple[bool, float] | None = None  # in stacks, size of plates
 
     def _survey(self, evaluator: Evaluator, relevance: FloatArray) -> None:
@@ -59,6 +61,10 @@ class Surrogate:
             self._survey(*redrawn)
         self._climbed = in_stacks, size
         self.is_true = redrawn is None and not in_stacks and size == 1.0
+        if not in_stacks:
+            plates = self._problem.scene.plates
+            pushed, self._apart = plates.apart(here, size), size * plates.edge * (1.0 - TOUCHING)
+            here = best if pushed is None else pushed  # where there is no room for the plates, the best found has it
         self._field = self._true.stacked() if in_stacks else self._true.shrunk(size)
         self._state = self._field.state(here)
         together = max(1, min(self._field.stack, len(here)))
@@ -70,7 +76,8 @@ class Surrogate:
     def walk(self, moves: int, settings: Settings, rng: np.random.Generator) -> bool:
         """Try `moves` moves; True if one led to a better deployment than any before."""
         before = self._best.fitness[0]
-        walk(moves, self._field, self._state, self._scratches, self._target, self._surfaces, settings, rng, self._best)
+        surfaces, target, apart = self._surfaces, self._target, self._apart
+        walk(moves, self._field, self._state, self._scratches, target, surfaces, apart, settings, rng, self._best)
         return bool(self._best.fitness[0] > before)
 
     def here(self) -> Deployment:

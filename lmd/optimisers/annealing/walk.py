@@ -123,6 +123,34 @@ def propose(group, state, surfaces, settings, rng, new):
 
 
 @kernel
+def _overlaps(group, surface, new, state, surfaces, apart):
+    """Whether a plate of `group` at its `new` place on a surface would be less than `apart` from another there."""
+    u, v, landmarks = surfaces.u[surface], surfaces.v[surface], state.landmarks
+    for m in range(len(group)):
+        for j in range(landmarks.shape[1]):
+            if state.surfaces[j] != surface:
+                continue
+            along = up = 0.0
+            for i in range(3):
+                away = landmarks[i, j] - new[m, i]
+                along, up = along + away * u[i], up + away * v[i]
+            if max(abs(along), abs(up)) < apart:
+                stays = True
+                for other in group:
+                    stays = stays and other != j
+                if stays:
+                    return True
+        for other in range(m):
+            along = up = 0.0
+            for i in range(3):
+                away = new[other, i] - new[m, i]
+                along, up = along + away * u[i], up + away * v[i]
+            if max(abs(along), abs(up)) < apart:
+                return True
+    return False
+
+
+@kernel
 def _sum_values(units, accepted, value, target, settings, trial):
     """The smoothed objective for `units`, its terms in `trial`; `value` has those for `accepted`."""
     total = 0.0
@@ -155,10 +183,11 @@ def _keep_best(state, target, best):
 
 
 @kernel
-def walk(moves, field, state, scratches, target, surfaces, settings, rng, best):
+def walk(moves, field, state, scratches, target, surfaces, apart, settings, rng, best):
     """Move landmarks `moves` times from `state`, which ends where the walk ends; `best` is updated.
 
-    scratches: as many as landmarks can move together.
+    scratches: as many as landmarks can move together. apart: least distance of plates on a surface, along its u or its
+    v, metres; moves that come closer are not even tried, but count.
     """
     positions, count = len(state.units), state.landmarks.shape[1]
     accepted = state.units.copy()
@@ -181,6 +210,8 @@ def walk(moves, field, state, scratches, target, surfaces, settings, rng, best):
         scratch = scratches[last]
         units = scratch.units
         surface = propose(group, state, surfaces, settings, rng, new)
+        if apart > 0.0 and _overlaps(group, surface, new, state, surfaces, apart):
+            continue
         for m in range(last):
             move(field, group[m], new[m], surface, state, scratches[m])
         bound(field, group[last], new[last], surface, state, scratch)

@@ -28,8 +28,11 @@ from lmd.sight.kernels import BLOCK, SINGLE_ERROR
 
 
 @kernel
-def find_neighbours(k, ax, ay, az, x, y, z, field, landmarks, wanted, ways, neighbours):
-    """Fill `neighbours` of a place (ax, ay, az) of landmark k, at offsets `x, y, z`, in the `wanted` blocks."""
+def find_neighbours(k, ax, ay, az, nx, ny, nz, x, y, z, field, landmarks, normals, wanted, ways, neighbours):
+    """Fill `neighbours` of a place (ax, ay, az) of landmark k, at offsets `x, y, z`, in the `wanted` blocks.
+
+    (nx, ny, nz) is its normal there.
+    """
     positions, centres, halves, sight = field.positions, field.centres, field.halves, field.sight
     found, who, hides, hidden_by, count_hides, count_hidden = neighbours
     radius = math.sqrt(sight.reach) * (1.0 + SINGLE_ERROR) + TOLERANCE
@@ -63,12 +66,13 @@ def find_neighbours(k, ax, ay, az, x, y, z, field, landmarks, wanted, ways, neig
                 i = start + lowest(np.uint64(close))
                 close &= close - np.uint32(1)
                 lx, ly, lz = landmarks[0, i], landmarks[1, i], landmarks[2, i]
+                vx, vy, vz = normals[0, i], normals[1, i], normals[2, i]
                 some = np.int64(0)
                 for p in range(first, last):
                     ox, oy, oz = lx - positions[0, p], ly - positions[1, p], lz - positions[2, p]
                     squared = x[p] * x[p] + y[p] * y[p] + z[p] * z[p]
                     other = ox * ox + oy * oy + oz * oz
-                    one, two = hide(sight, x[p], y[p], z[p], squared, ox, oy, oz, other)
+                    one, two = hide(sight, x[p], y[p], z[p], squared, ox, oy, oz, other, nx, ny, nz, vx, vy, vz)
                     some += one | two
                 if some == 0 or i == np.uint64(k):
                     continue
@@ -76,7 +80,7 @@ def find_neighbours(k, ax, ay, az, x, y, z, field, landmarks, wanted, ways, neig
                     ox, oy, oz = lx - positions[0, p], ly - positions[1, p], lz - positions[2, p]
                     squared = x[p] * x[p] + y[p] * y[p] + z[p] * z[p]
                     other = ox * ox + oy * oy + oz * oz
-                    one, two = hide(sight, x[p], y[p], z[p], squared, ox, oy, oz, other)
+                    one, two = hide(sight, x[p], y[p], z[p], squared, ox, oy, oz, other, nx, ny, nz, vx, vy, vz)
                     hides[b, kept, p - first], hidden_by[b, kept, p - first] = one, two
                     count_hides[p] += one
                     count_hidden[p] += two
@@ -114,8 +118,10 @@ def find_turns(before, after, turns, slot):
 @kernel
 def find_old(k, field, state, scratch):
     """Fill `before` with what landmark k hides, and is hidden by, where it is."""
-    landmarks, hiding, hidden, old, wanted = state.landmarks, state.hiding, state.hidden, scratch.old, scratch.wanted
+    landmarks, normals, hiding, hidden = state.landmarks, state.normals, state.hiding, state.hidden
+    old, wanted = scratch.old, scratch.wanted
     ax, ay, az = landmarks[0, k], landmarks[1, k], landmarks[2, k]
+    nx, ny, nz = normals[0, k], normals[1, k], normals[2, k]
     x, y, z = old[0], old[1], old[2]
     for p in range(len(x)):
         x[p], y[p], z[p] = ax - field.positions[0, p], ay - field.positions[1, p], az - field.positions[2, p]
@@ -124,7 +130,9 @@ def find_old(k, field, state, scratch):
         for p in range(b * BLOCK, (b + 1) * BLOCK):
             some |= hiding[k, p] | hidden[k, p]
         wanted[b] = some != 0
-    find_neighbours(k, ax, ay, az, x, y, z, field, landmarks, wanted, scratch.ways, scratch.before)
+    find_neighbours(
+        k, ax, ay, az, nx, ny, nz, x, y, z, field, landmarks, normals, wanted, scratch.ways, scratch.before
+    )  # fmt: skip
 
 
 @kernel
@@ -133,8 +141,8 @@ def find_new(k, field, state, scratch):
     target, new, wanted = scratch.target, scratch.new, scratch.wanted
     wanted[:] = True
     find_neighbours(
-        k, target[0], target[1], target[2], new.x, new.y, new.z,
-        field, state.landmarks, wanted, scratch.ways, scratch.after,
+        k, target[0], target[1], target[2], target[3], target[4], target[5], new.x, new.y, new.z,
+        field, state.landmarks, state.normals, wanted, scratch.ways, scratch.after,
     )  # fmt: skip
 
 

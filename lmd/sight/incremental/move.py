@@ -169,9 +169,13 @@ def _fill(field, state, scratch):
         x, y, z = landmarks[0, k], landmarks[1, k], landmarks[2, k]
         for i in range(3):
             scratch.target[i], scratch.target[3 + i] = landmarks[i, k], normals[i, k]
-        see(x, y, z, normals[0, k], normals[1, k], normals[2, k], field.positions, field.sight, new)
+        nx, ny, nz = normals[0, k], normals[1, k], normals[2, k]
+        see(x, y, z, nx, ny, nz, field.positions, field.sight, new)
         if field.sight.reach >= 0.0:
-            find_neighbours(k, x, y, z, new.x, new.y, new.z, field, landmarks, scratch.wanted, scratch.ways, after)
+            find_neighbours(
+                k, x, y, z, nx, ny, nz, new.x, new.y, new.z,
+                field, landmarks, normals, scratch.wanted, scratch.ways, after,
+            )  # fmt: skip
         _find_cap(positions, field, scratch)
         _recount(np.uint64(k), positions, 1, field, state, scratch)
         state.reachable[k], state.hidden[k], state.hiding[k] = new.reached, after.count_hidden, after.count_hides

@@ -1,0 +1,210 @@
+"""Plates: the papers that tags are printed on. They hang wholly on their surface, and never overlap.
+
+Tags hang upright (`lmd.tag.upright`), so their papers are squares along the u and v of their surface: two do not
+overlap exactly if their centres are at least an edge apart along u or along v. Landmarks that are points have no
+plates, and nothing here changes them. Tags that are tilted or hang on no surface are not looked at: only a file has
+such.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from lmd.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.compiled import kernel
+from lmd.deployment import FLUSH, Deployment, DeploymentSource, FileDeployment
+from lmd.space.inset import Inset
+from lmd.space.space import Space
+from lmd.space.surface import SurfaceArrays
+
+# Relative: papers that share an edge do not overlap, however their distance is rounded.
+TOUCHING = 1e-9
+# A file rounded to micrometres may have papers overlap by so much, metres.
+PRINTED = 2e-6
+# Plates within so many edges are looked at first when one is pushed away.
+NEAR = 3.0
+
+
+@dataclass(frozen=True)
+class Plates:
+    """The plates of the tags in a room.
+
+    Args:
+        room: the room.
+        edge: of the paper, metres; 0 for landmarks that are points.
+    """
+
+    room: Space
+    edge: float
+
+    @cached_property
+    def hanging(self) -> Space:
+        """The room with what the centres of tags may use of its surfaces."""
+        return Inset(self.room, self.edge / 2.0) if self.edge else self.room
+
+    @cached_property
+    def _surfaces(self) -> SurfaceArrays:
+        return SurfaceArrays.of(self.hanging.surfaces())
+
+    @cached_property
+    def capacity(self) -> float:
+        """How many fit at most: in rows and columns no fewer than in any other way."""
+        if not self.edge:
+            return np.inf
+        return float(np.floor(self._surfaces.extent / self.edge * (1.0 + TOUCHING) + 1.0).prod(axis=1).sum())
+
+    def draw(self, source: DeploymentSource, rng: np.random.Generator) -> Deployment:
+        """A deployment from `source` whose plates hang properly; a random one is pushed apart.
+
+        Raises:
+            InputError: the source cannot be drawn from, or plates overlap, are not wholly on their surface or too many.
+        """
+        drawn = source.draw(self.hanging, rng)
+        if not self.edge:
+            return drawn
+        if len(drawn) > self.capacity:
+            raise InputError(
+                f"count = {len(drawn)} tags do not fit: {self.capacity:g} papers of {self.edge:.4g} m are all that the "
+                "surfaces hold.",
+                "count",
+            )
+        if source.varies:
+            apart = self.apart(drawn)
+            if apart is None:
+                raise InputError(
+                    f"count = {len(drawn)} tags with papers of {self.edge:.4g} m are too many to be hung at random.",
+                    "count",
+                )
+            return apart
+        try:
+            self.check(drawn)
+        except InputError as error:
+            raise InputError(f"{source.path}: {error}" if isinstance(source, FileDeployment) else str(error)) from None
+        return drawn
+
+    def check(self, deployment: Deployment) -> None:
+        """Raise `InputError` if plates overlap or are not wholly on their surface; landmarks know their surfaces."""
+        if not self.edge:
+            return
+        flat = np.flatnonzero(self._lies_flat(deployment.normals, deployment.surfaces))
+        surface = deployment.surfaces[flat]
+        at, extent = self._surfaces.coordinates(surface, deployment.positions[flat]), self._surfaces.extent[surface]
+        names = [surface.name for surface in self.room.surfaces()]
+        if (over := np.flatnonzero(((at < -PRINTED) | (at > extent + PRINTED)).any(axis=1))).size:
+            raise InputError(
+                f"landmark {flat[over[0]]} hangs over the edge of {names[surface[over[0]]]}: its paper is "
+                f"{self.edge:.4g} m wide."
+            )
+        distance = np.abs(at[:, None] - at[None]).max(axis=-1)
+        close = (distance < self.edge - PRINTED) & (surface[:, None] == surface)
+        if (pairs := np.argwhere(np.triu(close, 1))).size:
+            i, j = pairs[0]
+            raise InputError(
+                f"landmarks {flat[i]} and {flat[j]} on {names[surface[i]]} overlap: their papers are {self.edge:.4g} m "
+                f"wide, their centres {distance[i, j]:.4g} m apart along the edges."
+            )
+
+    def apart(self, deployment: Deployment, size: float = 1.0) -> Deployment | None:
+        """The deployment with plates pushed apart, None where there is no room for all; see `pushed`."""
+        parts = deployment.positions[None], deployment.normals[None], deployment.surfaces[None]
+        positions, normals, surfaces, fits = self.pushed(*parts, size)
+        return Deployment(positions[0], normals[0], surfaces[0]) if fits[0] else None
+
+    def pushed(
+        self, positions: FloatArray, normals: FloatArray, surfaces: IntArray, size: float = 1.0
+    ) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
+        """Deployments whose plates are pushed apart, one after the other; what hangs properly stays as it is.
+
+        A plate that overlaps one before it goes to the nearest free place on its surface, and if there is none to one
+        on the next surface that has. Deterministic, so that a search may work with the places before the push.
+
+        Args:
+            positions, normals: `(B, K, 3)`, flush.
+            surfaces: `(B, K)`.
+            size: of the plates, as a share of their true size.
+
+        Returns:
+            positions, normals, surfaces, and whether there was room for all, `(B,)`.
+        """
+        fits = np.ones(len(positions), dtype=np.bool_)
+        if not self.edge:
+            return positions, normals, surfaces, fits
+        s, positions, normals, surfaces = self._surfaces, positions.copy(), normals.copy(), surfaces.copy()
+        for b in range(len(positions)):
+            at, moved = s.coordinates(surfaces[b], positions[b]), np.zeros(surfaces.shape[1], dtype=np.bool_)
+            fits[b] = _push(surfaces[b], at, s.extent, size * self.edge * (1.0 - TOUCHING), size * self.edge, moved)
+            positions[b, moved] = s.points(surfaces[b, moved], at[moved])
+            normals[b, moved] = s.normal[surfaces[b, moved]]
+        return positions, normals, surfaces, fits
+
+    def touched(self, poses: Deployment, pose: Deployment) -> BoolArray:
+        """Which of the poses a plate at the one `pose` leaves no room for, `(N,)`; all know their surfaces."""
+        s, surface = self._surfaces, poses.surfaces
+        away = s.coordinates(surface, poses.positions) - s.coordinates(surface, pose.positions)
+        near = np.abs(away).max(axis=1) < self.edge * (1.0 - TOUCHING)
+        return np.asarray(near & (surface == pose.surfaces))
+
+    def _lies_flat(self, normals: FloatArray, surfaces: IntArray) -> BoolArray:
+        """Which tags `(K,)` lie flat on a surface."""
+        deviation = np.linalg.norm(normals - self._surfaces.normal[surfaces], axis=1)
+        return np.asarray((surfaces >= 0) & (deviation <= FLUSH))
+
+
+@kernel
+def _is_free(a, b, s, others, surface, at, least):  # type: ignore[no-untyped-def]
+    """Whether a plate at (a, b) on surface s is at least `least` away from the first `others` plates."""
+    free = True
+    for j in range(others):
+        free = free and (surface[j] != s or max(abs(at[j, 0] - a), abs(at[j, 1] - b)) >= least)
+    return free
+
+
+@kernel
+def _nearest_free(k, s, a, b, within, surface, at, extent, least, edge, lines, found):  # type: ignore[no-untyped-def]
+    """Write the free place for plate k nearest to (a, b) on surface s to `found`; whether there is one.
+
+    A nearest place has each coordinate either unchanged or on a line: the border, or one that touches another plate.
+    Only plates at most `within` away make lines.
+    """
+    lines[0, 0], lines[1, 0] = a, b
+    lines[:, 1], lines[0, 2], lines[1, 2] = 0.0, extent[s, 0], extent[s, 1]
+    size = 3
+    for j in range(k):
+        if surface[j] == s and max(abs(at[j, 0] - a), abs(at[j, 1] - b)) <= within:
+            for i in range(2):
+                lines[i, size], lines[i, size + 1] = at[j, i] - edge, at[j, i] + edge
+            size += 2
+    nearest = np.inf
+    for i in range(size):
+        for j in range(size):
+            p, q = lines[0, i], lines[1, j]
+            distance = (p - a) ** 2 + (q - b) ** 2
+            inside = (p >= 0.0) & (p <= extent[s, 0]) & (q >= 0.0) & (q <= extent[s, 1])
+            if distance < nearest and inside and _is_free(p, q, s, k, surface, at, least):
+                nearest, found[0], found[1] = distance, p, q
+    return nearest < np.inf
+
+
+@kernel
+def _push(surface, at, extent, least, edge, moved):  # type: ignore[no-untyped-def]
+    """Push plates at `at` `(K, 2)` on `surface` `(K,)` apart, in place; marks those `moved`; whether all found room."""
+    lines, found = np.empty((2, 2 * len(at) + 3)), np.empty(2)
+    for k in range(len(at)):
+        a = min(max(at[k, 0], 0.0), extent[surface[k], 0])
+        b = min(max(at[k, 1], 0.0), extent[surface[k], 1])
+        # What is off by a rounding error is not moved.
+        if abs(a - at[k, 0]) + abs(b - at[k, 1]) < edge - least and _is_free(a, b, surface[k], k, surface, at, least):
+            continue
+        has_room, moved[k], s = False, True, surface[k]
+        for turn in range(len(extent) + 1):
+            within = NEAR * edge if turn == 0 else np.inf
+            s = (surface[k] + max(turn - 1, 0)) % len(extent)
+            p, q = min(a, extent[s, 0]), min(b, extent[s, 1])
+            if _nearest_free(k, s, p, q, within, surface, at, extent, least, edge, lines, found):
+                has_room = True
+                break
+        if not has_room:
+            return False
+        surface[k], at[k, 0], at[k, 1] = s, found[0], found[1]
+    return True

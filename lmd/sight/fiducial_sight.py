@@ -1,0 +1,180 @@
+"""What a detector sees of fiducial tags as scalar functions: `lmd.sight.fiducial` compiled for a camera.
+
+The same operations in the same order as the reference there, hence the same bits.
+"""
+
+import math
+from typing import NamedTuple
+
+from numba import njit
+
+from lmd.checks import FloatArray
+from lmd.compiled import kernel
+from lmd.sight.criteria import TOLERANCE, from_position, hide, in_image
+
+
+class FiducialSight(NamedTuple):
+    """The criteria as numbers, tolerance included; a `lmd.sight.criteria.Sight`.
+
+    outer_cosine, inner_cosine, reach: see there; facing cosine of the greatest incidence; half, plate half the edge of
+    the black square and of the paper, metres; level: see `lmd.tag.upright`; left, right, top, bottom tangents of the
+    angles to the borders, less the margin; focal_u, focal_v pixels; area least |det J|, pixels^2 / metre^2. The least
+    eigenvalue of J^T J, pixels^2 / metre^2, is sharp + blurred (defocus - focus / depth)^2 with `focus` in metres.
+    steady: sine of the angle between the inner cone and the nearest border.
+    """
+
+    outer_cosine: float
+    inner_cosine: float
+    reach: float
+    facing: float
+    half: float
+    plate: float
+    level: float
+    left: float
+    right: float
+    top: float
+    bottom: float
+    focal_u: float
+    focal_v: float
+    area: float
+    sharp: float
+    blurred: float
+    defocus: float
+    focus: float
+    steady: float
+
+    def unhidden(self) -> "FiducialSight":
+        """See `Sight.unhidden`."""
+        return self._replace(reach=-1.0)
+
+    def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "FiducialSight":
+        """See `Sight.among`: flush plates of a convex room never hide each other."""
+        if self.reach >= 0.0 and not _may_hide(low, high, landmarks, normals, self.half, self.level):
+            return self.unhidden()
+        return self
+
+    def shrunk(self, size: float) -> "FiducialSight":
+        """See `Sight.shrunk`."""
+        return self._replace(plate=self.plate * size)
+
+
+@njit(inline="always")
+def _upright(nx, ny, nz, level):  # type: ignore[no-untyped-def]
+    """See `lmd.tag.upright`: right and up of a tag with a unit normal."""
+    across = nx * nx + ny * ny
+    on_wall = across > level * level
+    square = across if on_wall else nx * nx + nz * nz
+    length = math.sqrt(square)
+    tx, ty, tz = (
+        (-ny if on_wall else nz) / length,
+        (nx if on_wall else 0.0) / length,
+        (0.0 if on_wall else -nx) / length,
+    )
+    ux, uy = -(nx * (nz if on_wall else ny)) / length, (-(ny * nz) if on_wall else square) / length
+    uz = (square if on_wall else -(ny * nz)) / length
+    return tx, ty, tz, ux, uy, uz
+
+
+@from_position.register(FiducialSight)
+def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped-def]
+    distance = math.sqrt(x * x + y * y + z * z)
+    nearest = distance - slack
+    along = -(nx * x + ny * y + nz * z)
+    least = nearest * sight.outer_cosine
+    # |det J| is at least the smaller eigenvalue of J^T J and falls with the depth; moving in the plane leaves n . d.
+    product = sight.focal_u * sight.focal_v * along
+    resolved = least * least * least * max(sight.area, sight.sharp) <= product * (1.0 + TOLERANCE)
+    reached = (along >= sight.facing * nearest) & (along >= 0.0) & resolved
+    # Within the inner cone, the larger eigenvalue is at most (f_max d)^2 / z^4, and the product of both det^2.
+    slope = min(sight.focal_u, sight.focal_v) * along / (distance * distance)
+    here, there = sight.defocus - sight.focus / distance, sight.defocus - sight.focus / (distance * sight.inner_cosine)
+    most = sight.sharp + sight.blurred * max(here * here, there * there)
+    sure = (slope * slope * (1.0 - TOLERANCE) >= most) & (product * (1.0 - TOLERANCE) >= sight.area * distance**3)
+    sure = sure & (distance * sight.steady >= 1.5 * sight.half)  # more than half the diagonal
+    return reached, least - slack, not sure
+
+
+@in_image.register(FiducialSight)
+def _in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
+    tx, ty, tz, ux, uy, uz = _upright(nx, ny, nz, sight.level)
+    dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
+    # The centre, and the tag's right and up, in the camera's frame.
+    u, v, w = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z, ax * x + ay * y + az * z
+    tu, tv, tw = rx * tx + ry * ty + rz * tz, dx * tx + dy * ty + dz * tz, ax * tx + ay * ty + az * tz
+    uu, uv, uw = rx * ux + ry * uy + rz * uz, dx * ux + dy * uy + dz * uz, ax * ux + ay * uy + az * uz
+    half, left, right, top, bottom = sight.half, sight.left, sight.right, sight.top, sight.bottom
+    inside = half * (abs(tw) + abs(uw)) < w
+    inside &= u + half * (abs(tu - right * tw) + abs(uu - right * uw)) <= right * w
+    inside &= half * (abs(tu + left * tw) + abs(uu + left * uw)) - u <= left * w
+    inside &= v + half * (abs(tv - bottom * tw) + abs(uv - bottom * uw)) <= bottom * w
+    inside &= half * (abs(tv + top * tw) + abs(uv + top * uw)) - v <= top * w
+    per = 1.0 / w
+    fu, fv, at_u, at_v = sight.focal_u * per, sight.focal_v * per, u * per, v * per
+    one, two, three, four = tu - at_u * tw, uu - at_u * uw, tv - at_v * tw, uv - at_v * uw
+    square = fu * fu * (one * one + two * two) + fv * fv * (three * three + four * four)
+    determinant = fu * fv * per * abs(nx * x + ny * y + nz * z)
+    blur = sight.defocus - sight.focus * per
+    least = sight.sharp + sight.blurred * (blur * blur)
+    clear = (2.0 * least <= square) & (determinant >= sight.area)
+    clear &= least * least + determinant * determinant >= square * least
+    covered = inside & clear & (w >= low)
+    return covered | ((slack > 0.0) & (w >= low))
+
+
+@njit(error_model="numpy")
+def _hides(sight, ax, ay, az, nx, ny, nz, bx, by, bz, mx, my, mz):  # type: ignore[no-untyped-def]
+    """Whether plate A with normal n hides the centre or a corner of B with normal m."""
+    height = -(nx * ax + ny * ay + nz * az)
+    tx, ty, tz, ux, uy, uz = _upright(nx, ny, nz, sight.level)
+    rx, ry, rz, sx, sy, sz = _upright(mx, my, mz, sight.level)
+    rx, ry, rz = sight.half * rx, sight.half * ry, sight.half * rz
+    sx, sy, sz = sight.half * sx, sight.half * sy, sight.half * sz
+    for i in range(5):
+        # The centre, then r + s, -(r + s), r - s and -(r - s) from it.
+        way, up = (0.0 if i == 0 else 1.0 if i % 2 == 1 else -1.0), (1.0 if i < 3 else -1.0)
+        cx, cy, cz = bx + way * (rx + up * sx), by + way * (ry + up * sy), bz + way * (rz + up * sz)
+        side = nx * cx + ny * cy + nz * cz + height
+        if (height > 0.0 and side < -TOLERANCE) or (height < 0.0 and side > TOLERANCE):
+            share = height / (height - side)
+            qx, qy, qz = share * cx - ax, share * cy - ay, share * cz - az
+            along, across = abs(tx * qx + ty * qy + tz * qz), abs(ux * qx + uy * qy + uz * qz)
+            if along <= sight.plate and across <= sight.plate:
+                return True
+    return False
+
+
+@hide.register(FiducialSight)
+def _hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
+    # Mostly the camera is in front of both planes, and no corner behind the other's: half the diagonal times the sine
+    # of the angle between the planes is how far a corner may be below the centre.
+    cx, cy, cz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    reach = 1.5 * sight.half * math.sqrt(cx * cx + cy * cy + cz * cz) - 0.5 * TOLERANCE
+    above_a, above_b = -(ux * ax + uy * ay + uz * az), -(vx * bx + vy * by + vz * bz)
+    b_above_a, a_above_b = ux * bx + uy * by + uz * bz + above_a, vx * ax + vy * ay + vz * az + above_b
+    one, two = not (above_a > 0.0 and b_above_a >= reach), not (above_b > 0.0 and a_above_b >= reach)
+    if one:
+        one = _hides(sight, ax, ay, az, ux, uy, uz, bx, by, bz, vx, vy, vz)
+    if two:
+        two = _hides(sight, bx, by, bz, vx, vy, vz, ax, ay, az, ux, uy, uz)
+    return one, two
+
+
+@kernel
+def _may_hide(low, high, landmarks, normals, half, level):  # type: ignore[no-untyped-def]
+    """False only if all cameras are in front of all plates, and no corner is behind another plate; see `among`."""
+    count = landmarks.shape[2]
+    for b in range(len(landmarks)):
+        for j in range(count):
+            x, y, z = landmarks[b, 0, j], landmarks[b, 1, j], landmarks[b, 2, j]
+            nx, ny, nz = normals[b, 0, j], normals[b, 1, j], normals[b, 2, j]
+            height = min(nx * (low[0] - x), nx * (high[0] - x))
+            height += min(ny * (low[1] - y), ny * (high[1] - y)) + min(nz * (low[2] - z), nz * (high[2] - z))
+            if not height >= TOLERANCE:
+                return True
+            for k in range(count):
+                tx, ty, tz, ux, uy, uz = _upright(normals[b, 0, k], normals[b, 1, k], normals[b, 2, k], level)
+                side = nx * (landmarks[b, 0, k] - x) + ny * (landmarks[b, 1, k] - y) + nz * (landmarks[b, 2, k] - z)
+                side -= half * (abs(nx * tx + ny * ty + nz * tz) + abs(nx * ux + ny * uy + nz * uz))
+                if side < -0.1 * TOLERANCE:
+                    return True
+    return False

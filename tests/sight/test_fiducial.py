@@ -1,0 +1,198 @@
+"""What a detector sees: the equations against independent ones, and every fast path against the reference."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from paper import paper_camera, paper_room
+from strategies import deployments, fiducial_scenes, seeds, unit_vectors
+
+from lmd import pdf
+from lmd.camera import Camera
+from lmd.checks import InputError
+from lmd.deployment import Deployment, RandomDeployment
+from lmd.detection.quality import apparent_edge, incidence, pitch
+from lmd.geometry.se3 import axis_and_right, camera_pose
+from lmd.objectives.coverage_field import coverage_field
+from lmd.objectives.field import move
+from lmd.render.optics import blur_sigma, project, to_camera
+from lmd.scene import Scene
+from lmd.sight import reference
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.fiducial import LIMITS, Fiducial
+from lmd.sight.incremental.move import counts_of, state_of
+from lmd.sight.incremental.state import scratch_of
+from lmd.sight.views import visible
+from lmd.tag import LEVEL, Tag, corners, upright
+
+
+def fiducial_scene(room=None, orientations=None, edge=0.1, **fiducial):
+    orientations = orientations or pdf.grid_with_ends()
+    return Scene(room or paper_room(), paper_camera(), orientations, Fiducial(Tag(edge), **fiducial))
+
+
+def tilted(deployment, rng, scale=0.5):
+    normals = deployment.normals + rng.normal(scale=scale, size=deployment.normals.shape)
+    return Deployment(deployment.positions, normals / np.linalg.norm(normals, axis=1, keepdims=True))
+
+
+@given(unit_vectors)
+def test_tags_hang_upright(normal):
+    right, up = upright(normal)
+    np.testing.assert_allclose(np.stack([right, up, normal]) @ np.stack([right, up, normal]).T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(np.cross(up, normal), right, atol=1e-12)
+    assert (up[2] > 0.0 and abs(right[2]) < 1e-15) if np.hypot(*normal[:2]) > LEVEL else up[1] > 0.9
+
+
+def by_the_detection_package(scene, deployment, poses):
+    """Whether each pose sees each tag, nobody hiding it, by the functions that judge rendered tags; and how surely."""
+    camera, fiducial, limits = scene.camera, scene.visibility, scene.visibility.limits
+    centres, normals, tag = deployment.positions, deployment.normals, scene.visibility.tag
+    depth = to_camera(poses, centres)[..., 2]
+    with np.errstate(all="ignore"):
+        sigma = np.hypot(blur_sigma(camera, depth, fiducial.psf_sigma), fiducial.motion_blur / math.sqrt(12.0))
+        least = np.hypot(limits.pitch, limits.blur * sigma)
+        square = corners(centres, normals, upright(normals)[1], tag.size)
+        points = project(camera, poses, square.reshape(-1, 3)).reshape(*depth.shape, 4, 2)
+        size = np.array([camera.image_width, camera.image_height])
+        inside = np.minimum(points, size - points).min(axis=(-1, -2)) - limits.margin
+        ratios = [
+            pitch(camera, poses, centres, normals, tag) / least - 1.0,
+            apparent_edge(camera, poses, centres, normals, tag) / limits.edge - 1.0,
+            np.cos(incidence(poses, centres, normals)) - math.cos(math.radians(limits.incidence)),
+            inside / size.max(),
+        ]
+    slack = np.min(np.where(np.isnan(ratios), -1.0, ratios), axis=0)
+    return slack > 0.0, np.abs(slack) > 1e-6
+
+
+@settings(max_examples=60)
+@given(data=st.data(), scene=fiducial_scenes(), seed=seeds)
+def test_the_reference_is_what_the_detection_package_says(data, scene, seed):
+    deployment, rng = data.draw(deployments(scene.room)), np.random.default_rng(seed)
+    alone = [deployment[np.array([k])] for k in range(len(deployment))]
+    position = scene.room.sample(1, rng)[0]
+    poses = camera_pose(position, *rng.uniform(-1.5, 1.5, (3, 20)))
+    seen = np.hstack([reference.coverage_caps(scene, one, position, axis_and_right(poses)) for one in alone])
+    expected, sure = by_the_detection_package(scene, deployment, poses)
+    np.testing.assert_array_equal(seen[sure], expected[sure])
+
+
+def test_the_reference_sees_some_tags_and_not_others():
+    scene, rng = fiducial_scene(), np.random.default_rng(0)
+    deployment = RandomDeployment(60).draw(scene.room, rng)
+    position, poses = np.array([3.0, 2.0, 2.0]), camera_pose(np.array([3.0, 2.0, 2.0]), *rng.uniform(-3, 3, (3, 500)))
+    seen = reference.coverage_caps(scene, deployment, position, axis_and_right(poses))
+    expected, sure = by_the_detection_package(scene, deployment, poses)
+    np.testing.assert_array_equal(seen[sure], expected[sure])
+    assert 0.02 < seen.mean() < 0.2
+    assert sure.mean() > 0.99
+
+
+def check(scene, deployment, targets, n, rng):
+    """Every path against the reference."""
+    evaluator = Evaluator(scene, threads=1)
+    np.testing.assert_array_equal(evaluator.counts(deployment), reference.counts(scene, deployment))
+    axes = scene.orientations.axes
+    for position in scene.room.grid()[:2]:
+        seen = visible(evaluator, deployment, np.tile(position, (len(axes), 1)), axes)
+        np.testing.assert_array_equal(seen, reference.coverage_caps(scene, deployment, position, axes))
+    field = coverage_field(evaluator, n)
+    state = state_of(field, deployment)
+    scratch = scratch_of(state)
+    for target in np.hstack([targets.positions, targets.normals]):
+        move(field, int(rng.integers(len(deployment))), target, -1, state, scratch)
+    now = Deployment(state.landmarks.T, state.normals.T)
+    np.testing.assert_array_equal(
+        state.units[field.index_of], evaluator.units(now.positions[None], now.normals[None], n)[0]
+    )
+    counts = counts_of(state, evaluator.axes.shape[1])[field.index_of][:, scene.orientations.index_of]
+    np.testing.assert_array_equal(counts, reference.counts(scene, now))
+
+
+@settings(max_examples=100)
+@given(data=st.data(), scene=fiducial_scenes(), n=st.integers(1, 3), seed=seeds)
+def test_every_path_counts_what_the_reference_counts(data, scene, n, seed):
+    deployment, targets = data.draw(deployments(scene.room)), data.draw(deployments(scene.room, most=4))
+    check(scene, deployment, targets, n, np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize("edge", [0.05, 0.1, 0.3])
+@pytest.mark.parametrize("detector", sorted({detector for detector, _ in LIMITS}))
+def test_every_path_is_exact_in_the_papers_room(detector, edge):
+    rng = np.random.default_rng(0)
+    orientations = pdf.OrientationPdf(
+        *rng.uniform(-1.5, 1.5, (2, 150)), np.full(150, 1 / 150), roll=rng.normal(size=150)
+    )
+    scene = fiducial_scene(paper_room(spacing=1.5), orientations, edge, detector=detector)
+    deployment, targets = (RandomDeployment(40).draw(scene.room, rng) for _ in range(2))
+    for one in (deployment, tilted(deployment, rng)):
+        check(scene, one, targets, 2, rng)
+
+
+def test_a_plate_hides_what_is_behind_it_and_never_what_is_on_its_wall():
+    camera, normal = np.array([2.0, 2.0, 2.0]), np.array([0.0, -1.0, 0.0])
+    scene = fiducial_scene()
+    axes = axis_and_right(camera_pose(camera, 0.0, 0.0)[None])
+
+    def seen(*offsets):
+        deployment = Deployment(camera + np.array(offsets), np.tile(normal, (len(offsets), 1)))
+        return reference.coverage_caps(scene, deployment, camera, axes)[0].tolist()
+
+    assert seen((0.0, 2.0, 0.0)) == [True]
+    assert seen((0.0, 2.0, 0.0), (0.0, 1.0, 0.0)) == [False, True]  # in the way
+    # The paper of the nearer one, 12.5 cm, just reaches the line to the corner of the farther, or does not.
+    assert seen((0.0, 2.0, 0.0), (0.0875 - 1e-6, 1.0, 0.0)) == [False, True]
+    assert seen((0.0, 2.0, 0.0), (0.0875 + 1e-6, 1.0, 0.0)) == [True, True]
+    assert seen((0.0, 2.0, 0.0), (0.05, 2.0, 0.05)) == [True, True]  # on the same wall, though they overlap
+    deployment = RandomDeployment(300).draw(scene.room, np.random.default_rng(0))
+    unhidden = scene.sight.among(*scene.room.bounds(), deployment.positions.T[None], deployment.normals.T[None])
+    assert unhidden.reach > 0.0  # a camera may stand in the plane of a plate ...
+    evaluator = Evaluator(scene, threads=1)
+    args = evaluator.positions.min(axis=0), evaluator.positions.max(axis=0)
+    assert scene.sight.among(*args, deployment.positions.T[None], deployment.normals.T[None]).reach > 0.0  # overhang
+    inside = (deployment.positions > 0.2) & (deployment.positions < scene.room.size - np.array(0.2))
+    inner = deployment[inside.sum(axis=1) == 2]
+    assert len(inner) > 200
+    assert scene.sight.among(*args, inner.positions.T[None], inner.normals.T[None]).reach < 0.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"tag": Tag()}, r"^tag\.edge must be given, in metres"),
+        (
+            {"detector": "eyes"},
+            r"^detector eyes was not measured with tags of family 36h11, only apriltag with 36h11, ",
+        ),
+        ({"tag": Tag(0.1, "7x7_50")}, r"^detector aruco was not measured with tags of family 7x7_50"),
+        ({"limits": {"pitsch": 1}}, r"^limits must be one of pitch, blur, edge, incidence, margin, got 'pitsch'"),
+        ({"limits": {"pitch": -1}}, r"^limits\.pitch must be at least 0, got -1"),
+        ({"limits": {"incidence": 95}}, r"^limits\.incidence must be at most 89, got 95"),
+        ({"psf_sigma": -1}, r"^psf_sigma must be at least 0, got -1"),
+        ({"motion_blur": math.nan}, r"^motion_blur must be finite, got nan"),
+    ],
+)
+def test_bad_values_are_refused_in_one_sentence(arguments, message):
+    with pytest.raises(InputError, match=message):
+        Fiducial(**({"tag": Tag(0.1)} | arguments))
+
+
+def test_limits_of_ones_own():
+    limits = {"pitch": 1.0, "blur": 1.0, "edge": 12.0, "incidence": 80.0, "margin": 2.0}
+    assert Fiducial(Tag(0.1, "7x7_50"), limits=limits).limits.edge == 12.0
+    assert Fiducial(Tag(0.1), limits={"margin": 9.0}).limits.margin == 9.0
+
+
+def test_without_roll_a_landscape_image_sees_wider_than_high():
+    room, one = paper_room(), np.array([1.0])
+    seen = []
+    for roll in (0.0, math.pi / 2):
+        scene = fiducial_scene(room, pdf.OrientationPdf(np.zeros(1), np.zeros(1), one, roll=roll))
+        camera = np.array([3.75, 2.5, 3.0])
+        wide = Deployment(camera + np.array([[1.8, 2.4, 0.0], [0.0, 2.4, 1.8]]), np.tile([0.0, -1.0, 0.0], (2, 1)))
+        seen.append(reference.coverage_caps(scene, wide, camera, scene.orientations.axes)[0].tolist())
+    assert seen == [[True, False], [False, True]]
+    assert isinstance(scene.camera, Camera)
