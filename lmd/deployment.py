@@ -121,7 +121,7 @@ class Deployment:
     @property
     def ups(self) -> FloatArray:
         """Unit vectors to the upper edges of tags there, `(K, 3)`, world frame: all hang upright, see `lmd.tag`."""
-        return upright(self.normals)[1]
+        return upright(self.normals)[1] + 0.0  # no -0
 
     def to_csv(self, path: str | Path, ups: bool = False) -> None:
         """Write `id,x,y,z,nx,ny,nz` with every digit, so that reading it back gives the same numbers.

@@ -128,7 +128,7 @@ class Fiducial:
 
     def __post_init__(self) -> None:
         if self.tag.is_point:
-            raise InputError("tag must have an edge, in metres: what a detector sees depends on its size.", "tag")
+            raise InputError("tag must have an edge, in metres: what a detector sees depends on its size.")
         object.__setattr__(self, "limits", _limits(self.detector, self.tag.family, self.limits))
         object.__setattr__(self, "psf_sigma", real("psf_sigma", self.psf_sigma, low=0.0))
         object.__setattr__(self, "motion_blur", real("motion_blur", self.motion_blur, low=0.0))

@@ -29,8 +29,8 @@ def walked(n, occlusion, stage):
         patch.setattr(module, "settle", spy)
         # Uncompiled, so that its parts can be exchanged.
         settings = stage.settings(0.0, 0.1)
-        here = surrogate._state, surrogate._scratches, surrogate._target, surrogate._surfaces
-        module.walk.py_func(200, surrogate._field, *here, 0.0, settings, rng, surrogate._best)
+        here = surrogate._state, surrogate._scratches, surrogate._target, surrogate._surfaces, 0.0
+        module.walk.py_func(200, surrogate._field, *here, settings, rng, surrogate._best)
     return [*surrogate._state, *surrogate._best, rng.random()], len(finished)
 
 

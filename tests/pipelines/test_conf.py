@@ -240,7 +240,7 @@ def test_tags_and_what_a_detector_sees_are_a_choice():
     [
         (["tag.edge=-1"], r"^tag\.edge must be positive"),
         (["tag.edge=0.1", "tag.family=16h5"], r"^tag\.family 16h5 has 30 different tags, too few for 90"),
-        (["visibility=fiducial"], r"^tag\.edge must be given"),
+        (["visibility=fiducial"], r"^tag must have an edge"),
         (["tag.edge=1.5"], r"^deployment\.count = 90 tags do not fit: \d+ papers of 1\.875 m"),
         (["visibility=fiducial", "tag.edge=0.1", "visibility.detector=eyes"], r"^visibility\.detector eyes was not"),
         (["visibility=fiducial", "tag.edge=0.1", "+visibility.limits.pitch=-1"], r"^visibility\.limits\.pitch must be"),

@@ -162,7 +162,7 @@ def test_a_plate_hides_what_is_behind_it_and_never_what_is_on_its_wall():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"tag": Tag()}, r"^tag\.edge must be given, in metres"),
+        ({"tag": Tag()}, r"^tag must have an edge, in metres"),
         (
             {"detector": "eyes"},
             r"^detector eyes was not measured with tags of family 36h11, only apriltag with 36h11, ",

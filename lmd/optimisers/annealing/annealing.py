@@ -54,8 +54,8 @@ class Annealing(Optimiser):
         given: conditions of the only stage there is if the start is given: warmer, as it may be far from good. Each of
             the four is a `Stage`, or a mapping of what differs from the default one.
         stacked_share: share of the budget spent on stacks.
-        growth: share of the single stage in which plates grow to their virtual diameter nu.
-        spread: distance between the landmarks of a stack pulled apart, in virtual diameters.
+        growth: share of the single stage in which plates grow to their size, nu or the paper of tags.
+        spread: distance between the landmarks of a stack pulled apart, in virtual diameters, or papers if larger.
         seed: see `Optimiser`.
 
     Raises:
