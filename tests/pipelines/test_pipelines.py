@@ -202,7 +202,7 @@ def test_bad_input_gets_one_sentence_and_leaves_nothing(case, tmp_path):
         ("yaw,pitch,weight\n0,0,0.5\n", "pdf.csv: the weights must sum to 1, they sum to 0.5"),
         ("yaw,pitch,weight\n0,0,-1\n0,1,2\n", "pdf.csv has a negative weight, -1"),
         ("yaw,pitch,weight\n0,3,1\n", "pdf.csv: pitch must be in [-pi/2, pi/2], got 3"),
-        ("yaw,roll,weight\n0,0,1\n", "pdf.csv has an unknown column 'roll'"),
+        ("yaw,tilt,weight\n0,0,1\n", "pdf.csv has an unknown column 'tilt'"),
     ],
 )
 def test_a_bad_pdf_gets_one_sentence(table, message, tmp_path):

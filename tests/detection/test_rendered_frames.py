@@ -26,7 +26,6 @@ from lmd.detection.frames import (
     picture,
     qualities,
     tagged_room,
-    upright,
 )
 from lmd.detection.mosaic import Mosaics, Views
 from lmd.detection.report import Prediction, by_pitch, by_tag, figures, to_markdown, verdicts
@@ -37,7 +36,7 @@ from lmd.render.room import TaggedRoom
 from lmd.scene import Scene
 from lmd.sight.paper import Visibility
 from lmd.space.cuboid import Cuboid
-from lmd.tag import Tag
+from lmd.tag import Tag, upright
 
 CAMERA = Camera(5.0, 0.0116, 0.0116, (400.0, 300.0), 800.0, 600.0, 5.0, 1778.0)
 ROOM = Cuboid((4.0, 3.0, 3.0), (2.0, 1.0, 1.0), 0.5)
@@ -55,12 +54,12 @@ def test_tags_hang_along_v_of_their_surfaces():
     room = tagged_room(ROOM, deployment, Tag(0.15))
     expected = [ROOM.surfaces()[number].v for number in deployment.surfaces]
     np.testing.assert_allclose(room.ups, expected)
-    np.testing.assert_allclose(upright(deployment.normals), expected)
+    np.testing.assert_allclose(upright(deployment.normals)[1], expected)
     # Where no surface is known, and where a tag leans off its wall.
     loose = Deployment(deployment.positions, deployment.normals)
     np.testing.assert_allclose(tagged_room(ROOM, loose, Tag(0.15)).ups, expected)
     leaning = np.array([[0.6, 0.0, 0.8]])
-    np.testing.assert_allclose(upright(leaning), [[-0.8, 0.0, 0.6]])
+    np.testing.assert_allclose(upright(leaning)[1], [[-0.8, 0.0, 0.6]])
     with pytest.raises(InputError, match="family 16h5 has 30 different tags, too few for 36"):
         tagged_room(ROOM, uniform(36), Tag(0.15, "16h5"))
 
@@ -86,7 +85,7 @@ def test_poses_are_those_of_the_seed_and_inside():
 
 def test_a_pdf_known_only_at_its_orientations_is_drawn_from_these():
     two = pdf.OrientationPdf([0.0, 1.0], [0.1, -0.2], [0.25, 0.75])
-    yaw, pitch = two.draw(4000, np.random.default_rng(0))
+    yaw, pitch, _ = two.draw(4000, np.random.default_rng(0))
     assert set(zip(yaw.tolist(), pitch.tolist(), strict=True)) == {(0.0, 0.1), (1.0, -0.2)}
     assert yaw.mean() == pytest.approx(0.75, abs=0.03)
 
