@@ -24,6 +24,8 @@ from lmd.sight.fiducial import Fiducial
 from lmd.sight.paper import Visibility
 from lmd.tag import Tag
 
+pytestmark = pytest.mark.slow  # images, or kernels of a second model of sight
+
 EDGE = 0.3
 TAG = Tag(EDGE / 1.25)  # its paper is 30 cm wide
 

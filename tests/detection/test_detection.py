@@ -24,6 +24,8 @@ from lmd.render.room import TaggedRoom
 from lmd.space.cuboid import Cuboid
 from lmd.tag import Tag
 
+pytestmark = pytest.mark.slow  # images, or kernels of a second model of sight
+
 CAMERA = Camera(5.0, 0.0116, 0.0116, (400.0, 300.0), 800.0, 600.0, 5.0, 1778.0)
 WALLS = Cuboid((4.0, 3.0, 3.0), (2.0, 1.0, 1.0), 0.5).surfaces()
 TURNS = np.radians([0.0, 90.0, 180.0, 270.0, 37.0, 201.0, 333.0, 119.0])

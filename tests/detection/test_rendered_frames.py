@@ -38,6 +38,8 @@ from lmd.sight.paper import Visibility
 from lmd.space.cuboid import Cuboid
 from lmd.tag import Tag, upright
 
+pytestmark = pytest.mark.slow  # images, or kernels of a second model of sight
+
 CAMERA = Camera(5.0, 0.0116, 0.0116, (400.0, 300.0), 800.0, 600.0, 5.0, 1778.0)
 ROOM = Cuboid((4.0, 3.0, 3.0), (2.0, 1.0, 1.0), 0.5)
 SCENE = Scene(ROOM, CAMERA, pdf.solid_angle(), Visibility(0.28))

@@ -27,6 +27,8 @@ from lmd.sight.incremental.state import scratch_of
 from lmd.sight.views import visible
 from lmd.tag import LEVEL, Tag, corners, upright
 
+pytestmark = pytest.mark.slow  # images, or kernels of a second model of sight
+
 
 def fiducial_scene(room=None, orientations=None, edge=0.1, **fiducial):
     orientations = orientations or pdf.grid_with_ends()
