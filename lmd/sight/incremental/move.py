@@ -104,7 +104,7 @@ def _recount(k, positions, sign, field, state, scratch):
 
 
 @kernel
-def _touched(k, state, scratch):
+def touched(k, state, scratch):
     """Positions at which a move of landmark k may change anything."""
     reachable, reached, flips, listed = state.reachable, scratch.new.reached, scratch.flips, scratch.listed
     count = ZERO
@@ -124,7 +124,7 @@ def _exchange(k, sign, field, state, scratch):
         scratch.target, scratch.units, scratch.new.reached, scratch.before, scratch.after
     )  # fmt: skip
     found, who, change = scratch.turns
-    _recount(np.uint64(k), _touched(k, state, scratch), sign, field, state, scratch)
+    _recount(np.uint64(k), touched(k, state, scratch), sign, field, state, scratch)
     if field.sight.reach >= 0.0:
         for b in range(len(found)):
             for q in range(BLOCK if found[b] + before.found[b] + after.found[b] else 0):
@@ -149,7 +149,7 @@ def _exchange(k, sign, field, state, scratch):
 @kernel
 def carry_out(k, field, state, scratch):
     """Move landmark k to where it was tried last; no other move may have been tried or carried out since."""
-    _find_cap(_touched(k, state, scratch), field, scratch)
+    _find_cap(touched(k, state, scratch), field, scratch)
     _exchange(k, 1, field, state, scratch)
 
 

@@ -141,9 +141,12 @@ def _try_flips(k, positions, field, state, scratch):
 
 
 @kernel
-def bound_move(k, pose, surface, field, state, scratch):
-    """Find what P_n is at most with landmark k at `pose` `(6,)`, position and normal, on a surface: `scratch.units`."""
-    after, flips, listed = scratch.after, scratch.flips, scratch.listed
+def begin_move(k, pose, surface, field, state, scratch):
+    """Look at landmark k at `pose` `(6,)`, position and normal, on a surface, as if nothing hid or were hidden there.
+
+    Fills `scratch.new`, and `scratch.flips` with what appears as k leaves its place.
+    """
+    after, flips = scratch.after, scratch.flips
     scratch.surface[0] = surface
     for i in range(6):
         scratch.target[i] = pose[i]
@@ -153,6 +156,27 @@ def bound_move(k, pose, surface, field, state, scratch):
         after.found[:] = after.count_hidden[:] = 0
         find_old(k, field, state, scratch)
         find_flips(state, scratch)
+
+
+@kernel
+def complete_move(k, field, state, scratch):
+    """Find who hides whom with landmark k at its new place; returns the positions where that changes anything."""
+    flips, listed = scratch.flips, scratch.listed
+    reached, count_hidden = scratch.new.reached, scratch.after.count_hidden
+    find_new(k, field, state, scratch)
+    find_flips(state, scratch)
+    count = ZERO
+    for p in range(np.uint64(len(flips))):
+        listed[count] = p
+        count += np.uint64(flips[p] | (reached[p] & (count_hidden[p] != 0)))
+    return listed[:count]
+
+
+@kernel
+def bound_move(k, pose, surface, field, state, scratch):
+    """Find what P_n is at most with landmark k at `pose` `(6,)`, position and normal, on a surface: `scratch.units`."""
+    flips, listed = scratch.flips, scratch.listed
+    begin_move(k, pose, surface, field, state, scratch)
     _try_caps(np.uint64(k), field, state, scratch)
     count = ZERO
     for p in range(np.uint64(len(flips))):
@@ -164,14 +188,5 @@ def bound_move(k, pose, surface, field, state, scratch):
 @kernel
 def finish_move(k, field, state, scratch):
     """Make what `bound_move` found exact."""
-    if field.sight.reach < 0.0:
-        return
-    flips, listed = scratch.flips, scratch.listed
-    reached, count_hidden = scratch.new.reached, scratch.after.count_hidden
-    find_new(k, field, state, scratch)
-    find_flips(state, scratch)
-    count = ZERO
-    for p in range(np.uint64(len(flips))):
-        listed[count] = p
-        count += np.uint64(flips[p] | (reached[p] & (count_hidden[p] != 0)))
-    _try_flips(np.uint64(k), listed[:count], field, state, scratch)
+    if field.sight.reach >= 0.0:
+        _try_flips(np.uint64(k), complete_move(k, field, state, scratch), field, state, scratch)

@@ -1,0 +1,208 @@
+"""The fast exact path: views localised at each position, compiled with numba.
+
+Landmarks covered are counted as in `lmd.sight.kernels`, by the same operations. Then, for the views that cover enough,
+the landmarks' 15 numbers (`information`) are summed, and the sums decide. Threads share the positions.
+"""
+
+import itertools
+import math
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from lmd.checks import FloatArray
+from lmd.compiled import kernel
+from lmd.objectives.information import WIDTH, meets, moments, share_of, variance
+from lmd.sight.criteria import covers, from_position
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.fiducial_sight import upright
+from lmd.sight.incremental.bits import ALL, BITS, LANES, ONE, ZERO, add_digit, at_least_so_far, lowest
+from lmd.sight.kernels import BLOCK, SINGLE_ERROR, band_of, is_hidden
+from lmd.tag import LEVEL
+
+
+@njit(inline="always")
+def landmark_moments(x, y, z, nx, ny, nz, precision):  # type: ignore[no-untyped-def]
+    """The `moments` of an upright landmark at offset (x, y, z) with the unit normal (nx, ny, nz)."""
+    rx, ry, rz, ux, uy, uz = upright(nx, ny, nz, LEVEL)
+    half = precision.half
+    return moments(x, y, z, half * rx, half * ry, half * rz, half * ux, half * uy, half * uz, precision.share)
+
+
+@njit(inline="always")
+def meets_row(precision, sums, v):  # type: ignore[no-untyped-def]
+    """`meets` with the sums of view v in `sums` `(V, WIDTH)`."""
+    return meets(
+        precision, sums[v, 0], sums[v, 1], sums[v, 2], sums[v, 3], sums[v, 4], sums[v, 5], sums[v, 6], sums[v, 7],
+        sums[v, 8], sums[v, 9], sums[v, 10], sums[v, 11], sums[v, 12], sums[v, 13], sums[v, 14],
+    )  # fmt: skip
+
+
+@njit(inline="always")
+def variance_of_row(sums, v):  # type: ignore[no-untyped-def]
+    """`variance` with the sums of view v in `sums` `(V, WIDTH)`, infinite where something is open."""
+    value, fixed = variance(
+        sums[v, 0], sums[v, 1], sums[v, 2], sums[v, 3], sums[v, 4], sums[v, 5], sums[v, 6], sums[v, 7],
+        sums[v, 8], sums[v, 9], sums[v, 10], sums[v, 11], sums[v, 12], sums[v, 13], sums[v, 14],
+    )  # fmt: skip
+    return value if fixed else np.inf
+
+
+@kernel
+def localise_range(
+    first, last, positions, landmarks, normals, sight, axes, bands, weights, n, places, precision, asks, covered, localised,
+    variances, keep,
+):  # fmt: skip
+    """Evaluate deployments at the positions `first` to `last`.
+
+    Args:
+        first, last, positions, landmarks, normals, sight, bands, weights, n: see `kernels.evaluate_range`.
+        axes: as there, but filled up to whole words.
+        places: binary digits of a number of landmarks.
+        precision: what is asked of a view, see `information`.
+        asks: whether it asks anything.
+        covered, localised: `(B, P)` int64, receive P_n and L in integer units.
+        variances: `(B, P, D)`, receives `variance`, infinite where fewer than n are covered, if `keep` is set.
+    """
+    count, words = landmarks.shape[2], np.uint64(axes.shape[1] // BITS)
+    reach = sight.reach
+    x, y, z, squared, low = np.empty(count), np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    bottom, top = np.empty(count, dtype=np.int32), np.empty(count, dtype=np.int32)
+    reached = np.empty(count, dtype=np.bool_)
+    padded = (count + BLOCK - 1) & -BLOCK
+    u, v, w = np.zeros(padded, np.float32), np.zeros(padded, np.float32), np.zeros(padded, np.float32)
+    close = np.full(padded, 2.0, np.float32)
+    caps, digits = np.empty((count, words), dtype=np.uint64), np.empty((words, np.uint64(places)), dtype=np.uint64)
+    enough, listed = np.empty(words, dtype=np.uint64), np.empty(axes.shape[1], dtype=np.uint64)
+    moment, sums = np.zeros(WIDTH), np.empty((axes.shape[1], WIDTH))
+    # A number that the compiler does not know, or it would unroll loops over it and not vectorise them.
+    terms = np.uint64(WIDTH + landmarks.shape[1] - 3)
+    for b in range(landmarks.shape[0]):
+        for p in range(first, last):
+            px, py, pz = positions[p, 0], positions[p, 1], positions[p, 2]
+            for k in range(count):
+                xk, yk, zk = landmarks[b, 0, k] - px, landmarks[b, 1, k] - py, landmarks[b, 2, k] - pz
+                nx, ny, nz = normals[b, 0, k], normals[b, 1, k], normals[b, 2, k]
+                in_reach, least, _ = from_position(sight, xk, yk, zk, nx, ny, nz, 0.0)
+                bottom[k], top[k] = band_of(xk, yk, zk, least, 0.0)
+                x[k], y[k], z[k], squared[k] = xk, yk, zk, xk * xk + yk * yk + zk * zk
+                reached[k], low[k] = in_reach, least
+            if reach >= 0.0:
+                for k in range(count):
+                    here = squared[k] == 0.0
+                    scale = 0.0 if here else 1.0 / math.sqrt(squared[k])
+                    u[k], v[k], w[k] = scale * x[k], scale * y[k], scale * z[k]
+                    close[k] = -1.0 if here else 1.0 - SINGLE_ERROR - reach / squared[k]
+            digits[:] = ZERO
+            for k in range(count):
+                if not reached[k]:
+                    continue
+                if reach >= 0.0:
+                    uk, vk, wk, suspects = u[k], v[k], w[k], np.int32(0)
+                    for j in range(np.uint64(padded)):
+                        cosine = u[j] * uk + v[j] * vk + w[j] * wk
+                        suspects += np.int32(cosine * cosine >= close[j])
+                    if suspects > 1 and is_hidden(k, x, y, z, squared, normals[b], sight):
+                        reached[k] = False
+                        continue
+                xk, yk, zk, least = x[k], y[k], z[k], low[k]
+                nx, ny, nz = normals[b, 0, k], normals[b, 1, k], normals[b, 2, k]
+                start, stop = bands[bottom[k]] // LANES, (bands[top[k]] + LANES - 1) // LANES
+                bottom[k], top[k] = start // 2, (stop + 1) // 2
+                for i in range(np.uint64(bottom[k]), np.uint64(top[k])):
+                    caps[k, i] = ZERO
+                for i in range(np.uint64(start), np.uint64(stop)):
+                    half = np.uint32(0)
+                    for lane in range(np.uint64(LANES)):
+                        a = i * np.uint64(LANES) + lane
+                        inside = covers(sight, xk, yk, zk, nx, ny, nz, least, 0.0, axes, a)
+                        half |= np.uint32(inside) << np.uint32(lane)
+                    caps[k, i // np.uint64(2)] |= np.uint64(half) << (i % np.uint64(2) * np.uint64(LANES))
+                for i in range(np.uint64(bottom[k]), np.uint64(top[k])):
+                    carry = caps[k, i]
+                    for j in range(np.uint64(places)):
+                        digits[i, j], carry = add_digit(digits[i, j], carry, ZERO)
+            total, useful = np.int64(0), np.uint64(0)
+            for i in range(words):
+                has = ALL
+                for j in range(np.uint64(places)):
+                    has = at_least_so_far(has, digits[i, j], n, j)
+                enough[i] = has
+                while has:
+                    a = i * np.uint64(BITS) + lowest(has)
+                    has &= has - ONE
+                    total += weights[a]
+                    listed[useful] = a
+                    useful += ONE
+                    for j in range(terms):
+                        sums[a, j] = 0.0
+            covered[b, p] = localised[b, p] = total
+            if not asks and not keep:
+                continue
+            for k in range(count):
+                if not reached[k]:
+                    continue
+                xk, yk, zk = x[k], y[k], z[k]
+                nx, ny, nz = normals[b, 0, k], normals[b, 1, k], normals[b, 2, k]
+                (
+                    moment[0], moment[1], moment[2], moment[3], moment[4], moment[5], moment[6], moment[7],
+                    moment[8], moment[9], moment[10], moment[11], moment[12], moment[13], moment[14],
+                ) = landmark_moments(xk, yk, zk, nx, ny, nz, precision)  # fmt: skip
+                for i in range(np.uint64(bottom[k]), np.uint64(top[k])):
+                    left = caps[k, i] & enough[i]
+                    while left:
+                        a = i * np.uint64(BITS) + lowest(left)
+                        left &= left - ONE
+                        depth = axes[0, a] * xk + axes[1, a] * yk + axes[2, a] * zk
+                        weight = 1.0 / (depth * depth * depth)
+                        for j in range(terms):
+                            sums[a, j] += share_of(moment[j], weight)
+            if asks:
+                total = np.int64(0)
+                for m in range(useful):
+                    total += weights[listed[m]] if meets_row(precision, sums, listed[m]) else 0
+                localised[b, p] = total
+            if keep:
+                for a in range(np.uint64(variances.shape[2])):
+                    variances[b, p, a] = np.inf
+                for m in range(useful):
+                    variances[b, p, listed[m]] = variance_of_row(sums, listed[m])
+
+
+class Views(NamedTuple):
+    """What the views of B deployments are worth at P positions: see `localise_range`."""
+
+    covered: np.ndarray
+    localised: np.ndarray
+    variances: np.ndarray
+
+
+def localised_views(
+    evaluator: Evaluator, positions: FloatArray, normals: FloatArray, n: int, precision: Any, keep: bool = False
+) -> Views:
+    """Evaluate deployments; the same for any number of threads.
+
+    Args:
+        evaluator: the scene.
+        positions, normals: `(B, K, 3)` landmarks of B deployments.
+        n: landmarks that must be covered.
+        precision: what is asked of a view besides.
+        keep: whether to return the variances, `(B, P, D)`.
+    """
+    e, batch, size = evaluator, len(positions), len(evaluator.positions)
+    views = Views(
+        *np.zeros((2, batch, size), dtype=np.int64), np.empty((batch, size, e.axes.shape[1]) if keep else (0, 0, 0))
+    )
+    landmarks = tuple(np.ascontiguousarray(v.transpose(0, 2, 1)) for v in (positions, normals))
+    sight = e.sight.among(e.positions.min(axis=0), e.positions.max(axis=0), *landmarks)
+    axes = np.pad(e.axes, [(0, 0), (0, -e.axes.shape[1] % BITS)])
+    places = max(positions.shape[1], n).bit_length()
+    fixed = (e.positions, *landmarks, sight, axes, e.bands, e.weights, n, places, precision, precision.asks)
+    edges = np.linspace(0, size, e.threads + 1).astype(int)
+    with ThreadPoolExecutor(e.threads) as pool:
+        jobs = [pool.submit(localise_range, a, b, *fixed, *views, keep) for a, b in itertools.pairwise(edges)]
+        for job in jobs:
+            job.result()
+    return views
