@@ -24,7 +24,7 @@ from lmd.objectives.field import accept, bound, settle, undo
 from lmd.objectives.information import WIDTH, meets, share_of
 from lmd.objectives.localisation_kernels import landmark_moments, meets_row
 from lmd.sight.criteria import covers
-from lmd.sight.incremental.bits import ALL, BITS, ONE, ZERO, add_digit, at_least_so_far, lowest
+from lmd.sight.incremental.bits import ALL, BITS, ONE, ZERO, add_digit, at_least_so_far, lowest, prefetch
 from lmd.sight.incremental.directions import NOWHERE
 from lmd.sight.incremental.hiding import flips_with
 from lmd.sight.incremental.move import carry_out, state_of, take_back, touched
@@ -83,7 +83,7 @@ class LocalisationState(NamedTuple):
     """Views localised by one deployment, positions in the order of the field.
 
     landmarks, normals `(3, K)` and surfaces `(K,)` are those of `coverage`, the state of coverage; units `(Q,)` the
-    values; located `(Q,)` L in units; localised `(Q, W)` sets of axes; sums `(64 Q W, WIDTH)` of all landmarks that
+    values; located `(Q,)` L in units; enough, localised `(Q, W)` sets of axes; sums `(64 Q W, WIDTH)` of all landmarks that
     cover a view, the views of a position in the order of the axes.
     """
 
@@ -92,6 +92,7 @@ class LocalisationState(NamedTuple):
     surfaces: np.ndarray
     units: np.ndarray
     located: np.ndarray
+    enough: np.ndarray
     localised: np.ndarray
     sums: np.ndarray
     coverage: State
@@ -100,23 +101,24 @@ class LocalisationState(NamedTuple):
 class LocalisationScratch(NamedTuple):
     """The move tried last, and working memory.
 
-    units, located, localised: as in the state, after the move; coverage: the scratch of coverage, whose `cap` is filled
+    units, located, enough, localised: as in the state, after the move; coverage: the scratch of coverage, whose `cap` is filled
     for all positions that reach the new place, and whose `units` are P_n; old, new `(Q, WIDTH)` moments of the landmark
-    moved, where it is seen. Once the move is carried out, units, located and localised are those of before.
+    moved, where it is seen. Once the move is carried out, the first four are those of before.
 
-    Working memory: views, axes, leaving, coming `(64 W + 1,)` views to be decided, and 1 / z^3 of the old and the new
-    place in them, 0 where it does not cover them; the landmarks that come or go at a position, `(K + 2, ...)`: goes
+    Working memory: views, leaving, coming `(64 Q W + 1,)` views to be decided, and 1 / z^3 of the old and the new place
+    in them, 0 where it does not cover them; first `(Q + 1,)` of each position among them; the landmarks that come or go at a position, `(K + 2, ...)`: goes
     which of the two, as a set of all or of none, caps sets of axes, offsets from the camera, moments; row `(1, WIDTH)`.
     """
 
     units: np.ndarray
     located: np.ndarray
+    enough: np.ndarray
     localised: np.ndarray
     coverage: Scratch
     old: np.ndarray
     new: np.ndarray
+    first: np.ndarray
     views: np.ndarray
-    axes: np.ndarray
     leaving: np.ndarray
     coming: np.ndarray
     goes: np.ndarray
@@ -180,45 +182,6 @@ def _weight(axes, a, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _decide(count, p, field, state, scratch):  # type: ignore[no-untyped-def]
-    """Mark those of the first `count` views listed, all of position p, that the move leaves or makes localised."""
-    precision, sums, old, new = field.precision, state.sums, scratch.old, scratch.new
-    views, axes, leaving, coming = scratch.views, scratch.axes, scratch.leaving, scratch.coming
-    localised = scratch.localised
-    for m in range(count, (count + np.uint64(GROUP - 1)) & ~np.uint64(GROUP - 1)):  # whole groups
-        views[m], leaving[m], coming[m] = views[ZERO], 0.0, 0.0
-    for first in range(ZERO, count, np.uint64(GROUP)):
-        good = np.uint32(0)
-        for lane in range(np.uint64(GROUP)):
-            m = first + lane
-            v, go, come = views[m], leaving[m], coming[m]
-            meeting = meets(
-                precision,
-                sums[v, 0] - share_of(old[p, 0], go) + share_of(new[p, 0], come),
-                sums[v, 1] - share_of(old[p, 1], go) + share_of(new[p, 1], come),
-                sums[v, 2] - share_of(old[p, 2], go) + share_of(new[p, 2], come),
-                sums[v, 3] - share_of(old[p, 3], go) + share_of(new[p, 3], come),
-                sums[v, 4] - share_of(old[p, 4], go) + share_of(new[p, 4], come),
-                sums[v, 5] - share_of(old[p, 5], go) + share_of(new[p, 5], come),
-                sums[v, 6] - share_of(old[p, 6], go) + share_of(new[p, 6], come),
-                sums[v, 7] - share_of(old[p, 7], go) + share_of(new[p, 7], come),
-                sums[v, 8] - share_of(old[p, 8], go) + share_of(new[p, 8], come),
-                sums[v, 9] - share_of(old[p, 9], go) + share_of(new[p, 9], come),
-                sums[v, 10] - share_of(old[p, 10], go) + share_of(new[p, 10], come),
-                sums[v, 11] - share_of(old[p, 11], go) + share_of(new[p, 11], come),
-                sums[v, 12] - share_of(old[p, 12], go) + share_of(new[p, 12], come),
-                sums[v, 13] - share_of(old[p, 13], go) + share_of(new[p, 13], come),
-                sums[v, 14] - share_of(old[p, 14], go) + share_of(new[p, 14], come),
-            )
-            good |= np.uint32(meeting) << np.uint32(lane)
-        good &= np.uint32(ALL >> np.uint64(max(0, np.int64(BITS) - np.int64(count - first))))
-        while good:
-            a = axes[first + lowest(np.uint64(good))]
-            good &= good - np.uint32(1)
-            localised[p, a // VIEW] |= ONE << (a % VIEW)
-
-
-@kernel
 def _sum_weights(before, after, weights, w):  # type: ignore[no-untyped-def]
     """What the axes of word w weigh that are in the set `after`, less those in `before`."""
     change, left = np.int64(0), before ^ after
@@ -231,55 +194,102 @@ def _sum_weights(before, after, weights, w):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _try_caps(k, field, state, scratch):  # type: ignore[no-untyped-def]
-    """Bound the values where landmark k comes or goes and no other appears; copy them where nothing happens."""
-    cover, trial, known = field.coverage, scratch.coverage, state.coverage
-    units, weights, n = scratch.coverage.units, cover.weights, cover.n
-    caps, short, just, counts, axes = known.caps, known.short, known.just, known.counts, cover.axes
-    reachable, hidden, flips = known.reachable, known.hidden, trial.flips
-    x, y, z, _, _, _, reached = trial.new
+def _list_views(k, field, state, scratch):  # type: ignore[no-untyped-def]
+    """List the views to be decided anew where landmark k comes or goes and no other appears; settle all others.
+
+    Their sums are fetched into the cache meanwhile: they lie all over the memory, and waiting for them would take most
+    of the time.
+    """
+    asks, axes, positions, n = field.asks, field.coverage.axes, field.coverage.positions, field.coverage.n
+    caps, short, just = state.coverage.caps, state.coverage.short, state.coverage.just
+    reachable, hidden, flips = state.coverage.reachable, state.coverage.hidden, scratch.coverage.flips
+    reached, cap = scratch.coverage.new.reached, scratch.coverage.cap
+    x, y, z = scratch.coverage.new.x, scratch.coverage.new.y, scratch.coverage.new.z
     ax, ay, az = state.landmarks[0, k], state.landmarks[1, k], state.landmarks[2, k]
-    localised, listed, leaving, coming = scratch.localised, scratch.axes, scratch.leaving, scratch.coming
-    words = np.uint64(caps.shape[2])
+    enough, after, known, localised, sums = state.enough, scratch.enough, state.localised, scratch.localised, state.sums
+    first, views, leaving, coming = scratch.first, scratch.views, scratch.leaving, scratch.coming
+    words, count = np.uint64(caps.shape[2]), ZERO
     for p in range(np.uint64(len(flips))):
-        units[p], scratch.located[p], scratch.units[p] = known.units[p], state.located[p], state.units[p]
+        first[p] = count
         for w in range(words):
-            localised[p, w] = state.localised[p, w]
-        shown, seen = reachable[k, p] & (hidden[k, p] == 0), reached[p]
-        if flips[p] or not (shown or seen):
+            localised[p, w], after[p, w] = known[p, w], enough[p, w]
+        shown, seen = ALL if reachable[k, p] & (hidden[k, p] == 0) else ZERO, ALL if reached[p] else ZERO
+        if flips[p] or not shown | seen:
             continue
         px, py, pz = x[p], y[p], z[p]
-        ox, oy, oz = ax - cover.positions[0, p], ay - cover.positions[1, p], az - cover.positions[2, p]
-        count, covered, located = ZERO, known.units[p], state.located[p]
+        ox, oy, oz = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
         for w in range(words):
-            was = caps[k, p, w] if shown else ZERO
-            now = trial.cap[p, w] if seen else ZERO
-            if not was | now:
-                continue
-            had = ALL
-            for j in range(np.uint64(counts.shape[2])):
-                had = at_least_so_far(had, counts[p, w, j], n, j)
-            has = (had & ~(was & ~now & just[p, w])) | (now & ~was & short[p, w])
-            covered += _sum_weights(had, has, weights, w)
-            if not field.asks:
-                localised[p, w] = has
-                continue
-            good = state.localised[p, w]
-            left = has & ((was & now) | (was & good) | (now & ~good))
-            localised[p, w] = good & has & ~left
+            was, now = caps[k, p, w] & shown, cap[p, w] & seen
+            has = (enough[p, w] & ~(was & ~now & just[p, w])) | (now & ~was & short[p, w])
+            good = known[p, w]
+            left = has & ((was & now) | (was & good) | (now & ~good)) if asks else ZERO
+            after[p, w], localised[p, w] = has, good & has & ~left if asks else has
             while left:
                 bit = lowest(left)
                 left &= left - ONE
-                a = w * VIEW + bit
-                listed[count], scratch.views[count] = a, (p * words + w) * VIEW + bit
+                a, v = w * VIEW + bit, (p * words + w) * VIEW + bit
+                prefetch(sums, v)
+                views[count] = v
                 leaving[count] = _weight(axes, a, ox, oy, oz) if was >> bit & ONE else 0.0
                 coming[count] = _weight(axes, a, px, py, pz) if now >> bit & ONE else 0.0
                 count += ONE
-        _decide(count, p, field, state, scratch)
-        for w in range(words):
-            located += _sum_weights(state.localised[p, w], localised[p, w], weights, w)
-        units[p], scratch.located[p] = covered, located
-        scratch.units[p] = mixed(located, covered, field.weight)
+        while count % np.uint64(GROUP):  # whole groups for each position
+            views[count], leaving[count], coming[count] = views[first[p]], 0.0, 0.0
+            count += ONE
+    first[len(flips)] = count
+
+
+@kernel
+def _decide_views(field, state, scratch):  # type: ignore[no-untyped-def]
+    """Decide the views listed."""
+    precision, sums, old, new = field.precision, state.sums, scratch.old, scratch.new
+    first, views, leaving, coming, localised = (
+        scratch.first, scratch.views, scratch.leaving, scratch.coming, scratch.localised
+    )  # fmt: skip
+    each = np.uint64(localised.shape[1]) * VIEW
+    for p in range(np.uint64(len(localised))):
+        for start in range(first[p], first[p + ONE], np.uint64(GROUP)):
+            good = np.uint32(0)
+            for lane in range(np.uint64(GROUP)):
+                m = start + lane
+                v, go, come = views[m], leaving[m], coming[m]
+                meeting = meets(
+                    precision,
+                    sums[v, 0] - share_of(old[p, 0], go) + share_of(new[p, 0], come),
+                    sums[v, 1] - share_of(old[p, 1], go) + share_of(new[p, 1], come),
+                    sums[v, 2] - share_of(old[p, 2], go) + share_of(new[p, 2], come),
+                    sums[v, 3] - share_of(old[p, 3], go) + share_of(new[p, 3], come),
+                    sums[v, 4] - share_of(old[p, 4], go) + share_of(new[p, 4], come),
+                    sums[v, 5] - share_of(old[p, 5], go) + share_of(new[p, 5], come),
+                    sums[v, 6] - share_of(old[p, 6], go) + share_of(new[p, 6], come),
+                    sums[v, 7] - share_of(old[p, 7], go) + share_of(new[p, 7], come),
+                    sums[v, 8] - share_of(old[p, 8], go) + share_of(new[p, 8], come),
+                    sums[v, 9] - share_of(old[p, 9], go) + share_of(new[p, 9], come),
+                    sums[v, 10] - share_of(old[p, 10], go) + share_of(new[p, 10], come),
+                    sums[v, 11] - share_of(old[p, 11], go) + share_of(new[p, 11], come),
+                    sums[v, 12] - share_of(old[p, 12], go) + share_of(new[p, 12], come),
+                    sums[v, 13] - share_of(old[p, 13], go) + share_of(new[p, 13], come),
+                    sums[v, 14] - share_of(old[p, 14], go) + share_of(new[p, 14], come),
+                )
+                good |= np.uint32(meeting & ((go != 0.0) | (come != 0.0))) << np.uint32(lane)
+            while good:
+                a = views[start + lowest(np.uint64(good))] - p * each
+                good &= good - np.uint32(1)
+                localised[p, a // VIEW] |= ONE << (a % VIEW)
+
+
+@kernel
+def _sum_up(places, field, state, scratch):  # type: ignore[no-untyped-def]
+    """Find the values at `places` from the sets of axes."""
+    weights, covered = field.coverage.weights, scratch.coverage.units
+    known = state.coverage.units
+    enough, after, was, localised = state.enough, scratch.enough, state.localised, scratch.localised
+    for p in places:
+        seen, located = known[p], state.located[p]
+        for w in range(np.uint64(localised.shape[1])):
+            seen += _sum_weights(enough[p, w], after[p, w], weights, w)
+            located += _sum_weights(was[p, w], localised[p, w], weights, w)
+        covered[p], scratch.located[p], scratch.units[p] = seen, located, mixed(located, seen, field.weight)
 
 
 @kernel
@@ -329,18 +339,15 @@ def _add_shares(row, e, a, sign, field, scratch):  # type: ignore[no-untyped-def
 @kernel
 def _try_flips(k, places, field, state, scratch):  # type: ignore[no-untyped-def]
     """Find the values at the positions `places`, where other landmarks may appear or disappear."""
-    trial, known, weights, n = scratch.coverage, state.coverage, field.coverage.weights, field.coverage.n
-    units = scratch.coverage.units
-    counts, digits, caps, row, localised = known.counts, trial.digits, scratch.caps, scratch.row, scratch.localised
+    counts, digits, n = state.coverage.counts, scratch.coverage.digits, field.coverage.n
+    caps, row, localised, enough = scratch.caps, scratch.row, scratch.localised, scratch.enough
     words, size = np.uint64(localised.shape[1]), np.uint64(len(digits))
     for p in places:
         changes = _list_changes(k, p, field, state, scratch)
-        covered, located = known.units[p], state.located[p]
         for w in range(words):
-            had, has, changed = ALL, ALL, ZERO
+            has, changed = ALL, ZERO
             for j in range(size):
                 digits[j] = counts[p, w, j]
-                had = at_least_so_far(had, digits[j], n, j)
             for e in range(changes):
                 carry = caps[e, w]
                 changed |= carry
@@ -358,21 +365,21 @@ def _try_flips(k, places, field, state, scratch):  # type: ignore[no-untyped-def
                     if caps[e, w] >> bit & ONE:
                         _add_shares(row[ZERO], e, w * VIEW + bit, 1.0, field, scratch)
                 good |= np.uint64(meets_row(field.precision, row, ZERO)) << bit
-            localised[p, w] = good
-            covered += _sum_weights(had, has, weights, w)
-            located += _sum_weights(state.localised[p, w], good, weights, w)
-        units[p], scratch.located[p] = covered, located
-        scratch.units[p] = mixed(located, covered, field.weight)
+            enough[p, w], localised[p, w] = has, good
+    _sum_up(places, field, state, scratch)
 
 
 @kernel
-def bound_move(k, pose, surface, field, state, scratch):
+def bound_move(k, pose, surface, field, state, scratch):  # type: ignore[no-untyped-def]
     """Find what the values are at most with landmark k at `pose` `(6,)` on a surface: `scratch.units`."""
-    trial = scratch.coverage
-    flips, listed = trial.flips, trial.listed
-    begin_move(k, pose, surface, field.coverage, state.coverage, trial)
+    flips, listed = scratch.coverage.flips, scratch.coverage.listed
+    begin_move(k, pose, surface, field.coverage, state.coverage, scratch.coverage)
     _look(k, field, state, scratch)
-    _try_caps(np.uint64(k), field, state, scratch)
+    _list_views(np.uint64(k), field, state, scratch)
+    _decide_views(field, state, scratch)
+    for p in range(np.uint64(len(flips))):
+        listed[p] = p
+    _sum_up(listed[: len(flips)], field, state, scratch)
     count = ZERO
     for p in range(np.uint64(len(flips))):
         listed[count] = p
@@ -413,6 +420,7 @@ def _exchange(state, scratch):  # type: ignore[no-untyped-def]
         state.located[p], scratch.located[p] = scratch.located[p], state.located[p]
         for w in range(state.localised.shape[1]):
             state.localised[p, w], scratch.localised[p, w] = scratch.localised[p, w], state.localised[p, w]
+            state.enough[p, w], scratch.enough[p, w] = scratch.enough[p, w], state.enough[p, w]
 
 
 @bound.register(LocalisationField)
@@ -465,7 +473,7 @@ def _fill(field, state, scratch):  # type: ignore[no-untyped-def]
                 left &= left - ONE
                 row[ZERO] = state.sums[(p * words + w) * VIEW + bit]
                 good |= np.uint64(meets_row(field.precision, row, ZERO)) << bit
-            state.localised[p, w] = good
+            state.enough[p, w], state.localised[p, w] = has, good
             state.located[p] += _sum_weights(ZERO, good, weights, w)
         state.units[p] = mixed(state.located[p], known.units[p], field.weight)
 
@@ -480,6 +488,7 @@ def localisation_state(field: LocalisationField, deployment: Deployment) -> Loca
         surfaces=known.surfaces,
         units=np.zeros(size, dtype=np.int64),
         located=np.zeros(size, dtype=np.int64),
+        enough=np.zeros((size, words), dtype=np.uint64),
         localised=np.zeros((size, words), dtype=np.uint64),
         sums=np.zeros((BITS * size * words if field.asks else 1, WIDTH)),
         coverage=known,
@@ -491,17 +500,17 @@ def localisation_state(field: LocalisationField, deployment: Deployment) -> Loca
 def localisation_scratch(state: LocalisationState) -> LocalisationScratch:
     """Working memory for moves of `state`."""
     count, (size, words) = state.landmarks.shape[1], state.localised.shape
-    views, axes = np.zeros((2, BITS * words + 1), dtype=np.uint64)
-    leaving, coming = np.zeros((2, BITS * words + 1))
+    leaving, coming = np.zeros((2, BITS * words * size + 1))
     return LocalisationScratch(
         units=state.units.copy(),
         located=state.located.copy(),
+        enough=state.enough.copy(),
         localised=state.localised.copy(),
         coverage=scratch_of(state.coverage),
         old=np.zeros((size, WIDTH)),
         new=np.zeros((size, WIDTH)),
-        views=views,
-        axes=axes,
+        first=np.zeros(size + 1, dtype=np.uint64),
+        views=np.zeros(BITS * words * size + 1, dtype=np.uint64),
         leaving=leaving,
         coming=coming,
         goes=np.zeros(count + 2, dtype=np.uint64),
