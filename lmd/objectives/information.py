@@ -136,23 +136,39 @@ def share_of(moment, weight):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def variance(
+def schur(
     axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
 ):  # type: ignore[no-untyped-def] # fmt: skip
-    """tr S^-1, and whether it is one: False where the corners leave something open. Rotation: exchange A and C."""
+    """det A, and the sum of the principal minors and the determinant of S det A."""
     mxx, mxy, mxz = ayy * azz - ayz * ayz, axz * ayz - axy * azz, axy * ayz - axz * ayy
     det = axx * mxx + axy * mxy + axz * mxz
     hx, hy, hz = axx * gx + axy * gy + axz * gz, axy * gx + ayy * gy + ayz * gz, axz * gx + ayz * gy + azz * gz
     q = gx * hx + gy * hy + gz * hz
-    # S det A
     sxx, sxy, sxz = det * cxx - q * axx + hx * hx, det * cxy - q * axy + hx * hy, det * cxz - q * axz + hx * hz
     syy, syz, szz = det * cyy - q * ayy + hy * hy, det * cyz - q * ayz + hy * hz, det * czz - q * azz + hz * hz
     nxx, nxy, nxz = syy * szz - syz * syz, sxz * syz - sxy * szz, sxy * syz - sxz * syy
     minors = nxx + (sxx * szz - sxz * sxz) + (sxx * syy - sxy * sxy)
-    rest = sxx * nxx + sxy * nxy + sxz * nxz
+    return det, minors, sxx * nxx + sxy * nxy + sxz * nxz
+
+
+@njit(inline="always")
+def variance(
+    axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
+):  # type: ignore[no-untyped-def] # fmt: skip
+    """tr S^-1, and whether it is one: False where the corners leave something open. Rotation: exchange A and C."""
+    det, minors, rest = schur(axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz)
     trace = axx + ayy + azz
     fixed = (det > SINGULAR * (trace * trace * trace)) & (minors > 0.0) & (rest > 0.0)
     return minors * det / rest, fixed
+
+
+@njit(inline="always")
+def log_det(
+    axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
+):  # type: ignore[no-untyped-def] # fmt: skip
+    """The logarithm of the determinant of the whole information, det A det S."""
+    det, _, rest = schur(axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz)
+    return np.log(rest / (det * det))
 
 
 @dispatched

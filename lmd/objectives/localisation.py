@@ -1,10 +1,8 @@
 """Localisation: the camera's position is known to within a tolerance, with a probability as large as can be."""
 
-import itertools
 import math
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +12,7 @@ from lmd.objectives.base import Headline
 from lmd.objectives.coverage import Threshold
 from lmd.objectives.coverage_field import coverage_field
 from lmd.objectives.field import smoothed, worth
-from lmd.objectives.information import precision
+from lmd.objectives.information import PosePrecision, Precision, deviation_per_variance, precision
 from lmd.objectives.localisation_field import LocalisationField, mixed
 from lmd.objectives.localisation_kernels import localised_views
 from lmd.objectives.log_det import LogDeterminant
@@ -25,5 +23,187 @@ from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE
 
 FITNESS = ("mean", "qualified")
-# Fewer orientations than for coverage, as each costs more; drawn anew on the way, they need not be many.
+# Fewer orientations than for coverage, as each costs more: drawn anew on the way, they need not be many.
 SAMPLING = Sampling(positions=2, divisions=12)
+# What the camera knows beforehand when landmarks are selected greedily: the position to so many tolerances, and the
+# rotation to so many rad.
+PRIOR_TOLERANCES, PRIOR_ROTATION = 5.0, 1.0
+PRIOR_POSITION = 1.0  # metres, where no tolerance is given
+WORST = 0.05  # of the positions, whose best value is reported
+
+
+@dataclass(frozen=True)
+class Localisation:
+    """The probability that one image tells where the camera is.
+
+    A view is localised when at least n landmarks are covered *and* the standard deviation of the position that the
+    pixels of their corners allow (`lmd.objectives.information`) is at most the tolerance. The value L(p) of a position
+    is the probability of that. Tags have the corners of `scene.tag`; landmarks that are points take three for a pose.
+
+    Args:
+        n: landmarks that the camera must see at the same time.
+        thold_p: the value from which on a position is qualified.
+        tolerance: greatest standard deviation of the position, metres; infinite for plain coverage.
+        pixel_noise: standard deviation of each coordinate of a corner, pixels.
+        climbs: what optimisers maximise: `mean`, of L over the positions, or `qualified`, the share of positions whose L reaches `thold_p`.
+        rotation_tolerance: greatest standard deviation of the rotation, rad; None where it does not matter.
+        coverage_weight: of P_n beside L in the value, (1 - w) L + w P_n.
+        sampling: where the fitness is measured; None for the room's grid and the PDF itself.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    n: int = 2
+    thold_p: float = 0.5
+    tolerance: float = 0.02
+    pixel_noise: float = 0.5
+    climbs: str = "mean"
+    rotation_tolerance: float | None = None
+    coverage_weight: float = 0.0
+    sampling: Sampling | None = SAMPLING
+
+    def __post_init__(self) -> None:
+        integer("n", self.n, low=1)
+        object.__setattr__(self, "thold_p", real("thold_p", self.thold_p, low=0.0, high=1.0))
+        object.__setattr__(self, "tolerance", real("tolerance", self.tolerance, above=0.0, infinite=True))
+        object.__setattr__(self, "pixel_noise", real("pixel_noise", self.pixel_noise, above=0.0))
+        choice("fitness", self.climbs, FITNESS)
+        if self.rotation_tolerance is not None:
+            turn = real("rotation_tolerance", self.rotation_tolerance, above=0.0)
+            object.__setattr__(self, "rotation_tolerance", turn)
+        weight = real("coverage_weight", self.coverage_weight, low=0.0, high=1.0)
+        object.__setattr__(self, "coverage_weight", weight)
+
+    @property
+    def headline(self) -> Headline:
+        """See `Objective.headline`."""
+        if self.climbs == "qualified":
+            return Headline("qualified_ratio", "qualified ratio")
+        return Headline(self._share, self.value_label if self.coverage_weight else "localised share")
+
+    @property
+    def _share(self) -> str:
+        """The name of the mean value among the figures."""
+        return "weighted_share" if self.coverage_weight else "localised_share"
+
+    @property
+    def name(self) -> str:
+        """See `Objective.name`."""
+        return f"n={self.n} {1e3 * self.tolerance:g} mm" + (
+            f" w={self.coverage_weight:g}" if self.coverage_weight else ""
+        )
+
+    @property
+    def value_name(self) -> str:
+        """See `Objective.value_name`."""
+        located = f"L_{1e3 * self.tolerance:g}mm"
+        return f"{1.0 - self.coverage_weight:g} {located} + {self.coverage_weight:g} P_{self.n}" if (
+            self.coverage_weight
+        ) else located
+
+    @property
+    def value_label(self) -> str:
+        """See `Objective.value_label`."""
+        label = f"probability of localising to {1e3 * self.tolerance:g} mm"
+        return f"{label}, and of seeing {self.n}, weighted" if self.coverage_weight else label
+
+    @property
+    def threshold(self) -> float:
+        """See `Objective.threshold`."""
+        return self.thold_p
+
+    def check(self, count: int) -> None:
+        """See `Objective.check`."""
+        if self.n > count:
+            raise InputError(f"n = {self.n} exceeds the number of landmarks, {count}.", "n")
+
+    def precision(self, scene: Scene) -> Precision | PosePrecision:
+        """What the tolerances ask of a view."""
+        return precision(scene.camera, scene.tag, self.pixel_noise, self.tolerance, self.rotation_tolerance)
+
+    def values(self, evaluator: Evaluator, positions: FloatArray, normals: FloatArray) -> FloatArray:
+        """See `Objective.values`."""
+        views = localised_views(evaluator, positions, normals, self.n, self.precision(evaluator.scene))
+        return np.asarray(mixed.py_func(views.localised, views.covered, self.coverage_weight) / PROBABILITY_ONE)
+
+    def qualified(self, values: FloatArray) -> BoolArray:
+        """See `Objective.qualified`: the value is at least `thold_p`."""
+        return np.asarray(values >= self.thold_p - TOLERANCE)
+
+    def fitness(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
+        """See `Objective.fitness`."""
+        worth = values if self.climbs == "mean" else self.qualified(values)
+        return np.asarray((worth * relevance).sum(axis=-1) / relevance.sum())
+
+    def shares(self, values: FloatArray) -> Mapping[str, FloatArray | BoolArray]:
+        """See `Objective.shares`."""
+        return {self._share: values, "qualified_ratio": self.qualified(values)}
+
+    def figures(self, values: FloatArray, relevance: FloatArray) -> dict[str, float]:
+        """The mean value, the share of positions that are qualified, and the value of the worst 5 % of positions."""
+        return {
+            **{key: float(share.mean()) for key, share in self.shares(values).items()},
+            "worst_positions": float(np.quantile(values, WORST)),
+        }
+
+    def describe(self, figures: Mapping[str, float], positions: int, count: int) -> dict[str, str]:
+        """See `Objective.describe`."""
+        return {
+            "mean value": f"{figures[self._share]:.2%}, the {self.value_label}, with {count} landmarks",
+            "qualified ratio": f"{figures['qualified_ratio']:.2%} of {positions} positions reach {self.thold_p:g}",
+            "worst positions": f"{WORST:.0%} of them have {figures['worst_positions']:.2%} or less",
+        }
+
+    def describe_validation(self, figures: Mapping[str, float]) -> dict[str, str]:
+        """See `Objective.describe_validation`."""
+
+        def with_error(key: str) -> str:
+            return f"{figures[f'grid_free_{key}']:.2%} +- {figures[f'grid_free_{key}_standard_error']:.2%}"
+
+        key = self.headline.key
+        return {
+            "on a finer grid": f"{self.headline.label} {figures[f'finer_grid_{key}']:.2%}",
+            "off the grid": f"mean value {with_error(self._share)}, {with_error('qualified_ratio')} of random positions "
+            "qualified",
+        }
+
+    def field(self, evaluator: Evaluator) -> LocalisationField:
+        """See `Objective.field`."""
+        asked = self.precision(evaluator.scene)
+        return LocalisationField(coverage_field(evaluator, self.n), asked, asked.asks, self.coverage_weight)
+
+    def target(self, relevance: FloatArray) -> "Mean | Threshold":
+        """See `Objective.target`."""
+        if self.climbs == "mean":
+            return Mean(relevance)
+        return Threshold(math.ceil((self.thold_p - TOLERANCE) * PROBABILITY_ONE), relevance)
+
+    def selection(self, evaluator: Evaluator, relevance: FloatArray) -> LogDeterminant:
+        """See `Objective.selection`: the log det of the information, from a prior of some tolerances."""
+        scene = evaluator.scene
+        scale = deviation_per_variance(scene.camera, self.pixel_noise)
+        prior = PRIOR_TOLERANCES * self.tolerance if math.isfinite(self.tolerance) else PRIOR_POSITION
+        known = (scale / prior) ** 2, (scale / PRIOR_ROTATION) ** 2
+        return LogDeterminant(evaluator, relevance, self.precision(scene), *known)
+
+
+def localisation(fitness: str = "mean", **settings: Any) -> Localisation:
+    """A `Localisation`, for configurations: `climbs` goes by the name `fitness` there."""
+    return Localisation(climbs=fitness, **settings)
+
+
+class Mean(NamedTuple):
+    """The mean of the values with weights `relevance` `(Q,)`; a `Target`."""
+
+    relevance: FloatArray
+
+
+@smoothed.register(Mean)
+def _smoothed(target, p, units, margin, width, share):  # type: ignore[no-untyped-def]
+    return target.relevance[p] * (units / PROBABILITY_ONE)
+
+
+@worth.register(Mean)
+def _worth(target, p, units):  # type: ignore[no-untyped-def]
+    return target.relevance[p] * (units / PROBABILITY_ONE)

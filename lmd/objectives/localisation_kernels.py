@@ -4,9 +4,7 @@ Landmarks covered are counted as in `lmd.sight.kernels`, by the same operations.
 the landmarks' 15 numbers (`information`) are summed, and the sums decide. Threads share the positions.
 """
 
-import itertools
 import math
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +18,7 @@ from lmd.sight.evaluator import Evaluator
 from lmd.sight.fiducial_sight import upright
 from lmd.sight.incremental.bits import ALL, BITS, LANES, ONE, ZERO, add_digit, at_least_so_far, lowest
 from lmd.sight.kernels import BLOCK, SINGLE_ERROR, band_of, is_hidden
+from lmd.sight.poses import shared
 from lmd.tag import LEVEL
 
 
@@ -200,9 +199,5 @@ def localised_views(
     axes = np.pad(e.axes, [(0, 0), (0, -e.axes.shape[1] % BITS)])
     places = max(positions.shape[1], n).bit_length()
     fixed = (e.positions, *landmarks, sight, axes, e.bands, e.weights, n, places, precision, precision.asks)
-    edges = np.linspace(0, size, e.threads + 1).astype(int)
-    with ThreadPoolExecutor(e.threads) as pool:
-        jobs = [pool.submit(localise_range, a, b, *fixed, *views, keep) for a, b in itertools.pairwise(edges)]
-        for job in jobs:
-            job.result()
+    shared(localise_range, size, e.threads, (*fixed, *views, keep))
     return views

@@ -1,9 +1,4 @@
-"""Lazy greedy selection on a submodular stand-in, then a local search on the true objective.
-
-The stand-in is the objective's `selection`. Adding the pose of the largest gain, one after the other, comes within
-1 - 1/e of the best choice of poses for it. Gains only ever shrink, which is what makes the lazy variant (Minoux 1978)
-exact: a pose needs evaluating again only while its last known gain is the largest.
-"""
+"""Lazy greedy selection on a submodular stand-in (`selection`), then a local search on the true objective."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,64 +9,17 @@ import numpy as np
 
 from lmd.checks import InputError, integer, real
 from lmd.deployment import Deployment
-from lmd.objectives.base import Objective, Selection
+from lmd.objectives.base import Objective
 from lmd.optimisers.annealing import Annealing, Stage
 from lmd.optimisers.annealing.stage import changed
-from lmd.plates import Plates
+from lmd.optimisers.selection import SPACING, greedy_start, select
 from lmd.problem import Problem
 from lmd.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses
 from lmd.space.space import Space
 
-BATCH = 32  # poses whose gains are brought up to date together
-SPACING = 0.25  # of the grid of poses, metres
 REFINED = Stage(temperature=(4e-5, 2e-5), width=(0.02, 0.006), step=(0.3, 0.05), margin=0.002, share=0.1)
-
-
-def select(
-    selection: Selection, poses: Deployment, count: int, plates: Plates | None = None, allowance: float = np.inf
-) -> tuple[np.ndarray, int]:
-    """Choose up to `count` of the `poses`, each at most once, and none whose plate would overlap another's.
-
-    Args:
-        selection: what is climbed, with nothing chosen yet.
-        poses: N candidates.
-        count: K.
-        plates: of the tags; None for landmarks that are points.
-        allowance: how many gains may be evaluated; fewer poses are chosen if it does not suffice.
-
-    Returns:
-        indices of the chosen poses in the order of choice, and the number of gains evaluated.
-    """
-    known, taken = np.full(len(poses), np.inf), np.zeros(len(poses), dtype=bool)
-    chosen: list[int] = []
-    spent = 0
-    while len(chosen) < count and not taken.all():
-        fresh = np.zeros(len(poses), dtype=bool)
-        while not fresh[best := int(np.argmax(known))]:
-            stale = np.flatnonzero(~fresh & ~taken)
-            # At first nothing is known about any pose, afterwards a few at the top decide.
-            batch = stale[np.argsort(-known[stale], kind="stable")[: BATCH if chosen else len(poses)]]
-            if spent + len(batch) > allowance:
-                return np.array(chosen, dtype=int), spent
-            known[batch] = selection.gains(poses[batch])
-            fresh[batch] = True
-            spent += len(batch)
-        chosen.append(best)
-        gone = plates.touched(poses, poses[best : best + 1]) if plates and plates.edge else best
-        known[gone], taken[gone] = -np.inf, True
-        selection.add(poses[best : best + 1])
-    return np.array(chosen, dtype=int), spent
-
-
-def _poses_within(room: Space, spacing: float, most: float) -> Deployment:
-    """`candidate_poses`, coarsened until there are no more than `most`."""
-    poses = candidate_poses(room, spacing)
-    while len(poses) > max(most, len(room.surfaces())):
-        spacing *= 1.3
-        poses = candidate_poses(room, spacing)
-    return poses
 
 
 class Greedy(Annealing):
@@ -99,16 +47,8 @@ class Greedy(Annealing):
     def _begin(self, problem: Problem, stack: int, limit: float) -> int:
         """Build the start greedily; what the budget cannot pay for stays where the problem's start has it."""
         super()._begin(problem, stack, limit)
-        plates, count = problem.scene.plates, problem.count
-        allowance = (limit - count) / 2
-        poses = _poses_within(plates.hanging, self.spacing, allowance / 2)
-        selection = problem.objective.selection(problem.fitness_evaluator, problem.fitness_relevance)
-        chosen, spent = select(selection, poses, count, plates, allowance)
-        if len(chosen):
-            rest = self.start[len(chosen) :] if len(chosen) < count else None
-            found = plates.apart(poses[chosen] if rest is None else poses[chosen] + rest)
-            if found is not None:
-                self.start = self.here = found
+        self.start, spent = greedy_start(problem, self.start, self.spacing, (limit - problem.count) / 2)
+        self.here = self.start
         return spent
 
 

@@ -144,7 +144,7 @@ def gains(evaluator: Evaluator, poses: Deployment, prices: FloatArray, slack: Fl
     slack = np.zeros(len(poses)) if slack is None else slack
     positions = np.ascontiguousarray(e.positions.T)
     fixed = (poses.positions, poses.normals, slack, prices, positions, e.sight, e.axes, e.bands, out)
-    _shared(_gains, len(poses), e.threads, fixed)
+    shared(_gains, len(poses), e.threads, fixed)
     return out
 
 
@@ -161,11 +161,11 @@ def covered_amounts(evaluator: Evaluator, poses: Deployment, amounts: FloatArray
     """
     out, e = np.zeros((len(evaluator.positions), evaluator.axes.shape[1])), evaluator
     fixed = (poses.positions, poses.normals, amounts, e.positions, e.sight, e.axes, e.bands, out)
-    _shared(_cover, len(e.positions), e.threads, fixed)
+    shared(_cover, len(e.positions), e.threads, fixed)
     return out
 
 
-def _shared(kernel: Callable[..., None], size: int, threads: int, fixed: tuple[Any, ...]) -> None:
+def shared(kernel: Callable[..., None], size: int, threads: int, fixed: tuple[Any, ...]) -> None:
     """Run `kernel(start, stop, *fixed)` over `range(size)` on several threads."""
     edges = np.unique(np.linspace(0, size, threads * CHUNKS_PER_THREAD + 1).astype(int))
     with ThreadPoolExecutor(threads) as pool:

@@ -26,6 +26,7 @@ from lmd.optimisers.annealing.stage import Stage, changed
 from lmd.optimisers.annealing.surrogate import Surrogate
 from lmd.optimisers.annealing.walk import Settings
 from lmd.optimisers.base import Budget, Callback, Optimiser, Result
+from lmd.optimisers.selection import SPACING, greedy_start
 from lmd.problem import Problem
 from lmd.space.surface import SurfaceArrays
 
@@ -144,6 +145,10 @@ class Annealing(Optimiser):
         self.rng = np.random.default_rng(self.seed)
         start, plates = problem.draw(self.rng), problem.scene.plates
         self.start = self.here = start.movable(plates.room, flush=plates.edge > 0.0)
+        if not stack and problem.start.varies:
+            self.start, spent = greedy_start(problem, self.start, SPACING, (limit - count) / 2)
+            self.here = self.start
+            return spent
         looks = 2 * (LOOK + stack + 1) * count  # the cost of two looks at the stacks
         pays = stack and self.stacked_share * limit > looks and (1.0 - self.stacked_share) * limit > looks
         self.in_stacks = problem.start.varies and bool(pays)

@@ -1,0 +1,123 @@
+"""The expected logarithm of the determinant of the information on the camera's pose: what greedy selection climbs.
+
+How well a camera is localised is no submodular function of the landmarks: the first one alone is worth nothing. The
+log det of the information is, if there is a prior to begin with and no landmark hides another: a further landmark adds
+less the more is known. It is averaged over positions and orientations. The prior is what the camera knew before: a
+standard deviation of some tolerances makes landmarks share the room, where a wide one would see the first view of a
+place as a greater gain than the accuracy of another.
+"""
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from lmd.checks import FloatArray
+from lmd.compiled import kernel
+from lmd.deployment import Deployment
+from lmd.objectives.information import WIDTH, log_det, share_of
+from lmd.objectives.localisation_kernels import landmark_moments
+from lmd.sight.criteria import covers, from_position
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.kernels import band_of
+from lmd.sight.poses import shared
+
+
+@njit(inline="always")
+def _log_det_with(sums, p, a, moment, weight):  # type: ignore[no-untyped-def]
+    """`log_det` of view (p, a) of `sums` `(P, D, WIDTH)` once a landmark with a `moment` is added."""
+    return log_det(
+        sums[p, a, 0] + share_of(moment[0], weight), sums[p, a, 1] + share_of(moment[1], weight),
+        sums[p, a, 2] + share_of(moment[2], weight), sums[p, a, 3] + share_of(moment[3], weight),
+        sums[p, a, 4] + share_of(moment[4], weight), sums[p, a, 5] + share_of(moment[5], weight),
+        sums[p, a, 6] + share_of(moment[6], weight), sums[p, a, 7] + share_of(moment[7], weight),
+        sums[p, a, 8] + share_of(moment[8], weight), sums[p, a, 9] + share_of(moment[9], weight),
+        sums[p, a, 10] + share_of(moment[10], weight), sums[p, a, 11] + share_of(moment[11], weight),
+        sums[p, a, 12] + share_of(moment[12], weight), sums[p, a, 13] + share_of(moment[13], weight),
+        sums[p, a, 14] + share_of(moment[14], weight),
+    )  # fmt: skip
+
+
+@kernel
+def _gains(start, stop, points, normals, prices, positions, sight, axes, bands, precision, sums, known, out):
+    """Write what poses `start` to `stop` gain into `out` `(N,)`.
+
+    Args:
+        points, normals: `(N, 3)`.
+        prices: of positions and axes, `(P, D)`.
+        positions: `(P, 3)`.
+        sight, axes, bands: see `kernels.evaluate_range`.
+        precision: the size of a tag.
+        sums: what is known of each view, `(P, D, WIDTH)`.
+        known: their `log_det`, `(P, D)`.
+    """
+    for j in range(start, stop):
+        nx, ny, nz, gain = normals[j, 0], normals[j, 1], normals[j, 2], 0.0
+        for p in range(len(positions)):
+            x, y, z = points[j, 0] - positions[p, 0], points[j, 1] - positions[p, 1], points[j, 2] - positions[p, 2]
+            reached, low, _ = from_position(sight, x, y, z, nx, ny, nz, 0.0)
+            if not reached:
+                continue
+            moment = landmark_moments(x, y, z, nx, ny, nz, precision)
+            bottom, top = band_of(x, y, z, low, 0.0)
+            for a in range(np.uint64(bands[bottom]), np.uint64(bands[top])):
+                if covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a):
+                    depth = axes[0, a] * x + axes[1, a] * y + axes[2, a] * z
+                    more = _log_det_with(sums, p, a, moment, 1.0 / (depth * depth * depth))
+                    gain += prices[p, a] * (more - known[p, a])
+        out[j] = gain
+
+
+@kernel
+def _add(start, stop, point, normal, positions, sight, axes, bands, precision, sums, known):
+    """Add a landmark to `sums` and `known` at the positions `start` to `stop`; args as in `_gains`."""
+    nx, ny, nz = normal[0], normal[1], normal[2]
+    for p in range(start, stop):
+        x, y, z = point[0] - positions[p, 0], point[1] - positions[p, 1], point[2] - positions[p, 2]
+        reached, low, _ = from_position(sight, x, y, z, nx, ny, nz, 0.0)
+        if not reached:
+            continue
+        moment = landmark_moments(x, y, z, nx, ny, nz, precision)
+        bottom, top = band_of(x, y, z, low, 0.0)
+        for a in range(np.uint64(bands[bottom]), np.uint64(bands[top])):
+            if covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a):
+                depth = axes[0, a] * x + axes[1, a] * y + axes[2, a] * z
+                weight = 1.0 / (depth * depth * depth)
+                known[p, a] = _log_det_with(sums, p, a, moment, weight)
+                for i in range(len(moment)):
+                    sums[p, a, i] += share_of(moment[i], weight)
+
+
+class LogDeterminant:
+    """The mean over positions and orientations of log det(prior + information), a `Selection`.
+
+    Args:
+        evaluator: the scene.
+        relevance: weights of its positions, `(P,)`.
+        precision: the size of a tag, see `information.precision`.
+        position, rotation: information known beforehand, in the units of `information`: 1 / `variance`.
+    """
+
+    def __init__(
+        self, evaluator: Evaluator, relevance: FloatArray, precision: Any, position: float, rotation: float
+    ) -> None:
+        self._evaluator, self._precision = evaluator, precision
+        self._prices = relevance[:, None] / relevance.sum() * (evaluator.weights / evaluator.weights.sum())
+        start = np.zeros(WIDTH)
+        start[[0, 3, 5]], start[[9, 12, 14]] = rotation, position
+        self._sums = np.tile(start, (*self._prices.shape, 1))
+        self._known = np.full(self._prices.shape, log_det(*start[:15]))
+        e = evaluator
+        self._fixed = (e.positions, e.sight, e.axes, e.bands, precision, self._sums, self._known)
+
+    def gains(self, poses: Deployment) -> FloatArray:
+        """See `Selection.gains`."""
+        out = np.empty(len(poses))
+        fixed = (poses.positions, poses.normals, self._prices, *self._fixed, out)
+        shared(_gains, len(poses), self._evaluator.threads, fixed)
+        return out
+
+    def add(self, pose: Deployment) -> None:
+        """See `Selection.add`."""
+        fixed = (pose.positions[0], pose.normals[0], *self._fixed)
+        shared(_add, len(self._evaluator.positions), self._evaluator.threads, fixed)
