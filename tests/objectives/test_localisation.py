@@ -1,0 +1,185 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from paper import paper_room, paper_scene
+from strategies import deployments, fiducial_scenes, flush_deployments, scenes, seeds
+
+from lmd import pdf
+from lmd.checks import InputError
+from lmd.deployment import Deployment, RandomDeployment, UniformDeployment
+from lmd.objectives import reference
+from lmd.objectives.coverage import Coverage
+from lmd.objectives.field import accept, bound, move, settle, undo
+from lmd.objectives.localisation import Localisation, localisation
+from lmd.objectives.localisation_kernels import localised_views
+from lmd.scene import Scene
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.fiducial import Fiducial
+from lmd.sight.kernels import PROBABILITY_ONE
+from lmd.tag import Tag
+
+TAG = Tag(0.1)
+objectives = st.builds(
+    Localisation,
+    n=st.integers(1, 3),
+    tolerance=st.sampled_from([0.005, 0.02, 0.1, 0.5, np.inf]),
+    pixel_noise=st.sampled_from([0.2, 0.5]),
+    rotation_tolerance=st.sampled_from([None, None, 0.003, 0.02]),
+    coverage_weight=st.sampled_from([0.0, 0.0, 0.3, 1.0]),
+)
+tags = st.sampled_from([Tag(), Tag(0.1), Tag(0.3)])
+
+
+def tagged(scene, tag):
+    return Scene(scene.room, scene.camera, scene.pdf, scene.visibility, tag)
+
+
+any_scene = st.one_of(st.builds(tagged, scenes(), tags), fiducial_scenes())
+
+
+def expected_units(scene, deployment, objective, positions):
+    """L and P_n in units by the reference, `(P,)` each."""
+    evaluator = Evaluator(scene, threads=1)
+    axes, weights = scene.orientations.axes, evaluator.weights[: len(scene.orientations.axes)]
+    covering = replace(objective, tolerance=np.inf, rotation_tolerance=None)
+    return (
+        np.array([weights[reference.localised(scene, deployment, each, p, axes)].sum() for p in positions])
+        for each in (objective, covering)
+    )
+
+
+@settings(max_examples=60)
+@given(data=st.data(), scene=any_scene, objective=objectives)
+def test_views_are_localised_as_the_reference_says(data, scene, objective):
+    deployment, positions = data.draw(deployments(scene.room)), scene.room.grid()
+    landmarks = deployment.positions[None], deployment.normals[None]
+    located, covered = expected_units(scene, deployment, objective, positions)
+    for threads in (1, 3):
+        evaluator = Evaluator(scene, threads=threads)
+        views = localised_views(evaluator, *landmarks, objective.n, objective.precision(scene))
+        np.testing.assert_array_equal(views.localised[0], located)
+        np.testing.assert_array_equal(views.covered[0], covered)
+    assert (located <= covered).all()
+
+
+@given(data=st.data(), scene=any_scene, n=st.integers(1, 3))
+def test_without_a_tolerance_it_is_coverage(data, scene, n):
+    deployment, evaluator = data.draw(deployments(scene.room)), Evaluator(scene, threads=1)
+    landmarks = deployment.positions[None], deployment.normals[None]
+    values = Localisation(n, tolerance=np.inf).values(evaluator, *landmarks)
+    np.testing.assert_array_equal(values, Coverage(n, 0.5).values(evaluator, *landmarks))
+
+
+def check_state(field, state, scene, objective):
+    now = Deployment(state.landmarks.T, state.normals.T, state.surfaces)
+    fresh = field.state(now)
+    for name in state._fields[:-1]:
+        np.testing.assert_array_equal(getattr(state, name), getattr(fresh, name), err_msg=name)
+    for array, other in zip(state.coverage, fresh.coverage, strict=True):
+        np.testing.assert_array_equal(array, other)
+    evaluator = Evaluator(scene, threads=1)
+    values = objective.values(evaluator, now.positions[None], now.normals[None])[0]
+    np.testing.assert_array_equal(state.units[field.index_of] / PROBABILITY_ONE, values)
+
+
+def copied(state):
+    return [array.copy() for array in (*state[:-1], *state.coverage)]
+
+
+def same(state, before):
+    return all((a == b).all() for a, b in zip((*state[:-1], *state.coverage), before, strict=True))
+
+
+@settings(max_examples=60)
+@given(data=st.data(), scene=any_scene, objective=objectives, seed=seeds)
+def test_after_any_moves_the_views_are_those_of_a_full_evaluation(data, scene, objective, seed):
+    deployment, targets = data.draw(deployments(scene.room)), data.draw(deployments(scene.room, most=6))
+    rng = np.random.default_rng(seed)
+    field = objective.field(Evaluator(scene, threads=1))
+    state = field.state(deployment)
+    scratch = field.scratch(state)
+    for pose in np.hstack([targets.positions, targets.normals]):
+        k, before = int(rng.integers(len(deployment))), copied(state)
+        bound(field, k, pose, -1, state, scratch)
+        most = scratch.units.copy()
+        settle(field, k, state, scratch)
+        assert same(state, before), "a trial changed the state"
+        promised = scratch.units.copy()
+        assert (promised <= most).all(), "not a bound"
+        end = rng.choice(["nothing", "accepted", "undone"])
+        if end != "nothing":
+            accept(field, k, state, scratch)
+            np.testing.assert_array_equal(state.units, promised)
+        if end == "undone":
+            undo(field, k, state, scratch)
+        assert end == "accepted" or same(state, before), end
+    check_state(field, state, scene, objective)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("visibility", ["paper", "fiducial"])
+def test_after_ten_thousand_moves_the_sums_are_those_of_a_rebuild(visibility):
+    scene, rng = paper_scene(paper_room(spacing=1.0)), np.random.default_rng(0)
+    scene = replace(scene, visibility=Fiducial(TAG) if visibility == "fiducial" else scene.visibility, tag=TAG)
+    objective, count = Localisation(), 60
+    deployment = RandomDeployment(count).draw(scene.room, rng)
+    field = objective.field(Evaluator(scene, threads=1))
+    state = field.state(deployment)
+    scratch = field.scratch(state)
+    targets = RandomDeployment(10_000).draw(scene.room, rng)
+    for i, pose in enumerate(np.hstack([targets.positions, targets.normals])):
+        move(field, i % count, pose, targets.surfaces[i], state, scratch)
+    check_state(field, state, scene, objective)
+
+
+def test_two_points_never_localise_and_two_tags_do():
+    points = paper_scene(paper_room(spacing=1.5))
+    deployment = UniformDeployment(60).draw(points.room, np.random.default_rng())
+    two = deployment[:2]
+    for scene, landmarks, seen in ((points, two, False), (points, deployment, True), (replace(points, tag=TAG), two, True)):
+        values = Localisation(2, tolerance=0.5).values(
+            Evaluator(scene, threads=1), landmarks.positions[None], landmarks.normals[None]
+        )
+        assert bool(values.max() > 0.0) == seen
+
+
+def test_more_is_localised_with_a_wider_tolerance_less_noise_and_larger_tags():
+    scene = paper_scene(paper_room(spacing=1.5))
+    deployment = UniformDeployment(60).draw(scene.room, np.random.default_rng())
+
+    def mean(edge=0.1, **changes):
+        evaluator = Evaluator(replace(scene, tag=Tag(edge)), threads=1)
+        return Localisation(**changes).values(evaluator, deployment.positions[None], deployment.normals[None]).mean()
+
+    assert mean(tolerance=0.01) < mean() < mean(tolerance=0.05)
+    assert mean(pixel_noise=1.0) < mean() < mean(edge=0.2)
+    assert mean(tolerance=0.04, pixel_noise=1.0) == mean()  # only their ratio matters
+
+
+@pytest.mark.parametrize(
+    ("settings_", "message"),
+    [
+        ({"tolerance": 0.0}, "tolerance must be"),
+        ({"pixel_noise": -1.0}, "pixel_noise must be"),
+        ({"fitness": "median"}, "fitness must be one of"),
+        ({"rotation_tolerance": 0.0}, "rotation_tolerance must be"),
+        ({"coverage_weight": 1.5}, "coverage_weight must be"),
+        ({"n": 0}, "n must be"),
+    ],
+)
+def test_bad_settings_are_refused(settings_, message):
+    with pytest.raises(InputError, match=message):
+        localisation(**settings_)
+
+
+def test_figures_and_fitness_are_means_over_positions():
+    values, relevance = np.array([0.2, 0.5, 0.8, 0.9]), np.array([1.0, 1.0, 1.0, 3.0])
+    mean, share = Localisation(), Localisation(climbs="qualified", thold_p=0.5)
+    assert mean.fitness(values, relevance) == pytest.approx((0.2 + 0.5 + 0.8 + 2.7) / 6.0)
+    assert share.fitness(values, relevance) == pytest.approx(5.0 / 6.0)
+    assert mean.figures(values, relevance)["localised_share"] == pytest.approx(0.6)
+    assert mean.figures(values, relevance)["qualified_ratio"] == 0.75
+    assert share.headline.key == "qualified_ratio"
