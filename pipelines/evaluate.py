@@ -38,12 +38,13 @@ def evaluate(cfg: DictConfig) -> float:
     history = [Record(1, problem.metrics(deployment)["fitness"], time.perf_counter() - began)]
     subject = choices()["deployment"]
     with tracked_run(cfg, problem, subject) as tracker:
-        summary = localise(problem, deployment, tracker) if cfg.localisation else {}
+        summary = localise(problem, deployment, seed, tracker) if cfg.localisation else {}
         return record(cfg, problem, tracker, deployment, history, subject=subject, summary=summary)
 
 
-def localise(problem: "Problem", deployment: "Deployment", tracker: "Tracker") -> dict[str, float]:
-    """Write and log the map of the bound on the pose of a single frame; returns its figures."""
+def localise(problem: "Problem", deployment: "Deployment", seed: int, tracker: "Tracker") -> dict[str, float]:
+    """Write and log the maps of how well a single frame is localised; returns the figures."""
+    from lmd.accuracy import accuracy_metrics, save_accuracy_map
     from lmd.localisation.cramer_rao import cramer_rao_map
     from lmd.plot.localisation import save_cramer_rao_map
 
@@ -53,8 +54,10 @@ def localise(problem: "Problem", deployment: "Deployment", tracker: "Tracker") -
     table, picture = (run_directory() / f"localisation.{kind}" for kind in ("csv", "png"))
     bounds.to_csv(table)
     save_cramer_rao_map(picture, problem.scene.room, bounds, title_of(problem, "Cramer-Rao bound of one frame,"))
-    tracker.log_artifacts([table, picture])
-    return bounds.metrics()
+    accuracy = run_directory() / "accuracy.csv"
+    save_accuracy_map(accuracy, problem, deployment)
+    tracker.log_artifacts([table, picture, accuracy])
+    return bounds.metrics() | accuracy_metrics(problem, deployment, seed)
 
 
 if __name__ == "__main__":

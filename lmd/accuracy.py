@@ -1,0 +1,89 @@
+"""What a deployment lets one image tell of the camera's position, predicted for every view, whatever it was made for.
+
+The prediction is the standard deviation of `lmd.objectives.information`, infinite for views that cover fewer than n
+landmarks. All figures are off the grid: random positions, orientations from the PDF's continuous distribution.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from lmd.checks import FloatArray
+from lmd.deployment import Deployment
+from lmd.objectives.information import deviation_per_variance, precision
+from lmd.objectives.localisation import Localisation
+from lmd.objectives.localisation_kernels import localised_views
+from lmd.problem import Problem
+from lmd.sight.evaluator import Evaluator
+from lmd.validation import STREAM, Sample
+
+TOLERANCES = (0.01, 0.02, 0.05)  # metres
+SAMPLE = Sample(groups=8, positions=512, divisions=23)
+
+
+def predicted_errors(problem: Problem, deployment: Deployment, evaluator: Evaluator) -> FloatArray:
+    """Standard deviation of the position in each view, metres, `(P, D)`, D orientations of the evaluator.
+
+    The noise of a corner is the objective's, where it is one of localisation.
+    """
+    objective, scene = problem.objective, problem.scene
+    noise = objective.pixel_noise if isinstance(objective, Localisation) else Localisation.pixel_noise
+    asked: Any = precision(scene.camera, scene.tag, noise, np.inf)
+    landmarks = deployment.positions[None], deployment.normals[None]
+    views = localised_views(evaluator, *landmarks, objective.n, asked, keep=True)
+    scale = deviation_per_variance(scene.camera, noise)
+    return np.asarray(scale * np.sqrt(views.variances[0, :, : len(evaluator.scene.orientations.axes)]))
+
+
+def _share_name(tolerance: float) -> str:
+    return f"localised_share_{1e3 * tolerance:g}mm"
+
+
+def accuracy_metrics(
+    problem: Problem, deployment: Deployment, seed: int, sample: Sample = SAMPLE
+) -> dict[str, float]:
+    """Shares of views localised to within `TOLERANCES`, and the median and the 90 % of the predicted error, metres.
+
+    The two are over all views, and left out where they are infinite, as too few views cover n landmarks.
+
+    Args:
+        problem: the scene, n, and the noise of a corner.
+        deployment: what is judged.
+        seed: of the sample.
+        sample: its size.
+    """
+    rng, scene, parts = np.random.default_rng([seed, STREAM]), problem.scene, []
+    for _ in range(sample.groups):
+        positions = scene.room.sample(sample.positions, rng)
+        drawn = replace(scene, pdf=scene.pdf.stratified(sample.divisions, rng))
+        errors = predicted_errors(problem, deployment, Evaluator(drawn, positions, problem.evaluator.threads))
+        parts.append((errors, np.broadcast_to(drawn.orientations.weight, errors.shape)))
+    errors, weights = (np.concatenate([part[i].reshape(-1) for part in parts]) for i in range(2))
+    weights = weights / weights.sum()
+    metrics = {_share_name(limit): float(weights[errors <= limit].sum()) for limit in TOLERANCES}
+    order = np.argsort(errors)
+    below = np.cumsum(weights[order])
+    for name, level in (("median", 0.5), ("90", 0.9)):
+        error = errors[order[min(np.searchsorted(below, level), len(order) - 1)]]
+        if np.isfinite(error):
+            metrics[f"predicted_error_{name}"] = float(error)
+    return metrics
+
+
+def save_accuracy_map(path: str | Path, problem: Problem, deployment: Deployment) -> None:
+    """Write `x,y,z`, the shares localised and the median predicted error, metres, at each position of the grid.
+
+    The median is empty where it is infinite.
+    """
+    evaluator, weight = problem.evaluator, problem.scene.orientations.weight
+    errors = predicted_errors(problem, deployment, evaluator)
+    order = np.argsort(errors, axis=1)
+    middle = (np.cumsum(weight[order], axis=1) >= 0.5).argmax(axis=1)[:, None]
+    median = np.take_along_axis(errors, np.take_along_axis(order, middle, axis=1), axis=1)[:, 0]
+    columns = dict(zip("xyz", evaluator.positions.T, strict=True))
+    columns |= {_share_name(limit): (errors <= limit) @ weight for limit in TOLERANCES}
+    columns["predicted_error_median"] = np.where(np.isfinite(median), median, np.nan)
+    pd.DataFrame(columns).to_csv(path, index=False)

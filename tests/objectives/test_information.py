@@ -1,0 +1,96 @@
+"""The information of a view against its 6 x 6 matrix, and against that of the pixels by OpenCV."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from paper import paper_room, paper_scene
+
+from lmd.deployment import RandomDeployment, UniformDeployment
+from lmd.geometry.se3 import axis_and_right, camera_pose
+from lmd.objectives import reference
+from lmd.objectives.information import deviation_per_variance, log_det, precision, variance
+from lmd.sight.reference import coverage_caps
+from lmd.tag import Tag, corners, upright
+
+EDGE, NOISE = 0.1, 0.5
+SCENE = replace(paper_scene(paper_room()), tag=Tag(EDGE))
+
+
+def bearing_matrix(position, points, weights):
+    """Information on the position and the rotation, from the Jacobian of each direction, `(6, 6)`."""
+    total = np.zeros((6, 6))
+    for point, weight in zip(points, weights, strict=True):
+        d = point - position
+        r = np.linalg.norm(d)
+        x, y, z = b = d / r
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        jacobian = np.hstack([-(np.eye(3) - np.outer(b, b)) / r, cross])
+        total += weight * jacobian.T @ jacobian
+    return total
+
+
+def pixel_covariance(pose, points):
+    """Of position and rotation vector, for one pixel of noise, by the derivatives of `cv2.projectPoints`, `(6, 6)`."""
+    focal_u, focal_v = SCENE.camera.focal_pixels
+    matrix = np.array([[focal_u, 0.0, 800.0], [0.0, focal_v, 600.0], [0.0, 0.0, 1.0]])
+    turned = pose[:3, :3].T
+    rvec, tvec = cv2.Rodrigues(turned)[0], -turned @ pose[:3, 3]
+    _, jacobian = cv2.projectPoints(points, rvec, tvec, matrix, None)
+    covariance = np.linalg.inv(jacobian[:, :6].T @ jacobian[:, :6])
+    # p = -R^T t: what its parameters do to it, numerically for the rotation vector.
+    step, by = 1e-6, np.empty((3, 6))
+    by[:, 3:] = -turned.T
+    for i in range(3):
+        moved = [cv2.Rodrigues(rvec + sign * step * np.eye(3)[:, i : i + 1])[0].T @ -tvec for sign in (1.0, -1.0)]
+        by[:, i] = (moved[0] - moved[1]) / (2.0 * step)
+    return by @ covariance @ by.T
+
+
+def views(count, rng, deployment, least):
+    """Poses, information and corners of random views that cover at least so many landmarks."""
+    asked = precision(SCENE.camera, SCENE.tag, NOISE, 0.02)
+    all_corners = corners(deployment.positions, deployment.normals, upright(deployment.normals)[1], EDGE)
+    found = []
+    while len(found) < count:
+        yaw, pitch = rng.uniform(-np.pi, np.pi), rng.uniform(-np.pi / 2, np.pi / 2)
+        pose = camera_pose(SCENE.room.sample(1, rng)[0], np.array([yaw]), np.array([pitch]), np.zeros(1))[0]
+        axes = axis_and_right(pose[None])
+        caps = coverage_caps(SCENE, deployment, pose[:3, 3], axes)[0]
+        if caps.sum() >= least:
+            information = reference.view_information(SCENE, deployment, asked, pose[:3, 3], axes)[:, 0]
+            found.append((pose, information, all_corners[caps].reshape(-1, 3), caps))
+    return found
+
+
+def test_the_fifteen_numbers_are_those_of_the_matrix():
+    rng = np.random.default_rng(0)
+    deployment = RandomDeployment(90).draw(SCENE.room, rng)
+    for pose, information, points, caps in views(50, rng, deployment, 2):
+        offset = deployment.positions[caps] - pose[:3, 3]
+        weights = np.repeat((np.linalg.norm(offset, axis=1) / (offset @ pose[:3, 2])) ** 3, 4)
+        matrix = bearing_matrix(pose[:3, 3], points, weights)
+        inverse = np.linalg.inv(matrix)
+        value, fixed = variance.py_func(*information)
+        assert fixed
+        assert value == pytest.approx(np.trace(inverse[:3, :3]), rel=1e-4)
+        a, g, c = information[:6], information[6:9], information[9:]
+        turned, _ = variance.py_func(*c, *g, *a)
+        assert turned == pytest.approx(np.trace(inverse[3:, 3:]), rel=1e-4)
+        assert log_det.py_func(*information) == pytest.approx(np.linalg.slogdet(matrix)[1], rel=1e-6)
+
+
+def test_it_stands_for_the_information_of_the_pixels():
+    rng = np.random.default_rng(1)
+    deployment = UniformDeployment(90).draw(SCENE.room, rng)
+    scale, exact, predicted = deviation_per_variance(SCENE.camera, NOISE), [], []
+    for pose, information, points, _ in views(1500, rng, deployment, 2):
+        predicted.append(scale * np.sqrt(variance.py_func(*information)[0]))
+        exact.append(NOISE * np.sqrt(np.trace(pixel_covariance(pose, points)[:3, :3])))
+    ratio = np.array(predicted) / np.array(exact)
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.01)
+    assert np.quantile(ratio, 0.05) > 0.94
+    assert np.quantile(ratio, 0.95) < 1.06
+    other_side = (np.array(predicted) <= 0.02) != (np.array(exact) <= 0.02)
+    assert other_side.mean() < 0.01
