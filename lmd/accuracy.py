@@ -42,9 +42,7 @@ def _share_name(tolerance: float) -> str:
     return f"localised_share_{1e3 * tolerance:g}mm"
 
 
-def accuracy_metrics(
-    problem: Problem, deployment: Deployment, seed: int, sample: Sample = SAMPLE
-) -> dict[str, float]:
+def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample: Sample = SAMPLE) -> dict[str, float]:
     """Shares of views localised to within `TOLERANCES`, and the median and the 90 % of the predicted error, metres.
 
     The two are over all views, and left out where they are infinite, as too few views cover n landmarks.

@@ -98,9 +98,11 @@ class Localisation:
     def value_name(self) -> str:
         """See `Objective.value_name`."""
         located = f"L_{1e3 * self.tolerance:g}mm"
-        return f"{1.0 - self.coverage_weight:g} {located} + {self.coverage_weight:g} P_{self.n}" if (
-            self.coverage_weight
-        ) else located
+        return (
+            f"{1.0 - self.coverage_weight:g} {located} + {self.coverage_weight:g} P_{self.n}"
+            if (self.coverage_weight)
+            else located
+        )
 
     @property
     def value_label(self) -> str:

@@ -144,6 +144,12 @@ def _moments_of(x, y, z, nx, ny, nz, precision, moments):  # type: ignore[no-unt
 
 
 @kernel
+def _row_meets(precision, row):  # type: ignore[no-untyped-def]
+    """`meets_row` with `row` `(1, WIDTH)`, compiled once for all who ask for one row at a time."""
+    return meets_row(precision, row, 0)
+
+
+@kernel
 def _look(k, field, state, scratch):  # type: ignore[no-untyped-def]
     """Fill `old` and `new`, and the cap of the new place at all positions that reach it."""
     cover, trial = field.coverage, scratch.coverage
@@ -279,6 +285,16 @@ def _decide_views(field, state, scratch):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def _touched_places(k, state, scratch):  # type: ignore[no-untyped-def]
+    """The positions that a move of landmark k may change; the values of the others are copied."""
+    units, located, covered = scratch.units, scratch.located, scratch.coverage.units
+    known = state.coverage.units
+    for p in range(len(units)):
+        units[p], located[p], covered[p] = state.units[p], state.located[p], known[p]
+    return touched(k, state.coverage, scratch.coverage)
+
+
+@kernel
 def _sum_up(places, field, state, scratch):  # type: ignore[no-untyped-def]
     """Find the values at `places` from the sets of axes."""
     weights, covered = field.coverage.weights, scratch.coverage.units
@@ -364,7 +380,7 @@ def _try_flips(k, places, field, state, scratch):  # type: ignore[no-untyped-def
                 for e in range(changes):
                     if caps[e, w] >> bit & ONE:
                         _add_shares(row[ZERO], e, w * VIEW + bit, 1.0, field, scratch)
-                good |= np.uint64(meets_row(field.precision, row, ZERO)) << bit
+                good |= np.uint64(_row_meets(field.precision, row)) << bit
             enough[p, w], localised[p, w] = has, good
     _sum_up(places, field, state, scratch)
 
@@ -377,9 +393,7 @@ def bound_move(k, pose, surface, field, state, scratch):  # type: ignore[no-unty
     _look(k, field, state, scratch)
     _list_views(np.uint64(k), field, state, scratch)
     _decide_views(field, state, scratch)
-    for p in range(np.uint64(len(flips))):
-        listed[p] = p
-    _sum_up(listed[: len(flips)], field, state, scratch)
+    _sum_up(_touched_places(k, state, scratch), field, state, scratch)
     count = ZERO
     for p in range(np.uint64(len(flips))):
         listed[count] = p
@@ -472,7 +486,7 @@ def _fill(field, state, scratch):  # type: ignore[no-untyped-def]
                 bit = lowest(left)
                 left &= left - ONE
                 row[ZERO] = state.sums[(p * words + w) * VIEW + bit]
-                good |= np.uint64(meets_row(field.precision, row, ZERO)) << bit
+                good |= np.uint64(_row_meets(field.precision, row)) << bit
             state.enough[p, w], state.localised[p, w] = has, good
             state.located[p] += _sum_weights(ZERO, good, weights, w)
         state.units[p] = mixed(state.located[p], known.units[p], field.weight)

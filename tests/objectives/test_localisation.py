@@ -139,7 +139,11 @@ def test_two_points_never_localise_and_two_tags_do():
     points = paper_scene(paper_room(spacing=1.5))
     deployment = UniformDeployment(60).draw(points.room, np.random.default_rng())
     two = deployment[:2]
-    for scene, landmarks, seen in ((points, two, False), (points, deployment, True), (replace(points, tag=TAG), two, True)):
+    for scene, landmarks, seen in (
+        (points, two, False),
+        (points, deployment, True),
+        (replace(points, tag=TAG), two, True),
+    ):
         values = Localisation(2, tolerance=0.5).values(
             Evaluator(scene, threads=1), landmarks.positions[None], landmarks.normals[None]
         )

@@ -33,7 +33,9 @@ def prefetch(_typing_context: Any, rows: Any, row: Any) -> Any:
         kind = ir.FunctionType(ir.VoidType(), [pointer, integer, integer, integer])
         function = builder.module.declare_intrinsic("llvm.prefetch", [pointer], kind)
         for item in (0, 8):
-            index = builder.add(builder.mul(arguments[1], ir.Constant(ir.IntType(64), 16)), ir.Constant(ir.IntType(64), item))
+            index = builder.add(
+                builder.mul(arguments[1], ir.Constant(ir.IntType(64), 16)), ir.Constant(ir.IntType(64), item)
+            )
             address = builder.bitcast(builder.gep(array.data, [index]), pointer)
             builder.call(function, [address, *(ir.Constant(integer, value) for value in (0, 3, 1))])
         return context.get_dummy_value()
