@@ -1,7 +1,7 @@
 """What a deployment lets one image tell of the camera's position, predicted for every view, whatever it was made for.
 
-The prediction is the standard deviation of `lmd.objectives.information`, infinite for views that cover fewer than n
-landmarks. All figures are off the grid: random positions, orientations from the PDF's continuous distribution.
+The prediction is the standard deviation by `lmd.objectives.localisation.information`, infinite for views that cover
+fewer than n landmarks. All figures are off the grid: random positions, orientations from the PDF's continuous distribution.
 """
 
 from dataclasses import replace
@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from lmd.checks import FloatArray
+from lmd.checks import FloatArray, IntArray
 from lmd.deployment import Deployment
-from lmd.objectives.information import deviation_per_variance, precision
 from lmd.objectives.localisation import Localisation
-from lmd.objectives.localisation_kernels import localised_views
+from lmd.objectives.localisation.information import deviation_per_variance, precision
+from lmd.objectives.localisation.kernels import localised_views
 from lmd.problem import Problem
 from lmd.sight.evaluator import Evaluator
 from lmd.validation import STREAM, Sample
@@ -62,10 +62,10 @@ def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample
     errors, weights = (np.concatenate([part[i].reshape(-1) for part in parts]) for i in range(2))
     weights = weights / weights.sum()
     metrics = {_share_name(limit): float(weights[errors <= limit].sum()) for limit in TOLERANCES}
-    order = np.argsort(errors)
+    order: IntArray = np.argsort(errors)
     below = np.cumsum(weights[order])
     for name, level in (("median", 0.5), ("90", 0.9)):
-        error = errors[order[min(np.searchsorted(below, level), len(order) - 1)]]
+        error = errors[order[min(int(np.searchsorted(below, level)), len(order) - 1)]]
         if np.isfinite(error):
             metrics[f"predicted_error_{name}"] = float(error)
     return metrics

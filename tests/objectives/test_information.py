@@ -9,8 +9,8 @@ from paper import paper_room, paper_scene
 
 from lmd.deployment import RandomDeployment, UniformDeployment
 from lmd.geometry.se3 import axis_and_right, camera_pose
-from lmd.objectives import reference
-from lmd.objectives.information import deviation_per_variance, log_det, precision, variance
+from lmd.objectives.localisation import reference
+from lmd.objectives.localisation.information import deviation_per_variance, log_det, precision, variance
 from lmd.sight.reference import coverage_caps
 from lmd.tag import Tag, corners, upright
 

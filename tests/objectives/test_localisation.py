@@ -5,16 +5,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from paper import paper_room, paper_scene
-from strategies import deployments, fiducial_scenes, flush_deployments, scenes, seeds
+from strategies import deployments, fiducial_scenes, scenes, seeds
 
-from lmd import pdf
 from lmd.checks import InputError
 from lmd.deployment import Deployment, RandomDeployment, UniformDeployment
-from lmd.objectives import reference
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.field import accept, bound, move, settle, undo
-from lmd.objectives.localisation import Localisation, localisation
-from lmd.objectives.localisation_kernels import localised_views
+from lmd.objectives.localisation import Localisation, localisation, reference
+from lmd.objectives.localisation.kernels import localised_views
 from lmd.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.fiducial import Fiducial

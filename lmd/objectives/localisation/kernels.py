@@ -12,7 +12,7 @@ from numba import njit
 
 from lmd.checks import FloatArray
 from lmd.compiled import kernel
-from lmd.objectives.information import WIDTH, meets, moments, share_of, variance
+from lmd.objectives.localisation.information import WIDTH, meets, moments, share_of, variance
 from lmd.sight.criteria import covers, from_position
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.fiducial_sight import upright
@@ -23,7 +23,7 @@ from lmd.tag import LEVEL
 
 
 @njit(inline="always")
-def landmark_moments(x, y, z, nx, ny, nz, precision):  # type: ignore[no-untyped-def]
+def landmark_moments(x, y, z, nx, ny, nz, precision):
     """The `moments` of an upright landmark at offset (x, y, z) with the unit normal (nx, ny, nz)."""
     rx, ry, rz, ux, uy, uz = upright(nx, ny, nz, LEVEL)
     half = precision.half
@@ -31,7 +31,7 @@ def landmark_moments(x, y, z, nx, ny, nz, precision):  # type: ignore[no-untyped
 
 
 @njit(inline="always")
-def meets_row(precision, sums, v):  # type: ignore[no-untyped-def]
+def meets_row(precision, sums, v):
     """`meets` with the sums of view v in `sums` `(V, WIDTH)`."""
     return meets(
         precision, sums[v, 0], sums[v, 1], sums[v, 2], sums[v, 3], sums[v, 4], sums[v, 5], sums[v, 6], sums[v, 7],
@@ -40,7 +40,7 @@ def meets_row(precision, sums, v):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def variance_of_row(sums, v):  # type: ignore[no-untyped-def]
+def variance_of_row(sums, v):
     """`variance` with the sums of view v in `sums` `(V, WIDTH)`, infinite where something is open."""
     value, fixed = variance(
         sums[v, 0], sums[v, 1], sums[v, 2], sums[v, 3], sums[v, 4], sums[v, 5], sums[v, 6], sums[v, 7],
@@ -51,8 +51,8 @@ def variance_of_row(sums, v):  # type: ignore[no-untyped-def]
 
 @kernel
 def localise_range(
-    first, last, positions, landmarks, normals, sight, axes, bands, weights, n, places, precision, asks, covered, localised,
-    variances, keep,
+    first, last, positions, landmarks, normals, sight, axes, bands, weights, n, places, precision, asks,
+    covered, localised, variances, keep,
 ):  # fmt: skip
     """Evaluate deployments at the positions `first` to `last`.
 
@@ -191,9 +191,8 @@ def localised_views(
         keep: whether to return the variances, `(B, P, D)`.
     """
     e, batch, size = evaluator, len(positions), len(evaluator.positions)
-    views = Views(
-        *np.zeros((2, batch, size), dtype=np.int64), np.empty((batch, size, e.axes.shape[1]) if keep else (0, 0, 0))
-    )
+    covered, localised = np.zeros((2, batch, size), dtype=np.int64)
+    views = Views(covered, localised, np.empty((batch, size, e.axes.shape[1]) if keep else (0, 0, 0)))
     landmarks = tuple(np.ascontiguousarray(v.transpose(0, 2, 1)) for v in (positions, normals))
     sight = e.sight.among(e.positions.min(axis=0), e.positions.max(axis=0), *landmarks)
     axes = np.pad(e.axes, [(0, 0), (0, -e.axes.shape[1] % BITS)])

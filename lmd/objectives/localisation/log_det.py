@@ -15,8 +15,8 @@ from numba import njit
 from lmd.checks import FloatArray
 from lmd.compiled import kernel
 from lmd.deployment import Deployment
-from lmd.objectives.information import WIDTH, log_det, share_of
-from lmd.objectives.localisation_kernels import landmark_moments
+from lmd.objectives.localisation.information import WIDTH, log_det, share_of
+from lmd.objectives.localisation.kernels import landmark_moments
 from lmd.sight.criteria import covers, from_position
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import band_of
@@ -24,7 +24,7 @@ from lmd.sight.poses import shared
 
 
 @njit(inline="always")
-def _log_det_with(sums, p, a, moment, weight):  # type: ignore[no-untyped-def]
+def _log_det_with(sums, p, a, moment, weight):
     """`log_det` of view (p, a) of `sums` `(P, D, WIDTH)` once a landmark with a `moment` is added."""
     return log_det(
         sums[p, a, 0] + share_of(moment[0], weight), sums[p, a, 1] + share_of(moment[1], weight),

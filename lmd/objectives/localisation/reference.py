@@ -3,12 +3,14 @@
 Shapes: A orientations, K landmarks, P positions.
 """
 
+from typing import Any
+
 import numpy as np
 
 from lmd.checks import BoolArray, FloatArray
 from lmd.deployment import Deployment
-from lmd.objectives.information import PosePrecision, Precision, meets, moments, share_of
-from lmd.objectives.localisation import Localisation
+from lmd.objectives.localisation.information import PosePrecision, Precision, meets, moments, share_of
+from lmd.objectives.localisation.objective import Localisation
 from lmd.scene import Scene
 from lmd.sight.paper import dot
 from lmd.sight.reference import cap_count, coverage_caps, n_ple_cap
@@ -25,7 +27,8 @@ def view_information(
     sides = (asked.half * right, asked.half * up)
     with np.errstate(all="ignore"):  # of a landmark that is not covered the depth may be anything
         depth = dot(axes[:, None, :3], offset)
-        moment = moments.py_func(*offset.T, *sides[0].T, *sides[1].T, asked.share)
+        formulas: Any = moments.py_func
+        moment = formulas(*offset.T, *sides[0].T, *sides[1].T, asked.share)
         weight = 1.0 / (depth * depth * depth)
         return np.stack([np.where(caps, share_of.py_func(each, weight), 0.0).sum(axis=1) for each in moment])
 

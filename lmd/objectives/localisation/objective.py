@@ -12,10 +12,11 @@ from lmd.objectives.base import Headline
 from lmd.objectives.coverage import Threshold
 from lmd.objectives.coverage_field import coverage_field
 from lmd.objectives.field import smoothed, worth
-from lmd.objectives.information import PosePrecision, Precision, deviation_per_variance, precision
-from lmd.objectives.localisation_field import LocalisationField, mixed
-from lmd.objectives.localisation_kernels import localised_views
-from lmd.objectives.log_det import LogDeterminant
+from lmd.objectives.localisation.field import LocalisationField
+from lmd.objectives.localisation.information import PosePrecision, Precision, deviation_per_variance, precision
+from lmd.objectives.localisation.kernels import localised_views
+from lmd.objectives.localisation.log_det import LogDeterminant
+from lmd.objectives.localisation.trial import mixed
 from lmd.objectives.sampling import Sampling
 from lmd.scene import Scene
 from lmd.sight.criteria import TOLERANCE
@@ -37,15 +38,16 @@ class Localisation:
     """The probability that one image tells where the camera is.
 
     A view is localised when at least n landmarks are covered *and* the standard deviation of the position that the
-    pixels of their corners allow (`lmd.objectives.information`) is at most the tolerance. The value L(p) of a position
-    is the probability of that. Tags have the corners of `scene.tag`; landmarks that are points take three for a pose.
+    pixels of their corners allow (`information`) is at most the tolerance. The value L(p) of a position is the
+    probability of that. Tags have the corners of `scene.tag`; landmarks that are points take three for a pose.
 
     Args:
         n: landmarks that the camera must see at the same time.
         thold_p: the value from which on a position is qualified.
         tolerance: greatest standard deviation of the position, metres; infinite for plain coverage.
         pixel_noise: standard deviation of each coordinate of a corner, pixels.
-        climbs: what optimisers maximise: `mean`, of L over the positions, or `qualified`, the share of positions whose L reaches `thold_p`.
+        climbs: what optimisers maximise: `mean`, of L over the positions, or `qualified`, the share of positions whose
+            L reaches `thold_p`.
         rotation_tolerance: greatest standard deviation of the rotation, rad; None where it does not matter.
         coverage_weight: of P_n beside L in the value, (1 - w) L + w P_n.
         sampling: where the fitness is measured; None for the room's grid and the PDF itself.
@@ -90,19 +92,14 @@ class Localisation:
     @property
     def name(self) -> str:
         """See `Objective.name`."""
-        return f"n={self.n} {1e3 * self.tolerance:g} mm" + (
-            f" w={self.coverage_weight:g}" if self.coverage_weight else ""
-        )
+        weight = f" w={self.coverage_weight:g}" if self.coverage_weight else ""
+        return f"n={self.n} {1e3 * self.tolerance:g} mm{weight}"
 
     @property
     def value_name(self) -> str:
         """See `Objective.value_name`."""
-        located = f"L_{1e3 * self.tolerance:g}mm"
-        return (
-            f"{1.0 - self.coverage_weight:g} {located} + {self.coverage_weight:g} P_{self.n}"
-            if (self.coverage_weight)
-            else located
-        )
+        located, weight = f"L_{1e3 * self.tolerance:g}mm", self.coverage_weight
+        return f"{1.0 - weight:g} {located} + {weight:g} P_{self.n}" if weight else located
 
     @property
     def value_label(self) -> str:
@@ -127,7 +124,8 @@ class Localisation:
     def values(self, evaluator: Evaluator, positions: FloatArray, normals: FloatArray) -> FloatArray:
         """See `Objective.values`."""
         views = localised_views(evaluator, positions, normals, self.n, self.precision(evaluator.scene))
-        return np.asarray(mixed.py_func(views.localised, views.covered, self.coverage_weight) / PROBABILITY_ONE)
+        mixture: Any = mixed.py_func
+        return np.asarray(mixture(views.localised, views.covered, self.coverage_weight) / PROBABILITY_ONE)
 
     def qualified(self, values: FloatArray) -> BoolArray:
         """See `Objective.qualified`: the value is at least `thold_p`."""
@@ -166,8 +164,8 @@ class Localisation:
         key = self.headline.key
         return {
             "on a finer grid": f"{self.headline.label} {figures[f'finer_grid_{key}']:.2%}",
-            "off the grid": f"mean value {with_error(self._share)}, {with_error('qualified_ratio')} of random positions "
-            "qualified",
+            "off the grid": f"mean value {with_error(self._share)}, {with_error('qualified_ratio')} of random "
+            "positions qualified",
         }
 
     def field(self, evaluator: Evaluator) -> LocalisationField:

@@ -72,7 +72,11 @@ class PosePrecision(NamedTuple):
     share: float
     position: float
     rotation: float
-    asks = True
+
+    @property
+    def asks(self) -> bool:
+        """See `Precision.asks`."""
+        return True
 
 
 def deviation_per_variance(camera: Camera, pixel_noise: float) -> float:
@@ -101,7 +105,7 @@ def precision(
 
 
 @njit(inline="always")
-def moments(x, y, z, rx, ry, rz, ux, uy, uz, share):  # type: ignore[no-untyped-def]
+def moments(x, y, z, rx, ry, rz, ux, uy, uz, share):
     """A, g and C of a landmark's four corners times r^3, as 15 numbers.
 
     Args:
@@ -130,7 +134,7 @@ def moments(x, y, z, rx, ry, rz, ux, uy, uz, share):  # type: ignore[no-untyped-
 
 
 @njit(inline="always")
-def share_of(moment, weight):  # type: ignore[no-untyped-def]
+def share_of(moment, weight):
     """What a landmark adds to one of the 15 numbers of a view: its moment times 1 / z^3, rounded to the quantum."""
     return (moment * weight + ROUNDER) - ROUNDER
 
@@ -138,7 +142,7 @@ def share_of(moment, weight):  # type: ignore[no-untyped-def]
 @njit(inline="always")
 def schur(
     axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
-):  # type: ignore[no-untyped-def] # fmt: skip
+):  # fmt: skip
     """det A, and the sum of the principal minors and the determinant of S det A."""
     mxx, mxy, mxz = ayy * azz - ayz * ayz, axz * ayz - axy * azz, axy * ayz - axz * ayy
     det = axx * mxx + axy * mxy + axz * mxz
@@ -154,7 +158,7 @@ def schur(
 @njit(inline="always")
 def variance(
     axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
-):  # type: ignore[no-untyped-def] # fmt: skip
+):  # fmt: skip
     """tr S^-1, and whether it is one: False where the corners leave something open. Rotation: exchange A and C."""
     det, minors, rest = schur(axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz)
     trace = axx + ayy + azz
@@ -165,7 +169,7 @@ def variance(
 @njit(inline="always")
 def log_det(
     axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
-):  # type: ignore[no-untyped-def] # fmt: skip
+):  # fmt: skip
     """The logarithm of the determinant of the whole information, det A det S."""
     det, _, rest = schur(axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz)
     return np.log(rest / (det * det))
@@ -174,14 +178,14 @@ def log_det(
 @dispatched
 def meets(
     precision, axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
-):  # type: ignore[no-untyped-def] # fmt: skip
+):  # fmt: skip
     """Whether the information of a view is what `precision` asks for."""
 
 
 @meets.register(Precision)
 def _meets(
     precision, axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
-):  # type: ignore[no-untyped-def] # fmt: skip
+):  # fmt: skip
     position, fixed = variance(axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz)
     return fixed & (position <= precision.position)
 
@@ -189,7 +193,7 @@ def _meets(
 @meets.register(PosePrecision)
 def _meets_both(
     precision, axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
-):  # type: ignore[no-untyped-def] # fmt: skip
+):  # fmt: skip
     position, fixed = variance(axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz)
     rotation, steady = variance(cxx, cxy, cxz, cyy, cyz, czz, gx, gy, gz, axx, axy, axz, ayy, ayz, azz)
     return fixed & steady & (position <= precision.position) & (rotation <= precision.rotation)

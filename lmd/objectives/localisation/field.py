@@ -1,0 +1,80 @@
+"""The incremental field of localisation: L at every position as single landmarks move."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lmd.deployment import Deployment
+from lmd.objectives.coverage_field import CoverageField
+from lmd.objectives.field import accept, bound, settle, undo
+from lmd.objectives.localisation.move import change_sums, exchange, localisation_state
+from lmd.objectives.localisation.state import LocalisationScratch, LocalisationState, localisation_scratch
+from lmd.objectives.localisation.trial import bound_move, finish_move
+from lmd.sight.incremental.move import carry_out, take_back
+
+
+class LocalisationField(NamedTuple):
+    """What does not change while landmarks move; a `lmd.objectives.field.Field`.
+
+    coverage: the field of P_n; precision, asks: see `kernels.localise_range`; weight: of P_n beside L.
+    """
+
+    coverage: CoverageField
+    precision: Any
+    asks: bool
+    weight: float
+
+    @property
+    def size(self) -> int:
+        """See `Field.size`."""
+        return self.coverage.size
+
+    @property
+    def index_of(self) -> np.ndarray:
+        """See `Field.index_of`."""
+        return self.coverage.index_of
+
+    def state(self, deployment: Deployment) -> LocalisationState:
+        """See `Field.state`."""
+        return localisation_state(self, deployment)
+
+    def scratch(self, state: LocalisationState) -> LocalisationScratch:
+        """See `Field.scratch`."""
+        return localisation_scratch(state)
+
+    @property
+    def stack(self) -> int:
+        """See `Field.stack`: landmarks on one point do not tell where the camera is."""
+        return 0
+
+    def stacked(self) -> "LocalisationField":
+        """See `Field.stacked`; never asked for, as `stack` is 0."""
+        return self
+
+    def shrunk(self, size: float) -> "LocalisationField":
+        """See `Field.shrunk`."""
+        return self._replace(coverage=self.coverage.shrunk(size))
+
+
+@bound.register(LocalisationField)
+def _bound(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-def]
+    bound_move(k, pose, surface, field, state, scratch)
+
+
+@settle.register(LocalisationField)
+def _settle(field, k, state, scratch):  # type: ignore[no-untyped-def]
+    finish_move(k, field, state, scratch)
+
+
+@accept.register(LocalisationField)
+def _accept(field, k, state, scratch):  # type: ignore[no-untyped-def]
+    change_sums(k, 1.0, field, state, scratch)
+    carry_out(k, field.coverage, state.coverage, scratch.coverage)
+    exchange(state, scratch)
+
+
+@undo.register(LocalisationField)
+def _undo(field, k, state, scratch):  # type: ignore[no-untyped-def]
+    take_back(k, field.coverage, state.coverage, scratch.coverage)
+    change_sums(k, -1.0, field, state, scratch)
+    exchange(state, scratch)

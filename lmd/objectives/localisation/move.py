@@ -1,0 +1,91 @@
+"""Moving one landmark: what a trial found becomes true, and can be taken back; and the views of a whole deployment."""
+
+from typing import Any
+
+import numpy as np
+
+from lmd.compiled import kernel
+from lmd.deployment import Deployment
+from lmd.objectives.localisation.information import WIDTH
+from lmd.objectives.localisation.state import LocalisationState, localisation_scratch
+from lmd.objectives.localisation.trial import VIEW, add_change, add_shares, list_changes, mixed, row_meets, sum_weights
+from lmd.sight.incremental.bits import ALL, BITS, ONE, ZERO, at_least_so_far, lowest
+from lmd.sight.incremental.move import state_of, touched
+
+
+@kernel
+def change_sums(k, sign, field, state, scratch):
+    """Change the sums by the move tried last, or with a `sign` of -1 back; landmark k is still where it was."""
+    if not field.asks:
+        return
+    sums, caps = state.sums, scratch.caps
+    words = np.uint64(caps.shape[1])
+    for p in touched(k, state.coverage, scratch.coverage):
+        for e in range(list_changes(np.uint64(k), p, field, state, scratch)):
+            for w in range(words):
+                left = caps[e, w]
+                while left:
+                    bit = lowest(left)
+                    left &= left - ONE
+                    add_shares(sums[(p * words + w) * VIEW + bit], e, w * VIEW + bit, sign, field, scratch)
+
+
+@kernel
+def exchange(state, scratch):
+    """Exchange what state and scratch know of the values."""
+    for p in range(len(state.units)):
+        state.units[p], scratch.units[p] = scratch.units[p], state.units[p]
+        state.located[p], scratch.located[p] = scratch.located[p], state.located[p]
+        for w in range(state.localised.shape[1]):
+            state.localised[p, w], scratch.localised[p, w] = scratch.localised[p, w], state.localised[p, w]
+            state.enough[p, w], scratch.enough[p, w] = scratch.enough[p, w], state.enough[p, w]
+
+
+@kernel
+def _fill(field, state, scratch):
+    """Sum up what all landmarks tell, and find the values."""
+    known, weights, n, row = state.coverage, field.coverage.weights, field.coverage.n, scratch.row
+    words, size = np.uint64(state.localised.shape[1]), np.uint64(known.counts.shape[2])
+    for p in range(np.uint64(len(state.units))):
+        for i in range(np.uint64(known.caps.shape[0]) if field.asks else ZERO):
+            if known.reachable[i, p] & (known.hidden[i, p] == 0):
+                add_change(ZERO, i, ZERO, p, field, state, scratch)
+                for w in range(words):
+                    left = known.caps[i, p, w]
+                    while left:
+                        bit = lowest(left)
+                        left &= left - ONE
+                        view = (p * words + w) * VIEW + bit
+                        add_shares(state.sums[view], ZERO, w * VIEW + bit, 1.0, field, scratch)
+        for w in range(words):
+            has = ALL
+            for j in range(size):
+                has = at_least_so_far(has, known.counts[p, w, j], n, j)
+            left, good = has if field.asks else ZERO, ZERO if field.asks else has
+            while left:
+                bit = lowest(left)
+                left &= left - ONE
+                row[ZERO] = state.sums[(p * words + w) * VIEW + bit]
+                good |= np.uint64(row_meets(field.precision, row)) << bit
+            state.enough[p, w], state.localised[p, w] = has, good
+            state.located[p] += sum_weights(ZERO, good, weights, w)
+        state.units[p] = mixed(state.located[p], known.units[p], field.weight)
+
+
+def localisation_state(field: Any, deployment: Deployment) -> LocalisationState:
+    """The views that a deployment localises, ready for moves; `field` a `LocalisationField`."""
+    known = state_of(field.coverage, deployment)
+    size, words = known.short.shape
+    state = LocalisationState(
+        landmarks=known.landmarks,
+        normals=known.normals,
+        surfaces=known.surfaces,
+        units=np.zeros(size, dtype=np.int64),
+        located=np.zeros(size, dtype=np.int64),
+        enough=np.zeros((size, words), dtype=np.uint64),
+        localised=np.zeros((size, words), dtype=np.uint64),
+        sums=np.zeros((BITS * size * words if field.asks else 1, WIDTH)),
+        coverage=known,
+    )
+    _fill(field, state, localisation_scratch(state))
+    return state
