@@ -18,14 +18,15 @@ from lmd.objectives.localisation.information import deviation_per_variance, prec
 from lmd.objectives.localisation.kernels import localised_views
 from lmd.problem import Problem
 from lmd.sight.evaluator import Evaluator
+from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.validation import STREAM, Sample
 
 TOLERANCES = (0.01, 0.02, 0.05)  # metres
 SAMPLE = Sample(groups=8, positions=512, divisions=23)
 
 
-def predicted_errors(problem: Problem, deployment: Deployment, evaluator: Evaluator) -> FloatArray:
-    """Standard deviation of the position in each view, metres, `(P, D)`, D orientations of the evaluator.
+def predicted_errors(problem: Problem, deployment: Deployment, evaluator: Evaluator) -> tuple[FloatArray, FloatArray]:
+    """Standard deviation of the position in each view, metres, `(P, D)`, D orientations of the evaluator, and P_n.
 
     The noise of a corner is the objective's, where it is one of localisation.
     """
@@ -35,7 +36,8 @@ def predicted_errors(problem: Problem, deployment: Deployment, evaluator: Evalua
     landmarks = deployment.positions[None], deployment.normals[None]
     views = localised_views(evaluator, *landmarks, objective.n, asked, keep=True)
     scale = deviation_per_variance(scene.camera, noise)
-    return np.asarray(scale * np.sqrt(views.variances[0, :, : len(evaluator.scene.orientations.axes)]))
+    errors = scale * np.sqrt(views.variances[0, :, : len(evaluator.scene.orientations.axes)])
+    return errors, views.covered[0] / PROBABILITY_ONE
 
 
 def _share_name(tolerance: float) -> str:
@@ -43,7 +45,7 @@ def _share_name(tolerance: float) -> str:
 
 
 def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample: Sample = SAMPLE) -> dict[str, float]:
-    """Shares of views localised to within `TOLERANCES`, and the median and the 90 % of the predicted error, metres.
+    """The mean of P_n, shares of views localised to within `TOLERANCES`, and the median and the 90 % of the predicted error, metres.
 
     The two are over all views, and left out where they are infinite, as too few views cover n landmarks.
 
@@ -57,11 +59,13 @@ def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample
     for _ in range(sample.groups):
         positions = scene.room.sample(sample.positions, rng)
         drawn = replace(scene, pdf=scene.pdf.stratified(sample.divisions, rng))
-        errors = predicted_errors(problem, deployment, Evaluator(drawn, positions, problem.evaluator.threads))
-        parts.append((errors, np.broadcast_to(drawn.orientations.weight, errors.shape)))
-    errors, weights = (np.concatenate([part[i].reshape(-1) for part in parts]) for i in range(2))
+        evaluator = Evaluator(drawn, positions, problem.evaluator.threads)
+        errors, covered = predicted_errors(problem, deployment, evaluator)
+        parts.append((errors, np.broadcast_to(drawn.orientations.weight, errors.shape), covered))
+    errors, weights, covered = (np.concatenate([part[i].reshape(-1) for part in parts]) for i in range(3))
     weights = weights / weights.sum()
-    metrics = {_share_name(limit): float(weights[errors <= limit].sum()) for limit in TOLERANCES}
+    metrics = {"covered_share": float(covered.mean())}
+    metrics |= {_share_name(limit): float(weights[errors <= limit].sum()) for limit in TOLERANCES}
     order: IntArray = np.argsort(errors)
     below = np.cumsum(weights[order])
     for name, level in (("median", 0.5), ("90", 0.9)):
@@ -77,7 +81,7 @@ def save_accuracy_map(path: str | Path, problem: Problem, deployment: Deployment
     The median is empty where it is infinite.
     """
     evaluator, weight = problem.evaluator, problem.scene.orientations.weight
-    errors = predicted_errors(problem, deployment, evaluator)
+    errors, _ = predicted_errors(problem, deployment, evaluator)
     order = np.argsort(errors, axis=1)
     middle = (np.cumsum(weight[order], axis=1) >= 0.5).argmax(axis=1)[:, None]
     median = np.take_along_axis(errors, np.take_along_axis(order, middle, axis=1), axis=1)[:, 0]

@@ -24,6 +24,7 @@ from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
     from lmd.checkpoint import Checkpoint
+    from lmd.deployment import Deployment
     from lmd.optimisers.base import Budget, Result
     from lmd.problem import Problem
 
@@ -70,7 +71,12 @@ def optimise(cfg: DictConfig) -> float:
             result.deployment,
             result.history,
             subject=subject,
-            summary={"evaluations": result.evaluations, "wall_time": result.seconds, "stopped": result.stopped},
+            summary={
+                "evaluations": result.evaluations,
+                "wall_time": result.seconds,
+                "stopped": result.stopped,
+                **_accuracy(cfg, problem, result.deployment),
+            },
             status="KILLED" if interrupted else "FINISHED",
         )
     if interrupted:
@@ -79,6 +85,15 @@ def optimise(cfg: DictConfig) -> float:
         print(f"interrupted; go on with: {command_of('optimise')} {again}", file=sys.stderr)
         sys.exit(130)
     return fitness
+
+
+def _accuracy(cfg: DictConfig, problem: "Problem", deployment: "Deployment") -> dict[str, float]:
+    """How well an image localises the camera, where that is what the deployment is for."""
+    from lmd.accuracy import accuracy_metrics
+    from lmd.objectives.localisation import Localisation
+
+    wanted = cfg.validate and isinstance(problem.objective, Localisation)
+    return accuracy_metrics(problem, deployment, cfg.seed) if wanted else {}
 
 
 def _run(

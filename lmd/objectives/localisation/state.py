@@ -38,8 +38,8 @@ class LocalisationScratch(NamedTuple):
 
     Working memory: views, leaving, coming `(64 Q W + 1,)` views to be decided, and 1 / z^3 of the old and the new place
     in them, 0 where it does not cover them; first `(Q + 1,)` of each position among them; the landmarks that come or
-    go at a position, `(K + 2, ...)`: goes which of the two, as a set of all or of none, caps sets of axes, offsets from the
-    camera, moments; row `(1, WIDTH)`.
+    go at a position, `(K + 2, ...)`: goes which of the two, as a set of all or of none, caps sets of axes, offsets from
+    the camera, moments; row `(1, WIDTH)`.
     """
 
     units: np.ndarray
