@@ -1,7 +1,7 @@
 """What a deployment lets one image tell of the camera's position, predicted for every view, whatever it was made for.
 
-The prediction is the standard deviation by `lmd.objectives.localisation.information`, infinite for views that cover
-fewer than n landmarks. All figures are off the grid: random positions, orientations from the PDF's continuous distribution.
+The prediction is the standard deviation of `lmd.objectives.localisation`, infinite for views that cover fewer than n
+landmarks. All figures are off the grid: random positions, orientations from the PDF's continuous distribution.
 """
 
 from dataclasses import replace
@@ -45,9 +45,9 @@ def _share_name(tolerance: float) -> str:
 
 
 def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample: Sample = SAMPLE) -> dict[str, float]:
-    """The mean of P_n, shares of views localised to within `TOLERANCES`, and the median and the 90 % of the predicted error, metres.
+    """The mean of P_n, shares of views localised to `TOLERANCES`, median and 90 % of the predicted error, metres.
 
-    The two are over all views, and left out where they are infinite, as too few views cover n landmarks.
+    The last two are over all views, and left out where they are infinite, as too few views cover n landmarks.
 
     Args:
         problem: the scene, n, and the noise of a corner.

@@ -19,6 +19,7 @@ def change_sums(k, sign, field, state, scratch):
     if not field.asks:
         return
     sums, caps = state.sums, scratch.caps
+    axes, offsets, moments, goes = field.coverage.axes, scratch.offsets, scratch.moments, scratch.goes
     words = np.uint64(caps.shape[1])
     for p in touched(k, state.coverage, scratch.coverage):
         for e in range(list_changes(np.uint64(k), p, field, state, scratch)):
@@ -27,7 +28,8 @@ def change_sums(k, sign, field, state, scratch):
                 while left:
                     bit = lowest(left)
                     left &= left - ONE
-                    add_shares(sums[(p * words + w) * VIEW + bit], e, w * VIEW + bit, sign, field, scratch)
+                    view, a = (p * words + w) * VIEW + bit, w * VIEW + bit
+                    add_shares(sums, view, e, a, sign, axes, offsets, moments, goes)
 
 
 @kernel
@@ -44,7 +46,8 @@ def exchange(state, scratch):
 @kernel
 def _fill(field, state, scratch):
     """Sum up what all landmarks tell, and find the values."""
-    known, weights, n, row = state.coverage, field.coverage.weights, field.coverage.n, scratch.row
+    known, weights, n, row, sums = state.coverage, field.coverage.weights, field.coverage.n, scratch.row, state.sums
+    axes, offsets, moments, goes = field.coverage.axes, scratch.offsets, scratch.moments, scratch.goes
     words, size = np.uint64(state.localised.shape[1]), np.uint64(known.counts.shape[2])
     for p in range(np.uint64(len(state.units))):
         for i in range(np.uint64(known.caps.shape[0]) if field.asks else ZERO):
@@ -55,8 +58,8 @@ def _fill(field, state, scratch):
                     while left:
                         bit = lowest(left)
                         left &= left - ONE
-                        view = (p * words + w) * VIEW + bit
-                        add_shares(state.sums[view], ZERO, w * VIEW + bit, 1.0, field, scratch)
+                        view, a = (p * words + w) * VIEW + bit, w * VIEW + bit
+                        add_shares(sums, view, ZERO, a, 1.0, axes, offsets, moments, goes)
         for w in range(words):
             has = ALL
             for j in range(size):

@@ -244,14 +244,16 @@ def list_changes(k, p, field, state, scratch):
     return count
 
 
-@kernel
-def add_shares(row, e, a, sign, field, scratch):
-    """Add what change e of a position's adds to axis a, or takes, to the sums `row` `(WIDTH,)`."""
-    offset, moments = scratch.offsets[e], scratch.moments[e]
-    weight = _weight(field.coverage.axes, a, offset[0], offset[1], offset[2])
-    sign = -sign if scratch.goes[e] else sign
-    for j in range(np.uint64(len(row))):
-        row[j] += sign * share_of(moments[j], weight)
+@njit(inline="always")
+def add_shares(sums, v, e, a, sign, axes, offsets, moments, goes):
+    """Add what change e of a position adds to axis a, or takes, to row v of `sums`; the arrays are those of a scratch.
+
+    Inlined: to hand on field, state and scratch costs more than the work itself.
+    """
+    weight = _weight(axes, a, offsets[e, 0], offsets[e, 1], offsets[e, 2])
+    factor = -sign if goes[e] else sign
+    for j in range(np.uint64(sums.shape[1])):
+        sums[v, j] += factor * share_of(moments[e, j], weight)
 
 
 @kernel
@@ -259,6 +261,7 @@ def _try_flips(k, places, field, state, scratch):
     """Find the values at the positions `places`, where other landmarks may appear or disappear."""
     counts, digits, n = state.coverage.counts, scratch.coverage.digits, field.coverage.n
     caps, row, localised, enough = scratch.caps, scratch.row, scratch.localised, scratch.enough
+    axes, offsets, moments, goes = field.coverage.axes, scratch.offsets, scratch.moments, scratch.goes
     words, size = np.uint64(localised.shape[1]), np.uint64(len(digits))
     for p in places:
         changes = list_changes(k, p, field, state, scratch)
@@ -281,7 +284,7 @@ def _try_flips(k, places, field, state, scratch):
                 row[ZERO] = state.sums[(p * words + w) * VIEW + bit]
                 for e in range(changes):
                     if caps[e, w] >> bit & ONE:
-                        add_shares(row[ZERO], e, w * VIEW + bit, 1.0, field, scratch)
+                        add_shares(row, ZERO, e, w * VIEW + bit, 1.0, axes, offsets, moments, goes)
                 good |= np.uint64(row_meets(field.precision, row)) << bit
             enough[p, w], localised[p, w] = has, good
     _sum_up(places, field, state, scratch)
