@@ -8,7 +8,7 @@ from lmd.compiled import kernel
 from lmd.deployment import Deployment
 from lmd.objectives.localisation.information import WIDTH
 from lmd.objectives.localisation.state import LocalisationState, localisation_scratch
-from lmd.objectives.localisation.trial import VIEW, add_change, add_shares, list_changes, mixed, row_meets, sum_weights
+from lmd.objectives.localisation.trial import VIEW, add_shares, list_changes, mixed, moments_of, row_meets, sum_weights
 from lmd.sight.incremental.bits import ALL, BITS, ONE, ZERO, at_least_so_far, lowest
 from lmd.sight.incremental.move import state_of, touched
 
@@ -48,11 +48,18 @@ def _fill(field, state, scratch):
     """Sum up what all landmarks tell, and find the values."""
     known, weights, n, row, sums = state.coverage, field.coverage.weights, field.coverage.n, scratch.row, state.sums
     axes, offsets, moments, goes = field.coverage.axes, scratch.offsets, scratch.moments, scratch.goes
+    landmarks, normals, positions = state.landmarks, state.normals, field.coverage.positions
     words, size = np.uint64(state.localised.shape[1]), np.uint64(known.counts.shape[2])
     for p in range(np.uint64(len(state.units))):
         for i in range(np.uint64(known.caps.shape[0]) if field.asks else ZERO):
             if known.reachable[i, p] & (known.hidden[i, p] == 0):
-                add_change(ZERO, i, ZERO, p, field, state, scratch)
+                x, y, z = (
+                    landmarks[0, i] - positions[0, p],
+                    landmarks[1, i] - positions[1, p],
+                    landmarks[2, i] - positions[2, p],
+                )
+                offsets[0, 0], offsets[0, 1], offsets[0, 2], goes[0] = x, y, z, ZERO
+                moments_of(x, y, z, normals[0, i], normals[1, i], normals[2, i], field.precision, moments[0])
                 for w in range(words):
                     left = known.caps[i, p, w]
                     while left:

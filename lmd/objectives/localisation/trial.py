@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 
 from lmd.compiled import kernel
-from lmd.objectives.localisation.information import meets, share_of
+from lmd.objectives.localisation.information import WIDTH, meets, share_of
 from lmd.objectives.localisation.kernels import landmark_moments, meets_row
 from lmd.sight.criteria import covers
 from lmd.sight.incremental.bits import ALL, BITS, ONE, ZERO, add_digit, at_least_so_far, lowest, prefetch
@@ -37,7 +37,7 @@ def mixed(located, covered, weight):
 
 
 @kernel
-def _moments_of(x, y, z, nx, ny, nz, precision, moments):
+def moments_of(x, y, z, nx, ny, nz, precision, moments):
     """Write the moments of a landmark at an offset into `moments` `(WIDTH,)`."""
     (
         moments[0], moments[1], moments[2], moments[3], moments[4], moments[5], moments[6], moments[7], moments[8],
@@ -64,12 +64,12 @@ def _look(k, field, state, scratch):
     for p in range(np.uint64(len(reached))):
         if reachable[k, p] and field.asks:
             ox, oy, oz = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
-            _moments_of(ox, oy, oz, mx, my, mz, field.precision, scratch.old[p])
+            moments_of(ox, oy, oz, mx, my, mz, field.precision, scratch.old[p])
         if not reached[p]:
             continue
         px, py, pz, least = x[p], y[p], z[p], low[p]
         if field.asks:
-            _moments_of(px, py, pz, nx, ny, nz, field.precision, scratch.new[p])
+            moments_of(px, py, pz, nx, ny, nz, field.precision, scratch.new[p])
         inner, outer = np.uint64(NOWHERE if limited[p] else cell[p]), np.uint64(cell[p])
         for w in range(np.uint64(cap.shape[1])):
             covering = certain[inner, w]
@@ -210,37 +210,43 @@ def _sum_up(places, field, state, scratch):
         covered[p], scratch.located[p], scratch.units[p] = seen, located, mixed(located, seen, field.weight)
 
 
-@kernel
-def add_change(count, i, goes, p, field, state, scratch):
-    """Write down that landmark i, where it is, comes or `goes` at position p; returns 1."""
-    landmarks, normals, offset = state.landmarks, state.normals, scratch.offsets[count]
-    for axis in range(3):
-        offset[axis] = landmarks[axis, i] - field.coverage.positions[axis, p]
-    nx, ny, nz = normals[0, i], normals[1, i], normals[2, i]
-    _moments_of(offset[0], offset[1], offset[2], nx, ny, nz, field.precision, scratch.moments[count])
-    scratch.goes[count], scratch.caps[count] = goes, state.coverage.caps[i, p]
-    return ONE
+@njit(inline="always")
+def _note_change(count, gone, x, y, z, moments, m, caps, i, p, scratch):
+    """Write down that the cap `caps[i, p]` `(W,)` comes, or is `gone`, with the moments in row m."""
+    scratch.goes[count] = ALL if gone else ZERO
+    scratch.offsets[count, 0], scratch.offsets[count, 1], scratch.offsets[count, 2] = x, y, z
+    for j in range(np.uint64(WIDTH)):
+        scratch.moments[count, j] = moments[m, j]
+    for w in range(np.uint64(caps.shape[2])):
+        scratch.caps[count, w] = caps[i, p, w]
 
 
 @kernel
 def list_changes(k, p, field, state, scratch):
-    """Write down which caps come or go at position p, and returns how many: of landmark k, and of those that flip."""
-    trial, known = scratch.coverage, state.coverage
-    count, b, q = ZERO, p // np.uint64(BLOCK), p % np.uint64(BLOCK)
-    if known.reachable[k, p] & (known.hidden[k, p] == 0):
-        count += add_change(count, k, ALL, p, field, state, scratch)
-    if trial.new.reached[p] & (trial.after.count_hidden[p] == 0):
-        scratch.goes[count], offset = ZERO, scratch.offsets[count]
-        offset[0], offset[1], offset[2] = trial.new.x[p], trial.new.y[p], trial.new.z[p]
-        scratch.caps[count], scratch.moments[count] = trial.cap[p], scratch.new[p]
+    """Write down which caps come or go at position p, and return how many: of landmark k, and of those that flip."""
+    landmarks, normals, positions = state.landmarks, state.normals, field.coverage.positions
+    reachable, hidden, caps = state.coverage.reachable, state.coverage.hidden, state.coverage.caps
+    reached, count_hidden, cap = scratch.coverage.new.reached, scratch.coverage.after.count_hidden, scratch.coverage.cap
+    px, py, pz, count = positions[0, p], positions[1, p], positions[2, p], ZERO
+    if reachable[k, p] & (hidden[k, p] == 0):
+        x, y, z = landmarks[0, k] - px, landmarks[1, k] - py, landmarks[2, k] - pz
+        _note_change(count, True, x, y, z, scratch.old, p, caps, k, p, scratch)
         count += ONE
-    if trial.flips[p]:
-        found, who, change = trial.turns
+    if reached[p] & (count_hidden[p] == 0):
+        x, y, z = scratch.coverage.new.x[p], scratch.coverage.new.y[p], scratch.coverage.new.z[p]
+        _note_change(count, False, x, y, z, scratch.new, p, cap.reshape((1, cap.shape[0], cap.shape[1])), 0, p, scratch)
+        count += ONE
+    if scratch.coverage.flips[p]:
+        found, who, change = scratch.coverage.turns
+        b, q = p // np.uint64(BLOCK), p % np.uint64(BLOCK)
         for m in range(np.uint64(found[b])):
             i = np.uint64(who[b, m])
-            was, now = known.hidden[i, p], known.hidden[i, p] + change[b, m, q]
-            if flips_with(known.reachable[i, p], was, now):
-                count += add_change(count, i, ALL if was == 0 else ZERO, p, field, state, scratch)
+            was, now = hidden[i, p], hidden[i, p] + change[b, m, q]
+            if flips_with(reachable[i, p], was, now):
+                x, y, z = landmarks[0, i] - px, landmarks[1, i] - py, landmarks[2, i] - pz
+                moments_of(x, y, z, normals[0, i], normals[1, i], normals[2, i], field.precision, scratch.row[0])
+                _note_change(count, was == 0, x, y, z, scratch.row, ZERO, caps, i, p, scratch)
+                count += ONE
     return count
 
 
