@@ -9,8 +9,9 @@ from lmd import pdf
 from lmd.camera import Camera
 from lmd.deployment import Deployment, RandomDeployment
 from lmd.geometry.frames import optical_axis
+from lmd.limits import measured
 from lmd.scene import Scene
-from lmd.sight.fiducial import LIMITS, Fiducial
+from lmd.sight.fiducial import Fiducial
 from lmd.sight.paper import OCCLUSION_MODES, Visibility
 from lmd.space.cuboid import Cuboid
 from lmd.tag import Tag
@@ -90,7 +91,7 @@ def rolled_pdfs(draw):
 
 @st.composite
 def fiducials(draw):
-    detector, family = draw(st.sampled_from(list(LIMITS)))
+    detector, family = draw(st.sampled_from(list(measured())))
     edge = draw(st.one_of(st.sampled_from([0.05, 0.1, 0.3]), st.floats(0.05, 0.3)))
     tag = Tag(edge, family if family == "36h11" else f"{family}_50", draw(st.sampled_from([0.0, 1.0, 2.0])))
     return Fiducial(

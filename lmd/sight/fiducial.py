@@ -25,13 +25,14 @@ Shapes: A orientations, K tags. Lengths are metres, frames world unless said oth
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from lmd.camera import MM_PER_M, Camera
-from lmd.checks import BoolArray, FloatArray, InputError, choice, real
+from lmd.checks import BoolArray, FloatArray, InputError, real
+from lmd.limits import Limits, limits_of
 from lmd.sight.criteria import TOLERANCE
 from lmd.sight.fiducial_sight import FiducialSight
 from lmd.sight.paper import dot
@@ -42,74 +43,12 @@ INNER = math.radians(4.0)
 
 
 @dataclass(frozen=True)
-class Limits:
-    """What a detector needs.
-
-    Args:
-        pitch: least pixels a module without blur.
-        blur: how many more for each pixel of blur, as a root of squares.
-        edge: least edge of the square of the same area, pixels.
-        incidence: greatest angle between the tag's normal and the direction to the camera, degrees.
-        margin: from the border of the image, pixels.
-
-    Raises:
-        InputError: a value is out of range.
-    """
-
-    pitch: float
-    blur: float
-    edge: float
-    incidence: float
-    margin: float
-
-    def __post_init__(self) -> None:
-        for name in ("pitch", "blur", "edge", "margin"):
-            object.__setattr__(self, name, real(name, getattr(self, name), low=0.0))
-        object.__setattr__(self, "incidence", real("incidence", self.incidence, above=0.0, high=89.0))
-
-
-# Fitted to renderings, by detector and the beginning of the family's name; accuracy on other renderings .961, .955,
-# .954, .950. wpilib is AprilTag with the defaults of WPILib, whose least size of a cluster makes half of the tags of
-# 6.6 pixels a module appear and 95 % of those of 7.4, whatever the blur.
-LIMITS = {
-    ("apriltag", "36h11"): Limits(0.8, 1.8, 10.0, 84.0, 0.0),
-    ("apriltag_decimate2", "36h11"): Limits(1.8, 1.6, 16.0, 80.0, 0.0),
-    ("aruco", "36h11"): Limits(0.8, 1.8, 14.0, 84.0, 3.0),
-    ("aruco", "4x4"): Limits(0.8, 2.2, 14.0, 84.0, 3.0),
-    ("wpilib", "36h11"): Limits(6.6, 0.0, 16.0, 80.0, 0.0),
-}
-
-
-def _limits(detector: str, family: str, given: Limits | Mapping[str, Any] | None) -> Limits:
-    """The limits of a detector for a family, with what is given instead."""
-    if isinstance(given, Limits):
-        return given
-    names, changes = [field.name for field in fields(Limits)], dict(given or {})
-    for name in changes:
-        choice("limits", name, names)
-    known = LIMITS.get((detector, family.partition("_")[0]))
-    try:
-        if known is not None:
-            return replace(known, **changes)
-        if set(changes) == set(names):
-            return Limits(**changes)
-    except InputError as error:
-        raise error.within("limits") from None
-    measured = ", ".join(" with ".join(pair) for pair in LIMITS)
-    raise InputError(
-        f"detector {detector} was not measured with tags of family {family}, only {measured}; "
-        f"limits must give {', '.join(names)}.",
-        "detector",
-    )
-
-
-@dataclass(frozen=True)
 class Fiducial:
     """What a detector sees of tags; a `lmd.sight.criteria.Criteria`.
 
     Args:
         tag: what hangs at each landmark.
-        detector: `aruco`, `apriltag`, `apriltag_decimate2` or `wpilib`, whose measured limits hold (`LIMITS`).
+        detector: whose limits hold: `aruco`, `apriltag`, `apriltag_decimate2`, `wpilib`, or a file; see `lmd.limits`.
         limits: what differs from these; all of them for a detector or a family that was not measured.
         psf_sigma: standard deviation of the sharpest image of a point, pixels.
         motion_blur: length of the smear of a point while the shutter is open, pixels.
@@ -129,7 +68,8 @@ class Fiducial:
     def __post_init__(self) -> None:
         if self.tag.is_point:
             raise InputError("tag must have an edge, in metres: what a detector sees depends on its size.")
-        object.__setattr__(self, "limits", _limits(self.detector, self.tag.family, self.limits))
+        if not isinstance(self.limits, Limits):
+            object.__setattr__(self, "limits", limits_of(self.detector, self.tag.family, self.limits or {}))
         object.__setattr__(self, "psf_sigma", real("psf_sigma", self.psf_sigma, low=0.0))
         object.__setattr__(self, "motion_blur", real("motion_blur", self.motion_blur, low=0.0))
 
@@ -140,7 +80,8 @@ class Fiducial:
 
     def sight(self, camera: Camera) -> FiducialSight:
         """See `Criteria.sight`."""
-        limits, tag = _limits(self.detector, self.tag.family, self.limits), self.tag
+        limits, tag = self.limits, self.tag
+        assert isinstance(limits, Limits)
         margin, (centre_u, centre_v), (focal_u, focal_v) = limits.margin, camera.principal_point, camera.focal_pixels
         left, right = (centre_u - margin) / focal_u, (camera.image_width - margin - centre_u) / focal_u
         top, bottom = (centre_v - margin) / focal_v, (camera.image_height - margin - centre_v) / focal_v

@@ -14,10 +14,11 @@ from lmd.detection.evaluation import (
     precision_recall,
     quantiles_by,
 )
-from lmd.detection.fit import Limits, fit
+from lmd.detection.fit import fit
 from lmd.detection.mosaic import Sampling, Views, sample_views
 from lmd.detection.pose import pose_error, pose_from_corners
 from lmd.geometry.se3 import camera_pose
+from lmd.limits import Limits
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
@@ -147,17 +148,18 @@ def test_quantiles_by_hand():
 
 def test_limits_of_known_views_are_found():
     rng = np.random.default_rng(0)
-    true = Limits(pitch=0.8, blur=1.8, edge=20.0, incidence=math.radians(80.0))
+    true = Limits(pitch=0.8, blur=1.8, edge=20.0, incidence=80.0, margin=3.0)
     pitch, incidence, sigma = rng.uniform([0.5, 0.0, 0.3], [6.0, 1.55, 2.0], (20000, 3)).T
     edge = pitch * rng.uniform(4.0, 16.0, len(pitch))
     found = true.found(pitch, incidence, edge, sigma)
     views = Views(pitch, incidence, edge, sigma, found ^ (rng.random(len(pitch)) < 0.02), np.zeros(len(pitch)))
-    result = fit(views, rng)
+    result = fit(views, rng, margin=3.0)
     limits = result.limits
     assert limits.pitch == pytest.approx(0.8, abs=0.3)
     assert limits.blur == pytest.approx(1.8, abs=0.15)
     assert limits.edge == pytest.approx(20.0, abs=1.0)
-    assert limits.incidence == pytest.approx(math.radians(80.0), abs=0.02)
+    assert limits.incidence == pytest.approx(80.0, abs=1.0)
+    assert limits.margin == 3.0
     assert result.accuracy == pytest.approx(0.98, abs=0.01)
     assert not true.found(*(np.array([math.nan]),) * 4)
 

@@ -243,6 +243,7 @@ def test_tags_and_what_a_detector_sees_are_a_choice():
         (["visibility=fiducial"], r"^tag must have an edge"),
         (["tag.edge=1.5"], r"^deployment\.count = 90 tags do not fit: \d+ papers of 1\.875 m"),
         (["visibility=fiducial", "tag.edge=0.1", "visibility.detector=eyes"], r"^visibility\.detector eyes was not"),
+        (["visibility=fiducial", "tag.edge=0.1", "visibility.detector=a.yaml"], r"^visibility\.detector: there is no"),
         (["visibility=fiducial", "tag.edge=0.1", "+visibility.limits.pitch=-1"], r"^visibility\.limits\.pitch must be"),
     ],
 )

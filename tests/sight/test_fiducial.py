@@ -15,13 +15,14 @@ from lmd.checks import InputError
 from lmd.deployment import Deployment, RandomDeployment
 from lmd.detection.quality import apparent_edge, incidence, pitch
 from lmd.geometry.se3 import axis_and_right, camera_pose
+from lmd.limits import measured
 from lmd.objectives.coverage_field import coverage_field
 from lmd.objectives.field import move
 from lmd.render.optics import blur_sigma, project, to_camera
 from lmd.scene import Scene
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.fiducial import LIMITS, Fiducial
+from lmd.sight.fiducial import Fiducial
 from lmd.sight.incremental.move import counts_of, state_of
 from lmd.sight.incremental.state import scratch_of
 from lmd.sight.views import visible
@@ -122,7 +123,7 @@ def test_every_path_counts_what_the_reference_counts(data, scene, n, seed):
 
 
 @pytest.mark.parametrize("edge", [0.05, 0.1, 0.3])
-@pytest.mark.parametrize("detector", sorted({detector for detector, _ in LIMITS}))
+@pytest.mark.parametrize("detector", sorted({detector for detector, _ in measured()}))
 def test_every_path_is_exact_in_the_papers_room(detector, edge):
     rng = np.random.default_rng(0)
     orientations = pdf.OrientationPdf(
