@@ -28,7 +28,7 @@ class Source(Protocol):
             camera: that takes the images.
             tag: its family, size and quiet zone.
             detector: for this family.
-            imaging: lens and light, where images are rendered; blur and distortion, where they are read.
+            imaging: lens and light, where images are rendered; blur, where they are read.
             rng: source of everything random.
         """
 

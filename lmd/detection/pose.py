@@ -1,26 +1,24 @@
 """The camera's pose from the corners a detector found."""
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from lmd.camera import Camera
 from lmd.checks import FloatArray
 from lmd.geometry.se3 import angle_between, inverse
 from lmd.optional import optional
-from lmd.render.optics import intrinsics, undistort
+from lmd.render.optics import intrinsics, rectified
 
 # The fewest points that fix a pose; four corners of one tag do.
 FEWEST = 4
 
 
-def pose_from_corners(camera: Camera, points: FloatArray, image: FloatArray, distortion: ArrayLike = ()) -> FloatArray:
+def pose_from_corners(camera: Camera, points: FloatArray, image: FloatArray) -> FloatArray:
     """X by SQPnP of OpenCV, refined by Levenberg-Marquardt.
 
     Args:
         camera: intrinsics.
         points: of the tags' corners, world frame, metres, `(M, ..., 3)`.
         image: the corners found, pixels from the border, `(M, ..., 2)`; points with a NaN are left out.
-        distortion: none, or OpenCV's k1, k2, p1, p2, k3.
 
     Returns:
         Camera to world, `(4, 4)`; NaN with fewer than four points or if there is no solution.
@@ -32,10 +30,7 @@ def pose_from_corners(camera: Camera, points: FloatArray, image: FloatArray, dis
     if found.sum() < FEWEST:
         return unknown
     world, pixels = np.ascontiguousarray(world[found]), np.ascontiguousarray(pixels[found])
-    matrix = intrinsics(camera)
-    if np.size(distortion):
-        focal, centre = np.diag(matrix)[:2], matrix[:2, 2]
-        pixels = undistort((pixels - centre) / focal, distortion) * focal + centre
+    matrix, pixels = intrinsics(camera), rectified(camera, pixels)
     solved, turn, shift = cv2.solvePnP(world, pixels, matrix, None, flags=cv2.SOLVEPNP_SQPNP)
     if not solved:
         return unknown

@@ -1,8 +1,9 @@
 """The Cramer-Rao bound of a camera's pose from the pixels of the landmarks it sees.
 
 A perturbation X exp(w, v) moves a landmark at y_i = (x, y, z) in the camera's frame by y_i x w - v, hence its image by
-J_i (w, v) with `J_i = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)] [[y_i]x  -I]`. With pixel noise sigma the
-information is sum J_i^T J_i / sigma^2, and no unbiased estimate from this one frame has a smaller covariance than its
+J_i (w, v) with `J_i = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)] [[y_i]x  -I]`; a lens that distorts puts its
+Jacobian (`lmd.geometry.distortion`) after the focal lengths. With pixel noise sigma the information is
+sum J_i^T J_i / sigma^2, and no unbiased estimate from this one frame has a smaller covariance than its
 inverse. Fewer than three landmarks, or three in line, do not fix the pose: the bound is infinite.
 """
 
@@ -15,6 +16,7 @@ import pandas as pd
 from lmd.camera import Camera
 from lmd.checks import BoolArray, FloatArray
 from lmd.deployment import Deployment
+from lmd.geometry.distortion import jacobian
 from lmd.geometry.se3 import axis_and_right, camera_pose, skew
 from lmd.scene import Scene
 from lmd.sight.evaluator import Evaluator
@@ -33,7 +35,7 @@ def pose_information(poses: FloatArray, landmarks: FloatArray, seen: BoolArray, 
         poses: X, `(F, 4, 4)`.
         landmarks: C_i, world frame, metres, `(K, 3)`.
         seen: which of them each frame sees, `(F, K)`; they must be in front of the camera.
-        camera: its focal length in pixels.
+        camera: its focal length in pixels, and its distortion.
     """
     frame, landmark = np.nonzero(seen)
     offset = landmarks[landmark] - poses[frame, :3, 3]
@@ -42,14 +44,16 @@ def pose_information(poses: FloatArray, landmarks: FloatArray, seen: BoolArray, 
     projection = np.zeros((len(points), 2, 3))
     projection[:, [0, 1], [0, 1]] = 1.0
     projection[:, :, 2] = -points[:, :2] / depth[:, 0]
+    if camera.distortion:
+        projection = jacobian(points[:, :2] / depth[:, 0], camera.distortion) @ projection
     projection *= camera.focal_pixels[:, None] / depth
     moved = np.concatenate([skew(points), np.broadcast_to(-np.eye(3), (len(points), 3, 3))], axis=-1)
-    jacobian = projection @ moved
+    image = projection @ moved
     information = np.zeros((len(poses), 6, 6))
     some = seen.any(axis=1)
     if some.any():
         first = np.searchsorted(frame, np.flatnonzero(some))
-        information[some] = np.add.reduceat(np.swapaxes(jacobian, 1, 2) @ jacobian, first, axis=0)
+        information[some] = np.add.reduceat(np.swapaxes(image, 1, 2) @ image, first, axis=0)
     return information
 
 

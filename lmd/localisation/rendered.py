@@ -11,7 +11,7 @@ from lmd.detection import detectors
 from lmd.detection.frames import tagged_room
 from lmd.optional import optional
 from lmd.render.imaging import Imaging
-from lmd.render.optics import intrinsics, undistort
+from lmd.render.optics import intrinsics, rectified
 from lmd.render.renderer import Renderer
 from lmd.sight.evaluator import Evaluator
 from lmd.tag import CORNERS, Tag
@@ -74,10 +74,7 @@ class RenderedDetector:
     def _place(self, camera: Camera, corners: FloatArray) -> FloatArray:
         """The centre of a tag in the camera's frame, metres, `(3,)`, from its corners `(4, 2)`, pixels."""
         cv2 = optional("cv2", "detection")
-        matrix = intrinsics(camera)
-        focal, centre = np.diag(matrix)[:2], matrix[:2, 2]
-        if self.imaging.distortion:
-            corners = undistort((corners - centre) / focal, self.imaging.distortion) * focal + centre
+        matrix, image = intrinsics(camera), np.ascontiguousarray(rectified(camera, corners))
         square = np.pad(CORNERS * self.tag.size / 2.0, ((0, 0), (0, 1)))
-        _, _, shift = cv2.solvePnP(square, np.ascontiguousarray(corners), matrix, None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
+        _, _, shift = cv2.solvePnP(square, image, matrix, None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
         return np.asarray(shift).reshape(3)

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -66,7 +67,7 @@ def test_known_answers(name):
     assert corner_error(matches.corners, expected).max() < tolerance
     # A systematic half pixel would show in the mean.
     assert np.abs((matches.corners - expected).mean(axis=(0, 1))).max() < 0.15
-    away, angle = pose_error(POSE, pose_from_corners(CAMERA, renderer.room.corners, matches.corners))
+    away, angle = pose_error(POSE, pose_from_corners(renderer.camera, renderer.room.corners, matches.corners))
     assert away < 0.01
     assert angle < 0.01
 
@@ -96,14 +97,14 @@ def test_bad_input_gets_a_sentence(make, sentence):
 
 
 def test_pose_by_exact_corners():
-    renderer = Renderer(CAMERA, room("36h11"), Imaging(distortion=(-0.2, 0.05, 0.001, 0.002, 0.0)))
+    renderer = Renderer(replace(CAMERA, distortion=(-0.2, 0.05, 0.001, 0.002)), room("36h11"))
     image = renderer.corners(POSE)
-    found = pose_from_corners(CAMERA, renderer.room.corners, image, renderer.imaging.distortion)
+    found = pose_from_corners(renderer.camera, renderer.room.corners, image)
     np.testing.assert_allclose(found, POSE, atol=1e-5)
     only_one = np.where(np.arange(8)[:, None, None] == 2, image, np.nan)
-    found = pose_from_corners(CAMERA, renderer.room.corners, only_one, renderer.imaging.distortion)
+    found = pose_from_corners(renderer.camera, renderer.room.corners, only_one)
     np.testing.assert_allclose(found, POSE, atol=1e-3)
-    none = pose_from_corners(CAMERA, renderer.room.corners, np.full_like(image, np.nan))
+    none = pose_from_corners(renderer.camera, renderer.room.corners, np.full_like(image, np.nan))
     assert np.isnan(none).all()
     assert np.isnan(pose_error(POSE, none)).all()
 
