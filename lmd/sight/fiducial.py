@@ -16,9 +16,11 @@ pixels by J, whose columns are, for t and likewise for s, (f_u (t_u - t_w u / w)
 smaller eigenvalue of J^T J is at least T if 2 T <= |J|^2 and T^2 - |J|^2 T + det(J)^2 >= 0, and
 |det J| = f_u f_v |n . d| / w^3.
 
-A corner is within a border if it is in a half-space, so the tag is if its farthest corner is.
+A corner is within a border if it is in a half-space, so the tag is if its farthest corner is. A lens that distorts
+bends these borders: then each corner is imaged by itself, must be no farther from the axis than `Camera.widest_ray`,
+and the Jacobian of the distortion comes between the focal lengths and the rest of J.
 
-All tags hang upright (`lmd.tag.upright`). The camera's lens must not distort: `Camera` has no such coefficients.
+All tags hang upright (`lmd.tag.upright`).
 
 Shapes: A orientations, K tags. Lengths are metres, frames world unless said otherwise.
 """
@@ -32,8 +34,10 @@ import numpy as np
 
 from lmd.camera import MM_PER_M, Camera
 from lmd.checks import BoolArray, FloatArray, InputError, real
+from lmd.geometry.distortion import bent, greatest_stretch, slopes
 from lmd.limits import Limits, limits_of
 from lmd.sight.criteria import TOLERANCE
+from lmd.sight.distorted_sight import DistortedSight
 from lmd.sight.fiducial_sight import FiducialSight
 from lmd.sight.paper import dot
 from lmd.tag import LEVEL, Tag, upright
@@ -78,7 +82,7 @@ class Fiducial:
         """See `Criteria.spacing`: plates side by side."""
         return self.tag.paper_edge
 
-    def sight(self, camera: Camera) -> FiducialSight:
+    def sight(self, camera: Camera) -> FiducialSight | DistortedSight:
         """See `Criteria.sight`."""
         limits, tag = self.limits, self.tag
         assert isinstance(limits, Limits)
@@ -94,8 +98,8 @@ class Fiducial:
             defocus = shape / (camera.focus_distance - camera.focal_length)
             focus = defocus * camera.focus_distance / MM_PER_M
         smooth = self.psf_sigma**2 + self.motion_blur**2 / 12.0
-        wide = math.hypot(max(left, right), max(top, bottom))
-        return FiducialSight(
+        wide = camera.widest_ray if camera.distortion else math.hypot(max(left, right), max(top, bottom))
+        flat = FiducialSight(
             outer_cosine=(1.0 - TOLERANCE) / math.hypot(1.0, wide),
             inner_cosine=math.cos(inner) if inner > 0.0 else 2.0,
             reach=(tag.paper_edge + tag.size) ** 2 / 2.0 * (1.0 + TOLERANCE),
@@ -116,17 +120,27 @@ class Fiducial:
             focus=focus,
             steady=math.sin(INNER),
         )
+        if not camera.distortion:
+            return flat
+        k1, k2, p1, p2, k3 = camera.distortion
+        widest, stretch = wide**2 * (1.0 + TOLERANCE), greatest_stretch(camera.distortion, wide)
+        return DistortedSight(flat, flat.reach, k1, k2, p1, p2, k3, widest, stretch)
 
     def covered(
         self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
     ) -> BoolArray:
         """See `Criteria.covered`."""
         sight, offset = self.sight(camera), landmarks - position
-        seen = ~hidden_by_others(sight, offset, normals) & faces(sight, offset, normals)
+        flat = sight.flat if isinstance(sight, DistortedSight) else sight
+        seen = ~hidden_by_others(flat, offset, normals) & faces(flat, offset, normals)
         axis, right = axes[:, None, :3], axes[:, None, 3:]
         frame = np.stack([right, _cross(axis, right), axis])  # (3, A, 1, 3)
         centre, *sides = (dot(frame, vectors) for vectors in (offset, *upright(normals)))  # (3, A, K) each
-        return in_rectangle(sight, centre, sides) & resolved(sight, centre, sides, offset, normals) & seen
+        if isinstance(sight, DistortedSight):
+            inside = in_distorted_rectangle(sight, camera.distortion, centre, sides)
+        else:
+            inside = in_rectangle(sight, centre, sides)
+        return inside & resolved(flat, camera.distortion, centre, sides, offset, normals) & seen
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -157,17 +171,47 @@ def in_rectangle(sight: FiducialSight, centre: FloatArray, sides: list[FloatArra
     return np.asarray(inside)
 
 
-def resolved(
-    sight: FiducialSight, centre: FloatArray, sides: list[FloatArray], offset: FloatArray, normals: FloatArray
+def in_distorted_rectangle(
+    sight: DistortedSight, distortion: tuple[float, ...], centre: FloatArray, sides: list[FloatArray]
 ) -> BoolArray:
-    """Whether pitch and area suffice, `(A, K)`; the arguments are those of `in_rectangle` and `faces`."""
+    """`in_rectangle` where the lens distorts: the corners are rays that are imaged, and that within the borders."""
+    right, up = sides
+    inside, flat = np.ones(centre.shape[1:], dtype=np.bool_), sight.flat
+    one, two = flat.half * (right + up), flat.half * (right - up)
+    with np.errstate(all="ignore"):  # a corner beside the camera is not in the image, whatever the numbers say
+        for u, v, w in (centre + one, centre - one, centre + two, centre - two):
+            x, y = u / w, v / w
+            inside &= (w > 0.0) & (x * x + y * y <= sight.widest)
+            across, down = bent(x, y, *distortion)
+            inside &= (-flat.left <= across) & (across <= flat.right) & (-flat.top <= down) & (down <= flat.bottom)
+    return inside
+
+
+def resolved(
+    sight: FiducialSight,
+    distortion: tuple[float, ...],
+    centre: FloatArray,
+    sides: list[FloatArray],
+    offset: FloatArray,
+    normals: FloatArray,
+) -> BoolArray:
+    """Whether pitch and area suffice, `(A, K)`; the arguments are the camera's and those of `in_rectangle`, `faces`."""
     (u, v, w), ((tu, tv, tw), (su, sv, sw)) = centre, sides
     with np.errstate(all="ignore"):  # a tag beside the camera is not resolved, whatever the numbers say
         per = 1.0 / w
         fu, fv, at_u, at_v = sight.focal_u * per, sight.focal_v * per, u * per, v * per
         one, two, three, four = tu - at_u * tw, su - at_u * sw, tv - at_v * tw, sv - at_v * sw
-        square = fu * fu * (one * one + two * two) + fv * fv * (three * three + four * four)
         determinant = fu * fv * per * abs(dot(normals, offset))
+        if distortion:
+            xx, xy, yy = slopes(at_u, at_v, *distortion)
+            one, two, three, four = (
+                xx * one + xy * three,
+                xx * two + xy * four,
+                xy * one + yy * three,
+                xy * two + yy * four,
+            )
+            determinant = determinant * abs(xx * yy - xy * xy)
+        square = fu * fu * (one * one + two * two) + fv * fv * (three * three + four * four)
         blur = sight.defocus - sight.focus * per
         least = sight.sharp + sight.blurred * (blur * blur)
         enough = (2.0 * least <= square) & (determinant >= sight.area)

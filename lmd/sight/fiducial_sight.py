@@ -59,7 +59,7 @@ class FiducialSight(NamedTuple):
 
 
 @njit(inline="always")
-def _upright(nx, ny, nz, level):  # type: ignore[no-untyped-def]
+def upright_axes(nx, ny, nz, level):  # type: ignore[no-untyped-def]
     """See `lmd.tag.upright`: right and up of a tag with a unit normal."""
     across = nx * nx + ny * ny
     on_wall = across > level * level
@@ -96,7 +96,7 @@ def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untype
 
 @in_image.register(FiducialSight)
 def _in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
-    tx, ty, tz, ux, uy, uz = _upright(nx, ny, nz, sight.level)
+    tx, ty, tz, ux, uy, uz = upright_axes(nx, ny, nz, sight.level)
     dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
     # The centre, and the tag's right and up, in the camera's frame.
     u, v, w = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z, ax * x + ay * y + az * z
@@ -125,8 +125,8 @@ def _in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  
 def _hides(sight, ax, ay, az, nx, ny, nz, bx, by, bz, mx, my, mz):  # type: ignore[no-untyped-def]
     """Whether plate A with normal n hides the centre or a corner of B with normal m."""
     height = -(nx * ax + ny * ay + nz * az)
-    tx, ty, tz, ux, uy, uz = _upright(nx, ny, nz, sight.level)
-    rx, ry, rz, sx, sy, sz = _upright(mx, my, mz, sight.level)
+    tx, ty, tz, ux, uy, uz = upright_axes(nx, ny, nz, sight.level)
+    rx, ry, rz, sx, sy, sz = upright_axes(mx, my, mz, sight.level)
     rx, ry, rz = sight.half * rx, sight.half * ry, sight.half * rz
     sx, sy, sz = sight.half * sx, sight.half * sy, sight.half * sz
     for i in range(5):
@@ -172,7 +172,7 @@ def _may_hide(low, high, landmarks, normals, half, level):  # type: ignore[no-un
             if not height >= TOLERANCE:
                 return True
             for k in range(count):
-                tx, ty, tz, ux, uy, uz = _upright(normals[b, 0, k], normals[b, 1, k], normals[b, 2, k], level)
+                tx, ty, tz, ux, uy, uz = upright_axes(normals[b, 0, k], normals[b, 1, k], normals[b, 2, k], level)
                 side = nx * (landmarks[b, 0, k] - x) + ny * (landmarks[b, 1, k] - y) + nz * (landmarks[b, 2, k] - z)
                 side -= half * (abs(nx * tx + ny * ty + nz * tz) + abs(nx * ux + ny * uy + nz * uz))
                 if side < -0.1 * TOLERANCE:

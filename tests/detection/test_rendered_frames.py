@@ -29,13 +29,16 @@ from lmd.detection.frames import (
 )
 from lmd.detection.mosaic import Mosaics, Views
 from lmd.detection.report import Prediction, by_pitch, by_tag, figures, to_markdown, verdicts
-from lmd.geometry.se3 import camera_pose, poses_from_rows
+from lmd.geometry.se3 import axis_and_right, camera_pose, poses_from_rows
 from lmd.limits import Limits, Preset
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
 from lmd.scene import Scene
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.fiducial import Fiducial
 from lmd.sight.paper import Visibility
+from lmd.sight.views import visible
 from lmd.space.cuboid import Cuboid
 from lmd.tag import Tag, upright
 
@@ -149,6 +152,20 @@ def test_figures_count_what_happened(seen):
     lines = to_markdown(pd.DataFrame(rows)).splitlines()
     assert len(lines) == 9
     assert {line.count("|") for line in lines[:4]} == {13}
+
+
+@pytest.mark.parametrize("lens", [(-0.25, 0.05, 0.003, -0.004), (0.25, 0.05, 0.003, -0.004)])
+def test_what_a_detector_sees_through_a_lens_that_distorts_is_foreseen(lens):
+    bent, tag, deployment, poses = replace(CAMERA, distortion=lens), Tag(0.12), uniform(60), draw_poses(SCENE, 30, 0)
+    renderer = Renderer(bent, tagged_room(ROOM, deployment, tag), IMAGING)
+    found = look(renderer, {"apriltag": AprilTagDetector()}, poses, 0, 7)["apriltag"].detected
+    right = []
+    for camera in (bent, CAMERA):
+        scene = Scene(ROOM, camera, pdf.solid_angle(4), Fiducial(tag, "apriltag"))
+        told = visible(Evaluator(scene), deployment, poses[:, :3, 3], axis_and_right(poses))
+        right.append((told & found).sum() / (told | found).sum())
+    assert right[0] > 0.94
+    assert right[1] < 0.85  # who leaves out the distortion is wrong
 
 
 def test_limits_foresee_whole_frames(seen):
