@@ -200,6 +200,18 @@ def test_limits_of_ones_own():
     assert Fiducial(Tag(0.1), limits={"margin": 9.0}).limits.margin == 9.0
 
 
+def test_several_rolls_are_the_mean_of_each():
+    room, rolls = paper_room(spacing=1.5), [(-0.5, 0.25), (0.0, 0.25), (0.7, 0.5)]
+    deployment = RandomDeployment(40).draw(room, np.random.default_rng(0))
+
+    def seen(roll):
+        return Evaluator(fiducial_scene(room, pdf.grid_with_ends(6, roll)), threads=1).probabilities(deployment, 2)
+
+    each = [seen(angle) for angle, _ in rolls]
+    np.testing.assert_allclose(seen(rolls), np.transpose(each) @ [share for _, share in rolls], atol=1e-12)
+    assert np.abs(each[0] - each[1]).max() > 0.02
+
+
 def test_without_roll_a_landscape_image_sees_wider_than_high():
     room, one = paper_room(), np.array([1.0])
     seen = []
