@@ -56,7 +56,7 @@ class Renderer:
     def corners(self, pose: FloatArray) -> FloatArray:
         """Exact images of the tags' corners from poses `(..., 4, 4)`: `(..., K, 4, 2)`, pixels as in `optics`.
 
-        They are those of transparent walls: also of tags outside the image or turned away. NaN behind the camera.
+        They are those of transparent walls: also of tags outside the image or turned away. NaN as in `optics.project`.
         """
         flat = project(self.camera, pose, self.room.corners.reshape(-1, 3))
         return flat.reshape(*flat.shape[:-2], -1, 4, 2)
