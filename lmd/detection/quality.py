@@ -77,6 +77,7 @@ def _stretch(
     if not camera.distortion:
         return np.asarray((scale * (1.0 + ray**2 - moved**2)).sum(axis=-1)), np.asarray(determinant)
     bend = jacobian(ray, camera.distortion)
+    stretch = bend[..., 0, 0] * bend[..., 1, 1] - bend[..., 0, 1] ** 2
     gram = np.eye(2) + ray[..., None] * ray[..., None, :] - moved[..., None] * moved[..., None, :]
     along = np.diagonal(bend @ gram @ bend, axis1=-2, axis2=-1)
-    return np.asarray((scale * along).sum(axis=-1)), np.asarray(determinant * np.abs(np.linalg.det(bend)))
+    return np.asarray((scale * along).sum(axis=-1)), np.asarray(determinant * np.abs(stretch))

@@ -8,6 +8,7 @@ import numpy as np
 
 from lmd.camera import Camera
 from lmd.checks import BoolArray, FloatArray
+from lmd.geometry.distortion import jacobian
 from lmd.geometry.se3 import exp
 from lmd.optional import optional
 from lmd.render.canvas import NEAR, Canvas, covering
@@ -94,10 +95,19 @@ class Renderer:
         return canvas.light
 
     def _sigma(self, square: FloatArray) -> float:
-        """Blur of a tag, by the depth of its centre, pixels."""
-        if not self.imaging.defocus:
-            return self.imaging.psf_sigma
-        return float(blur_sigma(self.camera, max(float(square[:, 2].mean()), NEAR), self.imaging.psf_sigma))
+        """Blur of a tag in the pinhole image, by the depth of its centre, pixels.
+
+        What the distortion shrinks it must blur more, so that it is blurred as said once it is distorted.
+        """
+        u, v, w = square.mean(axis=0)
+        depth, sigma, camera = max(float(w), NEAR), self.imaging.psf_sigma, self.camera
+        if self.imaging.defocus:
+            sigma = float(blur_sigma(camera, depth, sigma))
+        if camera.distortion:
+            ray = np.array([u, v]) / depth
+            ray *= camera.widest_ray / max(math.hypot(*ray), camera.widest_ray)
+            sigma /= math.sqrt(np.linalg.det(jacobian(ray, camera.distortion)))
+        return sigma
 
     def _moving(self, pose: FloatArray, motion: FloatArray) -> Float32Array:
         """The mean over the motion, in steps of about a pixel."""

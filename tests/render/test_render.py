@@ -170,6 +170,20 @@ def test_distorted_corners_are_where_the_picture_has_them():
     assert np.abs(renderer.corners(ORIGIN) - Renderer(CAMERA, room).corners(ORIGIN)).max() > 1.0
 
 
+def test_a_lens_that_distorts_blurs_as_much_as_any():
+    # At 0.4 off the axis this lens shrinks by 0.76 along the radius and 0.92 across.
+    camera = replace(CAMERA, image_width=480.0, principal_point=(240.0, 120.0), distortion=(-0.5, 0.0, 0.0, 0.0))
+    room = replace(facing(centre=(0.4, 1.0, 0.0)), tag=Tag(0.06, quiet_zone=4.0))
+    image = frame(camera, room, replace(SHARP, psf_sigma=2.0, black=5.0, white=245.0, wall=5.0)).astype(float)
+    column, row = np.rint(Renderer(camera, room).corners(ORIGIN)[0].mean(axis=0)).astype(int)
+    # The paper is 240 grey levels brighter than the wall: a step that is blurred rises by 240 / (sigma sqrt(2 pi)).
+    lines = (image[row, :column], image[row, column:], image[:row, column], image[row:, column])
+    # Away from the tag itself, which is darker.
+    slopes = [np.diff(line)[:-12].max() for line in (lines[0], lines[1][::-1], lines[2], lines[3][::-1])]
+    sigma = 240.0 / (np.array(slopes) * np.sqrt(2.0 * np.pi))
+    assert np.exp(np.log(sigma).mean()) == pytest.approx(2.0, rel=0.08)
+
+
 def test_many_poses_at_once():
     renderer = Renderer(CAMERA, facing())
     poses = np.stack([ORIGIN, ORIGIN @ exp(np.array([0.0, 0.5, 0.0, 0.0, 0.0, 0.0]))])
