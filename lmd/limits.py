@@ -135,7 +135,7 @@ def limits_of(detector: str, family: str, changes: Mapping[str, Any]) -> Limits:
         choice("limits", name, NAMES)
     kind = family.partition("_")[0]
     known: Preset | None
-    if detector.endswith(SUFFIXES):
+    if str(detector).endswith(SUFFIXES):
         known = Preset.from_yaml(detector)
         if known.family not in (family, kind):
             message = f"detector: {detector!r} is about tags of the family {known.family}, not {family}."

@@ -104,7 +104,7 @@ def _run(job: "tuple[str, DictConfig, int, Budget]") -> "OptimiserRun":
 
 
 def _log_child(cfg: DictConfig, run: "OptimiserRun", ups: bool, parent: str | None, directory: Path) -> None:
-    """Record one run below the comparison's own, its landmarks (with `ups`?) in a folder of its own in `directory`."""
+    """Record one run below the comparison's own, its landmarks in a folder of `directory`; `ups` as for `to_csv`."""
     from .progress import thinned
     from .tracking import PARENT_TAG
 

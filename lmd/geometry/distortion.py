@@ -111,11 +111,9 @@ def greatest_stretch(distortion: tuple[float, ...], radius: float) -> float:
     It is (g + 6 |q| r) (R' + 6 |q| r), at its largest if the negative terms are left out.
     """
     k1, k2, p1, p2, k3 = distortion
-    square, sway = radius**2, 6.0 * math.hypot(p1, p2) * radius
-    terms = max(k1, 0.0) * square, max(k2, 0.0) * square**2, max(k3, 0.0) * square**3
-    return (1.0 + terms[0] + terms[1] + terms[2] + sway) * (
-        1.0 + 3.0 * terms[0] + 5.0 * terms[1] + 7.0 * terms[2] + sway
-    )
+    one, two, three = (max(k, 0.0) * radius ** (2 * i) for i, k in enumerate((k1, k2, k3), start=1))
+    sway = 1.0 + 6.0 * math.hypot(p1, p2) * radius
+    return (sway + one + two + three) * (sway + 3.0 * one + 5.0 * two + 7.0 * three)
 
 
 def _first_root(polynomial: list[float]) -> float:
