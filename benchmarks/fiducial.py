@@ -22,7 +22,7 @@ from lmd.sight.incremental.move import state_of
 from lmd.sight.incremental.state import scratch_of
 from lmd.sight.incremental.trial import bound_move, finish_move
 from lmd.tag import Tag
-from pipelines.app import CONF, build_problem
+from lmd.pipelines.app import CONF, build_problem
 
 COUNT, N = 40, 2
 MOVES = 400

@@ -42,8 +42,8 @@ from lmd.sight.fiducial_sight import FiducialSight
 from lmd.sight.paper import dot
 from lmd.tag import LEVEL, Tag, upright
 
-# How far the inner cone stays away from the nearest border of the image, rad; from farther tags it is of no use.
-INNER = math.radians(4.0)
+# Tags at least this far away are spared the exact test if their centre is well inside the image, metres.
+FAR = 1.6
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,6 @@ class Fiducial:
         margin, (centre_u, centre_v), (focal_u, focal_v) = limits.margin, camera.principal_point, camera.focal_pixels
         left, right = (centre_u - margin) / focal_u, (camera.image_width - margin - centre_u) / focal_u
         top, bottom = (centre_v - margin) / focal_v, (camera.image_height - margin - centre_v) / focal_v
-        inner = math.atan(min(left, right, top, bottom)) - INNER
         # c / 4 = |defocus - focus / depth|, see `lmd.render.optics.blur_disc`.
         shape = camera.aperture * camera.focal_length / (4.0 * min(camera.pixel_width, camera.pixel_height))
         if math.isinf(camera.focus_distance):
@@ -101,7 +100,7 @@ class Fiducial:
         wide = camera.widest_ray if camera.distortion else math.hypot(max(left, right), max(top, bottom))
         flat = FiducialSight(
             outer_cosine=(1.0 - TOLERANCE) / math.hypot(1.0, wide),
-            inner_cosine=math.cos(inner) if inner > 0.0 else 2.0,
+            inset=math.asin(min(1.0, 1.5 * tag.size / 2.0 / FAR)),
             reach=(tag.paper_edge + tag.size) ** 2 / 2.0 * (1.0 + TOLERANCE),
             facing=math.cos(math.radians(limits.incidence)) - TOLERANCE,
             half=tag.size / 2.0,
@@ -118,7 +117,7 @@ class Fiducial:
             blurred=(limits.blur / tag.module) ** 2 * (1.0 - TOLERANCE),
             defocus=defocus,
             focus=focus,
-            steady=math.sin(INNER),
+            in_focus=focus / defocus if defocus else 0.0,
         )
         if not camera.distortion:
             return flat
