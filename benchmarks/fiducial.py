@@ -15,6 +15,7 @@ from numba import njit
 
 from lmd.deployment import RandomDeployment
 from lmd.objectives.coverage_field import coverage_field
+from lmd.pipelines.app import CONF, build_problem
 from lmd.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.fiducial import Fiducial
@@ -22,7 +23,6 @@ from lmd.sight.incremental.move import state_of
 from lmd.sight.incremental.state import scratch_of
 from lmd.sight.incremental.trial import bound_move, finish_move
 from lmd.tag import Tag
-from lmd.pipelines.app import CONF, build_problem
 
 COUNT, N = 40, 2
 MOVES = 400

@@ -21,6 +21,8 @@ from lmd.checks import FloatArray, InputError, vector
 CONVERGED = 1e-9
 # Radii among which it finds a start.
 STARTS = 64
+# Rings in which the stretch is bounded.
+RINGS = 64
 # A root whose imaginary part is a smaller share counts as real: then D at least comes close to turning back.
 REAL = 1e-6
 
@@ -106,14 +108,16 @@ def widest_ray(distortion: tuple[float, ...], reach: float) -> float:
 
 
 def greatest_stretch(distortion: tuple[float, ...], radius: float) -> float:
-    """A bound of the Jacobian's determinant for all rays within `radius`, which is below the `turning_point`.
+    """A bound of the eigenvalues of the Jacobian, g + 6 |q| r and R' + 6 |q| r, for all rays within `radius`.
 
-    It is (g + 6 |q| r) (R' + 6 |q| r), at its largest if the negative terms are left out.
+    In each of many rings, what is added is taken at its outer edge and what is taken away at its inner one.
     """
     k1, k2, p1, p2, k3 = distortion
-    one, two, three = (max(k, 0.0) * radius ** (2 * i) for i, k in enumerate((k1, k2, k3), start=1))
-    sway = 1.0 + 6.0 * math.hypot(p1, p2) * radius
-    return (sway + one + two + three) * (sway + 3.0 * one + 5.0 * two + 7.0 * three)
+    edges = np.linspace(0.0, radius, RINGS + 1)
+    inner, outer = (r[:, None] ** [2, 4, 6] for r in (edges[:-1], edges[1:]))
+    across, along = np.array([k1, k2, k3]), np.array([3.0 * k1, 5.0 * k2, 7.0 * k3])
+    grown = [(np.maximum(terms, 0.0) * outer + np.minimum(terms, 0.0) * inner).sum(axis=1) for terms in (across, along)]
+    return float((1.0 + np.maximum(*grown) + 6.0 * math.hypot(p1, p2) * edges[1:]).max())
 
 
 def _first_root(polynomial: list[float]) -> float:

@@ -16,6 +16,7 @@ What prunes goes by less: bands of axes by a cone that holds every axis that cov
 directions by what is in view at all (`in_view`).
 """
 
+import math
 from typing import Any, Protocol
 
 import numpy as np
@@ -125,6 +126,15 @@ def in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: igno
     `sine` and `cosine` are those of the angle, less than a right one. With a negative sine: whether any direction may
     be that is so near. The directions in view are those of all landmarks that the model may cover.
     """
+
+
+@njit(inline="always")
+def in_cone(least, x, y, z, sine, cosine, ax, ay, az):  # type: ignore[no-untyped-def]
+    """`in_view` where that is a cone around the axis, `least` the cosine of its half-angle theta."""
+    # Made narrower by the angle delta: cos(theta - delta), unless nothing or all is left.
+    edge = least * cosine + math.sqrt(max(0.0, 1.0 - least * least)) * sine
+    nothing, everything = (sine > 0.0) & (least > cosine), (sine < 0.0) & (least < -cosine)
+    return ((ax * x + ay * y + az * z >= edge) | everything) & (not nothing)
 
 
 @dispatched

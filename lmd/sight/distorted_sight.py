@@ -1,11 +1,8 @@
 """What a detector sees through a lens that distorts, as scalar functions: `lmd.sight.fiducial` compiled for a camera.
 
-The distorted image has no cone whose axes surely cover a landmark: every one that may is tested. The criteria are those
-of `fiducial_sight`, with three differences:
-
-- each corner is imaged by itself, and must be within the rectangle and no farther from the axis than the widest ray;
-- J has the Jacobian of the distortion between the focal lengths and the rest;
-- so |det J| is at most `stretch` times that without distortion, which bounds the depth.
+The criteria are those of `fiducial_sight`, with two differences: each corner is imaged by itself, and must be within
+the rectangle and no farther from the axis than the widest ray; and J has the Jacobian of the distortion between the
+focal lengths and the rest. In view is the cone of the widest ray, and every axis that may cover a landmark is tested.
 """
 
 import math
@@ -15,7 +12,7 @@ from numba import njit
 
 from lmd.checks import FloatArray
 from lmd.geometry import distortion
-from lmd.sight.criteria import TOLERANCE, from_position, hide, in_image
+from lmd.sight.criteria import covering, depth_first, from_position, hide, in_cone, in_image, in_view
 from lmd.sight.fiducial_sight import FiducialSight, upright_axes
 
 _bent = njit(inline="always")(distortion.bent)
@@ -25,12 +22,14 @@ _slopes = njit(inline="always")(distortion.slopes)
 class DistortedSight(NamedTuple):
     """The criteria as numbers, tolerance included; a `lmd.sight.criteria.Sight`.
 
-    flat: all but the distortion, the borders in the distorted image; reach: that of `flat`; k1, k2, p1, p2, k3: see
-    `lmd.geometry.distortion`; widest: square of the distance from the axis, at depth 1, of the farthest ray that may be
-    in the image; stretch: bound of the determinant of the distortion's Jacobian there.
+    flat: all but the distortion, the borders in the distorted image; bound: the same with focal lengths that are longer
+    by as much as the distortion stretches anything at most, so that every tag has at least as many pixels; reach: that
+    of `flat`; k1, k2, p1, p2, k3: see `lmd.geometry.distortion`; widest: square of the distance from the axis, at depth
+    1, of the farthest ray that may be in the image.
     """
 
     flat: FiducialSight
+    bound: FiducialSight
     reach: float
     k1: float
     k2: float
@@ -38,7 +37,6 @@ class DistortedSight(NamedTuple):
     p2: float
     k3: float
     widest: float
-    stretch: float
 
     @property
     def outer_cosine(self) -> float:
@@ -46,9 +44,14 @@ class DistortedSight(NamedTuple):
         return self.flat.outer_cosine
 
     @property
-    def inner_cosine(self) -> float:
-        """See `Sight.inner_cosine`: nothing is certain."""
-        return 2.0
+    def inset(self) -> float:
+        """See `Sight.inset`: no depth is sure."""
+        return 0.0
+
+    @property
+    def tabulated(self) -> bool:
+        """See `Sight.tabulated`."""
+        return True
 
     def unhidden(self) -> "DistortedSight":
         """See `Sight.unhidden`."""
@@ -68,16 +71,16 @@ class DistortedSight(NamedTuple):
 
 @from_position.register(DistortedSight)
 def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped-def]
-    flat = sight.flat
-    distance = math.sqrt(x * x + y * y + z * z)
-    nearest = distance - slack
-    along = -(nx * x + ny * y + nz * z)
-    least = nearest * flat.outer_cosine
-    # As in `fiducial_sight`: |det J| is at least the smaller eigenvalue of J^T J and falls with the depth.
-    product = flat.focal_u * flat.focal_v * sight.stretch * along
-    resolved = least * least * least * max(flat.area, flat.sharp) <= product * (1.0 + TOLERANCE)
-    reached = (along >= flat.facing * nearest) & (along >= 0.0) & resolved
-    return reached, least - slack, True
+    reached, low, high, _ = from_position(sight.bound, x, y, z, nx, ny, nz, slack)
+    return reached, low, high, -math.inf  # no depth is sure
+
+
+@in_view.register(DistortedSight)
+def _in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
+    return in_cone(sight.bound.outer_cosine, x, y, z, sine, cosine, ax, ay, az)
+
+
+covering.register(DistortedSight)(depth_first)
 
 
 @njit(inline="always")

@@ -122,8 +122,9 @@ class Fiducial:
         if not camera.distortion:
             return flat
         k1, k2, p1, p2, k3 = camera.distortion
-        widest, stretch = wide**2 * (1.0 + TOLERANCE), greatest_stretch(camera.distortion, wide)
-        return DistortedSight(flat, flat.reach, k1, k2, p1, p2, k3, widest, stretch)
+        stretch = greatest_stretch(camera.distortion, wide)
+        bound = flat._replace(focal_u=stretch * flat.focal_u, focal_v=stretch * flat.focal_v)
+        return DistortedSight(flat, bound, flat.reach, k1, k2, p1, p2, k3, wide**2 * (1.0 + TOLERANCE))
 
     def covered(
         self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray

@@ -131,7 +131,7 @@ def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untype
 
 @frame_of.register(FiducialSight)
 def _frame_of(sight, nx, ny, nz):  # type: ignore[no-untyped-def]
-    return nx, ny, nz, *_upright(nx, ny, nz, sight.level)
+    return nx, ny, nz, *upright_axes(nx, ny, nz, sight.level)
 
 
 @njit(inline="always")

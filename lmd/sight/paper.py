@@ -22,7 +22,7 @@ import numpy as np
 
 from lmd.camera import Camera
 from lmd.checks import BoolArray, FloatArray, choice, real
-from lmd.sight.criteria import TOLERANCE, from_position, hide, in_image, in_view
+from lmd.sight.criteria import TOLERANCE, from_position, hide, in_cone, in_image, in_view
 
 OCCLUSION_MODES = ("paper", "line_of_sight", "none")
 
@@ -272,11 +272,7 @@ def _in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  
 
 @in_view.register(PaperSight)
 def _in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
-    # The cone of view, theta wide, made narrower by the angle delta: cos(theta - delta), unless nothing or all is left.
-    least = sight.min_cosine + (TOLERANCE if sine > 0.0 else -TOLERANCE)
-    edge = least * cosine + math.sqrt(max(0.0, 1.0 - least * least)) * sine
-    nothing, everything = (sine > 0.0) & (least > cosine), (sine < 0.0) & (least < -cosine)
-    return ((ax * x + ay * y + az * z >= edge) | everything) & (not nothing)
+    return in_cone(sight.min_cosine + (TOLERANCE if sine > 0.0 else -TOLERANCE), x, y, z, sine, cosine, ax, ay, az)
 
 
 @hide.register(PaperSight)
