@@ -60,10 +60,10 @@ def start_near(recording, size=0.3):
 @pytest.mark.parametrize("camera", [SCENE.camera, BENT])
 def test_a_real_detector_measures_where_tags_are(camera):
     detector = RenderedDetector(Tag(0.2), ArucoDetector(), Imaging())
-    poses = FLIGHT.poses[:40:10]
+    poses = FLIGHT.poses[:400:50]
     rng = np.random.default_rng(0)
     seen, points = detector.observed(EVALUATOR, camera, UNIFORM, poses, rng, False)
-    assert seen.shape == (4, 90)
+    assert seen.shape == (8, 90)
     assert seen.sum(axis=1).min() >= 1
     expected = se3.act(se3.inverse(poses), UNIFORM.positions)
     off = np.linalg.norm(points - expected, axis=-1)[seen] / expected[seen][:, 2]
