@@ -2,8 +2,8 @@
 
 Prints a Markdown table of times of the paper's criteria and of a detector's, and their ratios, from one run in the
 paper's room on one thread, in seconds of the processor: tags hung at random without overlapping. Part of the ratio is
-no cost of the criterion: tags of 10 cm are seen from nearly everywhere in the room, the paper's landmarks from less than
-half of it.
+no cost of the criterion: tags of 10 cm are seen from nearly everywhere in the room, the paper's landmarks from less
+than half of it.
 """
 
 from dataclasses import replace
