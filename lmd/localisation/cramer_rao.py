@@ -26,7 +26,9 @@ SINGULAR = 1e-9
 CHUNK = 1 << 14
 
 
-def pose_information(poses: FloatArray, landmarks: FloatArray, seen: BoolArray, camera: Camera) -> FloatArray:
+def pose_information(
+    poses: FloatArray, landmarks: FloatArray, seen: BoolArray, camera: Camera, noise: FloatArray | None = None
+) -> FloatArray:
     """Information on the pose of each frame for one pixel of noise, `(F, 6, 6)`, of body twists (w, v).
 
     Args:
@@ -34,6 +36,7 @@ def pose_information(poses: FloatArray, landmarks: FloatArray, seen: BoolArray, 
         landmarks: C_i, world frame, metres, `(K, 3)`.
         seen: which of them each frame sees, `(F, K)`; they must be in front of the camera.
         camera: its focal length in pixels.
+        noise: standard deviation of each image if it is not one pixel, in the order of `np.nonzero(seen)`, `(M,)`.
     """
     frame, landmark = np.nonzero(seen)
     offset = landmarks[landmark] - poses[frame, :3, 3]
@@ -45,6 +48,8 @@ def pose_information(poses: FloatArray, landmarks: FloatArray, seen: BoolArray, 
     projection *= camera.focal_pixels[:, None] / depth
     moved = np.concatenate([skew(points), np.broadcast_to(-np.eye(3), (len(points), 3, 3))], axis=-1)
     jacobian = projection @ moved
+    if noise is not None:
+        jacobian /= noise[:, None, None]
     information = np.zeros((len(poses), 6, 6))
     some = seen.any(axis=1)
     if some.any():

@@ -10,7 +10,7 @@ from lmd.checks import FloatArray, real
 from lmd.geometry.se3 import act, inverse, skew
 from lmd.localisation.cramer_rao import cramer_rao_bound, pose_information
 from lmd.localisation.errors import Errors, pose_errors
-from lmd.localisation.measurements import Recording
+from lmd.localisation.recording import Recording
 from lmd.optional import optional
 
 # The fewest points of one frame from which OpenCV's general solvers take a pose.
@@ -41,11 +41,16 @@ class CramerRaoBound:
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:
         """See `Estimator.errors`."""
-        runs = []
-        for poses, landmarks, seen in zip(recording.poses, recording.landmarks, recording.seen, strict=True):
-            bounds = cramer_rao_bound(pose_information(poses, landmarks, seen, recording.camera))
+        largest = float(recording.noise.max(initial=0.0))
+        relative = recording.noise / largest if largest > 0.0 else np.ones_like(recording.noise)
+        runs, corners = [], 1 if recording.tags is None else 4
+        for s, poses in enumerate(recording.poses):
+            points = recording.landmarks[s] if recording.tags is None else recording.tags[s].reshape(-1, 3)
+            seen = recording.seen[s].repeat(corners, axis=1)
+            noise = relative[recording.detections(s)].repeat(corners)
+            bounds = cramer_rao_bound(pose_information(poses, points, seen, recording.camera, noise))
             runs.append([np.where(np.isfinite(bound), bound, np.nan) for bound in bounds])
-        position, attitude = recording.detector.pixel_noise * np.array(runs).transpose(1, 0, 2)
+        position, attitude = largest * np.array(runs).transpose(1, 0, 2)
         return Errors(position**2 + 2.0 * attitude**2, position, attitude)
 
 
@@ -122,18 +127,11 @@ class InvariantKalmanFilter:
                 measured = recording.points[s, t, seen]
                 minus_one = np.broadcast_to(-np.eye(3), (len(measured), 3, 3))
                 jacobian = np.concatenate([skew(predicted), minus_one], axis=-1).reshape(-1, 6)
-                noise = _block_diagonal(self._covariance(measured, recording))
-                ekf.updateWithVector(predicted.reshape(-1), jacobian, measured.reshape(-1), noise)
+                these = recording.detections(s, t, t + 1)
+                noise = np.maximum(recording.noise[these], self.least_pixel_noise)[:, None, None]
+                covariance = _block_diagonal(noise**2 * recording.covariance[these])
+                ekf.updateWithVector(predicted.reshape(-1), jacobian, measured.reshape(-1), covariance)
             yield ekf.state().matrix()
-
-    def _covariance(self, measured: FloatArray, recording: Recording) -> FloatArray:
-        """Covariance of each y_i = z (a, b, 1), `(m, 3, 3)`: pixel noise moves a and b, that of the edge moves z."""
-        sigma = max(recording.detector.pixel_noise, self.least_pixel_noise)
-        focal, depth = recording.camera.focal_pixels, measured[:, 2:]
-        moved = np.zeros((len(measured), 3, 3))
-        moved[:, [0, 1], [0, 1]] = depth * sigma / focal
-        moved[:, :, 2] = measured * depth * sigma / (focal[0] * recording.detector.edge)
-        return np.asarray(moved @ np.swapaxes(moved, 1, 2))
 
 
 def _block_diagonal(blocks: FloatArray) -> FloatArray:

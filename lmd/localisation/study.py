@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from lmd.checks import FloatArray, InputError, real
+from lmd.checks import FloatArray, InputError, IntArray, real
 from lmd.geometry.se3 import exp
 from lmd.localisation.errors import Errors, pose_errors
 from lmd.localisation.estimators import Estimator
-from lmd.localisation.measurements import Recording, Sensor, record
+from lmd.localisation.recording import Each, Flight, Recording, Sensor, record
 from lmd.localisation.trajectory import Trajectory, TrajectorySource
 from lmd.problem import Problem
 
@@ -76,12 +76,18 @@ class Flights:
             start.append(initial.applied(trajectories[-1].poses[0], error))
         return cls(seeds, trajectories, np.stack(start))
 
-    def recorded(self, problem: Problem, detector: Sensor, all_visible: bool) -> Recording:
+    def over(self, problem: Problem, all_visible: bool = False) -> list[Flight]:
         """The flights over the deployment that `problem` starts from; a random one is another for each seed."""
-        scene = problem.scene
-        deployments = [problem.draw(np.random.default_rng(seed)) for seed in self.seeds]
-        rngs = [np.random.default_rng([seed, STREAM, 1]) for seed in self.seeds]
-        return record(problem.evaluator, scene.camera, detector, deployments, self.trajectories, rngs, all_visible)
+        return [
+            Flight(
+                problem.evaluator,
+                problem.draw(np.random.default_rng(seed)),
+                trajectory,
+                np.random.default_rng([seed, STREAM, 1]),
+                all_visible,
+            )
+            for seed, trajectory in zip(self.seeds, self.trajectories, strict=True)
+        ]
 
 
 @dataclass(frozen=True)
@@ -94,7 +100,7 @@ class Outcome:
         errors: of each estimator.
     """
 
-    counts: FloatArray
+    counts: IntArray
     shares: Mapping[int, FloatArray]
     errors: Mapping[str, Errors]
 
@@ -176,6 +182,7 @@ def conduct(
     detector: Sensor,
     estimators: Mapping[str, Estimator],
     all_visible: bool,
+    each: Each = map,
 ) -> Study:
     """Fly over each deployment and let each estimator localise the camera.
 
@@ -185,6 +192,7 @@ def conduct(
         detector: noise and missed detections.
         estimators: by name.
         all_visible: fly over each deployment a second time, as `<name> all visible`, with every landmark in view.
+        each: does what takes long.
 
     Raises:
         InputError: an estimator is missing, or cannot work with what is recorded.
@@ -194,7 +202,7 @@ def conduct(
     outcomes = {}
     for name, problem in problems.items():
         for everything in (False, True) if all_visible else (False,):
-            recording = flights.recorded(problem, detector, everything)
+            recording = record(detector, flights.over(problem, everything), each)
             outcomes[f"{name} all visible" if everything else name] = Outcome(
                 recording.visible_counts,
                 {n: recording.share_visible(n) for n in sorted({*SHARES, problem.objective.n})},

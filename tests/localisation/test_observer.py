@@ -4,8 +4,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lmd.checks import InputError
 from lmd.geometry import se3
-from lmd.localisation.measurements import Detector, Recording
 from lmd.localisation.observer import FORMS, Observer, cost
+from lmd.localisation.recording import Recording
 
 RNG = np.random.default_rng(0)
 LANDMARKS = RNG.uniform(-3.0, 3.0, (12, 3))
@@ -50,7 +50,8 @@ def recording(poses, seen, step=STEP):
     """One run over all landmarks."""
     time = step * np.arange(len(poses))
     points = measured(poses)
-    return Recording(time, poses[None], LANDMARKS[None], seen[None], points[None], None, Detector())
+    exact = np.zeros(seen.sum()), np.zeros((seen.sum(), 3, 3))
+    return Recording(time, poses[None], LANDMARKS[None], None, seen[None], points[None], *exact)
 
 
 def moving(frames, twist):

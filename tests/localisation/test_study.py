@@ -76,10 +76,10 @@ def test_every_deployment_has_the_same_flights_and_seeds_do_not_mix():
 def test_a_random_deployment_is_another_for_each_seed():
     drawn = flights(0, 1)
     random, uniform = (PROBLEMS[name] for name in ("random", "uniform"))
-    landmarks = drawn.recorded(random, Detector(), False).landmarks
+    landmarks = np.stack([flight.deployment.positions for flight in drawn.over(random)])
     assert_array_equal(landmarks[1], random.start.draw(SCENE.room, np.random.default_rng(1)).positions)
     assert not np.allclose(landmarks[0], landmarks[1])
-    same = drawn.recorded(uniform, Detector(), False).landmarks
+    same = [flight.deployment.positions for flight in drawn.over(uniform)]
     assert_array_equal(same[0], same[1])
 
 
