@@ -56,7 +56,7 @@ def observe(cfg: DictConfig) -> None:
     problem = next(iter(problems.values()))
     film = None if cfg.film is None else real("film", cfg.film, above=0.0)
     estimators = {name: instantiate(node) for name, node in (cfg.get("estimator") or {}).items()}
-    trajectory, start = instantiate(cfg.trajectory), instantiate(cfg.start)
+    trajectory, start, odometry = (instantiate(cfg[key]) for key in ("trajectory", "start", "odometry"))
     with keyed("trajectory"):
         flights = Flights.draw(problem, trajectory, start, seeds)
     directory, n = run_directory(), problem.objective.n
@@ -65,7 +65,8 @@ def observe(cfg: DictConfig) -> None:
         if film is not None and not hasattr(detector, "moments"):
             raise InputError("film needs rendered frames: detector=rendered.")
         with keyed(estimators="estimator", family="tag.family"):
-            study = conduct(problems, flights, detector, estimators, cfg.all_visible, partial(_each, cfg.workers))
+            each = partial(_each, cfg.workers)
+            study = conduct(problems, flights, detector, estimators, cfg.all_visible, odometry, each)
         figures, curves = study.figures(), study.curves()
         markdown = to_markdown(figures, n)
         figures.to_csv(directory / "figures.csv", index=False)

@@ -20,7 +20,7 @@ from lmd.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.views import visible
 
-# A smallest eigenvalue below this share of the largest is rounding: the pose is not fixed.
+# A smaller eigenvalue of the scaled information is rounding: the pose is not fixed.
 SINGULAR = 1e-9
 # Poses whose information is computed at a time.
 CHUNK = 1 << 14
@@ -61,13 +61,15 @@ def pose_information(
 def cramer_rao_bound(information: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Smallest standard deviations of position (metres) and attitude (rad), `(...)` each, infinite where not fixed.
 
-    They are the roots of the traces of the position and the attitude block of the inverse.
+    They are the roots of the traces of the position and the attitude block of the inverse. Whether there is one is
+    asked of the information scaled to a diagonal of ones, which does not depend on the units of length and angle.
 
     Args:
         information: `(..., 6, 6)`.
     """
-    eigenvalues = np.linalg.eigvalsh(information)
-    fixed = eigenvalues[..., 0] > SINGULAR * eigenvalues[..., -1]
+    diagonal = np.diagonal(information, axis1=-2, axis2=-1)
+    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, np.inf))
+    fixed = np.linalg.eigvalsh(scale[..., :, None] * information * scale[..., None, :])[..., 0] > SINGULAR
     variance = np.full((*information.shape[:-2], 6), np.inf)
     variance[fixed] = np.diagonal(np.linalg.inv(information[fixed]), axis1=-2, axis2=-1)
     return np.sqrt(variance[..., 3:].sum(axis=-1)), np.sqrt(variance[..., :3].sum(axis=-1))

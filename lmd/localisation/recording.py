@@ -11,6 +11,7 @@ from lmd.camera import Camera
 from lmd.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.deployment import Deployment
 from lmd.geometry.se3 import axis_and_right
+from lmd.localisation.odometry import Odometry
 from lmd.localisation.trajectory import Trajectory
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.views import visible
@@ -98,6 +99,8 @@ class Recording:
     Args:
         time: of the frames, seconds, `(T,)`.
         poses: the true X, `(S, T, 4, 4)`.
+        twists: U from each frame to the next as measured, `(S, T - 1, 6)`; see `Trajectory.twists`.
+        odometry: that measured them.
         landmarks: C_i in the world frame, metres, `(S, K, 3)`.
         camera: that recorded them.
         seen, points, noise, covariance: as in `Observation`, with an axis S in front of T.
@@ -107,6 +110,8 @@ class Recording:
 
     time: FloatArray
     poses: FloatArray
+    twists: FloatArray
+    odometry: Odometry
     landmarks: FloatArray
     camera: Camera
     seen: BoolArray
@@ -115,11 +120,6 @@ class Recording:
     covariance: FloatArray
     tags: FloatArray | None = None
     corners: FloatArray | None = None
-
-    @cached_property
-    def twists(self) -> FloatArray:
-        """U between each frame and the next, as in `Trajectory.twists`, `(S, T - 1, 6)`."""
-        return np.stack([Trajectory(self.time, poses).twists for poses in self.poses])
 
     @property
     def visible_counts(self) -> IntArray:
@@ -142,23 +142,30 @@ class Recording:
         return np.asarray(enough @ steps / steps.sum())
 
 
-def record(detector: Sensor, flights: Sequence[Flight], each: Each = map) -> Recording:
+def record(
+    detector: Sensor, flights: Sequence[Flight], odometry: Odometry | None = None, each: Each = map
+) -> Recording:
     """Record S flights whose trajectories share their times.
 
     Args:
         detector: noise and missed detections.
         flights: S of them, with one camera.
+        odometry: measures the twists; None for exact ones.
         each: does what takes long.
 
     Raises:
         InputError: all landmarks are visible, and the detector needs images.
     """
+    odometry, time = odometry or Odometry(), flights[0].trajectory.time
     observations = detector.observed(flights, each)
+    twists = [odometry.measured(f.trajectory.twists, np.diff(time), f.rng.spawn(1)[0]) for f in flights]
     tags = [detector.tags(flight.deployment) for flight in flights]
     corners = [observation.corners for observation in observations]
     return Recording(
-        flights[0].trajectory.time,
+        time,
         np.stack([flight.poses for flight in flights]),
+        np.stack(twists),
+        odometry,
         np.stack([flight.deployment.positions for flight in flights]),
         flights[0].camera,
         np.stack([observation.seen for observation in observations]),

@@ -6,15 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.camera import Camera
 from lmd.checks import BoolArray, FloatArray, real
 from lmd.deployment import Deployment
 from lmd.detection.detectors import Detections, Detector
 from lmd.detection.frames import tagged_room
+from lmd.detection.pose import pinhole
 from lmd.localisation.recording import Each, Flight, Observation, check_images
 from lmd.localisation.tags import observation, upright_corners
 from lmd.render.imaging import Imaging, UInt8Array
-from lmd.render.optics import intrinsics, undistort
 from lmd.render.renderer import Renderer
 from lmd.tag import Tag
 
@@ -118,16 +117,8 @@ class RenderedDetector:
     def _observed(self, flight: Flight, found: Sequence[Detections]) -> Observation:
         corners = believed(found, len(flight.deployment))
         seen = np.isfinite(corners[..., 0, 0])
-        pinhole = self._pinhole(flight.camera, corners[seen])
-        return observation(flight.camera, self.tag, seen, pinhole, np.full(len(pinhole), self.pixel_noise))
-
-    def _pinhole(self, camera: Camera, corners: FloatArray) -> FloatArray:
-        """Where a lens without distortion would image the same corners, pixels, `(M, 4, 2)`."""
-        if not self.imaging.distortion:
-            return corners
-        matrix = intrinsics(camera)
-        focal, centre = np.diag(matrix)[:2], matrix[:2, 2]
-        return undistort((corners - centre) / focal, self.imaging.distortion) * focal + centre
+        found_at = pinhole(flight.camera, corners[seen], self.imaging.distortion)
+        return observation(flight.camera, self.tag, seen, found_at, np.full(len(found_at), self.pixel_noise))
 
 
 class Batch(NamedTuple):

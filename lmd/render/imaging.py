@@ -22,7 +22,7 @@ class Imaging:
     Args:
         psf_sigma: standard deviation of the sharpest image of a point, pixels.
         defocus: whether a thin lens (the camera's aperture and focus distance) adds its blur.
-        motion_blur: length of the smear in the middle of the image while the camera turns in a random direction, pixels.
+        motion_blur: smear in the middle of the image while the camera turns in a random direction, pixels.
         noise: standard deviation in each pixel, grey levels.
         exposure: factor on the light.
         gamma: grey = 255 (light / 255)^(1 / gamma).

@@ -11,9 +11,12 @@ from lmd.checks import InputError
 from lmd.deployment import UniformDeployment
 from lmd.geometry import se3
 from lmd.localisation.cramer_rao import cramer_rao_bound, cramer_rao_map, pose_information
-from lmd.localisation.estimators import CramerRaoBound, InvariantKalmanFilter, PerspectiveNPoint
+from lmd.localisation.estimators import CramerRaoBound
+from lmd.localisation.fusion import FixedLagSmoother, InvariantKalmanFilter
 from lmd.localisation.measurements import Detector, detected
 from lmd.localisation.observer import Observer
+from lmd.localisation.odometry import Odometry
+from lmd.localisation.pnp import PerspectiveNPoint
 from lmd.localisation.recording import Flight, Recording, record
 from lmd.localisation.trajectory import Pace, RandomMotion
 from lmd.sight.evaluator import Evaluator
@@ -45,6 +48,8 @@ def spread_out(frames, detector, count=8, seed=0):
     return Recording(
         0.05 * np.arange(frames),
         poses,
+        np.zeros((1, frames - 1, 6)),
+        Odometry(),
         se3.act(pose, points[:, 0]),
         SCENE.camera,
         np.ones((1, frames, count), dtype=bool),

@@ -124,7 +124,7 @@ def test_rendered_flights_are_the_same_in_processes():
     frames = slice(0, 120, 10)
     alone = record(detector, [flight(frames, 1), flight(frames, 2)])
     each = partial(in_processes, workers=2, ordered=True)
-    shared = record(detector, [flight(frames, 1), flight(frames, 2)], each)
+    shared = record(detector, [flight(frames, 1), flight(frames, 2)], each=each)
     assert_array_equal(alone.seen, shared.seen)
     assert_array_equal(alone.corners, shared.corners)
     assert (

@@ -16,7 +16,7 @@ from lmd.checks import InputError
 from lmd.optimisers.encoding import make_encoding
 from pipelines.app import CONF, build_optimiser, build_problem, flat_settings, instantiate, keyed
 
-ONLY_OBSERVE = ("trajectory", "detector", "estimator")
+ONLY_OBSERVE = ("trajectory", "detector", "estimator", "odometry")
 ONLY_RENDERED = ("detectors", "imaging", "views")
 OTHER_GROUPS = {
     "experiment",
@@ -110,8 +110,9 @@ REFUSED = {
 }
 PARTS = {
     "trajectory.pace.speed=0": "trajectory.pace.speed must be greater than 0, got 0.",
-    "estimator.iekf.turn_noise=0": "estimator.iekf.turn_noise must be greater than 0, got 0.",
+    "estimator.iekf.least_turn_noise=0": "estimator.iekf.least_turn_noise must be greater than 0, got 0.",
     "start.position=-1": "start.position must be at least 0, got -1.",
+    "odometry.turn_noise=-1": "odometry.turn_noise must be at least 0, got -1.",
     "detector.missed=2": "detector.missed must be in [0, 1], got 2.",
 }
 
