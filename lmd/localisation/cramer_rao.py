@@ -16,6 +16,7 @@ from lmd.camera import Camera
 from lmd.checks import BoolArray, FloatArray
 from lmd.deployment import Deployment
 from lmd.geometry.se3 import axis_and_right, camera_pose, skew
+from lmd.render.optics import slope
 from lmd.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.views import visible
@@ -41,13 +42,8 @@ def pose_information(
     frame, landmark = np.nonzero(seen)
     offset = landmarks[landmark] - poses[frame, :3, 3]
     points = (offset[:, None, :] @ poses[frame, :3, :3])[:, 0]  # R^T (C - p)
-    depth = points[:, 2:, None]
-    projection = np.zeros((len(points), 2, 3))
-    projection[:, [0, 1], [0, 1]] = 1.0
-    projection[:, :, 2] = -points[:, :2] / depth[:, 0]
-    projection *= camera.focal_pixels[:, None] / depth
     moved = np.concatenate([skew(points), np.broadcast_to(-np.eye(3), (len(points), 3, 3))], axis=-1)
-    jacobian = projection @ moved
+    jacobian = slope(camera, points) @ moved
     if noise is not None:
         jacobian /= noise[:, None, None]
     information = np.zeros((len(poses), 6, 6))

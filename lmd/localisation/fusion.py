@@ -2,15 +2,20 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from lmd.camera import Camera
 from lmd.checks import FloatArray, real
+from lmd.detection.pose import solutions
 from lmd.geometry.se3 import act, inverse, skew
 from lmd.localisation.errors import Errors, pose_errors
+from lmd.localisation.pnp import image_of, likely
 from lmd.localisation.recording import Recording
 from lmd.optional import optional
+from lmd.render.canvas import NEAR
+from lmd.render.optics import intrinsics, slope
 
 
 @dataclass(frozen=True)
@@ -50,26 +55,71 @@ class Uncertainty:
         return np.repeat([turn, max(known.motion_noise, self.least_motion_noise)], 3)
 
 
-class Frame(NamedTuple):
-    """What a frame measures of m landmarks, y = X^-1 C."""
+class Measurement(Protocol):
+    """What a frame measures: d numbers that a pose predicts."""
+
+    @property
+    def value(self) -> FloatArray:
+        """`(d,)`."""
+
+    @property
+    def covariance(self) -> FloatArray:
+        """`(d, d)`."""
+
+    def predicted(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The numbers at a pose X, `(d,)`, and how they change with a body twist (w, v), `(d, 6)`."""
+
+
+class Places(NamedTuple):
+    """The places of m landmarks in the camera's frame, y = X^-1 C, metres: a `Measurement` of 3 m numbers."""
 
     landmarks: FloatArray
-    measured: FloatArray
+    value: FloatArray
     covariance: FloatArray
 
     @classmethod
-    def of(cls, recording: Recording, s: int, t: int, uncertainty: Uncertainty) -> "Frame":
-        """Frame t of run s: C and y `(m, 3)`, and the covariance of y `(3 m, 3 m)`."""
+    def of(cls, recording: Recording, s: int, t: int, uncertainty: Uncertainty) -> "Places":
+        """Those of frame t of run s."""
         seen, these = recording.seen[s, t], recording.detections(s, t, t + 1)
         noise = np.maximum(recording.noise[these], uncertainty.least_pixel_noise)[:, None, None]
         covariance = _block_diagonal(noise**2 * recording.covariance[these])
-        return cls(recording.landmarks[s, seen], recording.points[s, t, seen], covariance)
+        return cls(recording.landmarks[s, seen], recording.points[s, t, seen].reshape(-1), covariance)
 
     def predicted(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """y at a pose X, `(3 m,)`, and how it changes with a body twist (w, v), `(3 m, 6)`."""
-        y = act(inverse(pose), self.landmarks)
-        minus_one = np.broadcast_to(-np.eye(3), (len(y), 3, 3))
-        return y.reshape(-1), np.concatenate([skew(y), minus_one], axis=-1).reshape(-1, 6)
+        """See `Measurement.predicted`."""
+        y, moved = _moved(pose, self.landmarks)
+        return y.reshape(-1), moved.reshape(-1, 6)
+
+
+class Corners(NamedTuple):
+    """The image of the m corners of tags, pixels: a `Measurement` of 2 m numbers."""
+
+    camera: Camera
+    points: FloatArray
+    value: FloatArray
+    covariance: FloatArray
+
+    @classmethod
+    def of(cls, recording: Recording, s: int, t: int, uncertainty: Uncertainty) -> "Corners":
+        """Those of frame t of run s."""
+        points, image, noise = image_of(recording, s, t)
+        noise = np.maximum(noise, uncertainty.least_pixel_noise).repeat(2)
+        return cls(recording.camera, points, image.reshape(-1), np.diag(noise**2))
+
+    def predicted(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """See `Measurement.predicted`; what is behind the camera counts as just in front of it, and does not move."""
+        y, moved = _moved(pose, self.points)
+        behind = y[:, 2] < NEAR
+        y[behind, 2], moved[behind] = NEAR, 0.0
+        matrix = intrinsics(self.camera)
+        image = (y @ matrix.T)[:, :2] / y[:, 2:]
+        return image.reshape(-1), (slope(self.camera, y) @ moved).reshape(-1, 6)
+
+
+def _moved(pose: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """y = X^-1 C of points `(m, 3)`, and how it moves with a body twist (w, v), y x w - v, `(m, 3, 6)`."""
+    y = act(inverse(pose), points)
+    return y, np.concatenate([skew(y), np.broadcast_to(-np.eye(3), (len(y), 3, 3))], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -90,20 +140,24 @@ class InvariantKalmanFilter(Uncertainty):
         for t, step in enumerate(np.diff(recording.time), start=1):
             ekf.predict(recording.twists[s, t - 1], step, density)
             if recording.seen[s, t].any():
-                frame = Frame.of(recording, s, t, self)
-                predicted, jacobian = frame.predicted(ekf.state().matrix())
-                ekf.updateWithVector(predicted, jacobian, frame.measured.reshape(-1), frame.covariance)
+                places = Places.of(recording, s, t, self)
+                ekf.updateWithVector(*places.predicted(ekf.state().matrix()), places.value, places.covariance)
             yield ekf.state().matrix(), ekf.covariance()
 
 
 @dataclass(frozen=True)
 class FixedLagSmoother(Uncertainty):
-    """GTSAM's factor graph of the last moments: odometry between frames, landmarks in each, all of it linearised anew.
+    """GTSAM's factor graph of the last moments (iSAM2): odometry between frames, and in each what it sees.
 
-    The estimate of a frame is that of the moment at which it is taken; later ones do not correct it.
+    Of tags it takes the image of their corners; it then begins with the first frame that fixes the pose beyond doubt by
+    itself, and follows the odometry until then. Landmarks that are points it takes as the filter does. The estimate of
+    a frame is that of the moment at which it is taken; later ones do not correct it.
 
     Args:
         lag: how much of the past stays in the graph, seconds; what is older is summed up in its linearisation.
+
+    Raises:
+        InputError: a value is not positive.
     """
 
     lag: float = field(default=1.0, kw_only=True)
@@ -116,35 +170,50 @@ class FixedLagSmoother(Uncertainty):
     def _run(self, recording: Recording, s: int, start: FloatArray) -> Iterator[FloatArray]:
         """The estimates of run s, `(4, 4)` each."""
         gtsam = optional("gtsam", "estimators")
-        smoother, drift, estimate = gtsam.BatchFixedLagSmoother(self.lag), self.drift(recording), gtsam.Pose3(start)
+        diagonal, drift = gtsam.noiseModel.Diagonal.Sigmas, self.drift(recording)
+        smoother, estimate, begun = gtsam.IncrementalFixedLagSmoother(self.lag), gtsam.Pose3(start), False
         for t, time in enumerate(recording.time):
             graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-            if t == 0:
-                graph.add(gtsam.PriorFactorPose3(t, estimate, gtsam.noiseModel.Diagonal.Sigmas(self.initial)))
-            else:
+            if t > 0:
                 step = time - recording.time[t - 1]
                 motion = gtsam.Pose3.Expmap(step * recording.twists[s, t - 1])
-                noise = gtsam.noiseModel.Diagonal.Sigmas(drift * np.sqrt(step))
-                graph.add(gtsam.BetweenFactorPose3(t - 1, t, motion, noise))
                 estimate = estimate.compose(motion)
+                if begun:
+                    graph.add(gtsam.BetweenFactorPose3(t - 1, t, motion, diagonal(drift * np.sqrt(step))))
                 if recording.seen[s, t].any():
-                    graph.add(_landmark_factor(gtsam, t, Frame.of(recording, s, t, self)))
-            values.insert(t, estimate)
-            smoother.update(graph, values, {t: time})
-            estimate = smoother.calculateEstimatePose3(t)
+                    graph.add(_factor(gtsam, t, _measurement(recording, s, t, self)))
+            if not begun and (first := _beginning(recording, s, t, estimate.matrix())) is not None:
+                begun, estimate = True, gtsam.Pose3(first)
+                graph.add(gtsam.PriorFactorPose3(t, estimate, diagonal(self.initial)))
+            if begun:
+                values.insert(t, estimate)
+                smoother.update(graph, values, {t: time})
+                estimate = smoother.calculateEstimatePose3(t)
             yield estimate.matrix()
 
 
-def _landmark_factor(gtsam: Any, key: int, frame: Frame) -> Any:
-    """A factor on the pose `key`: what the frame measures of its landmarks."""
+def _measurement(recording: Recording, s: int, t: int, uncertainty: Uncertainty) -> Measurement:
+    return (Places if recording.corners is None else Corners).of(recording, s, t, uncertainty)
+
+
+def _beginning(recording: Recording, s: int, t: int, expected: FloatArray) -> FloatArray | None:
+    """The pose at which a smoother begins with frame t of run s; None if it does not yet."""
+    if recording.corners is None:
+        return expected
+    found = likely(solutions(recording.camera, *image_of(recording, s, t)))
+    return found[0] if t > 0 and len(found) == 1 else None
+
+
+def _factor(gtsam: Any, key: int, measurement: Measurement) -> Any:
+    """A factor on the pose `key`."""
 
     def error(_: Any, values: Any, jacobians: Any) -> FloatArray:
-        predicted, jacobian = frame.predicted(values.atPose3(key).matrix())
+        predicted, jacobian = measurement.predicted(values.atPose3(key).matrix())
         if jacobians is not None:
             jacobians[0] = jacobian
-        return predicted - frame.measured.reshape(-1)
+        return predicted - measurement.value
 
-    return gtsam.CustomFactor(gtsam.noiseModel.Gaussian.Covariance(frame.covariance), [key], error)
+    return gtsam.CustomFactor(gtsam.noiseModel.Gaussian.Covariance(measurement.covariance), [key], error)
 
 
 def _block_diagonal(blocks: FloatArray) -> FloatArray:

@@ -45,9 +45,9 @@ class PerspectiveNPoint:
 
     def _run(self, recording: Recording, s: int) -> FloatArray:
         """The estimates of run s, `(T, 4, 4)`, NaN where there is none."""
-        estimates = np.full_like(recording.poses[s], np.nan)
+        estimates: FloatArray = np.full_like(recording.poses[s], np.nan)
         motions = exp(np.diff(recording.time)[:, None] * recording.twists[s])
-        expected = None  # where the last pose that was not ambiguous leads
+        expected: FloatArray | None = None  # where the last pose that was not ambiguous leads
         for t in range(len(estimates)):
             if expected is not None:
                 expected = expected @ motions[t - 1]

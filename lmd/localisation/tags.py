@@ -15,7 +15,7 @@ from lmd.geometry.se3 import skew
 from lmd.localisation.measurements import Detector, detected
 from lmd.localisation.recording import Each, Flight, Observation, Sensor, check_images
 from lmd.optional import optional
-from lmd.render.optics import intrinsics, project
+from lmd.render.optics import intrinsics, project, slope
 from lmd.tag import CORNERS, Tag, corners, upright
 
 
@@ -116,12 +116,7 @@ def _covariance(camera: Camera, edge: float, turns: FloatArray, centres: FloatAr
     """
     square = np.pad(CORNERS * edge / 2.0, ((0, 0), (0, 1)))
     y = centres[:, None] + square @ np.swapaxes(turns, 1, 2)  # (M, 4, 3)
-    depth = y[..., 2:]
-    slope = np.zeros((*y.shape[:2], 2, 3))  # d(image) / dy
-    slope[..., [0, 1], [0, 1]] = 1.0
-    slope[..., 2] = -y[..., :2] / depth
-    slope *= camera.focal_pixels[:, None] / depth[..., None]
     turned = -turns[:, None] @ skew(square)  # (M, 4, 3, 3)
-    jacobian = slope @ np.concatenate([turned, np.broadcast_to(np.eye(3), turned.shape)], axis=-1)
+    jacobian = slope(camera, y) @ np.concatenate([turned, np.broadcast_to(np.eye(3), turned.shape)], axis=-1)
     information = (np.swapaxes(jacobian, -1, -2) @ jacobian).sum(axis=1)
     return np.asarray(np.linalg.inv(information)[:, 3:, 3:])

@@ -103,6 +103,19 @@ def project(camera: Camera, pose: FloatArray, points: FloatArray, distortion: Ar
     return np.asarray(rays * np.diag(matrix)[:2] + matrix[:2, 2])
 
 
+def slope(camera: Camera, points: FloatArray) -> FloatArray:
+    """How the pinhole image of points y `(..., 3)` in the camera's frame moves with them, pixels/m, `(..., 2, 3)`.
+
+    d(u, v)/dy = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)].
+    """
+    depth = points[..., 2:, None]
+    moved = np.zeros((*points.shape[:-1], 2, 3))
+    moved[..., [0, 1], [0, 1]] = 1.0
+    moved[..., 2] = -points[..., :2] / depth[..., 0]
+    moved *= camera.focal_pixels[:, None] / depth
+    return moved
+
+
 def blur_disc(camera: Camera, depth: ArrayLike) -> FloatArray:
     """Diameter c of the disc that a thin lens makes of a point at `depth` (metres, any shape), pixels.
 

@@ -12,7 +12,7 @@ from lmd.deployment import UniformDeployment
 from lmd.geometry import se3
 from lmd.localisation.cramer_rao import cramer_rao_bound, cramer_rao_map, pose_information
 from lmd.localisation.estimators import CramerRaoBound
-from lmd.localisation.fusion import FixedLagSmoother, InvariantKalmanFilter
+from lmd.localisation.fusion import InvariantKalmanFilter
 from lmd.localisation.measurements import Detector, detected
 from lmd.localisation.observer import Observer
 from lmd.localisation.odometry import Odometry
