@@ -15,6 +15,7 @@ from lmd.camera import Camera
 from lmd.checks import InputError
 from lmd.optimisers.encoding import make_encoding
 from pipelines.app import CONF, build_optimiser, build_problem, flat_settings, instantiate, keyed
+from pipelines.deployments import any_deployment
 
 ONLY_OBSERVE = ("trajectory", "detector", "estimator", "odometry")
 ONLY_RENDERED = ("detectors", "imaging", "views")
@@ -250,3 +251,14 @@ def test_tags_and_what_a_detector_sees_are_a_choice():
 def test_tags_that_cannot_be_are_refused_with_their_key(overrides, message):
     with pytest.raises(InputError, match=message):
         build_problem(composed("optimise", *overrides))
+
+
+def test_a_model_of_points_takes_papers_that_overlap(write):
+    path = write("id,x,y,z,nx,ny,nz\n0,0,2,3,1,0,0\n1,0,2.05,3,1,0,0\n2,0,4,3,1,0,0\n")
+    overrides = ["tag.edge=0.1", "deployment=file", f"deployment.path={path}"]
+    for model in ([], ["visibility=fiducial"]):
+        with pytest.raises(InputError, match="overlap"):
+            build_problem(composed("observe", *overrides, *model))
+    assert build_problem(any_deployment(composed("observe", *overrides))).count == 3
+    with pytest.raises(InputError, match="overlap"):
+        build_problem(any_deployment(composed("observe", *overrides, "visibility=fiducial")))
