@@ -90,9 +90,10 @@ def test_drift_is_what_landmarks_are_for():
     assert np.median(guided) < 0.25 * np.median(lost)
 
 
+@pytest.mark.parametrize("odometry", [DRIFT, Odometry()])
 @pytest.mark.parametrize("detector", [Detector(0.5), TagDetector(TAG, "aruco")])
-def test_the_smoother_follows_the_camera_from_afar(detector):
-    recording = recorded(detector, DRIFT, FLIGHTS[:4])
+def test_the_smoother_follows_the_camera_from_afar(detector, odometry):
+    recording = recorded(detector, odometry, FLIGHTS[:4])
     start = recording.poses[:, 0] @ se3.exp(np.array([0.6, 0.5, 0.6, 0.6, 0.5, 0.6]))
     smoother, kalman = (
         kind(1.0, 1.0).errors(recording, start).position for kind in (FixedLagSmoother, InvariantKalmanFilter)
