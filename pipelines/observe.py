@@ -61,12 +61,12 @@ def observe(cfg: DictConfig) -> None:
         flights = Flights.draw(problem, trajectory, start, seeds)
     directory, n = run_directory(), problem.objective.n
     with tracked_run(cfg, problem, "observe") as tracker:
-        detector = instantiate(cfg.detector)
-        if film is not None and not hasattr(detector, "moments"):
+        detectors = {name: instantiate(own.detector) for name, own in composed.items()}
+        if film is not None and not all(hasattr(detector, "moments") for detector in detectors.values()):
             raise InputError("film needs rendered frames: detector=rendered.")
         with keyed(estimators="estimator", family="tag.family"):
             each = partial(_each, cfg.workers)
-            study = conduct(problems, flights, detector, estimators, cfg.all_visible, odometry, each)
+            study = conduct(problems, flights, detectors, estimators, cfg.all_visible, odometry, each)
         figures, curves = study.figures(), study.curves()
         markdown = to_markdown(figures, n)
         figures.to_csv(directory / "figures.csv", index=False)
@@ -80,7 +80,7 @@ def observe(cfg: DictConfig) -> None:
         save_error_figure(directory / "errors.png", curves, study.time, counts, n, title)
         tracker.log_metrics(medians)
         _log_curves(tracker, curves)
-        films = [] if film is None else _save_films(directory, problems, flights, detector, film)
+        films = [] if film is None else _save_films(directory, problems, flights, detectors, film)
         names = ("figures.csv", "curves.csv", "observe.md", "observe.json", "errors.png")
         files = [*(directory / name for name in names), *films]
         tracker.log_artifacts([*files, *sorted((directory / ".hydra").glob("*.yaml"))])
@@ -112,7 +112,7 @@ def _save_films(
     directory: "Path",
     problems: Mapping[str, "Problem"],
     flights: "Flights",
-    detector: "RenderedDetector",
+    detectors: Mapping[str, "RenderedDetector"],
     seconds: float,
 ) -> "list[Path]":
     """The beginning of the first flight over each deployment as an animated picture."""
@@ -125,7 +125,7 @@ def _save_films(
         flight = flights.over(problem)[0]
         time = flight.trajectory.time - flight.trajectory.time[0]
         chosen = np.unique(np.searchsorted(time, np.arange(0.0, min(seconds, time[-1]), 1.0 / FILM_RATE)))
-        moments, scene = detector.moments(flight, chosen.tolist()), problem.scene
+        moments, scene = detectors[name].moments(flight, chosen.tolist()), problem.scene
         files.append(directory / f"film_{name}.webp")
         save_film(files[-1], moments, scene.camera, scene.room, flight.deployment.positions, name)
     return files

@@ -183,7 +183,7 @@ class Study:
 def conduct(
     problems: Mapping[str, Problem],
     flights: Flights,
-    detector: Sensor,
+    detectors: Mapping[str, Sensor],
     estimators: Mapping[str, Estimator],
     all_visible: bool,
     odometry: Odometry | None = None,
@@ -194,7 +194,7 @@ def conduct(
     Args:
         problems: by the deployment's name; all share one scene.
         flights: what is flown.
-        detector: noise and missed detections.
+        detectors: noise and missed detections, by the deployment's name.
         estimators: by name.
         all_visible: fly over each deployment a second time, as `<name> all visible`, with every landmark in view.
         odometry: measures the twists; None for exact ones.
@@ -208,7 +208,7 @@ def conduct(
     outcomes = {}
     for name, problem in problems.items():
         for everything in (False, True) if all_visible else (False,):
-            recording = record(detector, flights.over(problem, everything), odometry, each)
+            recording = record(detectors[name], flights.over(problem, everything), odometry, each)
             outcomes[f"{name} all visible" if everything else name] = Outcome(
                 recording.visible_counts,
                 {n: recording.share_visible(n) for n in sorted({*SHARES, problem.objective.n})},

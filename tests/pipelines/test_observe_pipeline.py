@@ -92,6 +92,17 @@ def test_deployments_can_have_names_and_overrides(tmp_path):
     assert figures.mean_visible["few"] < figures.mean_visible["uniform"]
 
 
+def test_a_deployment_may_have_a_tag_of_its_own(tmp_path):
+    entries = "deployments=['large: uniform tag.edge=0.3','small: uniform tag.edge=0.1']"
+    noisy = ["detector=noisy", "odometry=fast", "estimator=[pnp,smoother]"]
+    done = call(entries, *noisy, "tracking=none", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    figures = pd.read_csv(tmp_path / "run" / "figures.csv").groupby(["deployment", "estimator"]).mean()
+    assert figures.mean_visible["large", "pnp"] == pytest.approx(figures.mean_visible["small", "pnp"], rel=0.2)
+    assert figures.within_50mm["large", "pnp"] > figures.within_50mm["small", "pnp"]
+    assert (figures.within_10mm <= figures.within_20mm).all()
+
+
 def test_the_motivating_example_flies_twice_over_eighty_random_landmarks(tmp_path):
     settings = [s for s in SMALL if not s.startswith("room.")]
     done = call("experiment=motivating_example", "tracking=none", cwd=tmp_path, settings=settings)
