@@ -122,8 +122,6 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
     poses = draw_poses(scene, count, seed)
     predicted = visible(problem.evaluator, deployment, poses[:, :3, 3], axis_and_right(poses))
     renderer = Renderer(scene.camera, room, imaging)
-    with keyed("imaging"):
-        renderer.inside(poses[:1])
     return Subject(problem, Prediction(renderer, poses, predicted, verdicts(scene, deployment, poses)), detectors)
 
 

@@ -12,6 +12,7 @@ from lmd.detection.detectors import Detector
 from lmd.detection.evaluation import Matches, match
 from lmd.detection.quality import apparent_edge, incidence, pitch
 from lmd.geometry.se3 import camera_pose
+from lmd.plates import TOUCHING
 from lmd.render.imaging import UInt8Array
 from lmd.render.optics import blur_sigma, to_camera
 from lmd.render.renderer import Renderer
@@ -46,7 +47,7 @@ def tagged_room(room: Space, deployment: Deployment, tag: Tag) -> TaggedRoom:
 
 
 def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Pitch, incidence, edge and sigma of every tag, `(N, K)` each, as `lmd.detection.fit.Limits` takes them.
+    """Pitch, incidence, edge and sigma of every tag, `(N, K)` each, as `lmd.limits.Limits.found` takes them.
 
     Args:
         renderer: the camera and the tags.
@@ -69,7 +70,7 @@ def overlapping(room: TaggedRoom) -> BoolArray:
     a, b, c = (np.abs((offset * axis[:, None]).sum(axis=-1)) for axis in (right, room.ups, room.normals))
     same_way = room.normals @ room.normals.T > 1.0 - 1e-6
     edge = room.tag.paper_edge
-    over = same_way & (c < 1e-3) & (np.maximum(a, b) < edge * (1.0 - 1e-9))
+    over = same_way & (c < 1e-3) & (np.maximum(a, b) < edge * (1.0 - TOUCHING))
     np.fill_diagonal(over, False)
     return np.asarray(over.any(axis=1))
 

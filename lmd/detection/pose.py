@@ -10,7 +10,7 @@ from lmd.camera import Camera
 from lmd.checks import FloatArray
 from lmd.geometry.se3 import angle_between, inverse
 from lmd.optional import optional
-from lmd.render.optics import intrinsics, project, undistort
+from lmd.render.optics import intrinsics, project, rectified
 
 # The fewest points that fix a pose; four corners of one tag do.
 FEWEST = 4
@@ -33,14 +33,14 @@ class Solution(NamedTuple):
 
 
 def solutions(camera: Camera, points: FloatArray, image: FloatArray, noise: ArrayLike = 1.0) -> list[Solution]:
-    """The poses that fit the pinhole image of points, best first; none with fewer than four points.
+    """The poses that fit the image of points, best first; none with fewer than four points.
 
     SQPnP finds the best pose for five points or more that are not all in one plane. Points in a plane have two poses
     that look alike (IPPE). Four others may have several; every three of them give up to four (P3P). All are refined by
     Levenberg-Marquardt.
 
     Args:
-        camera: intrinsics.
+        camera: intrinsics, and the lens's distortion.
         points: world frame, metres, `(M, 3)`.
         image: pixels from the border, `(M, 2)`.
         noise: standard deviation of each image, pixels, `()` or `(M,)`.
@@ -48,7 +48,8 @@ def solutions(camera: Camera, points: FloatArray, image: FloatArray, noise: Arra
     if len(points) < FEWEST:
         return []
     cv2, matrix = optional("cv2", "estimators"), intrinsics(camera)
-    world, pixels = np.ascontiguousarray(points, dtype=np.float64), np.ascontiguousarray(image, dtype=np.float64)
+    world = np.ascontiguousarray(points, dtype=np.float64)
+    pixels = np.ascontiguousarray(rectified(camera, np.asarray(image, dtype=np.float64)))
     given = world, pixels, matrix, None
     extents = np.linalg.svd(world - world.mean(axis=0), compute_uv=False)
     flat = extents[2] <= FLAT * extents[0]
@@ -66,37 +67,27 @@ def solutions(camera: Camera, points: FloatArray, image: FloatArray, noise: Arra
         back = np.eye(4)
         back[:3, :3], back[:3, 3] = cv2.Rodrigues(turn)[0], np.ravel(shift)
         pose = inverse(back)
-        square = float((((project(camera, pose, world) - pixels) / np.reshape(noise, (-1, 1))) ** 2).sum())
+        square = float((((project(camera, pose, world) - image) / np.reshape(noise, (-1, 1))) ** 2).sum())
         if np.isfinite(square) and all(np.abs(pose - other.pose).max() > SAME for other in found):
             found.append(Solution(pose, square))
     return sorted(found, key=lambda solution: solution.square)
 
 
-def pose_from_corners(camera: Camera, points: FloatArray, image: FloatArray, distortion: ArrayLike = ()) -> FloatArray:
+def pose_from_corners(camera: Camera, points: FloatArray, image: FloatArray) -> FloatArray:
     """The pose that fits best.
 
     Args:
-        camera: intrinsics.
+        camera: intrinsics, and the lens's distortion.
         points: of the tags' corners, world frame, metres, `(M, ..., 3)`.
         image: the corners found, pixels from the border, `(M, ..., 2)`; points with a NaN are left out.
-        distortion: none, or OpenCV's k1, k2, p1, p2, k3.
 
     Returns:
         X, camera to world, `(4, 4)`; NaN with fewer than four points or if there is no solution.
     """
     world, pixels = np.reshape(points, (-1, 3)), np.reshape(image, (-1, 2))
     known = np.isfinite(pixels).all(axis=1)
-    found = solutions(camera, world[known], pinhole(camera, pixels[known], distortion))
+    found = solutions(camera, world[known], pixels[known])
     return found[0].pose if found else np.full((4, 4), np.nan)
-
-
-def pinhole(camera: Camera, image: FloatArray, distortion: ArrayLike) -> FloatArray:
-    """Where a lens without distortion would image the same points, pixels from the border, as `image` `(..., 2)`."""
-    if not np.size(distortion):
-        return image
-    matrix = intrinsics(camera)
-    focal, centre = np.diag(matrix)[:2], matrix[:2, 2]
-    return undistort((image - centre) / focal, distortion) * focal + centre
 
 
 def pose_error(true: FloatArray, estimated: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,8 +1,9 @@
 """The Cramer-Rao bound of a camera's pose from the pixels of the landmarks it sees.
 
 A perturbation X exp(w, v) moves a landmark at y_i = (x, y, z) in the camera's frame by y_i x w - v, hence its image by
-J_i (w, v) with `J_i = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)] [[y_i]x  -I]`. With pixel noise sigma the
-information is sum J_i^T J_i / sigma^2, and no unbiased estimate from this one frame has a smaller covariance than its
+J_i (w, v) with `J_i = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)] [[y_i]x  -I]`; a lens that distorts puts its
+Jacobian (`lmd.geometry.distortion`) after the focal lengths. With pixel noise sigma the information is
+sum J_i^T J_i / sigma^2, and no unbiased estimate from this one frame has a smaller covariance than its
 inverse. Fewer than three landmarks, or three in line, do not fix the pose: the bound is infinite.
 """
 
@@ -36,7 +37,7 @@ def pose_information(
         poses: X, `(F, 4, 4)`.
         landmarks: C_i, world frame, metres, `(K, 3)`.
         seen: which of them each frame sees, `(F, K)`; they must be in front of the camera.
-        camera: its focal length in pixels.
+        camera: its focal length in pixels, and its distortion.
         noise: standard deviation of each image if it is not one pixel, in the order of `np.nonzero(seen)`, `(M,)`.
     """
     frame, landmark = np.nonzero(seen)

@@ -14,8 +14,7 @@ from lmd.localisation.errors import Errors, pose_errors
 from lmd.localisation.pnp import image_of, likely
 from lmd.localisation.recording import Recording
 from lmd.optional import optional
-from lmd.render.canvas import NEAR
-from lmd.render.optics import intrinsics, slope
+from lmd.render.optics import project, slope
 
 
 @dataclass(frozen=True)
@@ -107,12 +106,11 @@ class Corners(NamedTuple):
         return cls(recording.camera, points, image.reshape(-1), np.diag(noise**2))
 
     def predicted(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `Measurement.predicted`; what is behind the camera counts as just in front of it, and does not move."""
+        """See `Measurement.predicted`; what has no image counts as in the middle of it, and does not move."""
         y, moved = _moved(pose, self.points)
-        behind = y[:, 2] < NEAR
-        y[behind, 2], moved[behind] = NEAR, 0.0
-        matrix = intrinsics(self.camera)
-        image = (y @ matrix.T)[:, :2] / y[:, 2:]
+        image = project(self.camera, np.eye(4), y)
+        lost = np.isnan(image).any(axis=1)
+        image[lost], y[lost], moved[lost] = self.camera.principal_point, [0.0, 0.0, 1.0], 0.0
         return image.reshape(-1), (slope(self.camera, y) @ moved).reshape(-1, 6)
 
 

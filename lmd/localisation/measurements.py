@@ -8,6 +8,7 @@ import numpy as np
 from lmd.camera import Camera
 from lmd.checks import BoolArray, FloatArray, real
 from lmd.deployment import Deployment
+from lmd.geometry.distortion import distort, undistort
 from lmd.geometry.se3 import act, inverse
 from lmd.localisation.recording import Each, Flight, Observation, check_images
 
@@ -56,11 +57,12 @@ class Detector:
     def measured(self, points: FloatArray, camera: Camera, rng: np.random.Generator) -> FloatArray:
         """Measurements of landmarks at y = (x, y, z) in the camera's frame.
 
-        (x / z, y / z) carries the pixel noise over the focal length, z = f a / w that of the edge w >= 1 pixel.
+        (x / z, y / z) carries the pixel noise over the focal length, z = f a / w that of the edge w >= 1 pixel. Where
+        the lens distorts, the noise is added to the distorted image, and the sum undistorted.
 
         Args:
             points: `(..., 3)`, metres; meaningful where the depth z is positive.
-            camera: its focal length in pixels.
+            camera: its focal length in pixels, and its distortion.
             rng: source of the noise.
 
         Returns:
@@ -70,7 +72,12 @@ class Detector:
             return points
         focal, noise = camera.focal_pixels, rng.normal(scale=self.pixel_noise, size=points.shape)
         depth = np.where(points[..., 2:] > 0.0, points[..., 2:], 1.0)
-        ray = np.concatenate([points[..., :2] / depth + noise[..., :2] / focal, np.ones_like(depth)], axis=-1)
+        image = points[..., :2] / depth
+        if camera.distortion:
+            image = undistort(distort(image, camera.distortion) + noise[..., :2] / focal, camera.distortion)
+        else:
+            image = image + noise[..., :2] / focal
+        ray = np.concatenate([image, np.ones_like(depth)], axis=-1)
         width = np.maximum(focal[0] * self.edge / depth + noise[..., 2:], 1.0)
         return np.asarray(focal[0] * self.edge / width * ray)
 
@@ -79,7 +86,7 @@ class Detector:
 
         Args:
             measured: `(M, 3)`, metres.
-            camera: its focal length in pixels.
+            camera: its focal length in pixels; what a distortion changes of the noise is left out.
 
         Returns:
             `(M, 3, 3)`, m^2.

@@ -10,7 +10,7 @@ from lmd.detection.pose import Solution, solutions
 from lmd.geometry.se3 import exp
 from lmd.localisation.errors import Errors, pose_errors
 from lmd.localisation.recording import Recording
-from lmd.render.optics import intrinsics
+from lmd.render.optics import project
 
 AMBIGUOUS = ("odometry", "refuse")
 # Two poses are told apart by their image if one is a hundred times as likely as the other.
@@ -74,6 +74,5 @@ def image_of(recording: Recording, s: int, t: int) -> tuple[FloatArray, FloatArr
     noise = np.maximum(recording.noise[these], LEAST_NOISE)
     if recording.tags is not None and recording.corners is not None:
         return recording.tags[s, seen].reshape(-1, 3), recording.corners[these].reshape(-1, 2), noise.repeat(4)
-    points = recording.points[s, t, seen]
-    homogeneous = points @ intrinsics(recording.camera).T
-    return recording.landmarks[s, seen], homogeneous[:, :2] / homogeneous[:, 2:], noise
+    image = project(recording.camera, np.eye(4), recording.points[s, t, seen])
+    return recording.landmarks[s, seen], image, noise

@@ -63,8 +63,8 @@ class Observation(NamedTuple):
         points: where they are in the camera's frame as measured, metres, `(T, K, 3)`; meaningful where seen.
         noise: standard deviation of each image coordinate as estimators are told it, pixels, `(M,)`.
         covariance: of a measured point for one pixel of noise, m^2, `(M, 3, 3)`.
-        corners: where a tag's corners were found in the pinhole image, pixels from its border, in the order of
-            `lmd.tag.CORNERS`, `(M, 4, 2)`; None for landmarks that are points.
+        corners: where a tag's corners were found, pixels from the border, in the order of `lmd.tag.CORNERS`,
+            `(M, 4, 2)`; None for landmarks that are points.
     """
 
     seen: BoolArray

@@ -10,7 +10,6 @@ from lmd.checks import BoolArray, FloatArray, real
 from lmd.deployment import Deployment
 from lmd.detection.detectors import Detections, Detector
 from lmd.detection.frames import tagged_room
-from lmd.detection.pose import pinhole
 from lmd.localisation.recording import Each, Flight, Observation, check_images
 from lmd.localisation.tags import observation, upright_corners
 from lmd.render.imaging import Imaging, UInt8Array
@@ -117,8 +116,8 @@ class RenderedDetector:
     def _observed(self, flight: Flight, found: Sequence[Detections]) -> Observation:
         corners = believed(found, len(flight.deployment))
         seen = np.isfinite(corners[..., 0, 0])
-        found_at = pinhole(flight.camera, corners[seen], self.imaging.distortion)
-        return observation(flight.camera, self.tag, seen, found_at, np.full(len(found_at), self.pixel_noise))
+        noise = np.full(int(seen.sum()), self.pixel_noise)
+        return observation(flight.camera, self.tag, seen, corners[seen], noise)
 
 
 class Batch(NamedTuple):

@@ -15,7 +15,7 @@ from lmd.geometry.se3 import skew
 from lmd.localisation.measurements import Detector, detected
 from lmd.localisation.recording import Each, Flight, Observation, Sensor, check_images
 from lmd.optional import optional
-from lmd.render.optics import intrinsics, project, slope
+from lmd.render.optics import intrinsics, project, rectified, slope
 from lmd.tag import CORNERS, Tag, corners, upright
 
 
@@ -87,7 +87,7 @@ def observation(camera: Camera, tag: Tag, seen: BoolArray, found: FloatArray, no
         camera: intrinsics.
         tag: its edge.
         seen: `(T, K)`.
-        found: corners in the pinhole image, pixels from its border, `(M, 4, 2)`.
+        found: corners, pixels from the border, `(M, 4, 2)`.
         noise: their standard deviation, pixels, `(M,)`.
     """
     points = np.zeros((*seen.shape, 3))
@@ -103,7 +103,7 @@ def _places(camera: Camera, edge: float, found: FloatArray) -> tuple[FloatArray,
     cv2 = optional("cv2", "detection")
     matrix, square = intrinsics(camera), np.pad(CORNERS * edge / 2.0, ((0, 0), (0, 1)))
     turns, shifts = np.zeros((2, len(found), 3))
-    for i, image in enumerate(np.ascontiguousarray(found)):
+    for i, image in enumerate(np.ascontiguousarray(rectified(camera, found))):
         _, turn, shift = cv2.solvePnP(square, image, matrix, None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
         turns[i], shifts[i] = np.ravel(turn), np.ravel(shift)
     return Rotation.from_rotvec(turns).as_matrix(), shifts

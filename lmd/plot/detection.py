@@ -86,7 +86,7 @@ def save_limits_figure(path: str | Path, calibrations: Mapping[str, Calibration]
     panels: Any = figure.subplots(len(calibrations), 2, squeeze=False)
     for (left, right), (name, calibration) in zip(panels, calibrations.items(), strict=True):
         views, limits = calibration.views, calibration.fit.limits
-        fair = (views.incidence <= limits.incidence) & (views.edge >= limits.edge)
+        fair = (views.incidence <= np.radians(limits.incidence)) & (views.edge >= limits.edge)
         for which, colour, label in ((views.seen, "C0", "found"), (~views.seen, "C3", "not found")):
             chosen = fair & which
             left.plot(views.sigma[chosen], views.pitch[chosen], ".", ms=3.0, alpha=0.5, color=colour, label=label)

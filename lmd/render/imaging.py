@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from lmd.checks import FloatArray, InputError, integer, real, vector
+from lmd.checks import FloatArray, InputError, integer, real
 from lmd.optional import optional
 
 UInt8Array = NDArray[np.uint8]
@@ -31,7 +31,6 @@ class Imaging:
         texture: standard deviation of the pattern on surfaces, grey levels; 0 for plain ones.
         texture_seed: of that pattern, which stays the same from frame to frame.
         supersampling: samples along each axis of a pixel of a tag.
-        distortion: none, or OpenCV's k1, k2, p1, p2, k3.
 
     Raises:
         InputError: a value is out of range.
@@ -49,7 +48,6 @@ class Imaging:
     texture: float = 0.0
     texture_seed: int = 0
     supersampling: int = 4
-    distortion: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("psf_sigma", "motion_blur", "noise", "texture"):
@@ -62,10 +60,6 @@ class Imaging:
             raise InputError(f"white must exceed black = {self.black:g}, got {self.white:g}.", "white")
         integer("texture_seed", self.texture_seed, low=0)
         integer("supersampling", self.supersampling, low=1, high=16)
-        if len(self.distortion):
-            object.__setattr__(self, "distortion", vector("distortion", self.distortion, 5))
-        else:
-            object.__setattr__(self, "distortion", ())
 
     def develop(self, light: Float32Array, rng: np.random.Generator) -> UInt8Array:
         """The 8-bit image of `light` in grey levels, same shape; the noise is drawn from `rng`."""

@@ -19,10 +19,12 @@ from lmd.localisation.odometry import Odometry
 from lmd.localisation.pnp import PerspectiveNPoint
 from lmd.localisation.recording import Flight, Recording, record
 from lmd.localisation.trajectory import Pace, RandomMotion
+from lmd.render.optics import project
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.views import visible
 
 SCENE = paper_scene()
+BENT = paper_camera(distortion=(-0.15, 0.02, 0.002, -0.003))
 EVALUATOR = Evaluator(SCENE, threads=1)
 UNIFORM = UniformDeployment(90).draw(SCENE.room, np.random.default_rng(0))
 FLIGHT = RandomMotion(20.0, Pace(1.0, 1.0, 20.0)).draw(SCENE, np.random.default_rng(3))
@@ -103,13 +105,14 @@ def test_missed_detections_are_as_many_as_said():
     assert detected(seen, 0.0, np.random.default_rng(0)).all()
 
 
-def test_pixel_noise_is_as_large_as_said():
-    detector, focal = Detector(pixel_noise=0.8, edge=0.2), SCENE.camera.focal_pixels
-    points = np.tile([0.3, -0.4, 2.0], (20_000, 1))
-    measured = detector.measured(points, SCENE.camera, np.random.default_rng(0))
-    image = focal * measured[:, :2] / measured[:, 2:]
-    assert_allclose(image.std(axis=0), 0.8, rtol=0.03)
-    assert_allclose(image.mean(axis=0), focal * points[0, :2] / 2.0, atol=0.03)
+@pytest.mark.parametrize("camera", [SCENE.camera, BENT])
+def test_pixel_noise_is_as_large_as_said(camera):
+    detector, focal = Detector(pixel_noise=0.8, edge=0.2), camera.focal_pixels
+    points = np.tile([0.9, -0.8, 2.0], (20_000, 1))
+    measured = detector.measured(points, camera, np.random.default_rng(0))
+    image, exact = (project(camera, np.eye(4), p) for p in (measured, points))
+    assert_allclose((image - exact).std(axis=0), 0.8, rtol=0.03)
+    assert_allclose((image - exact).mean(axis=0), 0.0, atol=0.03)
     assert_allclose((focal[0] * 0.2 / measured[:, 2]).std(), 0.8, rtol=0.03)
     assert_array_equal(Detector().measured(points, SCENE.camera, np.random.default_rng(0)), points)
 
@@ -118,17 +121,17 @@ def test_the_focal_length_in_pixels_is_that_of_each_side():
     assert_allclose(paper_camera(pixel_height=0.01).focal_pixels, [5.0 / 0.0058, 5.0 / 0.01])
 
 
-def test_the_information_is_that_of_the_images_slopes():
+@pytest.mark.parametrize("camera", [SCENE.camera, BENT])
+def test_the_information_is_that_of_the_images_slopes(camera):
     recording = spread_out(1, Detector())
-    pose, landmarks, focal = recording.poses[0, 0], recording.landmarks[0], SCENE.camera.focal_pixels
+    pose, landmarks = recording.poses[0, 0], recording.landmarks[0]
 
     def image(at):
-        points = se3.act(se3.inverse(at), landmarks)
-        return (focal * points[:, :2] / points[:, 2:]).ravel()
+        return project(camera, at, landmarks).ravel()
 
     steps = [se3.exp(1e-6 * np.array([d, -d])) for d in np.eye(6)]
     slopes = np.array([(image(pose @ plus) - image(pose @ minus)) / 2e-6 for plus, minus in steps])
-    information = pose_information(pose[None], landmarks, recording.seen[0], SCENE.camera)[0]
+    information = pose_information(pose[None], landmarks, recording.seen[0], camera)[0]
     assert_allclose(information, slopes @ slopes.T, rtol=1e-5, atol=1e-3)
     position, attitude = cramer_rao_bound(information)
     variance = np.diag(np.linalg.inv(slopes @ slopes.T))

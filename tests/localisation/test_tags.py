@@ -1,11 +1,12 @@
 """Tags in flights: what was measured of real detectors, and what one reads in rendered frames."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from paper import paper_scene
+from paper import paper_camera, paper_scene
 
 from lmd.checks import InputError
 from lmd.deployment import UniformDeployment
@@ -15,7 +16,10 @@ from lmd.detection.evaluation import corner_error
 from lmd.detection.quality import pitch
 from lmd.detection.report import PITCHES
 from lmd.geometry import se3
+from lmd.localisation.estimators import CramerRaoBound
+from lmd.localisation.fusion import FixedLagSmoother
 from lmd.localisation.measurements import Detector
+from lmd.localisation.pnp import PerspectiveNPoint
 from lmd.localisation.recording import Flight, record
 from lmd.localisation.rendered import RenderedDetector, believed
 from lmd.localisation.tags import TagDetector, noisy_detector, observation
@@ -30,12 +34,13 @@ SCENE = paper_scene()
 EVALUATOR = Evaluator(SCENE, threads=1)
 UNIFORM = UniformDeployment(90).draw(SCENE.room, np.random.default_rng(0))
 FLIGHT = RandomMotion(20.0, Pace(1.0, 1.0, 20.0)).draw(SCENE, np.random.default_rng(3))
+BENT = Evaluator(replace(SCENE, camera=paper_camera(distortion=(-0.15, 0.02, 0.002, -0.003))), threads=1)
 TAG = Tag(0.2)
 
 
-def flight(frames=slice(None), seed=0, all_visible=False):
+def flight(frames=slice(None), seed=0, all_visible=False, evaluator=EVALUATOR):
     trajectory = Trajectory(FLIGHT.time[frames], FLIGHT.poses[frames])
-    return Flight(EVALUATOR, UNIFORM, trajectory, np.random.default_rng(seed), all_visible)
+    return Flight(evaluator, UNIFORM, trajectory, np.random.default_rng(seed), all_visible)
 
 
 def test_corner_errors_have_the_quantiles_of_their_table():
@@ -100,13 +105,31 @@ def test_missed_tags_are_missed():
     assert seen.sum() / flight().in_view().sum() == pytest.approx(0.7, abs=0.05)
 
 
-def test_a_real_detector_measures_where_tags_are():
-    (observed,) = RenderedDetector(TAG, ArucoDetector(), Imaging()).observed([flight(slice(0, 40, 10))])
-    assert observed.seen.shape == (4, 90)
-    assert observed.seen.sum(axis=1).min() >= 1
-    expected = se3.act(se3.inverse(FLIGHT.poses[:40:10]), UNIFORM.positions)
-    off = np.linalg.norm(observed.points - expected, axis=-1)[observed.seen] / expected[observed.seen][:, 2]
+@pytest.mark.slow
+@pytest.mark.parametrize("evaluator", [EVALUATOR, BENT], ids=["pinhole", "distorted"])
+def test_a_real_detector_measures_where_tags_are(evaluator):
+    frames = slice(0, 400, 50)
+    recording = record(RenderedDetector(TAG, ArucoDetector(), Imaging()), [flight(frames, evaluator=evaluator)])
+    seen, points = recording.seen[0], recording.points[0]
+    assert seen.shape == (8, 90)
+    assert seen.sum(axis=1).min() >= 1
+    expected = se3.act(se3.inverse(FLIGHT.poses[frames]), UNIFORM.positions)
+    off = np.linalg.norm(points - expected, axis=-1)[seen] / expected[seen][:, 2]
     assert np.median(off) < 0.02
+    found = PerspectiveNPoint().errors(recording, None).position[0]
+    assert np.nanmedian(found) < 0.02
+
+
+@pytest.mark.parametrize("evaluator", [EVALUATOR, BENT], ids=["pinhole", "distorted"])
+def test_estimators_find_the_camera_through_any_lens(evaluator):
+    recording = record(TagDetector(TAG, "apriltag"), [flight(slice(0, 400, 4), evaluator=evaluator)])
+    enough = recording.visible_counts[0] >= 3
+    assert enough.sum() > 10
+    by_image = PerspectiveNPoint().errors(recording, None).position[0, enough]
+    bound = CramerRaoBound().errors(recording, None).position[0, enough]
+    assert 0.5 < np.median(by_image) / np.median(bound) < 1.2
+    smoother = FixedLagSmoother(0.1, 0.1).errors(recording, recording.poses[:, 0])
+    assert np.median(smoother.position) < 0.01
 
 
 def test_the_larger_of_two_detections_with_one_id_is_believed_and_strange_ids_are_not():

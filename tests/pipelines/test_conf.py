@@ -245,10 +245,13 @@ def test_tags_and_what_a_detector_sees_are_a_choice():
         (["visibility=fiducial"], r"^tag must have an edge"),
         (["tag.edge=1.5"], r"^deployment\.count = 90 tags do not fit: \d+ papers of 1\.875 m"),
         (["visibility=fiducial", "tag.edge=0.1", "visibility.detector=eyes"], r"^visibility\.detector eyes was not"),
+        (["pdf.roll=[[0,0.5]]"], r"^pdf\.roll: the probabilities must sum to 1"),
+        (["camera.distortion=[1]"], r"^camera\.distortion must be \[\] or \[k1, k2, p1, p2\]"),
+        (["visibility=fiducial", "tag.edge=0.1", "visibility.detector=a.yaml"], r"^visibility\.detector: there is no"),
         (["visibility=fiducial", "tag.edge=0.1", "+visibility.limits.pitch=-1"], r"^visibility\.limits\.pitch must be"),
     ],
 )
-def test_tags_that_cannot_be_are_refused_with_their_key(overrides, message):
+def test_what_cannot_be_is_refused_with_its_key(overrides, message):
     with pytest.raises(InputError, match=message):
         build_problem(composed("optimise", *overrides))
 

@@ -123,7 +123,7 @@ BAD_INPUT = {
     "detector": (["detectors=[]"], "detectors must name at least one detector."),
     "preset": (["detectors.aruco.preset=best"], "detectors.aruco.preset must be one of default, fine, got 'best'"),
     "imaging": (["imaging.noise=-1"], "imaging.noise must be at least 0, got -1."),
-    "distortion": (["imaging.distortion=[-3,0,0,0,0]"], "imaging.distortion bends the image too much"),
+    "distortion": (["camera.distortion=[-3,0,0,0]"], "camera.distortion must show what is farther"),
     "poses": (["poses=0"], "poses must be at least 1, got 0."),
     "workers": (["workers=0"], "workers must be at least 1, got 0."),
 }
