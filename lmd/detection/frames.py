@@ -1,5 +1,6 @@
 """Detectors on rendered frames of a deployment."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -57,6 +58,7 @@ def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatA
     depth = to_camera(poses, room.centres)[..., 2]
     depth = np.where(depth > 0.0, depth, np.nan)
     sigma = blur_sigma(camera, depth, imaging.psf_sigma) if imaging.defocus else np.full_like(depth, imaging.psf_sigma)
+    sigma = np.hypot(sigma, imaging.motion_blur / math.sqrt(12.0))  # of a smear with sharp ends
     edges = apparent_edge(camera, *where, room.tag)
     return pitch(camera, *where, room.tag), incidence(*where), edges, sigma
 

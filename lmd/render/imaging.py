@@ -22,6 +22,7 @@ class Imaging:
     Args:
         psf_sigma: standard deviation of the sharpest image of a point, pixels.
         defocus: whether a thin lens (the camera's aperture and focus distance) adds its blur.
+        motion_blur: smear in the middle of the image while the camera turns in a random direction, pixels.
         noise: standard deviation in each pixel, grey levels.
         exposure: factor on the light.
         gamma: grey = 255 (light / 255)^(1 / gamma).
@@ -37,6 +38,7 @@ class Imaging:
 
     psf_sigma: float = 0.5
     defocus: bool = True
+    motion_blur: float = 0.0
     noise: float = 2.0
     exposure: float = 1.0
     gamma: float = 1.0
@@ -48,7 +50,7 @@ class Imaging:
     supersampling: int = 4
 
     def __post_init__(self) -> None:
-        for name in ("psf_sigma", "noise", "texture"):
+        for name in ("psf_sigma", "motion_blur", "noise", "texture"):
             object.__setattr__(self, name, real(name, getattr(self, name), low=0.0))
         for name in ("exposure", "gamma"):
             object.__setattr__(self, name, real(name, getattr(self, name), above=0.0))

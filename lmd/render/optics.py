@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from lmd.camera import MM_PER_M, Camera
 from lmd.checks import FloatArray
-from lmd.geometry.distortion import distort, undistort
+from lmd.geometry.distortion import distort, jacobian, undistort
 
 
 def intrinsics(camera: Camera) -> FloatArray:
@@ -50,6 +50,22 @@ def project(camera: Camera, pose: FloatArray, points: FloatArray) -> FloatArray:
         rays = np.where(within, distort(rays, camera.distortion), np.nan)
     matrix = intrinsics(camera)
     return np.asarray(rays * np.diag(matrix)[:2] + matrix[:2, 2])
+
+
+def slope(camera: Camera, points: FloatArray) -> FloatArray:
+    """How the image of points y `(..., 3)` in the camera's frame moves with them, pixels/m, `(..., 2, 3)`.
+
+    d(u, v)/dy = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)]; a lens that distorts puts its Jacobian after the
+    focal lengths.
+    """
+    depth = points[..., 2:, None]
+    moved = np.zeros((*points.shape[:-1], 2, 3))
+    moved[..., [0, 1], [0, 1]] = 1.0
+    moved[..., 2] = -points[..., :2] / depth[..., 0]
+    if camera.distortion:
+        moved = jacobian(points[..., :2] / depth[..., 0], camera.distortion) @ moved
+    moved *= camera.focal_pixels[:, None] / depth
+    return moved
 
 
 def rectified(camera: Camera, image: FloatArray) -> FloatArray:

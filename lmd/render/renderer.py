@@ -41,13 +41,15 @@ class Renderer:
 
         Args:
             pose: X, camera to world, `(4, 4)`.
-            rng: source of the noise.
+            rng: source of the noise, and of the motion's direction.
             motion: how far the camera moves while the shutter is open, a body twist (w, v) times the exposure time,
-                rad and metres, `(6,)`; `pose` is in the middle of it.
+                rad and metres, `(6,)`; `pose` is in the middle of it. None for that of `imaging`.
 
         Returns:
             `(h, w)`.
         """
+        if motion is None and self.imaging.motion_blur > 0.0:
+            motion = self._turn(rng)
         light = self._light(pose) if motion is None else self._moving(pose, np.asarray(motion, dtype=np.float64))
         if self._map is not None:
             cv2 = optional("cv2", "detection")
@@ -108,6 +110,13 @@ class Renderer:
             ray *= camera.widest_ray / max(math.hypot(*ray), camera.widest_ray)
             sigma /= math.sqrt(np.linalg.det(jacobian(ray, camera.distortion)))
         return sigma
+
+    def _turn(self, rng: np.random.Generator) -> FloatArray:
+        """A turn in a random direction that moves the middle of the image by `Imaging.motion_blur`, as `motion`."""
+        direction = rng.uniform(0.0, 2.0 * math.pi)
+        shift = self.imaging.motion_blur * np.array([math.cos(direction), math.sin(direction)])
+        right, down = shift / self.camera.focal_pixels
+        return np.array([down, -right, 0.0, 0.0, 0.0, 0.0])
 
     def _moving(self, pose: FloatArray, motion: FloatArray) -> Float32Array:
         """The mean over the motion, in steps of about a pixel."""

@@ -17,6 +17,7 @@ from lmd.deployment import Deployment, UniformDeployment
 from lmd.detection.board import BoardImages
 from lmd.detection.calibration import Calibration, foreseen, judged
 from lmd.detection.detectors import AprilTagDetector, ArucoDetector
+from lmd.detection.evaluation import agreement
 from lmd.detection.fit import Fit
 from lmd.detection.frames import (
     Sightings,
@@ -180,6 +181,25 @@ def test_limits_foresee_whole_frames(seen):
     assert row["precision"] > 0.85
     assert row["recall"] > 0.85
     assert row["agreement_2"] > figures(prediction, found["aruco"])["agreement_2"] - 1e-9
+
+
+def test_motion_blur_lowers_detections_as_predicted():
+    deployment, poses, tag = uniform(40), draw_poses(SCENE, 40, 0), Tag(0.15)
+    counts = []
+    for blur in (0.0, 5.0):
+        renderer = Renderer(CAMERA, tagged_room(ROOM, deployment, tag), replace(IMAGING, motion_blur=blur))
+        scene = replace(SCENE, visibility=Fiducial(tag, motion_blur=blur), tag=tag)
+        predicted = visible(Evaluator(scene, 1), deployment, poses[:, :3, 3], axis_and_right(poses))
+        found = look(renderer, {"aruco": ArucoDetector()}, poses, 0, 7)["aruco"].detected
+        assert agreement(predicted, found) >= 0.9
+        counts.append((predicted.sum(), found.sum()))
+        # The limits that are fitted to single tags know of it too.
+        sigma = qualities(renderer, poses)[3]
+        still = qualities(replace(renderer, imaging=IMAGING), poses)[3]
+        np.testing.assert_allclose(sigma**2, still**2 + blur**2 / 12.0)
+    (sharp, sharp_found), (blurred, blurred_found) = counts
+    assert blurred_found < 0.8 * sharp_found
+    assert blurred_found / sharp_found == pytest.approx(blurred / sharp, abs=0.1)
 
 
 def test_a_preset_has_its_evidence(tmp_path):

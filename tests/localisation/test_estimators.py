@@ -9,19 +9,19 @@ from paper import paper_camera, paper_room, paper_scene
 
 from lmd.checks import InputError
 from lmd.deployment import UniformDeployment
-from lmd.detection.detectors import ArucoDetector
 from lmd.geometry import se3
 from lmd.localisation.cramer_rao import cramer_rao_bound, cramer_rao_map, pose_information
-from lmd.localisation.estimators import CramerRaoBound, InvariantKalmanFilter, PerspectiveNPoint
-from lmd.localisation.measurements import Detector, Recording, record
+from lmd.localisation.estimators import CramerRaoBound
+from lmd.localisation.fusion import InvariantKalmanFilter
+from lmd.localisation.measurements import Detector, detected
 from lmd.localisation.observer import Observer
-from lmd.localisation.rendered import RenderedDetector
+from lmd.localisation.odometry import Odometry
+from lmd.localisation.pnp import PerspectiveNPoint
+from lmd.localisation.recording import Flight, Recording, record
 from lmd.localisation.trajectory import Pace, RandomMotion
-from lmd.render.imaging import Imaging
 from lmd.render.optics import project
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.views import visible
-from lmd.tag import Tag
 
 SCENE = paper_scene()
 BENT = paper_camera(distortion=(-0.15, 0.02, 0.002, -0.003))
@@ -30,9 +30,13 @@ UNIFORM = UniformDeployment(90).draw(SCENE.room, np.random.default_rng(0))
 FLIGHT = RandomMotion(20.0, Pace(1.0, 1.0, 20.0)).draw(SCENE, np.random.default_rng(3))
 
 
+def flight(trajectory=FLIGHT, seed=0, all_visible=False):
+    return Flight(EVALUATOR, UNIFORM, trajectory, np.random.default_rng(seed), all_visible)
+
+
 def recorded(detector=None, flights=(FLIGHT,), seed=0, all_visible=False):
-    rngs = [np.random.default_rng([seed, i]) for i in range(len(flights))]
-    return record(EVALUATOR, SCENE.camera, detector or Detector(), [UNIFORM] * len(flights), flights, rngs, all_visible)
+    flown = [flight(trajectory, [seed, i], all_visible) for i, trajectory in enumerate(flights)]
+    return record(detector or Detector(), flown)
 
 
 def spread_out(frames, detector, count=8, seed=0):
@@ -42,33 +46,23 @@ def spread_out(frames, detector, count=8, seed=0):
     ray = np.column_stack([rng.uniform(-0.5, 0.5, (count, 2)), np.ones(count)])
     points = ray * rng.uniform(1.5, 3.0, (count, 1))
     poses, points = np.tile(pose, (1, frames, 1, 1)), np.tile(points, (1, frames, 1, 1))
+    measured = detector.measured(points, SCENE.camera, rng)
     return Recording(
         0.05 * np.arange(frames),
         poses,
+        np.zeros((1, frames - 1, 6)),
+        Odometry(),
         se3.act(pose, points[:, 0]),
-        np.ones((1, frames, count), dtype=bool),
-        detector.measured(points, SCENE.camera, rng),
         SCENE.camera,
-        detector,
+        np.ones((1, frames, count), dtype=bool),
+        measured,
+        np.full(frames * count, detector.pixel_noise),
+        detector.covariance(measured.reshape(-1, 3), SCENE.camera),
     )
 
 
 def start_near(recording, size=0.3):
     return recording.poses[:, 0] @ se3.exp(np.full(6, size))
-
-
-@pytest.mark.parametrize("camera", [SCENE.camera, BENT])
-def test_a_real_detector_measures_where_tags_are(camera):
-    detector = RenderedDetector(Tag(0.2), ArucoDetector(), Imaging())
-    poses = FLIGHT.poses[:400:50]
-    rng = np.random.default_rng(0)
-    seen, points = detector.observed(EVALUATOR, camera, UNIFORM, poses, rng, False)
-    assert seen.shape == (8, 90)
-    assert seen.sum(axis=1).min() >= 1
-    expected = se3.act(se3.inverse(poses), UNIFORM.positions)
-    off = np.linalg.norm(points - expected, axis=-1)[seen] / expected[seen][:, 2]
-    assert np.median(off) < 0.02
-    assert detector.edge == 0.2
 
 
 def test_a_recording_has_what_the_optimiser_counts():
@@ -100,15 +94,15 @@ def test_all_visible_is_all_visible():
     assert_allclose(
         se3.act(FLIGHT.poses, recording.points[0]), np.broadcast_to(UNIFORM.positions, (401, 90, 3)), atol=1e-12
     )
-    with pytest.raises(InputError, match=r"^detector\.pixel_noise must be 0 when all landmarks are visible, got 0\.5"):
+    with pytest.raises(InputError, match=r"^all_visible must be false where measurements are not exact"):
         recorded(Detector(pixel_noise=0.5), all_visible=True)
 
 
 def test_missed_detections_are_as_many_as_said():
     seen = np.ones((200, 500), dtype=bool)
-    assert 0.29 < 1.0 - Detector(missed=0.3).detected(seen, np.random.default_rng(0)).mean() < 0.31
-    assert not Detector(missed=1.0).detected(seen, np.random.default_rng(0)).any()
-    assert Detector().detected(seen, np.random.default_rng(0)).all()
+    assert 0.29 < 1.0 - detected(seen, 0.3, np.random.default_rng(0)).mean() < 0.31
+    assert not detected(seen, 1.0, np.random.default_rng(0)).any()
+    assert detected(seen, 0.0, np.random.default_rng(0)).all()
 
 
 @pytest.mark.parametrize("camera", [SCENE.camera, BENT])
@@ -155,7 +149,7 @@ def test_information_adds_up_and_nothing_seen_is_none():
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 4])
 def test_the_bound_is_finite_from_three_landmarks_on(count):
     recording = spread_out(1, Detector(pixel_noise=1.0))
-    recording.seen[0, 0, count:] = False
+    recording = replace(recording, seen=np.arange(8)[None, None] < count, noise=recording.noise[:count])
     errors = CramerRaoBound().errors(recording, start_near(recording))
     assert np.isfinite(errors.position[0, 0]) == np.isfinite(errors.attitude[0, 0]) == (count >= 3)
     assert errors.available[0] == (count >= 3)

@@ -15,8 +15,9 @@ from lmd.camera import Camera
 from lmd.checks import InputError
 from lmd.optimisers.encoding import make_encoding
 from pipelines.app import CONF, build_optimiser, build_problem, flat_settings, instantiate, keyed
+from pipelines.deployments import any_deployment
 
-ONLY_OBSERVE = ("trajectory", "detector", "estimator")
+ONLY_OBSERVE = ("trajectory", "detector", "estimator", "odometry")
 ONLY_RENDERED = ("detectors", "imaging", "views")
 OTHER_GROUPS = {
     "experiment",
@@ -110,8 +111,9 @@ REFUSED = {
 }
 PARTS = {
     "trajectory.pace.speed=0": "trajectory.pace.speed must be greater than 0, got 0.",
-    "estimator.iekf.turn_noise=0": "estimator.iekf.turn_noise must be greater than 0, got 0.",
+    "estimator.iekf.least_turn_noise=0": "estimator.iekf.least_turn_noise must be greater than 0, got 0.",
     "start.position=-1": "start.position must be at least 0, got -1.",
+    "odometry.turn_noise=-1": "odometry.turn_noise must be at least 0, got -1.",
     "detector.missed=2": "detector.missed must be in [0, 1], got 2.",
 }
 
@@ -252,3 +254,14 @@ def test_tags_and_what_a_detector_sees_are_a_choice():
 def test_what_cannot_be_is_refused_with_its_key(overrides, message):
     with pytest.raises(InputError, match=message):
         build_problem(composed("optimise", *overrides))
+
+
+def test_a_model_of_points_takes_papers_that_overlap(write):
+    path = write("id,x,y,z,nx,ny,nz\n0,0,2,3,1,0,0\n1,0,2.05,3,1,0,0\n2,0,4,3,1,0,0\n")
+    overrides = ["tag.edge=0.1", "deployment=file", f"deployment.path={path}"]
+    for model in ([], ["visibility=fiducial"]):
+        with pytest.raises(InputError, match="overlap"):
+            build_problem(composed("observe", *overrides, *model))
+    assert build_problem(any_deployment(composed("observe", *overrides))).count == 3
+    with pytest.raises(InputError, match="overlap"):
+        build_problem(any_deployment(composed("observe", *overrides, "visibility=fiducial")))

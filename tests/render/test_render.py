@@ -162,6 +162,22 @@ def test_motion_blur_keeps_the_middle_and_the_light():
     assert np.abs(np.diff(moving.astype(int), axis=1)).max() < np.abs(np.diff(still.astype(int), axis=1)).max() / 2
 
 
+def test_a_turning_camera_smears_as_far_as_said():
+    dark = replace(SHARP, wall=0.0)
+    x, y = np.meshgrid(np.arange(320.0), np.arange(240.0))
+
+    def spread(image):
+        """Second moments of the light, pixels^2."""
+        light = image / image.sum()
+        dx, dy = x - (light * x).sum(), y - (light * y).sum()
+        return np.array([(light * dx * dx).sum(), (light * dy * dy).sum()])
+
+    grown = [spread(frame(imaging=replace(dark, motion_blur=8.0), seed=seed)) for seed in range(8)]
+    grown -= spread(frame(imaging=dark))
+    np.testing.assert_allclose(grown.sum(axis=1), 8.0**2 / 12.0, rtol=0.15)
+    assert np.ptp(grown[:, 0]) > 2.0  # in directions of their own
+
+
 def test_distorted_corners_are_where_the_picture_has_them():
     room = facing(centre=(0.16, 1.0, 0.1), edge=0.1, turn=0.4)
     renderer = Renderer(BENT, room, Imaging(noise=0.0))
