@@ -1,12 +1,14 @@
-"""The pinhole camera of the paper: intrinsics as on a data sheet, and what they imply."""
+"""The pinhole camera of the paper: intrinsics as on a data sheet, and what they imply; its lens may distort."""
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from lmd.checks import FloatArray, InputError, real, vector
+from lmd.geometry.distortion import coefficients, turning_point, widest_ray
 
 MM_PER_M = 1000.0
 
@@ -31,10 +33,12 @@ class Camera:
         image_width, image_height: w and h, pixels.
         aperture: effective diameter d_a, mm.
         focus_distance: d_s, mm; infinity, the default, is allowed.
+        distortion: OpenCV's k1, k2, p1, p2 and, if you like, k3; none for a lens that does not distort, see
+            `lmd.geometry.distortion`.
 
     Raises:
-        InputError: a value is not positive, the principal point lies outside the image, or the focus distance
-            is not beyond the focal length.
+        InputError: a value is not positive, the principal point lies outside the image, the focus distance is not
+            beyond the focal length, or the distortion folds the image.
     """
 
     focal_length: float
@@ -45,6 +49,7 @@ class Camera:
     image_height: float
     aperture: float
     focus_distance: float = math.inf
+    distortion: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("focal_length", "pixel_width", "pixel_height", "image_width", "image_height", "aperture"):
@@ -64,6 +69,14 @@ class Camera:
                 "principal_point",
             )
         object.__setattr__(self, "principal_point", (u, v))
+        object.__setattr__(self, "distortion", coefficients(self.distortion))
+        if self.distortion and self.widest_ray >= (turn := turning_point(self.distortion)):
+            raise InputError(
+                f"distortion must show what is farther from the axis farther from the centre, all over the image, but "
+                f"{list(self.distortion)} turns back {math.degrees(math.atan(turn)):.3g} degrees off the axis, before "
+                "the corners.",
+                "distortion",
+            )
 
     @property
     def field_of_view(self) -> FieldOfView:
@@ -75,6 +88,13 @@ class Camera:
             top=math.atan(v * self.pixel_height / self.focal_length),
             bottom=math.atan((self.image_height - v) * self.pixel_height / self.focal_length),
         )
+
+    @cached_property
+    def widest_ray(self) -> float:
+        """The distance from the optical axis, at a depth of 1, that the image shows at most."""
+        (u, v), (focal_u, focal_v) = self.principal_point, self.focal_pixels
+        reach = math.hypot(max(u, self.image_width - u) / focal_u, max(v, self.image_height - v) / focal_v)
+        return widest_ray(self.distortion, reach) if self.distortion else reach
 
     @property
     def cone_half_angle(self) -> float:

@@ -10,7 +10,7 @@ from numba import njit, types
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 # Folders with code that is compiled, below this one.
-_FOLDERS = ("sight", "objectives", "optimisers/annealing")
+_FOLDERS = ("geometry", "sight", "objectives", "optimisers/annealing")
 
 
 def kernel(function: Callable[..., Any]) -> Any:

@@ -37,10 +37,19 @@ def _branchless(_call: Any, _caller: Any, callee: Any) -> bool:
 
 def dispatched(declaration: Function) -> Dispatched:
     """A function with the name and the docstring of `declaration`, whose body is never used."""
+    return _dispatched(declaration, None)
+
+
+def overridable(declaration: Function) -> Dispatched:
+    """The same, but the body of `declaration` serves the classes that register nothing."""
+    return _dispatched(declaration, declaration)
+
+
+def _dispatched(declaration: Function, otherwise: Function | None) -> Dispatched:
     table: dict[type, Function] = {}
 
     def call(first: Any, *others: Any) -> Any:
-        return table[type(first)](first, *others)
+        return (table.get(type(first)) or otherwise or table[type(first)])(first, *others)
 
     def register(kind: type) -> Callable[[Function], Function]:
         def remember(function: Function) -> Function:
@@ -50,7 +59,7 @@ def dispatched(declaration: Function) -> Dispatched:
         return remember
 
     def resolve(first: Any, *_: Any) -> Function | None:
-        return table.get(getattr(first, "instance_class", None))  # type: ignore[arg-type]
+        return table.get(getattr(first, "instance_class", object)) or otherwise
 
     call.__name__, call.__doc__, call.__module__ = declaration.__name__, declaration.__doc__, declaration.__module__
     call.register = register  # type: ignore[attr-defined]

@@ -1,7 +1,7 @@
 """Orientation PDFs: the probability of each camera orientation (yaw, pitch) on a discrete grid."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -22,6 +22,8 @@ PRINTED_WEIGHT = 0.5e-6
 # Yaw and pitch (radians, `(S,)` each) from points `(S, 2)`: uniform points of the unit square become angles that
 # follow a continuous distribution.
 Angles = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+# One roll, or several as (angle, probability), radians.
+Roll = float | Sequence[Sequence[float]]
 
 
 class Orientations(NamedTuple):
@@ -46,8 +48,8 @@ class OrientationPdf:
         name: where it came from, for messages.
         refine: builds the same PDF at half the step; None for a PDF that is known only at its orientations.
         continuous: the continuous distribution that the orientations stand for; None if they stand for themselves.
-        roll: of the camera about its optical axis, radians, one for all or `(A,)`; one for all where there is a
-            `continuous` distribution, which knows of no roll.
+        roll: of the camera about its optical axis, radians, one for all or `(A,)`; independent of yaw and pitch where
+            there is a `continuous` distribution of these.
 
     Raises:
         InputError: shapes differ, an angle or weight is not finite or out of range, or the sum is not 1.
@@ -76,8 +78,6 @@ class OrientationPdf:
             raise InputError(f"{self.name} has a negative weight, {weight.min():g}.")
         if abs(weight.sum() - 1.0) > PRINTED_WEIGHT * len(weight) + 1e-9:
             raise InputError(f"{self.name}: the weights must sum to 1, they sum to {weight.sum():.9g}.")
-        if self.continuous is not None and np.ptp(rolls) > 0.0:
-            raise InputError(f"{self.name}: a continuous distribution has one roll for all orientations.")
         arrays[2] = weight / math.fsum(weight)
         for field, array in zip(("yaw", "pitch", "weight", "roll"), arrays, strict=True):
             array = array.copy()
@@ -138,15 +138,19 @@ class OrientationPdf:
         points = (cells + rng.random(cells.shape)) / (2 * divisions, divisions)
         yaw, pitch = self.continuous(points.reshape(-1, 2))
         weight = np.full(len(yaw), 1.0 / len(yaw))
-        return OrientationPdf(yaw, pitch, weight, f"{self.name}, stratified", roll=np.asarray(self.roll)[0])
+        return OrientationPdf(yaw, pitch, weight, f"{self.name}, stratified", roll=self._draw_roll(len(yaw), rng))
 
     def draw(self, size: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Yaw, pitch and roll, `(size,)` each, from the continuous distribution, or the PDF where there is none."""
-        roll = np.asarray(self.roll)
         if self.continuous is not None:
-            return *self.continuous(rng.random((size, 2))), np.full(size, roll[0])
+            return *self.continuous(rng.random((size, 2))), self._draw_roll(size, rng)
         drawn = rng.choice(len(self.weight), size, p=self.weight)
-        return self.yaw[drawn], self.pitch[drawn], roll[drawn]
+        return self.yaw[drawn], self.pitch[drawn], np.asarray(self.roll)[drawn]
+
+    def _draw_roll(self, size: int, rng: np.random.Generator) -> FloatArray:
+        """Rolls `(size,)` alone."""
+        roll = np.asarray(self.roll)
+        return rng.choice(roll, size, p=self.weight) if np.ptp(roll) > 0.0 else np.full(size, roll[0])
 
     def to_csv(self, path: str | Path) -> None:
         """Write `yaw,pitch,weight` with every digit, as `from_csv` reads it, and `roll` where there is any."""
@@ -158,6 +162,19 @@ def _divisions(value: int) -> int:
     return integer("divisions", value, low=1)
 
 
+def _rolls(roll: Roll) -> Sequence[tuple[float, float]]:
+    """The angles and their probabilities."""
+    if not isinstance(roll, Iterable):
+        return [(real("roll", roll), 1.0)]
+    rows = list(roll)
+    if not rows or not all(isinstance(row, Iterable) and len(list(row)) == 2 for row in rows):
+        raise InputError(f"roll must be a number or a list of [angle, probability], got {roll!r}.", "roll")
+    rolls = [(real("roll", angle), real("roll", share, low=0.0, high=1.0)) for angle, share in rows]
+    if abs((total := math.fsum(share for _, share in rolls)) - 1.0) > PRINTED_WEIGHT * len(rolls):
+        raise InputError(f"roll: the probabilities must sum to 1, they sum to {total:.9g}.", "roll")
+    return rolls
+
+
 def _product(
     yaw: FloatArray,
     pitch: FloatArray,
@@ -165,10 +182,14 @@ def _product(
     name: str,
     refine: Callable[[], OrientationPdf],
     continuous: Angles,
-    roll: float,
+    rolls: Sequence[tuple[float, float]],
 ) -> OrientationPdf:
-    grid_yaw, grid_pitch = (grid.reshape(-1) for grid in np.meshgrid(yaw, pitch, indexing="ij"))
-    return OrientationPdf(grid_yaw, grid_pitch, np.tile(weight, len(yaw)), name, refine, continuous, roll)
+    """Each yaw with each pitch and each roll; `weight` `(len(pitch),)` is that of one yaw with each pitch."""
+    roll, share = np.array(rolls).T
+    grid = (angles.reshape(-1) for angles in np.meshgrid(yaw, pitch, roll, indexing="ij"))
+    grid_yaw, grid_pitch, grid_roll = grid
+    weights = np.tile(np.outer(weight, share).reshape(-1), len(yaw))
+    return OrientationPdf(grid_yaw, grid_pitch, weights, name, refine, continuous, grid_roll)
 
 
 def _uniform_angles(points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -193,7 +214,7 @@ def _open_yaws(divisions: int) -> FloatArray:
     return np.asarray(np.arange(2 * divisions) * (np.pi / divisions) - np.pi)
 
 
-def grid_with_ends(divisions: int = 12, roll: float = 0.0) -> OrientationPdf:
+def grid_with_ends(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
     """Uniform over the angles on a grid that includes both ends (`grid_325` for 12 divisions).
 
     The grid of the paper's tables: every printed maximum is a multiple of 1/325. It is a probability over angles,
@@ -201,41 +222,42 @@ def grid_with_ends(divisions: int = 12, roll: float = 0.0) -> OrientationPdf:
 
     Args:
         divisions: the step is pi / divisions in yaw and pitch.
-        roll: of the camera about its optical axis, radians.
+        roll: of the camera about its optical axis, radians: one angle, or several with their probabilities.
     """
-    n, roll = _divisions(divisions), real("roll", roll)
+    n, roll = _divisions(divisions), _rolls(roll)
     yaw, pitch = np.linspace(-np.pi, np.pi, 2 * n + 1), np.linspace(-np.pi / 2, np.pi / 2, n + 1)
     total = len(yaw) * len(pitch)
     refine = partial(grid_with_ends, 2 * n, roll)
     return _product(yaw, pitch, np.full(len(pitch), 1.0 / total), f"pdf grid_{total}", refine, _uniform_angles, roll)
 
 
-def grid_of_cells(divisions: int = 12, roll: float = 0.0) -> OrientationPdf:
+def grid_of_cells(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
     """Uniform over the angles on the grid of the paper's text (`grid_288` for 12 divisions).
 
     Yaw -pi, ..., pi - step; pitch at the middle of each step. Args as in `grid_with_ends`.
     """
-    n, roll = _divisions(divisions), real("roll", roll)
+    n, roll = _divisions(divisions), _rolls(roll)
     weight, refine = np.full(n, 1.0 / (2 * n * n)), partial(grid_of_cells, 2 * n, roll)
     return _product(_open_yaws(n), _cell_pitches(n), weight, f"pdf grid_{2 * n * n}", refine, _uniform_angles, roll)
 
 
-def solid_angle(divisions: int = 12, roll: float = 0.0) -> OrientationPdf:
+def solid_angle(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
     """Uniform over the sphere: each cell of `grid_of_cells` weighs its solid angle over 4 pi."""
-    n, roll = _divisions(divisions), real("roll", roll)
+    n, roll = _divisions(divisions), _rolls(roll)
     weight = np.diff(np.sin(np.linspace(-np.pi / 2, np.pi / 2, n + 1))) / (4 * n)
     refine = partial(solid_angle, 2 * n, roll)
     return _product(_open_yaws(n), _cell_pitches(n), weight, "pdf sphere", refine, _uniform_directions, roll)
 
 
-def level_flight(divisions: int = 12, pitch: float = 0.0, roll: float = 0.0) -> OrientationPdf:
+def level_flight(divisions: int = 12, pitch: float = 0.0, roll: Roll = 0.0) -> OrientationPdf:
     """Uniform in yaw at a fixed pitch (Eq. D_DJI, the UAV of the experiment).
 
     Args:
         divisions: the yaw step is pi / divisions.
-        pitch, roll: radians.
+        pitch: radians.
+        roll: as in `grid_with_ends`.
     """
-    n, roll = _divisions(divisions), real("roll", roll)
+    n, roll = _divisions(divisions), _rolls(roll)
     fixed = real("pitch", pitch, low=-np.pi / 2, high=np.pi / 2)
     weight, refine = np.array([1.0 / (2 * n)]), partial(level_flight, 2 * n, fixed, roll)
     return _product(

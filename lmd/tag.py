@@ -81,6 +81,11 @@ class Tag:
         """Whether the landmarks have no size."""
         return self.edge is None
 
+    def check_edge(self) -> None:
+        """Raise `InputError` if the tag is a point."""
+        if self.is_point:
+            raise InputError("edge must be given, in metres: a detector cannot read a point.", "edge").within("tag")
+
     @property
     def modules(self) -> int:
         """N, modules along the edge."""

@@ -28,7 +28,7 @@ def calibrate(cfg: DictConfig) -> None:
     from .tracked_run import tracked
 
     seed, count = integer("seed", cfg.seed, low=0), integer("poses", cfg.poses, low=0)
-    border, source = real("border", cfg.border, low=0.0), instantiate(cfg.views)
+    margin, source = real("margin", cfg.margin, low=0.0), instantiate(cfg.views)
     subject = subject_of(cfg, max(count, 1), seed)
     told, directory, written = subject.prediction, run_directory(), []
     renderer, tag = told.renderer, told.renderer.room.tag
@@ -38,17 +38,16 @@ def calibrate(cfg: DictConfig) -> None:
             rng = np.random.default_rng([seed, STREAM])  # the same views for every detector
             with keyed("views"):
                 views = source.views(renderer.camera, tag, detector, renderer.imaging, rng)
-                fitted[name] = views, fit(views, rng)
+                fitted[name] = views, fit(views, rng, margin)
         seen = sightings({"room": subject}, seed, cfg.workers)["room"] if count else {}
         calibrations: dict[str, Calibration] = {}
         for name, (views, limits) in fitted.items():
-            predicted = foreseen(limits.limits, renderer, told.poses, border)
+            predicted = foreseen(limits.limits, renderer, told.poses)
             rooms = judged(predicted, seen[name]) if count else {}
             calibrations[name] = Calibration(views, limits, rooms)
         for name, calibration in calibrations.items():
-            heading = f"Limits of {name} for tags of the family {tag.family}: views={choices()['views']}, seed {seed}."
             written.append(directory / f"{tag.family}_{name}.yaml")
-            written[-1].write_text(calibration.preset(heading))
+            written[-1].write_text(calibration.preset(name, tag.family, f"views={choices()['views']}, seed {seed}"))
         figures = {name: calibration.figures() for name, calibration in calibrations.items()}
         markdown = to_markdown(figures)
         (directory / "calibration.md").write_text(markdown)
@@ -74,15 +73,13 @@ STREAM = 0x7669657773
 
 def to_markdown(figures: dict[str, dict[str, float]]) -> str:
     """A row for each detector: its limits, and how well they predict what they were not fitted to."""
-    import math
-
     head = ["detector", "views", "a", "k", "m [px]", "b [degrees]", "held-out accuracy / precision / recall"]
     head += [f"rooms: P(>= {n}) predicted / detected" for n in range(1, 5)]
     head += ["rooms: precision / recall", "rooms: frames agree on >= 2"]
     lines = [" | ".join(head), " | ".join(["---"] * len(head))]
     for name, row in figures.items():
         cells = [name, f"{row['views']:.0f}", f"{row['pitch']:.2g}", f"{row['blur']:.2g}", f"{row['edge']:.3g}"]
-        cells += [f"{math.degrees(row['incidence']):.0f}"]
+        cells += [f"{row['incidence']:.0f}"]
         cells += [f"{row['accuracy']:.3f} / {row['precision']:.3f} / {row['recall']:.3f}"]
         if "room_frames" in row:
             cells += [f"{row[f'room_predicted_{n}']:.3f} / {row[f'room_detected_{n}']:.3f}" for n in range(1, 5)]

@@ -63,7 +63,7 @@ def compare(cfg: DictConfig) -> None:
         try:
             for done in finished:
                 runs.append(done)
-                _log_child(cfg, done, tracker.run_id, directory)
+                _log_child(cfg, done, not problem.scene.tag.is_point, tracker.run_id, directory)
                 figure = headline.text(done.metrics[headline.key])
                 print(f"{len(runs)}/{len(jobs)} {done.optimiser} seed={done.seed}: {figure}", flush=True)
         finally:  # interrupted, what is finished is still worth a table
@@ -103,8 +103,8 @@ def _run(job: "tuple[str, DictConfig, int, Budget]") -> "OptimiserRun":
     return OptimiserRun(name, seed, problem.metrics(result.deployment), result.history, result.deployment)
 
 
-def _log_child(cfg: DictConfig, run: "OptimiserRun", parent: str | None, directory: Path) -> None:
-    """Record one run below the comparison's own, its landmarks in a folder of its own in `directory`."""
+def _log_child(cfg: DictConfig, run: "OptimiserRun", ups: bool, parent: str | None, directory: Path) -> None:
+    """Record one run below the comparison's own, its landmarks in a folder of `directory`; `ups` as for `to_csv`."""
     from .progress import thinned
     from .tracking import PARENT_TAG
 
@@ -119,7 +119,7 @@ def _log_child(cfg: DictConfig, run: "OptimiserRun", parent: str | None, directo
     tracker.log_metrics(run.metrics)
     landmarks = directory / "runs" / f"{run.optimiser.replace('/', '_')} seed={run.seed}" / "landmarks.csv"
     landmarks.parent.mkdir(parents=True, exist_ok=True)  # a sweep may do a lost job again
-    run.deployment.to_csv(landmarks)
+    run.deployment.to_csv(landmarks, ups)
     tracker.log_artifacts([landmarks])
     tracker.finish("FINISHED")
 

@@ -57,3 +57,11 @@ def _compose(config_name: str, entry: str, option: str, own: list[str], used: se
         used.add(key)
         shared.append(override)
     return recompose(config_name, [*shared, *search_path(), f"deployment={option}", *own], "deployments", entry)
+
+
+def any_deployment(cfg: DictConfig) -> DictConfig:
+    """The configuration of a problem that takes any deployment if its visibility model is one of points.
+
+    Such a model knows no papers that might overlap; where they do, pictures show it.
+    """
+    return cfg if "tag" in cfg.visibility else OmegaConf.merge(cfg, {"tag": {"edge": None}})  # type: ignore[return-value]

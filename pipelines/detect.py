@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import hydra
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from .app import CONF, build_problem, instantiate, keyed, run_directory
-from .deployments import composed_deployments, read_deployment_as_a_list
+from .deployments import any_deployment, composed_deployments, read_deployment_as_a_list
 from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
@@ -107,12 +107,10 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
     from lmd.sight.views import visible
 
     tag, imaging = instantiate(cfg.tag), instantiate(cfg.imaging)
-    # A model of points takes any deployment, and where papers overlap the pictures show it.
-    points = "tag" not in cfg.visibility
-    problem = build_problem(OmegaConf.merge(cfg, {"tag": {"edge": None}}) if points else cfg)  # type: ignore[arg-type]
+    problem = build_problem(any_deployment(cfg))
     scene = problem.scene
-    if tag.is_point:
-        raise InputError("tag.edge must be given, in metres: a detector cannot read a point.")
+    with keyed():
+        tag.check_edge()
     detectors = {name: instantiate(node) for name, node in (cfg.get("detectors") or {}).items()}
     if not detectors:
         raise InputError("detectors must name at least one detector.")
@@ -124,8 +122,6 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
     poses = draw_poses(scene, count, seed)
     predicted = visible(problem.evaluator, deployment, poses[:, :3, 3], axis_and_right(poses))
     renderer = Renderer(scene.camera, room, imaging)
-    with keyed("imaging"):
-        renderer.inside(poses[:1])
     return Subject(problem, Prediction(renderer, poses, predicted, verdicts(scene, deployment, poses)), detectors)
 
 

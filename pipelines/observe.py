@@ -5,19 +5,29 @@ start a sweep here: it is read as `deployments=[a,b,c]`.
 """
 
 import json
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import hydra
 from omegaconf import DictConfig
 
 from .app import CONF, build_problem, instantiate, keyed, run_directory
-from .deployments import composed_deployments, read_deployment_as_a_list
+from .deployments import any_deployment, composed_deployments, read_deployment_as_a_list
 from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import pandas as pd
 
+    from lmd.localisation.rendered import RenderedDetector
+    from lmd.localisation.study import Flights
+    from lmd.problem import Problem
+
     from .tracking import Tracker
+
+FILM_RATE = 8.0  # frames a second of an animated picture
 
 
 def main() -> None:
@@ -34,24 +44,29 @@ def _main(cfg: DictConfig) -> None:
 
 def observe(cfg: DictConfig) -> None:
     """Localise a camera over the configured deployments."""
-    from lmd.checks import integer
+    from lmd.checks import InputError, integer, real
     from lmd.localisation.study import Flights, conduct, to_markdown
     from lmd.plot.localisation import save_error_figure
 
     from .tracked_run import title_of, tracked_run
 
     seeds = range(integer("seed", cfg.seed, low=0), cfg.seed + integer("seeds", cfg.seeds, low=1))
-    problems = {name: build_problem(composed) for name, composed in composed_deployments(cfg, "observe").items()}
+    composed = composed_deployments(cfg, "observe")
+    problems = {name: build_problem(any_deployment(own)) for name, own in composed.items()}
     problem = next(iter(problems.values()))
+    film = None if cfg.film is None else real("film", cfg.film, above=0.0)
     estimators = {name: instantiate(node) for name, node in (cfg.get("estimator") or {}).items()}
-    trajectory, start = instantiate(cfg.trajectory), instantiate(cfg.start)
+    trajectory, start, odometry = (instantiate(cfg[key]) for key in ("trajectory", "start", "odometry"))
     with keyed("trajectory"):
         flights = Flights.draw(problem, trajectory, start, seeds)
     directory, n = run_directory(), problem.objective.n
     with tracked_run(cfg, problem, "observe") as tracker:
-        detector = instantiate(cfg.detector)
-        with keyed(estimators="estimator", family="detector.tag.family"):
-            study = conduct(problems, flights, detector, estimators, cfg.all_visible)
+        detectors = {name: instantiate(own.detector) for name, own in composed.items()}
+        if film is not None and not all(hasattr(detector, "moments") for detector in detectors.values()):
+            raise InputError("film needs rendered frames: detector=rendered.")
+        with keyed(estimators="estimator", family="tag.family"):
+            each = partial(_each, cfg.workers)
+            study = conduct(problems, flights, detectors, estimators, cfg.all_visible, odometry, each)
         figures, curves = study.figures(), study.curves()
         markdown = to_markdown(figures, n)
         figures.to_csv(directory / "figures.csv", index=False)
@@ -65,10 +80,55 @@ def observe(cfg: DictConfig) -> None:
         save_error_figure(directory / "errors.png", curves, study.time, counts, n, title)
         tracker.log_metrics(medians)
         _log_curves(tracker, curves)
+        films = [] if film is None else _save_films(directory, problems, flights, detectors, film)
         names = ("figures.csv", "curves.csv", "observe.md", "observe.json", "errors.png")
-        tracker.log_artifacts([*(directory / name for name in names), *sorted((directory / ".hydra").glob("*.yaml"))])
+        files = [*(directory / name for name in names), *films]
+        tracker.log_artifacts([*files, *sorted((directory / ".hydra").glob("*.yaml"))])
         tracker.finish("FINISHED")
     print(f"{markdown}\nfiles: {directory}\nmlflow: {tracker.describe()}")
+
+
+def _each(workers: int | None, function: Callable[[Any], Any], jobs: Sequence[Any]) -> Iterator[Any]:
+    """See `lmd.localisation.recording.Each`."""
+    from .progress import bar
+    from .workers import in_processes
+
+    results = in_processes(partial(_on_one_thread, function), jobs, workers, ordered=True)
+    with bar(len(jobs), "batches of frames") as progress:
+        for result in results:
+            progress.update()
+            yield result
+
+
+def _on_one_thread(function: Callable[[Any], Any], job: Any) -> Any:
+    """One job, in a process among others."""
+    from lmd.optional import optional
+
+    optional("cv2", "detection").setNumThreads(1)
+    return function(job)
+
+
+def _save_films(
+    directory: "Path",
+    problems: Mapping[str, "Problem"],
+    flights: "Flights",
+    detectors: Mapping[str, "RenderedDetector"],
+    seconds: float,
+) -> "list[Path]":
+    """The beginning of the first flight over each deployment as an animated picture."""
+    import numpy as np
+
+    from lmd.plot.film import save_film
+
+    files = []
+    for name, problem in problems.items():
+        flight = flights.over(problem)[0]
+        time = flight.trajectory.time - flight.trajectory.time[0]
+        chosen = np.unique(np.searchsorted(time, np.arange(0.0, min(seconds, time[-1]), 1.0 / FILM_RATE)))
+        moments, scene = detectors[name].moments(flight, chosen.tolist()), problem.scene
+        files.append(directory / f"film_{name}.webp")
+        save_film(files[-1], moments, scene.camera, scene.room, flight.deployment.positions, name)
+    return files
 
 
 def _medians(figures: "pd.DataFrame") -> dict[str, float]:

@@ -26,6 +26,17 @@ def call(pipeline, *overrides, cwd, settings=SMALL, folders=()):
     return subprocess.run(line, cwd=cwd, env=environ, capture_output=True, text=True, check=False)
 
 
+def refused(pipeline, *overrides, message, cwd, settings=SMALL):
+    """Run a pipeline that tells in one sentence why it does not, and leaves nothing."""
+    before = sorted(cwd.iterdir())
+    done = call(pipeline, *overrides, cwd=cwd, settings=settings)
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: ")
+    assert message in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert sorted(cwd.iterdir()) == before
+
+
 def start(line, *, cwd, folders=(), **streams):
     """Start a command that Ctrl-C reaches, also where the tests ignore it because they run in the background."""
 

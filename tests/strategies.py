@@ -1,6 +1,7 @@
 """What the property tests draw from: valid rooms, cameras, PDFs, visibility models and deployments."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from hypothesis import strategies as st
@@ -9,8 +10,9 @@ from lmd import pdf
 from lmd.camera import Camera
 from lmd.deployment import Deployment, RandomDeployment
 from lmd.geometry.frames import optical_axis
+from lmd.limits import measured
 from lmd.scene import Scene
-from lmd.sight.fiducial import LIMITS, Fiducial
+from lmd.sight.fiducial import Fiducial
 from lmd.sight.paper import OCCLUSION_MODES, Visibility
 from lmd.space.cuboid import Cuboid
 from lmd.tag import Tag
@@ -37,6 +39,15 @@ def cameras(draw):
         aperture=draw(st.floats(0.5, 10.0)),
         focus_distance=draw(st.one_of(st.just(math.inf), st.floats(200.0, 1e4))),
     )
+
+
+@st.composite
+def distorted_cameras(draw):
+    """Barrels, pincushions and moustaches; the strongest nearly fold in the corners."""
+    camera = draw(cameras())
+    lens, radius = [draw(st.floats(-1.0, 1.0)) for _ in range(5)], camera.widest_ray
+    sizes = 0.05 / radius**2, 0.025 / radius**4, 0.005 / radius, 0.005 / radius, 0.01 / radius**6
+    return replace(camera, distortion=tuple(c * size for c, size in zip(lens, sizes, strict=True)))
 
 
 @st.composite
@@ -90,7 +101,7 @@ def rolled_pdfs(draw):
 
 @st.composite
 def fiducials(draw):
-    detector, family = draw(st.sampled_from(list(LIMITS)))
+    detector, family = draw(st.sampled_from(list(measured())))
     edge = draw(st.one_of(st.sampled_from([0.05, 0.1, 0.3]), st.floats(0.05, 0.3)))
     tag = Tag(edge, family if family == "36h11" else f"{family}_50", draw(st.sampled_from([0.0, 1.0, 2.0])))
     return Fiducial(
@@ -99,7 +110,7 @@ def fiducials(draw):
 
 
 def fiducial_scenes(room=rooms()):  # noqa: B008
-    return st.builds(Scene, room, cameras(), rolled_pdfs(), fiducials())
+    return st.builds(Scene, room, st.one_of(cameras(), distorted_cameras()), rolled_pdfs(), fiducials())
 
 
 def scenes(room=rooms(), visibility=visibilities()):  # noqa: B008

@@ -160,3 +160,18 @@ def test_a_visibility_value_out_of_range_is_named(name, value):
 def test_numbers_may_be_integers():
     assert paper_camera(focal_length=5, focus_distance=1778) == paper_camera()
     assert all(isinstance(value, float | tuple) for value in dataclasses.asdict(paper_camera(aperture=10)).values())
+
+
+def test_a_lens_that_distorts_shows_more_or_less():
+    plain = paper_camera()
+    assert plain.widest_ray == pytest.approx(1.16)  # 1000 pixels at 862.07 a unit
+    assert plain == paper_camera(distortion=[0.0] * 5)
+    assert paper_camera(distortion=(-0.1, 0.01, 0.0, 0.0)).widest_ray > 1.16
+    assert paper_camera(distortion=(0.1, 0.01, 0.0, 0.0)).widest_ray < 1.16
+
+
+@pytest.mark.parametrize("distortion", [(-0.3, 0.0, 0.0, 0.0), (0.0, 0.0, 0.2, 0.0), (0.4, -0.4, 0.0, 0.0, 0.0)])
+def test_a_distortion_that_folds_the_image_is_refused(distortion):
+    message = r"^distortion must show what is farther .* turns back [\d.]+ degrees off the axis, before the corners\.$"
+    with pytest.raises(InputError, match=message):
+        paper_camera(distortion=distortion)

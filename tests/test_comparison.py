@@ -79,12 +79,13 @@ def test_a_comparison_leaves_a_table_a_plot_and_nested_runs(tmp_path):
 
 @pytest.mark.slow
 def test_a_comparison_gives_what_single_runs_give(tmp_path):
-    shared = ("deployment.count=20", "tracking=none", "budget.evaluations=40")
+    shared = ("deployment.count=20", "tag.edge=0.05", "tracking=none", "budget.evaluations=40")
     call("compare", *shared, "optimisers=[ega]", "seeds=1", "seed=3", "workers=1", "hydra.run.dir=many", cwd=tmp_path)
     call("optimise", *shared, "optimiser=ega", "seed=3", "page=false", "hydra.run.dir=one", cwd=tmp_path)
     one = json.loads((tmp_path / "one" / "metrics.json").read_text())
     landmarks = Path("landmarks.csv")
     kept = tmp_path / "many" / "runs" / "ega seed=3" / landmarks
+    assert kept.read_text().startswith("id,x,y,z,nx,ny,nz,ux,uy,uz\n")
     assert kept.read_text() == (tmp_path / "one" / landmarks).read_text()
     assert pd.read_csv(tmp_path / "many" / "comparison.csv").qualified_ratio[0] == one["qualified_ratio"]
 

@@ -28,7 +28,7 @@ from lmd.problem import Problem
 from lmd.run import optimise
 from lmd.scene import Scene
 from lmd.sight import reference
-from lmd.sight.criteria import TOLERANCE, from_position, hide, in_image
+from lmd.sight.criteria import TOLERANCE, from_position, hide, in_image, in_view
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.incremental.move import counts_of, state_of
 from lmd.sight.incremental.state import scratch_of
@@ -41,6 +41,7 @@ pytestmark = pytest.mark.slow  # what is made for classes from elsewhere is comp
 
 LEAST_COSINE = 0.5  # of the incidence angle
 WIDE, HIGH = 0.9, 0.4  # tangents of the half-angles of an image that is level
+OUTER = 1.0 / math.sqrt(1.0 + WIDE**2 + HIGH**2)  # cosine of the angle to its corners
 
 
 @dataclass(frozen=True)
@@ -79,11 +80,15 @@ class RectangleSight(NamedTuple):
 
     @property
     def outer_cosine(self):
-        return 1.0 / math.sqrt(1.0 + WIDE**2 + HIGH**2) - TOLERANCE
+        return OUTER - TOLERANCE
 
     @property
-    def inner_cosine(self):
-        return 2.0  # nothing is certain
+    def inset(self):
+        return 0.0
+
+    @property
+    def tabulated(self):
+        return False
 
     def unhidden(self):
         return self._replace(reach=-1.0)
@@ -101,7 +106,7 @@ def _from_position(sight, x, y, z, nx, ny, nz, slack):
     nearest = distance - slack
     facing = -(nx * x + ny * y + nz * z) >= LEAST_COSINE * nearest
     low = nearest / math.sqrt(1.0 + 0.9 * 0.9 + 0.4 * 0.4) * (1.0 - 1e-9) - slack
-    return facing & (nearest <= sight.range), low, True
+    return facing & (nearest <= sight.range), low, np.inf, -np.inf  # nothing is sure
 
 
 @in_image.register(RectangleSight)
@@ -112,6 +117,11 @@ def _in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):
     up = abs(level * level * z - az * (ax * x + ay * y))
     inside = (depth > 0.0) & (right <= 0.9 * depth * level) & (up <= 0.4 * depth * level)
     return inside & (low < np.inf)
+
+
+@in_view.register(RectangleSight)
+def _in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):
+    return (sine < 0.0) & (ax * x + ay * y + az * z >= OUTER * cosine + sine)  # nothing is certain; a loose bound
 
 
 @hide.register(RectangleSight)

@@ -207,8 +207,57 @@ def test_roll_tells_orientations_apart_only_where_it_is_asked_for(tmp_path):
     np.testing.assert_array_equal(pdf.from_csv(str(tmp_path / "pdf.csv")).roll, other.roll)
 
 
-@pytest.mark.parametrize("build", [pdf.grid_with_ends, pdf.grid_of_cells, pdf.solid_angle, pdf.level_flight])
+@pytest.mark.parametrize("build", BUILDERS)
 def test_a_fixed_roll_stays_when_a_pdf_is_refined_or_drawn_from(build):
     rolled = build(4, roll=0.2)
     for other in (rolled, rolled.finer(), rolled.stratified(3, np.random.default_rng(0))):
         assert (other.roll == 0.2).all()
+    assert (rolled.draw(10, np.random.default_rng(0))[2] == 0.2).all()
+
+
+ROLLS = [[-0.2, 0.25], [0.0, 0.25], [0.3, 0.5]]
+
+
+@pytest.mark.parametrize("build", BUILDERS)
+def test_each_axis_comes_with_each_of_several_rolls(build):
+    plain, rolled = build(4), build(4, roll=ROLLS)
+    # Whoever does not ask for roll sees no difference.
+    assert_allclose(rolled.by_axis.axes[:, :3], plain.by_axis.axes[:, :3])
+    assert_allclose(rolled.by_axis.weight, plain.by_axis.weight)
+    axes, index_of, _ = rolled.by_axis_and_roll
+    assert len(axes) == 3 * len(plain.by_axis_and_roll.axes)
+    expected = np.hstack([rotation(plain.yaw, plain.pitch, angle)[:, [2, 0]].reshape(-1, 6) for angle, _ in ROLLS])
+    shown = axes[index_of].reshape(-1, 18)
+    assert_allclose(shown, expected, atol=1e-12)
+    for angle, share in ROLLS:
+        assert_allclose(rolled.weight[rolled.roll == angle], share * plain.weight)
+    finer = rolled.finer()
+    assert finer.weight[finer.roll == 0.3].sum() == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("build", BUILDERS)
+def test_rolls_are_drawn_as_often_as_said_and_with_any_axis(build):
+    rolled, rng = build(4, roll=ROLLS), np.random.default_rng(0)
+    yaw, pitch, roll = rolled.draw(4000, rng)
+    for drawn in (roll, np.asarray(rolled.stratified(45, rng).roll)):
+        for angle, share in ROLLS:
+            assert (drawn == angle).mean() == pytest.approx(share, abs=0.03)
+    assert abs(np.corrcoef(yaw, roll)[0, 1]) < 0.05
+    same = build(4).draw(4000, np.random.default_rng(0))
+    np.testing.assert_array_equal((yaw, pitch), same[:2])
+
+
+@pytest.mark.parametrize(
+    ("roll", "message"),
+    [
+        ([], r"^roll must be a number or a list of \[angle, probability\], got \[\]"),
+        ([0.1, 0.2], r"^roll must be a number or a list of \[angle, probability\], got \[0\.1, 0\.2\]"),
+        ("level", r"^roll must be a number or a list"),
+        ([[0.0, 0.5], [0.1, 0.4]], r"^roll: the probabilities must sum to 1, they sum to 0\.9\."),
+        ([[0.0, 1.5], [0.1, -0.5]], r"^roll must be in \[0, 1\], got 1\.5"),
+        ([["left", 1.0]], r"^roll must be a number, got 'left'"),
+    ],
+)
+def test_rolls_that_are_no_distribution_are_refused(roll, message):
+    with pytest.raises(InputError, match=message):
+        pdf.grid_with_ends(4, roll=roll)

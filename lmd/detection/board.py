@@ -142,6 +142,6 @@ def _pose_by(renderer: Renderer, found: Detections, tolerance: float) -> FloatAr
             corners[k] = found.corners[at[0]]
     if np.isfinite(corners).all(axis=(1, 2)).sum() < 2:
         return None
-    pose = pose_from_corners(renderer.camera, room.corners, corners, renderer.imaging.distortion)
+    pose = pose_from_corners(renderer.camera, room.corners, corners)
     error = corner_error(corners, renderer.corners(pose))
     return pose if np.nanmedian(error) <= tolerance else None

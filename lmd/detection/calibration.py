@@ -9,9 +9,10 @@ from lmd.camera import Camera
 from lmd.checks import BoolArray, FloatArray
 from lmd.detection.detectors import Detector
 from lmd.detection.evaluation import NUMBERS, agreement, at_least, precision_recall
-from lmd.detection.fit import Fit, Limits
+from lmd.detection.fit import Fit
 from lmd.detection.frames import Sightings, overlapping, qualities
 from lmd.detection.mosaic import Views
+from lmd.limits import NAMES, Limits, Preset
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.tag import Tag
@@ -27,21 +28,20 @@ class Source(Protocol):
             camera: that takes the images.
             tag: its family, size and quiet zone.
             detector: for this family.
-            imaging: lens and light, where images are rendered; blur and distortion, where they are read.
+            imaging: lens and light, where images are rendered; blur, where they are read.
             rng: source of everything random.
         """
 
 
-def foreseen(limits: Limits, renderer: Renderer, poses: FloatArray, border: float) -> BoolArray:
+def foreseen(limits: Limits, renderer: Renderer, poses: FloatArray) -> BoolArray:
     """Which tags the limits predict to be found in frames, `(N, K)`.
 
     Args:
         limits: of a single tag.
         renderer: the camera and the tags; those that overlap another one are taken as not found.
         poses: X, `(N, 4, 4)`.
-        border: least distance of the corners from the image's border, pixels.
     """
-    found = limits.found(*qualities(renderer, poses)) & renderer.inside(poses, border)
+    found = limits.found(*qualities(renderer, poses)) & renderer.inside(poses, limits.margin)
     return np.asarray(found & ~overlapping(renderer.room))
 
 
@@ -66,19 +66,21 @@ class Calibration:
         return {
             "views": len(self.views),
             "seen": float(self.views.seen.mean()),
-            **{name: getattr(limits, name) for name in ("pitch", "blur", "edge", "incidence")},
+            **{name: getattr(limits, name) for name in NAMES},
             **{name: getattr(fit, name) for name in ("accuracy", "precision", "recall")},
             **{f"room_{name}": value for name, value in self.rooms.items()},
         }
 
-    def preset(self, heading: str) -> str:
-        """The limits as YAML, with the evidence as comments.
+    def preset(self, detector: str, family: str, source: str) -> str:
+        """The limits as a preset's file, with the evidence as comments.
 
         Args:
-            heading: what they are the limits of, lines without `#`.
+            detector: its name.
+            family: of the tags.
+            source: where the views come from.
         """
-        limits, fit = self.fit.limits, self.fit
-        lines = heading.splitlines()
+        fit = self.fit
+        lines = [f"Limits of {detector} for tags of the family {family}: {source}."]
         lines.append(
             f"Fitted to half of {len(self.views)} views; on the other half accuracy {fit.accuracy:.3f}, "
             f"precision {fit.precision:.3f}, recall {fit.recall:.3f}."
@@ -90,13 +92,7 @@ class Calibration:
                 f"precision {self.rooms['precision']:.3f}, recall {self.rooms['recall']:.3f}; "
                 f"{self.rooms['agreement_2']:.1%} of the frames agree on >= 2."
             )
-        return "".join(f"# {line}\n" for line in lines) + (
-            "_target_: lmd.detection.fit.Limits\n"
-            f"pitch: {limits.pitch:.4g}  # a, pixels a module in a sharp image\n"
-            f"blur: {limits.blur:.4g}  # k, pixels a module for each pixel of sigma\n"
-            f"edge: {limits.edge:.4g}  # m, area-equivalent edge, pixels\n"
-            f"incidence: {limits.incidence:.4g}  # b, rad: {np.degrees(limits.incidence):.0f} degrees\n"
-        )
+        return Preset(detector, family, fit.limits).to_yaml(lines)
 
 
 def judged(predicted: BoolArray, seen: Sightings) -> dict[str, float]:

@@ -1,5 +1,6 @@
 """Detectors on rendered frames of a deployment."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -11,6 +12,7 @@ from lmd.detection.detectors import Detector
 from lmd.detection.evaluation import Matches, match
 from lmd.detection.quality import apparent_edge, incidence, pitch
 from lmd.geometry.se3 import camera_pose
+from lmd.plates import TOUCHING
 from lmd.render.imaging import UInt8Array
 from lmd.render.optics import blur_sigma, to_camera
 from lmd.render.renderer import Renderer
@@ -45,7 +47,7 @@ def tagged_room(room: Space, deployment: Deployment, tag: Tag) -> TaggedRoom:
 
 
 def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Pitch, incidence, edge and sigma of every tag, `(N, K)` each, as `lmd.detection.fit.Limits` takes them.
+    """Pitch, incidence, edge and sigma of every tag, `(N, K)` each, as `lmd.limits.Limits.found` takes them.
 
     Args:
         renderer: the camera and the tags.
@@ -56,6 +58,7 @@ def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatA
     depth = to_camera(poses, room.centres)[..., 2]
     depth = np.where(depth > 0.0, depth, np.nan)
     sigma = blur_sigma(camera, depth, imaging.psf_sigma) if imaging.defocus else np.full_like(depth, imaging.psf_sigma)
+    sigma = np.hypot(sigma, imaging.motion_blur / math.sqrt(12.0))  # of a smear with sharp ends
     edges = apparent_edge(camera, *where, room.tag)
     return pitch(camera, *where, room.tag), incidence(*where), edges, sigma
 
@@ -67,7 +70,7 @@ def overlapping(room: TaggedRoom) -> BoolArray:
     a, b, c = (np.abs((offset * axis[:, None]).sum(axis=-1)) for axis in (right, room.ups, room.normals))
     same_way = room.normals @ room.normals.T > 1.0 - 1e-6
     edge = room.tag.paper_edge
-    over = same_way & (c < 1e-3) & (np.maximum(a, b) < edge * (1.0 - 1e-9))
+    over = same_way & (c < 1e-3) & (np.maximum(a, b) < edge * (1.0 - TOUCHING))
     np.fill_diagonal(over, False)
     return np.asarray(over.any(axis=1))
 

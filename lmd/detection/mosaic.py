@@ -6,7 +6,7 @@ settings depend.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -125,6 +125,7 @@ def sample_views(
         InputError: not one of the views fits a tile.
     """
     integer("count", count, low=1)
+    camera = replace(camera, distortion=())  # it moves a tag in the image, and hardly bends a single one
     ranges = sampling or Sampling()
     pitches, tilts = (rng.uniform(*span, count) for span in (ranges.pitch, ranges.incidence))
     sigmas = np.exp(rng.uniform(math.log(ranges.sigma[0]), math.log(ranges.sigma[1]), count))

@@ -5,6 +5,9 @@ pinhole camera, P = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)]. Metres
 J = P E with E (3, 2) any orthonormal basis of the plane. Its singular values need no basis, only
 |J|_F^2 = |P|_F^2 - |P n|^2 and |det J| = f_u f_v |n . y| / z^3.
 
+A lens that distorts puts its Jacobian D between the focal lengths F = diag(f_u, f_v) and the rest of J, J = F D E' / z:
+then |J|_F^2 is the trace of F D E' E'^T D F / z^2, and |det J| grows by |det D|.
+
 Everything is a function of arrays: poses `(..., 4, 4)`, K centres and normals `(K, 3)`, results `(..., K)`.
 """
 
@@ -12,6 +15,7 @@ import numpy as np
 
 from lmd.camera import Camera
 from lmd.checks import FloatArray
+from lmd.geometry.distortion import jacobian
 from lmd.render.optics import intrinsics, to_camera
 from lmd.tag import Tag
 
@@ -22,7 +26,7 @@ def pitch(camera: Camera, pose: FloatArray, centres: FloatArray, normals: FloatA
     With s = |J|_F^2 and d = |det J| it is d / sqrt((s + sqrt(s^2 - 4 d^2)) / 2).
 
     Args:
-        camera: its focal lengths.
+        camera: its focal lengths and distortion.
         pose: X, camera to world, `(..., 4, 4)`.
         centres: world frame, metres, `(K, 3)`.
         normals: unit normals of the front faces, `(K, 3)`.
@@ -69,6 +73,11 @@ def _stretch(
     ray = y[..., :2] / depth[..., None]
     scale = (focal / depth[..., None]) ** 2
     moved = n[..., :2] - ray * n[..., 2:]  # P n without its factors f / z
-    square = (scale * (1.0 + ray**2 - moved**2)).sum(axis=-1)
     determinant = focal.prod() * np.abs((n * y).sum(axis=-1)) / depth**3
-    return np.asarray(square), np.asarray(determinant)
+    if not camera.distortion:
+        return np.asarray((scale * (1.0 + ray**2 - moved**2)).sum(axis=-1)), np.asarray(determinant)
+    bend = jacobian(ray, camera.distortion)
+    stretch = bend[..., 0, 0] * bend[..., 1, 1] - bend[..., 0, 1] ** 2
+    gram = np.eye(2) + ray[..., None] * ray[..., None, :] - moved[..., None] * moved[..., None, :]
+    along = np.diagonal(bend @ gram @ bend, axis1=-2, axis2=-1)
+    return np.asarray((scale * along).sum(axis=-1)), np.asarray(determinant * np.abs(stretch))

@@ -108,10 +108,7 @@ def figures(prediction: Prediction, seen: Sightings) -> dict[str, float]:
     row["false_a_frame"] = float(seen.false.mean())
     row |= _quantiles("corner", corner_error(seen.corners, prediction.corners))
     renderer = prediction.renderer
-    poses = [
-        pose_from_corners(renderer.camera, renderer.room.corners, found, renderer.imaging.distortion)
-        for found in seen.corners
-    ]
+    poses = [pose_from_corners(renderer.camera, renderer.room.corners, found) for found in seen.corners]
     position, attitude = pose_error(prediction.poses, np.stack(poses))
     row["pose_share"] = float(np.isfinite(position).mean())
     return row | _quantiles("position", position) | _quantiles("attitude", attitude)

@@ -1,1 +1,1 @@
-"""Frames, rotations and rigid motions."""
+"""Frames, rotations, rigid motions and lens distortion."""

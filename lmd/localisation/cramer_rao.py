@@ -1,8 +1,9 @@
 """The Cramer-Rao bound of a camera's pose from the pixels of the landmarks it sees.
 
 A perturbation X exp(w, v) moves a landmark at y_i = (x, y, z) in the camera's frame by y_i x w - v, hence its image by
-J_i (w, v) with `J_i = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)] [[y_i]x  -I]`. With pixel noise sigma the
-information is sum J_i^T J_i / sigma^2, and no unbiased estimate from this one frame has a smaller covariance than its
+J_i (w, v) with `J_i = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)] [[y_i]x  -I]`; a lens that distorts puts its
+Jacobian (`lmd.geometry.distortion`) after the focal lengths. With pixel noise sigma the information is
+sum J_i^T J_i / sigma^2, and no unbiased estimate from this one frame has a smaller covariance than its
 inverse. Fewer than three landmarks, or three in line, do not fix the pose: the bound is infinite.
 """
 
@@ -16,35 +17,36 @@ from lmd.camera import Camera
 from lmd.checks import BoolArray, FloatArray
 from lmd.deployment import Deployment
 from lmd.geometry.se3 import axis_and_right, camera_pose, skew
+from lmd.render.optics import slope
 from lmd.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.views import visible
 
-# A smallest eigenvalue below this share of the largest is rounding: the pose is not fixed.
+# A smaller eigenvalue of the scaled information is rounding: the pose is not fixed.
 SINGULAR = 1e-9
 # Poses whose information is computed at a time.
 CHUNK = 1 << 14
 
 
-def pose_information(poses: FloatArray, landmarks: FloatArray, seen: BoolArray, camera: Camera) -> FloatArray:
+def pose_information(
+    poses: FloatArray, landmarks: FloatArray, seen: BoolArray, camera: Camera, noise: FloatArray | None = None
+) -> FloatArray:
     """Information on the pose of each frame for one pixel of noise, `(F, 6, 6)`, of body twists (w, v).
 
     Args:
         poses: X, `(F, 4, 4)`.
         landmarks: C_i, world frame, metres, `(K, 3)`.
         seen: which of them each frame sees, `(F, K)`; they must be in front of the camera.
-        camera: its focal length in pixels.
+        camera: its focal length in pixels, and its distortion.
+        noise: standard deviation of each image if it is not one pixel, in the order of `np.nonzero(seen)`, `(M,)`.
     """
     frame, landmark = np.nonzero(seen)
     offset = landmarks[landmark] - poses[frame, :3, 3]
     points = (offset[:, None, :] @ poses[frame, :3, :3])[:, 0]  # R^T (C - p)
-    depth = points[:, 2:, None]
-    projection = np.zeros((len(points), 2, 3))
-    projection[:, [0, 1], [0, 1]] = 1.0
-    projection[:, :, 2] = -points[:, :2] / depth[:, 0]
-    projection *= camera.focal_pixels[:, None] / depth
     moved = np.concatenate([skew(points), np.broadcast_to(-np.eye(3), (len(points), 3, 3))], axis=-1)
-    jacobian = projection @ moved
+    jacobian = slope(camera, points) @ moved
+    if noise is not None:
+        jacobian /= noise[:, None, None]
     information = np.zeros((len(poses), 6, 6))
     some = seen.any(axis=1)
     if some.any():
@@ -56,13 +58,15 @@ def pose_information(poses: FloatArray, landmarks: FloatArray, seen: BoolArray, 
 def cramer_rao_bound(information: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Smallest standard deviations of position (metres) and attitude (rad), `(...)` each, infinite where not fixed.
 
-    They are the roots of the traces of the position and the attitude block of the inverse.
+    They are the roots of the traces of the position and the attitude block of the inverse. Whether there is one is
+    asked of the information scaled to a diagonal of ones, which does not depend on the units of length and angle.
 
     Args:
         information: `(..., 6, 6)`.
     """
-    eigenvalues = np.linalg.eigvalsh(information)
-    fixed = eigenvalues[..., 0] > SINGULAR * eigenvalues[..., -1]
+    diagonal = np.diagonal(information, axis1=-2, axis2=-1)
+    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, np.inf))
+    fixed = np.linalg.eigvalsh(scale[..., :, None] * information * scale[..., None, :])[..., 0] > SINGULAR
     variance = np.full((*information.shape[:-2], 6), np.inf)
     variance[fixed] = np.diagonal(np.linalg.inv(information[fixed]), axis1=-2, axis2=-1)
     return np.sqrt(variance[..., 3:].sum(axis=-1)), np.sqrt(variance[..., :3].sum(axis=-1))

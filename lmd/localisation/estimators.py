@@ -1,20 +1,14 @@
-"""Other ways to localise the same camera from the same recording, behind one interface with the observer."""
+"""The interface of all estimators that localise the same camera from the same recording, and their bound."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from lmd.checks import FloatArray, real
-from lmd.geometry.se3 import act, inverse, skew
+from lmd.checks import FloatArray
 from lmd.localisation.cramer_rao import cramer_rao_bound, pose_information
-from lmd.localisation.errors import Errors, pose_errors
-from lmd.localisation.measurements import Recording
-from lmd.optional import optional
-
-# The fewest points of one frame from which OpenCV's general solvers take a pose.
-PNP_POINTS = 4
+from lmd.localisation.errors import Errors
+from lmd.localisation.recording import Recording
 
 
 class Estimator(Protocol):
@@ -36,109 +30,20 @@ class Estimator(Protocol):
 class CramerRaoBound:
     """The least root-mean-square error of any unbiased estimate from a single frame, given the pixel noise.
 
-    An estimator that remembers earlier frames may do better. Er is the expected one, tr S_vv + 2 tr S_ww.
+    The image of a tag are its corners, that of a landmark that is a point is its centre. An estimator that remembers
+    earlier frames may do better. Er is the expected one, tr S_vv + 2 tr S_ww.
     """
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:
         """See `Estimator.errors`."""
-        runs = []
-        for poses, landmarks, seen in zip(recording.poses, recording.landmarks, recording.seen, strict=True):
-            bounds = cramer_rao_bound(pose_information(poses, landmarks, seen, recording.camera))
+        largest = float(recording.noise.max(initial=0.0))
+        relative = recording.noise / largest if largest > 0.0 else np.ones_like(recording.noise)
+        runs, corners = [], 1 if recording.tags is None else 4
+        for s, poses in enumerate(recording.poses):
+            points = recording.landmarks[s] if recording.tags is None else recording.tags[s].reshape(-1, 3)
+            seen = recording.seen[s].repeat(corners, axis=1)
+            noise = relative[recording.detections(s)].repeat(corners)
+            bounds = cramer_rao_bound(pose_information(poses, points, seen, recording.camera, noise))
             runs.append([np.where(np.isfinite(bound), bound, np.nan) for bound in bounds])
-        position, attitude = recording.detector.pixel_noise * np.array(runs).transpose(1, 0, 2)
+        position, attitude = largest * np.array(runs).transpose(1, 0, 2)
         return Errors(position**2 + 2.0 * attitude**2, position, attitude)
-
-
-@dataclass(frozen=True)
-class PerspectiveNPoint:
-    """The pose of each frame on its own (PnP): SQPnP of OpenCV, refined by Levenberg-Marquardt.
-
-    It takes the image coordinates of the landmarks' centres, not their apparent size, and needs four of them.
-    """
-
-    def errors(self, recording: Recording, start: FloatArray) -> Errors:
-        """See `Estimator.errors`."""
-        cv2 = optional("cv2", "estimators")
-        focal = np.append(recording.camera.focal_pixels, 1.0)
-        matrix = np.diag(focal)
-        estimates = np.full_like(recording.poses, np.nan)
-        enough = recording.visible_counts >= PNP_POINTS
-        for s, t in zip(*np.nonzero(enough), strict=True):
-            seen = recording.seen[s, t]
-            points = recording.points[s, t, seen]
-            image, world = focal[:2] * points[:, :2] / points[:, 2:], recording.landmarks[s, seen]
-            found, turn, shift = cv2.solvePnP(world, image, matrix, None, flags=cv2.SOLVEPNP_SQPNP)
-            if not found:
-                continue
-            turn, shift = cv2.solvePnPRefineLM(world, image, matrix, None, turn, shift)
-            back = np.eye(4)
-            back[:3, :3], back[:3, 3] = cv2.Rodrigues(turn)[0], shift[:, 0]
-            estimates[s, t] = inverse(back)
-        return pose_errors(recording.poses, estimates)
-
-
-@dataclass(frozen=True)
-class InvariantKalmanFilter:
-    """The left-invariant extended Kalman filter of GTSAM with the observer's measurements y_i = X^-1 C_i.
-
-    Args:
-        attitude: standard deviation of the initial estimate about each axis, rad.
-        position: the same along each axis, metres.
-        turn_noise: of the known twist, about each axis, rad per root second.
-        motion_noise: the same along each axis, metres per root second.
-        least_pixel_noise: assumed where the detector's noise is less, pixels.
-
-    Raises:
-        InputError: a value is not positive.
-    """
-
-    attitude: float
-    position: float
-    turn_noise: float = 1e-3
-    motion_noise: float = 1e-3
-    least_pixel_noise: float = 0.1
-
-    def __post_init__(self) -> None:
-        for name in ("attitude", "position", "turn_noise", "motion_noise", "least_pixel_noise"):
-            object.__setattr__(self, name, real(name, getattr(self, name), above=0.0))
-
-    def errors(self, recording: Recording, start: FloatArray) -> Errors:
-        """See `Estimator.errors`."""
-        estimates = np.stack([np.stack(list(self._run(recording, s, start[s]))) for s in range(len(start))])
-        return pose_errors(recording.poses, estimates)
-
-    def _run(self, recording: Recording, s: int, start: FloatArray) -> Iterator[FloatArray]:
-        """The estimates of run s, `(4, 4)` each."""
-        gtsam = optional("gtsam", "estimators")
-        spread = np.repeat([self.attitude, self.position], 3)
-        drift = np.repeat([self.turn_noise, self.motion_noise], 3)
-        ekf = gtsam.InvariantEKFPose3(gtsam.Pose3(start), np.diag(spread**2))
-        yield start
-        for t, step in enumerate(np.diff(recording.time), start=1):
-            ekf.predict(recording.twists[s, t - 1], step, np.diag(drift**2 * step))
-            seen = recording.seen[s, t]
-            if seen.any():
-                predicted = act(inverse(ekf.state().matrix()), recording.landmarks[s, seen])
-                measured = recording.points[s, t, seen]
-                minus_one = np.broadcast_to(-np.eye(3), (len(measured), 3, 3))
-                jacobian = np.concatenate([skew(predicted), minus_one], axis=-1).reshape(-1, 6)
-                noise = _block_diagonal(self._covariance(measured, recording))
-                ekf.updateWithVector(predicted.reshape(-1), jacobian, measured.reshape(-1), noise)
-            yield ekf.state().matrix()
-
-    def _covariance(self, measured: FloatArray, recording: Recording) -> FloatArray:
-        """Covariance of each y_i = z (a, b, 1), `(m, 3, 3)`: pixel noise moves a and b, that of the edge moves z."""
-        sigma = max(recording.detector.pixel_noise, self.least_pixel_noise)
-        focal, depth = recording.camera.focal_pixels, measured[:, 2:]
-        moved = np.zeros((len(measured), 3, 3))
-        moved[:, [0, 1], [0, 1]] = depth * sigma / focal
-        moved[:, :, 2] = measured * depth * sigma / (focal[0] * recording.detector.edge)
-        return np.asarray(moved @ np.swapaxes(moved, 1, 2))
-
-
-def _block_diagonal(blocks: FloatArray) -> FloatArray:
-    """`(m, 3, 3)` blocks on the diagonal of a `(3 m, 3 m)` matrix."""
-    m = len(blocks)
-    matrix = np.zeros((m, 3, m, 3))
-    matrix[np.arange(m), :, np.arange(m), :] = blocks
-    return matrix.reshape(3 * m, 3 * m)

@@ -20,7 +20,7 @@ import numpy as np
 from lmd.checks import BoolArray, FloatArray, InputError, choice, real
 from lmd.geometry.se3 import act, adjoint, exp, inverse, project, vee
 from lmd.localisation.errors import Errors, pose_errors
-from lmd.localisation.measurements import Recording
+from lmd.localisation.recording import Recording
 
 FORMS = ("right", "left")
 # The step times the sum of the gains from which on the correction overshoots to ever larger errors.

@@ -7,17 +7,19 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from lmd.checks import FloatArray, InputError, real
+from lmd.checks import FloatArray, InputError, IntArray, real
 from lmd.geometry.se3 import exp
 from lmd.localisation.errors import Errors, pose_errors
 from lmd.localisation.estimators import Estimator
-from lmd.localisation.measurements import Recording, Sensor, record
+from lmd.localisation.odometry import Odometry
+from lmd.localisation.recording import Each, Flight, Recording, Sensor, record
 from lmd.localisation.trajectory import Trajectory, TrajectorySource
 from lmd.problem import Problem
 
 # Keeps the flights apart from every other use of the same seed.
 STREAM = 0x666C79
 SHARES = (1, 2, 3, 4)  # landmarks in view for which the share of time is reported, beside the objective's n
+WITHIN = (0.01, 0.02, 0.05)  # position errors of which the share of frames is reported, metres
 SETTLED = 0.01  # of the initial Er
 QUANTILES = (0.1, 0.5, 0.9)  # over the seeds: band, median, band
 CURVE_WINDOWS = 300
@@ -76,12 +78,18 @@ class Flights:
             start.append(initial.applied(trajectories[-1].poses[0], error))
         return cls(seeds, trajectories, np.stack(start))
 
-    def recorded(self, problem: Problem, detector: Sensor, all_visible: bool) -> Recording:
+    def over(self, problem: Problem, all_visible: bool = False) -> list[Flight]:
         """The flights over the deployment that `problem` starts from; a random one is another for each seed."""
-        scene = problem.scene
-        deployments = [problem.draw(np.random.default_rng(seed)) for seed in self.seeds]
-        rngs = [np.random.default_rng([seed, STREAM, 1]) for seed in self.seeds]
-        return record(problem.evaluator, scene.camera, detector, deployments, self.trajectories, rngs, all_visible)
+        return [
+            Flight(
+                problem.evaluator,
+                problem.draw(np.random.default_rng(seed)),
+                trajectory,
+                np.random.default_rng([seed, STREAM, 1]),
+                all_visible,
+            )
+            for seed, trajectory in zip(self.seeds, self.trajectories, strict=True)
+        ]
 
 
 @dataclass(frozen=True)
@@ -94,7 +102,7 @@ class Outcome:
         errors: of each estimator.
     """
 
-    counts: FloatArray
+    counts: IntArray
     shares: Mapping[int, FloatArray]
     errors: Mapping[str, Errors]
 
@@ -121,7 +129,8 @@ class Study:
         Columns: `mean_visible`, `share_visible_<n>`; `mean_error` (Er over the whole flight); `settling_time` (s, from
         when on Er stays below 1 % of its initial value, infinite if it does not or if there are frames without an
         estimate); `position_error` (m) and `attitude_error` (rad), medians over the second half of the flight;
-        `available`, the share of frames with an estimate.
+        `within_<n>mm`, the share of its frames with a smaller position error, those without an estimate counted as
+        larger; `available`, the share of frames with an estimate.
         """
         rows = []
         for name, outcome in self.outcomes.items():
@@ -147,6 +156,7 @@ class Study:
             "settling_time": settled,
             "position_error": _each_run(np.median, errors.position[:, half:]),
             "attitude_error": _each_run(np.median, errors.attitude[:, half:]),
+            **{name: (errors.position[:, half:] <= limit).mean(axis=1) for name, limit in within().items()},
             "available": errors.available,
         }
 
@@ -173,18 +183,22 @@ class Study:
 def conduct(
     problems: Mapping[str, Problem],
     flights: Flights,
-    detector: Sensor,
+    detectors: Mapping[str, Sensor],
     estimators: Mapping[str, Estimator],
     all_visible: bool,
+    odometry: Odometry | None = None,
+    each: Each = map,
 ) -> Study:
     """Fly over each deployment and let each estimator localise the camera.
 
     Args:
         problems: by the deployment's name; all share one scene.
         flights: what is flown.
-        detector: noise and missed detections.
+        detectors: noise and missed detections, by the deployment's name.
         estimators: by name.
         all_visible: fly over each deployment a second time, as `<name> all visible`, with every landmark in view.
+        odometry: measures the twists; None for exact ones.
+        each: does what takes long.
 
     Raises:
         InputError: an estimator is missing, or cannot work with what is recorded.
@@ -194,7 +208,7 @@ def conduct(
     outcomes = {}
     for name, problem in problems.items():
         for everything in (False, True) if all_visible else (False,):
-            recording = flights.recorded(problem, detector, everything)
+            recording = record(detectors[name], flights.over(problem, everything), odometry, each)
             outcomes[f"{name} all visible" if everything else name] = Outcome(
                 recording.visible_counts,
                 {n: recording.share_visible(n) for n in sorted({*SHARES, problem.objective.n})},
@@ -224,6 +238,7 @@ def to_markdown(figures: pd.DataFrame, n: int) -> str:
     """
     head = ["deployment", "estimator", *(f"time with >= {m} in view" for m in sorted({n, 3}))]
     head += ["mean Er (10 to 90 %)", "settled after [s]", "position [mm]", "attitude [mrad]", "available"]
+    head.append(f"of all frames within {' / '.join(f'{1e3 * limit:g}' for limit in WITHIN)} mm")
     lines = [" | ".join(head), " | ".join(["---"] * len(head))]
     for (name, estimator), runs in figures.groupby(["deployment", "estimator"], sort=False):
         middle = runs.median(numeric_only=True)
@@ -237,8 +252,14 @@ def to_markdown(figures: pd.DataFrame, n: int) -> str:
             f"{1e3 * middle.position_error:.3g}",
             f"{1e3 * middle.attitude_error:.3g}",
             f"{runs.available.mean():.1%}",
+            " / ".join(f"{100.0 * runs[name].mean():.1f}" for name in within()) + " %",
         ]))  # fmt: skip
     return "\n".join(f"| {line} |" for line in lines) + "\n"
+
+
+def within() -> dict[str, float]:
+    """Columns of `Study.figures` with the share of frames within a position error, and these, metres."""
+    return {f"within_{1e3 * limit:g}mm": limit for limit in WITHIN}
 
 
 def _each_run(reduce: Callable[[FloatArray], Any], values: FloatArray) -> FloatArray:

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from lmd.checks import FloatArray, InputError, real, vector
-from lmd.geometry.se3 import camera_pose, poses_from_rows
+from lmd.geometry.se3 import camera_pose, inverse, log, poses_from_rows
 from lmd.scene import Scene
 from lmd.space.space import Space
 from lmd.tables import has_column, read_numbers
@@ -40,6 +40,11 @@ class Trajectory:
         if late.size:
             before, after = self.time[late[0]], self.time[late[0] + 1]
             raise InputError(f"the times of a trajectory must increase, but {after:g} s follows {before:g} s.")
+
+    @property
+    def twists(self) -> FloatArray:
+        """U between each frame and the next, X_t+1 = X_t exp(h U), `(T - 1, 6)`, rad/s and m/s in the body frame."""
+        return log(inverse(self.poses[:-1]) @ self.poses[1:]) / np.diff(self.time)[:, None]
 
     def check_inside(self, room: Space) -> None:
         """Raise `InputError` if the camera leaves the closed room."""

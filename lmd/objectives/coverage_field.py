@@ -8,8 +8,6 @@ from lmd.checks import FloatArray
 from lmd.deployment import Deployment
 from lmd.objectives.field import accept, bound, settle, undo
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.incremental.bits import BITS
-from lmd.sight.incremental.directions import cones
 from lmd.sight.incremental.move import carry_out, state_of, take_back
 from lmd.sight.incremental.state import Scratch, State, scratch_of
 from lmd.sight.incremental.trial import bound_move, finish_move
@@ -21,7 +19,7 @@ class CoverageField(NamedTuple):
 
     positions `(3, Q)` in blocks of `BLOCK` neighbours, the last block filled up with copies; index_of `(P,)` where each
     position of the evaluator is among them; centres and halves `(3, Q / BLOCK)` of the sides of boxes around the
-    blocks; axes `(3, 64 W)` filled up with zeros to whole words; certain, possible the tables of `directions.cones`;
+    blocks; axes `(3, 64 W)` filled up with zeros to whole words; certain, possible the tables of `directions.tables`;
     the rest as in `kernels.evaluate_range`.
     """
 
@@ -95,9 +93,7 @@ def coverage_field(evaluator: Evaluator, n: int) -> CoverageField:
     centres = (least + most) / 2.0
     halves = ((most - least) / 2.0 * (1.0 + SINGLE_ERROR)).astype(np.float32)  # never less for the rounding
     positions, centres, halves = (np.ascontiguousarray(part.T) for part in (positions, centres, halves))
-    certain, possible = cones(e.axes[:3], e.sight.inner_cosine, e.sight.outer_cosine)
-    axes = np.pad(e.axes, [(0, 0), (0, BITS * possible.shape[1] - e.axes.shape[1])])
-    return CoverageField(positions, index_of, centres, halves, e.sight, axes, certain, possible, e.weights, n)
+    return CoverageField(positions, index_of, centres, halves, e.sight, e.axes, *e.tables, e.weights, n)
 
 
 def _in_blocks(positions: FloatArray) -> np.ndarray:

@@ -86,7 +86,7 @@ def save_limits_figure(path: str | Path, calibrations: Mapping[str, Calibration]
     panels: Any = figure.subplots(len(calibrations), 2, squeeze=False)
     for (left, right), (name, calibration) in zip(panels, calibrations.items(), strict=True):
         views, limits = calibration.views, calibration.fit.limits
-        fair = (views.incidence <= limits.incidence) & (views.edge >= limits.edge)
+        fair = (views.incidence <= np.radians(limits.incidence)) & (views.edge >= limits.edge)
         for which, colour, label in ((views.seen, "C0", "found"), (~views.seen, "C3", "not found")):
             chosen = fair & which
             left.plot(views.sigma[chosen], views.pitch[chosen], ".", ms=3.0, alpha=0.5, color=colour, label=label)
@@ -115,13 +115,10 @@ def _middle(rows: pd.DataFrame) -> FloatArray:
     return np.asarray(np.sqrt(low * np.where(np.isfinite(high), high, 1.5 * low)))
 
 
-def save_frame(
-    path: str | Path, image: UInt8Array, expected: FloatArray, predicted: BoolArray, found: FloatArray
-) -> None:
-    """Write a frame as PNG with the tags outlined that were predicted or detected, and what the colours mean.
+def outlined(image: UInt8Array, expected: FloatArray, predicted: BoolArray, found: FloatArray) -> UInt8Array:
+    """A frame with the tags outlined that were predicted or detected, red, green and blue, `(h, w, 3)`.
 
     Args:
-        path: the PNG.
         image: `(h, w)`.
         expected: exact corners, pixels from the border, `(K, 4, 2)`; NaN behind the camera.
         predicted: `(K,)`.
@@ -130,17 +127,30 @@ def save_frame(
     cv2 = optional("cv2", "detection")
     drawn = np.repeat(image[..., None], 3, axis=-1)
     detected = np.asarray(np.isfinite(found).all(axis=(1, 2)))
-    scale = max(1, round(image.shape[1] / 800))
     for k in np.flatnonzero(predicted | detected):
         colour = ONLY_PREDICTED if not detected[k] else BOTH if predicted[k] else ONLY_DETECTED
         square = found[k] if detected[k] else expected[k]
         if np.isfinite(square).all():
             centre = square.mean(axis=0)
             wider = np.rint(centre + 1.25 * (square - centre) - 0.5).astype(np.int32)
-            cv2.polylines(drawn, [wider], True, colour, 2 * scale, cv2.LINE_AA)
+            cv2.polylines(drawn, [wider], True, colour, 2 * _scale(image), cv2.LINE_AA)
+    return drawn
+
+
+def save_frame(
+    path: str | Path, image: UInt8Array, expected: FloatArray, predicted: BoolArray, found: FloatArray
+) -> None:
+    """Write what `outlined` draws as PNG, with what the colours mean."""
+    cv2 = optional("cv2", "detection")
+    drawn, scale = outlined(image, expected, predicted, found), _scale(image)
     for i, (colour, text) in enumerate(LEGEND):
         at = (10 * scale, (18 + 18 * i) * scale)
         cv2.putText(drawn, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5 * scale, (255, 255, 255), 4 * scale, cv2.LINE_AA)
         cv2.putText(drawn, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5 * scale, colour, scale, cv2.LINE_AA)
     cv2.imwrite(str(path), drawn[..., ::-1])
     shrink(path)
+
+
+def _scale(image: UInt8Array) -> int:
+    """How many times as wide as in an image of 800 pixels lines are."""
+    return max(1, round(len(image[0]) / 800))

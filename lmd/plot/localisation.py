@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from lmd.checks import FloatArray
+from lmd.checks import FloatArray, IntArray
 from lmd.localisation.cramer_rao import CramerRaoMap
 from lmd.plot import common
 from lmd.space.space import Space
@@ -20,7 +20,7 @@ DECADES = 12  # below the largest error that are shown
 
 
 def save_error_figure(
-    path: str | Path, curves: pd.DataFrame, time: FloatArray, counts: dict[str, FloatArray], n: int, title: str
+    path: str | Path, curves: pd.DataFrame, time: FloatArray, counts: dict[str, IntArray], n: int, title: str
 ) -> None:
     """Write a PNG: for each estimator the errors over time, below them the landmarks in view.
 

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from lmd.checks import FloatArray, InputError, integer, real, vector
+from lmd.checks import FloatArray, InputError, integer, real
 from lmd.optional import optional
 
 UInt8Array = NDArray[np.uint8]
@@ -22,6 +22,7 @@ class Imaging:
     Args:
         psf_sigma: standard deviation of the sharpest image of a point, pixels.
         defocus: whether a thin lens (the camera's aperture and focus distance) adds its blur.
+        motion_blur: smear in the middle of the image while the camera turns in a random direction, pixels.
         noise: standard deviation in each pixel, grey levels.
         exposure: factor on the light.
         gamma: grey = 255 (light / 255)^(1 / gamma).
@@ -30,7 +31,6 @@ class Imaging:
         texture: standard deviation of the pattern on surfaces, grey levels; 0 for plain ones.
         texture_seed: of that pattern, which stays the same from frame to frame.
         supersampling: samples along each axis of a pixel of a tag.
-        distortion: none, or OpenCV's k1, k2, p1, p2, k3.
 
     Raises:
         InputError: a value is out of range.
@@ -38,6 +38,7 @@ class Imaging:
 
     psf_sigma: float = 0.5
     defocus: bool = True
+    motion_blur: float = 0.0
     noise: float = 2.0
     exposure: float = 1.0
     gamma: float = 1.0
@@ -47,10 +48,9 @@ class Imaging:
     texture: float = 0.0
     texture_seed: int = 0
     supersampling: int = 4
-    distortion: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("psf_sigma", "noise", "texture"):
+        for name in ("psf_sigma", "motion_blur", "noise", "texture"):
             object.__setattr__(self, name, real(name, getattr(self, name), low=0.0))
         for name in ("exposure", "gamma"):
             object.__setattr__(self, name, real(name, getattr(self, name), above=0.0))
@@ -60,10 +60,6 @@ class Imaging:
             raise InputError(f"white must exceed black = {self.black:g}, got {self.white:g}.", "white")
         integer("texture_seed", self.texture_seed, low=0)
         integer("supersampling", self.supersampling, low=1, high=16)
-        if len(self.distortion):
-            object.__setattr__(self, "distortion", vector("distortion", self.distortion, 5))
-        else:
-            object.__setattr__(self, "distortion", ())
 
     def develop(self, light: Float32Array, rng: np.random.Generator) -> UInt8Array:
         """The 8-bit image of `light` in grey levels, same shape; the noise is drawn from `rng`."""

@@ -10,9 +10,7 @@ from numpy.typing import ArrayLike
 
 from lmd.camera import MM_PER_M, Camera
 from lmd.checks import FloatArray
-
-# Newton's method has found a ray when its last step was smaller.
-CONVERGED = 1e-9
+from lmd.geometry.distortion import distort, jacobian, undistort
 
 
 def intrinsics(camera: Camera) -> FloatArray:
@@ -32,75 +30,51 @@ def to_camera(pose: FloatArray, points: FloatArray) -> FloatArray:
     return np.asarray((points - pose[..., None, :3, 3]) @ pose[..., :3, :3])
 
 
-def distort(rays: FloatArray, distortion: ArrayLike) -> FloatArray:
-    """Distorted (x / z, y / z): OpenCV's radial and tangential model with (k1, k2, p1, p2, k3).
-
-    x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2) and
-    y' = y (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 y^2) + 2 p2 x y with r^2 = x^2 + y^2.
-
-    Args:
-        rays: (x / z, y / z), `(..., 2)`.
-        distortion: the five coefficients.
-
-    Returns:
-        `(..., 2)`.
-    """
-    k1, k2, p1, p2, k3 = np.asarray(distortion, dtype=np.float64)
-    x, y = rays[..., 0], rays[..., 1]
-    square = x * x + y * y
-    radial = 1.0 + square * (k1 + square * (k2 + square * k3))
-    return np.stack(
-        [
-            x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x),
-            y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y,
-        ],
-        axis=-1,
-    )
-
-
-def undistort(rays: FloatArray, distortion: ArrayLike, steps: int = 20) -> FloatArray:
-    """The inverse of `distort` near the optical axis by Newton's method, `(..., 2)`.
-
-    NaN where it does not converge in `steps`: the distortion has no such ray there, or the image folds.
-    """
-    k1, k2, p1, p2, k3 = np.asarray(distortion, dtype=np.float64)
-    found = np.array(rays, dtype=np.float64)
-    for _ in range(steps):
-        x, y = found[..., 0], found[..., 1]
-        square = x * x + y * y
-        radial = 1.0 + square * (k1 + square * (k2 + square * k3))
-        slope = 2.0 * (k1 + square * (2.0 * k2 + 3.0 * square * k3))  # d(radial) / d(r^2), twice
-        xx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
-        yy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
-        xy = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
-        a, b = np.moveaxis(rays - distort(found, distortion), -1, 0)
-        with np.errstate(all="ignore"):
-            step = np.stack([yy * a - xy * b, xx * b - xy * a], axis=-1) / (xx * yy - xy * xy)[..., None]
-            found += step
-        if np.nanmax(np.abs(step), initial=0.0) < CONVERGED:
-            break
-    return np.where((np.abs(step) < CONVERGED).all(axis=-1, keepdims=True), found, np.nan)
-
-
-def project(camera: Camera, pose: FloatArray, points: FloatArray, distortion: ArrayLike = ()) -> FloatArray:
+def project(camera: Camera, pose: FloatArray, points: FloatArray) -> FloatArray:
     """Image coordinates of points, from the border (see above).
 
     Args:
-        camera: its focal lengths f / s_u, f / s_v and principal point.
+        camera: its focal lengths f / s_u, f / s_v, principal point and distortion.
         pose: X, camera to world, `(..., 4, 4)`.
         points: world frame, metres, `(..., K, 3)`.
-        distortion: none, or the coefficients of `distort`.
 
     Returns:
-        `(..., K, 2)`, pixels, also of points outside the image; NaN for points that are not in front of the camera.
+        `(..., K, 2)`, pixels, also of points outside the image; NaN for points that are not in front of the camera, and
+        where a lens distorts for points beyond the camera's `widest_ray`.
     """
     seen = to_camera(pose, points)
     depth = np.where(seen[..., 2:] > 0.0, seen[..., 2:], np.nan)
     rays = seen[..., :2] / depth
-    if np.size(distortion):
-        rays = distort(rays, distortion)
+    if camera.distortion:
+        within = (rays * rays).sum(axis=-1, keepdims=True) <= camera.widest_ray**2
+        rays = np.where(within, distort(rays, camera.distortion), np.nan)
     matrix = intrinsics(camera)
     return np.asarray(rays * np.diag(matrix)[:2] + matrix[:2, 2])
+
+
+def slope(camera: Camera, points: FloatArray) -> FloatArray:
+    """How the image of points y `(..., 3)` in the camera's frame moves with them, pixels/m, `(..., 2, 3)`.
+
+    d(u, v)/dy = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)]; a lens that distorts puts its Jacobian after the
+    focal lengths.
+    """
+    depth = points[..., 2:, None]
+    moved = np.zeros((*points.shape[:-1], 2, 3))
+    moved[..., [0, 1], [0, 1]] = 1.0
+    moved[..., 2] = -points[..., :2] / depth[..., 0]
+    if camera.distortion:
+        moved = jacobian(points[..., :2] / depth[..., 0], camera.distortion) @ moved
+    moved *= camera.focal_pixels[:, None] / depth
+    return moved
+
+
+def rectified(camera: Camera, image: FloatArray) -> FloatArray:
+    """Where a lens without distortion would have imaged what is at `image` `(..., 2)`, pixels from the border."""
+    if not camera.distortion:
+        return image
+    matrix = intrinsics(camera)
+    focal, centre = np.diag(matrix)[:2], matrix[:2, 2]
+    return np.asarray(undistort((image - centre) / focal, camera.distortion) * focal + centre)
 
 
 def blur_disc(camera: Camera, depth: ArrayLike) -> FloatArray:

@@ -7,16 +7,15 @@ from functools import lru_cache
 import numpy as np
 
 from lmd.camera import Camera
-from lmd.checks import BoolArray, FloatArray, InputError
+from lmd.checks import BoolArray, FloatArray
+from lmd.geometry.distortion import jacobian
 from lmd.geometry.se3 import exp
 from lmd.optional import optional
 from lmd.render.canvas import NEAR, Canvas, covering
 from lmd.render.imaging import Float32Array, Imaging, UInt8Array
-from lmd.render.optics import blur_sigma, image_size, intrinsics, project, to_camera, undistort
+from lmd.render.optics import blur_sigma, image_size, intrinsics, project, rectified, to_camera
 from lmd.render.room import TaggedRoom
 
-# A distorted image may need a pinhole image of at most this many times its width and height.
-WIDEST = 4.0
 # Pictures averaged to one with motion blur, at most.
 MOST_STEPS = 64
 # A tag this far (m) behind a surface hangs on it; farther, the surface hides it.
@@ -31,9 +30,6 @@ class Renderer:
         camera: intrinsics.
         room: tags and surfaces.
         imaging: light, lens and noise.
-
-    Raises:
-        InputError: the distortion bends the image too much for a pinhole picture of all of it.
     """
 
     camera: Camera
@@ -45,13 +41,15 @@ class Renderer:
 
         Args:
             pose: X, camera to world, `(4, 4)`.
-            rng: source of the noise.
+            rng: source of the noise, and of the motion's direction.
             motion: how far the camera moves while the shutter is open, a body twist (w, v) times the exposure time,
-                rad and metres, `(6,)`; `pose` is in the middle of it.
+                rad and metres, `(6,)`; `pose` is in the middle of it. None for that of `imaging`.
 
         Returns:
             `(h, w)`.
         """
+        if motion is None and self.imaging.motion_blur > 0.0:
+            motion = self._turn(rng)
         light = self._light(pose) if motion is None else self._moving(pose, np.asarray(motion, dtype=np.float64))
         if self._map is not None:
             cv2 = optional("cv2", "detection")
@@ -61,9 +59,9 @@ class Renderer:
     def corners(self, pose: FloatArray) -> FloatArray:
         """Exact images of the tags' corners from poses `(..., 4, 4)`: `(..., K, 4, 2)`, pixels as in `optics`.
 
-        They are those of transparent walls: also of tags outside the image or turned away. NaN behind the camera.
+        They are those of transparent walls: also of tags outside the image or turned away. NaN as in `optics.project`.
         """
-        flat = project(self.camera, pose, self.room.corners.reshape(-1, 3), self.imaging.distortion)
+        flat = project(self.camera, pose, self.room.corners.reshape(-1, 3))
         return flat.reshape(*flat.shape[:-2], -1, 4, 2)
 
     def inside(self, pose: FloatArray, margin: float = 0.0) -> BoolArray:
@@ -71,10 +69,6 @@ class Renderer:
         room, size = self.room, np.array(image_size(self.camera))
         image = self.corners(pose)
         within = ((image >= margin) & (image <= size - margin)).all(axis=(-2, -1))
-        if self._map is not None:  # far outside, the distortion folds back into the image
-            pinhole = project(self.camera, pose, room.corners.reshape(-1, 3)).reshape(image.shape)
-            low, high = self._extent
-            within &= ((pinhole >= low) & (pinhole <= high)).all(axis=(-2, -1))
         towards = pose[..., None, :3, 3] - room.centres
         return np.asarray(within & ((towards * room.normals).sum(axis=-1) > 0.0))
 
@@ -103,10 +97,26 @@ class Renderer:
         return canvas.light
 
     def _sigma(self, square: FloatArray) -> float:
-        """Blur of a tag, by the depth of its centre, pixels."""
-        if not self.imaging.defocus:
-            return self.imaging.psf_sigma
-        return float(blur_sigma(self.camera, max(float(square[:, 2].mean()), NEAR), self.imaging.psf_sigma))
+        """Blur of a tag in the pinhole image, by the depth of its centre, pixels.
+
+        What the distortion shrinks it must blur more, so that it is blurred as said once it is distorted.
+        """
+        u, v, w = square.mean(axis=0)
+        depth, sigma, camera = max(float(w), NEAR), self.imaging.psf_sigma, self.camera
+        if self.imaging.defocus:
+            sigma = float(blur_sigma(camera, depth, sigma))
+        if camera.distortion:
+            ray = np.array([u, v]) / depth
+            ray *= camera.widest_ray / max(math.hypot(*ray), camera.widest_ray)
+            sigma /= math.sqrt(np.linalg.det(jacobian(ray, camera.distortion)))
+        return sigma
+
+    def _turn(self, rng: np.random.Generator) -> FloatArray:
+        """A turn in a random direction that moves the middle of the image by `Imaging.motion_blur`, as `motion`."""
+        direction = rng.uniform(0.0, 2.0 * math.pi)
+        shift = self.imaging.motion_blur * np.array([math.cos(direction), math.sin(direction)])
+        right, down = shift / self.camera.focal_pixels
+        return np.array([down, -right, 0.0, 0.0, 0.0, 0.0])
 
     def _moving(self, pose: FloatArray, motion: FloatArray) -> Float32Array:
         """The mean over the motion, in steps of about a pixel."""
@@ -130,36 +140,26 @@ class Renderer:
     @property
     def _extent(self) -> tuple[FloatArray, FloatArray]:
         """Low and high corner of the pinhole image, whole pixels from the camera's border."""
-        if not self.imaging.distortion:
+        if not self.camera.distortion:
             return np.zeros(2), np.array(image_size(self.camera), dtype=np.float64)
-        low, high, _ = _undistorted(self.camera, self.imaging.distortion)
+        low, high, _ = _undistorted(self.camera)
         return low, high
 
     @property
     def _map(self) -> tuple[Float32Array, Float32Array] | None:
         """For `cv2.remap`: the pinhole image's pixel under each pixel of the distorted one."""
-        return _undistorted(self.camera, self.imaging.distortion)[2] if self.imaging.distortion else None
+        return _undistorted(self.camera)[2] if self.camera.distortion else None
 
 
 @lru_cache(maxsize=2)
-def _undistorted(
-    camera: Camera, distortion: tuple[float, ...]
-) -> tuple[FloatArray, FloatArray, tuple[Float32Array, Float32Array]]:
+def _undistorted(camera: Camera) -> tuple[FloatArray, FloatArray, tuple[Float32Array, Float32Array]]:
     """Low and high corner of the pinhole image that a distorted one is made of, and the map for `cv2.remap`.
 
     It is kept here and not in a `Renderer`, which so goes to another process without it.
-
-    Raises:
-        InputError: the pinhole image would be too large.
     """
     width, height = image_size(camera)
     pixels = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
-    matrix = intrinsics(camera)
-    focal, centre = np.diag(matrix)[:2], matrix[:2, 2]
-    pinhole = undistort((pixels - centre) / focal, distortion) * focal + centre
+    pinhole = rectified(camera, pixels)
     low, high = np.floor(pinhole.min(axis=(0, 1))) - 2.0, np.ceil(pinhole.max(axis=(0, 1))) + 2.0
-    size = np.array([width, height])
-    if not np.isfinite(high - low).all() or ((high - low) > WIDEST * size).any():
-        raise InputError(f"distortion bends the image too much, got {list(distortion)}.", "distortion")
     at = (pinhole - low - 0.5).astype(np.float32)
     return low, high, (np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1]))

@@ -3,26 +3,29 @@
 Most of what decides depends on the camera's position alone, little on its orientation. So each criterion is told twice:
 once for all orientations from a position (`from_position`), once for one orientation (`in_image`): the optical axis and
 the image's right, which a model that asks for a round cone ignores. Whether another landmark is in the way is a third
-question (`hide`). The three functions are scalar, without a branch where it can be helped, and every kernel calls these
-and no others.
+question (`hide`). These functions are scalar, without a branch where it can be helped, and every kernel calls these and
+no others.
 
 A model has two sides:
 
 - the thresholds that a user sets, a `Criteria`; its `covered` is the reference, NumPy, formula by formula;
 - the same compiled for one camera, a named tuple of numbers with the fields and methods of `Sight`, which registers its
-  functions with the three below. Both must decide alike, bit for bit.
+  functions with those below. Both must decide alike, bit for bit.
 
-What prunes (bands of axes, tables of directions) goes by cones only: one that holds every axis that covers a landmark
-(`low`), one whose axes all do (`inner_cosine`), which may be empty.
+What prunes goes by less: bands of axes by a cone that holds every axis that covers a landmark (`low`), tables of
+directions by what is in view at all (`in_view`).
 """
 
+import math
 from typing import Any, Protocol
 
+import numpy as np
 from numba import njit
 
 from lmd.camera import Camera
 from lmd.checks import BoolArray, FloatArray
-from lmd.dispatch import dispatched
+from lmd.dispatch import dispatched, overridable
+from lmd.sight.bits import BITS, LANES, ONE, ZERO, lowest
 
 # One tolerance for every closed inequality, so that a landmark exactly on a boundary is on it whichever way the
 # number was rounded. Relative for lengths, absolute for cosines and probabilities.
@@ -37,12 +40,16 @@ class Sight(Protocol):
         """No axis farther than the angle with this cosine from a landmark's direction covers it."""
 
     @property
-    def inner_cosine(self) -> float:
-        """Every axis within the angle with this cosine does, unless `from_position` says limited; above 1 for none."""
+    def inset(self) -> float:
+        """Every axis with the landmark's direction `in_view` by this angle, rad, does if its depth is `sure`."""
 
     @property
     def reach(self) -> float:
         """Squared distance from a line of sight beyond which a landmark hides nothing, m^2; negative: none does."""
+
+    @property
+    def tabulated(self) -> bool:
+        """Whether `in_image` is so long that evaluations had better look up what they can (`lmd.sight.directions`)."""
 
     def unhidden(self) -> "Sight":
         """The same where no landmark hides another."""
@@ -97,8 +104,9 @@ def from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped
         slack: metres; the answer shall hold for every landmark that far away in the same plane (see `poses`).
 
     Returns:
-        reached: False only if no orientation covers it; low: the least depth along the optical axis, metres, with which
-        one may; limited: whether even axes of the inner cone may fail.
+        reached: False only if no orientation covers it; low, high: the least and the greatest depth along the optical
+        axis, metres, with which one may; sure: up to which depth, from `low` on, all do that have it well in view
+        (`Sight.inset`), infinite if that is all such orientations. Without slack in `high` and `sure`.
     """
 
 
@@ -109,6 +117,24 @@ def in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  #
     (rx, ry, rz) points to the right of the image, axis x right down.
     The other arguments are those and the answers of `from_position`; an infinite `low` is never covered.
     """
+
+
+@dispatched
+def in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
+    """Whether every direction within an angle of the unit vector (x, y, z) is in view with an orientation.
+
+    `sine` and `cosine` are those of the angle, less than a right one. With a negative sine: whether any direction may
+    be that is so near. The directions in view are those of all landmarks that the model may cover.
+    """
+
+
+@njit(inline="always")
+def in_cone(least, x, y, z, sine, cosine, ax, ay, az):  # type: ignore[no-untyped-def]
+    """`in_view` where that is a cone around the axis, `least` the cosine of its half-angle theta."""
+    # Made narrower by the angle delta: cos(theta - delta), unless nothing or all is left.
+    edge = least * cosine + math.sqrt(max(0.0, 1.0 - least * least)) * sine
+    nothing, everything = (sine > 0.0) & (least > cosine), (sine < 0.0) & (least < -cosine)
+    return ((ax * x + ay * y + az * z >= edge) | everything) & (not nothing)
 
 
 @dispatched
@@ -128,3 +154,64 @@ def covers(sight, x, y, z, nx, ny, nz, low, slack, axes, a):  # type: ignore[no-
     """`in_image` with orientation a of `axes` `(6, D)`: axis and right."""
     ax, ay, az, rx, ry, rz = axes[0, a], axes[1, a], axes[2, a], axes[3, a], axes[4, a], axes[5, a]
     return in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz)
+
+
+@overridable
+def frame_of(sight, nx, ny, nz):  # type: ignore[no-untyped-def]
+    """What `covers_one` needs of a landmark with a normal, the same for all positions and orientations."""
+    return nx, ny, nz
+
+
+@overridable
+def covers_one(sight, x, y, z, frame, low, high, sure, well, axes, a):  # type: ignore[no-untyped-def]
+    """`covers` without slack, for single orientations: where much is to be tested, a model may do it in stages.
+
+    Args:
+        sight: the compiled model.
+        x, y, z, low, high, sure: as in `from_position`.
+        frame: of `frame_of`.
+        well: whether orientation a has it well in view, see `sure`.
+        axes, a: as in `covers`.
+    """
+    nx, ny, nz = frame
+    return covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a)
+
+
+@overridable
+def covering(sight, left, w, x, y, z, frame, low, high, sure, well, axes):  # type: ignore[no-untyped-def]
+    """The axes of word w that are in the set `left` and cover the landmark; arguments as in `covers_one`, `well` a set.
+
+    To test half a word at once is faster than to pick axes out, where a test is short.
+    """
+    nx, ny, nz = frame
+    cap = ZERO
+    for first in range(np.uint64(0), np.uint64(BITS), np.uint64(LANES)):
+        if left >> first << np.uint64(BITS - LANES):
+            half = np.uint32(0)
+            for lane in range(np.uint64(LANES)):
+                a = w * np.uint64(BITS) + first + lane
+                half |= np.uint32(covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a)) << np.uint32(lane)
+            cap |= np.uint64(half) << first
+    return cap & left
+
+
+def depth_first(sight, left, w, x, y, z, frame, low, high, sure, well, axes):  # type: ignore[no-untyped-def]
+    """What a model whose tests are long registers for `covering`: the depth decides most, and is found for all axes."""
+    within, shallow = ZERO, ZERO
+    for first in range(np.uint64(0), np.uint64(BITS), np.uint64(LANES)):
+        one, two = np.uint32(0), np.uint32(0)
+        for lane in range(np.uint64(LANES)):
+            a = w * np.uint64(BITS) + first + lane
+            depth = axes[0, a] * x + axes[1, a] * y + axes[2, a] * z
+            one |= np.uint32((depth >= low) & (depth <= high)) << np.uint32(lane)
+            two |= np.uint32(depth <= sure) << np.uint32(lane)
+        within, shallow = within | np.uint64(one) << first, shallow | np.uint64(two) << first
+    left &= within
+    cap = left & well & shallow
+    left &= ~cap
+    while left:
+        bit: Any = lowest(left)  # type: ignore[call-arg]
+        a, central = w * np.uint64(BITS) + bit, (well >> bit & ONE) != ZERO
+        cap |= np.uint64(covers_one(sight, x, y, z, frame, low, high, sure, central, axes, a)) << bit
+        left &= left - ONE
+    return cap

@@ -3,6 +3,7 @@
 import itertools
 import os
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,9 @@ from lmd.checks import FloatArray
 from lmd.deployment import Deployment
 from lmd.scene import Scene
 from lmd.sight import kernels
+from lmd.sight.bands import height_index
+from lmd.sight.bits import in_words
+from lmd.sight.directions import tables
 from lmd.sight.kernels import PROBABILITY_ONE
 
 
@@ -34,12 +38,17 @@ class Evaluator:
         self._low, self._high = self.positions.min(axis=0), self.positions.max(axis=0)
         self.threads = threads or available_threads()
         axes, self.axis_of, weight = scene.orientations
-        self.axes = kernels.in_blocks(axes.T)
-        self.bands = kernels.height_index(axes[:, 2])
-        self.weights = np.rint(kernels.in_blocks(weight) * PROBABILITY_ONE).astype(np.int64)
+        self.axes = in_words(axes.T)
+        self.bands = height_index(axes[:, 2])
+        self.weights = np.rint(in_words(weight) * PROBABILITY_ONE).astype(np.int64)
         # What rounding left over goes to the heaviest axis, so that certainty is exactly one.
         self.weights[np.argmax(self.weights)] += PROBABILITY_ONE - self.weights.sum()
         self.sight = scene.sight
+
+    @cached_property
+    def tables(self) -> tuple[np.ndarray, np.ndarray]:
+        """Which axes surely cover, and may cover, a landmark in each direction (`lmd.sight.directions.tables`)."""
+        return tables(self.sight, self.axes)
 
     def counts(self, deployment: Deployment) -> np.ndarray:
         """Landmarks covered at every position and orientation of the PDF, `(P, A)` int16."""
@@ -69,7 +78,7 @@ class Evaluator:
         """P_n in units `(B, P)`, and with `keep` the counts `(B, P, D)`; positions are shared between threads."""
         size = len(self.positions)
         units = np.empty((len(positions), size), dtype=np.int64)
-        counts = np.empty((len(positions), size, self.axes.shape[1]) if keep else (0, 0, 0), dtype=np.int16)
+        counts = np.zeros((len(positions), size, self.axes.shape[1]) if keep else (0, 0, 0), dtype=np.int16)
         scene: tuple[Any, ...] = (
             self.positions,
             *(np.ascontiguousarray(v.transpose(0, 2, 1)) for v in (positions, normals)),
@@ -78,6 +87,7 @@ class Evaluator:
             self.sight.among(self._low, self._high, *scene[1:]),
             self.axes,
             self.bands,
+            self.tables if self.sight.tabulated else None,
             self.weights,
             n,
             units,

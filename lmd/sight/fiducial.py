@@ -16,91 +16,34 @@ pixels by J, whose columns are, for t and likewise for s, (f_u (t_u - t_w u / w)
 smaller eigenvalue of J^T J is at least T if 2 T <= |J|^2 and T^2 - |J|^2 T + det(J)^2 >= 0, and
 |det J| = f_u f_v |n . d| / w^3.
 
-A corner is within a border if it is in a half-space, so the tag is if its farthest corner is.
+A corner is within a border if it is in a half-space, so the tag is if its farthest corner is. A lens that distorts
+bends these borders: then each corner is imaged by itself, must be no farther from the axis than `Camera.widest_ray`,
+and the Jacobian of the distortion comes between the focal lengths and the rest of J.
 
-All tags hang upright (`lmd.tag.upright`). The camera's lens must not distort: `Camera` has no such coefficients.
+All tags hang upright (`lmd.tag.upright`).
 
 Shapes: A orientations, K tags. Lengths are metres, frames world unless said otherwise.
 """
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from lmd.camera import MM_PER_M, Camera
-from lmd.checks import BoolArray, FloatArray, InputError, choice, real
+from lmd.checks import BoolArray, FloatArray, InputError, real
+from lmd.geometry.distortion import bent, greatest_stretch, slopes
+from lmd.limits import Limits, limits_of
 from lmd.sight.criteria import TOLERANCE
+from lmd.sight.distorted_sight import DistortedSight
 from lmd.sight.fiducial_sight import FiducialSight
 from lmd.sight.paper import dot
 from lmd.tag import LEVEL, Tag, upright
 
-# How far the inner cone stays away from the nearest border of the image, rad; from farther tags it is of no use.
-INNER = math.radians(4.0)
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What a detector needs.
-
-    Args:
-        pitch: least pixels a module without blur.
-        blur: how many more for each pixel of blur, as a root of squares.
-        edge: least edge of the square of the same area, pixels.
-        incidence: greatest angle between the tag's normal and the direction to the camera, degrees.
-        margin: from the border of the image, pixels.
-
-    Raises:
-        InputError: a value is out of range.
-    """
-
-    pitch: float
-    blur: float
-    edge: float
-    incidence: float
-    margin: float
-
-    def __post_init__(self) -> None:
-        for name in ("pitch", "blur", "edge", "margin"):
-            object.__setattr__(self, name, real(name, getattr(self, name), low=0.0))
-        object.__setattr__(self, "incidence", real("incidence", self.incidence, above=0.0, high=89.0))
-
-
-# Fitted to renderings, by detector and the beginning of the family's name; accuracy on other renderings .961, .955,
-# .954, .950. wpilib is AprilTag with the defaults of WPILib, whose least size of a cluster makes half of the tags of
-# 6.6 pixels a module appear and 95 % of those of 7.4, whatever the blur.
-LIMITS = {
-    ("apriltag", "36h11"): Limits(0.8, 1.8, 10.0, 84.0, 0.0),
-    ("apriltag_decimate2", "36h11"): Limits(1.8, 1.6, 16.0, 80.0, 0.0),
-    ("aruco", "36h11"): Limits(0.8, 1.8, 14.0, 84.0, 3.0),
-    ("aruco", "4x4"): Limits(0.8, 2.2, 14.0, 84.0, 3.0),
-    ("wpilib", "36h11"): Limits(6.6, 0.0, 16.0, 80.0, 0.0),
-}
-
-
-def _limits(detector: str, family: str, given: Limits | Mapping[str, Any] | None) -> Limits:
-    """The limits of a detector for a family, with what is given instead."""
-    if isinstance(given, Limits):
-        return given
-    names, changes = [field.name for field in fields(Limits)], dict(given or {})
-    for name in changes:
-        choice("limits", name, names)
-    known = LIMITS.get((detector, family.partition("_")[0]))
-    try:
-        if known is not None:
-            return replace(known, **changes)
-        if set(changes) == set(names):
-            return Limits(**changes)
-    except InputError as error:
-        raise error.within("limits") from None
-    measured = ", ".join(" with ".join(pair) for pair in LIMITS)
-    raise InputError(
-        f"detector {detector} was not measured with tags of family {family}, only {measured}; "
-        f"limits must give {', '.join(names)}.",
-        "detector",
-    )
+# Tags at least this far away are spared the exact test if their centre is well inside the image, metres.
+FAR = 1.6
 
 
 @dataclass(frozen=True)
@@ -109,7 +52,7 @@ class Fiducial:
 
     Args:
         tag: what hangs at each landmark.
-        detector: `aruco`, `apriltag`, `apriltag_decimate2` or `wpilib`, whose measured limits hold (`LIMITS`).
+        detector: whose limits hold: `aruco`, `apriltag`, `apriltag_decimate2`, `wpilib`, or a file; see `lmd.limits`.
         limits: what differs from these; all of them for a detector or a family that was not measured.
         psf_sigma: standard deviation of the sharpest image of a point, pixels.
         motion_blur: length of the smear of a point while the shutter is open, pixels.
@@ -129,7 +72,8 @@ class Fiducial:
     def __post_init__(self) -> None:
         if self.tag.is_point:
             raise InputError("tag must have an edge, in metres: what a detector sees depends on its size.")
-        object.__setattr__(self, "limits", _limits(self.detector, self.tag.family, self.limits))
+        if not isinstance(self.limits, Limits):
+            object.__setattr__(self, "limits", limits_of(self.detector, self.tag.family, self.limits or {}))
         object.__setattr__(self, "psf_sigma", real("psf_sigma", self.psf_sigma, low=0.0))
         object.__setattr__(self, "motion_blur", real("motion_blur", self.motion_blur, low=0.0))
 
@@ -138,13 +82,13 @@ class Fiducial:
         """See `Criteria.spacing`: plates side by side."""
         return self.tag.paper_edge
 
-    def sight(self, camera: Camera) -> FiducialSight:
+    def sight(self, camera: Camera) -> FiducialSight | DistortedSight:
         """See `Criteria.sight`."""
-        limits, tag = _limits(self.detector, self.tag.family, self.limits), self.tag
+        limits, tag = self.limits, self.tag
+        assert isinstance(limits, Limits)
         margin, (centre_u, centre_v), (focal_u, focal_v) = limits.margin, camera.principal_point, camera.focal_pixels
         left, right = (centre_u - margin) / focal_u, (camera.image_width - margin - centre_u) / focal_u
         top, bottom = (centre_v - margin) / focal_v, (camera.image_height - margin - centre_v) / focal_v
-        inner = math.atan(min(left, right, top, bottom)) - INNER
         # c / 4 = |defocus - focus / depth|, see `lmd.render.optics.blur_disc`.
         shape = camera.aperture * camera.focal_length / (4.0 * min(camera.pixel_width, camera.pixel_height))
         if math.isinf(camera.focus_distance):
@@ -153,10 +97,10 @@ class Fiducial:
             defocus = shape / (camera.focus_distance - camera.focal_length)
             focus = defocus * camera.focus_distance / MM_PER_M
         smooth = self.psf_sigma**2 + self.motion_blur**2 / 12.0
-        wide = math.hypot(max(left, right), max(top, bottom))
-        return FiducialSight(
+        wide = camera.widest_ray if camera.distortion else math.hypot(max(left, right), max(top, bottom))
+        flat = FiducialSight(
             outer_cosine=(1.0 - TOLERANCE) / math.hypot(1.0, wide),
-            inner_cosine=math.cos(inner) if inner > 0.0 else 2.0,
+            inset=math.asin(min(1.0, 1.5 * tag.size / 2.0 / FAR)),
             reach=(tag.paper_edge + tag.size) ** 2 / 2.0 * (1.0 + TOLERANCE),
             facing=math.cos(math.radians(limits.incidence)) - TOLERANCE,
             half=tag.size / 2.0,
@@ -173,19 +117,30 @@ class Fiducial:
             blurred=(limits.blur / tag.module) ** 2 * (1.0 - TOLERANCE),
             defocus=defocus,
             focus=focus,
-            steady=math.sin(INNER),
+            in_focus=focus / defocus if defocus else 0.0,
         )
+        if not camera.distortion:
+            return flat
+        k1, k2, p1, p2, k3 = camera.distortion
+        stretch = greatest_stretch(camera.distortion, wide)
+        bound = flat._replace(focal_u=stretch * flat.focal_u, focal_v=stretch * flat.focal_v)
+        return DistortedSight(flat, bound, flat.reach, k1, k2, p1, p2, k3, wide**2 * (1.0 + TOLERANCE))
 
     def covered(
         self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
     ) -> BoolArray:
         """See `Criteria.covered`."""
         sight, offset = self.sight(camera), landmarks - position
-        seen = ~hidden_by_others(sight, offset, normals) & faces(sight, offset, normals)
+        flat = sight.flat if isinstance(sight, DistortedSight) else sight
+        seen = ~hidden_by_others(flat, offset, normals) & faces(flat, offset, normals)
         axis, right = axes[:, None, :3], axes[:, None, 3:]
         frame = np.stack([right, _cross(axis, right), axis])  # (3, A, 1, 3)
         centre, *sides = (dot(frame, vectors) for vectors in (offset, *upright(normals)))  # (3, A, K) each
-        return in_rectangle(sight, centre, sides) & resolved(sight, centre, sides, offset, normals) & seen
+        if isinstance(sight, DistortedSight):
+            inside = in_distorted_rectangle(sight, camera.distortion, centre, sides)
+        else:
+            inside = in_rectangle(sight, centre, sides)
+        return inside & resolved(flat, camera.distortion, centre, sides, offset, normals) & seen
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -216,17 +171,47 @@ def in_rectangle(sight: FiducialSight, centre: FloatArray, sides: list[FloatArra
     return np.asarray(inside)
 
 
-def resolved(
-    sight: FiducialSight, centre: FloatArray, sides: list[FloatArray], offset: FloatArray, normals: FloatArray
+def in_distorted_rectangle(
+    sight: DistortedSight, distortion: tuple[float, ...], centre: FloatArray, sides: list[FloatArray]
 ) -> BoolArray:
-    """Whether pitch and area suffice, `(A, K)`; the arguments are those of `in_rectangle` and `faces`."""
+    """`in_rectangle` where the lens distorts: the corners are rays that are imaged, and that within the borders."""
+    right, up = sides
+    inside, flat = np.ones(centre.shape[1:], dtype=np.bool_), sight.flat
+    one, two = flat.half * (right + up), flat.half * (right - up)
+    with np.errstate(all="ignore"):  # a corner beside the camera is not in the image, whatever the numbers say
+        for u, v, w in (centre + one, centre - one, centre + two, centre - two):
+            x, y = u / w, v / w
+            inside &= (w > 0.0) & (x * x + y * y <= sight.widest)
+            across, down = bent(x, y, *distortion)
+            inside &= (-flat.left <= across) & (across <= flat.right) & (-flat.top <= down) & (down <= flat.bottom)
+    return inside
+
+
+def resolved(
+    sight: FiducialSight,
+    distortion: tuple[float, ...],
+    centre: FloatArray,
+    sides: list[FloatArray],
+    offset: FloatArray,
+    normals: FloatArray,
+) -> BoolArray:
+    """Whether pitch and area suffice, `(A, K)`; the arguments are the camera's and those of `in_rectangle`, `faces`."""
     (u, v, w), ((tu, tv, tw), (su, sv, sw)) = centre, sides
     with np.errstate(all="ignore"):  # a tag beside the camera is not resolved, whatever the numbers say
         per = 1.0 / w
         fu, fv, at_u, at_v = sight.focal_u * per, sight.focal_v * per, u * per, v * per
         one, two, three, four = tu - at_u * tw, su - at_u * sw, tv - at_v * tw, sv - at_v * sw
-        square = fu * fu * (one * one + two * two) + fv * fv * (three * three + four * four)
         determinant = fu * fv * per * abs(dot(normals, offset))
+        if distortion:
+            xx, xy, yy = slopes(at_u, at_v, *distortion)
+            one, two, three, four = (
+                xx * one + xy * three,
+                xx * two + xy * four,
+                xy * one + yy * three,
+                xy * two + yy * four,
+            )
+            determinant = determinant * abs(xx * yy - xy * xy)
+        square = fu * fu * (one * one + two * two) + fv * fv * (three * three + four * four)
         blur = sight.defocus - sight.focus * per
         least = sight.sharp + sight.blurred * (blur * blur)
         enough = (2.0 * least <= square) & (determinant >= sight.area)

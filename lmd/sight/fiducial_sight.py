@@ -10,21 +10,36 @@ from numba import njit
 
 from lmd.checks import FloatArray
 from lmd.compiled import kernel
-from lmd.sight.criteria import TOLERANCE, from_position, hide, in_image
+from lmd.sight.criteria import (
+    TOLERANCE,
+    covering,
+    covers_one,
+    depth_first,
+    frame_of,
+    from_position,
+    hide,
+    in_image,
+    in_view,
+)
+
+# Of Newton's method, from the distance down to the greatest depth at which the pitch may suffice.
+NEWTON_STEPS = 3
+# Bounds of depths are wider by this, far more than they are rounded.
+MARGIN = 1e-6
 
 
 class FiducialSight(NamedTuple):
     """The criteria as numbers, tolerance included; a `lmd.sight.criteria.Sight`.
 
-    outer_cosine, inner_cosine, reach: see there; facing cosine of the greatest incidence; half, plate half the edge of
+    outer_cosine, inset, reach: see there; facing cosine of the greatest incidence; half, plate half the edge of
     the black square and of the paper, metres; level: see `lmd.tag.upright`; left, right, top, bottom tangents of the
     angles to the borders, less the margin; focal_u, focal_v pixels; area least |det J|, pixels^2 / metre^2. The least
-    eigenvalue of J^T J, pixels^2 / metre^2, is sharp + blurred (defocus - focus / depth)^2 with `focus` in metres.
-    steady: sine of the angle between the inner cone and the nearest border.
+    eigenvalue of J^T J, pixels^2 / metre^2, is least(depth) = sharp + blurred (defocus - focus / depth)^2 with `focus`
+    in metres; in_focus the depth at which nothing is blurred, 0 if that is infinite.
     """
 
     outer_cosine: float
-    inner_cosine: float
+    inset: float
     reach: float
     facing: float
     half: float
@@ -41,7 +56,12 @@ class FiducialSight(NamedTuple):
     blurred: float
     defocus: float
     focus: float
-    steady: float
+    in_focus: float
+
+    @property
+    def tabulated(self) -> bool:
+        """See `Sight.tabulated`."""
+        return True
 
     def unhidden(self) -> "FiducialSight":
         """See `Sight.unhidden`."""
@@ -59,7 +79,7 @@ class FiducialSight(NamedTuple):
 
 
 @njit(inline="always")
-def upright(nx, ny, nz, level):  # type: ignore[no-untyped-def]
+def upright_axes(nx, ny, nz, level):  # type: ignore[no-untyped-def]
     """See `lmd.tag.upright`: right and up of a tag with a unit normal."""
     across = nx * nx + ny * ny
     on_wall = across > level * level
@@ -77,56 +97,122 @@ def upright(nx, ny, nz, level):  # type: ignore[no-untyped-def]
 
 @from_position.register(FiducialSight)
 def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped-def]
+    # Project the tag onto the sphere around the camera, where its pitch is c / d with the cosine c of the incidence,
+    # then from there onto the image plane, which stretches by d / w one way and (d / w)^2 the other. So the smaller
+    # singular value of J is between f c / w and f c d / w^2, and least(w) as in `lmd.sight.fiducial` bounds w.
     distance = math.sqrt(x * x + y * y + z * z)
     nearest = distance - slack
     along = -(nx * x + ny * y + nz * z)
     least = nearest * sight.outer_cosine
-    # |det J| is at least the smaller eigenvalue of J^T J and falls with the depth; moving in the plane leaves n . d.
-    product = sight.focal_u * sight.focal_v * along
+    product = sight.focal_u * sight.focal_v * along  # |det J| w^3
+    most, fewest = max(sight.focal_u, sight.focal_v) * along, min(sight.focal_u, sight.focal_v) * along
     resolved = least * least * least * max(sight.area, sight.sharp) <= product * (1.0 + TOLERANCE)
-    reached = (along >= sight.facing * nearest) & (along >= 0.0) & resolved
-    # Within the inner cone, the larger eigenvalue is at most (f_max d)^2 / z^4, and the product of both det^2.
-    slope = min(sight.focal_u, sight.focal_v) * along / (distance * distance)
-    here, there = sight.defocus - sight.focus / distance, sight.defocus - sight.focus / (distance * sight.inner_cosine)
-    most = sight.sharp + sight.blurred * max(here * here, there * there)
-    sure = (slope * slope * (1.0 - TOLERANCE) >= most) & (product * (1.0 - TOLERANCE) >= sight.area * distance**3)
-    sure = sure & (distance * sight.steady >= 1.5 * sight.half)  # more than half the diagonal
-    return reached, least - slack, not sure
+    # w^4 least(w) <= most^2: beyond the depth in focus the left side is convex, and Newton's steps stay above the root.
+    high = distance
+    for _ in range(NEWTON_STEPS):
+        out = sight.defocus * high - sight.focus
+        excess = high * high * (sight.sharp * high * high + sight.blurred * out * out) - most * most
+        slope = 4.0 * sight.sharp * high * high + 2.0 * sight.blurred * out * (out + sight.defocus * high)
+        high = max(high - max(excess, 0.0) / (high * slope), min(sight.in_focus, high))
+    high = min(high, math.sqrt(max(product, 0.0) / (sight.area * least))) * (1.0 + MARGIN)
+    # w^2 least(w) <= (fewest / d)^2, a parabola in w; |det J| >= area follows from w^2 d area <= product.
+    square = sight.sharp + sight.blurred * sight.defocus * sight.defocus
+    middle = sight.blurred * sight.defocus * sight.focus
+    right = fewest / distance
+    inside = middle * middle - square * (sight.blurred * sight.focus * sight.focus - right * right)
+    root = math.sqrt(max(inside, 0.0))
+    near = (middle - root) / square * (1.0 + MARGIN)
+    far = min((middle + root) / square, math.sqrt(max(product, 0.0) / (sight.area * distance))) * (1.0 - MARGIN)
+    steady = distance * math.sin(sight.inset) >= 1.5 * sight.half  # more than half the diagonal
+    sure = far if steady & (inside > 0.0) & (near <= least) else -math.inf
+    reached = (along >= sight.facing * nearest) & (along >= 0.0) & resolved & ((slack > 0.0) | (high >= least))
+    return reached, least - slack, high, math.inf if sure >= distance else sure
 
 
-@in_image.register(FiducialSight)
-def _in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
-    tx, ty, tz, ux, uy, uz = upright(nx, ny, nz, sight.level)
-    dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
-    # The centre, and the tag's right and up, in the camera's frame.
-    u, v, w = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z, ax * x + ay * y + az * z
-    tu, tv, tw = rx * tx + ry * ty + rz * tz, dx * tx + dy * ty + dz * tz, ax * tx + ay * ty + az * tz
-    uu, uv, uw = rx * ux + ry * uy + rz * uz, dx * ux + dy * uy + dz * uz, ax * ux + ay * uy + az * uz
+@frame_of.register(FiducialSight)
+def _frame_of(sight, nx, ny, nz):  # type: ignore[no-untyped-def]
+    return nx, ny, nz, *upright_axes(nx, ny, nz, sight.level)
+
+
+@njit(inline="always")
+def _inside(sight, u, v, w, tu, tv, tw, uu, uv, uw):  # type: ignore[no-untyped-def]
+    """Whether the corners are in the image: centre, right and up of the tag in the camera's frame."""
     half, left, right, top, bottom = sight.half, sight.left, sight.right, sight.top, sight.bottom
     inside = half * (abs(tw) + abs(uw)) < w
     inside &= u + half * (abs(tu - right * tw) + abs(uu - right * uw)) <= right * w
     inside &= half * (abs(tu + left * tw) + abs(uu + left * uw)) - u <= left * w
     inside &= v + half * (abs(tv - bottom * tw) + abs(uv - bottom * uw)) <= bottom * w
-    inside &= half * (abs(tv + top * tw) + abs(uv + top * uw)) - v <= top * w
+    return inside & (half * (abs(tv + top * tw) + abs(uv + top * uw)) - v <= top * w)
+
+
+@njit(inline="always")
+def _clear(sight, u, v, w, tu, tv, tw, uu, uv, uw, along):  # type: ignore[no-untyped-def]
+    """Whether pitch and area suffice; `along` is n . d."""
     per = 1.0 / w
     fu, fv, at_u, at_v = sight.focal_u * per, sight.focal_v * per, u * per, v * per
     one, two, three, four = tu - at_u * tw, uu - at_u * uw, tv - at_v * tw, uv - at_v * uw
     square = fu * fu * (one * one + two * two) + fv * fv * (three * three + four * four)
-    determinant = fu * fv * per * abs(nx * x + ny * y + nz * z)
+    determinant = fu * fv * per * abs(along)
     blur = sight.defocus - sight.focus * per
     least = sight.sharp + sight.blurred * (blur * blur)
     clear = (2.0 * least <= square) & (determinant >= sight.area)
-    clear &= least * least + determinant * determinant >= square * least
-    covered = inside & clear & (w >= low)
-    return covered | ((slack > 0.0) & (w >= low))
+    return clear & (least * least + determinant * determinant >= square * least)
+
+
+@in_image.register(FiducialSight)
+def _in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
+    tx, ty, tz, ux, uy, uz = upright_axes(nx, ny, nz, sight.level)
+    dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
+    # The centre, and the tag's right and up, in the camera's frame.
+    u, v, w = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z, ax * x + ay * y + az * z
+    tu, tv, tw = rx * tx + ry * ty + rz * tz, dx * tx + dy * ty + dz * tz, ax * tx + ay * ty + az * tz
+    uu, uv, uw = rx * ux + ry * uy + rz * uz, dx * ux + dy * uy + dz * uz, ax * ux + ay * uy + az * uz
+    clear = _clear(sight, u, v, w, tu, tv, tw, uu, uv, uw, nx * x + ny * y + nz * z)
+    return (_inside(sight, u, v, w, tu, tv, tw, uu, uv, uw) & clear & (w >= low)) | ((slack > 0.0) & (w >= low))
+
+
+@covers_one.register(FiducialSight)
+def _covers_one(sight, x, y, z, frame, low, high, sure, well, axes, a):  # type: ignore[no-untyped-def]
+    nx, ny, nz, tx, ty, tz, ux, uy, uz = frame
+    ax, ay, az, rx, ry, rz = axes[0, a], axes[1, a], axes[2, a], axes[3, a], axes[4, a], axes[5, a]
+    w = ax * x + ay * y + az * z
+    if (w < low) | (w > high):
+        return False
+    if well & (w <= sure):
+        return True
+    dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
+    u, v = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z
+    # The centre must be in the image, too.
+    if (u > sight.right * w) | (-u > sight.left * w) | (v > sight.bottom * w) | (-v > sight.top * w):
+        return False
+    tu, tv, tw = rx * tx + ry * ty + rz * tz, dx * tx + dy * ty + dz * tz, ax * tx + ay * ty + az * tz
+    uu, uv, uw = rx * ux + ry * uy + rz * uz, dx * ux + dy * uy + dz * uz, ax * ux + ay * uy + az * uz
+    if not (well & (sure > -math.inf) or _inside(sight, u, v, w, tu, tv, tw, uu, uv, uw)):
+        return False
+    return w <= sure or _clear(sight, u, v, w, tu, tv, tw, uu, uv, uw, nx * x + ny * y + nz * z)
+
+
+covering.register(FiducialSight)(depth_first)
+
+
+@in_view.register(FiducialSight)
+def _in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
+    dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
+    u, v, w = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z, ax * x + ay * y + az * z
+    left, right, top, bottom = sight.left, sight.right, sight.top, sight.bottom
+    # How far it is from the four planes through the camera and a border of the image.
+    seen = right * w - u >= sine * math.sqrt(1.0 + right * right)
+    seen &= left * w + u >= sine * math.sqrt(1.0 + left * left)
+    seen &= bottom * w - v >= sine * math.sqrt(1.0 + bottom * bottom)
+    return seen & (top * w + v >= sine * math.sqrt(1.0 + top * top))
 
 
 @njit(error_model="numpy")
 def _hides(sight, ax, ay, az, nx, ny, nz, bx, by, bz, mx, my, mz):  # type: ignore[no-untyped-def]
     """Whether plate A with normal n hides the centre or a corner of B with normal m."""
     height = -(nx * ax + ny * ay + nz * az)
-    tx, ty, tz, ux, uy, uz = upright(nx, ny, nz, sight.level)
-    rx, ry, rz, sx, sy, sz = upright(mx, my, mz, sight.level)
+    tx, ty, tz, ux, uy, uz = upright_axes(nx, ny, nz, sight.level)
+    rx, ry, rz, sx, sy, sz = upright_axes(mx, my, mz, sight.level)
     rx, ry, rz = sight.half * rx, sight.half * ry, sight.half * rz
     sx, sy, sz = sight.half * sx, sight.half * sy, sight.half * sz
     for i in range(5):
@@ -172,7 +258,7 @@ def _may_hide(low, high, landmarks, normals, half, level):  # type: ignore[no-un
             if not height >= TOLERANCE:
                 return True
             for k in range(count):
-                tx, ty, tz, ux, uy, uz = upright(normals[b, 0, k], normals[b, 1, k], normals[b, 2, k], level)
+                tx, ty, tz, ux, uy, uz = upright_axes(normals[b, 0, k], normals[b, 1, k], normals[b, 2, k], level)
                 side = nx * (landmarks[b, 0, k] - x) + ny * (landmarks[b, 1, k] - y) + nz * (landmarks[b, 2, k] - z)
                 side -= half * (abs(nx * tx + ny * ty + nz * tz) + abs(nx * ux + ny * uy + nz * uz))
                 if side < -0.1 * TOLERANCE:

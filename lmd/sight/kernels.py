@@ -6,9 +6,10 @@ from approximation:
 
 1. Per position, landmarks that are too near, too far or face away are dropped: some 60 % in the paper's room.
 2. Only those left are tested for being hidden by the others, without a branch in the inner loop.
-3. A cap lies in a cone around the direction of its landmark. Axes are sorted by height (their z coordinate), so
-   the cone's lowest and highest point bound the axes that need the exact test to one contiguous band.
-4. Probabilities are sums of integers (`PROBABILITY_ONE` per unit), exact in any order.
+3. Only axes in a band of heights around the landmark need the exact test (`bands`).
+4. Where that test is long, sets of axes are bits, and tables of `directions` say which axes surely cover a landmark,
+   and which may; the second need the test, but only where the first did not already make enough landmarks.
+5. Probabilities are sums of integers (`PROBABILITY_ONE` per unit), exact in any order.
 
 Kernels release the GIL and work on a range of positions, so threads can share a batch; the result does not depend
 on how it is shared.
@@ -17,65 +18,21 @@ on how it is shared.
 import math
 
 import numpy as np
-from numba import njit
 
-from lmd.checks import FloatArray
 from lmd.compiled import kernel
-from lmd.sight.criteria import covers, from_position, hide
+from lmd.sight.bands import band_of
+from lmd.sight.bits import ALL, BITS, ONE, ZERO, lowest
+from lmd.sight.criteria import covering, covers, frame_of, from_position, hide
+from lmd.sight.directions import NOWHERE, cell_of
 
 # A probability of 1 in the integer units of the kernels: quantisation is far below TOLERANCE, and a sum of
 # at most one fits a double exactly.
 PROBABILITY_ONE = 1 << 52
-# Axes come in blocks of this many, the last one filled up with zero vectors that nothing covers: loops over whole
-# blocks vectorise without a remainder.
+# Positions and landmarks come in blocks of this many: loops over whole blocks vectorise without a remainder.
 BLOCK = 16
-# Number of equal intervals of [-1, 1] in which the start of a band of axes is tabulated.
-HEIGHT_BINS = 512
-# Heights this far beyond the cone's ends are still tested; rounding moves the end of a narrow cone by 2e-8.
-HEIGHT_MARGIN = 1e-6
 
 # The square of a cosine in single precision is off by less than this: a dozen roundings of 6e-8.
 SINGLE_ERROR = 2e-6
-
-
-def in_blocks(values: FloatArray) -> FloatArray:
-    """Fill the last axis of `values` `(..., D)` up with zeros to whole blocks."""
-    missing = -values.shape[-1] % BLOCK
-    return np.ascontiguousarray(np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, missing)]))
-
-
-def height_index(heights: FloatArray) -> np.ndarray:
-    """`index[b]`: the first axis at or above the bottom of height bin b, less a margin, `(HEIGHT_BINS + 2,)`.
-
-    Args:
-        heights: z coordinates of the axes in ascending order, `(D,)`.
-    """
-    edges = np.linspace(-1.0, 1.0, HEIGHT_BINS + 1)
-    return np.append(np.searchsorted(heights, edges - HEIGHT_MARGIN), len(heights)).astype(np.int64)
-
-
-@njit(inline="always")
-def band_of(x, y, z, low, slack):
-    """The heights of the axes whose depth of a landmark at offset (x, y, z) may reach `low`.
-
-    They lie in a cone around the direction of the landmark. With a `slack`, in that of any landmark so far away.
-    Scalars only and no branch: a loop over landmarks or positions vectorises with it.
-
-    Returns:
-        the first and last height bin, to be looked up in `height_index`.
-    """
-    distance = math.sqrt(x * x + y * y + z * z)
-    height, cosine = z / distance, min(max(low / distance, -1.0), 1.0)
-    sine = math.sqrt(1.0 - cosine * cosine)
-    across = math.sqrt(max(0.0, 1.0 - height * height))
-    wide = distance - slack <= 0.0  # the slack reaches the camera: any axis
-    bottom = -1.0 if wide | (-height >= cosine) else height * cosine - across * sine
-    top = 1.0 if wide | (height >= cosine) else height * cosine + across * sine
-    scale = HEIGHT_BINS / 2.0
-    first = math.floor((bottom - HEIGHT_MARGIN + 1.0) * scale)
-    # Twice the margin: the table starts each bin one margin early.
-    last = math.floor((top + 2.0 * HEIGHT_MARGIN + 1.0) * scale) + 1
-    return max(first, 0), min(last, HEIGHT_BINS + 1)
 
 
 @kernel
@@ -92,7 +49,7 @@ def is_hidden(k, x, y, z, squared, normals, sight):
 
 @kernel
 def evaluate_range(
-    first, last, positions, landmarks, normals, sight, axes, bands, weights, n, units, counts, keep
+    first, last, positions, landmarks, normals, sight, axes, bands, tables, weights, n, units, counts, keep
 ):  # fmt: skip
     """Evaluate deployments at the positions `first` to `last`.
 
@@ -100,25 +57,28 @@ def evaluate_range(
         positions: `(P, 3)`.
         landmarks, normals: `(B, 3, K)`.
         sight: the compiled model of sight.
-        axes: axis and right, `(6, D)`, sorted by height of the axis and filled up by `in_blocks`.
-        bands: their `height_index`.
+        axes: axis and right, `(6, D)`, sorted by height of the axis and filled up to D = 64 W.
+        bands: their `bands.height_index`.
+        tables: their `directions.tables` for models whose tests are long, None for others.
         weights: probability of each axis in integer units, `(D,)`.
         n: landmarks that must be covered.
         units: `(B, P)` int64, receives P_n in integer units.
-        counts: `(B, P, D)` int16, receives landmarks covered per axis if `keep` is set.
+        counts: `(B, P, D)` int16 zeros, receives landmarks covered per axis if `keep` is set.
     """
     # One long body but for the rare `is_hidden`: handing arrays on to a function costs atomic reference counts, as
-    # much as the work itself.
-    count, size = landmarks.shape[2], axes.shape[1]
-    reach = sight.reach
-    x, y, z, squared, low = np.empty(count), np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    # much as the work itself. Which half of it is compiled depends on the type of `tables`.
+    count, size, reach = landmarks.shape[2], axes.shape[1], sight.reach
+    x, y, z, squared = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    low, high, deep = np.empty(count), np.empty(count), np.empty(count)
     bottom, top = np.empty(count, dtype=np.int32), np.empty(count, dtype=np.int32)
-    reached = np.empty(count, dtype=np.bool_)
+    reached, shown = np.empty(count, dtype=np.bool_), np.empty(count, dtype=np.uint64)
     # Directions in single precision, filled up to whole vectors with landmarks that no direction comes close to.
     padded = (count + BLOCK - 1) & -BLOCK
     u, v, w = np.zeros(padded, np.float32), np.zeros(padded, np.float32), np.zeros(padded, np.float32)
     close = np.full(padded, 2.0, np.float32)
     row = np.empty(size, dtype=np.int16)
+    words = np.uint64(size // BITS)
+    some = np.empty((n, words), dtype=np.uint64)  # axes that cover at least 1, 2, ... n of the landmarks so far
     for b in range(landmarks.shape[0]):
         for p in range(first, last):
             px, py, pz = positions[p, 0], positions[p, 1], positions[p, 2]
@@ -126,23 +86,24 @@ def evaluate_range(
                 # Kept in variables: to read back what was just written would keep the loop from vectorising.
                 xk, yk, zk = landmarks[b, 0, k] - px, landmarks[b, 1, k] - py, landmarks[b, 2, k] - pz
                 nx, ny, nz = normals[b, 0, k], normals[b, 1, k], normals[b, 2, k]
-                in_reach, least, _ = from_position(sight, xk, yk, zk, nx, ny, nz, 0.0)
-                bottom[k], top[k] = band_of(xk, yk, zk, least, 0.0)
+                in_reach, least, most, sure = from_position(sight, xk, yk, zk, nx, ny, nz, 0.0)
+                if tables is None:
+                    bottom[k], top[k] = band_of(xk, yk, zk, least, 0.0)
+                else:
+                    cell = cell_of(xk, yk, zk)
+                    bottom[k], top[k] = NOWHERE if sure < math.inf else cell, cell
                 x[k], y[k], z[k], squared[k] = xk, yk, zk, xk * xk + yk * yk + zk * zk
-                reached[k], low[k] = in_reach, least
+                reached[k], low[k], high[k], deep[k] = in_reach, least, most, sure
             if reach >= 0.0:
                 for k in range(count):
                     here = squared[k] == 0.0  # such a landmark hides all others
                     scale = 0.0 if here else 1.0 / math.sqrt(squared[k])
                     u[k], v[k], w[k] = scale * x[k], scale * y[k], scale * z[k]
                     close[k] = -1.0 if here else 1.0 - SINGLE_ERROR - reach / squared[k]
-            for a in range(size):
-                row[a] = 0
+            found = ZERO
             for k in range(count):
                 if not reached[k]:
                     continue
-                xk, yk, zk = x[k], y[k], z[k]
-                nx, ny, nz = normals[b, 0, k], normals[b, 1, k], normals[b, 2, k]
                 if reach >= 0.0:
                     uk, vk, wk, suspects = u[k], v[k], w[k], np.int32(0)
                     for j in range(np.uint64(padded)):
@@ -151,15 +112,56 @@ def evaluate_range(
                     # The landmark itself is always one of the suspects.
                     if suspects > 1 and is_hidden(k, x, y, z, squared, normals[b], sight):
                         continue
-                least = low[k]
-                start, stop = bands[bottom[k]] & -BLOCK, (bands[top[k]] + BLOCK - 1) & -BLOCK
-                # Unsigned, so that the compiler sees indices that cannot be negative and vectorises the loop.
-                for a in range(np.uint64(start), np.uint64(stop)):
-                    row[a] += covers(sight, xk, yk, zk, nx, ny, nz, least, 0.0, axes, a)
+                shown[found] = k
+                found += ONE
             total = np.int64(0)
-            for a in range(size):
-                total += weights[a] if row[a] >= n else 0
-            units[b, p] = total
-            if keep:
+            if tables is None:
                 for a in range(size):
-                    counts[b, p, a] = row[a]
+                    row[a] = 0
+                for m in range(found):
+                    k = shown[m]
+                    xk, yk, zk, least = x[k], y[k], z[k], low[k]
+                    nx, ny, nz = normals[b, 0, k], normals[b, 1, k], normals[b, 2, k]
+                    start, stop = bands[bottom[k]] & -BLOCK, (bands[top[k]] + BLOCK - 1) & -BLOCK
+                    # Unsigned, so that the compiler sees indices that cannot be negative and vectorises the loop.
+                    for a in range(np.uint64(start), np.uint64(stop)):
+                        row[a] += covers(sight, xk, yk, zk, nx, ny, nz, least, 0.0, axes, a)
+                for a in range(size):
+                    total += weights[a] if row[a] >= n else 0
+                if keep:
+                    for a in range(size):
+                        counts[b, p, a] = row[a]
+            else:
+                certain, possible = tables
+                some[:] = ZERO
+                for m in range(found):
+                    given = np.uint64(bottom[shown[m]])
+                    for i in range(words):
+                        cap = certain[given, i]
+                        for j in range(n - 1, 0, -1):
+                            some[j, i] |= some[j - 1, i] & cap
+                        some[0, i] |= cap
+                for m in range(found):
+                    k = shown[m]
+                    xk, yk, zk, least, most, sure = x[k], y[k], z[k], low[k], high[k], deep[k]
+                    frame = frame_of(sight, normals[b, 0, k], normals[b, 1, k], normals[b, 2, k])
+                    given, cell = np.uint64(bottom[k]), np.uint64(top[k])
+                    for i in range(words):
+                        left, cap = possible[cell, i] & ~certain[given, i], ZERO
+                        left &= ALL if keep else ~some[n - 1, i]
+                        if left:
+                            well = certain[cell, i]
+                            cap = covering(sight, left, i, xk, yk, zk, frame, least, most, sure, well, axes)
+                            for j in range(n - 1, 0, -1):
+                                some[j, i] |= some[j - 1, i] & cap
+                            some[0, i] |= cap
+                        cap |= certain[given, i]
+                        while keep and cap:
+                            counts[b, p, i * np.uint64(BITS) + lowest(cap)] += 1
+                            cap &= cap - ONE
+                for i in range(words):
+                    left = some[n - 1, i]
+                    while left:
+                        total += weights[i * np.uint64(BITS) + lowest(left)]
+                        left &= left - ONE
+            units[b, p] = total

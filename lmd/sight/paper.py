@@ -22,7 +22,7 @@ import numpy as np
 
 from lmd.camera import Camera
 from lmd.checks import BoolArray, FloatArray, choice, real
-from lmd.sight.criteria import TOLERANCE, from_position, hide, in_image
+from lmd.sight.criteria import TOLERANCE, from_position, hide, in_cone, in_image, in_view
 
 OCCLUSION_MODES = ("paper", "line_of_sight", "none")
 
@@ -229,9 +229,14 @@ class PaperSight(NamedTuple):
         return self.min_cosine - TOLERANCE
 
     @property
-    def inner_cosine(self) -> float:
-        """See `Sight.inner_cosine`."""
-        return self.min_cosine + TOLERANCE
+    def inset(self) -> float:
+        """See `Sight.inset`: a landmark is a point."""
+        return 0.0
+
+    @property
+    def tabulated(self) -> bool:
+        """See `Sight.tabulated`: a depth and two comparisons."""
+        return False
 
     def unhidden(self) -> "PaperSight":
         """See `Sight.unhidden`."""
@@ -256,13 +261,18 @@ def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untype
     )
     facing = -(nx * x + ny * y + nz * z) > TOLERANCE * nearest
     limited = (distance * sight.min_cosine < sight.min_depth) | (distance * (1.0 + TOLERANCE) > sight.max_depth)
-    return in_depth & facing, low, limited
+    return in_depth & facing, low, sight.max_depth, sight.max_depth if limited else math.inf
 
 
 @in_image.register(PaperSight)
 def _in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
     depth = ax * x + ay * y + az * z
     return (depth >= low) & (depth <= sight.max_depth + slack)
+
+
+@in_view.register(PaperSight)
+def _in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
+    return in_cone(sight.min_cosine + (TOLERANCE if sine > 0.0 else -TOLERANCE), x, y, z, sine, cosine, ax, ay, az)
 
 
 @hide.register(PaperSight)

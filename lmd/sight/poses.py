@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from lmd.checks import FloatArray, real
 from lmd.compiled import kernel
 from lmd.deployment import Deployment
+from lmd.sight.bands import band_of
 from lmd.sight.criteria import TOLERANCE, covers, from_position
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.kernels import BLOCK, band_of
+from lmd.sight.kernels import BLOCK
 from lmd.space.space import Space
 
 # Poses, or positions, that a thread works on at a time: the work differs much between walls.
@@ -90,7 +91,7 @@ def _gains(start, stop, points, normals, slack, prices, positions, sight, axes, 
         near = slack[j]
         for p in range(size):
             xp, yp, zp = px - positions[0, p], py - positions[1, p], pz - positions[2, p]
-            in_reach, least, _ = from_position(sight, xp, yp, zp, nx, ny, nz, near)
+            in_reach, least, _, _ = from_position(sight, xp, yp, zp, nx, ny, nz, near)
             bottom[p], top[p] = band_of(xp, yp, zp, least, near)
             x[p], y[p], z[p], reached[p], low[p] = xp, yp, zp, in_reach, least
         for a in range(len(row)):
@@ -119,7 +120,7 @@ def _cover(start, stop, points, normals, amounts, positions, sight, axes, bands,
                 continue
             x, y, z = points[j, 0] - positions[p, 0], points[j, 1] - positions[p, 1], points[j, 2] - positions[p, 2]
             nx, ny, nz = normals[j, 0], normals[j, 1], normals[j, 2]
-            reached, low, _ = from_position(sight, x, y, z, nx, ny, nz, 0.0)
+            reached, low, _, _ = from_position(sight, x, y, z, nx, ny, nz, 0.0)
             if reached:
                 bottom, top = band_of(x, y, z, low, 0.0)
                 first, last = bands[bottom] & -BLOCK, (bands[top] + BLOCK - 1) & -BLOCK

@@ -26,7 +26,7 @@ def _see(positions, axes, landmarks, normals, sight, seen):
             squared[k] = x[k] * x[k] + y[k] * y[k] + z[k] * z[k]
         for k in range(count):
             xk, yk, zk, nx, ny, nz = x[k], y[k], z[k], normals[0, k], normals[1, k], normals[2, k]
-            reached, low, _ = from_position(sight, xk, yk, zk, nx, ny, nz, 0.0)
+            reached, low, _, _ = from_position(sight, xk, yk, zk, nx, ny, nz, 0.0)
             if reached and covers(sight, xk, yk, zk, nx, ny, nz, low, 0.0, axes, i):
                 seen[i, k] = sight.reach < 0.0 or not is_hidden(k, x, y, z, squared, normals, sight)
 

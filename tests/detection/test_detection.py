@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,10 +15,11 @@ from lmd.detection.evaluation import (
     precision_recall,
     quantiles_by,
 )
-from lmd.detection.fit import Limits, fit
+from lmd.detection.fit import fit
 from lmd.detection.mosaic import Sampling, Views, sample_views
 from lmd.detection.pose import pose_error, pose_from_corners
 from lmd.geometry.se3 import camera_pose
+from lmd.limits import Limits
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
@@ -65,7 +67,7 @@ def test_known_answers(name):
     assert corner_error(matches.corners, expected).max() < tolerance
     # A systematic half pixel would show in the mean.
     assert np.abs((matches.corners - expected).mean(axis=(0, 1))).max() < 0.15
-    away, angle = pose_error(POSE, pose_from_corners(CAMERA, renderer.room.corners, matches.corners))
+    away, angle = pose_error(POSE, pose_from_corners(renderer.camera, renderer.room.corners, matches.corners))
     assert away < 0.01
     assert angle < 0.01
 
@@ -95,14 +97,14 @@ def test_bad_input_gets_a_sentence(make, sentence):
 
 
 def test_pose_by_exact_corners():
-    renderer = Renderer(CAMERA, room("36h11"), Imaging(distortion=(-0.2, 0.05, 0.001, 0.002, 0.0)))
+    renderer = Renderer(replace(CAMERA, distortion=(-0.2, 0.05, 0.001, 0.002)), room("36h11"))
     image = renderer.corners(POSE)
-    found = pose_from_corners(CAMERA, renderer.room.corners, image, renderer.imaging.distortion)
+    found = pose_from_corners(renderer.camera, renderer.room.corners, image)
     np.testing.assert_allclose(found, POSE, atol=1e-5)
     only_one = np.where(np.arange(8)[:, None, None] == 2, image, np.nan)
-    found = pose_from_corners(CAMERA, renderer.room.corners, only_one, renderer.imaging.distortion)
+    found = pose_from_corners(renderer.camera, renderer.room.corners, only_one)
     np.testing.assert_allclose(found, POSE, atol=1e-3)
-    none = pose_from_corners(CAMERA, renderer.room.corners, np.full_like(image, np.nan))
+    none = pose_from_corners(renderer.camera, renderer.room.corners, np.full_like(image, np.nan))
     assert np.isnan(none).all()
     assert np.isnan(pose_error(POSE, none)).all()
 
@@ -147,17 +149,18 @@ def test_quantiles_by_hand():
 
 def test_limits_of_known_views_are_found():
     rng = np.random.default_rng(0)
-    true = Limits(pitch=0.8, blur=1.8, edge=20.0, incidence=math.radians(80.0))
+    true = Limits(pitch=0.8, blur=1.8, edge=20.0, incidence=80.0, margin=3.0)
     pitch, incidence, sigma = rng.uniform([0.5, 0.0, 0.3], [6.0, 1.55, 2.0], (20000, 3)).T
     edge = pitch * rng.uniform(4.0, 16.0, len(pitch))
     found = true.found(pitch, incidence, edge, sigma)
     views = Views(pitch, incidence, edge, sigma, found ^ (rng.random(len(pitch)) < 0.02), np.zeros(len(pitch)))
-    result = fit(views, rng)
+    result = fit(views, rng, margin=3.0)
     limits = result.limits
     assert limits.pitch == pytest.approx(0.8, abs=0.3)
     assert limits.blur == pytest.approx(1.8, abs=0.15)
     assert limits.edge == pytest.approx(20.0, abs=1.0)
-    assert limits.incidence == pytest.approx(math.radians(80.0), abs=0.02)
+    assert limits.incidence == pytest.approx(80.0, abs=1.0)
+    assert limits.margin == 3.0
     assert result.accuracy == pytest.approx(0.98, abs=0.01)
     assert not true.found(*(np.array([math.nan]),) * 4)
 

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -20,17 +22,19 @@ def views(count, rng):
     return poses, centres, normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
-def derivative(pose, centre, normal, step=1e-5):
+def derivative(camera, pose, centre, normal, step=1e-5):
     """d(pixel)/d(metre) in the tag's plane by central differences of the projector, (2, 2)."""
     basis = np.linalg.svd(normal[None])[2][1:]
-    ends = project(CAMERA, pose, centre + step * np.concatenate([basis, -basis]))
+    ends = project(camera, pose, centre + step * np.concatenate([basis, -basis]))
     return (ends[:2] - ends[2:]).T / (2.0 * step)
 
 
-def test_pitch_and_edge_are_those_of_the_projector():
+@pytest.mark.parametrize("distortion", [(), (-0.15, 0.03, 0.002, -0.003, 0.005)])
+def test_pitch_and_edge_are_those_of_the_projector(distortion):
+    camera = replace(CAMERA, distortion=distortion)
     for pose, centre, normal in zip(*views(200, np.random.default_rng(0)), strict=True):
-        jacobian = derivative(pose, centre, normal)
-        arguments = (CAMERA, pose, centre[None], normal[None], TAG)
+        jacobian = derivative(camera, pose, centre, normal)
+        arguments = (camera, pose, centre[None], normal[None], TAG)
         smallest = np.linalg.svd(jacobian, compute_uv=False)[1]
         np.testing.assert_allclose(pitch(*arguments), smallest * 0.16 / 8, rtol=1e-5, atol=1e-6)
         area = abs(np.linalg.det(jacobian))

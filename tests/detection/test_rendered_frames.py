@@ -17,7 +17,8 @@ from lmd.deployment import Deployment, UniformDeployment
 from lmd.detection.board import BoardImages
 from lmd.detection.calibration import Calibration, foreseen, judged
 from lmd.detection.detectors import AprilTagDetector, ArucoDetector
-from lmd.detection.fit import Fit, Limits
+from lmd.detection.evaluation import agreement
+from lmd.detection.fit import Fit
 from lmd.detection.frames import (
     Sightings,
     draw_poses,
@@ -29,12 +30,16 @@ from lmd.detection.frames import (
 )
 from lmd.detection.mosaic import Mosaics, Views
 from lmd.detection.report import Prediction, by_pitch, by_tag, figures, to_markdown, verdicts
-from lmd.geometry.se3 import camera_pose, poses_from_rows
+from lmd.geometry.se3 import axis_and_right, camera_pose, poses_from_rows
+from lmd.limits import Limits, Preset
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
 from lmd.scene import Scene
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.fiducial import Fiducial
 from lmd.sight.paper import Visibility
+from lmd.sight.views import visible
 from lmd.space.cuboid import Cuboid
 from lmd.tag import Tag, upright
 
@@ -150,12 +155,26 @@ def test_figures_count_what_happened(seen):
     assert {line.count("|") for line in lines[:4]} == {13}
 
 
+@pytest.mark.parametrize("lens", [(-0.25, 0.05, 0.003, -0.004), (0.25, 0.05, 0.003, -0.004)])
+def test_what_a_detector_sees_through_a_lens_that_distorts_is_foreseen(lens):
+    bent, tag, deployment, poses = replace(CAMERA, distortion=lens), Tag(0.12), uniform(60), draw_poses(SCENE, 30, 0)
+    renderer = Renderer(bent, tagged_room(ROOM, deployment, tag), IMAGING)
+    found = look(renderer, {"apriltag": AprilTagDetector()}, poses, 0, 7)["apriltag"].detected
+    right = []
+    for camera in (bent, CAMERA):
+        scene = Scene(ROOM, camera, pdf.solid_angle(4), Fiducial(tag, "apriltag"))
+        told = visible(Evaluator(scene), deployment, poses[:, :3, 3], axis_and_right(poses))
+        right.append((told & found).sum() / (told | found).sum())
+    assert right[0] > 0.94
+    assert right[1] < 0.85  # who leaves out the distortion is wrong
+
+
 def test_limits_foresee_whole_frames(seen):
     prediction, found = seen
-    limits = Limits(0.8, 1.8, 12.0, math.radians(84.0))
-    predicted = foreseen(limits, prediction.renderer, prediction.poses, 3.0)
+    limits = Limits(0.8, 1.8, 12.0, 84.0, 3.0)
+    predicted = foreseen(limits, prediction.renderer, prediction.poses)
     pitch, incidence, edge, sigma = qualities(prediction.renderer, prediction.poses)
-    assert (incidence[predicted] <= limits.incidence).all()
+    assert (incidence[predicted] <= math.radians(84.0)).all()
     assert (edge[predicted] >= 12.0).all()
     assert (pitch[predicted] >= np.hypot(0.8, 1.8 * sigma[predicted])).all()
     row = judged(predicted, found["aruco"])
@@ -164,17 +183,35 @@ def test_limits_foresee_whole_frames(seen):
     assert row["agreement_2"] > figures(prediction, found["aruco"])["agreement_2"] - 1e-9
 
 
-def test_a_preset_is_yaml_with_its_evidence():
-    yaml = pytest.importorskip("yaml")
-    views = Views(*np.ones((4, 6)), np.ones(6, dtype=bool), np.zeros(6))
-    calibration = Calibration(views, Fit(Limits(0.8, 1.8, 14.0, 1.466), 0.95, 0.94, 0.93), {})
-    text = calibration.preset("Limits of aruco.\nSeed 0.")
+def test_motion_blur_lowers_detections_as_predicted():
+    deployment, poses, tag = uniform(40), draw_poses(SCENE, 40, 0), Tag(0.15)
+    counts = []
+    for blur in (0.0, 5.0):
+        renderer = Renderer(CAMERA, tagged_room(ROOM, deployment, tag), replace(IMAGING, motion_blur=blur))
+        scene = replace(SCENE, visibility=Fiducial(tag, motion_blur=blur), tag=tag)
+        predicted = visible(Evaluator(scene, 1), deployment, poses[:, :3, 3], axis_and_right(poses))
+        found = look(renderer, {"aruco": ArucoDetector()}, poses, 0, 7)["aruco"].detected
+        assert agreement(predicted, found) >= 0.9
+        counts.append((predicted.sum(), found.sum()))
+        # The limits that are fitted to single tags know of it too.
+        sigma = qualities(renderer, poses)[3]
+        still = qualities(replace(renderer, imaging=IMAGING), poses)[3]
+        np.testing.assert_allclose(sigma**2, still**2 + blur**2 / 12.0)
+    (sharp, sharp_found), (blurred, blurred_found) = counts
+    assert blurred_found < 0.8 * sharp_found
+    assert blurred_found / sharp_found == pytest.approx(blurred / sharp, abs=0.1)
+
+
+def test_a_preset_has_its_evidence(tmp_path):
+    views, limits = Views(*np.ones((4, 6)), np.ones(6, dtype=bool), np.zeros(6)), Limits(0.8, 1.8, 14.0, 84.0, 3.0)
+    calibration = Calibration(views, Fit(limits, 0.95, 0.94, 0.93), {})
+    text = calibration.preset("aruco", "36h11", "seed 0")
     assert text.startswith(
-        "# Limits of aruco.\n# Seed 0.\n# Fitted to half of 6 views; on the other half accuracy 0.950"
+        "# Limits of aruco for tags of the family 36h11: seed 0.\n"
+        "# Fitted to half of 6 views; on the other half accuracy 0.950"
     )
-    assert yaml.safe_load(text) == {
-        "_target_": "lmd.detection.fit.Limits", "pitch": 0.8, "blur": 1.8, "edge": 14, "incidence": 1.466
-    }  # fmt: skip
+    (tmp_path / "a.yaml").write_text(text)
+    assert Preset.from_yaml(tmp_path / "a.yaml") == Preset("aruco", "36h11", limits)
     assert calibration.figures()["seen"] == 1.0
 
 

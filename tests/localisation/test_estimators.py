@@ -9,28 +9,34 @@ from paper import paper_camera, paper_room, paper_scene
 
 from lmd.checks import InputError
 from lmd.deployment import UniformDeployment
-from lmd.detection.detectors import ArucoDetector
 from lmd.geometry import se3
 from lmd.localisation.cramer_rao import cramer_rao_bound, cramer_rao_map, pose_information
-from lmd.localisation.estimators import CramerRaoBound, InvariantKalmanFilter, PerspectiveNPoint
-from lmd.localisation.measurements import Detector, Recording, record
+from lmd.localisation.estimators import CramerRaoBound
+from lmd.localisation.fusion import InvariantKalmanFilter
+from lmd.localisation.measurements import Detector, detected
 from lmd.localisation.observer import Observer
-from lmd.localisation.rendered import RenderedDetector
+from lmd.localisation.odometry import Odometry
+from lmd.localisation.pnp import PerspectiveNPoint
+from lmd.localisation.recording import Flight, Recording, record
 from lmd.localisation.trajectory import Pace, RandomMotion
-from lmd.render.imaging import Imaging
+from lmd.render.optics import project
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.views import visible
-from lmd.tag import Tag
 
 SCENE = paper_scene()
+BENT = paper_camera(distortion=(-0.15, 0.02, 0.002, -0.003))
 EVALUATOR = Evaluator(SCENE, threads=1)
 UNIFORM = UniformDeployment(90).draw(SCENE.room, np.random.default_rng(0))
 FLIGHT = RandomMotion(20.0, Pace(1.0, 1.0, 20.0)).draw(SCENE, np.random.default_rng(3))
 
 
+def flight(trajectory=FLIGHT, seed=0, all_visible=False):
+    return Flight(EVALUATOR, UNIFORM, trajectory, np.random.default_rng(seed), all_visible)
+
+
 def recorded(detector=None, flights=(FLIGHT,), seed=0, all_visible=False):
-    rngs = [np.random.default_rng([seed, i]) for i in range(len(flights))]
-    return record(EVALUATOR, SCENE.camera, detector or Detector(), [UNIFORM] * len(flights), flights, rngs, all_visible)
+    flown = [flight(trajectory, [seed, i], all_visible) for i, trajectory in enumerate(flights)]
+    return record(detector or Detector(), flown)
 
 
 def spread_out(frames, detector, count=8, seed=0):
@@ -40,32 +46,23 @@ def spread_out(frames, detector, count=8, seed=0):
     ray = np.column_stack([rng.uniform(-0.5, 0.5, (count, 2)), np.ones(count)])
     points = ray * rng.uniform(1.5, 3.0, (count, 1))
     poses, points = np.tile(pose, (1, frames, 1, 1)), np.tile(points, (1, frames, 1, 1))
+    measured = detector.measured(points, SCENE.camera, rng)
     return Recording(
         0.05 * np.arange(frames),
         poses,
+        np.zeros((1, frames - 1, 6)),
+        Odometry(),
         se3.act(pose, points[:, 0]),
-        np.ones((1, frames, count), dtype=bool),
-        detector.measured(points, SCENE.camera, rng),
         SCENE.camera,
-        detector,
+        np.ones((1, frames, count), dtype=bool),
+        measured,
+        np.full(frames * count, detector.pixel_noise),
+        detector.covariance(measured.reshape(-1, 3), SCENE.camera),
     )
 
 
 def start_near(recording, size=0.3):
     return recording.poses[:, 0] @ se3.exp(np.full(6, size))
-
-
-def test_a_real_detector_measures_where_tags_are():
-    detector = RenderedDetector(Tag(0.2), ArucoDetector(), Imaging())
-    poses = FLIGHT.poses[:40:10]
-    rng = np.random.default_rng(0)
-    seen, points = detector.observed(EVALUATOR, SCENE.camera, UNIFORM, poses, rng, False)
-    assert seen.shape == (4, 90)
-    assert seen.sum(axis=1).min() >= 1
-    expected = se3.act(se3.inverse(poses), UNIFORM.positions)
-    off = np.linalg.norm(points - expected, axis=-1)[seen] / expected[seen][:, 2]
-    assert np.median(off) < 0.02
-    assert detector.edge == 0.2
 
 
 def test_a_recording_has_what_the_optimiser_counts():
@@ -97,24 +94,25 @@ def test_all_visible_is_all_visible():
     assert_allclose(
         se3.act(FLIGHT.poses, recording.points[0]), np.broadcast_to(UNIFORM.positions, (401, 90, 3)), atol=1e-12
     )
-    with pytest.raises(InputError, match=r"^detector\.pixel_noise must be 0 when all landmarks are visible, got 0\.5"):
+    with pytest.raises(InputError, match=r"^all_visible must be false where measurements are not exact"):
         recorded(Detector(pixel_noise=0.5), all_visible=True)
 
 
 def test_missed_detections_are_as_many_as_said():
     seen = np.ones((200, 500), dtype=bool)
-    assert 0.29 < 1.0 - Detector(missed=0.3).detected(seen, np.random.default_rng(0)).mean() < 0.31
-    assert not Detector(missed=1.0).detected(seen, np.random.default_rng(0)).any()
-    assert Detector().detected(seen, np.random.default_rng(0)).all()
+    assert 0.29 < 1.0 - detected(seen, 0.3, np.random.default_rng(0)).mean() < 0.31
+    assert not detected(seen, 1.0, np.random.default_rng(0)).any()
+    assert detected(seen, 0.0, np.random.default_rng(0)).all()
 
 
-def test_pixel_noise_is_as_large_as_said():
-    detector, focal = Detector(pixel_noise=0.8, edge=0.2), SCENE.camera.focal_pixels
-    points = np.tile([0.3, -0.4, 2.0], (20_000, 1))
-    measured = detector.measured(points, SCENE.camera, np.random.default_rng(0))
-    image = focal * measured[:, :2] / measured[:, 2:]
-    assert_allclose(image.std(axis=0), 0.8, rtol=0.03)
-    assert_allclose(image.mean(axis=0), focal * points[0, :2] / 2.0, atol=0.03)
+@pytest.mark.parametrize("camera", [SCENE.camera, BENT])
+def test_pixel_noise_is_as_large_as_said(camera):
+    detector, focal = Detector(pixel_noise=0.8, edge=0.2), camera.focal_pixels
+    points = np.tile([0.9, -0.8, 2.0], (20_000, 1))
+    measured = detector.measured(points, camera, np.random.default_rng(0))
+    image, exact = (project(camera, np.eye(4), p) for p in (measured, points))
+    assert_allclose((image - exact).std(axis=0), 0.8, rtol=0.03)
+    assert_allclose((image - exact).mean(axis=0), 0.0, atol=0.03)
     assert_allclose((focal[0] * 0.2 / measured[:, 2]).std(), 0.8, rtol=0.03)
     assert_array_equal(Detector().measured(points, SCENE.camera, np.random.default_rng(0)), points)
 
@@ -123,17 +121,17 @@ def test_the_focal_length_in_pixels_is_that_of_each_side():
     assert_allclose(paper_camera(pixel_height=0.01).focal_pixels, [5.0 / 0.0058, 5.0 / 0.01])
 
 
-def test_the_information_is_that_of_the_images_slopes():
+@pytest.mark.parametrize("camera", [SCENE.camera, BENT])
+def test_the_information_is_that_of_the_images_slopes(camera):
     recording = spread_out(1, Detector())
-    pose, landmarks, focal = recording.poses[0, 0], recording.landmarks[0], SCENE.camera.focal_pixels
+    pose, landmarks = recording.poses[0, 0], recording.landmarks[0]
 
     def image(at):
-        points = se3.act(se3.inverse(at), landmarks)
-        return (focal * points[:, :2] / points[:, 2:]).ravel()
+        return project(camera, at, landmarks).ravel()
 
     steps = [se3.exp(1e-6 * np.array([d, -d])) for d in np.eye(6)]
     slopes = np.array([(image(pose @ plus) - image(pose @ minus)) / 2e-6 for plus, minus in steps])
-    information = pose_information(pose[None], landmarks, recording.seen[0], SCENE.camera)[0]
+    information = pose_information(pose[None], landmarks, recording.seen[0], camera)[0]
     assert_allclose(information, slopes @ slopes.T, rtol=1e-5, atol=1e-3)
     position, attitude = cramer_rao_bound(information)
     variance = np.diag(np.linalg.inv(slopes @ slopes.T))
@@ -151,7 +149,7 @@ def test_information_adds_up_and_nothing_seen_is_none():
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 4])
 def test_the_bound_is_finite_from_three_landmarks_on(count):
     recording = spread_out(1, Detector(pixel_noise=1.0))
-    recording.seen[0, 0, count:] = False
+    recording = replace(recording, seen=np.arange(8)[None, None] < count, noise=recording.noise[:count])
     errors = CramerRaoBound().errors(recording, start_near(recording))
     assert np.isfinite(errors.position[0, 0]) == np.isfinite(errors.attitude[0, 0]) == (count >= 3)
     assert errors.available[0] == (count >= 3)

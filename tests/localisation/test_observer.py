@@ -4,8 +4,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lmd.checks import InputError
 from lmd.geometry import se3
-from lmd.localisation.measurements import Detector, Recording
 from lmd.localisation.observer import FORMS, Observer, cost
+from lmd.localisation.odometry import Odometry
+from lmd.localisation.recording import Recording
+from lmd.localisation.trajectory import Trajectory
 
 RNG = np.random.default_rng(0)
 LANDMARKS = RNG.uniform(-3.0, 3.0, (12, 3))
@@ -50,7 +52,9 @@ def recording(poses, seen, step=STEP):
     """One run over all landmarks."""
     time = step * np.arange(len(poses))
     points = measured(poses)
-    return Recording(time, poses[None], LANDMARKS[None], seen[None], points[None], None, Detector())
+    exact = np.zeros(seen.sum()), np.zeros((seen.sum(), 3, 3))
+    motion = Trajectory(time, poses).twists[None], Odometry()
+    return Recording(time, poses[None], *motion, LANDMARKS[None], None, seen[None], points[None], *exact)
 
 
 def moving(frames, twist):

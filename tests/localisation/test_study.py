@@ -62,7 +62,10 @@ def test_the_first_estimate_is_as_wrong_as_said():
 
 
 def test_every_deployment_has_the_same_flights_and_seeds_do_not_mix():
-    together, alone = (conduct(PROBLEMS, flights(*s), Detector(0.5, 0.1), ESTIMATORS, False) for s in ((3, 4), (4,)))
+    together, alone = (
+        conduct(PROBLEMS, flights(*s), dict.fromkeys(PROBLEMS, Detector(0.5, 0.1)), ESTIMATORS, False)
+        for s in ((3, 4), (4,))
+    )
     assert list(together.outcomes) == ["uniform", "random"]
     for name, outcome in together.outcomes.items():
         assert_array_equal(outcome.counts[1], alone.outcomes[name].counts[0])
@@ -76,15 +79,15 @@ def test_every_deployment_has_the_same_flights_and_seeds_do_not_mix():
 def test_a_random_deployment_is_another_for_each_seed():
     drawn = flights(0, 1)
     random, uniform = (PROBLEMS[name] for name in ("random", "uniform"))
-    landmarks = drawn.recorded(random, Detector(), False).landmarks
+    landmarks = np.stack([flight.deployment.positions for flight in drawn.over(random)])
     assert_array_equal(landmarks[1], random.start.draw(SCENE.room, np.random.default_rng(1)).positions)
     assert not np.allclose(landmarks[0], landmarks[1])
-    same = drawn.recorded(uniform, Detector(), False).landmarks
+    same = [flight.deployment.positions for flight in drawn.over(uniform)]
     assert_array_equal(same[0], same[1])
 
 
 def test_with_all_visible_each_deployment_is_flown_twice():
-    study = conduct({"mine": PROBLEMS["uniform"]}, flights(0), Detector(), {"observer": Observer()}, True)
+    study = conduct({"mine": PROBLEMS["uniform"]}, flights(0), {"mine": Detector()}, {"observer": Observer()}, True)
     assert list(study.outcomes) == ["mine", "mine all visible"]
     seen, everything = study.outcomes.values()
     assert (everything.counts == 60).all()
@@ -136,7 +139,7 @@ def test_curves_have_a_window_for_each_frame_or_several():
 
 
 def test_the_table_has_a_row_for_each_deployment_and_estimator():
-    study = conduct(PROBLEMS, flights(0, 1), Detector(0.5), ESTIMATORS, False)
+    study = conduct(PROBLEMS, flights(0, 1), dict.fromkeys(PROBLEMS, Detector(0.5)), ESTIMATORS, False)
     lines = to_markdown(study.figures(), 2).splitlines()
     assert [line.split(" | ")[:2] for line in lines[2:]] == [
         [f"| {name}", estimator] for name in PROBLEMS for estimator in ESTIMATORS
@@ -147,13 +150,13 @@ def test_the_table_has_a_row_for_each_deployment_and_estimator():
 
 def test_the_objectives_own_number_is_reported_too():
     many = Problem(SCENE, Coverage(6, 0.5), UniformDeployment(60), threads=1)
-    study = conduct({"mine": many}, flights(0), Detector(), {"observer": Observer()}, False)
+    study = conduct({"mine": many}, flights(0), {"mine": Detector()}, {"observer": Observer()}, False)
     assert list(study.outcomes["mine"].shares) == [1, 2, 3, 4, 6]
     assert "time with >= 6 in view" in to_markdown(study.figures(), 6)
 
 
 def test_bad_input_gets_one_sentence():
     with pytest.raises(InputError, match=r"^estimators must name at least one estimator"):
-        conduct(PROBLEMS, flights(0), Detector(), {}, False)
+        conduct(PROBLEMS, flights(0), dict.fromkeys(PROBLEMS, Detector()), {}, False)
     with pytest.raises(InputError, match=r"^attitude must be in \[0, 3\.14159\], got 4"):
         InitialError(1.0, 4.0)

@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 import processes
 import pytest
-import yaml
 from test_detect_pipeline import CAMERA
 
 from lmd.camera import Camera
@@ -14,6 +13,7 @@ from lmd.geometry.se3 import camera_pose
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
+from lmd.sight.fiducial import Fiducial
 from lmd.tag import Tag
 
 SMALL = ["room.spacing=3", *CAMERA, "tag.edge=0.3", "views.count=300", "poses=10", "hydra.run.dir=run", "tracking=none"]
@@ -35,7 +35,10 @@ def test_limits_with_their_evidence(tmp_path):
     for name in ("aruco", "apriltag_decimate2"):
         text = (tmp_path / "run" / f"36h11_{name}.yaml").read_text()
         assert "In 10 frames of a room" in text
-        assert yaml.safe_load(text)["blur"] == pytest.approx(figures[name]["blur"], rel=1e-3)
+        # As it is, it is a detector of visibility=fiducial.
+        fiducial = Fiducial(Tag(0.3), str(tmp_path / "run" / f"36h11_{name}.yaml"))
+        assert fiducial.limits.blur == pytest.approx(figures[name]["blur"], rel=1e-3)
+        assert fiducial.limits.margin == 3.0
         assert figures[name]["accuracy"] > 0.8
         assert figures[name]["room_agreement_2"] >= 0.7
     # A smaller image is read: tags must be larger.
@@ -67,7 +70,7 @@ def test_images_of_a_board(tmp_path):
 BAD_INPUT = {
     "count": (["views.count=1"], "views.count must be at least 2, got 1."),
     "range": (["views.sampling.pitch=[3,2]"], "views.sampling.pitch must be a range [low, high], got [3, 2]."),
-    "border": (["border=-1"], "border must be at least 0, got -1."),
+    "margin": (["margin=-1"], "margin must be at least 0, got -1."),
     "detector": (["detectors=[]"], "detectors must name at least one detector."),
 }
 

@@ -15,8 +15,9 @@ from lmd.camera import Camera
 from lmd.checks import InputError
 from lmd.optimisers.encoding import make_encoding
 from pipelines.app import CONF, build_optimiser, build_problem, flat_settings, instantiate, keyed
+from pipelines.deployments import any_deployment
 
-ONLY_OBSERVE = ("trajectory", "detector", "estimator")
+ONLY_OBSERVE = ("trajectory", "detector", "estimator", "odometry")
 ONLY_RENDERED = ("detectors", "imaging", "views")
 OTHER_GROUPS = {
     "experiment",
@@ -110,8 +111,9 @@ REFUSED = {
 }
 PARTS = {
     "trajectory.pace.speed=0": "trajectory.pace.speed must be greater than 0, got 0.",
-    "estimator.iekf.turn_noise=0": "estimator.iekf.turn_noise must be greater than 0, got 0.",
+    "estimator.iekf.least_turn_noise=0": "estimator.iekf.least_turn_noise must be greater than 0, got 0.",
     "start.position=-1": "start.position must be at least 0, got -1.",
+    "odometry.turn_noise=-1": "odometry.turn_noise must be at least 0, got -1.",
     "detector.missed=2": "detector.missed must be in [0, 1], got 2.",
 }
 
@@ -243,9 +245,23 @@ def test_tags_and_what_a_detector_sees_are_a_choice():
         (["visibility=fiducial"], r"^tag must have an edge"),
         (["tag.edge=1.5"], r"^deployment\.count = 90 tags do not fit: \d+ papers of 1\.875 m"),
         (["visibility=fiducial", "tag.edge=0.1", "visibility.detector=eyes"], r"^visibility\.detector eyes was not"),
+        (["pdf.roll=[[0,0.5]]"], r"^pdf\.roll: the probabilities must sum to 1"),
+        (["camera.distortion=[1]"], r"^camera\.distortion must be \[\] or \[k1, k2, p1, p2\]"),
+        (["visibility=fiducial", "tag.edge=0.1", "visibility.detector=a.yaml"], r"^visibility\.detector: there is no"),
         (["visibility=fiducial", "tag.edge=0.1", "+visibility.limits.pitch=-1"], r"^visibility\.limits\.pitch must be"),
     ],
 )
-def test_tags_that_cannot_be_are_refused_with_their_key(overrides, message):
+def test_what_cannot_be_is_refused_with_its_key(overrides, message):
     with pytest.raises(InputError, match=message):
         build_problem(composed("optimise", *overrides))
+
+
+def test_a_model_of_points_takes_papers_that_overlap(write):
+    path = write("id,x,y,z,nx,ny,nz\n0,0,2,3,1,0,0\n1,0,2.05,3,1,0,0\n2,0,4,3,1,0,0\n")
+    overrides = ["tag.edge=0.1", "deployment=file", f"deployment.path={path}"]
+    for model in ([], ["visibility=fiducial"]):
+        with pytest.raises(InputError, match="overlap"):
+            build_problem(composed("observe", *overrides, *model))
+    assert build_problem(any_deployment(composed("observe", *overrides))).count == 3
+    with pytest.raises(InputError, match="overlap"):
+        build_problem(any_deployment(composed("observe", *overrides, "visibility=fiducial")))

@@ -1,20 +1,26 @@
 """The tables that say, for a cell of directions, which axes surely cover a landmark there and which may."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from paper import paper_camera, paper_scene
 from strategies import seeds
 
 from lmd import pdf
-from lmd.sight.incremental.bits import unpacked
-from lmd.sight.incremental.directions import NOWHERE, SIDE, cell_of, cones
-from lmd.sight.kernels import in_blocks
+from lmd.sight.bits import in_words, unpacked
+from lmd.sight.criteria import in_view as seen
+from lmd.sight.directions import NOWHERE, SIDE, cell_of, tables
+from lmd.sight.fiducial import Fiducial
+from lmd.tag import Tag
 
-AXES = in_blocks(pdf.grid_with_ends(8).axes.T)
-REAL = len(pdf.grid_with_ends(8).axes)
+AXIS = pdf.grid_with_ends(8).axes
+RIGHT = np.cross(AXIS, [0.6, 0.0, 0.8])  # any way around will do
+AXES = in_words(np.hstack([AXIS, RIGHT / np.linalg.norm(RIGHT, axis=1, keepdims=True)]).T)
+REAL = len(AXIS)
 
 
 def directions(seed, size=2000):
@@ -23,33 +29,42 @@ def directions(seed, size=2000):
     return drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
 
 
-@given(seed=seeds, half_angle=st.floats(0.05, 3.0), narrower=st.floats(0.0, 0.5))
-def test_no_axis_in_the_outer_cone_is_missed_and_every_axis_of_the_inner_table_is_in_the_inner_cone(
-    seed, half_angle, narrower
+def sights(half_angle):
+    """A round view of that half-angle, rad, and a rectangular one of a camera with a principal point off the centre."""
+    cone = paper_scene().sight._replace(min_cosine=math.cos(half_angle))
+    image = replace(paper_camera(), principal_point=(500.0, 700.0))
+    return [cone, Fiducial(Tag(0.1)).sight(image)]
+
+
+@given(seed=seeds, half_angle=st.floats(0.05, 3.0), which=st.integers(0, 1))
+def test_no_axis_with_a_direction_in_view_is_missed_and_the_certain_ones_have_all_around_it_in_view(
+    seed, half_angle, which
 ):
-    inner, outer = math.cos(max(half_angle - narrower, 0.0)), math.cos(half_angle)
-    certain, possible = (unpacked(table, REAL).astype(bool) for table in cones(AXES, inner, outer))
-    towards = directions(seed, 200)
+    sight, rng = sights(half_angle)[which], np.random.default_rng(seed)
+    certain, possible = (unpacked(table, REAL).astype(bool) for table in tables(sight, AXES))
+    towards = directions(seed, 100)
     cells = np.array([cell_of(*direction) for direction in towards])
-    cosine = towards @ AXES[:, :REAL]
-    assert (possible[cells] >= (cosine >= outer)).all()
-    assert (certain[cells] <= (cosine >= inner)).all()
-    assert not certain[NOWHERE].any()
-    assert not possible[NOWHERE].any()
+
+    def in_view(directions):
+        return np.array([[seen(sight, *d, 0.0, 1.0, *AXES[:, a]) for a in range(REAL)] for d in directions])
+
+    assert (possible[cells] >= in_view(towards)).all()
+    near = towards + 0.99 * math.tan(sight.inset) * directions(rng.integers(2**32), 100)
+    assert (certain[cells] <= in_view(near / np.linalg.norm(near, axis=1, keepdims=True))).all()
+    for table in (certain, possible):
+        assert not table[NOWHERE].any()
 
 
-@pytest.mark.parametrize("inner", [1.0, 2.0])
-def test_an_inner_cone_can_be_empty(inner):
-    certain, possible = cones(AXES, inner, 0.5)
+def test_a_cone_narrower_than_a_cell_contains_none():
+    certain, possible = tables(sights(0.01)[0], AXES)
     assert not certain.any()
     assert possible.any()
 
 
-def test_tables_leave_little_to_be_tested():
-    certain, possible = (unpacked(table, REAL)[:NOWHERE].mean() for table in cones(AXES, 0.8, 0.8))
-    cap = (1.0 - 0.8) / 2.0  # the share of the sphere
-    assert certain < possible
-    assert possible - certain < 0.5 * cap
+@pytest.mark.parametrize("which", [0, 1])
+def test_tables_leave_little_to_be_tested(which):
+    certain, possible = (unpacked(t, REAL)[:NOWHERE].mean() for t in tables(sights(0.65)[which], AXES))
+    assert 0.03 < certain < possible < 2.5 * certain
 
 
 def test_every_direction_has_a_cell_and_the_opposite_one_another():

@@ -15,13 +15,14 @@ from lmd.checks import InputError
 from lmd.deployment import Deployment, RandomDeployment
 from lmd.detection.quality import apparent_edge, incidence, pitch
 from lmd.geometry.se3 import axis_and_right, camera_pose
+from lmd.limits import measured
 from lmd.objectives.coverage_field import coverage_field
 from lmd.objectives.field import move
 from lmd.render.optics import blur_sigma, project, to_camera
 from lmd.scene import Scene
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.fiducial import LIMITS, Fiducial
+from lmd.sight.fiducial import Fiducial
 from lmd.sight.incremental.move import counts_of, state_of
 from lmd.sight.incremental.state import scratch_of
 from lmd.sight.views import visible
@@ -30,9 +31,12 @@ from lmd.tag import LEVEL, Tag, corners, upright
 pytestmark = pytest.mark.slow  # images, or kernels of a second model of sight
 
 
-def fiducial_scene(room=None, orientations=None, edge=0.1, **fiducial):
-    orientations = orientations or pdf.grid_with_ends()
-    return Scene(room or paper_room(), paper_camera(), orientations, Fiducial(Tag(edge), **fiducial))
+LENSES = {"none": (), "barrel": (-0.12, 0.01, 0.002, -0.003), "pincushion": (0.1, 0.02, -0.003, 0.001, 0.01)}
+
+
+def fiducial_scene(room=None, orientations=None, edge=0.1, lens="none", **fiducial):
+    camera, orientations = paper_camera(distortion=LENSES[lens]), orientations or pdf.grid_with_ends()
+    return Scene(room or paper_room(), camera, orientations, Fiducial(Tag(edge), **fiducial))
 
 
 def tilted(deployment, rng, scale=0.5):
@@ -82,8 +86,9 @@ def test_the_reference_is_what_the_detection_package_says(data, scene, seed):
     np.testing.assert_array_equal(seen[sure], expected[sure])
 
 
-def test_the_reference_sees_some_tags_and_not_others():
-    scene, rng = fiducial_scene(), np.random.default_rng(0)
+@pytest.mark.parametrize("lens", LENSES)
+def test_the_reference_sees_some_tags_and_not_others(lens):
+    scene, rng = fiducial_scene(lens=lens), np.random.default_rng(0)
     deployment = RandomDeployment(60).draw(scene.room, rng)
     position, poses = np.array([3.0, 2.0, 2.0]), camera_pose(np.array([3.0, 2.0, 2.0]), *rng.uniform(-3, 3, (3, 500)))
     seen = reference.coverage_caps(scene, deployment, position, axis_and_right(poses))
@@ -121,14 +126,21 @@ def test_every_path_counts_what_the_reference_counts(data, scene, n, seed):
     check(scene, deployment, targets, n, np.random.default_rng(seed))
 
 
+@pytest.mark.parametrize(
+    ("detector", "lens"),
+    [
+        *((detector, "none") for detector in sorted({d for d, _ in measured()})),
+        ("aruco", "barrel"),
+        ("apriltag", "pincushion"),
+    ],
+)
 @pytest.mark.parametrize("edge", [0.05, 0.1, 0.3])
-@pytest.mark.parametrize("detector", sorted({detector for detector, _ in LIMITS}))
-def test_every_path_is_exact_in_the_papers_room(detector, edge):
+def test_every_path_is_exact_in_the_papers_room(detector, lens, edge):
     rng = np.random.default_rng(0)
     orientations = pdf.OrientationPdf(
         *rng.uniform(-1.5, 1.5, (2, 150)), np.full(150, 1 / 150), roll=rng.normal(size=150)
     )
-    scene = fiducial_scene(paper_room(spacing=1.5), orientations, edge, detector=detector)
+    scene = fiducial_scene(paper_room(spacing=1.5), orientations, edge, lens, detector=detector)
     deployment, targets = (RandomDeployment(40).draw(scene.room, rng) for _ in range(2))
     for one in (deployment, tilted(deployment, rng)):
         check(scene, one, targets, 2, rng)
@@ -186,6 +198,18 @@ def test_limits_of_ones_own():
     limits = {"pitch": 1.0, "blur": 1.0, "edge": 12.0, "incidence": 80.0, "margin": 2.0}
     assert Fiducial(Tag(0.1, "7x7_50"), limits=limits).limits.edge == 12.0
     assert Fiducial(Tag(0.1), limits={"margin": 9.0}).limits.margin == 9.0
+
+
+def test_several_rolls_are_the_mean_of_each():
+    room, rolls = paper_room(spacing=1.5), [(-0.5, 0.25), (0.0, 0.25), (0.7, 0.5)]
+    deployment = RandomDeployment(40).draw(room, np.random.default_rng(0))
+
+    def seen(roll):
+        return Evaluator(fiducial_scene(room, pdf.grid_with_ends(6, roll)), threads=1).probabilities(deployment, 2)
+
+    each = [seen(angle) for angle, _ in rolls]
+    np.testing.assert_allclose(seen(rolls), np.transpose(each) @ [share for _, share in rolls], atol=1e-12)
+    assert np.abs(each[0] - each[1]).max() > 0.02
 
 
 def test_without_roll_a_landscape_image_sees_wider_than_high():

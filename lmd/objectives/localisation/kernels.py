@@ -13,11 +13,13 @@ from numba import njit
 from lmd.checks import FloatArray
 from lmd.compiled import kernel
 from lmd.objectives.localisation.information import WIDTH, meets, moments, share_of, variance
-from lmd.sight.criteria import covers, from_position
+from lmd.sight.bands import band_of
+from lmd.sight.bits import ALL, BITS, LANES, ONE, ZERO, add_digit, at_least_so_far, lowest
+from lmd.sight.criteria import covering, covers, frame_of, from_position
+from lmd.sight.directions import NOWHERE, cell_of
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.fiducial_sight import upright
-from lmd.sight.incremental.bits import ALL, BITS, LANES, ONE, ZERO, add_digit, at_least_so_far, lowest
-from lmd.sight.kernels import BLOCK, SINGLE_ERROR, band_of, is_hidden
+from lmd.sight.fiducial_sight import upright_axes
+from lmd.sight.kernels import BLOCK, SINGLE_ERROR, is_hidden
 from lmd.sight.poses import shared
 from lmd.tag import LEVEL
 
@@ -25,7 +27,7 @@ from lmd.tag import LEVEL
 @njit(inline="always")
 def landmark_moments(x, y, z, nx, ny, nz, precision):
     """The `moments` of an upright landmark at offset (x, y, z) with the unit normal (nx, ny, nz)."""
-    rx, ry, rz, ux, uy, uz = upright(nx, ny, nz, LEVEL)
+    rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, LEVEL)
     half = precision.half
     return moments(x, y, z, half * rx, half * ry, half * rz, half * ux, half * uy, half * uz, precision.share)
 
@@ -51,14 +53,14 @@ def variance_of_row(sums, v):
 
 @kernel
 def localise_range(
-    first, last, positions, landmarks, normals, sight, axes, bands, weights, n, places, precision, asks,
+    first, last, positions, landmarks, normals, sight, axes, bands, tables, weights, n, places, precision, asks,
     covered, localised, variances, keep,
 ):  # fmt: skip
     """Evaluate deployments at the positions `first` to `last`.
 
     Args:
-        first, last, positions, landmarks, normals, sight, bands, weights, n: see `kernels.evaluate_range`.
-        axes: as there, but filled up to whole words.
+        first, last, positions, landmarks, normals, sight, axes, bands, tables, weights, n: see
+            `kernels.evaluate_range`.
         places: binary digits of a number of landmarks.
         precision: what is asked of a view, see `information`.
         asks: whether it asks anything.
@@ -67,7 +69,8 @@ def localise_range(
     """
     count, words = landmarks.shape[2], np.uint64(axes.shape[1] // BITS)
     reach = sight.reach
-    x, y, z, squared, low = np.empty(count), np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    x, y, z, squared = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    low, high, deep = np.empty(count), np.empty(count), np.empty(count)
     bottom, top = np.empty(count, dtype=np.int32), np.empty(count, dtype=np.int32)
     reached = np.empty(count, dtype=np.bool_)
     padded = (count + BLOCK - 1) & -BLOCK
@@ -84,10 +87,13 @@ def localise_range(
             for k in range(count):
                 xk, yk, zk = landmarks[b, 0, k] - px, landmarks[b, 1, k] - py, landmarks[b, 2, k] - pz
                 nx, ny, nz = normals[b, 0, k], normals[b, 1, k], normals[b, 2, k]
-                in_reach, least, _ = from_position(sight, xk, yk, zk, nx, ny, nz, 0.0)
-                bottom[k], top[k] = band_of(xk, yk, zk, least, 0.0)
+                in_reach, least, most, sure = from_position(sight, xk, yk, zk, nx, ny, nz, 0.0)
+                if tables is None:
+                    bottom[k], top[k] = band_of(xk, yk, zk, least, 0.0)
+                else:
+                    bottom[k] = cell_of(xk, yk, zk)
                 x[k], y[k], z[k], squared[k] = xk, yk, zk, xk * xk + yk * yk + zk * zk
-                reached[k], low[k] = in_reach, least
+                reached[k], low[k], high[k], deep[k] = in_reach, least, most, sure
             if reach >= 0.0:
                 for k in range(count):
                     here = squared[k] == 0.0
@@ -108,17 +114,29 @@ def localise_range(
                         continue
                 xk, yk, zk, least = x[k], y[k], z[k], low[k]
                 nx, ny, nz = normals[b, 0, k], normals[b, 1, k], normals[b, 2, k]
-                start, stop = bands[bottom[k]] // LANES, (bands[top[k]] + LANES - 1) // LANES
-                bottom[k], top[k] = start // 2, (stop + 1) // 2
-                for i in range(np.uint64(bottom[k]), np.uint64(top[k])):
-                    caps[k, i] = ZERO
-                for i in range(np.uint64(start), np.uint64(stop)):
-                    half = np.uint32(0)
-                    for lane in range(np.uint64(LANES)):
-                        a = i * np.uint64(LANES) + lane
-                        inside = covers(sight, xk, yk, zk, nx, ny, nz, least, 0.0, axes, a)
-                        half |= np.uint32(inside) << np.uint32(lane)
-                    caps[k, i // np.uint64(2)] |= np.uint64(half) << (i % np.uint64(2) * np.uint64(LANES))
+                if tables is None:
+                    start, stop = bands[bottom[k]] // LANES, (bands[top[k]] + LANES - 1) // LANES
+                    bottom[k], top[k] = start // 2, (stop + 1) // 2
+                    for i in range(np.uint64(bottom[k]), np.uint64(top[k])):
+                        caps[k, i] = ZERO
+                    for i in range(np.uint64(start), np.uint64(stop)):
+                        half = np.uint32(0)
+                        for lane in range(np.uint64(LANES)):
+                            a = i * np.uint64(LANES) + lane
+                            inside = covers(sight, xk, yk, zk, nx, ny, nz, least, 0.0, axes, a)
+                            half |= np.uint32(inside) << np.uint32(lane)
+                        caps[k, i // np.uint64(2)] |= np.uint64(half) << (i % np.uint64(2) * np.uint64(LANES))
+                else:
+                    certain, possible = tables
+                    cell, frame = np.uint64(bottom[k]), frame_of(sight, nx, ny, nz)
+                    given = cell if deep[k] == np.inf else np.uint64(NOWHERE)
+                    bottom[k], top[k] = 0, words
+                    for i in range(words):
+                        cap, left = certain[given, i], possible[cell, i] & ~certain[given, i]
+                        if left:
+                            well = certain[cell, i]
+                            cap |= covering(sight, left, i, xk, yk, zk, frame, least, high[k], deep[k], well, axes)
+                        caps[k, i] = cap
                 for i in range(np.uint64(bottom[k]), np.uint64(top[k])):
                     carry = caps[k, i]
                     for j in range(np.uint64(places)):
@@ -195,8 +213,8 @@ def localised_views(
     views = Views(covered, localised, np.empty((batch, size, e.axes.shape[1]) if keep else (0, 0, 0)))
     landmarks = tuple(np.ascontiguousarray(v.transpose(0, 2, 1)) for v in (positions, normals))
     sight = e.sight.among(e.positions.min(axis=0), e.positions.max(axis=0), *landmarks)
-    axes = np.pad(e.axes, [(0, 0), (0, -e.axes.shape[1] % BITS)])
+    tables = e.tables if e.sight.tabulated else None
     places = max(positions.shape[1], n).bit_length()
-    fixed = (e.positions, *landmarks, sight, axes, e.bands, e.weights, n, places, precision, precision.asks)
+    fixed = (e.positions, *landmarks, sight, e.axes, e.bands, tables, e.weights, n, places, precision, precision.asks)
     shared(localise_range, size, e.threads, (*fixed, *views, keep))
     return views

@@ -17,9 +17,9 @@ from lmd.compiled import kernel
 from lmd.deployment import Deployment
 from lmd.objectives.localisation.information import WIDTH, log_det, share_of
 from lmd.objectives.localisation.kernels import landmark_moments
+from lmd.sight.bands import band_of
 from lmd.sight.criteria import covers, from_position
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.kernels import band_of
 from lmd.sight.poses import shared
 
 
@@ -55,7 +55,7 @@ def _gains(start, stop, points, normals, prices, positions, sight, axes, bands, 
         nx, ny, nz, gain = normals[j, 0], normals[j, 1], normals[j, 2], 0.0
         for p in range(len(positions)):
             x, y, z = points[j, 0] - positions[p, 0], points[j, 1] - positions[p, 1], points[j, 2] - positions[p, 2]
-            reached, low, _ = from_position(sight, x, y, z, nx, ny, nz, 0.0)
+            reached, low, _, _ = from_position(sight, x, y, z, nx, ny, nz, 0.0)
             if not reached:
                 continue
             moment = landmark_moments(x, y, z, nx, ny, nz, precision)
@@ -74,7 +74,7 @@ def _add(start, stop, point, normal, positions, sight, axes, bands, precision, s
     nx, ny, nz = normal[0], normal[1], normal[2]
     for p in range(start, stop):
         x, y, z = point[0] - positions[p, 0], point[1] - positions[p, 1], point[2] - positions[p, 2]
-        reached, low, _ = from_position(sight, x, y, z, nx, ny, nz, 0.0)
+        reached, low, _, _ = from_position(sight, x, y, z, nx, ny, nz, 0.0)
         if not reached:
             continue
         moment = landmark_moments(x, y, z, nx, ny, nz, precision)

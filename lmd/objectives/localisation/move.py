@@ -9,7 +9,7 @@ from lmd.deployment import Deployment
 from lmd.objectives.localisation.information import WIDTH
 from lmd.objectives.localisation.state import LocalisationState, localisation_scratch
 from lmd.objectives.localisation.trial import VIEW, add_shares, list_changes, mixed, moments_of, row_meets, sum_weights
-from lmd.sight.incremental.bits import ALL, BITS, ONE, ZERO, at_least_so_far, lowest
+from lmd.sight.bits import ALL, BITS, ONE, ZERO, at_least_so_far, lowest
 from lmd.sight.incremental.move import state_of, touched
 
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.objectives.localisation.information import WIDTH
-from lmd.sight.incremental.bits import BITS
+from lmd.sight.bits import BITS
 from lmd.sight.incremental.state import Scratch, State, scratch_of
 
 

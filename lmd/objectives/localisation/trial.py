@@ -18,9 +18,9 @@ from numba import njit
 from lmd.compiled import kernel
 from lmd.objectives.localisation.information import WIDTH, meets, share_of
 from lmd.objectives.localisation.kernels import landmark_moments, meets_row
-from lmd.sight.criteria import covers
-from lmd.sight.incremental.bits import ALL, BITS, ONE, ZERO, add_digit, at_least_so_far, lowest, prefetch
-from lmd.sight.incremental.directions import NOWHERE
+from lmd.sight.bits import ALL, BITS, ONE, ZERO, add_digit, at_least_so_far, lowest, prefetch
+from lmd.sight.criteria import covering, frame_of
+from lmd.sight.directions import NOWHERE
 from lmd.sight.incremental.hiding import flips_with
 from lmd.sight.incremental.move import touched
 from lmd.sight.incremental.trial import begin_move, complete_move
@@ -56,9 +56,10 @@ def _look(k, field, state, scratch):
     """Fill `old` and `new`, and the cap of the new place at all positions that reach it."""
     cover, trial = field.coverage, scratch.coverage
     sight, axes, certain, possible, positions = cover.sight, cover.axes, cover.certain, cover.possible, cover.positions
-    x, y, z, low, cell, limited, reached = trial.new
+    x, y, z, low, high, sure, cell, reached = trial.new
     reachable, cap, target = state.coverage.reachable, trial.cap, trial.target
     nx, ny, nz = target[3], target[4], target[5]
+    frame = frame_of(sight, nx, ny, nz)
     ax, ay, az = state.landmarks[0, k], state.landmarks[1, k], state.landmarks[2, k]
     mx, my, mz = state.normals[0, k], state.normals[1, k], state.normals[2, k]
     for p in range(np.uint64(len(reached))):
@@ -67,19 +68,16 @@ def _look(k, field, state, scratch):
             moments_of(ox, oy, oz, mx, my, mz, field.precision, scratch.old[p])
         if not reached[p]:
             continue
-        px, py, pz, least = x[p], y[p], z[p], low[p]
+        px, py, pz = x[p], y[p], z[p]
         if field.asks:
             moments_of(px, py, pz, nx, ny, nz, field.precision, scratch.new[p])
-        inner, outer = np.uint64(NOWHERE if limited[p] else cell[p]), np.uint64(cell[p])
+        given, outer = np.uint64(cell[p] if sure[p] == np.inf else NOWHERE), np.uint64(cell[p])
         for w in range(np.uint64(cap.shape[1])):
-            covering = certain[inner, w]
-            left = possible[outer, w] & ~covering
-            while left:
-                bit = lowest(left)
-                a = w * VIEW + bit
-                covering |= np.uint64(covers(sight, px, py, pz, nx, ny, nz, least, 0.0, axes, a)) << bit
-                left &= left - ONE
-            cap[p, w] = covering
+            found, well = certain[given, w], certain[outer, w]
+            left = possible[outer, w] & ~found
+            if left:
+                found |= covering(sight, left, w, px, py, pz, frame, low[p], high[p], sure[p], well, axes)
+            cap[p, w] = found
 
 
 @njit(inline="always")

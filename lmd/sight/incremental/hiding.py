@@ -22,8 +22,8 @@ import numpy as np
 from numba import njit
 
 from lmd.compiled import kernel
+from lmd.sight.bits import LANES, lowest
 from lmd.sight.criteria import TOLERANCE, hide
-from lmd.sight.incremental.bits import LANES, lowest
 from lmd.sight.kernels import BLOCK, SINGLE_ERROR
 
 

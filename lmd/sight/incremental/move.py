@@ -13,11 +13,9 @@ from numba import njit
 
 from lmd.compiled import kernel
 from lmd.deployment import Deployment
-from lmd.sight.criteria import covers
-from lmd.sight.incremental.bits import (
+from lmd.sight.bits import (
     ALL,
     BITS,
-    LANES,
     ONE,
     ZERO,
     add_digit,
@@ -26,7 +24,8 @@ from lmd.sight.incremental.bits import (
     lowest,
     unpacked,
 )
-from lmd.sight.incremental.directions import NOWHERE, see
+from lmd.sight.criteria import covering, frame_of
+from lmd.sight.directions import NOWHERE, see
 from lmd.sight.incremental.hiding import find_neighbours, flips_with
 from lmd.sight.incremental.state import State, scratch_of
 from lmd.sight.kernels import BLOCK
@@ -36,29 +35,21 @@ from lmd.sight.kernels import BLOCK
 
 @kernel
 def _find_cap(positions, field, scratch):
-    """Find the axes that cover the place tried at `positions`, nobody hiding it.
-
-    So many need the exact test that to test half a word at once is faster than to pick them out.
-    """
-    sight, axes, possible = field.sight, field.axes, field.possible
-    x, y, z, low, cell, _, reached = scratch.new
-    target = scratch.target
-    nx, ny, nz = target[3], target[4], target[5]
-    caps = scratch.cap
+    """Find the axes that cover the place tried at `positions`, nobody hiding it."""
+    sight, axes, certain, possible = field.sight, field.axes, field.certain, field.possible
+    x, y, z, low, high, sure, cell, reached = scratch.new
+    target, caps = scratch.target, scratch.cap
+    frame = frame_of(sight, target[3], target[4], target[5])
     for p in positions:
         row = np.uint64(cell[p] if reached[p] else NOWHERE)
-        px, py, pz, least = x[p], y[p], z[p], low[p]
+        given = row if sure[p] == np.inf else np.uint64(NOWHERE)
+        px, py, pz, least, most, deep = x[p], y[p], z[p], low[p], high[p], sure[p]
         for w in range(np.uint64(caps.shape[1])):
-            some, cap = possible[row, w], ZERO
-            for first in range(np.uint64(0), np.uint64(BITS), np.uint64(LANES)):
-                if some >> first << np.uint64(BITS - LANES):
-                    half = np.uint32(0)
-                    for lane in range(np.uint64(LANES)):
-                        a = w * np.uint64(BITS) + first + lane
-                        inside = covers(sight, px, py, pz, nx, ny, nz, least, 0.0, axes, a)
-                        half |= np.uint32(inside) << np.uint32(lane)
-                    cap |= np.uint64(half) << first
-            caps[p, w] = cap & some
+            cap, well = certain[given, w], certain[row, w]
+            left = possible[row, w] & ~cap
+            if left:
+                cap |= covering(sight, left, w, px, py, pz, frame, least, most, deep, well, axes)
+            caps[p, w] = cap
 
 
 @njit(inline="always")

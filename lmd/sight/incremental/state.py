@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.sight.incremental.bits import LANES
+from lmd.sight.bits import LANES
 from lmd.sight.kernels import BLOCK
 
 
@@ -33,16 +33,16 @@ class State(NamedTuple):
 class Sighting(NamedTuple):
     """A landmark as seen from all positions, all `(Q,)`; see `criteria.from_position`.
 
-    x, y, z offset; low least depth; cell of the direction; limited whether more than the cone decides; reached whether
-    any axis covers it.
+    x, y, z offset; cell of the direction; reached whether any axis covers it.
     """
 
     x: np.ndarray
     y: np.ndarray
     z: np.ndarray
     low: np.ndarray
+    high: np.ndarray
+    sure: np.ndarray
     cell: np.ndarray
-    limited: np.ndarray
     reached: np.ndarray
 
 
@@ -124,8 +124,7 @@ def scratch_of(state: State) -> Scratch:
         who = np.empty((blocks, count), dtype=np.int32)
         return Neighbours(np.zeros(blocks, dtype=np.int64), who, hides, hidden_by, count_hides, count_hidden)
 
-    x, y, z, low = np.empty((4, size))
-    limited, reached = np.empty((2, size), dtype=np.bool_)
+    x, y, z, low, high, sure = np.empty((6, size))
     ways = np.zeros((4, -(-count // LANES) * LANES), dtype=np.float32)
     ways[3] = -np.inf  # nothing comes close to those that fill up
     inner, outer = np.empty((2, size), dtype=np.int32)
@@ -135,7 +134,7 @@ def scratch_of(state: State) -> Scratch:
         target=np.empty(6),
         surface=np.empty(1, dtype=np.int64),
         units=state.units.copy(),
-        new=Sighting(x, y, z, low, np.empty(size, dtype=np.int32), limited, reached),
+        new=Sighting(x, y, z, low, high, sure, np.empty(size, dtype=np.int32), np.empty(size, dtype=np.bool_)),
         cap=np.zeros((size, words), dtype=np.uint64),
         old=np.empty((3, size)),
         before=neighbours(),

@@ -25,8 +25,7 @@ another cap, so what it finds is never below P_n:
 import numpy as np
 
 from lmd.compiled import kernel
-from lmd.sight.criteria import covers
-from lmd.sight.incremental.bits import (
+from lmd.sight.bits import (
     ALL,
     BITS,
     HALF,
@@ -38,7 +37,8 @@ from lmd.sight.incremental.bits import (
     equal_so_far,
     lowest,
 )
-from lmd.sight.incremental.directions import NOWHERE, see
+from lmd.sight.criteria import covers_one, frame_of
+from lmd.sight.directions import NOWHERE, see
 from lmd.sight.incremental.hiding import find_flips, find_new, find_old, flips_with
 from lmd.sight.kernels import BLOCK
 
@@ -50,11 +50,11 @@ def _try_caps(k, field, state, scratch):
     """Bound P_n where landmark k comes or goes and no other appears; copy it where nothing happens."""
     sight, axes, weights, certain, possible = field.sight, field.axes, field.weights, field.certain, field.possible
     target = scratch.target
-    nx, ny, nz = target[3], target[4], target[5]
+    frame = frame_of(sight, target[3], target[4], target[5])
     caps, reachable, hidden, short, just, before = (
         state.caps, state.reachable, state.hidden, state.short, state.just, state.units
     )  # fmt: skip
-    x, y, z, low, cell, limited, reached = scratch.new
+    x, y, z, low, high, sure, cell, reached = scratch.new
     flips, units = scratch.flips, scratch.units
     old, inner, outer = scratch.mask, scratch.inner, scratch.outer
     listed, unsure, places = scratch.listed, scratch.unsure, scratch.places
@@ -62,7 +62,7 @@ def _try_caps(k, field, state, scratch):
         units[p] = before[p]
         seen = reached[p] & (not flips[p])
         outer[p] = cell[p] if seen else NOWHERE
-        inner[p] = cell[p] if seen & (not limited[p]) else NOWHERE
+        inner[p] = cell[p] if seen & (sure[p] == np.inf) else NOWHERE
         old[p] = ALL if reachable[k, p] & (hidden[k, p] == 0) & (not flips[p]) else ZERO
     count, found, size = ZERO, ZERO, np.uint64(caps.shape[2])
     for p in range(np.uint64(len(units))):
@@ -79,11 +79,13 @@ def _try_caps(k, field, state, scratch):
     for m in range(found):
         left, p, w = unsure[m], places[m] >> HALF, places[m] & LOWER
         px, py, pz, least = x[p], y[p], z[p], low[p] if outer[p] != NOWHERE else np.inf
+        well = certain[np.uint64(outer[p]), w]
         was, change = caps[k, p, w] & old[p], np.int64(0)
         while left:
             bit = lowest(left)
             a = w * np.uint64(BITS) + bit
-            inside = covers(sight, px, py, pz, nx, ny, nz, least, 0.0, axes, a)
+            central = (well >> bit & ONE) != ZERO
+            inside = covers_one(sight, px, py, pz, frame, least, high[p], sure[p], central, axes, a)
             change += weights[a] * (np.int64(inside) - np.int64(was >> bit & ONE))
             left &= left - ONE
         units[p] += change
@@ -92,11 +94,12 @@ def _try_caps(k, field, state, scratch):
 @kernel
 def _try_flips(k, positions, field, state, scratch):
     """Find P_n at `positions`, where other landmarks may appear or disappear."""
-    sight, axes, weights, possible, n = field.sight, field.axes, field.weights, field.possible, field.n
+    sight, axes, weights, n = field.sight, field.axes, field.weights, field.n
+    certain, possible = field.certain, field.possible
     target = scratch.target
-    nx, ny, nz = target[3], target[4], target[5]
+    frame = frame_of(sight, target[3], target[4], target[5])
     caps, reachable, hidden, counts, before = state.caps, state.reachable, state.hidden, state.counts, state.units
-    x, y, z, low, cell, _, reached = scratch.new
+    x, y, z, low, high, sure, cell, reached = scratch.new
     count_hidden, units, digits = scratch.after.count_hidden, scratch.units, scratch.digits
     names, goes = scratch.names, scratch.goes
     found, who, change = scratch.turns
@@ -130,7 +133,9 @@ def _try_flips(k, positions, field, state, scratch):
             while left:
                 bit = lowest(left)
                 a = w * np.uint64(BITS) + bit
-                has |= np.uint64(covers(sight, px, py, pz, nx, ny, nz, least, 0.0, axes, a)) << bit
+                central = (certain[row, w] >> bit & ONE) != ZERO
+                inside = covers_one(sight, px, py, pz, frame, least, high[p], sure[p], central, axes, a)
+                has |= np.uint64(inside) << bit
                 left &= left - ONE
             left = had ^ has
             while left:

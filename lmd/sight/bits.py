@@ -7,6 +7,8 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
+from lmd.checks import FloatArray
+
 BITS = 64
 LANES = 32  # axes or landmarks tested at a time, a bit of a word each
 ZERO, ONE, ALL = np.uint64(0), np.uint64(1), np.uint64(2**64 - 1)
@@ -59,6 +61,12 @@ def equal_so_far(equal, digit, n, j):  # type: ignore[no-untyped-def]
 def at_least_so_far(reached, digit, n, j):  # type: ignore[no-untyped-def]
     """Where counts are at least n: from the lowest digit j up, each overrules those below."""
     return reached & digit if n >> j & 1 else reached | digit
+
+
+def in_words(values: FloatArray) -> FloatArray:
+    """Fill the last axis of `values` `(..., D)` up with zeros to whole words."""
+    missing = -values.shape[-1] % BITS
+    return np.ascontiguousarray(np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, missing)]))
 
 
 def packed(flags: np.ndarray) -> np.ndarray:

@@ -1,0 +1,97 @@
+"""Which axes can cover a landmark, looked up by the direction in which it is.
+
+The sphere of directions is cut into cells: it is projected onto an octahedron, which is unfolded into a square of
+`SIDE` x `SIDE` cells. For each cell, one table holds the axes that have *every* direction of the cell in view, far
+enough from the border for a landmark to be covered (`Sight.inset`), another those that have *some*. Only axes in the
+second and not in the first need the exact test. Where the depth decides, too, the first table alone does not do
+(`sure` in `criteria.from_position`).
+
+A cell is the projection of a parallelogram or of two triangles, so a cap that holds its corners holds all of it. If
+they are at most rho from the centre of the cell, an axis has every direction of the cell in view that has the centre in
+view by rho, and none that misses it by more.
+"""
+
+import math
+from functools import cache
+
+import numpy as np
+
+from lmd.checks import FloatArray
+from lmd.compiled import kernel
+from lmd.sight.bits import BITS, LANES, ZERO
+from lmd.sight.criteria import Sight, from_position, in_view
+
+SIDE = 64
+NOWHERE = SIDE * SIDE  # one row more than there are cells: no axis at all
+# Added to rho, rad: far more than rounding moves a direction, a corner or an angle.
+_SLACK = 1e-6
+
+
+@kernel
+def cell_of(x, y, z):
+    """The cell of the direction of (x, y, z), anything if that is zero."""
+    scale = 1.0 / (abs(x) + abs(y) + abs(z))
+    u, v = x * scale, y * scale
+    below_u, below_v = math.copysign(1.0 - abs(v), u), math.copysign(1.0 - abs(u), v)
+    u, v = (below_u if z < 0.0 else u), (below_v if z < 0.0 else v)
+    row, column = np.int32((u + 1.0) * (SIDE / 2.0)), np.int32((v + 1.0) * (SIDE / 2.0))
+    return max(0, min(row, SIDE - 1)) * SIDE + max(0, min(column, SIDE - 1))
+
+
+@kernel
+def see(ax, ay, az, nx, ny, nz, positions, sight, sighting):
+    """Fill `sighting` with what is seen of a landmark at (ax, ay, az) with normal (nx, ny, nz)."""
+    x, y, z, low, high, sure, cell, reached = sighting
+    for p in range(positions.shape[1]):
+        x[p], y[p], z[p] = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
+        reached[p], low[p], high[p], sure[p] = from_position(sight, x[p], y[p], z[p], nx, ny, nz, 0.0)
+        cell[p] = cell_of(x[p], y[p], z[p])
+
+
+@cache
+def _cells() -> tuple[FloatArray, FloatArray]:
+    """The directions of the centres of the cells, `(3, SIDE * SIDE)`, and the angle rho of each, rad."""
+    edge = np.linspace(-1.0, 1.0, SIDE + 1)
+    u, v = np.meshgrid(edge, edge, indexing="ij")
+    z = 1.0 - abs(u) - abs(v)
+    below_u, below_v = np.copysign(1.0 - abs(v), u), np.copysign(1.0 - abs(u), v)
+    points = np.stack([np.where(z < 0.0, below_u, u), np.where(z < 0.0, below_v, v), z], axis=-1)
+    points /= np.linalg.norm(points, axis=-1, keepdims=True)
+    corners = np.stack([points[:-1, :-1], points[1:, :-1], points[:-1, 1:], points[1:, 1:]], axis=2).reshape(-1, 4, 3)
+    centres = corners.sum(axis=1)
+    centres /= np.linalg.norm(centres, axis=-1, keepdims=True)
+    cosine = np.einsum("cik,ck->ci", corners, centres)
+    return np.ascontiguousarray(centres.T), _SLACK + np.arccos(np.clip(cosine, -1.0, 1.0)).max(axis=1)
+
+
+@kernel
+def _fill(sight, centres, angles, axes, table):
+    """Set in `table` `(NOWHERE + 1, W)` the axes that have the centre of a cell in view by its one of the `angles`."""
+    for c in range(len(angles)):
+        x, y, z, sine, cosine = centres[0, c], centres[1, c], centres[2, c], math.sin(angles[c]), math.cos(angles[c])
+        for w in range(np.uint64(table.shape[1])):
+            word = ZERO
+            for first in range(np.uint64(0), np.uint64(BITS), np.uint64(LANES)):
+                half = np.uint32(0)
+                for lane in range(np.uint64(LANES)):
+                    a = w * np.uint64(BITS) + first + lane
+                    ax, ay, az, rx, ry, rz = axes[0, a], axes[1, a], axes[2, a], axes[3, a], axes[4, a], axes[5, a]
+                    there = ax * ax + ay * ay + az * az > 0.0
+                    seen = in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz) & there
+                    half |= np.uint32(seen) << np.uint32(lane)
+                word |= np.uint64(half) << first
+            table[c, w] = word
+
+
+def tables(sight: Sight, axes: FloatArray) -> tuple[np.ndarray, np.ndarray]:
+    """Sets `(NOWHERE + 1, W)` of the axes that have every, and some, direction of each cell in view.
+
+    Args:
+        sight: the compiled model of sight.
+        axes: axis and right, `(6, 64 W)`, filled up with zeros to whole words.
+    """
+    certain, possible = np.zeros((2, NOWHERE + 1, axes.shape[1] // BITS), dtype=np.uint64)
+    centres, rho = _cells()
+    _fill(sight, centres, rho + sight.inset, axes, certain)
+    _fill(sight, centres, -rho, axes, possible)
+    return certain, possible
