@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from lmd.deployment import RandomDeployment as RandomDeployment
     from lmd.deployment import UniformDeployment as UniformDeployment
     from lmd.objectives.coverage import Coverage as Coverage
+    from lmd.objectives.localisation import Localisation as Localisation
     from lmd.objectives.sampling import Sampling as Sampling
     from lmd.optimisers.annealing import Annealing as Annealing
     from lmd.optimisers.base import Budget as Budget
@@ -48,6 +49,7 @@ _HOMES = {
     "Budget": "lmd.optimisers.base",
     "Camera": "lmd.camera",
     "Coverage": "lmd.objectives.coverage",
+    "Localisation": "lmd.objectives.localisation",
     "Cuboid": "lmd.space.cuboid",
     "Deployment": "lmd.deployment",
     "FileDeployment": "lmd.deployment",

@@ -3,8 +3,9 @@
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lmd.checks import FloatArray, InputError
+from lmd.checks import BoolArray, FloatArray, InputError
 from lmd.detection.evaluation import precision_recall
 from lmd.detection.mosaic import Views
 from lmd.limits import Limits
@@ -31,9 +32,11 @@ class Fit:
 
 
 def fit(views: Views, rng: np.random.Generator, margin: float, grid: Grid | None = None) -> Fit:
-    """The limits with the highest accuracy on one half of the views, measured on the other.
+    """The limits with the fewest errors on one half of the views, measured on the other.
 
-    Pairs of limits are improved in turn, (a, k) and (m, b), each over its whole grid, until neither moves.
+    What counts is the larger of the two kinds of error: views that are found though not predicted, and the other way
+    round. So neither outweighs the other, and shares of views, such as P(>= n), come out without bias. Pairs of limits
+    are improved in turn, (a, k) and (m, b), each over its whole grid, until neither moves.
 
     Args:
         views: at least two.
@@ -55,17 +58,22 @@ def fit(views: Views, rng: np.random.Generator, margin: float, grid: Grid | None
 
 
 def _best(views: Views, margin: float, grid: Grid) -> Limits:
-    """The most accurate limits on `views` that alternating searches reach."""
+    """The limits with the least of the larger kind of error on `views` that alternating searches reach."""
     sharp = views.pitch >= np.hypot(grid.pitch[:, None, None], grid.blur[:, None] * views.sigma)  # (A, K, M)
     large = views.edge >= grid.edge[:, None]  # (E, M)
     facing = views.incidence <= np.radians(grid.incidence)[:, None]  # (B, M)
-    e, b, best = 0, len(facing) - 1, -1
+
+    def errors(predicted: BoolArray) -> NDArray[np.intp]:
+        found, missed = (predicted & ~views.seen).sum(axis=-1), (~predicted & views.seen).sum(axis=-1)
+        return np.asarray(np.maximum(found, missed))
+
+    e, b, least = 0, len(facing) - 1, len(views) + 1
     while True:
-        right = (sharp & (large[e] & facing[b]) == views.seen).sum(axis=-1)
-        a, k = np.unravel_index(right.argmax(), right.shape)
-        right = (large[:, None] & (facing & sharp[a, k]) == views.seen).sum(axis=-1)
-        if right.max() <= best:
+        wrong = errors(sharp & (large[e] & facing[b]))
+        a, k = np.unravel_index(wrong.argmin(), wrong.shape)
+        wrong = errors(large[:, None] & (facing & sharp[a, k]))
+        if wrong.min() >= least:
             chosen = grid.pitch[a], grid.blur[k], grid.edge[e], grid.incidence[b], margin
             return Limits(*map(float, chosen))
-        best = int(right.max())
-        e, b = (int(i) for i in np.unravel_index(right.argmax(), right.shape))
+        least = int(wrong.min())
+        e, b = (int(i) for i in np.unravel_index(wrong.argmin(), wrong.shape))
