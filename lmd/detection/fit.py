@@ -1,5 +1,6 @@
 """Limits of a detector, fitted to views whose outcome is known."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -58,22 +59,36 @@ def fit(views: Views, rng: np.random.Generator, margin: float, grid: Grid | None
 
 
 def _best(views: Views, margin: float, grid: Grid) -> Limits:
-    """The limits with the least of the larger kind of error on `views` that alternating searches reach."""
+    """The better limits on `views` of two searches, one of which begins with the most accurate ones."""
     sharp = views.pitch >= np.hypot(grid.pitch[:, None, None], grid.blur[:, None] * views.sigma)  # (A, K, M)
     large = views.edge >= grid.edge[:, None]  # (E, M)
     facing = views.incidence <= np.radians(grid.incidence)[:, None]  # (B, M)
 
-    def errors(predicted: BoolArray) -> NDArray[np.intp]:
-        found, missed = (predicted & ~views.seen).sum(axis=-1), (~predicted & views.seen).sum(axis=-1)
-        return np.asarray(np.maximum(found, missed))
+    def searched(*kinds: Callable[[BoolArray, BoolArray], NDArray[np.intp]]) -> tuple[int, tuple[int, int, int, int]]:
+        """The least errors of the last kind, after those before, and where they are."""
+        a, k, e, b, least = 0, 0, 0, len(facing) - 1, 0
+        for errors in kinds:
+            least = len(views) + 1
+            while True:
+                wrong = errors(sharp & (large[e] & facing[b]), views.seen)
+                a, k = (int(i) for i in np.unravel_index(wrong.argmin(), wrong.shape))
+                wrong = errors(large[:, None] & (facing & sharp[a, k]), views.seen)
+                if wrong.min() >= least:
+                    break
+                least = int(wrong.min())
+                e, b = (int(i) for i in np.unravel_index(wrong.argmin(), wrong.shape))
+        return least, (a, k, e, b)
 
-    e, b, least = 0, len(facing) - 1, len(views) + 1
-    while True:
-        wrong = errors(sharp & (large[e] & facing[b]))
-        a, k = np.unravel_index(wrong.argmin(), wrong.shape)
-        wrong = errors(large[:, None] & (facing & sharp[a, k]))
-        if wrong.min() >= least:
-            chosen = grid.pitch[a], grid.blur[k], grid.edge[e], grid.incidence[b], margin
-            return Limits(*map(float, chosen))
-        least = int(wrong.min())
-        e, b = (int(i) for i in np.unravel_index(wrong.argmin(), wrong.shape))
+    _, (a, k, e, b) = min(searched(_all_errors, _larger_errors), searched(_larger_errors))
+    chosen = grid.pitch[a], grid.blur[k], grid.edge[e], grid.incidence[b], margin
+    return Limits(*map(float, chosen))
+
+
+def _all_errors(predicted: BoolArray, seen: BoolArray) -> NDArray[np.intp]:
+    """How many views are predicted wrongly, over the last axis."""
+    return np.asarray((predicted != seen).sum(axis=-1))
+
+
+def _larger_errors(predicted: BoolArray, seen: BoolArray) -> NDArray[np.intp]:
+    """How many errors there are of the kind that there are more of."""
+    return np.asarray(np.maximum((predicted & ~seen).sum(axis=-1), (~predicted & seen).sum(axis=-1)))

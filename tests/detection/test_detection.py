@@ -153,7 +153,10 @@ def test_limits_of_known_views_are_found():
     pitch, incidence, sigma = rng.uniform([0.5, 0.0, 0.3], [6.0, 1.55, 2.0], (20000, 3)).T
     edge = pitch * rng.uniform(4.0, 16.0, len(pitch))
     found = true.found(pitch, incidence, edge, sigma)
-    views = Views(pitch, incidence, edge, sigma, found ^ (rng.random(len(pitch)) < 0.02), np.zeros(len(pitch)))
+    seen = found.copy()
+    for outcome in (True, False):  # as many errors of either kind
+        seen[rng.choice(np.flatnonzero(found == outcome), 200, replace=False)] = not outcome
+    views = Views(pitch, incidence, edge, sigma, seen, np.zeros(len(pitch)))
     result = fit(views, rng, margin=3.0)
     limits = result.limits
     assert limits.pitch == pytest.approx(0.8, abs=0.3)
@@ -163,6 +166,14 @@ def test_limits_of_known_views_are_found():
     assert limits.margin == 3.0
     assert result.accuracy == pytest.approx(0.98, abs=0.01)
     assert not true.found(*(np.array([math.nan]),) * 4)
+
+
+def test_neither_kind_of_error_outweighs_the_other():
+    rng = np.random.default_rng(0)
+    pitch, incidence, sigma = rng.uniform([0.5, 0.0, 0.5], [6.0, 1.4, 0.5], (20000, 3)).T
+    seen = rng.random(len(pitch)) < np.clip((pitch - 1.0) / 4.0, 0.0, 0.7)  # the most accurate limit sees too few
+    result = fit(Views(pitch, incidence, np.full(len(pitch), 50.0), sigma, seen, np.zeros(len(pitch))), rng, margin=0.0)
+    assert result.precision == pytest.approx(result.recall, abs=0.05)
 
 
 @pytest.mark.parametrize("detector", [ArucoDetector(), AprilTagDetector()])
