@@ -9,6 +9,7 @@ from lmd.deployment import Deployment, FileDeployment, RandomDeployment, Uniform
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.sampling import Sampling
 from lmd.optimisers.annealing import Stage
+from lmd.optimisers.annealing.annealing import SINGLE
 from lmd.optimisers.annealing.surrogate import Surrogate
 from lmd.optimisers.annealing.walk import _reflect
 from lmd.optimisers.base import Budget
@@ -71,20 +72,20 @@ def test_smaller_plates_hide_less():
     pairs = np.repeat(drawn.positions[:15], 2, axis=0)
     pairs[::2, 2] = np.clip(pairs[::2, 2] + 0.03, 0.0, p.scene.room.size[2])
     deployment = Deployment(pairs, np.repeat(drawn.normals[:15], 2, axis=0))
-    surrogate = Surrogate(p)
+    surrogate = Surrogate(p, 1)
     reached = []
     for size in (0.2, 0.5, 1.0):
         surrogate.prepare(deployment, deployment, False, size, 1.0, np.random.default_rng(0))
-        reached.append(int((surrogate._state.hidden > 0).sum()))
+        reached.append(int((surrogate._walkers[0].state.hidden > 0).sum()))
     assert reached[0] < reached[1] < reached[2]
-    assert surrogate._best.fitness[0] == pytest.approx(p.fitness_of(deployment))
+    assert surrogate._walkers[0].best.fitness[0] == pytest.approx(p.fitness_of(deployment))
 
 
 def test_an_objective_with_a_sampling_is_climbed_on_fresh_draws():
     sampling = Sampling(positions=4, divisions=6)
     p = problem()
     p = Problem(p.scene, Coverage(2, 0.3, sampling), p.start, threads=1)
-    surrogate, rng = Surrogate(p), np.random.default_rng(0)
+    surrogate, rng = Surrogate(p, 1), np.random.default_rng(0)
     deployment = p.start.draw(p.scene.room, rng)
     positions = []
     for used in (0.0, 0.7, 1.0, 1.0):
@@ -112,6 +113,33 @@ def test_samples_are_climbed_under_conditions_of_their_own(monkeypatch, sampling
     optimiser.run(Problem(p.scene, Coverage(2, 0.3, sampling), p.start, threads=1), Budget(300))
     last = min(width for (in_stacks, _), width in seen if not in_stacks)
     assert (last < optimiser.sampled.width[1]) == (sampling is None)
+
+
+def test_walkers_move_landmarks_of_their_own_and_are_put_together():
+    p = problem()
+    p = Problem(p.scene, Coverage(2, 0.3, Sampling(positions=2, divisions=6)), p.start, threads=1)
+    surrogate, rng = Surrogate(p, 3), np.random.default_rng(0)
+    start = p.start.draw(p.scene.room, rng)
+    surrogate.prepare(start, start, False, 1.0, 1.0, rng)
+    surrogate.walk(400, SINGLE.settings(0.0, 0.1), rng)
+    walkers, here = surrogate._walkers, surrogate.here()
+    assert sorted(np.concatenate([walker.members for walker in walkers])) == list(range(30))
+    for walker in walkers:
+        moved = np.flatnonzero((start.positions != walker.state.landmarks.T).any(axis=1))
+        assert len(moved) > 0
+        assert np.isin(moved, walker.members).all()
+        np.testing.assert_array_equal(here.positions[walker.members], walker.state.landmarks.T[walker.members])
+        np.testing.assert_array_equal(here.surfaces[walker.members], walker.state.surfaces[walker.members])
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_walkers_lead_to_the_same_place_on_any_number_of_threads(n):
+    scene, found = problem().scene, []
+    for threads in (1, 3):
+        p = Problem(scene, Coverage(n, 0.3, Sampling(positions=2, divisions=6)), RandomDeployment(9), threads)
+        found.append(make("annealing").run(p, Budget(400)).deployment)
+    np.testing.assert_array_equal(found[0].positions, found[1].positions)
+    np.testing.assert_array_equal(found[0].normals, found[1].normals)
 
 
 def test_for_one_landmark_in_view_stacks_are_single_landmarks():

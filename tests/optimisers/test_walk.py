@@ -15,7 +15,7 @@ def walked(n, occlusion, stage):
     """Where 200 moves lead, the random numbers after them, and how many trials were finished."""
     scene = paper_scene(paper_room(spacing=1.5), orientations=pdf.grid_with_ends(6), occlusion=occlusion)
     problem = Problem(scene, Coverage(n, 0.3), RandomDeployment(20), threads=1)
-    surrogate, rng = Surrogate(problem), np.random.default_rng(0)
+    surrogate, rng = Surrogate(problem, 1), np.random.default_rng(0)
     start = problem.start.draw(scene.room, rng)
     surrogate.prepare(start, start, False, 1.0, 1.0, rng)
     finished = []
@@ -29,9 +29,10 @@ def walked(n, occlusion, stage):
         patch.setattr(module, "settle", spy)
         # Uncompiled, so that its parts can be exchanged.
         settings = stage.settings(0.0, 0.1)
-        here = surrogate._state, surrogate._scratches, surrogate._target, surrogate._surfaces, 0.0
-        module.walk.py_func(200, surrogate._field, *here, settings, rng, surrogate._best)
-    return [*surrogate._state, *surrogate._best, rng.random()], len(finished)
+        (walker,) = surrogate._walkers
+        here = surrogate._field, walker.state, walker.scratches, surrogate._target, surrogate._surfaces, 0.0
+        module.walk.py_func(200, walker.members, *here, settings, rng, walker.best)
+    return [*walker.state, *walker.best, rng.random()], len(finished)
 
 
 @pytest.mark.parametrize("occlusion", ["paper", "line_of_sight"])

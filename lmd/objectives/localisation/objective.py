@@ -24,8 +24,8 @@ from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE
 
 FITNESS = ("mean", "qualified")
-# Fewer orientations than for coverage, as each costs more: drawn anew on the way, they need not be many.
-SAMPLING = Sampling(positions=2, divisions=8)
+# Less than for coverage, as each view costs more: drawn anew on the way, they need not be many.
+SAMPLING = Sampling(positions=1, divisions=8)
 # What the camera knows beforehand when landmarks are selected greedily: the position to so many tolerances, and the
 # rotation to so many rad.
 PRIOR_TOLERANCES, PRIOR_ROTATION = 5.0, 1.0

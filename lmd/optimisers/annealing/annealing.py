@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import FloatArray, real
+from lmd.checks import FloatArray, integer, real
 from lmd.deployment import Deployment
 from lmd.optimisers.annealing.stage import Stage, changed
 from lmd.optimisers.annealing.surrogate import Surrogate
@@ -57,6 +57,7 @@ class Annealing(Optimiser):
         stacked_share: share of the budget spent on stacks.
         growth: share of the single stage in which plates grow to their size, nu or the paper of tags.
         spread: distance between the landmarks of a stack pulled apart, in virtual diameters, or papers if larger.
+        walkers: groups of landmarks that are moved at the same time where samples are drawn anew; see `Surrogate`.
         seed: see `Optimiser`.
 
     Raises:
@@ -72,6 +73,7 @@ class Annealing(Optimiser):
         stacked_share: float = 0.5,
         growth: float = 0.8,
         spread: float = 1.6,
+        walkers: int = 4,
         seed: int = 0,
     ) -> None:
         super().__init__(seed)
@@ -80,6 +82,7 @@ class Annealing(Optimiser):
         self.stacked_share = real("stacked_share", stacked_share, low=0.0, high=0.9)
         self.growth = real("growth", growth, low=0.0, high=1.0)
         self.spread = real("spread", spread, low=0.0)
+        self.walkers = integer("walkers", walkers, low=1)
         self.spent = 0  # moved landmarks: K make an evaluation
         self.in_stacks = False
         self.skipped = 0.0  # share of the budget before the single stage
@@ -94,7 +97,7 @@ class Annealing(Optimiser):
         ledger, count = self.ledger, problem.count
         clock = time.perf_counter() - ledger.seconds
         limit = budget.limit * count
-        surrogate = Surrogate(problem)
+        surrogate = Surrogate(problem, self.walkers)
 
         def note(moved: int, deployment: Deployment | None) -> None:
             """Note moves that led to `deployment`, or to nothing better than what is known."""

@@ -1,8 +1,13 @@
 """What the walk of simulated annealing climbs: the true problem, or a surrogate of it."""
 
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
 import numpy as np
 
-from lmd.checks import FloatArray
+from lmd.checks import FloatArray, IntArray
 from lmd.deployment import Deployment
 from lmd.objectives.field import in_order
 from lmd.optimisers.annealing.walk import Best, Settings, total_worth, walk
@@ -11,6 +16,18 @@ from lmd.problem import Problem
 from lmd.sight.evaluator import Evaluator
 from lmd.space.surface import SurfaceArrays
 
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Walker:
+    """What one walk changes: where its `members` `(M,)` are, the best it met, and working memory."""
+
+    members: IntArray
+    state: Any
+    scratches: tuple[Any, ...]
+    best: Best
+
 
 class Surrogate:
     """A problem in the arrays of the walk, and where on it the walk is.
@@ -18,12 +35,18 @@ class Surrogate:
     `is_true` says whether the walk climbs the problem itself. The surrogates are stacks, which nothing hides; plates
     that are smaller than they are; and, if the objective has a sampling, a sample drawn anew at every `prepare`.
 
+    Samples drawn anew are climbed by several walkers at once, on all processors. Each moves landmarks of its own, the
+    others staying where they are; then all moves are put together. Walkers share out the room by slices across a random
+    direction, as landmarks far apart are hardly ever seen together. How many there are does not depend on the machine,
+    and so neither does the result.
+
     Args:
         problem: the true problem.
+        walkers: on samples drawn anew, at most.
     """
 
-    def __init__(self, problem: Problem) -> None:
-        self._problem = problem
+    def __init__(self, problem: Problem, walkers: int) -> None:
+        self._problem, self._most = problem, walkers
         self._surfaces = SurfaceArrays.of(problem.scene.plates.hanging.surfaces())
         self._survey(problem.fitness_evaluator, problem.fitness_relevance)
         self._apart = 0.0  # least distance between plates
@@ -66,24 +89,56 @@ class Surrogate:
             pushed, self._apart = plates.apart(here, size), size * plates.edge * (1.0 - TOUCHING)
             here = best if pushed is None else pushed  # where there is no room for the plates, the best found has it
         self._field = self._true.stacked() if in_stacks else self._true.shrunk(size)
-        self._state = self._field.state(here)
         together = max(1, min(self._field.stack, len(here)))
-        self._scratches = tuple(self._field.scratch(self._state) for _ in range(together))
-        known = self._true.state(best) if self.is_true else self._state
-        reached = total_worth(self._target, known.units)
-        self._best = Best(np.array([reached]), known.landmarks.copy(), known.normals.copy(), known.surfaces.copy())
+        number = 1 if redrawn is None else max(1, min(self._most, len(here) // together))
+
+        def walker(members: IntArray) -> Walker:
+            state = self._field.state(here)
+            scratches = tuple(self._field.scratch(state) for _ in range(together))
+            known = self._true.state(best) if self.is_true else state
+            reached = np.array([total_worth(self._target, known.units)])
+            met = Best(reached, known.landmarks.copy(), known.normals.copy(), known.surfaces.copy())
+            return Walker(members, state, scratches, met)
+
+        self._walkers = self._at_once(walker, self._slices(here, number, rng))
+
+    def _slices(self, here: Deployment, number: int, rng: np.random.Generator) -> list[IntArray]:
+        """The numbers of all landmarks, in so many slices of the room."""
+        if number == 1:
+            return [np.arange(len(here))]
+        across = np.argsort(here.positions @ rng.normal(size=3), kind="stable")
+        return [np.sort(part) for part in np.array_split(across, number)]
+
+    def _at_once(self, work: Callable[..., T], *arguments: Iterable[Any]) -> list[T]:
+        """What `work` returns for each of the arguments, in their order."""
+        with ThreadPoolExecutor(self._problem.evaluator.threads) as pool:
+            return list(pool.map(work, *arguments))
 
     def walk(self, moves: int, settings: Settings, rng: np.random.Generator) -> bool:
         """Try `moves` moves; True if one led to a better deployment than any before."""
-        before = self._best.fitness[0]
-        surfaces, target, apart = self._surfaces, self._target, self._apart
-        walk(moves, self._field, self._state, self._scratches, target, surfaces, apart, settings, rng, self._best)
-        return bool(self._best.fitness[0] > before)
+        before = self._walkers[0].best.fitness[0]
+        number = len(self._walkers)
+        rngs = [rng] if number == 1 else [np.random.default_rng(seed) for seed in rng.integers(2**63, size=number)]
+        shares = np.diff(np.linspace(0, moves, number + 1).astype(int))
+
+        def go(walker: Walker, share: int, own: np.random.Generator) -> None:
+            w, place = walker, (self._target, self._surfaces, self._apart)
+            walk(share, w.members, self._field, w.state, w.scratches, *place, settings, own, w.best)
+
+        self._at_once(go, self._walkers, shares, rngs)
+        return bool(self._walkers[0].best.fitness[0] > before)
 
     def here(self) -> Deployment:
-        """Where the walk is."""
-        return Deployment(self._state.landmarks.T, self._state.normals.T, self._state.surfaces)
+        """Where the walkers are."""
+        state = self._walkers[0].state
+        positions, normals, surfaces = state.landmarks.T.copy(), state.normals.T.copy(), state.surfaces.copy()
+        for walker in self._walkers[1:]:
+            mine, state = walker.members, walker.state
+            positions[mine], normals[mine] = state.landmarks.T[mine], state.normals.T[mine]
+            surfaces[mine] = state.surfaces[mine]
+        return Deployment(positions, normals, surfaces)
 
     def best(self) -> Deployment:
-        """The best deployment met since `prepare`, or the one given to it."""
-        return Deployment(self._best.landmarks.T, self._best.normals.T, self._best.surfaces)
+        """The best deployment met on the true problem since `prepare`, or the one given to it."""
+        best = self._walkers[0].best
+        return Deployment(best.landmarks.T, best.normals.T, best.surfaces)

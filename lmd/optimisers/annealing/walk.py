@@ -84,12 +84,12 @@ def _propose(k, state, surfaces, settings, rng):
 
 
 @kernel
-def _gather(k, state, group):
-    """Fill `group` with landmark k and its nearest neighbours."""
+def _gather(k, members, state, group):
+    """Fill `group` with landmark k and its nearest neighbours among the `members`."""
     group[0] = k
     for m in range(1, len(group)):
         nearest = np.inf
-        for j in range(state.landmarks.shape[1]):
+        for j in members:
             distance = 0.0
             for i in range(3):
                 distance += (state.landmarks[i, j] - state.landmarks[i, k]) ** 2
@@ -183,13 +183,14 @@ def _keep_best(state, target, best):
 
 
 @kernel
-def walk(moves, field, state, scratches, target, surfaces, apart, settings, rng, best):
+def walk(moves, members, field, state, scratches, target, surfaces, apart, settings, rng, best):
     """Move landmarks `moves` times from `state`, which ends where the walk ends; `best` is updated.
 
-    scratches: as many as landmarks can move together. apart: least distance of plates on a surface, along its u or its
-    v, metres; moves that come closer are not even tried, but count.
+    members: the landmarks that may move, at least as many as can move together. scratches: as many as landmarks can
+    move together. apart: least distance of plates on a surface, along its u or its v, metres; moves that come closer
+    are not even tried, but count.
     """
-    positions, count = len(state.units), state.landmarks.shape[1]
+    positions, count = len(state.units), len(members)
     accepted = state.units.copy()
     value, trial = np.empty(positions), np.empty(positions)
     single, several = np.empty(1, dtype=np.int64), np.empty(len(scratches), dtype=np.int64)
@@ -201,9 +202,9 @@ def walk(moves, field, state, scratches, target, surfaces, apart, settings, rng,
     moved = 0
     while moved < moves:
         group = single
-        group[0] = int(rng.random() * count)
+        group[0] = members[int(rng.random() * count)]
         if moves - moved >= len(several) > 1 and rng.random() < settings.together:
-            _gather(group[0], state, several)
+            _gather(group[0], members, state, several)
             group = several
         last = len(group) - 1
         moved += last + 1
