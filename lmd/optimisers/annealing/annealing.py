@@ -9,7 +9,7 @@ size, and the landmarks make room for each other little by little, while the wal
 
 The walk then climbs a *stand-in* for the true problem: stacks, plates that are too small, or, for an objective with a
 design, positions and orientations drawn anew for each stretch of the walk, which nothing can be fitted to. Where a
-stand-in leads is looked at on the true problem now and then.
+stand-in leads, on samples on average (`trail`), is looked at on the true problem now and then.
 """
 
 import math
@@ -24,6 +24,7 @@ from lmd.checks import FloatArray, integer, real
 from lmd.deployment import Deployment
 from lmd.optimisers.annealing.stage import Stage, changed
 from lmd.optimisers.annealing.surrogate import Surrogate
+from lmd.optimisers.annealing.trail import Trail
 from lmd.optimisers.annealing.walk import Settings
 from lmd.optimisers.base import Budget, Callback, Optimiser, Result
 from lmd.optimisers.selection import SPACING, greedy_start
@@ -91,6 +92,7 @@ class Annealing(Optimiser):
         self.angles: FloatArray  # direction in which each stack is pulled apart
         self.here: Deployment  # where the walk is: stacks first, then landmarks
         self.best: Deployment
+        self.trail: Trail | None = None  # of single landmarks on samples
 
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
         """See `Optimiser.run`."""
@@ -135,7 +137,7 @@ class Annealing(Optimiser):
                 moves = int(stretch) // each
                 surrogate.walk(moves, settings, self.rng)
                 self.here = surrogate.here()
-                led_to = self._apart(problem, surrogate.stack, 1.0) if self.in_stacks else self.here
+                led_to = self._apart(problem, surrogate.stack, 1.0) if self.in_stacks else self._mean(problem)
                 note(moves * each + count, problem.scene.plates.apart(led_to))
             if callback and callback(self):
                 stopped = "interrupted"
@@ -174,6 +176,13 @@ class Annealing(Optimiser):
         size = SMALLEST + (1.0 - SMALLEST) * grown
         stage = self.single if problem.objective.sampling is None else self.sampled
         return size, stage.settings(done, near * size)
+
+    def _mean(self, problem: Problem) -> Deployment:
+        """Where single landmarks are: on average, if they walk on samples."""
+        if problem.objective.sampling is None:
+            return self.here
+        self.trail = self.trail or Trail(self.here)
+        return self.trail.add(self.here)
 
     def _apart(self, problem: Problem, stack: int, size: float) -> Deployment:
         """Each stack as so many plates of this size, pulled apart; landmarks in no stack stay where they began."""
