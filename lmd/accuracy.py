@@ -4,7 +4,6 @@ The prediction is the standard deviation of `lmd.objectives.localisation`, infin
 landmarks. All figures are off the grid: random positions, orientations from the PDF's continuous distribution.
 """
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +12,22 @@ import pandas as pd
 
 from lmd.checks import FloatArray, IntArray
 from lmd.deployment import Deployment
+from lmd.objectives.base import Objective
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation.information import deviation_per_variance, precision
 from lmd.objectives.localisation.kernels import localised_views
 from lmd.problem import Problem
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE
-from lmd.validation import STREAM, Sample
+from lmd.validation import Sample, sampled_evaluators
 
 TOLERANCES = (0.01, 0.02, 0.05)  # metres
 SAMPLE = Sample(groups=8, positions=512, divisions=23)
+
+
+def as_localisation(objective: Objective) -> Localisation:
+    """The objective itself where it is one of localisation, else the default one with its n."""
+    return objective if isinstance(objective, Localisation) else Localisation(objective.n)
 
 
 def predicted_errors(problem: Problem, deployment: Deployment, evaluator: Evaluator) -> tuple[FloatArray, FloatArray]:
@@ -31,7 +36,7 @@ def predicted_errors(problem: Problem, deployment: Deployment, evaluator: Evalua
     The noise of a corner is the objective's, where it is one of localisation.
     """
     objective, scene = problem.objective, problem.scene
-    noise = objective.pixel_noise if isinstance(objective, Localisation) else Localisation.pixel_noise
+    noise = as_localisation(objective).pixel_noise
     asked: Any = precision(scene.camera, scene.tag, noise, np.inf)
     landmarks = deployment.positions[None], deployment.normals[None]
     views = localised_views(evaluator, *landmarks, objective.n, asked, keep=True)
@@ -55,13 +60,10 @@ def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample
         seed: of the sample.
         sample: its size.
     """
-    rng, scene, parts = np.random.default_rng([seed, STREAM]), problem.scene, []
-    for _ in range(sample.groups):
-        positions = scene.room.sample(sample.positions, rng)
-        drawn = replace(scene, pdf=scene.pdf.stratified(sample.divisions, rng))
-        evaluator = Evaluator(drawn, positions, problem.evaluator.threads)
+    parts = []
+    for evaluator in sampled_evaluators(problem.scene, seed, sample, problem.evaluator.threads):
         errors, covered = predicted_errors(problem, deployment, evaluator)
-        parts.append((errors, np.broadcast_to(drawn.orientations.weight, errors.shape), covered))
+        parts.append((errors, np.broadcast_to(evaluator.scene.orientations.weight, errors.shape), covered))
     errors, weights, covered = (np.concatenate([part[i].reshape(-1) for part in parts]) for i in range(3))
     weights = weights / weights.sum()
     metrics = {"covered_share": float(covered.mean())}

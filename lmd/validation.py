@@ -12,6 +12,7 @@ the qualified ratio on that grid flatters it. Three figures do not depend on tha
 Like `qualified_ratio`, all of them count every position alike, whatever its relevance.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +20,7 @@ import numpy as np
 from lmd.checks import BoolArray, FloatArray, integer
 from lmd.deployment import Deployment
 from lmd.problem import Problem
+from lmd.scene import Scene
 from lmd.sight.evaluator import Evaluator
 
 # Keeps the sample apart from every other use of the same seed.
@@ -91,12 +93,21 @@ def _mean_and_error(shares: FloatArray | BoolArray) -> tuple[float, float]:
 
 def sampled_values(problem: Problem, deployment: Deployment, seed: int, sample: Sample) -> FloatArray:
     """The objective's value at the positions of a sample, `(groups, positions)`. Args as in `validation_metrics`."""
-    scene, landmarks = problem.scene, (deployment.positions[None], deployment.normals[None])
+    landmarks = deployment.positions[None], deployment.normals[None]
+    drawn = sampled_evaluators(problem.scene, seed, sample, problem.evaluator.threads)
+    return np.stack([problem.objective.values(evaluator, *landmarks)[0] for evaluator in drawn])
+
+
+def sampled_evaluators(scene: Scene, seed: int, sample: Sample, threads: int) -> Iterator[Evaluator]:
+    """An evaluator at the random positions of each group of a sample, with the orientations that these share.
+
+    Args:
+        scene: has the room and the PDF to draw from.
+        seed: of the sample.
+        sample: its size.
+        threads: of each evaluator.
+    """
     rng = np.random.default_rng([seed, STREAM])
-    rows = []
     for _ in range(sample.groups):
         positions = scene.room.sample(sample.positions, rng)
-        drawn = replace(scene, pdf=scene.pdf.stratified(sample.divisions, rng))
-        evaluator = Evaluator(drawn, positions, problem.evaluator.threads)
-        rows.append(problem.objective.values(evaluator, *landmarks)[0])
-    return np.stack(rows)
+        yield Evaluator(replace(scene, pdf=scene.pdf.stratified(sample.divisions, rng)), positions, threads)

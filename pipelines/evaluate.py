@@ -1,7 +1,7 @@
 """Score a deployment: `python -m pipelines.evaluate deployment=uniform|random|greedy|file [overrides]`."""
 
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import hydra
 from omegaconf import DictConfig
@@ -12,6 +12,7 @@ from .sweeps.supervisor import run
 if TYPE_CHECKING:
     from lmd.deployment import Deployment
     from lmd.problem import Problem
+    from lmd.sensitivity import Sensitivity
 
     from .tracking import Tracker
 
@@ -38,8 +39,13 @@ def evaluate(cfg: DictConfig) -> float:
     history = [Record(1, problem.metrics(deployment)["fitness"], time.perf_counter() - began)]
     subject = choices()["deployment"]
     with tracked_run(cfg, problem, subject) as tracker:
-        summary = localise(problem, deployment, seed, tracker) if cfg.localisation else {}
-        return record(cfg, problem, tracker, deployment, history, subject=subject, summary=summary)
+        summary: dict[str, Any] = localise(problem, deployment, seed, tracker) if cfg.localisation else {}
+        varied = vary(problem, deployment, seed, tracker) if cfg.sensitivity else None
+        summary |= {"sensitivity": varied.metrics()} if varied else {}
+        fitness = record(cfg, problem, tracker, deployment, history, subject=subject, summary=summary)
+        if varied:
+            print(f"\n{varied.to_text()}")
+        return fitness
 
 
 def localise(problem: "Problem", deployment: "Deployment", seed: int, tracker: "Tracker") -> dict[str, float]:
@@ -58,6 +64,23 @@ def localise(problem: "Problem", deployment: "Deployment", seed: int, tracker: "
     save_accuracy_map(accuracy, problem, deployment)
     tracker.log_artifacts([table, picture, accuracy])
     return bounds.metrics() | accuracy_metrics(problem, deployment, seed)
+
+
+def vary(problem: "Problem", deployment: "Deployment", seed: int, tracker: "Tracker") -> "Sensitivity":
+    """Write and log how much the figures hang on what was assumed."""
+    from lmd.plot.sensitivity import save_sensitivity_figure
+    from lmd.sensitivity import sensitivity
+
+    from .tracked_run import title_of
+
+    found, directory = sensitivity(problem, deployment, seed), run_directory()
+    for name, table in found.tables.items():
+        table.to_csv(directory / f"{name}.csv", index=False)
+    picture = directory / "sensitivity.png"
+    save_sensitivity_figure(picture, found, title_of(problem, "sensitivity,"))
+    tracker.log_metrics({f"sensitivity/{name}": value for name, value in found.metrics().items()})
+    tracker.log_artifacts([*(directory / f"{name}.csv" for name in found.tables), picture])
+    return found
 
 
 if __name__ == "__main__":

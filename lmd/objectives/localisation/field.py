@@ -36,7 +36,7 @@ class LocalisationField(NamedTuple):
 
     def state(self, deployment: Deployment) -> LocalisationState:
         """See `Field.state`."""
-        return localisation_state(self, deployment)
+        return localisation_state(self, self.coverage.state(deployment))
 
     def scratch(self, state: LocalisationState) -> LocalisationScratch:
         """See `Field.scratch`."""

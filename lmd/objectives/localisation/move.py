@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 
 from lmd.compiled import kernel
-from lmd.deployment import Deployment
 from lmd.objectives.localisation.information import WIDTH
 from lmd.objectives.localisation.state import LocalisationState, localisation_scratch
 from lmd.objectives.localisation.trial import VIEW, add_shares, list_changes, mixed, moments_of, row_meets, sum_weights
 from lmd.sight.bits import ALL, BITS, ONE, ZERO, at_least_so_far, lowest
-from lmd.sight.incremental.move import state_of, touched
+from lmd.sight.incremental.move import touched
+from lmd.sight.incremental.state import State
 
 
 @kernel
@@ -82,9 +82,13 @@ def _fill(field, state, scratch):
         state.units[p] = mixed(state.located[p], known.units[p], field.weight)
 
 
-def localisation_state(field: Any, deployment: Deployment) -> LocalisationState:
-    """The views that a deployment localises, ready for moves; `field` a `LocalisationField`."""
-    known = state_of(field.coverage, deployment)
+def localisation_state(field: Any, known: State) -> LocalisationState:
+    """The views that a deployment localises, ready for moves.
+
+    Args:
+        field: a `LocalisationField`.
+        known: the coverage of the deployment, which becomes part of the state.
+    """
     size, words = known.short.shape
     state = LocalisationState(
         landmarks=known.landmarks,

@@ -151,6 +151,36 @@ def take_back(k, field, state, scratch):
 
 
 @kernel
+def _sum_up(field, state):
+    """Find P_n from the counts."""
+    counts, units = state.counts, state.units
+    for p in range(np.uint64(len(units))):
+        units[p] = 0
+        for w in range(np.uint64(counts.shape[1])):
+            has = ALL
+            for j in range(np.uint64(counts.shape[2])):
+                has = at_least_so_far(has, counts[p, w, j], field.n, j)
+            while has:
+                units[p] += field.weights[w * np.uint64(BITS) + lowest(has)]
+                has &= has - ONE
+
+
+@kernel
+def overlook(missed, field, state):
+    """Take the sets of axes `missed` `(K, Q, W)` out of the caps; landmarks hide each other as before."""
+    caps, counts, short, just = state.caps, state.counts, state.short, state.just
+    for k in range(np.uint64(caps.shape[0])):
+        for p in range(np.uint64(caps.shape[1])):
+            shown = state.reachable[k, p] & (state.hidden[k, p] == 0)
+            for w in range(np.uint64(caps.shape[2])):
+                gone = caps[k, p, w] & missed[k, p, w]
+                caps[k, p, w] ^= gone
+                if shown and gone:
+                    _ripple(p, w, gone, ALL, field.n, counts, short, just)
+    _sum_up(field, state)
+
+
+@kernel
 def _fill(field, state, scratch):
     """Let the landmarks of `state` come, one after the other."""
     landmarks, normals, new, after = state.landmarks, state.normals, scratch.new, scratch.after
@@ -170,14 +200,7 @@ def _fill(field, state, scratch):
         _find_cap(positions, field, scratch)
         _recount(np.uint64(k), positions, 1, field, state, scratch)
         state.reachable[k], state.hidden[k], state.hiding[k] = new.reached, after.count_hidden, after.count_hides
-    for p in positions:
-        for w in range(np.uint64(state.counts.shape[1])):
-            has = ALL
-            for j in range(np.uint64(state.counts.shape[2])):
-                has = at_least_so_far(has, state.counts[p, w, j], field.n, j)
-            while has:
-                state.units[p] += field.weights[w * np.uint64(BITS) + lowest(has)]
-                has &= has - ONE
+    _sum_up(field, state)
 
 
 def state_of(field: Any, deployment: Deployment) -> State:

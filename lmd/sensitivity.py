@@ -1,0 +1,221 @@
+"""How much the figures of a deployment hang on what was assumed: on the noise, on the tags, on every tag being found.
+
+All figures are off the grid and differ by what is varied alone: every variant is measured at the same random positions
+and orientations (`lmd.validation`). Two are given, whatever the deployment was made for: the mean of L, the probability
+of localising to the tolerance, and of P_n, that of covering n landmarks.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import combinations
+
+import numpy as np
+import pandas as pd
+from scipy.stats import binom
+
+from lmd.accuracy import as_localisation
+from lmd.checks import FloatArray, InputError
+from lmd.deployment import Deployment
+from lmd.objectives.localisation import Localisation
+from lmd.objectives.localisation.field import LocalisationField
+from lmd.objectives.localisation.kernels import localised_views
+from lmd.objectives.localisation.losses import without_landmarks
+from lmd.objectives.localisation.move import localisation_state
+from lmd.problem import Problem
+from lmd.scene import Scene
+from lmd.sight.bits import packed
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.incremental.move import counts_of, overlook
+from lmd.sight.kernels import PROBABILITY_ONE
+from lmd.validation import Sample, sampled_evaluators
+
+FACTORS = (0.5, 0.7, 1.0, 1.4, 2.0)  # of what was assumed
+MISSED = (0.0, 0.05, 0.1, 0.2)  # probability that a landmark that is covered is not found; ascending
+SAMPLE = Sample(groups=16, positions=128, divisions=12)
+SHARES = ["localised_share", "covered_share"]
+STREAM = 0x6D697373  # keeps the draws of what is missed apart from every other use of the same seed
+
+
+@dataclass(frozen=True)
+class Variant:
+    """Another assumption.
+
+    Args:
+        assumption: its name.
+        factor: of what was assumed.
+        value: what comes of it, in the units of the setting.
+        scene: with this value.
+        objective: with this value.
+        note: why there is no figure, empty where there is one.
+    """
+
+    assumption: str
+    factor: float
+    value: float
+    scene: Scene
+    objective: Localisation
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """What came out, shares as fractions in [0, 1].
+
+    Args:
+        assumptions: `assumption,factor,value,localised_share,covered_share,note`; shares are NaN where a note says why.
+        misses: `missed,localised_share,covered_share`: each covered landmark is missed with this probability, in every
+            view anew.
+        tags: `id,localised_loss,covered_loss`: what the shares lose without each landmark.
+        lost: `lost,share,mean,worst,worst_ids`: what they lose without one landmark, or any two.
+    """
+
+    assumptions: pd.DataFrame
+    misses: pd.DataFrame
+    tags: pd.DataFrame
+    lost: pd.DataFrame
+
+    @property
+    def tables(self) -> dict[str, pd.DataFrame]:
+        """All of them, by name."""
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+
+    def metrics(self) -> dict[str, float]:
+        """The finite figures by names such as `pixel_noise_1.4/localised_share`."""
+        named = {f"{row['assumption']}_{row['factor']:g}": row for row in self.assumptions.to_dict("records")}
+        named |= {f"missed_{row['missed']:g}": row for row in self.misses.to_dict("records")}
+        figures = {f"{name}/{share}": row[share] for name, row in named.items() for share in SHARES}
+        for row in self.lost.to_dict("records"):
+            figures |= {f"lost_{row['lost']}/{row['share']}_{kind}": row[kind] for kind in ("mean", "worst")}
+        return {name: float(value) for name, value in figures.items() if np.isfinite(value)}
+
+    def to_text(self) -> str:
+        """What a terminal shows, per cent."""
+
+        def text(table: pd.DataFrame) -> str:
+            return table.to_string(float_format=lambda value: f"{100.0 * value:.2f}", na_rep="-")
+
+        varied = self.assumptions.set_index(["assumption", "factor"])[SHARES].stack().unstack("factor", sort=False)
+        varied.columns = pd.Index([f"x {factor:g}" for factor in varied.columns])
+        missed = self.misses.set_index("missed").T
+        missed.columns = pd.Index([f"missed {share:g}" for share in missed.columns])
+        notes = [
+            f"edge x {row['factor']:g}: {row['note']}" for row in self.assumptions.to_dict("records") if row["note"]
+        ]
+        lost = self.lost.set_index(["lost", "share"])
+        return "\n\n".join(["sensitivity, per cent", text(varied), *notes, text(missed), text(lost)])
+
+
+def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sample = SAMPLE) -> Sensitivity:
+    """Measure how much the figures of a deployment hang on what was assumed.
+
+    Args:
+        problem: the scene and the objective. Where that is not one of localisation, the default one with its n says
+            what is assumed.
+        deployment: what is judged, its landmarks with their surfaces.
+        seed: of the sample and of what is missed.
+        sample: its size.
+
+    Returns:
+        the same for any number of threads.
+    """
+    variants = _variants(problem, deployment)
+    groups = enumerate(sampled_evaluators(problem.scene, seed, sample, threads=1))
+    measure = partial(_measure, deployment, as_localisation(problem.objective), variants, seed)
+    with ThreadPoolExecutor(problem.evaluator.threads) as pool:
+        parts = list(pool.map(measure, groups))
+    assumed, missed, without = (np.mean(part, axis=0) for part in zip(*parts, strict=True))
+    rows = [[v.assumption, v.factor, v.value, *shares, v.note] for v, shares in zip(variants, assumed, strict=True)]
+    losses = missed[0][:, None, None] - without
+    tags, many = np.diagonal(losses, axis1=1, axis2=2), range(1, min(2, len(deployment)) + 1)
+    return Sensitivity(
+        assumptions=pd.DataFrame(rows, columns=["assumption", "factor", "value", *SHARES, "note"]),
+        misses=pd.DataFrame(missed, columns=SHARES).assign(missed=MISSED)[["missed", *SHARES]],
+        tags=pd.DataFrame({"id": np.arange(len(deployment)), "localised_loss": tags[0], "covered_loss": tags[1]}),
+        lost=pd.DataFrame([_worst(lost, share, losses[i]) for i, share in enumerate(SHARES) for lost in many]),
+    )
+
+
+def _variants(problem: Problem, deployment: Deployment) -> list[Variant]:
+    """All assumptions that are varied; the edge only where the tag has one."""
+    scene, objective = problem.scene, as_localisation(problem.objective)
+    variants = []
+    for name in ("pixel_noise", "tolerance"):
+        for factor in FACTORS:
+            value = factor * getattr(objective, name)
+            variants.append(Variant(name, factor, value, scene, replace(objective, **{name: value})))
+    for factor in FACTORS if not scene.tag.is_point else ():
+        tag = replace(scene.tag, edge=factor * scene.tag.size)
+        seen = replace(scene.visibility, tag=tag) if hasattr(scene.visibility, "tag") else scene.visibility  # type: ignore[type-var]
+        resized, note = replace(scene, tag=tag, visibility=seen), ""
+        try:
+            resized.plates.check(deployment)
+        except InputError as error:
+            note = str(error)
+        variants.append(Variant("edge", factor, tag.size, resized, objective, note))
+    return variants
+
+
+def _measure(
+    deployment: Deployment,
+    objective: Localisation,
+    variants: Sequence[Variant],
+    seed: int,
+    group: tuple[int, Evaluator],
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The shares of the variants, `(V, 2)`, with landmarks missed, `(M, 2)`, and lost, `(2, K, K)`, in one group."""
+    number, evaluator = group
+    assumed = np.array([_shares(variant, deployment, evaluator) for variant in variants])
+    field, rng = objective.field(evaluator), np.random.default_rng([seed, STREAM, number])
+    return assumed, missed_shares(field, deployment, rng)[:, :2], without_landmarks(field, deployment)
+
+
+def _shares(variant: Variant, deployment: Deployment, evaluator: Evaluator) -> tuple[float, float]:
+    """The means of L and P_n at the positions and orientations of an evaluator."""
+    if variant.note:
+        return np.nan, np.nan
+    scene, objective = replace(variant.scene, pdf=evaluator.scene.pdf), variant.objective
+    varied = Evaluator(scene, evaluator.positions, evaluator.threads)
+    landmarks = deployment.positions[None], deployment.normals[None]
+    views = localised_views(varied, *landmarks, objective.n, objective.precision(scene))
+    return views.localised.mean() / PROBABILITY_ONE, views.covered.mean() / PROBABILITY_ONE
+
+
+def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.random.Generator) -> FloatArray:
+    """The means of L and P_n where each landmark that is covered is missed with the probabilities `MISSED`.
+
+    L is that of a draw: of every landmark in every view, the same draw for all probabilities, so that what is missed
+    with one is missed with all greater. P_n follows from how many landmarks the views cover, of which a binomial
+    number is left. A landmark that is missed is still there, and hides others.
+
+    Args:
+        field: the positions and the orientations.
+        deployment: K landmarks.
+        rng: draws what is missed.
+
+    Returns:
+        `(M, 3)`: the mean of L, the exact mean of P_n, and that of the draw.
+    """
+    cover, rows = field.coverage, []
+    known, places = cover.state(deployment), field.index_of
+    weights = cover.weights / PROBABILITY_ONE
+    counts = counts_of(known, len(weights))[places]
+    draws = (rng.random((field.size, len(weights)), dtype=np.float32) for _ in range(len(deployment)))
+    sets = np.stack([[packed(draw < share) for share in MISSED] for draw in draws], axis=1)
+    for share, missed in zip(MISSED, sets, strict=True):
+        overlook(missed, cover, known)
+        state = localisation_state(field, known)
+        enough = binom.sf(cover.n - 1, np.arange(len(deployment) + 1), 1.0 - share)
+        drawn = (units[places].mean() / PROBABILITY_ONE for units in (state.located, known.units))
+        located, sampled = drawn
+        rows.append((located, (enough[counts] @ weights).mean(), sampled))
+    return np.array(rows)
+
+
+def _worst(lost: int, share: str, losses: FloatArray) -> dict[str, object]:
+    """The row of `Sensitivity.lost` for so many landmarks, from the losses `(K, K)` of one share."""
+    chosen = list(combinations(range(len(losses)), lost))
+    values = np.array([losses[ids[0], ids[-1]] for ids in chosen])
+    worst = " ".join(map(str, chosen[int(values.argmax())]))
+    return {"lost": lost, "share": share, "mean": values.mean(), "worst": values.max(), "worst_ids": worst}
