@@ -84,10 +84,28 @@ def save_accuracy_map(path: str | Path, problem: Problem, deployment: Deployment
     """
     evaluator, weight = problem.evaluator, problem.scene.orientations.weight
     errors, _ = predicted_errors(problem, deployment, evaluator)
-    order = np.argsort(errors, axis=1)
-    middle = (np.cumsum(weight[order], axis=1) >= 0.5).argmax(axis=1)[:, None]
-    median = np.take_along_axis(errors, np.take_along_axis(order, middle, axis=1), axis=1)[:, 0]
+    median = _medians(errors, weight)
     columns = dict(zip("xyz", evaluator.positions.T, strict=True))
     columns |= {_share_name(limit): (errors <= limit) @ weight for limit in TOLERANCES}
     columns["predicted_error_median"] = np.where(np.isfinite(median), median, np.nan)
     pd.DataFrame(columns).to_csv(path, index=False)
+
+
+def plan_of_errors(problem: Problem, deployment: Deployment) -> pd.DataFrame:
+    """`x,y,predicted_error_median`, metres: over all orientations and heights at each place of the grid's plan.
+
+    The median is infinite where fewer than half of these views cover n landmarks.
+    """
+    evaluator, weight = problem.evaluator, problem.scene.orientations.weight
+    errors, _ = predicted_errors(problem, deployment, evaluator)
+    places, place = np.unique(evaluator.positions[:, :2].round(9), axis=0, return_inverse=True)
+    columns = [errors[place == i] for i in range(len(places))]
+    medians = [_medians(column.reshape(1, -1), np.tile(weight / len(column), len(column)))[0] for column in columns]
+    return pd.DataFrame({"x": places[:, 0], "y": places[:, 1], "predicted_error_median": medians})
+
+
+def _medians(errors: FloatArray, weight: FloatArray) -> FloatArray:
+    """The median of each row of `(P, V)` with weights `(V,)` of sum 1, `(P,)`."""
+    order = np.argsort(errors, axis=1)
+    middle = (np.cumsum(weight[order], axis=1) >= 0.5).argmax(axis=1)[:, None]
+    return np.asarray(np.take_along_axis(errors, np.take_along_axis(order, middle, axis=1), axis=1)[:, 0])

@@ -33,7 +33,7 @@ from lmd.validation import Sample, sampled_evaluators
 
 FACTORS = (0.5, 0.7, 1.0, 1.4, 2.0)  # of what was assumed
 MISSED = (0.0, 0.05, 0.1, 0.2)  # probability that a landmark that is covered is not found; ascending
-SAMPLE = Sample(groups=16, positions=128, divisions=12)
+SAMPLE = Sample(groups=48, positions=128, divisions=12)
 SHARES = ["localised_share", "covered_share"]
 STREAM = 0x6D697373  # keeps the draws of what is missed apart from every other use of the same seed
 
@@ -96,8 +96,8 @@ class Sensitivity:
         def text(table: pd.DataFrame) -> str:
             return table.to_string(float_format=lambda value: f"{100.0 * value:.2f}", na_rep="-")
 
-        varied = self.assumptions.set_index(["assumption", "factor"])[SHARES].stack().unstack("factor", sort=False)
-        varied.columns = pd.Index([f"x {factor:g}" for factor in varied.columns])
+        by_factor = self.assumptions.groupby("factor")
+        varied = pd.DataFrame({f"x {x:g}": rows.set_index("assumption")[SHARES].stack() for x, rows in by_factor})
         missed = self.misses.set_index("missed").T
         missed.columns = pd.Index([f"missed {share:g}" for share in missed.columns])
         notes = [

@@ -35,11 +35,15 @@ def save_sensitivity_figure(path: str | Path, found: Sensitivity, title: str) ->
     for share, (label, style) in STYLES.items():
         missed.plot(100.0 * found.misses.missed, 100.0 * found.misses[share], f"ko{style}", label=label)
         losses = 100.0 * np.sort(found.tags[f"{share.removesuffix('_share')}_loss"].to_numpy())[::-1]
+        pair = found.lost[(found.lost.lost == 2) & (found.lost.share == share)]
+        for worst in 100.0 * pair.worst:
+            lost.axhline(worst, color="C3", linestyle=style, label=f"{label}, worst pair")
         lost.step(np.arange(len(losses)), losses, f"k{style}", where="mid", label=label)
     missed.set(xlabel="landmarks missed [%]", ylabel="share of random views [%]")
     lost.set(xlabel="landmark lost, the dearest first", ylabel="loss [points]")
     for axes in (varied, missed):
         axes.set_ylim(0.0, 100.0)
+    lost.set_ylim(bottom=min(0.0, lost.get_ylim()[0]))
     for axes in panels:
         axes.grid(alpha=0.3)
         axes.legend(frameon=False)

@@ -18,7 +18,7 @@ AWAY = np.array([0.0, 0.0, 1e6, 0.0, 0.0, 1.0])
 
 
 @kernel
-def _without(field, index_of, away, state, first, second, located, covered):
+def _without(field, index_of, away, state, first, second, located, covered):  # type: ignore[no-untyped-def]
     """Add sums over the positions, in units, to `located` and `covered` `(K, K)` of zeros; see `without_landmarks`.
 
     A move is not settled: what is left out until then is what the landmark hides, and is hidden by, at its new place.

@@ -1,0 +1,66 @@
+"""How accurate single images are over the plan of a room, for several deployments beside each other."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lmd.accuracy import plan_of_errors
+from lmd.deployment import Deployment
+from lmd.plot import common
+from lmd.problem import Problem
+
+BEYOND = "#c8c8c8"  # where there is no median
+
+
+def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Problem, Deployment]], title: str) -> None:
+    """Write a PNG: top views with the landmarks and the median predicted error as colour, on one scale.
+
+    The median is that of all views of the grid's positions above a place of the plan.
+
+    Args:
+        path: the PNG.
+        deployments: a deployment and the problem that it is judged for, by what heads its panel.
+        title: one line above the panels.
+    """
+    from matplotlib import colormaps
+    from matplotlib.colors import LogNorm
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator
+
+    plans = [1e3 * _plan(problem, deployment) for problem, deployment in deployments.values()]
+    known = np.concatenate([plan.to_numpy().ravel() for plan in plans])
+    known = known[np.isfinite(known)]
+    low, high = (known.min(), known.max()) if len(known) else (1.0, 10.0)
+    colours = colormaps[f"{common.COLOUR_MAP}_r"].with_extremes(over=BEYOND)  # bright is good
+    length, width, _ = np.max([common.size_of(problem.scene.room) for problem, _ in deployments.values()], axis=0)
+    size = (1.0 + 5.0 * len(plans), 1.6 + 5.0 * width / length)
+    figure = Figure(figsize=size, dpi=100, facecolor="white", layout="constrained")
+    figure.suptitle(title)
+    panels: Any = figure.subplots(1, len(plans), squeeze=False, sharex=True, sharey=True)[0]
+    for axes, plan, (heading, (problem, deployment)) in zip(panels, plans, deployments.items(), strict=True):
+        shown = np.where(np.isinf(plan), 2.0 * high, plan)  # infinite has no logarithm
+        mesh = axes.pcolormesh(
+            plan.columns, plan.index, shown, cmap=colours, norm=LogNorm(low, high), shading="nearest"
+        )
+        outline = problem.scene.room.outline()
+        for part, colour, style in (("room", common.ROOM, "-"), ("reachable area", common.REACHABLE, "--")):
+            for edge in outline[part]:
+                axes.plot(*edge[:, :2].T, color=colour, linestyle=style, lw=1.0)
+        arrows = common.ARROW_LENGTH * deployment.normals[:, :2]
+        axes.quiver(*deployment.positions[:, :2].T, *arrows.T, color=common.LANDMARK, angles="xy",
+                    scale_units="xy", scale=1.0, width=0.003, zorder=3)  # fmt: skip
+        axes.plot(*deployment.positions[:, :2].T, "o", color=common.LANDMARK, ms=2.5, zorder=3)
+        axes.set(xlabel=common.AXIS_LABELS[0], title=heading, aspect="equal")
+    panels[0].set_ylabel(common.AXIS_LABELS[1])
+    label = "median predicted error of the position [mm]; grey where most views see too few landmarks"
+    bar = figure.colorbar(mesh, ax=list(panels), label=label, extend="max", orientation="horizontal", aspect=60)
+    bar.set_ticks(LogLocator(subs=(1.0, 2.0, 5.0)), format="%g")
+    bar.minorticks_off()
+    figure.savefig(path)
+
+
+def _plan(problem: Problem, deployment: Deployment) -> Any:
+    """The medians as a table, y by x, metres; NaN where the grid has no position."""
+    return plan_of_errors(problem, deployment).pivot(index="y", columns="x", values="predicted_error_median")

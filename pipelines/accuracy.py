@@ -1,0 +1,56 @@
+"""How accurate single images are, predicted: `python -m pipelines.accuracy deployment=uniform,random [overrides]`.
+
+All deployments share one picture, because they are to be compared. So `deployment=a,b,c` does not start a sweep here:
+it is read as `deployments=[a,b,c]`.
+"""
+
+import hydra
+from omegaconf import DictConfig
+
+from .app import CONF, build_problem, run_directory
+from .deployments import composed_deployments, read_deployment_as_a_list
+from .sweeps.supervisor import run
+
+
+def main() -> None:
+    """Read `deployment=...` as the list of deployments, then hand over to Hydra."""
+    read_deployment_as_a_list()
+    _main()
+
+
+@hydra.main(version_base="1.3", config_path=CONF, config_name="accuracy")
+def _main(cfg: DictConfig) -> None:
+    """Predict, record and show."""
+    run(cfg, accuracy)
+
+
+def accuracy(cfg: DictConfig) -> None:
+    """Predict for the configured deployments."""
+    import numpy as np
+    import pandas as pd
+
+    from lmd.accuracy import accuracy_metrics
+    from lmd.checks import integer
+    from lmd.plot.accuracy import save_accuracy_figure
+
+    from .tracked_run import title_of, tracked_run
+
+    seed, directory = integer("seed", cfg.seed, low=0), run_directory()
+    problems = {name: build_problem(own) for name, own in composed_deployments(cfg, "accuracy").items()}
+    drawn = {name: (problem, problem.draw(np.random.default_rng(seed))) for name, problem in problems.items()}
+    problem = next(iter(problems.values()))
+    with tracked_run(cfg, problem, "accuracy") as tracker:
+        figures = {name: accuracy_metrics(*subject, seed) for name, subject in drawn.items()}
+        table = pd.DataFrame(figures).T.rename_axis("deployment")
+        table.to_csv(directory / "figures.csv")
+        save_accuracy_figure(directory / "accuracy.png", drawn, title_of(problem, "predicted accuracy of one image,"))
+        tracker.log_metrics({f"{key}/{name}": value for name, row in figures.items() for key, value in row.items()})
+        files = [directory / "figures.csv", directory / "accuracy.png"]
+        tracker.log_artifacts([*files, *sorted((directory / ".hydra").glob("*.yaml"))])
+        tracker.finish("FINISHED")
+    print(f"{table.T.to_string(float_format='{:.4f}'.format, na_rep='-')}\nfiles: {directory}\n"
+          f"mlflow: {tracker.describe()}")  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
