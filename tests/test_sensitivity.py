@@ -41,7 +41,9 @@ class Given:
 
 
 def problem_of(deployment=None, objective=None, tag=TAG, threads=1, **visibility):
-    scene = replace(paper_scene(room=paper_room(spacing=1.5), orientations=pdf.grid_with_ends(6), **visibility), tag=tag)
+    scene = replace(
+        paper_scene(room=paper_room(spacing=1.5), orientations=pdf.grid_with_ends(6), **visibility), tag=tag
+    )
     start = RandomDeployment(30) if deployment is None else Given(deployment)
     return Problem(scene, objective or Localisation(), start, threads)
 

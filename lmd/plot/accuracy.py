@@ -35,7 +35,7 @@ def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Probl
     low, high = (known.min(), known.max()) if len(known) else (1.0, 10.0)
     colours = colormaps[f"{common.COLOUR_MAP}_r"].with_extremes(over=BEYOND)  # bright is good
     length, width, _ = np.max([common.size_of(problem.scene.room) for problem, _ in deployments.values()], axis=0)
-    size = (1.0 + 5.0 * len(plans), 1.6 + 5.0 * width / length)
+    size = (1.0 + 5.0 * len(plans), 2.2 + 5.0 * width / length)
     figure = Figure(figsize=size, dpi=100, facecolor="white", layout="constrained")
     figure.suptitle(title)
     panels: Any = figure.subplots(1, len(plans), squeeze=False, sharex=True, sharey=True)[0]
@@ -55,8 +55,10 @@ def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Probl
         axes.set(xlabel=common.AXIS_LABELS[0], title=heading, aspect="equal")
     panels[0].set_ylabel(common.AXIS_LABELS[1])
     label = "median predicted error of the position [mm]; grey where most views see too few landmarks"
-    bar = figure.colorbar(mesh, ax=list(panels), label=label, extend="max", orientation="horizontal", aspect=60)
-    bar.set_ticks(LogLocator(subs=(1.0, 2.0, 5.0)), format="%g")
+    ticks = LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0))
+    bar = figure.colorbar(
+        mesh, ax=list(panels), label=label, ticks=ticks, format="%g", extend="max", orientation="horizontal", aspect=60
+    )
     bar.minorticks_off()
     figure.savefig(path)
 
