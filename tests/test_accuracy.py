@@ -30,7 +30,7 @@ def test_the_plan_has_the_median_of_all_heights_and_orientations():
     assert len(plan) * 3 == len(positions)  # three heights
     assert np.isfinite(plan.predicted_error_median).any()
     for x, y, median in plan.to_numpy():
-        here = np.sort(errors[(positions[:, 0] == x) & (positions[:, 1] == y)].ravel())  # of equal weight
+        here = np.sort(errors[np.isclose(positions[:, :2], (x, y)).all(axis=1)].ravel())  # of equal weight
         assert median in (here[len(here) // 2 - 1], here[len(here) // 2])
 
 
