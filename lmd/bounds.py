@@ -19,6 +19,9 @@ accelerated projected ascent. F(x) itself is what no choice can get below.
 
 The largest g_j is sought over a grid of poses while x is improved, and in the end over the whole walls, by branch and
 bound on cells (`lmd.sight.poses`): that makes the bound one for every flush deployment.
+
+A view that is localised covers n landmarks, so the same bounds hold for what `Localisation` makes of P_n: they are
+valid, but take no account of its tolerance.
 """
 
 import heapq
@@ -31,6 +34,7 @@ import numpy as np
 from lmd.checks import FloatArray, InputError, integer, real
 from lmd.deployment import Deployment
 from lmd.objectives.coverage import Coverage
+from lmd.objectives.localisation import Localisation
 from lmd.problem import Problem
 from lmd.sight.criteria import TOLERANCE
 from lmd.sight.evaluator import Evaluator
@@ -144,18 +148,19 @@ def smoothed_min(v: FloatArray, width: float) -> tuple[FloatArray, FloatArray]:
 
 
 def average_upper_bound(problem: Problem, count: int, search: Search) -> UpperBound:
-    """Bounds `average_coverage_probability` (positions count alike) for `count` landmarks."""
+    """Bounds the mean of P_n over the grid (positions count alike) for `count` landmarks."""
     size = len(problem.evaluator.positions)
-    relaxation = Relaxation(problem.evaluator, np.full(size, 1.0 / size), _coverage_of(problem).n, 1.0)
+    relaxation = Relaxation(problem.evaluator, np.full(size, 1.0 / size), _at_most_coverage(problem).n, 1.0)
     return _bound(relaxation, problem.scene.plates.hanging, count, search)
 
 
-def qualified_upper_bound(problem: Problem, count: int, search: Search) -> UpperBound:
-    """Bounds the fitness, the qualified share of positions weighted by relevance, for `count` landmarks."""
+def fitness_upper_bound(problem: Problem, count: int, search: Search) -> UpperBound:
+    """Bounds the fitness, the share of positions that are qualified or a mean, by relevance, for `count` landmarks."""
     evaluator, relevance = problem.fitness_evaluator, problem.fitness_relevance
+    objective = _at_most_coverage(problem)
+    averaged = isinstance(objective, Localisation) and objective.climbs == "mean"
     # Positions qualify from TOLERANCE below thold_p; where nothing is asked, all do.
-    objective = _coverage_of(problem)
-    threshold = objective.thold_p - TOLERANCE
+    threshold = 1.0 if averaged else objective.thold_p - TOLERANCE
     if threshold <= 0.0:
         return UpperBound(1.0, 1.0, 1.0, Dual(1.0, np.zeros((len(relevance), evaluator.axes.shape[1]))), 0.0)
     relaxation = Relaxation(evaluator, relevance / relevance.sum(), objective.n, threshold)
@@ -172,18 +177,20 @@ def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
         InputError: not even `MOST_LANDMARKS` reach it.
     """
     real("target", target, low=0.0, high=1.0)
-    count = _coverage_of(problem).n
-    while (bound := qualified_upper_bound(problem, count, search)).walls < target - TOLERANCE:
+    count = _at_most_coverage(problem).n
+    while (bound := fitness_upper_bound(problem, count, search)).walls < target - TOLERANCE:
         count = math.ceil((target - bound.dual.constant) / bound.gain - TOLERANCE)
         if count > MOST_LANDMARKS:
             raise InputError(f"target = {target:g} is out of reach of {MOST_LANDMARKS} landmarks.", "target")
     return count
 
 
-def _coverage_of(problem: Problem) -> Coverage:
-    if not isinstance(problem.objective, Coverage):
+def _at_most_coverage(problem: Problem) -> Coverage | Localisation:
+    """The objective, whose values are at most P_n."""
+    if not isinstance(problem.objective, Coverage | Localisation):
         raise InputError(
-            f"there is no upper bound for the objective {type(problem.objective).__name__}, only for Coverage."
+            f"there is no upper bound for the objective {type(problem.objective).__name__}, only for Coverage and "
+            "Localisation."
         )
     return problem.objective
 

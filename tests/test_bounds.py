@@ -19,8 +19,8 @@ from lmd.bounds import (
     Search,
     average_upper_bound,
     fewest_landmarks,
+    fitness_upper_bound,
     largest_gain,
-    qualified_upper_bound,
     smoothed_min,
 )
 from lmd.checks import InputError
@@ -152,7 +152,7 @@ def test_no_deployment_exceeds_the_bounds(n, thold_p, occlusion):
     problem = small_problem(20, n, thold_p, occlusion=occlusion, relevance=Relevance(
         regions=[{"low": [0, 0, 0], "high": [3, 5, 6], "weight": 3.0}]))  # fmt: skip
     search = Search(spacing=0.7, iterations=40)
-    average, qualified = average_upper_bound(problem, 20, search), qualified_upper_bound(problem, 20, search)
+    average, qualified = average_upper_bound(problem, 20, search), fitness_upper_bound(problem, 20, search)
     rng = np.random.default_rng(0)
     tried = [problem.start.draw(problem.scene.room, rng) for _ in range(30)]
     tried.append(make("annealing").run(problem, Budget(100)).deployment)
@@ -169,7 +169,7 @@ def test_both_bounds_agree_with_a_linear_program(n, count):
     problem = small_problem(count, n, 0.3)
     poses, size = candidate_poses(problem.scene.room, COARSE.spacing), len(problem.relevance)
     shares = np.full(size, 1.0 / size)
-    for method, threshold in ((average_upper_bound, 1.0), (qualified_upper_bound, 0.3)):
+    for method, threshold in ((average_upper_bound, 1.0), (fitness_upper_bound, 0.3)):
         bound, exact = method(problem, count, COARSE), exact_bound(problem, poses, count, threshold, shares)
         assert bound.fractional <= exact + 1e-9
         assert exact - 1e-9 <= bound.grid <= exact + 1e-3
@@ -199,8 +199,8 @@ def test_the_fewest_landmarks_are_where_the_bound_reaches_the_target():
     problem = small_problem(thold_p=0.5)
     fewest = fewest_landmarks(problem, 0.6, COARSE)
     assert fewest > 3
-    assert qualified_upper_bound(problem, fewest, COARSE).walls >= 0.6 - 1e-9
-    assert qualified_upper_bound(problem, fewest - 2, COARSE).fractional < 0.6
+    assert fitness_upper_bound(problem, fewest, COARSE).walls >= 0.6 - 1e-9
+    assert fitness_upper_bound(problem, fewest - 2, COARSE).fractional < 0.6
     assert fewest_landmarks(problem, 0.0, COARSE) == 2
 
 

@@ -44,6 +44,10 @@ class Headline:
 class Selection(Protocol):
     """A monotone submodular stand-in for an objective: what further landmarks gain, given those chosen."""
 
+    @property
+    def label(self) -> str:
+        """What it measures, for readers."""
+
     def gains(self, poses: Deployment) -> FloatArray:
         """What each pose would add, `(N,)`; never more than it would have added before others were chosen."""
 

@@ -158,6 +158,8 @@ class CappedCount:
         n: landmarks that should be covered at the same time.
     """
 
+    label = "expected number of landmarks in view, as far as it is asked for"
+
     def __init__(self, evaluator: Evaluator, relevance: FloatArray, n: int) -> None:
         self._evaluator, self._n = evaluator, n
         self._prices = relevance[:, None] * (evaluator.weights / evaluator.weights.sum())
