@@ -5,9 +5,9 @@ anybody. So for *any* set S the best K poses of a grid, each taken once, reach a
 
     f(S) + the sum of the K largest gains at S        (Nemhauser, Wolsey and Fisher 1978),
 
-and S is the greedy choice itself. Before anything was chosen, (1 - 1/e) of the best was certain; this says how much it
-is in the case at hand. A landmark that is hidden adds nothing to the views it is hidden from, and as more landmarks
-never lower f, hiding only does: the bound holds with hiding, too.
+and S is the greedy choice itself, or nothing, whichever tells more. Greedy reaches 1 - 1/e of the best in any case;
+this says how much it is in the case at hand. A landmark that is hidden adds nothing to the views it is hidden from, and
+as more landmarks never lower f, hiding only does: the bound holds with hiding, too.
 
 It is one for poses of the grid and for f, not for the objective that f stands for.
 """
@@ -16,11 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lmd.checks import FloatArray
 from lmd.optimisers.selection import select
 from lmd.problem import Problem
 from lmd.sight.poses import candidate_poses
 
-# The share of the best that greedy selection reaches whatever the case.
+# The share of the best that the greedy choice reaches in any case, where every pose is free to take.
 GUARANTEE = 1.0 - np.exp(-1.0)
 
 
@@ -47,8 +48,8 @@ class SelectionBound:
 def selection_upper_bound(problem: Problem, count: int, spacing: float) -> SelectionBound:
     """Bounds what `count` landmarks reach on a grid of poses at most `spacing` metres apart.
 
-    Views are those of the problem's fitness. Plates that would overlap are only kept from the greedy choice, which makes
-    the bound no less true. The result does not depend on the number of threads.
+    Views are those of the problem's fitness. The greedy choice keeps plates apart, the bound is also for those that
+    overlap. The result does not depend on the number of threads.
 
     Raises:
         InputError: the objective has no selection, or the spacing is not positive.
@@ -58,9 +59,15 @@ def selection_upper_bound(problem: Problem, count: int, spacing: float) -> Selec
     poses = candidate_poses(plates.hanging, spacing)
     chosen, _ = select(objective.selection(evaluator, relevance), poses, count, plates)
     selection, greedy = objective.selection(evaluator, relevance), 0.0
+    at_first = _largest(selection.gains(poses), count)
     for j in chosen:
         greedy += float(selection.gains(poses[j : j + 1])[0])
         selection.add(poses[j : j + 1])
     gains = selection.gains(poses)
     gains[chosen] = 0.0  # each pose once
-    return SelectionBound(selection.label, greedy, greedy + float(np.sort(gains)[-count:].sum()))
+    return SelectionBound(selection.label, greedy, min(at_first, greedy + _largest(gains, count)))
+
+
+def _largest(gains: FloatArray, count: int) -> float:
+    """The sum of the largest `count` gains."""
+    return float(np.sort(gains)[-count:].sum())

@@ -32,6 +32,11 @@ def bound(cfg: DictConfig) -> None:
     document: dict[str, Any] = {}
     figures: dict[str, float] = {}
     with tracked_run(cfg, problem, "bound") as tracker:
+        choice = selection_upper_bound(problem, count, search.spacing)
+        document["selection"] = {"greedy": choice.greedy, "grid": choice.grid, "share": choice.share}
+        figures |= {f"bound/selection/{kind}": value for kind, value in document["selection"].items()}
+        _show("greedy choice", f">= {choice.share:.2%} of the best {count} poses of the grid, by the {choice.label}: "
+              f"{choice.greedy:.4g} of at most {choice.grid:.4g}; sure before was {GUARANTEE:.2%}")  # fmt: skip
         for label, key, method in (
             ("fitness", "fitness", fitness_upper_bound),
             ("average probability", "average_coverage_probability", average_upper_bound),
@@ -41,11 +46,6 @@ def bound(cfg: DictConfig) -> None:
             figures |= {f"bound/{key}/{kind}": value for kind, value in document[key].items()}
             _show(label, f"<= {result.walls:.2%} for any {count} landmarks flush on the walls; on the grid of poses "
                   f"<= {result.grid:.2%}, where fractions of landmarks reach {result.fractional:.2%}")  # fmt: skip
-        choice = selection_upper_bound(problem, count, search.spacing)
-        document["selection"] = {"greedy": choice.greedy, "grid": choice.grid, "share": choice.share}
-        figures |= {f"bound/selection/{kind}": value for kind, value in document["selection"].items()}
-        _show("greedy choice", f">= {choice.share:.2%} of the best {count} poses of the grid, by the {choice.label}: "
-              f"{choice.greedy:.4g} of at most {choice.grid:.4g}; sure before was {GUARANTEE:.2%}")  # fmt: skip
         if target is not None:
             with keyed("bound"):
                 fewest = fewest_landmarks(problem, target, search)

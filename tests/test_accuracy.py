@@ -1,47 +1,88 @@
+"""The predicted errors against the inverse of each view's 6 x 6 information."""
+
+from dataclasses import replace
+
 import numpy as np
-from matplotlib.image import imread
+import pandas as pd
+import pytest
+from bearings import view_matrices
 from paper import paper_room, paper_scene
 
 from lmd import pdf
-from lmd.accuracy import plan_of_errors, predicted_errors
-from lmd.deployment import UniformDeployment
+from lmd.accuracy import TOLERANCES, accuracy_metrics, predicted_errors, save_accuracy_map
+from lmd.deployment import RandomDeployment, UniformDeployment
 from lmd.objectives.coverage import Coverage
-from lmd.plot.accuracy import save_accuracy_figure
+from lmd.objectives.localisation import Localisation
 from lmd.problem import Problem
-from lmd.scene import Scene
 from lmd.tag import Tag
+from lmd.validation import STREAM, Sample
+
+SCENE = replace(paper_scene(paper_room(spacing=2.0), orientations=pdf.grid_with_ends(6)), tag=Tag(0.1))
+NOISE = 0.8
 
 
-def problem_of(count, n=2):
-    scene = paper_scene(room=paper_room(spacing=1.5), orientations=pdf.grid_of_cells(6))
-    tagged = Scene(scene.room, scene.camera, scene.pdf, scene.visibility, Tag(0.1))
-    return Problem(tagged, Coverage(n, 0.5), UniformDeployment(count), threads=1)
+def problem(objective):
+    return Problem(SCENE, objective, RandomDeployment(60), threads=2)
 
 
-def drawn(problem):
-    return problem, problem.draw(np.random.default_rng(0))
+def errors_of(scene, deployment, positions, n, noise):
+    """Standard deviation of the position in each view, `(P, A)`, infinite where fewer than n are covered."""
+    scale, axes = noise / np.sqrt(np.prod(scene.camera.focal_pixels)), scene.orientations.axes
+    errors = np.full((len(positions), len(axes)), np.inf)
+    for p, position in enumerate(positions):
+        each = view_matrices(scene, deployment, position, axes)
+        enough = (np.trace(each, axis1=2, axis2=3) > 0.0).sum(axis=1) >= n
+        inverse = np.linalg.inv(each.sum(axis=1)[enough])
+        errors[p, enough] = scale * np.sqrt(np.trace(inverse[:, :3, :3], axis1=1, axis2=2))
+    return errors
 
 
-def test_the_plan_has_the_median_of_all_heights_and_orientations():
-    problem, deployment = drawn(problem_of(90))
-    plan = plan_of_errors(problem, deployment)
-    positions = problem.evaluator.positions
-    errors, _ = predicted_errors(problem, deployment, problem.evaluator)
-    assert len(plan) * 3 == len(positions)  # three heights
-    assert np.isfinite(plan.predicted_error_median).any()
-    for x, y, median in plan.to_numpy():
-        here = np.sort(errors[np.isclose(positions[:, :2], (x, y)).all(axis=1)].ravel())  # of equal weight
-        assert median in (here[len(here) // 2 - 1], here[len(here) // 2])
+def median(errors, weights):
+    """The least error that at least half the weight does not exceed."""
+    return min(e for e in errors if weights[errors <= e].sum() >= 0.5)
 
 
-def test_where_few_views_see_enough_there_is_no_median():
-    assert np.isinf(plan_of_errors(*drawn(problem_of(6))).predicted_error_median).all()
+@pytest.mark.parametrize(("objective", "noise"), [(Localisation(pixel_noise=NOISE), NOISE), (Coverage(2, 0.5), 0.5)])
+def test_errors_are_those_of_the_inverse_and_infinite_where_too_little_is_seen(objective, noise):
+    subject = problem(objective)
+    deployment = UniformDeployment(60).draw(SCENE.room, np.random.default_rng(0))
+    errors, covered = predicted_errors(subject, deployment, subject.evaluator)
+    expected = errors_of(SCENE, deployment, subject.evaluator.positions, 2, noise)
+    np.testing.assert_allclose(errors, expected, rtol=1e-4)
+    assert 0.1 < np.isfinite(errors).mean() < 0.9
+    np.testing.assert_allclose(covered, np.isfinite(expected) @ SCENE.orientations.weight, atol=1e-12)
 
 
-def test_the_picture_has_a_panel_for_each_deployment(tmp_path):
-    deployments = {f"K = {count}": drawn(problem_of(count)) for count in (60, 90, 6)}
-    save_accuracy_figure(tmp_path / "three.png", deployments, "T")
-    save_accuracy_figure(tmp_path / "one.png", {"K = 6": deployments["K = 6"]}, "T")
-    three, one = (imread(tmp_path / f"{name}.png") for name in ("three", "one"))
-    assert (three.shape[1] - 100) == 3 * (one.shape[1] - 100)
-    assert len(np.unique(three[..., :3].reshape(-1, 3), axis=0)) > len(np.unique(one[..., :3].reshape(-1, 3), axis=0))
+def test_the_figures_are_those_of_all_views_of_the_sample():
+    subject, sample, seed = problem(Localisation(pixel_noise=NOISE)), Sample(2, 12, 4), 3
+    deployment = UniformDeployment(150).draw(SCENE.room, np.random.default_rng(0))
+    figures = accuracy_metrics(subject, deployment, seed, sample)
+    rng, errors, weights = np.random.default_rng([seed, STREAM]), [], []
+    for _ in range(sample.groups):
+        positions = SCENE.room.sample(sample.positions, rng)
+        drawn = replace(SCENE, pdf=SCENE.pdf.stratified(sample.divisions, rng))
+        errors.append(errors_of(drawn, deployment, positions, 2, NOISE))
+        weights.append(np.broadcast_to(drawn.orientations.weight, errors[-1].shape) / errors[-1].size)
+    errors, weights = np.ravel(errors), np.ravel(weights) / np.sum(weights)
+    assert figures["covered_share"] == pytest.approx(weights[np.isfinite(errors)].sum(), abs=1e-9)
+    shares = [weights[errors <= tolerance].sum() for tolerance in TOLERANCES]
+    assert shares[0] < shares[1] < shares[2]
+    assert [figures[f"localised_share_{name}mm"] for name in (10, 20, 50)] == pytest.approx(shares, abs=1e-9)
+    middle = figures["predicted_error_median"]
+    assert weights[errors < 0.9999 * middle].sum() <= 0.5 + 1e-9
+    assert weights[errors < 1.0001 * middle].sum() >= 0.5 - 1e-9
+    assert "predicted_error_90" not in figures  # more than a tenth of the views see too little
+
+
+def test_the_map_has_the_figures_of_each_position(tmp_path):
+    subject = problem(Localisation())
+    deployment = UniformDeployment(60).draw(SCENE.room, np.random.default_rng(0))
+    save_accuracy_map(tmp_path / "accuracy.csv", subject, deployment)
+    table = pd.read_csv(tmp_path / "accuracy.csv")
+    grid, weight = SCENE.room.grid(), SCENE.orientations.weight
+    np.testing.assert_allclose(table[["x", "y", "z"]], grid)
+    errors = errors_of(SCENE, deployment, grid, 2, 0.5)
+    np.testing.assert_allclose(table.localised_share_20mm, (errors <= 0.02) @ weight, atol=1e-12)
+    medians = np.array([median(row, weight) for row in errors])
+    np.testing.assert_allclose(table.predicted_error_median, np.where(np.isfinite(medians), medians, np.nan), rtol=1e-4)
+    assert 0 < table.predicted_error_median.isna().sum() < len(table)

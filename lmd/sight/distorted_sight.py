@@ -12,8 +12,9 @@ from numba import njit
 
 from lmd.checks import FloatArray
 from lmd.geometry import distortion
+from lmd.geometry.upright import upright_axes
 from lmd.sight.criteria import covering, depth_first, from_position, hide, in_cone, in_image, in_view
-from lmd.sight.fiducial_sight import FiducialSight, upright_axes
+from lmd.sight.fiducial_sight import FiducialSight
 
 _bent = njit(inline="always")(distortion.bent)
 _slopes = njit(inline="always")(distortion.slopes)

@@ -10,6 +10,7 @@ from numba import njit
 
 from lmd.checks import FloatArray
 from lmd.compiled import kernel
+from lmd.geometry.upright import upright_axes
 from lmd.sight.criteria import (
     TOLERANCE,
     covering,
@@ -76,23 +77,6 @@ class FiducialSight(NamedTuple):
     def shrunk(self, size: float) -> "FiducialSight":
         """See `Sight.shrunk`."""
         return self._replace(plate=self.plate * size)
-
-
-@njit(inline="always")
-def upright_axes(nx, ny, nz, level):  # type: ignore[no-untyped-def]
-    """See `lmd.tag.upright`: right and up of a tag with a unit normal."""
-    across = nx * nx + ny * ny
-    on_wall = across > level * level
-    square = across if on_wall else nx * nx + nz * nz
-    length = math.sqrt(square)
-    tx, ty, tz = (
-        (-ny if on_wall else nz) / length,
-        (nx if on_wall else 0.0) / length,
-        (0.0 if on_wall else -nx) / length,
-    )
-    ux, uy = -(nx * (nz if on_wall else ny)) / length, (-(ny * nz) if on_wall else square) / length
-    uz = (square if on_wall else -(ny * nz)) / length
-    return tx, ty, tz, ux, uy, uz
 
 
 @from_position.register(FiducialSight)

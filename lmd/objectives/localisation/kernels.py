@@ -12,13 +12,13 @@ from numba import njit
 
 from lmd.checks import FloatArray
 from lmd.compiled import kernel
+from lmd.geometry.upright import upright_axes
 from lmd.objectives.localisation.information import WIDTH, meets, moments, share_of, variance
 from lmd.sight.bands import band_of
 from lmd.sight.bits import ALL, BITS, LANES, ONE, ZERO, add_digit, at_least_so_far, lowest
 from lmd.sight.criteria import covering, covers, frame_of, from_position
 from lmd.sight.directions import NOWHERE, cell_of
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.fiducial_sight import upright_axes
 from lmd.sight.kernels import BLOCK, SINGLE_ERROR, is_hidden
 from lmd.sight.poses import shared
 from lmd.tag import LEVEL
