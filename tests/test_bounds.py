@@ -24,14 +24,19 @@ from lmd.bounds import (
     smoothed_min,
 )
 from lmd.checks import InputError
-from lmd.deployment import Deployment, RandomDeployment
+from lmd.deployment import Deployment, RandomDeployment, UniformDeployment
 from lmd.objectives.coverage import Coverage
+from lmd.objectives.localisation import Localisation
+from lmd.objectives.sampling import Sampling
 from lmd.optimisers.base import Budget
+from lmd.optimisers.greedy import GreedyDeployment
 from lmd.problem import Problem
+from lmd.selection_bound import GUARANTEE
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses, covered_amounts, gains, wall_cells
 from lmd.space.relevance import Relevance
+from lmd.tag import Tag
 from pipelines.reproduction.paper import TABLE_3
 
 COARSE = Search(spacing=1.0, iterations=150, tolerance=1e-4)
@@ -164,6 +169,19 @@ def test_no_deployment_exceeds_the_bounds(n, thold_p, occlusion):
         assert 0.0 <= bound.fractional <= bound.grid + 1e-12 <= bound.walls + 2e-12 <= 1.0 + 2e-12
 
 
+@pytest.mark.parametrize("climbs", ["mean", "qualified"])
+def test_nothing_localises_more_often_than_the_bounds_allow(climbs):
+    scene = replace(small_problem().scene, tag=Tag(0.2))
+    objective = Localisation(tolerance=0.1, thold_p=0.1, climbs=climbs, sampling=Sampling(2, 4))
+    problem = Problem(scene, objective, UniformDeployment(20))
+    search = Search(spacing=0.7, iterations=40)
+    average, fitness = average_upper_bound(problem, 20, search), fitness_upper_bound(problem, 20, search)
+    for source in (UniformDeployment(20), GreedyDeployment(20, scene, objective, spacing=0.7)):
+        metrics = problem.metrics(source.draw(scene.room, np.random.default_rng(0)))
+        assert 0.0 < metrics["localised_share"] <= average.walls < 1.0
+        assert metrics["fitness"] <= fitness.walls
+
+
 @pytest.mark.parametrize(("n", "count"), [(1, 6), (2, 12), (3, 12)])
 def test_both_bounds_agree_with_a_linear_program(n, count):
     problem = small_problem(count, n, 0.3)
@@ -249,6 +267,22 @@ def test_the_command_prints_and_writes_the_bounds(tmp_path):
     assert f">= {document['target']['fewest_landmarks']} for a fitness of 50.00%" in done.stdout
     assert document["settings"]["landmarks"] == 12
     assert set(document["fitness"]) == {"walls", "grid", "fractional"}
+    assert f">= {document['selection']['share']:.2%} of the best 12 poses of the grid" in done.stdout
+
+
+@pytest.mark.slow
+def test_the_command_bounds_what_localises(tmp_path):
+    settings = [*SMALL_BOUND, "objective=localisation", "tag.edge=0.2", "deployment.count=12", "hydra.run.dir=run"]
+    done = call("bound", cwd=tmp_path, settings=settings)
+    assert done.returncode == 0, done.stderr
+    document = json.loads((tmp_path / "run" / "bound.json").read_text())
+    assert 0.0 < document["selection"]["greedy"] <= document["selection"]["grid"]
+    assert GUARANTEE < document["selection"]["share"] <= 1.0
+    assert (
+        f">= {document['selection']['share']:.2%} of the best 12 poses of the grid, by the mean log det" in done.stdout
+    )
+    assert document["settings"]["objective"] == "Localisation"
+    assert 0.0 < document["fitness"]["grid"] <= document["fitness"]["walls"] < 1.0
 
 
 @pytest.mark.slow

@@ -4,8 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-from lmd.checks import BoolArray, FloatArray
+import numpy as np
+
+from lmd.checks import BoolArray, FloatArray, InputError, integer, real
 from lmd.deployment import Deployment
+from lmd.sight.criteria import TOLERANCE
 from lmd.sight.evaluator import Evaluator
 
 if TYPE_CHECKING:
@@ -122,3 +125,37 @@ class Objective(Protocol):
 
     def selection(self, evaluator: Evaluator, relevance: FloatArray) -> Selection:
         """A stand-in that greedy selection can climb, with nothing chosen."""
+
+
+@dataclass(frozen=True)
+class AtLeast:
+    """What objectives share that ask for n landmarks at the same time, with a probability.
+
+    Args:
+        n: landmarks that the camera must see at the same time.
+        thold_p: the value from which on a position is qualified.
+
+    Raises:
+        InputError: n < 1 or thold_p outside [0, 1].
+    """
+
+    n: int
+    thold_p: float
+
+    def __post_init__(self) -> None:
+        integer("n", self.n, low=1)
+        object.__setattr__(self, "thold_p", real("thold_p", self.thold_p, low=0.0, high=1.0))
+
+    @property
+    def threshold(self) -> float:
+        """See `Objective.threshold`."""
+        return self.thold_p
+
+    def check(self, count: int) -> None:
+        """See `Objective.check`."""
+        if self.n > count:
+            raise InputError(f"n = {self.n} exceeds the number of landmarks, {count}.", "n")
+
+    def qualified(self, values: FloatArray) -> BoolArray:
+        """See `Objective.qualified`: the value is at least `thold_p` (Eq. Qual)."""
+        return np.asarray(values >= self.thold_p - TOLERANCE)

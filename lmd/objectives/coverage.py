@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, InputError, integer, real
+from lmd.checks import BoolArray, FloatArray
 from lmd.deployment import Deployment
-from lmd.objectives.base import Headline
+from lmd.objectives.base import AtLeast, Headline
 from lmd.objectives.coverage_field import CoverageField, coverage_field
 from lmd.objectives.field import smoothed, worth
 from lmd.objectives.sampling import Sampling
@@ -20,7 +20,7 @@ from lmd.sight.poses import covered_amounts, gains
 
 
 @dataclass(frozen=True)
-class Coverage:
+class Coverage(AtLeast):
     """Multiple coverage probability: the relevance-weighted share of positions whose P_n reaches thold_p.
 
     Eq. argmaxH of the paper, normalised. The value of a position p is P_n(p).
@@ -34,15 +34,9 @@ class Coverage:
         InputError: n < 1 or thold_p outside [0, 1].
     """
 
-    n: int
-    thold_p: float
     sampling: Sampling | None = None
 
     headline = Headline("qualified_ratio", "qualified ratio")
-
-    def __post_init__(self) -> None:
-        integer("n", self.n, low=1)
-        object.__setattr__(self, "thold_p", real("thold_p", self.thold_p, low=0.0, high=1.0))
 
     @property
     def name(self) -> str:
@@ -59,23 +53,9 @@ class Coverage:
         """See `Objective.value_label`."""
         return f"probability of seeing at least {self.n} landmark{'s' if self.n > 1 else ''}"
 
-    @property
-    def threshold(self) -> float:
-        """See `Objective.threshold`."""
-        return self.thold_p
-
-    def check(self, count: int) -> None:
-        """See `Objective.check`."""
-        if self.n > count:
-            raise InputError(f"n = {self.n} exceeds the number of landmarks, {count}.", "n")
-
     def values(self, evaluator: Evaluator, positions: FloatArray, normals: FloatArray) -> FloatArray:
         """See `Objective.values`."""
         return np.asarray(evaluator.units(positions, normals, self.n) / PROBABILITY_ONE)
-
-    def qualified(self, values: FloatArray) -> BoolArray:
-        """Qual: P_n(p) >= thold_p (Eq. Qual), same shape as `values`."""
-        return np.asarray(values >= self.thold_p - TOLERANCE)
 
     def fitness(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
         """See `Objective.fitness`."""

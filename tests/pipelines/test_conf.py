@@ -13,6 +13,7 @@ from paper import PAPER_CAMERA, PRINTED_EXPERIMENT_CAMERA
 
 from lmd.camera import Camera
 from lmd.checks import InputError
+from lmd.objectives.localisation import Localisation
 from lmd.optimisers.encoding import make_encoding
 from pipelines.app import CONF, build_optimiser, build_problem, flat_settings, instantiate, keyed
 from pipelines.deployments import any_deployment
@@ -40,6 +41,7 @@ SWEEPS = {  # the pipeline of each stored sweep, and its number of jobs
     "table3_reoptimised": ("optimise", 27),
     "landmark_count": ("optimise", 11),
     "optimisers": ("optimise", 55),
+    "localisation_front": ("optimise", 6),
 }
 # A file, or the edge of a tag.
 NEEDS_MORE = {("pdf", "samples"), ("deployment", "file"), ("views", "images"), ("visibility", "fiducial")}
@@ -203,6 +205,14 @@ def test_the_papers_experiment_is_one_word():
     assert len(problem.evaluator.positions) == 147
     assert (problem.count, problem.objective.thold_p) == (80, 0.7)
     assert len(problem.scene.room.surfaces()) == 4
+
+
+def test_the_lab_is_one_word_and_localises_by_the_defaults_of_the_class():
+    problem = build_problem(composed("optimise", "experiment=lab"))
+    assert problem.objective == Localisation()
+    assert (problem.count, problem.scene.tag.edge, problem.scene.room.size) == (24, 0.15, (6.0, 4.0, 2.8))
+    assert problem.scene.plates.edge > 0.15
+    assert len(problem.scene.room.surfaces()) == 5  # no tags on the floor
 
 
 @pytest.mark.parametrize("path", sorted(Path(CONF, "optimiser").glob("*.yaml")), ids=lambda path: path.stem)

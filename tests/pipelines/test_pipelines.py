@@ -225,3 +225,15 @@ finally:
     )
     assert "deployment: file, greedy, random, uniform" in done.stdout
     assert done.stdout.rstrip().endswith("[]")
+
+
+def test_the_lab_is_optimised_by_one_word(tmp_path):
+    settings = ("room.spacing=1", "deployment.count=12", "page=false", "tracking=none", "hydra.run.dir=run")
+    done = call("optimise", "experiment=lab", "budget.evaluations=60", cwd=tmp_path, settings=settings)
+    assert done.returncode == 0, done.stderr
+    metrics, table = read_metrics(tmp_path / "run"), pd.read_csv(tmp_path / "run" / "landmarks.csv")
+    assert len(table) == 12
+    assert (table.z > 0.075).all()  # nothing on the floor, no tag over an edge
+    assert 0.0 < metrics["localised_share"] < 1.0
+    assert 0.0 < metrics["validation"]["grid_free_localised_share"] < 1.0
+    assert "probability of localising to 20 mm, with 12 landmarks" in done.stdout

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, InputError, choice, integer, real
-from lmd.objectives.base import Headline
+from lmd.checks import BoolArray, FloatArray, choice, real
+from lmd.objectives.base import AtLeast, Headline
 from lmd.objectives.coverage import Threshold
 from lmd.objectives.coverage_field import coverage_field
 from lmd.objectives.field import smoothed, worth
@@ -34,7 +34,7 @@ WORST = 0.05  # of the positions, whose best value is reported
 
 
 @dataclass(frozen=True)
-class Localisation:
+class Localisation(AtLeast):
     """The probability that one image tells where the camera is.
 
     A view is localised when at least n landmarks are covered *and* the standard deviation of the position that the
@@ -66,8 +66,7 @@ class Localisation:
     sampling: Sampling | None = SAMPLING
 
     def __post_init__(self) -> None:
-        integer("n", self.n, low=1)
-        object.__setattr__(self, "thold_p", real("thold_p", self.thold_p, low=0.0, high=1.0))
+        super().__post_init__()
         object.__setattr__(self, "tolerance", real("tolerance", self.tolerance, above=0.0, infinite=True))
         object.__setattr__(self, "pixel_noise", real("pixel_noise", self.pixel_noise, above=0.0))
         choice("fitness", self.climbs, FITNESS)
@@ -107,16 +106,6 @@ class Localisation:
         label = f"probability of localising to {1e3 * self.tolerance:g} mm"
         return f"{label}, and of seeing {self.n}, weighted" if self.coverage_weight else label
 
-    @property
-    def threshold(self) -> float:
-        """See `Objective.threshold`."""
-        return self.thold_p
-
-    def check(self, count: int) -> None:
-        """See `Objective.check`."""
-        if self.n > count:
-            raise InputError(f"n = {self.n} exceeds the number of landmarks, {count}.", "n")
-
     def precision(self, scene: Scene) -> Precision | PosePrecision:
         """What the tolerances ask of a view."""
         return precision(scene.camera, scene.tag, self.pixel_noise, self.tolerance, self.rotation_tolerance)
@@ -126,10 +115,6 @@ class Localisation:
         views = localised_views(evaluator, positions, normals, self.n, self.precision(evaluator.scene))
         mixture: Any = mixed.py_func
         return np.asarray(mixture(views.localised, views.covered, self.coverage_weight) / PROBABILITY_ONE)
-
-    def qualified(self, values: FloatArray) -> BoolArray:
-        """See `Objective.qualified`: the value is at least `thold_p`."""
-        return np.asarray(values >= self.thold_p - TOLERANCE)
 
     def fitness(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
         """See `Objective.fitness`."""
