@@ -37,6 +37,21 @@ def refused(pipeline, *overrides, message, cwd, settings=SMALL):
     assert sorted(cwd.iterdir()) == before
 
 
+def help_of(pipeline, *slow, cwd):
+    """What `--help` prints, followed by the list of those of the `slow` packages that it loaded."""
+    code = f"""
+import sys
+from pipelines.{pipeline} import main
+sys.argv = ["{pipeline}", "--help"]
+try:
+    main()
+finally:
+    print([name for name in {slow} if name in sys.modules])
+"""
+    line = [sys.executable, "-c", code]
+    return subprocess.run(line, cwd=cwd, env=environment(), capture_output=True, text=True, check=False).stdout
+
+
 def start(line, *, cwd, folders=(), **streams):
     """Start a command that Ctrl-C reaches, also where the tests ignore it because they run in the background."""
 

@@ -9,16 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from paper import paper_camera, paper_room, paper_scene
+from paths import check_every_path
 from strategies import deployments, rooms, seeds
 
 from lmd import pdf
 from lmd.bounds import Search, average_upper_bound
 from lmd.checks import InputError
-from lmd.deployment import Deployment, RandomDeployment, UniformDeployment
+from lmd.deployment import RandomDeployment, UniformDeployment
 from lmd.objectives.base import Headline
 from lmd.objectives.coverage import Coverage
-from lmd.objectives.coverage_field import coverage_field
-from lmd.objectives.field import move
 from lmd.optimisers.annealing import Annealing
 from lmd.optimisers.base import Budget
 from lmd.optimisers.ega import EGA
@@ -27,13 +26,9 @@ from lmd.plot.scene import save_scene_figure
 from lmd.problem import Problem
 from lmd.run import optimise
 from lmd.scene import Scene
-from lmd.sight import reference
 from lmd.sight.criteria import TOLERANCE, from_position, hide, in_image, in_view
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.incremental.move import counts_of, state_of
-from lmd.sight.incremental.state import scratch_of
 from lmd.sight.kernels import evaluate_range
-from lmd.sight.views import visible
 from lmd.space.cuboid import Cuboid
 from lmd.validation import Sample, validation_metrics
 
@@ -142,20 +137,7 @@ def own_scene(room=None):
 def test_every_fast_path_counts_by_a_criterion_of_ones_own(data, room, n, seed):
     scene = own_scene(room)
     deployment, targets = data.draw(deployments(room)), data.draw(deployments(room, most=4))
-    evaluator, rng = Evaluator(scene, threads=1), np.random.default_rng(seed)
-    np.testing.assert_array_equal(evaluator.counts(deployment), reference.counts(scene, deployment))
-    axes = scene.orientations.axes
-    for position in scene.room.grid()[:2]:
-        seen = visible(evaluator, deployment, np.tile(position, (len(axes), 1)), axes)
-        np.testing.assert_array_equal(seen, reference.coverage_caps(scene, deployment, position, axes))
-    field = coverage_field(evaluator, n)
-    state = state_of(field, deployment)
-    scratch = scratch_of(state)
-    for target in np.hstack([targets.positions, targets.normals]):
-        move(field, int(rng.integers(len(deployment))), target, -1, state, scratch)
-    now = Deployment(state.landmarks.T, state.normals.T)
-    counts = counts_of(state, evaluator.axes.shape[1])[field.index_of][:, scene.pdf.axis_of]
-    np.testing.assert_array_equal(counts, reference.counts(scene, now))
+    check_every_path(scene, deployment, targets, n, np.random.default_rng(seed))
 
 
 def test_what_is_compiled_for_a_class_of_ones_own_does_not_spoil_the_cache_for_others():

@@ -1,9 +1,6 @@
 """`pipelines.detect` as a user meets it: a process, its messages, its exit code and the files it leaves."""
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -138,18 +135,7 @@ def test_bad_input_gets_one_sentence_and_leaves_nothing(case, tmp_path):
 
 
 def test_help_lists_the_groups_without_loading_the_model(tmp_path):
-    code = """
-import sys
-from pipelines.detect import main
-sys.argv = ["detect", "--help"]
-try:
-    main()
-finally:
-    print([name for name in ("numba", "mlflow", "matplotlib", "pandas", "cv2", "numpy") if name in sys.modules])
-"""
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    line = [sys.executable, "-c", code]
-    done = subprocess.run(line, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-    assert "detectors: apriltag, apriltag_decimate2, aruco, aruco_fine" in done.stdout
-    assert "imaging: clean, nominal" in done.stdout
-    assert done.stdout.rstrip().endswith("[]")
+    shown = processes.help_of("detect", "numba", "mlflow", "matplotlib", "pandas", "cv2", "numpy", cwd=tmp_path)
+    assert "detectors: apriltag, apriltag_decimate2, aruco, aruco_fine" in shown
+    assert "imaging: clean, nominal" in shown
+    assert shown.rstrip().endswith("[]")

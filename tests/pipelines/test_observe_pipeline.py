@@ -1,9 +1,6 @@
 """`pipelines.observe` as a user meets it: a process, its messages, its exit code and the files it leaves."""
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -184,18 +181,7 @@ def test_a_trajectory_file_is_flown_by_every_seed(tmp_path):
 
 
 def test_help_lists_the_groups_without_loading_the_model(tmp_path):
-    code = """
-import sys
-from pipelines.observe import main
-sys.argv = ["observe", "--help"]
-try:
-    main()
-finally:
-    print([name for name in ("numba", "mlflow", "matplotlib", "pandas", "cv2", "gtsam") if name in sys.modules])
-"""
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    line = [sys.executable, "-c", code]
-    done = subprocess.run(line, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-    assert "estimator: bound, iekf, left_observer, observer, pnp" in done.stdout
-    assert "trajectory: file, random_motion, waypoints" in done.stdout
-    assert done.stdout.rstrip().endswith("[]")
+    shown = processes.help_of("observe", "numba", "mlflow", "matplotlib", "pandas", "cv2", "gtsam", cwd=tmp_path)
+    assert "estimator: bound, iekf, left_observer, observer, pnp" in shown
+    assert "trajectory: file, random_motion, waypoints" in shown
+    assert shown.rstrip().endswith("[]")

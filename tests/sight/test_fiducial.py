@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from paper import paper_camera, paper_room
+from paths import check_every_path
 from strategies import deployments, fiducial_scenes, seeds, unit_vectors
 
 from lmd import pdf
@@ -16,16 +17,11 @@ from lmd.deployment import Deployment, RandomDeployment
 from lmd.detection.quality import apparent_edge, incidence, pitch
 from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.limits import measured
-from lmd.objectives.coverage_field import coverage_field
-from lmd.objectives.field import move
 from lmd.render.optics import blur_sigma, project, to_camera
 from lmd.scene import Scene
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.fiducial import Fiducial
-from lmd.sight.incremental.move import counts_of, state_of
-from lmd.sight.incremental.state import scratch_of
-from lmd.sight.views import visible
 from lmd.tag import LEVEL, Tag, corners, upright
 
 pytestmark = pytest.mark.slow  # images, or kernels of a second model of sight
@@ -98,32 +94,11 @@ def test_the_reference_sees_some_tags_and_not_others(lens):
     assert sure.mean() > 0.99
 
 
-def check(scene, deployment, targets, n, rng):
-    """Every path against the reference."""
-    evaluator = Evaluator(scene, threads=1)
-    np.testing.assert_array_equal(evaluator.counts(deployment), reference.counts(scene, deployment))
-    axes = scene.orientations.axes
-    for position in scene.room.grid()[:2]:
-        seen = visible(evaluator, deployment, np.tile(position, (len(axes), 1)), axes)
-        np.testing.assert_array_equal(seen, reference.coverage_caps(scene, deployment, position, axes))
-    field = coverage_field(evaluator, n)
-    state = state_of(field, deployment)
-    scratch = scratch_of(state)
-    for target in np.hstack([targets.positions, targets.normals]):
-        move(field, int(rng.integers(len(deployment))), target, -1, state, scratch)
-    now = Deployment(state.landmarks.T, state.normals.T)
-    np.testing.assert_array_equal(
-        state.units[field.index_of], evaluator.units(now.positions[None], now.normals[None], n)[0]
-    )
-    counts = counts_of(state, evaluator.axes.shape[1])[field.index_of][:, scene.orientations.index_of]
-    np.testing.assert_array_equal(counts, reference.counts(scene, now))
-
-
 @settings(max_examples=100)
 @given(data=st.data(), scene=fiducial_scenes(), n=st.integers(1, 3), seed=seeds)
 def test_every_path_counts_what_the_reference_counts(data, scene, n, seed):
     deployment, targets = data.draw(deployments(scene.room)), data.draw(deployments(scene.room, most=4))
-    check(scene, deployment, targets, n, np.random.default_rng(seed))
+    check_every_path(scene, deployment, targets, n, np.random.default_rng(seed))
 
 
 @pytest.mark.parametrize(
@@ -143,7 +118,7 @@ def test_every_path_is_exact_in_the_papers_room(detector, lens, edge):
     scene = fiducial_scene(paper_room(spacing=1.5), orientations, edge, lens, detector=detector)
     deployment, targets = (RandomDeployment(40).draw(scene.room, rng) for _ in range(2))
     for one in (deployment, tilted(deployment, rng)):
-        check(scene, one, targets, 2, rng)
+        check_every_path(scene, one, targets, 2, rng)
 
 
 def test_a_plate_hides_what_is_behind_it_and_never_what_is_on_its_wall():
