@@ -38,63 +38,54 @@ def _log_det_with(sums, p, a, moment, weight):
     )  # fmt: skip
 
 
-@njit(inline="always")
-def _list_views(x, y, z, nx, ny, nz, sight, axes, bands, seen, weights):
-    """List the axes that cover a landmark at an offset in `seen`, 1 / z^3 of its depth in `weights`; how many."""
-    count = np.uint64(0)
-    reached, low, _, _ = from_position(sight, x, y, z, nx, ny, nz, 0.0)
-    if reached:
-        bottom, top = band_of(x, y, z, low, 0.0)
-        for a in range(np.uint64(bands[bottom]), np.uint64(bands[top])):
-            if covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a):
-                depth = axes[0, a] * x + axes[1, a] * y + axes[2, a] * z
-                seen[count], weights[count] = a, 1.0 / (depth * depth * depth)
-                count += np.uint64(1)
-    return count
-
-
 @kernel
-def _gains(start, stop, points, normals, positions, sight, axes, bands, precision, prices, sums, known, out):
+def _gains(start, stop, points, normals, prices, positions, sight, axes, bands, precision, sums, known, out):
     """Write what poses `start` to `stop` gain into `out` `(N,)`.
 
     Args:
         points, normals: `(N, 3)`.
+        prices: of positions and axes, `(P, D)`.
         positions: `(P, 3)`.
         sight, axes, bands: see `kernels.evaluate_range`.
         precision: the size of a tag.
-        prices: of positions and axes, `(P, D)`.
         sums: what is known of each view, `(P, D, WIDTH)`.
         known: their `log_det`, `(P, D)`.
     """
-    seen, weights = np.empty(axes.shape[1], np.uint64), np.empty(axes.shape[1])
     for j in range(start, stop):
         nx, ny, nz, gain = normals[j, 0], normals[j, 1], normals[j, 2], 0.0
         for p in range(len(positions)):
             x, y, z = points[j, 0] - positions[p, 0], points[j, 1] - positions[p, 1], points[j, 2] - positions[p, 2]
-            count = _list_views(x, y, z, nx, ny, nz, sight, axes, bands, seen, weights)
-            if count:
-                moment = landmark_moments(x, y, z, nx, ny, nz, precision)
-                for m in range(count):
-                    a = seen[m]
-                    gain += prices[p, a] * (_log_det_with(sums, p, a, moment, weights[m]) - known[p, a])
+            reached, low, _, _ = from_position(sight, x, y, z, nx, ny, nz, 0.0)
+            if not reached:
+                continue
+            moment = landmark_moments(x, y, z, nx, ny, nz, precision)
+            bottom, top = band_of(x, y, z, low, 0.0)
+            for a in range(np.uint64(bands[bottom]), np.uint64(bands[top])):
+                if covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a):
+                    depth = axes[0, a] * x + axes[1, a] * y + axes[2, a] * z
+                    more = _log_det_with(sums, p, a, moment, 1.0 / (depth * depth * depth))
+                    gain += prices[p, a] * (more - known[p, a])
         out[j] = gain
 
 
 @kernel
 def _add(start, stop, point, normal, positions, sight, axes, bands, precision, sums, known):
     """Add a landmark to `sums` and `known` at the positions `start` to `stop`; args as in `_gains`."""
-    seen, weights = np.empty(axes.shape[1], np.uint64), np.empty(axes.shape[1])
     nx, ny, nz = normal[0], normal[1], normal[2]
     for p in range(start, stop):
         x, y, z = point[0] - positions[p, 0], point[1] - positions[p, 1], point[2] - positions[p, 2]
-        count = _list_views(x, y, z, nx, ny, nz, sight, axes, bands, seen, weights)
-        if count:
-            moment = landmark_moments(x, y, z, nx, ny, nz, precision)
-            for m in range(count):
-                a = seen[m]
-                known[p, a] = _log_det_with(sums, p, a, moment, weights[m])
+        reached, low, _, _ = from_position(sight, x, y, z, nx, ny, nz, 0.0)
+        if not reached:
+            continue
+        moment = landmark_moments(x, y, z, nx, ny, nz, precision)
+        bottom, top = band_of(x, y, z, low, 0.0)
+        for a in range(np.uint64(bands[bottom]), np.uint64(bands[top])):
+            if covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a):
+                depth = axes[0, a] * x + axes[1, a] * y + axes[2, a] * z
+                weight = 1.0 / (depth * depth * depth)
+                known[p, a] = _log_det_with(sums, p, a, moment, weight)
                 for i in range(len(moment)):
-                    sums[p, a, i] += share_of(moment[i], weights[m])
+                    sums[p, a, i] += share_of(moment[i], weight)
 
 
 class LogDeterminant:
@@ -112,23 +103,23 @@ class LogDeterminant:
     def __init__(
         self, evaluator: Evaluator, relevance: FloatArray, precision: Any, position: float, rotation: float
     ) -> None:
-        self._evaluator = evaluator
+        self._evaluator, self._precision = evaluator, precision
         self._prices = relevance[:, None] / relevance.sum() * (evaluator.weights / evaluator.weights.sum())
         start = np.zeros(WIDTH)
         start[[0, 3, 5]], start[[9, 12, 14]] = rotation, position
-        sums = np.tile(start, (*self._prices.shape, 1))
-        known = np.full(self._prices.shape, log_det(*start[:15]))
+        self._sums = np.tile(start, (*self._prices.shape, 1))
+        self._known = np.full(self._prices.shape, log_det(*start[:15]))
         e = evaluator
-        self._scene, self._views = (e.positions, e.sight, e.axes, e.bands, precision), (sums, known)
+        self._fixed = (e.positions, e.sight, e.axes, e.bands, precision, self._sums, self._known)
 
     def gains(self, poses: Deployment) -> FloatArray:
         """See `Selection.gains`."""
         out = np.empty(len(poses))
-        fixed = (poses.positions, poses.normals, *self._scene, self._prices, *self._views, out)
+        fixed = (poses.positions, poses.normals, self._prices, *self._fixed, out)
         shared(_gains, len(poses), self._evaluator.threads, fixed)
         return out
 
     def add(self, pose: Deployment) -> None:
         """See `Selection.add`."""
-        fixed = (pose.positions[0], pose.normals[0], *self._scene, *self._views)
+        fixed = (pose.positions[0], pose.normals[0], *self._fixed)
         shared(_add, len(self._evaluator.positions), self._evaluator.threads, fixed)
