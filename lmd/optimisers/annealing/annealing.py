@@ -53,8 +53,9 @@ class Annealing(Optimiser):
         stacked: conditions of the stage that moves stacks; for n = 1 these are single landmarks.
         single: conditions of the stage that moves the landmarks of stacks pulled apart.
         sampled: the same for an objective with a design, whose samples the walk must not follow too closely.
-        given: conditions of the only stage there is if the start is given: warmer, as it may be far from good. Each of
-            the four is a `Stage`, or a mapping of what differs from the default one.
+        given: conditions of the only stage there is if the start is given: warmer, as it may be far from good, and on
+            samples as smooth as `sampled`. Each of the four is a `Stage`, or a mapping of what differs from the default
+            one.
         stacked_share: share of the budget spent on stacks.
         growth: share of the single stage in which plates grow to their size, nu or the paper of tags.
         spread: distance between the landmarks of a stack pulled apart, in virtual diameters, or papers if larger.
@@ -170,11 +171,14 @@ class Annealing(Optimiser):
             return 1.0, self.stacked.settings(used / self.stacked_share, near=0.0)
         done = (used - self.skipped) / (1.0 - self.skipped)
         near = self.spread * problem.scene.spacing
+        sampled = problem.objective.sampling is not None
         if not self.skipped:
-            return 1.0, self.given.settings(done, near)
+            smooth = self.sampled if sampled else self.given
+            stage = replace(self.given, width=smooth.width, share=smooth.share)
+            return 1.0, stage.settings(done, near)
         grown = min(done / self.growth, 1.0) if self.growth else 1.0
         size = SMALLEST + (1.0 - SMALLEST) * grown
-        stage = self.single if problem.objective.sampling is None else self.sampled
+        stage = self.sampled if sampled else self.single
         return size, stage.settings(done, near * size)
 
     def _mean(self, problem: Problem) -> Deployment:
