@@ -45,6 +45,7 @@ def _main(cfg: DictConfig) -> None:
 def observe(cfg: DictConfig) -> None:
     """Localise a camera over the configured deployments."""
     from lmd.checks import InputError, integer, real
+    from lmd.localisation import pairs
     from lmd.localisation.study import Flights, conduct, to_markdown
     from lmd.plot.localisation import save_error_figure
 
@@ -68,7 +69,10 @@ def observe(cfg: DictConfig) -> None:
             each = partial(_each, cfg.workers)
             study = conduct(problems, flights, detectors, estimators, cfg.all_visible, odometry, each)
         figures, curves = study.figures(), study.curves()
-        markdown = to_markdown(figures, n)
+        markdown, paired = to_markdown(figures, n), pairs.paired(figures)
+        if len(paired):
+            markdown += f"\n{pairs.to_markdown(paired)}"
+            paired.to_csv(directory / "paired.csv", index=False)
         figures.to_csv(directory / "figures.csv", index=False)
         curves.to_csv(directory / "curves.csv", index=False)
         (directory / "observe.md").write_text(markdown)
@@ -81,7 +85,8 @@ def observe(cfg: DictConfig) -> None:
         tracker.log_metrics(medians)
         _log_curves(tracker, curves)
         films = [] if film is None else _save_films(directory, problems, flights, detectors, film)
-        names = ("figures.csv", "curves.csv", "observe.md", "observe.json", "errors.png")
+        names = ["figures.csv", "curves.csv", "observe.md", "observe.json", "errors.png"]
+        names += ["paired.csv"] if len(paired) else []
         files = [*(directory / name for name in names), *films]
         tracker.log_artifacts([*files, *sorted((directory / ".hydra").glob("*.yaml"))])
         tracker.finish("FINISHED")

@@ -13,7 +13,7 @@ from PIL import Image
 ROOT = Path(__file__).parents[2]
 SMALL = ["room.spacing=3", "seeds=2", "trajectory.duration=4", "trajectory.pace.frame_rate=10", "hydra.run.dir=run"]
 pytestmark = pytest.mark.slow
-FILES = {"figures.csv", "curves.csv", "observe.md", "observe.json", "errors.png"}
+FILES = {"figures.csv", "curves.csv", "observe.md", "paired.csv", "observe.json", "errors.png"}
 LANDMARKS = "id,x,y,z,nx,ny,nz\n0,0,1,1,1,0,0\n1,0,2,3,1,0,0\n2,7.5,2,3,-1,0,0\n"
 
 
@@ -42,6 +42,12 @@ def test_one_run_compares_the_deployments_over_the_same_flights(observed):
     assert list(figures.estimator.unique()) == ["observer", "left_observer", "bound"]
     assert sorted(figures.seed.unique()) == [0, 1]
     assert len(figures) == 18
+    paired = pd.read_csv(observed[0] / "run" / "paired.csv")
+    assert list(zip(paired.estimator, paired.deployment, paired.against, strict=True)) == [
+        (estimator, deployment, "file")
+        for estimator in ("observer", "left_observer", "bound")
+        for deployment in ("uniform", "random")
+    ]
     assert (figures[figures.estimator == "observer"].available == 1.0).all()
     curves = pd.read_csv(observed[0] / "run" / "curves.csv")
     first = curves[(curves.estimator == "observer") & (curves.time == 0.0)]
@@ -52,7 +58,7 @@ def test_the_table_is_shown_and_kept(observed):
     cwd, out = observed
     table = (cwd / "run" / "observe.md").read_text()
     assert table in out
-    assert len(table.splitlines()) == 11
+    assert len(table.splitlines()) == 11 + 1 + 8  # and each against the first
     assert str(cwd / "run") in out
 
 
