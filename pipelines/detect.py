@@ -6,7 +6,7 @@ start a sweep here: it is read as `deployments=[a,b,c]`.
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import hydra
@@ -51,6 +51,15 @@ class Subject:
     prediction: "Prediction"
     detectors: Mapping[str, "Detector"]
 
+    def nudged(self, sizes: object, seed: int) -> "Subject":
+        """The same in poses that are moved by `sizes`, standard deviations in metres and rad."""
+        from lmd.checks import vector
+        from lmd.detection.frames import nudged
+
+        position, attitude = vector("nudge", sizes, 2, low=0.0)
+        poses = nudged(self.prediction.poses, position, attitude, seed)
+        return replace(self, prediction=replace(self.prediction, poses=poses))
+
 
 def detect(cfg: DictConfig) -> None:
     """Let the configured detectors read frames of the configured deployments."""
@@ -64,10 +73,12 @@ def detect(cfg: DictConfig) -> None:
     pictures = integer("pictures", cfg.pictures, low=0)
     composed = composed_deployments(cfg, "detect")
     subjects = {name: subject_of(own, count, seed) for name, own in composed.items()}
+    moved = {} if cfg.nudge is None else {name: subject.nudged(cfg.nudge, seed) for name, subject in subjects.items()}
     problem, directory = next(iter(subjects.values())).problem, run_directory()
     with tracked_run(cfg, problem, "detect") as tracker:
         seen = sightings(subjects, seed, cfg.workers)
-        figures, pitches, tags = _tables(subjects, seen)
+        again = sightings(moved, seed + 1, cfg.workers) if moved else None
+        figures, pitches, tags = _tables(subjects, seen, again)
         markdown = to_markdown(figures)
         (directory / "detect.md").write_text(markdown)
         for name, table in (("figures", figures), ("pitches", pitches), ("tags", tags)):
@@ -177,18 +188,21 @@ def _look(job: Job) -> tuple[str, int, dict[str, "Sightings"]]:
 
 
 def _tables(
-    subjects: Mapping[str, Subject], seen: Mapping[str, Mapping[str, "Sightings"]]
+    subjects: Mapping[str, Subject],
+    seen: Mapping[str, Mapping[str, "Sightings"]],
+    again: Mapping[str, Mapping[str, "Sightings"]] | None,
 ) -> "tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]":
     """Figures, classes of pitch and tags, each with the columns `deployment` and `detector`."""
     import pandas as pd
 
-    from lmd.detection.report import by_pitch, by_tag, figures
+    from lmd.detection.report import by_pitch, by_tag, figures, repeated
 
     rows, pitches, tags = [], [], []
     for name, subject in subjects.items():
         for detector, found in seen[name].items():
             names = {"deployment": name, "detector": detector}
-            rows.append({**names, **figures(subject.prediction, found)})
+            looks = {} if again is None else repeated(found, again[name][detector])
+            rows.append({**names, **figures(subject.prediction, found), **looks})
             pitches.append(by_pitch(subject.prediction, found).assign(**names))
             tags.append(by_tag(subject.prediction, found).assign(**names))
     ordered = [pd.concat(tables, ignore_index=True) for tables in (pitches, tags)]

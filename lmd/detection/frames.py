@@ -11,7 +11,7 @@ from lmd.deployment import Deployment
 from lmd.detection.detectors import Detector
 from lmd.detection.evaluation import Matches, match
 from lmd.detection.quality import apparent_edge, incidence, pitch
-from lmd.geometry.se3 import camera_pose
+from lmd.geometry.se3 import camera_pose, exp
 from lmd.plates import TOUCHING
 from lmd.render.imaging import UInt8Array
 from lmd.render.optics import blur_sigma, to_camera
@@ -33,6 +33,19 @@ def draw_poses(scene: Scene, count: int, seed: int) -> FloatArray:
     rng = np.random.default_rng([seed, STREAM])
     positions = scene.room.sample(count, rng)
     return camera_pose(positions, *scene.pdf.draw(count, rng))
+
+
+def nudged(poses: FloatArray, position: float, attitude: float, seed: int) -> FloatArray:
+    """The poses `(N, 4, 4)`, each moved a little at random.
+
+    Args:
+        poses: X.
+        position, attitude: standard deviations along and about each axis, metres and rad.
+        seed: draws the moves.
+    """
+    rng = np.random.default_rng([seed, STREAM, 1])
+    turns, shifts = rng.normal(0.0, attitude, (len(poses), 3)), rng.normal(0.0, position, (len(poses), 3))
+    return np.asarray(poses @ exp(np.hstack([turns, shifts])))
 
 
 def tagged_room(room: Space, deployment: Deployment, tag: Tag) -> TaggedRoom:

@@ -114,6 +114,19 @@ def figures(prediction: Prediction, seen: Sightings) -> dict[str, float]:
     return row | _quantiles("position", position) | _quantiles("attitude", attitude)
 
 
+def repeated(seen: Sightings, again: Sightings) -> dict[str, float]:
+    """How much a detector agrees with itself on two looks: no prediction can agree with it much more.
+
+    `repeated_<n>`, the share of frames in which both looks agree on at least n tags; `repeated_tags`, of the tags found
+    at all the share that both found.
+    """
+    both, either = seen.detected & again.detected, seen.detected | again.detected
+    share = float(both.sum() / either.sum()) if either.any() else np.nan
+    return {f"repeated_{n}": agreement(seen.detected, again.detected, int(n)) for n in NUMBERS} | {
+        "repeated_tags": share
+    }
+
+
 def _quantiles(name: str, values: FloatArray) -> dict[str, float]:
     """`QUANTILES` of the finite values, NaN without any."""
     known = values[np.isfinite(values)]
@@ -169,6 +182,7 @@ def to_markdown(table: pd.DataFrame) -> str:
         *(f"of these fail {c.replace('_', ' ')}" for c in criteria),
     ]
     blame += ["predicted, not detected", "of these cut by the border", "of the others overlapping"]
+    looks = ["detector with itself on >= 2", "tags found both times"] if "repeated_tags" in table else []
     rows, wrong = [], []
     for row in table.to_dict("records"):
         shares = [
@@ -185,10 +199,11 @@ def to_markdown(table: pd.DataFrame) -> str:
             f"{row['corner_median']:.2f} / {row['corner_90']:.2f}",
             f"{row['pose_share']:.1%}",
             f"{1e3 * row['position_median']:.2f} / {1e3 * row['position_90']:.2f}",
+            *([f"{row['repeated_2']:.1%}", f"{row['repeated_tags']:.1%}"] if looks else []),
         ])  # fmt: skip
         counts = ["left_out", *(f"left_out_{c}" for c in criteria), "overrated", "overrated_cut"]
         wrong.append([*names, *(f"{row[key]:,.0f}" for key in (*counts, "overrated_overlapping"))])
-    return f"{_table(head, rows)}\n{_table(blame, wrong)}"
+    return f"{_table([*head, *looks], rows)}\n{_table(blame, wrong)}"
 
 
 def _table(head: list[str], rows: list[list[str]]) -> str:

@@ -23,13 +23,14 @@ from lmd.detection.frames import (
     Sightings,
     draw_poses,
     look,
+    nudged,
     overlapping,
     picture,
     qualities,
     tagged_room,
 )
 from lmd.detection.mosaic import Mosaics, Views
-from lmd.detection.report import Prediction, by_pitch, by_tag, figures, to_markdown, verdicts
+from lmd.detection.report import Prediction, by_pitch, by_tag, figures, repeated, to_markdown, verdicts
 from lmd.geometry.se3 import axis_and_right, camera_pose, poses_from_rows
 from lmd.limits import Limits, Preset
 from lmd.render.imaging import Imaging
@@ -88,6 +89,23 @@ def test_poses_are_those_of_the_seed_and_inside():
     position = poses[:, :3, 3]
     assert ((position >= ROOM.reachable_low) & (position <= ROOM.reachable_high)).all()
     np.testing.assert_allclose(poses[:, 2, 0], 0.0, atol=1e-12)  # the camera's x axis stays level: no roll
+
+
+def test_nudged_poses_are_a_little_elsewhere():
+    poses = draw_poses(SCENE, 400, 3)
+    again = nudged(poses, 0.002, 0.001, 3)
+    np.testing.assert_array_equal(again, nudged(poses, 0.002, 0.001, 3))
+    assert np.std(again[:, :3, 3] - poses[:, :3, 3]) == pytest.approx(0.002, rel=0.1)
+    turns = Rotation.from_matrix(poses[:, :3, :3].transpose(0, 2, 1) @ again[:, :3, :3]).as_rotvec()
+    assert np.std(turns) == pytest.approx(0.001, rel=0.1)
+
+
+def test_a_detector_is_compared_with_itself():
+    first, second = np.zeros((2, 4, 3), dtype=bool)
+    first[0], first[1], first[2, 0] = True, [True, True, False], True
+    second[0], second[1], second[2, :2] = True, [True, False, False], True
+    looks = repeated(*(Sightings(d, np.full((4, 3, 4, 2), np.nan), np.zeros(4, dtype=int)) for d in (first, second)))
+    assert looks == {"repeated_1": 1.0, "repeated_2": 0.5, "repeated_3": 1.0, "repeated_4": 1.0, "repeated_tags": 5 / 7}
 
 
 def test_a_pdf_known_only_at_its_orientations_is_drawn_from_these():

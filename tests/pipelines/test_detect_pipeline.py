@@ -105,11 +105,15 @@ def test_any_number_of_workers_gives_the_same(detected, tmp_path):
 
 def test_a_deployment_may_have_a_tag_of_its_own(tmp_path):
     entries = "deployments=[uniform,'tiny: uniform tag.edge=0.02']"
-    done = call(entries, "imaging=clean", "pictures=0", "tracking=none", cwd=tmp_path)
+    done = call(entries, "imaging=clean", "pictures=0", "nudge=[0,0]", "tracking=none", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     figures = figures_of(tmp_path)
     assert figures.predicted_2["uniform", "aruco"] == figures.predicted_2["tiny", "aruco"]
     assert figures.detected_2["uniform", "aruco"] > 0.9 > 0.1 > figures.detected_2["tiny", "aruco"]
+    # Looked at again from the same poses, without noise.
+    assert (figures.repeated_2 == 1.0).all()
+    assert figures.repeated_tags["uniform", "aruco"] == 1.0
+    assert "| 100.0% | 100.0% |" in done.stdout
 
 
 BAD_INPUT = {
@@ -121,6 +125,7 @@ BAD_INPUT = {
     "preset": (["detectors.aruco.preset=best"], "detectors.aruco.preset must be one of default, fine, got 'best'"),
     "imaging": (["imaging.noise=-1"], "imaging.noise must be at least 0, got -1."),
     "distortion": (["camera.distortion=[-3,0,0,0]"], "camera.distortion must show what is farther"),
+    "nudge": (["nudge=[0.002]"], "nudge must be a list of 2 numbers, got [0.002]."),
     "poses": (["poses=0"], "poses must be at least 1, got 0."),
     "workers": (["workers=0"], "workers must be at least 1, got 0."),
 }
