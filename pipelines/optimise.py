@@ -20,6 +20,7 @@ from .app import (
     run_directory,
     search_path,
 )
+from .input_files import contents_of
 from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
     from .tracking import Tracker
 
-# What a resumed run must share with the run it continues.
+# What a resumed run must share with the run it continues, and with it the contents of the files that are named there.
 SAME_WHEN_RESUMED = (
     "room", "camera", "pdf", "tag", "visibility", "objective", "encoding", "deployment", "optimiser", "seed"
 )  # fmt: skip
@@ -55,6 +56,7 @@ def optimise(cfg: DictConfig) -> float:
         budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
     real("checkpoint_seconds", cfg.checkpoint_seconds, above=0.0)
     settings = flat_settings(cfg, *SAME_WHEN_RESUMED)
+    settings |= contents_of(settings)
     if cfg.resume is None:
         checkpoint = Checkpoint(build_optimiser(cfg, cfg.seed), settings, None)
     else:

@@ -9,6 +9,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf, read_write
 
+from ..input_files import contents_of
 from .folder import SweepFolder
 
 SLUG_LENGTH = 100
@@ -32,7 +33,9 @@ def slug(text: str) -> str:
 
 
 def _digest(*parts: Any) -> str:
-    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:8]
+    """The same for the same parts, as long as the files they name hold the same."""
+    text = json.dumps([*parts, contents_of(parts)], sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 
 def _settings(root: DictConfig) -> Any:
@@ -64,12 +67,12 @@ def sweep_name(root: DictConfig) -> str:
 
 
 def sweep_folder(*, _root_: DictConfig) -> str:
-    """Name of a sweep's folder: the same for the same command, another for any other."""
+    """Name of a sweep's folder: the same for the same command on the same files, another for any other."""
     return f"{slug(sweep_name(_root_))}-{_digest(_settings(_root_), sorted(swept(_root_)))}"
 
 
 def job_folder(*, _root_: DictConfig) -> str:
-    """Name of a job's folder below that of its sweep: the same for the same configuration."""
+    """Name of a job's folder below that of its sweep: the same for the same configuration and files."""
     sweep = SweepFolder(_root_.hydra.sweep.dir).load()
     values = [key_and_value(override) for override in _root_.hydra.overrides.task]
     kept = [f"{key.split('.')[-1]}-{value}" for key, value in values if sweep and key in sweep.varied]

@@ -1,0 +1,95 @@
+"""The contents of input files are part of what a sweep, a job and a checkpoint go by."""
+
+import pandas as pd
+import pytest
+from hydra import compose, initialize_config_dir
+from processes import SMALL, call, refused
+
+from pipelines.app import CONF, flat_settings
+from pipelines.input_files import contents_of
+
+
+@pytest.fixture
+def work(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_files_are_found_wherever_they_are_named(work):
+    for name in ("a.csv", "b c.csv", "d.csv", "other.csv"):
+        (work / name).write_text(name)
+    named = {"pdf": {"path": "a.csv"}, "deployments": ["mine: file deployment.path=d.csv", {"path": "b c.csv"}]}
+    expected = ["contents of a.csv", "contents of b c.csv", "contents of d.csv"]
+    assert list(contents_of(named)) == expected
+    assert list(contents_of(["pdf.path=a.csv,'b c.csv'", "recording.path=d.csv"])) == expected
+    assert contents_of({"seed": 0, "path": None, "name": "e.csv"}) == {}
+
+
+def test_a_folder_counts_by_the_files_in_it(work):
+    (work / "photos").mkdir()
+    (work / "photos" / "1.png").write_bytes(b"1")
+    before = contents_of({"folder": "photos"})
+    assert list(before) == ["contents of photos/1.png"]
+    (work / "photos" / "2.png").write_bytes(b"2")
+    assert contents_of({"folder": "photos"}).items() > before.items()
+
+
+def test_the_same_name_with_other_contents_is_another_input(work):
+    found = []
+    for text in ("one", "two", "one"):
+        (work / "a.csv").write_text(text)
+        found.append(contents_of(["a.csv"]))
+    assert found[0] == found[2] != found[1]
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        "room.relevance.path=in.csv",
+        "visibility=fiducial tag=printed visibility.detector=in.csv",
+        "pdf=samples pdf.path=in.csv",
+        "deployment=file deployment.path=in.csv",
+    ],
+)
+def test_every_file_of_a_run_is_found(work, override):
+    (work / "in.csv").write_text("x")
+    with initialize_config_dir(CONF, version_base="1.3"):
+        settings = flat_settings(compose("optimise", override.split()))
+    assert list(contents_of(settings)) == ["contents of in.csv"]
+
+
+def write_landmarks(path, x):
+    path.write_text(f"id,x,y,z,nx,ny,nz\n0,{x},0,3,0,1,0\n1,{x},5,3,0,-1,0\n2,0,{x},3,1,0,0\n")
+
+
+@pytest.mark.slow
+def test_a_sweep_over_a_file_that_changed_is_run_anew(tmp_path):
+    """Its figure is the new one; what did not change is not done again."""
+    sweep = ("hydra.mode=MULTIRUN", "deployment=file", "deployment.path=in.csv", "objective.n=1,2", "tracking=none",
+             "localisation=false", "page=false")  # fmt: skip
+    outputs, figures = [], []
+    for x in (1, 2.5, 1):
+        write_landmarks(tmp_path / "in.csv", x)
+        done = call("evaluate", *sweep, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        outputs.append(done.stdout)
+        (folder,) = [line.split()[3].rstrip(",") for line in done.stdout.splitlines() if line.startswith("sweep ")]
+        figures.append(pd.read_csv(tmp_path / folder / "jobs.csv").average_coverage_probability.tolist())
+    assert [output.count("done already") for output in outputs] == [0, 0, 2]
+    assert figures[0] == figures[2] != figures[1]
+
+
+@pytest.mark.slow
+def test_a_run_does_not_go_on_with_another_pdf(tmp_path):
+    settings = (*SMALL, "pdf=samples", "pdf.path=in.csv", "optimiser=ega", "deployment.count=20", "tracking=none",
+                "page=false")  # fmt: skip
+    (tmp_path / "in.csv").write_text("yaw,pitch,weight\n0,0,0.5\n1,0,0.5\n")
+    done = call("optimise", "budget.evaluations=30", "hydra.run.dir=run", cwd=tmp_path, settings=settings)
+    assert done.returncode == 0, done.stderr
+    again = ("budget.evaluations=60", "resume=run", "hydra.run.dir=again")
+    done = call("optimise", *again, cwd=tmp_path, settings=settings)
+    assert done.returncode == 0, done.stderr
+    (tmp_path / "in.csv").write_text("yaw,pitch,weight\n0,0,0.5\n2,0,0.5\n")
+    message = "checkpoint.pkl was made with contents of in.csv = "
+    refused("optimise", "budget.evaluations=90", "resume=run", "hydra.run.dir=third", message=message, cwd=tmp_path,
+            settings=settings)  # fmt: skip
