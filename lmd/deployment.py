@@ -86,6 +86,26 @@ class Deployment:
             raise InputError(f"landmark {self._place(outside[0])} lies outside the {room.describe()}.")
         return replace(self, surfaces=room.surfaces_of(self.positions, self.normals))
 
+    def fault(self, room: Space) -> str | None:
+        """What is wrong with how the landmarks hang, in a clause about the first that hangs on no surface or faces into
+        its own; None if all hang properly. They know their surfaces (`hung`), which are those of `room`.
+        """
+        surfaces, some = room.surfaces(), f"of {len(self)} landmarks do"
+        if (floating := np.flatnonzero(self.surfaces < 0)).size:
+            first = int(floating[0])
+            distance = [float(surface.distance(self.positions[first])) for surface in surfaces]
+            nearest = int(np.argmin(distance))
+            return (
+                f"landmark {self._place(first)} hangs in mid-air, {distance[nearest]:.4g} m from the nearest surface "
+                f"that may carry it, {surfaces[nearest].name} ({len(floating)} {some})"
+            )
+        normals = np.array([surface.normal for surface in surfaces])[self.surfaces]
+        if (inwards := np.flatnonzero((self.normals * normals).sum(axis=1) < 0.0)).size:
+            first = int(inwards[0])
+            name = surfaces[self.surfaces[first]].name
+            return f"landmark {self._place(first)} faces into {name}, the surface it hangs on ({len(inwards)} {some})"
+        return None
+
     def movable(self, room: Space, flush: bool = True) -> "Deployment":
         """`hung`, for an optimiser that moves landmarks along surfaces.
 
@@ -96,16 +116,10 @@ class Deployment:
         Raises:
             InputError: a landmark hangs on no surface, faces into its surface, or does not lie flat on it.
         """
-        hung, surfaces = self.hung(room), room.surfaces()
-        if (floating := np.flatnonzero(hung.surfaces < 0)).size:
-            raise InputError(
-                f"landmark {self._place(floating[0])} is on no wall that may carry landmarks "
-                f"({', '.join(surface.name for surface in surfaces)}), so it cannot be a start."
-            )
-        normals = np.array([surface.normal for surface in surfaces])[hung.surfaces]
-        cosine = (self.normals * normals).sum(axis=1)
-        if cosine.min() < 0.0:
-            raise InputError(f"landmark {int(np.argmin(cosine))} faces into its wall, so it cannot be a start.")
+        hung = self.hung(room)
+        if fault := hung.fault(room):
+            raise InputError(f"{fault}, so it cannot be a start.")
+        normals = np.array([surface.normal for surface in room.surfaces()])[hung.surfaces]
         deviation = np.linalg.norm(self.normals - normals, axis=1)
         if flush and deviation.max() > FLUSH:
             raise InputError(
@@ -230,11 +244,17 @@ class FileDeployment:
     Args:
         path: the CSV.
         count: K; if given, the file must have that many rows.
+        free: whether landmarks may stand free in the room, or face into the surface they hang on.
     """
 
     path: str | None
     count: int | None = None
+    free: bool = False
     varies = False
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.free, bool):
+            raise InputError(f"free must be true or false, got {self.free!r}.", "free")
 
     def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
         """See `DeploymentSource.draw`."""
@@ -244,9 +264,12 @@ class FileDeployment:
         if self.count is not None and self.count != len(deployment):
             raise InputError(f"count = {self.count}, but {self.path} has {len(deployment)} landmarks.", "count")
         try:
-            return deployment.hung(room)
+            hung = deployment.hung(room)
         except InputError as error:
             raise InputError(f"{self.path}: {error}") from None
+        if not self.free and (fault := hung.fault(room)):
+            raise InputError(f"free = false, but in {self.path} {fault}.", "free")
+        return hung
 
 
 def _flush(surfaces: SurfaceArrays, surface: IntArray, at: FloatArray) -> Deployment:

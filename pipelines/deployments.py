@@ -6,13 +6,18 @@ import sys
 from omegaconf import DictConfig, OmegaConf
 
 from .app import recompose, search_path, task_overrides
+from .earlier_run import OPTION, read_earlier_run
 
 NAME = re.compile(r"[\w.-]+")  # what mlflow takes in the name of a metric
 
 
 def read_deployment_as_a_list() -> None:
-    """Take `deployment=a,b,c` of the command line as `deployments=[a,b,c]`: all share one run, so it is no sweep."""
+    """Take `deployment=a,b,c` of the command line as `deployments=[a,b,c]`: all share one run, so it is no sweep.
+
+    An earlier run that is named there (`run=DIR`) takes part as the deployment `run`, alone if no other is named.
+    """
     sys.argv[1:] = [re.sub(r"^deployment=(.*)$", r"deployments=[\1]", argument) for argument in sys.argv[1:]]
+    read_earlier_run(f"deployments=[{OPTION}]")
 
 
 def composed_deployments(cfg: DictConfig, config_name: str) -> dict[str, DictConfig]:

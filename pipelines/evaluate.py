@@ -7,6 +7,7 @@ import hydra
 from omegaconf import DictConfig
 
 from .app import CONF, build_problem, choices, run_directory
+from .earlier_run import read_earlier_run
 from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
@@ -17,8 +18,14 @@ if TYPE_CHECKING:
     from .tracking import Tracker
 
 
+def main() -> None:
+    """Read `run=DIR`, then hand over to Hydra."""
+    read_earlier_run()
+    _main()
+
+
 @hydra.main(version_base="1.3", config_path=CONF, config_name="evaluate")
-def main(cfg: DictConfig) -> float | None:
+def _main(cfg: DictConfig) -> float | None:
     """Score, record and show; returns the fitness."""
     return run(cfg, evaluate)
 

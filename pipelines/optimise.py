@@ -20,6 +20,7 @@ from .app import (
     run_directory,
     search_path,
 )
+from .earlier_run import read_earlier_run
 from .input_files import contents_of
 from .sweeps.supervisor import run
 
@@ -37,8 +38,14 @@ SAME_WHEN_RESUMED = (
 )  # fmt: skip
 
 
+def main() -> None:
+    """Read `run=DIR`, then hand over to Hydra."""
+    read_earlier_run()
+    _main()
+
+
 @hydra.main(version_base="1.3", config_path=CONF, config_name="optimise")
-def main(cfg: DictConfig) -> float | None:
+def _main(cfg: DictConfig) -> float | None:
     """Optimise, record and show; returns the best fitness, for sweepers."""
     return run(cfg, optimise)
 

@@ -107,7 +107,8 @@ def _load(reader: "MlflowReader", run_id: str) -> "tuple[Problem, Deployment]":
     cfg = OmegaConf.load(reader.artifact(run_id, "config.yaml"))
     assert isinstance(cfg, DictConfig)
     landmarks = reader.artifact(run_id, "landmarks.csv")
-    cfg.deployment = {"_target_": "lmd.deployment.FileDeployment", "path": str(landmarks)}  # in place of its start
+    # In place of its start; what the run took as it was is shown as it was.
+    cfg.deployment = {"_target_": "lmd.deployment.FileDeployment", "path": str(landmarks), "free": True}
     problem = build_problem(cfg)
     return problem, problem.draw(np.random.default_rng(0))
 

@@ -143,7 +143,7 @@ def test_a_csv_round_trip_is_exact(tmp_path_factory, data):
     deployment = data.draw(deployments(room))
     path = tmp_path_factory.mktemp("csv") / "landmarks.csv"
     deployment.to_csv(path)
-    again = FileDeployment(str(path), len(deployment)).draw(room, np.random.default_rng(0))
+    again = FileDeployment(str(path), len(deployment), free=True).draw(room, np.random.default_rng(0))
     assert_array_equal(again.positions, deployment.positions)
     assert_array_equal(again.normals, deployment.normals)
 
@@ -189,6 +189,29 @@ def test_a_bad_csv_is_refused_with_its_name_and_the_value(write, text, named):
 def test_a_row_longer_than_the_header_is_refused(write):
     with pytest.raises(InputError, match=r"landmarks\.csv"):
         Deployment.from_csv(write("x,y,z,nx,ny,nz\n0,1,2,0,1,0,0\n1,1,2,1,0,0,0\n", "landmarks.csv"))
+
+
+@pytest.mark.parametrize(
+    ("row", "fault"),
+    [
+        ("7,4,1,-1,0,0", r"1 at \(7, 4, 1\) hangs in mid-air, 0\.5 m from the nearest surface .*, x_max \(2 of 3 land"),
+        ("4,4,5,0,0,-1", r"1 at \(4, 4, 5\) hangs in mid-air, 1 m from the nearest surface .*, y_max \(2 of 3 land"),
+        ("7.5,4,1,1,0,0", r"1 at \(7\.5, 4, 1\) faces into x_max, the surface it hangs on \(2 of 3 landmarks do\)"),
+    ],
+)
+def test_landmarks_that_do_not_hang_are_refused_unless_they_may_be_free(write, row, fault):
+    path = write(f"{HEADER}0,1,1,0,0,0,1\n1,{row}\n2,{row}\n", "landmarks.csv")
+    rng = np.random.default_rng(0)
+    with pytest.raises(InputError, match=rf"^free = false, but in .*landmarks\.csv landmark {fault}"):
+        FileDeployment(path).draw(paper_room(), rng)
+    assert len(FileDeployment(path, free=True).draw(paper_room(), rng)) == 3
+    with pytest.raises(InputError, match=r"free must be true or false, got 1"):
+        FileDeployment(path, free=1)
+
+
+def test_a_tilted_landmark_hangs(write):
+    path = write(HEADER + "0,1,1,0,0.6,0,0.8\n", "landmarks.csv")
+    assert len(FileDeployment(path).draw(paper_room(), np.random.default_rng(0))) == 1
 
 
 def test_a_file_with_another_count_is_refused(write):

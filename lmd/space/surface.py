@@ -52,6 +52,10 @@ class Surface:
         offset = np.asarray(points) - self.origin
         return np.clip(offset @ self.u, 0.0, self.extent[0]), np.clip(offset @ self.v, 0.0, self.extent[1])
 
+    def distance(self, points: FloatArray) -> FloatArray:
+        """How far world points `(..., 3)` are from the surface, `(...)`, metres."""
+        return np.asarray(np.linalg.norm(points - self.point(*self.coordinates(points)), axis=-1))
+
 
 class SurfaceArrays(NamedTuple):
     """Surfaces as arrays, for many landmarks at once and for compiled code.

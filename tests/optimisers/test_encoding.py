@@ -77,7 +77,9 @@ def test_uniform_wall_genes_are_uniform_over_the_area():
 
 def test_a_landmark_off_the_walls_cannot_be_encoded():
     pole = Deployment(np.array([[1.0, 1.0, 1.0]]), np.array([[1.0, 0.0, 0.0]]))
-    with pytest.raises(InputError, match=r"landmark 0 at \(1, 1, 1\) is on no wall"):
+    with pytest.raises(
+        InputError, match=r"landmark 0 at \(1, 1, 1\) hangs in mid-air, 1 m from .*, so it cannot be a start"
+    ):
         make_encoding("wall", paper_room(), flush=True).encode(pole)
 
 
@@ -89,7 +91,10 @@ def test_a_tilted_landmark_cannot_be_encoded_flush():
 
 def test_a_landmark_that_faces_its_wall_cannot_be_encoded():
     turned = Deployment(np.array([[0.0, 1.0, 1.0]]), np.array([[-1.0, 0.0, 0.0]]))
-    with pytest.raises(InputError, match="landmark 0 faces into its wall"):
+    with pytest.raises(
+        InputError,
+        match=r"landmark 0 at .* faces into \w+, the surface it hangs on \(1 of \d+ landmarks do\), so it cannot",
+    ):
         make_encoding("wall", paper_room(), flush=False).encode(turned)
 
 

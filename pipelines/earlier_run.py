@@ -1,0 +1,53 @@
+"""`run=DIR`: the scene and the landmarks of an earlier run in place of the defaults."""
+
+import sys
+from pathlib import Path
+
+from hydra.core.config_store import ConfigStore
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+
+KEY = "run="
+GROUPS = ("room", "camera", "pdf", "tag", "visibility", "objective")  # what a run was about
+OPTION = "run"  # of these groups and of deployment
+FILES = (".hydra/config.yaml", "landmarks.csv")  # what an earlier run must have left
+
+
+def read_earlier_run(deployment: str = f"deployment={OPTION}") -> None:
+    """Make what the run in `run=DIR` of the command line was about an option `run` of each group, and choose it.
+
+    Where the command line chooses another option of a group itself, that stands; and keys of the options can be
+    overridden like those of any other. Must be called before Hydra reads the command line.
+
+    Args:
+        deployment: the override that chooses the landmarks of the run.
+    """
+    given = [argument for argument in sys.argv[1:] if argument.startswith(KEY)]
+    directory = _directory(given[-1]) if given else None
+    if directory is None:
+        return
+    for name in FILES:
+        if not (directory / name).is_file():
+            print(f"error: run = '{directory}' is no run to go on from: it holds no {name}.", file=sys.stderr)
+            sys.exit(1)
+    before, store = OmegaConf.load(directory / FILES[0]), ConfigStore.instance()
+    parts = {group: OmegaConf.select(before, group) for group in GROUPS}
+    groups = [group for group in GROUPS if parts[group] is not None]  # runs of old lack some
+    for group in groups:
+        store.store(OPTION, parts[group], group)
+    landmarks = {"path": str(directory / FILES[1]), "free": OmegaConf.select(before, "deployment.free", default=False)}
+    store.store(OPTION, {"defaults": ["file", "_self_"], **landmarks}, "deployment")
+    chosen = [f"{group}={OPTION}" for group in groups] + [deployment]
+    named = {argument.partition("=")[0] for argument in sys.argv[1:]}
+    place = sys.argv.index(given[-1]) + 1  # beside it: options of Hydra may stand before and after
+    sys.argv[place:place] = [override for override in chosen if override.partition("=")[0] not in named]
+
+
+def _directory(argument: str) -> Path | None:
+    """The value of `run=...`; None for null."""
+    try:
+        value = OverridesParser.create().parse_override(argument).value()
+    except HydraException:  # no override at all; the message about the directory will say what was read
+        value = argument.removeprefix(KEY)
+    return None if value is None else Path(str(value))

@@ -1,0 +1,130 @@
+"""`run=DIR` takes the scene and the landmarks from an earlier run."""
+
+import json
+import sys
+
+import pandas as pd
+import pytest
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+from processes import call, refused
+
+from pipelines.app import CONF
+from pipelines.deployments import read_deployment_as_a_list
+from pipelines.earlier_run import read_earlier_run
+
+QUICK = ("tracking=none", "page=false", "validate=false", "localisation=false")
+LAB = ("room=lab", "room.spacing=1", "camera=lab", "pdf=yaw", "pdf.pitch=0.1", "objective.n=1", "objective.thold_p=0.4")
+LANDMARKS = "id,x,y,z,nx,ny,nz\n0,0,1,1,1,0,0\n1,6,2,1,-1,0,0\n"
+
+
+@pytest.fixture
+def earlier(tmp_path, monkeypatch):
+    """What a run leaves that was told `LAB`."""
+    monkeypatch.chdir(tmp_path)
+    run = tmp_path / "a run, of old"
+    (run / ".hydra").mkdir(parents=True)
+    with initialize_config_dir(CONF, version_base="1.3"):
+        OmegaConf.save(compose("optimise", [*LAB, "deployment.count=2"]), run / ".hydra" / "config.yaml")
+    (run / "landmarks.csv").write_text(LANDMARKS)
+    return run
+
+
+def composed(monkeypatch, pipeline, *arguments, read=read_earlier_run):
+    """What a pipeline composes with these arguments."""
+    monkeypatch.setattr(sys, "argv", [pipeline, *arguments])
+    read()
+    with initialize_config_dir(CONF, version_base="1.3"):
+        return compose(pipeline, sys.argv[1:])
+
+
+def test_the_scene_the_objective_and_the_landmarks_are_taken(earlier, monkeypatch):
+    cfg = composed(monkeypatch, "evaluate", f"run='{earlier}'")
+    before = OmegaConf.load(earlier / ".hydra" / "config.yaml")
+    for group in ("room", "camera", "pdf", "tag", "visibility", "objective"):
+        assert cfg[group] == before[group]
+    assert cfg.deployment.path == str(earlier / "landmarks.csv")
+    assert cfg.deployment.free is False
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_the_command_line_still_wins(earlier, monkeypatch, order):
+    arguments = [f"run='{earlier}'", "room=paper_simulation", "pdf.pitch=0.3", "deployment=random", "objective.n=2"]
+    cfg = composed(monkeypatch, "optimise", *arguments[::order])
+    assert cfg.room.size == [7.5, 5.0, 6.0]
+    assert cfg.pdf.pitch == 0.3
+    assert "path" not in cfg.deployment
+    assert (cfg.objective.n, cfg.objective.thold_p) == (2, 0.4)
+
+
+def test_a_key_that_only_the_run_has_can_be_overridden(earlier, monkeypatch):
+    path = earlier / ".hydra" / "config.yaml"
+    OmegaConf.save(OmegaConf.merge(OmegaConf.load(path), {"camera": {"distortion": [0.1, 0, 0, 0, 0]}}), path)
+    cfg = composed(monkeypatch, "evaluate", f"run='{earlier}'", "camera.distortion=[0.2,0,0,0,0]")
+    assert cfg.camera.distortion[0] == 0.2
+
+
+def test_a_run_without_a_group_leaves_the_default(earlier, monkeypatch):
+    path = earlier / ".hydra" / "config.yaml"
+    before = OmegaConf.load(path)
+    del before["tag"]
+    OmegaConf.save(before, path)
+    assert composed(monkeypatch, "evaluate", f"run='{earlier}'").tag.edge is None
+
+
+def test_landmarks_that_were_free_stay_so(earlier, monkeypatch):
+    path = earlier / ".hydra" / "config.yaml"
+    OmegaConf.save(OmegaConf.merge(OmegaConf.load(path), {"deployment": {"free": True}}), path)
+    assert composed(monkeypatch, "evaluate", f"run='{earlier}'").deployment.free is True
+
+
+@pytest.mark.parametrize(
+    ("arguments", "deployments"), [([], ["run"]), (["deployment=run,uniform"], ["run", "uniform"])]
+)
+def test_where_deployments_are_compared_the_run_is_one_of_them(earlier, monkeypatch, arguments, deployments):
+    cfg = composed(monkeypatch, "observe", f"run='{earlier}'", *arguments, read=read_deployment_as_a_list)
+    assert cfg.deployments == deployments
+
+
+def test_without_a_run_nothing_changes(monkeypatch):
+    for arguments in (["seed=1"], ["run=null"]):
+        assert composed(monkeypatch, "evaluate", *arguments).run is None
+        assert sys.argv == ["evaluate", *arguments]
+
+
+def test_a_directory_that_is_no_run_gets_one_sentence(earlier, monkeypatch, capsys):
+    (earlier / "landmarks.csv").unlink()
+    for directory, missing in (("nowhere", ".hydra/config.yaml"), (f"'{earlier}'", "landmarks.csv")):
+        monkeypatch.setattr(sys, "argv", ["evaluate", f"run={directory}"])
+        with pytest.raises(SystemExit):
+            read_earlier_run()
+        error = capsys.readouterr().err
+        assert error.startswith("error: run = ")
+        assert error.endswith(f"is no run to go on from: it holds no {missing}.\n")
+
+
+@pytest.mark.slow
+def test_a_run_is_scored_flown_and_improved_where_it_was(earlier):
+    """As in the README; elsewhere its landmarks float."""
+    cwd, run = earlier.parent, f"run='{earlier}'"
+    file = ("deployment=file", f"deployment.path='{earlier}/landmarks.csv'")
+    message = "landmark 1 at (6, 2, 1) hangs in mid-air, 1 m from the nearest surface that may carry it, floor (1 of 2"
+    refused("evaluate", *file, *QUICK, "hydra.run.dir=../elsewhere", message=message, cwd=cwd, settings=())
+    sweep = ("hydra.mode=MULTIRUN", "objective.thold_p=0.2,0.4", "hydra/launcher=joblib")
+    for pipeline, overrides in (
+        ("evaluate", [*QUICK, "hydra.run.dir=score"]),
+        ("evaluate", [*QUICK, *sweep]),
+        ("optimise", [*QUICK[:3], "budget.evaluations=5", "hydra.run.dir=better"]),
+        ("observe", ["tracking=none", "seeds=1", "trajectory.duration=2", "hydra.run.dir=flown"]),
+    ):
+        done = call(pipeline, run, *overrides, cwd=cwd, settings=())
+        assert done.returncode == 0, done.stderr
+    pd.testing.assert_frame_equal(
+        *(pd.read_csv(path / "landmarks.csv", dtype=float) for path in (earlier, cwd / "score"))
+    )
+    score, better = (json.loads((cwd / name / "metrics.json").read_text()) for name in ("score", "better"))
+    assert score["settings"]["room"]["size"] == [6.0, 4.0, 2.8]
+    assert better["fitness"] >= score["fitness"]
+    (jobs,) = cwd.glob("outputs/evaluate_sweep/*/jobs.csv")
+    assert len(pd.read_csv(jobs)) == 2
+    assert set(pd.read_csv(cwd / "flown" / "figures.csv").deployment) == {"run"}
