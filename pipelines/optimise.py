@@ -64,10 +64,9 @@ def optimise(cfg: DictConfig) -> float:
     real("checkpoint_seconds", cfg.checkpoint_seconds, above=0.0)
     settings = flat_settings(cfg, *SAME_WHEN_RESUMED)
     settings |= contents_of(settings)
-    if cfg.resume is None:
-        checkpoint = Checkpoint(build_optimiser(cfg, cfg.seed), settings, None)
-    else:
-        checkpoint = Checkpoint.load(cfg.resume, settings)
+    checkpoint = Checkpoint(build_optimiser(cfg, cfg.seed), settings)
+    if cfg.resume is not None:
+        checkpoint.resume(cfg.resume)
     subject = choices()["optimiser"]
     with tracked_run(cfg, problem, subject, checkpoint.run_id) as tracker:
         checkpoint.run_id = tracker.run_id

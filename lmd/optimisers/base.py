@@ -3,8 +3,9 @@
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -102,8 +103,8 @@ Callback = Callable[["Optimiser"], bool | None]
 class Optimiser(ABC):
     """What a pipeline sees.
 
-    Everything needed to go on lives in the instance, which can be pickled: calling `run` on an unpickled optimiser
-    continues where it stopped.
+    Everything needed to go on lives in the instance: calling `run` on one that was pickled, or that took over the
+    `state` of another, continues where that stopped.
 
     Args:
         seed: seeds the one random generator of the run.
@@ -112,6 +113,19 @@ class Optimiser(ABC):
     def __init__(self, seed: int = 0) -> None:
         self.seed = integer("seed", seed, low=0)
         self.ledger = Ledger()
+
+    def state(self) -> dict[str, Any]:
+        """What a checkpoint keeps: everything needed to go on, as data.
+
+        That is numbers, texts, arrays and generators of numpy, classes of `lmd` and of the optimiser's own package, and
+        containers of these. An optimiser whose attributes are of other classes says here how to write them as data, or
+        leaves out what configuration gives.
+        """
+        return dict(self.__getstate__())  # type: ignore[call-overload, no-any-return]
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from what `state` gave, in an optimiser that was made with the same settings."""
+        self.__dict__.update(state)
 
     @abstractmethod
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:

@@ -33,6 +33,8 @@ class PyCma(Wrapped):
         encoding: str | None = None,
         seed: int = 0,
     ) -> None:
+        import cma.restricted_gaussian_sampler  # noqa: F401 # it draws random numbers: before the session has its own
+
         super().__init__(seed, encoding)
         self.variant = choice("variant", variant, ("full", "separable", "vkd"))
         self.step = real("step", step, above=0.0)

@@ -1,12 +1,12 @@
 """What every optimiser promises, checked for every config in conf/optimiser."""
 
-import pickle
 from pathlib import Path
 
 import numpy as np
 import pytest
 from small import make, problem
 
+from lmd.checkpoint import Checkpoint
 from lmd.checks import InputError
 from lmd.deployment import UniformDeployment
 from lmd.optimisers.base import AskTell, Budget
@@ -91,13 +91,16 @@ def test_it_survives_failed_evaluations(name):
     assert make(name).run(failing, Budget(BUDGET)).fitness > 0.0
 
 
-def test_interrupted_and_resumed_it_ends_where_it_would_have(name, result):
+def test_interrupted_and_resumed_it_ends_where_it_would_have(name, result, tmp_path):
     calls = iter(range(10**9))
     optimiser = make(name)
     stopped = optimiser.run(problem(), Budget(BUDGET), lambda _: next(calls) == 2)
     assert stopped.stopped == "interrupted"
     assert stopped.evaluations < BUDGET
-    resumed = pickle.loads(pickle.dumps(optimiser)).run(problem(), Budget(BUDGET))
+    Checkpoint(optimiser, {}).save(tmp_path)
+    checkpoint = Checkpoint(make(name), {})
+    checkpoint.resume(tmp_path)
+    resumed = checkpoint.optimiser.run(problem(), Budget(BUDGET))
     np.testing.assert_array_equal(resumed.deployment.positions, result.deployment.positions)
     assert [r.evaluations for r in resumed.history] == [r.evaluations for r in result.history]
 

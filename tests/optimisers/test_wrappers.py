@@ -2,11 +2,15 @@
 
 import pickle
 import random
+import subprocess
+import sys
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hydra import compose, initialize_config_dir
+from processes import environment
 
 from lmd.checks import InputError
 from lmd.optimisers.nevergrad import Nevergrad
@@ -158,6 +162,20 @@ def test_a_pickled_optimiser_goes_on_as_if_nothing_had_happened(make):
     asked = run(interrupted, 5) + run(pickle.loads(pickle.dumps(interrupted)), 7)
     for one, other in zip(asked, expected, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.slow
+def test_the_first_run_of_a_process_is_like_any_other():
+    """Importing a library may draw random numbers."""
+    code = """
+from small import make, problem
+from lmd.optimisers.base import Budget
+first, second = (make("cma_es_separable").run(problem(), Budget(60)).deployment.positions for _ in range(2))
+assert (first == second).all()
+"""
+    folders = environment(Path(__file__).parents[1])
+    done = subprocess.run([sys.executable, "-c", code], env=folders, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def test_going_on_with_a_library_that_proposes_other_genes_is_refused():
