@@ -112,10 +112,11 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
 
     from lmd.checks import InputError
     from lmd.detection.frames import draw_poses, tagged_room
-    from lmd.detection.report import Prediction, verdicts
+    from lmd.detection.report import Prediction
     from lmd.geometry.se3 import axis_and_right
     from lmd.render.renderer import Renderer
     from lmd.sight.views import visible
+    from lmd.verdicts import verdicts
 
     tag, imaging = instantiate(cfg.tag), instantiate(cfg.imaging)
     problem = build_problem(any_deployment(cfg))

@@ -12,6 +12,7 @@ from lmd.deployment import Deployment
 from lmd.optimisers.base import Record
 from lmd.problem import Problem
 from lmd.validation import validation_metrics
+from lmd.verdicts import causes
 
 from .app import choices, flat_settings, instantiate, run_directory
 from .outputs import write_outputs
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 # What the name of a run says anyway.
 IN_THE_NAME = ("optimiser", "deployment", "deployment.count", "objective.n", "objective.thold_p", "seed")
+
+LITTLE = 0.1  # share of qualified positions below which a run says what takes the others
 
 
 def title_of(problem: Problem, subject: str) -> str:
@@ -91,6 +94,9 @@ def record(
 ) -> float:
     """Write the outputs, log them, end the run with `status` and print a report; returns the fitness."""
     directory = run_directory()
+    why = causes(problem.scene, deployment, cfg.seed)
+    criteria = why.metrics() if why else {}
+    summary = {**summary, **({"criteria": criteria} if criteria else {})}
     validation = validation_metrics(problem, deployment, cfg.seed) if cfg.validate else {}
     metrics, files = write_outputs(
         directory,
@@ -102,7 +108,9 @@ def record(
         summary={**summary, "seed": cfg.seed, **({"validation": validation} if validation else {})},
     )
     figures = {key: value for key, value in summary.items() if isinstance(value, int | float)}
-    tracker.log_metrics({**metrics, **figures, **{f"validation/{key}": value for key, value in validation.items()}})
+    tracker.log_metrics(metrics | figures)
+    for group, values in (("validation", validation), ("criteria", criteria)):
+        tracker.log_metrics({f"{group}/{key}": value for key, value in values.items()})
     tracker.log_artifacts([*files, *sorted((directory / ".hydra").glob("*.yaml"))])
     tracker.finish(status)
     described = problem.objective.describe_validation(validation) if validation else {}
@@ -111,6 +119,8 @@ def record(
     lines["picture"] = str(directory / "scene.png")
     lines["mlflow"] = tracker.describe()
     print(report(problem, metrics, lines))
+    if why and problem.objective.qualified(problem.values(deployment)).mean() < LITTLE:
+        print(f"\n{why.to_text()}")
     return metrics["fitness"]
 
 

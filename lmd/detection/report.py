@@ -3,32 +3,20 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
 
 import numpy as np
 import pandas as pd
 
 from lmd.checks import BoolArray, FloatArray
-from lmd.deployment import Deployment
 from lmd.detection.evaluation import NUMBERS, agreement, at_least, corner_error, precision_recall, quantiles_by
 from lmd.detection.frames import Sightings, overlapping
 from lmd.detection.pose import pose_error, pose_from_corners
 from lmd.detection.quality import pitch
 from lmd.render.renderer import Renderer
-from lmd.scene import Scene
 
 # Classes of pitch, pixels a module.
 PITCHES = np.array([0.0, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 6.0, 9.0, np.inf])
 QUANTILES = {"median": 0.5, "90": 0.9}
-
-
-class Explained(Protocol):
-    """What a visibility model may have so that it can be told which of its criteria leaves a tag out."""
-
-    def verdicts(
-        self, camera: Any, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
-    ) -> Mapping[str, BoolArray]:
-        """Whether landmarks meet each criterion taken by itself, `(A, K)` by its name; args as in `covered`."""
 
 
 @dataclass(frozen=True)
@@ -68,16 +56,6 @@ class Prediction:
     def overlapping(self) -> BoolArray:
         """Which tags lie over or under another one, `(K,)`."""
         return overlapping(self.renderer.room)
-
-
-def verdicts(scene: Scene, deployment: Deployment, poses: FloatArray) -> dict[str, BoolArray]:
-    """What the scene's visibility model says of its criteria in N poses, `(N, K)` each; nothing if it cannot tell."""
-    explain = getattr(scene.visibility, "verdicts", None)
-    if explain is None:
-        return {}
-    landmarks = deployment.positions, deployment.normals
-    rows = [explain(scene.camera, pose[:3, 3], pose[None, :3, 2], *landmarks) for pose in poses]
-    return {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
 
 
 def figures(prediction: Prediction, seen: Sightings) -> dict[str, float]:

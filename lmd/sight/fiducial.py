@@ -129,10 +129,16 @@ class Fiducial:
     def covered(
         self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
     ) -> BoolArray:
-        """See `Criteria.covered`."""
+        """See `Criteria.covered`: every criterion is met."""
+        met = self.verdicts(camera, position, axes, landmarks, normals)
+        return np.asarray(np.logical_and.reduce(list(met.values())))
+
+    def verdicts(
+        self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
+    ) -> dict[str, BoolArray]:
+        """Whether tags meet each criterion taken by itself, `(A, K)` by its name; args as in `covered`."""
         sight, offset = self.sight(camera), landmarks - position
         flat = sight.flat if isinstance(sight, DistortedSight) else sight
-        seen = ~hidden_by_others(flat, offset, normals) & faces(flat, offset, normals)
         axis, right = axes[:, None, :3], axes[:, None, 3:]
         frame = np.stack([right, _cross(axis, right), axis])  # (3, A, 1, 3)
         centre, *sides = (dot(frame, vectors) for vectors in (offset, *upright(normals)))  # (3, A, K) each
@@ -140,7 +146,27 @@ class Fiducial:
             inside = in_distorted_rectangle(sight, camera.distortion, centre, sides)
         else:
             inside = in_rectangle(sight, centre, sides)
-        return inside & resolved(flat, camera.distortion, centre, sides, offset, normals) & seen
+        everywhere = np.ones_like(inside)
+        return {
+            "resolution": resolved(flat, camera.distortion, centre, sides, offset, normals),
+            "field_of_view": inside,
+            "facing": everywhere & faces(flat, offset, normals),
+            "hiding": everywhere & ~hidden_by_others(flat, offset, normals),
+        }
+
+    def limits_for(self, camera: Camera) -> dict[str, str]:
+        """See `lmd.verdicts.Explained.limits_for`."""
+        limits, view = self.limits, camera.field_of_view
+        assert isinstance(limits, Limits)
+        across, down = math.degrees(view.left + view.right), math.degrees(view.top + view.bottom)
+        return {
+            "resolution": f"{limits.pitch:.3g} pixels a module, more where it is blurred, and an edge of "
+            f"{limits.edge:.3g} pixels",
+            "field_of_view": f"every corner in the image of {across:.3g} x {down:.3g} degrees, "
+            f"{limits.margin:g} pixels from its border",
+            "facing": f"incidence up to {limits.incidence:.3g} degrees",
+            "hiding": "no other plate before the centre or a corner",
+        }
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -30,7 +30,7 @@ from lmd.detection.frames import (
     tagged_room,
 )
 from lmd.detection.mosaic import Mosaics, Views
-from lmd.detection.report import Prediction, by_pitch, by_tag, figures, repeated, to_markdown, verdicts
+from lmd.detection.report import Prediction, by_pitch, by_tag, figures, repeated, to_markdown
 from lmd.geometry.se3 import axis_and_right, camera_pose, poses_from_rows
 from lmd.limits import Limits, Preset
 from lmd.render.imaging import Imaging
@@ -43,6 +43,7 @@ from lmd.sight.paper import Visibility
 from lmd.sight.views import visible
 from lmd.space.cuboid import Cuboid
 from lmd.tag import Tag, upright
+from lmd.verdicts import verdicts
 
 pytestmark = pytest.mark.slow  # images, or kernels of a second model of sight
 

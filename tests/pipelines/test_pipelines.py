@@ -154,6 +154,21 @@ def test_a_run_is_validated_off_its_grid(tmp_path):
     assert re.search(r"off the grid +\d+\.\d\d% \+- \d\.\d\d% of random positions qualified", done.stdout)
 
 
+def test_where_nothing_is_covered_the_terminal_says_why(optimised, tmp_path):
+    cwd, out = optimised
+    assert "criterion" not in out
+    assert 0.0 < read_metrics(cwd / "run")["criteria"]["covered"] < 1.0
+    overrides = ("visibility.thold=1.2", "localisation=false", "page=false", "tracking.uri=sqlite:///store.db")
+    done = call("evaluate", *overrides, "hydra.run.dir=run", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"\ncriterion .*\nresolution .* depth up to 0\.72 m \(thold = 1\.2 pixel/mm\)\n", done.stdout)
+    criteria = read_metrics(tmp_path / "run")["criteria"]
+    assert criteria["covered"] == 0.0
+    assert criteria["covered_without_resolution"] > 0.0
+    (run,) = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db").search_runs(["1"])
+    assert {key: run.data.metrics[f"criteria/{key}"] for key in criteria} == criteria
+
+
 def test_validation_can_be_left_out(optimised):
     cwd, out = optimised
     assert "validation" not in read_metrics(cwd / "run")
