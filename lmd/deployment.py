@@ -21,6 +21,7 @@ UP_TOLERANCE = 1e-2
 NORMAL_TOLERANCE = 1e-3
 # A normal this close to that of its surface is flush with it.
 FLUSH = 1e-6
+NEAR = 0.05  # metres: landmarks of a file were measured by hand, or have a board behind them
 
 
 @dataclass(frozen=True)
@@ -86,23 +87,28 @@ class Deployment:
             raise InputError(f"landmark {self._place(outside[0])} lies outside the {room.describe()}.")
         return replace(self, surfaces=room.surfaces_of(self.positions, self.normals))
 
-    def fault(self, room: Space) -> str | None:
+    def fault(self, room: Space, near: float = 0.0) -> str | None:
         """What is wrong with how the landmarks hang, in a clause about the first that hangs on no surface or faces into
         its own; None if all hang properly. They know their surfaces (`hung`), which are those of `room`.
+
+        Args:
+            room: has the surfaces.
+            near: a landmark that is no farther from a surface may stand before it, metres.
         """
         surfaces, some = room.surfaces(), f"of {len(self)} landmarks do"
-        if (floating := np.flatnonzero(self.surfaces < 0)).size:
+        distance = np.array([surface.distance(self.positions) for surface in surfaces])
+        if (floating := np.flatnonzero((self.surfaces < 0) & (distance.min(axis=0) > near))).size:
             first = int(floating[0])
-            distance = [float(surface.distance(self.positions[first])) for surface in surfaces]
-            nearest = int(np.argmin(distance))
+            nearest = int(np.argmin(distance[:, first]))
             return (
-                f"landmark {self._place(first)} hangs in mid-air, {distance[nearest]:.4g} m from the nearest surface "
-                f"that may carry it, {surfaces[nearest].name} ({len(floating)} {some})"
+                f"landmark {self._place(first)} hangs in mid-air, {distance[nearest, first]:.4g} m from the nearest "
+                f"surface that may carry it, {surfaces[nearest].name} ({len(floating)} {some})"
             )
-        normals = np.array([surface.normal for surface in surfaces])[self.surfaces]
+        own = np.where(self.surfaces < 0, distance.argmin(axis=0), self.surfaces)
+        normals = np.array([surface.normal for surface in surfaces])[own]
         if (inwards := np.flatnonzero((self.normals * normals).sum(axis=1) < 0.0)).size:
             first = int(inwards[0])
-            name = surfaces[self.surfaces[first]].name
+            name = surfaces[own[first]].name
             return f"landmark {self._place(first)} faces into {name}, the surface it hangs on ({len(inwards)} {some})"
         return None
 
@@ -267,7 +273,7 @@ class FileDeployment:
             hung = deployment.hung(room)
         except InputError as error:
             raise InputError(f"{self.path}: {error}") from None
-        if not self.free and (fault := hung.fault(room)):
+        if not self.free and (fault := hung.fault(room, NEAR)):
             raise InputError(f"free = false, but in {self.path} {fault}.", "free")
         return hung
 

@@ -196,6 +196,7 @@ def test_a_row_longer_than_the_header_is_refused(write):
     [
         ("7,4,1,-1,0,0", r"1 at \(7, 4, 1\) hangs in mid-air, 0\.5 m from the nearest surface .*, x_max \(2 of 3 land"),
         ("4,4,5,0,0,-1", r"1 at \(4, 4, 5\) hangs in mid-air, 1 m from the nearest surface .*, y_max \(2 of 3 land"),
+        ("7.49,4,1,1,0,0", r"1 at \(7\.49, 4, 1\) faces into x_max, the surface it hangs on \(2 of 3 landmarks do\)"),
         ("7.5,4,1,1,0,0", r"1 at \(7\.5, 4, 1\) faces into x_max, the surface it hangs on \(2 of 3 landmarks do\)"),
     ],
 )
@@ -207,6 +208,14 @@ def test_landmarks_that_do_not_hang_are_refused_unless_they_may_be_free(write, r
     assert len(FileDeployment(path, free=True).draw(paper_room(), rng)) == 3
     with pytest.raises(InputError, match=r"free must be true or false, got 1"):
         FileDeployment(path, free=1)
+
+
+def test_landmarks_may_be_measured_by_hand(write):
+    path = write(f"{HEADER}0,7.48,4,1,-1,0,0\n1,7.5,3,1,-1,0,0\n", "landmarks.csv")
+    drawn = FileDeployment(path).draw(paper_room(), np.random.default_rng(0))
+    assert drawn.surfaces[0] == -1 != drawn.surfaces[1]
+    with pytest.raises(InputError, match=r"^landmark 0 .* 0\.02 m from .* cannot be a start"):
+        drawn.movable(paper_room())
 
 
 def test_a_tilted_landmark_hangs(write):
