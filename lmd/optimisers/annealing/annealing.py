@@ -138,7 +138,7 @@ class Annealing(Optimiser):
                 moves = int(stretch) // each
                 surrogate.walk(moves, settings, self.rng)
                 self.here = surrogate.here()
-                led_to = self._apart(problem, surrogate.stack, 1.0) if self.in_stacks else self._mean(problem)
+                led_to = self._apart(problem, surrogate.stack, 1.0) if self.in_stacks else self._mean(problem, size)
                 note(moves * each + count, problem.scene.plates.apart(led_to))
             if callback and callback(self):
                 stopped = "interrupted"
@@ -181,9 +181,9 @@ class Annealing(Optimiser):
         stage = self.sampled if sampled else self.single
         return size, stage.settings(done, near * size)
 
-    def _mean(self, problem: Problem) -> Deployment:
-        """Where single landmarks are: on average, if they walk on samples."""
-        if problem.objective.sampling is None:
+    def _mean(self, problem: Problem, size: float) -> Deployment:
+        """Where single landmarks are: on average, if they walk on samples and plates that grow no longer drive them."""
+        if problem.objective.sampling is None or size < 1.0:
             return self.here
         self.trail = self.trail or Trail(self.here)
         return self.trail.add(self.here)
