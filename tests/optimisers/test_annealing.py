@@ -136,7 +136,7 @@ def test_walkers_move_landmarks_of_their_own_and_are_put_together():
 def test_walkers_lead_to_the_same_place_on_any_number_of_threads(n):
     scene, found = problem().scene, []
     for threads in (1, 3):
-        p = Problem(scene, Coverage(n, 0.3, Sampling(positions=2, divisions=6)), RandomDeployment(9), threads)
+        p = Problem(scene, Coverage(n, 0.3, Sampling(positions=2, divisions=6)), UniformDeployment(9), threads)
         found.append(make("annealing").run(p, Budget(400)).deployment)
     np.testing.assert_array_equal(found[0].positions, found[1].positions)
     np.testing.assert_array_equal(found[0].normals, found[1].normals)

@@ -45,8 +45,8 @@ class Surrogate:
         walkers: on samples drawn anew, at most.
     """
 
-    def __init__(self, problem: Problem, walkers: int) -> None:
-        self._problem, self._most = problem, walkers
+    def __init__(self, problem: Problem, walkers: int = 1) -> None:
+        self._problem, self.walkers = problem, walkers
         self._surfaces = SurfaceArrays.of(problem.scene.plates.hanging.surfaces())
         self._survey(problem.fitness_evaluator, problem.fitness_relevance)
         self._apart = 0.0  # least distance between plates
@@ -90,7 +90,7 @@ class Surrogate:
             here = best if pushed is None else pushed  # where there is no room for the plates, the best found has it
         self._field = self._true.stacked() if in_stacks else self._true.shrunk(size)
         together = max(1, min(self._field.stack, len(here)))
-        number = 1 if redrawn is None else max(1, min(self._most, len(here) // together))
+        number = 1 if redrawn is None else max(1, min(self.walkers, len(here) // together))
 
         def walker(members: IntArray) -> Walker:
             state = self._field.state(here)
