@@ -17,10 +17,10 @@ from lmd.deployment import Deployment, RandomDeployment
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.field import bound, settle
 from lmd.objectives.localisation import Localisation
+from lmd.pipelines.app import CONF, build_problem
 from lmd.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.tag import Tag
-from pipelines.app import CONF, build_problem
 
 COUNT, MOVES, STEP = 90, 400, 0.1
 
