@@ -21,7 +21,8 @@ UP_TOLERANCE = 1e-2
 NORMAL_TOLERANCE = 1e-3
 # A normal this close to that of its surface is flush with it.
 FLUSH = 1e-6
-NEAR = 0.05  # metres: landmarks of a file were measured by hand, or have a board behind them
+# Landmarks of a file may be so far from their surface, metres: they were measured by hand, or have a board behind them.
+MID_AIR = 0.05
 
 
 @dataclass(frozen=True)
@@ -273,7 +274,7 @@ class FileDeployment:
             hung = deployment.hung(room)
         except InputError as error:
             raise InputError(f"{self.path}: {error}") from None
-        if not self.free and (fault := hung.fault(room, NEAR)):
+        if not self.free and (fault := hung.fault(room, MID_AIR)):
             raise InputError(f"free = false, but in {self.path} {fault}.", "free")
         return hung
 
