@@ -53,8 +53,12 @@ class Checkpoint:
         """Replace the checkpoint in `directory`; a crash leaves the old one or the new one, never half of one."""
         content = pickle.dumps((self.optimiser.state(), dict(self.settings), self.run_id))
         partial = directory / f"{FILE}.partial"
-        partial.write_bytes(HEADER + CHECKSUM(content).digest() + content)
-        os.replace(partial, directory / FILE)
+        try:
+            partial.write_bytes(HEADER + CHECKSUM(content).digest() + content)
+            os.replace(partial, directory / FILE)
+        except OSError:
+            partial.unlink(missing_ok=True)
+            raise
 
     def resume(self, directory: str | Path) -> None:
         """Take over the state and the run of the checkpoint in `directory`.

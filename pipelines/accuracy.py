@@ -4,10 +4,9 @@ All deployments share one picture, because they are to be compared. So `deployme
 it is read as `deployments=[a,b,c]`.
 """
 
-import hydra
 from omegaconf import DictConfig
 
-from .app import CONF, build_problem, run_directory
+from .app import application, build_problem, run_directory
 from .deployments import composed_deployments, read_deployment_as_a_list
 from .sweeps.supervisor import run
 
@@ -20,7 +19,7 @@ def main() -> None:
     _main()
 
 
-@hydra.main(version_base="1.3", config_path=CONF, config_name="accuracy")
+@application("accuracy")
 def _main(cfg: DictConfig) -> None:
     """Predict, record and show."""
     run(cfg, accuracy)
@@ -35,13 +34,13 @@ def accuracy(cfg: DictConfig) -> None:
     from lmd.checks import integer
     from lmd.plot.accuracy import save_accuracy_figure
 
-    from .tracked_run import title_of, tracked_run
+    from .tracked_run import title_of, tracked
 
     seed, directory = integer("seed", cfg.seed, low=0), run_directory()
     problems = {name: build_problem(own) for name, own in composed_deployments(cfg, "accuracy").items()}
     drawn = {name: (problem, problem.draw(np.random.default_rng(seed))) for name, problem in problems.items()}
     problem = next(iter(problems.values()))
-    with tracked_run(cfg, problem, "accuracy") as tracker:
+    with tracked(cfg, "accuracy", title_of(problem, "accuracy")) as tracker:
         figures = {name: accuracy_metrics(*subject, seed) for name, subject in drawn.items()}
         table = pd.DataFrame(figures).T.rename_axis("deployment")
         table.to_csv(directory / "figures.csv")

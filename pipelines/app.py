@@ -1,17 +1,21 @@
 """What the pipelines share: where the configuration is, building objects from it, and reporting bad input."""
 
+import errno
 import re
 import shutil
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
+from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
+
+from .signals import Stopped, stop
 
 if TYPE_CHECKING:
     from lmd.optimisers.base import Optimiser
@@ -28,6 +32,29 @@ def lmd_package() -> str:
 
 
 OmegaConf.register_new_resolver("lmd.package", lmd_package, replace=True)
+
+
+def application(config_name: str) -> Callable[[Callable[[DictConfig], object]], Callable[[], None]]:
+    """Make a function of a configuration a program that composes it from the command line and can be told to stop.
+
+    Args:
+        config_name: `optimise` and so on.
+    """
+
+    def decorate(function: Callable[[DictConfig], object]) -> Callable[[], None]:
+        composed = hydra.main(version_base="1.3", config_path=CONF, config_name=config_name)(function)
+
+        @wraps(function)
+        def main() -> None:
+            try:
+                with stop.raising():
+                    composed()
+            except Stopped as told:
+                sys.exit(told.code)
+
+        return main
+
+    return decorate
 
 
 def command_of(pipeline: str) -> str:
@@ -62,7 +89,6 @@ def instantiate(node: Any, **extra: Any) -> Any:
     Raises:
         InputError: the object refuses its arguments.
     """
-    import hydra.utils
     from hydra.errors import InstantiationException
 
     from lmd.checks import InputError
@@ -213,16 +239,28 @@ def choices() -> dict[str, str]:
 
 
 @contextmanager
-def input_errors_reported() -> Iterator[None]:
-    """Turn an `InputError` into one sentence on stderr and exit code 1, and leave no trace of the run."""
+def ends_reported() -> Iterator[None]:
+    """Turn bad input and a full disk into one sentence on stderr and exit code 1; leave no trace where nothing came of
+    a run.
+    """
     from lmd.checks import InputError
 
     try:
         yield
     except InputError as error:
-        hydra = HydraConfig.get()
-        directory = run_directory()
-        if {path.name for path in directory.iterdir()} <= {".hydra", f"{hydra.job.name}.log"}:
-            shutil.rmtree(directory)
+        _discard_empty(run_directory())
         print(f"error: {error}", file=sys.stderr)
         sys.exit(1)
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        print(f"error: {error.filename or run_directory()}: {error.strerror}", file=sys.stderr)
+        sys.exit(1)
+    except Stopped:
+        _discard_empty(run_directory())
+        raise
+
+
+def _discard_empty(directory: Path) -> None:
+    if {path.name for path in directory.iterdir()} <= {".hydra"}:
+        shutil.rmtree(directory)

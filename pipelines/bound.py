@@ -3,14 +3,13 @@
 import json
 from typing import Any
 
-import hydra
 from omegaconf import DictConfig
 
-from .app import CONF, build_problem, keyed, run_directory
+from .app import application, build_problem, keyed, run_directory
 from .sweeps.supervisor import run
 
 
-@hydra.main(version_base="1.3", config_path=CONF, config_name="bound")
+@application("bound")
 def main(cfg: DictConfig) -> None:
     """Compute, record and show the bounds."""
     run(cfg, bound)
@@ -22,7 +21,7 @@ def bound(cfg: DictConfig) -> None:
     from lmd.checks import real
     from lmd.selection_bound import GUARANTEE, selection_upper_bound
 
-    from .tracked_run import tracked_run
+    from .tracked_run import title_of, tracked
 
     problem = build_problem(cfg)
     with keyed("bound"):
@@ -31,7 +30,7 @@ def bound(cfg: DictConfig) -> None:
     directory, count = run_directory(), problem.count
     document: dict[str, Any] = {}
     figures: dict[str, float] = {}
-    with tracked_run(cfg, problem, "bound") as tracker:
+    with tracked(cfg, "bound", title_of(problem, "bound")) as tracker:
         choice = selection_upper_bound(problem, count, search.spacing)
         document["selection"] = {"greedy": choice.greedy, "grid": choice.grid, "share": choice.share}
         figures |= {f"bound/selection/{kind}": value for kind, value in document["selection"].items()}

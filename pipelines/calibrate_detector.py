@@ -2,14 +2,13 @@
 
 import json
 
-import hydra
 from omegaconf import DictConfig
 
-from .app import CONF, choices, instantiate, keyed, run_directory
+from .app import application, choices, instantiate, keyed, run_directory
 from .sweeps.supervisor import run
 
 
-@hydra.main(version_base="1.3", config_path=CONF, config_name="calibrate_detector")
+@application("calibrate_detector")
 def main(cfg: DictConfig) -> None:
     """Fit, judge, record and show."""
     run(cfg, calibrate)

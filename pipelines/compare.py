@@ -3,11 +3,10 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import hydra
 from omegaconf import DictConfig, ListConfig
 
 from .app import (
-    CONF,
+    application,
     build_optimiser,
     build_problem,
     instantiate,
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
 OWN_KEYS = ("optimisers", "seeds", "workers", "save_as", "budget", "seed", "tracking")
 
 
-@hydra.main(version_base="1.3", config_path=CONF, config_name="compare")
+@application("compare")
 def main(cfg: DictConfig) -> None:
     """Run every optimiser with every seed, and write the table and the plot."""
     run(cfg, compare)
@@ -44,7 +43,7 @@ def compare(cfg: DictConfig) -> None:
     from lmd.plot.comparison import save_comparison_figure
 
     from .reproduction.comparison import to_markdown
-    from .tracked_run import title_of, tracked_run
+    from .tracked_run import title_of, tracked
 
     problem = build_problem(cfg)
     with keyed("budget"):
@@ -59,7 +58,7 @@ def compare(cfg: DictConfig) -> None:
     finished = in_processes(_run, jobs, cfg.workers)
     directory, headline, runs = run_directory(), problem.objective.headline, []
     axis = "evaluations" if budget.evaluations else "wall_time"
-    with tracked_run(cfg, problem, "compare") as tracker:
+    with tracked(cfg, "compare", title_of(problem, "compare")) as tracker:
         try:
             for done in finished:
                 runs.append(done)
@@ -106,20 +105,20 @@ def _run(job: "tuple[str, DictConfig, int, Budget]") -> "OptimiserRun":
 def _log_child(cfg: DictConfig, run: "OptimiserRun", ups: bool, parent: str | None, directory: Path) -> None:
     """Record one run below the comparison's own, its landmarks in a folder of `directory`; `ups` as for `to_csv`."""
     from .progress import thinned
-    from .tracking import PARENT_TAG
+    from .tracking import PARENT_TAG, RunStart
 
     tracker: Tracker = instantiate(cfg.tracking)
     tags = {"choice.optimiser": run.optimiser.split()[0]}
     if parent is not None:
         tags[PARENT_TAG] = parent
     params = {"optimiser": run.optimiser, "seed": run.seed}
-    ago = run.history[-1].wall_time
-    tracker.start(f"{run.optimiser} seed={run.seed}", params, tags, None, ago)
-    tracker.log_curve("best_fitness", thinned(run.history))
-    tracker.log_metrics(run.metrics)
-    landmarks = directory / "runs" / f"{run.optimiser.replace('/', '_')} seed={run.seed}" / "landmarks.csv"
+    name = f"{run.optimiser} seed={run.seed}"
+    landmarks = directory / "runs" / name.replace("/", "_") / "landmarks.csv"
     landmarks.parent.mkdir(parents=True, exist_ok=True)  # a sweep may do a lost job again
     run.deployment.to_csv(landmarks, ups)
+    tracker.start(RunStart(name, landmarks.parent, params, tags, ago=run.history[-1].wall_time))
+    tracker.log_curve("best_fitness", thinned(run.history))
+    tracker.log_metrics(run.metrics)
     tracker.log_artifacts([landmarks])
     tracker.finish("FINISHED")
 

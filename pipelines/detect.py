@@ -9,10 +9,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
-import hydra
 from omegaconf import DictConfig
 
-from .app import CONF, build_problem, instantiate, keyed, run_directory
+from .app import application, build_problem, instantiate, keyed, run_directory
 from .deployments import any_deployment, composed_deployments, read_deployment_as_a_list
 from .sweeps.supervisor import run
 
@@ -37,7 +36,7 @@ def main() -> None:
     _main()
 
 
-@hydra.main(version_base="1.3", config_path=CONF, config_name="detect")
+@application("detect")
 def _main(cfg: DictConfig) -> None:
     """Render, detect, record and show."""
     run(cfg, detect)
@@ -67,7 +66,7 @@ def detect(cfg: DictConfig) -> None:
     from lmd.detection.report import to_markdown
     from lmd.plot.detection import save_calibration_figure
 
-    from .tracked_run import title_of, tracked_run
+    from .tracked_run import title_of, tracked
 
     seed, count = integer("seed", cfg.seed, low=0), integer("poses", cfg.poses, low=1)
     pictures = integer("pictures", cfg.pictures, low=0)
@@ -75,7 +74,7 @@ def detect(cfg: DictConfig) -> None:
     subjects = {name: subject_of(own, count, seed) for name, own in composed.items()}
     moved = {} if cfg.nudge is None else {name: subject.nudged(cfg.nudge, seed) for name, subject in subjects.items()}
     problem, directory = next(iter(subjects.values())).problem, run_directory()
-    with tracked_run(cfg, problem, "detect") as tracker:
+    with tracked(cfg, "detect", title_of(problem, "detect")) as tracker:
         seen = sightings(subjects, seed, cfg.workers)
         again = sightings(moved, seed + 1, cfg.workers) if moved else None
         figures, pitches, tags = _tables(subjects, seen, again)

@@ -4,17 +4,16 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import hydra
 from omegaconf import DictConfig
 
-from .app import CONF, choices, flat_settings, instantiate, keyed, run_directory
+from .app import application, choices, flat_settings, instantiate, keyed, run_directory
 from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
     from lmd.orientation.estimate import Marginal, PdfEstimate
 
 
-@hydra.main(version_base="1.3", config_path=CONF, config_name="estimate_pdf")
+@application("estimate_pdf")
 def main(cfg: DictConfig) -> None:
     """Estimate, record and show."""
     run(cfg, estimate)

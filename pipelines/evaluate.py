@@ -3,10 +3,9 @@
 import time
 from typing import TYPE_CHECKING, Any
 
-import hydra
 from omegaconf import DictConfig
 
-from .app import CONF, build_problem, choices, run_directory
+from .app import application, build_problem, choices, run_directory
 from .earlier_run import read_earlier_run
 from .sweeps.supervisor import run
 
@@ -24,7 +23,7 @@ def main() -> None:
     _main()
 
 
-@hydra.main(version_base="1.3", config_path=CONF, config_name="evaluate")
+@application("evaluate")
 def _main(cfg: DictConfig) -> float | None:
     """Score, record and show; returns the fitness."""
     return run(cfg, evaluate)
@@ -37,7 +36,7 @@ def evaluate(cfg: DictConfig) -> float:
     from lmd.checks import integer
     from lmd.optimisers.base import Record
 
-    from .tracked_run import record, tracked_run
+    from .tracked_run import record, title_of, tracked
 
     began = time.perf_counter()
     problem = build_problem(cfg)
@@ -45,7 +44,7 @@ def evaluate(cfg: DictConfig) -> float:
     deployment = problem.draw(np.random.default_rng(seed))
     history = [Record(1, problem.metrics(deployment)["fitness"], time.perf_counter() - began)]
     subject = choices()["deployment"]
-    with tracked_run(cfg, problem, subject) as tracker:
+    with tracked(cfg, subject, title_of(problem, subject)) as tracker:
         summary: dict[str, Any] = localise(problem, deployment, seed, tracker) if cfg.localisation else {}
         varied = vary(problem, deployment, seed, tracker) if cfg.sensitivity else None
         summary |= {"sensitivity": varied.metrics()} if varied else {}

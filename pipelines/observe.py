@@ -9,10 +9,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-import hydra
 from omegaconf import DictConfig
 
-from .app import CONF, build_problem, instantiate, keyed, run_directory
+from .app import application, build_problem, instantiate, keyed, run_directory
 from .deployments import any_deployment, composed_deployments, read_deployment_as_a_list
 from .sweeps.supervisor import run
 
@@ -36,7 +35,7 @@ def main() -> None:
     _main()
 
 
-@hydra.main(version_base="1.3", config_path=CONF, config_name="observe")
+@application("observe")
 def _main(cfg: DictConfig) -> None:
     """Fly, record and show."""
     run(cfg, observe)
@@ -49,7 +48,7 @@ def observe(cfg: DictConfig) -> None:
     from lmd.localisation.study import Flights, conduct, to_markdown
     from lmd.plot.localisation import save_error_figure
 
-    from .tracked_run import title_of, tracked_run
+    from .tracked_run import title_of, tracked
 
     seeds = range(integer("seed", cfg.seed, low=0), cfg.seed + integer("seeds", cfg.seeds, low=1))
     composed = composed_deployments(cfg, "observe")
@@ -61,7 +60,7 @@ def observe(cfg: DictConfig) -> None:
     with keyed("trajectory"):
         flights = Flights.draw(problem, trajectory, start, seeds)
     directory, n = run_directory(), problem.objective.n
-    with tracked_run(cfg, problem, "observe") as tracker:
+    with tracked(cfg, "observe", title_of(problem, "observe")) as tracker:
         detectors = {name: instantiate(own.detector) for name, own in composed.items()}
         if film is not None and not all(hasattr(detector, "moments") for detector in detectors.values()):
             raise InputError("film needs rendered frames: detector=rendered.")

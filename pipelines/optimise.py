@@ -1,19 +1,18 @@
 """Find a deployment: `python -m pipelines.optimise [overrides]`."""
 
-import shlex
 import sys
+from contextlib import closing
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from .app import (
-    CONF,
+    application,
     build_optimiser,
     build_problem,
     choices,
-    command_of,
     config_dir,
     flat_settings,
     keyed,
@@ -22,6 +21,9 @@ from .app import (
 )
 from .earlier_run import read_earlier_run
 from .input_files import contents_of
+from .outputs import space_reserved
+from .provenance import command_line
+from .signals import Stopped, stop
 from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
@@ -44,7 +46,7 @@ def main() -> None:
     _main()
 
 
-@hydra.main(version_base="1.3", config_path=CONF, config_name="optimise")
+@application("optimise")
 def _main(cfg: DictConfig) -> float | None:
     """Optimise, record and show; returns the best fitness, for sweepers."""
     return run(cfg, optimise)
@@ -56,7 +58,7 @@ def optimise(cfg: DictConfig) -> float:
     from lmd.checks import real
     from lmd.optimisers.base import Budget
 
-    from .tracked_run import record, tracked_run
+    from .tracked_run import Earlier, record, title_of, tracked
 
     problem = build_problem(cfg)
     with keyed("budget"):
@@ -64,35 +66,44 @@ def optimise(cfg: DictConfig) -> float:
     real("checkpoint_seconds", cfg.checkpoint_seconds, above=0.0)
     settings = flat_settings(cfg, *SAME_WHEN_RESUMED)
     settings |= contents_of(settings)
-    checkpoint = Checkpoint(build_optimiser(cfg, cfg.seed), settings)
+    checkpoint, earlier = Checkpoint(build_optimiser(cfg, cfg.seed), settings), None
     if cfg.resume is not None:
         checkpoint.resume(cfg.resume)
+        earlier = Earlier(checkpoint.run_id, Path(cfg.resume))
     subject = choices()["optimiser"]
-    with tracked_run(cfg, problem, subject, checkpoint.run_id) as tracker:
-        checkpoint.run_id = tracker.run_id
-        result = _run(cfg, problem, budget, checkpoint, tracker)
-        interrupted = result.stopped == "interrupted"
-        fitness = record(
-            cfg,
-            problem,
-            tracker,
-            result.deployment,
-            result.history,
-            subject=subject,
-            summary={
-                "evaluations": result.evaluations,
-                "wall_time": result.seconds,
-                "stopped": result.stopped,
-                **_accuracy(cfg, problem, result.deployment),
-            },
-            status="KILLED" if interrupted else "FINISHED",
-        )
+    try:
+        with tracked(cfg, subject, title_of(problem, subject), earlier) as tracker:
+            result, in_haste = _run(cfg, problem, budget, checkpoint, tracker)
+            interrupted = result.stopped == "interrupted"
+            fitness = record(
+                cfg,
+                problem,
+                tracker,
+                result.deployment,
+                result.history,
+                subject=subject,
+                summary={"evaluations": result.evaluations, "wall_time": result.seconds, "stopped": result.stopped},
+                further=lambda: _accuracy(cfg, problem, result.deployment),
+                status="KILLED" if interrupted else "FINISHED",
+                in_haste=in_haste,
+            )
+    except (Stopped, OSError):
+        _tell_how_to_go_on()
+        raise
     if interrupted:
-        overrides = [o for o in HydraConfig.get().overrides.task if not o.startswith("resume=")]
-        again = shlex.join([*config_dir(), *search_path(), *overrides, f"resume={run_directory()}"])
-        print(f"interrupted; go on with: {command_of('optimise')} {again}", file=sys.stderr)
-        sys.exit(130)
+        _tell_how_to_go_on()
+        sys.exit(stop.code)
     return fitness
+
+
+def _tell_how_to_go_on() -> None:
+    from lmd.checkpoint import FILE
+
+    directory = run_directory()
+    if (directory / FILE).exists():
+        overrides = [o for o in HydraConfig.get().overrides.task if not o.startswith("resume=")]
+        again = [*config_dir(), *search_path(), *overrides, f"resume={directory}"]
+        print(f"interrupted; go on with: {command_line('optimise', again)}", file=sys.stderr)
 
 
 def _accuracy(cfg: DictConfig, problem: "Problem", deployment: "Deployment") -> dict[str, float]:
@@ -106,25 +117,26 @@ def _accuracy(cfg: DictConfig, problem: "Problem", deployment: "Deployment") -> 
 
 def _run(
     cfg: DictConfig, problem: "Problem", budget: "Budget", checkpoint: "Checkpoint", tracker: "Tracker"
-) -> "Result":
-    from .progress import Progress, StopOnSignal
+) -> "tuple[Result, bool]":
+    """Optimise; returns what was found, and whether it was told to stop so urgently that it left a batch undone."""
+    from .progress import Progress
 
-    directory = run_directory()
-    with StopOnSignal() as stop:
-        progress = Progress(
-            budget,
-            tracker,
-            save=lambda: checkpoint.save(directory),
-            every=cfg.checkpoint_seconds,
-            stop=stop,
-            resumed=checkpoint.optimiser,
-        )
+    directory, optimiser = run_directory(), checkpoint.optimiser
+    goes_on, before = tracker.run_id == checkpoint.run_id, optimiser.ledger.evaluations
+    checkpoint.run_id = tracker.run_id
+    progress = Progress(
+        budget, tracker, lambda: checkpoint.save(directory), cfg.checkpoint_seconds, optimiser, logged=goes_on
+    )
+    with space_reserved(directory), closing(progress):
         try:
-            result = checkpoint.optimiser.run(problem, budget, progress)
-            progress.flush(checkpoint.optimiser)
-        finally:
-            progress.close()
-    return result
+            with stop.deferred(lambda: optimiser.ledger.evaluations > before):
+                result = optimiser.run(problem, budget, progress)
+                progress.flush(optimiser)
+            return result, False
+        except Stopped:
+            if optimiser.ledger.evaluations == 0:
+                raise
+            return optimiser.result(problem, "interrupted"), True
 
 
 if __name__ == "__main__":

@@ -3,7 +3,9 @@
 import json
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,30 +14,54 @@ if TYPE_CHECKING:
     from lmd.optimisers.base import Record
     from lmd.problem import Problem
 
+RESERVE = 1 << 16  # bytes; more than the landmarks and figures of a thousand tags take
 
-def write_outputs(
+
+def write_figures(
+    directory: Path, problem: "Problem", deployment: "Deployment", document: Mapping[str, Any]
+) -> list[Path]:
+    """Write landmarks.csv and metrics.json, both or none.
+
+    Args:
+        directory: the run's directory.
+        problem: what the deployment is scored for.
+        deployment: what is written.
+        document: metrics.json, to which the settings of the problem are added.
+
+    Returns:
+        the files.
+    """
+
+    def write(partial: Path) -> None:
+        deployment.to_csv(partial / "landmarks.csv", ups=not problem.scene.tag.is_point)
+        text = json.dumps({**document, "settings": problem.settings()}, indent=2)
+        (partial / "metrics.json").write_text(f"{text}\n")
+
+    return all_or_none(directory, write)
+
+
+def write_pictures(
     directory: Path,
     problem: "Problem",
     deployment: "Deployment",
     history: "Sequence[Record]",
-    *,
     title: str,
     page: bool,
-    summary: Mapping[str, Any],
-) -> tuple[dict[str, float], list[Path]]:
-    """Write landmarks.csv, metrics.json, history.csv and the pictures, all of them or none.
+    in_haste: bool,
+) -> tuple[list[Path], str]:
+    """Write history.csv and the pictures, as many as the disk takes.
 
     Args:
         directory: the run's directory.
-        problem: what it is scored for.
-        deployment: what is written and shown.
-        history: best fitness over the run.
+        problem: what is scored.
+        deployment: what is shown.
+        history: best fitness over the run; a single evaluation gets no curve.
         title: heads the pictures.
         page: whether to write the interactive page.
-        summary: further entries of metrics.json.
+        in_haste: no pictures.
 
     Returns:
-        the metrics of `deployment`, and the files.
+        the files, and what could not be written, empty if all could.
     """
     import pandas as pd
 
@@ -43,23 +69,28 @@ def write_outputs(
     from lmd.plot.page import save_scene_page
     from lmd.plot.scene import save_scene_figure
 
-    metrics = problem.metrics(deployment)
-    table = pd.DataFrame(history)
-
-    def write(partial: Path) -> None:
-        deployment.to_csv(partial / "landmarks.csv", ups=not problem.scene.tag.is_point)
-        document = {**metrics, **summary, "settings": problem.settings()}
-        (partial / "metrics.json").write_text(json.dumps(document, indent=2) + "\n")
-        table.to_csv(partial / "history.csv", index=False)
-        save_scene_figure(partial / "scene.png", problem, deployment, title)
-        save_convergence_figure(partial / "convergence.png", table, problem.objective.headline, title)
+    table, headline = pd.DataFrame(history), problem.objective.headline
+    writers: dict[str, Callable[[Path], object]] = {"history.csv": lambda path: table.to_csv(path, index=False)}
+    if not in_haste:
+        writers["scene.png"] = lambda path: save_scene_figure(path, problem, deployment, title)
+        if len(history) > 1:
+            writers["convergence.png"] = lambda path: save_convergence_figure(path, table, headline, title)
         if page:
-            save_scene_page(partial / "scene.html", problem, deployment, title)
+            writers["scene.html"] = lambda path: save_scene_page(path, problem, deployment, title)
+    files, failed = [], []
+    for name, write in writers.items():
+        try:
+            files += all_or_none(directory, partial(_write_below, write, name))
+        except OSError as error:
+            failed.append(f"{name} could not be written ({error.strerror or error})")
+    return files, "; ".join(failed)
 
-    return metrics, all_or_none(directory, write)
+
+def _write_below(write: Callable[[Path], object], name: str, folder: Path) -> None:
+    write(folder / name)
 
 
-def all_or_none(directory: Path, write: Callable[[Path], None]) -> list[Path]:
+def all_or_none(directory: Path, write: Callable[[Path], object]) -> list[Path]:
     """Let `write` fill a folder, then move its files to `directory`; where it fails nothing is left.
 
     Returns:
@@ -68,3 +99,19 @@ def all_or_none(directory: Path, write: Callable[[Path], None]) -> list[Path]:
     with tempfile.TemporaryDirectory(dir=directory, prefix=".partial_") as name:
         write(Path(name))
         return [Path(shutil.move(path, directory / path.name)) for path in sorted(Path(name).iterdir())]
+
+
+@contextmanager
+def space_reserved(directory: Path) -> Iterator[None]:
+    """While entered, hold disk space that is free afterwards: a disk that filled up meanwhile takes the result.
+
+    Raises:
+        OSError: the disk is full already.
+    """
+    reserve = directory / ".reserve"
+    reserve.write_bytes(bytes(RESERVE))
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            reserve.unlink()

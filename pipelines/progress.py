@@ -1,45 +1,18 @@
-"""Following a run: progress bar, curve, checkpoints, and stopping on Ctrl-C."""
+"""Following a run: progress bar, curve, checkpoints."""
 
-import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
-from types import FrameType
 from typing import Any
 
 from tqdm import tqdm
 
 from lmd.optimisers.base import Budget, Optimiser, Record
 
+from .signals import stop
 from .tracking import Tracker
 
 CURVE_POINTS = 500  # points of a whole run kept in the tracked curve
-
-
-class StopOnSignal:
-    """While entered, the first SIGINT or SIGTERM sets `requested`; a second one acts as usual."""
-
-    def __init__(self) -> None:
-        self.requested = False
-        self._before: dict[int, Any] = {}
-
-    def __enter__(self) -> "StopOnSignal":
-        for number in (signal.SIGINT, signal.SIGTERM):
-            self._before[number] = signal.signal(number, self._request)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._restore()
-
-    def _request(self, _number: int, _frame: FrameType | None) -> None:
-        self.requested = True
-        self._restore()
-        print("\nstopping after this batch; once more to stop at once", file=sys.stderr)
-
-    def _restore(self) -> None:
-        while self._before:
-            number, handler = self._before.popitem()
-            signal.signal(number, handler)
 
 
 def thinned(history: Sequence[Record], most: int = CURVE_POINTS) -> list[tuple[int, float, float]]:
@@ -63,8 +36,8 @@ class Progress:
         tracker: receives the curve.
         save: saves a checkpoint.
         every: seconds between checkpoints.
-        stop: ends the run.
-        resumed: the optimiser before the run; what is in its ledger is logged already.
+        resumed: the optimiser before the run.
+        logged: whether the tracked run has what is in its ledger already.
     """
 
     def __init__(
@@ -73,14 +46,16 @@ class Progress:
         tracker: Tracker,
         save: Callable[[], None],
         every: float,
-        stop: StopOnSignal,
         resumed: Optimiser,
+        logged: bool,
     ) -> None:
-        self.budget, self.tracker, self.save, self.every, self.stop = budget, tracker, save, every, stop
-        self.used = budget.used(resumed.ledger.evaluations, resumed.ledger.seconds)
+        self.budget, self.tracker, self.save, self.every = budget, tracker, save, every
+        ledger = resumed.ledger
+        self.used = budget.used(ledger.evaluations, ledger.seconds) if logged else 0.0
+        self.logged = len(ledger.history) if logged else 0
         self.saved = time.monotonic()
-        self.logged = len(resumed.ledger.history)
-        self.bar = bar(budget.evaluations, "evaluations", int(resumed.ledger.evaluations))
+        self.warned = False
+        self.bar = bar(budget.evaluations, "evaluations", int(ledger.evaluations))
 
     def __call__(self, optimiser: Optimiser) -> bool:
         """See `lmd.optimisers.base.Callback`."""
@@ -89,17 +64,25 @@ class Progress:
         self.bar.update(int(ledger.evaluations) - self.bar.n)
         if time.monotonic() - self.saved >= self.every:
             self.flush(optimiser)
-        return self.stop.requested
+        return stop.requested
 
     def flush(self, optimiser: Optimiser) -> None:
         """Save a checkpoint and log what the curve has gained."""
         ledger = optimiser.ledger
         used = self.budget.used(ledger.evaluations, ledger.seconds)
         new = ledger.history[self.logged :]
-        self.save()
+        self._save()
         self.tracker.log_curve("best_fitness", thinned(new, 1 + int(CURVE_POINTS * (used - self.used))))
         self.logged, self.used = len(ledger.history), used
         self.saved = time.monotonic()
+
+    def _save(self) -> None:
+        try:
+            self.save()
+        except OSError as error:  # the run is worth more than its checkpoint
+            if not self.warned:
+                print(f"warning: no checkpoint can be written ({error.strerror}); the run goes on", file=sys.stderr)
+            self.warned = True
 
     def close(self) -> None:
         """Remove the bar."""

@@ -5,10 +5,9 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import hydra
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from .app import CONF, build_problem, input_errors_reported, run_directory
+from .app import application, build_problem, ends_reported, run_directory
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -22,10 +21,10 @@ TITLE = "The paper's tables and figures, reproduced"
 MARK = "<!-- What follows is written by python -m pipelines.report and overwritten by it. -->"
 
 
-@hydra.main(version_base="1.3", config_path=CONF, config_name="report")
+@application("report")
 def main(cfg: DictConfig) -> None:
     """Read the runs, write the report and say where it is."""
-    with input_errors_reported():
+    with ends_reported():
         report(cfg)
 
 

@@ -1,7 +1,10 @@
 """Starting a tracked run, and recording what came out of it."""
 
-from collections.abc import Iterator, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hydra.core.hydra_config import HydraConfig
@@ -15,59 +18,68 @@ from lmd.validation import validation_metrics
 from lmd.verdicts import causes
 
 from .app import choices, flat_settings, instantiate, run_directory
-from .outputs import write_outputs
+from .outputs import write_figures, write_pictures
+from .provenance import command_line, source_tags
+from .signals import stop
 from .sweeps.folder import current_job
 from .sweeps.jobs import reason_of
-from .sweeps.names import override_tags
+from .sweeps.names import override_tags, short_name
+from .tracking import RunStart
 
 if TYPE_CHECKING:
     from .tracking import Tracker
 
-# What the name of a run says anyway.
-IN_THE_NAME = ("optimiser", "deployment", "deployment.count", "objective.n", "objective.thold_p", "seed")
+# What a run is about is a parameter; what only says how it is done, where it goes on and where it is kept is none.
+NO_PARAMETERS = ("tracking", "run", "resume", "page", "threads", "checkpoint_seconds", "tracked_as")
 
 LITTLE = 0.1  # share of qualified positions below which a run says what takes the others
 
 
+@dataclass(frozen=True)
+class Earlier:
+    """A run that another one goes on with.
+
+    Args:
+        run_id: its tracked run, if it has one.
+        folder: where its files are.
+    """
+
+    run_id: str | None
+    folder: Path
+
+
 def title_of(problem: Problem, subject: str) -> str:
-    """A short name for a run: what it is about and the settings that matter most."""
+    """What heads the pictures of a run: what it is about and the settings that matter most."""
     return f"{subject} {problem.objective.name} K={problem.count}"
 
 
 @contextmanager
-def tracked_run(cfg: DictConfig, problem: Problem, subject: str, run_id: str | None = None) -> "Iterator[Tracker]":
-    """`tracked` with the name of a run on a coverage problem.
-
-    Args:
-        cfg: logged as parameters.
-        problem: named in the run's name.
-        subject: what the run is about.
-        run_id: continue this run.
-    """
-    with tracked(cfg, title_of(problem, subject), run_id) as tracker:
-        yield tracker
-
-
-@contextmanager
-def tracked(cfg: DictConfig, title: str, run_id: str | None = None) -> "Iterator[Tracker]":
+def tracked(cfg: DictConfig, subject: str, about: str = "", earlier: Earlier | None = None) -> "Iterator[Tracker]":
     """A started run of the configured tracker; an exception marks it FAILED, Ctrl-C KILLED, bad input leaves none.
 
     Args:
         cfg: logged as parameters.
-        title: the run's name, to which the seed is added.
-        run_id: continue this run.
+        subject: what the run is about, in a word.
+        about: the same in a sentence.
+        earlier: the run it goes on with. If what is recorded there is no longer true, a new one is linked to it.
     """
     tracker: Tracker = instantiate(cfg.tracking)
-    name, working_for = f"{title} seed={cfg.seed}", current_job()
-    overrides: Sequence[str] = HydraConfig.get().overrides.task
-    tags = {f"choice.{group}": option for group, option in choices().items()}
+    working_for, overrides = current_job(), list(HydraConfig.get().overrides.task)
+    varied, tags = overrides, {f"choice.{group}": option for group, option in choices().items()}
     if working_for is not None:
         folder, job = working_for
-        name = " ".join([name, *(f"{key}={value}" for key, value in job.varied.items() if key not in IN_THE_NAME)])
-        overrides = job.overrides
+        overrides, varied = list(job.overrides), [f"{key}={value}" for key, value in job.varied.items()]
         tags |= job.tags(folder.name)
-    tags |= {"pipeline": HydraConfig.get().job.name} | override_tags(overrides)
-    tracker.start(name, choices() | flat_settings(cfg), tags, run_id)
+    pipeline = HydraConfig.get().job.name
+    tags |= {"pipeline": pipeline} | override_tags(overrides) | source_tags(pipeline)
+    tags["mlflow.note.content"] = f"{about or subject}\n\n`{command_line(pipeline, overrides)}`\n\n{run_directory()}"
+    params, run_id = _parameters(cfg), None
+    if earlier is not None and earlier.run_id is not None:
+        if tracker.goes_on(earlier.run_id, earlier.folder, params):
+            run_id = earlier.run_id
+        else:
+            tags["continues"] = earlier.run_id
+    tracker.start(RunStart(short_name(subject, varied), run_directory(), params, tags), run_id)
     try:
         yield tracker
     except InputError as error:
@@ -81,6 +93,16 @@ def tracked(cfg: DictConfig, title: str, run_id: str | None = None) -> "Iterator
         raise
 
 
+def _parameters(cfg: DictConfig) -> dict[str, Any]:
+    """The choices of groups, and the settings below them that say more."""
+    settings = {
+        key: value
+        for key, value in flat_settings(cfg).items()
+        if key.split(".")[0] not in NO_PARAMETERS and key.split(".")[-1] not in ("_target_", "_partial_")
+    }
+    return {group: option for group, option in choices().items() if group not in NO_PARAMETERS} | settings
+
+
 def record(
     cfg: DictConfig,
     problem: Problem,
@@ -90,35 +112,63 @@ def record(
     *,
     subject: str,
     summary: Mapping[str, Any],
+    further: Callable[[], Mapping[str, float]] = dict,
     status: str = "FINISHED",
+    in_haste: bool = False,
 ) -> float:
-    """Write the outputs, log them, end the run with `status` and print a report; returns the fitness."""
-    directory = run_directory()
-    why = causes(problem.scene, deployment, cfg.seed)
-    criteria = why.metrics() if why else {}
-    summary = {**summary, **({"criteria": criteria} if criteria else {})}
-    validation = validation_metrics(problem, deployment, cfg.seed) if cfg.validate else {}
-    metrics, files = write_outputs(
-        directory,
-        problem,
-        deployment,
-        history,
-        title=f"{title_of(problem, subject)}, {choices()['room']}",
-        page=cfg.page,
-        summary={**summary, "seed": cfg.seed, **({"validation": validation} if validation else {})},
-    )
+    """Write the outputs, log them, end the run with `status` and print a report; returns the fitness.
+
+    What cannot be had again comes first: landmarks and figures are written before anything else is computed, and
+    whatever happens then they stay.
+
+    Args:
+        cfg: of the run.
+        problem: what the deployment is scored for.
+        tracker: with the run started.
+        deployment: what was found.
+        history: best fitness over the run.
+        subject: what the run is about, in a word.
+        summary: more entries of metrics.json.
+        further: yet more, that take seconds to compute.
+        status: the run ends with.
+        in_haste: leave out what takes seconds: validation, pictures and `further` entries.
+    """
+    directory, metrics = run_directory(), problem.metrics(deployment)
+    document: dict[str, Any] = {**metrics, **summary, "seed": cfg.seed}
+    with stop.shielded():
+        files = write_figures(directory, problem, deployment, document)
     figures = {key: value for key, value in summary.items() if isinstance(value, int | float)}
+    validation, why = {}, None
+    if not in_haste:
+        figures |= further()
+        why = causes(problem.scene, deployment, cfg.seed)
+        validation = validation_metrics(problem, deployment, cfg.seed) if cfg.validate else {}
     tracker.log_metrics(metrics | figures)
-    for group, values in (("validation", validation), ("criteria", criteria)):
-        tracker.log_metrics({f"{group}/{key}": value for key, value in values.items()})
-    tracker.log_artifacts([*files, *sorted((directory / ".hydra").glob("*.yaml"))])
+    document |= figures
+    for group, values in (("validation", validation), ("criteria", why.metrics() if why else {})):
+        if values:
+            document[group] = values
+            # A standard error says how well a figure is known; as a curve of its own it would only be in the way.
+            kept = {key: value for key, value in values.items() if not key.endswith("standard_error")}
+            tracker.log_metrics({f"{group}/{key}": value for key, value in kept.items()})
+    write_figures(directory, problem, deployment, document)
+    title = f"{title_of(problem, subject)}, {problem.scene.room.describe()}"
+    pictures, failed = write_pictures(directory, problem, deployment, history, title, cfg.page, in_haste)
+    files = sorted({*files, *pictures})
+    tracker.log_artifacts(
+        [*(file for file in files if file.suffix != ".html"), *sorted((directory / ".hydra").glob("*.yaml"))]
+    )
     tracker.finish(status)
     described = problem.objective.describe_validation(validation) if validation else {}
     lines = described | {key.replace("_", " "): f"{value:g}" for key, value in figures.items()}
     lines["files"] = f"{directory}: {', '.join(path.name for path in files)}"
-    lines["picture"] = str(directory / "scene.png")
+    if directory / "scene.png" in files:
+        lines["picture"] = str(directory / "scene.png")
     lines["mlflow"] = tracker.describe()
     print(report(problem, metrics, lines))
+    if failed:
+        again = command_line("evaluate", [f"run={directory}", f"page={cfg.page}".lower()])
+        print(f"warning: {failed}; with more space: {again}", file=sys.stderr)
     if why and problem.objective.qualified(problem.values(deployment)).mean() < LITTLE:
         print(f"\n{why.to_text()}")
     return metrics["fitness"]
@@ -128,4 +178,5 @@ def report(problem: Problem, metrics: Mapping[str, float], lines: Mapping[str, s
     """The figures of a run as text for the terminal, followed by labelled `lines`."""
     described = problem.objective.describe(metrics, len(problem.relevance), problem.count)
     rows = {**described, **lines}
-    return "\n".join(f"{label:<20} {text}" for label, text in rows.items())
+    width = max(map(len, rows))
+    return "\n".join(f"{label:<{width}} {text}" for label, text in rows.items())

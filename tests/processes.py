@@ -1,7 +1,6 @@
 """Pipelines as a user starts them: processes of their own."""
 
 import os
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -53,9 +52,5 @@ finally:
 
 
 def start(line, *, cwd, folders=(), **streams):
-    """Start a command that Ctrl-C reaches, also where the tests ignore it because they run in the background."""
-
-    def listen():
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-    return subprocess.Popen(line, cwd=cwd, env=environment(*folders), text=True, preexec_fn=listen, **streams)
+    """Start a command and go on."""
+    return subprocess.Popen(line, cwd=cwd, env=environment(*folders), text=True, **streams)

@@ -7,7 +7,7 @@ from omegaconf import OmegaConf
 
 import pipelines.report
 from pipelines.app import CONF, build_problem
-from pipelines.tracking import PARENT_TAG, MlflowTracker
+from pipelines.tracking import PARENT_TAG, MlflowTracker, RunStart
 
 SMALL = ("room.spacing=1.5", "deployment.count=6", "objective.thold_p=0.5", "threads=1")
 AVERAGE, MAXIMUM = 0.6, 0.9  # of every run
@@ -35,13 +35,15 @@ def record_sweep(uri, folder, name, jobs, pipeline="optimise"):
     OmegaConf.save(cfg, folder / "config.yaml")
     sweep = {"sweep": name, "pipeline": pipeline}
     parent = MlflowTracker(uri, "lmd")
-    parent.start(f"sweep {name}", {}, sweep | {"override.seed": "0,1", "override.experiment": name}, None)
+    tags = sweep | {"override.seed": "0,1", "override.experiment": name}
+    parent.start(RunStart(f"sweep {name}", folder / name, tags=tags))
     for number, (overrides, ratio, status) in enumerate(jobs):
         tracker = MlflowTracker(uri, "lmd")
         tags = sweep | {"job": f"job-{number}", PARENT_TAG: parent.run_id}
         tags |= {f"choice.{key}": value for key, value in overrides.items() if "." not in key}
         settings = {"seed": number, "budget.evaluations": 60, "objective.n": 2, "objective.thold_p": 0.65}
-        tracker.start(f"{name} {number}", settings | {"deployment.count": 90} | overrides, tags, None)
+        params = settings | {"deployment.count": 90} | overrides
+        tracker.start(RunStart(f"{name} {number}", folder / name / str(number), params, tags))
         if status == "FINISHED":
             tracker.log_curve("best_fitness", [(30, ratio / 2.0, 0.1), (60, ratio, 0.2)])
             tracker.log_metrics(

@@ -11,7 +11,7 @@ import numpy as np
 
 from lmd.checks import FloatArray, InputError, integer, real
 from lmd.deployment import Deployment
-from lmd.optimisers.encoding import make_encoding
+from lmd.optimisers.encoding import Encoding, make_encoding
 from lmd.problem import Problem
 
 
@@ -131,9 +131,19 @@ class Optimiser(ABC):
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
         """Maximise `problem` within `budget`; deterministic for a given seed and problem."""
 
-    def _result(self, deployment: Deployment, stopped: str) -> Result:
-        """What `run` returns, from the ledger."""
-        ledger, history = self.ledger, tuple(self.ledger.history)
+    @abstractmethod
+    def found(self, problem: Problem) -> Deployment | None:
+        """The best deployment so far; None while there is none."""
+
+    def result(self, problem: Problem, stopped: str) -> Result:
+        """What `run` returns, from the ledger; also what is known by then if `run` was left in the middle.
+
+        Raises:
+            InputError: no deployment was found.
+        """
+        ledger, history, deployment = self.ledger, tuple(self.ledger.history), self.found(problem)
+        if deployment is None:
+            raise InputError(f"{type(self).__name__} found no deployment: every evaluation failed.")
         return Result(deployment, ledger.best_fitness, ledger.evaluations, ledger.seconds, history, stopped)
 
 
@@ -201,7 +211,7 @@ class AskTell(Optimiser):
         plates = problem.scene.plates
         if plates.edge and not self.flush:
             raise InputError("flush must be true where tags have a size: their papers lie flat on the wall.", "flush")
-        encoding = make_encoding(self.encoding or "wall", plates.hanging, self.flush)
+        encoding = self._encoding_of(problem)
         if not ledger.evaluations:
             self.dim = problem.count * encoding.genes_per_landmark
             self.rng = np.random.default_rng(self.seed)
@@ -224,7 +234,15 @@ class AskTell(Optimiser):
             if callback and callback(self):
                 stopped = "interrupted"
                 break
+        return self.result(problem, stopped)
+
+    def found(self, problem: Problem) -> Deployment | None:
+        """See `Optimiser.found`."""
         if self.best_genes is None:
-            raise InputError(f"{type(self).__name__} found no deployment: every evaluation failed.")
-        positions, normals, surfaces, _ = plates.pushed(*encoding.decode(self.best_genes[None]))
-        return self._result(Deployment(positions[0], normals[0], surfaces[0]), stopped)
+            return None
+        genes = self._encoding_of(problem).decode(self.best_genes[None])
+        positions, normals, surfaces, _ = problem.scene.plates.pushed(*genes)
+        return Deployment(positions[0], normals[0], surfaces[0])
+
+    def _encoding_of(self, problem: Problem) -> Encoding:
+        return make_encoding(self.encoding or "wall", problem.scene.plates.hanging, self.flush)

@@ -2,16 +2,18 @@
 
 import atexit
 import csv
-import json
 import sys
 from dataclasses import replace
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
 from ..app import instantiate
+from ..provenance import source_tags
+from ..tracking import RunStart
 from .folder import JobFolder, SweepFolder
 from .jobs import Job, Sweep, reason_of
 from .names import override_tags, pin_sweep_folder, sweep_name, swept, varied_keys
@@ -36,8 +38,9 @@ class SweepRecord(Callback):
         sweep = Sweep(sweep_name(config), varied_keys(overrides), before.run_id if before else None)
         try:
             tracker: Tracker = instantiate(config.tracking)
-            tags = {"sweep": sweep.name, "pipeline": config.hydra.job.name, "folder": str(folder.path.resolve())}
-            tracker.start(f"sweep {sweep.name}", {}, tags | override_tags(overrides), sweep.run_id)
+            tags = {"sweep": sweep.name, "pipeline": config.hydra.job.name}
+            tags |= override_tags(overrides) | source_tags(config.hydra.job.name)
+            tracker.start(RunStart(f"sweep {sweep.name}", folder.path, tags=tags), sweep.run_id)
         except InputError as error:
             hint = f" (to start the sweep afresh, delete {folder.path})" if before else ""
             print(f"error: {error}{hint}", file=sys.stderr)
@@ -67,7 +70,7 @@ def _cut_short(config: DictConfig) -> None:
         sweep = folder.load()
         tracker: Tracker = instantiate(config.tracking)
         if sweep is not None and sweep.run_id is not None:
-            tracker.start(sweep.name, {}, {}, sweep.run_id)
+            tracker.start(RunStart(sweep.name, folder.path), sweep.run_id)
             tracker.discard()
         folder.discard()
         return
@@ -95,19 +98,29 @@ def _close(config: DictConfig, reason: str = "") -> bool:
     if failed:
         reason = reason or f"{len(failed)} of {len(jobs)} jobs failed"
     tracker: Tracker = instantiate(config.tracking)
-    tracker.start(sweep.name, {}, {}, sweep.run_id)
-    tracker.log_metrics({"jobs": len(jobs), "failed": len(failed)})
+    tracker.start(RunStart(sweep.name, folder.path), sweep.run_id)
+    tracker.log_metrics({"jobs": len(jobs), "failed": len(failed)} | _best_and_median(jobs))
     tracker.log_artifacts([folder.table])
     tracker.finish("FAILED" if reason else "FINISHED", reason)
     return bool(reason)
+
+
+def _best_and_median(jobs: list[tuple[JobFolder, Job]]) -> dict[str, float]:
+    """The best and the median of what the finished jobs returned, and of their figures."""
+    found = [folder.figures() for folder, job in jobs if job.status == "finished"]
+    summary: dict[str, float] = {}
+    for key in ("fitness", *FIGURES):
+        values = [figures[key] for figures in found if key in figures]
+        if values:
+            summary |= {f"best/{key}": max(values), f"median/{key}": median(values)}
+    return summary
 
 
 def write_table(path: Path, sweep: Sweep, jobs: list[tuple[JobFolder, Job]]) -> None:
     """A row for each job: its folder, what varies, its status, its figures, seconds, and why it failed."""
     rows = []
     for folder, job in jobs:
-        shows = job.status == "finished" and folder.metrics.exists()
-        figures = json.loads(folder.metrics.read_text()) if shows else {}
+        figures = folder.figures() if job.status == "finished" else {}
         rows.append(
             {"folder": folder.name, **job.varied, "status": job.status}
             | {key: figures.get(key, "") for key in FIGURES}

@@ -42,6 +42,10 @@ class JobFolder:
         """Write the job, whole or not at all."""
         _save(self.record, asdict(job))
 
+    def figures(self) -> dict[str, Any]:
+        """What the job's metrics.json says; nothing where there is none."""
+        return _load(self.metrics) or {}
+
     @contextmanager
     def held(self, wait: bool = True) -> Iterator[int | None]:
         """Hold it for this process and those that inherit the descriptor; None if another holds it.

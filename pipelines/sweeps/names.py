@@ -13,6 +13,9 @@ from ..input_files import contents_of
 from .folder import SweepFolder
 
 SLUG_LENGTH = 100
+NAME_LENGTH = 80
+# How a run is done and where it is kept; it is the same run without.
+UNTOLD = ("hydra", "tracking", "page", "validate", "threads", "resume", "checkpoint_seconds")
 
 
 def key_and_value(override: str) -> tuple[str, str]:
@@ -25,6 +28,22 @@ def override_tags(overrides: Sequence[str]) -> dict[str, str]:
     """Overrides as the tags of a tracked run, all in one and each by itself."""
     each = {f"override.{key}": value for key, value in map(key_and_value, overrides)}
     return {"overrides": " ".join(overrides)} | each
+
+
+def short_name(subject: str, overrides: Sequence[str]) -> str:
+    """A name for a run: what tells it from others, then its `subject`; `n=3 count=60 annealing`.
+
+    Args:
+        subject: what the run is about, in a word.
+        overrides: what varies.
+    """
+    values = [(key, value.strip("'\"")) for key, value in map(key_and_value, overrides)]
+    told = [
+        f"{key.split('.')[-1]}={Path(value).name if '/' in value else value}"
+        for key, value in values
+        if key.split(".")[0] not in UNTOLD and value != subject
+    ]
+    return " ".join([*told, subject])[-NAME_LENGTH:]
 
 
 def slug(text: str) -> str:

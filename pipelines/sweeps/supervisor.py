@@ -15,7 +15,9 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from ..app import PACKAGE, config_dir, input_errors_reported, instantiate, run_directory, search_path
+from ..app import PACKAGE, config_dir, ends_reported, instantiate, run_directory, search_path
+from ..signals import CODES, stop
+from ..tracking import RunStart
 from .folder import JOB_VARIABLE, JobFolder, SweepFolder, current_job
 from .jobs import Job, reason_of
 from .names import key_and_value, override_tags, quoted
@@ -24,7 +26,6 @@ if TYPE_CHECKING:
     from ..tracking import Tracker
 
 THREAD_VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-INTERRUPTED = 130  # exit code of a run that was told to stop
 LOST = "its process was killed, and the sweep with it"
 
 
@@ -32,7 +33,7 @@ def run(cfg: DictConfig, pipeline: Callable[[DictConfig], float | None]) -> floa
     """What the entry point of every pipeline does: run it here, or in a sweep as a process of its own."""
     if HydraConfig.get().mode == RunMode.MULTIRUN:
         return _supervise(cfg)
-    with input_errors_reported(), _outcome_reported() as report:
+    with ends_reported(), _outcome_reported() as report:
         value = pipeline(cfg)
         report(value)
     return value
@@ -50,16 +51,16 @@ def _outcome_reported() -> Iterator[Callable[[float | None], None]]:
     try:
         yield lambda value: folder.save(replace(job, status="finished", value=value))
     except BaseException as error:
-        told_to = isinstance(error, KeyboardInterrupt) or (isinstance(error, SystemExit) and error.code == INTERRUPTED)
+        told_to = isinstance(error, KeyboardInterrupt) or (isinstance(error, SystemExit) and error.code in CODES)
         folder.save(replace(job, status="interrupted" if told_to else "failed", reason=reason_of(error)))
         raise
 
 
 def _stop_with_the_sweep() -> None:
-    """Interrupt this process when standard input, which the sweep holds open, is closed."""
+    """Tell this process to stop when standard input, which the sweep holds open, is closed."""
     while os.read(0, 1):
         pass
-    os.kill(os.getpid(), signal.SIGINT)
+    os.kill(os.getpid(), signal.SIGTERM)  # and not SIGINT, which shells let background jobs ignore
 
 
 def _supervise(cfg: DictConfig) -> float | None:
@@ -89,7 +90,7 @@ def _supervise(cfg: DictConfig) -> float | None:
         if job.status != "interrupted":
             end_runs(cfg.tracking, folder, job, job.reason, name=f"{job.status} {job.label}")
         if interrupted:
-            sys.exit(INTERRUPTED)
+            sys.exit(128 + signal.SIGINT)
         return float("nan")
 
 
@@ -158,7 +159,8 @@ def _execute(command: list[str], folder: JobFolder, threads: int | None, lock: i
             assert process.stdin is not None
             process.stdin.close()
             try:
-                return process.wait(), True
+                with stop.raising():
+                    return process.wait(), True
             except KeyboardInterrupt:
                 process.kill()
                 return process.wait(), True
@@ -168,6 +170,8 @@ def _settled(job: Job, code: int) -> Job:
     """The job after its process has ended with `code`, perhaps without having said why."""
     if job.status != "running":
         return job
+    if code in CODES:
+        return replace(job, status="interrupted", reason="told to stop before it had begun")
     if code < 0:
         return replace(job, status="killed", reason=f"killed by {signal.Signals(-code).name}")
     return replace(job, status="failed", reason=f"exited with code {code} before it had finished")
@@ -182,7 +186,7 @@ def end_runs(tracking: DictConfig, folder: JobFolder, job: Job, reason: str, nam
     tracker: Tracker = instantiate(tracking)
     try:
         if not tracker.end_lost(job.tags(folder.name), reason) and name is not None:
-            tracker.start(name, {}, job.tags(folder.name) | override_tags(job.overrides), None)
+            tracker.start(RunStart(name, folder.path, tags=job.tags(folder.name) | override_tags(job.overrides)))
             tracker.finish("FAILED", reason)
     except InputError as error:
         print(f"the run of {job.label} could not be marked as failed: {error}", file=sys.stderr)

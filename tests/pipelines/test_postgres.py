@@ -15,7 +15,7 @@ import pytest
 from mlflow import MlflowClient
 from processes import call
 
-from pipelines.tracking import MlflowTracker
+from pipelines.tracking import MlflowTracker, RunStart
 
 PROCESSES, POINTS = 4, 1600
 
@@ -114,7 +114,7 @@ def record_one(server, number, folder, together):
     file.write_text("id\n")
     together.wait()
     tracker = MlflowTracker(server, "together")
-    tracker.start(f"run {number}", {"seed": number}, {"number": str(number)}, None)
+    tracker.start(RunStart(f"run {number}", folder / str(number), {"seed": number}, {"number": str(number)}))
     tracker.log_curve("best_fitness", [(i, i / POINTS, 0.01 * i) for i in range(POINTS)])
     tracker.log_metrics({"fitness": number / PROCESSES})
     tracker.log_artifacts([file])

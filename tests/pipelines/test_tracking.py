@@ -1,12 +1,19 @@
 import multiprocessing
+import tempfile
+from pathlib import Path
 
 import pytest
 from mlflow import MlflowClient
 
 from lmd.checks import InputError
-from pipelines.tracking import MlflowReader, MlflowTracker, NoTracker
+from pipelines.tracking import MlflowReader, MlflowTracker, NoTracker, RunStart
+from pipelines.tracking.hand_in import GONE, hand_in
+from pipelines.tracking.journal import FILE, Journal
+from pipelines.tracking.processes import this_process
+from pipelines.tracking.store import Store
 
-pytestmark = pytest.mark.slow  # mlflow makes its tables anew for each store
+# mlflow makes its tables anew for each store
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("folder")]
 
 
 @pytest.fixture(scope="module")
@@ -14,14 +21,21 @@ def uri(tmp_path_factory):
     return f"sqlite:///{tmp_path_factory.mktemp('store')}/mlflow.db"
 
 
-def started(uri, **values):
+@pytest.fixture(name="folder")
+def _folder(tmp_path, monkeypatch):
+    """The folder of the runs that a test starts, which do not say where theirs is."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def started(uri, run_id=None, folder=None, **values):
     tracker = MlflowTracker(uri, "tests")
-    tracker.start("a run", values.get("params", {}), values.get("tags", {}), values.get("run_id"))
+    tracker.start(RunStart("a run", Path(folder or tempfile.mkdtemp(dir=".")), **values), run_id)
     return tracker
 
 
 def stored(tracker):
-    return MlflowClient(tracking_uri=tracker.uri).get_run(tracker.run_id)
+    return MlflowClient(tracking_uri=tracker.store.uri).get_run(tracker.run_id)
 
 
 def test_a_run_keeps_its_params_tags_metrics_and_name(uri):
@@ -32,7 +46,7 @@ def test_a_run_keeps_its_params_tags_metrics_and_name(uri):
     assert run.data.params == {"room.size": "[1, 2, 3]", "seed": "0"}
     assert run.data.tags["choice.room"] == "hall"
     assert run.data.metrics == {"qualified_ratio": 0.5}
-    assert run.info.run_name == "a run"
+    assert run.info.run_name == f"a run #{tracker.run_id[:4]}"
     assert run.info.status == "FINISHED"
 
 
@@ -117,9 +131,136 @@ def test_a_continued_run_forgets_why_it_had_ended(uri):
     assert "reason" not in stored(second).data.tags
 
 
+class Unreachable(OSError):
+    pass
+
+
+@pytest.fixture(name="reachable")
+def _reachable(monkeypatch):
+    """A dictionary that says whether stores can be reached."""
+    says, send = {"reachable": True}, Store.send
+
+    def sent(self, run_id, entry):
+        if not says["reachable"]:
+            raise Unreachable("no route to the store")
+        send(self, run_id, entry)
+
+    monkeypatch.setattr(Store, "send", sent)
+    return says
+
+
+def test_a_store_that_is_lost_is_said_once_and_gets_everything_later(uri, folder, reachable, capsys):
+    (folder / "landmarks.csv").write_text("id\n")
+    tracker = started(uri, folder=folder)
+    tracker.log_curve("best_fitness", [(30, 0.25, 1.5)])
+    reachable["reachable"] = False
+    tracker.log_curve("best_fitness", [(60, 0.5, 3.0)])
+    tracker.log_metrics({"fitness": 0.5})
+    tracker.log_artifacts([folder / "landmarks.csv"])
+    tracker.finish("FINISHED")
+    assert capsys.readouterr().err == f"warning: {uri} cannot be used (no route to the store); the run goes on\n"
+    assert stored(tracker).info.status == "RUNNING"
+    assert f"folder={folder}" in tracker.describe()
+    with pytest.raises(InputError, match=r"cannot be used: no route to the store"):
+        hand_in(Journal.of(folder))
+    reachable["reachable"] = True
+    assert "is handed in" in hand_in(Journal.of(folder))
+    assert not (folder / FILE).exists()
+    run = stored(tracker)
+    assert run.info.status == "FINISHED"
+    assert run.data.metrics == {"best_fitness": 0.5, "fitness": 0.5}
+    client = MlflowClient(tracking_uri=uri)
+    assert [(m.step, m.value) for m in client.get_metric_history(tracker.run_id, "best_fitness")] == [
+        (30, 0.25),  # sent twice, and there once
+        (60, 0.5),
+    ]
+    assert [file.path for file in client.list_artifacts(tracker.run_id)] == ["landmarks.csv"]
+
+
+def test_a_store_that_answers_again_gets_everything_at_the_end_of_the_run(uri, folder, reachable):
+    tracker = started(uri, folder=folder)
+    reachable["reachable"] = False
+    tracker.log_metrics({"fitness": 0.5})
+    reachable["reachable"] = True
+    tracker.log_metrics({"evaluations": 60.0})
+    tracker.finish("FINISHED")
+    assert stored(tracker).data.metrics == {"fitness": 0.5, "evaluations": 60.0}
+    assert not (folder / FILE).exists()
+
+
+def test_a_journal_cut_short_is_handed_in_without_its_last_line(uri, folder, reachable):
+    tracker = started(uri, folder=folder)
+    reachable["reachable"] = False
+    tracker.log_metrics({"fitness": 0.5})
+    tracker.finish("FINISHED")
+    whole = (folder / FILE).read_text()
+    (folder / FILE).write_text(whole[:-5])
+    reachable["reachable"] = True
+    assert "its process still runs" in hand_in(Journal.of(folder))  # without the line that ended it
+    (folder / FILE).write_text(whole[:-5].replace(this_process()["process"], "1 0.0"))
+    assert "is handed in" in hand_in(Journal.of(folder))
+    assert stored(tracker).data.metrics == {"fitness": 0.5}
+    assert stored(tracker).data.tags["reason"] == GONE
+
+
+def test_what_cannot_be_written_stays_in_the_journal_for_the_next_time(folder):
+    journal = Journal.of(folder / "none")
+    (folder / "none").write_text("a file where the folder should be")
+    journal.add({"metrics": {}})
+    (folder / "none").unlink()
+    journal.add({"end": "FINISHED"})
+    assert Journal.of(folder / "none").entries == [{"metrics": {}}, {"end": "FINISHED"}]
+
+
+def test_the_next_run_ends_those_whose_process_is_gone(uri, monkeypatch, capsys):
+    alive = started(uri)
+    gone = {"host": this_process()["host"], "process": f"{this_process()['process'].split()[0]} 0.0"}
+    monkeypatch.setattr("pipelines.tracking.mlflow_tracker.this_process", lambda: gone)
+    lost = started(uri)  # of another process that had the same number
+    monkeypatch.setattr("pipelines.tracking.mlflow_tracker.this_process", lambda: gone | {"host": "elsewhere"})
+    elsewhere = started(uri)
+    monkeypatch.undo()
+    started(uri).finish("FINISHED")
+    assert stored(lost).info.status == "FAILED"
+    assert stored(lost).data.tags["reason"] == GONE
+    assert stored(alive).info.status == stored(elsewhere).info.status == "RUNNING"
+    assert GONE in capsys.readouterr().err
+
+
+def test_a_run_goes_on_only_where_it_stays_one_history(uri, folder):
+    tracker = started(uri, folder=folder, params={"seed": 0})
+    tracker.finish("KILLED")
+    assert tracker.goes_on(tracker.run_id, folder, {"seed": 0})
+    assert not tracker.goes_on(tracker.run_id, folder, {"seed": 1})
+    assert not tracker.goes_on(tracker.run_id, folder / "another", {"seed": 0})
+    second = started(uri, tracker.run_id, folder / "second", params={"seed": 0})
+    assert not tracker.goes_on(tracker.run_id, folder, {"seed": 0})  # went on in the second folder
+    second.finish("FINISHED")
+    assert not tracker.goes_on(tracker.run_id, folder / "second", {"seed": 0})
+
+
+def test_an_experiment_opens_on_its_runs_and_there_is_no_empty_one(folder):
+    uri = f"sqlite:///{folder}/mlflow.db"
+    started(uri).finish("FINISHED")
+    (experiment,) = MlflowClient(tracking_uri=uri).search_experiments()
+    assert experiment.name == "tests"
+    assert experiment.tags["mlflow.experimentKind"] == "custom_model_development"
+
+
+@pytest.mark.parametrize("uri", [None, 5, "", "sqlite:///"])
+def test_an_address_that_is_none_is_refused(uri):
+    with pytest.raises(InputError, match=r"uri must be sqlite:///PATH or the address of a server, got "):
+        MlflowTracker(uri, "tests")
+
+
+def test_a_folder_in_which_no_file_can_be_made_is_named():
+    with pytest.raises(InputError, match=r"tracking\.uri = 'sqlite:////proc/mlflow\.db' cannot be used"):
+        started("sqlite:////proc/mlflow.db")
+
+
 def test_no_tracker_records_nothing():
     tracker = NoTracker()
-    tracker.start("a run", {}, {}, None)
+    tracker.start(RunStart("a run", Path()))
     tracker.log_metrics({"fitness": 1.0})
     assert tracker.run_id is None
     assert "tracking=none" in tracker.describe()

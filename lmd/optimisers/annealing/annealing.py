@@ -92,7 +92,7 @@ class Annealing(Optimiser):
         self.start: Deployment
         self.angles: FloatArray  # direction in which each stack is pulled apart
         self.here: Deployment  # where the walk is: stacks first, then landmarks
-        self.best: Deployment
+        self.best: Deployment | None = None
         self.trail: Trail | None = None  # of single landmarks on samples
 
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
@@ -123,6 +123,7 @@ class Annealing(Optimiser):
                     self._apart(problem, surrogate.stack, SMALLEST if self.growth else 1.0),
                 )
             size, settings = self._conditions(problem, used)
+            assert self.best is not None, "the start was noted"
             surrogate.prepare(self.here, self.best, self.in_stacks, size, used, self.rng)
             left = limit - self.spent
             stretch = min(CHUNK, max(1.0, limit / CHUNKS), left)
@@ -145,7 +146,11 @@ class Annealing(Optimiser):
             if callback and callback(self):
                 stopped = "interrupted"
                 break
-        return self._result(self.best, stopped)
+        return self.result(problem, stopped)
+
+    def found(self, problem: Problem) -> Deployment | None:
+        """See `Optimiser.found`."""
+        return self.best
 
     def _begin(self, problem: Problem, stack: int, limit: float) -> int:
         """Draw the start, and stack it if that pays; returns the landmarks moved to find the start."""

@@ -1,0 +1,45 @@
+"""What a run was made with: the command, the version, the commit."""
+
+import getpass
+import shlex
+import subprocess
+from collections.abc import Sequence
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from .app import CONF, IN_CHECKOUT, command_of
+
+
+def command_line(pipeline: str, overrides: Sequence[str]) -> str:
+    """The command that does what a run did, for a shell."""
+    return " ".join([command_of(pipeline), shlex.join(overrides)]).strip()
+
+
+def source_tags(pipeline: str) -> dict[str, str]:
+    """Tags of a run under the names by which mlflow shows them: who ran what, from which commit."""
+    tags = {"mlflow.source.name": command_of(pipeline), "mlflow.source.type": "LOCAL", "mlflow.user": getpass.getuser()}
+    return tags | _version()
+
+
+@cache
+def _version() -> dict[str, str]:
+    try:
+        tags = {"version": version("lmd")}
+    except PackageNotFoundError:  # a checkout that is not installed
+        tags = {}
+    commit = _git("rev-parse", "HEAD") if IN_CHECKOUT else ""
+    if commit:
+        tags |= {"mlflow.source.git.commit": commit, "uncommitted changes": "yes" if _git("status", "-s") else "no"}
+    return tags
+
+
+def _git(*arguments: str) -> str:
+    """What git prints in this checkout; nothing where there is no git, or no repository."""
+    try:
+        done = subprocess.run(
+            ["git", *arguments], cwd=Path(CONF).parent, capture_output=True, text=True, timeout=5.0, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return done.stdout.strip()

@@ -1,0 +1,54 @@
+"""Handing in what a run could not send while it ran, and ending runs whose process is gone."""
+
+import sys
+
+from .journal import Journal
+from .processes import is_gone
+from .store import Store, now
+
+GONE = "its process is gone: it was killed, or the machine was switched off"
+
+
+def hand_in(journal: Journal, uri: str | None = None) -> str:
+    """Send all of a journal that a run left behind, and remove it; what the store has already is not doubled.
+
+    Args:
+        journal: of a run that has ended, one way or another.
+        uri: of the store; None for the one that the run was given.
+
+    Returns:
+        what was done, in one line.
+
+    Raises:
+        InputError: the store cannot be used.
+    """
+    begins = [entry for entry in journal.entries if "run_id" in entry]
+    if not begins:  # killed before it had a run
+        journal.remove()
+        return f"{journal.path} held nothing"
+    last, entries = begins[-1], journal.entries
+    if "end" not in entries[-1]:
+        if not is_gone(last):
+            return f"{journal.path} is left: its process still runs, or ran on another host ({last['host']})"
+        entries = [*entries, {"end": "FAILED", "reason": GONE, "at": now()}]
+    store, run_id = Store(uri or last["uri"], last["experiment"]), last["run_id"]
+    with store.errors_reported():
+        run = store.client.get_run(run_id)
+        # Where it was continued in another folder, how it stands is for that one to say.
+        went_on = run.data.tags.get("folder") != last["folder"]
+        for entry in entries:
+            if not (went_on and {"end", "reopen"} & set(entry)):
+                store.send(run_id, entry)
+    journal.remove()
+    return f"{journal.path} is handed in: run {run.info.run_name} in {store.uri}"
+
+
+def end_those_gone(store: Store) -> list[str]:
+    """End as FAILED the runs whose process has gone from this host without ending them; returns their names."""
+    ended = []
+    for run in store.runs("attributes.status = 'RUNNING'"):
+        if is_gone(run.data.tags):
+            store.send(run.info.run_id, {"end": "FAILED", "reason": GONE, "at": now()})
+            ended.append(str(run.info.run_name))
+            print(f"{run.info.run_name} is ended as FAILED: {GONE}", file=sys.stderr)
+    return ended

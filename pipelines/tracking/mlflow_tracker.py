@@ -1,0 +1,155 @@
+"""Recording runs in mlflow."""
+
+import sys
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from .hand_in import end_those_gone, hand_in
+from .journal import Entry, Journal
+from .processes import this_process
+from .store import PARAM_LENGTH, SQLITE, Store, first_line, now
+from .tracker import RunStart
+
+
+class MlflowTracker:
+    """Records runs in mlflow, by default in a sqlite file that needs no server.
+
+    All that is recorded is written to a journal in the run's folder, and sent. Where the store does not answer, that is
+    said once and the run goes on; what was not sent by its end stays in the journal for `hand_in`.
+
+    Args:
+        uri: tracking store: `sqlite:///path` (relative to the working directory) or the address of a server.
+        experiment_name: the mlflow experiment that holds the runs.
+
+    Raises:
+        InputError: the address is none.
+    """
+
+    def __init__(self, uri: str, experiment_name: str) -> None:
+        self.store = Store(uri, experiment_name)
+        self._run_id: str | None = None
+        self._journal: Journal | None = None
+        self._sent = 0  # entries of the journal
+        self._lost = False  # whether the store has failed to answer
+
+    @property
+    def run_id(self) -> str | None:
+        """See `Tracker.run_id`."""
+        return self._run_id
+
+    def start(self, run: RunStart, run_id: str | None = None) -> None:
+        """See `Tracker.start`."""
+        first: Entry = {}
+        tags = {**run.tags, "folder": _absolute(run.folder), **this_process()}
+        if run_id is None:
+            with self.store.errors_reported():
+                self._hand_in_left(run.folder)
+                end_those_gone(self.store)
+                run_id = self.store.create(run.name, _written(run.params), tags, run.ago)
+        else:
+            first = {"reopen": tags}
+        self._run_id, self._journal, self._sent = run_id, Journal.of(run.folder), 0
+        store = {"uri": self.store.uri, "experiment": self.store.experiment_name, "run_id": run_id}
+        self._record(store | {"folder": _absolute(run.folder)} | this_process() | first)
+
+    def goes_on(self, run_id: str, folder: Path, params: Mapping[str, Any]) -> bool:
+        """See `Tracker.goes_on`."""
+        with self.store.errors_reported():
+            self._hand_in_left(folder)
+            run = self.store.client.get_run(run_id)
+        mine = run.data.tags.get("folder") == _absolute(folder)
+        return run.info.status != "FINISHED" and mine and run.data.params == _written(params)
+
+    def _hand_in_left(self, folder: Path) -> None:
+        """Hand in what a run that was killed in a folder has left there."""
+        left = Journal.of(folder)
+        if left.entries:
+            hand_in(left, self.store.uri)
+
+    def _record(self, entry: Entry) -> None:
+        """Note an entry, and send it unless the store is lost."""
+        if self._journal is None:
+            return
+        self._journal.add(entry)
+        if not self._lost:
+            try:
+                self._send()
+            except self.store.errors() as error:
+                self._tell_once(error)
+
+    def _send(self) -> None:
+        """Send what has not been sent."""
+        assert self._journal is not None
+        assert self._run_id is not None
+        while self._sent < len(self._journal.entries):
+            self.store.send(self._run_id, self._journal.entries[self._sent])
+            self._sent += 1
+
+    def _tell_once(self, error: Exception) -> None:
+        if not self._lost:
+            print(f"warning: {self.store.uri} cannot be used ({first_line(error)}); the run goes on", file=sys.stderr)
+        self._lost = True
+
+    def log_curve(self, metric: str, points: Iterable[tuple[int, float, float]]) -> None:
+        """See `Tracker.log_curve`."""
+        self._record({"metric": metric, "curve": [(step, float(value), at) for step, value, at in points]})
+
+    def log_metrics(self, metrics: Mapping[str, float]) -> None:
+        """See `Tracker.log_metrics`."""
+        self._record({"metrics": {key: float(value) for key, value in metrics.items()}, "at": now()})
+
+    def log_artifacts(self, paths: Iterable[Path]) -> None:
+        """See `Tracker.log_artifacts`."""
+        self._record({"files": [_absolute(path) for path in paths]})
+
+    def finish(self, status: str, reason: str = "") -> None:
+        """See `Tracker.finish`."""
+        if self._journal is None:
+            return
+        self._journal.add({"end": status, "reason": reason, "at": now()})
+        try:
+            self._send()
+            self._journal.remove()
+        except self.store.errors() as error:
+            self._tell_once(error)
+            try:
+                self._journal.write()
+            except OSError as full:
+                print(f"warning: what the run has recorded is lost: {full}", file=sys.stderr)
+
+    def end_lost(self, tags: Mapping[str, str], reason: str) -> bool:
+        """See `Tracker.end_lost`."""
+        with self.store.errors_reported():
+            runs = self.store.runs(" and ".join(f"tags.`{key}` = '{value}'" for key, value in tags.items()))
+            for run in runs:
+                if run.info.status == "RUNNING":
+                    self.store.send(run.info.run_id, {"end": "FAILED", "reason": reason, "at": now()})
+        return bool(runs)
+
+    def discard(self) -> None:
+        """See `Tracker.discard`."""
+        if self._run_id is not None and self._journal is not None:
+            with self.store.errors_reported():
+                self.store.client.delete_run(self._run_id)
+            self._journal.remove()
+            self._run_id = self._journal = None
+
+    def describe(self) -> str:
+        """See `Tracker.describe`."""
+        from ..app import IN_CHECKOUT, command_of
+
+        uri = self.store.uri
+        if self._journal is not None and self._journal.path.exists():
+            return f"not in {uri} yet; when it answers again: {command_of('sync')} folder={self._journal.path.parent}"
+        shown_by = "make ui" if IN_CHECKOUT else f"mlflow ui --backend-store-uri {uri}"
+        return f"run {self._run_id} in {uri}" + (f" ({shown_by})" if uri.startswith(SQLITE) else "")
+
+
+def _written(params: Mapping[str, Any]) -> dict[str, str]:
+    """Parameters as mlflow keeps them."""
+    return {key: str(value)[:PARAM_LENGTH] for key, value in params.items()}
+
+
+def _absolute(path: Path) -> str:
+    return str(path.resolve())

@@ -1,0 +1,147 @@
+"""A tracking store: the only place that talks to mlflow to write."""
+
+import logging
+import os
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lmd.checks import InputError
+
+from .experiment import prepare
+from .journal import Entry
+
+if TYPE_CHECKING:
+    from mlflow import MlflowClient
+    from mlflow.entities import Run
+
+SQLITE = "sqlite:///"
+BATCH = 1000  # metrics mlflow takes in one call
+PARAM_LENGTH = 6000  # characters mlflow takes in one parameter
+TAG_LENGTH = 5000  # and in one tag
+LOCK_SECONDS = 60.0  # for another process to make the tables of a database
+
+
+class Store:
+    """One mlflow experiment of one store, connected on first use.
+
+    Args:
+        uri: `sqlite:///path` (relative to the working directory) or the address of a server.
+        experiment_name: the mlflow experiment that holds the runs.
+
+    Raises:
+        InputError: the address is none.
+    """
+
+    def __init__(self, uri: str, experiment_name: str) -> None:
+        if not isinstance(uri, str) or uri in ("", SQLITE):
+            raise InputError(f"uri must be {SQLITE}PATH or the address of a server, got {uri!r}.", "uri")
+        self.uri = uri
+        self.experiment_name = experiment_name
+        self._client: MlflowClient | None = None
+
+    @property
+    def client(self) -> "MlflowClient":
+        """The mlflow client."""
+        if self._client is None:
+            self._client = self._connect()
+        return self._client
+
+    @property
+    def experiment_id(self) -> str:
+        """The id of the experiment, which is made where there is none."""
+        return prepare(self.client, self.experiment_name)
+
+    def _connect(self) -> "MlflowClient":
+        from mlflow import MlflowClient
+
+        logging.getLogger("mlflow.store.db.utils").setLevel(logging.WARNING)  # it announces every new table
+
+        if not self.uri.startswith(SQLITE):
+            return MlflowClient(tracking_uri=self.uri)
+        database = Path(self.uri.removeprefix(SQLITE)).resolve()
+        database.parent.mkdir(parents=True, exist_ok=True)
+        from filelock import FileLock
+
+        with tempfile.TemporaryFile(dir=database.parent):  # where none can be made the lock would be waited for in vain
+            pass
+        # Processes that create the tables of one fresh database at the same time kill each other.
+        with FileLock(f"{database}.lock", timeout=LOCK_SECONDS):
+            fresh = not database.exists()
+            client = MlflowClient(tracking_uri=f"{SQLITE}{database}")
+            prepare(client, self.experiment_name, (database.parent / "artifacts").as_uri(), fresh)
+        return client
+
+    @contextmanager
+    def errors_reported(self) -> Iterator[None]:
+        """Raise `InputError` where the store cannot be used."""
+        try:
+            yield
+        except self.errors() as error:
+            raise InputError(f"tracking.uri = {self.uri!r} cannot be used: {first_line(error)}") from error
+
+    @staticmethod
+    def errors() -> tuple[type[Exception], ...]:
+        """What is raised by a store that cannot be used."""
+        from mlflow.exceptions import MlflowException
+
+        return MlflowException, OSError
+
+    def create(self, name: str, params: Mapping[str, str], tags: Mapping[str, str], ago: float) -> str:
+        """Make a run that began `ago` seconds before now; returns its id, which its name ends with."""
+        from mlflow.entities import Param, RunTag
+
+        run = self.client.create_run(self.experiment_id, run_name=name, start_time=now() - int(1000 * ago))
+        run_id = str(run.info.run_id)
+        self.client.update_run(run_id, name=f"{name} #{run_id[:4]}")  # no two are called the same
+        self.client.log_batch(
+            run_id,
+            params=[Param(key, value) for key, value in params.items()],
+            tags=[RunTag(key, value[:TAG_LENGTH]) for key, value in tags.items()],
+        )
+        return run_id
+
+    def runs(self, wanted: str) -> "list[Run]":
+        """The runs of all experiments that mlflow's filter `wanted` finds."""
+        experiments = [experiment.experiment_id for experiment in self.client.search_experiments()]
+        return list(self.client.search_runs(experiments, filter_string=wanted))
+
+    def send(self, run_id: str, entry: Entry) -> None:
+        """Send one entry of a journal; to do it again changes nothing."""
+        from mlflow.entities import Metric, RunTag
+
+        client = self.client
+        if "reopen" in entry:
+            client.update_run(run_id, status="RUNNING")
+            if "reason" in client.get_run(run_id).data.tags:  # why it had ended
+                client.delete_tag(run_id, "reason")
+            tags = [RunTag(key, value[:TAG_LENGTH]) for key, value in entry["reopen"].items()]
+            client.log_batch(run_id, tags=tags)
+        elif "curve" in entry:
+            began, name = int(client.get_run(run_id).info.start_time), entry["metric"]
+            curve = [Metric(name, value, began + int(1000 * at), step) for step, value, at in entry["curve"]]
+            for first in range(0, len(curve), BATCH):
+                client.log_batch(run_id, metrics=curve[first : first + BATCH])
+        elif "metrics" in entry:
+            metrics = [Metric(key, value, entry["at"], 0) for key, value in entry["metrics"].items()]
+            client.log_batch(run_id, metrics=metrics)
+        elif "files" in entry:
+            for file in filter(os.path.isfile, entry["files"]):
+                client.log_artifact(run_id, file)
+        elif "end" in entry:
+            if entry["reason"]:
+                client.set_tag(run_id, "reason", entry["reason"][:TAG_LENGTH])
+            client.set_terminated(run_id, entry["end"], entry["at"])
+
+
+def first_line(error: Exception) -> str:
+    """What an error says, without what follows."""
+    return (str(error) or type(error).__name__).splitlines()[0]
+
+
+def now() -> int:
+    """Milliseconds, as mlflow counts them."""
+    return int(1000 * time.time())
