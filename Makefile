@@ -19,7 +19,7 @@ $(VENV)/installed: pyproject.toml constraints.txt
 	touch $@
 
 run: install  ## the main job on the paper's room at a small budget
-	$(BIN)/python -m pipelines.optimise budget.evaluations=$(EVALUATIONS)
+	$(BIN)/python -m pipelines.optimise budget.evaluations=$(EVALUATIONS) page=true
 
 test: install  ## the whole test suite
 	$(BIN)/python -m pytest -n auto --dist loadfile
@@ -36,10 +36,11 @@ docs: install  ## the documentation as HTML in build/docs; a broken link or refe
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
 ui: install  ## browse the runs at http://127.0.0.1:5000
+	-$(BIN)/python -m pipelines.runs
 	$(BIN)/mlflow ui --backend-store-uri sqlite:///outputs/mlflow.db --host 127.0.0.1 --port 5000
 
 figures: install  ## the picture in the README
-	$(BIN)/python -m pipelines.optimise seed=0 tracking=none page=false hydra.run.dir=outputs/figures
+	$(BIN)/python -m pipelines.optimise seed=0 tracking=none hydra.run.dir=outputs/figures
 	cp outputs/figures/scene.png docs/images/optimised.png
 
 EXPERIMENT := outputs/paper_experiment

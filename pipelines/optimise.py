@@ -5,7 +5,6 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from .app import (
@@ -13,16 +12,14 @@ from .app import (
     build_optimiser,
     build_problem,
     choices,
-    config_dir,
     flat_settings,
     keyed,
     run_directory,
-    search_path,
 )
 from .earlier_run import read_earlier_run
 from .input_files import contents_of
 from .outputs import space_reserved
-from .provenance import command_line
+from .provenance import resuming
 from .signals import Stopped, stop
 from .sweeps.supervisor import run
 
@@ -101,9 +98,7 @@ def _tell_how_to_go_on() -> None:
 
     directory = run_directory()
     if (directory / FILE).exists():
-        overrides = [o for o in HydraConfig.get().overrides.task if not o.startswith("resume=")]
-        again = [*config_dir(), *search_path(), *overrides, f"resume={directory}"]
-        print(f"interrupted; go on with: {command_line('optimise', again)}", file=sys.stderr)
+        print(f"interrupted; go on with: {resuming('optimise', directory)}", file=sys.stderr)
 
 
 def _accuracy(cfg: DictConfig, problem: "Problem", deployment: "Deployment") -> dict[str, float]:

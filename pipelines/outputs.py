@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -9,12 +10,39 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hydra.experimental.callback import Callback as HydraCallback
+from omegaconf import DictConfig
+
 if TYPE_CHECKING:
     from lmd.deployment import Deployment
     from lmd.optimisers.base import Record
     from lmd.problem import Problem
 
+LEAST = 1 << 20  # bytes that must be free for a run to begin
+PARTIAL = ".partial_"
 RESERVE = 1 << 16  # bytes; more than the landmarks and figures of a thousand tags take
+
+
+class SpaceCheck(HydraCallback):
+    """Hydra callback that refuses to begin on a full disk, where Hydra itself would fail half-way."""
+
+    def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
+        """Look at the disk of the run's directory."""
+        self._check(Path(config.hydra.run.dir))
+
+    def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
+        """Look at the disk of the sweep's directory."""
+        self._check(Path(config.hydra.sweep.dir))
+
+    @staticmethod
+    def _check(directory: Path) -> None:
+        there = directory.resolve()
+        while not there.exists():
+            there = there.parent
+        free = shutil.disk_usage(there).free
+        if free < LEAST:
+            print(f"error: {directory.resolve()}: no space is left there ({free} bytes)", file=sys.stderr)
+            sys.exit(1)
 
 
 def write_figures(
@@ -96,7 +124,9 @@ def all_or_none(directory: Path, write: Callable[[Path], object]) -> list[Path]:
     Returns:
         the files in `directory`, sorted.
     """
-    with tempfile.TemporaryDirectory(dir=directory, prefix=".partial_") as name:
+    for left in directory.glob(f"{PARTIAL}*"):  # by a process that was killed
+        shutil.rmtree(left, ignore_errors=True)
+    with tempfile.TemporaryDirectory(dir=directory, prefix=PARTIAL) as name:
         write(Path(name))
         return [Path(shutil.move(path, directory / path.name)) for path in sorted(Path(name).iterdir())]
 

@@ -3,6 +3,7 @@
 import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any
 
 from tqdm import tqdm
@@ -60,8 +61,9 @@ class Progress:
     def __call__(self, optimiser: Optimiser) -> bool:
         """See `lmd.optimisers.base.Callback`."""
         ledger = optimiser.ledger
-        self.bar.set_postfix_str(f"best {ledger.best_fitness:.2%}", refresh=False)
-        self.bar.update(int(ledger.evaluations) - self.bar.n)
+        with suppress(OSError):  # the terminal may be closed
+            self.bar.set_postfix_str(f"best {ledger.best_fitness:.2%}", refresh=False)
+            self.bar.update(int(ledger.evaluations) - self.bar.n)
         if time.monotonic() - self.saved >= self.every:
             self.flush(optimiser)
         return stop.requested
@@ -86,4 +88,5 @@ class Progress:
 
     def close(self) -> None:
         """Remove the bar."""
-        self.bar.close()
+        with suppress(OSError):
+            self.bar.close()

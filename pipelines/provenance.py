@@ -3,6 +3,7 @@
 import getpass
 import shlex
 import subprocess
+import sys
 from collections.abc import Sequence
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -12,14 +13,20 @@ from .app import CONF, IN_CHECKOUT, command_of
 
 
 def command_line(pipeline: str, overrides: Sequence[str]) -> str:
-    """The command that does what a run did, for a shell."""
+    """A command of this project, for a shell."""
     return " ".join([command_of(pipeline), shlex.join(overrides)]).strip()
 
 
+def resuming(pipeline: str, folder: Path) -> str:
+    """The command that goes on with what this one has left in a folder."""
+    given = [word for word in sys.argv[1:] if not word.startswith("resume=")]
+    return command_line(pipeline, [*given, f"resume={folder}"])
+
+
 def source_tags(pipeline: str) -> dict[str, str]:
-    """Tags of a run under the names by which mlflow shows them: who ran what, from which commit."""
+    """Tags of a run, most under the names by which mlflow shows them: who ran what, from which commit."""
     tags = {"mlflow.source.name": command_of(pipeline), "mlflow.source.type": "LOCAL", "mlflow.user": getpass.getuser()}
-    return tags | _version()
+    return tags | {"command": command_line(pipeline, sys.argv[1:])} | _version()
 
 
 @cache

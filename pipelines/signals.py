@@ -33,6 +33,7 @@ class Stop:
 
     def __init__(self) -> None:
         self._number = 0  # the signal that was heard
+        self._terminals: tuple[int, ...] = ()
         self._act: Callable[[int], None] = _leave
 
     @property
@@ -50,6 +51,7 @@ class Stop:
         for number in SIGNALS:
             if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
                 signal.signal(number, self._handle)
+        self._terminals = tuple(stream for stream in (1, 2) if os.isatty(stream))  # a closed one does not say so
         sys.unraisablehook = _say_unless_stopped
 
     @contextmanager
@@ -99,9 +101,8 @@ class Stop:
     def _handle(self, number: int, _frame: FrameType | None) -> None:
         if number == signal.SIGHUP:  # nobody reads any more, and writing would fail
             silent = os.open(os.devnull, os.O_WRONLY)
-            for stream in (1, 2):
-                if os.isatty(stream):
-                    os.dup2(silent, stream)
+            for stream in self._terminals:
+                os.dup2(silent, stream)
         self._act(number)
 
     def _raise(self, number: int) -> None:

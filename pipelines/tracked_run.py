@@ -72,7 +72,7 @@ def tracked(cfg: DictConfig, subject: str, about: str = "", earlier: Earlier | N
         tags |= job.tags(folder.name)
     pipeline = HydraConfig.get().job.name
     tags |= {"pipeline": pipeline} | override_tags(overrides) | source_tags(pipeline)
-    tags["mlflow.note.content"] = f"{about or subject}\n\n`{command_line(pipeline, overrides)}`\n\n{run_directory()}"
+    tags["mlflow.note.content"] = f"{about or subject}\n\n`{tags['command']}`\n\nfiles: {run_directory()}"
     params, run_id = _parameters(cfg), None
     if earlier is not None and earlier.run_id is not None:
         if tracker.goes_on(earlier.run_id, earlier.folder, params):
@@ -94,11 +94,13 @@ def tracked(cfg: DictConfig, subject: str, about: str = "", earlier: Earlier | N
 
 
 def _parameters(cfg: DictConfig) -> dict[str, Any]:
-    """The choices of groups, and the settings below them that say more."""
+    """The choices of groups, and the settings below them that are set to something."""
     settings = {
         key: value
         for key, value in flat_settings(cfg).items()
-        if key.split(".")[0] not in NO_PARAMETERS and key.split(".")[-1] not in ("_target_", "_partial_")
+        if key.split(".")[0] not in NO_PARAMETERS
+        and key.split(".")[-1] not in ("_target_", "_partial_")
+        and value not in (None, [])
     }
     return {group: option for group, option in choices().items() if group not in NO_PARAMETERS} | settings
 

@@ -81,7 +81,7 @@ def test_a_comparison_leaves_a_table_a_plot_and_nested_runs(tmp_path):
 def test_a_comparison_gives_what_single_runs_give(tmp_path):
     shared = ("deployment.count=20", "tag.edge=0.05", "tracking=none", "budget.evaluations=40")
     call("compare", *shared, "optimisers=[ega]", "seeds=1", "seed=3", "workers=1", "hydra.run.dir=many", cwd=tmp_path)
-    call("optimise", *shared, "optimiser=ega", "seed=3", "page=false", "hydra.run.dir=one", cwd=tmp_path)
+    call("optimise", *shared, "optimiser=ega", "seed=3", "hydra.run.dir=one", cwd=tmp_path)
     one = json.loads((tmp_path / "one" / "metrics.json").read_text())
     landmarks = Path("landmarks.csv")
     kept = tmp_path / "many" / "runs" / "ega seed=3" / landmarks
@@ -139,7 +139,7 @@ def test_an_optimiser_is_added_from_a_folder_outside_the_repository(tmp_path):
     (group / "hill.yaml").write_text("_target_: climbing.HillClimber\nstep: 0.05\n")
     (tmp_path / "climbing.py").write_text(PLUGIN)
     overrides = [f"hydra.searchpath=[file://{tmp_path}/mine]", "optimiser=hill", "budget.evaluations=33",
-                 "deployment.count=20", "page=false", "hydra.run.dir=run",
+                 "deployment.count=20", "hydra.run.dir=run",
                  "tracking.uri=sqlite:///store.db"]  # fmt: skip
     done = call("optimise", *overrides, cwd=tmp_path, folders=[tmp_path])
     assert done.returncode == 0, done.stderr

@@ -13,6 +13,7 @@ VIEW = "lmd"  # the shared view that links name
 # Of training runs, first what they found and what that cost, then what they were about.
 COLUMNS = (
     *("metrics.`qualified_ratio`", "metrics.`localised_share`", "metrics.`validation/grid_free_qualified_ratio`"),
+    *("metrics.`best/fitness`", "metrics.`median/fitness`"),  # of sweeps
     *("metrics.`evaluations`", "metrics.`wall_time`", "params.`optimiser`", "params.`deployment`"),
     *("params.`objective.n`", "params.`objective.thold_p`", "params.`deployment.count`", "params.`seed`"),
 )
@@ -46,8 +47,11 @@ def prepare(client: "MlflowClient", name: str, artifacts: str | None = None, fre
 
 
 def link(address: str, experiment_id: str) -> str:
-    """The page of an experiment with the view that was made for it, on the server at `address`."""
-    return f"{address}/#/experiments/{experiment_id}/runs?viewStateShareKey={VIEW}"
+    """The page of an experiment with the view that was made for it, on the server at `address`.
+
+    The experiment's tag says that it holds training runs, but mlflow 3.17 opens what its address says.
+    """
+    return f"{address}/#/experiments/{experiment_id}/runs?workflowType=machine_learning&viewStateShareKey={VIEW}"
 
 
 def _view() -> str:

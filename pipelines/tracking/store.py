@@ -87,8 +87,9 @@ class Store:
     def errors() -> tuple[type[Exception], ...]:
         """What is raised by a store that cannot be used."""
         from mlflow.exceptions import MlflowException
+        from sqlalchemy.exc import SQLAlchemyError
 
-        return MlflowException, OSError
+        return MlflowException, SQLAlchemyError, OSError
 
     def create(self, name: str, params: Mapping[str, str], tags: Mapping[str, str], ago: float) -> str:
         """Make a run that began `ago` seconds before now; returns its id, which its name ends with."""

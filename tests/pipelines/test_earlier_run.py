@@ -13,7 +13,7 @@ from pipelines.app import CONF
 from pipelines.deployments import read_deployment_as_a_list
 from pipelines.earlier_run import read_earlier_run
 
-QUICK = ("tracking=none", "page=false", "validate=false", "localisation=false")
+QUICK = ("tracking=none", "validate=false", "localisation=false")
 LAB = ("room=lab", "room.spacing=1", "camera=lab", "pdf=yaw", "pdf.pitch=0.1", "objective.n=1", "objective.thold_p=0.4")
 LANDMARKS = "id,x,y,z,nx,ny,nz\n0,0,1,1,1,0,0\n1,6,2,1,-1,0,0\n"
 

@@ -66,7 +66,7 @@ def write_landmarks(path, x):
 def test_a_sweep_over_a_file_that_changed_is_run_anew(tmp_path):
     """Its figure is the new one; what did not change is not done again."""
     sweep = ("hydra.mode=MULTIRUN", "deployment=file", "deployment.path=in.csv", "objective.n=1,2", "tracking=none",
-             "localisation=false", "page=false")  # fmt: skip
+             "localisation=false", )  # fmt: skip
     outputs, figures = [], []
     for x in (1, 2.5, 1):
         write_landmarks(tmp_path / "in.csv", x)
@@ -82,7 +82,7 @@ def test_a_sweep_over_a_file_that_changed_is_run_anew(tmp_path):
 @pytest.mark.slow
 def test_a_run_does_not_go_on_with_another_pdf(tmp_path):
     settings = (*SMALL, "pdf=samples", "pdf.path=in.csv", "optimiser=ega", "deployment.count=20", "tracking=none",
-                "page=false")  # fmt: skip
+                )  # fmt: skip
     (tmp_path / "in.csv").write_text("yaw,pitch,weight\n0,0,0.5\n1,0,0.5\n")
     done = call("optimise", "budget.evaluations=30", "hydra.run.dir=run", cwd=tmp_path, settings=settings)
     assert done.returncode == 0, done.stderr

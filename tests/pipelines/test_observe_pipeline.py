@@ -116,7 +116,7 @@ def test_the_motivating_example_flies_twice_over_eighty_random_landmarks(tmp_pat
 
 
 def test_evaluate_maps_where_localisation_is_weak(tmp_path):
-    settings = ["room.spacing=3", "validate=false", "page=false", "tracking=none", "hydra.run.dir=run"]
+    settings = ["room.spacing=3", "validate=false", "tracking=none", "hydra.run.dir=run"]
     done = call(cwd=tmp_path, pipeline="evaluate", settings=settings)
     assert done.returncode == 0, done.stderr
     metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())

@@ -13,7 +13,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
-SMALL = ["room.spacing=1.5", "objective.thold_p=0.5", "validate=false", "page=false", "budget.evaluations=60"]
+SMALL = ["room.spacing=1.5", "objective.thold_p=0.5", "validate=false", "budget.evaluations=60"]
 
 
 def test_every_folder_of_code_is_in_the_list_of_packages():

@@ -92,7 +92,7 @@ def test_same_config_same_result(optimised):
 
 
 def test_interrupted_it_keeps_the_best_and_resumes(tmp_path):
-    settings = ["optimiser=ega", "deployment.count=40", "page=false", "tracking.uri=sqlite:///store.db"]
+    settings = ["optimiser=ega", "deployment.count=40", "tracking.uri=sqlite:///store.db"]
     endless = command(
         "optimise", *settings, "budget.evaluations=100000000", "checkpoint_seconds=0.2", "hydra.run.dir=run"
     )
@@ -158,7 +158,7 @@ def test_where_nothing_is_covered_the_terminal_says_why(optimised, tmp_path):
     cwd, out = optimised
     assert "criterion" not in out
     assert 0.0 < read_metrics(cwd / "run")["criteria"]["covered"] < 1.0
-    overrides = ("visibility.thold=1.2", "localisation=false", "page=false", "tracking.uri=sqlite:///store.db")
+    overrides = ("visibility.thold=1.2", "localisation=false", "tracking.uri=sqlite:///store.db")
     done = call("evaluate", *overrides, "hydra.run.dir=run", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert re.search(r"\ncriterion .*\nresolution .* depth up to 0\.72 m \(thold = 1\.2 pixel/mm\)\n", done.stdout)
@@ -231,7 +231,7 @@ def test_help_lists_the_groups_without_loading_the_model(pipeline, tmp_path):
 
 
 def test_the_lab_is_optimised_by_one_word(tmp_path):
-    settings = ("room.spacing=1", "deployment.count=12", "page=false", "tracking=none", "hydra.run.dir=run")
+    settings = ("room.spacing=1", "deployment.count=12", "tracking=none", "hydra.run.dir=run")
     done = call("optimise", "experiment=lab", "budget.evaluations=60", cwd=tmp_path, settings=settings)
     assert done.returncode == 0, done.stderr
     metrics, table = read_metrics(tmp_path / "run"), pd.read_csv(tmp_path / "run" / "landmarks.csv")

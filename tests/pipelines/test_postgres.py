@@ -3,17 +3,14 @@
 import multiprocessing
 import os
 import shutil
-import socket
 import subprocess
-import sys
 import tempfile
-import time
-import urllib.request
 from pathlib import Path
 
 import pytest
 from mlflow import MlflowClient
 from processes import call
+from services import free_port, mlflow_server, wait_until
 
 from pipelines.tracking import MlflowTracker, RunStart
 
@@ -37,25 +34,6 @@ def missing():
 
 REASON = missing()
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(REASON is not None, reason=str(REASON))]
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
-def wait_until(ready, process, log):
-    deadline = time.monotonic() + 120
-    while time.monotonic() < deadline:
-        assert process.poll() is None, log.read_text()
-        try:
-            if ready():
-                return
-        except Exception as error:
-            latest = error
-        time.sleep(0.2)
-    raise TimeoutError(f"{latest}\n{log.read_text()}")
 
 
 @pytest.fixture(scope="module")
@@ -91,22 +69,9 @@ def database():
 
 @pytest.fixture(scope="module")
 def server(database, tmp_path_factory):
-    """The address of an mlflow server that keeps its runs in `database`, as docs/sweeps.md starts it."""
-    home, port = tmp_path_factory.mktemp("server"), free_port()
-    command = [
-        sys.executable, "-m", "mlflow", "server", "--backend-store-uri", database, "--artifacts-destination", home,
-        "--host", "127.0.0.1", "--port", str(port), "--workers", "2",
-    ]  # fmt: skip
-    log = home / "log"
-    with log.open("w") as output:
-        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, cwd=home)
-    address = f"http://127.0.0.1:{port}"
-    try:
-        wait_until(lambda: urllib.request.urlopen(f"{address}/health").status == 200, process, log)
+    """The address of an mlflow server that keeps its runs in `database`."""
+    with mlflow_server(database, tmp_path_factory.mktemp("server")) as address:
         yield address
-    finally:
-        process.terminate()
-        process.wait(timeout=60)
 
 
 def record_one(server, number, folder, together):
@@ -144,7 +109,11 @@ def test_processes_that_record_at_once_lose_nothing(server, tmp_path):
 
 
 def test_a_parallel_sweep_is_recorded_on_the_server(server, tmp_path):
-    overrides = ["objective.n=2,3", "hydra.mode=MULTIRUN", "hydra/launcher=joblib", "page=false"]
+    overrides = [
+        "objective.n=2,3",
+        "hydra.mode=MULTIRUN",
+        "hydra/launcher=joblib",
+    ]
     done = call("evaluate", *overrides, f"tracking.uri={server}", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     client = MlflowClient(tracking_uri=server)

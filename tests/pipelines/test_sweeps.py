@@ -57,7 +57,7 @@ def prepared(cwd):
 
 def settings(cwd, faults):
     return [
-        "hydra.mode=MULTIRUN", f"hydra.searchpath=[file://{cwd}/mine]", "page=false", "deployment.count=20",
+        "hydra.mode=MULTIRUN", f"hydra.searchpath=[file://{cwd}/mine]", "deployment.count=20",
         "budget.evaluations=400", "tracking.uri=sqlite:///store.db", "optimiser=faulty", f"optimiser.fault={faults}",
     ]  # fmt: skip
 
@@ -250,7 +250,6 @@ def test_bad_input_in_one_job_is_a_failed_run_and_one_sentence(tmp_path):
         "hydra.mode=MULTIRUN",
         "objective.n=2,500",
         "tracking.uri=sqlite:///store.db",
-        "page=false",
         cwd=tmp_path,
     )
     assert done.returncode == 1

@@ -131,10 +131,6 @@ def test_a_continued_run_forgets_why_it_had_ended(uri):
     assert "reason" not in stored(second).data.tags
 
 
-class Unreachable(OSError):
-    pass
-
-
 @pytest.fixture(name="reachable")
 def _reachable(monkeypatch):
     """A dictionary that says whether stores can be reached."""
@@ -142,7 +138,7 @@ def _reachable(monkeypatch):
 
     def sent(self, run_id, entry):
         if not says["reachable"]:
-            raise Unreachable("no route to the store")
+            raise ConnectionError("no route to the store")
         send(self, run_id, entry)
 
     monkeypatch.setattr(Store, "send", sent)
