@@ -1,4 +1,4 @@
-"""Servers that tests start for real, on ports of their own."""
+"""Services that tests start for themselves, on the loopback."""
 
 import socket
 import subprocess
@@ -15,7 +15,8 @@ def free_port():
 
 
 def wait_until(ready, process, log):
-    deadline = time.monotonic() + 120
+    """Wait until `ready()` is true; what it raises meanwhile is why it is not."""
+    deadline, latest = time.monotonic() + 120, None
     while time.monotonic() < deadline:
         assert process.poll() is None, log.read_text()
         try:
@@ -28,19 +29,27 @@ def wait_until(ready, process, log):
 
 
 @contextmanager
-def mlflow_server(database, home):
-    """The address of an mlflow server that keeps runs in `database` and files in `home`, as docs/sweeps.md says."""
-    port, log = free_port(), home / "server.log"
-    command = [
-        sys.executable, "-m", "mlflow", "server", "--backend-store-uri", database, "--artifacts-destination", home,
-        "--host", "127.0.0.1", "--port", str(port), "--workers", "2",
-    ]  # fmt: skip
+def service(command, ready, log, **options):
+    """A process that runs while this is entered, from the moment it is `ready()`."""
     with log.open("w") as output:
-        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, cwd=home)
-    address = f"http://127.0.0.1:{port}"
+        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, **options)
     try:
-        wait_until(lambda: urllib.request.urlopen(f"{address}/health").status == 200, process, log)
-        yield address
+        wait_until(ready, process, log)
+        yield
     finally:
         process.terminate()
         process.wait(timeout=60)
+
+
+@contextmanager
+def mlflow_server(store, home):
+    """The address of an mlflow server that keeps its runs in `store`, as docs/sweeps.md starts it."""
+    port = free_port()
+    command = [
+        sys.executable, "-m", "mlflow", "server", "--backend-store-uri", store, "--artifacts-destination", home,
+        "--host", "127.0.0.1", "--port", str(port), "--workers", "2",
+    ]  # fmt: skip
+    address = f"http://127.0.0.1:{port}"
+    health = f"{address}/health"
+    with service(command, lambda: urllib.request.urlopen(health).status == 200, home / "log", cwd=home):
+        yield address

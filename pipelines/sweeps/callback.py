@@ -47,6 +47,10 @@ class SweepRecord(Callback):
             sys.exit(1)
         folder.save(replace(sweep, run_id=tracker.run_id))
         atexit.register(_cut_short, config)
+        if config.hydra.launcher._target_.endswith("SlurmLauncher"):
+            from .slurm import follow_the_queue
+
+            follow_the_queue()
         done = sum(job.status == "finished" for _, job in folder.jobs())
         going_on = f", going on after {done} finished jobs (delete the folder to start afresh)" if before else ""
         print(f"sweep {sweep.name} in {folder.path}{going_on}", flush=True)

@@ -9,14 +9,16 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from types import FrameType
 from typing import TYPE_CHECKING
 
+from hydra.conf import HydraConf
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from ..app import PACKAGE, config_dir, ends_reported, instantiate, run_directory, search_path
-from ..signals import CODES, stop
+from ..signals import CODES, Stopped, stop
 from ..tracking import RunStart
 from .folder import JOB_VARIABLE, JobFolder, SweepFolder, current_job
 from .jobs import Job, reason_of
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
     from ..tracking import Tracker
 
 THREAD_VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+SLURM_SIGNALS = (signal.SIGTERM, signal.SIGUSR2)  # the job is to end; its time is nearly up
 LOST = "its process was killed, and the sweep with it"
 
 
@@ -68,7 +71,7 @@ def _supervise(cfg: DictConfig) -> float | None:
 
     A failure is noted and not raised: so no job can end a sweep, whatever it does to its process, under any launcher.
     """
-    folder, job = JobFolder(run_directory()), _this_job()
+    folder, job = JobFolder(run_directory()), job_of(HydraConfig.get())
     with folder.held() as lock:
         before = folder.load()
         if before is not None and before.status == "finished":
@@ -94,9 +97,8 @@ def _supervise(cfg: DictConfig) -> float | None:
         return float("nan")
 
 
-def _this_job() -> Job:
-    """The job that Hydra has given this process."""
-    context = HydraConfig.get()
+def job_of(context: HydraConf) -> Job:
+    """The job that Hydra describes in its own part of a job's configuration."""
     sweep = SweepFolder(context.sweep.dir).load()
     assert sweep is not None, "SweepRecord has written it before any job began"
     overrides = tuple(str(override) for override in context.overrides.task)
@@ -152,7 +154,7 @@ def _execute(command: list[str], folder: JobFolder, threads: int | None, lock: i
             pass_fds=descriptors,
             start_new_session=True,
         )
-    with process:
+    with process, _told_by_slurm():
         try:
             return process.wait(), False
         except KeyboardInterrupt:
@@ -164,6 +166,27 @@ def _execute(command: list[str], folder: JobFolder, threads: int | None, lock: i
             except KeyboardInterrupt:
                 process.kill()
                 return process.wait(), True
+
+
+@contextmanager
+def _told_by_slurm() -> Iterator[None]:
+    """While entered, what SLURM sends a job some time before it kills it is like Ctrl-C, once.
+
+    It goes to this process, or to its process group, and not to that of the job.
+    """
+
+    def interrupt(number: int, _frame: FrameType | None) -> None:
+        for other in before:
+            signal.signal(other, signal.SIG_IGN)
+        raise Stopped(number)
+
+    told = SLURM_SIGNALS if os.environ.get("SUBMITIT_EXECUTOR") == "slurm" else ()
+    before = {number: signal.signal(number, interrupt) for number in told}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _settled(job: Job, code: int) -> Job:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from mlflow import MlflowClient
 from processes import call
-from services import free_port, mlflow_server, wait_until
+from services import free_port, mlflow_server, service
 
 from pipelines.tracking import MlflowTracker, RunStart
 
@@ -52,24 +52,22 @@ def database():
         options = {"listen_addresses": "127.0.0.1", "unix_socket_directories": home, "fsync": "off"}
         settings = [word for key, value in options.items() for word in ("-c", f"{key}={value}")]
         command = [program("postgres"), "-D", data, "-p", str(port), *settings]
-        with log.open("w") as output:
-            server = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, cwd=home, **owner)
         address = f"host=127.0.0.1 port={port} user=lmd"
-        try:
-            wait_until(lambda: psycopg2.connect(f"{address} dbname=postgres").close() is None, server, log)
+
+        def up():
+            return psycopg2.connect(f"{address} dbname=postgres").close() is None
+
+        with service(command, up, log, cwd=home, **owner):
             connection = psycopg2.connect(f"{address} dbname=postgres")
             connection.autocommit = True
             connection.cursor().execute("CREATE DATABASE mlflow")
             connection.close()
             yield f"postgresql+psycopg2://lmd@127.0.0.1:{port}/mlflow"
-        finally:
-            server.terminate()
-            server.wait(timeout=60)
 
 
 @pytest.fixture(scope="module")
 def server(database, tmp_path_factory):
-    """The address of an mlflow server that keeps its runs in `database`."""
+    """The address of an mlflow server that keeps its runs in `database`, as docs/sweeps.md starts it."""
     with mlflow_server(database, tmp_path_factory.mktemp("server")) as address:
         yield address
 
@@ -109,11 +107,7 @@ def test_processes_that_record_at_once_lose_nothing(server, tmp_path):
 
 
 def test_a_parallel_sweep_is_recorded_on_the_server(server, tmp_path):
-    overrides = [
-        "objective.n=2,3",
-        "hydra.mode=MULTIRUN",
-        "hydra/launcher=joblib",
-    ]
+    overrides = ["objective.n=2,3", "hydra.mode=MULTIRUN", "hydra/launcher=joblib", "page=false"]
     done = call("evaluate", *overrides, f"tracking.uri={server}", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     client = MlflowClient(tracking_uri=server)

@@ -1,0 +1,84 @@
+"""Sweeps on SLURM: jobs are followed by its queue, and one that SLURM ends does not end the sweep.
+
+By itself submitit asks SLURM's accounting, which not every cluster has, and as seldom as every ten minutes.
+"""
+
+import os
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from hydra.core.utils import JobReturn, JobStatus
+from submitit.core.utils import UncompletedJobError
+from submitit.slurm import slurm
+
+from .folder import JobFolder
+from .supervisor import end_runs, job_of
+
+POLL_SECONDS = 15  # at most; at first more often
+GONE = "GONE"  # SLURM forgets an ended job some minutes later
+WITH_RESULT = ("COMPLETED", GONE)
+ENDED = (
+    *WITH_RESULT, "BOOT_FAIL", "CANCELLED", "DEADLINE", "FAILED", "NODE_FAIL", "OUT_OF_MEMORY", "PREEMPTED", "TIMEOUT"
+)  # fmt: skip
+
+
+class QueueWatcher(slurm.SlurmInfoWatcher):
+    """Follows jobs by `squeue`, which works with accounting and without."""
+
+    def _make_command(self) -> list[str] | None:
+        if self._registered <= self._finished:
+            return None
+        return ["squeue", f"--user={os.getuid()}", "--states=all", "--array", "--noheader", "--format=%i|%T"]
+
+    def read_info(self, string: bytes | str) -> dict[str, dict[str, str]]:
+        """The states of the jobs by their ids, from the output of `squeue`."""
+        text = string if isinstance(string, str) else string.decode()
+        states = dict(line.split("|") for line in text.split())
+        return {job: {"State": states.get(job, GONE)} for job in self._registered}
+
+    def is_done(self, job_id: str, mode: str = "standard") -> bool:
+        """Whether the job has ended, and SLURM will not start it again."""
+        return self.get_state(job_id, mode) in ENDED
+
+
+class QueuedJob(slurm.SlurmJob[JobReturn]):
+    """A job of a sweep. Where SLURM ended it, its record says so, and the sweep goes on."""
+
+    watcher = QueueWatcher(delay_s=POLL_SECONDS)
+
+    def results(self) -> list[JobReturn]:
+        """Wait for the job; NaN where it returned nothing."""
+        self.wait()
+        state = self.state
+        if self.paths.result_pickle.exists() or state in WITH_RESULT:
+            with suppress(UncompletedJobError):
+                return super().results()
+        self._note_end(state)
+        return [JobReturn(status=JobStatus.COMPLETED, _return_value=float("nan"))]
+
+    def _note_end(self, state: str) -> None:
+        """Record that SLURM ended the job, perhaps before it had begun."""
+        submitted = self.submission()
+        launcher: Any = submitted.function  # the plugin, as it was when it submitted the job
+        overrides, _, number, *_ = submitted.args
+        config = launcher.hydra_context.config_loader.load_sweep_config(launcher.config, overrides)
+        config.hydra.job.num = number
+        folder = JobFolder(Path(config.hydra.sweep.dir, config.hydra.sweep.subdir))
+        folder.path.mkdir(exist_ok=True)
+        with folder.held():  # on a node that is slow to end, the job may still be at it
+            job = folder.load() or job_of(config.hydra)
+            if job.status == "interrupted":
+                reason = "its time was nearly up" if state == "FAILED" else f"SLURM says {state}"
+                folder.save(replace(job, reason=reason))
+            elif job.status == "running":
+                log = f" ({self.paths.stderr})" if self.paths.stderr.exists() else ""
+                job = replace(job, status="killed", reason=f"SLURM says {state}{log}")
+                folder.save(job)
+                end_runs(config.tracking, folder, job, job.reason, name=f"killed {job.label}")
+
+
+def follow_the_queue() -> None:
+    """Let submitit follow its jobs so; it has no setting for it."""
+    slurm.SlurmJob = slurm.SlurmExecutor.job_class = QueuedJob  # type: ignore[assignment, misc]

@@ -1,0 +1,176 @@
+"""A sweep on a real SLURM cluster, which ends some of its jobs, against a real mlflow server."""
+
+import os
+import signal
+import subprocess
+import time
+
+import pandas as pd
+import pytest
+import slurm
+from mlflow import MlflowClient
+from processes import command, start
+from services import mlflow_server
+
+# Takes its time until the file `repaired` is there; as `late` it hangs in a batch once it has a checkpoint.
+PLUGIN = """
+import os, time
+from pathlib import Path
+
+from lmd.optimisers.random_search import RandomSearch
+
+
+class Faulty(RandomSearch):
+    def __init__(self, fault, seed=0):
+        super().__init__(10, seed=seed, encoding="wall")
+        self.fault = fault
+
+    def _tell(self, genes, fitness):
+        with open(f"batches_{self.fault}", "a") as file:
+            file.write(f"{os.getpid()}\\n")
+        if self.fault != "none" and not Path("repaired").exists():
+            hangs = self.fault == "late" and Path(os.environ["LMD_JOB"], "checkpoint.pkl").exists()
+            time.sleep(600 if hangs else 1)
+"""
+FAULTS = ("none", "cancelled", "late", "queued")
+IDS = {fault: f"1_{number}" for number, fault in enumerate(FAULTS)}  # in SLURM: a fresh cluster's first array
+BATCHES = 40
+PARENT = "mlflow.parentRunId"
+REASON = slurm.missing()
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(REASON is not None, reason=str(REASON))]
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    home = tmp_path_factory.mktemp("server")
+    with mlflow_server(f"sqlite:///{home}/store.db", home) as address:
+        yield address
+
+
+@pytest.fixture(scope="module")
+def cwd(tmp_path_factory):
+    """A working directory with the optimiser `faulty`."""
+    folder = tmp_path_factory.mktemp("work")
+    (folder / "mine" / "optimiser").mkdir(parents=True)
+    (folder / "mine" / "optimiser" / "faulty.yaml").write_text("_target_: faulty.Faulty\nfault: none\n")
+    (folder / "faulty.py").write_text(PLUGIN)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def sweep(cwd, server):
+    """Starts a sweep of four jobs, three at a time, on a cluster of its own."""
+    line = command(
+        "optimise", "hydra.mode=MULTIRUN", f"hydra.searchpath=[file://{cwd}/mine]", "page=false", "deployment.count=20",
+        f"budget.evaluations={10 * BATCHES}", "checkpoint_seconds=1", f"tracking.uri={server}", "optimiser=faulty",
+        f"optimiser.fault={','.join(FAULTS)}", "hydra/launcher=slurm", "hydra.launcher.array_parallelism=3",
+    )  # fmt: skip
+    with slurm.cluster(cpus=4, kill_wait=5):
+        yield lambda: start(line, cwd=cwd, folders=[cwd], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+@pytest.fixture(scope="module")
+def cut(cwd, server, sweep):
+    """The output of the sweep, its table and its runs, after SLURM has ended three of its jobs."""
+    process = sweep()
+    wait_until(lambda: all(checkpoint(cwd, fault) for fault in ("cancelled", "late")), process)
+    slurm.ask("scancel", IDS["cancelled"], IDS["queued"])
+    slurm.ask("scontrol", "update", f"JobId={IDS['late']}", "EndTime=now+1seconds")
+    state = ("squeue", f"--jobs={IDS['late']}", "--states=all", "--noheader", "--format=%T")
+    wait_until(lambda: slurm.ask(*state).strip() == "TIMEOUT", process)
+    # SLURM has killed the process that waited for this one. With control groups, which a test cannot have, it kills both.
+    os.kill(batches(cwd, "late")[-1], signal.SIGKILL)
+    out, err = process.communicate(timeout=120)
+    return process.returncode, out, err, table(cwd), runs(server)
+
+
+def wait_until(reached, process):
+    deadline = time.monotonic() + 120
+    while not reached():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline, slurm.ask("squeue", "--states=all")
+        time.sleep(0.2)
+
+
+def checkpoint(cwd, fault):
+    return list(cwd.glob(f"outputs/optimise_sweep/*/fault-{fault}_*/checkpoint.pkl"))
+
+
+def batches(cwd, fault):
+    """The process of each batch that a job has evaluated."""
+    return [int(line) for line in (cwd / f"batches_{fault}").read_text().split()]
+
+
+def table(cwd):
+    (path,) = cwd.glob("outputs/optimise_sweep/*/jobs.csv")
+    return pd.read_csv(path, keep_default_na=False).set_index("optimiser.fault")
+
+
+def runs(server):
+    """The parent run, and those below it by what they were told to do."""
+    client = MlflowClient(tracking_uri=server)
+    found = client.search_runs([client.get_experiment_by_name("lmd").experiment_id])
+    (parent,) = [run for run in found if PARENT not in run.data.tags]
+    children = {}
+    for run in found:
+        if run is not parent:
+            assert run.data.tags[PARENT] == parent.info.run_id
+            children.setdefault(run.data.tags["override.optimiser.fault"], []).append(run)
+    return parent, children
+
+
+def statuses(children):
+    return {fault: sorted(run.info.status for run in found) for fault, found in children.items()}
+
+
+def test_jobs_that_slurm_ends_do_not_lose_the_others_and_the_sweep_names_them(cut):
+    code, out, err, rows, _ = cut
+    assert code == 1
+    assert "1 of 4 jobs finished" in out
+    assert rows.status.to_dict() == {
+        "none": "finished", "cancelled": "interrupted", "late": "killed", "queued": "killed"
+    }  # fmt: skip
+    assert rows.reason["cancelled"] == rows.reason["queued"] == "SLURM says CANCELLED"
+    assert rows.reason["late"].startswith("SLURM says TIMEOUT")
+    for fault in ("cancelled", "late", "queued"):
+        assert f"{rows.status[fault]}: optimiser.fault={fault}: SLURM says " in err
+    assert "sacct" not in err  # there is no accounting
+
+
+def test_slurm_killed_the_late_job_itself(cut, cwd):
+    (log,) = cwd.glob(f"outputs/optimise_sweep/*/.submitit/{IDS['late']}/*.err")
+    assert "DUE TO TIME LIMIT" in log.read_text()
+
+
+def test_their_runs_say_why(cut):
+    *_, (parent, children) = cut
+    assert (parent.info.status, parent.data.tags["reason"]) == ("FAILED", "3 of 4 jobs failed")
+    assert statuses(children) == {
+        "none": ["FINISHED"], "cancelled": ["KILLED"], "late": ["FAILED"], "queued": ["FAILED"]
+    }  # fmt: skip
+    assert children["late"][0].data.tags["reason"].startswith("SLURM says TIMEOUT")
+    assert children["queued"][0].data.tags["reason"] == "SLURM says CANCELLED"
+
+
+def test_the_same_sweep_again_does_what_is_missing_from_the_checkpoints(cut, cwd, server, sweep):
+    *_, (_, before) = cut
+    (cwd / "repaired").touch()
+    process = sweep()
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    assert "going on after 1 finished jobs" in out
+    assert "4 of 4 jobs finished" in out
+    parent, children = runs(server)
+    assert parent.info.status == "FINISHED"
+    assert statuses(children) == {
+        "none": ["FINISHED"], "cancelled": ["FINISHED"], "late": ["FINISHED"], "queued": ["FAILED", "FINISHED"]
+    }  # fmt: skip
+    for fault in ("cancelled", "late"):
+        assert children[fault][0].info.run_id == before[fault][0].info.run_id
+        assert len(set(batches(cwd, fault))) == 2  # processes
+    assert len(batches(cwd, "none")) == len(batches(cwd, "cancelled")) == BATCHES
+    assert len(batches(cwd, "late")) == BATCHES + 1  # the one in which it hung was lost
+    for found in children.values():
+        (finished,) = [run for run in found if run.info.status == "FINISHED"]
+        assert finished.data.metrics["evaluations"] == 10 * BATCHES
+        assert "reason" not in finished.data.tags
