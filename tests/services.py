@@ -14,18 +14,24 @@ def free_port():
         return probe.getsockname()[1]
 
 
-def wait_until(ready, process, log):
-    """Wait until `ready()` is true; what it raises meanwhile is why it is not."""
+def wait_until(ready, process=None, report=lambda: ""):
+    """Wait until `ready()` is true, no longer than `process` lives.
+
+    Args:
+        ready: what it raises is why it is not.
+        process: without it there is nothing to wait for.
+        report: what else may tell why.
+    """
     deadline, latest = time.monotonic() + 120, None
     while time.monotonic() < deadline:
-        assert process.poll() is None, log.read_text()
+        assert process is None or process.poll() is None, report()
         try:
             if ready():
                 return
         except Exception as error:
             latest = error
         time.sleep(0.2)
-    raise TimeoutError(f"{latest}\n{log.read_text()}")
+    raise TimeoutError(f"{latest}\n{report()}")
 
 
 @contextmanager
@@ -34,7 +40,7 @@ def service(command, ready, log, **options):
     with log.open("w") as output:
         process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, **options)
     try:
-        wait_until(ready, process, log)
+        wait_until(ready, process, log.read_text)
         yield
     finally:
         process.terminate()

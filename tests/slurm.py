@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
-from services import free_port, service
+from services import free_port, service, wait_until
 
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "srun", "squeue", "scancel", "scontrol")
 PACKAGES = "munge slurmctld slurmd slurm-client"
@@ -39,6 +39,7 @@ MpiDefault=none
 SelectType=select/cons_tres
 SelectTypeParameters=CR_Core
 SlurmdParameters=config_overrides
+SchedulerParameters=batch_sched_delay=0
 ReturnToService=2
 KillWait={kill_wait}
 NodeName=localhost CPUs={cpus} RealMemory=65536
@@ -84,7 +85,11 @@ def cluster(cpus, kill_wait):
         }
         for daemon, (options, up) in daemons.items():
             stack.enter_context(service([_program(daemon), *options], up, home / f"{daemon}.out"))
-        yield
+        try:
+            yield
+        finally:  # what is left of a job waits for a controller for ever
+            ask("scancel", f"--user={user}")
+            wait_until(lambda: not ask("squeue", "--noheader"), report=lambda: ask("squeue"))
 
 
 def ask(*command):

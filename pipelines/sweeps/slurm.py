@@ -4,7 +4,6 @@ By itself submitit asks SLURM's accounting, which not every cluster has, and as 
 """
 
 import os
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,11 +15,11 @@ from submitit.slurm import slurm
 from .folder import JobFolder
 from .supervisor import end_runs, job_of
 
-POLL_SECONDS = 15  # at most; at first more often
-GONE = "GONE"  # SLURM forgets an ended job some minutes later
-WITH_RESULT = ("COMPLETED", GONE)
+POLL_SECONDS = 10  # at most; at first more often
+GONE = "GONE"  # not listed: cancelled before it began, or ended long ago
 ENDED = (
-    *WITH_RESULT, "BOOT_FAIL", "CANCELLED", "DEADLINE", "FAILED", "NODE_FAIL", "OUT_OF_MEMORY", "PREEMPTED", "TIMEOUT"
+    GONE, "BOOT_FAIL", "CANCELLED", "COMPLETED", "DEADLINE", "FAILED", "NODE_FAIL", "OUT_OF_MEMORY", "PREEMPTED",
+    "TIMEOUT",
 )  # fmt: skip
 
 
@@ -35,11 +34,11 @@ class QueueWatcher(slurm.SlurmInfoWatcher):
     def read_info(self, string: bytes | str) -> dict[str, dict[str, str]]:
         """The states of the jobs by their ids, from the output of `squeue`."""
         text = string if isinstance(string, str) else string.decode()
-        states = dict(line.split("|") for line in text.split())
-        return {job: {"State": states.get(job, GONE)} for job in self._registered}
+        listed = dict(line.split("|") for line in text.split())
+        return {job: {"State": listed.get(job, GONE)} for job in self._registered - self._finished}
 
     def is_done(self, job_id: str, mode: str = "standard") -> bool:
-        """Whether the job has ended, and SLURM will not start it again."""
+        """Whether the job has ended."""
         return self.get_state(job_id, mode) in ENDED
 
 
@@ -47,16 +46,15 @@ class QueuedJob(slurm.SlurmJob[JobReturn]):
     """A job of a sweep. Where SLURM ended it, its record says so, and the sweep goes on."""
 
     watcher = QueueWatcher(delay_s=POLL_SECONDS)
+    _results_timeout_s = 0  # should a result show late, the job's record has it
 
     def results(self) -> list[JobReturn]:
         """Wait for the job; NaN where it returned nothing."""
-        self.wait()
-        state = self.state
-        if self.paths.result_pickle.exists() or state in WITH_RESULT:
-            with suppress(UncompletedJobError):
-                return super().results()
-        self._note_end(state)
-        return [JobReturn(status=JobStatus.COMPLETED, _return_value=float("nan"))]
+        try:
+            return super().results()
+        except UncompletedJobError:
+            self._note_end(self.state)
+            return [JobReturn(status=JobStatus.COMPLETED, _return_value=float("nan"))]
 
     def _note_end(self, state: str) -> None:
         """Record that SLURM ended the job, perhaps before it had begun."""
@@ -67,14 +65,16 @@ class QueuedJob(slurm.SlurmJob[JobReturn]):
         config.hydra.job.num = number
         folder = JobFolder(Path(config.hydra.sweep.dir, config.hydra.sweep.subdir))
         folder.path.mkdir(exist_ok=True)
+        folder.path.touch()  # so that a shared file system shows what the node has written
+        reason = "it left SLURM's queue" if state == GONE else f"SLURM says {state}"
         with folder.held():  # on a node that is slow to end, the job may still be at it
             job = folder.load() or job_of(config.hydra)
             if job.status == "interrupted":
-                reason = "its time was nearly up" if state == "FAILED" else f"SLURM says {state}"
+                reason = "its time was nearly up" if state == "FAILED" else reason
                 folder.save(replace(job, reason=reason))
             elif job.status == "running":
                 log = f" ({self.paths.stderr})" if self.paths.stderr.exists() else ""
-                job = replace(job, status="killed", reason=f"SLURM says {state}{log}")
+                job = replace(job, status="killed", reason=reason + log)
                 folder.save(job)
                 end_runs(config.tracking, folder, job, job.reason, name=f"killed {job.label}")
 

@@ -3,14 +3,14 @@
 import os
 import signal
 import subprocess
-import time
+from functools import partial
 
 import pandas as pd
 import pytest
 import slurm
 from mlflow import MlflowClient
 from processes import command, start
-from services import mlflow_server
+from services import mlflow_server, wait_until
 
 # Takes its time until the file `repaired` is there; as `late` it hangs in a batch once it has a checkpoint.
 PLUGIN = """
@@ -32,7 +32,7 @@ class Faulty(RandomSearch):
             hangs = self.fault == "late" and Path(os.environ["LMD_JOB"], "checkpoint.pkl").exists()
             time.sleep(600 if hangs else 1)
 """
-FAULTS = ("none", "cancelled", "late", "queued")
+FAULTS = ("cancelled", "late", "none", "queued")
 IDS = {fault: f"1_{number}" for number, fault in enumerate(FAULTS)}  # in SLURM: a fresh cluster's first array
 BATCHES = 40
 PARENT = "mlflow.parentRunId"
@@ -59,13 +59,13 @@ def cwd(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def sweep(cwd, server):
-    """Starts a sweep of four jobs, three at a time, on a cluster of its own."""
+    """Starts a sweep of four jobs, two at a time, on a cluster of its own."""
     line = command(
         "optimise", "hydra.mode=MULTIRUN", f"hydra.searchpath=[file://{cwd}/mine]", "page=false", "deployment.count=20",
         f"budget.evaluations={10 * BATCHES}", "checkpoint_seconds=1", f"tracking.uri={server}", "optimiser=faulty",
-        f"optimiser.fault={','.join(FAULTS)}", "hydra/launcher=slurm", "hydra.launcher.array_parallelism=3",
+        f"optimiser.fault={','.join(FAULTS)}", "hydra/launcher=slurm",
     )  # fmt: skip
-    with slurm.cluster(cpus=4, kill_wait=5):
+    with slurm.cluster(cpus=2, kill_wait=2):
         yield lambda: start(line, cwd=cwd, folders=[cwd], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
@@ -73,23 +73,15 @@ def sweep(cwd, server):
 def cut(cwd, server, sweep):
     """The output of the sweep, its table and its runs, after SLURM has ended three of its jobs."""
     process = sweep()
-    wait_until(lambda: all(checkpoint(cwd, fault) for fault in ("cancelled", "late")), process)
+    queue = partial(slurm.ask, "squeue", "--states=all")
+    wait_until(lambda: all(checkpoint(cwd, fault) for fault in ("cancelled", "late")), process, queue)
     slurm.ask("scancel", IDS["cancelled"], IDS["queued"])
     slurm.ask("scontrol", "update", f"JobId={IDS['late']}", "EndTime=now+1seconds")
-    state = ("squeue", f"--jobs={IDS['late']}", "--states=all", "--noheader", "--format=%T")
-    wait_until(lambda: slurm.ask(*state).strip() == "TIMEOUT", process)
-    # SLURM has killed the process that waited for this one. With control groups, which a test cannot have, it kills both.
+    wait_until(lambda: queue(f"--jobs={IDS['late']}", "--noheader", "--format=%T") == "TIMEOUT\n", process, queue)
+    # SLURM has killed the process that waited for this one. With control groups, which a test cannot have, both die.
     os.kill(batches(cwd, "late")[-1], signal.SIGKILL)
     out, err = process.communicate(timeout=120)
     return process.returncode, out, err, table(cwd), runs(server)
-
-
-def wait_until(reached, process):
-    deadline = time.monotonic() + 120
-    while not reached():
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() < deadline, slurm.ask("squeue", "--states=all")
-        time.sleep(0.2)
 
 
 def checkpoint(cwd, fault):
@@ -130,14 +122,16 @@ def test_jobs_that_slurm_ends_do_not_lose_the_others_and_the_sweep_names_them(cu
     assert rows.status.to_dict() == {
         "none": "finished", "cancelled": "interrupted", "late": "killed", "queued": "killed"
     }  # fmt: skip
-    assert rows.reason["cancelled"] == rows.reason["queued"] == "SLURM says CANCELLED"
+    assert rows.reason["cancelled"] == "SLURM says CANCELLED"
     assert rows.reason["late"].startswith("SLURM says TIMEOUT")
+    assert rows.reason["queued"] == "it left SLURM's queue"
     for fault in ("cancelled", "late", "queued"):
-        assert f"{rows.status[fault]}: optimiser.fault={fault}: SLURM says " in err
+        assert f"{rows.status[fault]}: optimiser.fault={fault}: {rows.reason[fault]} (" in err
     assert "sacct" not in err  # there is no accounting
 
 
-def test_slurm_killed_the_late_job_itself(cut, cwd):
+@pytest.mark.usefixtures("cut")
+def test_slurm_itself_killed_the_late_job(cwd):
     (log,) = cwd.glob(f"outputs/optimise_sweep/*/.submitit/{IDS['late']}/*.err")
     assert "DUE TO TIME LIMIT" in log.read_text()
 
@@ -149,7 +143,7 @@ def test_their_runs_say_why(cut):
         "none": ["FINISHED"], "cancelled": ["KILLED"], "late": ["FAILED"], "queued": ["FAILED"]
     }  # fmt: skip
     assert children["late"][0].data.tags["reason"].startswith("SLURM says TIMEOUT")
-    assert children["queued"][0].data.tags["reason"] == "SLURM says CANCELLED"
+    assert children["queued"][0].data.tags["reason"] == "it left SLURM's queue"
 
 
 def test_the_same_sweep_again_does_what_is_missing_from_the_checkpoints(cut, cwd, server, sweep):
