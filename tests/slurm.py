@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import tempfile
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -87,9 +88,10 @@ def cluster(cpus, kill_wait):
             stack.enter_context(service([_program(daemon), *options], up, home / f"{daemon}.out"))
         try:
             yield
-        finally:  # what is left of a job waits for a controller for ever
+        finally:  # what still belongs to a job, and has its socket here, would wait for a controller for ever
             ask("scancel", f"--user={user}")
-            wait_until(lambda: not ask("squeue", "--noheader"), report=lambda: ask("squeue"))
+            sockets = partial((home / "spool").glob, "localhost_*")
+            wait_until(lambda: not (ask("squeue", "--noheader") or list(sockets())), report=partial(ask, "squeue"))
 
 
 def ask(*command):

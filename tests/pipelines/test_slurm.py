@@ -76,7 +76,7 @@ def cut(cwd, server, sweep):
     queue = partial(slurm.ask, "squeue", "--states=all")
     wait_until(lambda: all(checkpoint(cwd, fault) for fault in ("cancelled", "late")), process, queue)
     slurm.ask("scancel", IDS["cancelled"], IDS["queued"])
-    slurm.ask("scontrol", "update", f"JobId={IDS['late']}", "EndTime=now+1seconds")
+    slurm.ask("scontrol", "update", f"JobId={IDS['late']}", "EndTime=now")
     wait_until(lambda: queue(f"--jobs={IDS['late']}", "--noheader", "--format=%T") == "TIMEOUT\n", process, queue)
     # SLURM has killed the process that waited for this one. With control groups, which a test cannot have, both die.
     os.kill(batches(cwd, "late")[-1], signal.SIGKILL)
