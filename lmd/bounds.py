@@ -82,7 +82,7 @@ class Search:
 
     def __post_init__(self) -> None:
         real("spacing", self.spacing, above=0.0)
-        integer("iterations", self.iterations, low=1)
+        object.__setattr__(self, "iterations", integer("iterations", self.iterations, low=1))
         real("tolerance", self.tolerance, above=0.0)
 
 

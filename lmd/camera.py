@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.checks import FloatArray, InputError, real, vector
+from lmd.checks import FloatArray, InputError, integer, real, vector
 from lmd.geometry.distortion import coefficients, turning_point, widest_ray
 
 MM_PER_M = 1000.0
@@ -30,15 +30,15 @@ class Camera:
         focal_length: f, mm.
         pixel_width, pixel_height: s_u and s_v, mm per pixel.
         principal_point: (o_u, o_v), pixels from the left and top border.
-        image_width, image_height: w and h, pixels.
+        image_width, image_height: w and h, whole pixels.
         aperture: effective diameter d_a, mm.
         focus_distance: d_s, mm; infinity, the default, is allowed.
         distortion: OpenCV's k1, k2, p1, p2 and, if you like, k3; none for a lens that does not distort, see
             `lmd.geometry.distortion`.
 
     Raises:
-        InputError: a value is not positive, the principal point lies outside the image, the focus distance is not
-            beyond the focal length, or the distortion folds the image.
+        InputError: a value is not positive, the image has no whole number of pixels, the principal point lies outside
+            it, the focus distance is not beyond the focal length, or the distortion folds the image.
     """
 
     focal_length: float
@@ -52,8 +52,10 @@ class Camera:
     distortion: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("focal_length", "pixel_width", "pixel_height", "image_width", "image_height", "aperture"):
+        for name in ("focal_length", "pixel_width", "pixel_height", "aperture"):
             object.__setattr__(self, name, real(name, getattr(self, name), above=0.0))
+        for name in ("image_width", "image_height"):
+            object.__setattr__(self, name, float(integer(name, getattr(self, name), low=1)))
         focus = real("focus_distance", self.focus_distance, above=0.0, infinite=True)
         if focus <= self.focal_length:
             raise InputError(

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lmd.checks import InputError
+from lmd.checks import InputError, file_path
 from lmd.optimisers.base import Optimiser
 
 FILE = "checkpoint.pkl"
@@ -66,7 +66,7 @@ class Checkpoint:
         Raises:
             InputError: there is none, it is damaged or holds what it may not, or it was made with other settings.
         """
-        path = Path(directory) / FILE
+        path = file_path("resume", directory) / FILE
         if not path.is_file():
             raise InputError(f"resume = {str(directory)!r} holds no {FILE}.")
         state, then, run_id = _read(path, {"lmd", _package(type(self.optimiser).__module__)})

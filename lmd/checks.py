@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
+
+ONE_TURN = 2.0 * math.pi + 0.01  # 6.2832 was rounded up
 
 
 class InputError(ValueError):
@@ -49,7 +52,10 @@ def real(
     """
     if isinstance(value, bool) or not isinstance(value, int | float | np.floating | np.integer):
         raise InputError(f"{name} must be a number, got {value!r}.", name)
-    number = float(value)
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.copysign(math.inf, value)
     if math.isnan(number) or (math.isinf(number) and not infinite):
         raise InputError(f"{name} must be finite, got {value!r}.", name)
     if above is not None and not number > above:
@@ -64,14 +70,27 @@ def real(
 
 
 def integer(name: str, value: Any, *, low: int, high: int | None = None) -> int:
-    """Return `value` as an int in [low, high].
+    """Return `value` as an int in [low, high]; a float that is whole will do, such as 1e3.
 
     Raises:
         InputError: `value` is not a whole number or is out of range.
     """
-    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+    whole = isinstance(value, int | np.integer) or (isinstance(value, float) and value.is_integer())
+    if isinstance(value, bool) or not whole:
         raise InputError(f"{name} must be a whole number, got {value!r}.", name)
-    return int(real(name, value, low=low, high=high))
+    real(name, value, low=low, high=high)
+    return int(value)
+
+
+def boolean(name: str, value: Any) -> bool:
+    """Return `value` if it is True or False.
+
+    Raises:
+        InputError: it is neither, also where Python would take it for one.
+    """
+    if not isinstance(value, bool):
+        raise InputError(f"{name} must be true or false, got {value!r}.", name)
+    return value
 
 
 def choice(name: str, value: Any, options: Sequence[str]) -> str:
@@ -97,3 +116,23 @@ def vector(name: str, value: Any, size: int, **bounds: Any) -> tuple[float, ...]
     if len(entries) != size:
         raise InputError(f"{name} must be a list of {size} numbers, got {entries!r}.", name)
     return tuple(real(f"{name}[{i}]", entry, **bounds) for i, entry in enumerate(entries))
+
+
+def file_path(name: str, value: Any) -> Path:
+    """Return `value` as a path.
+
+    Raises:
+        InputError: it is no text.
+    """
+    if not isinstance(value, str | Path):
+        raise InputError(f"{name} must be the path of a file or a folder, got {value!r}.", name)
+    return Path(value)
+
+
+def radians(source: str, **angles: FloatArray) -> None:
+    """Raise `InputError` if angles from the file `source`, by their names, look like degrees: beyond one turn."""
+    for name, angle in angles.items():
+        worst = float(angle[np.argmax(np.abs(angle))])
+        if abs(worst) > ONE_TURN:
+            asked = "angles are in radians, at most one turn from zero"
+            raise InputError(f"{source}: {name} = {worst:g} looks like degrees; {asked}.")

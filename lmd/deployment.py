@@ -7,10 +7,12 @@ from typing import Protocol
 import numpy as np
 import pandas as pd
 
-from lmd.checks import BoolArray, FloatArray, InputError, IntArray, choice, integer
+from lmd.checks import BoolArray, FloatArray, InputError, IntArray, boolean, choice, integer
+from lmd.labels import ID, Labels
+from lmd.memory import check_memory
 from lmd.space.space import Space
-from lmd.space.surface import Surface, SurfaceArrays
-from lmd.tables import has_column, read_numbers
+from lmd.space.surface import SurfaceArrays
+from lmd.tables import read_table
 from lmd.tag import upright
 
 COLUMNS = ("x", "y", "z", "nx", "ny", "nz")
@@ -23,6 +25,8 @@ NORMAL_TOLERANCE = 1e-3
 FLUSH = 1e-6
 # Landmarks of a file may be so far from their surface, metres: they were measured by hand, or have a board behind them.
 MID_AIR = 0.05
+# What a landmark takes while a deployment is made, bytes: a dozen vectors.
+LANDMARK_BYTES = 400
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,7 @@ class Deployment:
         normals: `(K, 3)` unit normals of the front faces, world frame.
         surfaces: `(K,)`, index of the surface of its room that each hangs on, -1 where none is known, the default: see
             `hung`.
+        labels: what the landmarks are called; None where they are numbered from 0.
 
     Raises:
         InputError: wrong shapes, no landmark, a value that is not finite, or a normal that is not unit.
@@ -42,6 +47,7 @@ class Deployment:
     positions: FloatArray
     normals: FloatArray
     surfaces: IntArray = None  # type: ignore[assignment] # always an array once made
+    labels: Labels | None = None
 
     def __post_init__(self) -> None:
         for name in ("positions", "normals"):
@@ -60,20 +66,28 @@ class Deployment:
             raise InputError(f"deployment surfaces must have the shape (K,), got {surfaces.shape}.")
         surfaces.flags.writeable = False
         object.__setattr__(self, "surfaces", surfaces)
+        if len(self.ids) != count:
+            raise InputError(f"a deployment has {count} positions but {len(self.ids)} ids.")
         length = np.linalg.norm(self.normals, axis=1)
         worst = int(np.argmax(np.abs(length - 1.0)))
         if abs(length[worst] - 1.0) > NORMAL_TOLERANCE:
-            raise InputError(f"landmark {worst}: the normal must have length 1, it has {length[worst]:g}.")
+            raise InputError(f"landmark {self.ids[worst]}: the normal must have length 1, it has {length[worst]:g}.")
 
     def __len__(self) -> int:
         return len(self.positions)
 
     def __getitem__(self, chosen: slice | IntArray | BoolArray) -> "Deployment":
         """The landmarks that `chosen` selects."""
-        return Deployment(self.positions[chosen], self.normals[chosen], self.surfaces[chosen])
+        labels = None if self.labels is None else self.labels[chosen]
+        return Deployment(self.positions[chosen], self.normals[chosen], self.surfaces[chosen], labels)
+
+    @property
+    def ids(self) -> IntArray:
+        """The number of each landmark, `(K,)`, all different."""
+        return np.arange(len(self)) if self.labels is None else self.labels.ids
 
     def __add__(self, other: "Deployment") -> "Deployment":
-        """The landmarks of both."""
+        """The landmarks of both, numbered from 0."""
         parts = ((getattr(self, name), getattr(other, name)) for name in ("positions", "normals", "surfaces"))
         return Deployment(*(np.concatenate(part) for part in parts))
 
@@ -130,14 +144,14 @@ class Deployment:
         deviation = np.linalg.norm(self.normals - normals, axis=1)
         if flush and deviation.max() > FLUSH:
             raise InputError(
-                f"landmark {int(np.argmax(deviation))} is not flush with its wall; only an encoding "
+                f"landmark {self.ids[np.argmax(deviation)]} is not flush with its wall; only an encoding "
                 "that is not flush can start from it."
             )
         return hung
 
     def _place(self, k: int) -> str:
         x, y, z = self.positions[k]
-        return f"{k} at ({x:.9g}, {y:.9g}, {z:.9g})"
+        return f"{self.ids[k]} at ({x:.9g}, {y:.9g}, {z:.9g})"
 
     @property
     def ups(self) -> FloatArray:
@@ -145,7 +159,7 @@ class Deployment:
         return upright(self.normals)[1] + 0.0  # no -0
 
     def to_csv(self, path: str | Path, ups: bool = False) -> None:
-        """Write `id,x,y,z,nx,ny,nz` with every digit, so that reading it back gives the same numbers.
+        """Write `id,x,y,z,nx,ny,nz` with every digit, so that reading it back gives the same numbers and labels.
 
         Args:
             path: the file.
@@ -154,32 +168,37 @@ class Deployment:
         parts, columns = [self.positions, self.normals], list(COLUMNS)
         if ups:
             parts, columns = [*parts, self.ups], [*columns, *UP_COLUMNS]
-        pd.DataFrame(np.hstack(parts), columns=columns).to_csv(path, index_label="id")
+        table = pd.DataFrame(np.hstack(parts), self.ids, columns)
+        further = {} if self.labels is None else self.labels.columns
+        table.assign(**{name: list(texts) for name, texts in further.items()}).to_csv(path, index_label=ID)
 
     @classmethod
     def from_csv(cls, path: str | Path) -> "Deployment":
-        """Read a CSV with the columns x,y,z,nx,ny,nz (and id, which is ignored, and ux,uy,uz if tags hang upright).
+        """Read a CSV with the columns x,y,z,nx,ny,nz (and id, and ux,uy,uz if tags hang upright).
 
-        Normals are scaled to length 1 if they are printed with few decimals.
+        Normals are scaled to length 1 if they are printed with few decimals. Further columns are kept as labels.
 
         Raises:
             InputError: the file cannot be read, or what it holds is no deployment, or of tags that do not hang upright.
         """
-        columns = COLUMNS + UP_COLUMNS if any(has_column(path, name) for name in UP_COLUMNS) else COLUMNS
-        table = read_numbers(path, columns, name="path", optional=("id",))
+        table = read_table(path, name="path")
+        columns = COLUMNS + UP_COLUMNS if any(name in table for name in UP_COLUMNS) else COLUMNS
+        rows, labels = table.numbers(columns, None), Labels.of(table, columns)
         try:
-            deployment = cls(table[:, :3], table[:, 3:6])
+            deployment = cls(rows[:, :3], rows[:, 3:6], labels=labels)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
-        turned = table[:, 6:] - deployment.ups if table.shape[1] > len(COLUMNS) else np.zeros((1, 3))
+        turned = rows[:, 6:] - deployment.ups if rows.shape[1] > len(COLUMNS) else np.zeros((1, 3))
         if (off := np.flatnonzero(np.linalg.norm(turned, axis=1) > UP_TOLERANCE)).size:
-            up, way = (", ".join(f"{value:.4g}" for value in v[off[0]]) for v in (table[:, 6:], deployment.ups))
+            first = off[0]
+            up, way = (", ".join(f"{value:.4g}" for value in v[first]) for v in (rows[:, 6:], deployment.ups))
             raise InputError(
-                f"{path}: the up of landmark {off[0]} is ({up}), but tags hang upright here, which would be ({way})."
+                f"{path}: the up of landmark {deployment.ids[first]} is ({up}), but tags hang upright here, which "
+                f"would be ({way})."
             )
         length = np.linalg.norm(deployment.normals, axis=1, keepdims=True)
         exact = np.abs(length - 1.0) < 1e-12  # dividing these would only move the last bit
-        return cls(deployment.positions, np.where(exact, deployment.normals, deployment.normals / length))
+        return replace(deployment, normals=np.where(exact, deployment.normals, deployment.normals / length))
 
 
 class DeploymentSource(Protocol):
@@ -193,6 +212,17 @@ class DeploymentSource(Protocol):
         """A deployment inside `room`, its landmarks with their surfaces."""
 
 
+def landmark_count(value: int) -> int:
+    """K, the `count` of a source.
+
+    Raises:
+        InputError: it is no positive whole number, or so many landmarks would not fit into memory.
+    """
+    count = integer("count", value, low=1)
+    check_memory(count * LANDMARK_BYTES, f"count = {count:,} landmarks", "count")
+    return count
+
+
 @dataclass(frozen=True)
 class RandomDeployment:
     """Landmarks flush on the walls, each wall with a probability proportional to its area."""
@@ -201,7 +231,7 @@ class RandomDeployment:
     varies = True
 
     def __post_init__(self) -> None:
-        integer("count", self.count, low=1)
+        object.__setattr__(self, "count", landmark_count(self.count))
 
     def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
         """See `DeploymentSource.draw`."""
@@ -226,7 +256,7 @@ class UniformDeployment:
     varies = False
 
     def __post_init__(self) -> None:
-        integer("count", self.count, low=1)
+        object.__setattr__(self, "count", landmark_count(self.count))
         choice("layout", self.layout, ("per_wall", "by_area"))
 
     def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
@@ -239,7 +269,7 @@ class UniformDeployment:
         # Largest remainder first; the larger surface wins a tie.
         order = np.lexsort((-area, -np.round(quota - counts, 9)))
         counts[order[: self.count - counts.sum()]] += 1
-        grids = [_grid(surface, n) for surface, n in zip(surfaces, counts, strict=True)]
+        grids = [surface.grid(n) for surface, n in zip(surfaces, counts, strict=True)]
         at = np.array([point for grid in grids for point in grid])
         return _flush(SurfaceArrays.of(surfaces), np.repeat(np.arange(len(surfaces)), counts), at)
 
@@ -260,8 +290,7 @@ class FileDeployment:
     varies = False
 
     def __post_init__(self) -> None:
-        if not isinstance(self.free, bool):
-            raise InputError(f"free must be true or false, got {self.free!r}.", "free")
+        boolean("free", self.free)
 
     def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
         """See `DeploymentSource.draw`."""
@@ -282,32 +311,3 @@ class FileDeployment:
 def _flush(surfaces: SurfaceArrays, surface: IntArray, at: FloatArray) -> Deployment:
     """Landmarks flush on their surfaces `(K,)` at surface coordinates `(K, 2)`."""
     return Deployment(surfaces.points(surface, at), surfaces.normal[surface], surface)
-
-
-# A grid whose cells are more elongated than this gives way to one with rows of unequal number.
-MAX_ELONGATION = 3.0
-
-
-def _grid(surface: Surface, count: int) -> list[tuple[float, float]]:
-    """Surface coordinates of `count` cell centres, with cells as square as an even grid allows.
-
-    The grid runs along the longer side; 15 landmarks on the paper's walls make 5 x 3.
-    """
-    if count == 0:
-        return []
-    swap = surface.extent[1] > surface.extent[0]
-    long, short = max(surface.extent), min(surface.extent)
-
-    def elongation(rows: int) -> float:
-        cell = (long / (count / rows)) / (short / rows)
-        return max(cell, 1.0 / cell)
-
-    even = min((r for r in range(1, count + 1) if count % r == 0), key=elongation)
-    rows = even if elongation(even) <= MAX_ELONGATION else min(range(1, count + 1), key=elongation)
-    points = []
-    for row in range(rows):
-        in_row = count // rows + (row < count % rows)
-        for i in range(in_row):
-            along, across = long * (i + 0.5) / in_row, short * (row + 0.5) / rows
-            points.append((across, along) if swap else (along, across))
-    return points

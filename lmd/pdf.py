@@ -10,14 +10,17 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from lmd.checks import FloatArray, InputError, integer, real
+from lmd.checks import FloatArray, InputError, integer, radians, real
 from lmd.geometry.frames import optical_axis, rotation
-from lmd.tables import has_column, read_numbers
+from lmd.memory import check_memory
+from lmd.tables import read_table
 
 # Two axes are the same direction when every coordinate agrees to this many decimals.
 SAME_AXIS_DECIMALS = 12
 # Each weight may be off by this much: weights printed with six decimals are accepted, and normalised.
 PRINTED_WEIGHT = 0.5e-6
+# What an orientation takes until the distinct ones are found, bytes: its rotation, axes and sorting keys.
+ORIENTATION_BYTES = 600
 
 # Yaw and pitch (radians, `(S,)` each) from points `(S, 2)`: uniform points of the unit square become angles that
 # follow a continuous distribution.
@@ -158,8 +161,12 @@ class OrientationPdf:
         pd.DataFrame(columns | ({"roll": self.roll} if np.any(self.roll) else {})).to_csv(path, index=False)
 
 
-def _divisions(value: int) -> int:
-    return integer("divisions", value, low=1)
+def _divisions(value: int, pitches: int | None = None) -> int:
+    """The number of pitches, and half that of yaws; `pitches` if there are others."""
+    count = integer("divisions", value, low=1)
+    made = 2 * count * (pitches or count)
+    check_memory(made * ORIENTATION_BYTES, f"divisions = {count:,} makes {made:,} orientations, which", "divisions")
+    return count
 
 
 def _rolls(roll: Roll) -> Sequence[tuple[float, float]]:
@@ -257,7 +264,7 @@ def level_flight(divisions: int = 12, pitch: float = 0.0, roll: Roll = 0.0) -> O
         pitch: radians.
         roll: as in `grid_with_ends`.
     """
-    n, roll = _divisions(divisions), _rolls(roll)
+    n, roll = _divisions(divisions, pitches=1), _rolls(roll)
     fixed = real("pitch", pitch, low=-np.pi / 2, high=np.pi / 2)
     weight, refine = np.array([1.0 / (2 * n)]), partial(level_flight, 2 * n, fixed, roll)
     return _product(
@@ -273,6 +280,7 @@ def from_csv(path: str | None) -> OrientationPdf:
     """
     if path is None:
         raise InputError("path is missing: a CSV with the columns yaw,pitch,weight is needed.", "path")
-    columns = ["yaw", "pitch", "weight"] + ["roll"] * has_column(path, "roll")
-    yaw, pitch, weight, *roll = read_numbers(path, columns, name="path").T
+    table = read_table(path, name="path")
+    yaw, pitch, weight, *roll = table.numbers(["yaw", "pitch", "weight"] + ["roll"] * ("roll" in table)).T
+    radians(table.path, yaw=yaw, pitch=pitch)
     return OrientationPdf(yaw, pitch, weight, str(path), roll=roll[0] if roll else 0.0)

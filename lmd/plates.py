@@ -40,8 +40,17 @@ class Plates:
 
     @cached_property
     def hanging(self) -> Space:
-        """The room with what the centres of tags may use of its surfaces."""
-        return Inset(self.room, self.edge / 2.0) if self.edge else self.room
+        """The room with what the centres of tags may use of its surfaces.
+
+        Raises:
+            InputError: a surface is narrower than a plate.
+        """
+        if not self.edge:
+            return self.room
+        try:
+            return Inset(self.room, self.edge / 2.0)
+        except InputError as error:
+            raise InputError(f"edge is too large: {error}", "edge") from None
 
     @cached_property
     def _surfaces(self) -> SurfaceArrays:
@@ -91,9 +100,10 @@ class Plates:
         surface = deployment.surfaces[flat]
         at, extent = self._surfaces.coordinates(surface, deployment.positions[flat]), self._surfaces.extent[surface]
         names = [surface.name for surface in self.room.surfaces()]
+        ids = deployment.ids[flat]
         if (over := np.flatnonzero(((at < -PRINTED) | (at > extent + PRINTED)).any(axis=1))).size:
             raise InputError(
-                f"landmark {flat[over[0]]} hangs over the edge of {names[surface[over[0]]]}: its paper is "
+                f"landmark {ids[over[0]]} hangs over the edge of {names[surface[over[0]]]}: its paper is "
                 f"{self.edge:.4g} m wide."
             )
         distance = np.abs(at[:, None] - at[None]).max(axis=-1)
@@ -101,7 +111,7 @@ class Plates:
         if (pairs := np.argwhere(np.triu(close, 1))).size:
             i, j = pairs[0]
             raise InputError(
-                f"landmarks {flat[i]} and {flat[j]} on {names[surface[i]]} overlap: their papers are {self.edge:.4g} m "
+                f"landmarks {ids[i]} and {ids[j]} on {names[surface[i]]} overlap: their papers are {self.edge:.4g} m "
                 f"wide, their centres {distance[i, j]:.4g} m apart along the edges."
             )
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from lmd.checks import FloatArray, integer
 from lmd.deployment import Deployment, DeploymentSource
 from lmd.objectives.base import Objective
 from lmd.scene import Scene
-from lmd.sight.evaluator import Evaluator
+from lmd.sight.evaluator import MOST_THREADS, Evaluator
 
 # Seeds every draw of an objective's `Sampling`: the problem is the same for every seed of an optimiser.
 SAMPLING_STREAM = 0x64657369
@@ -35,11 +35,12 @@ class Problem:
 
     def __init__(self, scene: Scene, objective: Objective, start: DeploymentSource, threads: int | None = None) -> None:
         if threads is not None:
-            integer("threads", threads, low=1)
+            threads = integer("threads", threads, low=1, high=MOST_THREADS)
         self.scene, self.objective, self.start = scene, objective, start
-        self.count = len(self.draw(np.random.default_rng(0)))
+        first = self.draw(np.random.default_rng(0))
+        self.count, self.labels = len(first), first.labels
         if not scene.tag.is_point:
-            scene.tag.check_count(self.count)
+            scene.tag.check_ids(first.ids)
         objective.check(self.count)
         self.evaluator = Evaluator(scene, threads=threads)
         self.relevance = scene.room.relevance.weights(self.evaluator.positions)
@@ -52,6 +53,10 @@ class Problem:
     def draw(self, rng: np.random.Generator) -> Deployment:
         """A deployment to start from, its landmarks with their surfaces, its plates apart."""
         return self.scene.plates.draw(self.start, rng)
+
+    def labelled(self, deployment: Deployment) -> Deployment:
+        """What an optimiser made of the start: its k-th landmark keeps the id and the columns of the k-th there."""
+        return replace(deployment, labels=self.labels)
 
     def fitness(self, positions: FloatArray, normals: FloatArray) -> FloatArray:
         """Fitness in [0, 1], to maximise, of B deployments with landmarks `(B, K, 3)`, `(B,)`."""

@@ -132,7 +132,7 @@ def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sam
     return Sensitivity(
         assumptions=pd.DataFrame(rows, columns=["assumption", "factor", "value", *SHARES, "note"]),
         misses=pd.DataFrame(missed, columns=SHARES).assign(missed=MISSED)[["missed", *SHARES]],
-        tags=pd.DataFrame({"id": np.arange(len(deployment)), "localised_loss": tags[0], "covered_loss": tags[1]}),
+        tags=pd.DataFrame({"id": deployment.ids, "localised_loss": tags[0], "covered_loss": tags[1]}),
         lost=pd.DataFrame([_worst(lost, share, losses[i]) for i, share in enumerate(SHARES) for lost in many]),
     )
 

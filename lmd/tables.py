@@ -1,16 +1,103 @@
-"""Reading CSV tables of numbers, with messages that name the file and the value."""
+"""Reading CSV tables, with messages that name the file, the line and the value."""
 
-import warnings
-from collections.abc import Sequence
-from pathlib import Path
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import pandas as pd
 
-from lmd.checks import FloatArray, InputError
+from lmd.checks import FloatArray, InputError, file_path
+
+COMMENT = "#"  # begins a line that is not read
 
 
-def read_numbers(path: str | Path, columns: Sequence[str], *, name: str, optional: Sequence[str] = ()) -> FloatArray:
+@dataclass(frozen=True)
+class Table:
+    """The texts of a CSV with a header.
+
+    Args:
+        path: the file, for messages.
+        lines: where each row stands in it, from 1.
+        texts: by the name of the column, one for each row.
+    """
+
+    path: str
+    lines: Sequence[int]
+    texts: Mapping[str, Sequence[str]]
+
+    def __contains__(self, column: str) -> bool:
+        return column in self.texts
+
+    def numbers(self, columns: Sequence[str], optional: Sequence[str] | None = ()) -> FloatArray:
+        """Some columns as finite numbers, `(rows, len(columns))`.
+
+        Args:
+            columns: in the order of the result.
+            optional: columns that may be there besides; None for any.
+
+        Raises:
+            InputError: the file is empty, a column is missing or unknown, or a value is no finite number.
+        """
+        if not self.texts:
+            raise InputError(f"{self.path} is empty; expected the columns {','.join(columns)}.")
+        expected = f"expected {','.join(columns)}"
+        for column in self.texts:
+            if optional is not None and column not in (*columns, *optional):
+                raise InputError(f"{self.path} has an unknown column {column!r}; {expected}.")
+        for column in columns:
+            if column not in self:
+                raise InputError(f"{self.path} lacks the column {column!r}; {expected}.")
+        if not self.lines:
+            raise InputError(f"{self.path} has a header but no rows.")
+        return np.array([[self._number(i, column) for column in columns] for i in range(len(self.lines))])
+
+    def _number(self, row: int, column: str) -> float:
+        text, place = self.texts[column][row], f"{self.path} line {self.lines[row]}: {column}"
+        try:
+            number = float(text)
+        except ValueError:
+            raise InputError(f"{place} is {text!r}, not a number.") from None
+        if not math.isfinite(number):
+            raise InputError(f"{place} is {text!r}, not a finite number.")
+        return number
+
+
+def read_table(path: Any, *, name: str) -> Table:
+    """Read a CSV with a header; blank lines and lines that begin with # are left out.
+
+    Args:
+        path: the file.
+        name: the argument the path came from, for messages.
+
+    Raises:
+        InputError: the file is missing or no CSV, names a column twice, or has a row of another length.
+    """
+    source = file_path(name, path)
+    try:
+        with source.open(encoding="utf-8-sig", newline="") as file:
+            content = [(i, line) for i, line in enumerate(file, 1) if line.strip() and line.lstrip()[0] != COMMENT]
+        reader = csv.reader((line for _, line in content), skipinitialspace=True, strict=True)
+        rows = [(content[reader.line_num - 1][0], [text.strip() for text in row]) for row in reader]
+    except FileNotFoundError:
+        raise InputError(f"{name}: there is no file {str(path)!r}.", name) from None
+    except (OSError, ValueError, csv.Error) as error:
+        raise InputError(f"{name}: {str(path)!r} cannot be read as CSV ({error}).", name) from None
+    if not rows:
+        return Table(str(path), (), {})
+    (_, header), *body = rows
+    for i, column in enumerate(header):
+        if column in header[:i]:
+            raise InputError(f"{path} names the column {column!r} twice; the first line is its header.")
+    for line, row in body:
+        if len(row) != len(header):
+            raise InputError(f"{path} line {line} has {len(row)} values, but the header has {len(header)} columns.")
+    texts = {column: [row[j] for _, row in body] for j, column in enumerate(header)}
+    return Table(str(path), [line for line, _ in body], texts)
+
+
+def read_numbers(path: Any, columns: Sequence[str], *, name: str, optional: Sequence[str] = ()) -> FloatArray:
     """Read the numeric `columns` of a CSV with a header, in that order.
 
     Args:
@@ -23,44 +110,6 @@ def read_numbers(path: str | Path, columns: Sequence[str], *, name: str, optiona
         `(rows, len(columns))` finite float64.
 
     Raises:
-        InputError: the file is missing or empty, a column is missing or unknown, a value is no finite number.
+        InputError: the file cannot be read, a column is missing or unknown, a value is no finite number.
     """
-    try:
-        with warnings.catch_warnings():
-            # Without this, pandas drops fields beyond the header and carries on with the wrong columns.
-            warnings.simplefilter("error", pd.errors.ParserWarning)
-            frame = pd.read_csv(path, dtype=str, skipinitialspace=True, keep_default_na=False, index_col=False)
-    except FileNotFoundError:
-        raise InputError(f"{name}: there is no file {str(path)!r}.", name) from None
-    except (OSError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.ParserWarning) as error:
-        raise InputError(f"{name}: {str(path)!r} cannot be read as CSV ({str(error).strip()}).", name) from None
-    except pd.errors.EmptyDataError:
-        raise InputError(f"{path} is empty; expected the columns {','.join(columns)}.") from None
-    frame.columns = [str(column).strip() for column in frame.columns]
-    for column in frame.columns:
-        if column not in columns and column not in optional:
-            raise InputError(f"{path} has an unknown column {column!r}; expected {','.join(columns)}.")
-    for column in columns:
-        if column not in frame.columns:
-            raise InputError(f"{path} lacks the column {column!r}; expected {','.join(columns)}.")
-    if frame.empty:
-        raise InputError(f"{path} has a header but no rows.")
-    table = np.empty((len(frame), len(columns)))
-    for j, column in enumerate(columns):
-        for i, text in enumerate(frame[column]):
-            try:
-                table[i, j] = float(text)
-            except ValueError:
-                raise InputError(f"{path} line {i + 2}: {column} is {text!r}, not a number.") from None
-            if not np.isfinite(table[i, j]):
-                raise InputError(f"{path} line {i + 2}: {column} is {text!r}, not a finite number.")
-    return table
-
-
-def has_column(path: str | Path, column: str) -> bool:
-    """Whether the header of a CSV names `column`; False for a file that `read_numbers` would refuse to read."""
-    try:
-        with Path(path).open() as file:
-            return column in (name.strip() for name in file.readline().split(","))
-    except (OSError, UnicodeDecodeError):
-        return False
+    return read_table(path, name=name).numbers(columns, optional)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, InputError, choice, integer, real
+from lmd.checks import BoolArray, FloatArray, InputError, IntArray, choice, integer, real
 from lmd.optional import optional
 
 # Units along (right, up) from a tag's centre to its corners, in half edges: top-left, top-right, bottom-right,
@@ -117,10 +117,13 @@ class Tag:
         """Edge of the paper with its quiet zone, s (1 + 2 q / N), metres."""
         return self.size * (1.0 + 2.0 * self.quiet_zone / self.modules)
 
-    def check_count(self, count: int) -> None:
-        """Raise `InputError` if the family has fewer than `count` different tags."""
-        if count > self.ids:
-            raise InputError(f"family {self.family} has {self.ids} different tags, too few for {count}.", "family")
+    def check_ids(self, ids: IntArray) -> None:
+        """Raise `InputError` if the family has fewer tags than there are `ids` `(K,)`, all different, or lacks one."""
+        if len(ids) > self.ids:
+            raise InputError(f"family {self.family} has {self.ids} different tags, too few for {len(ids)}.", "family")
+        if ids.max() >= self.ids:
+            message = f"family {self.family} has the tags 0 to {self.ids - 1}, but a landmark has the id {ids.max()}."
+            raise InputError(message, "family")
 
     def picture(self, number: int) -> BoolArray:
         """The modules of tag `number`, row 0 at the top, True where white, `(N, N)`.

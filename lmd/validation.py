@@ -50,9 +50,8 @@ class Sample:
     divisions: int = 46
 
     def __post_init__(self) -> None:
-        integer("groups", self.groups, low=2)
-        integer("positions", self.positions, low=1)
-        integer("divisions", self.divisions, low=1)
+        for name, low in (("groups", 2), ("positions", 1), ("divisions", 1)):
+            object.__setattr__(self, name, integer(name, getattr(self, name), low=low))
 
 
 def validation_metrics(

@@ -4,6 +4,7 @@ import errno
 import re
 import shutil
 import sys
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial, wraps
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 PACKAGE = str(__package__)  # `pipelines` in a checkout, `lmd.pipelines` where lmd is installed
 IN_CHECKOUT = PACKAGE == "pipelines"
+SWITCHES = ("validate", "page", "localisation", "sensitivity", "all_visible")  # settings that are true or false
 CONF = str(Path(__file__).resolve().parents[1] / "conf")  # beside this package in both
 
 
@@ -113,12 +115,19 @@ def build_problem(cfg: DictConfig) -> "Problem":
     """
     import numpy as np
 
-    from lmd.checks import choice, integer
+    from lmd.checks import boolean, choice, integer
     from lmd.optimisers.encoding import KINDS
     from lmd.problem import Problem
     from lmd.scene import Scene
+    from lmd.sight.evaluator import MOST_THREADS
     from lmd.tag import Tag
 
+    cfg.seed = integer("seed", cfg.seed, low=0)
+    if cfg.get("workers") is not None:
+        integer("workers", cfg.workers, low=1)
+    for switch in SWITCHES:
+        if switch in cfg:
+            boolean(switch, cfg[switch])
     tag = instantiate(cfg.tag) if cfg.get("tag") else Tag()  # runs of old have none
     scene = Scene(
         room=instantiate(cfg.room),
@@ -127,19 +136,22 @@ def build_problem(cfg: DictConfig) -> "Problem":
         visibility=instantiate(cfg.visibility),
         tag=tag,
     )
-    threads = None if cfg.threads is None else integer("threads", cfg.threads, low=1)
+    threads = None if cfg.threads is None else integer("threads", cfg.threads, low=1, high=MOST_THREADS)
     choice("encoding.kind", cfg.encoding.kind, KINDS)
+    boolean("encoding.flush", cfg.encoding.flush)
     objective, start = instantiate(cfg.objective), instantiate(cfg.deployment)
+    with keyed("tag"):
+        scene.plates.hanging.surfaces()
     # What only shows when the parts meet; the problem would refuse it too, but could not tell whose argument it is.
     with keyed("room.relevance"):
         scene.room.relevance.weights(scene.room.grid())
     with keyed("deployment"):
         if isinstance(start, partial):  # a source that depends on what the landmarks are for
             start = start(scene=scene, objective=objective, threads=threads)
-        count = len(scene.plates.draw(start, np.random.default_rng(0)))
+        ids = scene.plates.draw(start, np.random.default_rng(0)).ids
     if not tag.is_point:
         with keyed("tag"):
-            tag.check_count(count)
+            tag.check_ids(ids)
     with keyed("objective"):
         return Problem(scene, objective, start, threads)
 
@@ -162,6 +174,25 @@ def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":
     if isinstance(optimiser, AskTell):
         optimiser.encoding, optimiser.flush = optimiser.encoding or cfg.encoding.kind, cfg.encoding.flush
     return optimiser
+
+
+def save_path(save_as: Any) -> Path | None:
+    """`save_as`, whose folder is made and tried before anything has run; None for null.
+
+    Raises:
+        InputError: it is no text, or its folder cannot be written to.
+    """
+    from lmd.checks import InputError, file_path
+
+    if save_as is None:
+        return None
+    path = file_path("save_as", save_as)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path.parent):
+            return path
+    except OSError as error:
+        raise InputError(f"save_as = {save_as!r} cannot be written ({error}).") from None
 
 
 def search_path() -> list[str]:
@@ -242,14 +273,17 @@ def choices() -> dict[str, str]:
 def ends_reported() -> Iterator[None]:
     """Turn bad input and a full disk into one sentence on stderr and exit code 1; leave no trace where nothing came of
     a run.
+
+    Memory that is refused counts as bad input: what takes most is estimated (`lmd.memory`), the rest is not.
     """
     from lmd.checks import InputError
 
     try:
         yield
-    except InputError as error:
+    except (InputError, MemoryError) as error:
         _discard_empty(run_directory())
-        print(f"error: {error}", file=sys.stderr)
+        lack = "there is not enough memory for these settings: " if isinstance(error, MemoryError) else ""
+        print(f"error: {lack}{error}", file=sys.stderr)
         sys.exit(1)
     except OSError as error:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT):

@@ -31,7 +31,8 @@ def bound(cfg: DictConfig) -> None:
     document: dict[str, Any] = {}
     figures: dict[str, float] = {}
     with tracked(cfg, "bound", title_of(problem, "bound")) as tracker:
-        choice = selection_upper_bound(problem, count, search.spacing)
+        with keyed("bound"):
+            choice = selection_upper_bound(problem, count, search.spacing)
         document["selection"] = {"greedy": choice.greedy, "grid": choice.grid, "share": choice.share}
         figures |= {f"bound/selection/{kind}": value for kind, value in document["selection"].items()}
         _show("greedy choice", f">= {choice.share:.2%} of the best {count} poses of the grid, by the {choice.label}: "

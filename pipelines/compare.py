@@ -13,6 +13,7 @@ from .app import (
     keyed,
     recompose,
     run_directory,
+    save_path,
     search_path,
     task_overrides,
 )
@@ -45,10 +46,10 @@ def compare(cfg: DictConfig) -> None:
     from .reproduction.comparison import to_markdown
     from .tracked_run import title_of, tracked
 
-    problem = build_problem(cfg)
+    problem, save_as = build_problem(cfg), save_path(cfg.save_as)
     with keyed("budget"):
         budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
-    seeds = range(integer("seed", cfg.seed, low=0), cfg.seed + integer("seeds", cfg.seeds, low=1))
+    seeds = range(cfg.seed, cfg.seed + integer("seeds", cfg.seeds, low=1))
     if not isinstance(cfg.optimisers, ListConfig) or not all(str(entry).split() for entry in cfg.optimisers):
         raise InputError(f"optimisers must be a list of names, got {cfg.optimisers!r}.")
     configs = {str(entry): _compose(str(entry), cfg) for entry in cfg.optimisers}
@@ -75,11 +76,9 @@ def compare(cfg: DictConfig) -> None:
                 tracker.log_artifacts([directory / f"comparison.{kind}" for kind in ("csv", "md", "png")])
                 print(f"\n{to_markdown(table, headline)}\nfiles: {directory}")
         tracker.finish("FINISHED")
-    if cfg.save_as is not None:
+    if save_as is not None:
         for kind in ("md", "png"):
-            target = Path(f"{cfg.save_as}.{kind}")
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes((directory / f"comparison.{kind}").read_bytes())
+            Path(f"{save_as}.{kind}").write_bytes((directory / f"comparison.{kind}").read_bytes())
 
 
 def _compose(entry: str, cfg: DictConfig) -> DictConfig:

@@ -6,7 +6,8 @@ from pathlib import Path
 from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
+from yaml import YAMLError
 
 KEY = "run="
 GROUPS = ("room", "camera", "pdf", "tag", "visibility", "objective")  # what a run was about
@@ -31,7 +32,7 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}") -> None:
         if not (directory / name).is_file():
             print(f"error: run = '{directory}' is no run to go on from: it holds no {name}.", file=sys.stderr)
             sys.exit(1)
-    before, store = OmegaConf.load(directory / FILES[0]), ConfigStore.instance()
+    before, store = _configuration(directory / FILES[0]), ConfigStore.instance()
     parts = {group: OmegaConf.select(before, group) for group in GROUPS}
     groups = [group for group in GROUPS if parts[group] is not None]  # runs of old lack some
     for group in groups:
@@ -42,6 +43,19 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}") -> None:
     named = {argument.partition("=")[0] for argument in sys.argv[1:]}
     place = sys.argv.index(given[-1]) + 1  # beside it: options of Hydra may stand before and after
     sys.argv[place:place] = [override for override in chosen if override.partition("=")[0] not in named]
+
+
+def _configuration(file: Path) -> DictConfig:
+    """What is in the configuration of a run; ends the process where that cannot be read."""
+    try:
+        found = OmegaConf.load(file)
+    except (OSError, UnicodeDecodeError, YAMLError) as error:
+        print(f"error: run: '{file}' cannot be read ({' '.join(str(error).split())}).", file=sys.stderr)
+        sys.exit(1)
+    if not isinstance(found, DictConfig):
+        print(f"error: run: '{file}' is no configuration.", file=sys.stderr)
+        sys.exit(1)
+    return found
 
 
 def _directory(argument: str) -> Path | None:

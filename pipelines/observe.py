@@ -50,14 +50,15 @@ def observe(cfg: DictConfig) -> None:
 
     from .tracked_run import title_of, tracked
 
-    seeds = range(integer("seed", cfg.seed, low=0), cfg.seed + integer("seeds", cfg.seeds, low=1))
+    seed = integer("seed", cfg.seed, low=0)
+    seeds = range(seed, seed + integer("seeds", cfg.seeds, low=1))
     composed = composed_deployments(cfg, "observe")
     problems = {name: build_problem(any_deployment(own)) for name, own in composed.items()}
     problem = next(iter(problems.values()))
     film = None if cfg.film is None else real("film", cfg.film, above=0.0)
     estimators = {name: instantiate(node) for name, node in (cfg.get("estimator") or {}).items()}
     trajectory, start, odometry = (instantiate(cfg[key]) for key in ("trajectory", "start", "odometry"))
-    with keyed("trajectory"):
+    with keyed("trajectory", seeds="seeds"):
         flights = Flights.draw(problem, trajectory, start, seeds)
     directory, n = run_directory(), problem.objective.n
     with tracked(cfg, "observe", title_of(problem, "observe")) as tracker:

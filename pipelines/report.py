@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from .app import application, build_problem, ends_reported, run_directory
+from .app import application, build_problem, ends_reported, run_directory, save_path
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -38,7 +38,8 @@ def report(cfg: DictConfig) -> None:
 
     if "uri" not in cfg.tracking:
         raise InputError("A report reads what was tracked: it needs tracking=mlflow.")
-    kept = _kept_text(cfg.save_as)
+    save_as = save_path(cfg.save_as)
+    kept = _kept_text(save_as)
     reader = MlflowReader(cfg.tracking.uri, cfg.tracking.experiment_name)
     runs = _chosen(reader.runs(), cfg.sweeps)
     directory = run_directory()
@@ -51,8 +52,8 @@ def report(cfg: DictConfig) -> None:
         for path in sorted(partial.iterdir()):
             shutil.move(path, directory / path.name)
     print(f"report  {directory / 'report.html'}\n        {directory / 'report.md'}")
-    if cfg.save_as is not None:
-        page = Path(f"{cfg.save_as}.md")
+    if save_as is not None:
+        page = Path(f"{save_as}.md")
         folder = page.with_suffix("")
         folder.mkdir(parents=True, exist_ok=True)
         for picture in pictures:
@@ -61,7 +62,7 @@ def report(cfg: DictConfig) -> None:
         print(f"        {page}")
 
 
-def _kept_text(save_as: str | None) -> str:
+def _kept_text(save_as: Path | None) -> str:
     """What stands above the generated part of the page to be written.
 
     Raises:

@@ -27,7 +27,7 @@ seeds = st.integers(0, 2**32 - 1)
 @st.composite
 def cameras(draw):
     focal_length = draw(st.floats(2.0, 12.0))
-    width, height = draw(st.floats(200.0, 2000.0)), draw(st.floats(200.0, 2000.0))
+    width, height = (float(draw(st.integers(200, 2000))) for _ in range(2))
     centre = draw(st.sampled_from([(0.5, 0.5), (0.2, 0.6), (0.7, 0.9)]))
     return Camera(
         focal_length=focal_length,

@@ -154,7 +154,7 @@ def test_a_csv_is_read_by_column_name(write):
         ("yaw,pitch,weight\n0,0,0.5\n1,0,0.4\n", "must sum to 1, they sum to 0.9"),
         ("yaw,pitch,tilt,weight\n0,0,0,1\n", "unknown column 'tilt'"),
         ("yaw,weight\n0,1\n", "lacks the column 'pitch'"),
-        ("0,0,1\n", "unknown column '0'"),
+        ("0,0,1\n", "names the column '0' twice; the first line is its header"),
         ("", "is empty"),
         ("\n\n", "is empty"),
         ("yaw,pitch,weight\n", "header but no rows"),
@@ -162,9 +162,11 @@ def test_a_csv_is_read_by_column_name(write):
         ("yaw,pitch,weight\n0,-inf,1\n", "line 2: pitch is '-inf', not a finite number"),
         ("yaw,pitch,weight\n0,up,1\n", "line 2: pitch is 'up', not a number"),
         ("yaw,pitch,weight\n0,,1\n", "line 2: pitch is '', not a number"),
-        ("yaw,pitch,weight\n0,1\n", "line 2: weight is ''"),
+        ("yaw,pitch,weight\n0,1\n", "line 2 has 2 values"),
         ("yaw,pitch,weight\n0,0,1.5\n1,0,-0.5\n", "negative weight, -0.5"),
-        ("yaw,pitch,weight\n0,90,1\n", "pitch must be in .* got 90"),
+        ("yaw,pitch,weight\n0,90,1\n", "pitch = 90 looks like degrees; angles are in radians"),
+        ("yaw,pitch,weight\n0,0,0.5\n180,0,0.5\n", "yaw = 180 looks like degrees; angles are in radians"),
+        ("yaw,pitch,weight\n0,2,1\n", "pitch must be in .* got 2"),
     ],
 )
 def test_a_bad_csv_is_refused_with_its_name_and_the_value(write, text, named):

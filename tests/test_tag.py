@@ -57,9 +57,9 @@ def test_bad_input_gets_a_sentence(arguments, sentence):
 
 
 def test_a_family_may_have_too_few_tags():
-    Tag(0.1, "25h9").check_count(35)
+    Tag(0.1, "25h9").check_ids(np.arange(35))
     with pytest.raises(InputError, match="family 25h9 has 35 different tags, too few for 36"):
-        Tag(0.1, "25h9").check_count(36)
+        Tag(0.1, "25h9").check_ids(np.arange(36))
     with pytest.raises(InputError, match=r"tag id must be in \[0, 34\], got 35"):
         Tag(0.1, "25h9").picture(35)
 

@@ -4,10 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from lmd.camera import Camera
-from lmd.checks import FloatArray, InputError, real
+from lmd.checks import FloatArray, InputError, file_path, real
 from lmd.deployment import COLUMNS
 from lmd.detection.detectors import Detections, Detector
 from lmd.detection.evaluation import TOLERANCE, corner_error, match
@@ -20,7 +19,7 @@ from lmd.render.imaging import Imaging, UInt8Array
 from lmd.render.optics import image_size
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
-from lmd.tables import read_numbers
+from lmd.tables import read_numbers, read_table
 from lmd.tag import Tag, upright
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
@@ -51,7 +50,7 @@ class BoardImages:
     def __post_init__(self) -> None:
         if self.folder is None:
             raise InputError("folder is missing: a folder of images is needed.", "folder")
-        if not Path(self.folder).is_dir():
+        if not file_path("folder", self.folder).is_dir():
             raise InputError(f"folder: there is no folder {str(self.folder)!r}.", "folder")
         if self.tags is None:
             raise InputError("tags is missing: a CSV of the tags on the board is needed.", "tags")
@@ -99,11 +98,11 @@ class BoardImages:
 
     def _known_poses(self, path: str) -> dict[str, FloatArray]:
         """X by the image's name."""
-        rows = read_numbers(path, POSE, name="poses", optional=("image",))
-        table = pd.read_csv(path, dtype=str, skipinitialspace=True)
+        table = read_table(path, name="poses")
+        rows = table.numbers(POSE, ("image",))
         if "image" not in table:
             raise InputError(f"{path} lacks the column 'image'; expected image,{','.join(POSE)}.")
-        names = [name.strip() for name in table["image"]]
+        names = table.texts["image"]
         missing = set(names) - {image.name for image in self.images()}
         if missing:
             raise InputError(f"{path}: {str(self.folder)!r} has no image {min(missing)!r}.")

@@ -116,7 +116,7 @@ class AprilTagDetector:
     def __post_init__(self) -> None:
         choice("family", self.family, tuple(name for name, family in FAMILIES.items() if family.apriltag))
         object.__setattr__(self, "quad_decimate", real("quad_decimate", self.quad_decimate, low=1.0))
-        integer("most_errors", self.most_errors, low=0, high=2)
+        object.__setattr__(self, "most_errors", integer("most_errors", self.most_errors, low=0, high=2))
 
     def detect(self, image: UInt8Array) -> Detections:
         """See `Detector.detect`."""

@@ -49,14 +49,14 @@ def nudged(poses: FloatArray, position: float, attitude: float, seed: int) -> Fl
 
 
 def tagged_room(room: Space, deployment: Deployment, tag: Tag) -> TaggedRoom:
-    """A deployment with tag k at landmark k, hanging upright, in a room of surfaces.
+    """A deployment with tag k at the landmark with the id k, hanging upright, in a room of surfaces.
 
     Raises:
         InputError: the tag is a point, or its family is too small.
     """
-    tag.check_count(len(deployment))
+    tag.check_ids(deployment.ids)
     _, ups = upright(deployment.normals)
-    return TaggedRoom(tag, np.arange(len(deployment)), deployment.positions, deployment.normals, ups, room.surfaces())
+    return TaggedRoom(tag, deployment.ids, deployment.positions, deployment.normals, ups, room.surfaces())
 
 
 def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

@@ -75,7 +75,7 @@ class Mosaics:
     sampling: Sampling = field(default_factory=Sampling)
 
     def __post_init__(self) -> None:
-        integer("count", self.count, low=2)
+        object.__setattr__(self, "count", integer("count", self.count, low=2))
 
     def views(
         self, camera: Camera, tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
@@ -124,7 +124,7 @@ def sample_views(
     Raises:
         InputError: not one of the views fits a tile.
     """
-    integer("count", count, low=1)
+    count = integer("count", count, low=1)
     camera = replace(camera, distortion=())  # it moves a tag in the image, and hardly bends a single one
     ranges = sampling or Sampling()
     pitches, tilts = (rng.uniform(*span, count) for span in (ranges.pitch, ranges.incidence))

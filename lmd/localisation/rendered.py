@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, real
+from lmd.checks import BoolArray, FloatArray, IntArray, real
 from lmd.deployment import Deployment
 from lmd.detection.detectors import Detections, Detector
 from lmd.detection.frames import tagged_room
@@ -107,14 +107,14 @@ class RenderedDetector:
         whole, sight, times = self.batch(flight), flight.in_view(), flight.trajectory.time
         chosen = whole._replace(frames=[whole.frames[t] for t in frames])
         pictures = list(images(chosen))
-        found = believed([self.reader.detect(picture) for picture in pictures], len(flight.deployment))
+        found = believed([self.reader.detect(picture) for picture in pictures], flight.deployment.ids)
         return [
             Moment(times[t], flight.poses[t], picture, whole.renderer.corners(flight.poses[t]), sight[t], corners)
             for t, picture, corners in zip(frames, pictures, found, strict=True)
         ]
 
     def _observed(self, flight: Flight, found: Sequence[Detections]) -> Observation:
-        corners = believed(found, len(flight.deployment))
+        corners = believed(found, flight.deployment.ids)
         seen = np.isfinite(corners[..., 0, 0])
         noise = np.full(int(seen.sum()), self.pixel_noise)
         return observation(flight.camera, self.tag, seen, corners[seen], noise)
@@ -138,12 +138,12 @@ def read(batch: Batch) -> list[Detections]:
     return [batch.reader.detect(image) for image in images(batch)]
 
 
-def believed(found: Sequence[Detections], count: int) -> FloatArray:
-    """The corners of each of `count` tags as found in T frames, pixels, `(T, K, 4, 2)`; NaN where not found."""
-    corners = np.full((len(found), count, 4, 2), np.nan)
+def believed(found: Sequence[Detections], ids: IntArray) -> FloatArray:
+    """The corners of tags with `ids` `(K,)` as found in T frames, pixels, `(T, K, 4, 2)`; NaN where not found."""
+    corners, place = np.full((len(found), len(ids), 4, 2), np.nan), {number: k for k, number in enumerate(ids.tolist())}
     for t, detections in enumerate(found):
         edges = detections.corners - np.roll(detections.corners, 1, axis=1)
         for i in np.argsort((edges**2).sum(axis=(1, 2)), kind="stable"):  # the larger one comes last, and stays
-            if detections.ids[i] < count:
-                corners[t, detections.ids[i]] = detections.corners[i]
+            if (k := place.get(int(detections.ids[i]))) is not None:
+                corners[t, k] = detections.corners[i]
     return corners

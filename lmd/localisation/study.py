@@ -14,6 +14,7 @@ from lmd.localisation.estimators import Estimator
 from lmd.localisation.odometry import Odometry
 from lmd.localisation.recording import Each, Flight, Recording, Sensor, record
 from lmd.localisation.trajectory import Trajectory, TrajectorySource
+from lmd.memory import check_memory
 from lmd.problem import Problem
 
 # Keeps the flights apart from every other use of the same seed.
@@ -70,11 +71,17 @@ class Flights:
 
     @classmethod
     def draw(cls, problem: Problem, source: TrajectorySource, initial: InitialError, seeds: Sequence[int]) -> "Flights":
-        """One flight for each seed in the scene of `problem`."""
+        """One flight for each seed in the scene of `problem`.
+
+        Raises:
+            InputError: there is no trajectory, or so many would not fit into memory.
+        """
         trajectories, start = [], []
         for seed in seeds:
             motion, error = np.random.default_rng([seed, STREAM]).spawn(2)
             trajectories.append(source.draw(problem.scene, motion))
+            to_come = (len(seeds) - len(trajectories)) * trajectories[-1].poses.nbytes
+            check_memory(to_come, f"seeds: the poses of {len(seeds):,} flights", "seeds")
             start.append(initial.applied(trajectories[-1].poses[0], error))
         return cls(seeds, trajectories, np.stack(start))
 

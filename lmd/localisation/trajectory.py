@@ -8,14 +8,16 @@ import numpy as np
 
 from lmd.checks import FloatArray, InputError, real, vector
 from lmd.geometry.se3 import camera_pose, inverse, log, poses_from_rows
+from lmd.memory import check_memory
 from lmd.scene import Scene
 from lmd.space.space import Space
-from lmd.tables import has_column, read_numbers
+from lmd.tables import read_table
 
 ANGLES = ("time", "x", "y", "z", "yaw", "pitch")
 QUATERNIONS = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
 # Greatest slope of the minimum-jerk profile, at its middle.
 PEAK = 1.875
+FRAME_BYTES = 1000  # what a frame of random motion takes at the least: its pose, and those of the way there
 
 
 @dataclass(frozen=True)
@@ -143,6 +145,9 @@ class RandomMotion:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "duration", real("duration", self.duration, above=0.0))
+        frames = self.duration * self.pace.frame_rate
+        made = f"duration = {self.duration:g} s makes {frames:,.0f} frames, which"
+        check_memory(FRAME_BYTES * frames, made, "duration")
 
     def draw(self, scene: Scene, rng: np.random.Generator) -> Trajectory:
         """See `TrajectorySource.draw`."""
@@ -214,11 +219,12 @@ class FileTrajectory:
         """See `TrajectorySource.draw`; nothing here is random."""
         if self.path is None:
             raise InputError("path is missing: a CSV of poses is needed.", "path")
-        has_quaternions = has_column(self.path, "qw")
-        table = read_numbers(self.path, QUATERNIONS if has_quaternions else ANGLES, name="path")
+        table = read_table(self.path, name="path")
+        has_quaternions = "qw" in table
+        rows = table.numbers(QUATERNIONS if has_quaternions else ANGLES)
         try:
-            poses = poses_from_rows(table[:, 1:]) if has_quaternions else camera_pose(table[:, 1:4], *table[:, 4:].T)
-            trajectory = Trajectory(table[:, 0], poses)
+            poses = poses_from_rows(rows[:, 1:]) if has_quaternions else camera_pose(rows[:, 1:4], *rows[:, 4:].T)
+            trajectory = Trajectory(rows[:, 0], poses)
             trajectory.check_inside(scene.room)
         except InputError as error:
             raise InputError(f"{self.path}: {error}") from None

@@ -143,7 +143,7 @@ class AtLeast:
     thold_p: float
 
     def __post_init__(self) -> None:
-        integer("n", self.n, low=1)
+        object.__setattr__(self, "n", integer("n", self.n, low=1))
         object.__setattr__(self, "thold_p", real("thold_p", self.thold_p, low=0.0, high=1.0))
 
     @property

@@ -18,6 +18,8 @@ from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.sight.poses import covered_amounts, gains
 
+PRICE_BYTES = 24  # of a view while poses are selected: its price, how often it is covered, and their product
+
 
 @dataclass(frozen=True)
 class Coverage(AtLeast):
@@ -141,6 +143,7 @@ class CappedCount:
     label = "expected number of landmarks in view, as far as it is asked for"
 
     def __init__(self, evaluator: Evaluator, relevance: FloatArray, n: int) -> None:
+        evaluator.check_memory(PRICE_BYTES)
         self._evaluator, self._n = evaluator, n
         self._prices = relevance[:, None] * (evaluator.weights / evaluator.weights.sum())
         self._covered = np.zeros(self._prices.shape)

@@ -26,8 +26,8 @@ class Sampling:
     divisions: int = 18
 
     def __post_init__(self) -> None:
-        integer("positions", self.positions, low=1)
-        integer("divisions", self.divisions, low=1)
+        for name in ("positions", "divisions"):
+            object.__setattr__(self, name, integer(name, getattr(self, name), low=1))
 
     def evaluator(self, scene: Scene, repeats: int, rng: np.random.Generator, threads: int | None) -> Evaluator:
         """The evaluator at a draw of `repeats` positions in each cell, which go through the grid again and again."""

@@ -35,7 +35,7 @@ class Budget:
         if self.evaluations is None and self.seconds is None:
             raise InputError("evaluations or seconds must be given.")
         if self.evaluations is not None:
-            integer("evaluations", self.evaluations, low=1)
+            object.__setattr__(self, "evaluations", integer("evaluations", self.evaluations, low=1))
         if self.seconds is not None:
             real("seconds", self.seconds, above=0.0)
 
@@ -144,7 +144,8 @@ class Optimiser(ABC):
         ledger, history, deployment = self.ledger, tuple(self.ledger.history), self.found(problem)
         if deployment is None:
             raise InputError(f"{type(self).__name__} found no deployment: every evaluation failed.")
-        return Result(deployment, ledger.best_fitness, ledger.evaluations, ledger.seconds, history, stopped)
+        labelled = problem.labelled(deployment)
+        return Result(labelled, ledger.best_fitness, ledger.evaluations, ledger.seconds, history, stopped)
 
 
 class AskTell(Optimiser):

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import InputError, integer, real
-from lmd.deployment import Deployment
+from lmd.checks import InputError, real
+from lmd.deployment import Deployment, landmark_count
 from lmd.objectives.base import Objective
 from lmd.optimisers.annealing import Annealing, Stage
 from lmd.optimisers.annealing.stage import changed
@@ -77,7 +77,7 @@ class GreedyDeployment:
     varies = False
 
     def __post_init__(self) -> None:
-        integer("count", self.count, low=1)
+        object.__setattr__(self, "count", landmark_count(self.count))
         real("spacing", self.spacing, above=0.0)
 
     @cached_property

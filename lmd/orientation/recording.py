@@ -9,15 +9,17 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm, truncnorm, vonmises
 
-from lmd.checks import FloatArray, InputError, real
+from lmd.checks import FloatArray, InputError, radians, real
 from lmd.geometry.frames import normal_angles
-from lmd.tables import has_column, read_numbers
+from lmd.memory import check_memory
+from lmd.tables import read_table
 
 ANGLES = ("yaw", "pitch")
 QUATERNION = ("qw", "qx", "qy", "qz")
 # What a recording of poses has besides; the optical axis does not depend on it.
 IGNORED = ("x", "y", "z", "roll")
 UNIT_TOLERANCE = 1e-3  # of a quaternion printed with a few decimals
+RECORD_BYTES = 200  # what a record takes while it is simulated: two dozen numbers
 
 
 @dataclass(frozen=True)
@@ -85,21 +87,23 @@ class OrientationRecording:
         """Read the columns time (s), yaw and pitch (rad), or time and qw, qx, qy, qz.
 
         The quaternion turns the camera's optical frame (x right, y down, z along the optical axis) to the world
-        frame. Columns x, y, z and roll are ignored.
+        frame. Columns x, y, z and roll are ignored. A yaw lies within a turn of zero: larger ones look like degrees.
 
         Raises:
             InputError: the file cannot be read, or what it holds is no recording.
         """
-        if has_column(path, "yaw") or not has_column(path, "qw"):
-            columns = ("time", *ANGLES)
-            time, yaw, pitch = read_numbers(path, columns, name="path", optional=(*IGNORED, *QUATERNION)).T
+        table = read_table(path, name="path")
+        if "yaw" in table or "qw" not in table:
+            time, yaw, pitch = table.numbers(("time", *ANGLES), (*IGNORED, *QUATERNION)).T
+            radians(table.path, yaw=yaw, pitch=pitch)
             return cls(time, yaw, pitch, str(path))
-        table = read_numbers(path, ("time", *QUATERNION), name="path", optional=IGNORED)
-        time, quaternion = table[:, 0], table[:, 1:]
+        rows = table.numbers(("time", *QUATERNION), IGNORED)
+        time, quaternion = rows[:, 0], rows[:, 1:]
         length = np.linalg.norm(quaternion, axis=1)
         if (off := np.abs(length - 1.0)).max() > UNIT_TOLERANCE:
             worst = int(np.argmax(off))
-            raise InputError(f"{path} line {worst + 2}: the quaternion must have length 1, it has {length[worst]:g}.")
+            line, its = table.lines[worst], length[worst]
+            raise InputError(f"{path} line {line}: the quaternion must have length 1, it has {its:g}.")
         axis = Rotation.from_quat(quaternion, scalar_first=True).apply([0.0, 0.0, 1.0])
         yaw, pitch = (-angle for angle in normal_angles(axis))  # the normal has both angles with the opposite sign
         return cls(time, yaw, pitch, str(path))
@@ -161,6 +165,9 @@ class SimulatedRecording:
     def __post_init__(self) -> None:
         real("rate", self.rate, above=0.0)
         real("duration", self.duration, low=2.0 / self.rate)
+        records = self.duration * self.rate
+        made = f"duration = {self.duration:g} s makes {records:,.0f} records, which"
+        check_memory(RECORD_BYTES * records, made, "duration")
         real("correlation_time", self.correlation_time, above=0.0)
         real("yaw_mean", self.yaw_mean)
         real("yaw_concentration", self.yaw_concentration, low=0.0)

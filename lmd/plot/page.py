@@ -123,8 +123,8 @@ def _landmark_traces(deployment: Deployment) -> list[Any]:
     tips = deployment.positions + common.ARROW_LENGTH * deployment.normals
     heads = HEAD * common.ARROW_LENGTH * deployment.normals
     hover = [
-        f"landmark {i}<br>{_place(at)}<br>normal ({normal[0]:.4g}, {normal[1]:.4g}, {normal[2]:.4g})"
-        for i, (at, normal) in enumerate(zip(deployment.positions, deployment.normals + 0.0, strict=True))
+        f"landmark {number}<br>{_place(at)}<br>normal ({normal[0]:.4g}, {normal[1]:.4g}, {normal[2]:.4g})"
+        for number, at, normal in zip(deployment.ids, deployment.positions, deployment.normals + 0.0, strict=True)
     ]
     shafts = go.Scatter3d(
         **_xyz(_strokes(np.stack([deployment.positions, tips], axis=1))),

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from lmd.checks import FloatArray, InputError, integer, real
+from lmd.checks import FloatArray, InputError, boolean, integer, real
 from lmd.optional import optional
 
 UInt8Array = NDArray[np.uint8]
@@ -58,8 +58,9 @@ class Imaging:
             object.__setattr__(self, name, real(name, getattr(self, name), low=0.0, high=GREY_LEVELS))
         if self.white <= self.black:
             raise InputError(f"white must exceed black = {self.black:g}, got {self.white:g}.", "white")
-        integer("texture_seed", self.texture_seed, low=0)
-        integer("supersampling", self.supersampling, low=1, high=16)
+        boolean("defocus", self.defocus)
+        object.__setattr__(self, "texture_seed", integer("texture_seed", self.texture_seed, low=0))
+        object.__setattr__(self, "supersampling", integer("supersampling", self.supersampling, low=1, high=16))
 
     def develop(self, light: Float32Array, rng: np.random.Generator) -> UInt8Array:
         """The 8-bit image of `light` in grey levels, same shape; the noise is drawn from `rng`."""

@@ -10,12 +10,16 @@ import numpy as np
 
 from lmd.checks import FloatArray
 from lmd.deployment import Deployment
+from lmd.memory import check_views
 from lmd.scene import Scene
 from lmd.sight import kernels
 from lmd.sight.bands import height_index
 from lmd.sight.bits import in_words
 from lmd.sight.directions import tables
 from lmd.sight.kernels import PROBABILITY_ONE
+
+MOST_THREADS = 1024  # more than any machine gains from
+COUNT_BYTES = 4  # of a view, twice two: the counts of axes, and of orientations of the PDF
 
 
 def available_threads() -> int:
@@ -50,6 +54,10 @@ class Evaluator:
         """Which axes surely cover, and may cover, a landmark in each direction (`lmd.sight.directions.tables`)."""
         return tables(self.sight, self.axes)
 
+    def check_memory(self, each: float) -> None:
+        """Raise `InputError` if `each` bytes of every position and axis do not fit into memory."""
+        check_views(each, len(self.positions), self.axes.shape[1])
+
     def counts(self, deployment: Deployment) -> np.ndarray:
         """Landmarks covered at every position and orientation of the PDF, `(P, A)` int16."""
         _, counts = self._evaluate(deployment.positions[None], deployment.normals[None], 1, keep=True)
@@ -76,9 +84,11 @@ class Evaluator:
         self, positions: FloatArray, normals: FloatArray, n: int, keep: bool
     ) -> tuple[np.ndarray, np.ndarray]:
         """P_n in units `(B, P)`, and with `keep` the counts `(B, P, D)`; positions are shared between threads."""
-        size = len(self.positions)
+        size, axes = len(self.positions), self.axes.shape[1]
+        if keep:
+            self.check_memory(COUNT_BYTES * len(positions))
         units = np.empty((len(positions), size), dtype=np.int64)
-        counts = np.zeros((len(positions), size, self.axes.shape[1]) if keep else (0, 0, 0), dtype=np.int16)
+        counts = np.zeros((len(positions), size, axes) if keep else (0, 0, 0), dtype=np.int16)
         scene: tuple[Any, ...] = (
             self.positions,
             *(np.ascontiguousarray(v.transpose(0, 2, 1)) for v in (positions, normals)),

@@ -7,6 +7,7 @@ condition loosened by `slack` holds for the whole piece; without slack the decis
 """
 
 import itertools
+import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from lmd.checks import FloatArray, real
 from lmd.compiled import kernel
 from lmd.deployment import Deployment
+from lmd.memory import check_memory
 from lmd.sight.bands import band_of
 from lmd.sight.criteria import TOLERANCE, covers, from_position
 from lmd.sight.evaluator import Evaluator
@@ -26,6 +28,7 @@ from lmd.space.space import Space
 
 # Poses, or positions, that a thread works on at a time: the work differs much between walls.
 CHUNKS_PER_THREAD = 8
+CELL_BYTES = 400  # what a cell takes while they are made: its vectors, and those of the pose, some of them twice
 
 
 @dataclass(frozen=True)
@@ -59,12 +62,19 @@ class Cells:
 
 
 def wall_cells(room: Space, spacing: float) -> Cells:
-    """The walls that may carry landmarks cut into equal cells at most `spacing` metres wide, wall by wall."""
+    """The walls that may carry landmarks cut into equal cells at most `spacing` metres wide, wall by wall.
+
+    Raises:
+        InputError: the spacing is not positive, or so many cells would not fit into memory.
+    """
     real("spacing", spacing, above=0.0)
     parts = []
     for number, wall in enumerate(room.surfaces()):
         # The small allowance keeps 7.5 / 0.25 at 30 cells however the division rounds.
         counts = [max(int(np.ceil(length / spacing - 1e-9)), 1) for length in wall.extent]
+        check_memory(
+            CELL_BYTES * math.prod(counts), f"spacing = {spacing:g} makes {math.prod(counts):,} poses, which", "spacing"
+        )
         half_u, half_v = (length / n / 2.0 for length, n in zip(wall.extent, counts, strict=True))
         i, j = (index.reshape(-1) for index in np.indices(counts))
         points = wall.point((2 * i + 1) * half_u, (2 * j + 1) * half_v)

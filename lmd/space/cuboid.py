@@ -1,18 +1,21 @@
 """A cuboid room with walls that may carry landmarks, and a reachable box inside it."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, InputError, IntArray, choice, real, vector
+from lmd.memory import check_memory
 from lmd.space.relevance import Relevance
 from lmd.space.surface import Surface, SurfaceArrays
 
 WALLS = ("x_min", "x_max", "y_min", "y_max", "floor", "ceiling")
 # Landmarks this far (m) outside still count as inside: a CSV rounded to micrometres is not an error.
 PLACEMENT_TOLERANCE = 1e-6
+# What a position takes before anything is seen from it, bytes: three coordinates twice over, a value and a weight.
+POSITION_BYTES = 64
 
 
 @dataclass(frozen=True)
@@ -28,7 +31,8 @@ class Cuboid:
         relevance: Rel(p), how much each position matters.
 
     Raises:
-        InputError: sizes are not positive, the reachable box exceeds the room, a wall is unknown or repeated.
+        InputError: sizes are not positive, the reachable box exceeds the room, a wall is unknown or repeated, or so
+            many positions would not fit into memory.
     """
 
     size: tuple[float, float, float]
@@ -43,15 +47,18 @@ class Cuboid:
         reachable = vector("reachable_size", self.reachable_size, 3, above=0.0)
         if any(inner > outer for inner, outer in zip(reachable, size, strict=True)):
             raise InputError(f"reachable_size = {list(reachable)} exceeds size = {list(size)}.", "reachable_size")
-        if np.isscalar(self.spacing):
-            object.__setattr__(self, "spacing", real("spacing", self.spacing, above=0.0))
-        else:
+        if isinstance(self.spacing, Iterable) and not isinstance(self.spacing, str):
             object.__setattr__(self, "spacing", vector("spacing", self.spacing, 3, above=0.0))
+        else:
+            object.__setattr__(self, "spacing", real("spacing", self.spacing, above=0.0))
         choice("positions", self.positions, ("cells", "vertices"))
         if not isinstance(self.walls, list | tuple) or not self.walls or len(set(self.walls)) != len(self.walls):
             raise InputError(f"walls must list at least one wall, each once, got {self.walls!r}.", "walls")
         for name in self.walls:
             choice("walls", name, WALLS)
+        positions = np.ceil(np.array(reachable) / self.spacing).prod()
+        made = f"spacing = {self.spacing} makes {positions:,.0f} positions, which"
+        check_memory(POSITION_BYTES * positions, made, "spacing")
         object.__setattr__(self, "size", size)
         object.__setattr__(self, "reachable_size", reachable)
         object.__setattr__(self, "walls", tuple(self.walls))

@@ -36,6 +36,8 @@ class Relevance:
         real("background", self.background, low=0.0)
         if self.path is not None and self.regions:
             raise InputError(f"path = {self.path!r} cannot be given beside regions.", "path")
+        if isinstance(self.regions, str) or not isinstance(self.regions, Sequence):
+            raise InputError(f"regions must be a list, got {self.regions!r}.", "regions")
         for i, region in enumerate(self.regions):
             name = f"regions[{i}]"
             if not isinstance(region, Mapping) or set(region) != {"low", "high", "weight"}:
@@ -49,7 +51,7 @@ class Relevance:
         """Weights of `points` `(P, 3)`, shape `(P,)`.
 
         Raises:
-            InputError: every weight is zero, or a point has no row in the file.
+            InputError: every weight is zero, a region holds none of the points, or a point has no row in the file.
         """
         weights = self._from_file(self.path, points) if self.path is not None else self._from_regions(points)
         if not weights.any():
@@ -59,10 +61,15 @@ class Relevance:
 
     def _from_regions(self, points: FloatArray) -> FloatArray:
         weights = np.full(len(points), float(self.background))
-        for region in self.regions:
+        for i, region in enumerate(self.regions):
             low, high = np.asarray(region["low"]), np.asarray(region["high"])
-            inside = (points >= low - SAME_POINT) & (points <= high + SAME_POINT)
-            weights[inside.all(axis=1)] = float(region["weight"])
+            inside = ((points >= low - SAME_POINT) & (points <= high + SAME_POINT)).all(axis=1)
+            if not inside.any():
+                box, where = (
+                    f"from {a.tolist()} to {b.tolist()}" for a, b in ((low, high), (points.min(0), points.max(0)))
+                )
+                raise InputError(f"regions[{i}] {box} holds no position; they are {where}.", f"regions[{i}]")
+            weights[inside] = float(region["weight"])
         return weights
 
     @staticmethod

@@ -8,6 +8,9 @@ import numpy as np
 
 from lmd.checks import FloatArray, InputError
 
+# A grid whose cells are more elongated than this gives way to one with rows of unequal number.
+MAX_ELONGATION = 3.0
+
 
 @dataclass(frozen=True)
 class Surface:
@@ -51,6 +54,30 @@ class Surface:
         """Surface coordinates of the projections of world points `(..., 3)`, clipped to the surface."""
         offset = np.asarray(points) - self.origin
         return np.clip(offset @ self.u, 0.0, self.extent[0]), np.clip(offset @ self.v, 0.0, self.extent[1])
+
+    def grid(self, count: int) -> list[tuple[float, float]]:
+        """Surface coordinates of `count` cell centres, with cells as square as an even grid allows.
+
+        The grid runs along the longer side; 15 landmarks on the paper's walls make 5 x 3.
+        """
+        if count == 0:
+            return []
+        swap = self.extent[1] > self.extent[0]
+        long, short = max(self.extent), min(self.extent)
+
+        def elongation(rows: int) -> float:
+            cell = (long / (count / rows)) / (short / rows)
+            return max(cell, 1.0 / cell)
+
+        even = min((r for r in range(1, count + 1) if count % r == 0), key=elongation)
+        rows = even if elongation(even) <= MAX_ELONGATION else min(range(1, count + 1), key=elongation)
+        points = []
+        for row in range(rows):
+            in_row = count // rows + (row < count % rows)
+            for i in range(in_row):
+                along, across = long * (i + 0.5) / in_row, short * (row + 0.5) / rows
+                points.append((across, along) if swap else (along, across))
+        return points
 
     def distance(self, points: FloatArray) -> FloatArray:
         """How far world points `(..., 3)` are from the surface, `(...)`, metres."""

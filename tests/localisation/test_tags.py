@@ -135,7 +135,7 @@ def test_estimators_find_the_camera_through_any_lens(evaluator):
 def test_the_larger_of_two_detections_with_one_id_is_believed_and_strange_ids_are_not():
     square = (CORNERS[:, ::1] + 1.0) * 10.0
     found = Detections([5, 7, 5, 99], np.stack([2.0 * square, square, square, square]))
-    corners = believed([found, Detections([], np.empty((0, 4, 2)))], 90)
+    corners = believed([found, Detections([], np.empty((0, 4, 2)))], np.arange(90))
     assert corners.shape == (2, 90, 4, 2)
     assert np.argwhere(np.isfinite(corners[..., 0, 0])).tolist() == [[0, 5], [0, 7]]
     assert_array_equal(corners[0, 5], 2.0 * square)

@@ -44,7 +44,10 @@ def test_a_quaternion_is_that_of_the_optical_frame(write):
 BAD_RECORDINGS = [
     ("time,yaw,pitch\n0,0,0\n", "has 1 records; a recording needs at least 2"),
     ("time,yaw,pitch\n0,0,0\n2,0,0\n1,0,0\n", "time must increase, but 2 s is followed by 1 s"),
-    ("time,yaw,pitch\n0,0,0\n1,0,45\n", "pitch must be in .* radians, got 45"),
+    ("time,yaw,pitch\n0,0,0\n1,0,45\n", "pitch = 45 looks like degrees"),
+    ("time,yaw,pitch\n0,0,0\n1,-350,0\n", "yaw = -350 looks like degrees; angles are in radians, at most one turn"),
+    ("time,yaw,pitch\n0,0,0\n1,0,2\n", "pitch must be in .* radians, got 2"),
+    ("# a flight\n\ntime,yaw,pitch\n0,0,0\n# turned here\n1,x,0\n", "line 6: yaw is 'x'"),
     ("time,yaw\n0,0\n", "lacks the column 'pitch'"),
     ("time,yaw,pitch,speed\n0,0,0,1\n", "unknown column 'speed'"),
     ("time,yaw,pitch\n0,nan,0\n", "line 2: yaw is 'nan', not a finite number"),

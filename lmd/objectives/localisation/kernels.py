@@ -209,6 +209,8 @@ def localised_views(
         keep: whether to return the variances, `(B, P, D)`.
     """
     e, batch, size = evaluator, len(positions), len(evaluator.positions)
+    if keep:
+        e.check_memory(8 * batch)
     covered, localised = np.zeros((2, batch, size), dtype=np.int64)
     views = Views(covered, localised, np.empty((batch, size, e.axes.shape[1]) if keep else (0, 0, 0)))
     landmarks = tuple(np.ascontiguousarray(v.transpose(0, 2, 1)) for v in (positions, normals))

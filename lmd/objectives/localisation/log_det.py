@@ -103,6 +103,7 @@ class LogDeterminant:
     def __init__(
         self, evaluator: Evaluator, relevance: FloatArray, precision: Any, position: float, rotation: float
     ) -> None:
+        evaluator.check_memory(8 * (WIDTH + 2))
         self._evaluator, self._precision = evaluator, precision
         self._prices = relevance[:, None] / relevance.sum() * (evaluator.weights / evaluator.weights.sum())
         start = np.zeros(WIDTH)

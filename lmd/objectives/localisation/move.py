@@ -5,12 +5,15 @@ from typing import Any
 import numpy as np
 
 from lmd.compiled import kernel
+from lmd.memory import check_views
 from lmd.objectives.localisation.information import WIDTH
 from lmd.objectives.localisation.state import LocalisationState, localisation_scratch
 from lmd.objectives.localisation.trial import VIEW, add_shares, list_changes, mixed, moments_of, row_meets, sum_weights
 from lmd.sight.bits import ALL, BITS, ONE, ZERO, at_least_so_far, lowest
 from lmd.sight.incremental.move import touched
 from lmd.sight.incremental.state import State
+
+VIEW_BYTES = 8 * (WIDTH + 3)  # of a view: its sums, and three lists of views
 
 
 @kernel
@@ -90,6 +93,8 @@ def localisation_state(field: Any, known: State) -> LocalisationState:
         known: the coverage of the deployment, which becomes part of the state.
     """
     size, words = known.short.shape
+    if field.asks:
+        check_views(VIEW_BYTES, size, BITS * words)
     state = LocalisationState(
         landmarks=known.landmarks,
         normals=known.normals,

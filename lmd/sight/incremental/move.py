@@ -13,6 +13,7 @@ from numba import njit
 
 from lmd.compiled import kernel
 from lmd.deployment import Deployment
+from lmd.memory import check_views
 from lmd.sight.bits import (
     ALL,
     BITS,
@@ -29,6 +30,9 @@ from lmd.sight.directions import NOWHERE, see
 from lmd.sight.incremental.hiding import find_neighbours, flips_with
 from lmd.sight.incremental.state import State, scratch_of
 from lmd.sight.kernels import BLOCK
+
+# What is kept of a landmark in a view: a bit whether it is covered, and as much again of what hides it.
+LANDMARK_BYTES = 0.25
 
 # Indices are unsigned where it counts: signed ones cost extra instructions, as they might be negative.
 
@@ -206,6 +210,7 @@ def _fill(field, state, scratch):
 def state_of(field: Any, deployment: Deployment) -> State:
     """The coverage of `deployment`, ready for moves; `field` a `lmd.objectives.coverage_field.CoverageField`."""
     positions, count, words = field.positions.shape[1], len(deployment), field.possible.shape[1]
+    check_views(LANDMARK_BYTES, positions, BITS * words, count)
     state = State(
         landmarks=deployment.positions.T.copy(order="C"),
         normals=deployment.normals.T.copy(order="C"),
