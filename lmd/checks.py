@@ -55,7 +55,7 @@ def real(
     try:
         number = float(value)
     except OverflowError:
-        number = math.copysign(math.inf, value)
+        number = math.inf if value > 0 else -math.inf
     if math.isnan(number) or (math.isinf(number) and not infinite):
         raise InputError(f"{name} must be finite, got {value!r}.", name)
     if above is not None and not number > above:

@@ -219,7 +219,7 @@ def landmark_count(value: int) -> int:
         InputError: it is no positive whole number, or so many landmarks would not fit into memory.
     """
     count = integer("count", value, low=1)
-    check_memory(count * LANDMARK_BYTES, f"count = {count:,} landmarks", "count")
+    check_memory(count * LANDMARK_BYTES, f"count = {count} landmarks", "count")
     return count
 
 

@@ -5,10 +5,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lmd.checks import BoolArray, InputError, IntArray, integer
+from lmd.checks import BoolArray, InputError, IntArray
 from lmd.tables import Table
 
 ID = "id"
+LARGEST = 2**53  # above, not every whole number is a float
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,9 @@ class Labels:
             return cls(np.arange(count), columns)
         (given,) = table.numbers((ID,), None).T
         for line, value in zip(table.lines, given.tolist(), strict=True):
-            integer(f"{table.path} line {line}: {ID}", value, low=0)
+            if not (0 <= value <= LARGEST and value.is_integer()):
+                place = f"{table.path} line {line}: {ID}"
+                raise InputError(f"{place} must be a whole number from 0 to {LARGEST:.4g}, got {value:.9g}.")
         try:
             return cls(given.astype(np.int64), columns)
         except InputError as error:

@@ -32,8 +32,8 @@ def check_memory(needed: float, what: str, argument: str | None = None) -> None:
     """
     free = free_memory()
     if needed > free:
-        taken = f"{what} would take {needed / GIB:,.1f} GiB of memory"
-        raise InputError(f"{taken}, and {free / GIB:,.1f} GiB are free.", argument)
+        taken = f"{what} would take {needed / GIB:.4g} GiB of memory"
+        raise InputError(f"{taken}, and {free / GIB:.4g} GiB are free.", argument)
 
 
 def check_views(each: float, positions: int, orientations: int, landmarks: int | None = None) -> None:
@@ -44,6 +44,6 @@ def check_views(each: float, positions: int, orientations: int, landmarks: int |
         positions, orientations: their numbers.
         landmarks: K where something is kept of each landmark in each view, None where it is not.
     """
-    what = f"{positions:,} positions (room.spacing) x {orientations:,} orientations (pdf)"
-    what += "" if landmarks is None else f" x {landmarks:,} landmarks (deployment)"
+    what = f"{positions} positions (room.spacing) x {orientations} orientations (pdf)"
+    what += "" if landmarks is None else f" x {landmarks} landmarks (deployment)"
     check_memory(each * positions * orientations * (landmarks or 1), what)

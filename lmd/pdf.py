@@ -165,7 +165,7 @@ def _divisions(value: int, pitches: int | None = None) -> int:
     """The number of pitches, and half that of yaws; `pitches` if there are others."""
     count = integer("divisions", value, low=1)
     made = 2 * count * (pitches or count)
-    check_memory(made * ORIENTATION_BYTES, f"divisions = {count:,} makes {made:,} orientations, which", "divisions")
+    check_memory(made * ORIENTATION_BYTES, f"divisions = {count} makes {made:.4g} orientations, which", "divisions")
     return count
 
 

@@ -162,6 +162,13 @@ def test_numbers_may_be_integers():
     assert all(isinstance(value, float | tuple) for value in dataclasses.asdict(paper_camera(aperture=10)).values())
 
 
+@pytest.mark.parametrize("name", ["image_width", "image_height"])
+@pytest.mark.parametrize("value", [1640.5, 0, "1600", None])
+def test_an_image_has_whole_pixels(name, value):
+    with pytest.raises(InputError, match=rf"^{name} must be .*{value!r}\.$"):
+        paper_camera(**{name: value})
+
+
 def test_a_lens_that_distorts_shows_more_or_less():
     plain = paper_camera()
     assert plain.widest_ray == pytest.approx(1.16)  # 1000 pixels at 862.07 a unit

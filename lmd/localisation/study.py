@@ -81,7 +81,7 @@ class Flights:
             motion, error = np.random.default_rng([seed, STREAM]).spawn(2)
             trajectories.append(source.draw(problem.scene, motion))
             to_come = (len(seeds) - len(trajectories)) * trajectories[-1].poses.nbytes
-            check_memory(to_come, f"seeds: the poses of {len(seeds):,} flights", "seeds")
+            check_memory(to_come, f"seeds: the poses of {len(seeds)} flights", "seeds")
             start.append(initial.applied(trajectories[-1].poses[0], error))
         return cls(seeds, trajectories, np.stack(start))
 

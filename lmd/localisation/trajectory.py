@@ -146,7 +146,7 @@ class RandomMotion:
     def __post_init__(self) -> None:
         object.__setattr__(self, "duration", real("duration", self.duration, above=0.0))
         frames = self.duration * self.pace.frame_rate
-        made = f"duration = {self.duration:g} s makes {frames:,.0f} frames, which"
+        made = f"duration = {self.duration:g} s makes {frames:.4g} frames, which"
         check_memory(FRAME_BYTES * frames, made, "duration")
 
     def draw(self, scene: Scene, rng: np.random.Generator) -> Trajectory:

@@ -33,7 +33,7 @@ class Budget:
 
     def __post_init__(self) -> None:
         if self.evaluations is None and self.seconds is None:
-            raise InputError("evaluations or seconds must be given.")
+            raise InputError("evaluations or seconds must be given.", "evaluations")
         if self.evaluations is not None:
             object.__setattr__(self, "evaluations", integer("evaluations", self.evaluations, low=1))
         if self.seconds is not None:

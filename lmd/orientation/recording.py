@@ -166,7 +166,7 @@ class SimulatedRecording:
         real("rate", self.rate, above=0.0)
         real("duration", self.duration, low=2.0 / self.rate)
         records = self.duration * self.rate
-        made = f"duration = {self.duration:g} s makes {records:,.0f} records, which"
+        made = f"duration = {self.duration:g} s makes {records:.4g} records, which"
         check_memory(RECORD_BYTES * records, made, "duration")
         real("correlation_time", self.correlation_time, above=0.0)
         real("yaw_mean", self.yaw_mean)

@@ -72,9 +72,8 @@ def wall_cells(room: Space, spacing: float) -> Cells:
     for number, wall in enumerate(room.surfaces()):
         # The small allowance keeps 7.5 / 0.25 at 30 cells however the division rounds.
         counts = [max(int(np.ceil(length / spacing - 1e-9)), 1) for length in wall.extent]
-        check_memory(
-            CELL_BYTES * math.prod(counts), f"spacing = {spacing:g} makes {math.prod(counts):,} poses, which", "spacing"
-        )
+        made = f"spacing = {spacing:g} makes {math.prod(counts):.4g} poses, which"
+        check_memory(CELL_BYTES * math.prod(counts), made, "spacing")
         half_u, half_v = (length / n / 2.0 for length, n in zip(wall.extent, counts, strict=True))
         i, j = (index.reshape(-1) for index in np.indices(counts))
         points = wall.point((2 * i + 1) * half_u, (2 * j + 1) * half_v)

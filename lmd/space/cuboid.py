@@ -1,6 +1,7 @@
 """A cuboid room with walls that may carry landmarks, and a reachable box inside it."""
 
 import itertools
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -52,12 +53,14 @@ class Cuboid:
         else:
             object.__setattr__(self, "spacing", real("spacing", self.spacing, above=0.0))
         choice("positions", self.positions, ("cells", "vertices"))
-        if not isinstance(self.walls, list | tuple) or not self.walls or len(set(self.walls)) != len(self.walls):
-            raise InputError(f"walls must list at least one wall, each once, got {self.walls!r}.", "walls")
-        for name in self.walls:
+        walls = self.walls if isinstance(self.walls, list | tuple) else ()
+        for name in walls:
             choice("walls", name, WALLS)
-        positions = np.ceil(np.array(reachable) / self.spacing).prod()
-        made = f"spacing = {self.spacing} makes {positions:,.0f} positions, which"
+        if not walls or len(set(walls)) != len(walls):
+            raise InputError(f"walls must list at least one wall, each once, got {self.walls!r}.", "walls")
+        steps = self.spacing if isinstance(self.spacing, tuple) else 3 * (self.spacing,)
+        positions = math.prod(length / step for length, step in zip(reachable, steps, strict=True))
+        made = f"spacing = {self.spacing} makes {positions:.4g} positions, which"
         check_memory(POSITION_BYTES * positions, made, "spacing")
         object.__setattr__(self, "size", size)
         object.__setattr__(self, "reachable_size", reachable)

@@ -139,6 +139,7 @@ def test_the_larger_of_two_detections_with_one_id_is_believed_and_strange_ids_ar
     assert corners.shape == (2, 90, 4, 2)
     assert np.argwhere(np.isfinite(corners[..., 0, 0])).tolist() == [[0, 5], [0, 7]]
     assert_array_equal(corners[0, 5], 2.0 * square)
+    assert np.argwhere(np.isfinite(believed([found], np.array([99, 7, 3]))[..., 0, 0])).tolist() == [[0, 0], [0, 1]]
 
 
 @pytest.mark.slow

@@ -103,6 +103,20 @@ def test_a_directory_that_is_no_run_gets_one_sentence(earlier, monkeypatch, caps
         assert error.endswith(f"is no run to go on from: it holds no {missing}.\n")
 
 
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [(b"a: [\n", "cannot be read ("), (b"\x80", "cannot be read ("), (b"[1]", "is no configuration")],
+)
+def test_a_configuration_that_is_none_gets_one_sentence(earlier, monkeypatch, capsys, content, told):
+    (earlier / ".hydra" / "config.yaml").write_bytes(content)
+    monkeypatch.setattr(sys, "argv", ["evaluate", f"run='{earlier}'"])
+    with pytest.raises(SystemExit):
+        read_earlier_run()
+    error = capsys.readouterr().err
+    assert error.startswith(f"error: run: '{earlier}/.hydra/config.yaml' {told}")
+    assert error.count("\n") == 1
+
+
 @pytest.mark.slow
 def test_a_run_is_scored_flown_and_improved_where_it_was(earlier):
     """As in the README; elsewhere its landmarks float."""

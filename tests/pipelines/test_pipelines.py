@@ -176,12 +176,14 @@ def test_validation_can_be_left_out(optimised):
 
 
 LANDMARK = "0,0,1,1,1,0,0\n"
+TWO = LANDMARK + "1,0,2,1,1,0,0\n"
 BAD_INPUT = {
     "outside": (HEADER + LANDMARK + "1,0,9,1,1,0,0\n", [], "bad.csv: landmark 1 at (0, 9, 1) lies outside the room"),
     "not unit": (HEADER + "0,0,1,1,2,0,0\n", [], "bad.csv: landmark 0: the normal must have length 1, it has 2"),
     "n > K": (HEADER + LANDMARK, [], "objective.n = 2 exceeds the number of landmarks, 1"),
-    "thold_p": (HEADER + LANDMARK * 2, ["objective.thold_p=1.2"], "objective.thold_p must be in [0, 1], got 1.2"),
-    "column": ("id,x,y,z,nx,ny,nz,colour\n", [], "bad.csv has an unknown column 'colour'"),
+    "thold_p": (HEADER + TWO, ["objective.thold_p=1.2"], "objective.thold_p must be in [0, 1], got 1.2"),
+    "column twice": ("id,x,y,z,nx,ny,nz,x\n", [], "bad.csv names the column 'x' twice"),
+    "id twice": (HEADER + LANDMARK * 2, [], "bad.csv: id 0 belongs to 2 landmarks"),
     "missing column": ("id,x,y,z\n0,0,1,1\n", [], "bad.csv lacks the column 'nx'"),
     "empty": ("", [], "bad.csv is empty"),
     "no rows": (HEADER, [], "bad.csv has a header but no rows"),
@@ -189,12 +191,31 @@ BAD_INPUT = {
     "text": (HEADER + "0,left,1,1,1,0,0\n", [], "bad.csv line 2: x is 'left', not a number"),
     "no file": (HEADER, ["deployment.path=none.csv"], "deployment.path: there is no file 'none.csv'"),
     "no path": (HEADER, ["deployment.path=null"], "deployment.path is missing"),
-    "count": (HEADER + LANDMARK * 2, ["deployment.count=3"], "deployment.count = 3, but bad.csv has 2 landmarks"),
-    "seed": (HEADER + LANDMARK * 2, ["seed=-1"], "seed must be at least 0, got -1"),
-    "threads": (HEADER + LANDMARK * 2, ["threads=0"], "threads must be at least 1, got 0"),
-    "room": (HEADER + LANDMARK * 2, ["room.size=[1,2]"], "room.size must be a list of 3 numbers, got [1, 2]"),
-    "unknown argument": (HEADER + LANDMARK * 2, ["+camera.zoom=2"], "unexpected keyword argument 'zoom'"),
-    "encoding": (HEADER + LANDMARK * 2, ["encoding.kind=tree"], "encoding.kind must be one of wall, paper, got 'tree'"),
+    "count": (HEADER + TWO, ["deployment.count=3"], "deployment.count = 3, but bad.csv has 2 landmarks"),
+    "seed": (HEADER + TWO, ["seed=-1"], "seed must be at least 0, got -1"),
+    "threads": (HEADER + TWO, ["threads=0"], "threads must be at least 1, got 0"),
+    "room": (HEADER + TWO, ["room.size=[1,2]"], "room.size must be a list of 3 numbers, got [1, 2]"),
+    "unknown argument": (HEADER + TWO, ["+camera.zoom=2"], "unexpected keyword argument 'zoom'"),
+    "positions": (
+        HEADER + TWO,
+        ["room.spacing=1e-3"],
+        "room.spacing = 0.001 makes 9.45e+10 positions, which would take",
+    ),
+    "spacing": (HEADER + TWO, ["room.spacing=null"], "room.spacing must be a number, got None"),
+    "region": (
+        HEADER + TWO,
+        ["room.relevance.regions=[{low: [20,20,20], high: [21,21,21], weight: 3}]"],
+        "room.relevance.regions[0] from [20, 20, 20] to [21, 21, 21] holds no position",
+    ),
+    "pixels": (HEADER + TWO, ["camera.image_width=1640.5"], "camera.image_width must be a whole number, got 1640.5"),
+    "path": (HEADER + TWO, ["deployment.path=5"], "deployment.path must be the path of a file or a folder, got 5"),
+    "flush": (HEADER + TWO, ["encoding.flush=foo"], "encoding.flush must be true or false, got 'foo'"),
+    "validate": (HEADER + TWO, ["validate=foo"], "validate must be true or false, got 'foo'"),
+    "page": (HEADER + TWO, ["page=3"], "page must be true or false, got 3"),
+    "sensitivity": (HEADER + TWO, ["sensitivity=maybe"], "sensitivity must be true or false, got 'maybe'"),
+    "localisation": (HEADER + TWO, ["localisation=1"], "localisation must be true or false, got 1"),
+    "edge": (HEADER + TWO, ["tag.edge=100"], "tag.edge is too large: surface x_min is 5 m wide"),
+    "encoding": (HEADER + TWO, ["encoding.kind=tree"], "encoding.kind must be one of wall, paper, got 'tree'"),
 }
 
 
@@ -206,11 +227,59 @@ def test_bad_input_gets_one_sentence_and_leaves_nothing(case, tmp_path):
     refused("evaluate", *deployment, "hydra.run.dir=run", *overrides, message=message, cwd=tmp_path)
 
 
+BAD_SETTINGS = {
+    "landmarks": (
+        ["optimise", "deployment.count=1000000000000"],
+        "deployment.count = 1000000000000 landmarks would take",
+    ),
+    "resume": (["optimise", "resume=5"], "resume must be the path of a file or a folder, got 5"),
+    "flush": (["optimise", "encoding.flush=foo", "optimiser=ega"], "encoding.flush must be true or false, got 'foo'"),
+    "budget": (["optimise", "budget.evaluations=null"], "budget.evaluations or seconds must be given"),
+    "seeds": (["observe", "deployment=uniform", "seeds=1e12"], "seeds: the poses of 1000000000000 flights would take"),
+    "workers": (["observe", "workers=-1"], "workers must be at least 1, got -1"),
+    "all_visible": (["observe", "all_visible=2"], "all_visible must be true or false, got 2"),
+    "cells": (["bound", "bound.spacing=1e-6"], "bound.spacing = 1e-06 makes 3.75e+13 poses, which would take"),
+    "save_as": (["compare", "save_as=[1]"], "save_as must be the path of a file or a folder, got [1]"),
+    "folder": (["compare", "save_as=taken/here"], "save_as = 'taken/here' cannot be written"),
+    "array": (
+        ["detect", "tag.edge=0.1", "poses=1e13"],
+        "there is not enough memory for these settings: Unable to allocate",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD_SETTINGS)
+def test_bad_settings_get_one_sentence_and_leave_nothing(case, tmp_path):
+    (pipeline, *overrides), message = BAD_SETTINGS[case]
+    (tmp_path / "taken").touch()
+    refused(pipeline, *overrides, "tracking=none", "hydra.run.dir=run", message=message, cwd=tmp_path)
+
+
+def test_ids_and_notes_go_through_the_pipelines(tmp_path):
+    table = "# of the lab\nid,x,y,z,nx,ny,nz,note\n7,0,1,1,1,0,0,door\n3,0,2,1,1,0,0,\n9,7.5,2,1,-1,0,0,shelf\n"
+    (tmp_path / "lab.csv").write_text(table)
+    quick = ("tracking=none", "page=false")
+    for pipeline, *overrides in (
+        ("evaluate", "deployment=file", "deployment.path=lab.csv", "localisation=false", "hydra.run.dir=scored"),
+        ("optimise", "run=scored", "budget.evaluations=1e1", "seed=1e0", "hydra.run.dir=moved"),
+    ):
+        done = call(pipeline, *overrides, *quick, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    scored, moved = (
+        pd.read_csv(tmp_path / name / "landmarks.csv", keep_default_na=False) for name in ("scored", "moved")
+    )
+    for found in (scored, moved):
+        assert found.id.tolist() == [7, 3, 9]
+        assert found.note.tolist() == ["door", "", "shelf"]
+    assert not scored.drop(columns=["id", "note"]).equals(moved.drop(columns=["id", "note"]))
+
+
 @pytest.mark.parametrize(
     ("table", "message"),
     [
         ("yaw,pitch,weight\n0,0,0.5\n", "pdf.csv: the weights must sum to 1, they sum to 0.5"),
         ("yaw,pitch,weight\n0,0,-1\n0,1,2\n", "pdf.csv has a negative weight, -1"),
+        ("yaw,pitch,weight\n0,0,0.5\n180,0,0.5\n", "pdf.csv: yaw = 180 looks like degrees"),
         ("yaw,pitch,weight\n0,3,1\n", "pdf.csv: pitch must be in [-pi/2, pi/2], got 3"),
         ("yaw,tilt,weight\n0,0,1\n", "pdf.csv has an unknown column 'tilt'"),
     ],

@@ -212,6 +212,7 @@ def test_many_poses_at_once():
     ("make", "sentence"),
     [
         (lambda: Imaging(psf_sigma=-1.0), "psf_sigma must be at least 0"),
+        (lambda: Imaging(defocus="sharp"), "defocus must be true or false, got .sharp."),
         (lambda: Imaging(white=10.0), "white must exceed black = 25, got 10"),
         (lambda: facing(number=587), r"ids must be in \[0, 586\] for family 36h11"),
         (lambda: replace(facing(), ups=np.array([[0.0, 1.0, 0.0]])), r"ups\[0\] must be perpendicular to normals\[0\]"),

@@ -126,6 +126,7 @@ def test_a_micrometre_outside_is_still_inside():
         ({"spacing": (0.5, 0.5)}, r"^spacing .*\[0\.5, 0\.5\]"),
         ({"positions": "corners"}, r"^positions must be one of cells, vertices, got 'corners'"),
         ({"walls": ()}, r"^walls .*\(\)"),
+        ({"walls": [["floor"]]}, r"^walls must be one of .*got \['floor'\]"),
         ({"walls": "floor"}, r"^walls .*'floor'"),
         ({"walls": ("floor", "floor")}, r"^walls .*each once"),
         ({"walls": ("floor", "roof")}, r"^walls .*'roof'"),
@@ -178,6 +179,8 @@ def test_a_file_weighs_every_position_in_any_row_order(write):
         ({"regions": [UPPER_HALF, UPPER_HALF | {"weight": -2}]}, r"regions\[1\]\.weight .*-2"),
         ({"regions": [UPPER_HALF | {"low": [0, 0]}]}, r"regions\[0\]\.low .*\[0, 0\]"),
         ({"regions": [UPPER_HALF | {"low": [8, 0, 0]}]}, r"regions\[0\] is empty"),
+        ({"regions": "all"}, r"^regions must be a list, got 'all'"),
+        ({"regions": 5}, r"^regions must be a list, got 5"),
         ({"regions": [UPPER_HALF], "path": "w.csv"}, r"^path = 'w\.csv' cannot be given beside regions"),
     ],
 )
@@ -198,6 +201,16 @@ def test_a_bad_relevance_is_refused_by_name(change, named):
 def test_a_bad_relevance_file_is_refused_by_name(write, text, named):
     with pytest.raises(InputError, match=named):
         Relevance(path=write(text)).weights(np.ones((1, 3)))
+
+
+@pytest.mark.parametrize("low", [[20.0, 20.0, 20.0], [0.0, 0.0, 0.0]])  # out of the room, and between its positions
+def test_a_region_without_a_position_is_refused(low):
+    empty = {"low": low, "high": [value + 0.5 for value in low], "weight": 2}
+    message = (
+        r"^regions\[1\] from .* to .* holds no position; they are from \[1\.0, 1\.0, 1\.0\] to \[6\.5, 4\.0, 5\.0\]"
+    )
+    with pytest.raises(InputError, match=message):
+        Relevance(regions=[UPPER_HALF, empty]).weights(paper_room().grid())
 
 
 def test_an_irrelevant_room_is_refused():

@@ -1,0 +1,49 @@
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lmd.checks import InputError, boolean, file_path, integer, radians, real
+
+
+@pytest.mark.parametrize("value", [1000, 1e3, np.int64(1000), np.float64(1000.0)])
+def test_a_float_that_is_whole_is_a_whole_number(value):
+    number = integer("evaluations", value, low=1)
+    assert number == 1000
+    assert type(number) is int
+
+
+def test_a_large_whole_number_keeps_every_digit():
+    assert integer("seed", 2**60 + 1, low=0) == 2**60 + 1
+
+
+@pytest.mark.parametrize("value", [2.5, math.inf, math.nan, "3", True, None, [1]])
+def test_what_is_no_whole_number_is_refused(value):
+    with pytest.raises(InputError, match=r"^count must be a whole number, got "):
+        integer("count", value, low=0)
+
+
+def test_a_number_too_large_for_a_float_is_refused():
+    with pytest.raises(InputError, match=r"^edge must be finite, got 10000"):
+        real("edge", 10**400)
+
+
+@pytest.mark.parametrize("value", [1, 0, "true", None, np.True_])
+def test_only_true_and_false_are_boolean(value):
+    assert boolean("page", True) is True
+    with pytest.raises(InputError, match=r"^page must be true or false, got "):
+        boolean("page", value)
+
+
+@pytest.mark.parametrize("value", [5, None, ["a.csv"], True])
+def test_a_path_is_text(value):
+    assert file_path("resume", "runs/first") == Path("runs/first")
+    with pytest.raises(InputError, match=r"^resume must be the path of a file or a folder, got "):
+        file_path("resume", value)
+
+
+def test_angles_beyond_one_turn_look_like_degrees():
+    radians("flight.csv", yaw=np.array([-6.2832, 6.2832]), pitch=np.array([1.57]))
+    with pytest.raises(InputError, match=r"^flight\.csv: yaw = -90 looks like degrees; angles are in radians"):
+        radians("flight.csv", yaw=np.array([45.0, -90.0]), pitch=np.zeros(2))
