@@ -108,7 +108,7 @@ REFUSED = {
     "objective.sampling.positions=0": "objective.sampling.positions must be at least 1, got 0.",
     "objective.n=91": "objective.n = 91 exceeds the number of landmarks, 90.",
     "deployment.count=0": "deployment.count must be at least 1, got 0.",
-    "threads=0": "threads must be at least 1, got 0.",
+    "threads=0": "threads must be in [1, 1024], got 0.",
     "encoding.kind=tree": "encoding.kind must be one of",
 }
 PARTS = {

@@ -193,7 +193,7 @@ BAD_INPUT = {
     "no path": (HEADER, ["deployment.path=null"], "deployment.path is missing"),
     "count": (HEADER + TWO, ["deployment.count=3"], "deployment.count = 3, but bad.csv has 2 landmarks"),
     "seed": (HEADER + TWO, ["seed=-1"], "seed must be at least 0, got -1"),
-    "threads": (HEADER + TWO, ["threads=0"], "threads must be at least 1, got 0"),
+    "threads": (HEADER + TWO, ["threads=0"], "threads must be in [1, 1024], got 0"),
     "room": (HEADER + TWO, ["room.size=[1,2]"], "room.size must be a list of 3 numbers, got [1, 2]"),
     "unknown argument": (HEADER + TWO, ["+camera.zoom=2"], "unexpected keyword argument 'zoom'"),
     "positions": (
@@ -238,7 +238,7 @@ BAD_SETTINGS = {
     "seeds": (["observe", "deployment=uniform", "seeds=1e12"], "seeds: the poses of 1000000000000 flights would take"),
     "workers": (["observe", "workers=-1"], "workers must be at least 1, got -1"),
     "all_visible": (["observe", "all_visible=2"], "all_visible must be true or false, got 2"),
-    "cells": (["bound", "bound.spacing=1e-6"], "bound.spacing = 1e-06 makes 3.75e+13 poses, which would take"),
+    "cells": (["bound", "bound.spacing=1e-6"], "bound.spacing = 1e-06 makes 3e+13 poses, which would take"),
     "save_as": (["compare", "save_as=[1]"], "save_as must be the path of a file or a folder, got [1]"),
     "folder": (["compare", "save_as=taken/here"], "save_as = 'taken/here' cannot be written"),
     "array": (
@@ -258,10 +258,10 @@ def test_bad_settings_get_one_sentence_and_leave_nothing(case, tmp_path):
 def test_ids_and_notes_go_through_the_pipelines(tmp_path):
     table = "# of the lab\nid,x,y,z,nx,ny,nz,note\n7,0,1,1,1,0,0,door\n3,0,2,1,1,0,0,\n9,7.5,2,1,-1,0,0,shelf\n"
     (tmp_path / "lab.csv").write_text(table)
-    quick = ("tracking=none", "page=false")
+    quick = ("objective.thold_p=0.05", "tracking=none", "page=false")
     for pipeline, *overrides in (
-        ("evaluate", "deployment=file", "deployment.path=lab.csv", "localisation=false", "hydra.run.dir=scored"),
-        ("optimise", "run=scored", "budget.evaluations=1e1", "seed=1e0", "hydra.run.dir=moved"),
+        ("evaluate", "deployment=file", "deployment.path=lab.csv", "objective.n=1", "hydra.run.dir=scored"),
+        ("optimise", "run=scored", "budget.evaluations=1e2", "seed=1e0", "hydra.run.dir=moved"),
     ):
         done = call(pipeline, *overrides, *quick, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
