@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from typing import NoReturn
 
 from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -30,8 +31,7 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}") -> None:
         return
     for name in FILES:
         if not (directory / name).is_file():
-            print(f"error: run = '{directory}' is no run to go on from: it holds no {name}.", file=sys.stderr)
-            sys.exit(1)
+            _refuse(f"run = '{directory}' is no run to go on from: it holds no {name}.")
     before, store = _configuration(directory / FILES[0]), ConfigStore.instance()
     parts = {group: OmegaConf.select(before, group) for group in GROUPS}
     groups = [group for group in GROUPS if parts[group] is not None]  # runs of old lack some
@@ -50,12 +50,16 @@ def _configuration(file: Path) -> DictConfig:
     try:
         found = OmegaConf.load(file)
     except (OSError, UnicodeDecodeError, YAMLError) as error:
-        print(f"error: run: '{file}' cannot be read ({' '.join(str(error).split())}).", file=sys.stderr)
-        sys.exit(1)
+        _refuse(f"run: '{file}' cannot be read ({' '.join(str(error).split())}).")
     if not isinstance(found, DictConfig):
-        print(f"error: run: '{file}' is no configuration.", file=sys.stderr)
-        sys.exit(1)
+        _refuse(f"run: '{file}' is no configuration.")
     return found
+
+
+def _refuse(message: str) -> NoReturn:
+    """End the process in one sentence; Hydra, which would report an error, has not begun yet."""
+    print(f"error: {message}", file=sys.stderr)
+    sys.exit(1)
 
 
 def _directory(argument: str) -> Path | None:
