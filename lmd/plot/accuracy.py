@@ -27,7 +27,6 @@ def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Probl
     from matplotlib import colormaps
     from matplotlib.colors import LogNorm
     from matplotlib.figure import Figure
-    from matplotlib.ticker import LogLocator
 
     plans = [1e3 * _plan(problem, deployment) for problem, deployment in deployments.values()]
     known = np.concatenate([plan.to_numpy().ravel() for plan in plans])
@@ -55,10 +54,9 @@ def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Probl
         axes.set(xlabel=common.AXIS_LABELS[0], title=heading, aspect="equal")
     panels[0].set_ylabel(common.AXIS_LABELS[1])
     label = "median predicted error of the position [mm]; grey where most views see too few landmarks"
-    ticks = LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0))
-    bar = figure.colorbar(
-        mesh, ax=list(panels), label=label, ticks=ticks, format="%g", extend="max", orientation="horizontal", aspect=60
-    )
+    bar = figure.colorbar(mesh, ax=list(panels), label=label, extend="max", orientation="horizontal", aspect=60)
+    ticks = common.logarithmic_ticks(low, high)
+    bar.set_ticks(ticks.tolist(), labels=[f"{tick:g}" for tick in ticks])
     bar.minorticks_off()
     figure.savefig(path)
 

@@ -15,6 +15,7 @@ QUALIFIED = "#1a9641"
 UNQUALIFIED = "#9e9e9e"
 COLOUR_MAP = "viridis"  # known by this name to both libraries, even in lightness, hence safe to print
 AXIS_LABELS = ("x [m]", "y [m]", "z [m]")
+LEAST_TICKS = 3  # on a logarithmic axis
 ELEVATION, AZIMUTH = 16.0, -66.0  # of the viewer in static figures, degrees
 
 
@@ -36,6 +37,21 @@ def ball_scale(room: Space, count: int) -> float:
     reachable = np.ptp(room.outline()["reachable area"].reshape(-1, 3), axis=0)
     spacing = np.cbrt(np.prod(reachable) / count)
     return min(1.0, float(spacing / np.linalg.norm(size_of(room))) / 0.046)
+
+
+def logarithmic_ticks(low: float, high: float) -> FloatArray:
+    """Round numbers for a logarithmic axis from `low` to `high`: a few, also where these are close."""
+    from matplotlib.ticker import MaxNLocator
+
+    decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1.0)
+    for steps in ((1.0, 10.0), (1.0, 3.0), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)):
+        ticks = np.unique(np.outer(decades, steps))
+        ticks = ticks[(ticks >= low) & (ticks <= high)]
+        if len(ticks) >= LEAST_TICKS:
+            return np.asarray(ticks)
+    ticks = np.asarray(MaxNLocator(nbins=4).tick_values(low, high))
+    ticks = ticks[(ticks >= low) & (ticks <= high)]
+    return ticks if len(ticks) else np.array([low])
 
 
 def qualified_labels(is_qualified: BoolArray, threshold: float) -> tuple[str, str]:

@@ -81,7 +81,6 @@ def save_cramer_rao_map(path: str | Path, room: Space, bounds: CramerRaoMap, tit
     """
     from matplotlib.colors import LogNorm
     from matplotlib.figure import Figure
-    from matplotlib.ticker import LogLocator
 
     figure = Figure(figsize=(15.0, 7.0), dpi=100, facecolor="white", layout="constrained")
     figure.suptitle(title)
@@ -107,6 +106,7 @@ def save_cramer_rao_map(path: str | Path, room: Space, bounds: CramerRaoMap, tit
         if drawn.any():
             bar = figure.colorbar(balls, ax=axes, orientation="horizontal", shrink=0.6, pad=0.02, label=label)
             if "norm" in scale:
-                bar.set_ticks(LogLocator(subs=(1.0, 2.0, 5.0)), format="%g")
+                ticks = common.logarithmic_ticks(np.nanmin(values), np.nanmax(values))
+                bar.set_ticks(ticks.tolist(), labels=[f"{tick:g}" for tick in ticks])
                 bar.minorticks_off()
     figure.savefig(path)

@@ -106,7 +106,7 @@ def _draw_surroundings(axes: Any, room: Space, deployment: Deployment) -> None:
     axes.set_proj_type("persp", focal_length=1.4)
     # The box is scaled to the panel by its diagonal; a tower has to shrink to stay between title and colour bar.
     (low, high), size = room.bounds(), common.size_of(room)
-    axes.set_box_aspect(size, zoom=min(1.0, 0.6 * math.hypot(*size) / size[2]))
+    axes.set_box_aspect(tuple(size), zoom=min(1.0, 0.6 * math.hypot(*size) / size[2]))
     axes.grid(False)
     step = np.diff(MaxNLocator(8, steps=[1, 2, 5, 10]).tick_values(0.0, max(size)))[0]
     for axis, label, *limits in zip("xyz", common.AXIS_LABELS, low, high, strict=True):

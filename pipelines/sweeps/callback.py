@@ -13,7 +13,6 @@ from omegaconf import DictConfig
 
 from ..app import instantiate
 from ..provenance import source_tags
-from ..tracking import RunStart
 from .folder import JobFolder, SweepFolder
 from .jobs import Job, Sweep, reason_of
 from .names import override_tags, pin_sweep_folder, sweep_name, swept, varied_keys
@@ -31,6 +30,8 @@ class SweepRecord(Callback):
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Start the parent run, or continue that of the same sweep before."""
         from lmd.checks import InputError
+
+        from ..tracking import RunStart
 
         folder = SweepFolder(pin_sweep_folder(config))
         before = folder.load()
@@ -69,6 +70,8 @@ class SweepRecord(Callback):
 
 def _cut_short(config: DictConfig) -> None:
     """Close a sweep that ended before all its jobs had."""
+    from ..tracking import RunStart
+
     folder = SweepFolder(config.hydra.sweep.dir)
     if not folder.jobs():  # the first job was refused
         sweep = folder.load()
@@ -84,6 +87,8 @@ def _cut_short(config: DictConfig) -> None:
 
 def _close(config: DictConfig, reason: str = "") -> bool:
     """Write the table of a sweep and end its run, as FAILED if `reason` is given or a job failed; returns which."""
+    from ..tracking import RunStart
+
     folder = SweepFolder(config.hydra.sweep.dir)
     sweep = folder.load()
     assert sweep is not None

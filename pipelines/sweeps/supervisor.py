@@ -19,7 +19,6 @@ from omegaconf import DictConfig
 
 from ..app import PACKAGE, config_dir, ends_reported, instantiate, run_directory, search_path
 from ..signals import CODES, Stopped, stop
-from ..tracking import RunStart
 from .folder import JOB_VARIABLE, JobFolder, SweepFolder, current_job
 from .jobs import Job, reason_of
 from .names import key_and_value, override_tags, quoted
@@ -203,6 +202,8 @@ def _settled(job: Job, code: int) -> Job:
 def end_runs(tracking: DictConfig, folder: JobFolder, job: Job, reason: str, name: str | None = None) -> None:
     """Mark the job's runs that its process left running as FAILED; where it had none yet, record one called `name`."""
     from lmd.checks import InputError
+
+    from ..tracking import RunStart
 
     if job.parent is None:
         return

@@ -27,13 +27,14 @@ def hand_in(journal: Journal, uri: str | None = None) -> str:
         journal.remove()
         return f"{journal.path} held nothing"
     last, entries = begins[-1], journal.entries
-    if "end" not in entries[-1]:
-        if not is_gone(last):
-            return f"{journal.path} is left: its process still runs, or ran on another host ({last['host']})"
-        entries = [*entries, {"end": "FAILED", "reason": GONE, "at": now()}]
+    ended = "end" in entries[-1]
+    if not ended and not is_gone(last):
+        return f"{journal.path} is left: its process still runs, or ran on another host ({last['host']})"
     store, run_id = Store(uri or last["uri"], last["experiment"]), last["run_id"]
     with store.errors_reported():
         run = store.client.get_run(run_id)
+        if not ended and run.info.status == "RUNNING":
+            entries = [*entries, {"end": "FAILED", "reason": GONE, "at": now()}]
         # Where it was continued in another folder, how it stands is for that one to say.
         went_on = run.data.tags.get("folder") != last["folder"]
         for entry in entries:

@@ -16,7 +16,7 @@ TABLES = ["assumptions", "misses", "tags", "lost"]
 
 def metrics_of(cwd):
     client = MlflowClient(tracking_uri=f"sqlite:///{cwd}/outputs/mlflow.db")
-    (run,) = client.search_runs([client.get_experiment_by_name("lmd").experiment_id])
+    (run,) = client.search_runs([client.get_experiment_by_name("lmd accuracy").experiment_id])
     assert run.info.status == "FINISHED"
     return run.data.metrics, {file.path for file in client.list_artifacts(run.info.run_id)}
 

@@ -39,7 +39,7 @@ def figures_of(cwd):
 
 def test_a_run_leaves_its_files_and_nothing_else(detected):
     cwd, _ = detected
-    assert {path.name for path in (cwd / "run").iterdir()} == {*FILES, ".hydra", "detect.log"}
+    assert {path.name for path in (cwd / "run").iterdir()} == {*FILES, ".hydra"}
     assert {path.name for path in (cwd / "run" / "frames").iterdir()} == {"uniform_0.png", "mine_0.png"}
     assert cv2.imread(str(cwd / "run" / "frames" / "mine_0.png")).shape == (600, 800, 3)
     assert (cwd / "run" / "calibration.png").stat().st_size > 20_000
@@ -85,7 +85,7 @@ def test_the_table_is_shown_and_kept(detected):
 
 def test_mlflow_has_the_run(detected):
     client = MlflowClient(tracking_uri=f"sqlite:///{detected[0]}/outputs/mlflow.db")
-    (run,) = client.search_runs([client.get_experiment_by_name("lmd").experiment_id])
+    (run,) = client.search_runs([client.get_experiment_by_name("lmd detect").experiment_id])
     assert run.info.status == "FINISHED"
     assert run.data.tags["choice.imaging"] == "nominal"
     document = json.loads((detected[0] / "run" / "detect.json").read_text())

@@ -36,7 +36,6 @@ def test_the_command_leaves_a_pdf_that_the_other_pipelines_read(tmp_path):
     run = tmp_path / "run"
     assert {path.name for path in run.iterdir()} == {
         ".hydra",
-        "estimate_pdf.log",
         "pdf.csv",
         "pdf.png",
         "pdf_estimate.json",

@@ -33,7 +33,7 @@ def observed(tmp_path_factory):
 
 def test_a_run_leaves_its_files_and_nothing_else(observed):
     cwd, _ = observed
-    assert {path.name for path in (cwd / "run").iterdir()} == {*FILES, ".hydra", "observe.log"}
+    assert {path.name for path in (cwd / "run").iterdir()} == {*FILES, ".hydra"}
 
 
 def test_one_run_compares_the_deployments_over_the_same_flights(observed):
@@ -73,7 +73,7 @@ def test_the_medians_and_settings_are_kept(observed):
 
 def test_mlflow_has_the_run(observed):
     client = MlflowClient(tracking_uri=f"sqlite:///{observed[0]}/outputs/mlflow.db")
-    (run,) = client.search_runs([client.get_experiment_by_name("lmd").experiment_id])
+    (run,) = client.search_runs([client.get_experiment_by_name("lmd observe").experiment_id])
     assert run.info.status == "FINISHED"
     assert run.data.tags["choice.trajectory"] == "random_motion"
     assert run.data.params["deployments"] == "['file', 'uniform', 'random']"

@@ -2,14 +2,11 @@
 
 import json
 import re
-import signal
-import subprocess
-import time
 
 import pandas as pd
 import pytest
 from mlflow import MlflowClient
-from processes import call, command, help_of, refused, start
+from processes import call, help_of, refused
 
 FILES = ["convergence.png", "history.csv", "landmarks.csv", "metrics.json", "scene.html", "scene.png"]
 pytestmark = pytest.mark.slow
@@ -25,7 +22,13 @@ def optimised(tmp_path_factory):
     """A tracked run of 90 evaluations in its own working directory."""
     cwd = tmp_path_factory.mktemp("work")
     done = call(
-        "optimise", "optimiser=ega", "budget.evaluations=90", "deployment.count=40", "hydra.run.dir=run", cwd=cwd
+        "optimise",
+        "optimiser=ega",
+        "budget.evaluations=90",
+        "deployment.count=40",
+        "page=true",
+        "hydra.run.dir=run",
+        cwd=cwd,
     )
     assert done.returncode == 0, done.stderr
     return cwd, done.stdout
@@ -34,7 +37,7 @@ def optimised(tmp_path_factory):
 def test_a_run_leaves_its_files_and_nothing_else(optimised):
     cwd, _ = optimised
     left = {path.name for path in (cwd / "run").iterdir()}
-    assert left == {*FILES, ".hydra", "optimise.log", "checkpoint.pkl"}
+    assert left == {*FILES, ".hydra", "checkpoint.pkl"}
     assert all((cwd / "run" / name).stat().st_size for name in FILES)
 
 
@@ -69,7 +72,8 @@ def test_mlflow_has_the_run(optimised):
     assert "budget.evaluations=90" in run.data.tags["overrides"]
     assert run.data.metrics["qualified_ratio"] == read_metrics(cwd / "run")["qualified_ratio"]
     assert len(client.get_metric_history(run.info.run_id, "best_fitness")) == 4
-    assert {*FILES, "config.yaml"} <= {file.path for file in client.list_artifacts(run.info.run_id)}
+    kept = {file.path for file in client.list_artifacts(run.info.run_id)}
+    assert {*FILES, "config.yaml"} - kept == {"scene.html"}  # which is large, and stays where it is
 
 
 def test_evaluating_what_was_optimised_gives_the_same_metrics(optimised):
@@ -81,7 +85,7 @@ def test_evaluating_what_was_optimised_gives_the_same_metrics(optimised):
     for key in ("qualified_ratio", "average_coverage_probability", "settings"):
         assert after[key] == before[key]
     assert (cwd / "score" / "landmarks.csv").read_bytes() == (cwd / "run" / "landmarks.csv").read_bytes()
-    assert not (cwd / "score" / "checkpoint.pkl").exists()
+    assert {path.name for path in (cwd / "score").iterdir()} & {"checkpoint.pkl", "convergence.png"} == set()
 
 
 def test_same_config_same_result(optimised):
@@ -89,42 +93,6 @@ def test_same_config_same_result(optimised):
     call("optimise", "optimiser=ega", "budget.evaluations=90", "deployment.count=40", "hydra.run.dir=again",
          "tracking=none", "threads=1", cwd=cwd)  # fmt: skip
     assert (cwd / "again" / "landmarks.csv").read_bytes() == (cwd / "run" / "landmarks.csv").read_bytes()
-
-
-def test_interrupted_it_keeps_the_best_and_resumes(tmp_path):
-    settings = ["optimiser=ega", "deployment.count=40", "tracking.uri=sqlite:///store.db"]
-    endless = command(
-        "optimise", *settings, "budget.evaluations=100000000", "checkpoint_seconds=0.2", "hydra.run.dir=run"
-    )
-    process = start(endless, cwd=tmp_path, stderr=subprocess.PIPE)
-    deadline = time.monotonic() + 120
-    while not (tmp_path / "run" / "checkpoint.pkl").exists() and time.monotonic() < deadline:
-        time.sleep(0.1)
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=120)
-    assert process.returncode == 130, err
-    first = read_metrics(tmp_path / "run")
-    assert first["stopped"] == "interrupted"
-    assert first["fitness"] == pd.read_csv(tmp_path / "run" / "history.csv").best_fitness.max()
-    (again,) = re.findall(r"go on with: python -m pipelines\.optimise (.*)", err)
-    assert again.endswith(f"resume={tmp_path / 'run'}")
-
-    client = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db")
-    (run,) = client.search_runs(["1"])
-    assert run.info.status == "KILLED"
-
-    budget = f"budget.evaluations={first['evaluations'] + 58}"
-    resumed = call("optimise", *settings, budget, "resume=run", "hydra.run.dir=run2", cwd=tmp_path)
-    assert resumed.returncode == 0, resumed.stderr
-    second = read_metrics(tmp_path / "run2")
-    assert second["evaluations"] == first["evaluations"] + 58
-    assert second["fitness"] >= first["fitness"]
-    (run,) = client.search_runs(["1"])
-    assert run.info.status == "FINISHED"
-
-    refused = call("optimise", *settings, "resume=run", "objective.n=3", "hydra.run.dir=run3", cwd=tmp_path)
-    assert refused.returncode == 1
-    assert "was made with objective.n = 2, not 3" in refused.stderr
 
 
 def test_a_run_is_validated_off_its_grid(tmp_path):
@@ -149,7 +117,10 @@ def test_a_run_is_validated_off_its_grid(tmp_path):
     assert metrics["fitness"] != metrics["qualified_ratio"]
     assert metrics["settings"]["sampling"] == {"positions": 4, "divisions": 18}
     (run,) = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db").search_runs(["1"])
-    assert {key: run.data.metrics[f"validation/{key}"] for key in validation} == validation
+    recorded = {key: value for key, value in validation.items() if not key.endswith("standard_error")}
+    assert {f"validation/{key}": value for key, value in recorded.items()} == {
+        key: value for key, value in run.data.metrics.items() if key.startswith("validation/")
+    }
     assert re.search(r"on a finer grid +\d+\.\d\d% of positions qualified", done.stdout)
     assert re.search(r"off the grid +\d+\.\d\d% \+- \d\.\d\d% of random positions qualified", done.stdout)
 

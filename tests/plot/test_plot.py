@@ -11,6 +11,7 @@ from paper import paper_scene
 
 from lmd.deployment import Deployment, RandomDeployment, UniformDeployment
 from lmd.objectives.coverage import Coverage
+from lmd.plot import common
 from lmd.plot.common import qualified_labels
 from lmd.plot.convergence import save_convergence_figure
 from lmd.plot.page import save_scene_page
@@ -53,6 +54,17 @@ def test_box_edges_are_the_twelve_edges_of_the_box():
     assert ((along > 0).sum(axis=1) == 1).all()
     np.testing.assert_array_equal(along.sum(axis=0), [4.0, 8.0, 12.0])
     np.testing.assert_array_equal(np.unique(edges.reshape(-1, 3), axis=0)[[0, -1]], [[1, 2, 3], [2, 4, 6]])
+
+
+def test_axes_have_a_tick_for_every_half_metre(tmp_path, deployment, monkeypatch):
+    saved = []
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda figure, path: saved.append(figure))
+    save(save_scene_figure, tmp_path / "scene.png", deployment)
+    panels = [axes for axes in saved[0].axes if axes.name == "3d"]
+    assert len(panels) == 2
+    for axes in panels:
+        for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+            assert np.diff(axis.get_majorticklocs())[0] == 0.5  # of a room of 3 m
 
 
 def test_labels_state_the_shares():
@@ -141,3 +153,13 @@ def test_convergence_figure(tmp_path, rows):
     save_convergence_figure(path, history[:rows], Coverage.headline, "Convergence")
     assert imread(path).shape[:2] == (500, 900)
     assert path.stat().st_size > 8_000
+
+
+@pytest.mark.parametrize(
+    ("low", "high"), [(11.0, 38.0), (4.1, 4.8), (0.3, 900.0), (19.9, 20.3), (1e-4, 1e4), (5.0, 5.0)]
+)
+def test_a_logarithmic_axis_has_a_few_round_numbers_within_it(low, high):
+    ticks = common.logarithmic_ticks(low, high)
+    assert all((ticks >= low) & (ticks <= high))
+    assert (1 if low == high else 3) <= len(ticks) <= 9
+    assert all(len(f"{tick:g}") <= 6 for tick in ticks)
