@@ -58,7 +58,7 @@ def test_box_edges_are_the_twelve_edges_of_the_box():
 
 def test_axes_have_a_tick_for_every_half_metre(tmp_path, deployment, monkeypatch):
     saved = []
-    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda figure, path: saved.append(figure))
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda figure, *_: saved.append(figure))
     save(save_scene_figure, tmp_path / "scene.png", deployment)
     panels = [axes for axes in saved[0].axes if axes.name == "3d"]
     assert len(panels) == 2
