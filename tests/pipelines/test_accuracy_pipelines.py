@@ -14,9 +14,9 @@ SMALL = ["room.spacing=1.5", "hydra.run.dir=run"]
 TABLES = ["assumptions", "misses", "tags", "lost"]
 
 
-def metrics_of(cwd):
+def metrics_of(cwd, experiment="lmd accuracy"):
     client = MlflowClient(tracking_uri=f"sqlite:///{cwd}/outputs/mlflow.db")
-    (run,) = client.search_runs([client.get_experiment_by_name("lmd accuracy").experiment_id])
+    (run,) = client.search_runs([client.get_experiment_by_name(experiment).experiment_id])
     assert run.info.status == "FINISHED"
     return run.data.metrics, {file.path for file in client.list_artifacts(run.info.run_id)}
 
@@ -32,7 +32,7 @@ def test_evaluate_measures_what_the_figures_hang_on(tmp_path):
     assert overlapping.note.str.contains("landmarks 0 and 1 on x_min overlap").all()
     assert overlapping.localised_share.isna().all()
     written = json.loads((tmp_path / "run" / "metrics.json").read_text())["sensitivity"]
-    logged, artifacts = metrics_of(tmp_path)
+    logged, artifacts = metrics_of(tmp_path, "lmd")
     assert {*(f"{name}.csv" for name in TABLES), "sensitivity.png"} <= artifacts
     assert {key: logged[f"sensitivity/{key}"] for key in written} == written
     assert written["missed_0.1/covered_share"] == pytest.approx(tables["misses"].covered_share[2])

@@ -29,12 +29,32 @@ def wait_for(path, process):
         time.sleep(0.02)
 
 
-def endless(cwd, *overrides, **streams):
-    """A run that has written a checkpoint and goes on for ever."""
-    line = command("optimise", *SETTINGS, *ENDLESS, *overrides)
-    process = start(line, cwd=cwd, stderr=subprocess.PIPE, stdout=subprocess.PIPE, **streams)
-    wait_for(cwd / "run" / "checkpoint.pkl", process)
-    return process
+@pytest.fixture(name="begin")
+def _begin():
+    """A function that starts a command; what still runs at the end of the test is killed."""
+    processes = []
+
+    def begin(line, cwd, **options):
+        processes.append(start(line, cwd=cwd, **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options}))
+        return processes[-1]
+
+    yield begin
+    for process in processes:
+        if process.poll() is None:
+            process.kill()
+            process.wait(timeout=60)
+
+
+@pytest.fixture(name="endless")
+def _endless(begin, tmp_path):
+    """A function that starts a run which goes on for ever, and waits until it has written a checkpoint."""
+
+    def endless(*overrides, settings=SETTINGS, cwd=tmp_path, line=(), **options):
+        process = begin([*line, *command("optimise", *settings, *ENDLESS, *overrides)], cwd, **options)
+        wait_for(cwd / "run" / "checkpoint.pkl", process)
+        return process
+
+    return endless
 
 
 def ended(process):
@@ -53,8 +73,8 @@ def metrics_in(folder):
 
 
 @pytest.mark.parametrize("number", SIGNALS)
-def test_told_to_stop_it_keeps_the_best_and_says_how_to_go_on(number, tmp_path):
-    process = endless(tmp_path)
+def test_told_to_stop_it_keeps_the_best_and_says_how_to_go_on(endless, number, tmp_path):
+    process = endless()
     process.send_signal(number)
     code, _, err = ended(process)
     assert code == 128 + number
@@ -69,8 +89,8 @@ def test_told_to_stop_it_keeps_the_best_and_says_how_to_go_on(number, tmp_path):
     assert not {".reserve", "tracking.jsonl"} & {path.name for path in (tmp_path / "run").iterdir()}
 
 
-def test_told_twice_it_stops_at_once_and_keeps_the_best(tmp_path):
-    process = endless(tmp_path, "validate=true")
+def test_told_twice_it_stops_at_once_and_keeps_the_best(endless, tmp_path):
+    process = endless("validate=true")
     process.send_signal(signal.SIGINT)
     process.send_signal(signal.SIGTERM)
     process.send_signal(signal.SIGINT)
@@ -84,8 +104,8 @@ def test_told_twice_it_stops_at_once_and_keeps_the_best(tmp_path):
 
 @pytest.mark.parametrize("delay", [0.05, 0.3, 0.8, 1.5, 2.5])
 @pytest.mark.parametrize("number", SIGNALS)
-def test_told_to_stop_before_there_is_anything_it_leaves_nothing(number, delay, tmp_path):
-    process = start(command("optimise", *SETTINGS, *ENDLESS), cwd=tmp_path, stderr=subprocess.PIPE)
+def test_told_to_stop_before_there_is_anything_it_leaves_nothing(begin, number, delay, tmp_path):
+    process = begin(command("optimise", *SETTINGS, *ENDLESS), tmp_path)
     time.sleep(delay)
     process.send_signal(number)
     _, err = process.communicate(timeout=120)
@@ -98,12 +118,10 @@ def test_told_to_stop_before_there_is_anything_it_leaves_nothing(number, delay, 
         assert not [run for run in runs(tmp_path) if run.info.status == "RUNNING"]
 
 
-def test_a_closed_terminal_is_no_reason_to_lose_the_result(tmp_path):
+def test_a_closed_terminal_is_no_reason_to_lose_the_result(begin, tmp_path):
     ours, theirs = os.openpty()
-    line = command("optimise", *SETTINGS, *ENDLESS)
-    process = subprocess.Popen(
-        line, cwd=tmp_path, env=environment(), stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True
-    )
+    line, terminal = command("optimise", *SETTINGS, *ENDLESS), dict.fromkeys(("stdin", "stdout", "stderr"), theirs)
+    process = begin(line, tmp_path, start_new_session=True, **terminal)
     os.close(theirs)
     wait_for(tmp_path / "run" / "checkpoint.pkl", process)
     os.close(ours)
@@ -114,10 +132,8 @@ def test_a_closed_terminal_is_no_reason_to_lose_the_result(tmp_path):
     assert run.info.status == "KILLED"
 
 
-def test_under_nohup_a_closed_terminal_is_ignored(tmp_path):
-    line = ["nohup", *command("optimise", *SETTINGS, *ENDLESS)]
-    process = start(line, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    wait_for(tmp_path / "run" / "checkpoint.pkl", process)
+def test_under_nohup_a_closed_terminal_is_ignored(endless):
+    process = endless(line=["nohup"])
     process.send_signal(signal.SIGHUP)
     time.sleep(1.0)
     assert process.poll() is None
@@ -125,15 +141,15 @@ def test_under_nohup_a_closed_terminal_is_ignored(tmp_path):
     assert ended(process)[0] == 128 + signal.SIGTERM
 
 
-def test_ctrl_c_reaches_a_run_whose_shell_ignores_it(tmp_path):
-    process = endless(tmp_path, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN))
+def test_ctrl_c_reaches_a_run_whose_shell_ignores_it(endless):
+    process = endless(preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN))
     process.send_signal(signal.SIGINT)
     assert ended(process)[0] == 128 + signal.SIGINT
 
 
-def test_one_history_stays_one_run_and_another_is_linked_to_it(tmp_path):
+def test_one_history_stays_one_run_and_another_is_linked_to_it(endless, tmp_path):
     def stopped(*overrides):
-        process = endless(tmp_path, *overrides)
+        process = endless(*overrides)
         time.sleep(0.5)
         process.send_signal(signal.SIGINT)
         assert ended(process)[0] == 130
@@ -199,15 +215,13 @@ def small_disk(path, size):
     try:
         yield path
     finally:
-        subprocess.run(["umount", path], check=True)
+        subprocess.run(["umount", "--lazy", path], check=True)
 
 
-def test_on_a_disk_that_fills_up_landmarks_and_figures_are_kept(tmp_path):
+def test_on_a_disk_that_fills_up_landmarks_and_figures_are_kept(endless, tmp_path):
     with small_disk(tmp_path / "disk", "2m") as disk:
-        overrides = ("tracking.uri=sqlite:///../store.db", "checkpoint_seconds=0.2", "hydra.run.dir=run")
-        line = command("optimise", *SETTINGS[:3], *overrides, "budget.evaluations=100000000")
-        process = start(line, cwd=disk, stderr=subprocess.PIPE, stdout=subprocess.PIPE)
-        wait_for(disk / "run" / "checkpoint.pkl", process)
+        settings = (*SETTINGS[:2], "tracking.uri=sqlite:///../store.db")
+        process = endless(settings=settings, cwd=disk)
         with contextlib.suppress(OSError), (disk / "filler").open("wb", buffering=0) as filler:
             for size in (1 << 16, 1 << 10, 1):
                 with contextlib.suppress(OSError):
@@ -225,26 +239,23 @@ def test_on_a_disk_that_fills_up_landmarks_and_figures_are_kept(tmp_path):
         assert "qualified ratio" in out
         (disk / "filler").unlink()
         assert json.loads((disk / "run" / "metrics.json").read_text())["evaluations"] > 1
-        done = call("optimise", *SETTINGS[:3], *overrides, "resume=run", "budget.evaluations=1", cwd=disk)
+        done = call("optimise", *settings, "resume=run", "budget.evaluations=1", "hydra.run.dir=run", cwd=disk)
         assert done.returncode == 0, done.stderr
 
 
 def test_a_disk_that_is_full_from_the_start_is_one_sentence(tmp_path):
     with small_disk(tmp_path / "disk", "64k") as disk:
-        done = call("optimise", *SETTINGS[:3], "tracking=none", "hydra.run.dir=run", cwd=disk)
+        done = call("optimise", *SETTINGS[:2], "tracking=none", "hydra.run.dir=run", cwd=disk)
         assert done.returncode == 1
         assert re.fullmatch(r"error: .*/disk/run: no space is left .*\n", done.stderr), done.stderr
         assert not list(disk.iterdir())
 
 
-def test_a_server_that_dies_costs_a_warning_and_gets_everything_later(tmp_path):
+def test_a_server_that_dies_costs_a_warning_and_gets_everything_later(endless, tmp_path):
     (tmp_path / "server").mkdir()
     database = f"sqlite:///{tmp_path}/server.db"
     with mlflow_server(database, tmp_path / "server") as address:
-        settings = (*SETTINGS[:3], f"tracking.uri={address}")
-        line = command("optimise", *settings, *ENDLESS)
-        run = start(line, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.PIPE)
-        wait_for(tmp_path / "run" / "checkpoint.pkl", run)
+        run = endless(settings=(*SETTINGS[:2], f"tracking.uri={address}"))
     time.sleep(0.5)
     run.send_signal(signal.SIGINT)
     code, out, err = ended(run)
@@ -267,8 +278,8 @@ def test_a_server_that_dies_costs_a_warning_and_gets_everything_later(tmp_path):
     assert "nothing to hand in" in call("sync", "folder=.", settings=(), cwd=tmp_path).stdout
 
 
-def test_runs_are_listed_with_the_command_that_goes_on(tmp_path):
-    process = endless(tmp_path)
+def test_runs_are_listed_with_the_command_that_goes_on(endless, tmp_path):
+    process = endless()
     process.kill()
     process.communicate()
     listed = call("runs", "tracking.uri=sqlite:///store.db", settings=(), cwd=tmp_path)
