@@ -52,6 +52,8 @@ def application(config_name: str) -> Callable[[Callable[[DictConfig], object]], 
                 with stop.raising():
                     composed()
             except Stopped as told:
+                if HydraConfig.initialized():
+                    _discard_empty(run_directory())
                 sys.exit(told.code)
 
         return main
@@ -290,11 +292,8 @@ def ends_reported() -> Iterator[None]:
             raise
         print(f"error: {error.filename or run_directory()}: {error.strerror}", file=sys.stderr)
         sys.exit(1)
-    except Stopped:
-        _discard_empty(run_directory())
-        raise
 
 
 def _discard_empty(directory: Path) -> None:
-    if {path.name for path in directory.iterdir()} <= {".hydra"}:
+    if directory.exists() and {path.name for path in directory.iterdir()} <= {".hydra"}:
         shutil.rmtree(directory)

@@ -128,7 +128,7 @@ def test_a_run_is_scored_flown_and_improved_where_it_was(earlier):
     for pipeline, overrides in (
         ("evaluate", [*QUICK, "hydra.run.dir=score"]),
         ("evaluate", [*QUICK, *sweep]),
-        ("optimise", [*QUICK[:3], "budget.evaluations=5", "hydra.run.dir=better"]),
+        ("optimise", [*QUICK[:2], "budget.evaluations=5", "hydra.run.dir=better"]),
         ("observe", ["tracking=none", "seeds=1", "trajectory.duration=2", "hydra.run.dir=flown"]),
     ):
         done = call(pipeline, run, *overrides, cwd=cwd, settings=())
