@@ -52,8 +52,6 @@ def application(config_name: str) -> Callable[[Callable[[DictConfig], object]], 
                 with stop.raising():
                     composed()
             except Stopped as told:
-                if HydraConfig.initialized():
-                    _discard_empty(run_directory())
                 sys.exit(told.code)
 
         return main
@@ -273,8 +271,7 @@ def choices() -> dict[str, str]:
 
 @contextmanager
 def ends_reported() -> Iterator[None]:
-    """Turn bad input and a full disk into one sentence on stderr and exit code 1; leave no trace where nothing came of
-    a run.
+    """Turn bad input and a full disk into one sentence on stderr and exit code 1; bad input leaves no trace.
 
     Memory that is refused counts as bad input: what takes most is estimated (`lmd.memory`), the rest is not.
     """
@@ -283,7 +280,7 @@ def ends_reported() -> Iterator[None]:
     try:
         yield
     except (InputError, MemoryError) as error:
-        _discard_empty(run_directory())
+        discard_empty(run_directory())
         lack = "there is not enough memory for these settings: " if isinstance(error, MemoryError) else ""
         print(f"error: {lack}{error}", file=sys.stderr)
         sys.exit(1)
@@ -294,6 +291,7 @@ def ends_reported() -> Iterator[None]:
         sys.exit(1)
 
 
-def _discard_empty(directory: Path) -> None:
+def discard_empty(directory: Path) -> None:
+    """Remove the directory of a run if nothing came of it."""
     if directory.exists() and {path.name for path in directory.iterdir()} <= {".hydra"}:
         shutil.rmtree(directory)

@@ -1,5 +1,6 @@
 """What every run leaves in its directory."""
 
+import atexit
 import json
 import shutil
 import sys
@@ -13,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 from hydra.experimental.callback import Callback as HydraCallback
 from omegaconf import DictConfig
 
+from .app import discard_empty
+
 if TYPE_CHECKING:
     from lmd.deployment import Deployment
     from lmd.optimisers.base import Record
@@ -23,12 +26,18 @@ PARTIAL = ".partial_"
 RESERVE = 1 << 16  # bytes; more than the landmarks and figures of a thousand tags take
 
 
-class SpaceCheck(HydraCallback):
-    """Hydra callback that refuses to begin on a full disk, where Hydra itself would fail half-way."""
+class RunDirectory(HydraCallback):
+    """Hydra callback around the directory that Hydra makes for a run.
+
+    A run does not begin on a full disk, where Hydra itself would fail half-way; and one that was stopped before
+    anything came of it leaves no directory.
+    """
 
     def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Look at the disk of the run's directory."""
-        self._check(Path(config.hydra.run.dir))
+        """Look at the disk, and when the process ends at what is left."""
+        directory = Path(config.hydra.run.dir).resolve()
+        self._check(directory)
+        atexit.register(discard_empty, directory)
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Look at the disk of the sweep's directory."""
