@@ -7,7 +7,7 @@ EVALUATIONS ?= 3000
 export MLFLOW_DISABLE_TELEMETRY := true
 export DO_NOT_TRACK := true
 
-.PHONY: install run test quick lint docs ui figures paper-experiment clean
+.PHONY: install precompile run test quick lint docs ui figures paper-experiment clean
 
 install: $(VENV)/installed
 
@@ -16,7 +16,11 @@ $(VENV)/installed: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "error: lmd needs Python 3.11 or newer; set PYTHON=python3.x")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	$(BIN)/python -m pipelines.precompile
 	touch $@
+
+precompile: install  ## after a change of compiled code, what the first runs would compile
+	$(BIN)/python -m pipelines.precompile
 
 run: install  ## the main job on the paper's room at a small budget
 	$(BIN)/python -m pipelines.optimise budget.evaluations=$(EVALUATIONS) page=true

@@ -5,10 +5,9 @@ landmarks. All figures are off the grid: random positions, orientations from the
 """
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from lmd.checks import FloatArray, IntArray
 from lmd.deployment import Deployment
@@ -19,7 +18,11 @@ from lmd.objectives.localisation.kernels import localised_views
 from lmd.problem import Problem
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE
+from lmd.tables import write_table
 from lmd.validation import Sample, sampled_evaluators
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 TOLERANCES = (0.01, 0.02, 0.05)  # metres
 SAMPLE = Sample(groups=8, positions=512, divisions=23)
@@ -88,14 +91,16 @@ def save_accuracy_map(path: str | Path, problem: Problem, deployment: Deployment
     columns = dict(zip("xyz", evaluator.positions.T, strict=True))
     columns |= {_share_name(limit): (errors <= limit) @ weight for limit in TOLERANCES}
     columns["predicted_error_median"] = np.where(np.isfinite(median), median, np.nan)
-    pd.DataFrame(columns).to_csv(path, index=False)
+    write_table(path, columns)
 
 
-def plan_of_errors(problem: Problem, deployment: Deployment) -> pd.DataFrame:
+def plan_of_errors(problem: Problem, deployment: Deployment) -> "pd.DataFrame":
     """`x,y,predicted_error_median`, metres: over all orientations and heights at each place of the grid's plan.
 
     The median is infinite where fewer than half of these views cover n landmarks.
     """
+    import pandas as pd
+
     evaluator, weight = problem.evaluator, problem.scene.orientations.weight
     errors, _ = predicted_errors(problem, deployment, evaluator)
     places, place = np.unique(evaluator.positions[:, :2].round(9), axis=0, return_inverse=True)

@@ -1,6 +1,9 @@
 """How kernels are compiled, and when what was compiled before may be used again."""
 
 import hashlib
+import sys
+import threading
+import time
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -8,9 +11,10 @@ from typing import Any
 
 from numba import njit, types
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.event import Event, Listener, register
 
-# Folders with code that is compiled, below this one.
-_FOLDERS = ("geometry", "sight", "objectives", "optimisers/annealing")
+# Packages and modules with code that is compiled, or constants of it.
+SOURCES = ("geometry", "sight", "objectives", "optimisers/annealing", "plates", "tag")
 
 
 def kernel(function: Callable[..., Any]) -> Any:
@@ -23,33 +27,105 @@ def kernel(function: Callable[..., Any]) -> Any:
     return compiled
 
 
+class _Compiling(Listener):
+    """How long this process has waited for the compiler, in any of its threads; says so when it first does."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._compiling = 0  # kernels, of which most are parts of others
+        self._began = self._spent = 0.0
+        self._said = False
+
+    def on_start(self, event: Event) -> None:
+        """The compiler begins with a kernel that is not in the cache, or with a part of one."""
+        if not self._said:
+            self._said = True
+            _say("compiling, which takes up to a minute; what is compiled is kept for the next time")
+        with self._lock:
+            if not self._compiling:
+                self._began = time.perf_counter()
+            self._compiling += 1
+
+    def on_end(self, event: Event) -> None:
+        """It is done with it."""
+        with self._lock:
+            self._compiling -= 1
+            if not self._compiling:
+                self._spent += time.perf_counter() - self._began
+
+    @property
+    def active(self) -> bool:
+        """Whether it is at work."""
+        return self._compiling > 0
+
+    def clock(self) -> float:
+        """The time without what was spent, seconds."""
+        with self._lock:
+            return (self._began if self._compiling else time.perf_counter()) - self._spent
+
+
+def _say(text: str) -> None:
+    from tqdm import tqdm
+
+    tqdm.write(text, file=sys.stderr)  # above a progress bar
+
+
+_compiling = _Compiling()
+register("numba:compile", _compiling)
+
+
+def clock() -> float:
+    """A clock like `time.perf_counter`, seconds, that stands still while kernels are compiled.
+
+    What a run takes would else depend on whether it is the first one of an installation.
+    """
+    return _compiling.clock()
+
+
+def is_compiling() -> bool:
+    """Whether this process waits for the compiler, which nothing but a signal can interrupt."""
+    return _compiling.active
+
+
 @cache
 def _sources() -> str:
     """A digest of all code that kernels may be made of."""
     here, digest = Path(__file__).parent, hashlib.sha256()
-    for folder in _FOLDERS:
-        for path in sorted((here / folder).rglob("*.py")):
+    for source in (here / name for name in SOURCES):
+        for path in sorted(source.rglob("*.py")) or [source.with_suffix(".py")]:
             digest.update(path.read_bytes())
     return digest.hexdigest()
 
 
 class _Cache(FunctionCache):
-    """numba's, but safe in two ways.
+    """numba's, but safe in three ways.
 
     - numba looks at a kernel's own file only, and would go on with old copies of what other files contributed.
     - The index on disk names the classes of the arguments. One that another process cannot import, such as a criterion
       in a folder of somebody's own, would make the whole index unreadable there: such kernels are not kept.
+    - Of two processes that keep the same kernel for other arguments at the same time, one could get the other's code.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
         stamp = (self._impl.locator.get_source_stamp(), _sources())
-        self._cache_file = IndexDataCacheFile(self._cache_path, self._impl.filename_base, stamp)
+        self._cache_file = _Index(self._cache_path, self._impl.filename_base, stamp)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep a compiled kernel, if all its arguments are of classes of this package."""
         if not any(_is_foreign(kind) for kind in getattr(sig, "args", sig)):
             super().save_overload(sig, data)
+
+
+class _Index(IndexDataCacheFile):
+    """numba's, but written by one process at a time."""
+
+    def save(self, key: Any, data: Any) -> None:
+        """Keep a compiled kernel, in a folder that exists."""
+        from filelock import FileLock
+
+        with FileLock(f"{self._index_path}.lock"):
+            super().save(key, data)
 
 
 def _is_foreign(kind: Any) -> bool:

@@ -5,14 +5,13 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-import pandas as pd
 
 from lmd.checks import BoolArray, FloatArray, InputError, IntArray, boolean, choice, integer
 from lmd.labels import ID, Labels
 from lmd.memory import check_memory
 from lmd.space.space import Space
 from lmd.space.surface import SurfaceArrays
-from lmd.tables import read_table
+from lmd.tables import read_table, write_table
 from lmd.tag import upright
 
 COLUMNS = ("x", "y", "z", "nx", "ny", "nz")
@@ -165,12 +164,11 @@ class Deployment:
             path: the file.
             ups: whether to add `ux,uy,uz`, for landmarks that are tags with an upper edge.
         """
-        parts, columns = [self.positions, self.normals], list(COLUMNS)
+        columns = dict(zip(COLUMNS, np.hstack([self.positions, self.normals]).T, strict=True))
         if ups:
-            parts, columns = [*parts, self.ups], [*columns, *UP_COLUMNS]
-        table = pd.DataFrame(np.hstack(parts), self.ids, columns)
+            columns |= zip(UP_COLUMNS, self.ups.T, strict=True)
         further = {} if self.labels is None else self.labels.columns
-        table.assign(**{name: list(texts) for name, texts in further.items()}).to_csv(path, index_label=ID)
+        write_table(path, {ID: self.ids, **columns, **further})
 
     @classmethod
     def from_csv(cls, path: str | Path) -> "Deployment":

@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from lmd.checks import FloatArray, InputError, integer, radians, real
 from lmd.geometry.frames import optical_axis, rotation
 from lmd.memory import check_memory
-from lmd.tables import read_table
+from lmd.tables import read_table, write_table
 
 # Two axes are the same direction when every coordinate agrees to this many decimals.
 SAME_AXIS_DECIMALS = 12
@@ -158,7 +157,7 @@ class OrientationPdf:
     def to_csv(self, path: str | Path) -> None:
         """Write `yaw,pitch,weight` with every digit, as `from_csv` reads it, and `roll` where there is any."""
         columns = {"yaw": self.yaw, "pitch": self.pitch, "weight": self.weight}
-        pd.DataFrame(columns | ({"roll": self.roll} if np.any(self.roll) else {})).to_csv(path, index=False)
+        write_table(path, columns | ({"roll": np.broadcast_to(self.roll, len(self.yaw))} if np.any(self.roll) else {}))
 
 
 def _divisions(value: int, pitches: int | None = None) -> int:

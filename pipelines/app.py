@@ -1,6 +1,7 @@
 """What the pipelines share: where the configuration is, building objects from it, and reporting bad input."""
 
 import errno
+import gc
 import re
 import shutil
 import sys
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 PACKAGE = str(__package__)  # `pipelines` in a checkout, `lmd.pipelines` where lmd is installed
 IN_CHECKOUT = PACKAGE == "pipelines"
 SWITCHES = ("validate", "page", "localisation", "sensitivity", "all_visible")  # settings that are true or false
+GARBAGE = 100_000  # objects before Python looks for garbage: at its 700, that takes a quarter of all imports
 CONF = str(Path(__file__).resolve().parents[1] / "conf")  # beside this package in both
 
 
@@ -48,6 +50,7 @@ def application(config_name: str) -> Callable[[Callable[[DictConfig], object]], 
 
         @wraps(function)
         def main() -> None:
+            gc.set_threshold(GARBAGE)
             try:
                 with stop.raising():
                     composed()

@@ -1,6 +1,5 @@
 """Score a deployment: `python -m pipelines.evaluate deployment=uniform|random|greedy|file [overrides]`."""
 
-import time
 from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
@@ -34,15 +33,16 @@ def evaluate(cfg: DictConfig) -> float:
     import numpy as np
 
     from lmd.checks import integer
+    from lmd.compiled import clock
     from lmd.optimisers.base import Record
 
     from .tracked_run import record, title_of, tracked
 
-    began = time.perf_counter()
+    began = clock()
     problem = build_problem(cfg)
     seed = integer("seed", cfg.seed, low=0)
     deployment = problem.draw(np.random.default_rng(seed))
-    history = [Record(1, problem.metrics(deployment)["fitness"], time.perf_counter() - began)]
+    history = [Record(1, problem.metrics(deployment)["fitness"], clock() - began)]
     subject = choices()["deployment"]
     with tracked(cfg, subject, title_of(problem, subject)) as tracker:
         summary: dict[str, Any] = localise(problem, deployment, seed, tracker) if cfg.localisation else {}

@@ -114,6 +114,8 @@ def _run(
     cfg: DictConfig, problem: "Problem", budget: "Budget", checkpoint: "Checkpoint", tracker: "Tracker"
 ) -> "tuple[Result, bool]":
     """Optimise; returns what was found, and whether it was told to stop so urgently that it left a batch undone."""
+    from lmd.compiled import is_compiling
+
     from .progress import Progress
 
     directory, optimiser = run_directory(), checkpoint.optimiser
@@ -124,7 +126,7 @@ def _run(
     )
     with space_reserved(directory), closing(progress):
         try:
-            with stop.deferred(lambda: optimiser.ledger.evaluations > before):
+            with stop.deferred(lambda: optimiser.ledger.evaluations > before and not is_compiling()):
                 result = optimiser.run(problem, budget, progress)
                 progress.flush(optimiser)
             return result, False

@@ -7,6 +7,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -100,14 +101,15 @@ def write_pictures(
     Returns:
         the files, and what could not be written, empty if all could.
     """
-    import pandas as pd
-
+    from lmd.optimisers.base import Record
     from lmd.plot.convergence import save_convergence_figure
     from lmd.plot.page import save_scene_page
     from lmd.plot.scene import save_scene_figure
+    from lmd.tables import write_table
 
-    table, headline = pd.DataFrame(history), problem.objective.headline
-    writers: dict[str, Callable[[Path], object]] = {"history.csv": lambda path: table.to_csv(path, index=False)}
+    headline = problem.objective.headline
+    table = {key.name: [getattr(row, key.name) for row in history] for key in fields(Record)}
+    writers: dict[str, Callable[[Path], object]] = {"history.csv": lambda path: write_table(path, table)}
     if not in_haste:
         writers["scene.png"] = lambda path: save_scene_figure(path, problem, deployment, title)
         if len(history) > 1:

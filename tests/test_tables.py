@@ -1,8 +1,9 @@
 import numpy as np
+import pandas as pd
 import pytest
 
 from lmd.checks import InputError
-from lmd.tables import read_numbers, read_table
+from lmd.tables import read_numbers, read_table, write_table
 
 COLUMNS = ("x", "y")
 
@@ -60,3 +61,15 @@ def test_what_is_no_file_is_named(tmp_path):
     ):
         with pytest.raises(InputError, match=named):
             read_numbers(path, COLUMNS, name="path")
+
+
+def test_what_is_written_is_what_pandas_writes(tmp_path):
+    columns = {
+        "id": np.arange(3),
+        "mixed": [1, 2.5, 3],
+        "x": np.array([0.1 + 0.2, np.nan, -np.inf]),
+        "note": ["left, above", 'a "quote"', ""],
+    }
+    write_table(tmp_path / "ours.csv", columns)
+    pd.DataFrame(columns).to_csv(tmp_path / "theirs.csv", index=False)
+    assert (tmp_path / "ours.csv").read_bytes() == (tmp_path / "theirs.csv").read_bytes()

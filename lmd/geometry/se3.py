@@ -8,7 +8,6 @@ of arrays with any leading shape `(...)`.
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from lmd.checks import FloatArray, InputError
 from lmd.geometry.frames import rotation
@@ -41,6 +40,8 @@ def poses_from_rows(rows: FloatArray) -> FloatArray:
     Raises:
         InputError: a quaternion is not unit.
     """
+    from scipy.spatial.transform import Rotation
+
     length = np.linalg.norm(rows[:, 3:], axis=1)
     worst = int(np.argmax(np.abs(length - 1.0)))
     if abs(length[worst] - 1.0) > QUATERNION_TOLERANCE:
@@ -130,6 +131,8 @@ def exp(twist: FloatArray) -> FloatArray:
 
 def log(pose: FloatArray) -> FloatArray:
     """The twist of least angle whose exponential is `pose`, `(..., 4, 4)` -> `(..., 6)`."""
+    from scipy.spatial.transform import Rotation
+
     leading = pose.shape[:-2]
     angular = Rotation.from_matrix(pose[..., :3, :3].reshape(-1, 3, 3)).as_rotvec().reshape(*leading, 3)
     squared = (angular**2).sum(axis=-1)

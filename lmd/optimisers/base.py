@@ -1,7 +1,6 @@
 """What every optimiser shares: the budget, the ledger, and the ask/tell loop."""
 
 import math
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from lmd.checks import FloatArray, InputError, integer, real
+from lmd.compiled import clock
 from lmd.deployment import Deployment
 from lmd.optimisers.encoding import Encoding, make_encoding
 from lmd.problem import Problem
@@ -22,7 +22,8 @@ class Budget:
     Args:
         evaluations: full evaluations of a deployment, never exceeded; one moved landmark counts 1/K. None for no
             limit.
-        seconds: wall time after which no new evaluation starts; None for no limit.
+        seconds: wall time after which no new evaluation starts, not counting what the compiler takes; None for no
+            limit.
 
     Raises:
         InputError: a limit is not positive, or there is none.
@@ -83,7 +84,7 @@ class Result:
         deployment: the best deployment found.
         fitness: its fitness.
         evaluations: full evaluations spent.
-        seconds: wall time spent, over all sittings of a resumed run.
+        seconds: wall time spent, over all sittings of a resumed run, without that of the compiler.
         history: best fitness against evaluations and wall time.
         stopped: `budget` when the budget is used up, `interrupted` when the callback asked to stop.
     """
@@ -219,7 +220,7 @@ class AskTell(Optimiser):
             draws = self.start_size if problem.start.varies else 1
             starts = [problem.draw(self.rng) for _ in range(draws)]
             self.start = np.stack([encoding.encode(start) for start in starts])
-        clock = time.perf_counter() - ledger.seconds
+        began = clock() - ledger.seconds
         stopped = "budget"
         while budget.used(ledger.evaluations, ledger.seconds) < 1.0:
             genes = self.ask()
@@ -227,7 +228,7 @@ class AskTell(Optimiser):
             genes = genes[: int(min(asked, budget.limit - ledger.evaluations))]
             positions, normals, _, fits = plates.pushed(*encoding.decode(genes))
             fitness = np.where(fits, problem.fitness(positions, normals), -np.inf)
-            ledger.seconds = time.perf_counter() - clock
+            ledger.seconds = clock() - began
             if len(genes) == asked:
                 self.tell(genes, fitness)
             else:  # the method cannot learn from half a batch

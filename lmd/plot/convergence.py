@@ -1,27 +1,29 @@
 """How the best deployment found improves with the number of evaluations, as a PNG."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
+from numpy.typing import ArrayLike
 
 from lmd.objectives.base import Headline
 
 
-def save_convergence_figure(path: str | Path, history: pd.DataFrame, headline: Headline, title: str) -> None:
+def save_convergence_figure(path: str | Path, history: Mapping[str, ArrayLike], headline: Headline, title: str) -> None:
     """Write a PNG with the best fitness so far as a step line over evaluations.
 
     Args:
         path: the PNG.
-        history: one row per recorded moment, at least one, with the columns `evaluations`, `best_fitness` and
-            `wall_time` (seconds since the start).
+        history: `evaluations`, `best_fitness` and `wall_time` (seconds since the start) at each recorded moment, of
+            which there is at least one.
         headline: what the fitness is called and how it is shown.
         title: one line above the axes.
     """
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 
-    evaluations, best = history["evaluations"].to_numpy(), headline.scale * history["best_fitness"].to_numpy()
+    evaluations, fitness, seconds = (np.asarray(history[key]) for key in ("evaluations", "best_fitness", "wall_time"))
+    best = headline.scale * fitness
     figure = Figure(figsize=(9.0, 5.0), dpi=100, layout="constrained")
     axes = figure.add_subplot()
     axes.step(evaluations, best, where="post", linewidth=1.8)
@@ -36,8 +38,7 @@ def save_convergence_figure(path: str | Path, history: pd.DataFrame, headline: H
     axes.text(
         0.97,
         y,
-        f"{best[-1]:.2f} {headline.unit} after {evaluations[-1]:,.0f} evaluations, "
-        f"{_duration(history['wall_time'].iloc[-1])}",
+        f"{best[-1]:.2f} {headline.unit} after {evaluations[-1]:,.0f} evaluations, {_duration(seconds[-1])}",
         transform=axes.transAxes,
         horizontalalignment="right",
         verticalalignment=align,

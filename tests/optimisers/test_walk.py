@@ -31,7 +31,7 @@ def walked(n, occlusion, stage):
         settings = stage.settings(0.0, 0.1)
         (walker,) = surrogate._walkers
         here = surrogate._field, walker.state, walker.scratches, surrogate._target, surrogate._surfaces, 0.0
-        module.walk.py_func(200, walker.members, *here, settings, rng, walker.best)
+        module.walk.py_func(200, walker.members, walker.group, *here, settings, rng, walker.best)
     return [*walker.state, *walker.best, rng.random()], len(finished)
 
 

@@ -39,6 +39,15 @@ def _log_det_with(sums, p, a, moment, weight):
 
 
 @kernel
+def _log_det_of(row):
+    """`log_det` of `row` `(WIDTH,)`."""
+    return log_det(
+        row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9], row[10], row[11], row[12],
+        row[13], row[14],
+    )  # fmt: skip
+
+
+@kernel
 def _gains(start, stop, points, normals, prices, positions, sight, axes, bands, precision, sums, known, out):
     """Write what poses `start` to `stop` gain into `out` `(N,)`.
 
@@ -109,7 +118,7 @@ class LogDeterminant:
         start = np.zeros(WIDTH)
         start[[0, 3, 5]], start[[9, 12, 14]] = rotation, position
         self._sums = np.tile(start, (*self._prices.shape, 1))
-        self._known = np.full(self._prices.shape, log_det(*start[:15]))
+        self._known = np.full(self._prices.shape, _log_det_of(start))
         e = evaluator
         self._fixed = (e.positions, e.sight, e.axes, e.bands, precision, self._sums, self._known)
 

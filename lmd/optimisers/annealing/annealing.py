@@ -13,7 +13,6 @@ stand-in leads, on samples on average (`trail`), is looked at on the true proble
 """
 
 import math
-import time
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -21,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from lmd.checks import FloatArray, integer, real
+from lmd.compiled import clock
 from lmd.deployment import Deployment
 from lmd.optimisers.annealing.stage import Stage, changed
 from lmd.optimisers.annealing.surrogate import Surrogate
@@ -98,7 +98,7 @@ class Annealing(Optimiser):
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
         """See `Optimiser.run`."""
         ledger, count = self.ledger, problem.count
-        clock = time.perf_counter() - ledger.seconds
+        began = clock() - ledger.seconds
         limit = budget.limit * count
         surrogate = Surrogate(problem)
 
@@ -106,7 +106,7 @@ class Annealing(Optimiser):
             """Note moves that led to `deployment`, or to nothing better than what is known."""
             self.spent += moved
             fitness = -math.inf if deployment is None else problem.fitness_of(deployment)
-            ledger.seconds = time.perf_counter() - clock
+            ledger.seconds = clock() - began
             if ledger.note(self.spent / count, fitness) and deployment is not None:
                 self.best = deployment
 

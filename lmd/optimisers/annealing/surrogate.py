@@ -21,9 +21,14 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Walker:
-    """What one walk changes: where its `members` `(M,)` are, the best it met, and working memory."""
+    """What one walk changes: where its `members` `(M,)` are, the best it met, and working memory.
+
+    `group` `(n,)` holds the landmarks that move together; of the `scratches` as many are used. There are as many as for
+    single landmarks also where it is stacks that walk, one by one: else the walk would be compiled for both.
+    """
 
     members: IntArray
+    group: IntArray
     state: Any
     scratches: tuple[Any, ...]
     best: Best
@@ -94,11 +99,11 @@ class Surrogate:
 
         def walker(members: IntArray) -> Walker:
             state = self._field.state(here)
-            scratches = tuple(self._field.scratch(state) for _ in range(together))
+            scratches = tuple(self._field.scratch(state) for _ in range(max(together, self._true.stack)))
             known = self._true.state(best) if self.is_true else state
             reached = np.array([total_worth(self._target, known.units)])
             met = Best(reached, known.landmarks.copy(), known.normals.copy(), known.surfaces.copy())
-            return Walker(members, state, scratches, met)
+            return Walker(members, np.empty(together, dtype=np.int64), state, scratches, met)
 
         self._walkers = self._at_once(walker, self._slices(here, number, rng))
 
@@ -111,8 +116,11 @@ class Surrogate:
 
     def _at_once(self, work: Callable[..., T], *arguments: Iterable[Any]) -> list[T]:
         """What `work` returns for each of the arguments, in their order."""
+        first, *others = calls = list(zip(*arguments, strict=True))
+        if not others:  # a thread of its own could not be interrupted, which the compiler gives reason for
+            return [work(*first)]
         with ThreadPoolExecutor(self._problem.evaluator.threads) as pool:
-            return list(pool.map(work, *arguments))
+            return list(pool.map(lambda call: work(*call), calls))
 
     def walk(self, moves: int, settings: Settings, rng: np.random.Generator) -> bool:
         """Try `moves` moves; True if one led to a better deployment than any before."""
@@ -123,7 +131,7 @@ class Surrogate:
 
         def go(walker: Walker, share: int, own: np.random.Generator) -> None:
             w, place = walker, (self._target, self._surfaces, self._apart)
-            walk(share, w.members, self._field, w.state, w.scratches, *place, settings, own, w.best)
+            walk(share, w.members, w.group, self._field, w.state, w.scratches, *place, settings, own, w.best)
 
         self._at_once(go, self._walkers, shares, rngs)
         return bool(self._walkers[0].best.fitness[0] > before)

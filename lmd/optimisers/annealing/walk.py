@@ -183,17 +183,17 @@ def _keep_best(state, target, best):
 
 
 @kernel
-def walk(moves, members, field, state, scratches, target, surfaces, apart, settings, rng, best):
+def walk(moves, members, several, field, state, scratches, target, surfaces, apart, settings, rng, best):
     """Move landmarks `moves` times from `state`, which ends where the walk ends; `best` is updated.
 
-    members: the landmarks that may move, at least as many as can move together. scratches: as many as landmarks can
-    move together. apart: least distance of plates on a surface, along its u or its v, metres; moves that come closer
-    are not even tried, but count.
+    members: the landmarks that may move, at least as many as can move together. several: for those that do, as many as
+    can. scratches: at least as many. apart: least distance of plates on a surface, along its u or its v, metres; moves
+    that come closer are not even tried, but count.
     """
     positions, count = len(state.units), len(members)
     accepted = state.units.copy()
     value, trial = np.empty(positions), np.empty(positions)
-    single, several = np.empty(1, dtype=np.int64), np.empty(len(scratches), dtype=np.int64)
+    single = np.empty(1, dtype=np.int64)
     new = np.empty((len(several), 6))
     total = 0.0
     for p in range(positions):

@@ -1,0 +1,66 @@
+import ast
+from pathlib import Path
+
+import pytest
+
+import lmd
+from lmd import compiled
+
+PACKAGE = Path(lmd.__file__).parent
+DECORATORS = ("kernel", "njit", "intrinsic", "register", "dispatched", "overridable")
+
+
+def is_compiled(function):
+    """Whether a decorator makes it a part of a kernel."""
+    texts = [ast.unparse(decorator).partition("(")[0] for decorator in function.decorator_list]
+    return any(text.split(".")[-1] in DECORATORS for text in texts)
+
+
+def names_in(nodes):
+    return {node.id for part in nodes for node in ast.walk(part) if isinstance(node, ast.Name)}
+
+
+def made_of(tree):
+    """The modules of `lmd` from which what is compiled in a file takes functions and constants."""
+    functions = [node for node in tree.body if isinstance(node, ast.FunctionDef) and is_compiled(node)]
+    used = names_in(part for function in functions for part in function.body)
+    constants = [node for node in tree.body if isinstance(node, ast.Assign | ast.AnnAssign)]
+    while more := names_in(c.value for c in constants if c.value and names_in([c]) & used) - used:
+        used |= more
+    imports = [node for node in tree.body if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("lmd")]
+    return functions, {node.module for node in imports for alias in node.names if (alias.asname or alias.name) in used}
+
+
+def makes_stale(path):
+    return any(path.with_suffix("").is_relative_to(PACKAGE / source) for source in compiled.SOURCES)
+
+
+def test_all_that_kernels_are_made_of_makes_them_stale():
+    found = {path: made_of(ast.parse(path.read_text())) for path in PACKAGE.rglob("*.py")}
+    sources = {path: modules for path, (functions, modules) in found.items() if functions}
+    assert len(sources) > 15
+    for path, modules in sources.items():
+        assert makes_stale(path), f"{path} is compiled"
+        for module in modules:
+            source = PACKAGE.parent / module.replace(".", "/")
+            assert makes_stale(source), f"{path} compiles parts of {module}"
+
+
+@pytest.fixture
+def compiling(monkeypatch):
+    """A listener of its own, and a clock that is set by hand."""
+    now = [0.0]
+    monkeypatch.setattr(compiled.time, "perf_counter", lambda: now[0])
+    return compiled._Compiling(), now
+
+
+def test_the_clock_stands_still_while_kernels_and_their_parts_are_compiled(compiling, capsys):
+    listener, now = compiling
+    readings = []
+    for moment, happens in enumerate((listener.on_start, listener.on_start, listener.on_end, listener.on_end)):
+        now[0] = 10.0 * (moment + 1)
+        happens(None)
+        now[0] += 1.0
+        readings.append(listener.clock())
+    assert readings == [10.0, 10.0, 10.0, 11.0]
+    assert capsys.readouterr().err.count("compiling") == 1
