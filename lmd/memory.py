@@ -44,6 +44,6 @@ def check_views(each: float, positions: int, orientations: int, landmarks: int |
         positions, orientations: their numbers.
         landmarks: K where something is kept of each landmark in each view, None where it is not.
     """
-    what = f"{positions} positions (room.spacing) x {orientations} orientations (pdf)"
-    what += "" if landmarks is None else f" x {landmarks} landmarks (deployment)"
+    what = f"{positions} positions x {orientations} orientations"
+    what += "" if landmarks is None else f" x {landmarks} landmarks"
     check_memory(each * positions * orientations * (landmarks or 1), what)

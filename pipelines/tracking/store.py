@@ -70,9 +70,16 @@ class Store:
             pass
         # Processes that create the tables of one fresh database at the same time kill each other.
         with FileLock(f"{database}.lock", timeout=LOCK_SECONDS):
-            fresh = not database.exists()
+            artifacts, partial = (
+                (database.parent / "artifacts").as_uri(),
+                database.with_name(f"{database.name}.partial"),
+            )
+            if not database.exists():  # whole or not at all: one half made cannot be mended
+                partial.unlink(missing_ok=True)
+                prepare(MlflowClient(tracking_uri=f"{SQLITE}{partial}"), self.experiment_name, artifacts, fresh=True)
+                os.replace(partial, database)
             client = MlflowClient(tracking_uri=f"{SQLITE}{database}")
-            prepare(client, self.experiment_name, (database.parent / "artifacts").as_uri(), fresh)
+            prepare(client, self.experiment_name, artifacts)
         return client
 
     @contextmanager
