@@ -25,8 +25,15 @@ def resuming(pipeline: str, folder: Path) -> str:
 
 def source_tags(pipeline: str) -> dict[str, str]:
     """Tags of a run, most under the names by which mlflow shows them: who ran what, from which commit."""
-    tags = {"mlflow.source.name": command_of(pipeline), "mlflow.source.type": "LOCAL", "mlflow.user": getpass.getuser()}
+    tags = {"mlflow.source.name": command_of(pipeline), "mlflow.source.type": "LOCAL", "mlflow.user": _user()}
     return tags | {"command": command_line(pipeline, sys.argv[1:])} | _version()
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # a container may have no name for its user
+        return "unknown"
 
 
 @cache

@@ -278,7 +278,7 @@ def test_a_server_that_dies_costs_a_warning_and_gets_everything_later(endless, t
     assert "nothing to hand in" in call("sync", "folder=.", settings=(), cwd=tmp_path).stdout
 
 
-def test_runs_are_listed_with_the_command_that_goes_on(endless, tmp_path):
+def test_runs_are_listed_with_the_command_that_goes_on(begin, endless, tmp_path):
     process = endless()
     process.kill()
     process.communicate()
@@ -290,3 +290,14 @@ def test_runs_are_listed_with_the_command_that_goes_on(endless, tmp_path):
     (again,) = re.findall(r"^python -m pipelines\.optimise (.*)$", listed.stdout, re.MULTILINE)
     assert again.endswith(f"resume={tmp_path / 'run'}")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run", "store.db", "store.db.lock"]
+    saved = (tmp_path / "run" / "checkpoint.pkl").stat().st_mtime_ns
+    process = begin(command("runs", "tracking.uri=sqlite:///store.db", "resume=last", settings=()), tmp_path)
+    while (tmp_path / "run" / "checkpoint.pkl").stat().st_mtime_ns == saved and process.poll() is None:
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    code, out, _ = ended(process)
+    assert code == 128 + signal.SIGINT
+    assert again in out
+    (run,) = runs(tmp_path)
+    assert run.info.status == "KILLED"
+    assert "reason" not in run.data.tags
