@@ -150,7 +150,9 @@ def test_files_and_counts_that_cannot_be_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"^family 16h5 has 30 different tags, too few for 40"):
         Problem(Scene(scene.room, scene.camera, scene.pdf, scene.visibility, Tag(0.1, "16h5")), Coverage(2, 0.4),
                 UniformDeployment(40))  # fmt: skip
-    with pytest.raises(InputError, match=r"^surface x_min is 5 m wide, too narrow for plates of 6\.25 m"):
+    with pytest.raises(
+        InputError, match=r"^edge is too large: surface x_min is 5 m wide, too narrow for plates of 6\.25 m"
+    ):
         Problem(Scene(scene.room, scene.camera, scene.pdf, scene.visibility, Tag(5.0)), Coverage(2, 0.4),
                 UniformDeployment(4))  # fmt: skip
     tilted = EGA()

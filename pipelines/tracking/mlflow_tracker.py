@@ -8,7 +8,7 @@ from typing import Any
 from .hand_in import end_those_gone, hand_in
 from .journal import Entry, Journal
 from .processes import this_process
-from .store import PARAM_LENGTH, SQLITE, Store, first_line, now
+from .store import PARAM_LENGTH, SQLITE, Store, first_line, is_of_store, now
 from .tracker import RunStart
 
 
@@ -75,7 +75,7 @@ class MlflowTracker:
         if not self._lost:
             try:
                 self._send()
-            except self.store.errors() as error:
+            except Exception as error:
                 self._tell_once(error)
 
     def _send(self) -> None:
@@ -87,6 +87,9 @@ class MlflowTracker:
             self._sent += 1
 
     def _tell_once(self, error: Exception) -> None:
+        """Say that the store is lost; anything else that was raised is raised again."""
+        if not is_of_store(error):
+            raise error
         if not self._lost:
             print(f"warning: {self.store.uri} cannot be used ({first_line(error)}); the run goes on", file=sys.stderr)
         self._lost = True
@@ -111,7 +114,7 @@ class MlflowTracker:
         try:
             self._send()
             self._journal.remove()
-        except self.store.errors() as error:
+        except Exception as error:
             self._tell_once(error)
             try:
                 self._journal.write()

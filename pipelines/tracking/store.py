@@ -87,29 +87,20 @@ class Store:
         """Raise `InputError` where the store cannot be used."""
         try:
             yield
-        except self.errors() as error:
+        except Exception as error:
+            if not is_of_store(error):
+                raise
             raise InputError(f"tracking.uri = {self.uri!r} cannot be used: {first_line(error)}") from error
-
-    @staticmethod
-    def errors() -> tuple[type[Exception], ...]:
-        """What is raised by a store that cannot be used."""
-        from mlflow.exceptions import MlflowException
-        from sqlalchemy.exc import SQLAlchemyError
-
-        return MlflowException, SQLAlchemyError, OSError
 
     def create(self, name: str, params: Mapping[str, str], tags: Mapping[str, str], ago: float) -> str:
         """Make a run that began `ago` seconds before now; returns its id, which its name ends with."""
-        from mlflow.entities import Param, RunTag
+        from mlflow.entities import Param
 
-        run = self.client.create_run(self.experiment_id, run_name=name, start_time=now() - int(1000 * ago))
+        shortened = {key: value[:TAG_LENGTH] for key, value in tags.items()}  # at once, or it may be nobody's for ever
+        run = self.client.create_run(self.experiment_id, now() - int(1000 * ago), shortened, run_name=name)
         run_id = str(run.info.run_id)
         self.client.update_run(run_id, name=f"{name} #{run_id[:4]}")  # no two are called the same
-        self.client.log_batch(
-            run_id,
-            params=[Param(key, value) for key, value in params.items()],
-            tags=[RunTag(key, value[:TAG_LENGTH]) for key, value in tags.items()],
-        )
+        self.client.log_batch(run_id, params=[Param(key, value) for key, value in params.items()])
         return run_id
 
     def runs(self, wanted: str) -> "list[Run]":
@@ -143,6 +134,14 @@ class Store:
             if entry["reason"]:
                 client.set_tag(run_id, "reason", entry["reason"][:TAG_LENGTH])
             client.set_terminated(run_id, entry["end"], entry["at"])
+
+
+def is_of_store(error: Exception) -> bool:
+    """Whether this is what a store that cannot be used raises."""
+    from mlflow.exceptions import MlflowException
+    from sqlalchemy.exc import SQLAlchemyError
+
+    return isinstance(error, MlflowException | SQLAlchemyError | OSError)
 
 
 def first_line(error: Exception) -> str:
