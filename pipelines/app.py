@@ -296,5 +296,5 @@ def ends_reported() -> Iterator[None]:
 
 def discard_empty(directory: Path) -> None:
     """Remove the directory of a run if nothing came of it."""
-    if directory.exists() and {path.name for path in directory.iterdir()} <= {".hydra"}:
+    if directory.is_dir() and {path.name for path in directory.iterdir()} <= {".hydra"}:
         shutil.rmtree(directory)

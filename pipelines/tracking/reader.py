@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING
 
 from lmd.checks import InputError
 
+from .store import first_line, is_of_store
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -22,7 +24,6 @@ class MlflowReader:
 
     def __init__(self, uri: str, experiment_name: str) -> None:
         from mlflow import MlflowClient
-        from mlflow.exceptions import MlflowException
 
         database = Path(uri.removeprefix("sqlite:///"))
         if uri.startswith("sqlite:///") and not database.exists():
@@ -30,8 +31,10 @@ class MlflowReader:
         try:
             self._client = MlflowClient(tracking_uri=uri)
             experiment = self._client.get_experiment_by_name(experiment_name)
-        except (MlflowException, OSError) as error:
-            raise InputError(f"tracking.uri = {uri!r} cannot be read: {str(error).splitlines()[0]}") from error
+        except Exception as error:
+            if not is_of_store(error):
+                raise
+            raise InputError(f"tracking.uri = {uri!r} cannot be read: {first_line(error)}") from error
         if experiment is None:
             raise InputError(f"{uri} has no experiment called {experiment_name!r} (tracking.experiment_name).")
         self._experiment_id = str(experiment.experiment_id)
