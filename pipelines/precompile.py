@@ -14,10 +14,9 @@ from pathlib import Path
 from .app import PACKAGE
 
 SMALL = ("tracking=none", "threads=1")
-BUDGET = "budget.evaluations=60"  # enough for stacks and single landmarks
 RUNS = (  # the longest first
-    ("optimise", BUDGET),
-    ("optimise", BUDGET, "objective=localisation", "tag=printed"),
+    ("optimise", "budget.evaluations=200"),  # enough for stacks, plates that grow, and plates of their size
+    ("optimise", "budget.evaluations=60", "objective=localisation", "tag=printed"),
     ("evaluate",),
     ("observe", "deployment=uniform", "seeds=1", "trajectory.duration=2"),
 )
