@@ -28,7 +28,7 @@ class Stop:
 
     At first the process ends on the spot: it has nothing to lose yet. While `raising`, the first signal raises
     `Stopped`, once; what follows cleans up and is not disturbed. While `deferred`, the first one only sets
-    `requested`, and the second one raises.
+    `requested`, and the second one raises. While `postponed`, they wait.
     """
 
     def __init__(self) -> None:
@@ -86,6 +86,17 @@ class Stop:
 
         with self._acting(act):
             yield
+
+    @contextmanager
+    def postponed(self) -> Iterator[None]:
+        """While entered, signals wait; at its end they do what they would have done."""
+        waiting: list[int] = []
+        try:
+            with self._acting(waiting.append):
+                yield
+        finally:
+            for number in waiting:
+                self._act(number)
 
     @contextmanager
     def _acting(self, act: Callable[[int], None]) -> Iterator[None]:

@@ -79,8 +79,8 @@ def tracked(cfg: DictConfig, subject: str, about: str = "", earlier: Earlier | N
             run_id = earlier.run_id
         else:
             tags["continues"] = earlier.run_id
-    tracker.start(RunStart(short_name(subject, varied), run_directory(), params, tags), run_id)
     try:
+        tracker.start(RunStart(short_name(subject, varied), run_directory(), params, tags), run_id)
         yield tracker
     except InputError as error:
         if run_id is None and working_for is None:

@@ -46,10 +46,13 @@ class MlflowTracker:
             with self.store.errors_reported():
                 self._hand_in_left(run.folder)
                 end_those_gone(self.store)
-                run_id = self.store.create(run.name, _written(run.params), tags, run.ago)
-        else:
-            first = {"reopen": tags}
-        self._run_id, self._journal, self._sent = run_id, Journal.of(run.folder), 0
+        with self.store.undisturbed():
+            if run_id is None:
+                with self.store.errors_reported():
+                    run_id = self.store.create(run.name, _written(run.params), tags, run.ago)
+            else:
+                first = {"reopen": tags}
+            self._run_id, self._journal, self._sent = run_id, Journal.of(run.folder), 0
         store = {"uri": self.store.uri, "experiment": self.store.experiment_name, "run_id": run_id}
         self._record(store | {"folder": _absolute(run.folder)} | this_process() | first)
 

@@ -5,12 +5,13 @@ import os
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lmd.checks import InputError
 
+from ..signals import stop
 from .experiment import prepare
 from .journal import Entry
 
@@ -92,6 +93,13 @@ class Store:
                 raise
             raise InputError(f"tracking.uri = {self.uri!r} cannot be used: {first_line(error)}") from error
 
+    def undisturbed(self) -> AbstractContextManager[None]:
+        """While entered, signals wait, where what they interrupt would leave a database locked until the process ends.
+
+        A server keeps its database to itself, and may take minutes to say that it is lost.
+        """
+        return stop.postponed() if self.uri.startswith(SQLITE) else nullcontext()
+
     def create(self, name: str, params: Mapping[str, str], tags: Mapping[str, str], ago: float) -> str:
         """Make a run that began `ago` seconds before now; returns its id, which its name ends with."""
         from mlflow.entities import Param
@@ -110,6 +118,10 @@ class Store:
 
     def send(self, run_id: str, entry: Entry) -> None:
         """Send one entry of a journal; to do it again changes nothing."""
+        with self.undisturbed():
+            self._send(run_id, entry)
+
+    def _send(self, run_id: str, entry: Entry) -> None:
         from mlflow.entities import Metric, RunTag
 
         client = self.client

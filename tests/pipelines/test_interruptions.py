@@ -109,7 +109,7 @@ def test_told_to_stop_before_there_is_anything_it_leaves_nothing(begin, number, 
     time.sleep(delay)
     process.send_signal(number)
     _, err = process.communicate(timeout=120)
-    assert "Traceback" not in err
+    assert "Traceback" not in err or str(ROOT) not in err  # Python's own, before it reads our first line
     left = {path.name for path in (tmp_path / "run").iterdir()} if (tmp_path / "run").exists() else set()
     if "checkpoint.pkl" not in left:
         assert process.returncode in (128 + number, -number)  # before Python runs the first line it dies by the signal
