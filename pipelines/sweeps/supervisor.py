@@ -2,12 +2,11 @@
 
 import os
 import signal
-import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from types import FrameType
 from typing import TYPE_CHECKING
@@ -19,6 +18,7 @@ from omegaconf import DictConfig
 
 from ..app import PACKAGE, config_dir, ends_reported, instantiate, run_directory, search_path
 from ..signals import CODES, Stopped, stop
+from . import forks
 from .folder import JOB_VARIABLE, JobFolder, SweepFolder, current_job
 from .jobs import Job, reason_of
 from .names import key_and_value, override_tags, quoted
@@ -81,7 +81,7 @@ def _supervise(cfg: DictConfig) -> float | None:
             end_runs(cfg.tracking, folder, job, LOST)
         folder.save(job)
         began = time.monotonic()
-        code, interrupted = _execute(_command(cfg, job, folder, continued), folder, _threads(cfg), lock)
+        code, interrupted = _execute(cfg, _arguments(cfg, job, folder, continued), folder, lock)
         job = _settled(folder.load() or job, code)
         job = replace(job, seconds=time.monotonic() - began)
         folder.save(job)
@@ -106,23 +106,15 @@ def job_of(context: HydraConf) -> Job:
     return Job(sweep.name, sweep.run_id, int(context.job.num), overrides, varied)
 
 
-def _command(cfg: DictConfig, job: Job, folder: JobFolder, continued: bool) -> list[str]:
-    """The command line that does `job` and nothing else."""
+def _arguments(cfg: DictConfig, job: Job, folder: JobFolder, continued: bool) -> list[str]:
+    """The arguments with which the pipeline does `job` and nothing else."""
     own = ["hydra.mode=RUN", f"hydra.run.dir={quoted(folder.path)}"]
     threads = _threads(cfg)
     if threads is not None and "threads" in cfg:  # not every pipeline has them
         own.append(f"threads={threads}")
     if continued:
         own.append(f"resume={quoted(folder.path)}")
-    return [
-        sys.executable,
-        "-m",
-        f"{PACKAGE}.{HydraConfig.get().job.config_name}",
-        *config_dir(),
-        *search_path(),
-        *job.overrides,
-        *own,
-    ]
+    return [*config_dir(), *search_path(), *job.overrides, *own]
 
 
 def _threads(cfg: DictConfig) -> int | None:
@@ -133,31 +125,29 @@ def _threads(cfg: DictConfig) -> int | None:
     return int(launcher.get("cpus_per_task") or 1)
 
 
-def _execute(command: list[str], folder: JobFolder, threads: int | None, lock: int | None) -> tuple[int, bool]:
+def _execute(cfg: DictConfig, arguments: list[str], folder: JobFolder, lock: int | None) -> tuple[int, bool]:
     """Run a job's process to its end; returns its exit code, and whether the sweep was interrupted meanwhile.
 
     The process has a session of its own, so that Ctrl-C reaches it once and through the pipe only, and it inherits the
     lock of its folder, which so stays held should the sweep be killed.
     """
-    environment = os.environ | {JOB_VARIABLE: str(folder.path), "HYDRA_FULL_ERROR": "1"}
+    environment, threads = os.environ | {"HYDRA_FULL_ERROR": "1"}, _threads(cfg)
     if threads is not None:
         environment |= dict.fromkeys(THREAD_VARIABLES, str(threads))
-    descriptors = () if lock is None else (lock,)
     with folder.output.open("ab") as output:
-        process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            env=environment,
-            pass_fds=descriptors,
-            start_new_session=True,
+        process = forks.start(
+            f"{PACKAGE}.{HydraConfig.get().job.config_name}",
+            arguments,
+            environment,
+            {JOB_VARIABLE: str(folder.path)},
+            output.fileno(),
+            () if lock is None else (lock,),
+            tracked="uri" in cfg.tracking,
         )
-    with process, _told_by_slurm():
+    with closing(process), _told_by_slurm():
         try:
             return process.wait(), False
         except KeyboardInterrupt:
-            assert process.stdin is not None
             process.stdin.close()
             try:
                 with stop.raising():
