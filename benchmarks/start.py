@@ -1,8 +1,8 @@
 """What a start and small jobs cost, against another checkout: `python benchmarks/start.py ../before`.
 
 Both checkouts are timed in turn by the same Python. Prints a Markdown table of processor seconds, those of all
-processes of a command together: first of a run with an empty cache, then of commands whose kernels it has compiled, the
-least of some rounds. `--precompile` adds what the first run takes after `pipelines.precompile`.
+processes of a command together: first of a run with an empty cache, then of commands whose kernels are compiled and
+whose tracking store is there, the least of some rounds. `--precompile` adds what the first run takes after `pipelines.precompile`.
 """
 
 import argparse
@@ -15,20 +15,23 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parents[1]
 QUICK = ("validate=false", "localisation=false")
-SWEEP = "seed=0,1,2,3,4,5,6,7,8,9"
+SWEEP = ("optimise", "-m", "seed=0,1,2,3,4,5,6,7,8,9", "budget.evaluations=30", "validate=false")
+STORE = "tracking.uri=sqlite:///../mlflow.db"  # the first round makes it
 COMMANDS = {
     "one evaluation, untracked": ("evaluate", *QUICK, "tracking=none"),
-    "one evaluation, tracked": ("evaluate", *QUICK),
-    "ten jobs of 30 evaluations": ("optimise", "-m", SWEEP, "budget.evaluations=30", "validate=false"),
+    "one evaluation, tracked": ("evaluate", *QUICK, STORE),
+    "a sweep of ten jobs of 30 evaluations, untracked": (*SWEEP, "tracking=none"),
+    "a sweep of ten jobs of 30 evaluations, tracked": (*SWEEP, STORE),
 }
 FIRST = ("optimise", "budget.evaluations=60", "validate=false", "tracking=none")
 
 
 def processor_seconds(checkout: Path, cache: Path, pipeline: str, *arguments: str) -> float:
     """What a command of a checkout takes, in a working directory of its own."""
+    cache.mkdir(exist_ok=True)
     environment = os.environ | {"PYTHONPATH": str(checkout), "NUMBA_CACHE_DIR": str(cache)}
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    with tempfile.TemporaryDirectory() as cwd:
+    with tempfile.TemporaryDirectory(dir=cache) as cwd:
         command = [sys.executable, "-m", f"pipelines.{pipeline}", *arguments]
         subprocess.run(command, cwd=cwd, env=environment, check=True, capture_output=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

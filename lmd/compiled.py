@@ -12,6 +12,7 @@ from typing import Any
 from numba import njit, types
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.event import Event, Listener, register
+from numba.core.registry import cpu_target
 
 # Packages and modules with code that is compiled, or constants of it.
 SOURCES = ("geometry", "sight", "objectives", "optimisers/annealing", "plates", "tag")
@@ -25,6 +26,11 @@ def kernel(function: Callable[..., Any]) -> Any:
     compiled: Any = njit(nogil=True, error_model="numpy")(function)
     compiled._cache = _Cache(function)  # what njit(cache=True) does with its own class
     return compiled
+
+
+def load_compiler() -> None:
+    """Load what numba else loads with the first kernel, be it compiled or kept: a third of a second."""
+    cpu_target.target_context.refresh()
 
 
 class _Compiling(Listener):

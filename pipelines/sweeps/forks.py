@@ -5,6 +5,7 @@ imported. It runs nothing itself, so nothing of one job reaches another, and it 
 """
 
 import atexit
+import gc
 import importlib
 import json
 import os
@@ -13,21 +14,26 @@ import socket
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import cache
 from typing import Any
 
+from ..app import GARBAGE, PACKAGE
 from ..signals import SIGNALS, stop
 
 # What all jobs of a sweep need, besides their pipeline.
 MODULES = (
-    "matplotlib.backends.backend_agg",
-    "mpl_toolkits.mplot3d",
+    "lmd.accuracy",
+    "lmd.objectives.coverage_field",
     "lmd.optimisers.annealing",
     "lmd.plot.convergence",
     "lmd.plot.scene",
-    "lmd.validation",
+    "matplotlib.backends.backend_agg",
+    "matplotlib.figure",
+    "mpl_toolkits.mplot3d",
+    f"{PACKAGE}.tracked_run",
 )
-TRACKED = ("mlflow.store.tracking.sqlalchemy_store",)  # where mlflow keeps the runs in a file
+TRACKED = ("mlflow.store.tracking.sqlalchemy_store", "sqlalchemy.dialects.sqlite")  # which a store in a file needs
 LENGTH = 4  # bytes that give the length of a request
 DESCRIPTORS = 16  # that come with a request, at most
 
@@ -58,7 +64,8 @@ class Process:
         """Kill it, as soon as it is there."""
         pid = self._hear("pid")
         if pid is not None:
-            os.kill(pid, signal.SIGKILL)
+            with suppress(ProcessLookupError):  # it has ended
+                os.kill(pid, signal.SIGKILL)
 
     def close(self) -> None:
         """Close the descriptors."""
@@ -157,12 +164,12 @@ def _serve(connection: socket.socket) -> dict[str, Any] | None:
             for descriptor in (reports, stdin, output):
                 os.close(descriptor)
             return dict(json.loads(request))
-        with os.fdopen(reports, "w", buffering=1) as told:
-            for descriptor in descriptors[1:]:
-                os.close(descriptor)
-            told.write(f"pid {pid}\n")
+        for descriptor in descriptors[1:]:
+            os.close(descriptor)
+        with suppress(BrokenPipeError), os.fdopen(reports, "wb", buffering=0) as told:  # whoever asked may be gone
+            told.write(f"pid {pid}\n".encode())
             _, status = os.waitpid(pid, 0)
-            told.write(f"code {os.waitstatus_to_exitcode(status)}\n")
+            told.write(f"code {os.waitstatus_to_exitcode(status)}\n".encode())
 
 
 def main() -> None:
@@ -170,8 +177,13 @@ def main() -> None:
     # What reaches all processes of a SLURM job is for the one that started this.
     before = {number: signal.signal(number, signal.SIG_IGN) for number in (*SIGNALS, signal.SIGUSR2)}
     descriptor, *modules = sys.argv[1:]
+    gc.set_threshold(GARBAGE)
     for module in modules:
         importlib.import_module(module)
+    from lmd.compiled import load_compiler
+
+    load_compiler()
+    gc.freeze()  # what jobs share stays shared: nobody looks for garbage in it
     request = _serve(socket.socket(fileno=int(descriptor)))
     if request is None:
         return

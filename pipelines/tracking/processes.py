@@ -3,18 +3,20 @@
 import os
 import socket
 
-import psutil
-
 SAME = 1.0  # seconds; two processes of one number began further apart
 
 
 def this_process() -> dict[str, str]:
     """Host, number and beginning of this process, as tags of a run."""
+    import psutil
+
     return {"host": socket.gethostname(), "process": f"{os.getpid()} {psutil.Process().create_time():.2f}"}
 
 
 def is_gone(tags: dict[str, str]) -> bool:
     """Whether the process in these tags has ended; False where it belongs to another host, or to none."""
+    import psutil
+
     if tags.get("host") != socket.gethostname() or "process" not in tags:
         return False
     number, began = tags["process"].split()
