@@ -2,7 +2,8 @@
 
 Both checkouts are timed in turn by the same Python. Prints a Markdown table of processor seconds, those of all
 processes of a command together: first of a run with an empty cache, then of commands whose kernels are compiled and
-whose tracking store is there, the least of some rounds. `--precompile` adds what the first run takes after `pipelines.precompile`.
+whose tracking store is there, the least of some rounds. `--precompile` adds what the first run takes after
+`pipelines.precompile`.
 """
 
 import argparse

@@ -61,6 +61,13 @@ def test_a_job_ends_when_it_is_told_or_killed(begin):
     assert killed.wait() == -signal.SIGKILL
 
 
+def test_a_job_that_nobody_waits_for_any_more_ends_and_the_server_goes_on(begin, tmp_path):
+    begin("wait").close()
+    assert begin("after").wait() == 0
+    left, after = (json.loads((tmp_path / name).read_text())["server"] for name in ("wait", "after"))
+    assert left == after
+
+
 def test_where_the_server_is_killed_the_next_job_gets_another(begin, tmp_path):
     assert begin("before").wait() == 0
     job = begin("wait")
