@@ -1,5 +1,6 @@
 """What the pipelines share: where the configuration is, building objects from it, and reporting bad input."""
 
+import atexit
 import errno
 import gc
 import re
@@ -51,6 +52,7 @@ def application(config_name: str) -> Callable[[Callable[[DictConfig], object]], 
         @wraps(function)
         def main() -> None:
             gc.set_threshold(GARBAGE)
+            atexit.register(gc.freeze)  # Python looks for garbage once more when it ends: with mlflow, for a second
             try:
                 with stop.raising():
                     composed()
