@@ -161,13 +161,13 @@ def record(
         [*(file for file in files if file.suffix != ".html"), *sorted((directory / ".hydra").glob("*.yaml"))]
     )
     tracker.finish(status)
-    described = problem.objective.describe_validation(validation) if validation else {}
-    lines = described | {key.replace("_", " "): f"{value:g}" for key, value in figures.items()}
+    off_grid = problem.objective.describe_validation(validation) if validation else {}
+    lines = {key.replace("_", " "): f"{value:g}" for key, value in figures.items()}
     lines["files"] = f"{directory}: {', '.join(path.name for path in files)}"
     if directory / "scene.png" in files:
         lines["picture"] = str(directory / "scene.png")
     lines["mlflow"] = tracker.describe()
-    print(report(problem, metrics, lines))
+    print(report(problem, metrics, off_grid, lines))
     if failed:
         again = command_line("evaluate", [f"run={directory}", f"page={cfg.page}".lower()])
         print(f"warning: {failed}; with more space: {again}", file=sys.stderr)
@@ -176,9 +176,11 @@ def record(
     return metrics["fitness"]
 
 
-def report(problem: Problem, metrics: Mapping[str, float], lines: Mapping[str, str]) -> str:
-    """The figures of a run as text for the terminal, followed by labelled `lines`."""
-    described = problem.objective.describe(metrics, len(problem.relevance), problem.count)
-    rows = {**described, **lines}
+def report(
+    problem: Problem, metrics: Mapping[str, float], off_grid: Mapping[str, str], lines: Mapping[str, str]
+) -> str:
+    """The figures of a run for the terminal, the one on the grid beside those off it, followed by labelled `lines`."""
+    (label, headline), *others = problem.objective.describe(metrics, len(problem.relevance), problem.count).items()
+    rows = {label: headline, **off_grid, **dict(others), **lines}
     width = max(map(len, rows))
     return "\n".join(f"{label:<{width}} {text}" for label, text in rows.items())

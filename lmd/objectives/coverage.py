@@ -92,9 +92,9 @@ class Coverage(AtLeast):
             return f"{figures[key]:.2%} +- {figures[f'{key}_standard_error']:.2%}"
 
         return {
-            "on a finer grid": f"{figures['finer_grid_qualified_ratio']:.2%} of positions qualified",
             "off the grid": f"{with_error('grid_free_qualified_ratio')} of random positions qualified, "
             f"average probability {with_error('grid_free_average_coverage_probability')}",
+            "on a finer grid": f"{figures['finer_grid_qualified_ratio']:.2%} of positions qualified",
         }
 
     def field(self, evaluator: Evaluator) -> CoverageField:

@@ -8,7 +8,7 @@ from lmd.checks import InputError
 from lmd.deployment import Deployment, FileDeployment, RandomDeployment, UniformDeployment
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.sampling import Sampling
-from lmd.optimisers.annealing import Stage
+from lmd.optimisers.annealing import Annealing, Stage
 from lmd.optimisers.annealing.annealing import SINGLE
 from lmd.optimisers.annealing.surrogate import Surrogate
 from lmd.optimisers.annealing.walk import _reflect
@@ -48,7 +48,8 @@ def test_stacks_are_pulled_apart_by_the_spread(size):
     np.testing.assert_allclose(distance[inside], size * 1.6 * 0.05)
 
 
-def test_plates_grow_to_their_size_and_stay_there(monkeypatch):
+@pytest.mark.parametrize("walkers", [1, 2])
+def test_plates_grow_to_their_size_and_stay_there(monkeypatch, walkers):
     seen = []
     prepare = Surrogate.prepare
 
@@ -57,13 +58,13 @@ def test_plates_grow_to_their_size_and_stay_there(monkeypatch):
         seen.append((in_stacks, size, self.is_true))
 
     monkeypatch.setattr(Surrogate, "prepare", spy)
-    make("annealing").run(problem(), Budget(300))
+    Annealing(walkers=walkers).run(problem(), Budget(300))
     sizes = [size for in_stacks, size, _ in seen if not in_stacks]
     assert seen[0] == (True, 1.0, False)
     assert sizes == sorted(sizes)
     assert 0.2 <= sizes[0] < 0.4
     assert sizes[-1] == 1.0
-    assert all(is_true == (not in_stacks and size == 1.0) for in_stacks, size, is_true in seen)
+    assert all(is_true == (walkers == 1 and not in_stacks and size == 1.0) for in_stacks, size, is_true in seen)
 
 
 def test_smaller_plates_hide_less():
@@ -115,9 +116,10 @@ def test_samples_are_climbed_under_conditions_of_their_own(monkeypatch, sampling
     assert (last < optimiser.sampled.width[1]) == (sampling is None)
 
 
-def test_walkers_move_landmarks_of_their_own_and_are_put_together():
+@pytest.mark.parametrize("sampling", [None, Sampling(positions=2, divisions=6)])
+def test_walkers_move_landmarks_of_their_own_and_are_put_together(sampling):
     p = problem()
-    p = Problem(p.scene, Coverage(2, 0.3, Sampling(positions=2, divisions=6)), p.start, threads=1)
+    p = Problem(p.scene, Coverage(2, 0.3, sampling), p.start, threads=1)
     surrogate, rng = Surrogate(p, 3), np.random.default_rng(0)
     start = p.start.draw(p.scene.room, rng)
     surrogate.prepare(start, start, False, 1.0, 1.0, rng)
@@ -132,11 +134,13 @@ def test_walkers_move_landmarks_of_their_own_and_are_put_together():
         np.testing.assert_array_equal(here.surfaces[walker.members], walker.state.surfaces[walker.members])
 
 
+@pytest.mark.parametrize("sampling", [None, Sampling(positions=2, divisions=6)])
+@pytest.mark.parametrize("start", [UniformDeployment(9), RandomDeployment(30)])
 @pytest.mark.parametrize("n", [1, 2])
-def test_walkers_lead_to_the_same_place_on_any_number_of_threads(n):
+def test_walkers_lead_to_the_same_place_on_any_number_of_threads(n, start, sampling):
     scene, found = problem().scene, []
     for threads in (1, 3):
-        p = Problem(scene, Coverage(n, 0.3, Sampling(positions=2, divisions=6)), UniformDeployment(9), threads)
+        p = Problem(scene, Coverage(n, 0.3, sampling), start, threads)
         found.append(make("annealing").run(p, Budget(400)).deployment)
     np.testing.assert_array_equal(found[0].positions, found[1].positions)
     np.testing.assert_array_equal(found[0].normals, found[1].normals)

@@ -148,9 +148,9 @@ class Localisation(AtLeast):
 
         key = self.headline.key
         return {
-            "on a finer grid": f"{self.headline.label} {figures[f'finer_grid_{key}']:.2%}",
             "off the grid": f"mean value {with_error(self._share)}, {with_error('qualified_ratio')} of random "
             "positions qualified",
+            "on a finer grid": f"{self.headline.label} {figures[f'finer_grid_{key}']:.2%}",
         }
 
     def field(self, evaluator: Evaluator) -> LocalisationField:

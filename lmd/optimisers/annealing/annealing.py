@@ -59,7 +59,7 @@ class Annealing(Optimiser):
         stacked_share: share of the budget spent on stacks.
         growth: share of the single stage in which plates grow to their size, nu or the paper of tags.
         spread: distance between the landmarks of a stack pulled apart, in virtual diameters, or papers if larger.
-        walkers: groups of landmarks that are moved at the same time on samples, without stacks; see `Surrogate`.
+        walkers: groups of landmarks that are moved at the same time; see `Surrogate`.
         seed: see `Optimiser`.
 
     Raises:
@@ -100,7 +100,7 @@ class Annealing(Optimiser):
         ledger, count = self.ledger, problem.count
         began = clock() - ledger.seconds
         limit = budget.limit * count
-        surrogate = Surrogate(problem)
+        surrogate = Surrogate(problem, self.walkers)
 
         def note(moved: int, deployment: Deployment | None) -> None:
             """Note moves that led to `deployment`, or to nothing better than what is known."""
@@ -113,8 +113,6 @@ class Annealing(Optimiser):
         if not self.spent:
             spent = self._begin(problem, surrogate.stack, limit)
             note(spent + count, self.start)
-        # After stacks several walkers ended 0.4 points lower (docs/results/robustness.md).
-        surrogate.walkers = 1 if self.skipped else self.walkers
         stopped = "budget"
         while (used := budget.used(self.spent / count, ledger.seconds)) < 1.0:
             if self.in_stacks and used >= self.stacked_share:

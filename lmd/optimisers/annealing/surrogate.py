@@ -37,20 +37,21 @@ class Walker:
 class Surrogate:
     """A problem in the arrays of the walk, and where on it the walk is.
 
-    `is_true` says whether the walk climbs the problem itself. The surrogates are stacks, which nothing hides; plates
-    that are smaller than they are; and, if the objective has a sampling, a sample drawn anew at every `prepare`.
+    The surrogates are stacks, which nothing hides; plates that are smaller than they are; and, if the objective has a
+    sampling, a sample drawn anew at every `prepare`.
 
-    Samples drawn anew are climbed by several walkers at once, on all processors. Each moves landmarks of its own, the
-    others staying where they are; then all moves are put together. Walkers share out the room by slices across a random
-    direction, as landmarks far apart are hardly ever seen together. How many there are does not depend on the machine,
-    and so neither does the result.
+    Several walkers climb at once, on all processors. Each moves landmarks of its own, the others staying where they
+    are; then all moves are put together. Walkers share out the room by slices across a random direction, as landmarks
+    far apart are hardly ever seen together. How many there are does not depend on the machine, and so neither does the
+    result. `is_true` says whether one walker alone climbs the problem itself: what several have found is known when
+    their moves are put together.
 
     Args:
         problem: the true problem.
-        walkers: on samples drawn anew, at most.
+        walkers: at most; each has landmarks enough to move together.
     """
 
-    def __init__(self, problem: Problem, walkers: int = 1) -> None:
+    def __init__(self, problem: Problem, walkers: int) -> None:
         self._problem, self.walkers = problem, walkers
         self._surfaces = SurfaceArrays.of(problem.scene.plates.hanging.surfaces())
         self._survey(problem.fitness_evaluator, problem.fitness_relevance)
@@ -83,19 +84,19 @@ class Surrogate:
             rng: draws the samples.
         """
         redrawn = self._problem.resampled(used**2, rng)
-        if redrawn is None and self._climbed == (in_stacks, size):
+        together = 1 if in_stacks else max(1, min(self.stack, len(here)))
+        number = max(1, min(self.walkers, len(here) // together))
+        if number == 1 and redrawn is None and self._climbed == (in_stacks, size):
             return
         if redrawn is not None:
             self._survey(*redrawn)
         self._climbed = in_stacks, size
-        self.is_true = redrawn is None and not in_stacks and size == 1.0
+        self.is_true = number == 1 and redrawn is None and not in_stacks and size == 1.0
         if not in_stacks:
             plates = self._problem.scene.plates
             pushed, self._apart = plates.apart(here, size), size * plates.edge * (1.0 - TOUCHING)
             here = best if pushed is None else pushed  # where there is no room for the plates, the best found has it
         self._field = self._true.stacked() if in_stacks else self._true.shrunk(size)
-        together = max(1, min(self._field.stack, len(here)))
-        number = 1 if redrawn is None else max(1, min(self.walkers, len(here) // together))
 
         def walker(members: IntArray) -> Walker:
             state = self._field.state(here)
