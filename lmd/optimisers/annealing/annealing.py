@@ -75,7 +75,7 @@ class Annealing(Optimiser):
         stacked_share: float = 0.5,
         growth: float = 0.8,
         spread: float = 1.6,
-        walkers: int = 4,
+        walkers: int = 2,
         seed: int = 0,
     ) -> None:
         super().__init__(seed)
