@@ -1,8 +1,8 @@
 """What two processors are worth to one run: `python benchmarks/walkers.py [repetitions]`.
 
 Optimises the paper's room by `annealing`, whose walkers share the processors, on one thread and on two: for the paper's
-objective, the robust one, and localisation, beside one walker alone. Prints a Markdown table of wall times, the least of
-so many repetitions that alternate. On any number of threads a run ends at the same deployment, which is checked.
+objective, the robust one, and localisation, beside one walker alone. Prints a Markdown table of wall times, the least
+of so many repetitions that alternate. On any number of threads a run ends at the same deployment, which is checked.
 """
 
 import sys
@@ -36,9 +36,9 @@ def main() -> None:
     """Print the table."""
     repetitions = int(sys.argv[1]) if len(sys.argv) > 1 else 1
     print(
-        "| objective | evaluations | one walker, s | two walkers on one thread, s | on two threads, s | ratio to one walker |"
+        "| objective | evaluations | one walker, s | two, one thread, s | two, two threads, s | ratio to one walker |"
     )
-    print("| --- | --- | --- | --- | --- | --- |")
+    print(f"{'| --- ' * 6}|")
     for name, (evaluations, overrides) in RUNS.items():
         for more in ([], ["+optimiser.walkers=1"]):
             run(overrides, 60, 1, *more)  # compiles
