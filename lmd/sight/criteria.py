@@ -48,6 +48,10 @@ class Sight(Protocol):
         """Squared distance from a line of sight beyond which a landmark hides nothing, m^2; negative: none does."""
 
     @property
+    def horizon(self) -> float:
+        """See `horizon_of`; a model that does not say sees infinitely far."""
+
+    @property
     def tabulated(self) -> bool:
         """Whether `in_image` is so long that evaluations had better look up what they can (`lmd.sight.directions`)."""
 
@@ -91,6 +95,15 @@ class Criteria(Protocol):
             axes: its optical axes and the image's right, `(A, 6)`: two unit vectors.
             landmarks, normals: `(K, 3)` positions, metres, and unit normals.
         """
+
+
+def horizon_of(sight: Sight) -> float:
+    """The distance beyond which landmarks cannot matter, metres; infinite if there is none.
+
+    A landmark farther than this from the camera is not covered and hides none that is; nor does one that is farther
+    than this from the one it would hide.
+    """
+    return float(getattr(sight, "horizon", math.inf))
 
 
 @dispatched
@@ -199,13 +212,14 @@ def depth_first(sight, left, w, x, y, z, frame, low, high, sure, well, axes):  #
     """What a model whose tests are long registers for `covering`: the depth decides most, and is found for all axes."""
     within, shallow = ZERO, ZERO
     for first in range(np.uint64(0), np.uint64(BITS), np.uint64(LANES)):
-        one, two = np.uint32(0), np.uint32(0)
-        for lane in range(np.uint64(LANES)):
-            a = w * np.uint64(BITS) + first + lane
-            depth = axes[0, a] * x + axes[1, a] * y + axes[2, a] * z
-            one |= np.uint32((depth >= low) & (depth <= high)) << np.uint32(lane)
-            two |= np.uint32(depth <= sure) << np.uint32(lane)
-        within, shallow = within | np.uint64(one) << first, shallow | np.uint64(two) << first
+        if left >> first << np.uint64(BITS - LANES):
+            one, two = np.uint32(0), np.uint32(0)
+            for lane in range(np.uint64(LANES)):
+                a = w * np.uint64(BITS) + first + lane
+                depth = axes[0, a] * x + axes[1, a] * y + axes[2, a] * z
+                one |= np.uint32((depth >= low) & (depth <= high)) << np.uint32(lane)
+                two |= np.uint32(depth <= sure) << np.uint32(lane)
+            within, shallow = within | np.uint64(one) << first, shallow | np.uint64(two) << first
     left &= within
     cap = left & well & shallow
     left &= ~cap

@@ -50,6 +50,11 @@ class DistortedSight(NamedTuple):
         return 0.0
 
     @property
+    def horizon(self) -> float:
+        """See `Sight.horizon`."""
+        return self.bound._replace(reach=self.reach).horizon
+
+    @property
     def tabulated(self) -> bool:
         """See `Sight.tabulated`."""
         return True

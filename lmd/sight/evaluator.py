@@ -15,6 +15,7 @@ from lmd.scene import Scene
 from lmd.sight import kernels
 from lmd.sight.bands import height_index
 from lmd.sight.bits import in_words
+from lmd.sight.criteria import horizon_of
 from lmd.sight.directions import tables
 from lmd.sight.kernels import PROBABILITY_ONE
 
@@ -93,8 +94,10 @@ class Evaluator:
             self.positions,
             *(np.ascontiguousarray(v.transpose(0, 2, 1)) for v in (positions, normals)),
         )
+        sight = self.sight.among(self._low, self._high, *scene[1:])
         rest: tuple[Any, ...] = (
-            self.sight.among(self._low, self._high, *scene[1:]),
+            sight,
+            horizon_of(sight),
             self.axes,
             self.bands,
             self.tables if self.sight.tabulated else None,

@@ -60,6 +60,13 @@ class FiducialSight(NamedTuple):
     in_focus: float
 
     @property
+    def horizon(self) -> float:
+        """See `Sight.horizon`: where a tag in the corner of the image that faces the camera is `resolved`."""
+        least = self.outer_cosine**3 * max(self.area, self.sharp)
+        seen = math.sqrt(self.focal_u * self.focal_v / least)
+        return (seen + math.sqrt(max(self.reach, 0.0))) * (1.0 + 2.0 * TOLERANCE)
+
+    @property
     def tabulated(self) -> bool:
         """See `Sight.tabulated`."""
         return True
@@ -70,7 +77,7 @@ class FiducialSight(NamedTuple):
 
     def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "FiducialSight":
         """See `Sight.among`: flush plates of a convex room never hide each other."""
-        if self.reach >= 0.0 and not _may_hide(low, high, landmarks, normals, self.half, self.level):
+        if self.reach >= 0.0 and not _may_hide(low, high, landmarks, normals, self.half, self.level, self.horizon):
             return self.unhidden()
         return self
 
@@ -230,8 +237,8 @@ def _hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type:
 
 
 @kernel
-def _may_hide(low, high, landmarks, normals, half, level):  # type: ignore[no-untyped-def]
-    """False only if all cameras are in front of all plates, and no corner is behind another plate; see `among`."""
+def _may_hide(low, high, landmarks, normals, half, level, horizon):  # type: ignore[no-untyped-def]
+    """False only if all cameras are in front of all plates, and no corner is behind a plate nearby; see `among`."""
     count = landmarks.shape[2]
     for b in range(len(landmarks)):
         for j in range(count):
@@ -242,8 +249,11 @@ def _may_hide(low, high, landmarks, normals, half, level):  # type: ignore[no-un
             if not height >= TOLERANCE:
                 return True
             for k in range(count):
+                dx, dy, dz = landmarks[b, 0, k] - x, landmarks[b, 1, k] - y, landmarks[b, 2, k] - z
+                if dx * dx + dy * dy + dz * dz > horizon * horizon:
+                    continue
                 tx, ty, tz, ux, uy, uz = upright_axes(normals[b, 0, k], normals[b, 1, k], normals[b, 2, k], level)
-                side = nx * (landmarks[b, 0, k] - x) + ny * (landmarks[b, 1, k] - y) + nz * (landmarks[b, 2, k] - z)
+                side = nx * dx + ny * dy + nz * dz
                 side -= half * (abs(nx * tx + ny * ty + nz * tz) + abs(nx * ux + ny * uy + nz * uz))
                 if side < -0.1 * TOLERANCE:
                     return True

@@ -4,7 +4,8 @@ Every decision is the reference's, by the same float64 operations in the same or
 re-associated or fused), hence the same bits. Speed comes from skipped work and from loops that vectorise, never
 from approximation:
 
-1. Per position, landmarks that are too near, too far or face away are dropped: some 60 % in the paper's room.
+1. For each block of positions, landmarks beyond the horizon of all of them are dropped, and per position those that are
+   too near, too far or face away: some 60 % in the paper's room.
 2. Only those left are tested for being hidden by the others, without a branch in the inner loop.
 3. Only axes in a band of heights around the landmark need the exact test (`bands`).
 4. Where that test is long, sets of axes are bits, and tables of `directions` say which axes surely cover a landmark,
@@ -36,12 +37,46 @@ SINGLE_ERROR = 2e-6
 
 
 @kernel
-def is_hidden(k, x, y, z, squared, normals, sight):
-    """Whether another hides landmark k; offsets `x, y, z` and their `squared` lengths `(K,)`, `normals` `(3, K)`."""
+def box_around(positions):
+    """The lowest and the highest corner of a box around `positions` `(P, 3)`, three numbers each."""
+    low = high = positions[0, 0], positions[0, 1], positions[0, 2]
+    for p in range(1, len(positions)):
+        x, y, z = positions[p, 0], positions[p, 1], positions[p, 2]
+        low = min(low[0], x), min(low[1], y), min(low[2], z)
+        high = max(high[0], x), max(high[1], y), max(high[2], z)
+    return low, high
+
+
+@kernel
+def gather(low, high, horizon, landmarks, normals, near):
+    """Write position and normal of the landmarks at most `horizon` metres from a box into `near` `(6, K)`.
+
+    Args:
+        low, high: corners of the box, three numbers each.
+        horizon: see `criteria.horizon_of`.
+        landmarks, normals: `(3, K)`.
+
+    Returns:
+        how many there are.
+    """
+    most, count = horizon * horizon, 0
+    for k in range(landmarks.shape[1]):
+        x, y, z = landmarks[0, k], landmarks[1, k], landmarks[2, k]
+        dx, dy = max(low[0] - x, x - high[0], 0.0), max(low[1] - y, y - high[1], 0.0)
+        dz = max(low[2] - z, z - high[2], 0.0)
+        near[0, count], near[1, count], near[2, count] = x, y, z
+        near[3, count], near[4, count], near[5, count] = normals[0, k], normals[1, k], normals[2, k]
+        count += dx * dx + dy * dy + dz * dz <= most
+    return count
+
+
+@kernel
+def is_hidden(k, count, x, y, z, squared, landmarks, sight):
+    """Whether another hides landmark k: offsets `x, y, z` and their `squared` lengths, `landmarks` `(6, K)`."""
     xk, yk, zk, sk, hiding = x[k], y[k], z[k], squared[k], 0
-    nx, ny, nz = normals[0, k], normals[1, k], normals[2, k]
-    for j in range(len(x)):
-        ux, uy, uz = normals[0, j], normals[1, j], normals[2, j]
+    nx, ny, nz = landmarks[3, k], landmarks[4, k], landmarks[5, k]
+    for j in range(count):
+        ux, uy, uz = landmarks[3, j], landmarks[4, j], landmarks[5, j]
         hides, _ = hide(sight, x[j], y[j], z[j], squared[j], xk, yk, zk, sk, ux, uy, uz, nx, ny, nz)
         hiding += hides & (j != k)
     return hiding > 0
@@ -49,7 +84,7 @@ def is_hidden(k, x, y, z, squared, normals, sight):
 
 @kernel
 def evaluate_range(
-    first, last, positions, landmarks, normals, sight, axes, bands, tables, weights, n, units, counts, keep
+    first, last, positions, landmarks, normals, sight, horizon, axes, bands, tables, weights, n, units, counts, keep
 ):  # fmt: skip
     """Evaluate deployments at the positions `first` to `last`.
 
@@ -57,6 +92,7 @@ def evaluate_range(
         positions: `(P, 3)`.
         landmarks, normals: `(B, 3, K)`.
         sight: the compiled model of sight.
+        horizon: its `criteria.horizon_of`.
         axes: axis and right, `(6, D)`, sorted by height of the axis and filled up to D = 64 W.
         bands: their `bands.height_index`.
         tables: their `directions.tables` for models whose tests are long, None for others.
@@ -68,6 +104,7 @@ def evaluate_range(
     # One long body but for the rare `is_hidden`: handing arrays on to a function costs atomic reference counts, as
     # much as the work itself. Which half of it is compiled depends on the type of `tables`.
     count, size, reach = landmarks.shape[2], axes.shape[1], sight.reach
+    near = np.empty((6, count + 1))
     x, y, z, squared = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
     low, high, deep = np.empty(count), np.empty(count), np.empty(count)
     bottom, top = np.empty(count, dtype=np.int32), np.empty(count, dtype=np.int32)
@@ -81,11 +118,16 @@ def evaluate_range(
     some = np.empty((n, words), dtype=np.uint64)  # axes that cover at least 1, 2, ... n of the landmarks so far
     for b in range(landmarks.shape[0]):
         for p in range(first, last):
+            if (p - first) % BLOCK == 0:
+                low_corner, high_corner = box_around(positions[p : min(p + BLOCK, last)])
+                count = gather(low_corner, high_corner, horizon, landmarks[b], normals[b], near)
+                padded = (count + BLOCK - 1) & -BLOCK
+                close[count:padded] = 2.0
             px, py, pz = positions[p, 0], positions[p, 1], positions[p, 2]
             for k in range(count):
                 # Kept in variables: to read back what was just written would keep the loop from vectorising.
-                xk, yk, zk = landmarks[b, 0, k] - px, landmarks[b, 1, k] - py, landmarks[b, 2, k] - pz
-                nx, ny, nz = normals[b, 0, k], normals[b, 1, k], normals[b, 2, k]
+                xk, yk, zk = near[0, k] - px, near[1, k] - py, near[2, k] - pz
+                nx, ny, nz = near[3, k], near[4, k], near[5, k]
                 in_reach, least, most, sure = from_position(sight, xk, yk, zk, nx, ny, nz, 0.0)
                 if tables is None:
                     bottom[k], top[k] = band_of(xk, yk, zk, least, 0.0)
@@ -110,7 +152,7 @@ def evaluate_range(
                         cosine = u[j] * uk + v[j] * vk + w[j] * wk
                         suspects += np.int32(cosine * cosine >= close[j])
                     # The landmark itself is always one of the suspects.
-                    if suspects > 1 and is_hidden(k, x, y, z, squared, normals[b], sight):
+                    if suspects > 1 and is_hidden(k, count, x, y, z, squared, near, sight):
                         continue
                 shown[found] = k
                 found += ONE
@@ -121,7 +163,7 @@ def evaluate_range(
                 for m in range(found):
                     k = shown[m]
                     xk, yk, zk, least = x[k], y[k], z[k], low[k]
-                    nx, ny, nz = normals[b, 0, k], normals[b, 1, k], normals[b, 2, k]
+                    nx, ny, nz = near[3, k], near[4, k], near[5, k]
                     start, stop = bands[bottom[k]] & -BLOCK, (bands[top[k]] + BLOCK - 1) & -BLOCK
                     # Unsigned, so that the compiler sees indices that cannot be negative and vectorises the loop.
                     for a in range(np.uint64(start), np.uint64(stop)):
@@ -144,7 +186,7 @@ def evaluate_range(
                 for m in range(found):
                     k = shown[m]
                     xk, yk, zk, least, most, sure = x[k], y[k], z[k], low[k], high[k], deep[k]
-                    frame = frame_of(sight, normals[b, 0, k], normals[b, 1, k], normals[b, 2, k])
+                    frame = frame_of(sight, near[3, k], near[4, k], near[5, k])
                     given, cell = np.uint64(bottom[k]), np.uint64(top[k])
                     for i in range(words):
                         left, cap = possible[cell, i] & ~certain[given, i], ZERO

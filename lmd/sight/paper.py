@@ -247,6 +247,13 @@ class PaperSight(NamedTuple):
         return 0.0
 
     @property
+    def horizon(self) -> float:
+        """See `Sight.horizon`: a landmark on the whole line hides others from however far away."""
+        if self.min_cosine <= 0.0 or (self.whole_line and self.reach >= 0.0):
+            return math.inf
+        return (self.max_depth / self.min_cosine + math.sqrt(max(self.reach, 0.0))) * (1.0 + 2.0 * TOLERANCE)
+
+    @property
     def tabulated(self) -> bool:
         """See `Sight.tabulated`: a depth and two comparisons."""
         return False

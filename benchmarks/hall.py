@@ -1,0 +1,102 @@
+"""What a hall costs: `python benchmarks/hall.py`.
+
+Prints a Markdown table: one evaluation, one moved landmark and the memory of its state in the paper's room, and in
+`experiment=hall` from a sixteenth of its floor to the whole, tags at the same density. Times are those of the processor, on one
+thread, from one run. Landmarks and positions out of range of each other should cost next to nothing: then the time of
+an evaluation per position, and that of a move, do not grow with the hall.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from time import process_time
+from typing import NamedTuple
+
+import numpy as np
+from hydra import compose, initialize_config_dir
+from speed import COUNT, N, STEPS, best_of, move_all, paper_scene
+
+from lmd.deployment import RandomDeployment
+from lmd.objectives.coverage_field import coverage_field
+from lmd.pipelines.app import CONF, build_problem
+from lmd.problem import Problem
+from lmd.scene import Scene
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.incremental.move import state_of
+from lmd.sight.incremental.state import scratch_of
+
+SIDES = (1 / 4, 1 / 2, 1 / np.sqrt(2.0), 1.0)  # of the whole hall's
+MOVES = 400
+MIB = 2**20
+
+
+class Costs(NamedTuple):
+    """Numbers of positions and landmarks; microseconds of an evaluation per position and of moves; bytes of a state."""
+
+    positions: int
+    landmarks: int
+    evaluated: float
+    bounded: float
+    tried: float
+    carried_out: float
+    memory: int
+
+
+def hall() -> Problem:
+    """`experiment=hall`."""
+    with initialize_config_dir(CONF, version_base="1.3"):
+        return build_problem(compose("optimise", ["experiment=hall"]))
+
+
+def part_of(scene: Scene, side: float) -> Scene:
+    """The scene in a hall with sides so many times as long."""
+    room = scene.room
+    length, width, height = room.size
+    reachable = length * side - 1.0, width * side - 1.0, room.reachable_size[2]
+    return replace(scene, room=replace(room, size=(length * side, width * side, height), reachable_size=reachable))
+
+
+def costs(scene: Scene, count: int) -> Costs:
+    """Measure with `count` landmarks hung at random."""
+    rng, evaluator = np.random.default_rng(0), Evaluator(scene, threads=1)
+    start, targets = (scene.plates.draw(RandomDeployment(size), rng) for size in (count, MOVES))
+    landmarks = start.positions[None], start.normals[None]
+    evaluated = best_of(5, lambda: evaluator.units(*landmarks, N), process_time)
+    field = coverage_field(evaluator, N)
+    state = state_of(field, start)
+    scratch, poses = scratch_of(state), np.hstack([targets.positions, targets.normals])
+    moved = (
+        best_of(5, lambda: move_all(poses, targets.surfaces, field, state, scratch, steps), process_time) / MOVES  # noqa: B023
+        for steps in range(1, len(STEPS) + 1)
+    )
+    memory = sum(array.nbytes for array in _arrays(state)) + sum(array.nbytes for array in _arrays(scratch))
+    positions = len(evaluator.positions)
+    return Costs(positions, count, 1e6 * evaluated / positions, *(1e6 * seconds for seconds in moved), memory)
+
+
+def _arrays(parts: tuple[object, ...]) -> Iterator[np.ndarray]:
+    """The arrays of nested tuples."""
+    for part in parts:
+        if isinstance(part, tuple):
+            yield from _arrays(part)
+        elif isinstance(part, np.ndarray):
+            yield part
+
+
+def main() -> None:
+    """Print the table."""
+    problem, room = hall(), costs(paper_scene(), COUNT)
+    cases = {"the paper's room": room}
+    for side in SIDES:
+        scene = part_of(problem.scene, side)
+        cases[f"{side**2:.4g} of the hall"] = costs(scene, round(problem.count * side**2))
+    print("| | positions | landmarks | evaluation, us per position | bounded, us | tried, us | carried out, us | MiB |")
+    print("| --- | --- | --- | --- | --- | --- | --- | --- |")
+    for name, case in cases.items():
+        times = " | ".join(
+            f"{time:.2f} ({time / base:.2f})" for time, base in zip(case[2:6], room[2:6], strict=True)
+        )
+        print(f"| {name} | {case.positions:,} | {case.landmarks} | {times} | {case.memory / MIB:.0f} |")
+
+
+if __name__ == "__main__":
+    main()
