@@ -7,6 +7,7 @@ import numpy as np
 from lmd.checks import FloatArray
 from lmd.deployment import Deployment
 from lmd.objectives.field import accept, bound, settle, undo
+from lmd.sight.criteria import horizon_of
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.incremental.move import carry_out, state_of, take_back
 from lmd.sight.incremental.state import Scratch, State, scratch_of
@@ -19,7 +20,7 @@ class CoverageField(NamedTuple):
 
     positions `(3, Q)` in blocks of `BLOCK` neighbours, the last block filled up with copies; index_of `(P,)` where each
     position of the evaluator is among them; centres and halves `(3, Q / BLOCK)` of the sides of boxes around the
-    blocks; axes `(3, 64 W)` filled up with zeros to whole words; certain, possible the tables of `directions.tables`;
+    blocks; horizon see `criteria.horizon_of`; axes `(3, 64 W)` filled up with zeros to whole words; certain, possible the tables of `directions.tables`;
     the rest as in `kernels.evaluate_range`.
     """
 
@@ -27,6 +28,7 @@ class CoverageField(NamedTuple):
     index_of: np.ndarray
     centres: np.ndarray
     halves: np.ndarray
+    horizon: float
     sight: Any
     axes: np.ndarray
     certain: np.ndarray
@@ -54,7 +56,8 @@ class CoverageField(NamedTuple):
 
     def stacked(self) -> "CoverageField":
         """See `Field.stacked`: a stack of n that nothing hides is seen whenever one landmark in its place is."""
-        return self._replace(n=1, sight=self.sight.unhidden())
+        sight = self.sight.unhidden()
+        return self._replace(n=1, sight=sight, horizon=horizon_of(sight))
 
     def shrunk(self, size: float) -> "CoverageField":
         """See `Field.shrunk`."""
@@ -93,7 +96,8 @@ def coverage_field(evaluator: Evaluator, n: int) -> CoverageField:
     centres = (least + most) / 2.0
     halves = ((most - least) / 2.0 * (1.0 + SINGLE_ERROR)).astype(np.float32)  # never less for the rounding
     positions, centres, halves = (np.ascontiguousarray(part.T) for part in (positions, centres, halves))
-    return CoverageField(positions, index_of, centres, halves, e.sight, e.axes, *e.tables, e.weights, n)
+    horizon = horizon_of(e.sight)
+    return CoverageField(positions, index_of, centres, halves, horizon, e.sight, e.axes, *e.tables, e.weights, n)
 
 
 def _in_blocks(positions: FloatArray) -> np.ndarray:

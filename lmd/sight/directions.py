@@ -38,16 +38,6 @@ def cell_of(x, y, z):
     return max(0, min(row, SIDE - 1)) * SIDE + max(0, min(column, SIDE - 1))
 
 
-@kernel
-def see(ax, ay, az, nx, ny, nz, positions, sight, sighting):
-    """Fill `sighting` with what is seen of a landmark at (ax, ay, az) with normal (nx, ny, nz)."""
-    x, y, z, low, high, sure, cell, reached = sighting
-    for p in range(positions.shape[1]):
-        x[p], y[p], z[p] = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
-        reached[p], low[p], high[p], sure[p] = from_position(sight, x[p], y[p], z[p], nx, ny, nz, 0.0)
-        cell[p] = cell_of(x[p], y[p], z[p])
-
-
 @cache
 def _cells() -> tuple[FloatArray, FloatArray]:
     """The directions of the centres of the cells, `(3, SIDE * SIDE)`, and the angle rho of each, rad."""

@@ -1,6 +1,7 @@
 """Which landmarks hide a place, which it hides, and which of these appear or disappear as one landmark moves.
 
-Positions come in blocks of neighbours. Two stages, from cheap to exact:
+Positions come in blocks of neighbours, and only those within the horizon of both landmarks count. Two stages, from cheap
+to exact:
 
 1. Seen from a whole block, most landmarks are so far off the direction of the place that no position of the block needs
    the exact test. Let m be the offset of the place a from the centre of the block, e = o - a the way from there to a
@@ -24,22 +25,37 @@ from numba import njit
 from lmd.compiled import kernel
 from lmd.sight.bits import LANES, lowest
 from lmd.sight.criteria import TOLERANCE, hide
+from lmd.sight.incremental.nearby import is_near
 from lmd.sight.kernels import BLOCK, SINGLE_ERROR
 
 
 @kernel
-def find_neighbours(k, ax, ay, az, nx, ny, nz, x, y, z, field, landmarks, normals, wanted, ways, neighbours):
-    """Fill `neighbours` of a place (ax, ay, az) of landmark k, at offsets `x, y, z`, in the `wanted` blocks.
+def find_neighbours(
+    k, ax, ay, az, nx, ny, nz, x, y, z, field, landmarks, normals, blocks, wanted, others, ways, neighbours
+):  # fmt: skip
+    """Fill `neighbours` of a place (ax, ay, az) of landmark k, at offsets `x, y, z`, in those of `blocks` that are `wanted`.
 
-    (nx, ny, nz) is its normal there.
+    (nx, ny, nz) is its normal there; others, ways see `state.Scratch`.
     """
     positions, centres, halves, sight = field.positions, field.centres, field.halves, field.sight
     found, who, hides, hidden_by, count_hides, count_hidden = neighbours
     radius = math.sqrt(sight.reach) * (1.0 + SINGLE_ERROR) + TOLERANCE
-    for i in range(landmarks.shape[1]):
+    count, most = landmarks.shape[1], field.horizon * field.horizon
+    for i in range(count):
         dx, dy, dz = landmarks[0, i] - ax, landmarks[1, i] - ay, landmarks[2, i] - az
         ways[0, i], ways[1, i], ways[2, i], ways[3, i] = dx, dy, dz, math.sqrt(dx * dx + dy * dy + dz * dz)
-    for b in range(len(found)):
+        others[i] = i
+    if most < np.inf:
+        count = 0
+        for i in range(landmarks.shape[1]):
+            dx, dy, dz = landmarks[0, i] - ax, landmarks[1, i] - ay, landmarks[2, i] - az
+            others[count], ways[0, count], ways[1, count] = i, ways[0, i], ways[1, i]
+            ways[2, count], ways[3, count] = ways[2, i], ways[3, i]
+            count += dx * dx + dy * dy + dz * dz <= most
+    filled = (count + LANES - 1) & -LANES
+    for i in range(count, filled):
+        ways[3, i] = -np.inf  # nothing comes close to those that fill up
+    for b in blocks:
         found[b] = 0
         if not wanted[b]:
             continue
@@ -52,7 +68,7 @@ def find_neighbours(k, ax, ay, az, nx, ny, nz, x, y, z, field, landmarks, normal
         shift, slope = np.float32(radius * far), np.float32(radius + SINGLE_ERROR * far)
         ux, uy, uz = np.float32(mx), np.float32(my), np.float32(mz)
         kept = 0
-        for start in range(np.uint64(0), np.uint64(ways.shape[1]), np.uint64(LANES)):
+        for start in range(np.uint64(0), np.uint64(filled), np.uint64(LANES)):
             close = np.uint32(0)
             for lane in range(np.uint64(LANES)):
                 i = start + lane
@@ -63,7 +79,7 @@ def find_neighbours(k, ax, ay, az, nx, ny, nz, x, y, z, field, landmarks, normal
                 near &= abs(ux * ey - uy * ex) <= hy * abs(ex) + hx * abs(ey) + room
                 close |= np.uint32(near) << np.uint32(lane)
             while close:
-                i = start + lowest(np.uint64(close))
+                i = others[start + lowest(np.uint64(close))]
                 close &= close - np.uint32(1)
                 lx, ly, lz = landmarks[0, i], landmarks[1, i], landmarks[2, i]
                 vx, vy, vz = normals[0, i], normals[1, i], normals[2, i]
@@ -74,7 +90,7 @@ def find_neighbours(k, ax, ay, az, nx, ny, nz, x, y, z, field, landmarks, normal
                     other = ox * ox + oy * oy + oz * oz
                     one, two = hide(sight, x[p], y[p], z[p], squared, ox, oy, oz, other, nx, ny, nz, vx, vy, vz)
                     some += one | two
-                if some == 0 or i == np.uint64(k):
+                if some == 0 or i == k or not is_near(field, b, lx, ly, lz):
                     continue
                 for p in range(first, last):
                     ox, oy, oz = lx - positions[0, p], ly - positions[1, p], lz - positions[2, p]
@@ -96,10 +112,10 @@ def flips_with(reachable, was, now):
 
 
 @kernel
-def find_turns(before, after, turns, slot):
+def find_turns(blocks, before, after, turns, slot):
     """Merge what a landmark hides `before` and `after` a move into how many more others hide each of the others."""
     found, who, change = turns
-    for b in range(len(found)):
+    for b in blocks:
         found[b] = 0
         for m in range(before.found[b] + after.found[b]):
             new = m >= before.found[b]
@@ -119,30 +135,36 @@ def find_turns(before, after, turns, slot):
 def find_old(k, field, state, scratch):
     """Fill `before` with what landmark k hides, and is hidden by, where it is."""
     landmarks, normals, hiding, hidden = state.landmarks, state.normals, state.hiding, state.hidden
-    old, wanted = scratch.old, scratch.wanted
+    positions, wanted = field.positions, scratch.wanted
     ax, ay, az = landmarks[0, k], landmarks[1, k], landmarks[2, k]
     nx, ny, nz = normals[0, k], normals[1, k], normals[2, k]
-    x, y, z = old[0], old[1], old[2]
-    for p in range(len(x)):
-        x[p], y[p], z[p] = ax - field.positions[0, p], ay - field.positions[1, p], az - field.positions[2, p]
-    for b in range(len(wanted)):  # nearly everywhere there are none: then there is nothing to find again
+    x, y, z = scratch.old[0], scratch.old[1], scratch.old[2]
+    blocks, spans = scratch.blocks[: scratch.near[0]], scratch.spans
+    for s in range(scratch.near[1]):
+        for p in range(spans[s, 0], spans[s, 1]):
+            x[p], y[p], z[p] = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
+    for b in blocks:
         some = np.int16(0)
         for p in range(b * BLOCK, (b + 1) * BLOCK):
             some |= hiding[k, p] | hidden[k, p]
-        wanted[b] = some != 0
+        wanted[b] = some != 0  # nearly everywhere there are none: then there is nothing to find again
     find_neighbours(
-        k, ax, ay, az, nx, ny, nz, x, y, z, field, landmarks, normals, wanted, scratch.ways, scratch.before
+        k, ax, ay, az, nx, ny, nz, x, y, z, field, landmarks, normals, blocks, wanted, scratch.others, scratch.ways,
+        scratch.before,
     )  # fmt: skip
 
 
 @kernel
 def find_new(k, field, state, scratch):
     """Fill `after` with what landmark k hides, and is hidden by, at the place tried."""
-    target, new, wanted = scratch.target, scratch.new, scratch.wanted
-    wanted[:] = True
+    target, new = scratch.target, scratch.new
+    ax, ay, az, nx, ny, nz = target[0], target[1], target[2], target[3], target[4], target[5]
+    blocks, wanted = scratch.blocks[: scratch.near[0]], scratch.wanted
+    for b in blocks:
+        wanted[b] = is_near(field, b, ax, ay, az)
     find_neighbours(
-        k, target[0], target[1], target[2], target[3], target[4], target[5], new.x, new.y, new.z,
-        field, state.landmarks, state.normals, wanted, scratch.ways, scratch.after,
+        k, ax, ay, az, nx, ny, nz, new.x, new.y, new.z, field, state.landmarks, state.normals, blocks, wanted,
+        scratch.others, scratch.ways, scratch.after,
     )  # fmt: skip
 
 
@@ -150,9 +172,10 @@ def find_new(k, field, state, scratch):
 def find_flips(state, scratch):
     """Fill `turns` from `before` and `after`; set `flips` where another landmark appears or disappears."""
     reachable, hidden, flips = state.reachable, state.hidden, scratch.flips
-    find_turns(scratch.before, scratch.after, scratch.turns, scratch.slot)
+    blocks = scratch.blocks[: scratch.near[0]]
+    find_turns(blocks, scratch.before, scratch.after, scratch.turns, scratch.slot)
     found, who, change = scratch.turns
-    for b in range(len(found)):
+    for b in blocks:
         for m in range(found[b]):
             i = who[b, m]
             for q in range(BLOCK):

@@ -26,8 +26,9 @@ from lmd.sight.bits import (
     unpacked,
 )
 from lmd.sight.criteria import covering, frame_of
-from lmd.sight.directions import NOWHERE, see
-from lmd.sight.incremental.hiding import find_neighbours, flips_with
+from lmd.sight.directions import NOWHERE
+from lmd.sight.incremental.hiding import find_new, flips_with
+from lmd.sight.incremental.nearby import look_around
 from lmd.sight.incremental.state import State, scratch_of
 from lmd.sight.kernels import BLOCK
 
@@ -103,9 +104,10 @@ def touched(k, state, scratch):
     """Positions at which a move of landmark k may change anything."""
     reachable, reached, flips, listed = state.reachable, scratch.new.reached, scratch.flips, scratch.listed
     count = ZERO
-    for p in range(np.uint64(len(flips))):
-        listed[count] = p
-        count += np.uint64(reachable[k, p] | reached[p] | flips[p])
+    for s in range(scratch.near[1]):
+        for p in range(scratch.spans[s, 0], scratch.spans[s, 1]):
+            listed[count] = p
+            count += np.uint64(reachable[k, p] | reached[p] | flips[p])
     return listed[:count]
 
 
@@ -121,7 +123,7 @@ def _exchange(k, sign, field, state, scratch):
     found, who, change = scratch.turns
     _recount(np.uint64(k), touched(k, state, scratch), sign, field, state, scratch)
     if field.sight.reach >= 0.0:
-        for b in range(len(found)):
+        for b in scratch.blocks[: scratch.near[0]]:
             for q in range(BLOCK if found[b] + before.found[b] + after.found[b] else 0):
                 p = b * BLOCK + q
                 for m in range(found[b]):
@@ -130,11 +132,12 @@ def _exchange(k, sign, field, state, scratch):
                     hiding[before.who[b, m], p] -= sign * before.hidden_by[b, m, q]
                 for m in range(after.found[b]):
                     hiding[after.who[b, m], p] += sign * after.hidden_by[b, m, q]
-    for p in range(len(reached)):
-        units[p], others[p] = others[p], units[p]
-        reachable[k, p], reached[p] = reached[p], reachable[k, p]
-        hidden[k, p], after.count_hidden[p] = after.count_hidden[p], hidden[k, p]
-        hiding[k, p], after.count_hides[p] = after.count_hides[p], hiding[k, p]
+    for s in range(scratch.near[1]):
+        for p in range(scratch.spans[s, 0], scratch.spans[s, 1]):
+            units[p], others[p] = others[p], units[p]
+            reachable[k, p], reached[p] = reached[p], reachable[k, p]
+            hidden[k, p], after.count_hidden[p] = after.count_hidden[p], hidden[k, p]
+            hiding[k, p], after.count_hides[p] = after.count_hides[p], hiding[k, p]
     for i in range(3):
         landmarks[i, k], target[i] = target[i], landmarks[i, k]
         normals[i, k], target[3 + i] = target[3 + i], normals[i, k]
@@ -187,23 +190,17 @@ def overlook(missed, field, state):
 @kernel
 def _fill(field, state, scratch):
     """Let the landmarks of `state` come, one after the other."""
-    landmarks, normals, new, after = state.landmarks, state.normals, scratch.new, scratch.after
-    positions = np.arange(len(state.units)).astype(np.uint64)
-    scratch.wanted[:] = True
+    landmarks, normals, after = state.landmarks, state.normals, scratch.after
     for k in range(landmarks.shape[1]):
-        x, y, z = landmarks[0, k], landmarks[1, k], landmarks[2, k]
         for i in range(3):
             scratch.target[i], scratch.target[3 + i] = landmarks[i, k], normals[i, k]
-        nx, ny, nz = normals[0, k], normals[1, k], normals[2, k]
-        see(x, y, z, nx, ny, nz, field.positions, field.sight, new)
+        look_around(k, field, state, scratch)
         if field.sight.reach >= 0.0:
-            find_neighbours(
-                k, x, y, z, nx, ny, nz, new.x, new.y, new.z,
-                field, landmarks, normals, scratch.wanted, scratch.ways, after,
-            )  # fmt: skip
+            find_new(k, field, state, scratch)
+        positions = touched(k, state, scratch)
         _find_cap(positions, field, scratch)
         _recount(np.uint64(k), positions, 1, field, state, scratch)
-        state.reachable[k], state.hidden[k], state.hiding[k] = new.reached, after.count_hidden, after.count_hides
+        state.reachable[k], state.hidden[k], state.hiding[k] = scratch.new.reached, after.count_hidden, after.count_hides
     _sum_up(field, state)
 
 

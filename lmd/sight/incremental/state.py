@@ -13,7 +13,7 @@ class State(NamedTuple):
 
     landmarks, normals `(3, K)`; surfaces `(K,)` that they hang on; caps `(K, Q, W)` the axes that cover a landmark
     nobody hides; reachable `(K, Q)` whether there are any in reach; hidden `(K, Q)` how many others hide it, hiding
-    `(K, Q)` how many others it hides; counts `(Q, W, J)` the number of landmarks covered, binary digit by binary digit,
+    `(K, Q)` how many others it hides, of those in sight of each other (`nearby`); counts `(Q, W, J)` the number of landmarks covered, binary digit by binary digit,
     the lowest first; short, just `(Q, W)` where it is n - 1, and n; units `(Q,)` P_n.
     """
 
@@ -82,8 +82,9 @@ class Scratch(NamedTuple):
     turns: what follows for the others; flips `(Q,)` whether another landmark appears or disappears. Once the move is
     carried out, target, surface, units, cap, reached of `new` and the counts of `after` are those of the place left.
 
-    Working memory of `hiding`: wanted `(Q / BLOCK,)` blocks to look in; ways `(4, K)`, filled up to whole words, to
-    each landmark and how long; slot `(K,)` of each landmark in `turns`, -1 for none. Of `trial` and `move`:
+    Working memory of `nearby`: blocks `(Q / BLOCK,)` that the move may matter to, and spans `(Q / BLOCK, 2)` of
+    positions that these are, from the first to the one behind the last; near `(2,)` how many blocks and spans there are. Of `hiding`: wanted `(Q / BLOCK,)` those to look in; others `(K + 1,)` landmarks nearby, ways `(4, K + 1)`,
+    filled up to whole words, to each of them and how long; slot `(K,)` of each landmark in `turns`, -1 for none. Of `trial` and `move`:
     listed `(Q + 1,)` positions; mask `(Q,)` of the old cap; inner, outer `(Q,)` rows of the tables of `cones`; unsure,
     places `(Q W + 1,)` sets of axes to be tested and where; names, goes `(K + 1,)` caps that come or go; digits `(J,)`.
     Lists have room for one more, as an entry is written down before it is decided whether it stays.
@@ -99,7 +100,11 @@ class Scratch(NamedTuple):
     after: Neighbours
     turns: Turns
     flips: np.ndarray
+    blocks: np.ndarray
+    spans: np.ndarray
+    near: np.ndarray
     wanted: np.ndarray
+    others: np.ndarray
     ways: np.ndarray
     slot: np.ndarray
     listed: np.ndarray
@@ -125,8 +130,7 @@ def scratch_of(state: State) -> Scratch:
         return Neighbours(np.zeros(blocks, dtype=np.int64), who, hides, hidden_by, count_hides, count_hidden)
 
     x, y, z, low, high, sure = np.empty((6, size))
-    ways = np.zeros((4, -(-count // LANES) * LANES), dtype=np.float32)
-    ways[3] = -np.inf  # nothing comes close to those that fill up
+    ways = np.zeros((4, (count // LANES + 1) * LANES), dtype=np.float32)
     inner, outer = np.empty((2, size), dtype=np.int32)
     unsure, places = np.empty((2, size * words + 1), dtype=np.uint64)
     names, goes = np.empty((2, count + 1), dtype=np.uint64)
@@ -134,7 +138,7 @@ def scratch_of(state: State) -> Scratch:
         target=np.empty(6),
         surface=np.empty(1, dtype=np.int64),
         units=state.units.copy(),
-        new=Sighting(x, y, z, low, high, sure, np.empty(size, dtype=np.int32), np.empty(size, dtype=np.bool_)),
+        new=Sighting(x, y, z, low, high, sure, np.empty(size, dtype=np.int32), np.zeros(size, dtype=np.bool_)),
         cap=np.zeros((size, words), dtype=np.uint64),
         old=np.empty((3, size)),
         before=neighbours(),
@@ -145,7 +149,11 @@ def scratch_of(state: State) -> Scratch:
             change=np.empty((blocks, count, BLOCK), dtype=np.int8),
         ),
         flips=np.zeros(size, dtype=np.bool_),
+        blocks=np.empty(blocks, dtype=np.int64),
+        spans=np.empty((blocks, 2), dtype=np.uint64),
+        near=np.zeros(2, dtype=np.int64),
         wanted=np.empty(blocks, dtype=np.bool_),
+        others=np.empty(count + 1, dtype=np.int64),
         ways=ways,
         slot=np.full(count, -1, dtype=np.int64),
         listed=np.empty(size + 1, dtype=np.uint64),

@@ -10,7 +10,8 @@ and those with just n, are known beforehand. So a trial tests few axes.
 `bound_move` leaves out what the new place hides and what hides it. Both only take caps away, and P_n never falls with
 another cap, so what it finds is never below P_n:
 
-1. `see`: what is seen of the new place from all positions, without a branch, so that the loop vectorises.
+1. `look_around`: what is seen of the new place from all positions in sight, without a branch, so that the loop
+   vectorises.
 2. `find_old`, `find_flips`: what the old place hides comes back, at a few positions.
 3. `_try_caps`, at the other positions that see the old or the new place: P_n changes only at an axis that is one short
    and not in the old cap, or has just n and is in it. The tables of `cones` settle most of these.
@@ -38,8 +39,9 @@ from lmd.sight.bits import (
     lowest,
 )
 from lmd.sight.criteria import covers_one, frame_of
-from lmd.sight.directions import NOWHERE, see
+from lmd.sight.directions import NOWHERE
 from lmd.sight.incremental.hiding import find_flips, find_new, find_old, flips_with
+from lmd.sight.incremental.nearby import look_around
 from lmd.sight.kernels import BLOCK
 
 # Indices are unsigned where it counts: signed ones cost extra instructions, as they might be negative.
@@ -47,7 +49,7 @@ from lmd.sight.kernels import BLOCK
 
 @kernel
 def _try_caps(k, field, state, scratch):
-    """Bound P_n where landmark k comes or goes and no other appears; copy it where nothing happens."""
+    """Bound P_n where landmark k comes or goes and no other appears; copy it elsewhere."""
     sight, axes, weights, certain, possible = field.sight, field.axes, field.weights, field.certain, field.possible
     target = scratch.target
     frame = frame_of(sight, target[3], target[4], target[5])
@@ -58,16 +60,19 @@ def _try_caps(k, field, state, scratch):
     flips, units = scratch.flips, scratch.units
     old, inner, outer = scratch.mask, scratch.inner, scratch.outer
     listed, unsure, places = scratch.listed, scratch.unsure, scratch.places
-    for p in range(np.uint64(len(units))):
-        units[p] = before[p]
-        seen = reached[p] & (not flips[p])
-        outer[p] = cell[p] if seen else NOWHERE
-        inner[p] = cell[p] if seen & (sure[p] == np.inf) else NOWHERE
-        old[p] = ALL if reachable[k, p] & (hidden[k, p] == 0) & (not flips[p]) else ZERO
+    spans, near = scratch.spans, scratch.near
     count, found, size = ZERO, ZERO, np.uint64(caps.shape[2])
-    for p in range(np.uint64(len(units))):
-        listed[count] = p
-        count += np.uint64((old[p] != ZERO) | (outer[p] != NOWHERE))
+    units[:] = before
+    for s in range(near[1]):
+        first, last = spans[s, 0], spans[s, 1]
+        for p in range(first, last):
+            seen = reached[p] & (not flips[p])
+            outer[p] = cell[p] if seen else NOWHERE
+            inner[p] = cell[p] if seen & (sure[p] == np.inf) else NOWHERE
+            old[p] = ALL if reachable[k, p] & (hidden[k, p] == 0) & (not flips[p]) else ZERO
+        for p in range(first, last):
+            listed[count] = p
+            count += np.uint64((old[p] != ZERO) | (outer[p] != NOWHERE))
     for m in range(count):
         p = listed[m]
         i, o = np.uint64(inner[p]), np.uint64(outer[p])
@@ -151,14 +156,11 @@ def begin_move(k, pose, surface, field, state, scratch):
 
     Fills `scratch.new`, and `scratch.flips` with what appears as k leaves its place.
     """
-    after, flips = scratch.after, scratch.flips
     scratch.surface[0] = surface
     for i in range(6):
         scratch.target[i] = pose[i]
-    see(pose[0], pose[1], pose[2], pose[3], pose[4], pose[5], field.positions, field.sight, scratch.new)
-    flips[:] = False
+    look_around(k, field, state, scratch)
     if field.sight.reach >= 0.0:
-        after.found[:] = after.count_hidden[:] = 0
         find_old(k, field, state, scratch)
         find_flips(state, scratch)
 
@@ -171,9 +173,10 @@ def complete_move(k, field, state, scratch):
     find_new(k, field, state, scratch)
     find_flips(state, scratch)
     count = ZERO
-    for p in range(np.uint64(len(flips))):
-        listed[count] = p
-        count += np.uint64(flips[p] | (reached[p] & (count_hidden[p] != 0)))
+    for s in range(scratch.near[1]):
+        for p in range(scratch.spans[s, 0], scratch.spans[s, 1]):
+            listed[count] = p
+            count += np.uint64(flips[p] | (reached[p] & (count_hidden[p] != 0)))
     return listed[:count]
 
 
@@ -184,9 +187,10 @@ def bound_move(k, pose, surface, field, state, scratch):
     begin_move(k, pose, surface, field, state, scratch)
     _try_caps(np.uint64(k), field, state, scratch)
     count = ZERO
-    for p in range(np.uint64(len(flips))):
-        listed[count] = p
-        count += np.uint64(flips[p])
+    for s in range(scratch.near[1]):
+        for p in range(scratch.spans[s, 0], scratch.spans[s, 1]):
+            listed[count] = p
+            count += np.uint64(flips[p])
     _try_flips(np.uint64(k), listed[:count], field, state, scratch)
 
 

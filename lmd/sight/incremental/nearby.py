@@ -1,0 +1,56 @@
+"""What a move can matter to: blocks of positions within the horizon of the place that it leaves or of that it tries.
+
+Whatever a trial notes down, it notes in these blocks. Elsewhere nothing is reached, hidden or hides: so the next trial
+clears what the last one left, and no loop need look at the whole room.
+"""
+
+import numpy as np
+from numba import njit
+
+from lmd.compiled import kernel
+from lmd.sight.criteria import from_position
+from lmd.sight.directions import cell_of
+from lmd.sight.kernels import BLOCK
+
+
+@njit(inline="always")
+def is_near(field, b, x, y, z):
+    """Whether block b is within the horizon of (x, y, z): alike whenever it is asked, so that who hides whom is."""
+    dx = max(abs(x - field.centres[0, b]) - field.halves[0, b], 0.0)
+    dy = max(abs(y - field.centres[1, b]) - field.halves[1, b], 0.0)
+    dz = max(abs(z - field.centres[2, b]) - field.halves[2, b], 0.0)
+    return dx * dx + dy * dy + dz * dz <= field.horizon * field.horizon
+
+
+@kernel
+def look_around(k, field, state, scratch):
+    """Forget the last trial, list the blocks near landmark k and near its target, and find what is seen of the target from them."""
+    target, landmarks, positions, sight = scratch.target, state.landmarks, field.positions, field.sight
+    x, y, z, low, high, sure, cell, reached = scratch.new
+    ax, ay, az, nx, ny, nz = target[0], target[1], target[2], target[3], target[4], target[5]
+    mx, my, mz = landmarks[0, k], landmarks[1, k], landmarks[2, k]
+    blocks, spans, near = scratch.blocks, scratch.spans, scratch.near
+    one, two, three = scratch.before.found, scratch.after.found, scratch.turns.found
+    flips, hides, hidden = scratch.flips, scratch.after.count_hides, scratch.after.count_hidden
+    for m in range(near[0]):
+        b = blocks[m]
+        one[b] = two[b] = three[b] = 0
+    for s in range(near[1]):
+        for p in range(spans[s, 0], spans[s, 1]):
+            reached[p] = flips[p] = False
+            hides[p] = hidden[p] = 0
+    count = number = 0
+    for b in range(len(scratch.wanted)):
+        if is_near(field, b, ax, ay, az) or is_near(field, b, mx, my, mz):
+            if count == 0 or blocks[count - 1] != b - 1:
+                spans[number, 0] = b * BLOCK
+                number += 1
+            spans[number - 1, 1] = (b + 1) * BLOCK
+            blocks[count] = b
+            count += 1
+    near[0], near[1] = count, number
+    for s in range(number):
+        for p in range(spans[s, 0], spans[s, 1]):
+            x[p], y[p], z[p] = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
+            reached[p], low[p], high[p], sure[p] = from_position(sight, x[p], y[p], z[p], nx, ny, nz, 0.0)
+            cell[p] = cell_of(x[p], y[p], z[p])
