@@ -71,12 +71,12 @@ def gather(low, high, horizon, landmarks, normals, near):
 
 
 @kernel
-def is_hidden(k, count, x, y, z, squared, landmarks, sight):
-    """Whether another hides landmark k: offsets `x, y, z` and their `squared` lengths, `landmarks` `(6, K)`."""
+def is_hidden(k, count, x, y, z, squared, normals, sight):
+    """Whether one of the first `count` hides landmark k; offsets `x, y, z`, their `squared` lengths, `normals` `(3, K)`."""
     xk, yk, zk, sk, hiding = x[k], y[k], z[k], squared[k], 0
-    nx, ny, nz = landmarks[3, k], landmarks[4, k], landmarks[5, k]
+    nx, ny, nz = normals[0, k], normals[1, k], normals[2, k]
     for j in range(count):
-        ux, uy, uz = landmarks[3, j], landmarks[4, j], landmarks[5, j]
+        ux, uy, uz = normals[0, j], normals[1, j], normals[2, j]
         hides, _ = hide(sight, x[j], y[j], z[j], squared[j], xk, yk, zk, sk, ux, uy, uz, nx, ny, nz)
         hiding += hides & (j != k)
     return hiding > 0
@@ -105,6 +105,7 @@ def evaluate_range(
     # much as the work itself. Which half of it is compiled depends on the type of `tables`.
     count, size, reach = landmarks.shape[2], axes.shape[1], sight.reach
     near = np.empty((6, count + 1))
+    directions = near[3:]
     x, y, z, squared = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
     low, high, deep = np.empty(count), np.empty(count), np.empty(count)
     bottom, top = np.empty(count, dtype=np.int32), np.empty(count, dtype=np.int32)
@@ -152,7 +153,7 @@ def evaluate_range(
                         cosine = u[j] * uk + v[j] * vk + w[j] * wk
                         suspects += np.int32(cosine * cosine >= close[j])
                     # The landmark itself is always one of the suspects.
-                    if suspects > 1 and is_hidden(k, count, x, y, z, squared, near, sight):
+                    if suspects > 1 and is_hidden(k, count, x, y, z, squared, directions, sight):
                         continue
                 shown[found] = k
                 found += ONE

@@ -28,7 +28,7 @@ def _see(positions, axes, landmarks, normals, sight, seen):
             xk, yk, zk, nx, ny, nz = x[k], y[k], z[k], normals[0, k], normals[1, k], normals[2, k]
             reached, low, _, _ = from_position(sight, xk, yk, zk, nx, ny, nz, 0.0)
             if reached and covers(sight, xk, yk, zk, nx, ny, nz, low, 0.0, axes, i):
-                seen[i, k] = sight.reach < 0.0 or not is_hidden(k, x, y, z, squared, normals, sight)
+                seen[i, k] = sight.reach < 0.0 or not is_hidden(k, count, x, y, z, squared, normals, sight)
 
 
 def visible(evaluator: Evaluator, deployment: Deployment, positions: FloatArray, axes: FloatArray) -> BoolArray:

@@ -109,7 +109,7 @@ def localise_range(
                     for j in range(np.uint64(padded)):
                         cosine = u[j] * uk + v[j] * vk + w[j] * wk
                         suspects += np.int32(cosine * cosine >= close[j])
-                    if suspects > 1 and is_hidden(k, x, y, z, squared, normals[b], sight):
+                    if suspects > 1 and is_hidden(k, count, x, y, z, squared, normals[b], sight):
                         reached[k] = False
                         continue
                 xk, yk, zk, least = x[k], y[k], z[k], low[k]

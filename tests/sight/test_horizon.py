@@ -1,0 +1,85 @@
+"""How far a model of sight sees, and that leaving out what is farther changes no count."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from paper import paper_camera, paper_scene
+from paths import check_every_path
+from strategies import cameras, distorted_cameras, fiducials, pdfs, rolled_pdfs, seeds, unit_vectors, visibilities
+
+from lmd.deployment import Deployment, RandomDeployment
+from lmd.scene import Scene
+from lmd.sight.criteria import from_position, horizon_of
+from lmd.sight.kernels import box_around, gather
+from lmd.sight.paper import Visibility
+from lmd.space.cuboid import Cuboid
+
+
+@st.composite
+def halls(draw):
+    """Much larger than most cameras see, with several blocks of positions."""
+    length, width = draw(st.floats(10.0, 80.0)), draw(st.floats(10.0, 80.0))
+    return Cuboid((length, width, 5.0), (0.9 * length, 0.9 * width, 0.5), (length / 8.0, width / 6.0, 0.5))
+
+
+def any_scene(room):
+    return st.one_of(
+        st.builds(Scene, room, cameras(), pdfs, visibilities()),
+        st.builds(Scene, room, st.one_of(cameras(), distorted_cameras()), rolled_pdfs(), fiducials()),
+    )
+
+
+@settings(max_examples=40)
+@given(scene=any_scene(halls()), n=st.integers(1, 3), seed=seeds)
+def test_in_a_hall_every_fast_path_counts_what_the_reference_does(scene, n, seed):
+    rng = np.random.default_rng(seed)
+    drawn, targets = (RandomDeployment(count).draw(scene.room, rng) for count in (30, 6))
+    # Some stand before others, and hide them.
+    before = drawn.positions[:10] + 0.1 * drawn.normals[:10] + rng.normal(scale=0.05, size=(10, 3))
+    normals = np.vstack([drawn.normals, drawn.normals[:10]])
+    check_every_path(scene, Deployment(np.vstack([drawn.positions, before]), normals), targets, n, rng)
+
+
+@given(
+    camera=st.one_of(cameras(), distorted_cameras()),
+    criteria=st.one_of(visibilities(), fiducials()),
+    way=unit_vectors,
+    normal=unit_vectors,
+    further=st.floats(1e-9, 10.0),
+)
+def test_nothing_beyond_the_horizon_is_reached(camera, criteria, way, normal, further):
+    sight = criteria.sight(camera)
+    horizon = horizon_of(sight)
+    if math.isinf(horizon):
+        sight = sight.unhidden()
+        horizon = horizon_of(sight)
+    for facing in (normal, -way):
+        reached, *_ = from_position(sight, *(horizon * (1.0 + further) * way), *facing, 0.0)
+        assert not reached
+
+
+@pytest.mark.parametrize("occlusion", ["line_of_sight", "none"])
+def test_the_papers_horizon_is_where_the_cone_of_view_leaves_the_greatest_depth(occlusion):
+    camera, nu = paper_camera(), 0.05
+    visibility = Visibility(thold=0.28, nu=nu, occlusion=occlusion)
+    depth = camera.resolution_depth(0.28)
+    corner = depth / math.cos(camera.cone_half_angle)
+    beyond = nu if occlusion == "line_of_sight" else 0.0
+    assert horizon_of(visibility.sight(camera)) == pytest.approx(corner + beyond, rel=1e-6)
+
+
+def test_who_hides_from_any_distance_has_no_horizon():
+    assert horizon_of(paper_scene().sight) == math.inf
+
+
+def test_what_is_gathered_is_at_most_so_far_from_a_box():
+    low, high = box_around(np.array([[0.0, 1.0, 2.0], [2.0, 0.0, 2.0]]))
+    assert (low, high) == ((0.0, 0.0, 2.0), (2.0, 1.0, 2.0))
+    landmarks = np.array([[1.0, 0.5, 5.0], [5.0, 5.0, 2.0], [5.1, 5.0, 2.0], [-3.0, 0.5, 2.0], [1.0, -3.1, 2.0]]).T
+    near = np.empty((6, 6))
+    assert gather(low, high, 5.0, np.ascontiguousarray(landmarks), -np.ascontiguousarray(landmarks), near) == 4
+    np.testing.assert_array_equal(near[0, :4], [1.0, 5.0, -3.0, 1.0])
+    np.testing.assert_array_equal(near[3:, :4], -near[:3, :4])
