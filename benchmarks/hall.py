@@ -1,8 +1,8 @@
 """What a hall costs: `python benchmarks/hall.py`.
 
 Prints a Markdown table: one evaluation, one moved landmark and the memory of its state in the paper's room, and in
-`experiment=hall` from a sixteenth of its floor to the whole, tags at the same density. Times are those of the processor, on one
-thread, from one run. Landmarks and positions out of range of each other should cost next to nothing: then the time of
+`experiment=hall` from a sixteenth of its floor to the whole, tags at the same density. Times are those of the
+processor, on one thread, from one run. Landmarks and positions out of range of each other should cost next to nothing: then the time of
 an evaluation per position, and that of a move, do not grow with the hall.
 """
 
@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from hydra import compose, initialize_config_dir
-from speed import COUNT, N, STEPS, best_of, move_all, paper_scene
+from speed import COUNT, STEPS, N, best_of, move_all, paper_scene
 
 from lmd.deployment import RandomDeployment
 from lmd.objectives.coverage_field import coverage_field
@@ -92,9 +92,7 @@ def main() -> None:
     print("| | positions | landmarks | evaluation, us per position | bounded, us | tried, us | carried out, us | MiB |")
     print("| --- | --- | --- | --- | --- | --- | --- | --- |")
     for name, case in cases.items():
-        times = " | ".join(
-            f"{time:.2f} ({time / base:.2f})" for time, base in zip(case[2:6], room[2:6], strict=True)
-        )
+        times = " | ".join(f"{time:.2f} ({time / base:.2f})" for time, base in zip(case[2:6], room[2:6], strict=True))
         print(f"| {name} | {case.positions:,} | {case.landmarks} | {times} | {case.memory / MIB:.0f} |")
 
 

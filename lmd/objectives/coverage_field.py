@@ -20,8 +20,8 @@ class CoverageField(NamedTuple):
 
     positions `(3, Q)` in blocks of `BLOCK` neighbours, the last block filled up with copies; index_of `(P,)` where each
     position of the evaluator is among them; centres and halves `(3, Q / BLOCK)` of the sides of boxes around the
-    blocks; horizon see `criteria.horizon_of`; axes `(3, 64 W)` filled up with zeros to whole words; certain, possible the tables of `directions.tables`;
-    the rest as in `kernels.evaluate_range`.
+    blocks; horizon see `criteria.horizon_of`; axes `(3, 64 W)` filled up with zeros to whole words; certain, possible
+    the tables of `directions.tables`; the rest as in `kernels.evaluate_range`.
     """
 
     positions: np.ndarray

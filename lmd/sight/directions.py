@@ -19,7 +19,7 @@ import numpy as np
 from lmd.checks import FloatArray
 from lmd.compiled import kernel
 from lmd.sight.bits import BITS, LANES, ZERO
-from lmd.sight.criteria import Sight, from_position, in_view
+from lmd.sight.criteria import Sight, in_view
 
 SIDE = 64
 NOWHERE = SIDE * SIDE  # one row more than there are cells: no axis at all

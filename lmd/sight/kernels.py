@@ -72,7 +72,10 @@ def gather(low, high, horizon, landmarks, normals, near):
 
 @kernel
 def is_hidden(k, count, x, y, z, squared, normals, sight):
-    """Whether one of the first `count` hides landmark k; offsets `x, y, z`, their `squared` lengths, `normals` `(3, K)`."""
+    """Whether one of the first `count` landmarks hides landmark k.
+
+    Offsets `x, y, z` and their `squared` lengths `(K,)`, `normals` `(3, K)`.
+    """
     xk, yk, zk, sk, hiding = x[k], y[k], z[k], squared[k], 0
     nx, ny, nz = normals[0, k], normals[1, k], normals[2, k]
     for j in range(count):

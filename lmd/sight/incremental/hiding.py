@@ -1,7 +1,7 @@
 """Which landmarks hide a place, which it hides, and which of these appear or disappear as one landmark moves.
 
-Positions come in blocks of neighbours, and only those within the horizon of both landmarks count. Two stages, from cheap
-to exact:
+Positions come in blocks of neighbours, and only those within the horizon of both landmarks count. Two stages, from
+cheap to exact:
 
 1. Seen from a whole block, most landmarks are so far off the direction of the place that no position of the block needs
    the exact test. Let m be the offset of the place a from the centre of the block, e = o - a the way from there to a
@@ -33,7 +33,7 @@ from lmd.sight.kernels import BLOCK, SINGLE_ERROR
 def find_neighbours(
     k, ax, ay, az, nx, ny, nz, x, y, z, field, landmarks, normals, blocks, wanted, others, ways, neighbours
 ):  # fmt: skip
-    """Fill `neighbours` of a place (ax, ay, az) of landmark k, at offsets `x, y, z`, in those of `blocks` that are `wanted`.
+    """Fill `neighbours` of a place (ax, ay, az) of landmark k, at offsets `x, y, z`, in the `wanted` ones of `blocks`.
 
     (nx, ny, nz) is its normal there; others, ways see `state.Scratch`.
     """

@@ -200,7 +200,11 @@ def _fill(field, state, scratch):
         positions = touched(k, state, scratch)
         _find_cap(positions, field, scratch)
         _recount(np.uint64(k), positions, 1, field, state, scratch)
-        state.reachable[k], state.hidden[k], state.hiding[k] = scratch.new.reached, after.count_hidden, after.count_hides
+        state.reachable[k], state.hidden[k], state.hiding[k] = (
+            scratch.new.reached,
+            after.count_hidden,
+            after.count_hides,
+        )
     _sum_up(field, state)
 
 

@@ -4,7 +4,6 @@ Whatever a trial notes down, it notes in these blocks. Elsewhere nothing is reac
 clears what the last one left, and no loop need look at the whole room.
 """
 
-import numpy as np
 from numba import njit
 
 from lmd.compiled import kernel
@@ -24,7 +23,7 @@ def is_near(field, b, x, y, z):
 
 @kernel
 def look_around(k, field, state, scratch):
-    """Forget the last trial, list the blocks near landmark k and near its target, and find what is seen of the target from them."""
+    """Forget the last trial, list the blocks near landmark k or its target, and find what they see of the target."""
     target, landmarks, positions, sight = scratch.target, state.landmarks, field.positions, field.sight
     x, y, z, low, high, sure, cell, reached = scratch.new
     ax, ay, az, nx, ny, nz = target[0], target[1], target[2], target[3], target[4], target[5]

@@ -12,9 +12,9 @@ class State(NamedTuple):
     """Coverage of one deployment, positions in the order of the field.
 
     landmarks, normals `(3, K)`; surfaces `(K,)` that they hang on; caps `(K, Q, W)` the axes that cover a landmark
-    nobody hides; reachable `(K, Q)` whether there are any in reach; hidden `(K, Q)` how many others hide it, hiding
-    `(K, Q)` how many others it hides, of those in sight of each other (`nearby`); counts `(Q, W, J)` the number of landmarks covered, binary digit by binary digit,
-    the lowest first; short, just `(Q, W)` where it is n - 1, and n; units `(Q,)` P_n.
+    nobody hides; reachable `(K, Q)` whether there are any in reach; hidden `(K, Q)` how many others within the horizon
+    hide it, hiding `(K, Q)` how many it hides; counts `(Q, W, J)` the number of landmarks covered, binary digit by
+    binary digit, the lowest first; short, just `(Q, W)` where it is n - 1, and n; units `(Q,)` P_n.
     """
 
     landmarks: np.ndarray
@@ -83,10 +83,11 @@ class Scratch(NamedTuple):
     carried out, target, surface, units, cap, reached of `new` and the counts of `after` are those of the place left.
 
     Working memory of `nearby`: blocks `(Q / BLOCK,)` that the move may matter to, and spans `(Q / BLOCK, 2)` of
-    positions that these are, from the first to the one behind the last; near `(2,)` how many blocks and spans there are. Of `hiding`: wanted `(Q / BLOCK,)` those to look in; others `(K + 1,)` landmarks nearby, ways `(4, K + 1)`,
-    filled up to whole words, to each of them and how long; slot `(K,)` of each landmark in `turns`, -1 for none. Of `trial` and `move`:
-    listed `(Q + 1,)` positions; mask `(Q,)` of the old cap; inner, outer `(Q,)` rows of the tables of `cones`; unsure,
-    places `(Q W + 1,)` sets of axes to be tested and where; names, goes `(K + 1,)` caps that come or go; digits `(J,)`.
+    positions that these are, from the first to the one behind the last; near `(2,)` how many blocks and spans there
+    are. Of `hiding`: wanted `(Q / BLOCK,)` blocks to look in; others `(K + 1,)` landmarks nearby, ways `(4, K + 1)`,
+    filled up to whole words, to each of them and how long; slot `(K,)` of each landmark in `turns`, -1 for none. Of
+    `trial` and `move`: listed `(Q + 1,)` positions; mask `(Q,)` of the old cap; inner, outer `(Q,)` rows of the tables
+    of `cones`; unsure, places `(Q W + 1,)` sets of axes to be tested and where; names, goes `(K + 1,)` caps that come or go; digits `(J,)`.
     Lists have room for one more, as an entry is written down before it is decided whether it stays.
     """
 
