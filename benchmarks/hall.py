@@ -2,8 +2,8 @@
 
 Prints a Markdown table: one evaluation, one moved landmark and the memory of its state in the paper's room, and in
 `experiment=hall` from a sixteenth of its floor to the whole, tags at the same density. Times are those of the
-processor, on one thread, from one run. Landmarks and positions out of range of each other should cost next to nothing: then the time of
-an evaluation per position, and that of a move, do not grow with the hall.
+processor, on one thread, from one run. Landmarks and positions out of range of each other should cost next to nothing:
+then the time of an evaluation per position, and that of a move, do not grow with the hall.
 """
 
 from collections.abc import Iterator

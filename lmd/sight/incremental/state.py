@@ -87,8 +87,9 @@ class Scratch(NamedTuple):
     are. Of `hiding`: wanted `(Q / BLOCK,)` blocks to look in; others `(K + 1,)` landmarks nearby, ways `(4, K + 1)`,
     filled up to whole words, to each of them and how long; slot `(K,)` of each landmark in `turns`, -1 for none. Of
     `trial` and `move`: listed `(Q + 1,)` positions; mask `(Q,)` of the old cap; inner, outer `(Q,)` rows of the tables
-    of `cones`; unsure, places `(Q W + 1,)` sets of axes to be tested and where; names, goes `(K + 1,)` caps that come or go; digits `(J,)`.
-    Lists have room for one more, as an entry is written down before it is decided whether it stays.
+    of `cones`; unsure, places `(Q W + 1,)` sets of axes to be tested and where; names, goes `(K + 1,)` caps that come
+    or go; digits `(J,)`. Lists have room for one more, as an entry is written down before it is decided whether it
+    stays.
     """
 
     target: np.ndarray
