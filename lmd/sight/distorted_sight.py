@@ -14,7 +14,7 @@ from lmd.checks import FloatArray
 from lmd.geometry import distortion
 from lmd.geometry.upright import upright_axes
 from lmd.sight.criteria import covering, depth_first, from_position, hide, in_cone, in_image, in_view
-from lmd.sight.fiducial_sight import FiducialSight
+from lmd.sight.fiducial_sight import FiducialSight, may_hide
 
 _bent = njit(inline="always")(distortion.bent)
 _slopes = njit(inline="always")(distortion.slopes)
@@ -65,7 +65,7 @@ class DistortedSight(NamedTuple):
 
     def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "DistortedSight":
         """See `Sight.among`."""
-        return self._of(self.flat.among(low, high, landmarks, normals))
+        return self if may_hide(self.flat, self.horizon, low, high, landmarks, normals) else self.unhidden()
 
     def shrunk(self, size: float) -> "DistortedSight":
         """See `Sight.shrunk`."""

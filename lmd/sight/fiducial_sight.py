@@ -10,6 +10,7 @@ from numba import njit
 
 from lmd.checks import FloatArray
 from lmd.compiled import kernel
+from lmd.deployment import NORMAL_TOLERANCE
 from lmd.geometry.upright import upright_axes
 from lmd.sight.criteria import (
     TOLERANCE,
@@ -63,8 +64,8 @@ class FiducialSight(NamedTuple):
     def horizon(self) -> float:
         """See `Sight.horizon`: where a tag in the corner of the image that faces the camera is `resolved`."""
         least = self.outer_cosine**3 * max(self.area, self.sharp)
-        seen = math.sqrt(self.focal_u * self.focal_v / least)
-        return (seen + math.sqrt(max(self.reach, 0.0))) * (1.0 + 2.0 * TOLERANCE)
+        seen = math.sqrt(self.focal_u * self.focal_v / least) if least else math.inf
+        return (seen + math.sqrt(max(self.reach, 0.0))) * (1.0 + NORMAL_TOLERANCE)
 
     @property
     def tabulated(self) -> bool:
@@ -77,9 +78,7 @@ class FiducialSight(NamedTuple):
 
     def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "FiducialSight":
         """See `Sight.among`: flush plates of a convex room never hide each other."""
-        if self.reach >= 0.0 and not _may_hide(low, high, landmarks, normals, self.half, self.level, self.horizon):
-            return self.unhidden()
-        return self
+        return self if may_hide(self, self.horizon, low, high, landmarks, normals) else self.unhidden()
 
     def shrunk(self, size: float) -> "FiducialSight":
         """See `Sight.shrunk`."""
@@ -236,9 +235,18 @@ def _hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type:
     return one, two
 
 
+def may_hide(
+    sight: FiducialSight, horizon: float, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray
+) -> bool:
+    """False only if all cameras are in front of all plates, and no corner is behind a plate within the `horizon`.
+
+    The other arguments are those of `Sight.among`.
+    """
+    return sight.reach >= 0.0 and _some_behind(low, high, landmarks, normals, sight.half, sight.level, horizon)
+
+
 @kernel
-def _may_hide(low, high, landmarks, normals, half, level, horizon):  # type: ignore[no-untyped-def]
-    """False only if all cameras are in front of all plates, and no corner is behind a plate nearby; see `among`."""
+def _some_behind(low, high, landmarks, normals, half, level, horizon):  # type: ignore[no-untyped-def]
     count = landmarks.shape[2]
     for b in range(len(landmarks)):
         for j in range(count):

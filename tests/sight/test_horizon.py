@@ -6,16 +6,20 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba import njit
 from paper import paper_camera, paper_scene
 from paths import check_every_path
 from strategies import cameras, distorted_cameras, fiducials, pdfs, rolled_pdfs, seeds, unit_vectors, visibilities
 
-from lmd.deployment import Deployment, RandomDeployment
+from lmd.deployment import NORMAL_TOLERANCE, Deployment, RandomDeployment
+from lmd.limits import Limits
 from lmd.scene import Scene
 from lmd.sight.criteria import from_position, horizon_of
+from lmd.sight.fiducial import Fiducial
 from lmd.sight.kernels import box_around, gather
 from lmd.sight.paper import Visibility
 from lmd.space.cuboid import Cuboid
+from lmd.tag import Tag
 
 
 @st.composite
@@ -43,6 +47,11 @@ def test_in_a_hall_every_fast_path_counts_what_the_reference_does(scene, n, seed
     check_every_path(scene, Deployment(np.vstack([drawn.positions, before]), normals), targets, n, rng)
 
 
+@njit(error_model="numpy")
+def _is_reached(sight, offset, normal):
+    return from_position(sight, offset[0], offset[1], offset[2], normal[0], normal[1], normal[2], 0.0)[0]
+
+
 @given(
     camera=st.one_of(cameras(), distorted_cameras()),
     criteria=st.one_of(visibilities(), fiducials()),
@@ -56,9 +65,8 @@ def test_nothing_beyond_the_horizon_is_reached(camera, criteria, way, normal, fu
     if math.isinf(horizon):
         sight = sight.unhidden()
         horizon = horizon_of(sight)
-    for facing in (normal, -way):
-        reached, *_ = from_position(sight, *(horizon * (1.0 + further) * way), *facing, 0.0)
-        assert not reached
+    for facing in (normal, -way, -(1.0 + NORMAL_TOLERANCE) * way):
+        assert not _is_reached(sight, horizon * (1.0 + further) * way, facing)
 
 
 @pytest.mark.parametrize("occlusion", ["line_of_sight", "none"])
@@ -69,6 +77,13 @@ def test_the_papers_horizon_is_where_the_cone_of_view_leaves_the_greatest_depth(
     corner = depth / math.cos(camera.cone_half_angle)
     beyond = nu if occlusion == "line_of_sight" else 0.0
     assert horizon_of(visibility.sight(camera)) == pytest.approx(corner + beyond, rel=1e-6)
+
+
+def test_a_detector_that_needs_no_pixels_has_no_horizon():
+    fiducial = Fiducial(
+        Tag(0.1, "36h11", 1.0), limits=Limits(pitch=0.0, blur=0.0, edge=0.0, incidence=60.0, margin=0.0)
+    )
+    assert horizon_of(fiducial.sight(paper_camera())) == math.inf
 
 
 def test_who_hides_from_any_distance_has_no_horizon():

@@ -23,7 +23,7 @@ import numpy as np
 from numba import njit
 
 from lmd.compiled import kernel
-from lmd.sight.bits import LANES, lowest
+from lmd.sight.bits import LANES, ONE, lowest
 from lmd.sight.criteria import TOLERANCE, hide
 from lmd.sight.incremental.nearby import is_near
 from lmd.sight.kernels import BLOCK, SINGLE_ERROR
@@ -31,16 +31,16 @@ from lmd.sight.kernels import BLOCK, SINGLE_ERROR
 
 @kernel
 def find_neighbours(
-    k, ax, ay, az, nx, ny, nz, x, y, z, field, landmarks, normals, blocks, wanted, others, ways, neighbours
+    k, ax, ay, az, nx, ny, nz, field, landmarks, normals, blocks, wanted, others, ways, neighbours
 ):  # fmt: skip
-    """Fill `neighbours` of a place (ax, ay, az) of landmark k, at offsets `x, y, z`, in the `wanted` ones of `blocks`.
+    """Fill `neighbours` of a place (ax, ay, az) of landmark k, in the `wanted` ones of `blocks`.
 
-    (nx, ny, nz) is its normal there; others, ways see `state.Scratch`.
+    (nx, ny, nz) is its normal there; others, ways: see `state.Scratch`.
     """
     positions, centres, halves, sight = field.positions, field.centres, field.halves, field.sight
     found, who, hides, hidden_by, count_hides, count_hidden = neighbours
     radius = math.sqrt(sight.reach) * (1.0 + SINGLE_ERROR) + TOLERANCE
-    count, most = landmarks.shape[1], field.horizon * field.horizon
+    count, most = landmarks.shape[1], np.float32(field.horizon * (1.0 + SINGLE_ERROR))
     for i in range(count):
         dx, dy, dz = landmarks[0, i] - ax, landmarks[1, i] - ay, landmarks[2, i] - az
         ways[0, i], ways[1, i], ways[2, i], ways[3, i] = dx, dy, dz, math.sqrt(dx * dx + dy * dy + dz * dz)
@@ -48,10 +48,10 @@ def find_neighbours(
     if most < np.inf:
         count = 0
         for i in range(landmarks.shape[1]):
-            dx, dy, dz = landmarks[0, i] - ax, landmarks[1, i] - ay, landmarks[2, i] - az
-            others[count], ways[0, count], ways[1, count] = i, ways[0, i], ways[1, i]
-            ways[2, count], ways[3, count] = ways[2, i], ways[3, i]
-            count += dx * dx + dy * dy + dz * dz <= most
+            dx, dy, dz, distance = ways[0, i], ways[1, i], ways[2, i], ways[3, i]
+            others[count] = i
+            ways[0, count], ways[1, count], ways[2, count], ways[3, count] = dx, dy, dz, distance
+            count += distance <= most
     filled = (count + LANES - 1) & -LANES
     for i in range(count, filled):
         ways[3, i] = -np.inf  # nothing comes close to those that fill up
@@ -59,7 +59,7 @@ def find_neighbours(
         found[b] = 0
         if not wanted[b]:
             continue
-        first, last = np.uint64(b * BLOCK), np.uint64((b + 1) * BLOCK)
+        first, last = b * np.uint64(BLOCK), (b + ONE) * np.uint64(BLOCK)
         for p in range(first, last):
             count_hides[p] = count_hidden[p] = 0
         mx, my, mz = ax - centres[0, b], ay - centres[1, b], az - centres[2, b]
@@ -85,18 +85,18 @@ def find_neighbours(
                 vx, vy, vz = normals[0, i], normals[1, i], normals[2, i]
                 some = np.int64(0)
                 for p in range(first, last):
+                    x, y, z = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
                     ox, oy, oz = lx - positions[0, p], ly - positions[1, p], lz - positions[2, p]
-                    squared = x[p] * x[p] + y[p] * y[p] + z[p] * z[p]
-                    other = ox * ox + oy * oy + oz * oz
-                    one, two = hide(sight, x[p], y[p], z[p], squared, ox, oy, oz, other, nx, ny, nz, vx, vy, vz)
+                    squared, other = x * x + y * y + z * z, ox * ox + oy * oy + oz * oz
+                    one, two = hide(sight, x, y, z, squared, ox, oy, oz, other, nx, ny, nz, vx, vy, vz)
                     some += one | two
-                if some == 0 or i == k or not is_near(field, b, lx, ly, lz):
+                if some == 0 or i == np.uint64(k) or not is_near(field, b, lx, ly, lz):
                     continue
                 for p in range(first, last):
+                    x, y, z = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
                     ox, oy, oz = lx - positions[0, p], ly - positions[1, p], lz - positions[2, p]
-                    squared = x[p] * x[p] + y[p] * y[p] + z[p] * z[p]
-                    other = ox * ox + oy * oy + oz * oz
-                    one, two = hide(sight, x[p], y[p], z[p], squared, ox, oy, oz, other, nx, ny, nz, vx, vy, vz)
+                    squared, other = x * x + y * y + z * z, ox * ox + oy * oy + oz * oz
+                    one, two = hide(sight, x, y, z, squared, ox, oy, oz, other, nx, ny, nz, vx, vy, vz)
                     hides[b, kept, p - first], hidden_by[b, kept, p - first] = one, two
                     count_hides[p] += one
                     count_hidden[p] += two
@@ -135,36 +135,25 @@ def find_turns(blocks, before, after, turns, slot):
 def find_old(k, field, state, scratch):
     """Fill `before` with what landmark k hides, and is hidden by, where it is."""
     landmarks, normals, hiding, hidden = state.landmarks, state.normals, state.hiding, state.hidden
-    positions, wanted = field.positions, scratch.wanted
-    ax, ay, az = landmarks[0, k], landmarks[1, k], landmarks[2, k]
-    nx, ny, nz = normals[0, k], normals[1, k], normals[2, k]
-    x, y, z = scratch.old[0], scratch.old[1], scratch.old[2]
-    blocks, spans = scratch.blocks[: scratch.near[0]], scratch.spans
-    for s in range(scratch.near[1]):
-        for p in range(spans[s, 0], spans[s, 1]):
-            x[p], y[p], z[p] = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
+    blocks, wanted = scratch.blocks[: scratch.near[0]], scratch.wanted
     for b in blocks:
         some = np.int16(0)
-        for p in range(b * BLOCK, (b + 1) * BLOCK):
+        for p in range(b * np.uint64(BLOCK), (b + ONE) * np.uint64(BLOCK)):
             some |= hiding[k, p] | hidden[k, p]
         wanted[b] = some != 0  # nearly everywhere there are none: then there is nothing to find again
     find_neighbours(
-        k, ax, ay, az, nx, ny, nz, x, y, z, field, landmarks, normals, blocks, wanted, scratch.others, scratch.ways,
-        scratch.before,
+        k, landmarks[0, k], landmarks[1, k], landmarks[2, k], normals[0, k], normals[1, k], normals[2, k],
+        field, landmarks, normals, blocks, wanted, scratch.others, scratch.ways, scratch.before,
     )  # fmt: skip
 
 
 @kernel
 def find_new(k, field, state, scratch):
     """Fill `after` with what landmark k hides, and is hidden by, at the place tried."""
-    target, new = scratch.target, scratch.new
-    ax, ay, az, nx, ny, nz = target[0], target[1], target[2], target[3], target[4], target[5]
-    blocks, wanted = scratch.blocks[: scratch.near[0]], scratch.wanted
-    for b in blocks:
-        wanted[b] = is_near(field, b, ax, ay, az)
+    target, blocks = scratch.target, scratch.blocks[: scratch.near[0]]
     find_neighbours(
-        k, ax, ay, az, nx, ny, nz, new.x, new.y, new.z, field, state.landmarks, state.normals, blocks, wanted,
-        scratch.others, scratch.ways, scratch.after,
+        k, target[0], target[1], target[2], target[3], target[4], target[5],
+        field, state.landmarks, state.normals, blocks, scratch.aimed, scratch.others, scratch.ways, scratch.after,
     )  # fmt: skip
 
 
@@ -178,6 +167,6 @@ def find_flips(state, scratch):
     for b in blocks:
         for m in range(found[b]):
             i = who[b, m]
-            for q in range(BLOCK):
-                p = b * BLOCK + q
+            for q in range(np.uint64(BLOCK)):
+                p = b * np.uint64(BLOCK) + q
                 flips[p] |= flips_with(reachable[i, p], hidden[i, p], hidden[i, p] + change[b, m, q])

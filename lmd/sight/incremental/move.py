@@ -111,6 +111,13 @@ def touched(k, state, scratch):
     return listed[:count]
 
 
+@njit(inline="always")
+def _swap(one, other, first, last):
+    """Exchange a part of two arrays; by itself, so that the loop vectorises."""
+    for p in range(first, last):
+        one[p], other[p] = other[p], one[p]
+
+
 @kernel
 def _exchange(k, sign, field, state, scratch):
     """Exchange landmark k for what `scratch` has of its other place."""
@@ -124,8 +131,8 @@ def _exchange(k, sign, field, state, scratch):
     _recount(np.uint64(k), touched(k, state, scratch), sign, field, state, scratch)
     if field.sight.reach >= 0.0:
         for b in scratch.blocks[: scratch.near[0]]:
-            for q in range(BLOCK if found[b] + before.found[b] + after.found[b] else 0):
-                p = b * BLOCK + q
+            for q in range(np.uint64(BLOCK if found[b] + before.found[b] + after.found[b] else 0)):
+                p = b * np.uint64(BLOCK) + q
                 for m in range(found[b]):
                     hidden[who[b, m], p] += sign * change[b, m, q]
                 for m in range(before.found[b]):
@@ -133,11 +140,11 @@ def _exchange(k, sign, field, state, scratch):
                 for m in range(after.found[b]):
                     hiding[after.who[b, m], p] += sign * after.hidden_by[b, m, q]
     for s in range(scratch.near[1]):
-        for p in range(scratch.spans[s, 0], scratch.spans[s, 1]):
-            units[p], others[p] = others[p], units[p]
-            reachable[k, p], reached[p] = reached[p], reachable[k, p]
-            hidden[k, p], after.count_hidden[p] = after.count_hidden[p], hidden[k, p]
-            hiding[k, p], after.count_hides[p] = after.count_hides[p], hiding[k, p]
+        first, last = scratch.spans[s, 0], scratch.spans[s, 1]
+        _swap(units, others, first, last)
+        _swap(reachable[k], reached, first, last)
+        _swap(hidden[k], after.count_hidden, first, last)
+        _swap(hiding[k], after.count_hides, first, last)
     for i in range(3):
         landmarks[i, k], target[i] = target[i], landmarks[i, k]
         normals[i, k], target[3 + i] = target[3 + i], normals[i, k]

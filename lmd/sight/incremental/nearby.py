@@ -4,16 +4,18 @@ Whatever a trial notes down, it notes in these blocks. Elsewhere nothing is reac
 clears what the last one left, and no loop need look at the whole room.
 """
 
+import numpy as np
 from numba import njit
 
 from lmd.compiled import kernel
+from lmd.sight.bits import ONE
 from lmd.sight.criteria import from_position
 from lmd.sight.directions import cell_of
 from lmd.sight.kernels import BLOCK
 
 
 @njit(inline="always")
-def is_near(field, b, x, y, z):
+def is_near(field, b, x, y, z):  # type: ignore[no-untyped-def]
     """Whether block b is within the horizon of (x, y, z): alike whenever it is asked, so that who hides whom is."""
     dx = max(abs(x - field.centres[0, b]) - field.halves[0, b], 0.0)
     dy = max(abs(y - field.centres[1, b]) - field.halves[1, b], 0.0)
@@ -22,15 +24,12 @@ def is_near(field, b, x, y, z):
 
 
 @kernel
-def look_around(k, field, state, scratch):
-    """Forget the last trial, list the blocks near landmark k or its target, and find what they see of the target."""
-    target, landmarks, positions, sight = scratch.target, state.landmarks, field.positions, field.sight
-    x, y, z, low, high, sure, cell, reached = scratch.new
-    ax, ay, az, nx, ny, nz = target[0], target[1], target[2], target[3], target[4], target[5]
-    mx, my, mz = landmarks[0, k], landmarks[1, k], landmarks[2, k]
+def _forget(scratch):  # type: ignore[no-untyped-def]
+    """Clear what the last trial left."""
     blocks, spans, near = scratch.blocks, scratch.spans, scratch.near
     one, two, three = scratch.before.found, scratch.after.found, scratch.turns.found
-    flips, hides, hidden = scratch.flips, scratch.after.count_hides, scratch.after.count_hidden
+    reached, flips = scratch.new.reached, scratch.flips
+    hides, hidden = scratch.after.count_hides, scratch.after.count_hidden
     for m in range(near[0]):
         b = blocks[m]
         one[b] = two[b] = three[b] = 0
@@ -38,15 +37,30 @@ def look_around(k, field, state, scratch):
         for p in range(spans[s, 0], spans[s, 1]):
             reached[p] = flips[p] = False
             hides[p] = hidden[p] = 0
+
+
+@kernel
+def look_around(k, field, state, scratch):  # type: ignore[no-untyped-def]
+    """Forget the last trial, list the blocks near landmark k or its target, and find what they see of the target."""
+    target, landmarks, positions, sight = scratch.target, state.landmarks, field.positions, field.sight
+    x, y, z, low, high, sure, cell, reached = scratch.new
+    ax, ay, az, nx, ny, nz = target[0], target[1], target[2], target[3], target[4], target[5]
+    mx, my, mz = landmarks[0, k], landmarks[1, k], landmarks[2, k]
+    blocks, spans, near, aimed, wanted = scratch.blocks, scratch.spans, scratch.near, scratch.aimed, scratch.wanted
+    _forget(scratch)
+    for b in range(len(aimed)):  # without a branch, so that it vectorises
+        aimed[b] = is_near(field, b, ax, ay, az)
+        wanted[b] = aimed[b] | is_near(field, b, mx, my, mz)
     count = number = 0
-    for b in range(len(scratch.wanted)):
-        if is_near(field, b, ax, ay, az) or is_near(field, b, mx, my, mz):
-            if count == 0 or blocks[count - 1] != b - 1:
-                spans[number, 0] = b * BLOCK
-                number += 1
-            spans[number - 1, 1] = (b + 1) * BLOCK
-            blocks[count] = b
-            count += 1
+    for b in range(len(wanted)):
+        blocks[count] = b
+        count += wanted[b]
+    for m in range(count):
+        b = blocks[m]
+        if m == 0 or b != blocks[m - 1] + ONE:
+            spans[number, 0] = b * np.uint64(BLOCK)
+            number += 1
+        spans[number - 1, 1] = (b + ONE) * np.uint64(BLOCK)
     near[0], near[1] = count, number
     for s in range(number):
         for p in range(spans[s, 0], spans[s, 1]):

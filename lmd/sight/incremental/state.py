@@ -78,13 +78,14 @@ class Scratch(NamedTuple):
     """The move tried last, and working memory.
 
     target `(6,)` position and normal tried, surface `(1,)` they lie on; units `(Q,)` P_n there; new: how it is seen;
-    cap `(Q, W)` axes that cover it; old `(3, Q)` offset of the place that it leaves; before, after: neighbours of both;
+    cap `(Q, W)` axes that cover it; before, after: neighbours of both;
     turns: what follows for the others; flips `(Q,)` whether another landmark appears or disappears. Once the move is
     carried out, target, surface, units, cap, reached of `new` and the counts of `after` are those of the place left.
 
-    Working memory of `nearby`: blocks `(Q / BLOCK,)` that the move may matter to, and spans `(Q / BLOCK, 2)` of
-    positions that these are, from the first to the one behind the last; near `(2,)` how many blocks and spans there
-    are. Of `hiding`: wanted `(Q / BLOCK,)` blocks to look in; others `(K + 1,)` landmarks nearby, ways `(4, K + 1)`,
+    Working memory of `nearby`: aimed `(Q / BLOCK,)` whether a block is near the target; blocks `(Q / BLOCK + 1,)` that
+    the move may matter to, and spans `(Q / BLOCK, 2)` of positions that these are, from the first to the one behind
+    the last; near `(2,)` how many blocks and spans there are. It and `hiding` have wanted `(Q / BLOCK,)`, blocks to
+    look in. Of `hiding`: others `(K + 1,)` landmarks nearby, ways `(4, K + 1)`,
     filled up to whole words, to each of them and how long; slot `(K,)` of each landmark in `turns`, -1 for none. Of
     `trial` and `move`: listed `(Q + 1,)` positions; mask `(Q,)` of the old cap; inner, outer `(Q,)` rows of the tables
     of `cones`; unsure, places `(Q W + 1,)` sets of axes to be tested and where; names, goes `(K + 1,)` caps that come
@@ -97,11 +98,11 @@ class Scratch(NamedTuple):
     units: np.ndarray
     new: Sighting
     cap: np.ndarray
-    old: np.ndarray
     before: Neighbours
     after: Neighbours
     turns: Turns
     flips: np.ndarray
+    aimed: np.ndarray
     blocks: np.ndarray
     spans: np.ndarray
     near: np.ndarray
@@ -127,7 +128,7 @@ def scratch_of(state: State) -> Scratch:
 
     def neighbours() -> Neighbours:
         hides, hidden_by = np.empty((2, blocks, count, BLOCK), dtype=np.int8)
-        count_hides, count_hidden = np.zeros((2, size), dtype=np.int64)
+        count_hides, count_hidden = np.zeros((2, size), dtype=np.int16)
         who = np.empty((blocks, count), dtype=np.int32)
         return Neighbours(np.zeros(blocks, dtype=np.int64), who, hides, hidden_by, count_hides, count_hidden)
 
@@ -142,7 +143,6 @@ def scratch_of(state: State) -> Scratch:
         units=state.units.copy(),
         new=Sighting(x, y, z, low, high, sure, np.empty(size, dtype=np.int32), np.zeros(size, dtype=np.bool_)),
         cap=np.zeros((size, words), dtype=np.uint64),
-        old=np.empty((3, size)),
         before=neighbours(),
         after=neighbours(),
         turns=Turns(
@@ -151,11 +151,12 @@ def scratch_of(state: State) -> Scratch:
             change=np.empty((blocks, count, BLOCK), dtype=np.int8),
         ),
         flips=np.zeros(size, dtype=np.bool_),
-        blocks=np.empty(blocks, dtype=np.int64),
+        aimed=np.empty(blocks, dtype=np.bool_),
+        blocks=np.empty(blocks + 1, dtype=np.uint64),
         spans=np.empty((blocks, 2), dtype=np.uint64),
         near=np.zeros(2, dtype=np.int64),
         wanted=np.empty(blocks, dtype=np.bool_),
-        others=np.empty(count + 1, dtype=np.int64),
+        others=np.empty(count + 1, dtype=np.uint64),
         ways=ways,
         slot=np.full(count, -1, dtype=np.int64),
         listed=np.empty(size + 1, dtype=np.uint64),
