@@ -1,4 +1,4 @@
-"""What a hall costs: `python benchmarks/hall.py`.
+"""What a hall costs: `python benchmarks/hall.py [--picture docs/results/images/hall.png]`.
 
 Prints a Markdown table: one evaluation, one moved landmark and the memory of its state in the paper's room, and in
 `experiment=hall` from a sixteenth of its floor to the whole, tags at the same density. Times are those of the
@@ -6,8 +6,10 @@ processor, on one thread, from one run. Landmarks and positions out of range of 
 then the time of an evaluation per position, and that of a move, do not grow with the hall.
 """
 
+import argparse
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from time import process_time
 from typing import NamedTuple
 
@@ -82,8 +84,38 @@ def _arrays(parts: tuple[object, ...]) -> Iterator[np.ndarray]:
             yield part
 
 
+def plot(room: Costs, parts: list[Costs], picture: Path) -> None:
+    """Times of parts of the hall against their number of landmarks, as multiples of those of the paper's room."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+    from matplotlib.ticker import FixedLocator, NullLocator
+
+    figure, panel = plt.subplots(figsize=(5.6, 3.6), layout="constrained")
+    counts = [part.landmarks for part in parts]
+    labels = "an evaluation, per position", *(f"a move, {step}" for step in STEPS)
+    for label, base, times in zip(labels, room[2:6], zip(*(part[2:6] for part in parts), strict=True), strict=True):
+        panel.loglog(counts, [time / base for time in times], "o-", label=label)
+    panel.loglog(counts, [count / counts[0] for count in counts], ":", color="grey", label="proportional")
+    panel.set_xlabel("landmarks, at the same number per square metre of floor")
+    panel.set_ylabel("multiple of the paper's room")
+    panel.xaxis.set_major_locator(FixedLocator(counts))
+    panel.yaxis.set_major_locator(FixedLocator([0.5, 1, 2, 5, 10, 20]))
+    for axis in (panel.xaxis, panel.yaxis):
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_locator(NullLocator())
+    panel.grid(alpha=0.3)
+    panel.legend()
+    figure.savefig(picture, dpi=90)
+    plt.close(figure)
+
+
 def main() -> None:
     """Print the table."""
+    parser = argparse.ArgumentParser(description="Measure what a hall costs; prints Markdown.")
+    parser.add_argument("--picture", type=Path, help="where to write the plot of the growth")
+    picture = parser.parse_args().picture
     problem, room = hall(), costs(paper_scene(), COUNT)
     cases = {"the paper's room": room}
     for side in SIDES:
@@ -94,6 +126,8 @@ def main() -> None:
     for name, case in cases.items():
         times = " | ".join(f"{time:.2f} ({time / base:.2f})" for time, base in zip(case[2:6], room[2:6], strict=True))
         print(f"| {name} | {case.positions:,} | {case.landmarks} | {times} | {case.memory / MIB:.0f} |")
+    if picture:
+        plot(room, list(cases.values())[1:], picture)
 
 
 if __name__ == "__main__":
