@@ -53,6 +53,8 @@ FILES: dict[str, str | bytes] = {
     "time_back.csv": "time,yaw,pitch\n0,0,0\n1,0,0\n0.5,0,0\n",
     "one_rec.csv": "time,yaw,pitch\n0,0,0\n",
     "const_rec.csv": "time,yaw,pitch\n" + "".join(f"{i},0,0\n" for i in range(50)),
+    "camera.yaml": "image_width: 640\nimage_height: 480\n",
+    "fisheye.yaml": "cam0: {camera_model: pinhole, distortion_model: equidistant}\n",
     "badlimits.yaml": "a: [\n",
     "limits.yaml": "pitch: x\n",
     "traj.csv": "time,x,y,z,yaw,pitch\n0,3,2,3,0,0\n1,3.1,2,3,90,0\n",

@@ -31,14 +31,16 @@ class Camera:
         pixel_width, pixel_height: s_u and s_v, mm per pixel.
         principal_point: (o_u, o_v), pixels from the left and top border.
         image_width, image_height: w and h, whole pixels.
-        aperture: effective diameter d_a, mm.
+        aperture: effective diameter d_a, mm; 0 for a pinhole, or a lens of which it is not known: whatever its depth is
+            in focus.
         focus_distance: d_s, mm; infinity, the default, is allowed.
         distortion: OpenCV's k1, k2, p1, p2 and, if you like, k3; none for a lens that does not distort, see
             `lmd.geometry.distortion`.
 
     Raises:
-        InputError: a value is not positive, the image has no whole number of pixels, the principal point lies outside
-            it, the focus distance is not beyond the focal length, or the distortion folds the image.
+        InputError: a value is not positive, or for the aperture negative, the image has no whole number of pixels, the
+            principal point lies outside it, the focus distance is not beyond the focal length, or the distortion folds
+            the image.
     """
 
     focal_length: float
@@ -52,8 +54,9 @@ class Camera:
     distortion: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("focal_length", "pixel_width", "pixel_height", "aperture"):
+        for name in ("focal_length", "pixel_width", "pixel_height"):
             object.__setattr__(self, name, real(name, getattr(self, name), above=0.0))
+        object.__setattr__(self, "aperture", real("aperture", self.aperture, low=0.0))
         for name in ("image_width", "image_height"):
             object.__setattr__(self, name, float(integer(name, getattr(self, name), low=1)))
         focus = real("focus_distance", self.focus_distance, above=0.0, infinite=True)
@@ -79,6 +82,11 @@ class Camera:
                 "the corners.",
                 "distortion",
             )
+
+    @property
+    def is_pinhole(self) -> bool:
+        """Whether everything is in focus."""
+        return self.aperture == 0.0
 
     @property
     def field_of_view(self) -> FieldOfView:

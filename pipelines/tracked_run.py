@@ -163,6 +163,8 @@ def record(
     tracker.finish(status)
     off_grid = problem.objective.describe_validation(validation) if validation else {}
     lines = {key.replace("_", " "): f"{value:g}" for key, value in figures.items()}
+    if problem.scene.camera.is_pinhole:
+        lines["focus"] = "no criterion: the camera has no aperture"
     lines["files"] = f"{directory}: {', '.join(path.name for path in files)}"
     if directory / "scene.png" in files:
         lines["picture"] = str(directory / "scene.png")

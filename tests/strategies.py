@@ -36,7 +36,7 @@ def cameras(draw):
         principal_point=(centre[0] * width, centre[1] * height),
         image_width=width,
         image_height=height,
-        aperture=draw(st.floats(0.5, 10.0)),
+        aperture=draw(st.one_of(st.just(0.0), st.floats(0.5, 10.0))),
         focus_distance=draw(st.one_of(st.just(math.inf), st.floats(200.0, 1e4))),
     )
 

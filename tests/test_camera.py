@@ -8,6 +8,7 @@ from paper import PAPER_CAMERA, paper_camera, printed_experiment_camera
 from strategies import cameras, visibilities
 
 from lmd.checks import InputError
+from lmd.render.optics import blur_disc
 from lmd.sight.criteria import TOLERANCE
 from lmd.sight.paper import Visibility
 
@@ -115,7 +116,7 @@ def test_near_limit_lies_before_the_focus_and_far_limit_behind_it(camera, confus
     assert far * 1000.0 >= camera.focus_distance * (1 - 1e-12)
 
 
-POSITIVE = [name for name in PAPER_CAMERA if name not in ("principal_point", "focus_distance")]
+POSITIVE = [name for name in PAPER_CAMERA if name not in ("principal_point", "focus_distance", "aperture")]
 
 
 @pytest.mark.parametrize("name", POSITIVE)
@@ -123,6 +124,17 @@ POSITIVE = [name for name in PAPER_CAMERA if name not in ("principal_point", "fo
 def test_a_camera_length_must_be_a_positive_number(name, value):
     with pytest.raises(InputError, match=rf"^{name} .*{value!r}\.$"):
         paper_camera(**{name: value})
+
+
+@pytest.mark.parametrize("focus", [1778.0, math.inf])
+def test_a_pinhole_is_sharp_at_any_depth(focus):
+    camera = paper_camera(aperture=0, focus_distance=focus)
+    assert camera.is_pinhole
+    assert camera.depth_of_field(4.0) == (0.0, math.inf)
+    assert blur_disc(camera, [0.01, 1.0, 100.0]).tolist() == [0.0, 0.0, 0.0]
+    assert Visibility(thold=0.28).limits_for(camera)["focus"] == "any depth ahead: no aperture"
+    with pytest.raises(InputError, match=r"^aperture must be at least 0, got -1.0\.$"):
+        paper_camera(aperture=-1.0)
 
 
 @pytest.mark.parametrize("value", [5.0, 4.0, 0.0, -1.0, math.nan, -math.inf, "far"])

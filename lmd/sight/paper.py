@@ -94,12 +94,13 @@ class Visibility:
     def limits_for(self, camera: Camera) -> dict[str, str]:
         """See `lmd.verdicts.Explained.limits_for`."""
         near, far = camera.depth_of_field(self.circle_of_confusion)
+        in_focus = "any depth ahead: no aperture" if camera.is_pinhole else f"depth from {near:.3g} to {far:.3g} m"
         half_angle = math.degrees(camera.cone_half_angle)
         hiding = f"no other landmark within nu = {self.nu:g} m of the line of sight"
         return {
             "resolution": f"depth up to {camera.resolution_depth(self.thold):.3g} m (thold = {self.thold:g} pixel/mm)",
             "field_of_view": f"within {half_angle:.3g} degrees of the optical axis",
-            "focus": f"depth from {near:.3g} to {far:.3g} m",
+            "focus": in_focus,
             "facing": "incidence below 90 degrees",
             "hiding": hiding if self.tests_other_landmarks else "other landmarks hide nothing",
         }

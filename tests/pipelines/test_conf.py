@@ -44,7 +44,13 @@ SWEEPS = {  # the pipeline of each stored sweep, and its number of jobs
     "localisation_front": ("optimise", 6),
 }
 # A file, or the edge of a tag.
-NEEDS_MORE = {("pdf", "samples"), ("deployment", "file"), ("views", "images"), ("visibility", "fiducial")}
+NEEDS_MORE = {
+    ("pdf", "samples"),
+    ("deployment", "file"),
+    ("views", "images"),
+    ("visibility", "fiducial"),
+    ("camera", "calibration"),
+}
 
 
 def composed(app, *overrides):

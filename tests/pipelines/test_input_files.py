@@ -49,6 +49,7 @@ def test_the_same_name_with_other_contents_is_another_input(work):
         "visibility=fiducial tag=printed visibility.detector=in.csv",
         "pdf=samples pdf.path=in.csv",
         "deployment=file deployment.path=in.csv",
+        "camera=calibration camera.path=in.csv",
     ],
 )
 def test_every_file_of_a_run_is_found(work, override):
