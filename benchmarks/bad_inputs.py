@@ -17,6 +17,7 @@ QUIET = ("tracking=none",)
 SETTINGS = {
     "optimise": (*QUIET, "budget.evaluations=20", "page=false", "validate=false"),
     "evaluate": (*QUIET, "page=false", "validate=false", "localisation=false"),
+    "export": QUIET,
     "report": (),
 }
 SECONDS = 100.0

@@ -17,6 +17,7 @@ from .app import (
     run_directory,
 )
 from .earlier_run import read_earlier_run
+from .export import build_export
 from .input_files import contents_of
 from .outputs import space_reserved
 from .provenance import resuming
@@ -63,6 +64,7 @@ def optimise(cfg: DictConfig) -> float:
     real("checkpoint_seconds", cfg.checkpoint_seconds, above=0.0)
     settings = flat_settings(cfg, *SAME_WHEN_RESUMED)
     settings |= contents_of(settings)
+    export = build_export(cfg, "export", problem.scene.tag)
     checkpoint, earlier = Checkpoint(build_optimiser(cfg, cfg.seed), settings), None
     if cfg.resume is not None:
         checkpoint.resume(cfg.resume)
@@ -81,6 +83,7 @@ def optimise(cfg: DictConfig) -> float:
                 subject=subject,
                 summary={"evaluations": result.evaluations, "wall_time": result.seconds, "stopped": result.stopped},
                 further=lambda: _accuracy(cfg, problem, result.deployment),
+                export=export,
                 status="KILLED" if interrupted else "FINISHED",
                 in_haste=in_haste,
             )

@@ -85,9 +85,10 @@ def write_pictures(
     history: "Sequence[Record]",
     title: str,
     page: bool,
+    exports: Mapping[str, Callable[[Path], object]],
     in_haste: bool,
 ) -> tuple[list[Path], str]:
-    """Write history.csv and the pictures, as many as the disk takes.
+    """Write history.csv, the pictures and what is exported, as many as the disk takes.
 
     Args:
         directory: the run's directory.
@@ -96,7 +97,8 @@ def write_pictures(
         history: best fitness over the run; a single evaluation gets no curve.
         title: heads the pictures.
         page: whether to write the interactive page.
-        in_haste: no pictures.
+        exports: what writes further files, by their names.
+        in_haste: only history.csv.
 
     Returns:
         the files, and what could not be written, empty if all could.
@@ -116,6 +118,7 @@ def write_pictures(
             writers["convergence.png"] = lambda path: save_convergence_figure(path, table, headline, title)
         if page:
             writers["scene.html"] = lambda path: save_scene_page(path, problem, deployment, title)
+        writers |= exports
     files, failed = [], []
     for name, write in writers.items():
         try:

@@ -27,10 +27,12 @@ from .sweeps.names import override_tags, short_name
 from .tracking import RunStart
 
 if TYPE_CHECKING:
+    from lmd.export.formats import Export
+
     from .tracking import Tracker
 
 # What a run is about is a parameter; what only says how it is done, where it goes on and where it is kept is none.
-NO_PARAMETERS = ("tracking", "run", "resume", "page", "threads", "checkpoint_seconds", "tracked_as")
+NO_PARAMETERS = ("tracking", "run", "resume", "page", "threads", "checkpoint_seconds", "tracked_as", "export")
 
 LITTLE = 0.1  # share of qualified positions below which a run says what takes the others
 
@@ -115,6 +117,7 @@ def record(
     subject: str,
     summary: Mapping[str, Any],
     further: Callable[[], Mapping[str, float]] = dict,
+    export: "Export | None" = None,
     status: str = "FINISHED",
     in_haste: bool = False,
 ) -> float:
@@ -132,8 +135,9 @@ def record(
         subject: what the run is about, in a word.
         summary: more entries of metrics.json.
         further: yet more, that take seconds to compute.
+        export: formats to write the tags in.
         status: the run ends with.
-        in_haste: leave out what takes seconds: validation, pictures and `further` entries.
+        in_haste: leave out what takes seconds: validation, pictures, exports and `further` entries.
     """
     directory, metrics = run_directory(), problem.metrics(deployment)
     document: dict[str, Any] = {**metrics, **summary, "seed": cfg.seed}
@@ -155,7 +159,8 @@ def record(
             tracker.log_metrics({f"{group}/{key}": value for key, value in kept.items()})
     write_figures(directory, problem, deployment, document)
     title = f"{title_of(problem, subject)}, {problem.scene.room.describe()}"
-    pictures, failed = write_pictures(directory, problem, deployment, history, title, cfg.page, in_haste)
+    exports = export.writers(problem.scene.room, problem.scene.tag, deployment) if export else {}
+    pictures, failed = write_pictures(directory, problem, deployment, history, title, cfg.page, exports, in_haste)
     files = sorted({*files, *pictures})
     tracker.log_artifacts(
         [*(file for file in files if file.suffix != ".html"), *sorted((directory / ".hydra").glob("*.yaml"))]

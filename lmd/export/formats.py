@@ -1,0 +1,82 @@
+"""The formats by name, and the choice of some of them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+from lmd.checks import InputError, choice
+from lmd.deployment import Deployment
+from lmd.export.apriltag_ros import write_apriltag_ros, write_apriltag_ros2
+from lmd.export.aruco import write_aruco
+from lmd.export.tables import write_csv, write_json
+from lmd.export.tag_map import TagMap
+from lmd.export.tagslam import write_tagslam
+from lmd.export.wpilib import write_wpilib
+from lmd.space.space import Space
+from lmd.tag import FAMILIES, Tag
+
+
+class Format(NamedTuple):
+    """A file that is written of a map, and whether its readers know the families of AprilTag only."""
+
+    file: str
+    write: Callable[[Path, TagMap], None]
+    only_apriltag: bool = False
+
+
+FORMATS = {
+    "wpilib": Format("tags.wpilib.json", write_wpilib, only_apriltag=True),
+    "apriltag_ros": Format("tags.apriltag_ros.yaml", write_apriltag_ros, only_apriltag=True),
+    "apriltag_ros2": Format("tags.apriltag_ros2.yaml", write_apriltag_ros2, only_apriltag=True),
+    "tagslam": Format("tags.tagslam.yaml", write_tagslam, only_apriltag=True),
+    "aruco": Format("tags.aruco.yaml", write_aruco),
+    "csv": Format("tags.csv", write_csv),
+    "json": Format("tags.json", write_json),
+}
+
+
+@dataclass(frozen=True)
+class Export:
+    """What is to be written of a deployment.
+
+    Args:
+        formats: names of `FORMATS`.
+
+    Raises:
+        InputError: a format is not known.
+    """
+
+    formats: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.formats, list | tuple):
+            raise InputError(f"formats must be a list of {', '.join(FORMATS)}, got {self.formats!r}.", "formats")
+        for name in self.formats:
+            choice("formats", name, tuple(FORMATS))
+        object.__setattr__(self, "formats", tuple(self.formats))
+
+    def check(self, tag: Tag) -> None:
+        """Raise `InputError` if tags like this one cannot be written in each of the formats."""
+        if self.formats:
+            tag.check_edge()
+        for name in self.formats:
+            if FORMATS[name].only_apriltag and FAMILIES[tag.family].apriltag is None:
+                known = ", ".join(name for name, family in FAMILIES.items() if family.apriltag)
+                raise InputError(f"formats has {name}, which knows the families {known}, not {tag.family}.", "formats")
+
+    def writers(self, room: Space, tag: Tag, deployment: Deployment) -> dict[str, Callable[[Path], None]]:
+        """What writes each file of these tags, by its name.
+
+        Raises:
+            InputError: there is a format, and the tag is a point, or the family lacks an id.
+        """
+        if not self.formats:
+            return {}
+        tags = TagMap(room, tag, deployment)
+        return {FORMATS[name].file: partial(_write, FORMATS[name].write, tags) for name in self.formats}
+
+
+def _write(write: Callable[[Path, TagMap], None], tags: TagMap, path: Path) -> None:
+    write(path, tags)

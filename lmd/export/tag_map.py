@@ -1,0 +1,83 @@
+"""Where the tags of a deployment are, as every format is written from it."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from scipy.spatial.transform import Rotation
+
+from lmd.checks import FloatArray
+from lmd.deployment import Deployment
+from lmd.space.space import Space
+from lmd.tag import Tag, corners, upright
+
+QUATERNION = ("qw", "qx", "qy", "qz")
+# Written are picometres: what is less is rounding.
+DECIMALS = 12
+
+
+@dataclass(frozen=True)
+class TagMap:
+    """K tags that hang upright in a room. World frame, metres.
+
+    Args:
+        room: where they hang.
+        tag: their family and size.
+        deployment: their places; the ids are their numbers in the family.
+
+    Raises:
+        InputError: the tag is a point, or the family lacks an id.
+    """
+
+    room: Space
+    tag: Tag
+    deployment: Deployment
+
+    def __post_init__(self) -> None:
+        self.tag.check_edge()
+        self.tag.check_ids(self.deployment.ids)
+
+    @property
+    def ids(self) -> list[int]:
+        """Number of each in the family."""
+        return [int(number) for number in self.deployment.ids]
+
+    @property
+    def positions(self) -> FloatArray:
+        """Their centres, `(K, 3)`."""
+        return written(self.deployment.positions)
+
+    @cached_property
+    def turns(self) -> Rotation:
+        """From the frame of each tag to the world: x to its right, y up, z out of it to whoever looks at it."""
+        right, up = upright(self.deployment.normals)
+        return Rotation.from_matrix(np.stack([right, up, self.deployment.normals], axis=-1))
+
+    @property
+    def quaternions(self) -> FloatArray:
+        """`turns` as w, x, y, z with w >= 0, `(K, 4)`."""
+        return written(self.turns.as_quat(canonical=True, scalar_first=True))
+
+    @property
+    def corners(self) -> FloatArray:
+        """Of the black squares, top-left, top-right, bottom-right, bottom-left seen from the front, `(K, 4, 3)`."""
+        return written(corners(self.deployment.positions, self.deployment.normals, self.deployment.ups, self.tag.size))
+
+
+def written(values: FloatArray) -> FloatArray:
+    """Values as files hold them: without what is less than any of them means, and without -0."""
+    return np.asarray(np.round(values, DECIMALS) + 0.0)
+
+
+def axes(values: FloatArray) -> dict[str, float]:
+    """`(3,)` as {"x": ..., "y": ..., "z": ...}."""
+    return dict(zip("xyz", values.tolist(), strict=True))
+
+
+def write_yaml(path: Path, keys: dict[str, Any], *header: str) -> None:
+    """Write keys in their order, innermost lists and mappings on one line, below the lines of a header."""
+    text = yaml.safe_dump(keys, sort_keys=False, default_flow_style=None, width=1000)
+    path.write_text("".join(f"{line}\n" for line in header) + text, encoding="utf-8")

@@ -1,0 +1,77 @@
+"""Tag maps, mounting plan and print sheets: `python -m pipelines.export run=DIR formats=[wpilib,plan,sheets]`."""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from omegaconf import DictConfig, OmegaConf
+
+from .app import application, build_problem, keyed, run_directory
+from .earlier_run import read_earlier_run
+from .outputs import all_or_none
+from .sweeps.supervisor import run
+
+if TYPE_CHECKING:
+    from lmd.export.formats import Export
+    from lmd.tag import Tag
+
+
+def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
+    """What `key` of a configuration asks to be written of tags like this one.
+
+    Raises:
+        InputError: that cannot be written, or there is no such format.
+    """
+    from lmd.export.formats import Export
+
+    with keyed(formats=key):
+        settings = OmegaConf.to_container(cfg, resolve=True)
+        assert isinstance(settings, dict)
+        chosen = Export(settings[key])
+        chosen.check(tag)
+    return chosen
+
+
+def main() -> None:
+    """Read `run=DIR`, then hand over to Hydra."""
+    read_earlier_run()
+    _main()
+
+
+@application("export")
+def _main(cfg: DictConfig) -> None:
+    """Write, record and show."""
+    run(cfg, export)
+
+
+def export(cfg: DictConfig) -> None:
+    """Write the configured deployment in the configured formats, all files or none."""
+    import numpy as np
+
+    from lmd.checks import InputError
+
+    from .tracked_run import title_of, tracked
+
+    problem = build_problem(cfg)
+    scene = problem.scene
+    chosen = build_export(cfg, "formats", scene.tag)
+    if not chosen.formats:
+        raise InputError("formats lists none, so there is nothing to write.")
+    writers = chosen.writers(scene.room, scene.tag, problem.draw(np.random.default_rng(cfg.seed)))
+    with tracked(cfg, "export", title_of(problem, "export")) as tracker:
+        files = all_or_none(run_directory(), partial(_write_all, writers))
+        tracker.log_artifacts(files)
+        tracker.finish("FINISHED")
+    print(f"tags   {problem.count} of {scene.tag.family}, {1000.0 * scene.tag.size:g} mm")
+    print(f"files  {run_directory()}: {', '.join(file.name for file in files)}")
+    print(f"mlflow {tracker.describe()}")
+
+
+def _write_all(writers: Mapping[str, Callable[[Path], None]], folder: Path) -> None:
+    for name, write in writers.items():
+        write(folder / name)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,73 @@
+"""`pipelines.export` as a user meets it: a process, its messages, its exit code and the files it leaves."""
+
+import json
+
+import pytest
+from processes import SMALL, call, help_of, refused
+
+LANDMARKS = "id,x,y,z,nx,ny,nz,note\n7,0,2,3,1,0,0,by the door\n3,0,3,3,1,0,0,\n9,7.5,2,3,-1,0,0,\n"
+TAGS = (*SMALL, "tag.edge=0.15")
+EVERY = {
+    "tags.wpilib.json",
+    "tags.apriltag_ros.yaml",
+    "tags.apriltag_ros2.yaml",
+    "tags.tagslam.yaml",
+    "tags.aruco.yaml",
+    "tags.csv",
+    "tags.json",
+}
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def work(tmp_path):
+    (tmp_path / "mine.csv").write_text(LANDMARKS)
+    return tmp_path
+
+
+def ids(path):
+    return {tag["ID"] for tag in json.loads(path.read_text())["tags"]}
+
+
+def test_a_file_becomes_every_format(work):
+    overrides = ("deployment.path=mine.csv", "tracking=none", "hydra.run.dir=out")
+    done = call("export", *overrides, cwd=work, settings=TAGS)
+    assert done.returncode == 0, done.stderr
+    assert {path.name for path in (work / "out").iterdir()} == {*EVERY, ".hydra"}
+    assert ids(work / "out" / "tags.wpilib.json") == {3, 7, 9}
+    assert "tags   3 of 36h11, 150 mm\n" in done.stdout
+    again = call("export", *overrides, cwd=work, settings=TAGS)
+    assert again.returncode == 0, again.stderr
+
+
+def test_a_run_writes_its_own_maps_and_can_be_exported_later(work):
+    overrides = ("deployment.count=6", "objective.n=1", "budget.evaluations=2", "tracking=none", "hydra.run.dir=found")
+    done = call("optimise", *overrides, "export=[wpilib,csv]", cwd=work, settings=TAGS)
+    assert done.returncode == 0, done.stderr
+    assert {path.name for path in (work / "found").glob("tags.*")} == {"tags.wpilib.json", "tags.csv"}
+    done = call("export", "run=found", "formats=[wpilib]", "hydra.run.dir=out", cwd=work, settings=())
+    assert done.returncode == 0, done.stderr
+    layouts = [work / folder / "tags.wpilib.json" for folder in ("found", "out")]
+    assert layouts[0].read_bytes() == layouts[1].read_bytes()
+    assert ids(layouts[0]) == set(range(6))
+
+
+@pytest.mark.parametrize(
+    ("pipeline", "overrides", "message"),
+    [
+        ("export", (), "deployment.path is missing: a CSV of landmarks is needed."),
+        ("export", ("deployment.path=mine.csv", "tag.edge=null"), "tag.edge must be given, in metres"),
+        ("export", ("deployment.path=mine.csv", "formats=[]"), "formats lists none, so there is nothing to write."),
+        ("export", ("deployment.path=mine.csv", "formats=csv"), "formats must be a list of wpilib, "),
+        ("export", ("deployment.path=mine.csv", "formats=[nosuch]"), "formats must be one of wpilib, "),
+        ("export", ("deployment.path=mine.csv", "tag.family=4x4_50"), "formats has wpilib, which knows the families "),
+        ("optimise", ("export=[nosuch]",), "export must be one of wpilib, "),
+        ("optimise", ("export=[wpilib]", "tag.edge=null"), "tag.edge must be given, in metres"),
+    ],
+)
+def test_what_cannot_be_written_is_refused_in_one_sentence(pipeline, overrides, message, work):
+    refused(pipeline, "tracking=none", "hydra.run.dir=out", *overrides, message=message, cwd=work, settings=TAGS)
+
+
+def test_help_is_quick(tmp_path):
+    assert help_of("export", "mlflow", "scipy", "cv2", cwd=tmp_path).endswith("[]\n")
