@@ -25,10 +25,10 @@ def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
     """
     from lmd.export.formats import Export
 
-    with keyed(formats=key):
+    with keyed(formats=key, paper="paper_size", edge="tag.edge"):
         settings = OmegaConf.to_container(cfg, resolve=True)
         assert isinstance(settings, dict)
-        chosen = Export(settings[key])
+        chosen = Export(settings[key], settings["paper_size"])
         chosen.check(tag)
     return chosen
 

@@ -10,20 +10,32 @@ from lmd.checks import InputError, choice
 from lmd.deployment import Deployment
 from lmd.export.apriltag_ros import write_apriltag_ros, write_apriltag_ros2
 from lmd.export.aruco import write_aruco
+from lmd.export.paper import PAPERS
+from lmd.export.plan import write_plan
+from lmd.export.sheets import check_sheets, write_sheets
 from lmd.export.tables import write_csv, write_json
 from lmd.export.tag_map import TagMap
 from lmd.export.tagslam import write_tagslam
 from lmd.export.wpilib import write_wpilib
+from lmd.optional import optional
 from lmd.space.space import Space
 from lmd.tag import FAMILIES, Tag
 
 
 class Format(NamedTuple):
-    """A file that is written of a map, and whether its readers know the families of AprilTag only."""
+    """A file that is written of a map.
+
+    Args:
+        file: its name.
+        write: a function of the path, the map as `tags` and, if it is printed, the size of the paper as `paper`.
+        only_apriltag: whether its readers know the families of AprilTag only.
+        on_paper: whether it is printed.
+    """
 
     file: str
-    write: Callable[[Path, TagMap], None]
+    write: Callable[..., None]
     only_apriltag: bool = False
+    on_paper: bool = False
 
 
 FORMATS = {
@@ -34,6 +46,8 @@ FORMATS = {
     "aruco": Format("tags.aruco.yaml", write_aruco),
     "csv": Format("tags.csv", write_csv),
     "json": Format("tags.json", write_json),
+    "plan": Format("plan.pdf", write_plan, on_paper=True),
+    "sheets": Format("sheets.pdf", write_sheets, on_paper=True),
 }
 
 
@@ -43,12 +57,14 @@ class Export:
 
     Args:
         formats: names of `FORMATS`.
+        paper: what is printed is printed on, one of `lmd.export.paper.PAPERS`.
 
     Raises:
-        InputError: a format is not known.
+        InputError: a format or the paper is not known.
     """
 
     formats: tuple[str, ...]
+    paper: str
 
     def __post_init__(self) -> None:
         if not isinstance(self.formats, list | tuple):
@@ -56,15 +72,20 @@ class Export:
         for name in self.formats:
             choice("formats", name, tuple(FORMATS))
         object.__setattr__(self, "formats", tuple(self.formats))
+        choice("paper", self.paper, tuple(PAPERS))
 
     def check(self, tag: Tag) -> None:
-        """Raise `InputError` if tags like this one cannot be written in each of the formats."""
+        """Raise `InputError` if tags like this one cannot be written in each of the formats here."""
         if self.formats:
             tag.check_edge()
         for name in self.formats:
             if FORMATS[name].only_apriltag and FAMILIES[tag.family].apriltag is None:
                 known = ", ".join(name for name, family in FAMILIES.items() if family.apriltag)
                 raise InputError(f"formats has {name}, which knows the families {known}, not {tag.family}.", "formats")
+            if FORMATS[name].on_paper:
+                optional("reportlab", "export")
+        if "sheets" in self.formats:
+            check_sheets(tag, self.paper)
 
     def writers(self, room: Space, tag: Tag, deployment: Deployment) -> dict[str, Callable[[Path], None]]:
         """What writes each file of these tags, by its name.
@@ -75,8 +96,6 @@ class Export:
         if not self.formats:
             return {}
         tags = TagMap(room, tag, deployment)
-        return {FORMATS[name].file: partial(_write, FORMATS[name].write, tags) for name in self.formats}
-
-
-def _write(write: Callable[[Path, TagMap], None], tags: TagMap, path: Path) -> None:
-    write(path, tags)
+        chosen = [FORMATS[name] for name in self.formats]
+        paper = {"paper": self.paper}
+        return {form.file: partial(form.write, tags=tags, **(paper if form.on_paper else {})) for form in chosen}

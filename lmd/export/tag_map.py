@@ -9,8 +9,8 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from lmd.checks import FloatArray
-from lmd.deployment import Deployment
+from lmd.checks import FloatArray, IntArray
+from lmd.deployment import MID_AIR, Deployment
 from lmd.space.space import Space
 from lmd.tag import Tag, corners, upright
 
@@ -44,6 +44,21 @@ class TagMap:
     def ids(self) -> list[int]:
         """Number of each in the family."""
         return [int(number) for number in self.deployment.ids]
+
+    @cached_property
+    def surfaces(self) -> IntArray:
+        """The surface of the room that each is mounted on, `(K,)`; -1 for one that stands free in the room.
+
+        A tag that was measured a little before a surface is mounted on it.
+        """
+        distance = np.array([surface.distance(self.deployment.positions) for surface in self.room.surfaces()])
+        nearest = np.where(distance.min(axis=0) <= MID_AIR, distance.argmin(axis=0), -1)
+        return np.where(self.deployment.surfaces < 0, nearest, self.deployment.surfaces)
+
+    def place_of(self, k: int) -> str:
+        """The name of the surface of tag k, in words where there is none."""
+        surface = self.surfaces[k]
+        return "free in the room" if surface < 0 else self.room.surfaces()[surface].name
 
     @property
     def positions(self) -> FloatArray:

@@ -45,6 +45,7 @@ DEPLOYMENT = Deployment(
     np.array([normal for _, normal in PLACES.values()], dtype=float),
     labels=Labels(np.array(list(PLACES)), {"note": [f"note {number}" for number in PLACES]}),
 ).hung(ROOM)
+MAPS = tuple(name for name, form in FORMATS.items() if not form.on_paper)
 UNIT = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2.0  # AprilTag's own order: from the bottom left, to the right
 
 
@@ -54,7 +55,7 @@ def tag_map(family="36h11"):
 
 @pytest.fixture
 def files(tmp_path):
-    for name, write in Export(tuple(FORMATS)).writers(ROOM, Tag(EDGE), DEPLOYMENT).items():
+    for name, write in Export(MAPS, "a4").writers(ROOM, Tag(EDGE), DEPLOYMENT).items():
         write(tmp_path / name)
     return tmp_path
 
@@ -71,6 +72,15 @@ def found_by_apriltag():
     """What the library itself says: corners from the bottom left on, counter-clockwise."""
     detections = pyapriltags.Detector(families="tag36h11", nthreads=1, quad_decimate=1.0).detect(image("36h11"))
     return {tag.tag_id: tag.corners for tag in detections}
+
+
+def found_by_opencv(family, name):
+    """What OpenCV itself says, which counts pixels from the centre of the first one."""
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(image(family))
+    return {int(number): square[0] + 0.5 for number, square in zip(ids.ravel(), corners, strict=True)}
 
 
 def assert_camera_is_found(points, found):
@@ -162,16 +172,17 @@ def test_up_of_an_apriltag_is_the_same_to_the_aruco_library():
 
 
 def test_opencv_finds_the_camera_by_the_map_of_its_own_family(tmp_path):
-    write = Export(("aruco",)).writers(ROOM, Tag(EDGE, "4x4_50"), DEPLOYMENT)["tags.aruco.yaml"]
+    write = Export(("aruco",), "a4").writers(ROOM, Tag(EDGE, "4x4_50"), DEPLOYMENT)["tags.aruco.yaml"]
     write(tmp_path / "map.yaml")
     name, points = read_marker_map(tmp_path / "map.yaml")
     assert name == "DICT_4X4_50"
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
-    parameters = cv2.aruco.DetectorParameters()
-    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(image("4x4_50"))
-    found = {int(number): square[0] + 0.5 for number, square in zip(ids.ravel(), corners, strict=True)}
-    assert_camera_is_found(points, found)
+    assert_camera_is_found(points, found_by_opencv("4x4_50", name))
+
+
+def test_opencv_begins_at_the_third_corner_of_an_apriltag(files):
+    found = found_by_opencv("36h11", "DICT_APRILTAG_36h11")
+    points = read_marker_map(files / "tags.aruco.yaml")[1]
+    assert_camera_is_found({number: np.roll(corners, 2, axis=0) for number, corners in points.items()}, found)
 
 
 def test_the_plain_tables_hold_poses_and_corners(files):
@@ -197,7 +208,7 @@ def test_the_csv_is_a_deployment_and_can_be_exported_again(files, tmp_path):
     again = Deployment.from_csv(files / "tags.csv")
     np.testing.assert_array_equal(again.positions, DEPLOYMENT.positions)
     np.testing.assert_array_equal(again.ids, DEPLOYMENT.ids)
-    Export(("csv",)).writers(ROOM, Tag(EDGE), again)["tags.csv"](tmp_path / "again.csv")
+    Export(("csv",), "a4").writers(ROOM, Tag(EDGE), again)["tags.csv"](tmp_path / "again.csv")
     assert (tmp_path / "again.csv").read_bytes() == (files / "tags.csv").read_bytes()
 
 
@@ -221,19 +232,19 @@ def test_by_hand():
 @pytest.mark.parametrize("name", [name for name, form in FORMATS.items() if form.only_apriltag])
 def test_readers_of_apriltags_are_given_no_others(name):
     with pytest.raises(InputError, match=f"^formats has {name}, which knows the families 36h11, 25h9, 16h5, not 4x4_"):
-        Export([name]).check(Tag(EDGE, "4x4_50"))
+        Export([name], "a4").check(Tag(EDGE, "4x4_50"))
 
 
 def test_what_cannot_be_written_is_said():
     with pytest.raises(InputError, match=r"^formats must be one of wpilib, .*, got 'nosuch'\.$"):
-        Export(["wpilib", "nosuch"])
+        Export(["wpilib", "nosuch"], "a4")
     with pytest.raises(InputError, match=r"^formats must be a list of wpilib, .*, got 'wpilib'\.$"):
-        Export("wpilib")
+        Export("wpilib", "a4")
     with pytest.raises(InputError, match=r"edge must be given"):
-        Export(["json"]).check(Tag())
+        Export(["json"], "a4").check(Tag())
     with pytest.raises(InputError, match=r"edge must be given"):
-        Export(["json"]).writers(ROOM, Tag(), DEPLOYMENT)
+        Export(["json"], "a4").writers(ROOM, Tag(), DEPLOYMENT)
     with pytest.raises(InputError, match=r"^family 16h5 has the tags 0 to 29, but a landmark has the id 77\.$"):
         TagMap(ROOM, Tag(EDGE, "16h5"), replace(DEPLOYMENT, labels=Labels(np.arange(70, 78))))
-    Export([]).check(Tag())
-    assert Export([]).writers(ROOM, Tag(), DEPLOYMENT) == {}
+    Export([], "a4").check(Tag())
+    assert Export([], "a4").writers(ROOM, Tag(), DEPLOYMENT) == {}

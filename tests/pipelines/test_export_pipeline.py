@@ -15,6 +15,8 @@ EVERY = {
     "tags.aruco.yaml",
     "tags.csv",
     "tags.json",
+    "plan.pdf",
+    "sheets.pdf",
 }
 pytestmark = pytest.mark.slow
 
@@ -42,9 +44,9 @@ def test_a_file_becomes_every_format(work):
 
 def test_a_run_writes_its_own_maps_and_can_be_exported_later(work):
     overrides = ("deployment.count=6", "objective.n=1", "budget.evaluations=2", "tracking=none", "hydra.run.dir=found")
-    done = call("optimise", *overrides, "export=[wpilib,csv]", cwd=work, settings=TAGS)
+    done = call("optimise", *overrides, "export=[wpilib,csv,plan]", cwd=work, settings=TAGS)
     assert done.returncode == 0, done.stderr
-    assert {path.name for path in (work / "found").glob("tags.*")} == {"tags.wpilib.json", "tags.csv"}
+    assert {path.name for path in (work / "found").iterdir()} & EVERY == {"tags.wpilib.json", "tags.csv", "plan.pdf"}
     done = call("export", "run=found", "formats=[wpilib]", "hydra.run.dir=out", cwd=work, settings=())
     assert done.returncode == 0, done.stderr
     layouts = [work / folder / "tags.wpilib.json" for folder in ("found", "out")]
@@ -61,6 +63,12 @@ def test_a_run_writes_its_own_maps_and_can_be_exported_later(work):
         ("export", ("deployment.path=mine.csv", "formats=csv"), "formats must be a list of wpilib, "),
         ("export", ("deployment.path=mine.csv", "formats=[nosuch]"), "formats must be one of wpilib, "),
         ("export", ("deployment.path=mine.csv", "tag.family=4x4_50"), "formats has wpilib, which knows the families "),
+        ("export", ("deployment.path=mine.csv", "tag.edge=0.2"), "tag.edge = 0.2 m is too large for a sheet of a4; "),
+        (
+            "export",
+            ("deployment.path=mine.csv", "paper_size=a5"),
+            "paper_size must be one of a4, a3, letter, got",
+        ),
         ("optimise", ("export=[nosuch]",), "export must be one of wpilib, "),
         ("optimise", ("export=[wpilib]", "tag.edge=null"), "tag.edge must be given, in metres"),
     ],
@@ -70,4 +78,4 @@ def test_what_cannot_be_written_is_refused_in_one_sentence(pipeline, overrides, 
 
 
 def test_help_is_quick(tmp_path):
-    assert help_of("export", "mlflow", "scipy", "cv2", cwd=tmp_path).endswith("[]\n")
+    assert help_of("export", "mlflow", "scipy", "cv2", "reportlab", cwd=tmp_path).endswith("[]\n")

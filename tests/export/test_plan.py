@@ -1,0 +1,103 @@
+"""The plan is measured on its rendered pages."""
+
+import cv2
+import numpy as np
+import pypdfium2
+import pytest
+
+from lmd.deployment import Deployment, UniformDeployment
+from lmd.export.paper import PAPERS
+from lmd.export.plan import View, write_plan
+from lmd.export.tag_map import TagMap
+from lmd.labels import Labels
+from lmd.space.cuboid import Cuboid
+from lmd.tag import Tag, upright
+
+ROOM = Cuboid((6.0, 4.0, 2.8), (5.0, 3.0, 1.2), 0.5)
+TAG = Tag(0.2)
+PIXELS = 20  # a mm
+LIGHT = 217  # of the black squares on the plan
+# By hand, for whoever stands before the surface: where the tag is, and where it is from the left and from below, mm.
+SEEN = {
+    "x_min": ((0.0, 1.0, 1.2), (1000, 1200)),
+    "x_max": ((6.0, 1.0, 1.2), (3000, 1200)),
+    "y_min": ((2.0, 0.0, 0.7), (4000, 700)),
+    "y_max": ((2.0, 4.0, 0.7), (2000, 700)),
+    "floor": ((2.0, 1.0, 0.0), (2000, 1000)),
+    "ceiling": ((2.0, 1.0, 2.8), (4000, 1000)),
+}
+
+
+def one_tag(name):
+    (surface,) = [surface for surface in ROOM.surfaces() if surface.name == name]
+    position = np.array([SEEN[name][0]])
+    return Deployment(position, surface.normal[None], labels=Labels(np.array([23]))).hung(ROOM)
+
+
+def written(path, deployment, paper="a4", tag=TAG):
+    write_plan(path, TagMap(ROOM, tag, deployment), paper)
+    return list(pypdfium2.PdfDocument(path))
+
+
+def solid(mask, size):
+    """Where a square of this size is all True."""
+    return cv2.erode(mask.astype(np.uint8), np.ones((size, size), np.uint8))
+
+
+def words(page):
+    return " ".join(page.get_textpage().get_text_range().split())
+
+
+@pytest.mark.parametrize("paper", ["a4", "letter"])
+@pytest.mark.parametrize("name", SEEN)
+def test_a_tag_is_drawn_and_listed_where_it_is_seen(name, paper, tmp_path):
+    (page,) = written(tmp_path / "plan.pdf", one_tag(name), paper)
+    across, up = SEEN[name][1]
+    assert f"23 {across} {up} {across - 125} {up - 125}" in words(page)
+    assert words(page).startswith(f"{name}, seen from")
+    assert page.get_size() == pytest.approx([length * 72 / 25.4 for length in PAPERS[paper][::-1]])
+    picture = np.array(page.render(scale=PIXELS / 72 * 25.4, grayscale=True).to_pil())
+    scale = int(words(page).partition("scale 1 : ")[2].partition(";")[0])
+    # Only the outline is so thick, and only the black square of the tag is so large and grey.
+    outline, square = solid(picture < 100, 4), solid(picture == LIGHT, 20)
+    rows, columns = (np.flatnonzero(outline.sum(axis=axis) > 0.9 * outline.sum(axis=axis).max()) for axis in (1, 0))
+    down, right = np.nonzero(square)
+    middle = np.array([(right.min() + right.max()) / 2 - columns.min(), rows.max() - (down.min() + down.max()) / 2])
+    np.testing.assert_allclose(middle / PIXELS * scale, [across, up], atol=0.3 * scale)
+    assert (np.ptp(right) + 19) / PIXELS * scale == pytest.approx(200.0, abs=0.3 * scale)
+    (surface,) = [surface for surface in ROOM.surfaces() if surface.name == name]
+    size = np.ptp(columns), np.ptp(rows)
+    np.testing.assert_allclose(np.divide(size, PIXELS) * scale, 1000 * np.array(surface.extent), atol=0.5 * scale)
+
+
+def test_a_view_is_that_of_a_tag_on_the_surface():
+    for surface in ROOM.surfaces():
+        view, (right, up) = View(surface), upright(surface.normal)
+        middle = surface.point(*np.divide(surface.extent, 2.0))
+        start = view.place(middle)
+        np.testing.assert_allclose(view.place(middle + 0.1 * right) - start, [0.1, 0.0], atol=1e-12)
+        np.testing.assert_allclose(view.place(middle + 0.1 * up) - start, [0.0, 0.1], atol=1e-12)
+        np.testing.assert_allclose(view.place(view.corner(right=False, top=False)), [0.0, 0.0], atol=1e-12)
+        np.testing.assert_allclose(view.place(view.corner(right=True, top=True)), surface.extent, atol=1e-12)
+
+
+def test_every_tag_is_in_one_table_even_where_they_go_on_another_page(tmp_path):
+    deployment = UniformDeployment(300).draw(ROOM, np.random.default_rng(0))
+    pages = written(tmp_path / "plan.pdf", deployment, tag=Tag(0.05))
+    assert len(pages) == 12  # 50 on each of six surfaces
+    text = [words(page) for page in pages]
+    for index, surface in enumerate(ROOM.surfaces()):
+        view = View(surface)
+        own = " ".join(page for page in text if page.startswith(f"{surface.name},"))
+        for number in np.flatnonzero(deployment.surfaces == index):
+            across, up = 1000 * view.place(deployment.positions[number])
+            assert f" {number} {across:.0f} {up:.0f} " in own
+
+
+def test_tags_near_a_surface_belong_to_it_and_others_are_listed_apart(tmp_path):
+    positions, normals = np.array([[0.03, 1.0, 1.2], [3.0, 2.0, 1.0]]), np.array([[1.0, 0.0, 0.0]] * 2)
+    near, free = written(tmp_path / "plan.pdf", Deployment(positions, normals).hung(ROOM))
+    assert words(near).startswith("x_min, seen from the front")
+    assert "0 1000 1200 875 1075" in words(near)
+    assert words(free).startswith("free in the room on no surface, tags: 1;")
+    assert "1 3000 2000 1000" in words(free)
