@@ -24,6 +24,8 @@ NORMAL_TOLERANCE = 1e-3
 FLUSH = 1e-6
 # Landmarks of a file may be so far from their surface, metres: they were measured by hand, or have a board behind them.
 MID_AIR = 0.05
+# Landmarks of a file rounded to micrometres may be so far beside where they may hang, or overlap by so much, metres.
+MISPLACED = 2e-6
 # What a landmark takes while a deployment is made, bytes: a dozen vectors.
 LANDMARK_BYTES = 400
 
@@ -102,8 +104,9 @@ class Deployment:
         return replace(self, surfaces=room.surfaces_of(self.positions, self.normals))
 
     def fault(self, room: Space, near: float = 0.0) -> str | None:
-        """What is wrong with how the landmarks hang, in a clause about the first that hangs on no surface or faces into
-        its own; None if all hang properly. They know their surfaces (`hung`), which are those of `room`.
+        """What is wrong with how the landmarks hang, in a clause about the first that hangs on no surface, faces into
+        its own, or hangs where none may; None if all hang properly. They know their surfaces (`hung`), which are those
+        of `room`.
 
         Args:
             room: has the surfaces.
@@ -124,6 +127,15 @@ class Deployment:
             first = int(inwards[0])
             name = surfaces[own[first]].name
             return f"landmark {self._place(first)} faces into {name}, the surface it hangs on ({len(inwards)} {some})"
+        hanging = SurfaceArrays.of(surfaces)
+        at = hanging.coordinates(own, self.positions)
+        everywhere = np.array([surface.allowed is None for surface in surfaces])[own]
+        if (kept_out := np.flatnonzero(~everywhere & ~hanging.allow(own, at, MISPLACED))).size:
+            first = int(kept_out[0])
+            return (
+                f"landmark {self._place(first)} hangs on {surfaces[own[first]].name} where none may hang "
+                f"({len(kept_out)} {some})"
+            )
         return None
 
     def movable(self, room: Space, flush: bool = True) -> "Deployment":
@@ -134,7 +146,8 @@ class Deployment:
             flush: whether landmarks must lie flat.
 
         Raises:
-            InputError: a landmark hangs on no surface, faces into its surface, or does not lie flat on it.
+            InputError: a landmark hangs on no surface or where none may, faces into its surface, or does not lie flat
+                on it.
         """
         hung = self.hung(room)
         if fault := hung.fault(room):
@@ -234,9 +247,9 @@ class RandomDeployment:
     def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
         """See `DeploymentSource.draw`."""
         surfaces = SurfaceArrays.of(room.surfaces())
-        area = surfaces.extent.prod(axis=1)
+        area = surfaces.area
         picked = rng.choice(len(area), size=self.count, p=area / area.sum())
-        return _flush(surfaces, picked, rng.random((self.count, 2)) * surfaces.extent[picked])
+        return _flush(surfaces, surfaces.of_piece[picked], surfaces.spread(picked, rng.random((self.count, 2))))
 
 
 @dataclass(frozen=True)

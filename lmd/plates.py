@@ -13,15 +13,14 @@ import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.compiled import kernel
-from lmd.deployment import FLUSH, Deployment, DeploymentSource, FileDeployment
+from lmd.deployment import FLUSH, MISPLACED, Deployment, DeploymentSource, FileDeployment
+from lmd.space.allowed import allows, nearest
 from lmd.space.inset import Inset
 from lmd.space.space import Space
 from lmd.space.surface import SurfaceArrays
 
 # Relative: papers that share an edge do not overlap, however their distance is rounded.
 TOUCHING = 1e-9
-# A file rounded to micrometres may have papers overlap by so much, metres.
-PRINTED = 2e-6
 # Plates within so many edges are looked at first when one is pushed away.
 NEAR = 3.0
 
@@ -98,16 +97,16 @@ class Plates:
             return
         flat = np.flatnonzero(self._lies_flat(deployment.normals, deployment.surfaces))
         surface = deployment.surfaces[flat]
-        at, extent = self._surfaces.coordinates(surface, deployment.positions[flat]), self._surfaces.extent[surface]
+        at = self._surfaces.coordinates(surface, deployment.positions[flat])
         names = [surface.name for surface in self.room.surfaces()]
         ids = deployment.ids[flat]
-        if (over := np.flatnonzero(((at < -PRINTED) | (at > extent + PRINTED)).any(axis=1))).size:
+        if (over := np.flatnonzero(~self._surfaces.allow(surface, at, MISPLACED))).size:
             raise InputError(
                 f"landmark {ids[over[0]]} hangs over the edge of {names[surface[over[0]]]}: its paper is "
                 f"{self.edge:.4g} m wide."
             )
         distance = np.abs(at[:, None] - at[None]).max(axis=-1)
-        close = (distance < self.edge - PRINTED) & (surface[:, None] == surface)
+        close = (distance < self.edge - MISPLACED) & (surface[:, None] == surface)
         if (pairs := np.argwhere(np.triu(close, 1))).size:
             i, j = pairs[0]
             raise InputError(
@@ -129,6 +128,8 @@ class Plates:
         A plate that overlaps one before it goes to the nearest free place on its surface, and if there is none to one
         on the next surface that has. Deterministic, so that a search may work with the places before the push.
 
+        Landmarks that are points only go to the nearest place where they may hang.
+
         Args:
             positions, normals: `(B, K, 3)`, flush.
             surfaces: `(B, K)`.
@@ -138,12 +139,16 @@ class Plates:
             positions, normals, surfaces, and whether there was room for all, `(B,)`.
         """
         fits = np.ones(len(positions), dtype=np.bool_)
+        s = self._surfaces
         if not self.edge:
-            return positions, normals, surfaces, fits
-        s, positions, normals, surfaces = self._surfaces, positions.copy(), normals.copy(), surfaces.copy()
+            at = s.coordinates(surfaces, positions)
+            moved = ~s.allow(surfaces, at)[..., None]
+            return np.where(moved, s.points(surfaces, at), positions), normals, surfaces, fits
+        positions, normals, surfaces = positions.copy(), normals.copy(), surfaces.copy()
         for b in range(len(positions)):
             at, moved = s.coordinates(surfaces[b], positions[b]), np.zeros(surfaces.shape[1], dtype=np.bool_)
-            fits[b] = _push(surfaces[b], at, s.extent, size * self.edge * (1.0 - TOUCHING), size * self.edge, moved)
+            least, edge = size * self.edge * (1.0 - TOUCHING), size * self.edge
+            fits[b] = _push(surfaces[b], at, s.pieces, s.first, least, edge, moved)
             positions[b, moved] = s.points(surfaces[b, moved], at[moved])
             normals[b, moved] = s.normal[surfaces[b, moved]]
         return positions, normals, surfaces, fits
@@ -171,47 +176,51 @@ def _is_free(a, b, s, others, surface, at, least):  # type: ignore[no-untyped-de
 
 
 @kernel
-def _nearest_free(k, s, a, b, within, surface, at, extent, least, edge, lines, found):  # type: ignore[no-untyped-def]
+def _nearest_free(k, s, a, b, within, surface, at, pieces, first, least, edge, lines, found):  # type: ignore
     """Write the free place for plate k nearest to (a, b) on surface s to `found`; whether there is one.
 
-    A nearest place has each coordinate either unchanged or on a line: the border, or one that touches another plate.
-    Only plates at most `within` away make lines.
+    A nearest place has each coordinate either unchanged or on a line: a border along u or v, or one that touches
+    another plate. Only plates at most `within` away make lines.
     """
+    start, stop = first[s], first[s + 1]
     lines[0, 0], lines[1, 0] = a, b
-    lines[:, 1], lines[0, 2], lines[1, 2] = 0.0, extent[s, 0], extent[s, 1]
-    size = 3
+    across, up = 1, 1
+    for t in range(start, stop):
+        for i in range(2):
+            lines[0, across + i] = pieces[t, i]
+        for i in range(4):
+            lines[1, up + i] = pieces[t, 2 + i]
+        across, up = across + 2, up + 4
     for j in range(k):
         if surface[j] == s and max(abs(at[j, 0] - a), abs(at[j, 1] - b)) <= within:
-            for i in range(2):
-                lines[i, size], lines[i, size + 1] = at[j, i] - edge, at[j, i] + edge
-            size += 2
-    nearest = np.inf
-    for i in range(size):
-        for j in range(size):
+            lines[0, across], lines[0, across + 1] = at[j, 0] - edge, at[j, 0] + edge
+            lines[1, up], lines[1, up + 1] = at[j, 1] - edge, at[j, 1] + edge
+            across, up = across + 2, up + 2
+    shortest = np.inf
+    for i in range(across):
+        for j in range(up):
             p, q = lines[0, i], lines[1, j]
-            distance = (p - a) ** 2 + (q - b) ** 2
-            inside = (p >= 0.0) & (p <= extent[s, 0]) & (q >= 0.0) & (q <= extent[s, 1])
-            if distance < nearest and inside and _is_free(p, q, s, k, surface, at, least):
-                nearest, found[0], found[1] = distance, p, q
-    return nearest < np.inf
+            away = (p - a) ** 2 + (q - b) ** 2
+            if away < shortest and allows(pieces, start, stop, p, q) and _is_free(p, q, s, k, surface, at, least):
+                shortest, found[0], found[1] = away, p, q
+    return shortest < np.inf
 
 
 @kernel
-def _push(surface, at, extent, least, edge, moved):  # type: ignore[no-untyped-def]
+def _push(surface, at, pieces, first, least, edge, moved):  # type: ignore[no-untyped-def]
     """Push plates at `at` `(K, 2)` on `surface` `(K,)` apart, in place; marks those `moved`; whether all found room."""
-    lines, found = np.empty((2, 2 * len(at) + 3)), np.empty(2)
+    lines, found, count = np.empty((2, 2 * len(at) + 4 * len(pieces) + 1)), np.empty(2), len(first) - 1
     for k in range(len(at)):
-        a = min(max(at[k, 0], 0.0), extent[surface[k], 0])
-        b = min(max(at[k, 1], 0.0), extent[surface[k], 1])
+        _, a, b = nearest(pieces, first[surface[k]], first[surface[k] + 1], at[k, 0], at[k, 1])
         # What is off by a rounding error is not moved.
         if abs(a - at[k, 0]) + abs(b - at[k, 1]) < edge - least and _is_free(a, b, surface[k], k, surface, at, least):
             continue
         has_room, moved[k], s = False, True, surface[k]
-        for turn in range(len(extent) + 1):
+        for turn in range(count + 1):
             within = NEAR * edge if turn == 0 else np.inf
-            s = (surface[k] + max(turn - 1, 0)) % len(extent)
-            p, q = min(a, extent[s, 0]), min(b, extent[s, 1])
-            if _nearest_free(k, s, p, q, within, surface, at, extent, least, edge, lines, found):
+            s = (surface[k] + max(turn - 1, 0)) % count
+            _, p, q = nearest(pieces, first[s], first[s + 1], a, b)
+            if _nearest_free(k, s, p, q, within, surface, at, pieces, first, least, edge, lines, found):
                 has_room = True
                 break
         if not has_room:

@@ -13,6 +13,7 @@ from lmd.sight.incremental.move import carry_out, state_of, take_back
 from lmd.sight.incremental.state import Scratch, State, scratch_of
 from lmd.sight.incremental.trial import bound_move, finish_move
 from lmd.sight.kernels import BLOCK, SINGLE_ERROR
+from lmd.sight.obstacles import obstacles_at
 
 
 class CoverageField(NamedTuple):
@@ -20,7 +21,8 @@ class CoverageField(NamedTuple):
 
     positions `(3, Q)` in blocks of `BLOCK` neighbours, the last block filled up with copies; index_of `(P,)` where each
     position of the evaluator is among them; centres and halves `(3, Q / BLOCK)` of the sides of boxes around the
-    blocks; horizon see `criteria.horizon_of`; axes `(3, 64 W)` filled up with zeros to whole words; certain, possible
+    blocks; horizon see `criteria.horizon_of`; obstacles what of the room stands in their way, or None;
+    axes `(3, 64 W)` filled up with zeros to whole words; certain, possible
     the tables of `directions.tables`; the rest as in `kernels.evaluate_range`.
     """
 
@@ -30,6 +32,7 @@ class CoverageField(NamedTuple):
     halves: np.ndarray
     horizon: float
     sight: Any
+    obstacles: Any
     axes: np.ndarray
     certain: np.ndarray
     possible: np.ndarray
@@ -97,7 +100,10 @@ def coverage_field(evaluator: Evaluator, n: int) -> CoverageField:
     halves = ((most - least) / 2.0 * (1.0 + SINGLE_ERROR)).astype(np.float32)  # never less for the rounding
     positions, centres, halves = (np.ascontiguousarray(part.T) for part in (positions, centres, halves))
     horizon = horizon_of(e.sight)
-    return CoverageField(positions, index_of, centres, halves, horizon, e.sight, e.axes, *e.tables, e.weights, n)
+    obstacles = obstacles_at(e.scene.room.blockers(), e.positions[order])
+    return CoverageField(
+        positions, index_of, centres, halves, horizon, e.sight, obstacles, e.axes, *e.tables, e.weights, n
+    )
 
 
 def _in_blocks(positions: FloatArray) -> np.ndarray:

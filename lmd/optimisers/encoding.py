@@ -15,7 +15,7 @@ from lmd.space.surface import SurfaceArrays
 
 # A landmark within this distance (m) of a second surface is as near to it as to its own.
 ON_SURFACE = 1e-6
-# Keeps an encoded point off the border to the neighbouring surface, as a fraction of the surface.
+# Keeps an encoded point off the border to the neighbouring piece, as a fraction of the piece.
 BORDER = 1e-12
 
 KINDS = ("wall", "paper")
@@ -58,7 +58,7 @@ class PaperEncoding:
         """See `Encoding.decode`."""
         g = genes.reshape(len(genes), -1, 5)
         points = self.low + g[..., :3] * self.size
-        surface = np.argmin(np.abs(self.surfaces.depth(points)), axis=-1)
+        surface = np.argmin(self._distance(points), axis=-1)
         positions = self.surfaces.points(surface, self.surfaces.coordinates(surface, points))
         if self.flush:
             return positions, self.surfaces.normal[surface], surface
@@ -70,19 +70,30 @@ class PaperEncoding:
         surface = deployment.movable(self.room, self.flush).surfaces
         points = np.clip(deployment.positions, self.low, self.low + self.size)
         # A point on an edge is as near to a second surface: step away from that one, so that decoding finds its own.
-        depth = self.surfaces.depth(points)
-        tied = (np.abs(depth) <= ON_SURFACE) & (np.arange(len(self.surfaces.shares)) != surface[:, None])
+        tied = (self._distance(points) <= ON_SURFACE) & (np.arange(len(self.surfaces.normal)) != surface[:, None])
         points = points + 2.0 * ON_SURFACE * (tied[..., None] * self.surfaces.normal).sum(axis=1)
         yaw, pitch = normal_angles(deployment.normals)
         angles = np.stack([yaw / (2.0 * np.pi) + 0.5, pitch / np.pi + 0.5], axis=1)
         return np.clip(np.hstack([(points - self.low) / self.size, angles]), 0.0, 1.0).reshape(-1)
 
+    def _distance(self, points: FloatArray) -> FloatArray:
+        """From points `(..., 3)` to each surface, `(..., W)`, metres; in a convex room the nearest plane tells it."""
+        s, depth = self.surfaces, np.abs(self.surfaces.depth(points))
+        if self.room.blockers() is None:
+            return depth
+        every = np.arange(len(s.normal))
+        at = s.coordinates(every, points[..., None, :])
+        beside = at - s.nearest(np.broadcast_to(every, at.shape[:-1]), at)[0]
+        return np.asarray(np.linalg.norm(np.concatenate([depth[..., None], beside], axis=-1), axis=-1))
+
 
 class WallEncoding:
     """Two genes a landmark: a coordinate along the surfaces laid side by side, and a height on the surface.
 
-    Each surface takes a share of the first gene in proportion to its area, so uniform genes are uniform over the
-    surfaces. Without `flush`, two more genes turn the normal by up to 90 degrees along the surface's u and v axes.
+    Each surface, or each piece of one where landmarks may hang in some places only, takes a share of the first gene in
+    proportion to its area, so uniform genes are uniform over where landmarks may hang.
+
+    Without `flush`, two more genes turn the normal by up to 90 degrees along the surface's u and v axes.
     """
 
     def __init__(self, room: Space, flush: bool) -> None:
@@ -99,9 +110,10 @@ class WallEncoding:
     def decode(self, genes: FloatArray) -> tuple[FloatArray, FloatArray, np.ndarray]:
         """See `Encoding.decode`."""
         g, s = genes.reshape(len(genes), -1, self.genes_per_landmark), self.surfaces
-        surface = np.clip(np.searchsorted(self.edges, g[..., 0], side="right") - 1, 0, len(s.shares) - 1)
-        along = (g[..., 0] - self.edges[surface]) / (self.edges[surface + 1] - self.edges[surface])
-        positions = s.points(surface, np.stack([along, g[..., 1]], axis=-1) * s.extent[surface])
+        piece = np.clip(np.searchsorted(self.edges, g[..., 0], side="right") - 1, 0, len(s.shares) - 1)
+        along = (g[..., 0] - self.edges[piece]) / (self.edges[piece + 1] - self.edges[piece])
+        surface = s.of_piece[piece]
+        positions = s.points(surface, s.spread(piece, np.stack([along, g[..., 1]], axis=-1)))
         if self.flush:
             return positions, s.normal[surface], surface
         turn, tilt = (g[..., 2, None] - 0.5) * np.pi, (g[..., 3, None] - 0.5) * np.pi
@@ -112,9 +124,10 @@ class WallEncoding:
         """See `Encoding.encode`."""
         s, normals = self.surfaces, deployment.normals
         surface = deployment.movable(self.room, self.flush).surfaces
-        along, height = np.clip(s.coordinates(surface, deployment.positions) / s.extent[surface], 0.0, 1.0).T
-        width = self.edges[surface + 1] - self.edges[surface]
-        first = self.edges[surface] + np.clip(along, BORDER, 1.0 - BORDER) * width
+        at, piece = s.nearest(surface, s.coordinates(surface, deployment.positions))
+        along, height = s.gathered(piece, at).T
+        width = self.edges[piece + 1] - self.edges[piece]
+        first = self.edges[piece] + np.clip(along, BORDER, 1.0 - BORDER) * width
         if self.flush:
             return np.stack([first, height], axis=1).reshape(-1)
         turn = np.arctan2((normals * s.u[surface]).sum(axis=1), (normals * s.normal[surface]).sum(axis=1))

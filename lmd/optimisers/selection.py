@@ -55,9 +55,9 @@ def select(
 
 
 def _poses_within(room: Space, spacing: float, most: float) -> Deployment:
-    """`candidate_poses`, coarsened until there are no more than `most`."""
-    poses = candidate_poses(room, spacing)
-    while len(poses) > max(most, len(room.surfaces())):
+    """`candidate_poses`, coarsened until there are no more than `most`, or one for each piece of a surface."""
+    poses, pieces = candidate_poses(room, spacing), sum(len(surface.pieces) for surface in room.surfaces())
+    while len(poses) > max(most, pieces):
         spacing *= 1.3
         poses = candidate_poses(room, spacing)
     return poses

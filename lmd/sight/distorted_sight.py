@@ -15,6 +15,7 @@ from lmd.geometry import distortion
 from lmd.geometry.upright import upright_axes
 from lmd.sight.criteria import covering, depth_first, from_position, hide, in_cone, in_image, in_view
 from lmd.sight.fiducial_sight import FiducialSight, may_hide
+from lmd.sight.obstacles import half_edge
 
 _bent = njit(inline="always")(distortion.bent)
 _slopes = njit(inline="always")(distortion.slopes)
@@ -73,6 +74,11 @@ class DistortedSight(NamedTuple):
 
     def _of(self, flat: FiducialSight) -> "DistortedSight":
         return self._replace(flat=flat, reach=flat.reach)
+
+
+@half_edge.register(DistortedSight)
+def _half_edge(sight):  # type: ignore[no-untyped-def]
+    return sight.flat.half
 
 
 @from_position.register(DistortedSight)

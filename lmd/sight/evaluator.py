@@ -18,6 +18,7 @@ from lmd.sight.bits import in_words
 from lmd.sight.criteria import horizon_of
 from lmd.sight.directions import tables
 from lmd.sight.kernels import PROBABILITY_ONE
+from lmd.sight.obstacles import obstacles_at
 
 MOST_THREADS = 1024  # more than any machine gains from
 COUNT_BYTES = 4  # of a view, twice two: the counts of axes, and of orientations of the PDF
@@ -49,6 +50,7 @@ class Evaluator:
         # What rounding left over goes to the heaviest axis, so that certainty is exactly one.
         self.weights[np.argmax(self.weights)] += PROBABILITY_ONE - self.weights.sum()
         self.sight = scene.sight
+        self.obstacles = obstacles_at(scene.room.blockers(), self.positions)
 
     @cached_property
     def tables(self) -> tuple[np.ndarray, np.ndarray]:
@@ -98,6 +100,7 @@ class Evaluator:
         rest: tuple[Any, ...] = (
             sight,
             horizon_of(sight),
+            self.obstacles,
             self.axes,
             self.bands,
             self.tables if self.sight.tabulated else None,

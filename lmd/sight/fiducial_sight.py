@@ -23,6 +23,7 @@ from lmd.sight.criteria import (
     in_image,
     in_view,
 )
+from lmd.sight.obstacles import half_edge
 
 # Of Newton's method, from the distance down to the greatest depth at which the pitch may suffice.
 NEWTON_STEPS = 3
@@ -117,6 +118,11 @@ def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untype
     sure = far if steady & (inside > 0.0) & (near <= least) else -math.inf
     reached = (along >= sight.facing * nearest) & (along >= 0.0) & resolved & ((slack > 0.0) | (high >= least))
     return reached, least - slack, high, math.inf if sure >= distance else sure
+
+
+@half_edge.register(FiducialSight)
+def _half_edge(sight):  # type: ignore[no-untyped-def]
+    return sight.half
 
 
 @frame_of.register(FiducialSight)

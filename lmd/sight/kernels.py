@@ -6,7 +6,8 @@ from approximation:
 
 1. For each block of positions, landmarks beyond the horizon of all of them are dropped, and per position those that are
    too near, too far or face away: some 60 % in the paper's room.
-2. Only those left are tested for being hidden by the others, without a branch in the inner loop.
+2. Only those left are tested for being blocked by the room, where there is something in it, and then for being hidden
+   by the others, without a branch in the inner loop.
 3. Only axes in a band of heights around the landmark need the exact test (`bands`).
 4. Where that test is long, sets of axes are bits, and tables of `directions` say which axes surely cover a landmark,
    and which may; the second need the test, but only where the first did not already make enough landmarks.
@@ -25,6 +26,7 @@ from lmd.sight.bands import band_of
 from lmd.sight.bits import ALL, BITS, ONE, ZERO, lowest
 from lmd.sight.criteria import covering, covers, frame_of, from_position, hide
 from lmd.sight.directions import NOWHERE, cell_of
+from lmd.sight.obstacles import find_ends, is_blocked, no_ends
 
 # A probability of 1 in the integer units of the kernels: quantisation is far below TOLERANCE, and a sum of
 # at most one fits a double exactly.
@@ -48,8 +50,10 @@ def box_around(positions):
 
 
 @kernel
-def gather(low, high, horizon, landmarks, normals, near):
+def gather(low, high, horizon, landmarks, normals, near, who):
     """Write position and normal of the landmarks at most `horizon` metres from a box into `near` `(6, K)`.
+
+    Which they are goes into `who` `(K,)`.
 
     Args:
         low, high: corners of the box, three numbers each.
@@ -66,6 +70,7 @@ def gather(low, high, horizon, landmarks, normals, near):
         dz = max(low[2] - z, z - high[2], 0.0)
         near[0, count], near[1, count], near[2, count] = x, y, z
         near[3, count], near[4, count], near[5, count] = normals[0, k], normals[1, k], normals[2, k]
+        who[count] = k
         count += dx * dx + dy * dy + dz * dz <= most
     return count
 
@@ -87,7 +92,8 @@ def is_hidden(k, count, x, y, z, squared, normals, sight):
 
 @kernel
 def evaluate_range(
-    first, last, positions, landmarks, normals, sight, horizon, axes, bands, tables, weights, n, units, counts, keep
+    first, last, positions, landmarks, normals, sight, horizon, obstacles, axes, bands, tables, weights, n, units,
+    counts, keep,
 ):  # fmt: skip
     """Evaluate deployments at the positions `first` to `last`.
 
@@ -96,6 +102,7 @@ def evaluate_range(
         landmarks, normals: `(B, 3, K)`.
         sight: the compiled model of sight.
         horizon: its `criteria.horizon_of`.
+        obstacles: what of the room stands in the way of the positions, see `obstacles`.
         axes: axis and right, `(6, D)`, sorted by height of the axis and filled up to D = 64 W.
         bands: their `bands.height_index`.
         tables: their `directions.tables` for models whose tests are long, None for others.
@@ -107,7 +114,7 @@ def evaluate_range(
     # One long body but for the rare `is_hidden`: handing arrays on to a function costs atomic reference counts, as
     # much as the work itself. Which half of it is compiled depends on the type of `tables`.
     count, size, reach = landmarks.shape[2], axes.shape[1], sight.reach
-    near = np.empty((6, count + 1))
+    near, who, ends = np.empty((6, count + 1)), np.empty(count + 1, dtype=np.int64), no_ends(obstacles, count)
     directions = near[3:]
     x, y, z, squared = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
     low, high, deep = np.empty(count), np.empty(count), np.empty(count)
@@ -121,10 +128,13 @@ def evaluate_range(
     words = np.uint64(size // BITS)
     some = np.empty((n, words), dtype=np.uint64)  # axes that cover at least 1, 2, ... n of the landmarks so far
     for b in range(landmarks.shape[0]):
+        for k in range(landmarks.shape[2]):
+            mx, my, mz = landmarks[b, 0, k], landmarks[b, 1, k], landmarks[b, 2, k]
+            find_ends(obstacles, sight, mx, my, mz, normals[b, 0, k], normals[b, 1, k], normals[b, 2, k], ends, k)
         for p in range(first, last):
             if (p - first) % BLOCK == 0:
                 low_corner, high_corner = box_around(positions[p : min(p + BLOCK, last)])
-                count = gather(low_corner, high_corner, horizon, landmarks[b], normals[b], near)
+                count = gather(low_corner, high_corner, horizon, landmarks[b], normals[b], near, who)
                 padded = (count + BLOCK - 1) & -BLOCK
                 close[count:padded] = 2.0
             px, py, pz = positions[p, 0], positions[p, 1], positions[p, 2]
@@ -148,7 +158,7 @@ def evaluate_range(
                     close[k] = -1.0 if here else 1.0 - SINGLE_ERROR - reach / squared[k]
             found = ZERO
             for k in range(count):
-                if not reached[k]:
+                if not reached[k] or is_blocked(obstacles, sight, p, ends, who[k]):
                     continue
                 if reach >= 0.0:
                     uk, vk, wk, suspects = u[k], v[k], w[k], np.int32(0)

@@ -3,7 +3,8 @@
 Both functions see a landmark on its own, hidden by no other. With a `slack` they describe all landmarks of a piece of
 wall instead of one: an axis is within reach of the piece if some landmark at most `slack` from its centre may cover it.
 Moving by delta within the wall changes depth and distance by at most |delta| and leaves n . d as it is, so every
-condition loosened by `slack` holds for the whole piece; without slack the decisions are those of `kernels`.
+condition loosened by `slack` holds for the whole piece; without slack the decisions are those of `kernels`. What of the
+room blocks a piece is not asked: some of it may be seen past it.
 """
 
 import itertools
@@ -24,7 +25,9 @@ from lmd.sight.bands import band_of
 from lmd.sight.criteria import TOLERANCE, covers, from_position
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import BLOCK
+from lmd.sight.obstacles import find_ends, is_blocked, no_ends
 from lmd.space.space import Space
+from lmd.space.surface import SurfaceArrays
 
 # Poses, or positions, that a thread works on at a time: the work differs much between walls.
 CHUNKS_PER_THREAD = 8
@@ -62,38 +65,58 @@ class Cells:
 
 
 def wall_cells(room: Space, spacing: float) -> Cells:
-    """The walls that may carry landmarks cut into equal cells at most `spacing` metres wide, wall by wall.
+    """Where landmarks may hang cut into cells at most `spacing` metres wide, wall by wall and piece by piece.
+
+    Cells of one piece are equal. Those at borders that run neither along u nor v may stick out.
 
     Raises:
         InputError: the spacing is not positive, or so many cells would not fit into memory.
     """
     real("spacing", spacing, above=0.0)
     parts = []
-    for number, wall in enumerate(room.surfaces()):
+    pieces = [(number, wall, piece) for number, wall in enumerate(room.surfaces()) for piece in wall.pieces]
+    for number, wall, piece in pieces:
+        left, low = piece[0], piece[2:4].min()
+        sides = piece[1] - left, piece[4:].max() - low
         # The small allowance keeps 7.5 / 0.25 at 30 cells however the division rounds.
-        counts = [max(int(np.ceil(length / spacing - 1e-9)), 1) for length in wall.extent]
+        counts = [max(int(np.ceil(length / spacing - 1e-9)), 1) for length in sides]
         made = f"spacing = {spacing:g} makes {math.prod(counts):.4g} poses, which"
         check_memory(CELL_BYTES * math.prod(counts), made, "spacing")
-        half_u, half_v = (length / n / 2.0 for length, n in zip(wall.extent, counts, strict=True))
+        half_u, half_v = (length / n / 2.0 for length, n in zip(sides, counts, strict=True))
         i, j = (index.reshape(-1) for index in np.indices(counts))
-        points = wall.point((2 * i + 1) * half_u, (2 * j + 1) * half_v)
+        a, b = left + (2 * i + 1) * half_u, low + (2 * j + 1) * half_v
+        meets = _meets(piece, a, b, half_u, half_v)
+        points = wall.point(a[meets], b[meets])
         repeated = (np.tile(v, (len(points), 1)) for v in (wall.normal, half_u * wall.u, half_v * wall.v))
         parts.append((points, *repeated, np.full(len(points), number)))
     points, normals, us, vs, surfaces = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     return Cells(Deployment(points, normals, surfaces), us, vs)
 
 
+def _meets(piece: FloatArray, a: FloatArray, b: FloatArray, half_u: float, half_v: float) -> NDArray[np.bool_]:
+    """Whether cells with the centres `a`, `b` `(N,)` meet a trapezoid `(6,)`, see `lmd.space.allowed`."""
+    left, right, *borders = piece
+    ends = (np.clip((a + way * half_u - left) / max(right - left, 1e-300), 0.0, 1.0) for way in (-1.0, 1.0))
+    low, high = zip(
+        *((borders[0] + x * (borders[1] - borders[0]), borders[2] + x * (borders[3] - borders[2])) for x in ends),
+        strict=True,
+    )
+    return np.asarray((np.maximum(*high) >= b - half_v) & (np.minimum(*low) <= b + half_v))
+
+
 def candidate_poses(room: Space, spacing: float) -> Deployment:
-    """A flush landmark at the centre of every cell of `wall_cells`."""
-    return wall_cells(room, spacing).poses
+    """A flush landmark at the centre of every cell of `wall_cells` where one may hang."""
+    poses, surfaces = wall_cells(room, spacing).poses, SurfaceArrays.of(room.surfaces())
+    return poses[surfaces.allow(poses.surfaces, surfaces.coordinates(poses.surfaces, poses.positions))]
 
 
 @kernel
-def _gains(start, stop, points, normals, slack, prices, positions, sight, axes, bands, out):
+def _gains(start, stop, points, normals, slack, prices, positions, sight, obstacles, axes, bands, out):
     """Write the gains of poses `start` to `stop` into `out` `(N,)`; args as in `gains`, positions `(3, P)`."""
     size, row = positions.shape[1], np.empty(axes.shape[1])
     x, y, z, low = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
     bottom, top, reached = np.empty(size, np.int32), np.empty(size, np.int32), np.empty(size, np.bool_)
+    ends = no_ends(obstacles, 1)
     for j in range(start, stop):
         px, py, pz = points[j, 0], points[j, 1], points[j, 2]
         nx, ny, nz = normals[j, 0], normals[j, 1], normals[j, 2]
@@ -105,8 +128,9 @@ def _gains(start, stop, points, normals, slack, prices, positions, sight, axes, 
             x[p], y[p], z[p], reached[p], low[p] = xp, yp, zp, in_reach, least
         for a in range(len(row)):
             row[a] = 0.0
+        find_ends(obstacles, sight, px, py, pz, nx, ny, nz, ends, 0)
         for p in range(size):
-            if not reached[p]:
+            if not reached[p] or (near == 0.0 and is_blocked(obstacles, sight, p, ends, 0)):
                 continue
             xp, yp, zp, least = x[p], y[p], z[p], low[p]
             start_axis, stop_axis = bands[bottom[p]] & -BLOCK, (bands[top[p]] + BLOCK - 1) & -BLOCK
@@ -121,16 +145,19 @@ def _gains(start, stop, points, normals, slack, prices, positions, sight, axes, 
 
 
 @kernel
-def _cover(start, stop, points, normals, amounts, positions, sight, axes, bands, out):
+def _cover(start, stop, points, normals, amounts, positions, sight, obstacles, axes, bands, out):
     """Write what covers positions `start` to `stop` into `out` `(P, D)` of zeros; args as in `covered_amounts`."""
-    for p in range(start, stop):
-        for j in range(len(points)):
-            if amounts[j] == 0.0:
-                continue
+    ends = no_ends(obstacles, 1)
+    for j in range(len(points)):
+        if amounts[j] == 0.0:
+            continue
+        px, py, pz = points[j, 0], points[j, 1], points[j, 2]
+        find_ends(obstacles, sight, px, py, pz, normals[j, 0], normals[j, 1], normals[j, 2], ends, 0)
+        for p in range(start, stop):
             x, y, z = points[j, 0] - positions[p, 0], points[j, 1] - positions[p, 1], points[j, 2] - positions[p, 2]
             nx, ny, nz = normals[j, 0], normals[j, 1], normals[j, 2]
             reached, low, _, _ = from_position(sight, x, y, z, nx, ny, nz, 0.0)
-            if reached:
+            if reached and not is_blocked(obstacles, sight, p, ends, 0):
                 bottom, top = band_of(x, y, z, low, 0.0)
                 first, last = bands[bottom] & -BLOCK, (bands[top] + BLOCK - 1) & -BLOCK
                 for a in range(np.uint64(first), np.uint64(last)):
@@ -153,7 +180,7 @@ def gains(evaluator: Evaluator, poses: Deployment, prices: FloatArray, slack: Fl
     out, e = np.empty(len(poses)), evaluator
     slack = np.zeros(len(poses)) if slack is None else slack
     positions = np.ascontiguousarray(e.positions.T)
-    fixed = (poses.positions, poses.normals, slack, prices, positions, e.sight, e.axes, e.bands, out)
+    fixed = (poses.positions, poses.normals, slack, prices, positions, e.sight, e.obstacles, e.axes, e.bands, out)
     shared(_gains, len(poses), e.threads, fixed)
     return out
 
@@ -170,7 +197,7 @@ def covered_amounts(evaluator: Evaluator, poses: Deployment, amounts: FloatArray
         `(P, D)`, the same for any number of threads.
     """
     out, e = np.zeros((len(evaluator.positions), evaluator.axes.shape[1])), evaluator
-    fixed = (poses.positions, poses.normals, amounts, e.positions, e.sight, e.axes, e.bands, out)
+    fixed = (poses.positions, poses.normals, amounts, e.positions, e.sight, e.obstacles, e.axes, e.bands, out)
     shared(_cover, len(e.positions), e.threads, fixed)
     return out
 

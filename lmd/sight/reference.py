@@ -14,11 +14,17 @@ from lmd.deployment import Deployment
 from lmd.pdf import OrientationPdf
 from lmd.scene import Scene
 from lmd.sight.criteria import TOLERANCE
+from lmd.sight.obstacles import unobstructed
 
 
 def coverage_caps(scene: Scene, deployment: Deployment, position: FloatArray, axes: FloatArray) -> BoolArray:
-    """Which axes `(A, 6)` lie in the coverage spherical cap S_k^C(p) of each landmark (Definition 1), `(A, K)`."""
-    return scene.visibility.covered(scene.camera, position, axes, deployment.positions, deployment.normals)
+    """Which axes `(A, 6)` lie in the coverage spherical cap S_k^C(p) of each landmark (Definition 1), `(A, K)`.
+
+    Empty for landmarks that something in the room blocks.
+    """
+    landmarks = deployment.positions, deployment.normals
+    covered = scene.visibility.covered(scene.camera, position, axes, *landmarks)
+    return covered & unobstructed(scene.room, scene.sight, position, *landmarks)
 
 
 def cap_count(caps: BoolArray) -> IntArray:

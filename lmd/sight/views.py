@@ -12,13 +12,18 @@ from lmd.deployment import Deployment
 from lmd.sight.criteria import covers, from_position
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import is_hidden
+from lmd.sight.obstacles import find_ends, is_blocked, no_ends, obstacles_at
 
 
 @kernel
-def _see(positions, axes, landmarks, normals, sight, seen):
+def _see(positions, axes, landmarks, normals, sight, obstacles, seen):
     """Fill `seen` `(N, K)` of False; positions `(N, 3)`, axes `(6, N)`, the others as in `kernels.evaluate_range`."""
     count = landmarks.shape[1]
     x, y, z, squared = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    ends = no_ends(obstacles, count)
+    for k in range(count):
+        mx, my, mz = landmarks[0, k], landmarks[1, k], landmarks[2, k]
+        find_ends(obstacles, sight, mx, my, mz, normals[0, k], normals[1, k], normals[2, k], ends, k)
     for i in range(len(positions)):
         px, py, pz = positions[i, 0], positions[i, 1], positions[i, 2]
         for k in range(count):
@@ -28,7 +33,8 @@ def _see(positions, axes, landmarks, normals, sight, seen):
             xk, yk, zk, nx, ny, nz = x[k], y[k], z[k], normals[0, k], normals[1, k], normals[2, k]
             reached, low, _, _ = from_position(sight, xk, yk, zk, nx, ny, nz, 0.0)
             if reached and covers(sight, xk, yk, zk, nx, ny, nz, low, 0.0, axes, i):
-                seen[i, k] = sight.reach < 0.0 or not is_hidden(k, count, x, y, z, squared, normals, sight)
+                clear = not is_blocked(obstacles, sight, i, ends, k)
+                seen[i, k] = clear and (sight.reach < 0.0 or not is_hidden(k, count, x, y, z, squared, normals, sight))
 
 
 def visible(evaluator: Evaluator, deployment: Deployment, positions: FloatArray, axes: FloatArray) -> BoolArray:
@@ -45,5 +51,6 @@ def visible(evaluator: Evaluator, deployment: Deployment, positions: FloatArray,
     seen = np.zeros((len(positions), len(deployment)), dtype=np.bool_)
     landmarks, normals = (np.ascontiguousarray(v.T) for v in (deployment.positions, deployment.normals))
     positions, axes = np.ascontiguousarray(positions), np.ascontiguousarray(axes.T)
-    _see(positions, axes, landmarks, normals, evaluator.sight, seen)
+    obstacles = obstacles_at(evaluator.scene.room.blockers(), positions)
+    _see(positions, axes, landmarks, normals, evaluator.sight, obstacles, seen)
     return seen

@@ -1,22 +1,16 @@
 """A cuboid room with walls that may carry landmarks, and a reachable box inside it."""
 
 import itertools
-import math
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, InputError, IntArray, choice, real, vector
-from lmd.memory import check_memory
+from lmd.checks import BoolArray, FloatArray, InputError, IntArray, choice, vector
+from lmd.space.grid import KINDS, cell_borders, checked_spacing, combined, grid_axes, grid_counts
 from lmd.space.relevance import Relevance
-from lmd.space.surface import Surface, SurfaceArrays
+from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, SurfaceArrays
 
 WALLS = ("x_min", "x_max", "y_min", "y_max", "floor", "ceiling")
-# Landmarks this far (m) outside still count as inside: a CSV rounded to micrometres is not an error.
-PLACEMENT_TOLERANCE = 1e-6
-# What a position takes before anything is seen from it, bytes: three coordinates twice over, a value and a weight.
-POSITION_BYTES = 64
 
 
 @dataclass(frozen=True)
@@ -48,20 +42,13 @@ class Cuboid:
         reachable = vector("reachable_size", self.reachable_size, 3, above=0.0)
         if any(inner > outer for inner, outer in zip(reachable, size, strict=True)):
             raise InputError(f"reachable_size = {list(reachable)} exceeds size = {list(size)}.", "reachable_size")
-        if isinstance(self.spacing, Iterable) and not isinstance(self.spacing, str):
-            object.__setattr__(self, "spacing", vector("spacing", self.spacing, 3, above=0.0))
-        else:
-            object.__setattr__(self, "spacing", real("spacing", self.spacing, above=0.0))
-        choice("positions", self.positions, ("cells", "vertices"))
+        choice("positions", self.positions, KINDS)
         walls = self.walls if isinstance(self.walls, list | tuple) else ()
         for name in walls:
             choice("walls", name, WALLS)
         if not walls or len(set(walls)) != len(walls):
             raise InputError(f"walls must list at least one wall, each once, got {self.walls!r}.", "walls")
-        steps = self.spacing if isinstance(self.spacing, tuple) else 3 * (self.spacing,)
-        positions = math.prod(length / step for length, step in zip(reachable, steps, strict=True))
-        made = f"spacing = {self.spacing} makes {positions:.4g} positions, which"
-        check_memory(POSITION_BYTES * positions, made, "spacing")
+        object.__setattr__(self, "spacing", checked_spacing(self.spacing, reachable))
         object.__setattr__(self, "size", size)
         object.__setattr__(self, "reachable_size", reachable)
         object.__setattr__(self, "walls", tuple(self.walls))
@@ -78,14 +65,11 @@ class Cuboid:
 
     def grid_shape(self) -> tuple[int, int, int]:
         """Number of positions along x, y, z."""
-        # The small allowance keeps 4.5 / 0.5 at 9 cells however the division rounds.
-        cells = np.ceil(np.asarray(self.reachable_size) / np.asarray(self.spacing) - 1e-9).astype(int)
-        nx, ny, nz = (int(c) for c in np.maximum(cells, 1) + (self.positions == "vertices"))
-        return nx, ny, nz
+        return grid_counts(np.asarray(self.reachable_size), self.spacing, self.positions)
 
     def grid(self) -> FloatArray:
         """Discrete positions Omega_d, `(P, 3)` in the world frame, metres; z varies fastest."""
-        return _combined(self._grid_axes())
+        return combined(self._grid_axes())
 
     def finer(self) -> "Cuboid":
         """The same room with half the spacing."""
@@ -96,23 +80,12 @@ class Cuboid:
 
         The cell of a position is the part of the reachable box that is nearest to it.
         """
-        lows, highs = [], []
-        for axis, low, high in zip(self._grid_axes(), self.reachable_low, self.reachable_high, strict=True):
-            between = (axis[1:] + axis[:-1]) / 2.0
-            lows.append(np.append(low, between))
-            highs.append(np.append(between, high))
-        low, high = _combined(lows), _combined(highs)
+        low, high = cell_borders(self._grid_axes(), self.reachable_low, self.reachable_high)
         return low + rng.random(low.shape) * (high - low)
 
     def _grid_axes(self) -> list[FloatArray]:
         """Coordinates of the grid along x, y, z, metres."""
-        axes = []
-        for low, high, count in zip(self.reachable_low, self.reachable_high, self.grid_shape(), strict=True):
-            if self.positions == "vertices":
-                axes.append(np.linspace(low, high, count))
-            else:
-                axes.append(low + (high - low) * (np.arange(count) + 0.5) / count)
-        return axes
+        return grid_axes(self.reachable_low, self.reachable_high, self.grid_shape(), self.positions)
 
     def sample(self, size: int, rng: np.random.Generator) -> FloatArray:
         """Positions drawn uniformly from the reachable box, `(size, 3)`, metres."""
@@ -139,9 +112,20 @@ class Cuboid:
         inside = (p >= -PLACEMENT_TOLERANCE) & (p <= np.asarray(self.size) + PLACEMENT_TOLERANCE)
         return np.asarray(inside.all(axis=-1))
 
+    def blockers(self) -> None:
+        """See `Space.blockers`: a cuboid is convex and empty."""
+
     def clear(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """See `Space.clear`: a cuboid is convex and empty."""
+        """See `Space.clear`."""
         return np.ones(np.broadcast_shapes(starts.shape, ends.shape)[:-1], dtype=np.bool_)
+
+    def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
+        """See `Space.passable`."""
+        return self.clear(starts, ends)
+
+    def faces(self) -> tuple[Surface, ...]:
+        """See `Space.faces`."""
+        return self.surfaces()
 
     def outline(self) -> dict[str, FloatArray]:
         """See `Space.outline`."""
@@ -153,11 +137,6 @@ class Cuboid:
     def describe(self) -> str:
         """See `Space.describe`."""
         return f"room of {' x '.join(f'{length:g}' for length in self.size)} m"
-
-
-def _combined(axes: Sequence[FloatArray]) -> FloatArray:
-    """Every combination of coordinates along x, y, z, `(P, 3)`; z varies fastest."""
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def _wall(name: str, size: tuple[float, float, float]) -> Surface:

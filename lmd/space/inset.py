@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, IntArray
+from lmd.space.blockers import Blockers
 from lmd.space.relevance import Relevance
 from lmd.space.space import Space
 from lmd.space.surface import Surface
@@ -44,6 +45,18 @@ class Inset:
     def contains(self, points: FloatArray) -> BoolArray:
         """See `Space.contains`."""
         return self._room.contains(points)
+
+    def blockers(self) -> Blockers | None:
+        """See `Space.blockers`."""
+        return self._room.blockers()
+
+    def faces(self) -> tuple[Surface, ...]:
+        """See `Space.faces`: the room's."""
+        return self._room.faces()
+
+    def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
+        """See `Space.passable`."""
+        return self._room.passable(starts, ends)
 
     def clear(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
         """See `Space.clear`."""

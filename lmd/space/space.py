@@ -6,6 +6,7 @@ from typing import Protocol
 import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, IntArray
+from lmd.space.blockers import Blockers
 from lmd.space.relevance import Relevance
 from lmd.space.surface import Surface
 
@@ -21,7 +22,10 @@ class Space(Protocol):
         """The surfaces that may carry landmarks; a landmark carries the index of its own."""
 
     def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
-        """The index of the surface that each landmark `(K, 3)` hangs on, -1 where it hangs on none, `(K,)`."""
+        """The index of the surface that each landmark `(K, 3)` hangs on, -1 where it hangs on none, `(K,)`.
+
+        Also where none may hang, see `Surface.allowed`.
+        """
 
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper corner of a box around everything, `(3,)` each."""
@@ -29,8 +33,17 @@ class Space(Protocol):
     def contains(self, points: FloatArray) -> BoolArray:
         """Whether points `(..., 3)` lie in the closed room, `(...)`."""
 
+    def blockers(self) -> Blockers | None:
+        """What can stand between two points inside the room; None for a convex and empty one."""
+
     def clear(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """Whether nothing of the room stands between points `(..., 3)` inside it, `(...)`."""
+        """Whether nothing of the room stands between points `(..., 3)` inside it, `(...)`: the reference."""
+
+    def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
+        """Whether the camera may fly straight between points `(..., 3)` where it may be, `(...)`."""
+
+    def faces(self) -> tuple[Surface, ...]:
+        """What is seen of the room, whole: at least its surfaces, whether or not landmarks may hang everywhere."""
 
     def grid(self) -> FloatArray:
         """Discrete positions Omega_d of the camera, `(P, 3)`."""

@@ -1,12 +1,17 @@
-"""Surfaces: flat rectangles that may carry landmarks."""
+"""Surfaces: flat rectangles that may carry landmarks, in all places or in some."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.checks import FloatArray, InputError
+from lmd.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.space.allowed import EDGE, eroded, find_nearest, gathered, rectangle, sizes, spread, trapezoids
+
+# Landmarks this far (m) outside still count as inside: a CSV rounded to micrometres is not an error.
+PLACEMENT_TOLERANCE = 1e-6
 
 # A grid whose cells are more elongated than this gives way to one with rows of unequal number.
 MAX_ELONGATION = 3.0
@@ -17,7 +22,8 @@ class Surface:
     """A rectangle that may carry landmarks: points are origin + a u + b v, 0 <= (a, b) <= extent.
 
     `u` runs horizontally and `v` up on side walls; on floor and ceiling they run along x and y. `normal` points
-    to where the camera is. Vectors are `(3,)` in the world frame, extents in metres.
+    to where the camera is. Vectors are `(3,)` in the world frame, extents in metres. `allowed` is the region of (a, b)
+    where landmarks may hang, see `lmd.space.allowed`; None for the whole rectangle.
     """
 
     name: str
@@ -26,14 +32,20 @@ class Surface:
     v: FloatArray
     normal: FloatArray
     extent: tuple[float, float]
+    allowed: Any = None
+
+    @property
+    def pieces(self) -> FloatArray:
+        """Where landmarks may hang as trapezoids, `(T, 6)`."""
+        return rectangle(self.extent) if self.allowed is None else trapezoids(self.allowed)
 
     @property
     def area(self) -> float:
-        """Square metres."""
-        return self.extent[0] * self.extent[1]
+        """Where landmarks may hang, square metres."""
+        return float(sizes(self.pieces).sum())
 
     def inset(self, margin: float) -> "Surface":
-        """The surface without a strip as wide as `margin`, metres, along its edges.
+        """The surface without a strip as wide as `margin`, metres, along the edges of where landmarks may hang.
 
         Raises:
             InputError: nothing is left.
@@ -43,7 +55,23 @@ class Surface:
             raise InputError(
                 f"surface {self.name} is {min(self.extent):.4g} m wide, too narrow for plates of {2.0 * margin:.4g} m."
             )
-        return replace(self, origin=self.origin + margin * (self.u + self.v), extent=(along, up))
+        if self.allowed is None:
+            return replace(self, origin=self.origin + margin * (self.u + self.v), extent=(along, up))
+        left = eroded(self.allowed, margin)
+        if left.is_empty:
+            raise InputError(
+                f"surface {self.name} has no place for plates of {2.0 * margin:.4g} m where landmarks may hang."
+            )
+        return self.cropped(left)
+
+    def cropped(self, region: Any) -> "Surface":
+        """The rectangle around a region of the surface, with landmarks allowed in the region only."""
+        import shapely
+
+        a, b, a_end, b_end = region.bounds
+        extent, whole = (a_end - a, b_end - b), shapely.box(a, b, a_end, b_end)
+        allowed = None if region.equals(whole) else shapely.transform(region, lambda at: at - np.array([a, b]))
+        return replace(self, origin=self.origin + a * self.u + b * self.v, extent=extent, allowed=allowed)
 
     def point(self, a: FloatArray | float, b: FloatArray | float) -> FloatArray:
         """World points `(..., 3)` at surface coordinates `a`, `b` of shape `(...)`, metres."""
@@ -58,10 +86,23 @@ class Surface:
     def grid(self, count: int) -> list[tuple[float, float]]:
         """Surface coordinates of `count` cell centres, with cells as square as an even grid allows.
 
-        The grid runs along the longer side; 15 landmarks on the paper's walls make 5 x 3.
+        The grid runs along the longer side; 15 landmarks on the paper's walls make 5 x 3. Where landmarks may hang in
+        some places only, the grid is made finer until it has enough of these, and `count` of them are evenly picked.
         """
         if count == 0:
             return []
+        if self.allowed is None:
+            return self._cell_centres(count)
+        hanging, cells = SurfaceArrays.of([self]), count
+        while True:
+            at = np.array(self._cell_centres(cells))
+            free = at[hanging.allow(np.zeros(len(at), dtype=np.int64), at)]
+            if len(free) >= count:
+                return [(a, b) for a, b in free[np.linspace(0, len(free) - 1, count).round().astype(int)].tolist()]
+            cells = math.ceil(1.1 * cells + 1.0)
+
+    def _cell_centres(self, count: int) -> list[tuple[float, float]]:
+        """The centres of `count` cells of the whole rectangle."""
         swap = self.extent[1] > self.extent[0]
         long, short = max(self.extent), min(self.extent)
 
@@ -87,7 +128,9 @@ class Surface:
 class SurfaceArrays(NamedTuple):
     """Surfaces as arrays, for many landmarks at once and for compiled code.
 
-    origin, u, v, normal `(W, 3)`; extent `(W, 2)`; shares `(W,)`, the cumulative share of the area, for drawing one.
+    origin, u, v, normal `(W, 3)`; extent `(W, 2)`. Where landmarks may hang is cut into T trapezoids (`allowed`):
+    pieces `(T, 6)`; first `(W + 1,)`, from and to which they are those of a surface; of_piece `(T,)` the surface of
+    each; shares `(T,)`, the cumulative share of the area, for drawing one.
     """
 
     origin: np.ndarray
@@ -95,6 +138,9 @@ class SurfaceArrays(NamedTuple):
     v: np.ndarray
     normal: np.ndarray
     extent: np.ndarray
+    pieces: np.ndarray
+    first: np.ndarray
+    of_piece: np.ndarray
     shares: np.ndarray
 
     @classmethod
@@ -104,19 +150,47 @@ class SurfaceArrays(NamedTuple):
             np.array([getattr(surface, name) for surface in surfaces])
             for name in ("origin", "u", "v", "normal", "extent")
         )
-        area = np.array([surface.area for surface in surfaces])
-        return cls(origin, u, v, normal, extent, np.cumsum(area / area.sum()))
+        pieces = [surface.pieces for surface in surfaces]
+        counts, rows = [len(part) for part in pieces], np.concatenate(pieces)
+        of_piece, area = np.repeat(np.arange(len(surfaces)), counts), sizes(rows)
+        first = np.append(0, np.cumsum(counts))
+        return cls(origin, u, v, normal, extent, rows, first, of_piece, np.cumsum(area / area.sum()))
+
+    @property
+    def area(self) -> FloatArray:
+        """Of each trapezoid, `(T,)`, square metres."""
+        return sizes(self.pieces)
 
     def depth(self, points: FloatArray) -> FloatArray:
         """Height of points `(..., 3)` above the plane of each surface, `(..., W)`, metres."""
         return np.asarray(((points[..., None, :] - self.origin) * self.normal).sum(axis=-1))
 
-    def points(self, surface: np.ndarray, at: FloatArray) -> FloatArray:
-        """World points `(..., 3)` at coordinates `at` `(..., 2)`, clipped to the extent, on surfaces `(...)`."""
-        at = np.clip(at, 0.0, self.extent[surface])
+    def points(self, surface: IntArray, at: FloatArray) -> FloatArray:
+        """World points `(..., 3)` on surfaces `(...)` where landmarks may hang, nearest to `at` `(..., 2)`."""
+        at, _ = self.nearest(surface, at)
         return np.asarray(self.origin[surface] + at[..., :1] * self.u[surface] + at[..., 1:] * self.v[surface])
 
-    def coordinates(self, surface: np.ndarray, points: FloatArray) -> FloatArray:
+    def nearest(self, surface: IntArray, at: FloatArray) -> tuple[FloatArray, IntArray]:
+        """The places `(..., 2)` on surfaces `(...)` where landmarks may hang nearest to `at`, and their pieces."""
+        at = np.asarray(at, dtype=np.float64)
+        flat, out = at.reshape(-1, 2), np.empty((at.size // 2, 2))
+        piece = np.empty(len(flat), dtype=np.int64)
+        find_nearest(self.pieces, self.first, np.broadcast_to(surface, at.shape[:-1]).reshape(-1), flat, out, piece)
+        return out.reshape(at.shape), piece.reshape(at.shape[:-1])
+
+    def allow(self, surface: IntArray, at: FloatArray, tolerance: float = EDGE) -> BoolArray:
+        """Whether landmarks may hang at `at` `(..., 2)` on surfaces `(...)`, or `tolerance` metres beside, `(...)`."""
+        return np.asarray(np.abs(self.nearest(surface, at)[0] - at).max(axis=-1) <= tolerance)
+
+    def spread(self, piece: IntArray, at: FloatArray) -> FloatArray:
+        """Places `(..., 2)` in pieces `(...)`: uniform if `at` `(..., 2)` is, in the unit square."""
+        return spread(self.pieces[piece], at)
+
+    def gathered(self, piece: IntArray, places: FloatArray) -> FloatArray:
+        """The inverse of `spread`."""
+        return gathered(self.pieces[piece], places)
+
+    def coordinates(self, surface: IntArray, points: FloatArray) -> FloatArray:
         """Coordinates `(..., 2)` of the projections of `points` `(..., 3)` to surfaces `(...)`, not clipped."""
         offset = points - self.origin[surface]
         at = [(offset * self.u[surface]).sum(axis=-1), (offset * self.v[surface]).sum(axis=-1)]

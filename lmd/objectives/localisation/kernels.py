@@ -20,6 +20,7 @@ from lmd.sight.criteria import covering, covers, frame_of, from_position
 from lmd.sight.directions import NOWHERE, cell_of
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import BLOCK, SINGLE_ERROR, is_hidden
+from lmd.sight.obstacles import find_ends, is_blocked, no_ends
 from lmd.sight.poses import shared
 from lmd.tag import LEVEL
 
@@ -53,13 +54,13 @@ def variance_of_row(sums, v):
 
 @kernel
 def localise_range(
-    first, last, positions, landmarks, normals, sight, axes, bands, tables, weights, n, places, precision, asks,
-    covered, localised, variances, keep,
+    first, last, positions, landmarks, normals, sight, obstacles, axes, bands, tables, weights, n, places, precision,
+    asks, covered, localised, variances, keep,
 ):  # fmt: skip
     """Evaluate deployments at the positions `first` to `last`.
 
     Args:
-        first, last, positions, landmarks, normals, sight, axes, bands, tables, weights, n: see
+        first, last, positions, landmarks, normals, sight, obstacles, axes, bands, tables, weights, n: see
             `kernels.evaluate_range`.
         places: binary digits of a number of landmarks.
         precision: what is asked of a view, see `information`.
@@ -81,7 +82,11 @@ def localise_range(
     moment, sums = np.zeros(WIDTH), np.empty((axes.shape[1], WIDTH))
     # A number that the compiler does not know, or it would unroll loops over it and not vectorise them.
     terms = np.uint64(WIDTH + landmarks.shape[1] - 3)
+    ends = no_ends(obstacles, count)
     for b in range(landmarks.shape[0]):
+        for k in range(count):
+            mx, my, mz = landmarks[b, 0, k], landmarks[b, 1, k], landmarks[b, 2, k]
+            find_ends(obstacles, sight, mx, my, mz, normals[b, 0, k], normals[b, 1, k], normals[b, 2, k], ends, k)
         for p in range(first, last):
             px, py, pz = positions[p, 0], positions[p, 1], positions[p, 2]
             for k in range(count):
@@ -103,6 +108,9 @@ def localise_range(
             digits[:] = ZERO
             for k in range(count):
                 if not reached[k]:
+                    continue
+                if is_blocked(obstacles, sight, p, ends, k):
+                    reached[k] = False
                     continue
                 if reach >= 0.0:
                     uk, vk, wk, suspects = u[k], v[k], w[k], np.int32(0)
@@ -217,6 +225,7 @@ def localised_views(
     sight = e.sight.among(e.positions.min(axis=0), e.positions.max(axis=0), *landmarks)
     tables = e.tables if e.sight.tabulated else None
     places = max(positions.shape[1], n).bit_length()
-    fixed = (e.positions, *landmarks, sight, e.axes, e.bands, tables, e.weights, n, places, precision, precision.asks)
-    shared(localise_range, size, e.threads, (*fixed, *views, keep))
+    scene = (e.positions, *landmarks, sight, e.obstacles, e.axes, e.bands, tables, e.weights)
+    fixed = (*scene, n, places, precision, precision.asks, *views, keep)
+    shared(localise_range, size, e.threads, fixed)
     return views

@@ -20,6 +20,7 @@ from lmd.objectives.localisation.kernels import landmark_moments
 from lmd.sight.bands import band_of
 from lmd.sight.criteria import covers, from_position
 from lmd.sight.evaluator import Evaluator
+from lmd.sight.obstacles import find_ends, is_blocked, no_ends
 from lmd.sight.poses import shared
 
 
@@ -48,24 +49,26 @@ def _log_det_of(row):
 
 
 @kernel
-def _gains(start, stop, points, normals, prices, positions, sight, axes, bands, precision, sums, known, out):
+def _gains(start, stop, points, normals, prices, positions, sight, obstacles, axes, bands, precision, sums, known, out):
     """Write what poses `start` to `stop` gain into `out` `(N,)`.
 
     Args:
         points, normals: `(N, 3)`.
         prices: of positions and axes, `(P, D)`.
         positions: `(P, 3)`.
-        sight, axes, bands: see `kernels.evaluate_range`.
+        sight, obstacles, axes, bands: see `kernels.evaluate_range`.
         precision: the size of a tag.
         sums: what is known of each view, `(P, D, WIDTH)`.
         known: their `log_det`, `(P, D)`.
     """
+    ends = no_ends(obstacles, 1)
     for j in range(start, stop):
         nx, ny, nz, gain = normals[j, 0], normals[j, 1], normals[j, 2], 0.0
+        find_ends(obstacles, sight, points[j, 0], points[j, 1], points[j, 2], nx, ny, nz, ends, 0)
         for p in range(len(positions)):
             x, y, z = points[j, 0] - positions[p, 0], points[j, 1] - positions[p, 1], points[j, 2] - positions[p, 2]
             reached, low, _, _ = from_position(sight, x, y, z, nx, ny, nz, 0.0)
-            if not reached:
+            if not reached or is_blocked(obstacles, sight, p, ends, 0):
                 continue
             moment = landmark_moments(x, y, z, nx, ny, nz, precision)
             bottom, top = band_of(x, y, z, low, 0.0)
@@ -78,13 +81,15 @@ def _gains(start, stop, points, normals, prices, positions, sight, axes, bands, 
 
 
 @kernel
-def _add(start, stop, point, normal, positions, sight, axes, bands, precision, sums, known):
+def _add(start, stop, point, normal, positions, sight, obstacles, axes, bands, precision, sums, known):
     """Add a landmark to `sums` and `known` at the positions `start` to `stop`; args as in `_gains`."""
     nx, ny, nz = normal[0], normal[1], normal[2]
+    ends = no_ends(obstacles, 1)
+    find_ends(obstacles, sight, point[0], point[1], point[2], nx, ny, nz, ends, 0)
     for p in range(start, stop):
         x, y, z = point[0] - positions[p, 0], point[1] - positions[p, 1], point[2] - positions[p, 2]
         reached, low, _, _ = from_position(sight, x, y, z, nx, ny, nz, 0.0)
-        if not reached:
+        if not reached or is_blocked(obstacles, sight, p, ends, 0):
             continue
         moment = landmark_moments(x, y, z, nx, ny, nz, precision)
         bottom, top = band_of(x, y, z, low, 0.0)
@@ -120,7 +125,7 @@ class LogDeterminant:
         self._sums = np.tile(start, (*self._prices.shape, 1))
         self._known = np.full(self._prices.shape, _log_det_of(start))
         e = evaluator
-        self._fixed = (e.positions, e.sight, e.axes, e.bands, precision, self._sums, self._known)
+        self._fixed = (e.positions, e.sight, e.obstacles, e.axes, e.bands, precision, self._sums, self._known)
 
     def gains(self, poses: Deployment) -> FloatArray:
         """See `Selection.gains`."""

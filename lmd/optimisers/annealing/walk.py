@@ -21,6 +21,7 @@ import numpy as np
 
 from lmd.compiled import kernel
 from lmd.objectives.field import accept, bound, move, settle, smoothed, undo, worth
+from lmd.space.allowed import allows, spread_one
 
 # Relative, for the bound: exp may fall by a rounding error or two where its argument rises.
 _SLACK = 1e-12
@@ -67,10 +68,12 @@ def _propose(k, state, surfaces, settings, rng):
     """A new place for landmark k, flush on a surface: index of the surface and coordinates there."""
     kind = rng.random()
     if kind < settings.jump:
-        s, drawn = 0, rng.random()
-        while s < len(surfaces.shares) - 1 and drawn > surfaces.shares[s]:
-            s += 1
-        return s, rng.random() * surfaces.extent[s, 0], rng.random() * surfaces.extent[s, 1]
+        t, drawn = 0, rng.random()
+        while t < len(surfaces.shares) - 1 and drawn > surfaces.shares[t]:
+            t += 1
+        x, y, piece = rng.random(), rng.random(), surfaces.pieces[t]
+        a, b = spread_one(piece[0], piece[1], piece[2], piece[3], piece[4], piece[5], x, y)
+        return surfaces.of_piece[t], a, b
     near, step = k, settings.step
     if kind < settings.jump + settings.join:
         near, step = int(rng.random() * state.landmarks.shape[1]), settings.near
@@ -102,9 +105,12 @@ def _gather(k, members, state, group):
 
 @kernel
 def propose(group, state, surfaces, settings, rng, new):
-    """Write where the landmarks of `group` shall go, `(len(group), 6)`: position and normal; returns the surface.
+    """Write where the landmarks of `group` shall go, `(len(group), 6)`: position and normal.
 
     The first goes to a proposed place, the others keep their offset from it in surface coordinates.
+
+    Returns:
+        the surface, or -1 if one of the landmarks may not hang where it would go.
     """
     k = group[0]
     before = state.surfaces[k]
@@ -116,6 +122,8 @@ def propose(group, state, surfaces, settings, rng, new):
             da += offset * surfaces.u[before, i]
             db += offset * surfaces.v[before, i]
         am, bm = _reflect(a + da, surfaces.extent[s, 0]), _reflect(b + db, surfaces.extent[s, 1])
+        if not allows(surfaces.pieces, surfaces.first[s], surfaces.first[s + 1], am, bm):
+            return -1
         for i in range(3):
             new[m, i] = surfaces.origin[s, i] + am * surfaces.u[s, i] + bm * surfaces.v[s, i]
             new[m, 3 + i] = surfaces.normal[s, i]
@@ -188,7 +196,7 @@ def walk(moves, members, several, field, state, scratches, target, surfaces, apa
 
     members: the landmarks that may move, at least as many as can move together. several: for those that do, as many as
     can. scratches: at least as many. apart: least distance of plates on a surface, along its u or its v, metres; moves
-    that come closer are not even tried, but count.
+    that come closer, or lead where no landmark may hang, are not even tried, but count.
     """
     positions, count = len(state.units), len(members)
     accepted = state.units.copy()
@@ -211,7 +219,7 @@ def walk(moves, members, several, field, state, scratches, target, surfaces, apa
         scratch = scratches[last]
         units = scratch.units
         surface = propose(group, state, surfaces, settings, rng, new)
-        if apart > 0.0 and _overlaps(group, surface, new, state, surfaces, apart):
+        if surface < 0 or (apart > 0.0 and _overlaps(group, surface, new, state, surfaces, apart)):
             continue
         for m in range(last):
             move(field, group[m], new[m], surface, state, scratches[m])

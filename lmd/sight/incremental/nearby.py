@@ -12,6 +12,7 @@ from lmd.sight.bits import ONE
 from lmd.sight.criteria import from_position
 from lmd.sight.directions import cell_of
 from lmd.sight.kernels import BLOCK
+from lmd.sight.obstacles import find_ends, is_blocked, no_ends
 
 
 @njit(inline="always")
@@ -67,3 +68,8 @@ def look_around(k, field, state, scratch):  # type: ignore[no-untyped-def]
             x[p], y[p], z[p] = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
             reached[p], low[p], high[p], sure[p] = from_position(sight, x[p], y[p], z[p], nx, ny, nz, 0.0)
             cell[p] = cell_of(x[p], y[p], z[p])
+    ends = no_ends(field.obstacles, 1)
+    find_ends(field.obstacles, sight, ax, ay, az, nx, ny, nz, ends, 0)
+    for s in range(number):
+        for p in range(spans[s, 0], spans[s, 1]):
+            reached[p] = reached[p] and not is_blocked(field.obstacles, sight, p, ends, 0)

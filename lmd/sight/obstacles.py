@@ -1,0 +1,132 @@
+"""What of the room stands between a camera and a landmark: the last criterion that the position alone decides.
+
+A landmark is blocked if a body of the room (`lmd.space.blockers`) blocks the line of sight to any point of it that must
+be seen: its centre, and for tags the corners of their black squares, too. The heights of the camera's positions above
+the planes of the bodies are known beforehand, those of a landmark's points are found once for all positions. So a body
+is mostly out of the way after a few comparisons: if all are in front of one of its planes.
+
+A room without bodies has None in place of `Obstacles`, for which these functions are nothing at all.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lmd.checks import BoolArray, FloatArray
+from lmd.dispatch import overridable
+from lmd.geometry.upright import upright_axes
+from lmd.space.blockers import Blockers
+from lmd.space.space import Space
+from lmd.tag import LEVEL, upright
+
+POINTS = 5  # of a tag: centre and corners
+
+
+class Obstacles(NamedTuple):
+    """The arrays of `Blockers`, and the heights of P positions above their planes, `(P, J)`, metres."""
+
+    normals: np.ndarray
+    offsets: np.ndarray
+    first: np.ndarray
+    heights: np.ndarray
+
+
+def obstacles_at(blockers: Blockers | None, positions: FloatArray) -> Obstacles | None:
+    """What stands in the way of cameras at `positions` `(P, 3)`."""
+    if blockers is None:
+        return None
+    return Obstacles(blockers.normals, blockers.offsets, blockers.first, blockers.heights(positions))
+
+
+@overridable
+def half_edge(sight):  # type: ignore[no-untyped-def]
+    """Half the edge of the square whose corners must be seen, too, metres; 0.0 for a point."""
+    return 0.0
+
+
+def seen_points(half: float, landmarks: FloatArray, normals: FloatArray) -> FloatArray:
+    """The points of landmarks `(K, 3)` that must be seen, `(1, K, 3)` or, with half an edge, `(5, K, 3)`."""
+    if half == 0.0:
+        return landmarks[None]
+    right, up = (half * side for side in upright(normals))
+    ways = (right + up, -(right + up), right - up, -(right - up))
+    return np.stack([landmarks, *(landmarks + way for way in ways)])
+
+
+def unobstructed(
+    space: Space, sight: Any, position: FloatArray, landmarks: FloatArray, normals: FloatArray
+) -> BoolArray:
+    """Which landmarks nothing of the room blocks from a position, `(K,)`: the reference.
+
+    Args:
+        space: the room.
+        sight: the compiled model of sight.
+        position: p, `(3,)`, world frame, metres.
+        landmarks, normals: `(K, 3)` positions, metres, and unit normals.
+    """
+    points = seen_points(half_edge(sight), landmarks, normals)
+    return np.asarray(space.clear(np.broadcast_to(position, points.shape), points).all(axis=0))
+
+
+@overridable
+def no_ends(obstacles, count):  # type: ignore[no-untyped-def]
+    """Room for the heights of so many landmarks, see `find_ends`."""
+
+
+@no_ends.register(Obstacles)
+def _no_ends(obstacles, count):  # type: ignore[no-untyped-def]
+    return np.empty((count, POINTS + 1, len(obstacles.offsets)))
+
+
+@overridable
+def find_ends(obstacles, sight, x, y, z, nx, ny, nz, ends, k):  # type: ignore[no-untyped-def]
+    """Write the heights of the points of landmark k at (x, y, z) above the planes into `ends` `(K, 6, J)`.
+
+    The last row are the least of them.
+    """
+
+
+@find_ends.register(Obstacles)
+def _find_ends(obstacles, sight, x, y, z, nx, ny, nz, ends, k):  # type: ignore[no-untyped-def]
+    half, normals, offsets = half_edge(sight), obstacles.normals, obstacles.offsets
+    rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, LEVEL)
+    rx, ry, rz, ux, uy, uz = half * rx, half * ry, half * rz, half * ux, half * uy, half * uz
+    for i in range(POINTS if half > 0.0 else 1):
+        # The centre, then r + u, -(r + u), r - u and -(r - u) from it.
+        way, up = (0.0 if i == 0 else 1.0 if i % 2 == 1 else -1.0), (1.0 if i < 3 else -1.0)
+        px, py, pz = x + way * (rx + up * ux), y + way * (ry + up * uy), z + way * (rz + up * uz)
+        for j in range(len(offsets)):
+            height = normals[j, 0] * px + normals[j, 1] * py + normals[j, 2] * pz - offsets[j]
+            ends[k, i, j] = height
+            ends[k, POINTS, j] = height if i == 0 else min(height, ends[k, POINTS, j])
+
+
+@overridable
+def is_blocked(obstacles, sight, p, ends, k):  # type: ignore[no-untyped-def]
+    """Whether a body blocks landmark k from position p; `ends` as in `find_ends`."""
+    return False
+
+
+@is_blocked.register(Obstacles)
+def _is_blocked(obstacles, sight, p, ends, k):  # type: ignore[no-untyped-def]
+    first, heights = obstacles.first, obstacles.heights
+    points = POINTS if half_edge(sight) > 0.0 else 1
+    for m in range(len(first) - 1):
+        apart = False
+        for j in range(first[m], first[m + 1]):
+            if heights[p, j] >= 0.0 and ends[k, POINTS, j] >= 0.0:
+                apart = True
+                break
+        if apart:
+            continue
+        for i in range(points):
+            entered, left = 0.0, 1.0
+            for j in range(first[m], first[m + 1]):
+                start, end = heights[p, j], ends[k, i, j]
+                if start >= 0.0:
+                    entered = max(entered, start / (start - end) if end < 0.0 else np.inf)
+                elif end >= 0.0:
+                    left = min(left, start / (start - end))
+            if entered < left:
+                return True
+    return False

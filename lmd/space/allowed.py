@@ -1,0 +1,146 @@
+"""Where on a surface landmarks may hang: regions of its plane, cut into trapezoids that compiled code can work with.
+
+A region is a polygon of shapely, or several, in the coordinates (a, b) of the surface. Its trapezoids have two sides
+along v, so that each is six numbers: left and right in a, then the lower border in b on the left and on the right, then
+the upper one. Together they cover the region exactly, and they do not overlap.
+"""
+
+import itertools
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from lmd.checks import FloatArray
+from lmd.compiled import kernel
+
+# Regions are closed: a place so near is in them, metres.
+EDGE = 1e-9
+# Of a region so small nothing is left but rounding, square metres.
+NOTHING = 1e-9
+SIZE = 6  # numbers of a trapezoid
+
+
+def rectangle(extent: tuple[float, float]) -> FloatArray:
+    """The trapezoid of a whole surface, `(1, 6)`."""
+    return np.array([[0.0, extent[0], 0.0, 0.0, extent[1], extent[1]]])
+
+
+def trapezoids(region: Any) -> FloatArray:
+    """The region cut along v at each of its vertices, `(T, 6)`."""
+    import shapely
+
+    rings = [np.asarray(ring.coords)[:, :2] for ring in shapely.get_parts(shapely.boundary(region))]
+    edges = np.concatenate([np.stack([ring[:-1], ring[1:]], axis=1) for ring in rings])
+    edges = np.where((edges[:, :1, :1] > edges[:, 1:, :1]), edges[:, ::-1], edges)  # from left to right
+    (left, low), (right, high) = edges[:, 0].T, edges[:, 1].T
+    found = []
+    for start, stop in itertools.pairwise(np.unique(edges[..., 0])):
+        across = (left <= start) & (right >= stop)
+        slope = (high[across] - low[across]) / (right[across] - left[across])
+        # An edge that ends here has its end here, however the product rounds.
+        first = np.where(left[across] == start, low[across], low[across] + slope * (start - left[across]))
+        last = np.where(right[across] == stop, high[across], low[across] + slope * (stop - left[across]))
+        order = np.argsort(first + last, kind="stable")
+        for lower, upper in order.reshape(-1, 2):
+            found.append((start, stop, first[lower], last[lower], first[upper], last[upper]))
+    return np.array(found).reshape(-1, SIZE)
+
+
+def sizes(pieces: FloatArray) -> FloatArray:
+    """The areas of trapezoids `(T, 6)`, `(T,)`."""
+    left, right, low_left, low_right, high_left, high_right = pieces.T
+    return np.asarray((right - left) * (0.5 * (high_left - low_left) + 0.5 * (high_right - low_right)))
+
+
+def eroded(region: Any, margin: float) -> Any:
+    """The places whose square, along u and v and `margin` metres to each side, lies in the region."""
+    import shapely
+
+    if not margin:
+        return region
+    ways = margin * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+    rings = [np.asarray(ring.coords)[:, :2] for ring in shapely.get_parts(shapely.boundary(region))]
+    swept = [
+        shapely.MultiPoint((np.array(edge)[:, None] + ways).reshape(-1, 2)).convex_hull
+        for ring in rings
+        for edge in itertools.pairwise(ring)
+    ]
+    return polygons(region.difference(shapely.union_all(swept)))
+
+
+def polygons(region: Any) -> Any:
+    """What of a region has an area, in the same order whatever made it."""
+    import shapely
+
+    parts = [part for part in shapely.get_parts(region) if part.area > NOTHING]
+    return shapely.normalize(shapely.union_all(parts))
+
+
+def _spread(
+    left: Any, right: Any, low_left: Any, low_right: Any, high_left: Any, high_right: Any, x: Any, y: Any
+) -> tuple[Any, Any]:
+    """The place in a trapezoid for x, y in [0, 1]: uniform if they are. Numbers or arrays."""
+    one, two = high_left - low_left, high_right - low_right
+    even = one == two
+    root = np.sqrt(np.maximum(one * one + (two * two - one * one) * x, 0.0))
+    share = even * x + (1 - even) * (x * (one + two) / np.maximum(one + root, 1e-300))
+    low = low_left + share * (low_right - low_left)
+    return left + share * (right - left), low + y * (high_left + share * (high_right - high_left) - low)
+
+
+def spread(pieces: FloatArray, at: FloatArray) -> FloatArray:
+    """Places `(..., 2)` in trapezoids `(..., 6)`: uniform if `at` `(..., 2)` is, in the unit square."""
+    return np.stack(_spread(*np.moveaxis(pieces, -1, 0), at[..., 0], at[..., 1]), axis=-1)
+
+
+def gathered(pieces: FloatArray, places: FloatArray) -> FloatArray:
+    """The inverse of `spread`: from places `(..., 2)` to the unit square."""
+    left, right, low_left, low_right, high_left, high_right = np.moveaxis(pieces, -1, 0)
+    one, two = high_left - low_left, high_right - low_right
+    share = (places[..., 0] - left) / np.maximum(right - left, 1e-300)
+    x = np.where(one == two, share, share * (2.0 * one + share * (two - one)) / np.maximum(one + two, 1e-300))
+    low = low_left + share * (low_right - low_left)
+    y = (places[..., 1] - low) / np.maximum(high_left + share * (high_right - high_left) - low, 1e-300)
+    return np.clip(np.stack([x, y], axis=-1), 0.0, 1.0)
+
+
+spread_one = njit(inline="always")(_spread)
+
+
+@njit(inline="always")
+def nearest(pieces, start, stop, a, b):  # type: ignore[no-untyped-def]
+    """The trapezoid from `start` to `stop` and the place in it next to (a, b), which stays if it is in one.
+
+    The nearest place where borders run along u and v; else one that is near.
+    """
+    piece, least, at_a, at_b = start, np.inf, a, b
+    for t in range(start, stop):
+        left, right = pieces[t, 0], pieces[t, 1]
+        p = min(max(a, left), right)
+        share = (p - left) / max(right - left, 1e-300)
+        low = pieces[t, 2] + share * (pieces[t, 3] - pieces[t, 2])
+        high = pieces[t, 4] + share * (pieces[t, 5] - pieces[t, 4])
+        q = min(max(b, low), high)
+        away = (p - a) ** 2 + (q - b) ** 2
+        if away < least:
+            piece, least, at_a, at_b = t, away, p, q
+    return piece, at_a, at_b
+
+
+@njit(inline="always")
+def allows(pieces, start, stop, a, b):  # type: ignore[no-untyped-def]
+    """Whether (a, b) is in one of the trapezoids from `start` to `stop`."""
+    _, p, q = nearest(pieces, start, stop, a, b)
+    return abs(p - a) + abs(q - b) <= EDGE
+
+
+@kernel
+def find_nearest(pieces, first, surface, at, out, piece):  # type: ignore[no-untyped-def]
+    """Write the place on each surface `(N,)` nearest to `at` `(N, 2)` to `out`, and in which `piece` `(N,)` it is.
+
+    The trapezoids of surface s are those from `first[s]` to `first[s + 1]`.
+    """
+    for k in range(len(at)):
+        start, stop = first[surface[k]], first[surface[k] + 1]
+        piece[k], out[k, 0], out[k, 1] = nearest(pieces, start, stop, at[k, 0], at[k, 1])

@@ -1,0 +1,247 @@
+"""A floor plan: what is built, and where on it landmarks may hang."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from lmd.checks import BoolArray, FloatArray, InputError, choice, real, vector
+from lmd.space.allowed import eroded, polygons
+from lmd.space.blockers import Blockers
+from lmd.space.parts import FACES, KeepOut, Obstacle, all_made
+from lmd.space.polygon import checked_ring, edges, on_hull, planes, upright_bodies
+from lmd.space.surface import PLACEMENT_TOLERANCE, Surface
+
+# From a face to the place before it that must be free, metres.
+BEFORE = 1e-3
+
+
+@dataclass(frozen=True)
+class FloorPlan:
+    """A room with upright walls over a simple polygon, with pillars, furniture, doors and windows.
+
+    Each surface has coordinates (a, b), metres: along a wall from its first vertex and up from the floor; along x and y
+    from the lowest x and y of the outline, or of the obstacle, on what lies flat; along x or y and up on the side of an
+    obstacle.
+
+    Args:
+        outline: its vertices [x, y], counter-clockwise, metres. The wall from vertex i to the next is `wall_<i>`.
+        height: of floor to ceiling, metres.
+        holes: pillars from floor to ceiling, a polygon like the outline each; their walls are `hole_<i>_wall_<j>`.
+        obstacles: `Obstacle`s, or mappings of their arguments; their faces are `obstacle_<i>_<face>`.
+        surfaces: which walls, and whether `floor` and `ceiling`, may carry landmarks; None for all. Of an obstacle, its
+            `faces` may besides.
+        keep_out: `KeepOut`s, or mappings of their arguments.
+        band: lowest and highest z at which landmarks may hang on walls and sides, such as people reach, metres; None
+            for all heights.
+        margin: from where landmarks may hang to the edges of a surface, along its u and v, metres.
+
+    Raises:
+        InputError: a polygon crosses itself or runs clockwise, something lies outside or is not known, or nowhere on a
+            surface may anything hang.
+    """
+
+    outline: Sequence[Sequence[float]]
+    height: float
+    holes: Sequence[Sequence[Sequence[float]]] = ()
+    obstacles: Sequence[Any] = ()
+    surfaces: Sequence[str] | None = None
+    keep_out: Sequence[Any] = ()
+    band: Sequence[float] | None = None
+    margin: float = 0.0
+
+    def __post_init__(self) -> None:
+        if isinstance(self.holes, str) or not isinstance(self.holes, Sequence):
+            raise InputError(f"holes must be a list of polygons, got {self.holes!r}.", "holes")
+        checked = {
+            "outline": checked_ring("outline", self.outline),
+            "height": real("height", self.height, above=0.0),
+            "holes": tuple(checked_ring(f"holes[{i}]", hole) for i, hole in enumerate(self.holes)),
+            "obstacles": all_made("obstacles", Obstacle, self.obstacles),
+            "keep_out": all_made("keep_out", KeepOut, self.keep_out),
+            "margin": real("margin", self.margin, low=0.0),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+        if self.band is not None:
+            low, high = vector("band", self.band, 2, low=0.0, high=self.height)
+            if low >= high:
+                raise InputError(f"band must go from the lowest to the highest z, got {[low, high]}.", "band")
+            object.__setattr__(self, "band", (low, high))
+        self._check_parts()
+        if self.surfaces is not None:
+            object.__setattr__(self, "surfaces", self._checked_names())
+        self.carriers  # noqa: B018 # raises where nothing may hang
+
+    def _check_parts(self) -> None:
+        """Raise `InputError` if holes or obstacles lie outside, or a keep-out beside its surface."""
+        import shapely
+
+        outline, holes = shapely.Polygon(self.outline), [shapely.Polygon(hole) for hole in self.holes]
+        for i, hole in enumerate(holes):
+            if not outline.contains_properly(hole):
+                raise InputError(f"holes[{i}] is not inside the outline.", f"holes[{i}]")
+            if any(hole.intersects(other) for other in holes[:i]):
+                raise InputError(f"holes[{i}] meets another hole.", f"holes[{i}]")
+        free = self.ground.buffer(PLACEMENT_TOLERANCE)
+        for i, obstacle in enumerate(self.obstacles):
+            (x, y, z), (x_end, y_end, z_end) = obstacle.low, obstacle.high
+            inside = free.covers(shapely.box(x, y, x_end, y_end))
+            if not inside or z < -PLACEMENT_TOLERANCE or z_end > self.height + PLACEMENT_TOLERANCE:
+                raise InputError(
+                    f"obstacles[{i}] from {list(obstacle.low)} to {list(obstacle.high)} is not inside the room.",
+                    f"obstacles[{i}]",
+                )
+            for face in obstacle.faces:
+                before = obstacle.surfaces("")[face]
+                if not self.contains(before.point(*(np.array(before.extent) / 2.0)) + BEFORE * before.normal):
+                    raise InputError(
+                        f"obstacles[{i}].faces: {face} stands against a wall, the floor, the ceiling or another "
+                        "obstacle.",
+                        f"obstacles[{i}].faces",
+                    )
+        for i, part in enumerate(self.keep_out):
+            name = f"keep_out[{i}]"
+            choice(f"{name}.surface", part.surface, list(self._faces))
+            face = self._faces[part.surface]
+            if not self._region(face).intersects(self._kept_out(part)):
+                along, up = face.extent
+                raise InputError(f"{name} lies beside {part.surface}, which is {along:.4g} x {up:.4g} m.", name)
+
+    def _checked_names(self) -> tuple[str, ...]:
+        names = [name for name in self._faces if not name.startswith("obstacle_")]
+        given = self.surfaces if isinstance(self.surfaces, list | tuple) else ()
+        for name in given:
+            choice("surfaces", name, names)
+        if not given or len(set(given)) != len(given):
+            raise InputError(f"surfaces must list at least one surface, each once, got {self.surfaces!r}.", "surfaces")
+        return tuple(given)
+
+    @cached_property
+    def ground(self) -> Any:
+        """The outline without the holes, a polygon of shapely."""
+        import shapely
+
+        return shapely.Polygon(self.outline, self.holes)
+
+    @cached_property
+    def blockers(self) -> Blockers | None:
+        """What can stand between two points of the room."""
+        bodies = [*upright_bodies(self.ground), *(obstacle.body for obstacle in self.obstacles)]
+        return Blockers.of(bodies) if bodies else None
+
+    @cached_property
+    def hull(self) -> tuple[FloatArray, FloatArray]:
+        """The walls that have all of the room on one side: unit normals `(N, 2)` outwards, and offsets `(N,)`."""
+        return planes(edges(self.outline)[on_hull(self.ground)])
+
+    def contains(self, points: FloatArray, clearance: float = 0.0) -> BoolArray:
+        """Whether points `(..., 3)` lie in the closed room, so far from walls, holes and obstacles, `(...)`."""
+        p = np.asarray(points)
+        normals, offsets = self.hull
+        inside = (p[..., :2] @ normals.T <= offsets - clearance + PLACEMENT_TOLERANCE).all(axis=-1)
+        inside &= (p[..., 2] >= -PLACEMENT_TOLERANCE) & (p[..., 2] <= self.height + PLACEMENT_TOLERANCE)
+        if self.blockers is not None:
+            inside &= ~self.blockers.grown(clearance).inside(p)
+        return np.asarray(inside)
+
+    @cached_property
+    def _faces(self) -> dict[str, Surface]:
+        """All faces by their names, whole rectangles."""
+        faces = [self._wall(f"wall_{i}", edge, -1.0) for i, edge in enumerate(edges(self.outline))]
+        for i, hole in enumerate(self.holes):
+            faces += [self._wall(f"hole_{i}_wall_{j}", edge, 1.0) for j, edge in enumerate(edges(hole))]
+        vertices, (ex, ey, ez) = np.array(self.outline), np.eye(3)
+        low = np.append(vertices.min(axis=0), 0.0)
+        length, width = (float(side) for side in np.ptp(vertices, axis=0))
+        faces.append(Surface("floor", low, ex, ey, ez, (length, width)))
+        faces.append(Surface("ceiling", low + self.height * ez, ex, ey, 0.0 - ez, (length, width)))
+        for i, obstacle in enumerate(self.obstacles):
+            faces += obstacle.surfaces(f"obstacle_{i}").values()
+        return {face.name: face for face in faces}
+
+    def _wall(self, name: str, edge: FloatArray, side: float) -> Surface:
+        """The wall over an edge; landmarks on it face to the right (1) or to the left (-1) of the edge."""
+        (normal,), _ = planes(edge[None])
+        length = float(np.linalg.norm(edge[1] - edge[0]))
+        # As in a cuboid, u never points to lower x, or to lower y.
+        start, end = sorted(edge.tolist())
+        along = np.append((np.array(end) - start) / length, 0.0)
+        facing = np.append(normal if side > 0.0 else 0.0 - normal, 0.0)
+        return Surface(name, np.append(start, 0.0), along, np.eye(3)[2], facing, (length, self.height))
+
+    @property
+    def faces(self) -> tuple[Surface, ...]:
+        """What is seen of the room, whole."""
+        return tuple(self._faces.values())
+
+    @cached_property
+    def carriers(self) -> tuple[Surface, ...]:
+        """The surfaces that may carry landmarks: walls in the order of `surfaces`, then the faces of obstacles."""
+        built = [name for name in self._faces if not name.startswith("obstacle_")]
+        names = list(self.surfaces if self.surfaces is not None else built)
+        names += [
+            f"obstacle_{i}_{face}" for i, part in enumerate(self.obstacles) for face in FACES if face in part.faces
+        ]
+        return tuple(self._carrier(self._faces[name]) for name in names)
+
+    def _carrier(self, face: Surface) -> Surface:
+        """A face with the places where landmarks may hang."""
+        import shapely
+
+        whole = shapely.box(0.0, 0.0, *face.extent)
+        region = eroded(self._region(face), self.margin)
+        if self.band is not None and face.normal[2] == 0.0:
+            low, high = (z - float(face.origin[2]) for z in self.band)
+            region = region.intersection(shapely.box(0.0, low, face.extent[0], high))
+        for obstacle in self.obstacles:
+            region = region.difference(_covered(face, obstacle))
+        for part in self.keep_out:
+            if part.surface == face.name:
+                region = region.difference(self._kept_out(part))
+        region = polygons(region)
+        if region.is_empty:
+            raise InputError(
+                f"surfaces: nowhere on {face.name} may anything hang, with its keep_out, band, margin and what stands "
+                "before it.",
+                "surfaces",
+            )
+        return Surface(**{**vars(face), "allowed": None if region.equals(whole) else region})
+
+    def _region(self, face: Surface) -> Any:
+        """What there is of a face in its rectangle."""
+        import shapely
+
+        if face.name not in ("floor", "ceiling"):
+            return shapely.box(0.0, 0.0, *face.extent)
+        return shapely.transform(self.ground, lambda at: at - face.origin[:2])
+
+    def _kept_out(self, part: KeepOut) -> Any:
+        """A keep-out in the coordinates of the `Surface`, whose u may run against its wall."""
+        import shapely
+
+        at, face = np.array(part.ring), self._faces[part.surface]
+        if self._is_reversed(face):
+            at[:, 0] = face.extent[0] - at[:, 0]
+        return shapely.Polygon(at)
+
+    def _is_reversed(self, face: Surface) -> bool:
+        """Whether u runs from the second vertex of a wall to its first."""
+        rings = {"wall": self.outline} | {f"hole_{i}_wall": hole for i, hole in enumerate(self.holes)}
+        ring, _, number = face.name.rpartition("_")
+        return ring in rings and list(rings[ring][int(number)]) != face.origin[:2].tolist()
+
+
+def _covered(face: Surface, obstacle: Obstacle) -> Any:
+    """The part of a face that an obstacle stands against, in the coordinates of the face."""
+    import shapely
+
+    corners = obstacle.corners() - face.origin
+    depth = corners @ face.normal
+    touching = corners[depth <= PLACEMENT_TOLERANCE]
+    if not len(touching) or depth.max() <= PLACEMENT_TOLERANCE:
+        return shapely.Polygon()
+    a, b = touching @ face.u, touching @ face.v
+    return shapely.box(a.min(), b.min(), a.max(), b.max())

@@ -1,0 +1,162 @@
+"""What stands in a floor plan, and where nothing may hang: as a user gives it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+
+from lmd.checks import FloatArray, InputError, choice, real, vector
+from lmd.space.blockers import Body
+from lmd.space.polygon import Ring, checked_ring
+from lmd.space.surface import Surface
+
+FACES = ("x_min", "x_max", "y_min", "y_max", "bottom", "top")
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """A box with sides along x, y and z, such as a rack: it blocks the line of sight, and nobody can enter it.
+
+    Args:
+        low, high: its corners, world frame, metres.
+        faces: those of `FACES` that may carry landmarks.
+
+    Raises:
+        InputError: it is empty, or there is no such face.
+    """
+
+    low: Sequence[float]
+    high: Sequence[float]
+    faces: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        low, high = vector("low", self.low, 3), vector("high", self.high, 3)
+        if any(a >= b for a, b in zip(low, high, strict=True)):
+            raise InputError(f"low = {list(low)} must be below high = {list(high)} along x, y and z.", "low")
+        if isinstance(self.faces, str) or not isinstance(self.faces, Sequence):
+            raise InputError(f"faces must be a list, got {self.faces!r}.", "faces")
+        for i, face in enumerate(self.faces):
+            choice(f"faces[{i}]", face, FACES)
+        object.__setattr__(self, "low", low)
+        object.__setattr__(self, "high", high)
+        object.__setattr__(self, "faces", tuple(self.faces))
+
+    @property
+    def body(self) -> Body:
+        """What it blocks."""
+        return Body(
+            np.vstack([-np.eye(3), np.eye(3)]) + 0.0, np.append(-np.array(self.low), self.high), np.full(6, True)
+        )
+
+    def surfaces(self, name: str) -> dict[str, Surface]:
+        """Its faces, by theirs; each is called `<name>_<face>`."""
+        low, high = np.array(self.low), np.array(self.high)
+        (lx, ly, lz), (ex, ey, ez) = (float(length) for length in high - low), np.eye(3)
+        sides = {
+            "x_min": (low, ey, ez, 0.0 - ex, (ly, lz)),
+            "x_max": (low + lx * ex, ey, ez, ex, (ly, lz)),
+            "y_min": (low, ex, ez, 0.0 - ey, (lx, lz)),
+            "y_max": (low + ly * ey, ex, ez, ey, (lx, lz)),
+            "bottom": (low, ex, ey, 0.0 - ez, (lx, ly)),
+            "top": (low + lz * ez, ex, ey, ez, (lx, ly)),
+        }
+        return {face: Surface(f"{name}_{face}", *sides[face]) for face in FACES}
+
+    def corners(self) -> FloatArray:
+        """`(8, 3)`, metres."""
+        return np.stack(np.meshgrid(*zip(self.low, self.high, strict=True), indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+@dataclass(frozen=True)
+class KeepOut:
+    """A part of a surface where nothing may hang: a door, a window, a screen.
+
+    Args:
+        surface: its name.
+        low, high: corners of a rectangle in the coordinates (a, b) of the surface, metres.
+        polygon: vertices [a, b] in place of a rectangle.
+
+    Raises:
+        InputError: neither or both are given, or it is empty.
+    """
+
+    surface: str
+    low: Sequence[float] | None = None
+    high: Sequence[float] | None = None
+    polygon: Sequence[Sequence[float]] | None = None
+
+    def __post_init__(self) -> None:
+        if (self.polygon is None) == (self.low is None) or (self.low is None) != (self.high is None):
+            raise InputError("low and high, or polygon in their place, must be given.", "low")
+        if self.polygon is not None:
+            object.__setattr__(self, "polygon", checked_ring("polygon", self.polygon))
+            return
+        low, high = vector("low", self.low, 2), vector("high", self.high, 2)
+        if any(a >= b for a, b in zip(low, high, strict=True)):
+            raise InputError(f"low = {list(low)} must be below high = {list(high)}.", "low")
+        object.__setattr__(self, "low", low)
+        object.__setattr__(self, "high", high)
+
+    @property
+    def ring(self) -> Ring:
+        """Its vertices in the coordinates of the surface."""
+        if self.polygon is not None:
+            return tuple(tuple(vertex) for vertex in self.polygon)
+        assert self.low is not None
+        assert self.high is not None
+        (a, b), (c, d) = self.low, self.high
+        return (a, b), (c, b), (c, d), (a, d)
+
+
+@dataclass(frozen=True)
+class Reachable:
+    """Where the camera may be.
+
+    Args:
+        height: lowest and highest z, metres.
+        clearance: from walls, holes and obstacles, metres; around a corner it is that of its edges.
+
+    Raises:
+        InputError: the heights are in the wrong order, or the clearance is negative.
+    """
+
+    height: Sequence[float]
+    clearance: float = 0.0
+
+    def __post_init__(self) -> None:
+        low, high = vector("height", self.height, 2)
+        if low > high:
+            raise InputError(f"height must go from the lowest to the highest, got {[low, high]}.", "height")
+        object.__setattr__(self, "height", (low, high))
+        object.__setattr__(self, "clearance", real("clearance", self.clearance, low=0.0))
+
+
+def made(name: str, kind: type[T], value: Any) -> T:
+    """A part of a class from what a user gave: the part itself, or a mapping of its arguments.
+
+    Raises:
+        InputError: it is neither, an argument is unknown or missing, or the class refuses it.
+    """
+    if isinstance(value, kind):
+        return value
+    fields = kind.__dataclass_fields__  # type: ignore[attr-defined]
+    if not isinstance(value, Mapping):
+        raise InputError(f"{name} must have the keys {', '.join(fields)}, got {value!r}.", name)
+    for key in value:
+        choice(f"{name} key", key, list(fields))
+    try:
+        return kind(**value)
+    except TypeError:
+        raise InputError(f"{name} lacks a key: it has {', '.join(map(str, value)) or 'none'}.", name) from None
+    except InputError as error:
+        raise error.within(name) from None
+
+
+def all_made(name: str, kind: type[T], values: Any) -> tuple[T, ...]:
+    """A list of such parts."""
+    if isinstance(values, str | Mapping) or not isinstance(values, Sequence):
+        raise InputError(f"{name} must be a list, got {values!r}.", name)
+    return tuple(made(f"{name}[{i}]", kind, value) for i, value in enumerate(values))

@@ -1,0 +1,105 @@
+"""Polygons of a floor plan: checks, and the convex bodies that stand on them."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from lmd.checks import FloatArray, InputError, vector
+from lmd.space.blockers import Body
+
+# An edge so near to another one is a part of it, metres.
+SAME_EDGE = 1e-9
+
+Ring = tuple[tuple[float, ...], ...]
+
+
+def checked_ring(name: str, value: Any) -> Ring:
+    """The vertices of a simple polygon, counter-clockwise, metres.
+
+    Raises:
+        InputError: they are no polygon, it crosses or touches itself, or runs clockwise.
+    """
+    import shapely
+
+    if isinstance(value, str) or not isinstance(value, Sequence) or len(value) < 3:
+        raise InputError(f"{name} must list at least 3 vertices [x, y], got {value!r}.", name)
+    ring = tuple(vector(f"{name}[{i}]", vertex, 2) for i, vertex in enumerate(value))
+    for i, vertex in enumerate(ring):
+        if vertex == ring[i - 1]:
+            raise InputError(f"{name}[{i}] repeats the vertex before it, {list(vertex)}.", name)
+    polygon = shapely.Polygon(ring)
+    if not polygon.is_valid:
+        place = shapely.is_valid_reason(polygon).partition("[")[2].rstrip("]")
+        raise InputError(f"{name} crosses or touches itself at ({', '.join(place.split())}).", name)
+    if not polygon.exterior.is_ccw:
+        raise InputError(f"{name} must run counter-clockwise, seen from above, but it runs clockwise.", name)
+    return ring
+
+
+def edges(ring: Sequence[Sequence[float]]) -> FloatArray:
+    """From each vertex to the next, `(N, 2, 2)`."""
+    vertices = np.asarray(ring, dtype=np.float64)
+    return np.stack([vertices, np.roll(vertices, -1, axis=0)], axis=1)
+
+
+def planes(edge: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Unit normals `(N, 2)` to the right of edges `(N, 2, 2)`, outwards if they run counter-clockwise, and offsets."""
+    way = edge[:, 1] - edge[:, 0]
+    way = way / np.linalg.norm(way, axis=1, keepdims=True)
+    normals = np.stack([way[:, 1], 0.0 - way[:, 0]], axis=1)
+    return normals, np.asarray((normals * edge[:, 0]).sum(axis=1))
+
+
+def on_hull(polygon: Any) -> Any:
+    """Which edges of the outer ring of a polygon lie on its convex hull, `(N,)` bool."""
+    import shapely
+
+    middles = shapely.points(edges(polygon.exterior.coords[:-1]).mean(axis=1))
+    return shapely.distance(polygon.convex_hull.exterior, middles) <= SAME_EDGE
+
+
+def upright_bodies(polygon: Any) -> list[Body]:
+    """What stands in the way inside the convex hull of a polygon: the rest of the hull, and the holes.
+
+    They reach from below the floor to above the ceiling. Planes that no line between two points of the polygon can
+    cross, those of the hull, are left out.
+    """
+    import shapely
+
+    hull, walls = polygon.convex_hull, polygon.boundary
+    bodies = []
+    for part in shapely.get_parts(hull.difference(polygon)):
+        for piece in [] if part.is_empty else _convex_pieces(part):
+            edge = edges(shapely.orient_polygons(piece).exterior.coords[:-1])
+            middles = shapely.points(edge.mean(axis=1))
+            solid = shapely.distance(walls, middles) <= SAME_EDGE
+            crossed = solid | (shapely.distance(hull.exterior, middles) > SAME_EDGE)
+            normals, offsets = (
+                np.concatenate([sides, tips])
+                for sides, tips in zip(planes(edge[crossed]), _tips(edge, solid), strict=True)
+            )
+            faces = np.append(solid[crossed], np.full(len(offsets) - crossed.sum(), True))
+            bodies.append(Body(np.pad(normals, [(0, 0), (0, 1)]), offsets, faces))
+    return bodies
+
+
+def _tips(edge: FloatArray, solid: Any) -> tuple[FloatArray, FloatArray]:
+    """Planes through the vertices of a convex piece at which it has no face, only other pieces have.
+
+    They are across the piece's way into the room, and keep it from sticking out there.
+    """
+    bare = ~solid & ~np.roll(solid, 1)  # at the start of an edge
+    way = edge[:, 1] - edge[:, 0]
+    way = way / np.linalg.norm(way, axis=1, keepdims=True)
+    outwards = (np.roll(way, 1, axis=0) - way)[bare]
+    normals = outwards / np.linalg.norm(outwards, axis=1, keepdims=True)
+    return normals, np.asarray((normals * edge[bare, 0]).sum(axis=1))
+
+
+def _convex_pieces(polygon: Any) -> list[Any]:
+    import shapely
+
+    if polygon.convex_hull.area - polygon.area <= SAME_EDGE * polygon.length:
+        return [polygon]
+    return list(shapely.get_parts(shapely.constrained_delaunay_triangles(polygon)))

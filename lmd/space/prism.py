@@ -1,0 +1,200 @@
+"""A room over a floor plan, and where in it the camera may be."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from lmd.checks import BoolArray, FloatArray, InputError, IntArray, choice
+from lmd.space.blockers import Blockers
+from lmd.space.cuboid import box_edges
+from lmd.space.floor_plan import FloorPlan
+from lmd.space.grid import KINDS, cell_borders, checked_spacing, combined, grid_axes, grid_counts
+from lmd.space.parts import Reachable, made
+from lmd.space.polygon import edges
+from lmd.space.relevance import Relevance
+from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, SurfaceArrays
+
+# Draws of a position that is in the reachable volume, before its grid position is taken instead.
+MOST_DRAWS = 100
+
+
+@dataclass(frozen=True)
+class Prism:
+    """A room over a floor plan; a `lmd.space.space.Space`.
+
+    Positions are those of a grid in the box around the walls, less the clearance, that are in the reachable volume.
+
+    Args:
+        plan: what is built.
+        reachable: where the camera may be, or a mapping of its arguments.
+        spacing: largest distance between neighbouring positions, metres: one number or one per axis.
+        positions: `cells` puts a position at the centre of each grid cell, `vertices` at each grid vertex.
+        relevance: Rel(p), how much each position matters.
+
+    Raises:
+        InputError: the reachable volume leaves the room or is empty, a value is out of range, or so many positions
+            would not fit into memory.
+    """
+
+    plan: FloorPlan
+    reachable: Reachable
+    spacing: float | Sequence[float]
+    positions: str = "cells"
+    relevance: Relevance = field(default_factory=Relevance)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "reachable", made("reachable", Reachable, self.reachable))
+        choice("positions", self.positions, KINDS)
+        low, high = self._box
+        if low[2] < 0.0 or high[2] > self.plan.height:
+            raise InputError(
+                f"reachable.height = {list(self.reachable.height)} leaves the room, which is {self.plan.height:g} m "
+                "high.",
+                "reachable.height",
+            )
+        if (low > high).any():
+            raise InputError(
+                f"reachable.clearance = {self.reachable.clearance:g} leaves nothing of the {self.describe()}.",
+                "reachable.clearance",
+            )
+        object.__setattr__(self, "spacing", checked_spacing(self.spacing, (high - low).tolist()))
+        if not len(self.grid()):
+            raise InputError(
+                f"reachable.height = {list(self.reachable.height)} and clearance = {self.reachable.clearance:g} hold "
+                "no position of the grid: walls, holes and obstacles leave nothing, or spacing is too large.",
+                "reachable.height",
+            )
+
+    @cached_property
+    def _box(self) -> tuple[FloatArray, FloatArray]:
+        """Corners of the box around the reachable volume, `(3,)` each."""
+        vertices, clearance = np.array(self.plan.outline), self.reachable.clearance
+        low, high = self.reachable.height
+        return np.append(vertices.min(axis=0) + clearance, low), np.append(vertices.max(axis=0) - clearance, high)
+
+    def _grid_axes(self) -> list[FloatArray]:
+        low, high = self._box
+        return grid_axes(low, high, grid_counts(high - low, self.spacing, self.positions), self.positions)
+
+    @cached_property
+    def _grid(self) -> tuple[FloatArray, BoolArray]:
+        """All positions of the grid in the box, and which of them are in the reachable volume."""
+        positions = combined(self._grid_axes())
+        return positions, self._reaches(positions)
+
+    def _reaches(self, points: FloatArray) -> BoolArray:
+        """Whether the camera may be at points `(..., 3)` of the box, `(...)`."""
+        return self.plan.contains(points, self.reachable.clearance)
+
+    def grid(self) -> FloatArray:
+        """See `Space.grid`; z varies fastest."""
+        positions, reached = self._grid
+        return positions[reached]
+
+    def finer(self) -> "Prism":
+        """See `Space.finer`."""
+        return replace(self, spacing=tuple(np.broadcast_to(self.spacing, 3) / 2.0))
+
+    def jittered_grid(self, rng: np.random.Generator) -> FloatArray:
+        """See `Space.jittered_grid`: in the part of each cell that is in the reachable volume."""
+        positions, reached = self._grid
+        low, high = (corner[reached] for corner in cell_borders(self._grid_axes(), *self._box))
+        drawn, left = positions[reached], np.arange(reached.sum())
+        for _ in range(MOST_DRAWS):
+            tried = low[left] + rng.random((len(left), 3)) * (high[left] - low[left])
+            good = self._reaches(tried)
+            drawn[left[good]] = tried[good]
+            left = left[~good]
+            if not len(left):
+                break
+        return drawn
+
+    def sample(self, size: int, rng: np.random.Generator) -> FloatArray:
+        """See `Space.sample`."""
+        low, high = self._box
+        drawn = np.empty((0, 3))
+        while len(drawn) < size:
+            tried = rng.uniform(low, high, (size - len(drawn), 3))
+            drawn = np.concatenate([drawn, tried[self._reaches(tried)]])
+        return drawn
+
+    def surfaces(self) -> tuple[Surface, ...]:
+        """See `Space.surfaces`."""
+        return self.plan.carriers
+
+    def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
+        """See `Space.surfaces_of`; at an edge between two surfaces, the one whose normal is nearer."""
+        carriers, tolerance = SurfaceArrays.of(self.surfaces()), PLACEMENT_TOLERANCE
+        every = np.arange(len(carriers.normal))
+        at = carriers.coordinates(every, np.asarray(positions)[..., None, :])
+        within = ((at >= -tolerance) & (at <= carriers.extent + tolerance)).all(axis=-1)
+        hangs = within & (np.abs(carriers.depth(positions)) <= tolerance) & self.contains(positions)[..., None]
+        nearest = np.argmax(np.where(hangs, normals @ carriers.normal.T, -np.inf), axis=-1)
+        return np.where(hangs.any(axis=-1), nearest, -1)
+
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """See `Space.bounds`."""
+        vertices = np.array(self.plan.outline)
+        return np.append(vertices.min(axis=0), 0.0), np.append(vertices.max(axis=0), self.plan.height)
+
+    def contains(self, points: FloatArray) -> BoolArray:
+        """See `Space.contains`."""
+        return self.plan.contains(points)
+
+    def blockers(self) -> Blockers | None:
+        """See `Space.blockers`."""
+        return self.plan.blockers
+
+    def clear(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
+        """See `Space.clear`."""
+        return _clear(self.plan.blockers, starts, ends)
+
+    def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
+        """See `Space.passable`: the whole way keeps the clearance."""
+        blockers = self.plan.blockers
+        return _clear(blockers and blockers.grown(self.reachable.clearance), starts, ends)
+
+    def faces(self) -> tuple[Surface, ...]:
+        """See `Space.faces`."""
+        return self.plan.faces
+
+    def outline(self) -> dict[str, FloatArray]:
+        """See `Space.outline`; the reachable area is the box around it."""
+        plan = self.plan
+        rings = [_prism_edges(ring, 0.0, plan.height) for ring in (plan.outline, *plan.holes)]
+        boxes = [box_edges(np.array(part.low), np.array(part.high)) for part in plan.obstacles]
+        return {"room": np.concatenate([*rings, *boxes]), "reachable area": box_edges(*self._box)}
+
+    def describe(self) -> str:
+        """See `Space.describe`."""
+        low, high = self.bounds()
+        return f"room over a floor plan of {' x '.join(f'{length:g}' for length in high - low)} m"
+
+
+def _clear(blockers: Blockers | None, starts: FloatArray, ends: FloatArray) -> BoolArray:
+    if blockers is None:
+        return np.ones(np.broadcast_shapes(starts.shape, ends.shape)[:-1], dtype=np.bool_)
+    return blockers.clear(starts, ends)
+
+
+def _prism_edges(ring: Sequence[Sequence[float]], low: float, high: float) -> FloatArray:
+    """The edges of an upright prism, `(M, 2, 3)`."""
+    flat = edges(ring)
+    bottom, top = (np.concatenate([flat, np.full((len(flat), 2, 1), z)], axis=2) for z in (low, high))
+    return np.concatenate([bottom, top, np.stack([bottom[:, 0], top[:, 0]], axis=1)])
+
+
+def from_floor_plan(
+    outline: Any,
+    height: Any,
+    reachable: Any,
+    spacing: Any,
+    positions: str = "cells",
+    relevance: Relevance | None = None,
+    **plan: Any,
+) -> Prism:
+    """A `Prism` from the arguments of its plan and its own, side by side."""
+    return Prism(FloorPlan(outline, height, **plan), reachable, spacing, positions, relevance or Relevance())
