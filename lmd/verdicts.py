@@ -15,6 +15,7 @@ from lmd.checks import BoolArray, FloatArray, IntArray
 from lmd.deployment import Deployment
 from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.scene import Scene
+from lmd.sight.obstacles import unobstructed
 
 # Keeps the poses apart from every other use of the same seed.
 STREAM = 0x7768790A
@@ -35,13 +36,21 @@ class Explained(Protocol):
 
 def verdicts(scene: Scene, deployment: Deployment, poses: FloatArray) -> dict[str, BoolArray]:
     """What the scene's visibility model says of its criteria in N poses, `(N, K)` each; nothing if it cannot tell."""
-    explain = getattr(scene.visibility, "verdicts", None)
-    if explain is None:
+    if not hasattr(scene.visibility, "verdicts"):
         return {}
-    landmarks = deployment.positions, deployment.normals
     axes = axis_and_right(poses)
-    rows = [explain(scene.camera, pose[:3, 3], axes[i : i + 1], *landmarks) for i, pose in enumerate(poses)]
+    rows = [_told(scene, deployment, pose[:3, 3], axes[i : i + 1]) for i, pose in enumerate(poses)]
     return {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
+
+
+def _told(scene: Scene, deployment: Deployment, position: FloatArray, axes: FloatArray) -> dict[str, BoolArray]:
+    """The verdicts from a position with axes `(A, 6)`, `(A, K)` each: the model's, and the room's if it has any."""
+    landmarks = deployment.positions, deployment.normals
+    told = dict(scene.visibility.verdicts(scene.camera, position, axes, *landmarks))  # type: ignore[attr-defined]
+    if scene.room.blockers() is not None:
+        clear = unobstructed(scene.room, scene.sight, position, *landmarks)
+        told["obstacles"] = np.broadcast_to(clear, (len(axes), len(deployment)))
+    return told
 
 
 @dataclass(frozen=True)
@@ -99,7 +108,7 @@ def causes(scene: Scene, deployment: Deployment, seed: int) -> Causes | None:
     met, without, covered = [], [], 0
     for here in poses:  # one after the other: all looks at once would be large
         axes = axis_and_right(here)
-        told = scene.visibility.verdicts(scene.camera, here[0, :3, 3], axes, deployment.positions, deployment.normals)
+        told = _told(scene, deployment, here[0, :3, 3], axes)
         names, passed = list(told), np.stack(list(told.values()))
         failed = (~passed).sum(axis=0)
         met.append(passed.sum(axis=(1, 2)))
@@ -111,5 +120,7 @@ def causes(scene: Scene, deployment: Deployment, seed: int) -> Causes | None:
         return dict(zip(names, (np.sum(counts, axis=0) / looks).tolist(), strict=True))
 
     describe = getattr(scene.visibility, "limits_for", None)
-    limits = describe(scene.camera) if describe else {}
+    limits = dict(describe(scene.camera)) if describe else {}
+    if "obstacles" in names:
+        limits["obstacles"] = "nothing of the room in the way"
     return Causes(looks, covered / looks, shares(met), shares(without), limits)

@@ -56,7 +56,7 @@ def tagged_room(room: Space, deployment: Deployment, tag: Tag) -> TaggedRoom:
     """
     tag.check_ids(deployment.ids)
     _, ups = upright(deployment.normals)
-    return TaggedRoom(tag, deployment.ids, deployment.positions, deployment.normals, ups, room.surfaces())
+    return TaggedRoom(tag, deployment.ids, deployment.positions, deployment.normals, ups, room.faces())
 
 
 def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

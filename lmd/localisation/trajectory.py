@@ -17,6 +17,7 @@ ANGLES = ("time", "x", "y", "z", "yaw", "pitch")
 QUATERNIONS = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
 # Greatest slope of the minimum-jerk profile, at its middle.
 PEAK = 1.875
+MOST_DRAWS = 1000  # of a waypoint, until a straight way leads there
 FRAME_BYTES = 1000  # what a frame of random motion takes at the least: its pose, and those of the way there
 
 
@@ -49,7 +50,7 @@ class Trajectory:
         return log(inverse(self.poses[:-1]) @ self.poses[1:]) / np.diff(self.time)[:, None]
 
     def check_inside(self, room: Space) -> None:
-        """Raise `InputError` if the camera leaves the closed room."""
+        """Raise `InputError` if the camera leaves the closed room, or goes through something that stands in it."""
         positions = self.poses[:, :3, 3]
         outside = np.flatnonzero(~room.contains(positions))
         if outside.size:
@@ -57,6 +58,13 @@ class Trajectory:
             raise InputError(
                 f"the camera at {self.time[outside[0]]:g} s, ({x:.9g}, {y:.9g}, {z:.9g}), is outside the "
                 f"{room.describe()}."
+            )
+        through = np.flatnonzero(~room.clear(positions[:-1], positions[1:]))
+        if through.size:
+            x, y, z = positions[through[0]]
+            raise InputError(
+                f"the camera goes straight on from ({x:.9g}, {y:.9g}, {z:.9g}) at {self.time[through[0]]:g} s, through "
+                f"something that stands in the {room.describe()}."
             )
 
 
@@ -128,9 +136,10 @@ class Pace:
 
 @dataclass(frozen=True)
 class RandomMotion:
-    """Random movement in the reachable area: from one random waypoint to the next.
+    """Random movement in the reachable area: from one random waypoint straight to the next.
 
-    Waypoints are uniform in the reachable box, their orientations follow the orientation PDF of the scene.
+    Waypoints are uniform in the reachable area, or in what of it can be reached on a straight way from the one before;
+    their orientations follow the orientation PDF of the scene.
 
     Args:
         duration: seconds.
@@ -153,7 +162,7 @@ class RandomMotion:
         """See `TrajectorySource.draw`."""
         room, left, waypoints = scene.room, self.duration, [_random_waypoint(scene, rng)]
         while left > 0.0:
-            waypoints.append(_random_waypoint(scene, rng))
+            waypoints.append(_next_waypoint(scene, waypoints[-1], rng))
             left -= float(self.pace.seconds(_shortest(waypoints[-1] - waypoints[-2])))
         trajectory = self.pace.through(np.array(waypoints), self.duration)
         trajectory.check_inside(room)
@@ -162,6 +171,16 @@ class RandomMotion:
 
 def _random_waypoint(scene: Scene, rng: np.random.Generator) -> FloatArray:
     return np.concatenate([scene.room.sample(1, rng)[0], *scene.pdf.draw(1, rng)[:2]])
+
+
+def _next_waypoint(scene: Scene, before: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """A waypoint to which a straight way leads from the one `before`; drawn anew until there is one."""
+    for _ in range(MOST_DRAWS):
+        waypoint = _random_waypoint(scene, rng)
+        if scene.room.passable(before[:3], waypoint[:3]):
+            return waypoint
+    x, y, z = before[:3]
+    raise InputError(f"no straight way leads on from ({x:.9g}, {y:.9g}, {z:.9g}): none of {MOST_DRAWS} is free.")
 
 
 def _shortest(step: FloatArray) -> FloatArray:

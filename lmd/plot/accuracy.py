@@ -43,10 +43,10 @@ def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Probl
         mesh = axes.pcolormesh(
             plan.columns, plan.index, shown, cmap=colours, norm=LogNorm(low, high), shading="nearest"
         )
-        outline = problem.scene.room.outline()
-        for part, colour, style in (("room", common.ROOM, "-"), ("reachable area", common.REACHABLE, "--")):
-            for edge in outline[part]:
-                axes.plot(*edge[:, :2].T, color=colour, linestyle=style, lw=1.0)
+        for part, edges in problem.scene.room.outline().items():
+            colour, dashed = common.PARTS[part]
+            for edge in edges:
+                axes.plot(*edge[:, :2].T, color=colour, linestyle="--" if dashed else "-", lw=1.0)
         arrows = common.ARROW_LENGTH * deployment.normals[:, :2]
         axes.quiver(*deployment.positions[:, :2].T, *arrows.T, color=common.LANDMARK, angles="xy",
                     scale_units="xy", scale=1.0, width=0.003, zorder=3)  # fmt: skip

@@ -11,6 +11,15 @@ ARROW_LENGTH = 0.35  # metres, drawn along the normal of a landmark
 LANDMARK = "#d62728"
 ROOM = "#000000"
 REACHABLE = "#8a8a8a"
+OBSTACLE = "#8c564b"
+KEPT_OUT = "#ff7f0e"
+# How the parts of `Space.outline` are drawn: colour, and whether dashed. A room need not have them all.
+PARTS = {
+    "room": (ROOM, False),
+    "obstacles": (OBSTACLE, False),
+    "nothing hangs here": (KEPT_OUT, False),
+    "reachable area": (REACHABLE, True),
+}
 QUALIFIED = "#1a9641"
 UNQUALIFIED = "#9e9e9e"
 COLOUR_MAP = "viridis"  # known by this name to both libraries, even in lightness, hence safe to print

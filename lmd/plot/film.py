@@ -78,7 +78,9 @@ def _draw_room(
     axes = figure.add_axes((0.58, 0.02, 0.43, 0.9), projection="3d")
     axes.view_init(common.ELEVATION, common.AZIMUTH)
     axes.set_axis_off()
-    axes.add_collection(Line3DCollection(room.outline()["room"], colors=common.ROOM, linewidths=0.8))
+    for part, edges in room.outline().items():
+        if part in ("room", "obstacles"):
+            axes.add_collection(Line3DCollection(edges, colors=common.PARTS[part][0], linewidths=0.8))
     found = np.isfinite(moment.found).all(axis=(1, 2))
     green, position = np.array(BOTH) / 255.0, moment.pose[:3, 3]
     axes.scatter(*landmarks[~found].T, s=6, color=common.UNQUALIFIED, depthshade=False)

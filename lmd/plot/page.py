@@ -107,10 +107,13 @@ def save_scene_page(path: str | Path, problem: Problem, deployment: Deployment, 
 def _box_traces(room: Space) -> list[Any]:
     import plotly.graph_objects as go
 
-    styles = {"room": {"color": common.ROOM}, "reachable area": {"color": common.REACHABLE, "dash": "dot"}}
     return [
         go.Scatter3d(
-            **_xyz(_strokes(edges)), mode="lines", name=name, line={"width": 3, **styles[name]}, hoverinfo="skip"
+            **_xyz(_strokes(edges)),
+            mode="lines",
+            name=name,
+            line={"width": 3, "color": common.PARTS[name][0], "dash": "dot" if common.PARTS[name][1] else "solid"},
+            hoverinfo="skip",
         )
         for name, edges in room.outline().items()
     ]

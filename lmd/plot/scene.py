@@ -48,8 +48,7 @@ def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment
     bar.ax.axvline(objective.threshold, color="black", linewidth=1.5)
 
     lines = [
-        Line2D([], [], color=common.ROOM, label="room"),
-        Line2D([], [], color=common.REACHABLE, linestyle="--", label="reachable area"),
+        *(Line2D([], [], color=colour, linestyle=style, label=part) for part, _, colour, style in _parts(room)),
         Line2D([], [], **_symbol(r"$\rightarrow$", 24, common.LANDMARK), label="landmark and its normal"),
     ]
     colours = (common.QUALIFIED, common.UNQUALIFIED)
@@ -58,7 +57,7 @@ def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment
         for colour, label in zip(colours, common.qualified_labels(good, objective.threshold), strict=True)
     ]
     for handles, x, y in ((lines, 0.5, 0.9), (dots, 0.75, 0.095)):
-        figure.legend(handles=handles, loc="center", bbox_to_anchor=(x, y), ncols=3, frameon=False, fontsize=12)
+        figure.legend(handles=handles, loc="center", bbox_to_anchor=(x, y), ncols=5, frameon=False, fontsize=12)
     figure.savefig(path)
 
 
@@ -115,8 +114,7 @@ def _draw_surroundings(axes: Any, room: Space, deployment: Deployment) -> None:
         getattr(axes, f"{axis}axis").pane.set_visible(False)
     # matplotlib has no depth buffer: what is nearer to the viewer than the balls gets a higher z-order.
     viewer = common.viewer()
-    for name, colour, style in (("room", common.ROOM, "-"), ("reachable area", common.REACHABLE, "--")):
-        edges = room.outline()[name]
+    for _, edges, colour, style in _parts(room):
         near = (edges.mean(axis=1) - (low + high) / 2.0) @ viewer > 0.0
         for part, zorder in ((near, FRONT), (~near, BACK)):
             axes.add_collection(
@@ -126,6 +124,16 @@ def _draw_surroundings(axes: Any, room: Space, deployment: Deployment) -> None:
     for part, zorder in ((near, FRONT), (~near, BACK)):
         start, arrow = deployment.positions[part], common.ARROW_LENGTH * deployment.normals[part]
         axes.quiver(*start.T, *arrow.T, color=common.LANDMARK, linewidth=1.6, arrow_length_ratio=0.4, zorder=zorder)
+
+
+def _parts(room: Space) -> list[tuple[str, FloatArray, str, str]]:
+    """The parts of a room to draw: what they are, their edges, colour and style."""
+    outline = room.outline()
+    return [
+        (part, outline[part], colour, "--" if dashed else "-")
+        for part, (colour, dashed) in common.PARTS.items()
+        if part in outline
+    ]
 
 
 def _draw_balls(axes: Any, room: Space, positions: FloatArray, **colours: Any) -> Any:

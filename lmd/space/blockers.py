@@ -5,8 +5,8 @@ so it is behind the plane from t = h(p) / (h(p) - h(q)) on if h(p) >= 0 > h(q), 
 body blocks it if there is a t at which it is behind all of them.
 
 A body is open, and smaller by `PLACEMENT_TOLERANCE` than what it stands for: a line that runs along a face, or touches
-an edge or a corner, is clear, and so is the last micrometre before a landmark on the body. What is not convex is made of
-several bodies. Where they meet each reaches into the other a little, so that no line slips through.
+an edge or a corner, is clear, and so is the last micrometre before a landmark on the body. What is not convex is made
+of several bodies. Where they meet each reaches into the other a little, so that no line slips through.
 """
 
 from collections.abc import Sequence

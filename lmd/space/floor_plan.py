@@ -177,6 +177,20 @@ class FloorPlan:
         """What is seen of the room, whole."""
         return tuple(self._faces.values())
 
+    @property
+    def kept_out(self) -> list[FloatArray]:
+        """The vertices of the keep-outs, `(N, 3)` each, world frame, metres."""
+        rings = ((self._faces[part.surface], self._kept_out(part).exterior.coords[:-1]) for part in self.keep_out)
+        return [face.point(*np.array(ring).T) for face, ring in rings]
+
+    def clearings(self, clearance: float) -> list[list[tuple[float, ...]]]:
+        """The rings of the ground that is so far from walls, holes and obstacles, to draw it."""
+        import shapely
+
+        taken = [shapely.box(*part.low[:2], *part.high[:2]) for part in self.obstacles]
+        left = shapely.buffer(self.ground.difference(shapely.union_all(taken)), -clearance, join_style="mitre")
+        return [list(ring.coords[:-1]) for ring in shapely.get_parts(shapely.boundary(left))]
+
     @cached_property
     def carriers(self) -> tuple[Surface, ...]:
         """The surfaces that may carry landmarks: walls in the order of `surfaces`, then the faces of obstacles."""

@@ -162,11 +162,13 @@ class Prism:
         return self.plan.faces
 
     def outline(self) -> dict[str, FloatArray]:
-        """See `Space.outline`; the reachable area is the box around it."""
-        plan = self.plan
-        rings = [_prism_edges(ring, 0.0, plan.height) for ring in (plan.outline, *plan.holes)]
-        boxes = [box_edges(np.array(part.low), np.array(part.high)) for part in plan.obstacles]
-        return {"room": np.concatenate([*rings, *boxes]), "reachable area": box_edges(*self._box)}
+        """See `Space.outline`; the reachable area as if obstacles reached from floor to ceiling."""
+        plan, (low, high) = self.plan, self.reachable.height
+        parts = {"room": [_prism_edges(ring, 0.0, plan.height) for ring in (plan.outline, *plan.holes)]}
+        parts["obstacles"] = [box_edges(np.array(part.low), np.array(part.high)) for part in plan.obstacles]
+        parts["nothing hangs here"] = [edges(ring) for ring in plan.kept_out]
+        parts["reachable area"] = [_prism_edges(ring, low, high) for ring in plan.clearings(self.reachable.clearance)]
+        return {name: np.concatenate(drawn) for name, drawn in parts.items() if drawn}
 
     def describe(self) -> str:
         """See `Space.describe`."""
@@ -183,7 +185,7 @@ def _clear(blockers: Blockers | None, starts: FloatArray, ends: FloatArray) -> B
 def _prism_edges(ring: Sequence[Sequence[float]], low: float, high: float) -> FloatArray:
     """The edges of an upright prism, `(M, 2, 3)`."""
     flat = edges(ring)
-    bottom, top = (np.concatenate([flat, np.full((len(flat), 2, 1), z)], axis=2) for z in (low, high))
+    bottom, top = (np.insert(flat, 2, z, axis=2) for z in (low, high))
     return np.concatenate([bottom, top, np.stack([bottom[:, 0], top[:, 0]], axis=1)])
 
 

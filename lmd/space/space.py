@@ -58,7 +58,10 @@ class Space(Protocol):
         """Positions drawn uniformly from where the camera may be, `(size, 3)`."""
 
     def outline(self) -> Mapping[str, FloatArray]:
-        """Edges to draw, by what they belong to (`room`, `reachable area`), `(M, 2, 3)` each."""
+        """Edges to draw, by what they belong to, `(M, 2, 3)` each.
+
+        At least `room` and `reachable area`; also `obstacles`, and `nothing hangs here`.
+        """
 
     def describe(self) -> str:
         """The room in a few words, such as `room of 7.5 x 5 x 6 m`."""

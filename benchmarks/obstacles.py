@@ -1,0 +1,110 @@
+"""What obstacles cost: `python benchmarks/obstacles.py [--rounds 5]`.
+
+The paper's room as a cuboid, and the same with ten boxes and two pillars: what an evaluation and a move of single
+landmarks take for each. Both are timed in turn, on one thread; the least of the rounds counts.
+"""
+
+import argparse
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from lmd import pdf
+from lmd.camera import Camera
+from lmd.compiled import kernel
+from lmd.deployment import RandomDeployment
+from lmd.objectives.coverage_field import coverage_field
+from lmd.objectives.field import bound, settle
+from lmd.scene import Scene
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.paper import Visibility
+from lmd.space.cuboid import Cuboid
+from lmd.space.floor_plan import FloorPlan
+from lmd.space.parts import Reachable
+from lmd.space.prism import Prism
+from lmd.space.space import Space
+
+CAMERA = Camera(
+    focal_length=5.0, pixel_width=0.0058, pixel_height=0.0058, principal_point=(800, 600), image_width=1600,
+    image_height=1200, aperture=10.0, focus_distance=1778.0,
+)  # fmt: skip
+SIZE = np.array([7.5, 5.0, 6.0])
+COUNT, MOVES, BATCH = 90, 200, 5
+
+
+@kernel
+def bound_one(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-def]
+    """See `lmd.objectives.field.bound`."""
+    bound(field, k, pose, surface, state, scratch)
+
+
+@kernel
+def settle_one(field, k, state, scratch):  # type: ignore[no-untyped-def]
+    """See `lmd.objectives.field.settle`."""
+    settle(field, k, state, scratch)
+
+
+def rooms() -> dict[str, Space]:
+    """The paper's room, empty and full."""
+    rng = np.random.default_rng(0)
+    low = rng.uniform(0.0, 0.8, (10, 3)) * SIZE * [1.0, 0.4, 0.3] + [0.0, 2.5, 0.0]
+    high = np.minimum(low + rng.uniform(0.3, 1.2, (10, 3)), SIZE)
+    boxes = [{"low": a.tolist(), "high": b.tolist()} for a, b in zip(low, high, strict=True)]
+    pillars = [[[x, 2.0], [x + 0.4, 2.0], [x + 0.4, 2.4], [x, 2.4]] for x in (2.0, 5.0)]
+    walls = [[0.0, 0.0], [7.5, 0.0], [7.5, 5.0], [0.0, 5.0]]
+    plan = FloorPlan(walls, 6.0, holes=pillars, obstacles=boxes)
+    return {
+        "empty": Cuboid((7.5, 5.0, 6.0), (6.0, 3.5, 4.5), 0.5),
+        "ten boxes, two pillars": Prism(plan, Reachable((0.75, 5.25), 0.0), 0.5),
+    }
+
+
+def tasks(room: Space) -> tuple[int, dict[str, Callable[[], object]]]:
+    """How many positions there are, and what is timed."""
+    scene = Scene(room, CAMERA, pdf.grid_with_ends(), Visibility(thold=0.28))
+    rng, evaluator = np.random.default_rng(1), Evaluator(scene, threads=1)
+    drawn = [RandomDeployment(COUNT).draw(room, rng) for _ in range(BATCH)]
+    positions, normals = np.stack([d.positions for d in drawn]), np.stack([d.normals for d in drawn])
+    field = coverage_field(evaluator, 2)
+    state = field.state(drawn[0])
+    scratch = field.scratch(state)
+
+    def moves(finish: bool) -> None:
+        for i in range(MOVES):
+            k = i % COUNT
+            pose = np.concatenate([drawn[1].positions[k], drawn[1].normals[k]])
+            bound_one(field, k, pose, drawn[1].surfaces[k], state, scratch)
+            if finish:
+                settle_one(field, k, state, scratch)
+
+    evaluate = evaluator.units
+    return len(evaluator.positions), {
+        "evaluation": lambda: evaluate(positions, normals, 2),
+        "bounded move": lambda: moves(False),
+        "tried move": lambda: moves(True),
+    }
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rounds", type=int, default=5)
+    rounds = parser.parse_args().rounds
+    named = {name: tasks(room) for name, room in rooms().items()}
+    least: dict[tuple[str, str], float] = {}
+    for turn in range(rounds + 1):  # the first compiles
+        for name, (size, todo) in named.items():
+            for task, work in todo.items():
+                began = time.process_time()
+                work()
+                each = (time.process_time() - began) / size / (BATCH if task == "evaluation" else MOVES)
+                least[name, task] = min(least.get((name, task), np.inf), each if turn else np.inf)
+    print("| | positions | evaluation | bounded move | tried move |\n| --- | --- | --- | --- | --- |")
+    for name, (size, todo) in named.items():
+        cells = [f"{1e9 * least[name, task]:.3g} ns ({least[name, task] / least['empty', task]:.2f})" for task in todo]
+        print(f"| {name} | {size} | {' | '.join(cells)} |")
+
+
+if __name__ == "__main__":
+    main()

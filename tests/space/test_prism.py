@@ -1,0 +1,206 @@
+import numpy as np
+import pytest
+import shapely
+from floor_plans import DOOR, L_SHAPE, PILLAR, RACK, lab, prisms
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from lmd.checks import InputError
+from lmd.deployment import Deployment, RandomDeployment, UniformDeployment
+from lmd.optimisers.encoding import make_encoding
+from lmd.plates import Plates
+from lmd.sight.poses import candidate_poses, wall_cells
+from lmd.space.floor_plan import FloorPlan
+from lmd.space.parts import Reachable
+from lmd.space.prism import Prism, from_floor_plan
+
+GROUND = shapely.Polygon(L_SHAPE, [PILLAR]).difference(shapely.box(0, 3, 0.5, 4))
+seeds = st.integers(0, 2**32 - 1)
+
+
+def surface(room, name):
+    return next(s for s in room.surfaces() if s.name == name)
+
+
+def hangs_properly(room, points, surfaces, edge=0.0):
+    """Whether squares around `points` lie in the free part of their surface, by shapely."""
+    good = []
+    for point, number in zip(points, surfaces, strict=True):
+        on = room.surfaces()[number]
+        a, b = (float((point - on.origin) @ way) for way in (on.u, on.v))
+        half = max(edge / 2.0 - 1e-6, 1e-9)
+        square = shapely.box(a - half, b - half, a + half, b + half)
+        free = shapely.box(0, 0, *on.extent) if on.allowed is None else on.allowed
+        good.append(free.buffer(1e-6).covers(square))
+    return np.array(good)
+
+
+def test_walls_go_from_each_vertex_to_the_next():
+    room = Prism(FloorPlan(L_SHAPE, 2.5, holes=[PILLAR], obstacles=[RACK]), Reachable((1.0, 1.0)), 0.5)
+    walls = [f"wall_{i}" for i in range(6)] + [f"hole_0_wall_{i}" for i in range(4)]
+    names = [*walls, "floor", "ceiling", "obstacle_0_x_max", "obstacle_0_top"]
+    assert [s.name for s in room.surfaces()] == names
+    for name, start, end, normal in [
+        ("wall_0", [0, 0, 0], [6, 0, 2.5], [0, 1, 0]),
+        ("wall_2", [3, 2, 0], [6, 2, 2.5], [0, -1, 0]),
+        ("wall_5", [0, 0, 0], [0, 4, 2.5], [1, 0, 0]),
+        ("hole_0_wall_0", [1.25, 1.25, 0], [1.75, 1.25, 2.5], [0, -1, 0]),
+        ("floor", [0, 0, 0], [6, 4, 0], [0, 0, 1]),
+        ("obstacle_0_x_max", [0.5, 3, 0], [0.5, 4, 1.75], [1, 0, 0]),
+    ]:
+        on = surface(room, name)
+        assert_array_equal([on.point(0, 0), on.point(*on.extent), on.normal], [start, end, normal])
+
+
+def test_areas_are_what_is_left_of_the_faces():
+    room = Prism(FloorPlan(L_SHAPE, 2.5, holes=[PILLAR], obstacles=[RACK], keep_out=[DOOR]), Reachable((1, 1)), 0.5)
+    areas = {s.name: s.area for s in room.surfaces()}
+    assert_allclose(areas["wall_0"], 6 * 2.5 - 2)  # the door
+    assert_allclose(areas["floor"], 24 - 6 - 0.25 - 0.5)  # the corner, the pillar, the rack
+    assert_allclose(areas["ceiling"], 24 - 6 - 0.25)
+    assert_allclose(areas["wall_5"], 4 * 2.5 - 1.75)  # the rack stands against it
+    assert_allclose(areas["obstacle_0_top"], 0.5)
+    assert_allclose(surface(lab(band=[0.25, 2.25], margin=0.125), "wall_1").area, 1.75 * 2)
+
+
+def test_a_keep_out_is_measured_from_the_first_vertex_of_its_wall():
+    # Wall 2 goes from (6, 2) to (3, 2), wall 5 from (0, 4) to (0, 0).
+    parts = [{"surface": "wall_2", "low": [0, 0], "high": [1, 2]}, {"surface": "wall_5", "low": [0, 0], "high": [1, 1]}]
+    room = Prism(FloorPlan(L_SHAPE, 2.5, keep_out=parts), Reachable((1, 1)), 0.5)
+    marks = np.array([[5.5, 2, 1], [3.5, 2, 1], [0, 3.5, 0.5], [0, 0.5, 0.5]])
+    normals = np.array([[0, -1, 0], [0, -1, 0], [1, 0, 0], [1, 0, 0]])
+    for k, free in enumerate([False, True, False, True]):
+        hung = Deployment(marks[k : k + 1], normals[k : k + 1]).hung(room)
+        assert (hung.fault(room) is None) == free
+
+
+@settings(max_examples=40, deadline=None)
+@given(prisms(), seeds)
+def test_positions_are_in_the_room_and_free(room, seed):
+    rng = np.random.default_rng(seed)
+    grid, jittered, drawn = room.grid(), room.jittered_grid(rng), room.sample(50, rng)
+    assert len(grid) == len(jittered)
+    for points in (grid, jittered, drawn):
+        assert room.contains(points).all()
+        on_ground = shapely.points(points[:, :2])
+        assert (shapely.distance(room.plan.ground, on_ground) <= 2e-6).all()
+        for obstacle in room.plan.obstacles:
+            inside = ((points > np.array(obstacle.low) + 2e-6) & (points < np.array(obstacle.high) - 2e-6)).all(axis=1)
+            assert not inside.any()
+
+
+def test_positions_keep_their_clearance():
+    room = lab(spacing=0.125, clearance=0.25)
+    for points in (
+        room.grid(),
+        room.jittered_grid(np.random.default_rng(0)),
+        room.sample(500, np.random.default_rng(1)),
+    ):
+        below = points[:, 2] < 1.75
+        assert (shapely.distance(GROUND.exterior, shapely.points(points[below, :2])) >= 0.25 - 2e-6).all()
+        assert (
+            shapely.distance(shapely.box(1.25, 1.25, 1.75, 1.75), shapely.points(points[:, :2])) >= 0.25 - 2e-6
+        ).all()
+
+
+@settings(max_examples=25, deadline=None)
+@given(prisms(), seeds)
+def test_what_is_drawn_decoded_and_pushed_hangs_where_it_may(room, seed):
+    rng = np.random.default_rng(seed)
+    deployment = RandomDeployment(30).draw(room, rng)
+    assert hangs_properly(room, deployment.positions, deployment.surfaces).all()
+    assert (room.surfaces_of(deployment.positions, deployment.normals) >= 0).all()
+    encoding = make_encoding("wall", room, True)
+    genes = rng.random((3, 30 * encoding.genes_per_landmark))
+    positions, _, surfaces = encoding.decode(genes)
+    assert hangs_properly(room, positions.reshape(-1, 3), surfaces.ravel()).all()
+    back, _, there = encoding.decode(encoding.encode(deployment)[None])
+    assert_allclose(back[0], deployment.positions, atol=1e-7)
+    assert_array_equal(there[0], deployment.surfaces)
+
+
+@pytest.mark.parametrize("kind", ["wall", "paper"])
+def test_genes_mean_places_where_tags_may_hang(kind):
+    plates = Plates(lab(margin=0.05), 0.2)
+    encoding = make_encoding(kind, plates.hanging, True)
+    genes = np.random.default_rng(0).random((4, 25 * encoding.genes_per_landmark))
+    positions, _, surfaces, fits = plates.pushed(*encoding.decode(genes))
+    assert fits.all()
+    assert hangs_properly(plates.room, positions.reshape(-1, 3), surfaces.ravel(), 0.2).all()
+    start = plates.draw(RandomDeployment(25), np.random.default_rng(1))
+    back, _, there = encoding.decode(encoding.encode(start)[None])
+    assert_allclose(back[0], start.positions, atol=1e-5)
+    assert_array_equal(there[0], start.surfaces)
+
+
+def test_uniform_and_candidates_hang_where_they_may():
+    plates = Plates(lab(), 0.15)
+    uniform = plates.draw(UniformDeployment(28), np.random.default_rng(0))
+    poses = candidate_poses(plates.hanging, 0.2)
+    for deployment in (uniform, poses):
+        assert hangs_properly(plates.room, deployment.positions, deployment.surfaces, 0.15).all()
+    cells = wall_cells(plates.hanging, 0.2)
+    area = 4.0 * np.linalg.norm(cells.half_u, axis=1) * np.linalg.norm(cells.half_v, axis=1)
+    assert_allclose(area.sum(), sum(s.area for s in plates.hanging.surfaces()))
+
+
+def test_random_landmarks_are_uniform_over_slanting_regions():
+    plan = FloorPlan([[0, 0], [4, 0], [0, 4]], 2.5, surfaces=["floor"])
+    points = RandomDeployment(20_000).draw(Prism(plan, Reachable((1, 1)), 0.5), np.random.default_rng(0)).positions
+    assert_allclose(points[:, :2].mean(axis=0), 4.0 / 3.0, atol=0.03)
+    for share, side in ((0.25, 2.0), (0.5, 4.0 * np.sqrt(0.5))):  # of a triangle alike
+        assert (points[:, 0] + points[:, 1] < side).mean() == pytest.approx(share, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"outline": [[0, 0], [6, 4], [6, 0], [0, 4]]}, r"^outline crosses or touches itself at \(3, 2\)\.$"),
+        ({"outline": L_SHAPE[::-1]}, r"^outline must run counter-clockwise, .* but it runs clockwise\.$"),
+        ({"outline": [[0, 0], [6, 0]]}, r"^outline must list at least 3 vertices"),
+        ({"outline": [[0, 0], [6, 0], [6, 0], [0, 4]]}, r"^outline\[2\] repeats the vertex before it, \[6\.0, 0\.0\]"),
+        ({"height": 0}, r"^height must be greater than 0"),
+        ({"holes": [PILLAR[::-1]]}, r"^holes\[0\] must run counter-clockwise"),
+        ({"holes": [[[5, 3], [5.5, 3], [5, 3.5]]]}, r"^holes\[0\] is not inside the outline\.$"),
+        ({"holes": [PILLAR, PILLAR]}, r"^holes\[1\] meets another hole\.$"),
+        ({"obstacles": [{"low": [4, 3, 0], "high": [5, 4, 1]}]}, r"^obstacles\[0\] from .* is not inside the room\.$"),
+        ({"obstacles": [{"low": [1, 3, 0], "high": [0, 4, 1]}]}, r"^obstacles\[0\]\.low = .* must be below high"),
+        ({"obstacles": [{"low": [1, 3, 0]}]}, r"^obstacles\[0\] lacks a key"),
+        ({"obstacles": [{**RACK, "faces": ["y_max"]}]}, r"^obstacles\[0\]\.faces: y_max stands against"),
+        ({"keep_out": [{**DOOR, "surface": "wall_9"}]}, r"^keep_out\[0\]\.surface must be one of wall_0, .*'wall_9'"),
+        ({"keep_out": [{"surface": "wall_1", "low": [3, 0], "high": [4, 1]}]}, r"^keep_out\[0\] lies beside wall_1"),
+        ({"keep_out": [{"surface": "wall_1", "low": [0, 0], "high": [2, 3]}]}, r"nowhere on wall_1 may anything hang"),
+        ({"band": [2, 1]}, r"^band must go from the lowest"),
+        ({"margin": 1.0}, r"nowhere on wall_1 may anything hang"),
+        ({"surfaces": ["x_min"]}, r"^surfaces must be one of wall_0, "),
+        ({"surfaces": []}, r"^surfaces must list at least one surface"),
+        ({"reachable": {"height": [1, 3]}}, r"^reachable\.height = .* leaves the room, which is 2\.5 m high"),
+        ({"reachable": {"height": [1, 2], "clearance": 1.6}}, r"^reachable\.height = .* hold no position of the grid"),
+        ({"reachable": {"height": [1, 2], "clearance": 5}}, r"^reachable\.clearance = 5 leaves nothing"),
+        ({"reachable": {"tall": 1}}, r"^reachable key must be one of height, clearance, got 'tall'"),
+        (
+            {"obstacles": [{"low": [0, 0, 0], "high": [6, 2, 2.5]}, {"low": [0, 2, 0], "high": [3, 4, 2.5]}],
+             "surfaces": ["ceiling"], "keep_out": []},
+            r"^surfaces: nowhere on ceiling|hold no position",
+        ),
+    ],
+)  # fmt: skip
+def test_bad_input_gets_one_sentence(change, message):
+    given = {"outline": L_SHAPE, "height": 2.5, "reachable": {"height": [0.5, 1.5], "clearance": 0.3}, "spacing": 0.5}
+    with pytest.raises(InputError, match=message) as refused:
+        from_floor_plan(**{**given, **change})
+    assert "\n" not in str(refused.value)
+
+
+def test_landmarks_where_none_may_hang_are_refused_by_their_id():
+    room = lab()
+    for place, normal, said in [
+        ([5, 0, 1], [0, 1, 0], r"landmark 0 at \(5, 0, 1\) hangs on wall_0 where none may hang"),
+        ([2, 0, 2.4], [0, 1, 0], r"landmark 0 at \(2, 0, 2.4\) hangs on wall_0 where none may hang"),
+        ([1, 1, 1], [0, 1, 0], r"landmark 0 at \(1, 1, 1\) hangs in mid-air"),
+        ([0.25, 3.5, 1], [1, 0, 0], r"landmark 0 at \(0.25, 3.5, 1\) lies outside the room over a floor plan"),
+        ([5, 3, 1], [1, 0, 0], r"landmark 0 at \(5, 3, 1\) lies outside the room over a floor plan of 6 x 4 x 2.5 m"),
+    ]:
+        with pytest.raises(InputError, match=said):
+            Deployment(np.array([place], dtype=float), np.array([normal], dtype=float)).movable(room)
