@@ -42,6 +42,9 @@ if TYPE_CHECKING:
     from lmd.scene import Scene as Scene
     from lmd.sight.paper import Visibility as Visibility
     from lmd.space.cuboid import Cuboid as Cuboid
+    from lmd.space.floor_plan import FloorPlan as FloorPlan
+    from lmd.space.parts import Reachable as Reachable
+    from lmd.space.prism import Prism as Prism
 
 # Where each name lives. Imported when first asked for: the compiler alone takes a second to load.
 _HOMES = {
@@ -53,9 +56,12 @@ _HOMES = {
     "Cuboid": "lmd.space.cuboid",
     "Deployment": "lmd.deployment",
     "FileDeployment": "lmd.deployment",
+    "FloorPlan": "lmd.space.floor_plan",
     "InputError": "lmd.checks",
+    "Prism": "lmd.space.prism",
     "Problem": "lmd.problem",
     "RandomDeployment": "lmd.deployment",
+    "Reachable": "lmd.space.parts",
     "Result": "lmd.optimisers.base",
     "Sampling": "lmd.objectives.sampling",
     "Scene": "lmd.scene",

@@ -218,6 +218,9 @@ class Shifted:
             type(s)(s.name, s.origin + self.SHIFT, s.u, s.v, s.normal, s.extent) for s in self._room.surfaces()
         )
 
+    def faces(self):
+        return self.surfaces()
+
     def surfaces_of(self, positions, normals):
         return self._room.surfaces_of(positions - self.SHIFT, normals)
 
@@ -228,8 +231,14 @@ class Shifted:
     def contains(self, points):
         return self._room.contains(points - self.SHIFT)
 
+    def blockers(self):
+        return None
+
     def clear(self, starts, ends):
         return self._room.clear(starts, ends)
+
+    def passable(self, starts, ends):
+        return self._room.passable(starts, ends)
 
     def grid(self):
         return self._room.grid() + self.SHIFT

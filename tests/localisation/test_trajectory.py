@@ -1,5 +1,7 @@
 import numpy as np
 import pytest
+import shapely
+from floor_plans import lab
 from numpy.testing import assert_allclose, assert_array_equal
 from paper import paper_room, paper_scene
 from scipy.spatial.transform import Rotation
@@ -134,3 +136,41 @@ def test_bad_settings_get_one_sentence(build, message):
 def test_the_default_room_of_a_trajectory_is_closed():
     on_the_wall = Trajectory(np.array([0.0, 1.0]), se3.camera_pose([[0.0, 1.0, 1.0], [7.5, 5.0, 6.0]], [0, 0], [0, 0]))
     on_the_wall.check_inside(paper_room())
+
+
+def test_random_flights_go_round_what_stands_in_the_room():
+    room = lab(clearance=0.25)
+    for seed in range(5):
+        positions = drawn(RandomMotion(60.0, PACE), paper_scene(room), seed).poses[:, :3, 3]
+        assert room.contains(positions).all()
+        assert room.passable(positions[:-1], positions[1:]).all()
+        away = shapely.distance(room.plan.ground.boundary, shapely.points(positions[:, :2]))
+        assert away.min() >= 0.25 - 1e-5
+
+
+@pytest.mark.parametrize(("start", "end"), [([1, 1, 1], [2, 2, 1]), ([5, 1, 1], [2, 3.5, 1])])
+def test_flights_through_pillars_and_corners_are_refused(start, end):
+    scene = paper_scene(lab())
+    with pytest.raises(InputError, match=r"is outside the room over a floor plan"):
+        drawn(Waypoints([[*start, 0, 0], [*end, 0, 0]], PACE), scene)
+    poses = se3.camera_pose(np.array([start, end], dtype=float), np.zeros(2), np.zeros(2))  # no frame on the way
+    with pytest.raises(InputError, match=r"^the camera goes straight on from .* through something that stands in the"):
+        Trajectory(np.array([0.0, 1.0]), poses).check_inside(scene.room)
+
+
+def test_a_camera_that_no_straight_way_leads_away_from_is_refused():
+    with pytest.raises(InputError, match=r"^no straight way leads on from"):
+        drawn(RandomMotion(60.0, PACE), paper_scene(Walled(lab())))
+
+
+class Walled:
+    """A room in which no way is free."""
+
+    def __init__(self, room):
+        self._room = room
+
+    def __getattr__(self, name):
+        return getattr(self._room, name)
+
+    def passable(self, starts, ends):
+        return np.zeros(np.broadcast_shapes(starts.shape, ends.shape)[:-1], dtype=bool)
