@@ -57,6 +57,19 @@ def random_boxes(rng, count, size):
     return np.stack([low, np.minimum(low + rng.uniform(0.1, 0.4, (count, 3)) * size, size)], axis=1)
 
 
+def hangs_properly(room, points, surfaces, edge=0.0):
+    """Whether squares around `points` lie in the free part of their surface, by shapely."""
+    good = []
+    for point, number in zip(points, surfaces, strict=True):
+        on = room.surfaces()[number]
+        a, b = (float((point - on.origin) @ way) for way in (on.u, on.v))
+        half = max(edge / 2.0 - 1e-6, 1e-9)
+        square = shapely.box(a - half, b - half, a + half, b + half)
+        free = shapely.box(0, 0, *on.extent) if on.allowed is None else on.allowed
+        good.append(free.buffer(1e-6).covers(square))
+    return np.array(good)
+
+
 @st.composite
 def prisms(draw, spacing=0.9):
     """Rooms of all kinds, with obstacles."""

@@ -126,7 +126,7 @@ def _draw_surroundings(axes: Any, room: Space, deployment: Deployment) -> None:
         axes.quiver(*start.T, *arrow.T, color=common.LANDMARK, linewidth=1.6, arrow_length_ratio=0.4, zorder=zorder)
 
 
-def _parts(room: Space) -> list[tuple[str, FloatArray, str, str]]:
+def _parts(room: Space) -> list[tuple[str, FloatArray, str, Any]]:
     """The parts of a room to draw: what they are, their edges, colour and style."""
     outline = room.outline()
     return [

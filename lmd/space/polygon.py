@@ -37,7 +37,7 @@ def checked_ring(name: str, value: Any) -> Ring:
     return ring
 
 
-def edges(ring: Sequence[Sequence[float]]) -> FloatArray:
+def edges(ring: Sequence[Sequence[float]] | FloatArray) -> FloatArray:
     """From each vertex to the next, `(N, 2, 2)`."""
     vertices = np.asarray(ring, dtype=np.float64)
     return np.stack([vertices, np.roll(vertices, -1, axis=0)], axis=1)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import shapely
-from floor_plans import DOOR, L_SHAPE, PILLAR, RACK, lab, prisms
+from floor_plans import DOOR, L_SHAPE, PILLAR, RACK, hangs_properly, lab, prisms
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
@@ -21,19 +21,6 @@ seeds = st.integers(0, 2**32 - 1)
 
 def surface(room, name):
     return next(s for s in room.surfaces() if s.name == name)
-
-
-def hangs_properly(room, points, surfaces, edge=0.0):
-    """Whether squares around `points` lie in the free part of their surface, by shapely."""
-    good = []
-    for point, number in zip(points, surfaces, strict=True):
-        on = room.surfaces()[number]
-        a, b = (float((point - on.origin) @ way) for way in (on.u, on.v))
-        half = max(edge / 2.0 - 1e-6, 1e-9)
-        square = shapely.box(a - half, b - half, a + half, b + half)
-        free = shapely.box(0, 0, *on.extent) if on.allowed is None else on.allowed
-        good.append(free.buffer(1e-6).covers(square))
-    return np.array(good)
 
 
 def test_walls_go_from_each_vertex_to_the_next():

@@ -1,0 +1,58 @@
+"""Every way to come by a deployment hangs tags where they may, in a room with a pillar, a rack and a door."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from floor_plans import hangs_properly, lab
+from paper import paper_scene
+
+from lmd import pdf
+from lmd.bounds import Search, average_upper_bound
+from lmd.deployment import RandomDeployment
+from lmd.objectives.coverage import Coverage
+from lmd.objectives.sampling import Sampling
+from lmd.optimisers.annealing import Annealing
+from lmd.optimisers.base import Budget
+from lmd.optimisers.ega import EGA
+from lmd.optimisers.greedy import Greedy
+from lmd.problem import Problem
+from lmd.sight import reference
+from lmd.tag import Tag
+from lmd.validation import Sample, validation_metrics
+
+SCENE = paper_scene(lab(), orientations=pdf.grid_with_ends(6), thold=0.3, occlusion="line_of_sight")
+WITH_TAGS = replace(SCENE, tag=Tag(0.15))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", [SCENE, WITH_TAGS], ids=["points", "tags"])
+@pytest.mark.parametrize("sampling", [None, Sampling(1, 6)], ids=["grid", "samples"])
+@pytest.mark.parametrize("optimiser", [Annealing, Greedy, lambda: EGA(), lambda: EGA(encoding="paper")])
+def test_what_is_found_hangs_where_it_may(optimiser, scene, sampling):
+    problem = Problem(scene, Coverage(2, 0.5, sampling=sampling), RandomDeployment(16), threads=1)
+    result = optimiser().run(problem, Budget(200))
+    edge, found = scene.plates.edge, result.deployment
+    assert hangs_properly(scene.room, found.positions, found.surfaces, edge).all()
+    scene.plates.check(found.movable(scene.room))
+    assert result.fitness == problem.fitness_of(found)
+
+
+def test_no_deployment_exceeds_the_bound():
+    problem = Problem(SCENE, Coverage(2, 0.5), RandomDeployment(16), threads=1)
+    found = Greedy().run(problem, Budget(200)).deployment
+    average = problem.metrics(found)["average_coverage_probability"]
+    bound = average_upper_bound(problem, 16, Search(0.5, 20, 0.01))
+    assert average <= bound.walls
+    assert bound.grid < 1.0
+
+
+def test_off_the_grid_is_near_the_grid():
+    problem = Problem(SCENE, Coverage(2, 0.5), RandomDeployment(30), threads=1)
+    deployment = problem.draw(np.random.default_rng(0))
+    figures = validation_metrics(problem, deployment, 0, Sample(8, 100, 12))
+    expected = problem.metrics(deployment)["average_coverage_probability"]
+    assert figures["grid_free_average_coverage_probability"] == pytest.approx(expected, abs=0.05)
+    counts = reference.counts(SCENE, deployment)
+    by_reference = reference.coverage_probability(counts, SCENE.pdf, 2).mean()
+    assert expected == pytest.approx(by_reference, abs=1e-9)

@@ -1,0 +1,47 @@
+"""The parts of a floor plan in figures and pages."""
+
+import re
+
+import numpy as np
+from floor_plans import lab
+from paper import paper_scene
+
+from lmd import pdf
+from lmd.deployment import RandomDeployment
+from lmd.objectives.coverage import Coverage
+from lmd.plot.page import save_scene_page
+from lmd.plot.scene import save_scene_figure
+from lmd.problem import Problem
+from lmd.space.cuboid import Cuboid
+
+
+def parts(page):
+    names = ("room", "obstacles", "nothing hangs here", "reachable area")
+    return [name for name in names if re.search(f'"name":"{name}"', page)]
+
+
+def test_figures_show_obstacles_and_keep_outs(tmp_path):
+    for room, shown in [
+        (lab(spacing=1.0), ["room", "obstacles", "nothing hangs here", "reachable area"]),
+        (Cuboid((4, 3, 2.5), (3, 2, 1.5), 1.0), ["room", "reachable area"]),
+    ]:
+        problem = Problem(paper_scene(room, orientations=pdf.grid_with_ends(4)), Coverage(2, 0.5), RandomDeployment(9))
+        deployment = problem.draw(np.random.default_rng(0))
+        save_scene_page(tmp_path / "scene.html", problem, deployment, "a lab")
+        assert parts((tmp_path / "scene.html").read_text()) == shown
+        save_scene_figure(tmp_path / "scene.png", problem, deployment, "a lab")
+        assert (tmp_path / "scene.png").stat().st_size > 10_000
+
+
+def test_the_outline_is_the_floor_plan():
+    room = lab(clearance=0.25)
+    outline = room.outline()
+    assert {name: len(edges) for name, edges in outline.items()} == {
+        "room": 3 * (6 + 4),
+        "obstacles": 12,
+        "nothing hangs here": 4,
+        "reachable area": 3 * (8 + 4),  # the rack takes a corner away
+    }
+    corners = outline["nothing hangs here"].reshape(-1, 3)
+    assert corners.min(axis=0).tolist() == [4.5, 0.0, 0.0]
+    assert corners.max(axis=0).tolist() == [5.5, 0.0, 2.0]
