@@ -91,7 +91,8 @@ def _spread(
 
 def spread(pieces: FloatArray, at: FloatArray) -> FloatArray:
     """Places `(..., 2)` in trapezoids `(..., 6)`: uniform if `at` `(..., 2)` is, in the unit square."""
-    return np.stack(_spread(*np.moveaxis(pieces, -1, 0), at[..., 0], at[..., 1]), axis=-1)
+    columns = [*np.moveaxis(pieces, -1, 0), *np.moveaxis(at, -1, 0)]
+    return np.stack(_spread(*columns), axis=-1)
 
 
 def gathered(pieces: FloatArray, places: FloatArray) -> FloatArray:
