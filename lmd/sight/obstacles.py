@@ -109,24 +109,25 @@ def is_blocked(obstacles, sight, p, ends, k):  # type: ignore[no-untyped-def]
 
 @is_blocked.register(Obstacles)
 def _is_blocked(obstacles, sight, p, ends, k):  # type: ignore[no-untyped-def]
+    # One nest of loops: to hand arrays on to a function would cost more than the work.
     first, heights = obstacles.first, obstacles.heights
     points = POINTS if half_edge(sight) > 0.0 else 1
     for m in range(len(first) - 1):
-        apart = False
-        for j in range(first[m], first[m + 1]):
-            if heights[p, j] >= 0.0 and ends[k, POINTS, j] >= 0.0:
-                apart = True
-                break
-        if apart:
-            continue
-        for i in range(points):
+        for turn in range(points + 1):
+            # The least heights come first: with them the line enters no later and leaves no earlier than to any point.
+            row = POINTS if turn == 0 else turn - 1
             entered, left = 0.0, 1.0
             for j in range(first[m], first[m + 1]):
-                start, end = heights[p, j], ends[k, i, j]
+                start, end = heights[p, j], ends[k, row, j]
                 if start >= 0.0:
-                    entered = max(entered, start / (start - end) if end < 0.0 else np.inf)
+                    if end >= 0.0:
+                        entered = np.inf
+                        break
+                    entered = max(entered, start / (start - end))
                 elif end >= 0.0:
                     left = min(left, start / (start - end))
-            if entered < left:
+            if turn == 0 and entered >= left:
+                break
+            if turn > 0 and entered < left:
                 return True
     return False
