@@ -20,6 +20,9 @@ accelerated projected ascent. F(x) itself is what no choice can get below.
 The largest g_j is sought over a grid of poses while x is improved, and in the end over the whole walls, by branch and
 bound on cells (`lmd.sight.poses`): that makes the bound one for every flush deployment.
 
+Landmarks that hang already are not chosen: where nothing hides them they cover b_pa, and c_pa = b_pa + sum_j x_j A_jpa
+adds sum_pa y_pa b_pa to the constant, with K the number of the others.
+
 A view that is localised covers n landmarks, so the same bounds hold for what `Localisation` makes of P_n: they are
 valid, but take no account of its tolerance.
 """
@@ -27,6 +30,7 @@ valid, but take no account of its tolerance.
 import heapq
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -40,7 +44,6 @@ from lmd.sight.criteria import TOLERANCE
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.sight.poses import Cells, covered_amounts, gains, wall_cells
-from lmd.space.space import Space
 
 # The smoothed min is rounded off this far on both sides of its kink: at first, and in the end. Halved as x improves.
 FIRST_WIDTH, LAST_WIDTH, STEPS_PER_WIDTH = 0.3, 0.01, 25
@@ -59,7 +62,7 @@ class Dual(NamedTuple):
     prices: FloatArray
 
     def bound(self, count: int, gain: float) -> float:
-        """The bound for `count` landmarks if none earns more than `gain`; 1 is always one."""
+        """The bound for `count` free landmarks if none earns more than `gain`; 1 is always one."""
         return min(self.constant + count * gain, 1.0)
 
 
@@ -114,29 +117,37 @@ class Relaxation:
         shares: r, `(P,)`.
         n: landmarks that must be seen.
         threshold: t, in (0, 1].
+        fixed: landmarks that hang already.
     """
 
     evaluator: Evaluator
     shares: FloatArray
     n: int
     threshold: float
+    fixed: Deployment | None = None
 
     @property
     def weights(self) -> FloatArray:
         """w, `(D,)`."""
         return np.asarray(self.evaluator.weights / PROBABILITY_ONE)
 
-    def value(self, covered: FloatArray) -> float:
-        """F at c `(P, D)`."""
-        seen = np.minimum(covered / self.n, 1.0) @ self.weights
+    @cached_property
+    def already(self) -> FloatArray | float:
+        """b, `(P, D)`; 0 where nothing is fixed."""
+        return 0.0 if self.fixed is None else covered_amounts(self.evaluator, self.fixed, np.ones(len(self.fixed)))
+
+    def value(self, added: FloatArray) -> float:
+        """F at c - b `(P, D)`."""
+        seen = np.minimum((added + self.already) / self.n, 1.0) @ self.weights
         return float(self.shares @ np.minimum(seen / self.threshold, 1.0))
 
-    def smoothed(self, covered: FloatArray, width: float) -> tuple[float, Dual]:
-        """Smoothed F at c `(P, D)`, and its slopes as multipliers; the prices are its gradient in c."""
-        by_axis, slope = smoothed_min(covered / self.n, width)
+    def smoothed(self, added: FloatArray, width: float) -> tuple[float, Dual]:
+        """Smoothed F at c - b `(P, D)`, and its slopes as multipliers; the prices are its gradient in c."""
+        by_axis, slope = smoothed_min((added + self.already) / self.n, width)
         by_position, z = smoothed_min(by_axis @ self.weights / self.threshold, width)
         prices = slope * self.weights * (z * self.shares / (self.n * self.threshold))[:, None]
         constant = self.shares @ (1.0 - z + z / self.threshold) - self.n * prices.sum()
+        constant += (self.already * prices).sum()
         return float(self.shares @ by_position), Dual(float(constant), prices)
 
 
@@ -150,8 +161,8 @@ def smoothed_min(v: FloatArray, width: float) -> tuple[FloatArray, FloatArray]:
 def average_upper_bound(problem: Problem, count: int, search: Search) -> UpperBound:
     """Bounds the mean of P_n over the grid (positions count alike) for `count` landmarks."""
     size = len(problem.evaluator.positions)
-    relaxation = Relaxation(problem.evaluator, np.full(size, 1.0 / size), _at_most_coverage(problem).n, 1.0)
-    return _bound(relaxation, problem.scene.plates.hanging, count, search)
+    shares, n = np.full(size, 1.0 / size), _at_most_coverage(problem).n
+    return _bound(problem, Relaxation(problem.evaluator, shares, n, 1.0, problem.fixed), count, search)
 
 
 def fitness_upper_bound(problem: Problem, count: int, search: Search) -> UpperBound:
@@ -163,12 +174,12 @@ def fitness_upper_bound(problem: Problem, count: int, search: Search) -> UpperBo
     threshold = 1.0 if averaged else objective.thold_p - TOLERANCE
     if threshold <= 0.0:
         return UpperBound(1.0, 1.0, 1.0, Dual(1.0, np.zeros((len(relevance), evaluator.axes.shape[1]))), 0.0)
-    relaxation = Relaxation(evaluator, relevance / relevance.sum(), objective.n, threshold)
-    return _bound(relaxation, problem.scene.plates.hanging, count, search)
+    relaxation = Relaxation(evaluator, relevance / relevance.sum(), objective.n, threshold, problem.fixed)
+    return _bound(problem, relaxation, count, search)
 
 
 def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
-    """No fewer landmarks than this reach a fitness of `target`.
+    """No fewer landmarks than this reach a fitness of `target`, the fixed ones and at least one more among them.
 
     A dual bounds every K by a line in K: too few landmarks become as many as their own line asks for, which by
     concavity are never too many, until the bound reaches the target.
@@ -177,9 +188,9 @@ def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
         InputError: not even `MOST_LANDMARKS` reach it.
     """
     real("target", target, low=0.0, high=1.0)
-    count = _at_most_coverage(problem).n
+    count = max(_at_most_coverage(problem).n, problem.fixed_count + 1)
     while (bound := fitness_upper_bound(problem, count, search)).walls < target - TOLERANCE:
-        count = math.ceil((target - bound.dual.constant) / bound.gain - TOLERANCE)
+        count = problem.fixed_count + math.ceil((target - bound.dual.constant) / bound.gain - TOLERANCE)
         if count > MOST_LANDMARKS:
             raise InputError(f"target = {target:g} is out of reach of {MOST_LANDMARKS} landmarks.", "target")
     return count
@@ -195,16 +206,16 @@ def _at_most_coverage(problem: Problem) -> Coverage | Localisation:
     return problem.objective
 
 
-def _bound(relaxation: Relaxation, room: Space, count: int, search: Search) -> UpperBound:
+def _bound(problem: Problem, relaxation: Relaxation, count: int, search: Search) -> UpperBound:
     """Multipliers found on the grid of poses, and what they prove for the whole walls."""
-    cells = wall_cells(room, search.spacing)
-    dual, grid, fractional = _solve(relaxation, cells.poses, count, search)
-    gain = largest_gain(relaxation.evaluator, cells, dual.prices, search.tolerance / count)
-    return UpperBound(dual.bound(count, gain), grid, fractional, dual, gain)
+    cells, free = wall_cells(problem.scene.plates.hanging, search.spacing), count - problem.fixed_count
+    dual, grid, fractional = _solve(relaxation, cells.poses, free, search)
+    gain = largest_gain(relaxation.evaluator, cells, dual.prices, search.tolerance / free)
+    return UpperBound(dual.bound(free, gain), grid, fractional, dual, gain)
 
 
 def _solve(relaxation: Relaxation, poses: Deployment, count: int, search: Search) -> tuple[Dual, float, float]:
-    """The best multipliers found for landmarks on `poses`, their bound there, and the largest F found."""
+    """The best multipliers found for `count` free landmarks on `poses`, their bound there, and the largest F found."""
     evaluator = relaxation.evaluator
     x = ahead = np.full(len(poses), count / len(poses))
     covered = covered_ahead = covered_amounts(evaluator, poses, x)

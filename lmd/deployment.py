@@ -113,7 +113,7 @@ class Deployment:
             near: a landmark that is no farther from a surface may stand before it, metres.
         """
         surfaces, some = room.surfaces(), f"of {len(self)} landmarks do"
-        distance = np.array([surface.distance(self.positions) for surface in surfaces])
+        distance = self._distance(room)
         if (floating := np.flatnonzero((self.surfaces < 0) & (distance.min(axis=0) > near))).size:
             first = int(floating[0])
             nearest = int(np.argmin(distance[:, first]))
@@ -137,6 +137,15 @@ class Deployment:
                 f"({len(kept_out)} {some})"
             )
         return None
+
+    def before(self, room: Space) -> "Deployment":
+        """The same landmarks, those that hang on no surface of `room` with the one they are nearest to."""
+        nearest = self._distance(room).argmin(axis=0)
+        return replace(self, surfaces=np.where(self.surfaces < 0, nearest, self.surfaces))
+
+    def _distance(self, room: Space) -> FloatArray:
+        """From each surface of `room` to each landmark, `(W, K)`, metres."""
+        return np.array([surface.distance(self.positions) for surface in room.surfaces()])
 
     def movable(self, room: Space, flush: bool = True) -> "Deployment":
         """`hung`, for an optimiser that moves landmarks along surfaces.

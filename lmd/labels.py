@@ -62,6 +62,13 @@ class Labels:
         except InputError as error:
             raise InputError(f"{table.path}: {error}") from None
 
+    def __add__(self, other: "Labels") -> "Labels":
+        """The labels of both; a column that one of them lacks is empty there."""
+        names = {**self.columns, **other.columns}
+        parts = ((part.columns.get(name, [""] * len(part.ids)) for part in (self, other)) for name in names)
+        columns = {name: [*mine, *theirs] for name, (mine, theirs) in zip(names, parts, strict=True)}
+        return Labels(np.concatenate([self.ids, other.ids]), columns)
+
     def __getitem__(self, chosen: slice | IntArray | BoolArray) -> "Labels":
         """The labels of the landmarks that `chosen` selects."""
         columns = {name: np.array(texts, dtype=object)[chosen].tolist() for name, texts in self.columns.items()}

@@ -6,14 +6,15 @@ plates, and nothing here changes them. Tags that are tilted or hang on no surfac
 such.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.compiled import kernel
-from lmd.deployment import FLUSH, MISPLACED, Deployment, DeploymentSource, FileDeployment
+from lmd.deployment import FLUSH, MID_AIR, MISPLACED, Deployment, DeploymentSource, FileDeployment
+from lmd.fixed import beside
 from lmd.space.allowed import allows, nearest
 from lmd.space.inset import Inset
 from lmd.space.space import Space
@@ -62,13 +63,41 @@ class Plates:
             return np.inf
         return float(np.floor(self._surfaces.extent / self.edge * (1.0 + TOUCHING) + 1.0).prod(axis=1).sum())
 
-    def draw(self, source: DeploymentSource, rng: np.random.Generator) -> Deployment:
+    def hung(self, fixed: Deployment) -> Deployment:
+        """Landmarks that hang already, with their surfaces.
+
+        They were measured by hand: what stands a little before a surface has that one, and its plate is in the way
+        there.
+
+        Raises:
+            InputError: one lies outside the room, hangs on no surface or faces into its own, or plates overlap or are
+                not wholly on their surface.
+        """
+        try:
+            hung = fixed.hung(self.hanging)
+            if fault := hung.fault(self.hanging, MID_AIR):
+                raise InputError(f"{fault}.")
+            hung = hung.before(self.hanging)
+            self.check(hung)
+        except InputError as error:
+            raise InputError(f"fixed: {error}", "fixed") from None
+        return hung
+
+    def draw(self, source: DeploymentSource, rng: np.random.Generator, fixed: Deployment | None = None) -> Deployment:
         """A deployment from `source` whose plates hang properly; a random one is pushed apart.
+
+        Args:
+            source: what is drawn from.
+            rng: draws it.
+            fixed: landmarks that hang already (`hung`). They come first, and whatever is not from a file is pushed out
+                of their way.
 
         Raises:
             InputError: the source cannot be drawn from, or plates overlap, are not wholly on their surface or too many.
         """
         drawn = source.draw(self.hanging, rng)
+        if fixed is not None:
+            drawn = beside(fixed, drawn)
         if not self.edge:
             return drawn
         if len(drawn) > self.capacity:
@@ -77,8 +106,8 @@ class Plates:
                 "surfaces hold.",
                 "count",
             )
-        if source.varies:
-            apart = self.apart(drawn)
+        if source.varies or (fixed is not None and not isinstance(source, FileDeployment)):
+            apart = self.apart(drawn, fixed=0 if fixed is None else len(fixed))
             if apart is None:
                 raise InputError(
                     f"count = {len(drawn)} tags with papers of {self.edge:.4g} m are too many to be hung at random.",
@@ -114,14 +143,15 @@ class Plates:
                 f"wide, their centres {distance[i, j]:.4g} m apart along the edges."
             )
 
-    def apart(self, deployment: Deployment, size: float = 1.0) -> Deployment | None:
+    def apart(self, deployment: Deployment, size: float = 1.0, fixed: int = 0) -> Deployment | None:
         """The deployment with plates pushed apart, None where there is no room for all; see `pushed`."""
         parts = deployment.positions[None], deployment.normals[None], deployment.surfaces[None]
-        positions, normals, surfaces, fits = self.pushed(*parts, size)
-        return Deployment(positions[0], normals[0], surfaces[0]) if fits[0] else None
+        positions, normals, surfaces, fits = self.pushed(*parts, size, fixed)
+        apart = replace(deployment, positions=positions[0], normals=normals[0], surfaces=surfaces[0])
+        return apart if fits[0] else None
 
     def pushed(
-        self, positions: FloatArray, normals: FloatArray, surfaces: IntArray, size: float = 1.0
+        self, positions: FloatArray, normals: FloatArray, surfaces: IntArray, size: float = 1.0, fixed: int = 0
     ) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
         """Deployments whose plates are pushed apart, one after the other; what hangs properly stays as it is.
 
@@ -134,6 +164,7 @@ class Plates:
             positions, normals: `(B, K, 3)`, flush.
             surfaces: `(B, K)`.
             size: of the plates, as a share of their true size.
+            fixed: so many at the beginning stay where they are.
 
         Returns:
             positions, normals, surfaces, and whether there was room for all, `(B,)`.
@@ -143,12 +174,13 @@ class Plates:
         if not self.edge:
             at = s.coordinates(surfaces, positions)
             moved = ~s.allow(surfaces, at)[..., None]
+            moved[:, :fixed] = False
             return np.where(moved, s.points(surfaces, at), positions), normals, surfaces, fits
         positions, normals, surfaces = positions.copy(), normals.copy(), surfaces.copy()
         for b in range(len(positions)):
             at, moved = s.coordinates(surfaces[b], positions[b]), np.zeros(surfaces.shape[1], dtype=np.bool_)
             least, edge = size * self.edge * (1.0 - TOUCHING), size * self.edge
-            fits[b] = _push(surfaces[b], at, s.pieces, s.first, least, edge, moved)
+            fits[b] = _push(fixed, surfaces[b], at, s.pieces, s.first, least, edge, moved)
             positions[b, moved] = s.points(surfaces[b, moved], at[moved])
             normals[b, moved] = s.normal[surfaces[b, moved]]
         return positions, normals, surfaces, fits
@@ -207,10 +239,13 @@ def _nearest_free(k, s, a, b, within, surface, at, pieces, first, least, edge, l
 
 
 @kernel
-def _push(surface, at, pieces, first, least, edge, moved):  # type: ignore[no-untyped-def]
-    """Push plates at `at` `(K, 2)` on `surface` `(K,)` apart, in place; marks those `moved`; whether all found room."""
+def _push(fixed, surface, at, pieces, first, least, edge, moved):  # type: ignore[no-untyped-def]
+    """Push plates at `at` `(K, 2)` on `surface` `(K,)` apart, in place, but for so many `fixed` at the beginning.
+
+    Marks those `moved`; whether all found room.
+    """
     lines, found, count = np.empty((2, 2 * len(at) + 4 * len(pieces) + 1)), np.empty(2), len(first) - 1
-    for k in range(len(at)):
+    for k in range(fixed, len(at)):
         _, a, b = nearest(pieces, first[surface[k]], first[surface[k] + 1], at[k, 0], at[k, 1])
         # What is off by a rounding error is not moved.
         if abs(a - at[k, 0]) + abs(b - at[k, 1]) < edge - least and _is_free(a, b, surface[k], k, surface, at, least):

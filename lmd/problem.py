@@ -28,15 +28,26 @@ class Problem:
         objective: what the deployment is for.
         start: deployments an optimiser may start from; they also fix the number of landmarks K.
         threads: worker threads, all processors by default; results do not depend on it.
+        fixed: landmarks that hang already and stay where they are. They are the first of every deployment; the start
+            only draws the others, and optimisers only move those. None for none.
 
     Raises:
-        InputError: K landmarks cannot serve the objective, or the start cannot be drawn.
+        InputError: K landmarks cannot serve the objective, the start cannot be drawn, or the fixed landmarks do not
+            hang properly or have the ids of others.
     """
 
-    def __init__(self, scene: Scene, objective: Objective, start: DeploymentSource, threads: int | None = None) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        objective: Objective,
+        start: DeploymentSource,
+        threads: int | None = None,
+        fixed: Deployment | None = None,
+    ) -> None:
         if threads is not None:
             threads = integer("threads", threads, low=1, high=MOST_THREADS)
         self.scene, self.objective, self.start = scene, objective, start
+        self.fixed = None if fixed is None else scene.plates.hung(fixed)
         first = self.draw(np.random.default_rng(0))
         self.count, self.labels = len(first), first.labels
         if not scene.tag.is_point:
@@ -50,9 +61,31 @@ class Problem:
             self.fitness_evaluator = objective.sampling.evaluator(scene, repeats, rng, threads)
             self.fitness_relevance = np.tile(self.relevance, repeats)
 
+    @property
+    def fixed_count(self) -> int:
+        """How many of the K landmarks hang already."""
+        return 0 if self.fixed is None else len(self.fixed)
+
+    @property
+    def free_count(self) -> int:
+        """How many of the K landmarks are to be placed."""
+        return self.count - self.fixed_count
+
     def draw(self, rng: np.random.Generator) -> Deployment:
         """A deployment to start from, its landmarks with their surfaces, its plates apart."""
-        return self.scene.plates.draw(self.start, rng)
+        return self.scene.plates.draw(self.start, rng, self.fixed)
+
+    def free(self, deployment: Deployment) -> Deployment:
+        """The landmarks of a deployment that are to be placed."""
+        return deployment[self.fixed_count :]
+
+    def complete(self, free: Deployment) -> Deployment:
+        """The fixed landmarks, if there are any, and then the `free` ones."""
+        return free if self.fixed is None else self.fixed + free
+
+    def apart(self, deployment: Deployment, size: float = 1.0) -> Deployment | None:
+        """The deployment with the free plates pushed out of the way, see `Plates.apart`."""
+        return self.scene.plates.apart(deployment, size, self.fixed_count)
 
     def labelled(self, deployment: Deployment) -> Deployment:
         """What an optimiser made of the start: its k-th landmark keeps the id and the columns of the k-th there."""
@@ -103,6 +136,7 @@ class Problem:
             "objective": type(self.objective).__name__,
             **_fields(self.objective),
             "landmarks": self.count,
+            **({} if self.fixed is None else {"fixed_landmarks": self.fixed_count}),
             "positions": len(self.evaluator.positions),
             "orientations": len(self.evaluator.axis_of),
             "pdf": scene.pdf.name,

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lmd.checks import FloatArray
-from lmd.optimisers.selection import select
+from lmd.optimisers.selection import add_each, select
 from lmd.problem import Problem
 from lmd.sight.poses import candidate_poses
 
@@ -27,7 +27,7 @@ GUARANTEE = 1.0 - np.exp(-1.0)
 
 @dataclass(frozen=True)
 class SelectionBound:
-    """A bound on what an objective's selection can reach, above the value with nothing chosen.
+    """A bound on what an objective's selection can reach, above the value with none but the fixed landmarks chosen.
 
     Args:
         label: what is bounded.
@@ -46,7 +46,7 @@ class SelectionBound:
 
 
 def selection_upper_bound(problem: Problem, count: int, spacing: float) -> SelectionBound:
-    """Bounds what `count` landmarks reach on a grid of poses at most `spacing` metres apart.
+    """Bounds what `count` landmarks, fixed ones among them, reach on a grid of poses at most `spacing` metres apart.
 
     Views are those of the problem's fitness. The greedy choice keeps plates apart, the bound is also for those that
     overlap. The result does not depend on the number of threads.
@@ -57,15 +57,17 @@ def selection_upper_bound(problem: Problem, count: int, spacing: float) -> Selec
     plates, objective = problem.scene.plates, problem.objective
     evaluator, relevance = problem.fitness_evaluator, problem.fitness_relevance
     poses = candidate_poses(plates.hanging, spacing)
-    chosen, _ = select(objective.selection(evaluator, relevance), poses, count, plates)
+    free = count - problem.fixed_count
+    chosen, _ = select(objective.selection(evaluator, relevance), poses, free, plates, fixed=problem.fixed)
     selection, greedy = objective.selection(evaluator, relevance), 0.0
-    at_first = _largest(selection.gains(poses), count)
+    add_each(selection, problem.fixed)
+    at_first = _largest(selection.gains(poses), free)
     for j in chosen:
         greedy += float(selection.gains(poses[j : j + 1])[0])
         selection.add(poses[j : j + 1])
     gains = selection.gains(poses)
     gains[chosen] = 0.0  # each pose once
-    return SelectionBound(selection.label, greedy, min(at_first, greedy + _largest(gains, count)))
+    return SelectionBound(selection.label, greedy, min(at_first, greedy + _largest(gains, free)))
 
 
 def _largest(gains: FloatArray, count: int) -> float:

@@ -18,6 +18,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
 
+from .fixed import fixed_of, others_of, quoted, total_of
 from .signals import Stopped, stop
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ def application(config_name: str) -> Callable[[Callable[[DictConfig], object]], 
         @wraps(function)
         def main() -> None:
             gc.set_threshold(GARBAGE)
+            sys.argv[1:] = map(quoted, sys.argv[1:])
             atexit.register(gc.freeze)  # Python looks for garbage once more when it ends: with mlflow, for a second
             try:
                 with stop.raising():
@@ -120,7 +122,7 @@ def build_problem(cfg: DictConfig) -> "Problem":
     """
     import numpy as np
 
-    from lmd.checks import boolean, choice, integer
+    from lmd.checks import InputError, boolean, choice, integer
     from lmd.optimisers.encoding import KINDS
     from lmd.problem import Problem
     from lmd.scene import Scene
@@ -144,21 +146,28 @@ def build_problem(cfg: DictConfig) -> "Problem":
     threads = None if cfg.threads is None else integer("threads", cfg.threads, low=1, high=MOST_THREADS)
     choice("encoding.kind", cfg.encoding.kind, KINDS)
     boolean("encoding.flush", cfg.encoding.flush)
-    objective, start = instantiate(cfg.objective), instantiate(cfg.deployment)
+    objective = instantiate(cfg.objective)
+    with keyed("deployment"):
+        fixed = fixed_of(cfg.deployment)
+        total = total_of(cfg.deployment, fixed)
+    start = instantiate(others_of(cfg.deployment, fixed, total))
     with keyed("tag"):
         scene.plates.hanging.surfaces()
     # What only shows when the parts meet; the problem would refuse it too, but could not tell whose argument it is.
     with keyed("room.relevance"):
         scene.room.relevance.weights(scene.room.grid())
     with keyed("deployment"):
+        hung = {} if fixed is None else {"fixed": scene.plates.hung(fixed)}
         if isinstance(start, partial):  # a source that depends on what the landmarks are for
-            start = start(scene=scene, objective=objective, threads=threads)
-        ids = scene.plates.draw(start, np.random.default_rng(0)).ids
+            start = start(scene=scene, objective=objective, threads=threads, **hung)
+        ids = scene.plates.draw(start, np.random.default_rng(0), **hung).ids
+        if total not in (None, len(ids)):
+            raise InputError(f"count = {total}, but with the fixed ones there are {len(ids)} landmarks.", "count")
     if not tag.is_point:
         with keyed("tag"):
             tag.check_ids(ids)
     with keyed("objective"):
-        return Problem(scene, objective, start, threads)
+        return Problem(scene, objective, start, threads, **hung)
 
 
 def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":
@@ -224,7 +233,7 @@ def recompose(config_name: str, overrides: Sequence[str], setting: str, entry: s
 
     Args:
         config_name: `optimise` and so on.
-        overrides: its overrides.
+        overrides: its overrides, as on a command line.
         setting, entry: what asks for it, for messages.
 
     Raises:
@@ -237,7 +246,9 @@ def recompose(config_name: str, overrides: Sequence[str], setting: str, entry: s
 
     try:
         loader = GlobalHydra.instance().config_loader()
-        composed = loader.load_configuration(config_name, list(overrides), RunMode.RUN, validate_sweep_overrides=False)
+        composed = loader.load_configuration(
+            config_name, [*map(quoted, overrides)], RunMode.RUN, validate_sweep_overrides=False
+        )
     except HydraException as error:
         raise InputError(f"{setting}: {entry!r} is refused: {str(error).splitlines()[0]}") from error
     with open_dict(composed):

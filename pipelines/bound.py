@@ -27,7 +27,8 @@ def bound(cfg: DictConfig) -> None:
     with keyed("bound"):
         search = Search(cfg.bound.spacing, cfg.bound.iterations, cfg.bound.tolerance)
         target = None if cfg.bound.target is None else real("target", cfg.bound.target, low=0.0, high=1.0)
-    directory, count = run_directory(), problem.count
+    directory, count, free = run_directory(), problem.count, problem.free_count
+    beside = f" beside {problem.fixed_count} that hang already" if problem.fixed else ""
     document: dict[str, Any] = {}
     figures: dict[str, float] = {}
     with tracked(cfg, "bound", title_of(problem, "bound")) as tracker:
@@ -35,8 +36,9 @@ def bound(cfg: DictConfig) -> None:
             choice = selection_upper_bound(problem, count, search.spacing)
         document["selection"] = {"greedy": choice.greedy, "grid": choice.grid, "share": choice.share}
         figures |= {f"bound/selection/{kind}": value for kind, value in document["selection"].items()}
-        _show("greedy choice", f">= {choice.share:.2%} of the best {count} poses of the grid, by the {choice.label}: "
-              f"{choice.greedy:.4g} of at most {choice.grid:.4g}; sure before was {GUARANTEE:.2%}")  # fmt: skip
+        _show("greedy choice", f">= {choice.share:.2%} of the best {free} poses of the grid{beside}, "
+              f"by the {choice.label}: {choice.greedy:.4g} of at most {choice.grid:.4g}; "
+              f"sure before was {GUARANTEE:.2%}")  # fmt: skip
         for label, key, method in (
             ("fitness", "fitness", fitness_upper_bound),
             ("average probability", "average_coverage_probability", average_upper_bound),
@@ -44,8 +46,9 @@ def bound(cfg: DictConfig) -> None:
             result = method(problem, count, search)
             document[key] = {"walls": result.walls, "grid": result.grid, "fractional": result.fractional}
             figures |= {f"bound/{key}/{kind}": value for kind, value in document[key].items()}
-            _show(label, f"<= {result.walls:.2%} for any {count} landmarks flush on the walls; on the grid of poses "
-                  f"<= {result.grid:.2%}, where fractions of landmarks reach {result.fractional:.2%}")  # fmt: skip
+            _show(label, f"<= {result.walls:.2%} for any {free} landmarks flush on the walls{beside}; on the grid of "
+                  f"poses <= {result.grid:.2%}, "
+                  f"where fractions of landmarks reach {result.fractional:.2%}")  # fmt: skip
         if target is not None:
             with keyed("bound"):
                 fewest = fewest_landmarks(problem, target, search)

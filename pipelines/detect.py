@@ -127,7 +127,7 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
         raise InputError("detectors must name at least one detector.")
     for detector in detectors.values():
         detector.detect(np.zeros((64, 64), dtype=np.uint8))  # a package that is missing is missed here
-    deployment = problem.start.draw(scene.room, np.random.default_rng(seed))
+    deployment = problem.draw(np.random.default_rng(seed))
     with keyed("tag"):
         room = tagged_room(scene.room, deployment, tag)
     poses = draw_poses(scene, count, seed)

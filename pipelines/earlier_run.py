@@ -13,6 +13,7 @@ from yaml import YAMLError
 KEY = "run="
 GROUPS = ("room", "camera", "pdf", "tag", "visibility", "objective")  # what a run was about
 OPTION = "run"  # of these groups and of deployment
+KEPT = {"free": False, "fixed": None}  # of its deployment, and what runs of old mean that do not say
 FILES = (".hydra/config.yaml", "landmarks.csv")  # what an earlier run must have left
 
 
@@ -37,7 +38,8 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}") -> None:
     groups = [group for group in GROUPS if parts[group] is not None]  # runs of old lack some
     for group in groups:
         store.store(OPTION, parts[group], group)
-    landmarks = {"path": str(directory / FILES[1]), "free": OmegaConf.select(before, "deployment.free", default=False)}
+    kept = {key: OmegaConf.select(before, f"deployment.{key}", default=value) for key, value in KEPT.items()}
+    landmarks = {"path": str(directory / FILES[1]), **kept}
     store.store(OPTION, {"defaults": ["file", "_self_"], **landmarks}, "deployment")
     chosen = [f"{group}={OPTION}" for group in groups] + [deployment]
     named = {argument.partition("=")[0] for argument in sys.argv[1:]}

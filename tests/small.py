@@ -1,5 +1,7 @@
 """A problem that takes no time, and the configured optimisers."""
 
+from dataclasses import replace
+
 from hydra import compose, initialize_config_dir
 from paper import paper_room, paper_scene
 
@@ -15,6 +17,6 @@ def make(name, seed=0):
         return instantiate(compose("optimise", [f"optimiser={name}"]).optimiser, seed=seed)
 
 
-def problem(start=None, threads=1):
-    scene = paper_scene(room=paper_room(spacing=1.5), orientations=pdf.grid_with_ends(6))
-    return Problem(scene, Coverage(2, 0.5), start or RandomDeployment(30), threads=threads)
+def problem(start=None, threads=1, fixed=None, tag=None, **room):
+    scene = replace(paper_scene(paper_room(spacing=1.5, **room), orientations=pdf.grid_with_ends(6)), tag=tag)
+    return Problem(scene, Coverage(2, 0.5), start or RandomDeployment(30), threads, fixed)

@@ -7,9 +7,10 @@ import numpy as np
 from lmd.checks import FloatArray
 from lmd.deployment import Deployment
 from lmd.objectives.field import accept, bound, settle, undo
+from lmd.sight.bits import BITS, packed
 from lmd.sight.criteria import horizon_of
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.incremental.move import carry_out, state_of, take_back
+from lmd.sight.incremental.move import carry_out, counts_of, state_of, take_back
 from lmd.sight.incremental.state import Scratch, State, scratch_of
 from lmd.sight.incremental.trial import bound_move, finish_move
 from lmd.sight.kernels import BLOCK, SINGLE_ERROR
@@ -23,7 +24,8 @@ class CoverageField(NamedTuple):
     position of the evaluator is among them; centres and halves `(3, Q / BLOCK)` of the sides of boxes around the
     blocks; horizon see `criteria.horizon_of`; obstacles what of the room stands in their way, or None;
     axes `(3, 64 W)` filled up with zeros to whole words; certain, possible
-    the tables of `directions.tables`; the rest as in `kernels.evaluate_range`.
+    the tables of `directions.tables`; given `(Q, W)` axes at which one landmark is covered beside those of a state; the
+    rest as in `kernels.evaluate_range`.
     """
 
     positions: np.ndarray
@@ -36,6 +38,7 @@ class CoverageField(NamedTuple):
     axes: np.ndarray
     certain: np.ndarray
     possible: np.ndarray
+    given: np.ndarray
     weights: np.ndarray
     n: int
 
@@ -57,10 +60,15 @@ class CoverageField(NamedTuple):
         """See `Field.stack`."""
         return self.n
 
-    def stacked(self) -> "CoverageField":
-        """See `Field.stacked`: a stack of n that nothing hides is seen whenever one landmark in its place is."""
-        sight = self.sight.unhidden()
-        return self._replace(n=1, sight=sight, horizon=horizon_of(sight))
+    def stacked(self, fixed: Deployment | None) -> "CoverageField":
+        """See `Field.stacked`: a stack of n that nothing hides is seen whenever one landmark in its place is.
+
+        Where n fixed landmarks are covered, it is as if one stack were.
+        """
+        sight, given = self.sight.unhidden(), self.given
+        if fixed is not None:
+            given = packed(counts_of(self.state(fixed), given.shape[1] * BITS) >= self.n)
+        return self._replace(n=1, sight=sight, horizon=horizon_of(sight), given=given)
 
     def shrunk(self, size: float) -> "CoverageField":
         """See `Field.shrunk`."""
@@ -99,10 +107,10 @@ def coverage_field(evaluator: Evaluator, n: int) -> CoverageField:
     centres = (least + most) / 2.0
     halves = ((most - least) / 2.0 * (1.0 + SINGLE_ERROR)).astype(np.float32)  # never less for the rounding
     positions, centres, halves = (np.ascontiguousarray(part.T) for part in (positions, centres, halves))
-    horizon = horizon_of(e.sight)
+    horizon, given = horizon_of(e.sight), np.zeros((len(order), e.tables[0].shape[1]), dtype=np.uint64)
     obstacles = obstacles_at(e.scene.room.blockers(), e.positions[order])
     return CoverageField(
-        positions, index_of, centres, halves, horizon, e.sight, obstacles, e.axes, *e.tables, e.weights, n
+        positions, index_of, centres, halves, horizon, e.sight, obstacles, e.axes, *e.tables, given, e.weights, n
     )
 
 

@@ -44,8 +44,8 @@ class Field(Protocol):
     def stack(self) -> int:
         """How many landmarks on one point, none hiding another, serve as one; 0 where such stacks make no sense."""
 
-    def stacked(self) -> "Field":
-        """The field of such stacks, moved as if they were single landmarks."""
+    def stacked(self, fixed: Deployment | None) -> "Field":
+        """The field of such stacks, moved as if they were single landmarks, beside those that are fixed."""
 
     def shrunk(self, size: float) -> "Field":
         """The field of landmarks whose bodies are `size` times as large."""

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import FloatArray, InputError, integer, real
+from lmd.checks import BoolArray, FloatArray, InputError, IntArray, integer, real
 from lmd.compiled import clock
 from lmd.deployment import Deployment
 from lmd.optimisers.encoding import Encoding, make_encoding
@@ -210,23 +210,22 @@ class AskTell(Optimiser):
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
         """See `Optimiser.run`. A batch that would exceed the budget is cut short."""
         ledger = self.ledger
-        plates = problem.scene.plates
-        if plates.edge and not self.flush:
+        if problem.scene.plates.edge and not self.flush:
             raise InputError("flush must be true where tags have a size: their papers lie flat on the wall.", "flush")
         encoding = self._encoding_of(problem)
         if not ledger.evaluations:
-            self.dim = problem.count * encoding.genes_per_landmark
+            self.dim = problem.free_count * encoding.genes_per_landmark
             self.rng = np.random.default_rng(self.seed)
             draws = self.start_size if problem.start.varies else 1
             starts = [problem.draw(self.rng) for _ in range(draws)]
-            self.start = np.stack([encoding.encode(start) for start in starts])
+            self.start = np.stack([encoding.encode(problem.free(start)) for start in starts])
         began = clock() - ledger.seconds
         stopped = "budget"
         while budget.used(ledger.evaluations, ledger.seconds) < 1.0:
             genes = self.ask()
             asked = len(genes)
             genes = genes[: int(min(asked, budget.limit - ledger.evaluations))]
-            positions, normals, _, fits = plates.pushed(*encoding.decode(genes))
+            positions, normals, _, fits = _placed(problem, encoding, genes)
             fitness = np.where(fits, problem.fitness(positions, normals), -np.inf)
             ledger.seconds = clock() - began
             if len(genes) == asked:
@@ -242,9 +241,25 @@ class AskTell(Optimiser):
         """See `Optimiser.found`."""
         if self.best_genes is None:
             return None
-        genes = self._encoding_of(problem).decode(self.best_genes[None])
-        positions, normals, surfaces, _ = problem.scene.plates.pushed(*genes)
+        positions, normals, surfaces, _ = _placed(problem, self._encoding_of(problem), self.best_genes[None])
         return Deployment(positions[0], normals[0], surfaces[0])
 
     def _encoding_of(self, problem: Problem) -> Encoding:
         return make_encoding(self.encoding or "wall", problem.scene.plates.hanging, self.flush)
+
+
+def _placed(
+    problem: Problem, encoding: Encoding, genes: FloatArray
+) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
+    """The landmarks that genes `(B, dim)` mean, the fixed ones before them; see `Plates.pushed`."""
+    positions, normals, surfaces = encoding.decode(genes)
+    if (fixed := problem.fixed) is not None:
+        positions = _behind(fixed.positions, positions)
+        normals = _behind(fixed.normals, normals)
+        surfaces = _behind(fixed.surfaces, surfaces)
+    return problem.scene.plates.pushed(positions, normals, surfaces, fixed=problem.fixed_count)
+
+
+def _behind(fixed: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """The arrays `free` `(B, N, ...)`, each with `fixed` `(F, ...)` before it."""
+    return np.concatenate([np.broadcast_to(fixed, (len(free), *fixed.shape)), free], axis=1)

@@ -59,11 +59,12 @@ class GreedyDeployment:
     Building it is not charged to the budget of the optimiser that starts from it.
 
     Args:
-        count: K.
+        count: how many.
         scene: where they hang.
         objective: what they are for.
         spacing: of the grid of poses, metres.
         threads: worker threads, all processors by default; the result does not depend on it.
+        fixed: landmarks that hang already, with their surfaces: the selection starts from them, and draws the others.
 
     Raises:
         InputError: a value is out of range.
@@ -74,6 +75,7 @@ class GreedyDeployment:
     objective: Objective
     spacing: float = SPACING
     threads: int | None = None
+    fixed: Deployment | None = None
     varies = False
 
     def __post_init__(self) -> None:
@@ -90,7 +92,8 @@ class GreedyDeployment:
             spacing /= 1.3
             poses = candidate_poses(room, spacing)
         relevance = room.relevance.weights(evaluator.positions)
-        chosen, _ = select(self.objective.selection(evaluator, relevance), poses, self.count, plates)
+        selection = self.objective.selection(evaluator, relevance)
+        chosen, _ = select(selection, poses, self.count, plates, fixed=self.fixed)
         if len(chosen) < self.count:
             raise InputError(
                 f"spacing = {spacing:.4g} leaves room for {len(chosen)} plates of {plates.edge:.4g} m, too few for "

@@ -19,7 +19,12 @@ SPACING = 0.25  # of the grid of poses, metres
 
 
 def select(
-    selection: Selection, poses: Deployment, count: int, plates: Plates | None = None, allowance: float = np.inf
+    selection: Selection,
+    poses: Deployment,
+    count: int,
+    plates: Plates | None = None,
+    allowance: float = np.inf,
+    fixed: Deployment | None = None,
 ) -> tuple[np.ndarray, int]:
     """Choose up to `count` of the `poses`, each at most once, and none whose plate would overlap another's.
 
@@ -29,11 +34,17 @@ def select(
         count: K.
         plates: of the tags; None for landmarks that are points.
         allowance: how many gains may be evaluated; fewer poses are chosen if it does not suffice.
+        fixed: landmarks that are chosen before the first of the poses.
 
     Returns:
         indices of the chosen poses in the order of choice, and the number of gains evaluated.
     """
     known, taken = np.full(len(poses), np.inf), np.zeros(len(poses), dtype=bool)
+    add_each(selection, fixed)
+    if fixed is not None and plates and plates.edge:
+        for k in range(len(fixed)):
+            taken |= plates.touched(poses, fixed[k : k + 1])
+        known[taken] = -np.inf
     chosen: list[int] = []
     spent = 0
     while len(chosen) < count and not taken.all():
@@ -54,6 +65,13 @@ def select(
     return np.array(chosen, dtype=int), spent
 
 
+def add_each(selection: Selection, fixed: Deployment | None) -> None:
+    """Choose the landmarks that hang already, if there are any."""
+    if fixed is not None:
+        for k in range(len(fixed)):
+            selection.add(fixed[k : k + 1])
+
+
 def _poses_within(room: Space, spacing: float, most: float) -> Deployment:
     """`candidate_poses`, coarsened until there are no more than `most`, or one for each piece of a surface."""
     poses, pieces = candidate_poses(room, spacing), sum(len(surface.pieces) for surface in room.surfaces())
@@ -68,18 +86,18 @@ def greedy_start(problem: Problem, start: Deployment, spacing: float, allowance:
 
     Args:
         problem: its objective must have a selection.
-        start: K landmarks.
+        start: K landmarks, the fixed ones first.
         spacing: of the grid of poses, metres; coarsened if the allowance could not pay for it.
         allowance: how many gains may be evaluated.
 
     Returns:
         the deployment, and the number of gains evaluated.
     """
-    plates, count = problem.scene.plates, problem.count
+    plates = problem.scene.plates
     poses = _poses_within(plates.hanging, spacing, allowance / 2)
     selection = problem.objective.selection(problem.fitness_evaluator, problem.fitness_relevance)
-    chosen, spent = select(selection, poses, count, plates, allowance)
+    chosen, spent = select(selection, poses, problem.free_count, plates, allowance, problem.fixed)
     if not len(chosen):
         return start, spent
-    rest = start[len(chosen) :] if len(chosen) < count else None
-    return plates.apart(poses[chosen] if rest is None else poses[chosen] + rest) or start, spent
+    begun = problem.complete(poses[chosen])
+    return problem.apart(begun if len(begun) == problem.count else begun + start[len(begun) :]) or start, spent

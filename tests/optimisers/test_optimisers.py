@@ -1,5 +1,6 @@
 """What every optimiser promises, checked for every config in conf/optimiser."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,8 @@ from small import make, problem
 
 from lmd.checkpoint import Checkpoint
 from lmd.checks import InputError
-from lmd.deployment import UniformDeployment
+from lmd.deployment import RandomDeployment, UniformDeployment
+from lmd.labels import Labels
 from lmd.optimisers.base import AskTell, Budget
 from lmd.problem import Problem
 from pipelines.app import CONF
@@ -16,6 +18,7 @@ from pipelines.app import CONF
 NAMES = sorted(path.stem for path in Path(CONF, "optimiser").glob("*.yaml"))
 QUICK = {"annealing", "cma_es", "ega"}  # one of each kind
 BUDGET = 200
+RNG = np.random.default_rng(0)
 
 
 class NanProblem(Problem):
@@ -50,6 +53,19 @@ def test_it_improves_on_its_start(name):
 def test_it_spends_the_budget_to_the_evaluation(result):
     assert result.evaluations == BUDGET
     assert result.stopped == "budget"
+
+
+def test_what_hangs_already_stays_where_it_is_and_counts(name):
+    ids = np.arange(40, 25, -1)
+    hangs = replace(UniformDeployment(15).draw(problem().scene.room, RNG), labels=Labels(ids, {"note": ["old"] * 15}))
+    p = problem(RandomDeployment(15), fixed=hangs)
+    result = make(name).run(p, Budget(100))
+    assert result.evaluations == 100
+    np.testing.assert_array_equal(result.deployment.positions[:15], hangs.positions)
+    np.testing.assert_array_equal(result.deployment.normals[:15], hangs.normals)
+    assert result.deployment.ids.tolist() == [*ids, *range(15)]
+    assert result.deployment.labels.columns["note"] == ["old"] * 15 + [""] * 15
+    assert result.fitness == problem().metrics(result.deployment)["fitness"] > problem().fitness_of(hangs)
 
 
 @pytest.mark.parametrize("evaluations", [1, 7, 31])

@@ -47,7 +47,7 @@ class LocalisationField(NamedTuple):
         """See `Field.stack`: landmarks on one point do not tell where the camera is."""
         return 0
 
-    def stacked(self) -> "LocalisationField":
+    def stacked(self, fixed: Deployment | None) -> "LocalisationField":
         """See `Field.stacked`; never asked for, as `stack` is 0."""
         return self
 

@@ -140,7 +140,7 @@ class Annealing(Optimiser):
                 surrogate.walk(moves, settings, self.rng)
                 self.here = surrogate.here()
                 led_to = self._apart(problem, surrogate.stack, 1.0) if self.in_stacks else self._mean(problem)
-                note(moves * each + count, problem.scene.plates.apart(led_to))
+                note(moves * each + count, problem.apart(led_to))
             if callback and callback(self):
                 stopped = "interrupted"
                 break
@@ -155,19 +155,20 @@ class Annealing(Optimiser):
         count = problem.count
         self.rng = np.random.default_rng(self.seed)
         start, plates = problem.draw(self.rng), problem.scene.plates
-        self.start = self.here = start.movable(plates.room, flush=plates.edge > 0.0)
+        movable = problem.free(start).movable(plates.room, flush=plates.edge > 0.0)
+        self.start = self.here = problem.complete(movable)
         if not stack and problem.start.varies:
             self.start, spent = greedy_start(problem, self.start, SPACING, (limit - count) / 2)
             self.here = self.start
             return spent
         looks = 2 * (LOOK + stack + 1) * count  # the cost of two looks at the stacks
-        pays = stack and self.stacked_share * limit > looks and (1.0 - self.stacked_share) * limit > looks
+        stacks = problem.free_count // stack if stack else 0
+        pays = stacks and self.stacked_share * limit > looks and (1.0 - self.stacked_share) * limit > looks
         self.in_stacks = problem.start.varies and bool(pays)
         self.skipped = self.stacked_share if self.in_stacks else 0.0
         if self.in_stacks:
-            stacks = count // stack
             self.angles = self.rng.uniform(0.0, 2.0 * np.pi, stacks)
-            self.here = self.start[:stacks]
+            self.here = movable[:stacks]
         return 0
 
     def _conditions(self, problem: Problem, used: float) -> tuple[float, Settings]:
@@ -203,5 +204,5 @@ class Annealing(Optimiser):
         centre = surfaces.coordinates(surface, self.here.positions)
         at = centre[:, None] + radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         of = np.repeat(surface, stack)
-        apart = Deployment(surfaces.points(of, at.reshape(-1, 2)), surfaces.normal[of], of)
+        apart = problem.complete(Deployment(surfaces.points(of, at.reshape(-1, 2)), surfaces.normal[of], of))
         return apart if len(apart) == problem.count else apart + self.start[len(apart) :]

@@ -84,8 +84,9 @@ class Surrogate:
             rng: draws the samples.
         """
         redrawn = self._problem.resampled(used**2, rng)
-        together = 1 if in_stacks else max(1, min(self.stack, len(here)))
-        number = max(1, min(self.walkers, len(here) // together))
+        movable = np.arange(0 if in_stacks else self._problem.fixed_count, len(here))
+        together = 1 if in_stacks else max(1, min(self.stack, len(movable)))
+        number = max(1, min(self.walkers, len(movable) // together))
         if number == 1 and redrawn is None and self._climbed == (in_stacks, size):
             return
         if redrawn is not None:
@@ -93,10 +94,10 @@ class Surrogate:
         self._climbed = in_stacks, size
         self.is_true = number == 1 and redrawn is None and not in_stacks and size == 1.0
         if not in_stacks:
-            plates = self._problem.scene.plates
-            pushed, self._apart = plates.apart(here, size), size * plates.edge * (1.0 - TOUCHING)
+            pushed = self._problem.apart(here, size)
+            self._apart = size * self._problem.scene.plates.edge * (1.0 - TOUCHING)
             here = best if pushed is None else pushed  # where there is no room for the plates, the best found has it
-        self._field = self._true.stacked() if in_stacks else self._true.shrunk(size)
+        self._field = self._true.stacked(self._problem.fixed) if in_stacks else self._true.shrunk(size)
 
         def walker(members: IntArray) -> Walker:
             state = self._field.state(here)
@@ -106,13 +107,13 @@ class Surrogate:
             met = Best(reached, known.landmarks.copy(), known.normals.copy(), known.surfaces.copy())
             return Walker(members, np.empty(together, dtype=np.int64), state, scratches, met)
 
-        self._walkers = self._at_once(walker, self._slices(here, number, rng))
+        self._walkers = self._at_once(walker, self._slices(here, movable, number, rng))
 
-    def _slices(self, here: Deployment, number: int, rng: np.random.Generator) -> list[IntArray]:
-        """The numbers of all landmarks, in so many slices of the room."""
+    def _slices(self, here: Deployment, movable: IntArray, number: int, rng: np.random.Generator) -> list[IntArray]:
+        """The landmarks that may move, in so many slices of the room."""
         if number == 1:
-            return [np.arange(len(here))]
-        across = np.argsort(here.positions @ rng.normal(size=3), kind="stable")
+            return [movable]
+        across = movable[np.argsort(here.positions[movable] @ rng.normal(size=3), kind="stable")]
         return [np.sort(part) for part in np.array_split(across, number)]
 
     def _at_once(self, work: Callable[..., T], *arguments: Iterable[Any]) -> list[T]:

@@ -217,7 +217,8 @@ def _fill(field, state, scratch):
 
 def state_of(field: Any, deployment: Deployment) -> State:
     """The coverage of `deployment`, ready for moves; `field` a `lmd.objectives.coverage_field.CoverageField`."""
-    positions, count, words = field.positions.shape[1], len(deployment), field.possible.shape[1]
+    positions, count, given = field.positions.shape[1], len(deployment), field.given
+    words, most = given.shape[1], max(count + bool(given.any()), field.n)
     check_views(LANDMARK_BYTES, positions, BITS * words, count)
     state = State(
         landmarks=deployment.positions.T.copy(order="C"),
@@ -227,11 +228,12 @@ def state_of(field: Any, deployment: Deployment) -> State:
         reachable=np.zeros((count, positions), dtype=np.bool_),
         hidden=np.zeros((count, positions), dtype=np.int16),
         hiding=np.zeros((count, positions), dtype=np.int16),
-        counts=np.zeros((positions, words, max(count, field.n).bit_length()), dtype=np.uint64),
-        short=np.full((positions, words), ALL if field.n == 1 else ZERO),  # nothing is covered yet
-        just=np.zeros((positions, words), dtype=np.uint64),
+        counts=np.zeros((positions, words, most.bit_length()), dtype=np.uint64),
+        short={1: ~given, 2: given.copy()}.get(field.n, np.zeros_like(given)),  # only what is given is covered yet
+        just=given.copy() if field.n == 1 else np.zeros_like(given),
         units=np.zeros(positions, dtype=np.int64),
     )
+    state.counts[:, :, 0] = given
     _fill(field, state, scratch_of(state))
     return state
 

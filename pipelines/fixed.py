@@ -1,0 +1,66 @@
+"""`deployment.fixed` and `deployment.count`: what hangs already, and how many landmarks there are beside it."""
+
+import re
+from copy import deepcopy
+from typing import TYPE_CHECKING
+
+from omegaconf import DictConfig, open_dict
+
+if TYPE_CHECKING:
+    from lmd.deployment import Deployment
+
+COUNT = "deployment.count="
+MORE = re.compile(r"\+(\d+)")
+
+
+def quoted(override: str) -> str:
+    """An override as it is to be read by Hydra, to which `+5` and `5` are the same number: `+5` becomes `'+5'`."""
+    return re.sub(rf"(?<=[=,]){MORE.pattern}(?=,|$)", r"'+\1'", override) if override.startswith(COUNT) else override
+
+
+def fixed_of(node: DictConfig) -> "Deployment | None":
+    """The landmarks that a configured deployment keeps where they are; None for none.
+
+    Raises:
+        InputError: the file cannot be read, or what it holds is no deployment.
+    """
+    from lmd.checks import file_path
+    from lmd.deployment import Deployment
+
+    path = node.get("fixed")  # runs of old have none
+    return None if path is None else Deployment.from_csv(file_path("fixed", path))
+
+
+def total_of(node: DictConfig, fixed: "Deployment | None") -> int | None:
+    """How many landmarks there are in all, the fixed ones among them; None if none is fixed or nothing says how many.
+
+    Raises:
+        InputError: the count goes on from fixed landmarks, of which there are none, or leaves none to place.
+    """
+    from lmd.checks import InputError, integer
+
+    count = node.get("count")
+    more = MORE.fullmatch(count) if isinstance(count, str) else None
+    if fixed is None:
+        if more:
+            raise InputError(f"count = {count} adds to the landmarks of fixed, which is not given.", "count")
+        return None
+    if count is None:
+        return None
+    total = len(fixed) + int(more[1]) if more else integer("count", count, low=1)
+    if total <= len(fixed):
+        raise InputError(f"count = {count} leaves none to place: {node.fixed} has {len(fixed)} landmarks.", "count")
+    return total
+
+
+def others_of(node: DictConfig, fixed: "Deployment | None", total: int | None) -> DictConfig:
+    """The source of all landmarks but the fixed ones, of `total` in all.
+
+    A file may have the fixed ones among its landmarks: how many it adds shows when they are put beside each other.
+    """
+    source = deepcopy(node)
+    with open_dict(source):
+        source.pop("fixed", None)
+    if fixed is not None and total is not None:
+        source.count = None if "path" in source else total - len(fixed)
+    return source
