@@ -31,7 +31,7 @@ from lmd.objectives.sampling import Sampling
 from lmd.optimisers.base import Budget
 from lmd.optimisers.greedy import GreedyDeployment
 from lmd.problem import Problem
-from lmd.selection_bound import GUARANTEE
+from lmd.selection_bound import GUARANTEE, selection_upper_bound
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses, covered_amounts, gains, wall_cells
@@ -167,6 +167,21 @@ def test_no_deployment_exceeds_the_bounds(n, thold_p, occlusion):
         assert metrics["fitness"] <= qualified.walls + 1e-12
     for bound in (average, qualified):
         assert 0.0 <= bound.fractional <= bound.grid + 1e-12 <= bound.walls + 2e-12 <= 1.0 + 2e-12
+
+
+def test_what_hangs_already_counts_and_lowers_the_bounds():
+    free = small_problem()
+    fixed = UniformDeployment(8).draw(free.scene.room, np.random.default_rng())
+    problem = Problem(free.scene, free.objective, RandomDeployment(4), fixed=fixed)
+    found = make("annealing").run(problem, Budget(200)).deployment
+    deployments = [found, *(problem.draw(np.random.default_rng(seed)) for seed in range(10))]
+    for method, key in ((average_upper_bound, "average_coverage_probability"), (fitness_upper_bound, "fitness")):
+        bound = method(problem, 12, COARSE)
+        assert max(problem.metrics(deployment)[key] for deployment in deployments) <= bound.walls + 1e-12
+        assert bound.walls < 0.95 * method(free, 12, COARSE).walls
+    choice, of_all = selection_upper_bound(problem, 12, 1.0), selection_upper_bound(free, 12, 1.0)
+    assert choice.greedy <= choice.grid < of_all.grid
+    assert fewest_landmarks(problem, 0.0, COARSE) == 9
 
 
 @pytest.mark.parametrize("climbs", ["mean", "qualified"])

@@ -50,6 +50,7 @@ def test_the_same_name_with_other_contents_is_another_input(work):
         "pdf=samples pdf.path=in.csv",
         "deployment=file deployment.path=in.csv",
         "camera=calibration camera.path=in.csv",
+        "deployment.fixed=in.csv",
     ],
 )
 def test_every_file_of_a_run_is_found(work, override):
