@@ -16,7 +16,7 @@ import pandas as pd
 from scipy.stats import binom
 
 from lmd.accuracy import as_localisation
-from lmd.checks import FloatArray, InputError
+from lmd.checks import FloatArray, InputError, IntArray
 from lmd.deployment import Deployment
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation.field import LocalisationField
@@ -133,7 +133,9 @@ def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sam
         assumptions=pd.DataFrame(rows, columns=["assumption", "factor", "value", *SHARES, "note"]),
         misses=pd.DataFrame(missed, columns=SHARES).assign(missed=MISSED)[["missed", *SHARES]],
         tags=pd.DataFrame({"id": deployment.ids, "localised_loss": tags[0], "covered_loss": tags[1]}),
-        lost=pd.DataFrame([_worst(lost, share, losses[i]) for i, share in enumerate(SHARES) for lost in many]),
+        lost=pd.DataFrame(
+            [_worst(lost, share, losses[i], deployment.ids) for i, share in enumerate(SHARES) for lost in many]
+        ),
     )
 
 
@@ -213,9 +215,9 @@ def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.rand
     return np.array(rows)
 
 
-def _worst(lost: int, share: str, losses: FloatArray) -> dict[str, object]:
+def _worst(lost: int, share: str, losses: FloatArray, ids: IntArray) -> dict[str, object]:
     """The row of `Sensitivity.lost` for so many landmarks, from the losses `(K, K)` of one share."""
     chosen = list(combinations(range(len(losses)), lost))
-    values = np.array([losses[ids[0], ids[-1]] for ids in chosen])
-    worst = " ".join(map(str, chosen[int(values.argmax())]))
+    values = np.array([losses[group[0], group[-1]] for group in chosen])
+    worst = " ".join(map(str, ids[[*chosen[int(values.argmax())]]]))
     return {"lost": lost, "share": share, "mean": values.mean(), "worst": values.max(), "worst_ids": worst}

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 
 PACKAGE = str(__package__)  # `pipelines` in a checkout, `lmd.pipelines` where lmd is installed
 IN_CHECKOUT = PACKAGE == "pipelines"
-SWITCHES = ("validate", "page", "localisation", "sensitivity", "all_visible")  # settings that are true or false
+# Settings that are true or false.
+SWITCHES = ("validate", "page", "localisation", "losses", "sensitivity", "all_visible")
 GARBAGE = 100_000  # objects before Python looks for garbage: at its 700, that takes a quarter of all imports
 CONF = str(Path(__file__).resolve().parents[1] / "conf")  # beside this package in both
 

@@ -10,6 +10,7 @@ from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
     from lmd.deployment import Deployment
+    from lmd.losses import Losses
     from lmd.problem import Problem
     from lmd.sensitivity import Sensitivity
 
@@ -46,9 +47,13 @@ def evaluate(cfg: DictConfig) -> float:
     subject = choices()["deployment"]
     with tracked(cfg, subject, title_of(problem, subject)) as tracker:
         summary: dict[str, Any] = localise(problem, deployment, seed, tracker) if cfg.localisation else {}
+        fallen = lose(problem, deployment, tracker) if cfg.losses else None
+        summary |= fallen.metrics() if fallen else {}
         varied = vary(problem, deployment, seed, tracker) if cfg.sensitivity else None
         summary |= {"sensitivity": varied.metrics()} if varied else {}
         fitness = record(cfg, problem, tracker, deployment, history, subject=subject, summary=summary)
+        if fallen:
+            print(f"\n{fallen.to_text()}")
         if varied:
             print(f"\n{varied.to_text()}")
         return fitness
@@ -70,6 +75,22 @@ def localise(problem: "Problem", deployment: "Deployment", seed: int, tracker: "
     save_accuracy_map(accuracy, problem, deployment)
     tracker.log_artifacts([table, picture, accuracy])
     return bounds.metrics() | accuracy_metrics(problem, deployment, seed)
+
+
+def lose(problem: "Problem", deployment: "Deployment", tracker: "Tracker") -> "Losses | None":
+    """Write and log what is lost without each landmark; None, and a line that says why, where that cannot be told."""
+    from lmd.checks import InputError
+    from lmd.losses import losses
+
+    try:
+        found = losses(problem, deployment)
+    except InputError as error:
+        print(f"no losses: {error}")
+        return None
+    file = run_directory() / "losses.csv"
+    found.table.to_csv(file, index=False)
+    tracker.log_artifacts([file])
+    return found
 
 
 def vary(problem: "Problem", deployment: "Deployment", seed: int, tracker: "Tracker") -> "Sensitivity":

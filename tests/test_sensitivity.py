@@ -11,6 +11,7 @@ from strategies import deployments, fiducial_scenes, scenes, seeds
 
 from lmd import pdf
 from lmd.deployment import Deployment, UniformDeployment
+from lmd.labels import Labels
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation.kernels import localised_views
@@ -183,6 +184,14 @@ def test_all_figures_have_a_name_and_are_shown(tmp_path):
     path = tmp_path / "sensitivity.png"
     save_sensitivity_figure(path, found, "T")
     assert imread(path).shape[:2] == (500, 1500)
+
+
+def test_the_worst_to_lose_are_named_by_their_ids():
+    ids = np.arange(50, 80)
+    deployment = replace(UniformDeployment(30).draw(paper_room(), np.random.default_rng()), labels=Labels(ids))
+    found = measured(problem_of(deployment))
+    dearest = found.tags.id[found.tags.covered_loss.argmax()]
+    assert found.lost.set_index(["lost", "share"]).worst_ids[(1, "covered_share")] == str(dearest)
 
 
 @pytest.mark.slow  # compiled anew for arrays of one landmark

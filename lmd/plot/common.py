@@ -1,6 +1,7 @@
 """What the static and the interactive scene figure share: geometry, colours and wording."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from lmd.space.space import Space
 
 ARROW_LENGTH = 0.35  # metres, drawn along the normal of a landmark
 LANDMARK = "#d62728"
+FIXED = "#1f77b4"  # a landmark that hung already
 ROOM = "#000000"
 REACHABLE = "#8a8a8a"
 OBSTACLE = "#8c564b"
@@ -61,6 +63,23 @@ def logarithmic_ticks(low: float, high: float) -> FloatArray:
     ticks = np.asarray(MaxNLocator(nbins=4).tick_values(low, high))
     ticks = ticks[(ticks >= low) & (ticks <= high)]
     return ticks if len(ticks) else np.array([low])
+
+
+class Group(NamedTuple):
+    """Landmarks that are drawn alike: their legend entry and colour, and which they are, `(K,)`."""
+
+    label: str
+    colour: str
+    chosen: BoolArray
+
+
+def landmark_groups(count: int, fixed: int) -> list[Group]:
+    """The groups of `count` landmarks, of which the first `fixed` hung already; each has some."""
+    hung = np.arange(count) < fixed
+    if not fixed:
+        return [Group("landmark and its normal", LANDMARK, ~hung)]
+    groups = Group("new landmark", LANDMARK, ~hung), Group("landmark that hung already", FIXED, hung)
+    return [group for group in groups if group.chosen.any()]
 
 
 def qualified_labels(is_qualified: BoolArray, threshold: float) -> tuple[str, str]:

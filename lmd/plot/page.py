@@ -34,7 +34,7 @@ def save_scene_page(path: str | Path, problem: Problem, deployment: Deployment, 
     Args:
         path: the HTML file.
         problem: its room is drawn in black, the reachable area dotted and grey.
-        deployment: drawn as red arrows along the normals.
+        deployment: drawn as red arrows along the normals, blue ones for landmarks that hung already.
         title: of the page and above the scene.
     """
     import plotly.graph_objects as go
@@ -42,7 +42,9 @@ def save_scene_page(path: str | Path, problem: Problem, deployment: Deployment, 
     room, objective, positions = problem.scene.room, problem.objective, problem.evaluator.positions
     values = problem.values(deployment)
     good = objective.qualified(values)
-    surroundings = [*_box_traces(room), *_landmark_traces(deployment)]
+    surroundings = _box_traces(room)
+    for group in common.landmark_groups(len(deployment), problem.fixed_count):
+        surroundings += _landmark_traces(deployment[group.chosen], group.label, group.colour)
     name = re.sub("_(.*)", r"<sub>\1</sub>", objective.value_name)
     hover = [f"{name} = {value:.4f}<br>{_place(at)}" for value, at in zip(values, positions, strict=True)]
 
@@ -119,7 +121,7 @@ def _box_traces(room: Space) -> list[Any]:
     ]
 
 
-def _landmark_traces(deployment: Deployment) -> list[Any]:
+def _landmark_traces(deployment: Deployment, label: str, colour: str) -> list[Any]:
     """Shafts, which show what the normal is, and heads, which carry the hover text."""
     import plotly.graph_objects as go
 
@@ -132,9 +134,9 @@ def _landmark_traces(deployment: Deployment) -> list[Any]:
     shafts = go.Scatter3d(
         **_xyz(_strokes(np.stack([deployment.positions, tips], axis=1))),
         mode="lines",
-        name="landmark and its normal",
-        legendgroup="landmarks",
-        line={"width": 4, "color": common.LANDMARK},
+        name=label,
+        legendgroup=label,
+        line={"width": 4, "color": colour},
         hoverinfo="skip",
     )
     cones = go.Cone(
@@ -143,8 +145,8 @@ def _landmark_traces(deployment: Deployment) -> list[Any]:
         anchor="tip",
         sizemode="raw",
         sizeref=1.0,
-        legendgroup="landmarks",
-        colorscale=[common.LANDMARK, common.LANDMARK],
+        legendgroup=label,
+        colorscale=[colour, colour],
         showscale=False,
         text=hover,
         hoverinfo="text",

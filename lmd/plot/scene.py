@@ -1,7 +1,7 @@
 """The paper's figures of deployments: room, landmarks and how well each position sees them, as PNGs."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment
     Args:
         path: the PNG.
         problem: its room is drawn in black, the reachable area dashed and grey.
-        deployment: drawn as red arrows along the normals.
+        deployment: drawn as red arrows along the normals, blue ones for landmarks that hung already.
         title: one line above the panels.
     """
     from matplotlib.figure import Figure
@@ -32,13 +32,14 @@ def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment
     room, objective, positions = problem.scene.room, problem.objective, problem.evaluator.positions
     values = problem.values(deployment)
     good = objective.qualified(values)
+    groups = common.landmark_groups(len(deployment), problem.fixed_count)
     figure = Figure(figsize=(15.0, 7.5), dpi=100, facecolor="white")
     figure.suptitle(title, fontsize=17, y=0.97)
     left, right = (
         figure.add_axes((x, 0.1, 0.5, 0.86), projection="3d", computed_zorder=False) for x in (-0.005, 0.495)
     )
     for axes in (left, right):
-        _draw_surroundings(axes, room, deployment)
+        _draw_surroundings(axes, room, deployment, groups)
     balls = _draw_balls(left, room, positions, c=values, cmap=common.COLOUR_MAP, vmin=0.0, vmax=1.0, alpha=0.7)
     _draw_balls(right, room, positions, c=_faces(good))
 
@@ -49,7 +50,7 @@ def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment
 
     lines = [
         *(Line2D([], [], color=colour, linestyle=style, label=part) for part, _, colour, style in _parts(room)),
-        Line2D([], [], **_symbol(r"$\rightarrow$", 24, common.LANDMARK), label="landmark and its normal"),
+        *_arrows(groups),
     ]
     colours = (common.QUALIFIED, common.UNQUALIFIED)
     dots = [
@@ -57,7 +58,7 @@ def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment
         for colour, label in zip(colours, common.qualified_labels(good, objective.threshold), strict=True)
     ]
     for handles, x, y in ((lines, 0.5, 0.9), (dots, 0.75, 0.095)):
-        figure.legend(handles=handles, loc="center", bbox_to_anchor=(x, y), ncols=5, frameon=False, fontsize=12)
+        figure.legend(handles=handles, loc="center", bbox_to_anchor=(x, y), ncols=6, frameon=False, fontsize=12)
     figure.savefig(path)
 
 
@@ -79,25 +80,28 @@ def save_deployments_figure(
     figure.suptitle(title, fontsize=14, y=1.0 - 0.1 / figure.get_figheight())
     margin = 0.4 / figure.get_figheight()
     height = (1.0 - 2.0 * margin) / rows
+    drawn: list[common.Group] = []
     for i, (name, (problem, deployment)) in enumerate(deployments.items()):
         left, bottom = 0.5 * (i % 2), 1.0 - margin - (1 + i // 2) * height
         axes = figure.add_axes((left, bottom, 0.5, height), projection="3d", computed_zorder=False)
         good = problem.objective.qualified(problem.values(deployment))
-        _draw_surroundings(axes, problem.scene.room, deployment)
+        groups = common.landmark_groups(len(deployment), problem.fixed_count)
+        drawn += groups
+        _draw_surroundings(axes, problem.scene.room, deployment, groups)
         _draw_balls(axes, problem.scene.room, problem.evaluator.positions, c=_faces(good))
         label = f"{name}: {good.mean():.2%} qualified"
         figure.text(left + 0.25, bottom + 0.97 * height, label, ha="center", va="top", fontsize=13)
     handles = [
-        Line2D([], [], **_symbol(r"$\rightarrow$", 24, common.LANDMARK), label="landmark and its normal"),
+        *_arrows(drawn),
         Line2D([], [], **_symbol("o", 9, common.QUALIFIED), label="qualified position"),
         Line2D([], [], **_symbol("o", 9, common.UNQUALIFIED), label="unqualified position"),
     ]
-    figure.legend(handles=handles, loc="lower center", ncols=3, frameon=False, fontsize=11)
+    figure.legend(handles=handles, loc="lower center", ncols=4, frameon=False, fontsize=11)
     figure.savefig(path)
 
 
-def _draw_surroundings(axes: Any, room: Space, deployment: Deployment) -> None:
-    """Room, reachable area, landmarks and axes: all but the balls."""
+def _draw_surroundings(axes: Any, room: Space, deployment: Deployment, groups: Sequence[common.Group]) -> None:
+    """Room, reachable area, the groups of landmarks and axes: all but the balls."""
     from matplotlib.ticker import MaxNLocator, MultipleLocator
     from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
@@ -121,9 +125,19 @@ def _draw_surroundings(axes: Any, room: Space, deployment: Deployment) -> None:
                 Line3DCollection(edges[part], colors=colour, linestyles=style, linewidths=1.2, zorder=zorder)
             )
     near = deployment.normals @ viewer < 0.0  # on the walls whose backs the viewer looks at
-    for part, zorder in ((near, FRONT), (~near, BACK)):
-        start, arrow = deployment.positions[part], common.ARROW_LENGTH * deployment.normals[part]
-        axes.quiver(*start.T, *arrow.T, color=common.LANDMARK, linewidth=1.6, arrow_length_ratio=0.4, zorder=zorder)
+    for group in groups:
+        for part, zorder in ((near, FRONT), (~near, BACK)):
+            chosen = part & group.chosen
+            start, arrow = deployment.positions[chosen], common.ARROW_LENGTH * deployment.normals[chosen]
+            axes.quiver(*start.T, *arrow.T, color=group.colour, linewidth=1.6, arrow_length_ratio=0.4, zorder=zorder)
+
+
+def _arrows(groups: Iterable[common.Group]) -> list[Any]:
+    """Legend entries of the landmarks, each once."""
+    from matplotlib.lines import Line2D
+
+    entries = {group.label: group.colour for group in groups}
+    return [Line2D([], [], **_symbol(r"$\rightarrow$", 24, colour), label=label) for label, colour in entries.items()]
 
 
 def _parts(room: Space) -> list[tuple[str, FloatArray, str, Any]]:

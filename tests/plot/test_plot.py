@@ -1,6 +1,7 @@
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from matplotlib.image import imread
 from paper import paper_scene
 
 from lmd.deployment import Deployment, RandomDeployment, UniformDeployment
+from lmd.labels import Labels
 from lmd.objectives.coverage import Coverage
 from lmd.plot import common
 from lmd.plot.common import qualified_labels
@@ -91,6 +93,21 @@ def test_scene_figure_has_the_stated_size_and_shows_qualified_positions_in_the_r
         assert colours_in(picture[100:640], 214, 39, 40) > 200
     assert shown["none"] == 0
     assert shown["all"] > 500
+
+
+def test_what_hung_already_is_blue_and_has_its_own_entry(tmp_path, deployment):
+    hangs = replace(deployment[:3], labels=Labels(np.array([8, 9, 30])))
+    problem = Problem(SCENE, Coverage(2, THOLD_P), RandomDeployment(4), threads=1, fixed=hangs)
+    whole = problem.draw(np.random.default_rng(0))
+    for name, shown in (("old", Shown(PROBABILITY)), ("beside", problem)):
+        save_scene_figure(tmp_path / f"{name}.png", shown, whole, "T")
+        save_scene_page(tmp_path / f"{name}.html", shown, whole, "T")
+        drawn = imread(tmp_path / f"{name}.png")[100:640]
+        page = (tmp_path / f"{name}.html").read_text(encoding="utf-8")
+        assert colours_in(drawn, 214, 39, 40) > 100
+        assert (colours_in(drawn, 31, 119, 180) > 100) == (name == "beside")
+        assert ("landmark that hung already" in page) == (name == "beside")
+        assert all(f"landmark {number}" in page for number in whole.ids)
 
 
 @pytest.mark.slow

@@ -1,0 +1,104 @@
+"""One tag falls off, or two: what a deployment loses without them, and which tags matter.
+
+A landmark is taken away by a move (`lmd.objectives.field`) to a place from where nobody sees it. Only the views that it
+or its shadow changes are looked at again, so all pairs of 90 landmarks cost no more than a hundred evaluations. What is
+lost hides nothing any more.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from lmd.checks import FloatArray, IntArray
+from lmd.compiled import kernel
+from lmd.deployment import Deployment
+from lmd.objectives.field import accept, bound, in_order, undo
+from lmd.objectives.localisation.losses import AWAY
+from lmd.optimisers.annealing.walk import total_worth
+from lmd.problem import Problem
+
+LISTED = 8  # tags that a terminal names
+NOTHING = 1e-12  # a difference in fitness that is one of rounding
+
+
+@dataclass(frozen=True)
+class Losses:
+    """The fitness that is left.
+
+    Args:
+        ids: of K landmarks.
+        fitness: of all of them.
+        without: `(K, K)`, without landmarks i and j; without i alone for i = j.
+    """
+
+    ids: IntArray
+    fitness: float
+    without: FloatArray
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """`id,fitness_without,fitness_loss`, the tag that matters most first."""
+        alone = np.diagonal(self.without)
+        rows = pd.DataFrame({"id": self.ids, "fitness_without": alone, "fitness_loss": self.fitness - alone})
+        return rows.sort_values("fitness_loss", ascending=False, kind="stable", ignore_index=True)
+
+    @property
+    def idle(self) -> IntArray:
+        """The ids of the landmarks without any of which the fitness is no lower."""
+        return np.sort(self.ids[np.diagonal(self.without) >= self.fitness - NOTHING])
+
+    def metrics(self) -> dict[str, float]:
+        """The least and the mean fitness over the loss of any one landmark, and of any two."""
+        one, two = np.diagonal(self.without), self.without[np.triu_indices(len(self.ids), 1)]
+        return {
+            f"fitness_without_{name}_{kind}": float(figure(left))
+            for name, left in (("one", one), ("two", two))
+            if left.size
+            for kind, figure in (("worst", np.min), ("mean", np.mean))
+        }
+
+    def to_text(self) -> str:
+        """Which tags matter most and which are idle, for a terminal."""
+        dearest = self.table[self.table.fitness_loss > NOTHING].head(LISTED)
+        named = zip(dearest["id"], 100.0 * dearest["fitness_loss"], strict=True)
+        most = ", ".join(f"{number} ({points:.2f})" for number, points in named)
+        idle = ", ".join(map(str, self.idle[:LISTED]))
+        more = f" and {len(self.idle) - LISTED} more" if len(self.idle) > LISTED else ""
+        return (
+            f"tags that matter most, and the points of fitness lost without each: {most or 'none'}\n"
+            f"idle tags, without any one of which nothing is lost: {idle or 'none'}{more}"
+        )
+
+
+@kernel
+def _without(field, target, away, state, first, second, fitness):  # type: ignore[no-untyped-def]
+    """Write the fitness without landmarks i and j to `fitness` `(K, K)`.
+
+    A move is not settled: what is left out until then is what the landmark hides, and is hidden by, at its new place.
+    """
+    for i in range(len(fitness)):
+        bound(field, i, away, -1, state, first)
+        accept(field, i, state, first)
+        fitness[i, i] = total_worth(target, state.units)
+        for j in range(i + 1, len(fitness)):
+            bound(field, j, away, -1, state, second)
+            fitness[i, j] = fitness[j, i] = total_worth(target, second.units)
+        undo(field, i, state, first)
+
+
+def losses(problem: Problem, deployment: Deployment) -> Losses:
+    """The fitness without each landmark, and without any two.
+
+    Args:
+        problem: what the deployment is scored for.
+        deployment: K landmarks.
+
+    Raises:
+        InputError: the objective has no field.
+    """
+    field = problem.objective.field(problem.fitness_evaluator)
+    target = problem.objective.target(in_order(field, problem.fitness_relevance))
+    state, without = field.state(deployment), np.empty((len(deployment), len(deployment)))
+    _without(field, target, AWAY, state, field.scratch(state), field.scratch(state), without)
+    return Losses(deployment.ids, total_worth(target, state.units), without)
