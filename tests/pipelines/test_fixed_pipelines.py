@@ -74,7 +74,8 @@ def test_what_cannot_be_is_refused_in_a_sentence(work, overrides, message):
 
 @pytest.mark.slow
 def test_tags_are_added_to_what_hangs_already(work):
-    more = ("deployment.fixed=tags.csv", "deployment.count=+5", "budget.evaluations=60", "hydra.run.dir=run")
+    seen = ("objective.thold_p=0.02", "objective.n=1")
+    more = ("deployment.fixed=tags.csv", "deployment.count=+5", "budget.evaluations=60", "hydra.run.dir=run", *seen)
     done = call("optimise", *more, *QUICK[:1], cwd=work)
     assert done.returncode == 0, done.stderr
     landmarks = pd.read_csv(work / "run" / "landmarks.csv")
@@ -92,7 +93,7 @@ def test_tags_are_added_to_what_hangs_already(work):
     assert f"fitness lost without each: {losses.id[0]} ({100.0 * losses.fitness_loss[0]:.2f})" in again.stdout
     assert scored["fitness"] == found["fitness"]
     assert scored["settings"]["fixed_landmarks"] == 2
-    alone = ("deployment=file", "deployment.path=run/landmarks.csv", "hydra.run.dir=alone")
+    alone = ("deployment=file", "deployment.path=run/landmarks.csv", "hydra.run.dir=alone", *seen)
     assert call("evaluate", *alone, *QUICK, cwd=work).returncode == 0
     assert json.loads((work / "alone" / "metrics.json").read_text())["fitness"] == found["fitness"]
 
