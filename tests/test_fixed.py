@@ -14,10 +14,14 @@ from lmd.checks import InputError
 from lmd.deployment import Deployment, FileDeployment, RandomDeployment, UniformDeployment
 from lmd.fixed import beside
 from lmd.labels import Labels
+from lmd.objectives.coverage import Coverage
 from lmd.objectives.coverage_field import coverage_field
 from lmd.objectives.field import move
+from lmd.objectives.localisation import Localisation
+from lmd.objectives.sampling import Sampling
 from lmd.optimisers.base import Budget
 from lmd.optimisers.greedy import GreedyDeployment
+from lmd.problem import Problem
 from lmd.sight.evaluator import Evaluator
 from lmd.tag import Tag
 
@@ -129,6 +133,23 @@ def test_half_of_a_good_deployment_is_built_upon(optimiser):
     alone = problem().fitness_of(half)
     built = make(optimiser).run(problem(RandomDeployment(15), fixed=half), Budget(200))
     assert built.fitness > alone
+
+
+SAMPLED = [
+    Coverage(2, 0.5, Sampling(2, 4)),
+    pytest.param(Localisation(tolerance=0.1, sampling=Sampling(2, 4)), marks=pytest.mark.slow),
+]
+
+
+@pytest.mark.parametrize("objective", SAMPLED)
+@pytest.mark.parametrize("optimiser", ["annealing", "greedy"])
+def test_a_walk_on_samples_leaves_alone_what_hangs_already(optimiser, objective):
+    scene, hangs = replace(problem().scene, tag=TAG), drawn(UniformDeployment(10))
+    p = Problem(scene, objective, RandomDeployment(15), 1, hangs)
+    result = make(optimiser).run(p, Budget(200))
+    np.testing.assert_array_equal(result.deployment.positions[:10], hangs.positions)
+    assert result.fitness == p.fitness_of(result.deployment) > p.fitness_of(p.draw(np.random.default_rng(0)))
+    scene.plates.check(result.deployment.hung(scene.room))
 
 
 def test_a_good_deployment_with_half_of_it_fixed_gets_no_worse(tmp_path):

@@ -31,6 +31,7 @@ from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import evaluate_range
 from lmd.space.cuboid import Cuboid
 from lmd.validation import Sample, validation_metrics
+from pipelines.evaluate import lose
 
 pytestmark = pytest.mark.slow  # what is made for classes from elsewhere is compiled anew each time
 
@@ -189,7 +190,7 @@ class MeanSeen:
     selection = field
 
 
-def test_a_black_box_climbs_an_objective_of_ones_own_and_the_rest_says_what_it_lacks(tmp_path):
+def test_a_black_box_climbs_an_objective_of_ones_own_and_the_rest_says_what_it_lacks(tmp_path, capsys):
     scene = paper_scene(paper_room(spacing=1.5), orientations=pdf.grid_with_ends(6))
     problem = Problem(scene, MeanSeen(), RandomDeployment(20), threads=1)
     result = optimise(problem, evaluations=200, optimiser=EGA())
@@ -201,6 +202,8 @@ def test_a_black_box_climbs_an_objective_of_ones_own_and_the_rest_says_what_it_l
     for method in (Annealing(), Greedy()):
         with pytest.raises(InputError, match=r"^MeanSeen has no field"):
             method.run(problem, Budget(50))
+    assert lose(problem, problem.draw(np.random.default_rng(0)), tracker=None) is None
+    assert capsys.readouterr().out.startswith("no losses: MeanSeen has no field")
     with pytest.raises(InputError, match=r"no upper bound for the objective MeanSeen"):
         average_upper_bound(problem, 20, Search(1.0, 10, 0.1))
 
