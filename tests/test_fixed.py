@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from floor_plans import lab
 from hypothesis import given
 from hypothesis import strategies as st
 from paper import paper_room
@@ -86,6 +87,17 @@ def test_papers_that_overlap_already_are_refused():
     hangs = Deployment([[0.0, 2.0, 3.0], [0.0, 2.2, 3.0]], [[1.0, 0.0, 0.0]] * 2)
     with pytest.raises(InputError, match=r"^fixed: landmarks 0 and 1 on x_min overlap"):
         problem(fixed=hangs, tag=TAG)
+
+
+@pytest.mark.parametrize(("tag", "optimiser"), [(None, "ega"), (Tag(0.1), "ega"), (None, "greedy")])
+def test_on_a_floor_plan_they_stay_where_they_are_and_out_of_doors(tag, optimiser):
+    scene = replace(problem().scene, room=lab(), tag=tag)
+    hangs = Deployment([[2.0, 0.03, 1.0], [0.0, 1.5, 1.0]], [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    p = Problem(scene, Coverage(1, 0.3), RandomDeployment(8), 1, hangs)
+    np.testing.assert_array_equal(make(optimiser).run(p, Budget(30)).deployment.positions[:2], hangs.positions)
+    door = Deployment([[5.0, 0.0, 1.0]], [[0.0, 1.0, 0.0]])
+    with pytest.raises(InputError, match=r"^fixed: landmark 0 at \(5, 0, 1\) hangs on wall_0 where none may hang"):
+        Problem(scene, Coverage(1, 0.3), RandomDeployment(8), 1, door)
 
 
 # One flush, one that a board holds off the wall, one that was measured to a micrometre and touches the first.
