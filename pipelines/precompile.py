@@ -16,6 +16,7 @@ from .app import PACKAGE
 SMALL = ("tracking=none", "threads=1")
 RUNS = (  # the longest first
     ("optimise", "budget.evaluations=200"),  # enough for stacks, plates that grow, and plates of their size
+    ("optimise", "budget.evaluations=60", "experiment=lab"),
     ("optimise", "budget.evaluations=60", "objective=localisation", "tag=printed"),
     ("evaluate",),
     ("observe", "deployment=uniform", "seeds=1", "trajectory.duration=2"),
