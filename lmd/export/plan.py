@@ -8,7 +8,7 @@ import numpy as np
 
 from lmd.camera import MM_PER_M
 from lmd.checks import FloatArray, IntArray
-from lmd.export.paper import GREY, LINE, PAPERS, begin_page, document, up_arrow, write_text
+from lmd.export.paper import GREY, LINE, PAPERS, begin_page, document, fill_polygon, up_arrow, write_text
 from lmd.export.tag_map import TagMap
 from lmd.space.surface import Surface
 
@@ -22,6 +22,7 @@ TABLE, ROW = 82.0, 4.2  # width of the table, height of its rows
 COLUMNS = (10.0, 28.0, 46.0, 64.0, 82.0)  # right ends of the columns
 SCALES = (1, 2, 5, 10, 15, 20, 25, 30, 40, 50, 75, 100, 150, 200, 250, 500, 1000, 2000, 5000)
 LIGHT = 0.85  # grey of black squares, and of lines below rows
+FORBIDDEN = 0.94  # grey of where nothing may hang
 LEVEL = 0.5  # a normal with a larger vertical part is that of a floor or a ceiling
 
 
@@ -36,6 +37,12 @@ class View:
         """Whether the surface's own u runs to the left."""
         right = np.cross(self.surface.v, self.surface.normal)
         return bool(right @ self.surface.u < 0.0)
+
+    @property
+    def allowed(self) -> list[FloatArray]:
+        """Polygons `(4, 2)` that together are where tags may hang."""
+        a, b = self.surface.pieces.T[[0, 1, 1, 0]], self.surface.pieces.T[[2, 3, 5, 4]]
+        return list(np.swapaxes(self.place(self.surface.point(a, b)), 0, 1))
 
     @property
     def seen(self) -> str:
@@ -84,6 +91,7 @@ def _draw_surface(canvas: Any, size: tuple[float, float], tags: TagMap, view: Vi
     scale = next((one for one in SCALES if width <= one * room_x and height <= one * room_y), SCALES[-1])
     title = f"{view.surface.name}, {view.seen}"
     facts = f"{width:.0f} x {height:.0f} mm, tags: {len(own)}, scale 1 : {scale}; {tags.room.describe()}"
+    facts += "" if view.surface.allowed is None else "; nothing hangs where it is grey"
     at = MM_PER_M * view.place(tags.deployment.positions[own])
     paper = MM_PER_M * tags.tag.paper_edge
     rows = [
@@ -118,9 +126,15 @@ def _begin(canvas: Any, size: tuple[float, float], title: str, facts: str) -> No
 
 
 def _draw_outline(canvas: Any, origin: tuple[float, float], view: View, scale: int) -> None:
-    """The surface, its width and height, and where its corners are in the world."""
+    """The surface and where on it tags may hang, its width and height, and where its corners are in the world."""
     left, below = origin
     width, height = (MM_PER_M * length / scale for length in view.surface.extent)
+    canvas.setFillGray(FORBIDDEN)
+    canvas.rect(left, below, width, height, stroke=0, fill=1)
+    canvas.setFillGray(1.0)
+    for ring in view.allowed:
+        fill_polygon(canvas, [(left + x, below + y) for x, y in MM_PER_M * ring / scale])
+    canvas.setFillGray(0.0)
     canvas.setLineWidth(2.0 * LINE)
     canvas.rect(left, below, width, height)
     canvas.setLineWidth(LINE)

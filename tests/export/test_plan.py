@@ -1,6 +1,7 @@
 """The plan is measured on its rendered pages."""
 
 import cv2
+import floor_plans
 import numpy as np
 import pypdfium2
 import pytest
@@ -44,6 +45,12 @@ def solid(mask, size):
     return cv2.erode(mask.astype(np.uint8), np.ones((size, size), np.uint8))
 
 
+def sides(picture):
+    """The rows and columns of the outline, which alone is so thick and so long."""
+    outline = solid(picture < 100, 4)
+    return [np.flatnonzero(outline.sum(axis=axis) > 0.9 * outline.sum(axis=axis).max()) for axis in (1, 0)]
+
+
 def words(page):
     return " ".join(page.get_textpage().get_text_range().split())
 
@@ -58,9 +65,8 @@ def test_a_tag_is_drawn_and_listed_where_it_is_seen(name, paper, tmp_path):
     assert page.get_size() == pytest.approx([length * 72 / 25.4 for length in PAPERS[paper][::-1]])
     picture = np.array(page.render(scale=PIXELS / 72 * 25.4, grayscale=True).to_pil())
     scale = int(words(page).partition("scale 1 : ")[2].partition(";")[0])
-    # Only the outline is so thick, and only the black square of the tag is so large and grey.
-    outline, square = solid(picture < 100, 4), solid(picture == LIGHT, 20)
-    rows, columns = (np.flatnonzero(outline.sum(axis=axis) > 0.9 * outline.sum(axis=axis).max()) for axis in (1, 0))
+    rows, columns = sides(picture)
+    square = solid(picture == LIGHT, 20)  # only the black square of the tag is so large and so grey
     down, right = np.nonzero(square)
     middle = np.array([(right.min() + right.max()) / 2 - columns.min(), rows.max() - (down.min() + down.max()) / 2])
     np.testing.assert_allclose(middle / PIXELS * scale, [across, up], atol=0.3 * scale)
@@ -79,6 +85,27 @@ def test_a_view_is_that_of_a_tag_on_the_surface():
         np.testing.assert_allclose(view.place(middle + 0.1 * up) - start, [0.0, 0.1], atol=1e-12)
         np.testing.assert_allclose(view.place(view.corner(right=False, top=False)), [0.0, 0.0], atol=1e-12)
         np.testing.assert_allclose(view.place(view.corner(right=True, top=True)), surface.extent, atol=1e-12)
+
+
+def test_where_nothing_may_hang_is_grey(tmp_path):
+    room = floor_plans.lab()
+    (wall,) = [surface for surface in room.surfaces() if surface.name == "wall_0"]
+    tag = Deployment(wall.point(3.0, 1.5)[None], wall.normal[None]).hung(room)
+    write_plan(tmp_path / "plan.pdf", TagMap(room, TAG, tag), "a4")
+    (page,) = pypdfium2.PdfDocument(tmp_path / "plan.pdf")
+    assert "nothing hangs where it is grey" in words(page)
+    picture = np.array(page.render(scale=PIXELS / 72 * 25.4, grayscale=True).to_pil())
+    rows, columns = sides(picture)
+    size = np.array([np.ptp(columns), np.ptp(rows)]) / [6.0, 2.5]  # pixels a metre
+
+    def grey(x, z):
+        """By hand: whoever stands before this wall has x to the left."""
+        across, up = np.round(size * [6.0 - x, z]).astype(int)
+        return bool(picture[rows.max() - up, columns.min() + across] < 250)
+
+    # The door is from x = 4.5 to 5.5 m up to 2 m, and people reach from 0.25 to 2.25 m.
+    assert all(grey(*at) for at in ((4.6, 0.3), (5.4, 1.9), (5.4, 2.4), (1.0, 0.2)))
+    assert not any(grey(*at) for at in ((4.4, 0.3), (5.6, 1.9), (5.4, 2.1), (1.0, 0.3)))
 
 
 def test_every_tag_is_in_one_table_even_where_they_go_on_another_page(tmp_path):
