@@ -103,7 +103,7 @@ def _draw_surface(canvas: Any, size: tuple[float, float], tags: TagMap, view: Vi
     origin = MARGIN + DIMENSION + TEXT, size[1] - MARGIN - HEAD - height / scale
     _draw_outline(canvas, origin, view, scale)
     for k, centre in zip(own, at, strict=True):
-        _draw_tag(canvas, origin, tags, int(k), centre, scale)
+        _draw_tag(canvas, origin, tags, int(k), centre, scale, at)
     while rows := _draw_table(canvas, size[0] - MARGIN - TABLE, size, head, rows):
         canvas.showPage()
         _begin(canvas, size, title, facts)
@@ -162,8 +162,10 @@ def _draw_dimension(canvas: Any, x: float, y: float, length: float, text: str) -
     write_text(canvas, x + length / 2.0, y - TEXT, text, size=TEXT, align="centre")
 
 
-def _draw_tag(canvas: Any, origin: tuple[float, float], tags: TagMap, k: int, centre: FloatArray, scale: int) -> None:
-    """Paper and black square, with a triangle that points up and the number."""
+def _draw_tag(
+    canvas: Any, origin: tuple[float, float], tags: TagMap, k: int, centre: FloatArray, scale: int, at: FloatArray
+) -> None:
+    """Paper and black square, with a triangle that points up and the number, beside it where no other tag hides it."""
     x, y = origin + centre / scale
     plate, edge = (MM_PER_M * length / scale for length in (tags.tag.paper_edge, tags.tag.size))
     canvas.rect(x - plate / 2.0, y - plate / 2.0, plate, plate)
@@ -173,9 +175,14 @@ def _draw_tag(canvas: Any, origin: tuple[float, float], tags: TagMap, k: int, ce
     if edge >= 2.0 * TEXT:
         up_arrow(canvas, x, y + 0.1 * edge, 0.3 * edge)
         write_text(canvas, x, y - 0.4 * edge, str(tags.ids[k]), size=TEXT, align="centre")
-    else:
-        up_arrow(canvas, x, y - 0.3 * edge, 0.6 * edge)
-        write_text(canvas, x + 0.6 * plate, y - SMALL / 3.0, str(tags.ids[k]), size=SMALL)
+        return
+    up_arrow(canvas, x, y - 0.3 * edge, 0.6 * edge)
+    away = plate / 2.0 + SMALL  # from the tag's centre to the middle of its number
+    places = np.array([(away, 0.0), (-away, 0.0), (0.0, away), (0.0, -away)])
+    distance = np.abs(((at - centre) / scale)[:, None] - places).max(axis=2).min(axis=0)
+    free = np.flatnonzero(distance > (plate + SMALL) / 2.0)
+    right, up = places[free[0] if free.size else 0]
+    write_text(canvas, x + right, y + up - SMALL / 3.0, str(tags.ids[k]), size=SMALL, align="centre")
 
 
 def _draw_table(

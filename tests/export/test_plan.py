@@ -108,6 +108,25 @@ def test_where_nothing_may_hang_is_grey(tmp_path):
     assert not any(grey(*at) for at in ((4.4, 0.3), (5.6, 1.9), (5.4, 2.1), (1.0, 0.3)))
 
 
+def test_no_tag_hides_the_number_of_its_neighbour(tmp_path):
+    (wall,) = [surface for surface in ROOM.surfaces() if surface.name == "x_min"]
+    at, ids = wall.point(np.array([1.0, 1.13]), np.array([1.0, 1.0])), np.array([77, 88])
+    tags = Deployment(at, np.repeat(wall.normal[None], 2, axis=0), labels=Labels(ids)).hung(ROOM)
+    (page,) = written(tmp_path / "plan.pdf", tags, tag=Tag(0.1))
+    text = page.get_textpage()
+
+    def left_of(number):
+        """Of the number in the drawing: in the table it is further to the right."""
+        found, lefts = text.search(number), []
+        while (match := found.get_next()) is not None:
+            lefts.append(text.get_charbox(match[0])[0])
+        assert len(lefts) == 2
+        return min(lefts) / 72 * 25.4
+
+    # At a scale of 1 : 25 the tags are 125 mm / 25 wide and 130 mm / 25 apart; the numbers are on either side of both.
+    assert left_of("88") - left_of("77") > 130 / 25 + 125 / 25
+
+
 def test_every_tag_is_in_one_table_even_where_they_go_on_another_page(tmp_path):
     deployment = UniformDeployment(300).draw(ROOM, np.random.default_rng(0))
     pages = written(tmp_path / "plan.pdf", deployment, tag=Tag(0.05))
