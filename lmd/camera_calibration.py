@@ -6,6 +6,7 @@ say only the principal point changes.
 Sources: `camera_calibration_parsers` of ROS, the page "YAML formats" of Kalibr, the calibration samples of OpenCV.
 """
 
+import json
 import math
 import re
 from collections.abc import Mapping
@@ -151,7 +152,8 @@ def _kalibr(keys: Mapping[str, Any], name: str) -> Calibration:
     choice(f"{name}.camera_model", _entry(keys, name, "camera_model"), ("pinhole",))
     choice(f"{name}.distortion_model", _entry(keys, name, "distortion_model"), KALIBR_MODELS)
     intrinsics = vector(f"{name}.intrinsics", _entry(keys, name, "intrinsics"), 4)
-    lens = _numbers(f"{name}.distortion_coeffs", _entry(keys, name, "distortion_coeffs"))
+    distorted = keys[name]["distortion_model"] != "none"
+    lens = _numbers(f"{name}.distortion_coeffs", _entry(keys, name, "distortion_coeffs")) if distorted else ()
     width, height = vector(f"{name}.resolution", _entry(keys, name, "resolution"), 2)
     return Calibration(width, height, intrinsics[:2], intrinsics[2:], lens)  # type: ignore[arg-type] # whole, or refused
 
@@ -189,11 +191,12 @@ def _content(path: Any) -> dict[str, Any]:
     file = file_path("path", path)
     try:
         text = file.read_text(encoding="utf-8-sig")
-        # OpenCV up to version 3 begins a file with %YAML:1.0, which is no YAML.
-        keys = yaml.load(re.sub(r"\A%YAML.*\n", "", text), _Loader)
+        # YAML takes most of JSON, but no tabs. OpenCV up to version 3 begins a file with %YAML:1.0, which is no YAML.
+        is_json = text.lstrip().startswith("{")
+        keys = json.loads(text) if is_json else yaml.load(re.sub(r"\A%YAML.*\n", "", text), _Loader)
     except FileNotFoundError:
         raise InputError(f"path: there is no file {str(path)!r}.", "path") from None
-    except (OSError, ValueError, yaml.YAMLError) as error:
+    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         reason = " ".join(str(error).split())
         raise InputError(f"path: {str(path)!r} cannot be read as YAML or JSON ({reason}).", "path") from None
     if not isinstance(keys, dict):

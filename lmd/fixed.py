@@ -33,7 +33,7 @@ def beside(fixed: Deployment, others: Deployment) -> Deployment:
         first = elsewhere[0]
         raise InputError(
             f"fixed has a landmark {again[first]}, and so has the start, {away[first]:.4g} m away from it; ids must be "
-            "different.",
+            "different, and a file without the column id numbers its landmarks from 0.",
             "fixed",
         )
     if len(again) == len(others):

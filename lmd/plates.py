@@ -131,8 +131,8 @@ class Plates:
         ids = deployment.ids[flat]
         if (over := np.flatnonzero(~self._surfaces.allow(surface, at, MISPLACED))).size:
             raise InputError(
-                f"landmark {ids[over[0]]} hangs over the edge of {names[surface[over[0]]]}: its paper is "
-                f"{self.edge:.4g} m wide."
+                f"landmark {ids[over[0]]} hangs over the edge of {names[surface[over[0]]]}, or of where tags may hang "
+                f"there: its paper is {self.edge:.4g} m wide."
             )
         distance = np.abs(at[:, None] - at[None]).max(axis=-1)
         close = (distance < self.edge - MISPLACED) & (surface[:, None] == surface)

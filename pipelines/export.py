@@ -23,12 +23,13 @@ def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
     Raises:
         InputError: that cannot be written, or there is no such format.
     """
-    from lmd.export.formats import Export
+    from lmd.export.formats import Export, formats_of
 
     with keyed(formats=key, paper="paper_size", edge="tag.edge"):
         settings = OmegaConf.to_container(cfg, resolve=True)
         assert isinstance(settings, dict)
-        chosen = Export(settings[key], settings["paper_size"])
+        names = formats_of(tag) if settings[key] is None else settings[key]
+        chosen = Export(names, settings["paper_size"])
         chosen.check(tag)
     return chosen
 

@@ -97,8 +97,16 @@ def test_one_camera_of_several_is_named(tmp_path):
 
 def test_a_lens_that_does_not_distort_has_no_coefficients(tmp_path):
     path = tmp_path / "camchain.yaml"
-    path.write_text(yaml.safe_dump({"cam0": KALIBR | {"distortion_model": "none", "distortion_coeffs": []}}))
-    assert calibrated_camera(path).distortion == ()
+    keys = KALIBR | {"distortion_model": "none", "distortion_coeffs": []}
+    for cam0 in (keys, without(keys, "distortion_coeffs")):
+        path.write_text(yaml.safe_dump({"cam0": cam0}))
+        assert calibrated_camera(path).distortion == ()
+
+
+def test_json_may_be_indented_with_tabs(tmp_path):
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps(ROS, indent="\t"))
+    assert read_calibration(path).image_width == 640
 
 
 def without(keys, *path):

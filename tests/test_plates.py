@@ -143,7 +143,9 @@ def test_files_and_counts_that_cannot_be_are_refused(tmp_path):
         evaluate(problem_of(UniformDeployment(40)), Deployment(moved, start.normals))
     moved[5] = moved[5] + [0.0, 0.0, 5.0 - moved[5, 2] + 0.9]
     Deployment(moved, start.normals).to_csv(path)
-    with pytest.raises(InputError, match=r"landmark 5 hangs over the edge of y_min: its paper is 0\.3 m wide"):
+    with pytest.raises(
+        InputError, match=r"landmark 5 hangs over the edge of y_min, or of where tags may hang there: its paper"
+    ):
         problem_of(FileDeployment(str(path)))
     with pytest.raises(InputError, match=r"^count = 3000 tags do not fit: 2440 papers of 0\.3 m are all that"):
         problem_of(RandomDeployment(3000))

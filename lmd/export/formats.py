@@ -51,6 +51,12 @@ FORMATS = {
 }
 
 
+def formats_of(tag: Tag) -> tuple[str, ...]:
+    """The formats whose readers know the family of a tag."""
+    known = FAMILIES[tag.family].apriltag is not None
+    return tuple(name for name, form in FORMATS.items() if known or not form.only_apriltag)
+
+
 @dataclass(frozen=True)
 class Export:
     """What is to be written of a deployment.
@@ -79,7 +85,7 @@ class Export:
         if self.formats:
             tag.check_edge()
         for name in self.formats:
-            if FORMATS[name].only_apriltag and FAMILIES[tag.family].apriltag is None:
+            if name not in formats_of(tag):
                 known = ", ".join(name for name, family in FAMILIES.items() if family.apriltag)
                 raise InputError(f"formats has {name}, which knows the families {known}, not {tag.family}.", "formats")
             if FORMATS[name].on_paper:

@@ -53,6 +53,10 @@ class PaperEncoding:
         self.surfaces = SurfaceArrays.of(room.surfaces())
         self.low, high = room.bounds()
         self.size = high - self.low
+        planes = np.column_stack([self.surfaces.normal, (self.surfaces.normal * self.surfaces.origin).sum(axis=1)])
+        alike = np.abs(planes[:, None] - planes).max(axis=-1) <= ON_SURFACE
+        # In a convex room the nearest plane is that of the nearest surface, if each has its own.
+        self.planes_tell = room.blockers() is None and not np.triu(alike, 1).any()
 
     def decode(self, genes: FloatArray) -> tuple[FloatArray, FloatArray, np.ndarray]:
         """See `Encoding.decode`."""
@@ -77,9 +81,9 @@ class PaperEncoding:
         return np.clip(np.hstack([(points - self.low) / self.size, angles]), 0.0, 1.0).reshape(-1)
 
     def _distance(self, points: FloatArray) -> FloatArray:
-        """From points `(..., 3)` to each surface, `(..., W)`, metres; in a convex room the nearest plane tells it."""
+        """From points `(..., 3)` to each surface, `(..., W)`, metres; or to its plane, where that tells the nearest."""
         s, depth = self.surfaces, np.abs(self.surfaces.depth(points))
-        if self.room.blockers() is None:
+        if self.planes_tell:
             return depth
         every = np.arange(len(s.normal))
         at = s.coordinates(every, points[..., None, :])

@@ -94,12 +94,11 @@ class FloorPlan:
                     f"obstacles[{i}] from {list(obstacle.low)} to {list(obstacle.high)} is not inside the room.",
                     f"obstacles[{i}]",
                 )
-            for face in obstacle.faces:
-                before = obstacle.surfaces("")[face]
-                if not self.contains(before.point(*(np.array(before.extent) / 2.0)) + BEFORE * before.normal):
+            for name in obstacle.faces:
+                face = self._faces[f"obstacle_{i}_{name}"]
+                if self._region(face).is_empty:
                     raise InputError(
-                        f"obstacles[{i}].faces: {face} stands against a wall, the floor, the ceiling or another "
-                        "obstacle.",
+                        f"obstacles[{i}].faces: {name} stands against a wall, the floor or the ceiling.",
                         f"obstacles[{i}].faces",
                     )
         for i, part in enumerate(self.keep_out):
@@ -137,11 +136,19 @@ class FloorPlan:
         """The walls that have all of the room on one side: unit normals `(N, 2)` outwards, and offsets `(N,)`."""
         return planes(edges(self.outline)[on_hull(self.ground)])
 
+    @cached_property
+    def rim(self) -> tuple[FloatArray, FloatArray]:
+        """The sides of the convex hull, whether or not they are walls, like `hull`: bodies end there."""
+        import shapely
+
+        return planes(edges(shapely.orient_polygons(self.ground.convex_hull).exterior.coords[:-1]))
+
     def contains(self, points: FloatArray, clearance: float = 0.0) -> BoolArray:
         """Whether points `(..., 3)` lie in the closed room, so far from walls, holes and obstacles, `(...)`."""
         p = np.asarray(points)
-        normals, offsets = self.hull
-        inside = (p[..., :2] @ normals.T <= offsets - clearance + PLACEMENT_TOLERANCE).all(axis=-1)
+        inside = np.ones(p.shape[:-1], dtype=np.bool_)
+        for (normals, offsets), away in ((self.rim, 0.0), (self.hull, clearance)):
+            inside &= (p[..., :2] @ normals.T <= offsets - away + PLACEMENT_TOLERANCE).all(axis=-1)
         inside &= (p[..., 2] >= -PLACEMENT_TOLERANCE) & (p[..., 2] <= self.height + PLACEMENT_TOLERANCE)
         if self.blockers is not None:
             inside &= ~self.blockers.grown(clearance).inside(p)
@@ -225,12 +232,21 @@ class FloorPlan:
         return Surface(**{**vars(face), "allowed": None if region.equals(whole) else region})
 
     def _region(self, face: Surface) -> Any:
-        """What there is of a face in its rectangle."""
+        """What there is of a face in its rectangle: of one of an obstacle, what has some of the room before it."""
         import shapely
 
-        if face.name not in ("floor", "ceiling"):
-            return shapely.box(0.0, 0.0, *face.extent)
-        return shapely.transform(self.ground, lambda at: at - face.origin[:2])
+        along, up = face.extent
+        if face.name in ("floor", "ceiling"):
+            return shapely.transform(self.ground, lambda at: at - face.origin[:2])
+        if not face.name.startswith("obstacle_"):
+            return shapely.box(0.0, 0.0, along, up)
+        before = face.origin + BEFORE * face.normal
+        if face.normal[2] != 0.0:
+            return shapely.box(0.0, 0.0, along, up) if 0.0 <= before[2] <= self.height else shapely.Polygon()
+        free = self.ground.intersection(shapely.LineString([before[:2], before[:2] + along * face.u[:2]]))
+        parts = [np.array(part.coords) for part in shapely.get_parts(free) if not part.is_empty]
+        ends = [np.sort((part - before[:2]) @ face.u[:2]) for part in parts]
+        return polygons(shapely.union_all([shapely.box(line[0], 0.0, line[-1], up) for line in ends]))
 
     def _kept_out(self, part: KeepOut) -> Any:
         """A keep-out in the coordinates of the `Surface`, whose u may run against its wall."""

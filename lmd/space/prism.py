@@ -19,6 +19,7 @@ from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, SurfaceArrays
 
 # Draws of a position that is in the reachable volume, before its grid position is taken instead.
 MOST_DRAWS = 100
+LEAST_SHARE = 1e-4  # of the box around it that the reachable volume fills
 
 
 @dataclass(frozen=True)
@@ -115,9 +116,16 @@ class Prism:
     def sample(self, size: int, rng: np.random.Generator) -> FloatArray:
         """See `Space.sample`."""
         low, high = self._box
-        drawn = np.empty((0, 3))
+        drawn, tries = np.empty((0, 3)), 0
         while len(drawn) < size:
+            if tries > (size + 1) / LEAST_SHARE:
+                raise InputError(
+                    f"reachable.clearance = {self.reachable.clearance:g} leaves positions of the grid, but next to no "
+                    "volume around them.",
+                    "reachable.clearance",
+                )
             tried = rng.uniform(low, high, (size - len(drawn), 3))
+            tries += len(tried)
             drawn = np.concatenate([drawn, tried[self._reaches(tried)]])
         return drawn
 

@@ -54,11 +54,13 @@ class Process:
     def wait(self) -> int:
         """Wait for its end; returns the exit code, negative for a signal."""
         code = self._hear("code")
-        if code is None:  # the server was killed, and does not know
-            self.kill()
-            server.cache_clear()
-            return -signal.SIGKILL
-        return code
+        if code is not None:
+            return code
+        server.cache_clear()
+        if not self._told:  # the server ended before it could begin
+            return 1
+        self.kill()  # the server was killed, and does not know
+        return -signal.SIGKILL
 
     def kill(self) -> None:
         """Kill it, as soon as it is there."""

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from .hand_in import end_those_gone, hand_in
+from .hand_in import GONE, end_those_gone, hand_in
 from .journal import Entry, Journal
 from .processes import this_process
 from .store import PARAM_LENGTH, SQLITE, Store, first_line, is_of_store, now
@@ -129,7 +129,8 @@ class MlflowTracker:
         with self.store.errors_reported():
             runs = self.store.runs(" and ".join(f"tags.`{key}` = '{value}'" for key, value in tags.items()))
             for run in runs:
-                if run.info.status == "RUNNING":
+                # Another run that began meanwhile has seen only that its process was gone.
+                if run.info.status == "RUNNING" or run.data.tags.get("reason") == GONE:
                     self.store.send(run.info.run_id, {"end": "FAILED", "reason": reason, "at": now()})
         return bool(runs)
 

@@ -53,7 +53,10 @@ class Tracker(Protocol):
         """Forget the run: it should not have been started."""
 
     def end_lost(self, tags: Mapping[str, str], reason: str) -> bool:
-        """End as FAILED the runs with these tags that are still RUNNING; False if no run at all has these tags.
+        """End as FAILED the runs with these tags that are still RUNNING, or ended because their process had gone.
+
+        Returns:
+            False if no run at all has these tags.
 
         Raises:
             InputError: the store cannot be used.

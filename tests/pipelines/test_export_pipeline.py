@@ -62,7 +62,11 @@ def test_a_run_writes_its_own_maps_and_can_be_exported_later(work):
         ("export", ("deployment.path=mine.csv", "formats=[]"), "formats lists none, so there is nothing to write."),
         ("export", ("deployment.path=mine.csv", "formats=csv"), "formats must be a list of wpilib, "),
         ("export", ("deployment.path=mine.csv", "formats=[nosuch]"), "formats must be one of wpilib, "),
-        ("export", ("deployment.path=mine.csv", "tag.family=4x4_50"), "formats has wpilib, which knows the families "),
+        (
+            "export",
+            ("deployment.path=mine.csv", "tag.family=4x4_50", "formats=[csv,wpilib]"),
+            "formats has wpilib, which knows the families ",
+        ),
         ("export", ("deployment.path=mine.csv", "tag.edge=0.2"), "tag.edge = 0.2 m is too large for a sheet of a4; "),
         (
             "export",

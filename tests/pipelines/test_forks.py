@@ -72,7 +72,7 @@ def test_where_the_server_is_killed_the_next_job_gets_another(begin, tmp_path):
     assert begin("before").wait() == 0
     job = begin("wait")
     os.kill(json.loads((tmp_path / "before").read_text())["server"], signal.SIGKILL)
-    assert job.wait() == -signal.SIGKILL
+    assert job.wait() in (1, -signal.SIGKILL)  # not begun yet, or begun
     assert begin("after").wait() == 0
     idle = json.loads((tmp_path / "after").read_text())["server"]
     os.kill(idle, signal.SIGKILL)

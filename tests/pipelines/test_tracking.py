@@ -115,9 +115,11 @@ def test_what_a_dead_process_left_running_is_ended(uri):
     lost, other = started(uri, tags={"job": "a"}), started(uri, tags={"job": "b"})
     over = started(uri, tags={"job": "a"})
     over.finish("FINISHED")
+    seen = started(uri, tags={"job": "a"})
+    seen.finish("FAILED", GONE)  # as another run says of it
     assert MlflowTracker(uri, "tests").end_lost({"job": "a"}, "killed by SIGKILL")
     assert stored(lost).info.status == "FAILED"
-    assert stored(lost).data.tags["reason"] == "killed by SIGKILL"
+    assert stored(lost).data.tags["reason"] == stored(seen).data.tags["reason"] == "killed by SIGKILL"
     assert stored(other).info.status == "RUNNING"
     assert stored(over).info.status == "FINISHED"
     assert not MlflowTracker(uri, "tests").end_lost({"job": "c"}, "killed by SIGKILL")

@@ -91,8 +91,9 @@ def test_who_hides_from_any_distance_has_no_horizon():
 def test_what_is_gathered_is_at_most_so_far_from_a_box():
     low, high = box_around(np.array([[0.0, 1.0, 2.0], [2.0, 0.0, 2.0]]))
     assert (low, high) == ((0.0, 0.0, 2.0), (2.0, 1.0, 2.0))
-    landmarks = np.array([[1.0, 0.5, 5.0], [5.0, 5.0, 2.0], [5.1, 5.0, 2.0], [-3.0, 0.5, 2.0], [1.0, -3.1, 2.0]]).T
-    near = np.empty((6, 6))
-    assert gather(low, high, 5.0, np.ascontiguousarray(landmarks), -np.ascontiguousarray(landmarks), near) == 4
+    places = [[1.0, 0.5, 5.0], [5.0, 5.0, 2.0], [5.1, 5.0, 2.0], [-3.0, 0.5, 2.0], [1.0, -3.1, 2.0]]
+    landmarks, near, who = np.ascontiguousarray(np.array(places).T), np.empty((6, 6)), np.empty(6, dtype=np.int64)
+    assert gather(low, high, 5.0, landmarks, -landmarks, near, who) == 4
+    np.testing.assert_array_equal(who[:4], [0, 1, 3, 4])
     np.testing.assert_array_equal(near[0, :4], [1.0, 5.0, -3.0, 1.0])
     np.testing.assert_array_equal(near[3:, :4], -near[:3, :4])

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import shapely
-from floor_plans import DOOR, L_SHAPE, PILLAR, RACK, hangs_properly, lab, prisms
+from floor_plans import DOOR, L_SHAPE, PILLAR, RACK, hangs_properly, lab, plan_of, prisms, star
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
@@ -77,6 +77,37 @@ def test_positions_are_in_the_room_and_free(room, seed):
             assert not inside.any()
 
 
+NOTCHES = [[-3.9, 4.6], [-2.1, 2.1], [-2.5, 1.6], [-1.9, 0.7], [-5.7, -1.8], [0, -4], [4.8, -3.6], [1.7, -1]]
+
+
+@pytest.mark.parametrize("seed", [None, *range(30)])
+def test_what_is_in_the_room_is_in_the_polygon_also_beyond_its_hull(seed):
+    rng = np.random.default_rng(seed or 0)
+    polygon = shapely.Polygon(NOTCHES) if seed is None else star(rng)
+    low, high = np.array(polygon.bounds).reshape(2, 2)
+    points = rng.uniform(low - 2.0, high + 2.0, (2000, 2))
+    sure = shapely.distance(polygon.boundary, shapely.points(points)) > 1e-4
+    inside = plan_of(shapely.orient_polygons(polygon)).contains(np.pad(points, [(0, 0), (0, 1)], constant_values=1.0))
+    np.testing.assert_array_equal(inside[sure], shapely.contains_xy(polygon, *points[sure].T))
+
+
+def test_positions_without_volume_around_them_are_refused_when_more_are_drawn():
+    plan = FloorPlan([[0, 0], [6, 0], [6, 2], [2, 2], [2, 4], [0, 4]], 2.5)
+    room = Prism(plan, Reachable((0.5, 1.5), 1.0), 0.5, "vertices")
+    with pytest.raises(
+        InputError, match=r"reachable\.clearance = 1 leaves positions of the grid, but next to no volume"
+    ):
+        room.sample(10, np.random.default_rng(0))
+
+
+def test_no_tag_hangs_on_a_face_where_a_pillar_stands_before_it():
+    box = {"low": [0.5, 2.0, 0.0], "high": [4.0, 2.5, 1.8], "faces": ["y_min"]}
+    pillar = [[1, 1], [2, 1], [2, 2], [1, 2]]
+    plan = FloorPlan([[0, 0], [8, 0], [8, 6], [0, 6]], 2.5, holes=[pillar], obstacles=[box], surfaces=["wall_0"])
+    *_, face = plan.carriers
+    assert_allclose(face.area, 2.5 * 1.8)  # by hand: 3.5 m wide, less the metre of the pillar
+
+
 def test_positions_keep_their_clearance():
     room = lab(spacing=0.125, clearance=0.25)
     for points in (
@@ -119,6 +150,15 @@ def test_genes_mean_places_where_tags_may_hang(kind):
     back, _, there = encoding.decode(encoding.encode(start)[None])
     assert_allclose(back[0], start.positions, atol=1e-5)
     assert_array_equal(there[0], start.surfaces)
+
+
+def test_genes_reach_each_part_of_a_wall_that_has_several_names():
+    room = Prism(FloorPlan([[0, 0], [3, 0], [6, 0], [6, 4], [0, 4]], 2.5), Reachable((0.5, 1.5), 0.5), 0.5)
+    encoding = make_encoding("paper", room, flush=True)
+    _, _, surfaces = encoding.decode(np.random.default_rng(0).random((2000, 5 * 10)))
+    counts = np.bincount(surfaces.ravel(), minlength=7)
+    assert counts[0] == pytest.approx(counts[1], rel=0.1)  # of some 1,400 each
+    assert counts.min() > 0
 
 
 def test_uniform_and_candidates_hang_where_they_may():
