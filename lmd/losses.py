@@ -1,9 +1,4 @@
-"""One tag falls off, or two: what a deployment loses without them, and which tags matter.
-
-A landmark is taken away by a move (`lmd.objectives.field`) to a place from where nobody sees it. Only the views that it
-or its shadow changes are looked at again, so all pairs of 90 landmarks cost no more than a hundred evaluations. What is
-lost hides nothing any more.
-"""
+"""One tag falls off, or two: what a deployment loses without them, and which tags matter."""
 
 from dataclasses import dataclass
 
@@ -11,11 +6,9 @@ import numpy as np
 import pandas as pd
 
 from lmd.checks import FloatArray, IntArray
-from lmd.compiled import kernel
 from lmd.deployment import Deployment
-from lmd.objectives.field import accept, bound, in_order, undo
-from lmd.objectives.localisation.losses import AWAY
-from lmd.optimisers.annealing.walk import total_worth
+from lmd.objectives.field import in_order
+from lmd.objectives.without import without_landmarks
 from lmd.problem import Problem
 
 LISTED = 8  # tags that a terminal names
@@ -71,22 +64,6 @@ class Losses:
         )
 
 
-@kernel
-def _without(field, target, away, state, first, second, fitness):  # type: ignore[no-untyped-def]
-    """Write the fitness without landmarks i and j to `fitness` `(K, K)`.
-
-    A move is not settled: what is left out until then is what the landmark hides, and is hidden by, at its new place.
-    """
-    for i in range(len(fitness)):
-        bound(field, i, away, -1, state, first)
-        accept(field, i, state, first)
-        fitness[i, i] = total_worth(target, state.units)
-        for j in range(i + 1, len(fitness)):
-            bound(field, j, away, -1, state, second)
-            fitness[i, j] = fitness[j, i] = total_worth(target, second.units)
-        undo(field, i, state, first)
-
-
 def losses(problem: Problem, deployment: Deployment) -> Losses:
     """The fitness without each landmark, and without any two.
 
@@ -99,6 +76,4 @@ def losses(problem: Problem, deployment: Deployment) -> Losses:
     """
     field = problem.objective.field(problem.fitness_evaluator)
     target = problem.objective.target(in_order(field, problem.fitness_relevance))
-    state, without = field.state(deployment), np.empty((len(deployment), len(deployment)))
-    _without(field, target, AWAY, state, field.scratch(state), field.scratch(state), without)
-    return Losses(deployment.ids, total_worth(target, state.units), without)
+    return Losses(deployment.ids, problem.fitness_of(deployment), without_landmarks(field, target, deployment))

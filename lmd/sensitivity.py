@@ -18,11 +18,13 @@ from scipy.stats import binom
 from lmd.accuracy import as_localisation
 from lmd.checks import FloatArray, InputError, IntArray
 from lmd.deployment import Deployment
+from lmd.objectives.field import in_order
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation.field import LocalisationField
 from lmd.objectives.localisation.kernels import localised_views
-from lmd.objectives.localisation.losses import without_landmarks
 from lmd.objectives.localisation.move import localisation_state
+from lmd.objectives.localisation.objective import Mean
+from lmd.objectives.without import without_landmarks
 from lmd.problem import Problem
 from lmd.scene import Scene
 from lmd.sight.bits import packed
@@ -170,7 +172,7 @@ def _measure(
     number, evaluator = group
     assumed = np.array([_shares(variant, deployment, evaluator) for variant in variants])
     field, rng = objective.field(evaluator), np.random.default_rng([seed, STREAM, number])
-    return assumed, missed_shares(field, deployment, rng)[:, :2], without_landmarks(field, deployment)
+    return assumed, missed_shares(field, deployment, rng)[:, :2], lost_shares(field, deployment)
 
 
 def _shares(variant: Variant, deployment: Deployment, evaluator: Evaluator) -> tuple[float, float]:
@@ -182,6 +184,13 @@ def _shares(variant: Variant, deployment: Deployment, evaluator: Evaluator) -> t
     landmarks = deployment.positions[None], deployment.normals[None]
     views = localised_views(varied, *landmarks, objective.n, objective.precision(scene))
     return views.localised.mean() / PROBABILITY_ONE, views.covered.mean() / PROBABILITY_ONE
+
+
+def lost_shares(field: LocalisationField, deployment: Deployment) -> FloatArray:
+    """The means of L and P_n without landmarks i and j, `(2, K, K)`; without i alone for i = j."""
+    mean = Mean(in_order(field, np.ones(len(field.index_of))))
+    shares = field._replace(weight=0.0), field.coverage
+    return np.stack([without_landmarks(share, mean, deployment) for share in shares])
 
 
 def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.random.Generator) -> FloatArray:

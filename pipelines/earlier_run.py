@@ -13,7 +13,6 @@ from yaml import YAMLError
 KEY = "run="
 GROUPS = ("room", "camera", "pdf", "tag", "visibility", "objective")  # what a run was about
 OPTION = "run"  # of these groups and of deployment
-KEPT = {"free": False, "fixed": None}  # of its deployment, and what runs of old mean that do not say
 FILES = (".hydra/config.yaml", "landmarks.csv")  # what an earlier run must have left
 
 
@@ -38,8 +37,10 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}") -> None:
     groups = [group for group in GROUPS if parts[group] is not None]  # runs of old lack some
     for group in groups:
         store.store(OPTION, parts[group], group)
-    kept = {key: OmegaConf.select(before, f"deployment.{key}", default=value) for key, value in KEPT.items()}
-    landmarks = {"path": str(directory / FILES[1]), **kept}
+    free, fixed = (OmegaConf.select(before, f"deployment.{key}") for key in ("free", "fixed"))  # runs of old lack them
+    path = str(directory / FILES[1])
+    # Its own file says where the fixed ones hung; the file they came from may have changed.
+    landmarks = {"path": path, "free": bool(free), "fixed": None if fixed is None else path}
     store.store(OPTION, {"defaults": ["file", "_self_"], **landmarks}, "deployment")
     chosen = [f"{group}={OPTION}" for group in groups] + [deployment]
     named = {argument.partition("=")[0] for argument in sys.argv[1:]}

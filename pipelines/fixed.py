@@ -21,14 +21,23 @@ def quoted(override: str) -> str:
 def fixed_of(node: DictConfig) -> "Deployment | None":
     """The landmarks that a configured deployment keeps where they are; None for none.
 
+    Of a file that holds the others too, as that of a run does, they are those it marks as fixed.
+
     Raises:
         InputError: the file cannot be read, or what it holds is no deployment.
     """
+    import numpy as np
+
     from lmd.checks import file_path
     from lmd.deployment import Deployment
+    from lmd.fixed import COLUMN
 
     path = node.get("fixed")  # runs of old have none
-    return None if path is None else Deployment.from_csv(file_path("fixed", path))
+    if path is None:
+        return None
+    found = Deployment.from_csv(file_path("fixed", path))
+    marks = found.labels.columns.get(COLUMN) if found.labels and path == node.get("path") else None
+    return found if marks is None else found[np.array(marks) == "1"]
 
 
 def total_of(node: DictConfig, fixed: "Deployment | None") -> int | None:

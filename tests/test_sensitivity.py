@@ -15,11 +15,10 @@ from lmd.labels import Labels
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation.kernels import localised_views
-from lmd.objectives.localisation.losses import without_landmarks
 from lmd.plot.sensitivity import save_sensitivity_figure
 from lmd.problem import Problem
 from lmd.scene import Scene
-from lmd.sensitivity import FACTORS, MISSED, SHARES, missed_shares, sensitivity
+from lmd.sensitivity import FACTORS, MISSED, SHARES, lost_shares, missed_shares, sensitivity
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.tag import Tag
@@ -69,7 +68,7 @@ def test_what_is_left_without_landmarks_is_what_the_others_are_worth(data, scene
     deployment, objective = data.draw(deployments(scene.room, 6)), Localisation(n, tolerance=tolerance)
     assume(len(deployment) >= 3)
     evaluator = Evaluator(scene, threads=1)
-    found = without_landmarks(objective.field(evaluator), deployment)
+    found = lost_shares(objective.field(evaluator), deployment)
     for i in range(len(deployment)):
         for j in range(len(deployment)):
             rest = deployment[np.setdiff1d(np.arange(len(deployment)), [i, j])]

@@ -96,6 +96,15 @@ def worth(target, p, units):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def total_worth(target, units):  # type: ignore[no-untyped-def]
+    """The fitness of a deployment with the values `units`."""
+    total = 0.0
+    for p in range(len(units)):
+        total += worth(target, p, units[p])
+    return total
+
+
+@kernel
 def move(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-def]
     """Move landmark k, whatever that is worth: `bound`, `settle` and `accept`."""
     bound(field, k, pose, surface, state, scratch)

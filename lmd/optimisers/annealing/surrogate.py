@@ -9,8 +9,8 @@ import numpy as np
 
 from lmd.checks import FloatArray, IntArray
 from lmd.deployment import Deployment
-from lmd.objectives.field import in_order
-from lmd.optimisers.annealing.walk import Best, Settings, total_worth, walk
+from lmd.objectives.field import in_order, total_worth
+from lmd.optimisers.annealing.walk import Best, Settings, walk
 from lmd.plates import TOUCHING
 from lmd.problem import Problem
 from lmd.sight.evaluator import Evaluator

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.compiled import kernel
-from lmd.objectives.field import accept, bound, move, settle, smoothed, undo, worth
+from lmd.objectives.field import accept, bound, move, settle, smoothed, total_worth, undo
 from lmd.space.allowed import allows, spread_one
 
 # Relative, for the bound: exp may fall by a rounding error or two where its argument rises.
@@ -167,15 +167,6 @@ def _sum_values(units, accepted, value, target, settings, trial):
         if units[p] != accepted[p]:
             trial[p] = smoothed(target, p, units[p], settings.margin, settings.width, settings.share)
         total += trial[p]
-    return total
-
-
-@kernel
-def total_worth(target, units):
-    """The fitness of a deployment with the values `units`."""
-    total = 0.0
-    for p in range(len(units)):
-        total += worth(target, p, units[p])
     return total
 
 
