@@ -41,8 +41,7 @@ from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.problem import Problem
 from lmd.sight.criteria import TOLERANCE
-from lmd.sight.evaluator import Evaluator
-from lmd.sight.kernels import PROBABILITY_ONE
+from lmd.sight.evaluator import Evaluator, averaged
 from lmd.sight.poses import Cells, covered_amounts, gains, wall_cells
 
 # The smoothed min is rounded off this far on both sides of its kink: at first, and in the end. Halved as x improves.
@@ -128,8 +127,8 @@ class Relaxation:
 
     @property
     def weights(self) -> FloatArray:
-        """w, `(D,)`."""
-        return np.asarray(self.evaluator.weights / PROBABILITY_ONE)
+        """w, `(1, D)` or `(P, D)`."""
+        return self.evaluator.probability
 
     @cached_property
     def already(self) -> FloatArray | float:
@@ -138,13 +137,13 @@ class Relaxation:
 
     def value(self, added: FloatArray) -> float:
         """F at c - b `(P, D)`."""
-        seen = np.minimum((added + self.already) / self.n, 1.0) @ self.weights
+        seen = averaged(np.minimum((added + self.already) / self.n, 1.0), self.weights)
         return float(self.shares @ np.minimum(seen / self.threshold, 1.0))
 
     def smoothed(self, added: FloatArray, width: float) -> tuple[float, Dual]:
         """Smoothed F at c - b `(P, D)`, and its slopes as multipliers; the prices are its gradient in c."""
         by_axis, slope = smoothed_min((added + self.already) / self.n, width)
-        by_position, z = smoothed_min(by_axis @ self.weights / self.threshold, width)
+        by_position, z = smoothed_min(averaged(by_axis, self.weights) / self.threshold, width)
         prices = slope * self.weights * (z * self.shares / (self.n * self.threshold))[:, None]
         constant = self.shares @ (1.0 - z + z / self.threshold) - self.n * prices.sum()
         constant += (self.already * prices).sum()

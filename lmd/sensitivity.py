@@ -28,7 +28,7 @@ from lmd.objectives.without import without_landmarks
 from lmd.problem import Problem
 from lmd.scene import Scene
 from lmd.sight.bits import packed
-from lmd.sight.evaluator import Evaluator
+from lmd.sight.evaluator import Evaluator, averaged
 from lmd.sight.incremental.move import counts_of, overlook
 from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.validation import Sample, sampled_evaluators
@@ -210,9 +210,10 @@ def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.rand
     """
     cover, rows = field.coverage, []
     known, places = cover.state(deployment), field.index_of
-    weights = cover.weights / PROBABILITY_ONE
-    counts = counts_of(known, len(weights))[places]
-    draws = (rng.random((field.size, len(weights)), dtype=np.float32) for _ in range(len(deployment)))
+    weights = (cover.weights[places] if len(cover.weights) > 1 else cover.weights) / PROBABILITY_ONE
+    axes = weights.shape[1]
+    counts = counts_of(known, axes)[places]
+    draws = (rng.random((field.size, axes), dtype=np.float32) for _ in range(len(deployment)))
     sets = np.stack([[packed(draw < share) for share in MISSED] for draw in draws], axis=1)
     for share, missed in zip(MISSED, sets, strict=True):
         overlook(missed, cover, known)
@@ -220,7 +221,7 @@ def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.rand
         enough = binom.sf(cover.n - 1, np.arange(len(deployment) + 1), 1.0 - share)
         drawn = (units[places].mean() / PROBABILITY_ONE for units in (state.located, known.units))
         located, sampled = drawn
-        rows.append((located, (enough[counts] @ weights).mean(), sampled))
+        rows.append((located, averaged(enough[counts], weights).mean(), sampled))
     return np.array(rows)
 
 

@@ -145,7 +145,7 @@ class CappedCount:
     def __init__(self, evaluator: Evaluator, relevance: FloatArray, n: int) -> None:
         evaluator.check_memory(PRICE_BYTES)
         self._evaluator, self._n = evaluator, n
-        self._prices = relevance[:, None] * (evaluator.weights / evaluator.weights.sum())
+        self._prices = relevance[:, None] * evaluator.probability
         self._covered = np.zeros(self._prices.shape)
 
     def gains(self, poses: Deployment) -> FloatArray:

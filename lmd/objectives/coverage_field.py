@@ -109,8 +109,9 @@ def coverage_field(evaluator: Evaluator, n: int) -> CoverageField:
     positions, centres, halves = (np.ascontiguousarray(part.T) for part in (positions, centres, halves))
     horizon, given = horizon_of(e.sight), np.zeros((len(order), e.tables[0].shape[1]), dtype=np.uint64)
     obstacles = obstacles_at(e.scene.room.blockers(), e.positions[order])
+    weights = e.weights[order] if len(e.weights) > 1 else e.weights
     return CoverageField(
-        positions, index_of, centres, halves, horizon, e.sight, obstacles, e.axes, *e.tables, given, e.weights, n
+        positions, index_of, centres, halves, horizon, e.sight, obstacles, e.axes, *e.tables, given, weights, n
     )
 
 

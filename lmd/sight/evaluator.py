@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import FloatArray
+from lmd.checks import FloatArray, IntArray
 from lmd.deployment import Deployment
 from lmd.memory import check_views
 from lmd.scene import Scene
@@ -29,6 +29,21 @@ def available_threads() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def in_units(probability: FloatArray) -> IntArray:
+    """Probabilities `(N, D)` in whole units; what rounding leaves over in a row goes to its heaviest axis."""
+    weights = np.rint(probability * PROBABILITY_ONE).astype(np.int64)
+    rows = np.arange(len(weights))
+    weights[rows, weights.argmax(axis=1)] += PROBABILITY_ONE - weights.sum(axis=1)
+    return weights
+
+
+def averaged(values: FloatArray, probability: FloatArray) -> FloatArray:
+    """The mean over axes of `values` `(P, D)` with the probabilities `(1, D)` or `(P, D)`, `(P,)`."""
+    if len(probability) == 1:
+        return np.asarray(values @ probability[0])
+    return np.asarray(np.einsum("pd,pd->p", values, probability))
+
+
 class Evaluator:
     """Evaluates deployments at every position of a scene.
 
@@ -46,11 +61,14 @@ class Evaluator:
         axes, self.axis_of, weight = scene.orientations
         self.axes = in_words(axes.T)
         self.bands = height_index(axes[:, 2])
-        self.weights = np.rint(in_words(weight) * PROBABILITY_ONE).astype(np.int64)
-        # What rounding left over goes to the heaviest axis, so that certainty is exactly one.
-        self.weights[np.argmax(self.weights)] += PROBABILITY_ONE - self.weights.sum()
+        self.weights = in_units(np.atleast_2d(in_words(weight)))
         self.sight = scene.sight
         self.obstacles = obstacles_at(scene.room.blockers(), self.positions)
+
+    @property
+    def probability(self) -> FloatArray:
+        """Of each axis, `(1, 64 W)` where it is the same at all positions, else `(P, 64 W)`."""
+        return np.asarray(self.weights / PROBABILITY_ONE)
 
     @cached_property
     def tables(self) -> tuple[np.ndarray, np.ndarray]:

@@ -20,6 +20,7 @@ on how it is shared.
 import math
 
 import numpy as np
+from numba import njit
 
 from lmd.compiled import kernel
 from lmd.sight.bands import band_of
@@ -36,6 +37,12 @@ BLOCK = 16
 
 # The square of a cosine in single precision is off by less than this: a dozen roundings of 6e-8.
 SINGLE_ERROR = 2e-6
+
+
+@njit(inline="always")
+def weights_row(weights, p):
+    """The row of `weights` `(1, D)` or `(P, D)` that holds for position p."""
+    return np.uint64(p) if len(weights) > 1 else np.uint64(0)
 
 
 @kernel
@@ -106,7 +113,7 @@ def evaluate_range(
         axes: axis and right, `(6, D)`, sorted by height of the axis and filled up to D = 64 W.
         bands: their `bands.height_index`.
         tables: their `directions.tables` for models whose tests are long, None for others.
-        weights: probability of each axis in integer units, `(D,)`.
+        weights: probability of each axis in integer units, `(1, D)` for all positions or `(P, D)` for each.
         n: landmarks that must be covered.
         units: `(B, P)` int64, receives P_n in integer units.
         counts: `(B, P, D)` int16 zeros, receives landmarks covered per axis if `keep` is set.
@@ -170,7 +177,7 @@ def evaluate_range(
                         continue
                 shown[found] = k
                 found += ONE
-            total = np.int64(0)
+            total, row_of = np.int64(0), weights_row(weights, p)
             if tables is None:
                 for a in range(size):
                     row[a] = 0
@@ -183,7 +190,7 @@ def evaluate_range(
                     for a in range(np.uint64(start), np.uint64(stop)):
                         row[a] += covers(sight, xk, yk, zk, nx, ny, nz, least, 0.0, axes, a)
                 for a in range(size):
-                    total += weights[a] if row[a] >= n else 0
+                    total += weights[row_of, a] if row[a] >= n else 0
                 if keep:
                     for a in range(size):
                         counts[b, p, a] = row[a]
@@ -218,6 +225,6 @@ def evaluate_range(
                 for i in range(words):
                     left = some[n - 1, i]
                     while left:
-                        total += weights[i * np.uint64(BITS) + lowest(left)]
+                        total += weights[row_of, i * np.uint64(BITS) + lowest(left)]
                         left &= left - ONE
             units[b, p] = total

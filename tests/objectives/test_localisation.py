@@ -41,7 +41,7 @@ any_scene = st.one_of(st.builds(tagged, scenes(), tags), fiducial_scenes())
 def expected_units(scene, deployment, objective, positions):
     """L and P_n in units by the reference, `(P,)` each."""
     evaluator = Evaluator(scene, threads=1)
-    axes, weights = scene.orientations.axes, evaluator.weights[: len(scene.orientations.axes)]
+    axes, weights = scene.orientations.axes, evaluator.weights[0, : len(scene.orientations.axes)]
     covering = replace(objective, tolerance=np.inf, rotation_tolerance=None)
     return (
         np.array([weights[reference.localised(scene, deployment, each, p, axes)].sum() for p in positions])

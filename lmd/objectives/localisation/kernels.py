@@ -19,7 +19,7 @@ from lmd.sight.bits import ALL, BITS, LANES, ONE, ZERO, add_digit, at_least_so_f
 from lmd.sight.criteria import covering, covers, frame_of, from_position
 from lmd.sight.directions import NOWHERE, cell_of
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.kernels import BLOCK, SINGLE_ERROR, is_hidden
+from lmd.sight.kernels import BLOCK, SINGLE_ERROR, is_hidden, weights_row
 from lmd.sight.obstacles import find_ends, is_blocked, no_ends
 from lmd.sight.poses import shared
 from lmd.tag import LEVEL
@@ -149,7 +149,7 @@ def localise_range(
                     carry = caps[k, i]
                     for j in range(np.uint64(places)):
                         digits[i, j], carry = add_digit(digits[i, j], carry, ZERO)
-            total, useful = np.int64(0), np.uint64(0)
+            total, useful, row_of = np.int64(0), np.uint64(0), weights_row(weights, p)
             for i in range(words):
                 has = ALL
                 for j in range(np.uint64(places)):
@@ -158,7 +158,7 @@ def localise_range(
                 while has:
                     a = i * np.uint64(BITS) + lowest(has)
                     has &= has - ONE
-                    total += weights[a]
+                    total += weights[row_of, a]
                     listed[useful] = a
                     useful += ONE
                     for j in range(terms):
@@ -187,7 +187,7 @@ def localise_range(
             if asks:
                 total = np.int64(0)
                 for m in range(useful):
-                    total += weights[listed[m]] if meets_row(precision, sums, listed[m]) else 0
+                    total += weights[row_of, listed[m]] if meets_row(precision, sums, listed[m]) else 0
                 localised[b, p] = total
             if keep:
                 for a in range(np.uint64(variances.shape[2])):

@@ -119,7 +119,7 @@ class LogDeterminant:
     ) -> None:
         evaluator.check_memory(8 * (WIDTH + 2))
         self._evaluator, self._precision = evaluator, precision
-        self._prices = relevance[:, None] / relevance.sum() * (evaluator.weights / evaluator.weights.sum())
+        self._prices = relevance[:, None] / relevance.sum() * evaluator.probability
         start = np.zeros(WIDTH)
         start[[0, 3, 5]], start[[9, 12, 14]] = rotation, position
         self._sums = np.tile(start, (*self._prices.shape, 1))

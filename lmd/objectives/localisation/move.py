@@ -81,7 +81,7 @@ def _fill(field, state, scratch):
                 row[ZERO] = state.sums[(p * words + w) * VIEW + bit]
                 good |= np.uint64(row_meets(field.precision, row)) << bit
             state.enough[p, w], state.localised[p, w] = has, good
-            state.located[p] += sum_weights(ZERO, good, weights, w)
+            state.located[p] += sum_weights(ZERO, good, weights, p, w)
         state.units[p] = mixed(state.located[p], known.units[p], field.weight)
 
 

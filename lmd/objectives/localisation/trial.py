@@ -24,7 +24,7 @@ from lmd.sight.directions import NOWHERE
 from lmd.sight.incremental.hiding import flips_with
 from lmd.sight.incremental.move import touched
 from lmd.sight.incremental.trial import begin_move, complete_move
-from lmd.sight.kernels import BLOCK
+from lmd.sight.kernels import BLOCK, weights_row
 
 GROUP = 8  # views decided at a time
 VIEW = np.uint64(BITS)
@@ -88,12 +88,12 @@ def _weight(axes, a, x, y, z):
 
 
 @kernel
-def sum_weights(before, after, weights, w):
-    """What the axes of word w weigh that are in the set `after`, less those in `before`."""
-    change, left = np.int64(0), before ^ after
+def sum_weights(before, after, weights, p, w):
+    """What the axes of word w weigh at position p that are in the set `after`, less those in `before`."""
+    change, left, row = np.int64(0), before ^ after, weights_row(weights, p)
     while left:
         bit = lowest(left)
-        weight = weights[w * VIEW + bit]
+        weight = weights[row, w * VIEW + bit]
         change += weight if after >> bit & ONE else -weight
         left &= left - ONE
     return change
@@ -203,8 +203,8 @@ def _sum_up(places, field, state, scratch):
     for p in places:
         seen, located = known[p], state.located[p]
         for w in range(np.uint64(localised.shape[1])):
-            seen += sum_weights(enough[p, w], after[p, w], weights, w)
-            located += sum_weights(was[p, w], localised[p, w], weights, w)
+            seen += sum_weights(enough[p, w], after[p, w], weights, p, w)
+            located += sum_weights(was[p, w], localised[p, w], weights, p, w)
         covered[p], scratch.located[p], scratch.units[p] = seen, located, mixed(located, seen, field.weight)
 
 

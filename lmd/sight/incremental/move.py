@@ -30,7 +30,7 @@ from lmd.sight.directions import NOWHERE
 from lmd.sight.incremental.hiding import find_new, flips_with
 from lmd.sight.incremental.nearby import look_around
 from lmd.sight.incremental.state import State, scratch_of
-from lmd.sight.kernels import BLOCK
+from lmd.sight.kernels import BLOCK, weights_row
 
 # What is kept of a landmark in a view: a bit whether it is covered, and as much again of what hides it.
 LANDMARK_BYTES = 0.25
@@ -169,13 +169,13 @@ def _sum_up(field, state):
     """Find P_n from the counts."""
     counts, units = state.counts, state.units
     for p in range(np.uint64(len(units))):
-        units[p] = 0
+        units[p], row = 0, weights_row(field.weights, p)
         for w in range(np.uint64(counts.shape[1])):
             has = ALL
             for j in range(np.uint64(counts.shape[2])):
                 has = at_least_so_far(has, counts[p, w, j], field.n, j)
             while has:
-                units[p] += field.weights[w * np.uint64(BITS) + lowest(has)]
+                units[p] += field.weights[row, w * np.uint64(BITS) + lowest(has)]
                 has &= has - ONE
 
 

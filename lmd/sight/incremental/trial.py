@@ -42,7 +42,7 @@ from lmd.sight.criteria import covers_one, frame_of
 from lmd.sight.directions import NOWHERE
 from lmd.sight.incremental.hiding import find_flips, find_new, find_old, flips_with
 from lmd.sight.incremental.nearby import look_around
-from lmd.sight.kernels import BLOCK
+from lmd.sight.kernels import BLOCK, weights_row
 
 # Indices are unsigned where it counts: signed ones cost extra instructions, as they might be negative.
 
@@ -85,13 +85,13 @@ def _try_caps(k, field, state, scratch):
         left, p, w = unsure[m], places[m] >> HALF, places[m] & LOWER
         px, py, pz, least = x[p], y[p], z[p], low[p] if outer[p] != NOWHERE else np.inf
         well = certain[np.uint64(outer[p]), w]
-        was, change = caps[k, p, w] & old[p], np.int64(0)
+        was, change, row = caps[k, p, w] & old[p], np.int64(0), weights_row(weights, p)
         while left:
             bit = lowest(left)
             a = w * np.uint64(BITS) + bit
             central = (well >> bit & ONE) != ZERO
             inside = covers_one(sight, px, py, pz, frame, least, high[p], sure[p], central, axes, a)
-            change += weights[a] * (np.int64(inside) - np.int64(was >> bit & ONE))
+            change += weights[row, a] * (np.int64(inside) - np.int64(was >> bit & ONE))
             left &= left - ONE
         units[p] += change
 
@@ -121,7 +121,7 @@ def _try_flips(k, positions, field, state, scratch):
         flipped += np.uint64(reachable[k, p] & (hidden[k, p] == 0))
         row = np.uint64(cell[p] if reached[p] & (count_hidden[p] == 0) else NOWHERE)
         px, py, pz, least = x[p], y[p], z[p], low[p]
-        units[p] = before[p]
+        units[p], row_of = before[p], weights_row(weights, p)
         for w in range(np.uint64(counts.shape[1])):
             had, has, almost = ALL, ALL, ALL
             for j in range(size):
@@ -145,7 +145,7 @@ def _try_flips(k, positions, field, state, scratch):
             left = had ^ has
             while left:
                 bit = lowest(left)
-                weight = weights[w * np.uint64(BITS) + bit]
+                weight = weights[row_of, w * np.uint64(BITS) + bit]
                 units[p] += weight if has >> bit & ONE else -weight
                 left &= left - ONE
 
