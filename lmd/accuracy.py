@@ -16,7 +16,7 @@ from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation.information import deviation_per_variance, precision
 from lmd.objectives.localisation.kernels import localised_views
 from lmd.problem import Problem
-from lmd.sight.evaluator import Evaluator
+from lmd.sight.evaluator import Evaluator, averaged
 from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.tables import write_table
 from lmd.validation import Sample, sampled_evaluators
@@ -66,7 +66,7 @@ def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample
     parts = []
     for evaluator in sampled_evaluators(problem.scene, seed, sample, problem.evaluator.threads):
         errors, covered = predicted_errors(problem, deployment, evaluator)
-        parts.append((errors, np.broadcast_to(evaluator.scene.orientations.weight, errors.shape), covered))
+        parts.append((errors, np.broadcast_to(evaluator.scene.probability(evaluator.positions), errors.shape), covered))
     errors, weights, covered = (np.concatenate([part[i].reshape(-1) for part in parts]) for i in range(3))
     weights = weights / weights.sum()
     metrics = {"covered_share": float(covered.mean())}
@@ -85,11 +85,12 @@ def save_accuracy_map(path: str | Path, problem: Problem, deployment: Deployment
 
     The median is empty where it is infinite.
     """
-    evaluator, weight = problem.evaluator, problem.scene.orientations.weight
+    evaluator = problem.evaluator
+    weight = problem.scene.probability(evaluator.positions)
     errors, _ = predicted_errors(problem, deployment, evaluator)
     median = _medians(errors, weight)
     columns = dict(zip("xyz", evaluator.positions.T, strict=True))
-    columns |= {_share_name(limit): (errors <= limit) @ weight for limit in TOLERANCES}
+    columns |= {_share_name(limit): averaged(errors <= limit, weight) for limit in TOLERANCES}
     columns["predicted_error_median"] = np.where(np.isfinite(median), median, np.nan)
     write_table(path, columns)
 
@@ -101,16 +102,18 @@ def plan_of_errors(problem: Problem, deployment: Deployment) -> "pd.DataFrame":
     """
     import pandas as pd
 
-    evaluator, weight = problem.evaluator, problem.scene.orientations.weight
+    evaluator = problem.evaluator
     errors, _ = predicted_errors(problem, deployment, evaluator)
     places, place = np.unique(evaluator.positions[:, :2].round(9), axis=0, return_inverse=True)
-    columns = [errors[place == i] for i in range(len(places))]
-    medians = [_medians(column.reshape(1, -1), np.tile(weight / len(column), len(column)))[0] for column in columns]
+    weight = np.broadcast_to(problem.scene.probability(evaluator.positions), errors.shape)
+    columns = [(errors[place == i], weight[place == i]) for i in range(len(places))]
+    medians = [_medians(*(part.reshape(1, -1) for part in (e, w / len(e))))[0] for e, w in columns]
     return pd.DataFrame({"x": places[:, 0], "y": places[:, 1], "predicted_error_median": medians})
 
 
 def _medians(errors: FloatArray, weight: FloatArray) -> FloatArray:
-    """The median of each row of `(P, V)` with weights `(V,)` of sum 1, `(P,)`."""
+    """The median of each row of `(P, V)` with weights `(1, V)` or `(P, V)` of sum 1, `(P,)`."""
     order = np.argsort(errors, axis=1)
-    middle = (np.cumsum(weight[order], axis=1) >= 0.5).argmax(axis=1)[:, None]
+    ordered = np.take_along_axis(np.broadcast_to(weight, errors.shape), order, axis=1)
+    middle = (np.cumsum(ordered, axis=1) >= 0.5).argmax(axis=1)[:, None]
     return np.asarray(np.take_along_axis(errors, np.take_along_axis(order, middle, axis=1), axis=1)[:, 0])

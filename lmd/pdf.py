@@ -24,6 +24,8 @@ ORIENTATION_BYTES = 600
 # Yaw and pitch (radians, `(S,)` each) from points `(S, 2)`: uniform points of the unit square become angles that
 # follow a continuous distribution.
 Angles = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+# The probability of each orientation at positions `(Q, 3)`, `(Q, A)`.
+ByPosition = Callable[[FloatArray], FloatArray]
 # One roll, or several as (angle, probability), radians.
 Roll = float | Sequence[Sequence[float]]
 
@@ -52,6 +54,8 @@ class OrientationPdf:
         continuous: the continuous distribution that the orientations stand for; None if they stand for themselves.
         roll: of the camera about its optical axis, radians, one for all or `(A,)`; independent of yaw and pitch where
             there is a `continuous` distribution of these.
+        by_position: the probabilities where they depend on the position, `weight` being those of all; None where they
+            do not.
 
     Raises:
         InputError: shapes differ, an angle or weight is not finite or out of range, or the sum is not 1.
@@ -64,6 +68,7 @@ class OrientationPdf:
     refine: "Callable[[], OrientationPdf] | None" = None
     continuous: Angles | None = None
     roll: FloatArray | float = 0.0
+    by_position: ByPosition | None = None
 
     def __post_init__(self) -> None:
         yaw, roll = (np.asarray(v, dtype=np.float64) for v in (self.yaw, self.roll))
@@ -141,6 +146,19 @@ class OrientationPdf:
         yaw, pitch = self.continuous(points.reshape(-1, 2))
         weight = np.full(len(yaw), 1.0 / len(yaw))
         return OrientationPdf(yaw, pitch, weight, f"{self.name}, stratified", roll=self._draw_roll(len(yaw), rng))
+
+    def at(self, positions: FloatArray) -> FloatArray:
+        """The probability of each orientation at positions `(Q, 3)`: `(Q, A)`, or `(1, A)` where all have the same."""
+        return self.weight[None] if self.by_position is None else self.by_position(positions)
+
+    def draw_at(self, positions: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Yaw, pitch and roll, `(Q,)` each, one orientation at each of the positions `(Q, 3)`; see `draw`."""
+        if self.by_position is None:
+            return self.draw(len(positions), rng)
+        places, place = np.unique(positions, axis=0, return_inverse=True)
+        below = np.cumsum(self.at(places), axis=1)[place.reshape(-1)]
+        drawn = (below < rng.random((len(positions), 1)) * below[:, -1:]).sum(axis=1)
+        return self.yaw[drawn], self.pitch[drawn], np.asarray(self.roll)[drawn]
 
     def draw(self, size: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Yaw, pitch and roll, `(size,)` each, from the continuous distribution, or the PDF where there is none."""

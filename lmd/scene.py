@@ -4,15 +4,21 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from lmd.camera import Camera
-from lmd.checks import InputError
+from lmd.checks import FloatArray, InputError
+from lmd.memory import check_views
 from lmd.pdf import OrientationPdf, Orientations
 from lmd.plates import Plates
 from lmd.space.space import Space
 from lmd.tag import Tag
 
 if TYPE_CHECKING:
+    from lmd.recorded_poses import RecordedPoses
     from lmd.sight.criteria import Criteria
+
+PROBABILITY_BYTES = 24  # of an orientation at a position: its probability, which one it is, and its whole units
 
 
 @dataclass(frozen=True)
@@ -25,6 +31,7 @@ class Scene:
         pdf: where it looks.
         visibility: when it sees one.
         tag: what hangs at each landmark; by default what the visibility model is about, or a point.
+        recorded: what room and PDF were recorded by, with the poses kept back to validate on; None if they were not.
 
     Raises:
         InputError: the visibility model is about another tag.
@@ -35,6 +42,7 @@ class Scene:
     pdf: OrientationPdf
     visibility: "Criteria"
     tag: Tag = None  # type: ignore[assignment] # always a tag once made
+    recorded: "RecordedPoses | None" = None
 
     def __post_init__(self) -> None:
         seen = getattr(self.visibility, "tag", None)
@@ -56,6 +64,15 @@ class Scene:
     def orientations(self) -> Orientations:
         """The distinct orientations of the PDF, as far as the visibility model tells them apart."""
         return self.pdf.by_axis_and_roll if self.visibility.needs_roll else self.pdf.by_axis
+
+    def probability(self, positions: FloatArray) -> FloatArray:
+        """Of each of these orientations at positions `(Q, 3)`: `(Q, D)`, or `(1, D)` where all have the same."""
+        axes, index_of, _ = self.orientations
+        rows = self.pdf.at(positions)
+        check_views(PROBABILITY_BYTES, len(rows), len(axes))
+        index = len(axes) * np.arange(len(rows))[:, None] + index_of
+        total = np.bincount(index.reshape(-1), weights=rows.reshape(-1), minlength=len(rows) * len(axes))
+        return np.asarray(total.reshape(len(rows), len(axes)), dtype=np.float64)
 
     @cached_property
     def sight(self) -> Any:

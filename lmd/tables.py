@@ -91,15 +91,11 @@ def read_table(path: Any, *, name: str) -> Table:
     Raises:
         InputError: the file is missing or no CSV, names a column twice, or has a row of another length.
     """
-    source = file_path(name, path)
+    content = _lines(path, name)
     try:
-        with source.open(encoding="utf-8-sig", newline="") as file:
-            content = [(i, line) for i, line in enumerate(file, 1) if line.strip() and line.lstrip()[0] != COMMENT]
         reader = csv.reader((line for _, line in content), skipinitialspace=True, strict=True)
         rows = [(content[reader.line_num - 1][0], [text.strip() for text in row]) for row in reader]
-    except FileNotFoundError:
-        raise InputError(f"{name}: there is no file {str(path)!r}.", name) from None
-    except (OSError, ValueError, csv.Error) as error:
+    except csv.Error as error:
         raise InputError(f"{name}: {str(path)!r} cannot be read as CSV ({error}).", name) from None
     if not rows:
         return Table(str(path), (), {})
@@ -112,6 +108,49 @@ def read_table(path: Any, *, name: str) -> Table:
             raise InputError(f"{path} line {line} has {len(row)} values, but the header has {len(header)} columns.")
     texts = {column: [row[j] for _, row in body] for j, column in enumerate(header)}
     return Table(str(path), [line for line, _ in body], texts)
+
+
+def read_headless(path: Any, columns: Sequence[str], *, name: str) -> Table | None:
+    """Read a text of values with spaces between them and no header, such as a trajectory of TUM's tools.
+
+    Args:
+        path: the file; blank lines and lines that begin with # are left out.
+        columns: what the values of a line are called.
+        name: the argument the path came from, for messages.
+
+    Returns:
+        None if the first line is none of spaced numbers.
+
+    Raises:
+        InputError: the file is missing or no text, or a line has another number of values.
+    """
+    rows = [(number, line.split()) for number, line in _lines(path, name)]
+    if not rows or "," in rows[0][1][0] or not _is_number(rows[0][1][0]):
+        return None
+    for line, row in rows:
+        if len(row) != len(columns):
+            raise InputError(f"{path} line {line} has {len(row)} values, not {len(columns)}: {' '.join(columns)}.")
+    texts = {column: [row[j] for _, row in rows] for j, column in enumerate(columns)}
+    return Table(str(path), [line for line, _ in rows], texts)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _lines(path: Any, name: str) -> list[tuple[int, str]]:
+    """The lines of a text that are neither blank nor comments, with their numbers."""
+    try:
+        with file_path(name, path).open(encoding="utf-8-sig", newline="") as file:
+            return [(i, line) for i, line in enumerate(file, 1) if line.strip() and line.lstrip()[0] != COMMENT]
+    except FileNotFoundError:
+        raise InputError(f"{name}: there is no file {str(path)!r}.", name) from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{name}: {str(path)!r} cannot be read as text ({error}).", name) from None
 
 
 def read_numbers(path: Any, columns: Sequence[str], *, name: str, optional: Sequence[str] = ()) -> FloatArray:

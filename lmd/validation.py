@@ -19,6 +19,7 @@ import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, integer
 from lmd.deployment import Deployment
+from lmd.held_out import held_out_metrics
 from lmd.problem import Problem
 from lmd.scene import Scene
 from lmd.sight.evaluator import Evaluator
@@ -63,6 +64,8 @@ def validation_metrics(
     grid-free. The standard error of a share of positions is the binomial one; that of a mean of values comes from the
     spread of the groups, which covers the positions and the orientations.
 
+    Where the poses were recorded, the figures are those of `lmd.held_out` instead.
+
     Args:
         problem: the scene, n and thold_p.
         deployment: what is judged.
@@ -70,6 +73,8 @@ def validation_metrics(
         sample: its size.
     """
     scene, objective = problem.scene, problem.objective
+    if scene.recorded is not None:
+        return held_out_metrics(problem, deployment, scene.recorded)
     finer = Evaluator(replace(scene, room=scene.room.finer(), pdf=scene.pdf.finer()), threads=problem.evaluator.threads)
     landmarks = deployment.positions[None], deployment.normals[None]
     on_finer_grid = objective.shares(objective.values(finer, *landmarks)[0])

@@ -103,7 +103,7 @@ def causes(scene: Scene, deployment: Deployment, seed: int) -> Causes | None:
         return None
     rng = np.random.default_rng([seed, STREAM])
     positions = np.repeat(scene.room.sample(POSITIONS, rng), VIEWS, axis=0)
-    poses = camera_pose(positions, *scene.pdf.draw(len(positions), rng)).reshape(POSITIONS, VIEWS, 4, 4)
+    poses = camera_pose(positions, *scene.pdf.draw_at(positions, rng)).reshape(POSITIONS, VIEWS, 4, 4)
     names: list[str] = []
     met, without, covered = [], [], 0
     for here in poses:  # one after the other: all looks at once would be large

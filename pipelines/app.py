@@ -23,7 +23,10 @@ from .signals import Stopped, stop
 
 if TYPE_CHECKING:
     from lmd.optimisers.base import Optimiser
+    from lmd.pdf import OrientationPdf
     from lmd.problem import Problem
+    from lmd.recorded_poses import RecordedPoses
+    from lmd.space.space import Space
 
 PACKAGE = str(__package__)  # `pipelines` in a checkout, `lmd.pipelines` where lmd is installed
 IN_CHECKOUT = PACKAGE == "pipelines"
@@ -137,13 +140,9 @@ def build_problem(cfg: DictConfig) -> "Problem":
         if switch in cfg:
             boolean(switch, cfg[switch])
     tag = instantiate(cfg.tag) if cfg.get("tag") else Tag()  # runs of old have none
-    scene = Scene(
-        room=instantiate(cfg.room),
-        camera=instantiate(cfg.camera),
-        pdf=instantiate(cfg.pdf),
-        visibility=instantiate(cfg.visibility),
-        tag=tag,
-    )
+    camera, visibility = instantiate(cfg.camera), instantiate(cfg.visibility)
+    room, pdf, recorded = _poses(cfg)
+    scene = Scene(room, camera, pdf, visibility, tag, recorded)
     threads = None if cfg.threads is None else integer("threads", cfg.threads, low=1, high=MOST_THREADS)
     choice("encoding.kind", cfg.encoding.kind, KINDS)
     boolean("encoding.flush", cfg.encoding.flush)
@@ -169,6 +168,21 @@ def build_problem(cfg: DictConfig) -> "Problem":
             tag.check_ids(ids)
     with keyed("objective"):
         return Problem(scene, objective, start, threads, **hung)
+
+
+def _poses(cfg: DictConfig) -> "tuple[Space, OrientationPdf, RecordedPoses | None]":
+    """Where the camera is, how it looks there, and the recording that says so, if one does."""
+    from lmd.checks import InputError
+
+    room, recorded = instantiate(cfg.room), bool(cfg.get("poses"))  # runs of old have none
+    if recorded == bool(cfg.pdf):
+        needed = "poses=recorded, which says how the camera looks, needs pdf=recorded, which follows by itself"
+        raise InputError(f"{needed}." if recorded else "pdf=recorded needs poses=recorded.")
+    if not recorded:
+        return room, instantiate(cfg.pdf), None
+    poses = instantiate(cfg.poses)
+    with keyed("poses"):
+        return poses.visited(room), poses.pdf, poses
 
 
 def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":

@@ -11,7 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 from yaml import YAMLError
 
 KEY = "run="
-GROUPS = ("room", "camera", "pdf", "tag", "visibility", "objective")  # what a run was about
+GROUPS = ("room", "camera", "pdf", "poses", "tag", "visibility", "objective")  # what a run was about
 OPTION = "run"  # of these groups and of deployment
 FILES = (".hydra/config.yaml", "landmarks.csv")  # what an earlier run must have left
 

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 # What a resumed run must share with the run it continues, and with it the contents of the files that are named there.
 SAME_WHEN_RESUMED = (
-    "room", "camera", "pdf", "tag", "visibility", "objective", "encoding", "deployment", "optimiser", "seed"
+    "room", "camera", "pdf", "poses", "tag", "visibility", "objective", "encoding", "deployment", "optimiser", "seed"
 )  # fmt: skip
 
 

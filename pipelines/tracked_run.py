@@ -12,6 +12,7 @@ from omegaconf import DictConfig
 
 from lmd.checks import InputError
 from lmd.deployment import Deployment
+from lmd.held_out import describe_held_out
 from lmd.optimisers.base import Record
 from lmd.problem import Problem
 from lmd.validation import validation_metrics
@@ -168,7 +169,7 @@ def record(
         [*(file for file in files if file.suffix != ".html"), *sorted((directory / ".hydra").glob("*.yaml"))]
     )
     tracker.finish(status)
-    off_grid = problem.objective.describe_validation(validation) if validation else {}
+    off_grid = _described(problem, validation) if validation else {}
     lines = {key.replace("_", " "): f"{value:g}" for key, value in figures.items()}
     if problem.scene.camera.is_pinhole:
         lines["focus"] = "no criterion: the camera has no aperture"
@@ -183,6 +184,12 @@ def record(
     if why and problem.objective.qualified(problem.values(deployment)).mean() < LITTLE:
         print(f"\n{why.to_text()}")
     return metrics["fitness"]
+
+
+def _described(problem: Problem, validation: Mapping[str, float]) -> Mapping[str, str]:
+    """The figures of the validation as labelled sentences."""
+    described = problem.objective.describe_validation if problem.scene.recorded is None else describe_held_out
+    return described(validation)
 
 
 def report(

@@ -32,7 +32,7 @@ def draw_poses(scene: Scene, count: int, seed: int) -> FloatArray:
     """
     rng = np.random.default_rng([seed, STREAM])
     positions = scene.room.sample(count, rng)
-    return camera_pose(positions, *scene.pdf.draw(count, rng))
+    return camera_pose(positions, *scene.pdf.draw_at(positions, rng))
 
 
 def nudged(poses: FloatArray, position: float, attitude: float, seed: int) -> FloatArray:

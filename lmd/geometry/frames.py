@@ -37,6 +37,22 @@ def rotation(yaw: ArrayLike, pitch: ArrayLike, roll: ArrayLike = 0.0) -> FloatAr
     return np.asarray(r_roll @ r_pitch @ r_yaw @ ZERO_ANGLES)
 
 
+def angles_of(world_to_local_rotation: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Yaw in [-pi, pi], pitch in [-pi/2, pi/2] and roll in [-pi, pi]: the inverse of `rotation`.
+
+    Args:
+        world_to_local_rotation: `(..., 3, 3)`.
+
+    Returns:
+        radians, shape `(...)` each; the yaw of a vertical optical axis is 0.
+    """
+    right, axis = world_to_local_rotation[..., 0, :], world_to_local_rotation[..., 2, :]
+    yaw, pitch = (-angle for angle in normal_angles(axis))  # the normal has both angles with the opposite sign
+    level = rotation(yaw, pitch)
+    across, down = ((right * level[..., i, :]).sum(axis=-1) for i in (0, 1))
+    return yaw, pitch, np.asarray(np.arctan2(-down, across))
+
+
 def world_to_local(points: ArrayLike, origin: ArrayLike, world_to_local_rotation: FloatArray) -> FloatArray:
     """Coordinates in the local frame, s^l = R (s - origin).
 

@@ -19,7 +19,7 @@ from lmd.deployment import Deployment
 from lmd.geometry.se3 import axis_and_right, camera_pose, skew
 from lmd.render.optics import slope
 from lmd.scene import Scene
-from lmd.sight.evaluator import Evaluator
+from lmd.sight.evaluator import Evaluator, averaged
 from lmd.sight.views import visible
 
 # A smaller eigenvalue of the scaled information is rounding: the pose is not fixed.
@@ -106,7 +106,7 @@ class CramerRaoMap:
 
 def cramer_rao_map(scene: Scene, evaluator: Evaluator, deployment: Deployment) -> CramerRaoMap:
     """The bound at every position of `evaluator` and every orientation of the PDF."""
-    pdf, positions, weight = scene.pdf, evaluator.positions, scene.orientations.weight
+    pdf, positions, weight = scene.pdf, evaluator.positions, scene.probability(evaluator.positions)
     _, first = np.unique(scene.orientations.index_of, return_index=True)
     turns = camera_pose(np.zeros(3), pdf.yaw[first], pdf.pitch[first], np.asarray(pdf.roll)[first])
     per_chunk, parts = max(CHUNK // len(turns), 1), []
@@ -117,14 +117,14 @@ def cramer_rao_map(scene: Scene, evaluator: Evaluator, deployment: Deployment) -
         seen = visible(evaluator, deployment, poses[:, :3, 3], axis_and_right(poses))
         parts.append(cramer_rao_bound(pose_information(poses, deployment.positions, seen, scene.camera)))
     position, attitude = (np.concatenate(part).reshape(len(positions), -1) for part in zip(*parts, strict=True))
-    share = np.isfinite(position) @ weight
+    share = averaged(np.isfinite(position), weight)
     return CramerRaoMap(positions, share, _finite_median(position, weight), _finite_median(attitude, weight))
 
 
 def _finite_median(values: FloatArray, weight: FloatArray) -> FloatArray:
-    """Weighted median of the finite values of each row, `(P, D)` and `(D,)` -> `(P,)`; infinite without any."""
+    """Weighted median of the finite values of each row `(P, D)`, `(P,)`; infinite without any. `weight` may be `(1, D)`."""
     order = np.argsort(values, axis=1)
-    ordered = np.take_along_axis(values, order, axis=1)
-    below = np.cumsum(np.where(np.isfinite(ordered), weight[order], 0.0), axis=1)
+    ordered, weights = (np.take_along_axis(v, order, axis=1) for v in (values, np.broadcast_to(weight, values.shape)))
+    below = np.cumsum(np.where(np.isfinite(ordered), weights, 0.0), axis=1)
     middle = (below >= below[:, -1:] / 2.0).argmax(axis=1)
     return np.asarray(ordered[np.arange(len(ordered)), middle])

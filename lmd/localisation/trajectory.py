@@ -6,15 +6,17 @@ from typing import Protocol
 
 import numpy as np
 
-from lmd.checks import FloatArray, InputError, real, vector
+from lmd.checks import FloatArray, InputError, choice, radians, real, vector
 from lmd.geometry.se3 import camera_pose, inverse, log, poses_from_rows
 from lmd.memory import check_memory
 from lmd.scene import Scene
 from lmd.space.space import Space
-from lmd.tables import read_table
+from lmd.tables import read_headless, read_table
 
 ANGLES = ("time", "x", "y", "z", "yaw", "pitch")
-QUATERNIONS = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
+QUATERNIONS = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")  # the order of TUM's trajectories, too
+# From the camera's axes (x right, y down, z the optical axis) to those that a quaternion is about.
+FRAMES = {"optical": np.eye(3), "body": np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])}
 # Greatest slope of the minimum-jerk profile, at its middle.
 PEAK = 1.875
 MOST_DRAWS = 1000  # of a waypoint, until a straight way leads there
@@ -49,8 +51,39 @@ class Trajectory:
         """U between each frame and the next, X_t+1 = X_t exp(h U), `(T - 1, 6)`, rad/s and m/s in the body frame."""
         return log(inverse(self.poses[:-1]) @ self.poses[1:]) / np.diff(self.time)[:, None]
 
-    def check_inside(self, room: Space) -> None:
-        """Raise `InputError` if the camera leaves the closed room, or goes through something that stands in it."""
+    @classmethod
+    def from_file(cls, path: str, frame: str = "optical") -> "Trajectory":
+        """Read a CSV with the columns time,x,y,z,yaw,pitch, if you like roll, or time,x,y,z,qx,qy,qz,qw; or TUM's text.
+
+        Seconds, metres and radians, the angles as in `lmd.geometry.frames.rotation`. The unit quaternion turns a frame
+        of the camera to the world's. TUM's format, which ROS tools write, has no header:
+        `time tx ty tz qx qy qz qw` in each line.
+
+        Args:
+            path: the file.
+            frame: of quaternions: `optical` (x right, y down, z the optical axis) or `body` (x along the optical axis,
+                y left, z up).
+
+        Raises:
+            InputError: the file cannot be read, or what it holds is no trajectory; the message names the file.
+        """
+        choice("frame", frame, list(FRAMES))
+        table = read_headless(path, QUATERNIONS, name="path") or read_table(path, name="path")
+        try:
+            if "qw" in table:
+                rows = table.numbers(QUATERNIONS)
+                poses = poses_from_rows(rows[:, 1:])
+                poses[:, :3, :3] = poses[:, :3, :3] @ FRAMES[frame]
+                return cls(rows[:, 0], poses)
+            rows = table.numbers((*ANGLES, "roll") if "roll" in table else ANGLES)
+            angles = dict(zip(("yaw", "pitch", "roll"), rows[:, 4:].T, strict=False))
+            radians("the trajectory", **angles)
+            return cls(rows[:, 0], camera_pose(rows[:, 1:4], **angles))
+        except InputError as error:
+            raise InputError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
+
+    def check_positions(self, room: Space) -> None:
+        """Raise `InputError` if the camera leaves the closed room, or is inside something that stands in it."""
         positions = self.poses[:, :3, 3]
         outside = np.flatnonzero(~room.contains(positions))
         if outside.size:
@@ -59,6 +92,11 @@ class Trajectory:
                 f"the camera at {self.time[outside[0]]:g} s, ({x:.9g}, {y:.9g}, {z:.9g}), is outside the "
                 f"{room.describe()}."
             )
+
+    def check_inside(self, room: Space) -> None:
+        """Raise `InputError` as `check_positions`, or if it goes through something that stands in the room."""
+        self.check_positions(room)
+        positions = self.poses[:, :3, 3]
         through = np.flatnonzero(~room.clear(positions[:-1], positions[1:]))
         if through.size:
             x, y, z = positions[through[0]]
@@ -170,7 +208,8 @@ class RandomMotion:
 
 
 def _random_waypoint(scene: Scene, rng: np.random.Generator) -> FloatArray:
-    return np.concatenate([scene.room.sample(1, rng)[0], *scene.pdf.draw(1, rng)[:2]])
+    position = scene.room.sample(1, rng)
+    return np.concatenate([position[0], *scene.pdf.draw_at(position, rng)[:2]])
 
 
 def _next_waypoint(scene: Scene, before: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -222,15 +261,7 @@ class Waypoints:
 
 @dataclass(frozen=True)
 class FileTrajectory:
-    """A recorded or planned trajectory from a CSV, one row for each frame.
-
-    The columns are time,x,y,z,yaw,pitch (seconds, metres, radians, as in `lmd.geometry.frames.optical_axis`) or
-    time,x,y,z,qx,qy,qz,qw: the unit quaternion of the rotation from the camera's frame (x right, y down, z the optical
-    axis) to the world's.
-
-    Args:
-        path: the CSV.
-    """
+    """A recorded or planned trajectory from a file, one row for each frame, see `Trajectory.from_file`."""
 
     path: str | None
 
@@ -238,12 +269,8 @@ class FileTrajectory:
         """See `TrajectorySource.draw`; nothing here is random."""
         if self.path is None:
             raise InputError("path is missing: a CSV of poses is needed.", "path")
-        table = read_table(self.path, name="path")
-        has_quaternions = "qw" in table
-        rows = table.numbers(QUATERNIONS if has_quaternions else ANGLES)
+        trajectory = Trajectory.from_file(self.path)
         try:
-            poses = poses_from_rows(rows[:, 1:]) if has_quaternions else camera_pose(rows[:, 1:4], *rows[:, 4:].T)
-            trajectory = Trajectory(rows[:, 0], poses)
             trajectory.check_inside(scene.room)
         except InputError as error:
             raise InputError(f"{self.path}: {error}") from None

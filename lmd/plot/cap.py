@@ -85,7 +85,7 @@ def save_cap_figure(
     bar = figure.colorbar(image, ax=panels, orientation="horizontal", shrink=0.6, aspect=40, ticks=range(most + 1))
     orientations = scene.orientations.axes[scene.orientations.index_of]
     counts = cap_count(coverage_caps(scene, deployment, position, orientations))
-    probability = coverage_probability(counts, scene.pdf, n)
+    probability = float(coverage_probability(counts[None], scene.pdf, n, position[None])[0])
     x, y, z = position
     bar.set_label(
         f"landmarks covered by a camera at ({x:.2f}, {y:.2f}, {z:.2f}) m that looks this way; "

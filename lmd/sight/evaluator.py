@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import FloatArray, IntArray
+from lmd.checks import BoolArray, FloatArray, IntArray
 from lmd.deployment import Deployment
 from lmd.memory import check_views
 from lmd.scene import Scene
@@ -37,7 +37,7 @@ def in_units(probability: FloatArray) -> IntArray:
     return weights
 
 
-def averaged(values: FloatArray, probability: FloatArray) -> FloatArray:
+def averaged(values: FloatArray | BoolArray, probability: FloatArray) -> FloatArray:
     """The mean over axes of `values` `(P, D)` with the probabilities `(1, D)` or `(P, D)`, `(P,)`."""
     if len(probability) == 1:
         return np.asarray(values @ probability[0])
@@ -58,10 +58,10 @@ class Evaluator:
         self.positions = np.ascontiguousarray(scene.room.grid() if positions is None else positions)
         self._low, self._high = self.positions.min(axis=0), self.positions.max(axis=0)
         self.threads = threads or available_threads()
-        axes, self.axis_of, weight = scene.orientations
+        axes, self.axis_of, _ = scene.orientations
         self.axes = in_words(axes.T)
         self.bands = height_index(axes[:, 2])
-        self.weights = in_units(np.atleast_2d(in_words(weight)))
+        self.weights = in_units(in_words(scene.probability(self.positions)))
         self.sight = scene.sight
         self.obstacles = obstacles_at(scene.room.blockers(), self.positions)
 

@@ -37,9 +37,15 @@ def n_ple_cap(counts: IntArray, n: int) -> BoolArray:
     return np.asarray(counts >= n)
 
 
-def coverage_probability(counts: IntArray, pdf: OrientationPdf, n: int) -> FloatArray:
-    """P_n(p): the probability of the n-ple cap under the PDF (Eq. P_n), `(..., A)` -> `(...)`."""
-    return np.asarray((n_ple_cap(counts, n) * pdf.weight).sum(axis=-1))
+def coverage_probability(
+    counts: IntArray, pdf: OrientationPdf, n: int, positions: FloatArray | None = None
+) -> FloatArray:
+    """P_n(p): the probability of the n-ple cap under the PDF (Eq. P_n), `(..., A)` -> `(...)`.
+
+    `positions` `(P, 3)` are those of the counts `(P, A)`, for a PDF that depends on them.
+    """
+    weight = pdf.weight if positions is None else pdf.at(positions)
+    return np.asarray((n_ple_cap(counts, n) * weight).sum(axis=-1))
 
 
 def qualified(probability: FloatArray, thold_p: float) -> BoolArray:

@@ -1,18 +1,12 @@
 """A room as the centres of plates may use it: its surfaces end half a plate before their edges."""
 
-from collections.abc import Mapping
-
-import numpy as np
-
-from lmd.checks import BoolArray, FloatArray, IntArray
-from lmd.space.blockers import Blockers
-from lmd.space.relevance import Relevance
+from lmd.space.changed import Changed
 from lmd.space.space import Space
 from lmd.space.surface import Surface
 
 
-class Inset:
-    """A `lmd.space.space.Space` that differs from a room in its surfaces only.
+class Inset(Changed):
+    """A room with other surfaces; those of `surfaces_of` and `faces` stay the room's, to their edges.
 
     Args:
         room: the room.
@@ -23,65 +17,9 @@ class Inset:
     """
 
     def __init__(self, room: Space, margin: float) -> None:
-        self._room, self._surfaces = room, tuple(surface.inset(margin) for surface in room.surfaces())
+        super().__init__(room)
+        self._surfaces = tuple(surface.inset(margin) for surface in room.surfaces())
 
     def surfaces(self) -> tuple[Surface, ...]:
         """See `Space.surfaces`, in the order of the room's."""
         return self._surfaces
-
-    @property
-    def relevance(self) -> Relevance:
-        """See `Space.relevance`."""
-        return self._room.relevance
-
-    def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
-        """See `Space.surfaces_of`: the room's surfaces, to their edges."""
-        return self._room.surfaces_of(positions, normals)
-
-    def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """See `Space.bounds`."""
-        return self._room.bounds()
-
-    def contains(self, points: FloatArray) -> BoolArray:
-        """See `Space.contains`."""
-        return self._room.contains(points)
-
-    def blockers(self) -> Blockers | None:
-        """See `Space.blockers`."""
-        return self._room.blockers()
-
-    def faces(self) -> tuple[Surface, ...]:
-        """See `Space.faces`: the room's."""
-        return self._room.faces()
-
-    def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """See `Space.passable`."""
-        return self._room.passable(starts, ends)
-
-    def clear(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """See `Space.clear`."""
-        return self._room.clear(starts, ends)
-
-    def grid(self) -> FloatArray:
-        """See `Space.grid`."""
-        return self._room.grid()
-
-    def finer(self) -> Space:
-        """See `Space.finer`: of the room."""
-        return self._room.finer()
-
-    def jittered_grid(self, rng: np.random.Generator) -> FloatArray:
-        """See `Space.jittered_grid`."""
-        return self._room.jittered_grid(rng)
-
-    def sample(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """See `Space.sample`."""
-        return self._room.sample(size, rng)
-
-    def outline(self) -> Mapping[str, FloatArray]:
-        """See `Space.outline`."""
-        return self._room.outline()
-
-    def describe(self) -> str:
-        """See `Space.describe`."""
-        return self._room.describe()

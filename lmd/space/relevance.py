@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -11,6 +11,13 @@ from lmd.tables import read_numbers
 
 # A position and a row of the weights file are the same point within this distance, metres.
 SAME_POINT = 1e-6
+
+
+class Weighing(Protocol):
+    """Says how much each position matters."""
+
+    def weights(self, points: FloatArray) -> FloatArray:
+        """Weights of `points` `(P, 3)`, `(P,)`, not all zero."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, IntArray
 from lmd.space.blockers import Blockers
-from lmd.space.relevance import Relevance
+from lmd.space.relevance import Weighing
 from lmd.space.surface import Surface
 
 
@@ -15,7 +15,7 @@ class Space(Protocol):
     """A room: surfaces that may carry landmarks, and positions where the camera may be. World frame, metres."""
 
     @property
-    def relevance(self) -> Relevance:
+    def relevance(self) -> Weighing:
         """Rel(p), how much each position matters."""
 
     def surfaces(self) -> tuple[Surface, ...]:
