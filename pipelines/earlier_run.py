@@ -44,6 +44,8 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}") -> None:
     store.store(OPTION, {"defaults": ["file", "_self_"], **landmarks}, "deployment")
     chosen = [f"{group}={OPTION}" for group in groups] + [deployment]
     named = {argument.partition("=")[0] for argument in sys.argv[1:]}
+    if "poses" in named:
+        named.add("pdf")  # each way of telling where the camera is brings its own way of telling how it looks
     place = sys.argv.index(given[-1]) + 1  # beside it: options of Hydra may stand before and after
     sys.argv[place:place] = [override for override in chosen if override.partition("=")[0] not in named]
 

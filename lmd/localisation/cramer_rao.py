@@ -122,7 +122,7 @@ def cramer_rao_map(scene: Scene, evaluator: Evaluator, deployment: Deployment) -
 
 
 def _finite_median(values: FloatArray, weight: FloatArray) -> FloatArray:
-    """Weighted median of the finite values of each row `(P, D)`, `(P,)`; infinite without any. `weight` may be `(1, D)`."""
+    """Weighted median of the finite values of each row `(P, D)`, `(P,)`; infinite without any."""
     order = np.argsort(values, axis=1)
     ordered, weights = (np.take_along_axis(v, order, axis=1) for v in (values, np.broadcast_to(weight, values.shape)))
     below = np.cumsum(np.where(np.isfinite(ordered), weights, 0.0), axis=1)

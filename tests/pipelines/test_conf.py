@@ -2,6 +2,7 @@ import inspect
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hydra import compose, initialize_config_dir
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
@@ -46,6 +47,8 @@ SWEEPS = {  # the pipeline of each stored sweep, and its number of jobs
 # A file, or the edge of a tag.
 NEEDS_MORE = {
     ("pdf", "samples"),
+    ("pdf", "recorded"),
+    ("poses", "recorded"),
     ("deployment", "file"),
     ("views", "images"),
     ("visibility", "fiducial"),
@@ -103,6 +106,34 @@ def test_every_job_of_a_stored_sweep_differs_and_builds(experiment):
                 build_problem(cfg)
 
 
+RECORDED = "time,x,y,z,yaw,pitch\n" + "".join(f"{t},2,2,2,{0.1 * t},0\n" for t in range(60))
+
+
+def test_recorded_poses_take_the_place_of_grid_and_pdf(write):
+    cfg = composed("optimise", "poses=recorded", f"poses.path={write(RECORDED)}", "room.spacing=0.4")
+    problem = build_problem(cfg)
+    assert problem.scene.recorded.spacing == 0.4
+    np.testing.assert_allclose(problem.evaluator.positions, [[2.0, 2.0, 2.0]])
+    np.testing.assert_allclose(problem.relevance, [49.0])  # less the held-out seconds 40 to 49
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("pdf=yaw", "poses=recorded, which says how the camera looks, needs pdf=recorded"),
+        ("poses.path=none.csv", "poses.path: there is no file 'none.csv'"),
+        ("poses.path=null", "poses.path is missing"),
+        ("poses.bandwidth=0", "poses.bandwidth must be greater than 0"),
+        ("poses.block=60", "poses.held_out = 5: "),
+        ("poses.spacing=0", "poses.spacing must be greater than 0"),
+        ("room.size=[4,4,1.5]", "room.reachable_size"),
+    ],
+)
+def test_bad_recorded_poses_name_the_whole_key(write, override, message):
+    with pytest.raises(InputError, match="^" + re.escape(message)):
+        build_problem(composed("optimise", "poses=recorded", f"poses.path={write(RECORDED)}", override))
+
+
 # Overrides of `observe`, which composes most groups, and how the refusal begins.
 REFUSED = {
     "camera.focal_length=-2": "camera.focal_length must be greater than 0, got -2.",
@@ -110,6 +141,7 @@ REFUSED = {
     "room.relevance.path=none.csv": "room.relevance.path: there is no file 'none.csv'.",
     "room.relevance.background=0": "room.relevance.background gives every position the weight 0.",
     "room.relevance.regions=[{low: [0, 0], high: [1, 1, 1], weight: 1}]": "room.relevance.regions[0].low must be a",
+    "pdf=recorded": "pdf=recorded needs poses=recorded.",
     "pdf.divisions=0": "pdf.divisions must be at least 1, got 0.",
     "objective.sampling.positions=0": "objective.sampling.positions must be at least 1, got 0.",
     "objective.n=91": "objective.n = 91 exceeds the number of landmarks, 90.",

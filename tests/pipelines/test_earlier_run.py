@@ -41,10 +41,16 @@ def composed(monkeypatch, pipeline, *arguments, read=read_earlier_run):
 def test_the_scene_the_objective_and_the_landmarks_are_taken(earlier, monkeypatch):
     cfg = composed(monkeypatch, "evaluate", f"run='{earlier}'")
     before = OmegaConf.load(earlier / ".hydra" / "config.yaml")
-    for group in ("room", "camera", "pdf", "tag", "visibility", "objective"):
+    for group in ("room", "camera", "pdf", "poses", "tag", "visibility", "objective"):
         assert cfg[group] == before[group]
     assert cfg.deployment.path == str(earlier / "landmarks.csv")
     assert cfg.deployment.free is False
+
+
+def test_other_poses_bring_their_own_pdf(earlier, monkeypatch):
+    recorded = composed(monkeypatch, "optimise", f"run='{earlier}'", "poses=recorded", "poses.path=drive.csv")
+    assert recorded.pdf == {}
+    assert recorded.room == OmegaConf.load(earlier / ".hydra" / "config.yaml").room
 
 
 @pytest.mark.parametrize("order", [1, -1])
