@@ -119,8 +119,9 @@ class RecordedPoses:
             InputError: a pose, held out or not, is outside the room or in something that stands there; or the spacing
                 is refused.
         """
+        trajectory = self.trajectory
         try:
-            self.trajectory.check_positions(room)
+            trajectory.check_positions(room)
         except InputError as error:
             raise InputError(f"path: {self.path}: {error}", "path") from None
         seen = self.seen

@@ -8,8 +8,16 @@ from .app import application, choices, instantiate, keyed, run_directory
 from .sweeps.supervisor import run
 
 
+def main() -> None:
+    """Read `poses=N` as a number, then hand over to Hydra."""
+    from .detect import read_number_of_poses
+
+    read_number_of_poses()
+    _main()
+
+
 @application("calibrate_detector")
-def main(cfg: DictConfig) -> None:
+def _main(cfg: DictConfig) -> None:
     """Fit, judge, record and show."""
     run(cfg, calibrate)
 
@@ -26,7 +34,7 @@ def calibrate(cfg: DictConfig) -> None:
     from .detect import sightings, subject_of
     from .tracked_run import tracked
 
-    seed, count = integer("seed", cfg.seed, low=0), integer("poses", cfg.poses, low=0)
+    seed, count = integer("seed", cfg.seed, low=0), integer("poses", cfg.frames, low=0)
     margin, source = real("margin", cfg.margin, low=0.0), instantiate(cfg.views)
     subject = subject_of(cfg, max(count, 1), seed)
     told, directory, written = subject.prediction, run_directory(), []

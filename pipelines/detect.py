@@ -5,6 +5,8 @@ start a sweep here: it is read as `deployments=[a,b,c]`.
 """
 
 import json
+import re
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
@@ -31,9 +33,15 @@ CHUNK = 10  # frames that a worker renders and reads at a time
 
 
 def main() -> None:
-    """Read `deployment=...` as the list of deployments, then hand over to Hydra."""
+    """Read `deployment=...` as the list of deployments and `poses=N` as a number, then hand over to Hydra."""
     read_deployment_as_a_list()
+    read_number_of_poses()
     _main()
+
+
+def read_number_of_poses() -> None:
+    """Take `poses=500` of the command line as `frames=500`: `poses=recorded` is an option of the group of that name."""
+    sys.argv[1:] = [re.sub(r"^poses=(?=[-+.\d])", "frames=", argument) for argument in sys.argv[1:]]
 
 
 @application("detect")
@@ -68,7 +76,7 @@ def detect(cfg: DictConfig) -> None:
 
     from .tracked_run import title_of, tracked
 
-    seed, count = integer("seed", cfg.seed, low=0), integer("poses", cfg.poses, low=1)
+    seed, count = integer("seed", cfg.seed, low=0), integer("poses", cfg.frames, low=1)
     pictures = integer("pictures", cfg.pictures, low=0)
     composed = composed_deployments(cfg, "detect")
     subjects = {name: subject_of(own, count, seed) for name, own in composed.items()}
