@@ -1,24 +1,32 @@
 """Score a deployment: `python -m pipelines.evaluate deployment=uniform|random|greedy|file [overrides]`."""
 
+import re
+import sys
 from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
-from .app import application, build_problem, choices, run_directory
+from .app import application, build_problem, choices, instantiate, keyed, run_directory
 from .earlier_run import read_earlier_run
 from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
     from lmd.deployment import Deployment
     from lmd.losses import Losses
+    from lmd.mounting import Mounted, MountingError
     from lmd.problem import Problem
     from lmd.sensitivity import Sensitivity
+    from lmd.survey import Survey
 
     from .tracking import Tracker
 
 
+MOUNTING = "deployment.mounting_error"
+
+
 def main() -> None:
-    """Read `run=DIR`, then hand over to Hydra."""
+    """Read `run=DIR` and a mounting error that is one number, then hand over to Hydra."""
+    sys.argv[1:] = [re.sub(rf"^{MOUNTING}=", f"{MOUNTING}.position=", argument) for argument in sys.argv[1:]]
     read_earlier_run()
     _main()
 
@@ -36,26 +44,36 @@ def evaluate(cfg: DictConfig) -> float:
     from lmd.checks import integer
     from lmd.compiled import clock
     from lmd.optimisers.base import Record
+    from lmd.survey import read_measured
 
     from .tracked_run import record, title_of, tracked
 
     began = clock()
     problem = build_problem(cfg)
     seed = integer("seed", cfg.seed, low=0)
-    deployment = problem.draw(np.random.default_rng(seed))
+    deployment = plan = problem.draw(np.random.default_rng(seed))
+    with keyed("deployment"):
+        if cfg.deployment.measured is not None:
+            deployment = read_measured(cfg.deployment.measured, problem, plan)
+        error: MountingError = instantiate(cfg.deployment.mounting_error)
     history = [Record(1, problem.metrics(deployment)["fitness"], clock() - began)]
     subject = choices()["deployment"]
     with tracked(cfg, subject, title_of(problem, subject)) as tracker:
         summary: dict[str, Any] = localise(problem, deployment, seed, tracker) if cfg.localisation else {}
         fallen = lose(problem, deployment, tracker) if cfg.losses else None
         summary |= fallen.metrics() if fallen else {}
-        varied = vary(problem, deployment, seed, tracker) if cfg.sensitivity else None
-        summary |= {"sensitivity": varied.metrics()} if varied else {}
+        studies: dict[str, Sensitivity | Survey | Mounted | None] = {
+            "sensitivity": vary(problem, deployment, seed, tracker) if cfg.sensitivity else None,
+            "survey": compare_measured(problem, plan, deployment, seed, tracker) if deployment is not plan else None,
+            "mounting": mount(problem, deployment, error, seed, tracker) if not error.is_none else None,
+        }
+        found = {name: study for name, study in studies.items() if study is not None}
+        for name, study in found.items():
+            summary[name] = figures = study.metrics()
+            tracker.log_metrics({f"{name}/{key}": value for key, value in figures.items()})
         fitness = record(cfg, problem, tracker, deployment, history, subject=subject, summary=summary)
-        if fallen:
-            print(f"\n{fallen.to_text()}")
-        if varied:
-            print(f"\n{varied.to_text()}")
+        texts = [study.to_text() for study in (fallen, *found.values()) if study is not None]
+        print("".join(f"\n{text}\n" for text in texts), end="")
         return fitness
 
 
@@ -105,8 +123,46 @@ def vary(problem: "Problem", deployment: "Deployment", seed: int, tracker: "Trac
         table.to_csv(directory / f"{name}.csv", index=False)
     picture = directory / "sensitivity.png"
     save_sensitivity_figure(picture, found, title_of(problem, "sensitivity,"))
-    tracker.log_metrics({f"sensitivity/{name}": value for name, value in found.metrics().items()})
     tracker.log_artifacts([*(directory / f"{name}.csv" for name in found.tables), picture])
+    return found
+
+
+def compare_measured(
+    problem: "Problem", plan: "Deployment", measured: "Deployment", seed: int, tracker: "Tracker"
+) -> "Survey":
+    """Write and log how far tags hang from where they were planned, and what that changes."""
+    from lmd.plot.mounting import save_map_figure
+    from lmd.survey import survey
+
+    from .tracked_run import title_of
+
+    found, directory = survey(problem, plan, measured, seed), run_directory()
+    files = [directory / name for name in ("moved.csv", "measured.csv", "measured.png")]
+    found.moved.to_csv(files[0], index=False)
+    found.figures.to_csv(files[1])
+    save_map_figure(files[2], found.views, title_of(problem, "maps as planned and as measured,"))
+    tracker.log_artifacts(files)
+    return found
+
+
+def mount(
+    problem: "Problem", deployment: "Deployment", error: "MountingError", seed: int, tracker: "Tracker"
+) -> "Mounted":
+    """Write and log what becomes of the figures if tags do not hang quite where they should."""
+    from lmd.mounting import mounted
+    from lmd.plot.mounting import save_map_figure
+
+    from .tracked_run import title_of
+
+    with keyed(MOUNTING):
+        found = mounted(problem, deployment, error, seed)
+    directory = run_directory()
+    files = [directory / name for name in ("mounting.csv", "mountings.csv", "mounting_views.csv", "mounting.png")]
+    found.table.to_csv(files[0])
+    found.draws.to_csv(files[1])
+    found.views.to_csv(files[2], index=False)
+    save_map_figure(files[3], found.views, title_of(problem, f"{error.draws} mountings,"))
+    tracker.log_artifacts(files)
     return found
 
 

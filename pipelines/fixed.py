@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from lmd.deployment import Deployment
 
 COUNT = "deployment.count="
+NO_SOURCE = ("fixed", "measured", "mounting_error")  # keys of the group that say nothing of where landmarks come from
 MORE = re.compile(r"\+(\d+)")
 
 
@@ -69,7 +70,8 @@ def others_of(node: DictConfig, fixed: "Deployment | None", total: int | None) -
     """
     source = deepcopy(node)
     with open_dict(source):
-        source.pop("fixed", None)
+        for key in NO_SOURCE:
+            source.pop(key, None)
     if fixed is not None and total is not None:
         source.count = None if "path" in source else total - len(fixed)
     return source

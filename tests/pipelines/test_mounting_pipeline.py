@@ -1,0 +1,71 @@
+"""`pipelines.evaluate` with tags that hang elsewhere than planned, as a user meets it."""
+
+import json
+
+import pandas as pd
+import processes
+import pytest
+from mlflow import MlflowClient
+
+pytestmark = pytest.mark.slow
+PLAN = "id,x,y,z,nx,ny,nz\n3,0,2,3,1,0,0\n5,0,3,3,1,0,0\n8,7.5,2,3,-1,0,0\n"
+MEASURED = "id,x,y,z,nx,ny,nz\n8,7.5,2,3,-1,0,0\n5,0,3,3,1,0,0\n3,0,2.03,3.04,1,0,0\n"
+SMALL = ["room.spacing=1.5", "hydra.run.dir=run", "tag.edge=0.2", "deployment=file", "deployment.path=plan.csv"]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "plan.csv").write_text(PLAN)
+    (tmp_path / "measured.csv").write_text(MEASURED)
+    return tmp_path
+
+
+def written(folder):
+    return json.loads((folder / "run" / "metrics.json").read_text())
+
+
+def logged(folder):
+    client = MlflowClient(tracking_uri=f"sqlite:///{folder}/outputs/mlflow.db")
+    (run,) = client.search_runs([client.get_experiment_by_name("lmd").experiment_id])
+    return run.data.metrics, {file.path for file in client.list_artifacts(run.info.run_id)}
+
+
+def test_a_mounting_error_is_a_number_or_more(folder):
+    done = processes.call("evaluate", "deployment.mounting_error=0.005", "deployment.mounting_error.tilt=0.01",
+                          "deployment.mounting_error.draws=5", cwd=folder, settings=SMALL)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "tags off by 5 mm along their surface, turned by 0 and tilted by 10 mrad (1 sigma); 5 draws" in done.stdout
+    table = pd.read_csv(folder / "run" / "mounting.csv", index_col="figure")
+    assert len(pd.read_csv(folder / "run" / "mountings.csv")) == 5
+    figures, (metrics, artifacts) = written(folder)["mounting"], logged(folder)
+    assert figures["fitness/50"] == pytest.approx(table.loc["fitness", "50 %"])
+    assert {key: metrics[f"mounting/{key}"] for key in figures} == figures
+    assert {"mounting.csv", "mountings.csv", "mounting_views.csv", "mounting.png"} <= artifacts
+
+
+def test_measured_places_are_scored_in_place_of_the_plan(folder):
+    done = processes.call("evaluate", "deployment.measured=measured.csv", cwd=folder, settings=SMALL)
+    assert done.returncode == 0, done.stderr
+    assert "at most 50.0 mm" in done.stdout
+    moved = pd.read_csv(folder / "run" / "moved.csv").iloc[0]
+    assert (moved["id"], moved.moved) == (3, pytest.approx(0.05))
+    assert pd.read_csv(folder / "run" / "landmarks.csv").iloc[0].y == 2.03  # what hangs is what the run is about
+    document = written(folder)
+    assert document["survey"]["fitness/measured"] == document["fitness"]
+    assert {"moved.csv", "measured.csv", "measured.png"} <= logged(folder)[1]
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("deployment.mounting_error=-1", "deployment.mounting_error.position must be at least 0, got -1."),
+        ("deployment.mounting_error=much", "deployment.mounting_error.position must be a number, got 'much'."),
+        ("deployment.mounting_error.draws=0", "deployment.mounting_error.draws must be at least 1, got 0."),
+        ("deployment.measured=none.csv", "deployment.measured: there is no file 'none.csv'."),
+        ("deployment.measured=plan2.csv", "deployment.measured: plan2.csv lacks the landmark 8 that is planned"),
+        ("deployment.measured=7", "deployment.measured must be the path of a file or a folder, got 7."),
+    ],
+)
+def test_bad_input_has_one_sentence(folder, override, message):
+    (folder / "plan2.csv").write_text("".join(PLAN.splitlines(keepends=True)[:3]))
+    processes.refused("evaluate", override, message=message, cwd=folder, settings=SMALL)
