@@ -52,7 +52,7 @@ def evaluate(cfg: DictConfig) -> float:
     problem = build_problem(cfg)
     seed = integer("seed", cfg.seed, low=0)
     deployment = plan = problem.draw(np.random.default_rng(seed))
-    with keyed("deployment"):
+    with keyed("deployment", path="deployment.measured"):
         if cfg.deployment.measured is not None:
             deployment = read_measured(cfg.deployment.measured, problem, plan)
         error: MountingError = instantiate(cfg.deployment.mounting_error)

@@ -35,16 +35,16 @@ class JobFolder:
 
     def load(self) -> Job | None:
         """The job; None where there is none."""
-        values = _load(self.record)
+        values = read_document(self.record)
         return None if values is None else Job(**(values | {"overrides": tuple(values["overrides"])}))
 
     def save(self, job: Job) -> None:
         """Write the job, whole or not at all."""
-        _save(self.record, asdict(job))
+        write_document(self.record, asdict(job))
 
     def figures(self) -> dict[str, Any]:
         """What the job's metrics.json says; nothing where there is none."""
-        return _load(self.metrics) or {}
+        return read_document(self.metrics) or {}
 
     @contextmanager
     def held(self, wait: bool = True) -> Iterator[int | None]:
@@ -81,13 +81,13 @@ class SweepFolder:
 
     def load(self) -> Sweep | None:
         """The sweep; None where there is none."""
-        values = _load(self.record)
+        values = read_document(self.record)
         return None if values is None else Sweep(**(values | {"varied": tuple(values["varied"])}))
 
     def save(self, sweep: Sweep) -> None:
         """Write the sweep, whole or not at all."""
         self.path.mkdir(parents=True, exist_ok=True)
-        _save(self.record, asdict(sweep))
+        write_document(self.record, asdict(sweep))
 
     def jobs(self) -> list[tuple[JobFolder, Job]]:
         """The jobs and their folders, in the order of the sweep."""
@@ -110,11 +110,13 @@ def current_job() -> tuple[JobFolder, Job] | None:
     return (folder, job) if folder and job else None
 
 
-def _load(path: Path) -> dict[str, Any] | None:
+def read_document(path: Path) -> dict[str, Any] | None:
+    """What a JSON file holds; None where there is none."""
     return dict(json.loads(path.read_text())) if path.is_file() else None
 
 
-def _save(path: Path, document: Mapping[str, Any]) -> None:
+def write_document(path: Path, document: Mapping[str, Any]) -> None:
+    """Write a JSON file, whole or not at all."""
     partial = path.with_suffix(f".{os.getpid()}.partial")
     partial.write_text(json.dumps(document, indent=2) + "\n")
     os.replace(partial, path)

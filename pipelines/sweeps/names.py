@@ -14,6 +14,7 @@ from .folder import SweepFolder
 
 SLUG_LENGTH = 100
 NAME_LENGTH = 80
+SHORT = 8  # characters of a digest in the name of a folder
 # How a run is done and where it is kept; it is the same run without.
 UNTOLD = ("hydra", "tracking", "page", "validate", "threads", "resume", "checkpoint_seconds")
 
@@ -51,10 +52,10 @@ def slug(text: str) -> str:
     return re.sub(r"[^\w.-]+", "-", text)[:SLUG_LENGTH].strip("-.")
 
 
-def _digest(*parts: Any) -> str:
+def digest(*parts: Any) -> str:
     """The same for the same parts, as long as the files they name hold the same."""
     text = json.dumps([*parts, contents_of(parts)], sort_keys=True, default=str)
-    return hashlib.sha256(text.encode()).hexdigest()[:8]
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _settings(root: DictConfig) -> Any:
@@ -87,7 +88,7 @@ def sweep_name(root: DictConfig) -> str:
 
 def sweep_folder(*, _root_: DictConfig) -> str:
     """Name of a sweep's folder: the same for the same command on the same files, another for any other."""
-    return f"{slug(sweep_name(_root_))}-{_digest(_settings(_root_), sorted(swept(_root_)))}"
+    return f"{slug(sweep_name(_root_))}-{digest(_settings(_root_), sorted(swept(_root_)))[:SHORT]}"
 
 
 def job_folder(*, _root_: DictConfig) -> str:
@@ -95,7 +96,7 @@ def job_folder(*, _root_: DictConfig) -> str:
     sweep = SweepFolder(_root_.hydra.sweep.dir).load()
     values = [key_and_value(override) for override in _root_.hydra.overrides.task]
     kept = [f"{key.split('.')[-1]}-{value}" for key, value in values if sweep and key in sweep.varied]
-    return "_".join([*filter(None, [slug("_".join(kept))]), _digest(_settings(_root_))])
+    return "_".join([*filter(None, [slug("_".join(kept))]), digest(_settings(_root_))[:SHORT]])
 
 
 def quoted(path: Path) -> str:

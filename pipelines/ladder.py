@@ -1,0 +1,111 @@
+"""Searches for several numbers of landmarks of one size with one seed, and what they have found, kept on disk."""
+
+from collections.abc import Callable, Iterable, Mapping
+from copy import deepcopy
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from omegaconf import DictConfig
+
+from .app import build_optimiser, build_problem, flat_settings, keyed
+from .optimise import SAME_WHEN_RESUMED
+from .sweeps.folder import read_document, write_document
+from .sweeps.names import digest
+
+if TYPE_CHECKING:
+    from lmd.deployment import Deployment
+    from lmd.problem import Problem
+    from lmd.tradeoff import Found
+
+ARRAYS = ("positions", "normals", "surfaces")
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """The points of one edge and one seed.
+
+    Args:
+        cfg: of the pipeline.
+        edge: of the tags, metres; 0 for landmarks that are points.
+        seed: of the searches.
+    """
+
+    cfg: DictConfig
+    edge: float
+    seed: int
+
+    def point(self, count: int) -> DictConfig:
+        """The configuration of a point, on one thread."""
+        cfg = deepcopy(self.cfg)
+        cfg.deployment.count, cfg.tag.edge = count, self.edge or None
+        cfg.seed, cfg.threads = self.seed, 1
+        return cfg
+
+    def problem(self, count: int) -> "Problem":
+        """The problem of a point.
+
+        Raises:
+            InputError: its parts do not fit together.
+        """
+        return build_problem(self.point(count))
+
+    def anew(self, count: int) -> "Found":
+        """What a search finds that sets out from nothing."""
+        from lmd.tradeoff import ANEW
+
+        return self._search(self.problem(count), ANEW)
+
+    def improved(self, known: "Mapping[int, Found]", chosen: Iterable[int]) -> "dict[int, Found]":
+        """See `lmd.tradeoff.improved`."""
+        from lmd.tradeoff import improved
+
+        return improved(known, chosen, self.problem, self._search)
+
+    def figures(self, found: "Found") -> dict[str, float]:
+        """All figures of what was found, on the grid and off it."""
+        from lmd.accuracy import accuracy_metrics
+        from lmd.validation import validation_metrics
+
+        deployment = found.deployment
+        problem = self.problem(len(deployment))
+
+        def score() -> dict[str, Any]:
+            figures = problem.metrics(deployment) | validation_metrics(problem, deployment, self.seed)
+            return figures | accuracy_metrics(problem, deployment, self.seed)
+
+        return self._kept(len(deployment), "figures", deployment, score)
+
+    def _search(self, problem: "Problem", way: str) -> "Found":
+        """Climb from the start of a problem with a budget of its own."""
+        from lmd.deployment import Deployment
+        from lmd.optimisers.base import Budget
+        from lmd.tradeoff import Found, Known
+
+        cfg = self.point(problem.count)
+
+        def climb() -> dict[str, Any]:
+            with keyed("budget"):
+                budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
+            result = build_optimiser(cfg, self.seed).run(problem, budget)
+            arrays = {name: getattr(result.deployment, name).tolist() for name in ARRAYS}
+            return {**arrays, "fitness": result.fitness}
+
+        start = problem.start.deployment if isinstance(problem.start, Known) else None
+        found = self._kept(problem.count, way, start, climb)
+        deployment = problem.labelled(Deployment(*(found[name] for name in ARRAYS)))
+        return Found(deployment, found["fitness"], way)
+
+    def _kept(
+        self, count: int, what: str, given: "Deployment | None", compute: Callable[[], dict[str, Any]]
+    ) -> dict[str, Any]:
+        """What was computed before from the same configuration and deployment, or else is computed now."""
+        settings = flat_settings(self.point(count), *SAME_WHEN_RESUMED, "budget")
+        arrays = None if given is None else [getattr(given, name).tolist() for name in ARRAYS]
+        path = Path(self.cfg.kept) / f"{digest(settings, what, arrays)}.json"
+        found = read_document(path)
+        if found is None:
+            found = compute()
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_document(path, found)
+        return found

@@ -1,0 +1,233 @@
+"""How many landmarks, and how big: `python -m pipelines.tradeoff counts=[20,40,60] edges=[0.1,0.15] [overrides]`.
+
+Jobs of a sweep know nothing of each other, but here each point sets out from its neighbours too. So this is one run,
+whose searches share the processors, and which keeps what they have found.
+"""
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from .app import application, build_optimiser, instantiate, keyed, run_directory
+from .earlier_run import read_earlier_run
+from .ladder import Ladder
+from .sweeps.names import slug
+from .sweeps.supervisor import run
+from .workers import in_processes
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from lmd.problem import Problem
+    from lmd.tradeoff import Found
+
+    from .tracking import Tracker
+
+COVERED, LOCALISED = "covered_share", "localised_share_20mm"  # off the grid, whatever the objective
+LABELS = {COVERED: "share of views with n tags or more", LOCALISED: "share of views localised to 20 mm"}
+
+
+def main() -> None:
+    """Read `run=DIR`, then hand over to Hydra."""
+    read_earlier_run("deployment=random")
+    _main()
+
+
+@application("tradeoff")
+def _main(cfg: DictConfig) -> None:
+    """Search, record and show."""
+    run(cfg, tradeoff)
+
+
+def tradeoff(cfg: DictConfig) -> None:
+    """Search for every number of landmarks, edge and seed."""
+    from lmd.checks import InputError, file_path, integer, real
+    from lmd.optimisers.base import Budget
+    from lmd.tradeoff import between
+
+    from .tracked_run import title_of, tracked
+
+    counts = sorted({integer("counts", count, low=1) for count in _listed("counts", cfg.counts)})
+    edges = [cfg.tag.edge or 0.0] if cfg.edges is None else _listed("edges", cfg.edges)
+    edges = sorted({real("tag.edge" if cfg.edges is None else "edges", edge, low=0.0) for edge in edges})
+    seed = integer("seed", cfg.seed, low=0)
+    seeds = range(seed, seed + integer("seeds", cfg.seeds, low=1))
+    wanted = None if cfg.wanted is None else real("wanted", cfg.wanted, low=0.0, high=1.0)
+    file_path("kept", cfg.kept)
+    with keyed("budget"):
+        Budget(cfg.budget.evaluations, cfg.budget.seconds)
+    build_optimiser(cfg, seed)  # what cannot be built fails before anything has run
+    ladders = [Ladder(cfg, edge, seed) for edge, seed in product(edges, seeds)]
+    problem = [ladder.problem(count) for ladder in ladders[:: len(seeds)] for count in (counts[-1], counts[0])][-1]
+    figure = cfg.figure or f"grid_free_{problem.objective.headline.key}"
+    points = Points(ladders, cfg.workers)
+    with tracked(cfg, "tradeoff", title_of(problem, "tradeoff")) as tracker:
+        try:
+            points.look(list(product(range(len(ladders)), counts)))
+            if figure not in points.figures:
+                raise InputError(f"figure must be one of {', '.join(points.figures)}, got {figure!r}.")
+            while wanted is not None and (halves := between(points.table, figure, wanted)):
+                points.look([(number, count) for edge, count in halves for number in points.of(edge)])
+        except KeyboardInterrupt:
+            print(f"interrupted; the same command goes on with what is kept in {cfg.kept}", file=sys.stderr)
+            raise
+        _record(cfg, points, problem, figure, wanted, tracker)
+
+
+def _listed(name: str, value: Any) -> list[Any]:
+    from lmd.checks import InputError
+
+    if not OmegaConf.is_list(value) or not len(value):
+        raise InputError(f"{name} must be a list of numbers, got {value!r}.")
+    return list(value)
+
+
+class Points:
+    """What is known of all points: pairs of the number of a ladder and a number of landmarks.
+
+    Args:
+        ladders: of every edge and seed.
+        workers: processes; None for every processor.
+    """
+
+    def __init__(self, ladders: Sequence[Ladder], workers: int | None) -> None:
+        self.ladders, self._workers = ladders, workers
+        self._found: list[dict[int, Found]] = [{} for _ in ladders]
+        self._figures: dict[tuple[int, int], dict[str, float]] = {}
+
+    def look(self, chosen: Sequence[tuple[int, int]]) -> None:
+        """Search at points anew and from their neighbours, and score the best that is found at each."""
+        jobs = {(n, count): partial(self.ladders[n].anew, count) for n, count in chosen}
+        for (n, count), found in self._done("searched anew", jobs):
+            self._found[n][count] = found
+        counts = {n: [count for ladder, count in chosen if ladder == n] for n, _ in chosen}
+        jobs = {(n, *some): partial(self.ladders[n].improved, self._found[n], some) for n, some in counts.items()}
+        for (n, *_), better in self._done("searched from neighbours", jobs):
+            self._found[n] |= better
+        jobs = {(n, count): partial(self.ladders[n].figures, self._found[n][count]) for n, count in chosen}
+        for point, figures in self._done("scored", jobs):
+            self._figures[point] = figures
+
+    def _done(self, what: str, jobs: Mapping[Any, Callable[[], Any]]) -> Iterator[tuple[Any, Any]]:
+        """The keys of jobs and what they return, as they come."""
+        for i, (key, result) in enumerate(in_processes(_do, list(jobs.items()), self._workers), 1):
+            print(f"{i}/{len(jobs)} {what}: {self.name(*key)}", flush=True)
+            yield key, result
+
+    def name(self, number: int, *counts: int) -> str:
+        """What a point, or several of one ladder, are called."""
+        ladder = self.ladders[number]
+        size = [f"edge={ladder.edge:g}"] if ladder.edge else []
+        return " ".join([f"K={','.join(map(str, counts))}", *size, f"seed={ladder.seed}"])
+
+    def of(self, edge: float) -> list[int]:
+        """The numbers of the ladders of an edge."""
+        return [n for n, ladder in enumerate(self.ladders) if ladder.edge == edge]
+
+    @property
+    def figures(self) -> list[str]:
+        """The names of all figures."""
+        return list(next(iter(self._figures.values())))
+
+    def __iter__(self) -> "Iterator[tuple[int, int, Found, dict[str, float]]]":
+        """The number of the ladder, the number of landmarks, what was found, and its figures, of each point."""
+        for n, count in sorted(self._figures):
+            yield n, count, self._found[n][count], self._figures[n, count]
+
+    @property
+    def table(self) -> "pd.DataFrame":
+        """`edge,count,seed,way` and the figures, a row for each point; the edge is 0 for landmarks without a size."""
+        import pandas as pd
+
+        return pd.DataFrame([
+            {"edge": self.ladders[n].edge, "count": count, "seed": self.ladders[n].seed, "way": found.way, **figures}
+            for n, count, found, figures in self
+        ])  # fmt: skip
+
+
+def _do(job: tuple[Any, Callable[[], Any]]) -> tuple[Any, Any]:
+    """The key of a job, and what it returns."""
+    key, compute = job
+    return key, compute()
+
+
+def _record(
+    cfg: DictConfig, points: Points, problem: "Problem", figure: str, wanted: float | None, tracker: "Tracker"
+) -> None:
+    """Write, log and show what is known."""
+    from lmd.objectives.localisation import Localisation
+    from lmd.plot.tradeoff import Panel, save_tradeoff_figure
+    from lmd.tradeoff import fewest, front
+
+    from .tracked_run import title_of
+
+    directory, table, headline = run_directory(), points.table, problem.objective.headline
+    off_grid = f"grid_free_{headline.key}"
+    beside = COVERED if isinstance(problem.objective, Localisation) else LOCALISED
+    panels = {off_grid: Panel(f"{headline.label}, off the grid", off_grid, headline.key)}
+    panels |= {name: Panel(LABELS.get(name, name), name) for name in (beside, figure) if name not in panels}
+    panels[figure] = panels[figure]._replace(wanted=wanted)
+    curves = front(table, list(dict.fromkeys([figure, headline.key, *panels])))
+    table.to_csv(directory / "points.csv", index=False)
+    curves.to_csv(directory / "front.csv")
+    save_tradeoff_figure(directory / "tradeoff.png", table, list(panels.values()), title_of(problem, "up to"))
+    document: dict[str, Any] = {"figure": figure, "settings": problem.settings()}
+    text = f"medians over {cfg.seeds} seeds, least and greatest of the first, per cent\n" + curves.to_string(
+        float_format=lambda value: f"{100.0 * value:.2f}"
+    )
+    if wanted is not None:
+        reached = fewest(table, figure, wanted)
+        text += f"\n\nfewest landmarks with a {figure} of {wanted:g}\n{_told(reached)}"
+        document |= {"wanted": wanted, "fewest": reached.reset_index().to_dict("records")}
+        tracker.log_metrics({
+            f"fewest_{part}/edge_{edge:g}": count
+            for edge, row in reached.iterrows() for part, count in row.items() if count < float("inf")
+        })  # fmt: skip
+    (directory / "tradeoff.json").write_text(json.dumps(document, indent=2) + "\n")
+    for edge, same in curves.groupby("edge"):
+        for name in panels:
+            curve = [(int(count), value, 0.0) for (_, count), value in same[name].items()]
+            tracker.log_curve(f"{name}/edge_{edge:g}", curve)
+    _log_children(cfg, points, tracker.run_id)
+    names = ("points.csv", "front.csv", "tradeoff.json", "tradeoff.png")
+    files = [*(directory / name for name in names), *sorted((directory / ".hydra").glob("*.yaml"))]
+    tracker.log_artifacts(files)
+    tracker.finish("FINISHED")
+    print(f"\n{text}\n\nfiles: {directory}\nmlflow: {tracker.describe()}")
+
+
+def _told(reached: "pd.DataFrame") -> str:
+    """`lmd.tradeoff.fewest` for a terminal, a line for each edge."""
+    lines = []
+    for edge, row in reached.iterrows():
+        count, least, greatest = ("more than was tried" if k == float("inf") else f"{k:.0f}" for k in row)
+        size = f"tags of {1e3 * edge:g} mm: " if edge else ""
+        lines.append(f"{size}{count} by the median of the seeds, by single seeds {least} to {greatest}")
+    return "\n".join(lines)
+
+
+def _log_children(cfg: DictConfig, points: Points, parent: str | None) -> None:
+    """Record a run for each point below the pipeline's own, its landmarks in a folder of the run."""
+    from .tracking import PARENT_TAG, RunStart
+
+    for n, count, found, figures in points:
+        ladder, name = points.ladders[n], points.name(n, count)
+        landmarks = run_directory() / "points" / slug(name) / "landmarks.csv"
+        landmarks.parent.mkdir(parents=True, exist_ok=True)  # a sweep may do a lost job again
+        found.deployment.to_csv(landmarks, ups=bool(ladder.edge))
+        tracker: Tracker = instantiate(cfg.tracking)
+        tags = {"way": found.way} | ({} if parent is None else {PARENT_TAG: parent})
+        params = {"deployment.count": count, "tag.edge": ladder.edge, "seed": ladder.seed}
+        tracker.start(RunStart(name, landmarks.parent, params, tags))
+        tracker.log_metrics(figures)
+        tracker.log_artifacts([landmarks])
+        tracker.finish("FINISHED")
+
+
+if __name__ == "__main__":
+    main()
