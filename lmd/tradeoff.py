@@ -153,7 +153,8 @@ def between(points: pd.DataFrame, figure: str, wanted: float) -> list[tuple[floa
         pairs of the edge and the number.
     """
     halves = []
-    for edge, reached in fewest(points, figure, wanted)["count"].items():
+    for row in fewest(points, figure, wanted).reset_index().to_dict("records"):
+        edge, reached = float(row["edge"]), float(row["count"])
         below = points.loc[(points.edge == edge) & (points["count"] < reached), "count"].max()
         if np.isfinite(reached) and reached - below > 1:  # NaN where nothing is below
             halves.append((edge, int(reached + below) // 2))

@@ -9,7 +9,8 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from math import inf, isfinite
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from omegaconf import DictConfig, OmegaConf
 
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 
     from .tracking import Tracker
 
+Key = TypeVar("Key", bound=tuple[int, ...])
+Result = TypeVar("Result")
 COVERED, LOCALISED = "covered_share", "localised_share_20mm"  # off the grid, whatever the objective
 LABELS = {COVERED: "share of views with n tags or more", LOCALISED: "share of views localised to 20 mm"}
 
@@ -102,18 +105,18 @@ class Points:
 
     def look(self, chosen: Sequence[tuple[int, int]]) -> None:
         """Search at points anew and from their neighbours, and score the best that is found at each."""
-        jobs = {(n, count): partial(self.ladders[n].anew, count) for n, count in chosen}
-        for (n, count), found in self._done("searched anew", jobs):
+        anew = {(n, count): partial(self.ladders[n].anew, count) for n, count in chosen}
+        for (n, count), found in self._done("searched anew", anew):
             self._found[n][count] = found
-        counts = {n: [count for ladder, count in chosen if ladder == n] for n, _ in chosen}
-        jobs = {(n, *some): partial(self.ladders[n].improved, self._found[n], some) for n, some in counts.items()}
-        for (n, *_), better in self._done("searched from neighbours", jobs):
+        counts = {n: tuple(count for ladder, count in chosen if ladder == n) for n, _ in chosen}
+        improved = {(n, *some): partial(self.ladders[n].improved, self._found[n], some) for n, some in counts.items()}
+        for (n, *_), better in self._done("searched from neighbours", improved):
             self._found[n] |= better
-        jobs = {(n, count): partial(self.ladders[n].figures, self._found[n][count]) for n, count in chosen}
-        for point, figures in self._done("scored", jobs):
+        scored = {(n, count): partial(self.ladders[n].figures, self._found[n][count]) for n, count in chosen}
+        for point, figures in self._done("scored", scored):
             self._figures[point] = figures
 
-    def _done(self, what: str, jobs: Mapping[Any, Callable[[], Any]]) -> Iterator[tuple[Any, Any]]:
+    def _done(self, what: str, jobs: Mapping[Key, Callable[[], Result]]) -> Iterator[tuple[Key, Result]]:
         """The keys of jobs and what they return, as they come."""
         for i, (key, result) in enumerate(in_processes(_do, list(jobs.items()), self._workers), 1):
             print(f"{i}/{len(jobs)} {what}: {self.name(*key)}", flush=True)
@@ -150,7 +153,7 @@ class Points:
         ])  # fmt: skip
 
 
-def _do(job: tuple[Any, Callable[[], Any]]) -> tuple[Any, Any]:
+def _do(job: tuple[Key, Callable[[], Result]]) -> tuple[Key, Result]:
     """The key of a job, and what it returns."""
     key, compute = job
     return key, compute()
@@ -183,16 +186,14 @@ def _record(
     if wanted is not None:
         reached = fewest(table, figure, wanted)
         text += f"\n\nfewest landmarks with a {figure} of {wanted:g}\n{_told(reached)}"
-        document |= {"wanted": wanted, "fewest": reached.reset_index().to_dict("records")}
-        tracker.log_metrics({
-            f"fewest_{part}/edge_{edge:g}": count
-            for edge, row in reached.iterrows() for part, count in row.items() if count < float("inf")
-        })  # fmt: skip
+        rows = reached.replace(inf, None).reset_index().to_dict("records")  # JSON knows no infinity
+        document |= {"wanted": wanted, "fewest": rows}
+        known = {edge: count for edge, count in reached["count"].items() if isfinite(count)}
+        tracker.log_metrics({f"fewest/edge_{edge:g}": count for edge, count in known.items()})
     (directory / "tradeoff.json").write_text(json.dumps(document, indent=2) + "\n")
-    for edge, same in curves.groupby("edge"):
-        for name in panels:
-            curve = [(int(count), value, 0.0) for (_, count), value in same[name].items()]
-            tracker.log_curve(f"{name}/edge_{edge:g}", curve)
+    for name, edge in product(panels, dict.fromkeys(ladder.edge for ladder in points.ladders)):
+        curve = [(int(count), float(value), 0.0) for count, value in curves.loc[edge, name].items()]
+        tracker.log_curve(f"{name}/edge_{edge:g}", curve)
     _log_children(cfg, points, tracker.run_id)
     names = ("points.csv", "front.csv", "tradeoff.json", "tradeoff.png")
     files = [*(directory / name for name in names), *sorted((directory / ".hydra").glob("*.yaml"))]
@@ -204,8 +205,8 @@ def _record(
 def _told(reached: "pd.DataFrame") -> str:
     """`lmd.tradeoff.fewest` for a terminal, a line for each edge."""
     lines = []
-    for edge, row in reached.iterrows():
-        count, least, greatest = ("more than was tried" if k == float("inf") else f"{k:.0f}" for k in row)
+    for edge, *numbers in reached.reset_index().to_numpy().tolist():
+        count, least, greatest = (f"{k:.0f}" if isfinite(k) else "more than was tried" for k in numbers)
         size = f"tags of {1e3 * edge:g} mm: " if edge else ""
         lines.append(f"{size}{count} by the median of the seeds, by single seeds {least} to {greatest}")
     return "\n".join(lines)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pandas as pd
 
 
@@ -38,8 +39,9 @@ def save_tradeoff_figure(path: str | Path, points: pd.DataFrame, panels: Sequenc
     figure.suptitle(title)
     drawn: Any = figure.subplots(1, len(panels), squeeze=False)
     for axes, panel in zip(drawn[0], panels, strict=True):
-        for i, (edge, same) in enumerate(points.groupby("edge")):
-            shares, colour = 100.0 * same.groupby("count")[panel.figure].agg(["median", "min", "max"]), f"C{i}"
+        for i, edge in enumerate(np.unique(points.edge).tolist()):
+            same, colour = points[points.edge == edge], f"C{i}"
+            shares = 100.0 * same.groupby("count")[panel.figure].agg(["median", "min", "max"])
             axes.fill_between(shares.index, shares["min"], shares["max"], color=colour, alpha=0.2, lw=0)
             name = f"tags of {1e3 * edge:g} mm" if edge else "points"
             axes.plot(shares.index, shares["median"], "o-", color=colour, ms=4, label=name)

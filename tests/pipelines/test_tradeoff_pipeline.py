@@ -1,0 +1,136 @@
+"""`pipelines.tradeoff` as a user meets it."""
+
+import json
+import os
+import signal
+import subprocess
+import time
+
+import numpy as np
+import pandas as pd
+import processes
+import pytest
+from mlflow import MlflowClient
+
+from lmd.deployment import Deployment
+
+pytestmark = pytest.mark.slow
+SMALL = ("room.spacing=1.5", "objective.n=1", "objective.thold_p=0.3", "budget.evaluations=20", "seeds=2")
+COUNTS = ("counts=[6,10,14]", "wanted=0.4", "figure=covered_share")
+
+
+def tradeoff(cwd, *overrides, directory="run"):
+    line = processes.command("tradeoff", *overrides, f"hydra.run.dir={directory}", settings=SMALL)
+    return subprocess.run(line, cwd=cwd, env=processes.environment(), capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    cwd = tmp_path_factory.mktemp("tradeoff")
+    run = tradeoff(cwd, *COUNTS, "edges=[0.1,0.4]", "workers=2")
+    assert run.returncode == 0, run.stderr
+    return cwd, run
+
+
+def test_a_row_for_each_point_and_the_fewest_between_the_counts(done):
+    cwd, run = done
+    points = pd.read_csv(cwd / "run" / "points.csv")
+    for edge, same in points.groupby("edge"):
+        assert {6, 10, 14} <= set(same["count"])
+        assert (same.groupby("count").size() == 2).all()
+        document = json.loads((cwd / "run" / "tradeoff.json").read_text())
+        (fewest,) = (row["count"] for row in document["fewest"] if row["edge"] == edge)
+        medians = same.groupby("count").covered_share.median()
+        assert medians[fewest] >= 0.4
+        below = medians[medians.index < fewest]
+        assert below.empty or (below.index[-1] == fewest - 1 and (below < 0.4).all())
+    assert "fewest landmarks with a covered_share of 0.4" in run.stdout
+    assert (cwd / "run" / "tradeoff.png").is_file()
+    front = pd.read_csv(cwd / "run" / "front.csv")
+    assert {"covered_share", "qualified_ratio", "grid_free_qualified_ratio"} <= set(front)
+
+
+def test_more_landmarks_are_never_worse_where_neighbours_help(done):
+    points = pd.read_csv(done[0] / "run" / "points.csv").sort_values("count")
+    for _, ladder in points.groupby(["edge", "seed"]):
+        assert (np.diff(ladder.average_coverage_probability[ladder["count"].isin([6, 10, 14])]) > 0.0).all()
+
+
+def test_the_run_has_a_child_for_each_point(done):
+    cwd, _ = done
+    points = pd.read_csv(cwd / "run" / "points.csv")
+    client = MlflowClient(tracking_uri=f"sqlite:///{cwd}/outputs/mlflow.db")
+    runs = client.search_runs([client.get_experiment_by_name("lmd tradeoff").experiment_id])
+    (parent,) = (run for run in runs if "mlflow.parentRunId" not in run.data.tags)
+    children = [run for run in runs if run.data.tags.get("mlflow.parentRunId") == parent.info.run_id]
+    assert len(children) == len(points) == len(runs) - 1
+    assert {run.info.status for run in runs} == {"FINISHED"}
+    child = children[0].data
+    row = points.set_index(["edge", "count", "seed"]).loc[
+        (float(child.params["tag.edge"]), int(child.params["deployment.count"]), int(child.params["seed"]))
+    ]
+    assert child.metrics["covered_share"] == pytest.approx(row.covered_share)
+    assert child.tags["way"] == row.way
+    assert parent.data.metrics["fewest/edge_0.4"] > 0
+    (landmarks,) = (cwd / "run" / "points").glob("K-10-edge-0.1-seed-1/landmarks.csv")
+    assert len(Deployment.from_csv(landmarks)) == 10
+
+
+def test_the_same_again_searches_nothing_and_other_settings_search_anew(done):
+    cwd, _ = done
+    kept, before = cwd / "outputs" / "tradeoff" / "kept", (cwd / "run" / "points.csv").read_text()
+    files = {path.name for path in kept.iterdir()}
+    again = tradeoff(cwd, *COUNTS, "edges=[0.1,0.4]", "workers=1", "tracking=none", directory="again")
+    assert again.returncode == 0, again.stderr
+    assert (cwd / "again" / "points.csv").read_text() == before
+    assert {path.name for path in kept.iterdir()} == files
+    other = tradeoff(cwd, "counts=[6]", "edges=[0.1]", "budget.evaluations=21", "tracking=none", directory="other")
+    assert other.returncode == 0, other.stderr
+    assert len({path.name for path in kept.iterdir()} - files) == 2 * 2  # two seeds, each a search and its figures
+
+
+def test_the_number_of_workers_does_not_matter(done, tmp_path):
+    alone = tradeoff(tmp_path, *COUNTS, "edges=[0.1,0.4]", "workers=1", "tracking=none")
+    assert alone.returncode == 0, alone.stderr
+    assert (tmp_path / "run" / "points.csv").read_text() == (done[0] / "run" / "points.csv").read_text()
+
+
+def test_what_was_finished_when_it_was_interrupted_is_kept(tmp_path):
+    line = processes.command("tradeoff", "counts=[6,8,10,12]", "workers=2", "hydra.run.dir=run", settings=SMALL)
+    running = processes.start(
+        line, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
+    )
+    for told in running.stdout:
+        if told.startswith("2/8 searched anew"):
+            break
+    os.killpg(running.pid, signal.SIGINT)  # as a terminal does
+    _, told = running.communicate()
+    assert running.returncode == 130, told
+    assert "interrupted; the same command goes on with what is kept in outputs/tradeoff/kept" in told
+    assert "Traceback" not in told
+    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "outputs/tradeoff/kept").glob("*.json")}
+    assert len(kept) >= 2
+    client = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/outputs/mlflow.db")
+    (run,) = client.search_runs([client.get_experiment_by_name("lmd tradeoff").experiment_id])
+    assert run.info.status == "KILLED"
+    time.sleep(0.01)
+    again = tradeoff(tmp_path, "counts=[6,8,10,12]", "tracking=none", directory="again")
+    assert again.returncode == 0, again.stderr
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("counts=20", "counts must be a list of numbers, got 20."),
+        ("counts=[0]", "counts must be at least 1, got 0."),
+        ("edges=[a]", "edges must be a number, got 'a'."),
+        ("seeds=0", "seeds must be at least 1, got 0."),
+        ("wanted=90", "wanted must be in [0, 1], got 90."),
+        ("budget.evaluations=0", "budget.evaluations must be at least 1, got 0."),
+        ("objective.n=21", "objective.n = 21 exceeds the number of landmarks, 20."),
+        ("edges=[2]", "deployment.count = 100 tags do not fit"),
+    ],
+)
+def test_bad_input_has_one_sentence(tmp_path, override, message):
+    processes.refused("tradeoff", override, message=message, cwd=tmp_path, settings=SMALL)
