@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -63,17 +64,9 @@ class Ladder:
         return improved(known, chosen, self.problem, self._search)
 
     def figures(self, found: "Found") -> dict[str, float]:
-        """All figures of what was found, on the grid and off it."""
-        from lmd.accuracy import accuracy_metrics
-        from lmd.validation import validation_metrics
-
+        """All figures of what was found."""
         deployment = found.deployment
-        problem = self.problem(len(deployment))
-
-        def score() -> dict[str, Any]:
-            figures = problem.metrics(deployment) | validation_metrics(problem, deployment, self.seed)
-            return figures | accuracy_metrics(problem, deployment, self.seed)
-
+        score = partial(figures_of, self.problem(len(deployment)), deployment, self.seed)
         return self._kept(len(deployment), "figures", deployment, score)
 
     def _search(self, problem: "Problem", way: str) -> "Found":
@@ -109,3 +102,12 @@ class Ladder:
             path.parent.mkdir(parents=True, exist_ok=True)
             write_document(path, found)
         return found
+
+
+def figures_of(problem: "Problem", deployment: "Deployment", seed: int) -> dict[str, float]:
+    """All figures of a deployment, on the grid and off it, where `seed` draws the sample."""
+    from lmd.accuracy import accuracy_metrics
+    from lmd.validation import validation_metrics
+
+    figures = problem.metrics(deployment) | validation_metrics(problem, deployment, seed)
+    return figures | accuracy_metrics(problem, deployment, seed)

@@ -9,14 +9,14 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import product
-from math import inf, isfinite
+from math import isfinite
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from omegaconf import DictConfig, OmegaConf
 
 from .app import application, build_optimiser, instantiate, keyed, run_directory
 from .earlier_run import read_earlier_run
-from .ladder import Ladder
+from .ladder import Ladder, figures_of
 from .sweeps.names import slug
 from .sweeps.supervisor import run
 from .workers import in_processes
@@ -49,7 +49,9 @@ def _main(cfg: DictConfig) -> None:
 
 def tradeoff(cfg: DictConfig) -> None:
     """Search for every number of landmarks, edge and seed."""
-    from lmd.checks import InputError, file_path, integer, real
+    import numpy as np
+
+    from lmd.checks import choice, file_path, integer, real
     from lmd.optimisers.base import Budget
     from lmd.tradeoff import between
 
@@ -66,14 +68,15 @@ def tradeoff(cfg: DictConfig) -> None:
         Budget(cfg.budget.evaluations, cfg.budget.seconds)
     build_optimiser(cfg, seed)  # what cannot be built fails before anything has run
     ladders = [Ladder(cfg, edge, seed) for edge, seed in product(edges, seeds)]
-    problem = [ladder.problem(count) for ladder in ladders[:: len(seeds)] for count in (counts[-1], counts[0])][-1]
+    for ladder, count in product(ladders[:: len(seeds)], (counts[0], counts[-1])):  # and what does not fit together
+        problem = ladder.problem(count)
+    if cfg.figure is not None:
+        choice("figure", cfg.figure, list(figures_of(problem, problem.draw(np.random.default_rng(seed)), seed)))
     figure = cfg.figure or f"grid_free_{problem.objective.headline.key}"
     points = Points(ladders, cfg.workers)
     with tracked(cfg, "tradeoff", title_of(problem, "tradeoff")) as tracker:
         try:
             points.look(list(product(range(len(ladders)), counts)))
-            if figure not in points.figures:
-                raise InputError(f"figure must be one of {', '.join(points.figures)}, got {figure!r}.")
             while wanted is not None and (halves := between(points.table, figure, wanted)):
                 points.look([(number, count) for edge, count in halves for number in points.of(edge)])
         except KeyboardInterrupt:
@@ -132,11 +135,6 @@ class Points:
         """The numbers of the ladders of an edge."""
         return [n for n, ladder in enumerate(self.ladders) if ladder.edge == edge]
 
-    @property
-    def figures(self) -> list[str]:
-        """The names of all figures."""
-        return list(next(iter(self._figures.values())))
-
     def __iter__(self) -> "Iterator[tuple[int, int, Found, dict[str, float]]]":
         """The number of the ladder, the number of landmarks, what was found, and its figures, of each point."""
         for n, count in sorted(self._figures):
@@ -167,8 +165,6 @@ def _record(
     from lmd.plot.tradeoff import Panel, save_tradeoff_figure
     from lmd.tradeoff import fewest, front
 
-    from .tracked_run import title_of
-
     directory, table, headline = run_directory(), points.table, problem.objective.headline
     off_grid = f"grid_free_{headline.key}"
     beside = COVERED if isinstance(problem.objective, Localisation) else LOCALISED
@@ -178,7 +174,9 @@ def _record(
     curves = front(table, list(dict.fromkeys([figure, headline.key, *panels])))
     table.to_csv(directory / "points.csv", index=False)
     curves.to_csv(directory / "front.csv")
-    save_tradeoff_figure(directory / "tradeoff.png", table, list(panels.values()), title_of(problem, "up to"))
+    save_tradeoff_figure(
+        directory / "tradeoff.png", table, list(panels.values()), f"{problem.objective.name}, {cfg.seeds} seeds"
+    )
     document: dict[str, Any] = {"figure": figure, "settings": problem.settings()}
     text = f"medians over {cfg.seeds} seeds, least and greatest of the first, per cent\n" + curves.to_string(
         float_format=lambda value: f"{100.0 * value:.2f}"
@@ -186,8 +184,9 @@ def _record(
     if wanted is not None:
         reached = fewest(table, figure, wanted)
         text += f"\n\nfewest landmarks with a {figure} of {wanted:g}\n{_told(reached)}"
-        rows = reached.replace(inf, None).reset_index().to_dict("records")  # JSON knows no infinity
-        document |= {"wanted": wanted, "fewest": rows}
+        rows = reached.reset_index().to_dict("records")
+        finite = [{key: value if isfinite(value) else None for key, value in row.items()} for row in rows]
+        document |= {"wanted": wanted, "fewest": finite}
         known = {edge: count for edge, count in reached["count"].items() if isfinite(count)}
         tracker.log_metrics({f"fewest/edge_{edge:g}": count for edge, count in known.items()})
     (directory / "tradeoff.json").write_text(json.dumps(document, indent=2) + "\n")
