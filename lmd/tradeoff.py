@@ -16,7 +16,9 @@ from lmd.optimisers.selection import SPACING, select
 from lmd.problem import Problem
 from lmd.sight.poses import candidate_poses
 from lmd.space.space import Space
+from lmd.validation import Sample
 
+SAMPLE = Sample(groups=16, positions=512, divisions=23)  # smaller than that of a single run: there are many points
 FEWER, MORE = "fewer", "more"  # whence a search has set out; `ANEW` is the start of the problem
 ANEW = "anew"
 

@@ -65,9 +65,11 @@ class Ladder:
 
     def figures(self, found: "Found") -> dict[str, float]:
         """All figures of what was found."""
+        from lmd.tradeoff import SAMPLE
+
         deployment = found.deployment
         score = partial(figures_of, self.problem(len(deployment)), deployment, self.seed)
-        return self._kept(len(deployment), "figures", deployment, score)
+        return self._kept(len(deployment), f"figures of {SAMPLE}", deployment, score)
 
     def _search(self, problem: "Problem", way: str) -> "Found":
         """Climb from the start of a problem with a budget of its own."""
@@ -107,7 +109,8 @@ class Ladder:
 def figures_of(problem: "Problem", deployment: "Deployment", seed: int) -> dict[str, float]:
     """All figures of a deployment, on the grid and off it, where `seed` draws the sample."""
     from lmd.accuracy import accuracy_metrics
+    from lmd.tradeoff import SAMPLE
     from lmd.validation import validation_metrics
 
-    figures = problem.metrics(deployment) | validation_metrics(problem, deployment, seed)
+    figures = problem.metrics(deployment) | validation_metrics(problem, deployment, seed, SAMPLE)
     return figures | accuracy_metrics(problem, deployment, seed)
