@@ -15,7 +15,10 @@ from numba.core.event import Event, Listener, register
 from numba.core.registry import cpu_target
 
 # Packages and modules with code that is compiled, or constants of it.
-SOURCES = ("geometry", "space/allowed", "sight", "objectives", "optimisers/annealing", "plates", "tag")
+SOURCES = (
+    *("geometry", "space/allowed", "space/triangles", "sight", "objectives"),
+    *("optimisers/annealing", "plates", "tag"),
+)
 
 
 def kernel(function: Callable[..., Any]) -> Any:

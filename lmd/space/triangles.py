@@ -1,0 +1,274 @@
+"""What blocks a line of sight in a mesh: triangles, in a tree of boxes that is asked without a stack.
+
+A line from p to q crosses a triangle if p and q lie on different sides of its plane, both farther from it than the
+tolerance, and the crossing lies within its edges. What happens at an edge depends on the triangle beyond it:
+
+- if the line crosses the planes of both in the same sense, both reach over the edge by the tolerance, so that no line
+  slips through between them, whether the surface is flat there or bent;
+- if not, the line only touches the surface at that edge, or there is no triangle beyond: both end before the edge by
+  the tolerance. So a line that touches an edge or a corner, or runs along a face, is clear, as with
+  `lmd.space.blockers`.
+
+Points of a landmark lie in the plane of their own triangles, which hence never hide them.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from lmd.checks import BoolArray, FloatArray, IntArray
+from lmd.compiled import kernel
+
+# Triangles in a box that is not divided further, and in one that is simply halved: to look for the best cut takes time.
+LEAF, SMALL = 4, 48
+# By which boxes are larger than what they hold, relative to the largest coordinate: more than rounding.
+PADDING = 1e-12
+# A point so close to a plane, or a triangle so thin, metres, has no side; squared, that is an area.
+THINNEST = 1e-7
+
+
+class Triangles(NamedTuple):
+    """T triangles and the N boxes of their tree, in the order in which a walk from the root meets them.
+
+    normals `(T, 3)` unit, offsets `(T,)`; corners `(T, 3, 3)`; borders `(T, 3, 4)`, of each edge the unit normal in the
+    plane, inwards, and its offset; beyond `(T, 3, 3)`, the normal of the triangle over each edge on the same side of
+    the surface, 0 if there is none. Of a box: centres, halves `(N, 3)`; skip `(N,)`, the next one if nothing in it is
+    wanted; first, stop `(N,)`, its triangles if it is not divided. All in metres.
+    """
+
+    normals: np.ndarray
+    offsets: np.ndarray
+    corners: np.ndarray
+    borders: np.ndarray
+    beyond: np.ndarray
+    centres: np.ndarray
+    halves: np.ndarray
+    skip: np.ndarray
+    first: np.ndarray
+    stop: np.ndarray
+    tolerance: float
+
+    @classmethod
+    def of(cls, vertices: FloatArray, faces: IntArray, tolerance: float) -> "Triangles":
+        """The triangles with the corners `faces` `(T, 3)` of `vertices` `(V, 3)`; none is degenerate."""
+        corners = vertices[faces]
+        normals = unit_normals(corners)
+        way = np.roll(corners, -1, axis=1) - corners
+        inwards = np.cross(normals[:, None], way / np.linalg.norm(way, axis=-1, keepdims=True))
+        borders = np.concatenate([inwards, (inwards * corners).sum(axis=-1, keepdims=True)], axis=-1)
+        beyond = _beyond(faces, normals)
+        padding = tolerance + PADDING * np.abs(vertices).max()
+        order, *tree = _tree(corners.min(axis=1) - padding, corners.max(axis=1) + padding)
+        parts = (normals, (normals * corners[:, 0]).sum(axis=-1), corners, borders, beyond)
+        return cls(*(np.ascontiguousarray(part[order]) for part in parts), *tree, tolerance)
+
+    def clear(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
+        """Whether no triangle is crossed by the lines between points `(..., 3)`, `(...)`."""
+        starts, ends = np.broadcast_arrays(starts, ends)
+        crossed = np.empty(starts.shape[:-1], dtype=np.bool_)
+        _find_crossed(self, *(np.ascontiguousarray(p).reshape(-1, 3) for p in (starts, ends)), crossed.reshape(-1))
+        return ~crossed
+
+    def distance(self, points: FloatArray, most: float) -> FloatArray:
+        """How far points `(..., 3)` are from the nearest triangle, `(...)`, metres; `most` if it is farther."""
+        found = np.empty(points.shape[:-1])
+        _find_distance(self, np.ascontiguousarray(points).reshape(-1, 3), most, found.reshape(-1))
+        return found
+
+    def keeps_away(self, starts: FloatArray, ends: FloatArray, clearance: float) -> BoolArray:
+        """Whether the whole way between points `(..., 3)` is at least so far from every triangle, `(...)`.
+
+        It is walked from ball to ball around it that holds no triangle, in steps of at least `STEP`.
+        """
+        starts, ends = np.broadcast_arrays(starts, ends)
+        kept = np.empty(starts.shape[:-1], dtype=np.bool_)
+        flat = (np.ascontiguousarray(p).reshape(-1, 3) for p in (starts, ends))
+        _find_kept(self, *flat, clearance, kept.reshape(-1))
+        return kept
+
+
+# The least step of a walk along a way that keeps its clearance, and how far it looks ahead, metres.
+STEP, AHEAD = 1e-3, 1.0
+
+
+def unit_normals(corners: FloatArray) -> FloatArray:
+    """Of triangles `(T, 3, 3)`, to the side from which they run counter-clockwise, `(T, 3)`."""
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True) + 0.0)
+
+
+def _beyond(faces: IntArray, normals: FloatArray) -> FloatArray:
+    """See `Triangles`. Where more than two triangles meet, each has itself beyond the edge: nothing slips through."""
+    count = len(faces)
+    edge = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
+    own = np.repeat(np.arange(count), 3)
+    forwards = edge[:, 0] < edge[:, 1]
+    _, which, times = np.unique(np.sort(edge, axis=1), axis=0, return_inverse=True, return_counts=True)
+    beyond = np.where((times[which] > 2)[:, None], normals[own], 0.0)
+    order = np.argsort(which, kind="stable")
+    pairs = order[times[which[order]] == 2].reshape(-1, 2)
+    for one, other in (pairs.T, pairs.T[::-1]):
+        # Two triangles on the same side of a surface go along their edge in opposite ways.
+        sense = np.where(forwards[one] == forwards[other], -1.0, 1.0)
+        beyond[one] = sense[:, None] * normals[own[other]]
+    return beyond.reshape(count, 3, 3)
+
+
+def _tree(low: FloatArray, high: FloatArray) -> tuple[IntArray, FloatArray, FloatArray, IntArray, IntArray, IntArray]:
+    """The order of boxes `(T, 3)` and their tree (`Triangles`); it is cut where a ray meets the fewest of them."""
+    middle = low + high
+    order: list[IntArray] = []
+    centres, halves, skip, first, stop = [], [], [], [], []
+
+    def grow(part: IntArray, placed: int) -> None:
+        node = len(skip)
+        lowest, highest = low[part].min(axis=0), high[part].max(axis=0)
+        centres.append((lowest + highest) / 2.0)
+        halves.append((highest - lowest) / 2.0)
+        is_leaf = len(part) <= LEAF
+        first.append(placed)
+        stop.append(placed + len(part) if is_leaf else placed)
+        skip.append(0)
+        if is_leaf:
+            order.append(part)
+        else:
+            one, other = _cut(part, low, high, middle)
+            grow(one, placed)
+            grow(other, placed + len(one))
+        skip[node] = len(skip)
+
+    grow(np.arange(len(low)), 0)
+    whole = (np.array(parts) for parts in (centres, halves, skip, first, stop))
+    return np.concatenate(order), *whole  # type: ignore[return-value]
+
+
+def _cut(part: IntArray, low: FloatArray, high: FloatArray, middle: FloatArray) -> Sequence[IntArray]:
+    """Some boxes in two parts, by the surface area heuristic (MacDonald and Booth, 1990); a few in the middle."""
+    if len(part) <= SMALL:
+        part = part[np.argsort(middle[part, np.argmax(np.ptp(middle[part], axis=0))], kind="stable")]
+        return part[: len(part) // 2], part[len(part) // 2 :]
+    best, least = part[:0], np.inf
+    counts = np.arange(1, len(part))
+    for axis in range(3):
+        along = part[np.argsort(middle[part, axis], kind="stable")]
+        before, after = (
+            _areas(np.minimum.accumulate(low[way]), np.maximum.accumulate(high[way])) for way in (along, along[::-1])
+        )
+        cost = before[:-1] * counts + after[:-1][::-1] * counts[::-1]
+        at = int(np.argmin(cost))
+        if cost[at] < least:
+            best, least, size = along, cost[at], at + 1
+    return best[:size], best[size:]
+
+
+def _areas(low: FloatArray, high: FloatArray) -> FloatArray:
+    """Half the surface of boxes `(M, 3)`, `(M,)`."""
+    x, y, z = (high - low).T
+    return np.asarray(x * y + y * z + z * x)
+
+
+@kernel
+def is_crossed(triangles, px, py, pz, qx, qy, qz):  # type: ignore[no-untyped-def]
+    """Whether the line from p to q crosses a triangle."""
+    normals, offsets, borders, beyond = triangles.normals, triangles.offsets, triangles.borders, triangles.beyond
+    centres, halves, skip = triangles.centres, triangles.halves, triangles.skip
+    first, stop, tolerance = triangles.first, triangles.stop, triangles.tolerance
+    wx, wy, wz = qx - px, qy - py, qz - pz
+    # The middle of the line and half of it: a box is apart from it if a plane across an axis of the box, or across one
+    # of these and the line, lies between them.
+    mx, my, mz = 0.5 * (px + qx), 0.5 * (py + qy), 0.5 * (pz + qz)
+    dx, dy, dz = 0.5 * wx, 0.5 * wy, 0.5 * wz
+    ax, ay, az = abs(dx), abs(dy), abs(dz)
+    node = 0
+    while node < len(skip):
+        hx, hy, hz = halves[node, 0], halves[node, 1], halves[node, 2]
+        cx, cy, cz = mx - centres[node, 0], my - centres[node, 1], mz - centres[node, 2]
+        if (
+            abs(cx) > hx + ax
+            or abs(cy) > hy + ay
+            or abs(cz) > hz + az
+            or abs(dy * cz - dz * cy) > hy * az + hz * ay
+            or abs(dz * cx - dx * cz) > hz * ax + hx * az
+            or abs(dx * cy - dy * cx) > hx * ay + hy * ax
+        ):
+            node = skip[node]
+            continue
+        for i in range(first[node], stop[node]):
+            start = normals[i, 0] * px + normals[i, 1] * py + normals[i, 2] * pz - offsets[i]
+            end = normals[i, 0] * qx + normals[i, 1] * qy + normals[i, 2] * qz - offsets[i]
+            if min(start, end) >= -tolerance or max(start, end) <= tolerance:
+                continue
+            t, sense = start / (start - end), 1.0 if end > start else -1.0
+            x, y, z = px + t * wx, py + t * wy, pz + t * wz
+            within = True
+            for e in range(3):
+                along = wx * beyond[i, e, 0] + wy * beyond[i, e, 1] + wz * beyond[i, e, 2]
+                inside = borders[i, e, 0] * x + borders[i, e, 1] * y + borders[i, e, 2] * z - borders[i, e, 3]
+                within = within and inside > (-tolerance if sense * along > tolerance else tolerance)
+            if within:
+                return True
+        node += 1
+    return False
+
+
+@kernel
+def _distance(triangles, x, y, z, most):  # type: ignore[no-untyped-def]
+    """How far (x, y, z) is from the nearest triangle; `most` if it is farther."""
+    normals, offsets, corners, borders = triangles.normals, triangles.offsets, triangles.corners, triangles.borders
+    centres, halves, skip, first, stop = (
+        triangles.centres, triangles.halves, triangles.skip, triangles.first, triangles.stop,
+    )  # fmt: skip
+    least, node = most * most, 0
+    while node < len(skip):
+        dx = max(abs(x - centres[node, 0]) - halves[node, 0], 0.0)
+        dy = max(abs(y - centres[node, 1]) - halves[node, 1], 0.0)
+        dz = max(abs(z - centres[node, 2]) - halves[node, 2], 0.0)
+        if dx * dx + dy * dy + dz * dz >= least:
+            node = skip[node]
+            continue
+        for i in range(first[node], stop[node]):
+            height = normals[i, 0] * x + normals[i, 1] * y + normals[i, 2] * z - offsets[i]
+            if height * height >= least:
+                continue
+            within = True
+            for e in range(3):
+                inside = borders[i, e, 0] * x + borders[i, e, 1] * y + borders[i, e, 2] * z - borders[i, e, 3]
+                within = within and inside >= 0.0
+            if within:
+                least = height * height
+                continue
+            for e in range(3):
+                a, b = corners[i, e], corners[i, (e + 1) % 3]
+                ux, uy, uz, vx, vy, vz = b[0] - a[0], b[1] - a[1], b[2] - a[2], x - a[0], y - a[1], z - a[2]
+                t = min(max((ux * vx + uy * vy + uz * vz) / (ux * ux + uy * uy + uz * uz), 0.0), 1.0)
+                least = min(least, (vx - t * ux) ** 2 + (vy - t * uy) ** 2 + (vz - t * uz) ** 2)
+        node += 1
+    return np.sqrt(least)
+
+
+@kernel
+def _find_crossed(triangles, starts, ends, crossed):  # type: ignore[no-untyped-def]
+    for i in range(len(starts)):
+        p, q = starts[i], ends[i]
+        crossed[i] = is_crossed(triangles, p[0], p[1], p[2], q[0], q[1], q[2])
+
+
+@kernel
+def _find_distance(triangles, points, most, found):  # type: ignore[no-untyped-def]
+    for i in range(len(points)):
+        found[i] = _distance(triangles, points[i, 0], points[i, 1], points[i, 2], most)
+
+
+@kernel
+def _find_kept(triangles, starts, ends, clearance, kept):  # type: ignore[no-untyped-def]
+    for i in range(len(starts)):
+        way = ends[i] - starts[i]
+        length, at = np.sqrt((way * way).sum()), 0.0
+        kept[i] = True
+        while kept[i] and at <= length:
+            share = at / length if length > 0.0 else 0.0
+            x, y, z = starts[i, 0] + share * way[0], starts[i, 1] + share * way[1], starts[i, 2] + share * way[2]
+            away = _distance(triangles, x, y, z, clearance + AHEAD) - clearance
+            kept[i] = away >= -triangles.tolerance
+            at += max(away, STEP)
