@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, InputError, choice, real, vector
-from lmd.space.allowed import eroded, polygons
+from lmd.checks import BoolArray, FloatArray, InputError, choice, real
+from lmd.space.allowed import polygons
 from lmd.space.blockers import Blockers
-from lmd.space.parts import FACES, KeepOut, Obstacle, all_made
+from lmd.space.parts import FACES, KeepOut, Obstacle, all_made, checked_band, checked_names
 from lmd.space.polygon import checked_ring, edges, on_hull, planes, upright_bodies
-from lmd.space.surface import PLACEMENT_TOLERANCE, Surface
+from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
 
 # From a face to the place before it that must be free, metres.
 BEFORE = 1e-3
@@ -65,14 +65,11 @@ class FloorPlan:
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
-        if self.band is not None:
-            low, high = vector("band", self.band, 2, low=0.0, high=self.height)
-            if low >= high:
-                raise InputError(f"band must go from the lowest to the highest z, got {[low, high]}.", "band")
-            object.__setattr__(self, "band", (low, high))
+        object.__setattr__(self, "band", checked_band(self.band, low=0.0, high=self.height))
         self._check_parts()
         if self.surfaces is not None:
-            object.__setattr__(self, "surfaces", self._checked_names())
+            built = [name for name in self._faces if not name.startswith("obstacle_")]
+            object.__setattr__(self, "surfaces", checked_names("surfaces", self.surfaces, built))
         self.carriers  # noqa: B018 # raises where nothing may hang
 
     def _check_parts(self) -> None:
@@ -108,15 +105,6 @@ class FloorPlan:
             if not self._region(face).intersects(self._kept_out(part)):
                 along, up = face.extent
                 raise InputError(f"{name} lies beside {part.surface}, which is {along:.4g} x {up:.4g} m.", name)
-
-    def _checked_names(self) -> tuple[str, ...]:
-        names = [name for name in self._faces if not name.startswith("obstacle_")]
-        given = self.surfaces if isinstance(self.surfaces, list | tuple) else ()
-        for name in given:
-            choice("surfaces", name, names)
-        if not given or len(set(given)) != len(given):
-            raise InputError(f"surfaces must list at least one surface, each once, got {self.surfaces!r}.", "surfaces")
-        return tuple(given)
 
     @cached_property
     def ground(self) -> Any:
@@ -210,26 +198,16 @@ class FloorPlan:
 
     def _carrier(self, face: Surface) -> Surface:
         """A face with the places where landmarks may hang."""
-        import shapely
-
-        whole = shapely.box(0.0, 0.0, *face.extent)
-        region = eroded(self._region(face), self.margin)
-        if self.band is not None and face.normal[2] == 0.0:
-            low, high = (z - float(face.origin[2]) for z in self.band)
-            region = region.intersection(shapely.box(0.0, low, face.extent[0], high))
-        for obstacle in self.obstacles:
-            region = region.difference(_covered(face, obstacle))
-        for part in self.keep_out:
-            if part.surface == face.name:
-                region = region.difference(self._kept_out(part))
-        region = polygons(region)
+        taken = [_covered(face, obstacle) for obstacle in self.obstacles]
+        taken += [self._kept_out(part) for part in self.keep_out if part.surface == face.name]
+        region = free_of(face, self._region(face), self.margin, self.band, taken)
         if region.is_empty:
             raise InputError(
                 f"surfaces: nowhere on {face.name} may anything hang, with its keep_out, band, margin and what stands "
                 "before it.",
                 "surfaces",
             )
-        return Surface(**{**vars(face), "allowed": None if region.equals(whole) else region})
+        return face.where(region)
 
     def _region(self, face: Surface) -> Any:
         """What there is of a face in its rectangle: of one of an obstacle, what has some of the room before it."""

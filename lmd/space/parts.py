@@ -160,3 +160,31 @@ def all_made(name: str, kind: type[T], values: Any) -> tuple[T, ...]:
     if isinstance(values, str | Mapping) or not isinstance(values, Sequence):
         raise InputError(f"{name} must be a list, got {values!r}.", name)
     return tuple(made(f"{name}[{i}]", kind, value) for i, value in enumerate(values))
+
+
+def checked_band(value: Any, **bounds: float) -> tuple[float, ...] | None:
+    """Lowest and highest z at which landmarks may hang, metres; None for all.
+
+    Raises:
+        InputError: it is empty or exceeds `bounds`.
+    """
+    if value is None:
+        return None
+    low, high = vector("band", value, 2, **bounds)
+    if low >= high:
+        raise InputError(f"band must go from the lowest to the highest z, got {[low, high]}.", "band")
+    return low, high
+
+
+def checked_names(name: str, value: Any, known: Sequence[str]) -> tuple[str, ...]:
+    """Names of surfaces, each once.
+
+    Raises:
+        InputError: there is none, or one is not `known` or repeated.
+    """
+    given = value if isinstance(value, list | tuple) else ()
+    for one in given:
+        choice(name, one, known)
+    if not given or len(set(given)) != len(given):
+        raise InputError(f"{name} must list at least one surface, each once, got {value!r}.", name)
+    return tuple(given)

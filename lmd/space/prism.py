@@ -1,29 +1,26 @@
 """A room over a floor plan, and where in it the camera may be."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, InputError, IntArray, choice
+from lmd.checks import BoolArray, FloatArray, InputError, choice
 from lmd.space.blockers import Blockers
 from lmd.space.cuboid import box_edges
 from lmd.space.floor_plan import FloorPlan
-from lmd.space.grid import KINDS, cell_borders, checked_spacing, combined, grid_axes, grid_counts
+from lmd.space.grid import KINDS, checked_spacing
+from lmd.space.gridded import Gridded
 from lmd.space.parts import Reachable, made
 from lmd.space.polygon import edges
 from lmd.space.relevance import Relevance
-from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, SurfaceArrays
-
-# Draws of a position that is in the reachable volume, before its grid position is taken instead.
-MOST_DRAWS = 100
-LEAST_SHARE = 1e-4  # of the box around it that the reachable volume fills
+from lmd.space.surface import Surface
 
 
 @dataclass(frozen=True)
-class Prism:
+class Prism(Gridded):
     """A room over a floor plan; a `lmd.space.space.Space`.
 
     Positions are those of a grid in the box around the walls, less the clearance, that are in the reachable volume.
@@ -49,7 +46,7 @@ class Prism:
     def __post_init__(self) -> None:
         object.__setattr__(self, "reachable", made("reachable", Reachable, self.reachable))
         choice("positions", self.positions, KINDS)
-        low, high = self._box
+        low, high = self.box
         if low[2] < 0.0 or high[2] > self.plan.height:
             raise InputError(
                 f"reachable.height = {list(self.reachable.height)} leaves the room, which is {self.plan.height:g} m "
@@ -70,78 +67,19 @@ class Prism:
             )
 
     @cached_property
-    def _box(self) -> tuple[FloatArray, FloatArray]:
-        """Corners of the box around the reachable volume, `(3,)` each."""
+    def box(self) -> tuple[FloatArray, FloatArray]:
+        """See `Gridded.box`."""
         vertices, clearance = np.array(self.plan.outline), self.reachable.clearance
         low, high = self.reachable.height
         return np.append(vertices.min(axis=0) + clearance, low), np.append(vertices.max(axis=0) - clearance, high)
 
-    def _grid_axes(self) -> list[FloatArray]:
-        low, high = self._box
-        return grid_axes(low, high, grid_counts(high - low, self.spacing, self.positions), self.positions)
-
-    @cached_property
-    def _grid(self) -> tuple[FloatArray, BoolArray]:
-        """All positions of the grid in the box, and which of them are in the reachable volume."""
-        positions = combined(self._grid_axes())
-        return positions, self._reaches(positions)
-
-    def _reaches(self, points: FloatArray) -> BoolArray:
-        """Whether the camera may be at points `(..., 3)` of the box, `(...)`."""
+    def reaches(self, points: FloatArray) -> BoolArray:
+        """See `Gridded.reaches`."""
         return self.plan.contains(points, self.reachable.clearance)
-
-    def grid(self) -> FloatArray:
-        """See `Space.grid`; z varies fastest."""
-        positions, reached = self._grid
-        return positions[reached]
-
-    def finer(self) -> "Prism":
-        """See `Space.finer`."""
-        return replace(self, spacing=tuple(np.broadcast_to(self.spacing, 3) / 2.0))
-
-    def jittered_grid(self, rng: np.random.Generator) -> FloatArray:
-        """See `Space.jittered_grid`: in the part of each cell that is in the reachable volume."""
-        positions, reached = self._grid
-        low, high = (corner[reached] for corner in cell_borders(self._grid_axes(), *self._box))
-        drawn, left = positions[reached], np.arange(reached.sum())
-        for _ in range(MOST_DRAWS):
-            tried = low[left] + rng.random((len(left), 3)) * (high[left] - low[left])
-            good = self._reaches(tried)
-            drawn[left[good]] = tried[good]
-            left = left[~good]
-            if not len(left):
-                break
-        return drawn
-
-    def sample(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """See `Space.sample`."""
-        low, high = self._box
-        drawn, tries = np.empty((0, 3)), 0
-        while len(drawn) < size:
-            if tries > (size + 1) / LEAST_SHARE:
-                raise InputError(
-                    f"reachable.clearance = {self.reachable.clearance:g} leaves positions of the grid, but next to no "
-                    "volume around them.",
-                    "reachable.clearance",
-                )
-            tried = rng.uniform(low, high, (size - len(drawn), 3))
-            tries += len(tried)
-            drawn = np.concatenate([drawn, tried[self._reaches(tried)]])
-        return drawn
 
     def surfaces(self) -> tuple[Surface, ...]:
         """See `Space.surfaces`."""
         return self.plan.carriers
-
-    def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
-        """See `Space.surfaces_of`; at an edge between two surfaces, the one whose normal is nearer."""
-        carriers, tolerance = SurfaceArrays.of(self.surfaces()), PLACEMENT_TOLERANCE
-        every = np.arange(len(carriers.normal))
-        at = carriers.coordinates(every, np.asarray(positions)[..., None, :])
-        within = ((at >= -tolerance) & (at <= carriers.extent + tolerance)).all(axis=-1)
-        hangs = within & (np.abs(carriers.depth(positions)) <= tolerance) & self.contains(positions)[..., None]
-        nearest = np.argmax(np.where(hangs, normals @ carriers.normal.T, -np.inf), axis=-1)
-        return np.where(hangs.any(axis=-1), nearest, -1)
 
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """See `Space.bounds`."""

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.space.allowed import EDGE, eroded, find_nearest, gathered, rectangle, sizes, spread, trapezoids
+from lmd.space.allowed import EDGE, eroded, find_nearest, gathered, polygons, rectangle, sizes, spread, trapezoids
 
 # Landmarks this far (m) outside still count as inside: a CSV rounded to micrometres is not an error.
 PLACEMENT_TOLERANCE = 1e-6
@@ -73,6 +73,13 @@ class Surface:
         allowed = None if region.equals(whole) else shapely.transform(region, lambda at: at - np.array([a, b]))
         return replace(self, origin=self.origin + a * self.u + b * self.v, extent=extent, allowed=allowed)
 
+    def where(self, region: Any) -> "Surface":
+        """The surface with landmarks allowed in a region of it only."""
+        import shapely
+
+        whole = shapely.box(0.0, 0.0, *self.extent)
+        return replace(self, allowed=None if region.equals(whole) else region)
+
     def point(self, a: FloatArray | float, b: FloatArray | float) -> FloatArray:
         """World points `(..., 3)` at surface coordinates `a`, `b` of shape `(...)`, metres."""
         a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
@@ -123,6 +130,27 @@ class Surface:
     def distance(self, points: FloatArray) -> FloatArray:
         """How far world points `(..., 3)` are from the surface, `(...)`, metres."""
         return np.asarray(np.linalg.norm(points - self.point(*self.coordinates(points)), axis=-1))
+
+
+def free_of(
+    face: Surface, region: Any, margin: float, band: Sequence[float] | None, taken: Sequence[Any]
+) -> Any:
+    """Where on a face landmarks may hang, in its coordinates; empty if nowhere.
+
+    Args:
+        face: upright ones only have the band.
+        region: what there is of it.
+        margin: to the edges of the region, along u and v, metres.
+        band: lowest and highest z, metres.
+        taken: what is not free.
+    """
+    import shapely
+
+    left = eroded(region, margin)
+    if band is not None and face.normal[2] == 0.0:
+        low, high = (z - float(face.origin[2]) for z in band)
+        left = left.intersection(shapely.box(0.0, low, face.extent[0], high))
+    return polygons(left.difference(shapely.union_all(taken)))
 
 
 class SurfaceArrays(NamedTuple):

@@ -1,0 +1,100 @@
+"""Rooms whose camera positions are those of a grid in a box, as far as they can be reached."""
+
+from abc import ABC, abstractmethod
+from dataclasses import replace
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+
+from lmd.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.space.grid import cell_borders, combined, grid_axes, grid_counts
+from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, SurfaceArrays
+
+# Draws of a position that is in the reachable volume, before its grid position is taken instead.
+MOST_DRAWS = 100
+LEAST_SHARE = 1e-4  # of the box around it that the reachable volume fills
+
+
+class Gridded(ABC):
+    """What such rooms share; a subclass is a frozen dataclass that also has the fields below."""
+
+    reachable: Any
+    spacing: Any
+    positions: str
+
+    @property
+    @abstractmethod
+    def box(self) -> tuple[FloatArray, FloatArray]:
+        """Corners of the box around the reachable volume, `(3,)` each."""
+
+    @abstractmethod
+    def reaches(self, points: FloatArray) -> BoolArray:
+        """Whether the camera may be at points `(..., 3)` of the box, `(...)`."""
+
+    @abstractmethod
+    def contains(self, points: FloatArray) -> BoolArray:
+        """See `Space.contains`."""
+
+    @abstractmethod
+    def surfaces(self) -> tuple[Surface, ...]:
+        """See `Space.surfaces`."""
+
+    def _grid_axes(self) -> list[FloatArray]:
+        low, high = self.box
+        return grid_axes(low, high, grid_counts(high - low, self.spacing, self.positions), self.positions)
+
+    @cached_property
+    def _grid(self) -> tuple[FloatArray, BoolArray]:
+        """All positions of the grid in the box, and which of them are in the reachable volume."""
+        positions = combined(self._grid_axes())
+        return positions, self.reaches(positions)
+
+    def grid(self) -> FloatArray:
+        """See `Space.grid`; z varies fastest."""
+        positions, reached = self._grid
+        return positions[reached]
+
+    def finer(self) -> Self:
+        """See `Space.finer`."""
+        return replace(self, spacing=tuple(np.broadcast_to(self.spacing, 3) / 2.0))  # type: ignore[type-var]
+
+    def jittered_grid(self, rng: np.random.Generator) -> FloatArray:
+        """See `Space.jittered_grid`: in the part of each cell that is in the reachable volume."""
+        positions, reached = self._grid
+        low, high = (corner[reached] for corner in cell_borders(self._grid_axes(), *self.box))
+        drawn, left = positions[reached], np.arange(reached.sum())
+        for _ in range(MOST_DRAWS):
+            tried = low[left] + rng.random((len(left), 3)) * (high[left] - low[left])
+            good = self.reaches(tried)
+            drawn[left[good]] = tried[good]
+            left = left[~good]
+            if not len(left):
+                break
+        return drawn
+
+    def sample(self, size: int, rng: np.random.Generator) -> FloatArray:
+        """See `Space.sample`."""
+        low, high = self.box
+        drawn, tries = np.empty((0, 3)), 0
+        while len(drawn) < size:
+            if tries > (size + 1) / LEAST_SHARE:
+                raise InputError(
+                    f"reachable.clearance = {self.reachable.clearance:g} leaves positions of the grid, but next to no "
+                    "volume around them.",
+                    "reachable.clearance",
+                )
+            tried = rng.uniform(low, high, (size - len(drawn), 3))
+            tries += len(tried)
+            drawn = np.concatenate([drawn, tried[self.reaches(tried)]])
+        return drawn
+
+    def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
+        """See `Space.surfaces_of`; at an edge between two surfaces, the one whose normal is nearer."""
+        carriers, tolerance = SurfaceArrays.of(self.surfaces()), PLACEMENT_TOLERANCE
+        every = np.arange(len(carriers.normal))
+        at = carriers.coordinates(every, np.asarray(positions)[..., None, :])
+        within = ((at >= -tolerance) & (at <= carriers.extent + tolerance)).all(axis=-1)
+        hangs = within & (np.abs(carriers.depth(positions)) <= tolerance) & self.contains(positions)[..., None]
+        nearest = np.argmax(np.where(hangs, normals @ carriers.normal.T, -np.inf), axis=-1)
+        return np.where(hangs.any(axis=-1), nearest, -1)
