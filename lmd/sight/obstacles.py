@@ -5,18 +5,23 @@ be seen: its centre, and for tags the corners of their black squares, too. The h
 the planes of the bodies are known beforehand, those of a landmark's points are found once for all positions. So a body
 is mostly out of the way after a few comparisons: if all are in front of one of its planes.
 
-A room without bodies has None in place of `Obstacles`, for which these functions are nothing at all.
+A room from a mesh has triangles in place of bodies (`lmd.space.triangles`). They are too many for heights above each:
+`Shadows` has the positions themselves, and each line is sent through the tree of the triangles.
+
+A room with nothing in the way has None in place of `Obstacles`, for which these functions are nothing at all.
 """
 
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 
 from lmd.checks import BoolArray, FloatArray
 from lmd.dispatch import overridable
 from lmd.geometry.upright import upright_axes
 from lmd.space.blockers import Blockers
 from lmd.space.space import Space
+from lmd.space.triangles import Triangles, is_crossed
 from lmd.tag import LEVEL, upright
 
 POINTS = 5  # of a tag: centre and corners
@@ -31,10 +36,19 @@ class Obstacles(NamedTuple):
     heights: np.ndarray
 
 
-def obstacles_at(blockers: Blockers | None, positions: FloatArray) -> Obstacles | None:
+class Shadows(NamedTuple):
+    """The triangles of a mesh, and P positions, `(P, 3)`, metres."""
+
+    triangles: Triangles
+    positions: np.ndarray
+
+
+def obstacles_at(blockers: Blockers | Triangles | None, positions: FloatArray) -> Obstacles | Shadows | None:
     """What stands in the way of cameras at `positions` `(P, 3)`."""
     if blockers is None:
         return None
+    if isinstance(blockers, Triangles):
+        return Shadows(blockers, np.ascontiguousarray(positions))
     return Obstacles(blockers.normals, blockers.offsets, blockers.first, blockers.heights(positions))
 
 
@@ -78,11 +92,17 @@ def _no_ends(obstacles, count):  # type: ignore[no-untyped-def]
     return np.empty((count, POINTS + 1, len(obstacles.offsets)))
 
 
+@no_ends.register(Shadows)
+def _no_end_points(obstacles, count):  # type: ignore[no-untyped-def]
+    return np.empty((count, POINTS, 3))
+
+
 @overridable
 def find_ends(obstacles, sight, x, y, z, nx, ny, nz, ends, k):  # type: ignore[no-untyped-def]
-    """Write the heights of the points of landmark k at (x, y, z) above the planes into `ends` `(K, 6, J)`.
+    """Write the points of landmark k at (x, y, z) into `ends`.
 
-    The last row are the least of them.
+    Before bodies these are heights above their planes, `(K, 6, J)`, of which the last row are the least; before
+    triangles the points themselves, `(K, 5, 3)`.
     """
 
 
@@ -90,20 +110,32 @@ def find_ends(obstacles, sight, x, y, z, nx, ny, nz, ends, k):  # type: ignore[n
 def _find_ends(obstacles, sight, x, y, z, nx, ny, nz, ends, k):  # type: ignore[no-untyped-def]
     half, normals, offsets = half_edge(sight), obstacles.normals, obstacles.offsets
     rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, LEVEL)
-    rx, ry, rz, ux, uy, uz = half * rx, half * ry, half * rz, half * ux, half * uy, half * uz
     for i in range(POINTS if half > 0.0 else 1):
-        # The centre, then r + u, -(r + u), r - u and -(r - u) from it.
-        way, up = (0.0 if i == 0 else 1.0 if i % 2 == 1 else -1.0), (1.0 if i < 3 else -1.0)
-        px, py, pz = x + way * (rx + up * ux), y + way * (ry + up * uy), z + way * (rz + up * uz)
+        px, py, pz = _point(i, half, x, y, z, rx, ry, rz, ux, uy, uz)
         for j in range(len(offsets)):
             height = normals[j, 0] * px + normals[j, 1] * py + normals[j, 2] * pz - offsets[j]
             ends[k, i, j] = height
             ends[k, POINTS, j] = height if i == 0 else min(height, ends[k, POINTS, j])
 
 
+@find_ends.register(Shadows)
+def _find_end_points(obstacles, sight, x, y, z, nx, ny, nz, ends, k):  # type: ignore[no-untyped-def]
+    half = half_edge(sight)
+    rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, LEVEL)
+    for i in range(POINTS if half > 0.0 else 1):
+        ends[k, i, 0], ends[k, i, 1], ends[k, i, 2] = _point(i, half, x, y, z, rx, ry, rz, ux, uy, uz)
+
+
+@njit(inline="always")
+def _point(i, half, x, y, z, rx, ry, rz, ux, uy, uz):  # type: ignore[no-untyped-def]
+    """Point i of a landmark at (x, y, z) with right r and up u: the centre, then r + u, -(r + u), r - u, -(r - u)."""
+    way, up = half * (0.0 if i == 0 else 1.0 if i % 2 == 1 else -1.0), 1.0 if i < 3 else -1.0
+    return x + way * (rx + up * ux), y + way * (ry + up * uy), z + way * (rz + up * uz)
+
+
 @overridable
 def is_blocked(obstacles, sight, p, ends, k):  # type: ignore[no-untyped-def]
-    """Whether a body blocks landmark k from position p; `ends` as in `find_ends`."""
+    """Whether something blocks landmark k from position p; `ends` as in `find_ends`."""
     return False
 
 
@@ -130,4 +162,13 @@ def _is_blocked(obstacles, sight, p, ends, k):  # type: ignore[no-untyped-def]
                 break
             if turn > 0 and entered < left:
                 return True
+    return False
+
+
+@is_blocked.register(Shadows)
+def _is_shadowed(obstacles, sight, p, ends, k):  # type: ignore[no-untyped-def]
+    at, triangles = obstacles.positions, obstacles.triangles
+    for i in range(POINTS if half_edge(sight) > 0.0 else 1):
+        if is_crossed(triangles, at[p, 0], at[p, 1], at[p, 2], ends[k, i, 0], ends[k, i, 1], ends[k, i, 2]):
+            return True
     return False

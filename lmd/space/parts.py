@@ -134,6 +134,38 @@ class Reachable:
         object.__setattr__(self, "clearance", real("clearance", self.clearance, low=0.0))
 
 
+@dataclass(frozen=True)
+class FreeVolume:
+    """Where in a mesh the camera may be: between two heights or in a box, and away from triangles.
+
+    Args:
+        height: lowest and highest z, metres; all along x and y.
+        low, high: corners of a box in place of that, metres.
+        clearance: from every triangle but floor and ceiling, metres.
+
+    Raises:
+        InputError: not just one of both is given, they are in the wrong order, or the clearance is negative.
+    """
+
+    height: Sequence[float] | None = None
+    low: Sequence[float] | None = None
+    high: Sequence[float] | None = None
+    clearance: float = 0.0
+
+    def __post_init__(self) -> None:
+        if (self.height is None) == (self.low is None) or (self.low is None) != (self.high is None):
+            raise InputError("height, or low and high in its place, must be given.", "height")
+        object.__setattr__(self, "clearance", real("clearance", self.clearance, low=0.0))
+        if self.height is not None:
+            object.__setattr__(self, "height", Reachable(self.height).height)
+            return
+        low, high = vector("low", self.low, 3), vector("high", self.high, 3)
+        if any(a > b for a, b in zip(low, high, strict=True)):
+            raise InputError(f"low = {list(low)} exceeds high = {list(high)}.", "low")
+        object.__setattr__(self, "low", low)
+        object.__setattr__(self, "high", high)
+
+
 def made(name: str, kind: type[T], value: Any) -> T:
     """A part of a class from what a user gave: the part itself, or a mapping of its arguments.
 

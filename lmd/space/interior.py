@@ -1,0 +1,100 @@
+"""Which points are in a room of triangles: those from which one gets to its largest free piece without crossing any."""
+
+import itertools
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from lmd.checks import BoolArray, FloatArray, IntArray
+from lmd.space.grid import combined, grid_axes, grid_counts
+from lmd.space.triangles import Triangles
+
+# Between nodes, metres; more where there would be too many.
+STEP, MOST_NODES = 0.2, 400_000
+# Nodes are at least so far from every triangle, metres: one in the plane of a triangle would lead through it.
+GAP = 1e-3
+# A point is asked for lines to nodes up to so many steps away.
+AROUND = 2
+
+
+@dataclass(frozen=True)
+class Interior:
+    """The free space of a mesh, found out by nodes in a grid that are joined where the way to the next is clear.
+
+    A node has something below it: outside of the walls there mostly is no floor. The room is the piece of joined nodes
+    with the largest volume; what is inside of furniture and walls are other pieces.
+
+    Args:
+        triangles: the mesh.
+        low, high: corners of the box around it, `(3,)`, metres.
+    """
+
+    triangles: Triangles
+    low: FloatArray
+    high: FloatArray
+
+    @cached_property
+    def _step(self) -> float:
+        return max(STEP, float(np.cbrt(np.prod(self.high - self.low) / MOST_NODES)))
+
+    @cached_property
+    def _shape(self) -> tuple[int, int, int]:
+        return grid_counts(self.high - self.low, self._step, "cells")
+
+    @cached_property
+    def _axes(self) -> list[FloatArray]:
+        return grid_axes(self.low, self.high, self._shape, "cells")
+
+    @cached_property
+    def nodes(self) -> tuple[FloatArray, BoolArray]:
+        """All nodes `(N, 3)`, metres, and which of them are in the room `(N,)`."""
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
+        at, clear = combined(self._axes), self.triangles.clear
+        below = at.copy()
+        below[:, 2] = self.low[2] - 1.0
+        free = (self.triangles.distance(at, GAP) >= GAP) & ~clear(at, below)
+        index = np.arange(len(at)).reshape(self._shape)
+        pairs = np.concatenate(
+            [
+                np.stack([index.take(range(n - 1), axis).ravel(), index.take(range(1, n), axis).ravel()])
+                for axis, n in enumerate(self._shape)
+            ],
+            axis=1,
+        )
+        pairs = pairs[:, free[pairs].all(axis=0)]
+        pairs = pairs[:, clear(at[pairs[0]], at[pairs[1]])]
+        links = coo_array((np.ones(pairs.shape[1]), tuple(pairs)), shape=(len(at), len(at)))
+        _, piece = connected_components(links, directed=False)
+        return at, free & (piece == np.bincount(piece[free], minlength=1).argmax()) if free.any() else free
+
+    def contains(self, points: FloatArray) -> BoolArray:
+        """Whether points `(..., 3)` of the box are in the room or on its walls, `(...)`."""
+        nodes, inside = self.nodes
+        flat = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+        found, left = np.zeros(len(flat), dtype=np.bool_), np.arange(len(flat))
+        # In steps from the first node.
+        at = np.stack([(flat[:, i] - axis[0]) / max(self._pitch[i], 1e-12) for i, axis in enumerate(self._axes)], axis=1)
+        for offset in _nearest_first():
+            node = np.floor(at[left]).astype(int) + offset
+            here = ((node >= 0) & (node < self._shape)).all(axis=1)
+            number = np.ravel_multi_index(tuple(np.where(here[:, None], node, 0).T), self._shape)
+            here &= inside[number]
+            asked = left[here]
+            found[asked] = self.triangles.clear(flat[asked], nodes[number[here]])
+            left = left[~found[left]]
+            if not len(left):
+                break
+        return found.reshape(points.shape[:-1])
+
+    @cached_property
+    def _pitch(self) -> FloatArray:
+        return np.array((self.high - self.low) / self._shape)
+
+
+def _nearest_first() -> IntArray:
+    """Offsets to the nodes around a cell, from its lowest corner, `(M, 3)`."""
+    offsets = np.array(list(itertools.product(range(1 - AROUND, 1 + AROUND), repeat=3)))
+    return offsets[np.argsort(np.abs(offsets - 0.5).sum(axis=1), kind="stable")]

@@ -1,0 +1,139 @@
+"""A room from a mesh, and where in it the camera may be."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from lmd.checks import BoolArray, FloatArray, InputError, choice
+from lmd.space.cuboid import box_edges
+from lmd.space.grid import KINDS, checked_spacing
+from lmd.space.gridded import Gridded
+from lmd.space.parts import FreeVolume, made
+from lmd.space.relevance import Relevance
+from lmd.space.scan import Scan
+from lmd.space.surface import PLACEMENT_TOLERANCE, Surface
+from lmd.space.triangles import Triangles
+
+
+@dataclass(frozen=True)
+class MeshRoom(Gridded):
+    """A room from a mesh; a `lmd.space.space.Space`.
+
+    Positions are those of a grid in the box around the mesh, less the clearance, or in a box that is given, which are
+    in the free space and keep the clearance.
+
+    Args:
+        scan: the mesh.
+        reachable: where the camera may be, a `FreeVolume` or a mapping of its arguments.
+        spacing: largest distance between neighbouring positions, metres: one number or one per axis.
+        positions: `cells` puts a position at the centre of each grid cell, `vertices` at each grid vertex.
+        relevance: Rel(p), how much each position matters.
+
+    Raises:
+        InputError: the reachable volume leaves the mesh or is empty, a value is out of range, or so many positions
+            would not fit into memory.
+    """
+
+    scan: Scan
+    reachable: Any
+    spacing: Any
+    positions: str = "cells"
+    relevance: Relevance = field(default_factory=Relevance)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "reachable", made("reachable", FreeVolume, self.reachable))
+        choice("positions", self.positions, KINDS)
+        (low, high), (lowest, highest) = self.box, self.bounds()
+        name = "reachable.height" if self.reachable.low is None else "reachable.low"
+        if (low > high).any() or (low < lowest - PLACEMENT_TOLERANCE).any() or (high > highest + PLACEMENT_TOLERANCE).any():
+            ranges = ", ".join(f"{a:.4g} to {b:.4g}" for a, b in zip(lowest, highest, strict=True))
+            raise InputError(
+                f"{name} and clearance = {self.reachable.clearance:g} leave nothing of the mesh, whose x, y and z go "
+                f"from {ranges} m.",
+                name,
+            )
+        object.__setattr__(self, "spacing", checked_spacing(self.spacing, (high - low).tolist()))
+        if not len(self.grid()):
+            raise InputError(
+                f"{name} and clearance = {self.reachable.clearance:g} hold no position of the grid: triangles leave "
+                "nothing, there is no floor below, or spacing is too large.",
+                name,
+            )
+        self.surfaces()  # raises where nothing may hang
+
+    @cached_property
+    def box(self) -> tuple[FloatArray, FloatArray]:
+        """See `Gridded.box`."""
+        if self.reachable.low is not None:
+            return np.array(self.reachable.low), np.array(self.reachable.high)
+        (low, high), clearance = self.scan.bounds, self.reachable.clearance
+        bottom, top = self.reachable.height
+        return np.append(low[:2] + clearance, bottom), np.append(high[:2] - clearance, top)
+
+    def reaches(self, points: FloatArray) -> BoolArray:
+        """See `Gridded.reaches`."""
+        reached = self.scan.keeps_away(points, self.reachable.clearance)
+        reached[reached] = self.scan.interior.contains(points[reached])
+        return reached
+
+    @cached_property
+    def _surfaces(self) -> tuple[Surface, ...]:
+        return self.scan.carriers(self.grid())
+
+    def surfaces(self) -> tuple[Surface, ...]:
+        """See `Space.surfaces`."""
+        return self._surfaces
+
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """See `Space.bounds`."""
+        return self.scan.bounds
+
+    def contains(self, points: FloatArray) -> BoolArray:
+        """See `Space.contains`."""
+        return self.scan.interior.contains(points)
+
+    def blockers(self) -> Triangles:
+        """See `Space.blockers`."""
+        return self.scan.triangles
+
+    def clear(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
+        """See `Space.clear`."""
+        return self.scan.triangles.clear(starts, ends)
+
+    def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
+        """See `Space.passable`: the whole way keeps the clearance."""
+        free, clearance = self.clear(starts, ends), self.reachable.clearance
+        return free if self.scan.solids is None else free & self.scan.solids.keeps_away(starts, ends, clearance)
+
+    def faces(self) -> tuple[Surface, ...]:
+        """See `Space.faces`."""
+        return self.scan.faces
+
+    def outline(self) -> dict[str, FloatArray]:
+        """See `Space.outline`; of the reachable area the box around its positions."""
+        grid, kept_out = self.grid(), self.scan.kept_out(self.surfaces())
+        parts = {"room": self.scan.edges}
+        if kept_out:
+            parts["nothing hangs here"] = np.concatenate(
+                [np.stack([ring, np.roll(ring, -1, axis=0)], axis=1) for ring in kept_out]
+            )
+        return parts | {"reachable area": box_edges(grid.min(axis=0), grid.max(axis=0))}
+
+    def describe(self) -> str:
+        """See `Space.describe`."""
+        low, high = self.bounds()
+        return f"room from a mesh of {' x '.join(f'{length:.4g}' for length in high - low)} m"
+
+
+def from_mesh(
+    path: Any,
+    reachable: Any,
+    spacing: Any,
+    positions: str = "cells",
+    relevance: Relevance | None = None,
+    **scan: Any,
+) -> MeshRoom:
+    """A `MeshRoom` from the arguments of its mesh and its own, side by side."""
+    return MeshRoom(Scan(path, **scan), reachable, spacing, positions, relevance or Relevance())

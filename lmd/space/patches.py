@@ -1,0 +1,55 @@
+"""Planar patches of a mesh: adjacent triangles in one plane, as surfaces."""
+
+import numpy as np
+
+from lmd.checks import FloatArray, IntArray
+from lmd.optional import optional
+from lmd.space.allowed import polygons
+from lmd.space.mesh_file import Mesh
+from lmd.space.surface import Surface
+from lmd.tag import upright
+
+# Two triangles whose normals differ by less than this angle, rad, are in one plane, as long as all corners of the patch
+# are so near to it, metres.
+BENT, UNEVEN = 1e-3, 1e-3
+# Borders are straight where no more than this is cut off, metres.
+STRAIGHT = 1e-6
+
+
+def flat_parts(mesh: Mesh) -> list[IntArray]:
+    """The triangles of each largest part of an object that is not bent at any edge, largest area first."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    body = optional("trimesh", "mesh").Trimesh(mesh.vertices, mesh.faces, process=False)
+    one, other = body.face_adjacency.T
+    joined = (body.face_adjacency_angles < BENT) & (mesh.of[one] == mesh.of[other])
+    pairs, count = (one[joined], other[joined]), len(mesh.faces)
+    number, label = connected_components(coo_array((np.ones(joined.sum()), pairs), shape=(count, count)), False)
+    area = np.bincount(label, body.area_faces)
+    parts = np.split(np.argsort(label, kind="stable"), np.cumsum(np.bincount(label))[:-1])
+    return [parts[i] for i in np.argsort(-np.round(area, 9), kind="stable")]
+
+
+def plane_of(corners: FloatArray) -> tuple[FloatArray, float]:
+    """The mean unit normal of triangles `(T, 3, 3)`, `(3,)`, and how far their corners are from its plane, metres."""
+    total = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0)
+    normal = total / np.linalg.norm(total) + 0.0
+    return normal, float(np.ptp(corners @ normal)) / 2.0
+
+
+def surface_of(name: str, corners: FloatArray, normal: FloatArray) -> Surface:
+    """Triangles `(T, 3, 3)` in one plane as a surface, with their shape as where landmarks may hang.
+
+    Its u and v are right and up as seen from where `normal` `(3,)` points.
+    """
+    import shapely
+
+    u, v = (way + 0.0 for way in upright(normal))
+    depth = corners @ normal
+    at = np.stack([corners @ u, corners @ v], axis=-1)
+    low, high = at.min(axis=(0, 1)), at.max(axis=(0, 1))
+    shape = polygons(shapely.simplify(shapely.union_all(shapely.polygons(at - low)), STRAIGHT))
+    origin = (depth.min() + depth.max()) / 2.0 * normal + low[0] * u + low[1] * v
+    length, width = (high - low).tolist()
+    return Surface(name, origin + 0.0, u, v, normal, (length, width)).where(shape)

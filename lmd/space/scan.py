@@ -1,0 +1,247 @@
+"""What a mesh of a room says: where landmarks may hang on it, what is free, and what is in the way."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lmd.checks import BoolArray, FloatArray, InputError, IntArray, choice, real
+from lmd.space.allowed import eroded, polygons
+from lmd.space.interior import Interior
+from lmd.space.mesh_file import Mesh, read_mesh
+from lmd.space.parts import KeepOut, all_made, checked_band, checked_names
+from lmd.space.patches import UNEVEN, flat_parts, plane_of, surface_of
+from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
+from lmd.space.triangles import Triangles, unit_normals
+
+# Floor and ceiling: level triangles so near to the lowest or the highest point of the mesh, metres.
+STOREY = 0.1
+LEVEL = 0.999  # vertical part of the normal of what is level
+# Nothing hangs where something stands so near before the surface, metres.
+BEFORE = 0.01
+# Which side of a patch is the room's is asked at so many places, this far (m) before it, from so many positions.
+PLACES, AWAY, WITNESSES = 9, 1e-3, 300
+# Edges between faces that differ by more, rad, are drawn, the longest of them.
+CREASE, MOST_EDGES = 0.35, 5000
+
+
+@dataclass(frozen=True)
+class Scan:
+    """A room from a triangle mesh: a scan or a CAD model. It keeps the coordinates of the file, turned to z up.
+
+    Its planar patches are surfaces: adjacent triangles of one object in one plane, if a square of `least_area` hangs
+    there. They have the name of their object in the file, with a number from the largest if it has several; `patch_0`,
+    `patch_1`, ... where the file names none. All triangles block the line of sight, from both sides.
+
+    Args:
+        path: the file, see `lmd.space.mesh_file.read_mesh`.
+        scale: metres in a unit of the file.
+        up: which of its axes points up, `z` or `y`; None for what its format says.
+        least_area: of a square that hangs on a patch upright, square metres.
+        surfaces: names of the patches that may carry landmarks; None for all.
+        keep_out: `KeepOut`s, or mappings of their arguments; (a, b) are metres to the right and up from the lower left
+            corner of the rectangle around the patch, seen from the room.
+        band: lowest and highest z at which landmarks may hang on upright patches, metres; None for all heights.
+        margin: from where landmarks may hang to the edges of a patch, along its u and v, metres.
+
+    Raises:
+        InputError: the file is none of a room, it has no patch large enough, or a name is not known.
+    """
+
+    path: str
+    scale: float = 1.0
+    up: str | None = None
+    least_area: float = 0.1
+    surfaces: Sequence[str] | None = None
+    keep_out: Sequence[Any] = ()
+    band: Sequence[float] | None = None
+    margin: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "path", str(self.path) if isinstance(self.path, Path) else self.path)
+        object.__setattr__(self, "scale", real("scale", self.scale, above=0.0))
+        object.__setattr__(self, "least_area", real("least_area", self.least_area, above=0.0))
+        object.__setattr__(self, "keep_out", all_made("keep_out", KeepOut, self.keep_out))
+        object.__setattr__(self, "band", checked_band(self.band))
+        object.__setattr__(self, "margin", real("margin", self.margin, low=0.0))
+        if not self._patches:
+            raise InputError(
+                f"least_area = {self.least_area:g} m2 is more than any planar patch of {self.path!r} has.", "least_area"
+            )
+        if self.surfaces is not None:
+            object.__setattr__(self, "surfaces", checked_names("surfaces", self.surfaces, list(self._patches)))
+        for i, part in enumerate(self.keep_out):
+            choice(f"keep_out[{i}].surface", part.surface, list(self._patches))
+
+    @cached_property
+    def mesh(self) -> Mesh:
+        """The triangles."""
+        return read_mesh(self.path, self.scale, self.up)
+
+    @cached_property
+    def triangles(self) -> Triangles:
+        """All of them; their tolerance is more than what any patch is uneven."""
+        uneven = [plane_of(self._corners[part])[1] for part in self._patches.values()]
+        return Triangles.of(self.mesh.vertices, self.mesh.faces, PLACEMENT_TOLERANCE + max(uneven))
+
+    @cached_property
+    def solids(self) -> Triangles | None:
+        """Those from which the camera keeps its clearance: all but floor and ceiling."""
+        z, (low, high) = self._corners[..., 2], self.bounds
+        level = np.abs(unit_normals(self._corners)[:, 2]) > LEVEL
+        ends = (z.max(axis=1) < low[2] + STOREY) | (z.min(axis=1) > high[2] - STOREY)
+        faces = self.mesh.faces[~(level & ends)]
+        return Triangles.of(self.mesh.vertices, faces, self.triangles.tolerance) if len(faces) else None
+
+    @cached_property
+    def interior(self) -> Interior:
+        """The free space in it."""
+        return Interior(self.triangles, *self.bounds)
+
+    @cached_property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper corner of the box around the mesh, `(3,)` each."""
+        return self.mesh.vertices.min(axis=0), self.mesh.vertices.max(axis=0)
+
+    @cached_property
+    def _corners(self) -> FloatArray:
+        return self.mesh.vertices[self.mesh.faces]
+
+    @cached_property
+    def _flat(self) -> list[IntArray]:
+        return flat_parts(self.mesh)
+
+    @cached_property
+    def _patches(self) -> dict[str, IntArray]:
+        """The triangles of the patches that are large enough, by their names, the largest first."""
+        edge, chosen = np.sqrt(self.least_area), []
+        for part in self._flat:
+            corners = self._corners[part]
+            if np.linalg.norm(np.cross(*(corners[:, i] - corners[:, 0] for i in (1, 2))), axis=1).sum() / 2.0 < (
+                self.least_area * (1.0 - 1e-6)
+            ):
+                break  # they come by their area
+            normal, uneven = plane_of(corners)
+            if uneven <= UNEVEN:
+                surface = surface_of("", corners, normal)
+                if not eroded(_shape(surface), edge * (0.5 - 1e-6)).is_empty:
+                    chosen.append(part)
+        objects = [int(self.mesh.of[part[0]]) for part in chosen]
+        named: dict[str, IntArray] = {}
+        for i, (part, number) in enumerate(zip(chosen, objects, strict=True)):
+            name, rank = self.mesh.names[number] or "patch", objects[:i].count(number)
+            named[name if objects.count(number) == 1 and name != "patch" else f"{name}_{rank}"] = part
+        return named
+
+    def carriers(self, positions: FloatArray) -> tuple[Surface, ...]:
+        """The surfaces that may carry landmarks, towards the side from which most of `positions` `(P, 3)` see them.
+
+        Of patches that were not asked for by name, those that are seen from nowhere or have no room left are left out.
+
+        Raises:
+            InputError: one of `surfaces` is such a patch, or none is left.
+        """
+        chosen = positions[np.unique(np.linspace(0, len(positions) - 1, WITNESSES).astype(int))]
+        carriers = []
+        for name in self.surfaces or self._patches:
+            surface = self._facing(name, chosen)
+            region = None if surface is None else self._free(surface)
+            if surface is not None and region is not None:
+                carriers.append(surface.where(region))
+            elif self.surfaces is not None:
+                why = "is seen from nowhere" if surface is None else "has no place left where anything may hang"
+                raise InputError(f"surfaces: {name} {why}.", "surfaces")
+        if not carriers:
+            raise InputError("surfaces: no patch is seen from where the camera may be.", "surfaces")
+        return tuple(carriers)
+
+    def _facing(self, name: str, positions: FloatArray) -> Surface | None:
+        """A patch as it is seen from more of the positions; None if from none."""
+        corners = self._corners[self._patches[name]]
+        normal, _ = plane_of(corners)
+        surface = surface_of(name, corners, normal)
+        places = np.array([surface.point(*at) for at in surface.grid(PLACES)])
+        front, back = (
+            int(self.triangles.clear(positions[:, None], places + AWAY * way).sum()) for way in (normal, 0.0 - normal)
+        )
+        if not front and not back:
+            return None
+        return surface if front >= back else surface_of(name, corners, 0.0 - normal)
+
+    def _free(self, surface: Surface) -> Any:
+        """Where on a patch landmarks may hang, None if not even a square of `least_area` does."""
+        taken = [self._standing(surface)]
+        taken += [kept_out for part, kept_out in self._kept_out(surface)]
+        region = free_of(surface, _shape(surface), self.margin, self.band, taken)
+        return None if eroded(region, np.sqrt(self.least_area) * (0.5 - 1e-6)).is_empty else region
+
+    def _kept_out(self, surface: Surface) -> list[tuple[KeepOut, Any]]:
+        import shapely
+
+        return [(part, shapely.Polygon(part.ring)) for part in self.keep_out if part.surface == surface.name]
+
+    def _standing(self, surface: Surface) -> Any:
+        """What other triangles cover of a patch, in its coordinates: they lie on it, or are less than `BEFORE` away."""
+        import shapely
+
+        other = np.ones(len(self._corners), dtype=np.bool_)
+        other[self._patches[surface.name]] = False
+        depth = (self._corners - surface.origin) @ surface.normal
+        near = other & (depth.min(axis=1) <= BEFORE) & (depth.max(axis=1) >= -PLACEMENT_TOLERANCE)
+        shapes = []
+        for corners, height in zip(self._corners[near] - surface.origin, depth[near], strict=True):
+            part = _between(corners, height, -PLACEMENT_TOLERANCE, BEFORE)
+            shapes.append(shapely.MultiPoint(np.stack([part @ surface.u, part @ surface.v], axis=1)).convex_hull)
+        return polygons(shapely.union_all([shape for shape in shapes if shape.geom_type == "Polygon"]))
+
+    @cached_property
+    def faces(self) -> tuple[Surface, ...]:
+        """All that is seen, each from both sides."""
+        found = []
+        for part in self._flat:
+            corners = self._corners[part]
+            normal, _ = plane_of(corners)
+            found += [surface_of("", corners, way) for way in (normal, 0.0 - normal)]
+        return tuple(found)
+
+    @cached_property
+    def edges(self) -> FloatArray:
+        """Where it is bent or ends, to draw it, `(M, 2, 3)`."""
+        triangles, corners = self.triangles, self.triangles.corners
+        ends = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 3)
+        turn = (triangles.beyond * triangles.normals[:, None]).sum(axis=-1).reshape(-1)
+        drawn = ends[turn < np.cos(CREASE)]
+        drawn = np.unique(np.sort(drawn.view([("", float)] * 3), axis=1).view(float).reshape(-1, 6), axis=0)
+        drawn = drawn.reshape(-1, 2, 3)
+        length = np.linalg.norm(drawn[:, 1] - drawn[:, 0], axis=1)
+        return np.asarray(drawn[np.sort(np.argsort(-length, kind="stable")[:MOST_EDGES])])
+
+    def kept_out(self, surfaces: Sequence[Surface]) -> list[FloatArray]:
+        """The vertices of the keep-outs on surfaces, `(N, 3)` each, world frame, metres."""
+        return [surface.point(*np.array(part.ring).T) for surface in surfaces for part, _ in self._kept_out(surface)]
+
+    def keeps_away(self, points: FloatArray, clearance: float) -> BoolArray:
+        """Whether points `(..., 3)` are so far from all but floor and ceiling, `(...)`."""
+        if self.solids is None or not clearance:
+            return np.ones(points.shape[:-1], dtype=np.bool_)
+        return self.solids.distance(points, clearance) >= clearance - PLACEMENT_TOLERANCE
+
+
+def _shape(surface: Surface) -> Any:
+    import shapely
+
+    return shapely.box(0.0, 0.0, *surface.extent) if surface.allowed is None else surface.allowed
+
+
+def _between(corners: FloatArray, height: FloatArray, low: float, high: float) -> FloatArray:
+    """Corners of the part of a triangle `(3, 3)` whose heights `(3,)` are from `low` to `high`, `(m, 3)`, any order."""
+    found = [corners[(height >= low) & (height <= high)]]
+    for i, j in ((0, 1), (1, 2), (2, 0)):
+        for limit in (low, high):
+            if (height[i] - limit) * (height[j] - limit) < 0.0:
+                share = (limit - height[i]) / (height[j] - height[i])
+                found.append((corners[i] + share * (corners[j] - corners[i]))[None])
+    return np.concatenate(found)
