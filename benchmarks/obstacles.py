@@ -1,15 +1,17 @@
 """What obstacles cost: `python benchmarks/obstacles.py [--rounds 5]`.
 
-The paper's room, all of it between 0.75 and 5.25 m reachable, as a cuboid, and the same with ten boxes and two pillars:
-what an evaluation and a move of a single landmark take per position. All are timed in turn, on one thread; the least of
+The paper's room, all of it between 0.75 and 5.25 m reachable, as a cuboid, the same with ten boxes and two pillars, and
+as a mesh: with ten boxes, and with these and balls of some 10,000 and 100,000 triangles. What an evaluation and a move of a single landmark take per position. All are timed in turn, on one thread; the least of
 the rounds counts.
 """
 
 import argparse
+import tempfile
 import time
 from collections.abc import Callable
 
 import numpy as np
+import trimesh
 
 from lmd import pdf
 from lmd.camera import Camera
@@ -24,6 +26,7 @@ from lmd.sight.fiducial import Fiducial
 from lmd.sight.paper import Visibility
 from lmd.space.cuboid import Cuboid
 from lmd.space.floor_plan import FloorPlan
+from lmd.space.mesh_room import from_mesh
 from lmd.space.parts import Reachable
 from lmd.space.prism import Prism
 from lmd.space.space import Space
@@ -58,10 +61,23 @@ def rooms() -> dict[str, Space]:
     pillars = [[[x, 2.0], [x + 0.4, 2.0], [x + 0.4, 2.4], [x, 2.4]] for x in (2.0, 5.0)]
     walls = [[0.0, 0.0], [7.5, 0.0], [7.5, 5.0], [0.0, 5.0]]
     plan = FloorPlan(walls, 6.0, holes=pillars, obstacles=boxes)
+    shell = trimesh.creation.box(bounds=[np.zeros(3), SIZE])
+    things = [shell, *(trimesh.creation.box(bounds=[box["low"], box["high"]]) for box in boxes)]
+    balls = [trimesh.creation.icosphere(4, 0.4).apply_translation(at * SIZE) for at in rng.uniform(0.1, 0.9, (20, 3))]
+    meshes = {"boxes": things, "boxes, 2 balls": things + balls[:2], "boxes, 20 balls": things + balls}
     return {
         "empty": Cuboid((7.5, 5.0, 6.0), (7.5, 5.0, 4.5), 0.5),
         "ten boxes, two pillars": Prism(plan, Reachable((0.75, 5.25), 0.0), 0.5),
+        **{f"mesh: {name}": as_mesh(parts) for name, parts in meshes.items()},
     }
+
+
+def as_mesh(parts: list[trimesh.Trimesh]) -> Space:
+    """The room of some meshes."""
+    whole = trimesh.util.concatenate(parts)
+    with tempfile.NamedTemporaryFile(suffix=".stl") as file:
+        whole.export(file.name)
+        return from_mesh(file.name, {"height": [0.75, 5.25]}, 0.5)
 
 
 def tasks(room: Space, visibility: Criteria) -> tuple[int, dict[str, Callable[[], object]]]:

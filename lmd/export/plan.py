@@ -41,8 +41,7 @@ class View:
     @property
     def allowed(self) -> list[FloatArray]:
         """Polygons `(4, 2)` that together are where tags may hang."""
-        a, b = self.surface.pieces.T[[0, 1, 1, 0]], self.surface.pieces.T[[2, 3, 5, 4]]
-        return list(np.swapaxes(self.place(self.surface.point(a, b)), 0, 1))
+        return list(self.place(self.surface.point(*np.moveaxis(self.surface.parts, -1, 0))))
 
     @property
     def seen(self) -> str:

@@ -49,22 +49,21 @@ class Canvas:
         return np.asarray(image[:, :2] / image[:, 2:])
 
     def surface(
-        self, plane: FloatArray, extent: tuple[float, float], grey: float, pattern: Float32Array | None
+        self, plane: FloatArray, part: FloatArray, grey: float, pattern: Float32Array | None
     ) -> FloatArray:
-        """Draw a rectangle.
+        """Draw a part of a plane.
 
         Args:
-            plane: columns u, v (unit) and the corner between them, camera frame, metres, `(3, 3)`.
-            extent: along u and v, metres.
+            plane: columns u, v (unit) and the place where both are 0, camera frame, metres, `(3, 3)`.
+            part: a convex polygon along u and v, none of it below 0, `(M, 2)`, metres.
             grey: grey level.
-            pattern: added to it, `(T, T)` texels of `TEXEL` metres, repeated where the rectangle is larger; None for a
+            pattern: added to it, `(T, T)` texels of `TEXEL` metres, repeated where the polygon is larger; None for a
                 plain one.
 
         Returns:
             Its image outline, `(m, 2)`.
         """
-        a, b = extent
-        outline = self.outline(np.array([[0.0, 0.0, 1.0], [a, 0.0, 1.0], [a, b, 1.0], [0.0, b, 1.0]]) @ plane.T)
+        outline = self.outline(np.insert(part, 2, 1.0, axis=1) @ plane.T)
         window = self._window(outline, 0)
         if window is None:
             return outline
@@ -75,8 +74,8 @@ class Canvas:
         drawn = np.full((height, width), grey, dtype=np.float32)
         if pattern is not None:
             texels = plane @ np.diag([TEXEL, TEXEL, 1.0])
-            # Repeating is several times as slow, also outside the rectangle.
-            covers = max(extent) <= len(pattern) * TEXEL
+            # Repeating is several times as slow, also outside the polygon.
+            covers = part.max() <= len(pattern) * TEXEL
             border = self.cv2.BORDER_REPLICATE if covers else self.cv2.BORDER_WRAP
             drawn += self._warp(pattern, self.matrix @ texels, window, 1, border)
         self.cv2.copyTo(drawn, mask, part)

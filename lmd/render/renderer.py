@@ -14,7 +14,7 @@ from lmd.optional import optional
 from lmd.render.canvas import NEAR, Canvas, covering
 from lmd.render.imaging import Float32Array, Imaging, UInt8Array
 from lmd.render.optics import blur_sigma, image_size, intrinsics, project, rectified, to_camera
-from lmd.render.room import TaggedRoom
+from lmd.render.room import Surface, TaggedRoom
 
 # Pictures averaged to one with motion blur, at most.
 MOST_STEPS = 64
@@ -79,19 +79,19 @@ class Renderer:
         matrix[:2, 2] -= low
         canvas = Canvas(matrix, (int(high[0] - low[0]), int(high[1] - low[1])), self.imaging)
         position, room = pose[:3, 3], self.room
-        seen = [s for s in room.surfaces if (position - s.origin) @ s.normal > 0.0]
-        seen.sort(key=lambda s: -float(np.linalg.norm(s.origin + (np.array(s.extent) / 2.0) @ [s.u, s.v] - position)))
+        seen = [(s, part) for s in room.surfaces if (position - s.origin) @ s.normal > 0.0 for part in s.parts]
+        seen.sort(key=lambda one: -float(np.linalg.norm(_middle(*one) - position)))
         outlines = []
-        for s in seen:
+        for s, part in seen:
             plane = (np.stack([s.u, s.v, s.origin - position]) @ pose[:3, :3]).T
-            outlines.append(canvas.surface(plane, s.extent, float(self.imaging.shade(s.normal)), self._pattern))
+            outlines.append(canvas.surface(plane, part, float(self.imaging.shade(s.normal)), self._pattern))
         if seen:
             canvas.blur(self.imaging.psf_sigma)
         squares = to_camera(pose, room.corners.reshape(-1, 3)).reshape(-1, 4, 3)
         offset = position - room.centres
         front = ((offset * room.normals).sum(axis=1) > 0.0) & (squares[..., 2] > NEAR).any(axis=1)
         for k in sorted(np.flatnonzero(front), key=lambda k: -float(np.linalg.norm(offset[k]))):
-            depth = np.array([(room.centres[k] - s.origin) @ s.normal for s in seen])
+            depth = np.array([(room.centres[k] - s.origin) @ s.normal for s, _ in seen])
             hidden_by = [outlines[i] for i in np.flatnonzero(depth < -FLUSH)]
             canvas.tag(room.tag, int(room.ids[k]), squares[k], self._sigma(squares[k]), hidden_by)
         return canvas.light
@@ -134,7 +134,7 @@ class Renderer:
         """The pattern on every surface."""
         if self.imaging.texture == 0.0:
             return None
-        longest = max((max(surface.extent) for surface in self.room.surfaces), default=0.0)
+        longest = max((float(surface.parts.max()) for surface in self.room.surfaces), default=0.0)
         return covering(self.imaging.texture, self.imaging.texture_seed, longest)
 
     @property
@@ -149,6 +149,12 @@ class Renderer:
     def _map(self) -> tuple[Float32Array, Float32Array] | None:
         """For `cv2.remap`: the pinhole image's pixel under each pixel of the distorted one."""
         return _undistorted(self.camera)[2] if self.camera.distortion else None
+
+
+def _middle(surface: Surface, part: FloatArray) -> FloatArray:
+    """The middle of the box around a part of a surface, world frame, metres, `(3,)`."""
+    a, b = (part.min(axis=0) + part.max(axis=0)) / 2.0
+    return np.asarray(surface.origin + a * surface.u + b * surface.v)
 
 
 @lru_cache(maxsize=2)

@@ -13,27 +13,27 @@ from lmd.tag import Tag, corners
 
 
 class Surface(Protocol):
-    """A rectangle origin + a u + b v with 0 <= (a, b) <= extent (metres), seen from the side its normal points to."""
+    """A part of the plane origin + a u + b v (a, b in metres), seen from the side its normal points to."""
 
     @property
     def origin(self) -> FloatArray:
-        """A corner, world frame, metres, `(3,)`."""
+        """Where a = b = 0, world frame, metres, `(3,)`."""
 
     @property
     def u(self) -> FloatArray:
-        """Unit vector along one edge, `(3,)`."""
+        """Unit vector along a, `(3,)`."""
 
     @property
     def v(self) -> FloatArray:
-        """Unit vector along the other, `(3,)`."""
+        """Unit vector along b, across u, `(3,)`."""
 
     @property
     def normal(self) -> FloatArray:
         """Unit vector, `(3,)`."""
 
     @property
-    def extent(self) -> tuple[float, float]:
-        """Lengths along u and v, metres."""
+    def parts(self) -> FloatArray:
+        """Convex polygons (a, b) that together are what is seen, `(T, 4, 2)`, metres."""
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from lmd.space.blockers import Blockers
 from lmd.space.relevance import Weighing
 from lmd.space.space import Space
 from lmd.space.surface import Surface
+from lmd.space.triangles import Triangles
 
 
 class Changed:
@@ -42,7 +43,7 @@ class Changed:
         """See `Space.contains`."""
         return self._room.contains(points)
 
-    def blockers(self) -> Blockers | None:
+    def blockers(self) -> Blockers | Triangles | None:
         """See `Space.blockers`."""
         return self._room.blockers()
 

@@ -9,6 +9,7 @@ from lmd.checks import BoolArray, FloatArray, IntArray
 from lmd.space.blockers import Blockers
 from lmd.space.relevance import Weighing
 from lmd.space.surface import Surface
+from lmd.space.triangles import Triangles
 
 
 class Space(Protocol):
@@ -33,7 +34,7 @@ class Space(Protocol):
     def contains(self, points: FloatArray) -> BoolArray:
         """Whether points `(..., 3)` lie in the closed room, `(...)`."""
 
-    def blockers(self) -> Blockers | None:
+    def blockers(self) -> Blockers | Triangles | None:
         """What can stand between two points inside the room; None for a convex and empty one."""
 
     def clear(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
@@ -43,7 +44,7 @@ class Space(Protocol):
         """Whether the camera may fly straight between points `(..., 3)` where it may be, `(...)`."""
 
     def faces(self) -> tuple[Surface, ...]:
-        """What is seen of the room, whole: at least its surfaces, whether or not landmarks may hang everywhere."""
+        """What is seen of the room, whole: each where it is `allowed`, whether or not landmarks may hang there."""
 
     def grid(self) -> FloatArray:
         """Discrete positions Omega_d of the camera, `(P, 3)`."""

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,10 +35,15 @@ class Surface:
     extent: tuple[float, float]
     allowed: Any = None
 
-    @property
+    @cached_property
     def pieces(self) -> FloatArray:
         """Where landmarks may hang as trapezoids, `(T, 6)`."""
         return rectangle(self.extent) if self.allowed is None else trapezoids(self.allowed)
+
+    @cached_property
+    def parts(self) -> FloatArray:
+        """The corners of `pieces`, counter-clockwise, `(T, 4, 2)`."""
+        return np.stack([self.pieces[:, [0, 1, 1, 0]], self.pieces[:, [2, 3, 5, 4]]], axis=-1)
 
     @property
     def area(self) -> float:

@@ -6,8 +6,9 @@ tolerance, and the crossing lies within its edges. What happens at an edge depen
 - if the line crosses the planes of both in the same sense, both reach over the edge by the tolerance, so that no line
   slips through between them, whether the surface is flat there or bent;
 - if not, the line only touches the surface at that edge, or there is no triangle beyond: both end before the edge by
-  the tolerance. So a line that touches an edge or a corner, or runs along a face, is clear, as with
-  `lmd.space.blockers`.
+  the tolerance. At a corner that goes for every edge that ends there.
+
+So a line that touches an edge or a corner, or runs along a face, is clear, as with `lmd.space.blockers`.
 
 Points of a landmark lie in the plane of their own triangles, which hence never hide them.
 """
@@ -33,7 +34,8 @@ class Triangles(NamedTuple):
 
     normals `(T, 3)` unit, offsets `(T,)`; corners `(T, 3, 3)`; borders `(T, 3, 4)`, of each edge the unit normal in the
     plane, inwards, and its offset; beyond `(T, 3, 3)`, the normal of the triangle over each edge on the same side of
-    the surface, 0 if there is none. Of a box: centres, halves `(N, 3)`; skip `(N,)`, the next one if nothing in it is
+    the surface, 0 if there is none; apex `(T, 3)`, numbers of the corners. Of corner v, the edges that end there are
+    rows `ending[v]` to `ending[v + 1]` of spokes `(S, 2, 3)`, the normals on either side. Of a box: centres, halves `(N, 3)`; skip `(N,)`, the next one if nothing in it is
     wanted; first, stop `(N,)`, its triangles if it is not divided. All in metres.
     """
 
@@ -42,6 +44,9 @@ class Triangles(NamedTuple):
     corners: np.ndarray
     borders: np.ndarray
     beyond: np.ndarray
+    apex: np.ndarray
+    ending: np.ndarray
+    spokes: np.ndarray
     centres: np.ndarray
     halves: np.ndarray
     skip: np.ndarray
@@ -60,8 +65,12 @@ class Triangles(NamedTuple):
         beyond = _beyond(faces, normals)
         padding = tolerance + PADDING * np.abs(vertices).max()
         order, *tree = _tree(corners.min(axis=1) - padding, corners.max(axis=1) + padding)
-        parts = (normals, (normals * corners[:, 0]).sum(axis=-1), corners, borders, beyond)
-        return cls(*(np.ascontiguousarray(part[order]) for part in parts), *tree, tolerance)
+        parts = (normals, (normals * corners[:, 0]).sum(axis=-1), corners, borders, beyond, faces)
+        ends = np.concatenate([faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)])
+        sides = np.tile(np.stack([np.repeat(normals, 3, axis=0), beyond.reshape(-1, 3)], axis=1), (2, 1, 1))
+        ending = np.append(0, np.cumsum(np.bincount(ends, minlength=len(vertices))))
+        spokes = sides[np.argsort(ends, kind="stable")]
+        return cls(*(np.ascontiguousarray(part[order]) for part in parts), ending, spokes, *tree, tolerance)
 
     def clear(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
         """Whether no triangle is crossed by the lines between points `(..., 3)`, `(...)`."""
@@ -201,14 +210,31 @@ def is_crossed(triangles, px, py, pz, qx, qy, qz):  # type: ignore[no-untyped-de
                 continue
             t, sense = start / (start - end), 1.0 if end > start else -1.0
             x, y, z = px + t * wx, py + t * wy, pz + t * wz
-            within = True
+            within, near, far = True, 0, 0
             for e in range(3):
                 along = wx * beyond[i, e, 0] + wy * beyond[i, e, 1] + wz * beyond[i, e, 2]
                 inside = borders[i, e, 0] * x + borders[i, e, 1] * y + borders[i, e, 2] * z - borders[i, e, 3]
                 within = within and inside > (-tolerance if sense * along > tolerance else tolerance)
-            if within:
+                if inside > tolerance:
+                    far = e
+                else:
+                    near += 1
+            # Near two edges it is at the corner between them, which is the one before the third edge.
+            if within and (near < 2 or not _is_touched(triangles, triangles.apex[i, (far + 2) % 3], wx, wy, wz)):
                 return True
         node += 1
+    return False
+
+
+@kernel
+def _is_touched(triangles, corner, wx, wy, wz):  # type: ignore[no-untyped-def]
+    """Whether a line along w through a corner only touches the surface at one of the edges that end there."""
+    spokes, tolerance = triangles.spokes, triangles.tolerance
+    for s in range(triangles.ending[corner], triangles.ending[corner + 1]):
+        one = wx * spokes[s, 0, 0] + wy * spokes[s, 0, 1] + wz * spokes[s, 0, 2]
+        other = wx * spokes[s, 1, 0] + wy * spokes[s, 1, 1] + wz * spokes[s, 1, 2]
+        if min(abs(one), abs(other)) <= tolerance or one * other < 0.0:
+            return True
     return False
 
 

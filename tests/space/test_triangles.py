@@ -1,0 +1,136 @@
+import numpy as np
+import pytest
+import trimesh
+from numpy.testing import assert_allclose, assert_array_equal
+
+from lmd.space.triangles import Triangles
+
+TOLERANCE = 1e-6
+SIZE = np.array([6.0, 5.0, 3.0])
+
+
+def of(mesh):
+    return Triangles.of(np.array(mesh.vertices), np.array(mesh.faces, dtype=np.int64), TOLERANCE)
+
+
+def furnished(rng, things=6, detail=1):
+    """A room of boxes, balls and sheets in all directions."""
+    parts = [trimesh.creation.box(bounds=[[0, 0, 0], SIZE])]
+    for i in range(things):
+        sheet = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], process=False)
+        kinds = (trimesh.creation.icosphere(detail, 0.4), trimesh.creation.box((0.8, 0.5, 0.7)), sheet)
+        thing = kinds[i % 3].copy()
+        thing.apply_transform(trimesh.transformations.random_rotation_matrix(rng.random(3)))
+        thing.apply_translation(rng.uniform(0.2, 0.8, 3) * SIZE)
+        parts.append(thing)
+    return trimesh.util.concatenate(parts)
+
+
+def lines(rng, count):
+    return rng.uniform(0.0, 1.0, (2, count, 3)) * SIZE
+
+
+def by_trimesh(mesh, starts, ends):
+    """Whether a triangle is hit strictly between the ends, by trimesh and the R-tree."""
+    hits, ray, _ = mesh.ray.intersects_location(starts, ends - starts)
+    before = np.linalg.norm(hits - starts[ray], axis=1) < np.linalg.norm(ends - starts, axis=1)[ray]
+    return np.bincount(ray[before], minlength=len(starts)) > 0
+
+
+@pytest.mark.slow
+def test_lines_of_sight_are_those_of_trimesh():
+    rng, asked = np.random.default_rng(0), 0
+    while asked < 100_000:
+        mesh = furnished(rng, things=9)
+        starts, ends = lines(rng, 10_000)
+        assert_array_equal(of(mesh).clear(starts, ends), ~by_trimesh(mesh, starts, ends))
+        asked += len(starts)
+
+
+def every_triangle(triangles, starts, ends):
+    """Whether lines cross a triangle, from the definition, one after the other without the tree."""
+    crossed = np.zeros(len(starts), dtype=bool)
+    for i in range(len(triangles.normals)):
+        one, two = (points @ triangles.normals[i] - triangles.offsets[i] for points in (starts, ends))
+        through = (np.minimum(one, two) < -TOLERANCE) & (np.maximum(one, two) > TOLERANCE)
+        with np.errstate(all="ignore"):
+            at = starts + np.where(through, one / (one - two), 0.0)[:, None] * (ends - starts)
+        for border, beyond in zip(triangles.borders[i], triangles.beyond[i], strict=True):
+            same = np.sign(two - one) * ((ends - starts) @ beyond) > TOLERANCE
+            through &= at @ border[:3] - border[3] > np.where(same, -TOLERANCE, TOLERANCE)
+        for v in np.unique(triangles.apex[i]):
+            first, last = triangles.ending[v : v + 2]
+            one, other = np.moveaxis(triangles.spokes[first:last] @ (ends - starts).T, 1, 0)
+            touched = ((np.minimum(abs(one), abs(other)) <= TOLERANCE) | (one * other < 0)).any(axis=0)
+            near = [at @ b[:3] - b[3] <= TOLERANCE for b in triangles.borders[i]]
+            k = list(triangles.apex[i]).index(v)
+            through &= ~(near[k - 1] & near[k] & touched)
+        crossed |= through
+    return crossed
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_tree_leaves_nothing_out(seed):
+    rng = np.random.default_rng(seed)
+    mesh = furnished(rng)
+    triangles, (starts, ends) = of(mesh), lines(rng, 3000)
+    # Many in the planes and through the corners of triangles.
+    starts[::3] = mesh.vertices[rng.integers(len(mesh.vertices), size=1000)]
+    ends[::2] = mesh.vertices[rng.integers(len(mesh.vertices), size=1500)]
+    assert_array_equal(triangles.clear(starts, ends), ~every_triangle(triangles, starts, ends))
+
+
+@pytest.mark.parametrize("divided", [0, 3])
+def test_nothing_slips_through_edges_and_corners(divided):
+    # From the middle of a ball through every corner, and through points on every edge.
+    ball = trimesh.creation.icosphere(divided, 1.0)
+    corners, edges = ball.vertices, ball.vertices[ball.edges_unique]
+    share = np.random.default_rng(0).random((len(edges), 1))
+    targets = np.concatenate([corners, edges.mean(axis=1), edges[:, 0] + share * (edges[:, 1] - edges[:, 0])])
+    assert not of(ball).clear(np.zeros(3), 2.0 * targets).any()
+    assert not of(ball).clear(2.0 * targets, np.zeros(3)).any()
+    assert of(ball).clear(np.zeros(3), 0.9 * targets).all()
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "clear"),
+    [
+        ([-1, 0.5, 0.5], [2, 0.5, 0.5], False),  # through
+        ([-1, 1, 0.5], [2, 1, 0.5], True),  # along a face
+        ([-1, 1, 1], [2, 1, 1], True),  # along an edge
+        ([-1, 0, 0.5], [1, 2, 0.5], True),  # touches an edge
+        ([0, 2, 0], [2, 0, 2], True),  # touches the corner (1, 1, 1)
+        ([2, 2, 0], [0, 0, 2], True),
+        ([2, 2, 2], [0.5, 0.5, 0.5], False),  # into it
+        ([-1, 0.01, 0.5], [1.01, 2, 0.5], True),
+        ([-1, -0.01, 0.5], [1.01, 2, 0.5], False),
+        ([-1, -1, 0.5], [2, 2, 0.5], False),  # in and out through edges
+        ([-1, -1, -1], [2, 2, 2], False),  # through two corners
+        ([-1, 0.5, 0.5], [0, 0.5, 0.5], True),  # to a face
+        ([-1, 0.5, 0.5], [0.01, 0.5, 0.5], False),  # into it
+        ([0, 0.5, 0.5], [1, 0.5, 0.5], True),  # from face to face inside
+        ([-1, -1, 0.5], [0, 0, 0.5], True),  # to an edge
+    ],
+)
+def test_what_touches_a_box_is_clear_and_what_enters_is_not(start, end, clear):
+    box = of(trimesh.creation.box(bounds=[[0, 0, 0], [1, 1, 1]]))
+    for one, two in ((start, end), (end, start)):
+        assert box.clear(np.array(one, dtype=float), np.array(two, dtype=float)) == clear
+
+
+def test_distances_are_those_of_trimesh():
+    rng = np.random.default_rng(1)
+    mesh = furnished(rng)
+    points, _ = lines(rng, 300)
+    exact = trimesh.proximity.closest_point(mesh, points)[1]
+    assert_allclose(of(mesh).distance(points, 100.0), exact, atol=1e-12)
+    assert_allclose(of(mesh).distance(points, 0.3), np.minimum(exact, 0.3), atol=1e-12)
+
+
+def test_a_way_keeps_its_clearance_all_along():
+    rng = np.random.default_rng(2)
+    triangles, (starts, ends) = of(furnished(rng)), lines(rng, 300)
+    along = starts + np.linspace(0.0, 1.0, 2001)[:, None, None] * (ends - starts)
+    nearest = triangles.distance(along, 1.0).min(axis=0)
+    sure = np.abs(nearest - 0.2) > 2e-3
+    assert_array_equal(triangles.keeps_away(starts, ends, 0.2)[sure], nearest[sure] > 0.2)
