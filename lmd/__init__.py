@@ -43,8 +43,10 @@ if TYPE_CHECKING:
     from lmd.sight.paper import Visibility as Visibility
     from lmd.space.cuboid import Cuboid as Cuboid
     from lmd.space.floor_plan import FloorPlan as FloorPlan
+    from lmd.space.mesh_room import MeshRoom as MeshRoom
     from lmd.space.parts import Reachable as Reachable
     from lmd.space.prism import Prism as Prism
+    from lmd.space.scan import Scan as Scan
 
 # Where each name lives. Imported when first asked for: the compiler alone takes a second to load.
 _HOMES = {
@@ -58,12 +60,14 @@ _HOMES = {
     "FileDeployment": "lmd.deployment",
     "FloorPlan": "lmd.space.floor_plan",
     "InputError": "lmd.checks",
+    "MeshRoom": "lmd.space.mesh_room",
     "Prism": "lmd.space.prism",
     "Problem": "lmd.problem",
     "RandomDeployment": "lmd.deployment",
     "Reachable": "lmd.space.parts",
     "Result": "lmd.optimisers.base",
     "Sampling": "lmd.objectives.sampling",
+    "Scan": "lmd.space.scan",
     "Scene": "lmd.scene",
     "UniformDeployment": "lmd.deployment",
     "Visibility": "lmd.sight.paper",

@@ -48,14 +48,12 @@ class Canvas:
         image = clipped(polygon) @ self.matrix.T
         return np.asarray(image[:, :2] / image[:, 2:])
 
-    def surface(
-        self, plane: FloatArray, part: FloatArray, grey: float, pattern: Float32Array | None
-    ) -> FloatArray:
+    def surface(self, plane: FloatArray, shape: FloatArray, grey: float, pattern: Float32Array | None) -> FloatArray:
         """Draw a part of a plane.
 
         Args:
             plane: columns u, v (unit) and the place where both are 0, camera frame, metres, `(3, 3)`.
-            part: a convex polygon along u and v, none of it below 0, `(M, 2)`, metres.
+            shape: a convex polygon along u and v, none of it below 0, `(M, 2)`, metres.
             grey: grey level.
             pattern: added to it, `(T, T)` texels of `TEXEL` metres, repeated where the polygon is larger; None for a
                 plain one.
@@ -63,7 +61,7 @@ class Canvas:
         Returns:
             Its image outline, `(m, 2)`.
         """
-        outline = self.outline(np.insert(part, 2, 1.0, axis=1) @ plane.T)
+        outline = self.outline(np.insert(shape, 2, 1.0, axis=1) @ plane.T)
         window = self._window(outline, 0)
         if window is None:
             return outline
@@ -75,7 +73,7 @@ class Canvas:
         if pattern is not None:
             texels = plane @ np.diag([TEXEL, TEXEL, 1.0])
             # Repeating is several times as slow, also outside the polygon.
-            covers = part.max() <= len(pattern) * TEXEL
+            covers = shape.max() <= len(pattern) * TEXEL
             border = self.cv2.BORDER_REPLICATE if covers else self.cv2.BORDER_WRAP
             drawn += self._warp(pattern, self.matrix @ texels, window, 1, border)
         self.cv2.copyTo(drawn, mask, part)

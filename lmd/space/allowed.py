@@ -43,7 +43,9 @@ def trapezoids(region: Any) -> FloatArray:
         last = np.where(right[across] == stop, high[across], low[across] + slope * (stop - left[across]))
         order = np.argsort(first + last, kind="stable")
         for lower, upper in order.reshape(-1, 2):
-            found.append((start, stop, first[lower], last[lower], first[upper], last[upper]))
+            # Borders that meet may cross by rounding.
+            top, end = max(first[lower], first[upper]), max(last[lower], last[upper])
+            found.append((start, stop, first[lower], last[lower], top, end))
     return np.array(found).reshape(-1, SIZE)
 
 

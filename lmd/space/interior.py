@@ -76,7 +76,9 @@ class Interior:
         flat = np.asarray(points, dtype=np.float64).reshape(-1, 3)
         found, left = np.zeros(len(flat), dtype=np.bool_), np.arange(len(flat))
         # In steps from the first node.
-        at = np.stack([(flat[:, i] - axis[0]) / max(self._pitch[i], 1e-12) for i, axis in enumerate(self._axes)], axis=1)
+        at = np.stack(
+            [(flat[:, i] - axis[0]) / max(self._pitch[i], 1e-12) for i, axis in enumerate(self._axes)], axis=1
+        )
         for offset in _nearest_first():
             node = np.floor(at[left]).astype(int) + offset
             here = ((node >= 0) & (node < self._shape)).all(axis=1)

@@ -30,7 +30,7 @@ class Mesh(NamedTuple):
     names: tuple[str, ...]
 
 
-def read_mesh(path: str | Path, scale: float = 1.0, up: str | None = None) -> Mesh:
+def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None) -> Mesh:
     """Read a mesh; what has no area, or is there twice, is left out.
 
     Args:
@@ -41,6 +41,8 @@ def read_mesh(path: str | Path, scale: float = 1.0, up: str | None = None) -> Me
     Raises:
         InputError: the file is missing, holds no triangles or cannot be read, or its size is not that of a room.
     """
+    if path is None:
+        raise InputError("path is missing: a file with a mesh of the room is needed.", "path")
     file = file_path("path", path)
     scale = real("scale", scale, above=0.0)
     if file.suffix.lower() not in FORMATS:
@@ -89,4 +91,4 @@ def _parts(file: Path, up: str) -> dict[str, Any]:
     except Exception as error:  # whatever a reader of a broken file runs into
         raise InputError(f"path: {str(file)!r} cannot be read as a mesh ({error}).", "path") from None
     named = len(parts) > 1 or not any(name.startswith((file.name, "geometry_")) for name in parts)
-    return parts if named else {"": part for part in parts.values()}
+    return parts if named else {"": next(iter(parts.values()))}

@@ -47,7 +47,11 @@ class MeshRoom(Gridded):
         choice("positions", self.positions, KINDS)
         (low, high), (lowest, highest) = self.box, self.bounds()
         name = "reachable.height" if self.reachable.low is None else "reachable.low"
-        if (low > high).any() or (low < lowest - PLACEMENT_TOLERANCE).any() or (high > highest + PLACEMENT_TOLERANCE).any():
+        if (
+            (low > high).any()
+            or (low < lowest - PLACEMENT_TOLERANCE).any()
+            or (high > highest + PLACEMENT_TOLERANCE).any()
+        ):
             ranges = ", ".join(f"{a:.4g} to {b:.4g}" for a, b in zip(lowest, highest, strict=True))
             raise InputError(
                 f"{name} and clearance = {self.reachable.clearance:g} leave nothing of the mesh, whose x, y and z go "

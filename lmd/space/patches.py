@@ -25,10 +25,16 @@ def flat_parts(mesh: Mesh) -> list[IntArray]:
     one, other = body.face_adjacency.T
     joined = (body.face_adjacency_angles < BENT) & (mesh.of[one] == mesh.of[other])
     pairs, count = (one[joined], other[joined]), len(mesh.faces)
-    number, label = connected_components(coo_array((np.ones(joined.sum()), pairs), shape=(count, count)), False)
+    _, label = connected_components(coo_array((np.ones(joined.sum()), pairs), shape=(count, count)), False)
     area = np.bincount(label, body.area_faces)
     parts = np.split(np.argsort(label, kind="stable"), np.cumsum(np.bincount(label))[:-1])
     return [parts[i] for i in np.argsort(-np.round(area, 9), kind="stable")]
+
+
+def area_of(corners: FloatArray) -> float:
+    """Of triangles `(T, 3, 3)` together, square metres."""
+    one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    return float(np.linalg.norm(np.cross(one, other), axis=1).sum() / 2.0)
 
 
 def plane_of(corners: FloatArray) -> tuple[FloatArray, float]:

@@ -13,13 +13,15 @@ from lmd.space.allowed import eroded, polygons
 from lmd.space.interior import Interior
 from lmd.space.mesh_file import Mesh, read_mesh
 from lmd.space.parts import KeepOut, all_made, checked_band, checked_names
-from lmd.space.patches import UNEVEN, flat_parts, plane_of, surface_of
+from lmd.space.patches import UNEVEN, area_of, flat_parts, plane_of, surface_of
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
 from lmd.space.triangles import Triangles, unit_normals
 
 # Floor and ceiling: level triangles so near to the lowest or the highest point of the mesh, metres.
 STOREY = 0.1
 LEVEL = 0.999  # vertical part of the normal of what is level
+# Relative, by which the coordinates of a file may be rounded.
+ROUNDING = 1e-5
 # Nothing hangs where something stands so near before the surface, metres.
 BEFORE = 0.01
 # Which side of a patch is the room's is asked at so many places, this far (m) before it, from so many positions.
@@ -51,7 +53,7 @@ class Scan:
         InputError: the file is none of a room, it has no patch large enough, or a name is not known.
     """
 
-    path: str
+    path: str | None
     scale: float = 1.0
     up: str | None = None
     least_area: float = 0.1
@@ -114,20 +116,23 @@ class Scan:
     def _flat(self) -> list[IntArray]:
         return flat_parts(self.mesh)
 
+    @property
+    def _half_edge(self) -> float:
+        """Of the square of `least_area`, which has to hang on a patch, metres."""
+        return float(np.sqrt(self.least_area)) / 2.0 * (1.0 - ROUNDING)
+
     @cached_property
     def _patches(self) -> dict[str, IntArray]:
         """The triangles of the patches that are large enough, by their names, the largest first."""
-        edge, chosen = np.sqrt(self.least_area), []
+        chosen = []
         for part in self._flat:
             corners = self._corners[part]
-            if np.linalg.norm(np.cross(*(corners[:, i] - corners[:, 0] for i in (1, 2))), axis=1).sum() / 2.0 < (
-                self.least_area * (1.0 - 1e-6)
-            ):
+            if area_of(corners) < self.least_area * (1.0 - ROUNDING):
                 break  # they come by their area
             normal, uneven = plane_of(corners)
             if uneven <= UNEVEN:
                 surface = surface_of("", corners, normal)
-                if not eroded(_shape(surface), edge * (0.5 - 1e-6)).is_empty:
+                if not eroded(_shape(surface), self._half_edge).is_empty:
                     chosen.append(part)
         objects = [int(self.mesh.of[part[0]]) for part in chosen]
         named: dict[str, IntArray] = {}
@@ -176,7 +181,7 @@ class Scan:
         taken = [self._standing(surface)]
         taken += [kept_out for part, kept_out in self._kept_out(surface)]
         region = free_of(surface, _shape(surface), self.margin, self.band, taken)
-        return None if eroded(region, np.sqrt(self.least_area) * (0.5 - 1e-6)).is_empty else region
+        return None if eroded(region, self._half_edge).is_empty else region
 
     def _kept_out(self, surface: Surface) -> list[tuple[KeepOut, Any]]:
         import shapely

@@ -138,9 +138,7 @@ class Surface:
         return np.asarray(np.linalg.norm(points - self.point(*self.coordinates(points)), axis=-1))
 
 
-def free_of(
-    face: Surface, region: Any, margin: float, band: Sequence[float] | None, taken: Sequence[Any]
-) -> Any:
+def free_of(face: Surface, region: Any, margin: float, band: Sequence[float] | None, taken: Sequence[Any]) -> Any:
     """Where on a face landmarks may hang, in its coordinates; empty if nowhere.
 
     Args:

@@ -13,16 +13,14 @@ So a line that touches an edge or a corner, or runs along a face, is clear, as w
 Points of a landmark lie in the plane of their own triangles, which hence never hide them.
 """
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, IntArray
 from lmd.compiled import kernel
+from lmd.space.box_tree import box_tree
 
-# Triangles in a box that is not divided further, and in one that is simply halved: to look for the best cut takes time.
-LEAF, SMALL = 4, 48
 # By which boxes are larger than what they hold, relative to the largest coordinate: more than rounding.
 PADDING = 1e-12
 # A point so close to a plane, or a triangle so thin, metres, has no side; squared, that is an area.
@@ -35,8 +33,9 @@ class Triangles(NamedTuple):
     normals `(T, 3)` unit, offsets `(T,)`; corners `(T, 3, 3)`; borders `(T, 3, 4)`, of each edge the unit normal in the
     plane, inwards, and its offset; beyond `(T, 3, 3)`, the normal of the triangle over each edge on the same side of
     the surface, 0 if there is none; apex `(T, 3)`, numbers of the corners. Of corner v, the edges that end there are
-    rows `ending[v]` to `ending[v + 1]` of spokes `(S, 2, 3)`, the normals on either side. Of a box: centres, halves `(N, 3)`; skip `(N,)`, the next one if nothing in it is
-    wanted; first, stop `(N,)`, its triangles if it is not divided. All in metres.
+    rows `ending[v]` to `ending[v + 1]` of spokes `(S, 2, 3)`, the normals on either side. Of a box: centres, halves
+    `(N, 3)`; skip `(N,)`, the next one if nothing in it is wanted; first, stop `(N,)`, its triangles if it is not
+    divided. All in metres.
     """
 
     normals: np.ndarray
@@ -64,13 +63,15 @@ class Triangles(NamedTuple):
         borders = np.concatenate([inwards, (inwards * corners).sum(axis=-1, keepdims=True)], axis=-1)
         beyond = _beyond(faces, normals)
         padding = tolerance + PADDING * np.abs(vertices).max()
-        order, *tree = _tree(corners.min(axis=1) - padding, corners.max(axis=1) + padding)
+        order, *tree = box_tree(corners.min(axis=1) - padding, corners.max(axis=1) + padding)
         parts = (normals, (normals * corners[:, 0]).sum(axis=-1), corners, borders, beyond, faces)
         ends = np.concatenate([faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)])
         sides = np.tile(np.stack([np.repeat(normals, 3, axis=0), beyond.reshape(-1, 3)], axis=1), (2, 1, 1))
         ending = np.append(0, np.cumsum(np.bincount(ends, minlength=len(vertices))))
         spokes = sides[np.argsort(ends, kind="stable")]
-        return cls(*(np.ascontiguousarray(part[order]) for part in parts), ending, spokes, *tree, tolerance)
+        ordered = [np.ascontiguousarray(part[order]) for part in parts]
+        whole: list[Any] = [*ordered, ending, spokes, *tree, tolerance]
+        return cls(*whole)
 
     def clear(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
         """Whether no triangle is crossed by the lines between points `(..., 3)`, `(...)`."""
@@ -122,59 +123,6 @@ def _beyond(faces: IntArray, normals: FloatArray) -> FloatArray:
         sense = np.where(forwards[one] == forwards[other], -1.0, 1.0)
         beyond[one] = sense[:, None] * normals[own[other]]
     return beyond.reshape(count, 3, 3)
-
-
-def _tree(low: FloatArray, high: FloatArray) -> tuple[IntArray, FloatArray, FloatArray, IntArray, IntArray, IntArray]:
-    """The order of boxes `(T, 3)` and their tree (`Triangles`); it is cut where a ray meets the fewest of them."""
-    middle = low + high
-    order: list[IntArray] = []
-    centres, halves, skip, first, stop = [], [], [], [], []
-
-    def grow(part: IntArray, placed: int) -> None:
-        node = len(skip)
-        lowest, highest = low[part].min(axis=0), high[part].max(axis=0)
-        centres.append((lowest + highest) / 2.0)
-        halves.append((highest - lowest) / 2.0)
-        is_leaf = len(part) <= LEAF
-        first.append(placed)
-        stop.append(placed + len(part) if is_leaf else placed)
-        skip.append(0)
-        if is_leaf:
-            order.append(part)
-        else:
-            one, other = _cut(part, low, high, middle)
-            grow(one, placed)
-            grow(other, placed + len(one))
-        skip[node] = len(skip)
-
-    grow(np.arange(len(low)), 0)
-    whole = (np.array(parts) for parts in (centres, halves, skip, first, stop))
-    return np.concatenate(order), *whole  # type: ignore[return-value]
-
-
-def _cut(part: IntArray, low: FloatArray, high: FloatArray, middle: FloatArray) -> Sequence[IntArray]:
-    """Some boxes in two parts, by the surface area heuristic (MacDonald and Booth, 1990); a few in the middle."""
-    if len(part) <= SMALL:
-        part = part[np.argsort(middle[part, np.argmax(np.ptp(middle[part], axis=0))], kind="stable")]
-        return part[: len(part) // 2], part[len(part) // 2 :]
-    best, least = part[:0], np.inf
-    counts = np.arange(1, len(part))
-    for axis in range(3):
-        along = part[np.argsort(middle[part, axis], kind="stable")]
-        before, after = (
-            _areas(np.minimum.accumulate(low[way]), np.maximum.accumulate(high[way])) for way in (along, along[::-1])
-        )
-        cost = before[:-1] * counts + after[:-1][::-1] * counts[::-1]
-        at = int(np.argmin(cost))
-        if cost[at] < least:
-            best, least, size = along, cost[at], at + 1
-    return best[:size], best[size:]
-
-
-def _areas(low: FloatArray, high: FloatArray) -> FloatArray:
-    """Half the surface of boxes `(M, 3)`, `(M,)`."""
-    x, y, z = (high - low).T
-    return np.asarray(x * y + y * z + z * x)
 
 
 @kernel

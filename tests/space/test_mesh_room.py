@@ -1,8 +1,5 @@
-import itertools
-
 import numpy as np
 import pytest
-import trimesh
 from floor_plans import DOOR, L_SHAPE, PILLAR, RACK, hangs_properly
 from meshes import mesh_room, walls_of
 from numpy.testing import assert_allclose, assert_array_equal
@@ -10,13 +7,11 @@ from paper import paper_camera
 
 from lmd import pdf
 from lmd.checks import InputError
-from lmd.deployment import Deployment, RandomDeployment, UniformDeployment
+from lmd.deployment import RandomDeployment, UniformDeployment
 from lmd.geometry.se3 import camera_pose
 from lmd.localisation.trajectory import Trajectory
-from lmd.objectives.coverage import Coverage
 from lmd.optimisers.encoding import make_encoding
 from lmd.plates import Plates
-from lmd.problem import Problem
 from lmd.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.fiducial import Fiducial
@@ -45,7 +40,7 @@ def surfaces(room):
 
 def side_of(surface):
     """Where the plane of a surface is, and its normal and area."""
-    return *np.round([surface.normal @ surface.origin, *surface.normal, surface.area], 5).tolist(),
+    return (*np.round([surface.normal @ surface.origin, *surface.normal, surface.area], 5).tolist(),)
 
 
 def test_patches_are_the_surfaces_of_the_floor_plan(room):
@@ -136,17 +131,23 @@ def test_tags_hang_where_they_may(room, tmp_path):
         assert hangs_properly(place, drawn.positions, drawn.surfaces, 0.15).all()
         assert_array_equal(place.surfaces_of(drawn.positions, drawn.normals), drawn.surfaces)
         encoding = make_encoding("wall", plates.hanging, True)
-        decoded, _, on, fits = plates.pushed(*encoding.decode(np.random.default_rng(1).random((2, 15 * 3))[:, : 15 * encoding.genes_per_landmark]))
+        decoded, _, on, fits = plates.pushed(
+            *encoding.decode(np.random.default_rng(1).random((2, 15 * 3))[:, : 15 * encoding.genes_per_landmark])
+        )
         assert hangs_properly(place, decoded.reshape(-1, 3), on.ravel(), 0.15).all()
         assert fits.all()
 
 
 def test_flights_go_around_what_stands_there(room):
     def flight(*places):
-        return Trajectory(np.arange(len(places)), camera_pose(np.array(places, dtype=float), *np.zeros((2, len(places)))))
+        return Trajectory(
+            np.arange(len(places)), camera_pose(np.array(places, dtype=float), *np.zeros((2, len(places))))
+        )
 
     flight([5, 1, 1], [2.5, 0.7, 1], [2.5, 3, 1]).check_inside(room)
-    with pytest.raises(InputError, match=r"goes straight on from \(1, 1\.5, 1\) .* through something .* room from a mesh"):
+    with pytest.raises(
+        InputError, match=r"goes straight on from \(1, 1\.5, 1\) .* through something .* room from a mesh"
+    ):
         flight([1, 1.5, 1], [2, 1.5, 1]).check_inside(room)
     with pytest.raises(InputError, match=r"\(1\.5, 1\.5, 1\), is outside the room from a mesh of 6 x 4 x 2\.5 m"):
         flight([1, 1.5, 1], [1.5, 1.5, 1]).check_inside(room)
@@ -165,7 +166,12 @@ def test_a_file_with_no_room_in_it_gets_one_sentence(tmp_path):
         if change:
             change(mesh)
         mesh.export(tmp_path / name)
-        return {"path": str(tmp_path / name), "reachable": {"height": [0.5, 1.5], "clearance": 0.5}, "spacing": 0.5, **more}
+        return {
+            "path": str(tmp_path / name),
+            "reachable": {"height": [0.5, 1.5], "clearance": 0.5},
+            "spacing": 0.5,
+            **more,
+        }
 
     (tmp_path / "broken.ply").write_text("not a mesh")
     (tmp_path / "empty.obj").write_text("# nothing\n")
@@ -176,8 +182,12 @@ def test_a_file_with_no_room_in_it_gets_one_sentence(tmp_path):
         ({"path": str(tmp_path / "room.dwg")}, r"^path = .*dwg' must end in one of \.gltf, \.glb"),
         ({"path": str(tmp_path / "broken.ply")}, r"^path: .* cannot be read as a mesh"),
         ({"path": str(tmp_path / "empty.obj")}, r"^path: .* (holds no triangles|cannot be read as a mesh)"),
+        ({"path": None}, r"^path is missing: a file"),
         ({"path": 3}, r"^path must be the path of a file"),
-        ({"scale": 1000.0}, r"^scale = 1000 makes .* a room of 6000 x 4000 x 2500 m; a file in millimetres takes 0\.001"),
+        (
+            {"scale": 1000.0},
+            r"^scale = 1000 makes .* a room of 6000 x 4000 x 2500 m; a file in millimetres takes 0\.001",
+        ),
         ({"up": "x"}, r"^up must be one of z, y, got 'x'"),
         ({"least_area": 30.0}, r"^least_area = 30 m2 is more than any planar patch"),
         ({"surfaces": ["wall"]}, r"^surfaces must be one of patch_0, .*, got 'wall'"),
