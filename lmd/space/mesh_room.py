@@ -96,7 +96,9 @@ class MeshRoom(Gridded):
 
     def contains(self, points: FloatArray) -> BoolArray:
         """See `Space.contains`."""
-        return self.scan.interior.contains(points)
+        low, high = self.bounds()
+        within = (points >= low - PLACEMENT_TOLERANCE) & (points <= high + PLACEMENT_TOLERANCE)
+        return np.asarray(within.all(axis=-1) & self.scan.interior.contains(points))
 
     def blockers(self) -> Triangles:
         """See `Space.blockers`."""
