@@ -7,7 +7,7 @@ EVALUATIONS ?= 3000
 export MLFLOW_DISABLE_TELEMETRY := true
 export DO_NOT_TRACK := true
 
-.PHONY: install precompile run test quick lint docs ui figures paper-experiment clean
+.PHONY: install precompile run view test quick lint docs ui figures paper-experiment clean
 
 install: $(VENV)/installed
 
@@ -24,6 +24,9 @@ precompile: install  ## after a change of compiled code, what the first runs wou
 
 run: install  ## the main job on the paper's room at a small budget
 	$(BIN)/python -m pipelines.optimise budget.evaluations=$(EVALUATIONS) page=true
+
+view: install  ## the planner in the browser, for experiment=lab
+	-$(BIN)/python -m pipelines.view experiment=lab
 
 test: install  ## the whole test suite
 	$(BIN)/python -m pytest -n auto --dist loadfile

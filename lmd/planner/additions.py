@@ -1,0 +1,95 @@
+"""What one tag more would add, wherever it may hang: the colours of the surfaces.
+
+A landmark that nobody sees is moved from place to place (`lmd.objectives.field`). A move is settled, so that shadows
+count, but never accepted.
+"""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from lmd.checks import FloatArray
+from lmd.compiled import kernel
+from lmd.deployment import Deployment
+from lmd.objectives.field import bound, in_order, settle
+from lmd.objectives.localisation.losses import AWAY
+from lmd.optimisers.annealing.walk import total_worth
+from lmd.problem import Problem
+from lmd.sight.kernels import PROBABILITY_ONE
+from lmd.sight.poses import Cells, wall_cells
+from lmd.space.surface import SurfaceArrays
+
+CELLS = 3000  # candidate places in a room, about
+BATCH = 64  # places between two looks at whether anybody still wants to know
+
+
+class Additions(NamedTuple):
+    """What a tag at each of N places would add, `(N,)` each; NaN where its paper would overlap another.
+
+    fitness: to the fitness. value: to the mean of the objective's value over the positions, weighted by their
+    relevance; it tells places apart also where none lifts a position over a threshold.
+    """
+
+    fitness: FloatArray
+    value: FloatArray
+
+
+@kernel
+def _add(poses, surfaces, field, target, state, scratch, fitness, value):  # type: ignore[no-untyped-def]
+    """Write the fitness and the mean value with the last landmark at each of `poses` `(N, 6)` on `surfaces` `(N,)`."""
+    last = state.landmarks.shape[1] - 1
+    for i in range(len(poses)):
+        bound(field, last, poses[i], surfaces[i], state, scratch)
+        settle(field, last, state, scratch)
+        fitness[i] = total_worth(target, scratch.units)
+        total = 0.0
+        for p in range(len(scratch.units)):
+            total += target.relevance[p] * (scratch.units[p] / PROBABILITY_ONE)
+        value[i] = total
+
+
+def candidate_cells(problem: Problem) -> Cells:
+    """A coarse grid of places where a tag may hang, about `CELLS` of them."""
+    room = problem.scene.plates.hanging
+    surfaces = SurfaceArrays.of(room.surfaces())
+    cells = wall_cells(room, math.sqrt(float(surfaces.area.sum()) / CELLS))
+    poses = cells.poses
+    return cells.picked(surfaces.allow(poses.surfaces, surfaces.coordinates(poses.surfaces, poses.positions)))
+
+
+def additions(
+    problem: Problem, deployment: Deployment, poses: Deployment, wanted: Callable[[], bool] = lambda: True
+) -> Additions | None:
+    """What a tag at each of N poses would add to a deployment.
+
+    Args:
+        problem: what the tags are for; they are judged on its grid.
+        deployment: K landmarks.
+        poses: N places, with their surfaces.
+        wanted: asked now and then whether to go on.
+
+    Returns:
+        None if it was not to go on.
+
+    Raises:
+        InputError: the objective has no field.
+    """
+    field = problem.objective.field(problem.evaluator)
+    target = problem.objective.target(in_order(field, problem.relevance))
+    # Out of reach, it changes nothing of what the others are worth.
+    state = field.state(deployment + Deployment(AWAY[None, :3], AWAY[None, 3:]))
+    scratch, places = field.scratch(state), np.hstack([poses.positions, poses.normals])
+    fitness, value = np.empty(len(poses)), np.empty(len(poses))
+    for first in range(0, len(poses), BATCH):
+        if not wanted():
+            return None
+        part = slice(first, first + BATCH)
+        _add(places[part], poses.surfaces[part], field, target, state, scratch, fitness[part], value[part])
+    before = float((target.relevance * (state.units / PROBABILITY_ONE)).sum())
+    taken = np.zeros(len(poses), dtype=np.bool_)
+    for k in range(len(deployment)):
+        taken |= problem.scene.plates.touched(poses, deployment[k : k + 1])
+    gained = (fitness - total_worth(target, state.units), value - before)
+    return Additions(*(np.where(taken, np.nan, gain) for gain in gained))

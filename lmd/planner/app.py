@@ -1,0 +1,304 @@
+"""The interactive planner: a session in a browser.
+
+Threads: viser calls back from a thread of its own, a search and the worker have theirs. All of them only put what is to
+be done into one queue, `Acts`. The thread that is in `run` does it, one after the other. It alone uses the session, so
+there is no lock.
+"""
+
+import contextlib
+import io
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from lmd.checks import InputError
+from lmd.deployment import Deployment
+from lmd.optimisers.base import Budget, Optimiser
+from lmd.optional import optional
+from lmd.planner.acts import Acts, in_order
+from lmd.planner.additions import Additions, additions
+from lmd.planner.panel import ADDITIONS, DELETE, UNDO, Panel
+from lmd.planner.picture import Picture
+from lmd.planner.plan import Plan
+from lmd.planner.pointing import Place, pointed_at
+from lmd.planner.session import Session
+from lmd.planner.worker import Wanted, Worker
+from lmd.space.surface import SurfaceArrays
+from lmd.validation import validation_metrics
+
+HOST = "127.0.0.1"  # nobody else can reach it
+IDLE = 0.5  # seconds in which nothing is done, before what takes longer is worked out
+
+
+class Planner:
+    """Serves a session to browsers on this machine.
+
+    Args:
+        session: what is planned.
+        port: of the address; 0 for one that is free.
+        save: writes a deployment, and says where.
+        optimiser: makes the method that moves the free tags.
+        budget: of each search.
+        seed: of the sample off the grid; None to leave that out.
+
+    Raises:
+        InputError: viser is not installed, or the port is taken.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        port: int,
+        save: Callable[[Deployment], str],
+        optimiser: Callable[[], Optimiser],
+        budget: Budget,
+        seed: int | None,
+    ) -> None:
+        viser = optional("viser", "view")
+        self._session, self._problem = session, session.problem
+        self._save_files, self._optimiser, self._budget, self._seed = save, optimiser, budget, seed
+        self._acts = Acts()
+        self._surfaces = SurfaceArrays.of(session.problem.scene.plates.hanging.surfaces())
+        self._selected: int | None = None
+        self._dragged: int | None = None
+        self._pointer: Any = None  # the latest event of a drag that has not been looked at
+        self._camera: np.ndarray | None = None  # position `(3,)`
+        self._additions: Additions | None = None
+        with contextlib.redirect_stdout(io.StringIO()):  # it prints a banner
+            self._server = viser.ViserServer(host=HOST, port=port, verbose=False)
+        if port not in (0, self._server.get_port()):
+            self._server.stop()
+            raise InputError(f"port {port} is taken.", "port")
+        self._picture, self._panel = Picture(self._server, self._problem), Panel(self._server.gui)
+        self._worker = Worker(self._work)
+        self._listen()
+        self._show()
+
+    @property
+    def address(self) -> str:
+        """Where a browser finds it."""
+        return f"http://{HOST}:{self._server.get_port()}"
+
+    def run(self) -> None:
+        """Do what is asked for, until an exception ends it."""
+        while True:
+            act = self._acts.next(IDLE)
+            if act is None:
+                self._idle()
+                continue
+            try:
+                act()
+            except InputError as error:
+                self._panel.say(str(error), refused=True)
+
+    def close(self) -> None:
+        """End whatever is at work; what a search has found is kept."""
+        if self._session.search is not None:
+            self._session.search.stop()
+            self._session.take()
+        self._worker.close()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self._server.stop()
+
+    def _listen(self) -> None:
+        panel = self._panel
+        for register, act in (
+            (panel.save.on_click, self._save),
+            (panel.tag.on_click, self._change_tag),
+            (panel.step.on_click, self._step),
+            (panel.optimise.on_click, self._optimise_or_stop),
+            (panel.yaw.on_update, self._look),
+            (panel.pitch.on_update, self._look),
+            (panel.positions.on_update, self._show_or_hide),
+            (panel.additions.on_update, self._show_additions),
+            (self._picture.cells.on_click, self._click_surface),
+            (self._picture.balls.on_click, self._click_position),
+        ):
+            self._acts.on(register, act)
+
+    def _idle(self) -> None:
+        if self._session.search is None:
+            self._worker.ask(self._session.deployment)
+        else:
+            self._show_search()
+
+    def _point(self, event: Any) -> None:
+        """Note a drag, in a thread of viser's; of the places on its way only the latest matters."""
+        if event.phase == "start":
+            self._acts.put(partial(self._grab, event.instance_index))
+        self._pointer = event
+        self._acts.put(self._follow)
+        if event.phase == "end":
+            self._acts.put(self._drop)
+
+    # What users do.
+
+    def _grab(self, index: int) -> None:
+        self._select(index)
+        self._dragged = self._selected
+
+    def _follow(self) -> None:
+        event, self._pointer = self._pointer, None
+        if event is None or self._dragged is None:
+            return
+        own = int(self._session.deployment.surfaces[self._session.plan.index_of(self._dragged)])
+        eye = np.asarray(event.client.camera.position)
+        place = pointed_at(self._surfaces, eye, np.asarray(event.end_position) - eye, own)
+        if place is None:
+            return
+        try:
+            self._session.drag(self._dragged, *place)
+        except InputError:
+            self._dragged = None
+            raise
+        self._show()
+
+    def _drop(self) -> None:
+        self._session.drop()
+        self._dragged = None
+
+    def _click_tag(self, event: Any) -> None:
+        self._select(event.instance_index)
+
+    def _select(self, index: int) -> None:
+        ids = self._session.deployment.ids
+        self._selected = int(ids[min(index, len(ids) - 1)])  # a tag may be gone that a browser still shows
+        self._show_tags()
+
+    def _click_surface(self, event: Any) -> None:
+        eye, way = np.asarray(event.ray_origin), np.asarray(event.ray_direction)
+        place = pointed_at(self._surfaces, eye, way)
+        if self._panel.adds.value and place is not None:
+            self._add(place)
+        elif self._additions is not None:
+            gains = [f"{getattr(self._additions, key)[event.instance_index]:+.3%} to the {name}"
+                     for name, key in ADDITIONS.items()]  # fmt: skip
+            self._panel.say(f"a tag here adds {', '.join(gains)}")
+
+    def _add(self, place: Place) -> None:
+        self._selected = self._session.add(*place)
+        self._panel.say(f"tag {self._selected} was added")
+        self._show()
+
+    def _change_tag(self, event: Any) -> None:
+        if self._selected is None:
+            raise InputError("click a tag first.")
+        if event.target.value == DELETE:
+            self._session.delete(self._selected)
+        else:
+            self._session.pin(self._selected)
+        self._show()
+
+    def _step(self, event: Any) -> None:
+        if event.target.value == UNDO:
+            self._session.undo()
+        else:
+            self._session.redo()
+        self._show()
+
+    def _optimise_or_stop(self, _: Any) -> None:
+        if self._session.search is not None:
+            self._session.search.stop()
+            return
+        self._session.optimise(self._optimiser(), self._budget, done=lambda: self._acts.put(self._take))
+        self._worker.ask(None)
+        self._panel.say("optimising")
+        self._show_search()
+
+    def _take(self) -> None:
+        try:
+            gained = self._session.take()
+        finally:
+            self._panel.show_progress(None, running=False)
+            self._show()
+        self._panel.say(f"the fitness is {gained:.3%} higher" if gained else "nothing better was found")
+
+    def _click_position(self, event: Any) -> None:
+        self._camera = self._problem.evaluator.positions[event.instance_index]
+        self._look(event)
+
+    def _look(self, _: Any) -> None:
+        if self._camera is not None:
+            self._picture.show_camera(self._camera, *self._panel.view)
+            self._show_tags()
+
+    def _save(self, _: Any) -> None:
+        try:
+            self._panel.say(f"saved in {self._save_files(self._session.deployment)}")
+        except OSError as error:
+            raise InputError(f"this could not be saved ({error.strerror or error}).") from None
+        self._session.note_saved()
+
+    # What follows, for users to see.
+
+    def _show(self) -> None:
+        """Show a plan that has changed, and figures that follow from it at once."""
+        self._worker.ask(None)
+        session, objective = self._session, self._problem.objective
+        with self._server.atomic():
+            self._show_tags()
+            self._picture.show_values(session.values())
+            positions, count = len(self._problem.relevance), len(session.deployment)
+            self._panel.show_figures(objective.describe(session.metrics(), positions, count))
+
+    def _show_tags(self) -> None:
+        session = self._session
+        deployment, plan = session.deployment, session.plan
+        seen = None if self._camera is None else session.seen(self._camera, *self._panel.view)
+        self._panel.show_seen(None if seen is None else np.sort(deployment.ids[seen]))
+        chosen = np.flatnonzero(deployment.ids == self._selected)
+        if not chosen.size:
+            self._selected = None
+        self._panel.show_tag(self._words(int(chosen[0])) if chosen.size else None)
+        if self._picture.show_tags(plan, self._selected, seen):
+            self._acts.on(self._picture.tags.on_click, self._click_tag)
+            in_order(self._picture.tags.on_drag, self._point)
+
+    def _words(self, k: int) -> str:
+        """Tag k in words."""
+        deployment, room = self._session.deployment, self._problem.scene.room
+        x, y, z = deployment.positions[k]
+        surface = int(deployment.surfaces[k])
+        where = room.surfaces()[surface].name if surface >= 0 else "free in the room"
+        pinned = ", pinned" if deployment.ids[k] in self._session.plan.pinned else ""
+        return f"tag {deployment.ids[k]}: {where}, ({x:.3f}, {y:.3f}, {z:.3f}) m{pinned}"
+
+    def _show_or_hide(self, _: Any) -> None:
+        self._picture.balls.visible = self._panel.positions.value
+
+    def _show_additions(self, _: Any = None) -> None:
+        key = ADDITIONS.get(self._panel.additions.value)
+        gains = None if self._additions is None or key is None else getattr(self._additions, key)
+        self._picture.show_additions(gains)
+        self._panel.show_legend(None if gains is None else float(np.nanmax(gains, initial=0.0)))
+
+    def _show_search(self) -> None:
+        """Show where a search is."""
+        search = self._session.search
+        assert search is not None, "it is running"
+        self._panel.show_progress(search.progress, running=True)
+        if search.progress is not None:
+            plan = Plan(search.progress.best, self._session.plan.pinned)
+            self._picture.show_tags(plan, self._selected, None)
+
+    # What is worked out when nobody does anything.
+
+    def _work(self, deployment: Deployment, wanted: Wanted) -> None:
+        """Find what tags would add, then the figures off the grid; in the thread of the worker."""
+        found = additions(self._problem, deployment, self._picture.candidates.poses, wanted)
+        if found is not None:
+            self._acts.put(partial(self._take_additions, found))
+        if self._seed is not None and wanted():
+            figures = validation_metrics(self._problem, deployment, self._seed)
+            if wanted():
+                self._acts.put(partial(self._take_off_grid, deployment, figures))
+
+    def _take_additions(self, found: Additions) -> None:
+        self._additions = found
+        self._show_additions()
+
+    def _take_off_grid(self, deployment: Deployment, figures: dict[str, float]) -> None:
+        if deployment is self._session.deployment:
+            self._panel.show_off_grid(self._problem.objective.describe_validation(figures))

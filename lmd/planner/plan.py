@@ -1,0 +1,122 @@
+"""A plan: tags, and which of them stay where they are."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lmd.checks import FloatArray, InputError, IntArray
+from lmd.deployment import Deployment
+from lmd.fixed import COLUMN
+from lmd.labels import Labels
+from lmd.plates import Plates
+from lmd.scene import Scene
+from lmd.space.surface import SurfaceArrays
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Tags as they are planned; every change makes a new plan.
+
+    Args:
+        deployment: the tags with their ids and surfaces (`of` gives ids to landmarks without).
+        pinned: ids of those that stay where they are.
+    """
+
+    deployment: Deployment
+    pinned: frozenset[int] = frozenset()
+
+    @classmethod
+    def of(cls, deployment: Deployment, hung: Deployment | None = None) -> "Plan":
+        """The plan of a deployment; those among it that are `hung` already are pinned."""
+        labels = deployment.labels or Labels(deployment.ids)
+        pinned = frozenset() if hung is None else frozenset(hung.ids.tolist())
+        return cls(replace(deployment, labels=labels), pinned)
+
+    @property
+    def free(self) -> IntArray:
+        """Indices of the tags that are not pinned."""
+        return np.flatnonzero(~np.isin(self.deployment.ids, list(self.pinned)))
+
+    def index_of(self, number: int) -> int:
+        """The index of the tag with an id.
+
+        Raises:
+            InputError: there is no such tag.
+        """
+        found = np.flatnonzero(self.deployment.ids == number)
+        if not found.size:
+            raise InputError(f"there is no tag {number}.")
+        return int(found[0])
+
+    def moved(self, plates: Plates, number: int, surface: int, at: FloatArray) -> "Plan":
+        """The plan with a tag at the free place nearest to `at` `(2,)` on a surface, coordinates of `Surface`, metres.
+
+        Raises:
+            InputError: there is no such tag, it is pinned, or there is no room for its paper.
+        """
+        k = self._movable(number)
+        rest = np.flatnonzero(np.arange(len(self.deployment)) != k)
+        there = placed(plates, self.deployment[rest] if rest.size else None, surface, at)
+        parts = {name: getattr(self.deployment, name).copy() for name in ("positions", "normals", "surfaces")}
+        for name, values in parts.items():
+            values[k] = getattr(there, name)[0]
+        return replace(self, deployment=replace(self.deployment, **parts))
+
+    def added(self, scene: Scene, surface: int, at: FloatArray) -> tuple["Plan", int]:
+        """The plan with one tag more, at the free place nearest to `at`, and its id: the least that is free.
+
+        Raises:
+            InputError: there is no room for its paper, or the family has no tag left.
+        """
+        ids = self.deployment.ids
+        number = int(np.setdiff1d(np.arange(len(ids) + 1), ids)[0])
+        labels = self.deployment.labels
+        assert labels is not None, "a plan's tags have ids"
+        marks = {COLUMN: ["0"]} if COLUMN in labels.columns else {}
+        more = labels + Labels(np.array([number]), marks)
+        if not scene.tag.is_point:
+            scene.tag.check_ids(more.ids)
+        there = placed(scene.plates, self.deployment, surface, at)
+        return replace(self, deployment=replace(self.deployment + there, labels=more)), number
+
+    def without(self, number: int) -> "Plan":
+        """The plan without a tag.
+
+        Raises:
+            InputError: there is no such tag, it is pinned, or it is the last one.
+        """
+        k = self._movable(number)
+        if len(self.deployment) == 1:
+            raise InputError("the last tag cannot be deleted.")
+        return replace(self, deployment=self.deployment[np.flatnonzero(np.arange(len(self.deployment)) != k)])
+
+    def toggled(self, number: int) -> "Plan":
+        """The plan with a tag pinned that was not, or the other way round.
+
+        Raises:
+            InputError: there is no such tag.
+        """
+        self.index_of(number)
+        return replace(self, pinned=self.pinned ^ {number})
+
+    def _movable(self, number: int) -> int:
+        """The index of a tag that is not pinned."""
+        k = self.index_of(number)
+        if number in self.pinned:
+            raise InputError(f"tag {number} is pinned.")
+        return k
+
+
+def placed(plates: Plates, others: Deployment | None, surface: int, at: FloatArray) -> Deployment:
+    """One landmark at the free place nearest to `at` `(2,)` on a surface, pushed away from the `others` if need be.
+
+    Raises:
+        InputError: there is no room for its paper on any surface.
+    """
+    surfaces, on = SurfaceArrays.of(plates.hanging.surfaces()), np.array([surface])
+    one = Deployment(surfaces.points(on, np.asarray(at)[None]), surfaces.normal[on], on)
+    fixed = 0 if others is None else len(others)
+    apart = plates.apart(one if others is None else others + one, fixed=fixed)
+    if apart is None:
+        raise InputError(f"there is no room for one more paper of {plates.edge:.4g} m.")
+    return apart[fixed:]

@@ -1,0 +1,118 @@
+"""An optimiser at work on the free tags of a plan, beside whoever looks at it."""
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from lmd.checks import InputError
+from lmd.deployment import Deployment
+from lmd.optimisers.base import Budget, Optimiser
+from lmd.planner.plan import Plan
+from lmd.problem import Problem
+from lmd.space.space import Space
+
+
+class Progress(NamedTuple):
+    """How far a search is: the share of the budget that is used, the best fitness, and the deployment that has it."""
+
+    used: float
+    fitness: float
+    best: Deployment
+
+
+@dataclass(frozen=True)
+class _Present:
+    """The start that a search is given: the free tags where they are."""
+
+    free: Deployment
+    varies = False
+
+    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
+        """See `DeploymentSource.draw`; nothing here is random."""
+        return self.free
+
+
+class Search:
+    """Moves the free tags of a plan in a thread of its own; the pinned ones are fixed.
+
+    Args:
+        problem: what the tags are for.
+        plan: what is improved. It is not changed.
+        optimiser: the method, one that has not run yet.
+        budget: what it may spend.
+        done: called in that thread when it has ended, for whatever reason.
+
+    Raises:
+        InputError: no tag is free, or the pinned ones do not hang properly.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        plan: Plan,
+        optimiser: Optimiser,
+        budget: Budget,
+        done: Callable[[], None] = lambda: None,
+    ) -> None:
+        if not plan.free.size:
+            raise InputError("all tags are pinned, so there is none to move.")
+        pinned = np.setdiff1d(np.arange(len(plan.deployment)), plan.free)
+        self._problem = Problem(
+            problem.scene,
+            problem.objective,
+            _Present(plan.deployment[plan.free]),
+            problem.evaluator.threads,
+            plan.deployment[pinned] if pinned.size else None,
+        )
+        self.plan, self._optimiser, self._budget, self._done = plan, optimiser, budget, done
+        self._told = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="search")
+        self.progress: Progress | None = None
+        self.error: str | None = None
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End with what is found by then, after the batch that is being evaluated."""
+        self._told.set()
+
+    def join(self) -> None:
+        """Wait for the end."""
+        self._thread.join()
+
+    @property
+    def running(self) -> bool:
+        """Whether it has begun and not ended."""
+        return self._thread.is_alive()
+
+    def _run(self) -> None:
+        try:
+            self._optimiser.run(self._problem, self._budget, self._note)
+        except InputError as error:
+            self.error = str(error)
+        finally:
+            self._done()
+
+    def _note(self, optimiser: Optimiser) -> bool:
+        """The callback of the optimiser."""
+        ledger, before = optimiser.ledger, self.progress
+        used = min(self._budget.used(ledger.evaluations, ledger.seconds), 1.0)
+        if before is not None and ledger.best_fitness <= before.fitness:
+            self.progress = before._replace(used=used)
+        elif (found := optimiser.found(self._problem)) is not None:
+            self.progress = Progress(used, ledger.best_fitness, self._as_planned(found))
+        return self._told.is_set()
+
+    def _as_planned(self, found: Deployment) -> Deployment:
+        """What was found, with the tags in the order of the plan and with their labels."""
+        parts = {}
+        for name in ("positions", "normals", "surfaces"):
+            values = getattr(self.plan.deployment, name).copy()
+            values[self.plan.free] = getattr(self._problem.free(found), name)
+            parts[name] = values
+        return replace(self.plan.deployment, **parts)

@@ -1,0 +1,188 @@
+"""A session of planning: the plan, what came before it, and what follows from it; no browser, no threads of its own.
+
+Only one thread may use a session. The search that it starts works on a copy, and says when it is done.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from lmd.checks import BoolArray, FloatArray, InputError
+from lmd.deployment import Deployment
+from lmd.geometry.se3 import axis_and_right, camera_pose
+from lmd.optimisers.base import Budget, Optimiser
+from lmd.planner.additions import additions
+from lmd.planner.plan import Plan
+from lmd.planner.search import Search
+from lmd.planner.values import Values
+from lmd.problem import Problem
+from lmd.sight.views import visible
+
+
+class Session:
+    """What a user does to a plan. Each change is one step that can be undone; what is refused changes nothing.
+
+    Args:
+        problem: what the tags are for. Its fixed landmarks hang already: they stay pinned.
+        deployment: where the tags are at first, with their surfaces.
+
+    Raises:
+        InputError: the objective has no field.
+    """
+
+    def __init__(self, problem: Problem, deployment: Deployment) -> None:
+        self.problem = problem
+        self.plan = self._saved = Plan.of(deployment, problem.fixed)
+        self._hung = self.plan.pinned
+        self._values = Values(problem, deployment)
+        self._past: list[Plan] = []
+        self._future: list[Plan] = []
+        self._dragged: int | None = None
+        self.search: Search | None = None
+
+    @property
+    def deployment(self) -> Deployment:
+        """The tags as they are now."""
+        return self.plan.deployment
+
+    @property
+    def is_saved(self) -> bool:
+        """Whether the tags are where they were when they were saved last, or at first."""
+        return self.plan.deployment is self._saved.deployment
+
+    def note_saved(self) -> None:
+        """Note that the plan has been saved."""
+        self._saved = self.plan
+
+    def values(self) -> FloatArray:
+        """The objective's value at every position of the grid, `(P,)`."""
+        return self._values.values()
+
+    def metrics(self) -> dict[str, float]:
+        """See `Problem.metrics`."""
+        return self._values.metrics()
+
+    def seen(self, position: FloatArray, yaw: float, pitch: float) -> BoolArray:
+        """Which tags a camera covers, `(K,)`: at `position` `(3,)`, metres, level, with a yaw and a pitch in rad."""
+        pose = camera_pose(position[None], np.array([yaw]), np.array([pitch]))
+        return np.asarray(visible(self.problem.evaluator, self.deployment, position[None], axis_and_right(pose))[0])
+
+    def warm_up(self) -> None:
+        """Let everything be compiled that a user would else wait for."""
+        deployment, position = self.deployment, self.problem.evaluator.positions[0]
+        turned = replace(deployment, positions=deployment.positions[::-1], normals=deployment.normals[::-1])
+        self._values.follow(turned)
+        self._values.follow(deployment)
+        self.seen(position, 0.0, 0.0)
+        additions(self.problem, deployment, deployment[:1])
+
+    def drag(self, number: int, surface: int, at: FloatArray) -> None:
+        """Move a tag, see `Plan.moved`. All that happens to it until `drop` is one step.
+
+        Raises:
+            InputError: as there, or a search is running.
+        """
+        self._become(self.plan.moved(self.problem.scene.plates, number, surface, at), number)
+
+    def drop(self) -> None:
+        """End a drag."""
+        self._dragged = None
+
+    def add(self, surface: int, at: FloatArray) -> int:
+        """Add a tag, see `Plan.added`; returns its id.
+
+        Raises:
+            InputError: as there, or a search is running.
+        """
+        plan, number = self.plan.added(self.problem.scene, surface, at)
+        self._become(plan)
+        return number
+
+    def delete(self, number: int) -> None:
+        """Take a tag away, see `Plan.without`.
+
+        Raises:
+            InputError: as there, too few would be left for the objective, or a search is running.
+        """
+        self.problem.objective.check(len(self.deployment) - 1)
+        self._become(self.plan.without(number))
+
+    def pin(self, number: int) -> None:
+        """Pin a tag, or unpin it.
+
+        Raises:
+            InputError: there is no such tag, it hangs already, or a search is running.
+        """
+        if number in self._hung:
+            raise InputError(f"tag {number} hangs already, so it stays pinned.")
+        self._become(self.plan.toggled(number))
+
+    def undo(self) -> None:
+        """Take the last step back.
+
+        Raises:
+            InputError: there is none, or a search is running.
+        """
+        self._step(self._past, self._future, "undo")
+
+    def redo(self) -> None:
+        """Make the step again that was taken back last.
+
+        Raises:
+            InputError: there is none, or a search is running.
+        """
+        self._step(self._future, self._past, "redo")
+
+    def optimise(self, optimiser: Optimiser, budget: Budget, done: Callable[[], None] = lambda: None) -> Search:
+        """Start to move the free tags; nothing else changes them until `take`. Args as of `Search`.
+
+        Raises:
+            InputError: as there, or a search is running.
+        """
+        self._check_idle()
+        self.search = Search(self.problem, self.plan, optimiser, budget, done)
+        self.search.start()
+        return self.search
+
+    def take(self) -> float:
+        """Wait for the end of the search and take over what it found if that is better, as one step.
+
+        Returns:
+            what the fitness has gained.
+
+        Raises:
+            InputError: the search failed.
+        """
+        search = self.search
+        assert search is not None, "there is a search"
+        search.join()
+        self.search, before = None, self.metrics()["fitness"]
+        if search.error is not None:
+            raise InputError(search.error)
+        if search.progress is None or search.progress.fitness <= before:
+            return 0.0
+        self._become(Plan(search.progress.best, self.plan.pinned))
+        return search.progress.fitness - before
+
+    def _step(self, source: list[Plan], target: list[Plan], name: str) -> None:
+        self._check_idle()
+        if not source:
+            raise InputError(f"there is nothing to {name}.")
+        self._dragged = None
+        self._values.follow(source[-1].deployment)
+        target.append(self.plan)
+        self.plan = source.pop()
+
+    def _become(self, plan: Plan, dragged: int | None = None) -> None:
+        """Go over to another plan, in the same step as the last one if the same tag is still being dragged."""
+        self._check_idle()
+        self._values.follow(plan.deployment)
+        if dragged is None or dragged != self._dragged:
+            self._past.append(self.plan)
+        self._future.clear()
+        self.plan, self._dragged = plan, dragged
+
+    def _check_idle(self) -> None:
+        if self.search is not None:
+            raise InputError("the free tags are being optimised: stop that first.")

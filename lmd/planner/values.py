@@ -1,0 +1,78 @@
+"""The figures of a deployment that changes a little at a time."""
+
+from typing import Any
+
+import numpy as np
+
+from lmd.checks import FloatArray
+from lmd.deployment import Deployment
+from lmd.objectives.field import move
+from lmd.problem import Problem
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.kernels import PROBABILITY_ONE
+
+
+class Values:
+    """The objective's values for a deployment, and its figures, equal to those of `Problem` to the last bit.
+
+    Where tags have only moved, they are updated (`lmd.objectives.field`); where there are more or fewer, computed anew.
+
+    Args:
+        problem: what the deployment is for; its count does not matter.
+        deployment: K landmarks.
+
+    Raises:
+        InputError: the objective has no field, or so many landmarks do not fit into memory.
+    """
+
+    def __init__(self, problem: Problem, deployment: Deployment) -> None:
+        self._problem = problem
+        self._grid = _Followed(problem, problem.evaluator, deployment)
+        sampled = problem.fitness_evaluator is not problem.evaluator
+        self._climbed = _Followed(problem, problem.fitness_evaluator, deployment) if sampled else self._grid
+
+    def follow(self, deployment: Deployment) -> None:
+        """Go over to another deployment.
+
+        Raises:
+            InputError: so many landmarks do not fit into memory.
+        """
+        for followed in {id(part): part for part in (self._grid, self._climbed)}.values():
+            followed.follow(deployment)
+
+    def values(self) -> FloatArray:
+        """See `Problem.values`."""
+        return self._grid.values()
+
+    def metrics(self) -> dict[str, float]:
+        """See `Problem.metrics`."""
+        problem = self._problem
+        figures = problem.objective.figures(self.values(), problem.relevance)
+        fitness = problem.objective.fitness(self._climbed.values(), problem.fitness_relevance)
+        return {**figures, "fitness": float(fitness)}
+
+
+class _Followed:
+    """The values at the positions of one evaluator."""
+
+    def __init__(self, problem: Problem, evaluator: Evaluator, deployment: Deployment) -> None:
+        self._field = problem.objective.field(evaluator)
+        self._begin(deployment)
+
+    def _begin(self, deployment: Deployment) -> None:
+        state: Any = self._field.state(deployment)
+        self._state, self._scratch = state, self._field.scratch(state)
+
+    def follow(self, deployment: Deployment) -> None:
+        """Move what hangs elsewhere."""
+        before = np.hstack([self._state.landmarks.T, self._state.normals.T])
+        poses = np.hstack([deployment.positions, deployment.normals])
+        if len(poses) != len(before):
+            self._begin(deployment)
+            return
+        for k in np.flatnonzero((poses != before).any(axis=1)):
+            move(self._field, k, poses[k], deployment.surfaces[k], self._state, self._scratch)
+
+    def values(self) -> FloatArray:
+        """The value at each position of the evaluator, `(P,)`."""
+        return np.asarray(self._state.units[self._field.index_of] / PROBABILITY_ONE)

@@ -1,0 +1,88 @@
+"""Plan in the browser: `python -m pipelines.view [run=DIR] [overrides]`."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from omegaconf import DictConfig
+
+from .app import application, build_optimiser, build_problem, keyed, run_directory
+from .earlier_run import read_earlier_run
+from .export import build_export
+from .outputs import all_or_none
+from .signals import stop
+from .sweeps.supervisor import run
+
+if TYPE_CHECKING:
+    from lmd.deployment import Deployment
+    from lmd.export.formats import Export
+    from lmd.problem import Problem
+
+UNSAVED = "unsaved.csv"
+
+
+def main() -> None:
+    """Read `run=DIR`, then hand over to Hydra."""
+    read_earlier_run()
+    _main()
+
+
+@application("view")
+def _main(cfg: DictConfig) -> None:
+    """Serve until told to stop."""
+    run(cfg, view)
+
+
+def view(cfg: DictConfig) -> None:
+    """Let the configured deployment be changed in a browser."""
+    import numpy as np
+
+    from lmd.checks import integer
+    from lmd.optimisers.base import Budget
+    from lmd.planner.app import Planner
+    from lmd.planner.session import Session
+
+    problem = build_problem(cfg)
+    with keyed("budget"):
+        budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
+    build_optimiser(cfg, cfg.seed)  # what is wrong with it shows now, not at the first search
+    tag, directory = problem.scene.tag, run_directory()
+    nothing = tag.is_point and cfg.export is None  # of a point there is no map
+    export = None if nothing else build_export(cfg, "export", tag)
+    session = Session(problem, problem.draw(np.random.default_rng(cfg.seed)))
+    session.warm_up()
+    planner = Planner(
+        session,
+        integer("port", cfg.port, low=0, high=65535),
+        save=lambda deployment: _save(directory, problem, export, deployment),
+        optimiser=lambda: build_optimiser(cfg, cfg.seed),
+        budget=budget,
+        seed=cfg.seed if cfg.validate else None,
+    )
+    print(f"planner {planner.address} (Ctrl-C ends it)", flush=True)
+    try:
+        planner.run()
+    finally:
+        planner.close()
+        if not session.is_saved:
+            session.deployment.to_csv(directory / UNSAVED, ups=not tag.is_point)
+            print(f"changes that were not saved are in {directory / UNSAVED}", file=sys.stderr)
+
+
+def _save(directory: Path, problem: "Problem", export: "Export | None", deployment: "Deployment") -> str:
+    """Write landmarks.csv and what is exported, all or nothing; says where."""
+    scene = problem.scene
+    writers = export.writers(scene.room, scene.tag, deployment) if export else {}
+
+    def write(folder: Path) -> None:
+        deployment.to_csv(folder / "landmarks.csv", ups=not scene.tag.is_point)
+        for name, write_one in writers.items():
+            write_one(folder / name)
+
+    with stop.postponed():
+        files = all_or_none(directory, write)
+    return f"{directory}: {', '.join(file.name for file in files)}"
+
+
+if __name__ == "__main__":
+    main()
