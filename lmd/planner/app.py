@@ -7,6 +7,7 @@ there is no lock.
 
 import contextlib
 import io
+import logging
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -66,6 +67,7 @@ class Planner:
         self._pointer: Any = None  # the latest event of a drag that has not been looked at
         self._camera: np.ndarray | None = None  # position `(3,)`
         self._additions: Additions | None = None
+        logging.getLogger("websockets.server").setLevel(logging.WARNING)
         with contextlib.redirect_stdout(io.StringIO()):  # it prints a banner
             self._server = viser.ViserServer(host=HOST, port=port, verbose=False)
         if port not in (0, self._server.get_port()):

@@ -24,7 +24,8 @@ ABOVE = 0.01  # metres from a surface to the tags on it, so that they are drawn 
 BALL = 0.12  # radius of a position, in distances to the next one
 POINT = 0.008  # half the edge of a landmark that is a point, in diagonals of the room
 CELL = 0.97  # of a cell that is coloured
-VIEWER = 1.05  # distance from the middle of the room, in diagonals
+VIEWER = 0.85  # distance from the middle of the room, in diagonals
+LIGHT = 2.0  # with which colours come out as they are given, nearly
 FRUSTUM = 0.08  # size of the camera, in diagonals
 SELECTED, SEEN, UNKNOWN = (255, 127, 14), (255, 221, 51), (205, 205, 205)
 ADDED = "magma"  # colour map of what a tag would add
@@ -51,7 +52,7 @@ class Picture:
         # One light from everywhere: colours mean values, and shades would change them.
         self._scene.configure_default_lights(enabled=False)
         self._scene.configure_environment_map(None)
-        self._scene.add_light_ambient("/light", intensity=math.pi)
+        self._scene.add_light_ambient("/light", intensity=LIGHT)
         self._draw_outline()
         self.cells = self._drawn_cells()
         self.balls = self._drawn_balls()

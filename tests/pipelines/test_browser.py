@@ -1,10 +1,9 @@
 """What `lmd` writes for browsers, opened in one: no error on the console, no request beyond the file itself."""
 
 import io
-import json
-import shutil
 import time
 
+import chromium
 import numpy as np
 import pytest
 from matplotlib.image import imread
@@ -17,34 +16,12 @@ from lmd.plot.page import save_scene_page
 from lmd.problem import Problem
 from lmd.space.cuboid import Cuboid
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
-DRIVER = shutil.which("chromedriver")
-FLAGS = (
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--enable-unsafe-swiftshader",  # WebGL on the processor
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-)
-REASON = "needs Chromium and its driver (Debian: apt-get install chromium chromium-driver)"
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(not (CHROMIUM and DRIVER), reason=REASON)]
+pytestmark = [pytest.mark.slow, chromium.needs_chromium]
 
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
-    from selenium import webdriver
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = CHROMIUM
-    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(executable_path=DRIVER))
-    driver.set_page_load_timeout(120)
+    driver = chromium.start(tmp_path_factory.mktemp("profile"))
     yield driver
     driver.quit()
 
@@ -52,13 +29,10 @@ def browser(tmp_path_factory):
 def visit(browser, path):
     """Open a file; what it wrote to the console as errors, and the addresses it asked for beside its own."""
     browser.get("about:blank")
-    browser.get_log("browser"), browser.get_log("performance")
+    chromium.complaints(browser), chromium.requests(browser)
     browser.get(path.as_uri())
     time.sleep(1.0)  # for what a page does after it has loaded
-    errors = [entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
-    events = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
-    asked = [e["params"]["request"]["url"] for e in events if e["method"] == "Network.requestWillBeSent"]
-    return errors, [url for url in asked if url != path.as_uri() and not url.startswith(("data:", "blob:"))]
+    return chromium.complaints(browser), [url for url in chromium.requests(browser) if url != path.as_uri()]
 
 
 def test_the_interactive_page_of_a_scene(browser, tmp_path):

@@ -1,0 +1,237 @@
+"""A session without a browser: whatever was done, its figures are those of `Problem`."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from floor_plans import lab
+from paper import paper_room, paper_scene
+from small import problem
+
+from lmd import pdf
+from lmd.checks import InputError
+from lmd.deployment import Deployment, FileDeployment, RandomDeployment
+from lmd.objectives.coverage import Coverage
+from lmd.objectives.localisation import Localisation
+from lmd.objectives.sampling import Sampling
+from lmd.optimisers.annealing import Annealing
+from lmd.optimisers.base import Budget
+from lmd.optimisers.random_search import RandomSearch
+from lmd.planner.plan import Plan
+from lmd.planner.session import Session
+from lmd.problem import Problem
+from lmd.tag import Tag
+
+TAG = Tag(edge=0.2)
+
+
+def session(of=None):
+    of = of or problem(tag=TAG)
+    return Session(of, of.draw(np.random.default_rng(0)))
+
+
+def small_scene(room, tag):
+    return replace(paper_scene(room, orientations=pdf.grid_with_ends(6)), tag=tag)
+
+
+def sampled():
+    scene = small_scene(paper_room(spacing=1.5), None)
+    return Problem(scene, Coverage(2, 0.5, sampling=Sampling(1, 4)), RandomDeployment(12), threads=1)
+
+
+def localising():
+    return Problem(
+        small_scene(paper_room(spacing=2.0), TAG), Localisation(sampling=None), RandomDeployment(9), threads=1
+    )
+
+
+def on_a_floor_plan():
+    return Problem(small_scene(lab(), TAG), Coverage(1, 0.3), RandomDeployment(9), threads=1)
+
+
+def somewhere(of, rng):
+    surfaces = of.scene.plates.hanging.surfaces()
+    surface = int(rng.integers(len(surfaces)))
+    return surface, rng.uniform(-0.5, 0.5 + np.array(surfaces[surface].extent))
+
+
+def act(planned, rng):
+    """One random thing that a user does; what is refused changes nothing."""
+    number, place = int(rng.choice(planned.deployment.ids)), somewhere(planned.problem, rng)
+    before = planned.plan
+    try:
+        match int(rng.integers(8)):
+            case 0:
+                planned.add(*place)
+            case 1:
+                planned.delete(number)
+            case 2:
+                planned.pin(number)
+            case 3:
+                planned.undo()
+            case 4:
+                planned.redo()
+            case _:
+                for _ in range(3):
+                    planned.drag(number, *somewhere(planned.problem, rng))
+                planned.drop()
+    except InputError:
+        assert planned.plan is before
+
+
+@pytest.mark.parametrize("of", [problem, sampled, localising, on_a_floor_plan])
+def test_figures_equal_those_of_a_full_evaluation_whatever_was_done(of):
+    planned, rng = session(of()), np.random.default_rng(1)
+    for _ in range(40):
+        act(planned, rng)
+        assert planned.metrics() == planned.problem.metrics(planned.deployment)
+        assert (planned.values() == planned.problem.values(planned.deployment)).all()
+        planned.problem.scene.plates.check(planned.deployment)
+        assert planned.deployment.fault(planned.problem.scene.plates.hanging) is None
+
+
+def test_a_tag_goes_to_the_nearest_place_where_it_hangs_wholly_and_touches_no_other():
+    planned = session()
+    edge, wall = planned.problem.scene.plates.edge, planned.problem.scene.room.surfaces()[0]
+    planned.drag(3, 0, np.array([-1.0, 2.0]))
+    planned.drag(4, 0, np.array([0.0, 2.0]))  # coordinates begin where the centre of a paper may be
+    for number, way in ((3, 0.0), (4, edge)):
+        there = planned.deployment.positions[planned.plan.index_of(number)]
+        a, b = (float(value) for value in wall.coordinates(there))
+        assert {round(abs(a - edge / 2), 9), round(abs(b - 2.0 - edge / 2), 9)} == {0.0, round(way, 9)}
+    planned.problem.scene.plates.check(planned.deployment)
+
+
+def test_a_drag_is_one_step_and_undo_and_redo_lead_through_all_steps():
+    planned = session()
+    plans = [planned.plan]
+    for number in (2, 2, 5):
+        for b in (1.0, 2.0, 3.0):
+            planned.drag(number, 1, np.array([b, b]))
+        planned.drop()
+        plans.append(planned.plan)
+    planned.pin(5)
+    plans.append(planned.plan)
+    plans.append(replace(plans[-1], pinned=frozenset()))
+    for plan in plans[-3::-1]:
+        planned.undo()
+        assert planned.plan is plan
+        assert planned.metrics() == planned.problem.metrics(plan.deployment)
+    with pytest.raises(InputError, match=r"^there is nothing to undo\.$"):
+        planned.undo()
+    planned.redo()
+    assert planned.plan is plans[1]
+    planned.delete(0)
+    with pytest.raises(InputError, match="nothing to redo"):
+        planned.redo()
+
+
+def test_a_new_tag_has_the_least_free_id_and_the_columns_of_the_file(write):
+    path = write("id,x,y,z,nx,ny,nz,note\n7,0,2,3,1,0,0,by the door\n0,0,3,3,1,0,0,\n1,7.5,2,3,-1,0,0,\n")
+    planned = session(problem(FileDeployment(path), tag=TAG))
+    assert planned.add(2, np.array([1.0, 1.0])) == 2
+    assert planned.add(2, np.array([2.0, 1.0])) == 3
+    planned.delete(0)
+    assert planned.deployment.ids.tolist() == [7, 1, 2, 3]
+    assert planned.deployment.labels.columns == {"note": ["by the door", "", "", ""]}
+
+
+def test_pinned_tags_stay_and_those_that_hang_already_are_pinned_for_good():
+    hung = Deployment([[0.0, 2.0, 3.0], [0.0, 3.0, 3.0]], [[1.0, 0.0, 0.0]] * 2)
+    planned = session(problem(RandomDeployment(5), fixed=hung, tag=TAG))
+    assert planned.plan.pinned == {0, 1}
+    planned.pin(4)
+    for refused in (lambda: planned.drag(4, 0, np.ones(2)), lambda: planned.delete(4)):
+        with pytest.raises(InputError, match=r"^tag 4 is pinned\.$"):
+            refused()
+    planned.pin(4)
+    planned.drag(4, 0, np.ones(2))
+    with pytest.raises(InputError, match="tag 1 hangs already"):
+        planned.pin(1)
+
+
+def test_what_cannot_be_is_refused():
+    planned = session(problem(RandomDeployment(2)))
+    with pytest.raises(InputError, match="n = 2 exceeds the number of landmarks, 1"):
+        planned.delete(0)
+    with pytest.raises(InputError, match=r"^there is no tag 9\.$"):
+        planned.drag(9, 0, np.ones(2))
+    full = session(problem(RandomDeployment(30), tag=Tag(0.2, "16h5")))
+    with pytest.raises(InputError, match="16h5 has 30 different tags, too few for 31"):
+        full.add(0, np.ones(2))
+
+
+def test_unsaved_is_what_has_changed_since_it_was_saved():
+    planned = session()
+    assert planned.is_saved
+    planned.pin(3)
+    assert planned.is_saved  # the file has no pins
+    planned.drag(4, 0, np.ones(2))
+    assert not planned.is_saved
+    planned.note_saved()
+    planned.delete(5)
+    planned.undo()
+    assert planned.is_saved
+
+
+def test_the_free_tags_are_optimised_and_the_pinned_ones_stay():
+    planned = session()
+    planned.pin(0)
+    planned.pin(17)
+    before, start = planned.deployment, planned.metrics()["fitness"]
+    search = planned.optimise(Annealing(), Budget(200))
+    with pytest.raises(InputError, match="being optimised: stop that first"):
+        planned.undo()
+    gained = planned.take()
+    assert search.progress.used == 1.0
+    assert gained > 0.0
+    assert planned.metrics()["fitness"] == start + gained == search.progress.fitness
+    stayed = (planned.deployment.positions == before.positions).all(axis=1)
+    assert stayed[[0, 17]].all()
+    assert not stayed.all()
+    assert (planned.deployment.ids == before.ids).all()
+    planned.problem.scene.plates.check(planned.deployment)
+    planned.undo()
+    assert planned.deployment is before
+
+
+def test_a_search_can_be_stopped_and_nothing_worse_is_taken():
+    planned = session()
+    search = planned.optimise(Annealing(), Budget(10**9))
+    search.stop()
+    planned.take()
+    assert search.progress.used < 1e-3
+    before = planned.plan
+    planned.optimise(RandomSearch(), Budget(1))
+    if planned.take() == 0.0:
+        assert planned.plan is before
+
+
+def test_a_search_that_cannot_begin_or_fails_says_why():
+    planned = session()
+    for number in planned.deployment.ids:
+        planned.pin(int(number))
+    with pytest.raises(InputError, match="all tags are pinned"):
+        planned.optimise(Annealing(), Budget(10))
+    tilted = replace(planned.deployment, normals=np.roll(planned.deployment.normals, 1, axis=1), surfaces=None)
+    planned = Session(planned.problem, tilted)
+    planned.optimise(Annealing(), Budget(10))
+    with pytest.raises(InputError, match="is not flush with its wall"):
+        planned.take()
+    assert planned.plan.deployment.positions is tilted.positions
+
+
+def test_the_camera_sees_what_the_reference_says():
+    planned = session()
+    scene, position = planned.problem.scene, planned.problem.evaluator.positions[3]
+    for yaw, pitch in ((0.0, 0.0), (2.0, 0.3), (-1.0, -0.5)):
+        axis = np.array([np.sin(yaw) * np.cos(pitch), np.cos(yaw) * np.cos(pitch), np.sin(pitch)])
+        counts = scene.visibility.covered(
+            scene.camera, position, np.pad(axis, (0, 3))[None], planned.deployment.positions, planned.deployment.normals
+        )
+        assert (planned.seen(position, yaw, pitch) == counts[0]).all()
+
+
+def test_a_plan_gives_ids_to_landmarks_without():
+    planned = Plan.of(Deployment([[0.0, 2.0, 3.0], [0.0, 3.0, 3.0]], [[1.0, 0.0, 0.0]] * 2))
+    assert planned.without(0).deployment.ids.tolist() == [1]
