@@ -121,10 +121,10 @@ class Planner:
             self._acts.on(register, act)
 
     def _idle(self) -> None:
-        if self._session.search is None:
-            self._worker.ask(self._session.deployment)
-        else:
+        if self._session.search is not None:
             self._show_search()
+        elif self._dragged is None:
+            self._worker.ask(self._session.deployment)
 
     def _point(self, event: Any) -> None:
         """Note a drag, in a thread of viser's; of the places on its way only the latest matters."""
@@ -244,6 +244,7 @@ class Planner:
             self._picture.show_values(session.values())
             positions, count = len(self._problem.relevance), len(session.deployment)
             self._panel.show_figures(objective.describe(session.metrics(), positions, count))
+        self._server.flush()
 
     def _show_tags(self) -> None:
         session = self._session

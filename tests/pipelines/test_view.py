@@ -2,17 +2,15 @@
 
 import signal
 import subprocess
-import time
 
 import chromium
 import numpy as np
 import pytest
 from paper import paper_room
+from planner_page import LIMIT, Page
 from processes import SMALL, call, command, help_of, refused, start
 
 from lmd.deployment import Deployment
-from lmd.planner.picture import VIEWER
-from lmd.plot.common import viewer
 
 pytestmark = pytest.mark.slow
 
@@ -25,8 +23,7 @@ LANDMARKS = """id,x,y,z,nx,ny,nz,note
 SETTINGS = (*SMALL[:2], "tag.edge=0.15", "objective.n=1", "objective.thold_p=0.1", "deployment=file")
 OVERRIDES = ("deployment.path=mine.csv", "hydra.run.dir=out")
 EXPORTED = {"tags.csv", "tags.json", "tags.wpilib.json", "plan.pdf", "sheets.pdf"}
-LIMIT = 300.0  # seconds
-FIELD = np.radians(75.0)  # of the browser's view, vertical
+ADDS = "a click on a surface adds a tag"
 
 
 @pytest.fixture
@@ -50,63 +47,6 @@ def browser(tmp_path_factory):
     driver = chromium.start(tmp_path_factory.mktemp("profile"))
     yield driver
     driver.quit()
-
-
-class Page:
-    """The planner in a browser."""
-
-    def __init__(self, browser, address):
-        self.browser = browser
-        browser.get("about:blank")
-        chromium.complaints(browser), chromium.requests(browser)
-        browser.get(address)
-        self.until(lambda: self.rows("off-grid").keys() > {"off the grid"})
-
-    def script(self, text, *arguments):
-        return self.browser.execute_script(f"return {text}", *arguments)
-
-    def until(self, is_so):
-        began = time.monotonic()
-        while not is_so():
-            assert time.monotonic() - began < LIMIT, self.script("document.body.innerText")
-            time.sleep(0.1)
-
-    def text(self, name):
-        return self.script("document.getElementById(arguments[0])?.innerText ?? ''", name).strip()
-
-    def rows(self, name):
-        found = self.script(
-            "Array.from(document.querySelectorAll(`#${arguments[0]} tr`), r => Array.from(r.cells, c => c.innerText))",
-            name,
-        )
-        return {key.strip(): text.strip() for key, text in found}
-
-    def press(self, label):
-        buttons = self.script("Array.from(document.querySelectorAll('button')).map(b => b.innerText)")
-        self.script("document.querySelectorAll('button')[arguments[0]].click()", buttons.index(label))
-
-    def pixel(self, point):
-        """Where a place in the room is shown."""
-        low, high = paper_room().bounds()
-        ahead = -viewer()
-        right = np.cross(ahead, [0.0, 0.0, 1.0]) / np.linalg.norm(np.cross(ahead, [0.0, 0.0, 1.0]))
-        offset = np.array(point) - (low + high) / 2.0 + VIEWER * np.linalg.norm(high - low) * ahead
-        x, y, z = offset @ right, offset @ np.cross(right, ahead), offset @ ahead
-        width, height = self.script("[window.innerWidth, window.innerHeight]")
-        scale = height / 2.0 / np.tan(FIELD / 2.0) / z
-        return round(width / 2.0 + scale * x), round(height / 2.0 - scale * y)
-
-    def mouse(self, *places):
-        """Press the mouse at the first place, and release it at the last."""
-        from selenium.webdriver.common.actions.action_builder import ActionBuilder
-
-        actions = ActionBuilder(self.browser, duration=50)
-        first, *others = (self.pixel(place) for place in places)
-        actions.pointer_action.move_to_location(*first).pause(0.3).pointer_down()
-        for place in others:
-            actions.pointer_action.move_to_location(*place).pause(0.1)
-        actions.pointer_action.pointer_up()
-        actions.perform()
 
 
 @chromium.needs_chromium
@@ -134,7 +74,7 @@ def test_a_tag_is_dragged_and_saved_and_the_figures_are_those_of_evaluate(planne
     assert done.returncode == 0, done.stderr
     said = {key: line[len(key) :].strip() for line in done.stdout.splitlines() for key in shown if line.startswith(key)}
     assert said == shown
-    assert chromium.complaints(browser) == []
+    assert page.complaints() == []
     assert {url.rstrip("/") for url in chromium.requests(browser)} == {address}
 
     process.send_signal(signal.SIGINT)
@@ -150,13 +90,13 @@ def test_tags_are_added_pinned_optimised_and_looked_at(planner, browser, work):
     before = page.rows("figures")
     assert "of 4 landmarks" in before["qualified ratio"]
 
-    page.script("document.querySelectorAll('input[type=checkbox]')[0].click()")
+    page.tick(ADDS)
     page.mouse((5.0, 5.0, 4.0))
     page.until(lambda: page.text("tag").startswith("tag 0: y_max"))
     assert "of 5 landmarks" in page.rows("figures")["qualified ratio"]
     page.press("Undo")
     page.until(lambda: page.rows("figures") == before)
-    page.script("document.querySelectorAll('input[type=checkbox]')[0].click()")
+    page.tick(ADDS)
 
     page.mouse((5.0, 5.0, 1.0))
     page.until(lambda: page.text("tag").startswith("tag 3: "))
@@ -174,7 +114,7 @@ def test_tags_are_added_pinned_optimised_and_looked_at(planner, browser, work):
     position = paper_room(spacing=1.5).grid()[-1]
     page.mouse(position)
     page.until(lambda: "in view: " in page.text("seen"))
-    assert chromium.complaints(browser) == []
+    assert page.complaints() == []
 
     page.press("Delete")  # of a tag that is pinned
     page.until(lambda: page.text("message") == "tag 3 is pinned.")

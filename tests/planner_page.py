@@ -1,0 +1,77 @@
+"""The interactive planner in a browser, with the mouse where places of the paper's room are shown."""
+
+import time
+
+import chromium
+import numpy as np
+from paper import paper_room
+from selenium.webdriver.common.actions.action_builder import ActionBuilder
+
+from lmd.planner.picture import VIEWER
+from lmd.plot.common import viewer
+
+LIMIT = 300.0  # seconds
+FIELD = np.radians(75.0)  # of the browser's view, vertical
+OF_VISERS = "Unable to preventDefault inside passive event listener"  # what its own page says of every drag
+
+
+class Page:
+    """The planner in a browser."""
+
+    def __init__(self, browser, address):
+        self.browser = browser
+        browser.get("about:blank")
+        chromium.complaints(browser), chromium.requests(browser)
+        browser.get(address)
+        self.until(lambda: self.rows("off-grid").keys() > {"off the grid"})
+
+    def script(self, text, *arguments):
+        return self.browser.execute_script(f"return {text}", *arguments)
+
+    def complaints(self):
+        return [message for message in chromium.complaints(self.browser) if OF_VISERS not in message]
+
+    def until(self, is_so):
+        began = time.monotonic()
+        while not is_so():
+            assert time.monotonic() - began < LIMIT, self.script("document.body.innerText")
+            time.sleep(0.1)
+
+    def text(self, name):
+        return self.script("document.getElementById(arguments[0])?.innerText ?? ''", name).strip()
+
+    def rows(self, name):
+        found = self.script(
+            "Array.from(document.querySelectorAll(`#${arguments[0]} tr`), r => Array.from(r.cells, c => c.innerText))",
+            name,
+        )
+        return {key.strip(): text.strip() for key, text in found}
+
+    def press(self, label):
+        buttons = self.script("Array.from(document.querySelectorAll('button')).map(b => b.innerText)")
+        self.script("document.querySelectorAll('button')[arguments[0]].click()", buttons.index(label))
+
+    def tick(self, label):
+        labels = self.script("Array.from(document.querySelectorAll('label'), l => [l.innerText, l.htmlFor])")
+        self.script("document.getElementById(arguments[0]).click()", dict(labels)[label])
+
+    def pixel(self, point):
+        """Where a place in the room is shown."""
+        low, high = paper_room().bounds()
+        ahead = -viewer()
+        right = np.cross(ahead, [0.0, 0.0, 1.0]) / np.linalg.norm(np.cross(ahead, [0.0, 0.0, 1.0]))
+        offset = np.array(point) - (low + high) / 2.0 + VIEWER * np.linalg.norm(high - low) * ahead
+        x, y, z = offset @ right, offset @ np.cross(right, ahead), offset @ ahead
+        width, height = self.script("[window.innerWidth, window.innerHeight]")
+        scale = height / 2.0 / np.tan(FIELD / 2.0) / z
+        return round(width / 2.0 + scale * x), round(height / 2.0 - scale * y)
+
+    def mouse(self, *places, pause=0.1):
+        """Press the mouse at the first place, and release it at the last."""
+        actions = ActionBuilder(self.browser, duration=50)
+        first, *others = (self.pixel(place) for place in places)
+        actions.pointer_action.move_to_location(*first).pause(0.3).pointer_down()
+        for place in others:
+            actions.pointer_action.move_to_location(*place).pause(pause)
+        actions.pointer_action.pointer_up()
+        actions.perform()
