@@ -1,6 +1,7 @@
 """`pipelines.view` as a user meets it: a process, and a page in Chromium that is dragged on with the mouse."""
 
 import signal
+import socket
 import subprocess
 
 import chromium
@@ -133,6 +134,14 @@ def test_what_cannot_be_is_refused_in_one_sentence(work):
         (("+optimiser.growth=2",), "optimiser.growth must be in [0, 1], got 2."),
     ):
         refused("view", *OVERRIDES, *overrides, message=message, cwd=work, settings=SETTINGS)
+
+
+def test_a_port_that_is_taken_is_refused(work):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        refused("view", *OVERRIDES, f"port={port}", message=f"port {port} is taken.", cwd=work, settings=SETTINGS)
 
 
 def test_help_is_quick(tmp_path):
