@@ -23,13 +23,14 @@ from lmd.planner.additions import Additions, additions
 from lmd.planner.panel import ADDITIONS, DELETE, UNDO, Panel
 from lmd.planner.picture import Picture
 from lmd.planner.plan import Plan
-from lmd.planner.pointing import Place, pointed_at
+from lmd.planner.pointing import pointed_at
 from lmd.planner.session import Session
 from lmd.planner.worker import Wanted, Worker
 from lmd.space.surface import SurfaceArrays
 from lmd.validation import validation_metrics
 
 HOST = "127.0.0.1"  # nobody else can reach it
+TO_COME = {"off the grid": "..."}
 IDLE = 0.5  # seconds in which nothing is done, before what takes longer is worked out
 
 
@@ -173,16 +174,13 @@ class Planner:
         eye, way = np.asarray(event.ray_origin), np.asarray(event.ray_direction)
         place = pointed_at(self._surfaces, eye, way)
         if self._panel.adds.value and place is not None:
-            self._add(place)
+            self._selected = self._session.add(*place)
+            self._panel.say(f"tag {self._selected} was added")
+            self._show()
         elif self._additions is not None:
             gains = [f"{getattr(self._additions, key)[event.instance_index]:+.3%} to the {name}"
                      for name, key in ADDITIONS.items()]  # fmt: skip
             self._panel.say(f"a tag here adds {', '.join(gains)}")
-
-    def _add(self, place: Place) -> None:
-        self._selected = self._session.add(*place)
-        self._panel.say(f"tag {self._selected} was added")
-        self._show()
 
     def _change_tag(self, event: Any) -> None:
         if self._selected is None:
@@ -244,6 +242,8 @@ class Planner:
             self._picture.show_values(session.values())
             positions, count = len(self._problem.relevance), len(session.deployment)
             self._panel.show_figures(objective.describe(session.metrics(), positions, count))
+            if self._seed is not None:
+                self._panel.show_off_grid(TO_COME)
         self._server.flush()
 
     def _show_tags(self) -> None:
@@ -251,22 +251,13 @@ class Planner:
         deployment, plan = session.deployment, session.plan
         seen = None if self._camera is None else session.seen(self._camera, *self._panel.view)
         self._panel.show_seen(None if seen is None else np.sort(deployment.ids[seen]))
-        chosen = np.flatnonzero(deployment.ids == self._selected)
-        if not chosen.size:
+        if self._selected not in deployment.ids:
             self._selected = None
-        self._panel.show_tag(self._words(int(chosen[0])) if chosen.size else None)
-        if self._picture.show_tags(plan, self._selected, seen):
+        number, room = self._selected, self._problem.scene.room
+        self._panel.show_tag(None if number is None else plan.described(number, room))
+        if self._picture.show_tags(plan, number, seen):
             self._acts.on(self._picture.tags.on_click, self._click_tag)
             in_order(self._picture.tags.on_drag, self._point)
-
-    def _words(self, k: int) -> str:
-        """Tag k in words."""
-        deployment, room = self._session.deployment, self._problem.scene.room
-        x, y, z = deployment.positions[k]
-        surface = int(deployment.surfaces[k])
-        where = room.surfaces()[surface].name if surface >= 0 else "free in the room"
-        pinned = ", pinned" if deployment.ids[k] in self._session.plan.pinned else ""
-        return f"tag {deployment.ids[k]}: {where}, ({x:.3f}, {y:.3f}, {z:.3f}) m{pinned}"
 
     def _show_or_hide(self, _: Any) -> None:
         self._picture.balls.visible = self._panel.positions.value

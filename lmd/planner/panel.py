@@ -23,7 +23,7 @@ class Panel:
     """
 
     def __init__(self, gui: Any) -> None:
-        gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+        gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
         gui.set_panel_label("lmd")
         self._figures = gui.add_html("")
         self._off_grid = gui.add_html("")
@@ -54,9 +54,8 @@ class Panel:
         return math.radians(self.yaw.value), math.radians(self.pitch.value)
 
     def show_figures(self, rows: Mapping[str, str]) -> None:
-        """Show the figures on the grid; those off it are of another plan now."""
+        """Show the figures on the grid."""
         self._figures.content = _table("figures", rows)
-        self._off_grid.content = _table("off-grid", {"off the grid": "..."})
 
     def show_off_grid(self, rows: Mapping[str, str]) -> None:
         """Show the figures off the grid."""

@@ -10,6 +10,7 @@ from lmd.fixed import COLUMN
 from lmd.labels import Labels
 from lmd.plates import Plates
 from lmd.scene import Scene
+from lmd.space.space import Space
 from lmd.space.surface import SurfaceArrays
 
 
@@ -47,6 +48,18 @@ class Plan:
         if not found.size:
             raise InputError(f"there is no tag {number}.")
         return int(found[0])
+
+    def described(self, number: int, room: Space) -> str:
+        """Where the tag with an id hangs, in words.
+
+        Raises:
+            InputError: there is no such tag.
+        """
+        k = self.index_of(number)
+        x, y, z = self.deployment.positions[k]
+        surface = int(self.deployment.surfaces[k])
+        where = room.surfaces()[surface].name if surface >= 0 else "free in the room"
+        return f"tag {number}: {where}, ({x:.3f}, {y:.3f}, {z:.3f}) m{', pinned' if number in self.pinned else ''}"
 
     def moved(self, plates: Plates, number: int, surface: int, at: FloatArray) -> "Plan":
         """The plan with a tag at the free place nearest to `at` `(2,)` on a surface, coordinates of `Surface`, metres.

@@ -24,7 +24,7 @@ LANDMARKS = """id,x,y,z,nx,ny,nz,note
 SETTINGS = (*SMALL[:2], "tag.edge=0.15", "objective.n=1", "objective.thold_p=0.1", "deployment=file")
 OVERRIDES = ("deployment.path=mine.csv", "hydra.run.dir=out")
 EXPORTED = {"tags.csv", "tags.json", "tags.wpilib.json", "plan.pdf", "sheets.pdf"}
-ADDS = "a click on a surface adds a tag"
+ADDS, BALLS = "a click on a surface adds a tag", "positions"
 
 
 @pytest.fixture
@@ -55,6 +55,7 @@ def test_a_tag_is_dragged_and_saved_and_the_figures_are_those_of_evaluate(planne
     process, address = planner
     page = Page(browser, address)
     before = page.rows("figures")
+    page.tick(BALLS)  # nothing is in the mouse's way
     page.mouse((2.0, 5.0, 1.0), (2.3, 5.0, 1.5), (3.0, 5.0, 2.5))
     page.until(lambda: page.rows("figures") != before)
     assert "tag 7: y_max, (" in page.text("tag")
@@ -91,6 +92,7 @@ def test_tags_are_added_pinned_optimised_and_looked_at(planner, browser, work):
     before = page.rows("figures")
     assert "of 4 landmarks" in before["qualified ratio"]
 
+    page.tick(BALLS)  # nothing is in the mouse's way
     page.tick(ADDS)
     page.mouse((5.0, 5.0, 4.0))
     page.until(lambda: page.text("tag").startswith("tag 0: y_max"))
@@ -112,6 +114,7 @@ def test_tags_are_added_pinned_optimised_and_looked_at(planner, browser, work):
     page.press("Stop, keep the best")
     page.until(lambda: not page.text("message").startswith("optimising"))
 
+    page.tick(BALLS)
     position = paper_room(spacing=1.5).grid()[-1]
     page.mouse(position)
     page.until(lambda: "in view: " in page.text("seen"))
