@@ -13,9 +13,8 @@ import numpy as np
 from lmd.checks import FloatArray
 from lmd.compiled import kernel
 from lmd.deployment import Deployment
-from lmd.objectives.field import bound, in_order, settle
-from lmd.objectives.localisation.losses import AWAY
-from lmd.optimisers.annealing.walk import total_worth
+from lmd.objectives.field import bound, in_order, settle, total_worth
+from lmd.objectives.without import AWAY
 from lmd.problem import Problem
 from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.sight.poses import Cells, wall_cells
