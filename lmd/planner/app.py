@@ -100,7 +100,8 @@ class Planner:
         """End whatever is at work; what a search has found is kept."""
         if self._session.search is not None:
             self._session.search.stop()
-            self._session.take()
+            with contextlib.suppress(InputError):
+                self._session.take()
         self._worker.close()
         with contextlib.redirect_stdout(io.StringIO()):
             self._server.stop()
@@ -178,9 +179,7 @@ class Planner:
             self._panel.say(f"tag {self._selected} was added")
             self._show()
         elif self._additions is not None:
-            gains = [f"{getattr(self._additions, key)[event.instance_index]:+.3%} to the {name}"
-                     for name, key in ADDITIONS.items()]  # fmt: skip
-            self._panel.say(f"a tag here adds {', '.join(gains)}")
+            self._panel.say_additions(self._additions, event.instance_index)
 
     def _change_tag(self, event: Any) -> None:
         if self._selected is None:

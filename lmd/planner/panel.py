@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from lmd.checks import IntArray
+from lmd.planner.additions import Additions
 from lmd.planner.search import Progress
 
 ADDITIONS = {"mean value": "value", "fitness": "fitness"}  # what surfaces may show, and where `Additions` has it
@@ -65,6 +66,14 @@ class Panel:
         """Show a sentence, in red if something was refused."""
         colour = "#c92a2a" if refused else "inherit"
         self._message.content = _paragraph("message", text, f"color: {colour}")
+
+    def say_additions(self, found: Additions, index: int) -> None:
+        """Say what a tag at one of the places would add."""
+        gains = {name: float(getattr(found, key)[index]) for name, key in ADDITIONS.items()}
+        if any(map(math.isnan, gains.values())):
+            self.say("a tag here would overlap another")
+        else:
+            self.say(f"a tag here adds {', '.join(f'{gain:+.3%} to the {name}' for name, gain in gains.items())}")
 
     def show_tag(self, text: str | None) -> None:
         """Say which tag is selected; None for none."""

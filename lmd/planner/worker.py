@@ -18,37 +18,38 @@ class Worker:
 
     def __init__(self, work: Callable[[Deployment, Wanted], None]) -> None:
         self._work = work
-        self._asked: Deployment | None = None
+        self._question: tuple[Deployment] | None = None  # another one each time it is asked
         self._closing = False
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._run, name="worker")
         self._thread.start()
 
     def ask(self, deployment: Deployment | None) -> None:
-        """Work on a deployment, or on none, and on no other any more."""
+        """Work on a deployment and on no other any more, once until another or None is asked; None for none."""
         with self._changed:
-            self._asked = deployment
-            self._changed.notify()
+            if deployment is None:
+                self._question = None
+            elif self._question is None or self._question[0] is not deployment:
+                self._question = (deployment,)
+                self._changed.notify()
 
     def close(self) -> None:
         """End, as soon as the work at hand looks whether it is wanted."""
         with self._changed:
-            self._asked, self._closing = None, True
+            self._question, self._closing = None, True
             self._changed.notify()
         self._thread.join()
 
     def _run(self) -> None:
-        done: Deployment | None = None
+        done: tuple[Deployment] | None = None
         while True:
             with self._changed:
-                while not self._closing and (self._asked is None or self._asked is done):
+                while not self._closing and (self._question is None or self._question is done):
                     self._changed.wait()
-                if self._asked is None:
+                if self._question is None:
                     return
-                at_hand = self._asked
-            wanted = partial(self._is_asked, at_hand)
-            self._work(at_hand, wanted)
-            done = at_hand if wanted() else done  # else it was given up
+                done = self._question
+            self._work(done[0], partial(self._is_asked, done))
 
-    def _is_asked(self, deployment: Deployment) -> bool:
-        return self._asked is deployment
+    def _is_asked(self, question: tuple[Deployment]) -> bool:
+        return self._question is question

@@ -105,6 +105,7 @@ def test_tags_are_added_pinned_optimised_and_looked_at(planner, browser, work):
     page.until(lambda: page.text("tag").startswith("tag 3: "))
     page.press("Pin or unpin")
     page.until(lambda: page.text("tag").endswith("pinned"))
+    page.until(lambda: page.rows("off-grid").keys() > {"off the grid"})
     page.mouse((5.0, 5.0, 1.0), (5.0, 5.0, 2.0), (5.0, 5.0, 2.5))
     page.until(lambda: page.text("message") == "tag 3 is pinned.")
     assert page.rows("figures") == before

@@ -36,3 +36,14 @@ def test_the_latest_counts_and_what_was_given_up_is_begun_again():
     assert all(done is asked for (done, _), asked in zip(finished, (one, two, one), strict=True))
     assert [wanted for _, wanted in finished[:2]] == [False, False]
     assert not begun.acquire(blocking=False)
+
+
+def test_what_was_done_is_done_again_once_it_was_none():
+    done = threading.Semaphore(0)
+    worker, one = Worker(lambda *_: done.release()), tags()
+    for _ in range(3):
+        worker.ask(one)
+        assert done.acquire(timeout=LIMIT)
+        worker.ask(None)
+    worker.close()
+    assert not done.acquire(blocking=False)
