@@ -49,6 +49,7 @@ NEEDS_MORE = {
     ("pdf", "samples"),
     ("pdf", "recorded"),
     ("poses", "recorded"),
+    ("room", "mesh"),
     ("deployment", "file"),
     ("views", "images"),
     ("visibility", "fiducial"),
