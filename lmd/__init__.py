@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from lmd.optimisers.base import Result as Result
     from lmd.plot.scene import save_scene_figure as save_scene_figure
     from lmd.problem import Problem as Problem
+    from lmd.rig import Mount as Mount
+    from lmd.rig import Rig as Rig
     from lmd.run import evaluate as evaluate
     from lmd.run import optimise as optimise
     from lmd.scene import Scene as Scene
@@ -61,11 +63,13 @@ _HOMES = {
     "FloorPlan": "lmd.space.floor_plan",
     "InputError": "lmd.checks",
     "MeshRoom": "lmd.space.mesh_room",
+    "Mount": "lmd.rig",
     "Prism": "lmd.space.prism",
     "Problem": "lmd.problem",
     "RandomDeployment": "lmd.deployment",
     "Reachable": "lmd.space.parts",
     "Result": "lmd.optimisers.base",
+    "Rig": "lmd.rig",
     "Sampling": "lmd.objectives.sampling",
     "Scan": "lmd.space.scan",
     "Scene": "lmd.scene",

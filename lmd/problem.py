@@ -32,8 +32,8 @@ class Problem:
             only draws the others, and optimisers only move those. None for none.
 
     Raises:
-        InputError: K landmarks cannot serve the objective, the start cannot be drawn, or the fixed landmarks do not
-            hang properly or have the ids of others.
+        InputError: K landmarks cannot serve the objective, the start cannot be drawn, the fixed landmarks do not hang
+            properly or have the ids of others, or a camera of a rig would be outside the room.
     """
 
     def __init__(
@@ -54,6 +54,7 @@ class Problem:
             scene.tag.check_ids(first.ids)
         objective.check(self.count)
         self.evaluator = Evaluator(scene, threads=threads)
+        scene.check_inside(self.evaluator.positions)
         self.relevance = scene.room.relevance.weights(self.evaluator.positions)
         self.fitness_evaluator, self.fitness_relevance = self.evaluator, self.relevance
         if objective.sampling is not None:

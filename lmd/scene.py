@@ -1,5 +1,6 @@
 """A scene: everything that stays fixed while landmarks move."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -11,6 +12,7 @@ from lmd.checks import FloatArray, InputError
 from lmd.memory import check_views
 from lmd.pdf import OrientationPdf, Orientations
 from lmd.plates import Plates
+from lmd.rig import Rig, Station
 from lmd.space.space import Space
 from lmd.tag import Tag
 
@@ -27,7 +29,8 @@ class Scene:
 
     Args:
         room: where landmarks and camera are.
-        camera: what looks for them.
+        camera: what looks for them; a `Rig` for several cameras on one body, whose poses then are the room's and the
+            PDF's.
         pdf: where it looks.
         visibility: when it sees one.
         tag: what hangs at each landmark; by default what the visibility model is about, or a point.
@@ -38,7 +41,7 @@ class Scene:
     """
 
     room: Space
-    camera: Camera
+    camera: Camera | Rig
     pdf: OrientationPdf
     visibility: "Criteria"
     tag: Tag = None  # type: ignore[assignment] # always a tag once made
@@ -61,9 +64,49 @@ class Scene:
         return max(self.visibility.spacing, self.plates.edge)
 
     @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """The camera, or those of the rig."""
+        return self.camera.cameras if isinstance(self.camera, Rig) else (self.camera,)
+
+    def single_camera(self, what: str) -> Camera:
+        """The only camera, for what does not know of rigs.
+
+        Args:
+            what: needs it, the subject of the sentence.
+
+        Raises:
+            InputError: there is a rig.
+        """
+        if isinstance(self.camera, Rig):
+            raise InputError(f"{what} works with a single camera, not with a rig of {len(self.camera.mounts)}.")
+        return self.camera
+
+    def stations(self, axes: FloatArray) -> Iterator[Station]:
+        """Where the cameras are for orientations of the camera, or of the body of a rig, `(A, 6)`."""
+        if isinstance(self.camera, Rig):
+            yield from self.camera.stations(axes)
+        else:
+            yield Station(self.camera, np.zeros(3), np.arange(len(axes)), axes)
+
+    def check_inside(self, positions: FloatArray) -> None:
+        """Raise `InputError` if a camera of a rig is outside the room with its body at one of `positions` `(P, 3)`."""
+        if not isinstance(self.camera, Rig):
+            return
+        offsets = np.unique(self.camera.views(self.orientations.axes)[0].reshape(-1, 3), axis=0)
+        for position in positions:
+            outside = ~self.room.contains(position + offsets)
+            if outside.any():
+                place = ", ".join(f"{value:.3g}" for value in position + offsets[np.argmax(outside)])
+                body = ", ".join(f"{value:.3g}" for value in position)
+                raise InputError(
+                    f"rig has a camera at [{place}], outside the room, when the body is at [{body}].", "rig"
+                )
+
+    @property
     def orientations(self) -> Orientations:
-        """The distinct orientations of the PDF, as far as the visibility model tells them apart."""
-        return self.pdf.by_axis_and_roll if self.visibility.needs_roll else self.pdf.by_axis
+        """The distinct orientations of the PDF, as far as the visibility model and a rig tell them apart."""
+        by_rig = isinstance(self.camera, Rig) and self.camera.needs_roll
+        return self.pdf.by_axis_and_roll if by_rig or self.visibility.needs_roll else self.pdf.by_axis
 
     def probability(self, positions: FloatArray) -> FloatArray:
         """Of each of these orientations at positions `(Q, 3)`: `(Q, D)`, or `(1, D)` where all have the same."""
@@ -76,5 +119,5 @@ class Scene:
 
     @cached_property
     def sight(self) -> Any:
-        """The visibility model compiled for the camera, a `lmd.sight.criteria.Sight`."""
-        return self.visibility.sight(self.camera)
+        """The visibility model compiled for the single camera, a `lmd.sight.criteria.Sight`."""
+        return self.visibility.sight(self.single_camera("this"))

@@ -35,20 +35,27 @@ class Explained(Protocol):
 
 
 def verdicts(scene: Scene, deployment: Deployment, poses: FloatArray) -> dict[str, BoolArray]:
-    """What the scene's visibility model says of its criteria in N poses, `(N, K)` each; nothing if it cannot tell."""
+    """What the scene's visibility model says of its criteria in N poses, `(N, K)` each; nothing if it cannot tell.
+
+    Raises:
+        InputError: the scene has a rig.
+    """
+    camera = scene.single_camera("the verdicts on single poses")
     if not hasattr(scene.visibility, "verdicts"):
         return {}
     axes = axis_and_right(poses)
-    rows = [_told(scene, deployment, pose[:3, 3], axes[i : i + 1]) for i, pose in enumerate(poses)]
+    rows = [_told(scene, camera, deployment, pose[:3, 3], axes[i : i + 1]) for i, pose in enumerate(poses)]
     return {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
 
 
-def _told(scene: Scene, deployment: Deployment, position: FloatArray, axes: FloatArray) -> dict[str, BoolArray]:
-    """The verdicts from a position with axes `(A, 6)`, `(A, K)` each: the model's, and the room's if it has any."""
+def _told(
+    scene: Scene, camera: Camera, deployment: Deployment, position: FloatArray, axes: FloatArray
+) -> dict[str, BoolArray]:
+    """The verdicts from a camera's position and axes `(A, 6)`, `(A, K)` each: the model's, and the room's if any."""
     landmarks = deployment.positions, deployment.normals
-    told = dict(scene.visibility.verdicts(scene.camera, position, axes, *landmarks))  # type: ignore[attr-defined]
+    told = dict(scene.visibility.verdicts(camera, position, axes, *landmarks))  # type: ignore[attr-defined]
     if scene.room.blockers() is not None:
-        clear = unobstructed(scene.room, scene.sight, position, *landmarks)
+        clear = unobstructed(scene.room, scene.visibility.sight(camera), position, *landmarks)
         told["obstacles"] = np.broadcast_to(clear, (len(axes), len(deployment)))
     return told
 
@@ -56,6 +63,8 @@ def _told(scene: Scene, deployment: Deployment, position: FloatArray, axes: Floa
 @dataclass(frozen=True)
 class Causes:
     """Why as much is covered as is: shares of all looks, a look being one landmark from one random pose.
+
+    Of a rig each camera has a look of its own.
 
     Args:
         looks: how many.
@@ -107,20 +116,21 @@ def causes(scene: Scene, deployment: Deployment, seed: int) -> Causes | None:
     names: list[str] = []
     met, without, covered = [], [], 0
     for here in poses:  # one after the other: all looks at once would be large
-        axes = axis_and_right(here)
-        told = _told(scene, deployment, here[0, :3, 3], axes)
-        names, passed = list(told), np.stack(list(told.values()))
-        failed = (~passed).sum(axis=0)
-        met.append(passed.sum(axis=(1, 2)))
-        without.append((failed == ~passed).sum(axis=(1, 2)))  # it fails no criterion, or this one alone
-        covered += int((failed == 0).sum())
-    looks = len(positions) * len(deployment)
+        for camera, offset, _, axes in scene.stations(axis_and_right(here)):
+            told = _told(scene, camera, deployment, here[0, :3, 3] + offset, axes)
+            names, passed = list(told), np.stack(list(told.values()))
+            failed = (~passed).sum(axis=0)
+            met.append(passed.sum(axis=(1, 2)))
+            without.append((failed == ~passed).sum(axis=(1, 2)))  # it fails no criterion, or this one alone
+            covered += int((failed == 0).sum())
+    looks = len(positions) * len(deployment) * len(scene.cameras)
 
     def shares(counts: list[IntArray]) -> dict[str, float]:
         return dict(zip(names, (np.sum(counts, axis=0) / looks).tolist(), strict=True))
 
     describe = getattr(scene.visibility, "limits_for", None)
-    limits = dict(describe(scene.camera)) if describe else {}
+    told_of = [describe(camera) for camera in dict.fromkeys(scene.cameras)] if describe else []
+    limits = {name: " | ".join(dict.fromkeys(each[name] for each in told_of)) for name in (told_of or [{}])[0]}
     if "obstacles" in names:
         limits["obstacles"] = "nothing of the room in the way"
     return Causes(looks, covered / looks, shares(met), shares(without), limits)

@@ -19,6 +19,8 @@ from lmd.sight.criteria import horizon_of
 from lmd.sight.directions import tables
 from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.sight.obstacles import obstacles_at
+from lmd.sight.rig_views import RigViews
+from lmd.sight.stations import parts_of
 
 MOST_THREADS = 1024  # more than any machine gains from
 COUNT_BYTES = 4  # of a view, twice two: the counts of axes, and of orientations of the PDF
@@ -62,8 +64,11 @@ class Evaluator:
         self.axes = in_words(axes.T)
         self.bands = height_index(axes[:, 2])
         self.weights = in_units(in_words(scene.probability(self.positions)))
-        self.sight = scene.sight
-        self.obstacles = obstacles_at(scene.room.blockers(), self.positions)
+        blockers, self.parts = scene.room.blockers(), parts_of(scene)
+        if self.parts:
+            self.rig_views = RigViews(self.parts, blockers, self.positions, self.threads)
+        else:
+            self.sight, self.obstacles = scene.sight, obstacles_at(blockers, self.positions)
 
     @property
     def probability(self) -> FloatArray:
@@ -110,6 +115,11 @@ class Evaluator:
             self.check_memory(COUNT_BYTES * len(positions))
         units = np.empty((len(positions), size), dtype=np.int64)
         counts = np.zeros((len(positions), size, axes) if keep else (0, 0, 0), dtype=np.int16)
+        if self.parts:
+            for b, (landmarks, facing) in enumerate(zip(positions, normals, strict=True)):
+                kept = counts[b] if keep else counts[0:0].reshape(0, 0)
+                units[b] = self.rig_views.evaluate(landmarks, facing, self.weights, n, kept)
+            return units, counts
         scene: tuple[Any, ...] = (
             self.positions,
             *(np.ascontiguousarray(v.transpose(0, 2, 1)) for v in (positions, normals)),

@@ -179,6 +179,8 @@ def gains(evaluator: Evaluator, poses: Deployment, prices: FloatArray, slack: Fl
     """
     out, e = np.empty(len(poses)), evaluator
     slack = np.zeros(len(poses)) if slack is None else slack
+    if e.parts:
+        return e.rig_views.gains(poses.positions, poses.normals, prices, slack)
     positions = np.ascontiguousarray(e.positions.T)
     fixed = (poses.positions, poses.normals, slack, prices, positions, e.sight, e.obstacles, e.axes, e.bands, out)
     shared(_gains, len(poses), e.threads, fixed)
@@ -196,6 +198,8 @@ def covered_amounts(evaluator: Evaluator, poses: Deployment, amounts: FloatArray
     Returns:
         `(P, D)`, the same for any number of threads.
     """
+    if evaluator.parts:
+        return evaluator.rig_views.covered_amounts(poses.positions, poses.normals, amounts)
     out, e = np.zeros((len(evaluator.positions), evaluator.axes.shape[1])), evaluator
     fixed = (poses.positions, poses.normals, amounts, e.positions, e.sight, e.obstacles, e.axes, e.bands, out)
     shared(_cover, len(e.positions), e.threads, fixed)

@@ -20,11 +20,16 @@ from lmd.sight.obstacles import unobstructed
 def coverage_caps(scene: Scene, deployment: Deployment, position: FloatArray, axes: FloatArray) -> BoolArray:
     """Which axes `(A, 6)` lie in the coverage spherical cap S_k^C(p) of each landmark (Definition 1), `(A, K)`.
 
-    Empty for landmarks that something in the room blocks.
+    Empty for landmarks that something in the room blocks. For a rig, position and axes are those of its body: some
+    camera covers the landmark, each from its own pose.
     """
     landmarks = deployment.positions, deployment.normals
-    covered = scene.visibility.covered(scene.camera, position, axes, *landmarks)
-    return covered & unobstructed(scene.room, scene.sight, position, *landmarks)
+    covered = np.zeros((len(axes), len(deployment)), dtype=np.bool_)
+    for camera, offset, there, turned in scene.stations(axes):
+        place = position + offset
+        seen = scene.visibility.covered(camera, place, turned, *landmarks)
+        covered[there] |= seen & unobstructed(scene.room, scene.visibility.sight(camera), place, *landmarks)
+    return covered
 
 
 def cap_count(caps: BoolArray) -> IntArray:

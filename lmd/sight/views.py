@@ -4,11 +4,15 @@ The decisions are those of the fast path and hence of the reference, operation b
 is what a moving camera sees.
 """
 
+from typing import Any
+
 import numpy as np
 
 from lmd.checks import BoolArray, FloatArray
 from lmd.compiled import kernel
 from lmd.deployment import Deployment
+from lmd.rig import Rig
+from lmd.scene import Scene
 from lmd.sight.criteria import covers, from_position
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import is_hidden
@@ -43,14 +47,24 @@ def visible(evaluator: Evaluator, deployment: Deployment, positions: FloatArray,
     Args:
         evaluator: the scene.
         deployment: K landmarks.
-        positions: of the camera, `(N, 3)`, world frame, metres.
+        positions: of the camera, `(N, 3)`, world frame, metres; for a rig of its body, as the axes are.
         axes: its optical axes and the image's right, `(N, 6)`: two unit vectors in the world frame
             (`lmd.geometry.se3.axis_and_right`). Without the right, `(N, 3)`, for criteria that need no roll.
     """
-    axes = np.pad(axes, [(0, 0), (0, 6 - axes.shape[1])])
+    scene, axes = evaluator.scene, np.pad(axes, [(0, 0), (0, 6 - axes.shape[1])])
+    if not isinstance(scene.camera, Rig):
+        return _visible(scene, evaluator.sight, deployment, positions, axes)
+    seen = [
+        _visible(scene, scene.visibility.sight(camera), deployment, positions + offsets, turned)
+        for camera, offsets, turned in zip(scene.camera.cameras, *scene.camera.views(axes), strict=True)
+    ]
+    return np.asarray(np.logical_or.reduce(seen))
+
+
+def _visible(scene: Scene, sight: Any, deployment: Deployment, positions: FloatArray, axes: FloatArray) -> BoolArray:
+    """`visible` for a camera with a compiled model of sight, axes `(N, 6)`."""
     seen = np.zeros((len(positions), len(deployment)), dtype=np.bool_)
     landmarks, normals = (np.ascontiguousarray(v.T) for v in (deployment.positions, deployment.normals))
     positions, axes = np.ascontiguousarray(positions), np.ascontiguousarray(axes.T)
-    obstacles = obstacles_at(evaluator.scene.room.blockers(), positions)
-    _see(positions, axes, landmarks, normals, evaluator.sight, obstacles, seen)
+    _see(positions, axes, landmarks, normals, sight, obstacles_at(scene.room.blockers(), positions), seen)
     return seen

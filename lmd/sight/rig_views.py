@@ -1,0 +1,151 @@
+"""What a rig covers from many positions, summed up: counts, probabilities, and what single poses earn.
+
+The bits come from `stations`; threads share positions, or poses. Every sum is over the same terms in the same order
+whatever their number.
+"""
+
+import itertools
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from lmd.checks import FloatArray
+from lmd.compiled import kernel
+from lmd.sight.bits import BITS, ONE, ZERO, lowest
+from lmd.sight.kernels import weights_row
+from lmd.sight.stations import Part, seen_by
+from lmd.space.blockers import Blockers
+
+# Positions, or poses, that a thread works on at a time: what they see in all orientations is kept until summed up.
+AT_A_TIME = 64
+
+
+@kernel
+def _count(seen, weights, n, units, counts):
+    """P_n in integer units `(P,)` from sets `(P, K, W)`, and in `counts` `(P, 64 W)`, unless empty, the landmarks."""
+    words, keep = np.uint64(seen.shape[2]), len(counts) > 0
+    some = np.empty((n, words), dtype=np.uint64)  # orientations that cover at least 1, 2, ... n of the landmarks so far
+    for p in range(len(seen)):
+        some[:] = ZERO
+        for k in range(seen.shape[1]):
+            for w in range(words):
+                cap = seen[p, k, w]
+                for j in range(n - 1, 0, -1):
+                    some[j, w] |= some[j - 1, w] & cap
+                some[0, w] |= cap
+                while keep and cap:
+                    counts[p, w * np.uint64(BITS) + lowest(cap)] += 1
+                    cap &= cap - ONE
+        units[p], row = 0, weights_row(weights, p)
+        for w in range(words):
+            left = some[n - 1, w]
+            while left:
+                units[p] += weights[row, w * np.uint64(BITS) + lowest(left)]
+                left &= left - ONE
+
+
+@kernel
+def _earn(seen, prices, out):
+    """The sum of the `prices` `(P, 64 W)` of what each of N poses covers, sets `(P, N, W)`, to `out` `(N,)`."""
+    row = np.empty(prices.shape[1])
+    for j in range(len(out)):
+        row[:] = 0.0
+        for p in range(len(seen)):
+            for w in range(np.uint64(seen.shape[2])):
+                left = seen[p, j, w]
+                while left:
+                    a = w * np.uint64(BITS) + lowest(left)
+                    row[a] += prices[p, a]
+                    left &= left - ONE
+        out[j] = 0.0
+        for a in range(len(row)):
+            out[j] += row[a]
+
+
+@kernel
+def _add_up(seen, amounts, out):
+    """Add to `out` `(P, 64 W)` the `amounts` `(N,)` of the poses that cover, sets `(P, N, W)`."""
+    for p in range(len(seen)):
+        for j in range(len(amounts)):
+            for w in range(np.uint64(seen.shape[2])):
+                left = seen[p, j, w]
+                while left:
+                    out[p, w * np.uint64(BITS) + lowest(left)] += amounts[j]
+                    left &= left - ONE
+
+
+class RigViews:
+    """The views of a rig from P positions of its body.
+
+    Args:
+        parts: the rig, for D orientations.
+        blockers: what in the room blocks lines of sight.
+        positions: `(P, 3)`, metres.
+        threads: that share the work.
+    """
+
+    def __init__(self, parts: tuple[Part, ...], blockers: Blockers | None, positions: FloatArray, threads: int) -> None:
+        self.parts, self.blockers, self.positions, self.threads = parts, blockers, positions, threads
+
+    @property
+    def _single(self) -> tuple[Part, ...]:
+        """The rig where no landmark hides another."""
+        return tuple(part._replace(sight=part.sight.unhidden()) for part in self.parts)
+
+    def _shared(self, size: int, job: Callable[[slice], None]) -> None:
+        edges = [*range(0, size, AT_A_TIME), size]
+        with ThreadPoolExecutor(self.threads) as pool:
+            for done in [pool.submit(job, slice(a, b)) for a, b in itertools.pairwise(edges)]:
+                done.result()
+
+    def evaluate(
+        self, landmarks: FloatArray, normals: FloatArray, weights: np.ndarray, n: int, counts: np.ndarray
+    ) -> np.ndarray:
+        """P_n in integer units of one deployment, `(P,)`.
+
+        Args:
+            landmarks, normals: `(K, 3)`.
+            weights: of the orientations in integer units, `(1, 64 W)` or `(P, 64 W)`.
+            n: landmarks that must be covered.
+            counts: `(P, 64 W)` zeros, receives the landmarks covered; empty if nobody asks.
+        """
+        units, slack = np.empty(len(self.positions), dtype=np.int64), np.zeros(len(landmarks))
+        low, high = self.positions.min(axis=0), self.positions.max(axis=0)
+        batch = landmarks.T[None], normals.T[None]
+        parts = tuple(
+            part._replace(sight=part.sight.among(low + offsets.min(axis=0), high + offsets.max(axis=0), *batch))
+            for part in self.parts
+            for offsets in [part.offsets]
+        )
+
+        def job(part: slice) -> None:
+            seen = seen_by(parts, self.blockers, self.positions[part], landmarks, normals, slack)
+            _count(seen, weights[part] if len(weights) > 1 else weights, n, units[part], counts[part])
+
+        self._shared(len(units), job)
+        return units
+
+    def gains(self, landmarks: FloatArray, normals: FloatArray, prices: FloatArray, slack: FloatArray) -> FloatArray:
+        """See `poses.gains`: of N poses with `landmarks` and `normals` `(N, 3)`."""
+        out, single = np.empty(len(landmarks)), self._single
+
+        def job(part: slice) -> None:
+            poses = landmarks[part], normals[part], slack[part]
+            _earn(seen_by(single, self.blockers, self.positions, *poses), prices, out[part])
+
+        self._shared(len(landmarks), job)
+        return out
+
+    def covered_amounts(self, landmarks: FloatArray, normals: FloatArray, amounts: FloatArray) -> FloatArray:
+        """See `poses.covered_amounts`."""
+        used = amounts != 0.0
+        landmarks, normals, amounts, single = landmarks[used], normals[used], amounts[used], self._single
+        out = np.zeros((len(self.positions), BITS * self.parts[0].members.shape[1]))
+
+        def job(part: slice) -> None:
+            poses = landmarks, normals, np.zeros(len(landmarks))
+            _add_up(seen_by(single, self.blockers, self.positions[part], *poses), amounts, out[part])
+
+        self._shared(len(out), job)
+        return out

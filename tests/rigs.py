@@ -1,0 +1,38 @@
+"""What the property tests of rigs draw from, and the rigs that several of them need."""
+
+import math
+
+import numpy as np
+from hypothesis import strategies as st
+from strategies import cameras, deployments, fiducials, pdfs, rolled_pdfs, rooms, visibilities
+
+from lmd.rig import Mount, Rig
+from lmd.scene import Scene
+
+angles = st.one_of(st.sampled_from([0.0, math.pi / 2, math.pi]), st.floats(-math.pi, math.pi))
+translations = st.one_of(st.just((0.0, 0.0, 0.0)), st.just((0.0, 0.0, 0.2)), st.tuples(*[st.floats(-0.5, 0.5)] * 3))
+
+
+@st.composite
+def mounts(draw, kinds):
+    camera, translation = draw(st.sampled_from(kinds)), draw(translations)
+    if draw(st.booleans()):
+        return Mount(camera, translation, draw(angles), draw(angles), draw(angles))
+    quaternion = np.random.default_rng(draw(st.integers(0, 99))).normal(size=4)
+    return Mount(camera, translation, quaternion=quaternion / np.linalg.norm(quaternion))
+
+
+@st.composite
+def rigs(draw, any_camera=cameras(), kinds=2):  # noqa: B008
+    kinds = draw(st.lists(any_camera, min_size=1, max_size=kinds))
+    return Rig(tuple(draw(st.lists(mounts(kinds), min_size=1, max_size=3))))
+
+
+@st.composite
+def rig_scenes_with_deployments(draw, fiducial=False, room=None):
+    room = draw(rooms() if room is None else room)
+    seen = draw(fiducials() if fiducial else visibilities())
+    # Each kind of camera in a rig is compiled anew, which takes long where the test of the image does.
+    rig = draw(rigs(kinds=1 if fiducial else 2))
+    scene = Scene(room, rig, draw(rolled_pdfs() if fiducial else pdfs), seen)
+    return scene, draw(deployments(room, most=8))
