@@ -12,6 +12,7 @@ from lmd.deployment import Deployment
 from lmd.objectives.base import AtLeast, Headline
 from lmd.objectives.coverage_field import CoverageField, coverage_field
 from lmd.objectives.field import smoothed, worth
+from lmd.objectives.rig_field import RigField, rig_field
 from lmd.objectives.sampling import Sampling
 from lmd.sight.criteria import TOLERANCE
 from lmd.sight.evaluator import Evaluator
@@ -97,9 +98,9 @@ class Coverage(AtLeast):
             "on a finer grid": f"{figures['finer_grid_qualified_ratio']:.2%} of positions qualified",
         }
 
-    def field(self, evaluator: Evaluator) -> CoverageField:
+    def field(self, evaluator: Evaluator) -> CoverageField | RigField:
         """See `Objective.field`."""
-        return coverage_field(evaluator, self.n)
+        return rig_field(evaluator, self.n) if evaluator.parts else coverage_field(evaluator, self.n)
 
     def target(self, relevance: FloatArray) -> "Threshold":
         """See `Objective.target`."""

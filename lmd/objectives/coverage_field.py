@@ -97,16 +97,9 @@ def _undo(field, k, state, scratch):  # type: ignore[no-untyped-def]
 
 def coverage_field(evaluator: Evaluator, n: int) -> CoverageField:
     """The field of P_n at the positions of an evaluator."""
-    e = evaluator
-    order = _in_blocks(e.positions)
-    index_of = np.empty(len(e.positions), dtype=np.int64)
-    index_of[order[::-1]] = np.arange(len(order))[::-1]  # the first of several copies
-    positions = e.positions[order]
-    blocks = positions.reshape(-1, BLOCK, 3)
-    least, most = blocks.min(axis=1), blocks.max(axis=1)
-    centres = (least + most) / 2.0
-    halves = ((most - least) / 2.0 * (1.0 + SINGLE_ERROR)).astype(np.float32)  # never less for the rounding
-    positions, centres, halves = (np.ascontiguousarray(part.T) for part in (positions, centres, halves))
+    e, (order, index_of) = evaluator, in_blocks(evaluator.positions)
+    centres, halves = boxes_around(e.positions[order])
+    positions = np.ascontiguousarray(e.positions[order].T)
     horizon, given = horizon_of(e.sight), np.zeros((len(order), e.tables[0].shape[1]), dtype=np.uint64)
     obstacles = obstacles_at(e.scene.room.blockers(), e.positions[order])
     weights = e.weights[order] if len(e.weights) > 1 else e.weights
@@ -115,8 +108,19 @@ def coverage_field(evaluator: Evaluator, n: int) -> CoverageField:
     )
 
 
-def _in_blocks(positions: FloatArray) -> np.ndarray:
-    """Indices `(Q,)` that put positions `(P, 3)` into blocks of neighbours, by cutting the longest side in two."""
+def boxes_around(positions: FloatArray) -> tuple[np.ndarray, np.ndarray]:
+    """Boxes around blocks of `BLOCK` positions `(Q, 3)`: centres, and half the sides, `(3, Q / BLOCK)`."""
+    blocks = positions.reshape(-1, BLOCK, 3)
+    least, most = blocks.min(axis=1), blocks.max(axis=1)
+    halves = ((most - least) / 2.0 * (1.0 + SINGLE_ERROR)).astype(np.float32)  # never less for the rounding
+    return np.ascontiguousarray(((least + most) / 2.0).T), np.ascontiguousarray(halves.T)
+
+
+def in_blocks(positions: FloatArray) -> tuple[np.ndarray, np.ndarray]:
+    """Indices `(Q,)` that put positions `(P, 3)` into blocks of neighbours, and where each is then, `(P,)`.
+
+    The longest side is cut in two; the last block is filled up with copies.
+    """
 
     def cut(part: np.ndarray) -> list[np.ndarray]:
         if len(part) <= BLOCK:
@@ -127,4 +131,7 @@ def _in_blocks(positions: FloatArray) -> np.ndarray:
         return cut(part[:middle]) + cut(part[middle:])
 
     order = np.concatenate(cut(np.arange(len(positions))))
-    return np.append(order, np.full(-len(order) % BLOCK, order[-1]))
+    order = np.append(order, np.full(-len(order) % BLOCK, order[-1]))
+    index_of = np.empty(len(positions), dtype=np.int64)
+    index_of[order[::-1]] = np.arange(len(order))[::-1]  # the first of several copies
+    return order, index_of

@@ -170,3 +170,35 @@ def find_flips(state, scratch):
             for q in range(np.uint64(BLOCK)):
                 p = b * np.uint64(BLOCK) + q
                 flips[p] |= flips_with(reachable[i, p], hidden[i, p], hidden[i, p] + change[b, m, q])
+
+
+@njit(inline="always")
+def swap(one, other, first, last):
+    """Exchange a part of two arrays; by itself, so that the loop vectorises."""
+    for p in range(first, last):
+        one[p], other[p] = other[p], one[p]
+
+
+@kernel
+def exchange_hiding(k, sign, sight, state, scratch):
+    """Exchange from where landmark k is reached, and who hides whom, for what `scratch` has of its other place.
+
+    `sign` as in `move`.
+    """
+    hidden, hiding, before, after = state.hidden, state.hiding, scratch.before, scratch.after
+    found, who, change = scratch.turns
+    if sight.reach >= 0.0:
+        for b in scratch.blocks[: scratch.near[0]]:
+            for q in range(np.uint64(BLOCK if found[b] + before.found[b] + after.found[b] else 0)):
+                p = b * np.uint64(BLOCK) + q
+                for m in range(found[b]):
+                    hidden[who[b, m], p] += sign * change[b, m, q]
+                for m in range(before.found[b]):
+                    hiding[before.who[b, m], p] -= sign * before.hidden_by[b, m, q]
+                for m in range(after.found[b]):
+                    hiding[after.who[b, m], p] += sign * after.hidden_by[b, m, q]
+    for s in range(scratch.near[1]):
+        first, last = scratch.spans[s, 0], scratch.spans[s, 1]
+        swap(state.reachable[k], scratch.new.reached, first, last)
+        swap(hidden[k], after.count_hidden, first, last)
+        swap(hiding[k], after.count_hides, first, last)

@@ -27,7 +27,7 @@ from lmd.sight.bits import (
 )
 from lmd.sight.criteria import covering, frame_of
 from lmd.sight.directions import NOWHERE
-from lmd.sight.incremental.hiding import find_new, flips_with
+from lmd.sight.incremental.hiding import exchange_hiding, find_new, flips_with, swap
 from lmd.sight.incremental.nearby import look_around
 from lmd.sight.incremental.state import State, scratch_of
 from lmd.sight.kernels import BLOCK, weights_row
@@ -58,7 +58,7 @@ def _find_cap(positions, field, scratch):
 
 
 @njit(inline="always")
-def _ripple(p, w, changed, goes, n, counts, short, just):
+def ripple(p, w, changed, goes, n, counts, short, just):
     """Count a landmark less at those axes `changed` that are in `goes`, one more at the others, digit by digit."""
     one, two = ALL, ALL
     for j in range(np.uint64(counts.shape[2])):
@@ -87,7 +87,7 @@ def _recount(k, positions, sign, field, state, scratch):
             caps[k, p, w], other[p, w] = new, old
             changed = (old & shown) ^ (new & seen)
             if changed:
-                _ripple(p, w, changed, old & shown, n, counts, short, just)
+                ripple(p, w, changed, old & shown, n, counts, short, just)
         if not flips[p]:
             continue
         b, q = p // np.uint64(BLOCK), p % np.uint64(BLOCK)
@@ -96,7 +96,7 @@ def _recount(k, positions, sign, field, state, scratch):
             was, now = hidden[i, p], hidden[i, p] + sign * change[b, m, q]
             if flips_with(reachable[i, p], was, now):
                 for w in range(words):
-                    _ripple(p, w, caps[i, p, w], ALL if was == 0 else ZERO, n, counts, short, just)
+                    ripple(p, w, caps[i, p, w], ALL if was == 0 else ZERO, n, counts, short, just)
 
 
 @kernel
@@ -111,44 +111,24 @@ def touched(k, state, scratch):
     return listed[:count]
 
 
-@njit(inline="always")
-def _swap(one, other, first, last):
-    """Exchange a part of two arrays; by itself, so that the loop vectorises."""
-    for p in range(first, last):
-        one[p], other[p] = other[p], one[p]
+@kernel
+def exchange_place(k, state, scratch):
+    """Exchange where landmark k is for the other place in `scratch`."""
+    landmarks, normals, target = state.landmarks, state.normals, scratch.target
+    for i in range(3):
+        landmarks[i, k], target[i] = target[i], landmarks[i, k]
+        normals[i, k], target[3 + i] = target[3 + i], normals[i, k]
+    state.surfaces[k], scratch.surface[0] = scratch.surface[0], state.surfaces[k]
 
 
 @kernel
 def _exchange(k, sign, field, state, scratch):
     """Exchange landmark k for what `scratch` has of its other place."""
-    landmarks, normals, reachable, hidden, hiding, units = (
-        state.landmarks, state.normals, state.reachable, state.hidden, state.hiding, state.units
-    )  # fmt: skip
-    target, others, reached, before, after = (
-        scratch.target, scratch.units, scratch.new.reached, scratch.before, scratch.after
-    )  # fmt: skip
-    found, who, change = scratch.turns
     _recount(np.uint64(k), touched(k, state, scratch), sign, field, state, scratch)
-    if field.sight.reach >= 0.0:
-        for b in scratch.blocks[: scratch.near[0]]:
-            for q in range(np.uint64(BLOCK if found[b] + before.found[b] + after.found[b] else 0)):
-                p = b * np.uint64(BLOCK) + q
-                for m in range(found[b]):
-                    hidden[who[b, m], p] += sign * change[b, m, q]
-                for m in range(before.found[b]):
-                    hiding[before.who[b, m], p] -= sign * before.hidden_by[b, m, q]
-                for m in range(after.found[b]):
-                    hiding[after.who[b, m], p] += sign * after.hidden_by[b, m, q]
+    exchange_hiding(k, sign, field.sight, state, scratch)
     for s in range(scratch.near[1]):
-        first, last = scratch.spans[s, 0], scratch.spans[s, 1]
-        _swap(units, others, first, last)
-        _swap(reachable[k], reached, first, last)
-        _swap(hidden[k], after.count_hidden, first, last)
-        _swap(hiding[k], after.count_hides, first, last)
-    for i in range(3):
-        landmarks[i, k], target[i] = target[i], landmarks[i, k]
-        normals[i, k], target[3 + i] = target[3 + i], normals[i, k]
-    state.surfaces[k], scratch.surface[0] = scratch.surface[0], state.surfaces[k]
+        swap(state.units, scratch.units, scratch.spans[s, 0], scratch.spans[s, 1])
+    exchange_place(k, state, scratch)
 
 
 @kernel
@@ -165,7 +145,7 @@ def take_back(k, field, state, scratch):
 
 
 @kernel
-def _sum_up(field, state):
+def sum_up(field, state):
     """Find P_n from the counts."""
     counts, units = state.counts, state.units
     for p in range(np.uint64(len(units))):
@@ -190,8 +170,8 @@ def overlook(missed, field, state):
                 gone = caps[k, p, w] & missed[k, p, w]
                 caps[k, p, w] ^= gone
                 if shown and gone:
-                    _ripple(p, w, gone, ALL, field.n, counts, short, just)
-    _sum_up(field, state)
+                    ripple(p, w, gone, ALL, field.n, counts, short, just)
+    sum_up(field, state)
 
 
 @kernel
@@ -212,13 +192,12 @@ def _fill(field, state, scratch):
             after.count_hidden,
             after.count_hides,
         )
-    _sum_up(field, state)
+    sum_up(field, state)
 
 
 def state_of(field: Any, deployment: Deployment) -> State:
     """The coverage of `deployment`, ready for moves; `field` a `lmd.objectives.coverage_field.CoverageField`."""
-    positions, count, given = field.positions.shape[1], len(deployment), field.given
-    words, most = given.shape[1], max(count + bool(given.any()), field.n)
+    positions, count, words = field.positions.shape[1], len(deployment), field.given.shape[1]
     check_views(LANDMARK_BYTES, positions, BITS * words, count)
     state = State(
         landmarks=deployment.positions.T.copy(order="C"),
@@ -228,17 +207,31 @@ def state_of(field: Any, deployment: Deployment) -> State:
         reachable=np.zeros((count, positions), dtype=np.bool_),
         hidden=np.zeros((count, positions), dtype=np.int16),
         hiding=np.zeros((count, positions), dtype=np.int16),
-        counts=np.zeros((positions, words, most.bit_length()), dtype=np.uint64),
-        short={1: ~given, 2: given.copy()}.get(field.n, np.zeros_like(given)),  # only what is given is covered yet
-        just=given.copy() if field.n == 1 else np.zeros_like(given),
-        units=np.zeros(positions, dtype=np.int64),
+        **given_counts(field.given, count, field.n),
     )
-    state.counts[:, :, 0] = given
     _fill(field, state, scratch_of(state))
     return state
 
 
-def counts_of(state: State, axes: int) -> np.ndarray:
+def given_counts(given: np.ndarray, count: int, n: int) -> dict[str, np.ndarray]:
+    """counts, short, just and units of a `State` with room for `count` landmarks, of which none has come yet.
+
+    Args:
+        given: sets of axes `(Q, W)` at which one landmark is covered all the same.
+        count: K.
+        n: landmarks that must be covered.
+    """
+    counts = np.zeros((*given.shape, max(count + bool(given.any()), n).bit_length()), dtype=np.uint64)
+    counts[:, :, 0] = given
+    return {
+        "counts": counts,
+        "short": {1: ~given, 2: given.copy()}.get(n, np.zeros_like(given)),
+        "just": given.copy() if n == 1 else np.zeros_like(given),
+        "units": np.zeros(len(given), dtype=np.int64),
+    }
+
+
+def counts_of(state: Any, axes: int) -> np.ndarray:
     """Landmarks covered at each position and each of so many `axes`, `(Q, axes)`."""
     digits = unpacked(state.counts.transpose(2, 0, 1), axes)
     counts = np.zeros(digits.shape[1:], dtype=np.int16)

@@ -41,11 +41,10 @@ def _forget(scratch):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def look_around(k, field, state, scratch):  # type: ignore[no-untyped-def]
-    """Forget the last trial, list the blocks near landmark k or its target, and find what they see of the target."""
-    target, landmarks, positions, sight = scratch.target, state.landmarks, field.positions, field.sight
-    x, y, z, low, high, sure, cell, reached = scratch.new
-    ax, ay, az, nx, ny, nz = target[0], target[1], target[2], target[3], target[4], target[5]
+def list_blocks(k, field, state, scratch):  # type: ignore[no-untyped-def]
+    """Forget the last trial, and list the blocks near landmark k or its target."""
+    target, landmarks = scratch.target, state.landmarks
+    ax, ay, az = target[0], target[1], target[2]
     mx, my, mz = landmarks[0, k], landmarks[1, k], landmarks[2, k]
     blocks, spans, near, aimed, wanted = scratch.blocks, scratch.spans, scratch.near, scratch.aimed, scratch.wanted
     _forget(scratch)
@@ -63,6 +62,17 @@ def look_around(k, field, state, scratch):  # type: ignore[no-untyped-def]
             number += 1
         spans[number - 1, 1] = (b + ONE) * np.uint64(BLOCK)
     near[0], near[1] = count, number
+
+
+@kernel
+def look_around(k, field, state, scratch):  # type: ignore[no-untyped-def]
+    """`list_blocks`, and find what they see of the target."""
+    list_blocks(k, field, state, scratch)
+    target, positions, sight, spans, number = (
+        scratch.target, field.positions, field.sight, scratch.spans, scratch.near[1]
+    )  # fmt: skip
+    x, y, z, low, high, sure, cell, reached = scratch.new
+    ax, ay, az, nx, ny, nz = target[0], target[1], target[2], target[3], target[4], target[5]
     for s in range(number):
         for p in range(spans[s, 0], spans[s, 1]):
             x[p], y[p], z[p] = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]

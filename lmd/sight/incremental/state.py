@@ -1,6 +1,6 @@
 """What the moves of single landmarks work on: the coverage of one deployment, and working memory."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -121,10 +121,9 @@ class Scratch(NamedTuple):
     digits: np.ndarray
 
 
-def scratch_of(state: State) -> Scratch:
-    """Working memory for moves of `state`."""
-    count, size = state.reachable.shape
-    blocks, words, digits = size // BLOCK, *state.counts.shape[1:]
+def surroundings(count: int, size: int) -> dict[str, Any]:
+    """The fields of a `Scratch` that `nearby` and `hiding` work on, for K landmarks and Q positions."""
+    blocks = size // BLOCK
 
     def neighbours() -> Neighbours:
         hides, hidden_by = np.empty((2, blocks, count, BLOCK), dtype=np.int8)
@@ -133,33 +132,41 @@ def scratch_of(state: State) -> Scratch:
         return Neighbours(np.zeros(blocks, dtype=np.int64), who, hides, hidden_by, count_hides, count_hidden)
 
     x, y, z, low, high, sure = np.empty((6, size))
-    ways = np.zeros((4, (count // LANES + 1) * LANES), dtype=np.float32)
-    inner, outer = np.empty((2, size), dtype=np.int32)
-    unsure, places = np.empty((2, size * words + 1), dtype=np.uint64)
-    names, goes = np.empty((2, count + 1), dtype=np.uint64)
-    return Scratch(
-        target=np.empty(6),
-        surface=np.empty(1, dtype=np.int64),
-        units=state.units.copy(),
-        new=Sighting(x, y, z, low, high, sure, np.empty(size, dtype=np.int32), np.zeros(size, dtype=np.bool_)),
-        cap=np.zeros((size, words), dtype=np.uint64),
-        before=neighbours(),
-        after=neighbours(),
-        turns=Turns(
+    return {
+        "new": Sighting(x, y, z, low, high, sure, np.empty(size, dtype=np.int32), np.zeros(size, dtype=np.bool_)),
+        "before": neighbours(),
+        "after": neighbours(),
+        "turns": Turns(
             found=np.zeros(blocks, dtype=np.int64),
             who=np.empty((blocks, count), dtype=np.int32),
             change=np.empty((blocks, count, BLOCK), dtype=np.int8),
         ),
-        flips=np.zeros(size, dtype=np.bool_),
-        aimed=np.empty(blocks, dtype=np.bool_),
-        blocks=np.empty(blocks + 1, dtype=np.uint64),
-        spans=np.empty((blocks, 2), dtype=np.uint64),
-        near=np.zeros(2, dtype=np.int64),
-        wanted=np.empty(blocks, dtype=np.bool_),
-        others=np.empty(count + 1, dtype=np.uint64),
-        ways=ways,
-        slot=np.full(count, -1, dtype=np.int64),
-        listed=np.empty(size + 1, dtype=np.uint64),
+        "flips": np.zeros(size, dtype=np.bool_),
+        "aimed": np.empty(blocks, dtype=np.bool_),
+        "blocks": np.empty(blocks + 1, dtype=np.uint64),
+        "spans": np.empty((blocks, 2), dtype=np.uint64),
+        "near": np.zeros(2, dtype=np.int64),
+        "wanted": np.empty(blocks, dtype=np.bool_),
+        "others": np.empty(count + 1, dtype=np.uint64),
+        "ways": np.zeros((4, (count // LANES + 1) * LANES), dtype=np.float32),
+        "slot": np.full(count, -1, dtype=np.int64),
+        "listed": np.empty(size + 1, dtype=np.uint64),
+    }
+
+
+def scratch_of(state: State) -> Scratch:
+    """Working memory for moves of `state`."""
+    count, size = state.reachable.shape
+    words, digits = state.counts.shape[1:]
+    inner, outer = np.empty((2, size), dtype=np.int32)
+    unsure, places = np.empty((2, size * words + 1), dtype=np.uint64)
+    names, goes = np.empty((2, count + 1), dtype=np.uint64)
+    return Scratch(
+        **surroundings(count, size),
+        target=np.empty(6),
+        surface=np.empty(1, dtype=np.int64),
+        units=state.units.copy(),
+        cap=np.zeros((size, words), dtype=np.uint64),
         mask=np.empty(size, dtype=np.uint64),
         inner=inner,
         outer=outer,

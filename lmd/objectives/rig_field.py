@@ -1,0 +1,97 @@
+"""The incremental field of coverage by a rig: P_n at every position of its body as single landmarks move."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from lmd.deployment import Deployment
+from lmd.objectives.coverage_field import boxes_around, in_blocks
+from lmd.objectives.field import accept, bound, settle, undo
+from lmd.sight.bits import BITS, packed
+from lmd.sight.criteria import horizon_of
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.incremental.move import counts_of
+from lmd.sight.incremental.rig_move import carry_out_rig, rig_state_of, take_back_rig
+from lmd.sight.incremental.rig_state import RigScratch, RigState, Stations, rig_scratch_of
+from lmd.sight.incremental.rig_trial import bound_rig_move, finish_rig_move
+from lmd.sight.obstacles import obstacles_at
+
+
+class RigField(NamedTuple):
+    """What does not change while landmarks move; a `lmd.objectives.field.Field`.
+
+    index_of, given, weights, n: as in `CoverageField`, for Q positions and D orientations of the body; parts: the rig.
+    """
+
+    index_of: np.ndarray
+    parts: tuple[Stations, ...]
+    given: np.ndarray
+    weights: np.ndarray
+    n: int
+
+    @property
+    def size(self) -> int:
+        """See `Field.size`."""
+        return len(self.given)
+
+    def state(self, deployment: Deployment) -> RigState:
+        """See `Field.state`."""
+        return rig_state_of(self, deployment)
+
+    def scratch(self, state: RigState) -> RigScratch:
+        """See `Field.scratch`."""
+        return rig_scratch_of(state)
+
+    @property
+    def stack(self) -> int:
+        """See `Field.stack`."""
+        return self.n
+
+    def stacked(self, fixed: Deployment | None) -> "RigField":
+        """See `Field.stacked` and `CoverageField.stacked`."""
+        sights = [part.sight.unhidden() for part in self.parts]
+        parts = [p._replace(sight=s, horizon=horizon_of(s)) for p, s in zip(self.parts, sights, strict=True)]
+        given = self.given
+        if fixed is not None:
+            given = packed(counts_of(self.state(fixed), given.shape[1] * BITS) >= self.n)
+        return self._replace(n=1, parts=tuple(parts), given=given)
+
+    def shrunk(self, size: float) -> "RigField":
+        """See `Field.shrunk`."""
+        return self._replace(parts=tuple(part._replace(sight=part.sight.shrunk(size)) for part in self.parts))
+
+
+@bound.register(RigField)
+def _bound(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-def]
+    bound_rig_move(k, pose, surface, field, state, scratch)
+
+
+@settle.register(RigField)
+def _settle(field, k, state, scratch):  # type: ignore[no-untyped-def]
+    finish_rig_move(k, field, state, scratch)
+
+
+@accept.register(RigField)
+def _accept(field, k, state, scratch):  # type: ignore[no-untyped-def]
+    carry_out_rig(k, field, state, scratch)
+
+
+@undo.register(RigField)
+def _undo(field, k, state, scratch):  # type: ignore[no-untyped-def]
+    take_back_rig(k, field, state, scratch)
+
+
+def rig_field(evaluator: Evaluator, n: int) -> RigField:
+    """The field of P_n at the positions of an evaluator whose scene has a rig."""
+    order, index_of = in_blocks(evaluator.positions)
+    blockers, parts = evaluator.scene.room.blockers(), []
+    for number, part in enumerate(evaluator.parts):
+        stations = (part.offsets[:, None] + evaluator.positions[order]).reshape(-1, 3)
+        centres, halves = boxes_around(stations)
+        points, obstacles = np.ascontiguousarray(stations.T), obstacles_at(blockers, stations)
+        parts.append(
+            Stations(number, points, centres, halves, horizon_of(part.sight), part.sight, obstacles, *part[2:])
+        )
+    given = np.zeros((len(order), evaluator.axes.shape[1] // BITS), dtype=np.uint64)
+    weights = evaluator.weights[order] if len(evaluator.weights) > 1 else evaluator.weights
+    return RigField(index_of, tuple(parts), given, weights, n)
