@@ -40,10 +40,11 @@ def predicted_errors(problem: Problem, deployment: Deployment, evaluator: Evalua
     """
     objective, scene = problem.objective, problem.scene
     noise = as_localisation(objective).pixel_noise
-    asked: Any = precision(scene.camera, scene.tag, noise, np.inf)
+    camera = scene.single_camera("the predicted error")
+    asked: Any = precision(camera, scene.tag, noise, np.inf)
     landmarks = deployment.positions[None], deployment.normals[None]
     views = localised_views(evaluator, *landmarks, objective.n, asked, keep=True)
-    scale = deviation_per_variance(scene.camera, noise)
+    scale = deviation_per_variance(camera, noise)
     errors = scale * np.sqrt(views.variances[0, :, : len(evaluator.scene.orientations.axes)])
     return errors, views.covered[0] / PROBABILITY_ONE
 

@@ -106,6 +106,7 @@ class CramerRaoMap:
 
 def cramer_rao_map(scene: Scene, evaluator: Evaluator, deployment: Deployment) -> CramerRaoMap:
     """The bound at every position of `evaluator` and every orientation of the PDF."""
+    camera = scene.single_camera("the Cramer-Rao bound")
     pdf, positions, weight = scene.pdf, evaluator.positions, scene.probability(evaluator.positions)
     _, first = np.unique(scene.orientations.index_of, return_index=True)
     turns = camera_pose(np.zeros(3), pdf.yaw[first], pdf.pitch[first], np.asarray(pdf.roll)[first])
@@ -115,7 +116,7 @@ def cramer_rao_map(scene: Scene, evaluator: Evaluator, deployment: Deployment) -
         poses = np.tile(turns, (len(here), 1, 1))
         poses[:, :3, 3] = np.repeat(here, len(turns), axis=0)
         seen = visible(evaluator, deployment, poses[:, :3, 3], axis_and_right(poses))
-        parts.append(cramer_rao_bound(pose_information(poses, deployment.positions, seen, scene.camera)))
+        parts.append(cramer_rao_bound(pose_information(poses, deployment.positions, seen, camera)))
     position, attitude = (np.concatenate(part).reshape(len(positions), -1) for part in zip(*parts, strict=True))
     share = averaged(np.isfinite(position), weight)
     return CramerRaoMap(positions, share, _finite_median(position, weight), _finite_median(attitude, weight))

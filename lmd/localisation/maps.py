@@ -63,7 +63,7 @@ def map_errors(
         `tags`, how many are seen, and for each map `position_<name>` (m) and `attitude_<name>` (rad), NaN where the
         points do not fix a pose.
     """
-    camera, tag = problem.scene.camera, problem.scene.tag
+    camera, tag = problem.scene.single_camera("the error of the pose"), problem.scene.tag
     points = truth.points(tag)
     image = project(camera, poses, points.reshape(-1, 3)).reshape(len(poses), *points.shape[:2], 2)
     image += rng.normal(0.0, as_localisation(problem.objective).pixel_noise, image.shape)

@@ -41,7 +41,7 @@ class Flight:
     @property
     def camera(self) -> Camera:
         """That takes the frames."""
-        return self.evaluator.scene.camera
+        return self.evaluator.scene.single_camera("a flight")
 
     @property
     def poses(self) -> FloatArray:

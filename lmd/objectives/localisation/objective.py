@@ -108,7 +108,8 @@ class Localisation(AtLeast):
 
     def precision(self, scene: Scene) -> Precision | PosePrecision:
         """What the tolerances ask of a view."""
-        return precision(scene.camera, scene.tag, self.pixel_noise, self.tolerance, self.rotation_tolerance)
+        camera = scene.single_camera("the objective Localisation")
+        return precision(camera, scene.tag, self.pixel_noise, self.tolerance, self.rotation_tolerance)
 
     def values(self, evaluator: Evaluator, positions: FloatArray, normals: FloatArray) -> FloatArray:
         """See `Objective.values`."""
@@ -167,7 +168,7 @@ class Localisation(AtLeast):
     def selection(self, evaluator: Evaluator, relevance: FloatArray) -> LogDeterminant:
         """See `Objective.selection`: the log det of the information, from a prior of some tolerances."""
         scene = evaluator.scene
-        scale = deviation_per_variance(scene.camera, self.pixel_noise)
+        scale = deviation_per_variance(scene.single_camera("the objective Localisation"), self.pixel_noise)
         prior = PRIOR_TOLERANCES * self.tolerance if math.isfinite(self.tolerance) else PRIOR_POSITION
         known = (scale / prior) ** 2, (scale / PRIOR_ROTATION) ** 2
         return LogDeterminant(evaluator, relevance, self.precision(scene), *known)
