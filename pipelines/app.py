@@ -22,10 +22,12 @@ from .fixed import fixed_of, others_of, quoted, total_of
 from .signals import Stopped, stop
 
 if TYPE_CHECKING:
+    from lmd.camera import Camera
     from lmd.optimisers.base import Optimiser
     from lmd.pdf import OrientationPdf
     from lmd.problem import Problem
     from lmd.recorded_poses import RecordedPoses
+    from lmd.rig import Rig
     from lmd.space.space import Space
 
 PACKAGE = str(__package__)  # `pipelines` in a checkout, `lmd.pipelines` where lmd is installed
@@ -118,6 +120,24 @@ def instantiate(node: Any, **extra: Any) -> Any:
         raise InputError(" ".join(str(error).split())) from error
 
 
+def camera_of(node: DictConfig) -> "Camera | Rig":
+    """The camera of a configuration, or those of its rig.
+
+    Raises:
+        InputError: the rig is none, or a camera is refused; that of the group is made only where a mount has none.
+    """
+    from lmd.rig import has_own_camera, rig_of
+
+    mounts = node.get("rig")  # runs of old have none
+    alone = OmegaConf.masked_copy(node, [str(key) for key in node if key != "rig"])
+    if mounts is None:
+        return instantiate(alone)  # type: ignore[no-any-return]
+    plain = OmegaConf.to_container(mounts, resolve=True) if OmegaConf.is_config(mounts) else mounts
+    own = isinstance(plain, list) and bool(plain) and all(map(has_own_camera, plain))
+    with keyed("camera"):
+        return rig_of(plain, None if own else instantiate(alone))
+
+
 def build_problem(cfg: DictConfig) -> "Problem":
     """The problem a composed configuration describes.
 
@@ -140,7 +160,7 @@ def build_problem(cfg: DictConfig) -> "Problem":
         if switch in cfg:
             boolean(switch, cfg[switch])
     tag = instantiate(cfg.tag) if cfg.get("tag") else Tag()  # runs of old have none
-    camera, visibility = instantiate(cfg.camera), instantiate(cfg.visibility)
+    camera, visibility = camera_of(cfg.camera), instantiate(cfg.visibility)
     room, pdf, recorded = _poses(cfg)
     scene = Scene(room, camera, pdf, visibility, tag, recorded)
     threads = None if cfg.threads is None else integer("threads", cfg.threads, low=1, high=MOST_THREADS)
@@ -166,7 +186,7 @@ def build_problem(cfg: DictConfig) -> "Problem":
     if not tag.is_point:
         with keyed("tag"):
             tag.check_ids(ids)
-    with keyed("objective"):
+    with keyed("objective", rig="camera.rig"):
         return Problem(scene, objective, start, threads, **hung)
 
 

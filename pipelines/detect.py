@@ -127,7 +127,7 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
 
     tag, imaging = instantiate(cfg.tag), instantiate(cfg.imaging)
     problem = build_problem(any_deployment(cfg))
-    scene = problem.scene
+    scene, camera = problem.scene, problem.scene.single_camera("detect")
     with keyed():
         tag.check_edge()
     detectors = {name: instantiate(node) for name, node in (cfg.get("detectors") or {}).items()}
@@ -140,7 +140,7 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
         room = tagged_room(scene.room, deployment, tag)
     poses = draw_poses(scene, count, seed)
     predicted = visible(problem.evaluator, deployment, poses[:, :3, 3], axis_and_right(poses))
-    renderer = Renderer(scene.camera, room, imaging)
+    renderer = Renderer(camera, room, imaging)
     return Subject(problem, Prediction(renderer, poses, predicted, verdicts(scene, deployment, poses)), detectors)
 
 

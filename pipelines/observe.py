@@ -55,6 +55,7 @@ def observe(cfg: DictConfig) -> None:
     composed = composed_deployments(cfg, "observe")
     problems = {name: build_problem(any_deployment(own)) for name, own in composed.items()}
     problem = next(iter(problems.values()))
+    problem.scene.single_camera("observe")
     film = None if cfg.film is None else real("film", cfg.film, above=0.0)
     estimators = {name: instantiate(node) for name, node in (cfg.get("estimator") or {}).items()}
     trajectory, start, odometry = (instantiate(cfg[key]) for key in ("trajectory", "start", "odometry"))
@@ -132,7 +133,7 @@ def _save_films(
         chosen = np.unique(np.searchsorted(time, np.arange(0.0, min(seconds, time[-1]), 1.0 / FILM_RATE)))
         moments, scene = detectors[name].moments(flight, chosen.tolist()), problem.scene
         files.append(directory / f"film_{name}.webp")
-        save_film(files[-1], moments, scene.camera, scene.room, flight.deployment.positions, name)
+        save_film(files[-1], moments, flight.camera, scene.room, flight.deployment.positions, name)
     return files
 
 

@@ -171,7 +171,7 @@ def record(
     tracker.finish(status)
     off_grid = _described(problem, validation) if validation else {}
     lines = {key.replace("_", " "): f"{value:g}" for key, value in figures.items()}
-    if problem.scene.camera.is_pinhole:
+    if all(camera.is_pinhole for camera in problem.scene.cameras):
         lines["focus"] = "no criterion: the camera has no aperture"
     lines["files"] = f"{directory}: {', '.join(path.name for path in files)}"
     if directory / "scene.png" in files:

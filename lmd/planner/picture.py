@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from lmd.camera import Camera
 from lmd.checks import BoolArray, FloatArray
-from lmd.geometry.se3 import camera_pose
+from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.planner.additions import candidate_cells
 from lmd.planner.plan import Plan
 from lmd.plot import common
@@ -58,7 +59,7 @@ class Picture:
         self.balls = self._drawn_balls()
         self.tags: Any = None
         self._label: Any = None
-        self._camera: Any = None
+        self._frustums: list[Any] = []
 
     def _draw_outline(self) -> None:
         for name, edges in self._problem.scene.room.outline().items():
@@ -140,19 +141,25 @@ class Picture:
         self.cells.batched_colors = colours
 
     def show_camera(self, position: FloatArray, yaw: float, pitch: float) -> None:
-        """Draw a camera that looks from `position` `(3,)`, metres, with a yaw and a pitch in rad."""
-        if self._camera is None:
-            camera = self._problem.scene.camera
-            tall = camera.image_height * camera.pixel_height
-            self._camera = self._scene.add_camera_frustum(
-                "/camera",
-                2.0 * math.atan(tall / (2.0 * camera.focal_length)),
-                camera.image_width * camera.pixel_width / tall,
-                scale=FRUSTUM * self._diagonal,
-                color=SEEN,
-            )
-        turn = Rotation.from_matrix(camera_pose(position, yaw, pitch)[:3, :3])
-        self._camera.position, self._camera.wxyz = position, turn.as_quat(scalar_first=True)
+        """Draw the camera, or all of a rig, with the body at `position` `(3,)`, metres, a yaw and a pitch in rad."""
+        body = axis_and_right(camera_pose(position[None], np.array([yaw]), np.array([pitch])))
+        for number, station in enumerate(self._problem.scene.stations(body)):
+            if number == len(self._frustums):
+                self._frustums.append(self._add_frustum(number, station.camera))
+            forward, right = station.axes[0, :3], station.axes[0, 3:]
+            frustum = self._frustums[number]
+            frustum.position = position + station.offset
+            frustum.wxyz = _quaternions(*(axis[None] for axis in (right, np.cross(forward, right), forward)))[0]
+
+    def _add_frustum(self, number: int, camera: Camera) -> Any:
+        tall = camera.image_height * camera.pixel_height
+        return self._scene.add_camera_frustum(
+            f"/camera_{number}",
+            2.0 * math.atan(tall / (2.0 * camera.focal_length)),
+            camera.image_width * camera.pixel_width / tall,
+            scale=FRUSTUM * self._diagonal,
+            color=SEEN,
+        )
 
 
 def _quaternions(right: FloatArray, up: FloatArray, normal: FloatArray) -> FloatArray:

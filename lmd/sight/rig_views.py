@@ -16,6 +16,7 @@ from lmd.sight.bits import BITS, ONE, ZERO, lowest
 from lmd.sight.kernels import weights_row
 from lmd.sight.stations import Part, seen_by
 from lmd.space.blockers import Blockers
+from lmd.space.triangles import Triangles
 
 # Positions, or poses, that a thread works on at a time: what they see in all orientations is kept until summed up.
 AT_A_TIME = 64
@@ -85,7 +86,9 @@ class RigViews:
         threads: that share the work.
     """
 
-    def __init__(self, parts: tuple[Part, ...], blockers: Blockers | None, positions: FloatArray, threads: int) -> None:
+    def __init__(
+        self, parts: tuple[Part, ...], blockers: Blockers | Triangles | None, positions: FloatArray, threads: int
+    ) -> None:
         self.parts, self.blockers, self.positions, self.threads = parts, blockers, positions, threads
 
     @property

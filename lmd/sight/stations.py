@@ -21,6 +21,7 @@ from lmd.sight.directions import NOWHERE, cell_of, tables
 from lmd.sight.kernels import BLOCK, SINGLE_ERROR, is_hidden
 from lmd.sight.obstacles import find_ends, is_blocked, no_ends, obstacles_at
 from lmd.space.blockers import Blockers
+from lmd.space.triangles import Triangles
 
 SEVERAL = -1  # in place of a station's orientation where it has more than one
 
@@ -165,7 +166,7 @@ def _see(stations, part, obstacles, landmarks, normals, slack, seen):
 
 def seen_by(
     parts: tuple[Part, ...],
-    blockers: Blockers | None,
+    blockers: Blockers | Triangles | None,
     positions: FloatArray,
     landmarks: FloatArray,
     normals: FloatArray,

@@ -16,7 +16,7 @@ from lmd.camera import Camera
 from lmd.checks import InputError
 from lmd.objectives.localisation import Localisation
 from lmd.optimisers.encoding import make_encoding
-from pipelines.app import CONF, build_optimiser, build_problem, flat_settings, instantiate, keyed
+from pipelines.app import CONF, build_optimiser, build_problem, camera_of, flat_settings, instantiate, keyed
 from pipelines.deployments import any_deployment
 
 ONLY_OBSERVE = ("trajectory", "detector", "estimator", "odometry")
@@ -219,7 +219,7 @@ def test_the_stored_optimisers_are_those_of_the_comparison():
 
 def test_the_default_is_the_papers_simulation():
     problem = build_problem(composed("optimise"))
-    assert instantiate(composed("optimise").camera) == Camera(**PAPER_CAMERA)
+    assert camera_of(composed("optimise").camera) == Camera(**PAPER_CAMERA)
     assert len(problem.evaluator.positions) == 756
     assert len(problem.evaluator.axis_of) == 325
     assert (problem.count, problem.objective.n, problem.objective.thold_p) == (90, 2, 0.65)
@@ -234,7 +234,7 @@ def test_the_papers_other_grids_are_a_choice():
 
 
 def test_the_printed_experiment_camera_is_shipped_as_printed():
-    assert instantiate(composed("optimise", "camera=paper_experiment_printed").camera) == Camera(
+    assert camera_of(composed("optimise", "camera=paper_experiment_printed").camera) == Camera(
         **PRINTED_EXPERIMENT_CAMERA
     )
 

@@ -1,0 +1,82 @@
+"""`camera.rig` in a configuration and on the command line."""
+
+import json
+import math
+
+import pytest
+from hydra import compose, initialize_config_dir
+from paper import PAPER_CAMERA
+from processes import call, refused
+
+from lmd.camera import Camera
+from lmd.checks import InputError
+from lmd.rig import Mount, Rig
+from pipelines.app import CONF, build_problem, camera_of
+
+BACK_TO_BACK = "camera.rig=[{translation: [0.1, 0, 0]}, {translation: [-0.1, 0, 0], yaw: 3.14159}]"
+KALIBR = """
+cam0: {camera_model: pinhole, intrinsics: [400, 400, 319.5, 239.5], distortion_model: none, resolution: [640, 480]}
+cam1: {camera_model: pinhole, intrinsics: [500, 500, 319.5, 239.5], distortion_model: none, resolution: [640, 480]}
+"""
+
+
+def composed(*overrides):
+    with initialize_config_dir(CONF, version_base="1.3"):
+        return compose("optimise", ["room.spacing=1.5", *overrides])
+
+
+def test_without_a_rig_there_is_one_camera():
+    assert camera_of(composed().camera) == Camera(**PAPER_CAMERA)
+    old = composed().camera.copy()
+    del old["rig"]
+    assert camera_of(old) == Camera(**PAPER_CAMERA)
+
+
+def test_a_rig_takes_the_camera_of_the_group():
+    camera = Camera(**PAPER_CAMERA)
+    expected = Rig((Mount(camera, (0.1, 0, 0)), Mount(camera, (-0.1, 0, 0), yaw=3.14159)))
+    problem = build_problem(composed(BACK_TO_BACK, "pdf=yaw"))
+    assert problem.scene.camera == expected
+    assert [mount["yaw"] for mount in problem.settings()["camera"]["mounts"]] == [0.0, 3.14159]
+
+
+def test_cameras_of_their_own_need_none_of_the_group(tmp_path):
+    (tmp_path / "chain.yaml").write_text(KALIBR)
+    own = [f"{{camera: {{path: {tmp_path}/chain.yaml, name: {name}}}}}" for name in ("cam0", "cam1")]
+    rig = camera_of(composed("camera=calibration", f"camera.rig=[{','.join(own)}]").camera)
+    assert [camera.focal_pixels[0] for camera in rig.cameras] == pytest.approx([400.0, 500.0])
+    with pytest.raises(InputError, match=r"^camera.path is missing"):
+        camera_of(composed("camera=calibration", f"camera.rig=[{own[0]},{{yaw: 1.0}}]").camera)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("camera.rig=[]", r"^camera.rig must have at least one camera"),
+        ("camera.rig=2", r"^camera.rig must be a list of cameras, got 2"),
+        ("camera.rig=[{yaw: 0, jaw: 1}]", r"^camera.rig\[0\] has no key 'jaw'"),
+        ("camera.rig=[{camera: none.yaml}]", r"^camera.rig\[0\].camera.path: there is no file 'none.yaml'"),
+        ("camera.rig=[{translation: [9, 0, 0]}]", r"^camera.rig has a camera at .* outside the room"),
+    ],
+)
+def test_a_bad_rig_is_named_by_its_key(override, message):
+    with pytest.raises(InputError, match=message):
+        build_problem(composed(override, "pdf=yaw"))
+
+
+@pytest.mark.slow
+def test_the_default_optimiser_and_the_judges_take_a_rig(tmp_path):
+    common = (BACK_TO_BACK, "pdf=yaw", "deployment.count=12", "tracking=none")
+    done = call("optimise", *common, "budget.evaluations=60", "hydra.run.dir=run", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    settings = ("tracking=none", "validate=false")
+    done = call("evaluate", "run=run", "hydra.run.dir=again", cwd=tmp_path, settings=settings)
+    assert done.returncode == 0, done.stderr
+    again = json.loads((tmp_path / "again" / "metrics.json").read_text())
+    assert again["qualified_ratio"] == found["qualified_ratio"]
+    assert math.isfinite(again["fitness_without_one_worst"])
+    refused(
+        "optimise", *common, "objective=localisation", "objective.tolerance=0.02", cwd=tmp_path,
+        message="the objective Localisation works with a single camera, not with a rig of 2",
+    )  # fmt: skip
