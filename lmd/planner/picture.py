@@ -146,10 +146,10 @@ class Picture:
         for number, station in enumerate(self._problem.scene.stations(body)):
             if number == len(self._frustums):
                 self._frustums.append(self._add_frustum(number, station.camera))
-            forward, right = station.axes[0, :3], station.axes[0, 3:]
+            forward, right = station.axes[:, :3], station.axes[:, 3:]
             frustum = self._frustums[number]
             frustum.position = position + station.offset
-            frustum.wxyz = _quaternions(*(axis[None] for axis in (right, np.cross(forward, right), forward)))[0]
+            frustum.wxyz = _quaternions(right, np.asarray(np.cross(forward, right)), forward)[0]
 
     def _add_frustum(self, number: int, camera: Camera) -> Any:
         tall = camera.image_height * camera.pixel_height
