@@ -129,8 +129,8 @@ def test_what_was_finished_when_it_was_interrupted_is_kept(tmp_path):
         ("wanted=90", "wanted must be in [0, 1], got 90."),
         ("budget.evaluations=0", "budget.evaluations must be at least 1, got 0."),
         ("objective.n=21", "objective.n = 21 exceeds the number of landmarks, 20."),
-        ("edges=[2]", "deployment.count = 100 tags do not fit"),
+        ("edges=[2]", "deployment.count = 20 tags with papers of 2.5 m are too many"),
     ],
 )
 def test_bad_input_has_one_sentence(tmp_path, override, message):
-    processes.refused("tradeoff", override, message=message, cwd=tmp_path, settings=SMALL)
+    processes.refused("tradeoff", override, message=message, cwd=tmp_path, settings=(*SMALL, "hydra.run.dir=run"))
