@@ -41,6 +41,9 @@ def test_a_row_for_each_point_and_the_fewest_between_the_counts(done):
         document = json.loads((cwd / "run" / "tradeoff.json").read_text())
         (fewest,) = (row["count"] for row in document["fewest"] if row["edge"] == edge)
         medians = same.groupby("count").covered_share.median()
+        if fewest is None:  # large papers hide each other
+            assert (edge, (medians < 0.4).all()) == (0.4, True)
+            continue
         assert medians[fewest] >= 0.4
         below = medians[medians.index < fewest]
         assert below.empty or (below.index[-1] == fewest - 1 and (below < 0.4).all())
@@ -71,7 +74,7 @@ def test_the_run_has_a_child_for_each_point(done):
     ]
     assert child.metrics["covered_share"] == pytest.approx(row.covered_share)
     assert child.tags["way"] == row.way
-    assert parent.data.metrics["fewest/edge_0.4"] > 0
+    assert parent.data.metrics["fewest/edge_0.1"] > 6
     (landmarks,) = (cwd / "run" / "points").glob("K-10-edge-0.1-seed-1/landmarks.csv")
     assert len(Deployment.from_csv(landmarks)) == 10
 
