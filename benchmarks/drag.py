@@ -23,7 +23,8 @@ from hydra import compose, initialize_config_dir
 from websockets import Subprotocol
 from websockets.sync.client import connect
 
-from lmd.pipelines.app import CONF, build_problem
+from lmd.pipelines.app import CONF
+from lmd.pipelines.building import build_problem
 from lmd.planner.session import Session
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))

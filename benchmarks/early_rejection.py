@@ -14,7 +14,8 @@ from lmd.objectives.coverage_field import coverage_field
 from lmd.objectives.field import move
 from lmd.optimisers.annealing.walk import propose
 from lmd.optimisers.base import Budget
-from lmd.pipelines.app import CONF, build_optimiser, build_problem
+from lmd.pipelines.app import CONF
+from lmd.pipelines.building import build_optimiser, build_problem
 from lmd.sight.incremental.move import state_of
 from lmd.sight.incremental.state import scratch_of
 from lmd.sight.incremental.trial import bound_move, finish_move

@@ -19,7 +19,8 @@ from speed import COUNT, STEPS, N, best_of, move_all, paper_scene
 
 from lmd.deployment import RandomDeployment
 from lmd.objectives.coverage_field import coverage_field
-from lmd.pipelines.app import CONF, build_problem
+from lmd.pipelines.app import CONF
+from lmd.pipelines.building import build_problem
 from lmd.problem import Problem
 from lmd.scene import Scene
 from lmd.sight.evaluator import Evaluator

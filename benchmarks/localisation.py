@@ -17,7 +17,8 @@ from lmd.deployment import Deployment, RandomDeployment
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.field import bound, settle
 from lmd.objectives.localisation import Localisation
-from lmd.pipelines.app import CONF, build_problem
+from lmd.pipelines.app import CONF
+from lmd.pipelines.building import build_problem
 from lmd.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.tag import Tag

@@ -22,7 +22,8 @@ from numba import njit
 from lmd.deployment import RandomDeployment
 from lmd.objectives.coverage_field import coverage_field
 from lmd.pdf import grid_with_ends
-from lmd.pipelines.app import CONF, build_problem
+from lmd.pipelines.app import CONF
+from lmd.pipelines.building import build_problem
 from lmd.scene import Scene
 from lmd.sight import reference
 from lmd.sight.bands import band_of

@@ -13,7 +13,8 @@ from hydra import compose, initialize_config_dir
 
 from lmd.deployment import Deployment
 from lmd.optimisers.base import Budget
-from lmd.pipelines.app import CONF, build_optimiser, build_problem
+from lmd.pipelines.app import CONF
+from lmd.pipelines.building import build_optimiser, build_problem
 
 RUNS = {
     "paper": (12000, []),

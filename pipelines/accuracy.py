@@ -6,7 +6,8 @@ it is read as `deployments=[a,b,c]`.
 
 from omegaconf import DictConfig
 
-from .app import application, build_problem, run_directory
+from .app import application, run_directory
+from .building import build_problem
 from .deployments import composed_deployments, read_deployment_as_a_list
 from .sweeps.supervisor import run
 

@@ -5,7 +5,8 @@ from typing import Any
 
 from omegaconf import DictConfig
 
-from .app import application, build_problem, keyed, run_directory
+from .app import application, run_directory
+from .building import build_problem, keyed
 from .sweeps.supervisor import run
 
 

@@ -4,7 +4,8 @@ import json
 
 from omegaconf import DictConfig
 
-from .app import application, choices, instantiate, keyed, run_directory
+from .app import application, choices, run_directory
+from .building import instantiate, keyed
 from .sweeps.supervisor import run
 
 

@@ -5,18 +5,8 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig, ListConfig
 
-from .app import (
-    application,
-    build_optimiser,
-    build_problem,
-    instantiate,
-    keyed,
-    recompose,
-    run_directory,
-    save_path,
-    search_path,
-    task_overrides,
-)
+from .app import application, recompose, run_directory, save_path, search_path, task_overrides
+from .building import build_optimiser, build_problem, instantiate, keyed
 from .sweeps.supervisor import run
 from .workers import in_processes
 

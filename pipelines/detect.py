@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from omegaconf import DictConfig
 
-from .app import application, build_problem, instantiate, keyed, run_directory
+from .app import application, run_directory
+from .building import build_problem, instantiate, keyed
 from .deployments import any_deployment, composed_deployments, read_deployment_as_a_list
 from .sweeps.supervisor import run
 

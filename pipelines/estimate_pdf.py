@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
-from .app import application, choices, flat_settings, instantiate, keyed, run_directory
+from .app import application, choices, flat_settings, run_directory
+from .building import instantiate, keyed
 from .sweeps.supervisor import run
 
 if TYPE_CHECKING:

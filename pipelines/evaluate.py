@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
-from .app import application, build_problem, choices, instantiate, keyed, run_directory
+from .app import application, choices, run_directory
+from .building import build_problem, instantiate, keyed
 from .earlier_run import read_earlier_run
 from .sweeps.supervisor import run
 

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig, OmegaConf
 
-from .app import application, build_problem, keyed, run_directory
+from .app import application, run_directory
+from .building import build_problem, keyed
 from .earlier_run import read_earlier_run
 from .outputs import all_or_none
 from .sweeps.supervisor import run

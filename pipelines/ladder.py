@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
-from .app import build_optimiser, build_problem, flat_settings, keyed
+from .app import flat_settings
+from .building import build_optimiser, build_problem, keyed
 from .optimise import SAME_WHEN_RESUMED
 from .sweeps.folder import read_document, write_document
 from .sweeps.names import digest

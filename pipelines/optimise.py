@@ -7,15 +7,8 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
-from .app import (
-    application,
-    build_optimiser,
-    build_problem,
-    choices,
-    flat_settings,
-    keyed,
-    run_directory,
-)
+from .app import application, choices, flat_settings, run_directory
+from .building import build_optimiser, build_problem, keyed
 from .earlier_run import read_earlier_run
 from .export import build_export
 from .input_files import contents_of

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from .app import application, build_problem, ends_reported, run_directory, save_path
+from .app import application, ends_reported, run_directory, save_path
+from .building import build_problem
 
 if TYPE_CHECKING:
     import pandas as pd

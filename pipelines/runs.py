@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
-from .app import application, ends_reported, instantiate
+from .app import application, ends_reported
+from .building import instantiate
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -18,7 +18,8 @@ from lmd.problem import Problem
 from lmd.validation import validation_metrics
 from lmd.verdicts import causes
 
-from .app import choices, flat_settings, instantiate, run_directory
+from .app import choices, flat_settings, run_directory
+from .building import instantiate
 from .outputs import write_figures, write_pictures
 from .provenance import command_line, source_tags
 from .signals import stop

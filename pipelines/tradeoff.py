@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from omegaconf import DictConfig, OmegaConf
 
-from .app import application, build_optimiser, instantiate, keyed, run_directory
+from .app import application, run_directory
+from .building import build_optimiser, instantiate, keyed
 from .earlier_run import read_earlier_run
 from .ladder import Ladder, figures_of
 from .sweeps.names import slug

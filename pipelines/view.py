@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
-from .app import application, build_optimiser, build_problem, keyed, run_directory
+from .app import application, run_directory
+from .building import build_optimiser, build_problem, keyed
 from .earlier_run import read_earlier_run
 from .export import build_export
 from .outputs import all_or_none

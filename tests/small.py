@@ -9,7 +9,8 @@ from lmd import pdf
 from lmd.deployment import RandomDeployment
 from lmd.objectives.coverage import Coverage
 from lmd.problem import Problem
-from pipelines.app import CONF, instantiate
+from pipelines.app import CONF
+from pipelines.building import instantiate
 
 
 def make(name, seed=0):

@@ -6,7 +6,8 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 import pipelines.report
-from pipelines.app import CONF, build_problem
+from pipelines.app import CONF
+from pipelines.building import build_problem
 from pipelines.tracking import PARENT_TAG, MlflowTracker, RunStart
 
 SMALL = ("room.spacing=1.5", "deployment.count=6", "objective.thold_p=0.5", "threads=1")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
-from ..app import instantiate
+from ..building import instantiate
 from ..provenance import source_tags
 from .folder import JobFolder, SweepFolder
 from .jobs import Job, Sweep, reason_of

@@ -12,7 +12,8 @@ from lmd.optimisers.greedy import GreedyDeployment, select
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses
-from pipelines.app import CONF, build_problem
+from pipelines.app import CONF
+from pipelines.building import build_problem
 
 SCENE = paper_scene(room=paper_room(spacing=2.0), orientations=pdf.solid_angle(5), occlusion="none")
 

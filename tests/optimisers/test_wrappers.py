@@ -18,7 +18,8 @@ from lmd.optimisers.pycma import PyCma
 from lmd.optimisers.pymoo import Pymoo
 from lmd.optimisers.random_search import RandomSearch
 from lmd.optimisers.wrapped import Wrapped
-from pipelines.app import CONF, instantiate
+from pipelines.app import CONF
+from pipelines.building import instantiate
 
 
 def run(optimiser, batches, dim=12, fitness=lambda genes: -np.abs(genes - 0.3).sum(axis=1)):

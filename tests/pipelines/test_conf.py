@@ -16,7 +16,8 @@ from lmd.camera import Camera
 from lmd.checks import InputError
 from lmd.objectives.localisation import Localisation
 from lmd.optimisers.encoding import make_encoding
-from pipelines.app import CONF, build_optimiser, build_problem, camera_of, flat_settings, instantiate, keyed
+from pipelines.app import CONF, flat_settings
+from pipelines.building import build_optimiser, build_problem, camera_of, instantiate, keyed
 from pipelines.deployments import any_deployment
 
 ONLY_OBSERVE = ("trajectory", "detector", "estimator", "odometry")

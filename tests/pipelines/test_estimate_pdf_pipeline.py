@@ -13,7 +13,8 @@ from recordings import MOVING, estimated, simulated
 
 from lmd import pdf
 from lmd.orientation.recording import OrientationRecording
-from pipelines.app import CONF, instantiate
+from pipelines.app import CONF
+from pipelines.building import instantiate
 
 ROOT = Path(__file__).parents[2]
 

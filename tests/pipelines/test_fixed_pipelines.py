@@ -9,7 +9,8 @@ from hydra import compose, initialize_config_dir
 from processes import call, refused
 
 from lmd.checks import InputError
-from pipelines.app import CONF, build_problem
+from pipelines.app import CONF
+from pipelines.building import build_problem
 from pipelines.fixed import quoted
 
 TAGS = "id,x,y,z,nx,ny,nz,note\n7,0,2,3,1,0,0,door\n3,0.02,3,3,1,0,0,\n"

@@ -11,7 +11,8 @@ from processes import call, refused
 from lmd.camera import Camera
 from lmd.checks import InputError
 from lmd.rig import Mount, Rig
-from pipelines.app import CONF, build_problem, camera_of
+from pipelines.app import CONF
+from pipelines.building import build_problem, camera_of
 
 BACK_TO_BACK = "camera.rig=[{translation: [0.1, 0, 0]}, {translation: [-0.1, 0, 0], yaw: 3.14159}]"
 KALIBR = """

@@ -1,0 +1,172 @@
+"""Building objects from a composed configuration, with messages that name its keys."""
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import hydra
+from omegaconf import DictConfig, OmegaConf
+
+from .fixed import fixed_of, others_of, total_of
+
+if TYPE_CHECKING:
+    from lmd.camera import Camera
+    from lmd.optimisers.base import Optimiser
+    from lmd.pdf import OrientationPdf
+    from lmd.problem import Problem
+    from lmd.recorded_poses import RecordedPoses
+    from lmd.rig import Rig
+    from lmd.space.space import Space
+
+# Settings that are true or false.
+SWITCHES = ("validate", "page", "localisation", "losses", "sensitivity", "all_visible")
+
+
+@contextmanager
+def keyed(group: str = "", **keys: str) -> Iterator[None]:
+    """Where an `InputError` begins with an argument, let it begin with the config key that the argument came from.
+
+    Args:
+        group: has the arguments as its keys; none for keys at the top.
+        keys: of arguments that come from elsewhere, by the names of the arguments.
+    """
+    from lmd.checks import InputError
+
+    try:
+        yield
+    except InputError as error:
+        if error.argument is None:
+            raise
+        argument = re.split(r"[^\w]", error.argument)[0]
+        named = argument == group.split(".")[0]  # by what was written to name its keys itself
+        key = keys.get(argument, argument if named or not group else f"{group}.{argument}")
+        raise InputError(key + str(error).removeprefix(argument)) from None
+
+
+def instantiate(node: Any, **extra: Any) -> Any:
+    """Build the object a config node describes; the only place that calls Hydra's instantiate.
+
+    Raises:
+        InputError: the object refuses its arguments.
+    """
+    from hydra.errors import InstantiationException
+
+    from lmd.checks import InputError
+
+    try:
+        return hydra.utils.instantiate(node, **extra, _convert_="all")
+    except InstantiationException as error:
+        cause: BaseException | None = error.__cause__
+        while cause is not None and not isinstance(cause, InputError):
+            cause = cause.__cause__
+        if cause is not None:
+            with keyed(str(error).partition("full_key: ")[2].strip(), **{name: name for name in extra}):
+                raise cause from None
+        raise InputError(" ".join(str(error).split())) from error
+
+
+def camera_of(node: DictConfig) -> "Camera | Rig":
+    """The camera of a configuration, or those of its rig.
+
+    Raises:
+        InputError: the rig is none, or a camera is refused; that of the group is made only where a mount has none.
+    """
+    from lmd.rig import has_own_camera, rig_of
+
+    mounts = node.get("rig")  # runs of old have none
+    alone = OmegaConf.masked_copy(node, [str(key) for key in node if key != "rig"])
+    if mounts is None:
+        return instantiate(alone)  # type: ignore[no-any-return]
+    plain = OmegaConf.to_container(mounts, resolve=True) if OmegaConf.is_config(mounts) else mounts
+    own = isinstance(plain, list) and bool(plain) and all(map(has_own_camera, plain))
+    with keyed("camera"):
+        return rig_of(plain, None if own else instantiate(alone))
+
+
+def build_problem(cfg: DictConfig) -> "Problem":
+    """The problem a composed configuration describes.
+
+    Raises:
+        InputError: its parts do not fit together.
+    """
+    import numpy as np
+
+    from lmd.checks import InputError, boolean, choice, integer
+    from lmd.optimisers.encoding import KINDS
+    from lmd.problem import Problem
+    from lmd.scene import Scene
+    from lmd.sight.evaluator import MOST_THREADS
+    from lmd.tag import Tag
+
+    cfg.seed = integer("seed", cfg.seed, low=0)
+    if cfg.get("workers") is not None:
+        integer("workers", cfg.workers, low=1)
+    for switch in SWITCHES:
+        if switch in cfg:
+            boolean(switch, cfg[switch])
+    tag = instantiate(cfg.tag) if cfg.get("tag") else Tag()  # runs of old have none
+    camera, visibility = camera_of(cfg.camera), instantiate(cfg.visibility)
+    room, pdf, recorded = _poses(cfg)
+    scene = Scene(room, camera, pdf, visibility, tag, recorded)
+    threads = None if cfg.threads is None else integer("threads", cfg.threads, low=1, high=MOST_THREADS)
+    choice("encoding.kind", cfg.encoding.kind, KINDS)
+    boolean("encoding.flush", cfg.encoding.flush)
+    objective = instantiate(cfg.objective)
+    with keyed("deployment"):
+        fixed = fixed_of(cfg.deployment)
+        total = total_of(cfg.deployment, fixed)
+    start = instantiate(others_of(cfg.deployment, fixed, total))
+    with keyed("tag"):
+        scene.plates.hanging.surfaces()
+    # What only shows when the parts meet; the problem would refuse it too, but could not tell whose argument it is.
+    with keyed("room.relevance"):
+        scene.room.relevance.weights(scene.room.grid())
+    with keyed("deployment"):
+        hung = {} if fixed is None else {"fixed": scene.plates.hung(fixed)}
+        if isinstance(start, partial):  # a source that depends on what the landmarks are for
+            start = start(scene=scene, objective=objective, threads=threads, **hung)
+        ids = scene.plates.draw(start, np.random.default_rng(0), **hung).ids
+        if total not in (None, len(ids)):
+            raise InputError(f"count = {total}, but with the fixed ones there are {len(ids)} landmarks.", "count")
+    if not tag.is_point:
+        with keyed("tag"):
+            tag.check_ids(ids)
+    with keyed("objective", rig="camera.rig"):
+        return Problem(scene, objective, start, threads, **hung)
+
+
+def _poses(cfg: DictConfig) -> "tuple[Space, OrientationPdf, RecordedPoses | None]":
+    """Where the camera is, how it looks there, and the recording that says so, if one does."""
+    from lmd.checks import InputError
+
+    room, recorded = instantiate(cfg.room), bool(cfg.get("poses"))  # runs of old have none
+    if recorded == bool(cfg.pdf):
+        needed = "poses=recorded, which says how the camera looks, needs pdf=recorded, which follows by itself"
+        raise InputError(f"{needed}." if recorded else "pdf=recorded needs poses=recorded.")
+    if not recorded:
+        return room, instantiate(cfg.pdf), None
+    poses = instantiate(cfg.poses)
+    with keyed("poses"):
+        return poses.visited(room), poses.pdf, poses
+
+
+def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":
+    """The optimiser a composed configuration describes.
+
+    Raises:
+        InputError: it cannot be built, or is none.
+    """
+    from lmd.checks import InputError
+    from lmd.optimisers.base import AskTell, Optimiser
+
+    optimiser = instantiate(cfg.optimiser, seed=seed)
+    if not isinstance(optimiser, Optimiser):
+        raise InputError(
+            f"optimiser._target_ = {cfg.optimiser.get('_target_')!r} makes a {type(optimiser).__name__}, which is not "
+            "derived from lmd.optimisers.base.Optimiser."
+        )
+    if isinstance(optimiser, AskTell):
+        optimiser.encoding, optimiser.flush = optimiser.encoding or cfg.encoding.kind, cfg.encoding.flush
+    return optimiser
