@@ -3,11 +3,12 @@
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from copy import deepcopy
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import hydra
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 
 from .fixed import fixed_of, others_of, total_of
 
@@ -75,8 +76,9 @@ def camera_of(node: DictConfig) -> "Camera | Rig":
     """
     from lmd.rig import has_own_camera, rig_of
 
-    mounts = node.get("rig")  # runs of old have none
-    alone = OmegaConf.masked_copy(node, [str(key) for key in node if key != "rig"])
+    alone = deepcopy(node)
+    with open_dict(alone):
+        mounts = alone.pop("rig", None)  # runs of old have none
     if mounts is None:
         return instantiate(alone)  # type: ignore[no-any-return]
     plain = OmegaConf.to_container(mounts, resolve=True) if OmegaConf.is_config(mounts) else mounts

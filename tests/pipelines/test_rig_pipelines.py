@@ -5,6 +5,7 @@ import math
 
 import pytest
 from hydra import compose, initialize_config_dir
+from omegaconf import open_dict
 from paper import PAPER_CAMERA
 from processes import call, refused
 
@@ -28,8 +29,9 @@ def composed(*overrides):
 
 def test_without_a_rig_there_is_one_camera():
     assert camera_of(composed().camera) == Camera(**PAPER_CAMERA)
-    old = composed().camera.copy()
-    del old["rig"]
+    old = composed().camera
+    with open_dict(old):
+        del old["rig"]
     assert camera_of(old) == Camera(**PAPER_CAMERA)
 
 
