@@ -16,7 +16,7 @@ from numba.core.registry import cpu_target
 
 # Packages and modules with code that is compiled, or constants of it.
 SOURCES = (
-    *("geometry", "space/allowed", "space/triangles", "sight", "objectives"),
+    *("dispatch", "geometry", "space/allowed", "space/triangles", "sight", "objectives"),
     *("optimisers/annealing", "plates", "tag", "planner/additions"),
 )
 

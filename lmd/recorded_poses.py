@@ -76,14 +76,13 @@ class RecordedPoses:
         object.__setattr__(self, "divisions", integer("divisions", self.divisions, low=1))
         if self.held_out is not None:
             every = integer("held_out", self.held_out, low=2)
-            lasts, needed = self.trajectory.time[-1] - self.trajectory.time[0], (every - 1) * self.block
-            if lasts <= needed:
+            object.__setattr__(self, "held_out", every)
+            if not len(self.kept_back):
                 raise InputError(
-                    f"held_out = {every}: {self.path} lasts {lasts:g} s, too short for a block to be held out, the "
-                    f"first of which begins after {needed:g} s.",
+                    f"held_out = {every}: no pose of {self.path} lies in a block to be held out, the first of which "
+                    f"begins after {(every - 1) * self.block:g} s.",
                     "held_out",
                 )
-            object.__setattr__(self, "held_out", every)
 
     @cached_property
     def trajectory(self) -> Trajectory:

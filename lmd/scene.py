@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from lmd.sight.criteria import Criteria
 
 PROBABILITY_BYTES = 24  # of an orientation at a position: its probability, which one it is, and its whole units
+ANYWHERE = 512  # random positions of a rig that are looked at
 
 
 @dataclass(frozen=True)
@@ -89,15 +90,22 @@ class Scene:
             yield Station(self.camera, np.zeros(3), np.arange(len(axes)), axes)
 
     def check_inside(self, positions: FloatArray) -> None:
-        """Raise `InputError` if a camera of a rig is outside the room with its body at one of `positions` `(P, 3)`."""
+        """Raise `InputError` if a camera of a rig is outside the room with its body at a position where it may be.
+
+        Asked are `positions` `(P, 3)` and random ones, each with the orientations that occur there.
+        """
         if not isinstance(self.camera, Rig):
             return
-        offsets = np.unique(self.camera.views(self.orientations.axes)[0].reshape(-1, 3), axis=0)
-        for position in positions:
-            outside = ~self.room.contains(position + offsets)
+        positions = np.vstack([positions, self.room.sample(ANYWHERE, np.random.default_rng(0))])
+        offsets = self.camera.views(self.orientations.axes)[0]
+        occurs = self.probability(positions) > 0.0
+        for position, turns in zip(positions, np.broadcast_to(occurs, (len(positions), occurs.shape[1])), strict=True):
+            cameras = position + np.unique(offsets[:, turns].reshape(-1, 3), axis=0)
+            outside = ~self.room.contains(cameras)
             if outside.any():
-                place = ", ".join(f"{value:.3g}" for value in position + offsets[np.argmax(outside)])
-                body = ", ".join(f"{value:.3g}" for value in position)
+                place, body = (
+                    ", ".join(f"{value:.3g}" for value in at) for at in (cameras[np.argmax(outside)], position)
+                )
                 raise InputError(
                     f"rig has a camera at [{place}], outside the room, when the body is at [{body}].", "rig"
                 )
@@ -111,8 +119,8 @@ class Scene:
     def probability(self, positions: FloatArray) -> FloatArray:
         """Of each of these orientations at positions `(Q, 3)`: `(Q, D)`, or `(1, D)` where all have the same."""
         axes, index_of, _ = self.orientations
+        check_views(PROBABILITY_BYTES, 1 if self.pdf.by_position is None else len(positions), len(index_of))
         rows = self.pdf.at(positions)
-        check_views(PROBABILITY_BYTES, len(rows), len(axes))
         index = len(axes) * np.arange(len(rows))[:, None] + index_of
         total = np.bincount(index.reshape(-1), weights=rows.reshape(-1), minlength=len(rows) * len(axes))
         return np.asarray(total.reshape(len(rows), len(axes)), dtype=np.float64)

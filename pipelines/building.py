@@ -145,8 +145,9 @@ def _poses(cfg: DictConfig) -> "tuple[Space, OrientationPdf, RecordedPoses | Non
 
     room, recorded = instantiate(cfg.room), bool(cfg.get("poses"))  # runs of old have none
     if recorded == bool(cfg.pdf):
-        needed = "poses=recorded, which says how the camera looks, needs pdf=recorded, which follows by itself"
-        raise InputError(f"{needed}." if recorded else "pdf=recorded needs poses=recorded.")
+        needed = "poses=recorded, which says how the camera looks, needs pdf=recorded"
+        cure = "add it to the command line where an experiment has chosen another one"
+        raise InputError(f"{needed}; {cure}." if recorded else "pdf=recorded needs poses=recorded.")
     if not recorded:
         return room, instantiate(cfg.pdf), None
     poses = instantiate(cfg.poses)

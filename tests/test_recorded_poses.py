@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from floor_plans import lab
 from numpy.testing import assert_allclose, assert_array_equal
-from paper import paper_room, paper_scene
+from paper import paper_camera, paper_room, paper_scene
 from scipy.spatial.transform import Rotation
 
 from lmd.checks import InputError
@@ -16,13 +16,14 @@ from lmd.deployment import Deployment, RandomDeployment
 from lmd.geometry import se3
 from lmd.geometry.frames import angles_of, rotation
 from lmd.held_out import describe_held_out, exact_values, held_out_metrics
-from lmd.localisation.trajectory import Trajectory
+from lmd.localisation.trajectory import Pace, RandomMotion, Trajectory
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.optimisers.annealing import Annealing
 from lmd.optimisers.base import Budget
 from lmd.problem import Problem
 from lmd.recorded_poses import RecordedPoses
+from lmd.rig import Mount, Rig
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.views import visible
 from lmd.tag import Tag
@@ -243,6 +244,26 @@ def test_a_bad_recording_gets_one_sentence(write, text, message):
     assert "\n" not in str(refused.value)
 
 
+def test_random_flights_go_from_record_to_record_also_where_the_camera_stood_still(write):
+    room = lab()  # with a clearance of more than the 0.25 m that this robot kept
+    poses = recorded(write(rows(*((t, 0.25, 1.0 + t % 2, 1.0, 0.0, 0.0) for t in range(9)))), spacing=2.0)
+    scene = scene_of(poses, room)
+    for seed in range(5):
+        flown = RandomMotion(5.0, Pace(0.5, 1.0, 10.0)).draw(scene, np.random.default_rng(seed)).poses[:, :3, 3]
+        np.testing.assert_allclose(flown[:, [0, 2]], [[0.25, 1.0]] * len(flown), atol=1e-9)
+        assert np.ptp(flown[:, 1]) == pytest.approx(1.0, abs=0.05)
+
+
+def test_the_cameras_of_a_rig_are_looked_for_where_the_body_turns_them(write):
+    ahead = Rig((Mount(paper_camera(), (0.3, 0.0, 0.0)),))
+    along = recorded(write(rows(*((t, 1.0 + t / 10, 0.1, 3.0, AHEAD, 0.0) for t in range(20)))))
+    problem = Problem(replace(scene_of(along), camera=ahead), Coverage(1, 0.3), RandomDeployment(6), threads=1)
+    assert problem.evaluator.positions[:, 1].max() == 0.1  # never does it face the wall 10 cm beside it
+    across = recorded(write(rows(*((t, 1.0 + t / 10, 0.1, 3.0, math.pi, 0.0) for t in range(20)))))
+    with pytest.raises(InputError, match=r"rig has a camera at \[.*, -0.\d+, 3\], outside the room"):
+        Problem(replace(scene_of(across), camera=ahead), Coverage(1, 0.3), RandomDeployment(6), threads=1)
+
+
 def test_a_camera_inside_a_pillar_is_refused(write):
     text = rows((0, 0.6, 0.6, 1, 0, 0), (1, 1.5, 1.5, 1, 0, 0))
     with pytest.raises(InputError, match=r"path: .*the camera at 1 s"):
@@ -253,7 +274,8 @@ def test_a_camera_inside_a_pillar_is_refused(write):
     ("changes", "message"),
     [
         ({"path": None}, "^path is missing"),
-        ({"held_out": 5, "block": 20.0}, "^held_out = 5: .* lasts 40 s, too short for a block to be held out, the"),
+        ({"held_out": 5, "block": 20.0}, "^held_out = 5: no pose of .* first of which begins after 80 s"),
+        ({"held_out": 5, "block": 9.99}, "^held_out = 5: no pose of .* first of which begins after 39.96 s"),
         ({"held_out": 1}, "^held_out must be at least 2"),
         ({"bandwidth": 0.0}, "^bandwidth must be greater than 0"),
         ({"direction_bandwidth": -1.0}, "^direction_bandwidth must be greater than 0"),

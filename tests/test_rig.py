@@ -22,6 +22,7 @@ from lmd.rig import Mount, Rig, rig_of
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses, covered_amounts, gains
 from lmd.sight.reference import counts, coverage_caps
+from lmd.space.cuboid import Cuboid
 from lmd.space.floor_plan import FloorPlan
 from lmd.space.parts import Reachable
 from lmd.space.prism import Prism
@@ -208,6 +209,13 @@ def test_what_knows_no_rig_says_so():
 def test_bad_rigs_are_refused_in_a_sentence(mounts, message):
     with pytest.raises(InputError, match=message):
         rig_of(mounts, CAMERA)
+
+
+def test_a_camera_that_leaves_the_room_between_the_positions_of_the_grid_is_refused():
+    room = Cuboid((4.0, 4.0, 4.0), (3.6, 3.6, 3.6), 0.9)  # the grid keeps 0.65 m from the walls, the body 0.2 m
+    scene = scene_with(Mount(CAMERA, (0.5, 0.0, 0.0)), room=room)
+    with pytest.raises(InputError, match=r"rig has a camera at .*, outside the room"):
+        Problem(scene, Coverage(1, 0.3), RandomDeployment(6), threads=1)
 
 
 def test_a_camera_outside_the_room_is_refused():

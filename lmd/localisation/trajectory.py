@@ -213,10 +213,10 @@ def _random_waypoint(scene: Scene, rng: np.random.Generator) -> FloatArray:
 
 
 def _next_waypoint(scene: Scene, before: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """A waypoint to which a straight way leads from the one `before`; drawn anew until there is one."""
+    """Another waypoint, to which a straight way leads from the one `before`; drawn anew until there is one."""
     for _ in range(MOST_DRAWS):
         waypoint = _random_waypoint(scene, rng)
-        if scene.room.passable(before[:3], waypoint[:3]):
+        if not np.array_equal(waypoint, before) and scene.room.passable(before[:3], waypoint[:3]):
             return waypoint
     x, y, z = before[:3]
     raise InputError(f"no straight way leads on from ({x:.9g}, {y:.9g}, {z:.9g}): none of {MOST_DRAWS} is free.")

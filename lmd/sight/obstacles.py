@@ -19,6 +19,7 @@ from numba import njit
 from lmd.checks import BoolArray, FloatArray
 from lmd.dispatch import overridable
 from lmd.geometry.upright import upright_axes
+from lmd.memory import check_memory
 from lmd.space.blockers import Blockers
 from lmd.space.space import Space
 from lmd.space.triangles import Triangles, is_crossed
@@ -49,6 +50,7 @@ def obstacles_at(blockers: Blockers | Triangles | None, positions: FloatArray) -
         return None
     if isinstance(blockers, Triangles):
         return Shadows(blockers, np.ascontiguousarray(positions))
+    check_memory(8 * len(positions) * len(blockers.offsets), f"{len(positions)} positions beside obstacles")
     return Obstacles(blockers.normals, blockers.offsets, blockers.first, blockers.heights(positions))
 
 

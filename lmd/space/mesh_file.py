@@ -1,5 +1,6 @@
 """Triangle meshes from files: glTF, OBJ, STL and PLY, by trimesh."""
 
+import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -49,6 +50,8 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
         raise InputError(f"path = {str(file)!r} must end in one of {', '.join(FORMATS)}.", "path")
     if not file.is_file():
         raise InputError(f"path: there is no file {str(file)!r}.", "path")
+    if file.suffix.lower() == ".gltf" and (outside := _outside(file)):
+        raise InputError(f"path = {str(file)!r} has its triangles in {outside!r}; save it as one file, .glb.", "path")
     if up is None:
         up = "y" if file.suffix.lower() in Y_UP else "z"
     parts = _parts(file, choice("up", up, UPS))
@@ -72,6 +75,16 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
             f"scale = {scale:g} makes {str(file)!r} a room of {box} m; a file in millimetres takes 0.001.", "scale"
         )
     return Mesh(np.array(mesh.vertices), np.array(mesh.faces, dtype=np.int64), of[kept], names)
+
+
+def _outside(file: Path) -> str | None:
+    """Another file that a glTF keeps its numbers in: what is read must be in the file that is named."""
+    try:
+        buffers = json.loads(file.read_text()).get("buffers", [])
+        names = [buffer.get("uri", "data:") for buffer in buffers]
+    except (ValueError, AttributeError):  # no glTF, which the reader says better
+        return None
+    return next((name for name in names if not name.startswith("data:")), None)
 
 
 def _parts(file: Path, up: str) -> dict[str, Any]:

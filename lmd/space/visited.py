@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from lmd.checks import FloatArray, IntArray
+from lmd.checks import BoolArray, FloatArray, IntArray
 from lmd.space.changed import Changed
 from lmd.space.grid import checked_spacing
 from lmd.space.relevance import Weighing
@@ -92,6 +92,10 @@ class Visited(Changed):
     def grid(self) -> FloatArray:
         """See `Space.grid`: in each cell that was visited the record nearest to the mean of those in it."""
         return self._positions[self._cells.chosen]
+
+    def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
+        """See `Space.passable`: where the camera was, it may have been nearer to things than the room's clearance."""
+        return self.clear(starts, ends)
 
     def finer(self) -> "Visited":
         """See `Space.finer`."""

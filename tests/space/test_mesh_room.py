@@ -176,10 +176,12 @@ def test_a_file_with_no_room_in_it_gets_one_sentence(tmp_path):
     (tmp_path / "broken.ply").write_text("not a mesh")
     (tmp_path / "empty.obj").write_text("# nothing\n")
     (tmp_path / "room.dwg").write_text("")
+    (tmp_path / "parts.gltf").write_text('{"buffers": [{"uri": "parts.bin", "byteLength": 4}]}')
     good = given("good.ply")
     for change, message in [
         ({"path": str(tmp_path / "none.ply")}, r"^path: there is no file "),
         ({"path": str(tmp_path / "room.dwg")}, r"^path = .*dwg' must end in one of \.gltf, \.glb"),
+        ({"path": str(tmp_path / "parts.gltf")}, r"^path = .*parts.gltf' has its triangles in 'parts.bin'; save it as"),
         ({"path": str(tmp_path / "broken.ply")}, r"^path: .* cannot be read as a mesh"),
         ({"path": str(tmp_path / "empty.obj")}, r"^path: .* (holds no triangles|cannot be read as a mesh)"),
         ({"path": None}, r"^path is missing: a file"),
