@@ -82,7 +82,7 @@ class MountingError:
         on = np.flatnonzero(moved.surfaces >= 0)
         if not len(on):
             return moved
-        apart = problem.apart(moved[on])
+        apart = problem.scene.plates.apart(moved[on], fixed=int((on < problem.fixed_count).sum()))
         if apart is None:
             raise InputError(f"position = {self.position:g} m leaves no room for all papers.", "position")
         changed = {name: getattr(moved, name).copy() for name in ("positions", "normals", "surfaces")}

@@ -76,6 +76,21 @@ def test_what_hangs_already_stays():
     assert (hung.deployment.positions[2:] != plan.positions[2:]).any(axis=1).all()
 
 
+def test_a_fixed_tag_off_every_surface_makes_no_other_one_stay():
+    fixed = Deployment(np.array([[0.02, 2.0, 3.0], [0.0, 3.0, 3.0]]), np.array([X, X]))
+    problem = problem_of(fixed=fixed, count=5)
+    plan = plan_of(problem)
+    surfaces = plan.surfaces.copy()
+    surfaces[0] = -1  # as measured: it stands before its wall
+    positions = plan.positions.copy()
+    positions[2], surfaces[2] = (0.0, 3.05, 3.0), plan.surfaces[1]  # over the tag that is fixed
+    over = replace(plan, positions=positions, normals=np.array([*plan.normals[:2], X, *plan.normals[3:]]),
+                   surfaces=surfaces)  # fmt: skip
+    hung = off_by(0.001).hung(problem, over, np.random.default_rng(0)).deployment
+    np.testing.assert_array_equal(hung.positions[:2], plan.positions[:2])
+    problem.scene.plates.check(hung)
+
+
 def test_the_plan_is_scored_as_everywhere_and_every_draw_like_any_deployment():
     problem = problem_of(objective=Coverage(2, 0.5))
     plan = plan_of(problem)
