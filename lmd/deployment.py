@@ -301,7 +301,8 @@ class FileDeployment:
     Args:
         path: the CSV.
         count: K; if given, the file must have that many rows.
-        free: whether landmarks may stand free in the room, or face into the surface they hang on.
+        free: whether landmarks are taken as they are: they may stand free in the room, face into the surface they hang
+            on or hang where none may, and papers may overlap.
     """
 
     path: str | None

@@ -63,11 +63,15 @@ class Plates:
             return np.inf
         return float(np.floor(self._surfaces.extent / self.edge * (1.0 + TOUCHING) + 1.0).prod(axis=1).sum())
 
-    def hung(self, fixed: Deployment) -> Deployment:
+    def hung(self, fixed: Deployment, beside: DeploymentSource) -> Deployment:
         """Landmarks that hang already, with their surfaces.
 
         They were measured by hand: what stands a little before a surface has that one, and its plate is in the way
         there.
+
+        Args:
+            fixed: those landmarks.
+            beside: where the others come from. If these are taken as they are (`FileDeployment.free`), so are those.
 
         Raises:
             InputError: one lies outside the room, hangs on no surface or faces into its own, or plates overlap or are
@@ -75,6 +79,8 @@ class Plates:
         """
         try:
             hung = fixed.hung(self.hanging)
+            if _as_they_are(beside):
+                return hung.before(self.hanging)
             if fault := hung.fault(self.hanging, MID_AIR):
                 raise InputError(f"{fault}.")
             hung = hung.before(self.hanging)
@@ -85,6 +91,8 @@ class Plates:
 
     def draw(self, source: DeploymentSource, rng: np.random.Generator, fixed: Deployment | None = None) -> Deployment:
         """A deployment from `source` whose plates hang properly; a random one is pushed apart.
+
+        What a file has is taken as it is if it says so, see `FileDeployment.free`.
 
         Args:
             source: what is drawn from.
@@ -98,7 +106,7 @@ class Plates:
         drawn = source.draw(self.hanging, rng)
         if fixed is not None:
             drawn = beside(fixed, drawn)
-        if not self.edge:
+        if not self.edge or _as_they_are(source):
             return drawn
         if len(drawn) > self.capacity:
             raise InputError(
@@ -196,6 +204,11 @@ class Plates:
         """Which tags `(K,)` lie flat on a surface."""
         deviation = np.linalg.norm(normals - self._surfaces.normal[surfaces], axis=1)
         return np.asarray((surfaces >= 0) & (deviation <= FLUSH))
+
+
+def _as_they_are(source: DeploymentSource) -> bool:
+    """Whether landmarks from `source` hang wherever they do."""
+    return isinstance(source, FileDeployment) and source.free
 
 
 @kernel

@@ -47,7 +47,7 @@ class Problem:
         if threads is not None:
             threads = integer("threads", threads, low=1, high=MOST_THREADS)
         self.scene, self.objective, self.start = scene, objective, start
-        self.fixed = None if fixed is None else scene.plates.hung(fixed)
+        self.fixed = None if fixed is None else scene.plates.hung(fixed, start)
         first = self.draw(np.random.default_rng(0))
         self.count, self.labels = len(first), first.labels
         if not scene.tag.is_point:

@@ -126,7 +126,7 @@ def build_problem(cfg: DictConfig) -> "Problem":
     with keyed("room.relevance"):
         scene.room.relevance.weights(scene.room.grid())
     with keyed("deployment"):
-        hung = {} if fixed is None else {"fixed": scene.plates.hung(fixed)}
+        hung = {} if fixed is None else {"fixed": scene.plates.hung(fixed, start)}
         if isinstance(start, partial):  # a source that depends on what the landmarks are for
             start = start(scene=scene, objective=objective, threads=threads, **hung)
         ids = scene.plates.draw(start, np.random.default_rng(0), **hung).ids

@@ -37,13 +37,18 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}") -> None:
     groups = [group for group in GROUPS if parts[group] is not None]  # runs of old lack some
     for group in groups:
         store.store(OPTION, parts[group], group)
-    free, fixed = (OmegaConf.select(before, f"deployment.{key}") for key in ("free", "fixed"))  # runs of old lack them
+    named = {argument.partition("=")[0] for argument in sys.argv[1:]}
+    # Runs of old lack some of these.
+    free, measured, fixed = (OmegaConf.select(before, f"deployment.{key}") for key in ("free", "measured", "fixed"))
     path = str(directory / FILES[1])
-    # Its own file says where the fixed ones hung; the file they came from may have changed.
-    landmarks = {"path": path, "free": bool(free), "fixed": None if fixed is None else path}
+    landmarks = {
+        "path": path,
+        "free": bool(free) or measured is not None,  # measured places are what they are
+        "fixed": None if fixed is None else path,  # the file they came from may have changed
+        "marked": fixed is not None and "deployment.fixed" not in named,  # of its own file only those marked as fixed
+    }
     store.store(OPTION, {"defaults": ["file", "_self_"], **landmarks}, "deployment")
     chosen = [f"{group}={OPTION}" for group in groups] + [deployment]
-    named = {argument.partition("=")[0] for argument in sys.argv[1:]}
     if "poses" in named:
         named.add("pdf")  # each way of telling where the camera is brings its own way of telling how it looks
     place = sys.argv.index(given[-1]) + 1  # beside it: options of Hydra may stand before and after

@@ -10,7 +10,8 @@ if TYPE_CHECKING:
     from lmd.deployment import Deployment
 
 COUNT = "deployment.count="
-NO_SOURCE = ("fixed", "measured", "mounting_error")  # keys of the group that say nothing of where landmarks come from
+# Keys of the group that say nothing of where landmarks come from.
+NO_SOURCE = ("fixed", "marked", "measured", "mounting_error")
 MORE = re.compile(r"\+(\d+)")
 
 
@@ -22,7 +23,7 @@ def quoted(override: str) -> str:
 def fixed_of(node: DictConfig) -> "Deployment | None":
     """The landmarks that a configured deployment keeps where they are; None for none.
 
-    Of a file that holds the others too, as that of a run does, they are those it marks as fixed.
+    Of a file that holds the others too, as that of a run does, they are those it marks, if `marked` is true.
 
     Raises:
         InputError: the file cannot be read, or what it holds is no deployment.
@@ -37,7 +38,7 @@ def fixed_of(node: DictConfig) -> "Deployment | None":
     if path is None:
         return None
     found = Deployment.from_csv(file_path("fixed", path))
-    marks = found.labels.columns.get(COLUMN) if found.labels and path == node.get("path") else None
+    marks = found.labels.columns.get(COLUMN) if found.labels and node.get("marked") else None
     return found if marks is None else found[np.array(marks) == "1"]
 
 

@@ -139,6 +139,10 @@ def test_files_and_counts_that_cannot_be_are_refused(tmp_path):
     message = rf"^{path}: landmarks 4 and 5 on y_min overlap: their papers are 0\.3 m wide, their centres 0\.29 m apart"
     with pytest.raises(InputError, match=message):
         problem_of(FileDeployment(str(path)))
+    as_they_are = problem_of(FileDeployment(str(path), free=True))
+    np.testing.assert_array_equal(as_they_are.draw(np.random.default_rng(0)).positions, moved)
+    with pytest.raises(InputError, match=r"^landmarks 4 and 5 on y_min overlap"):
+        optimise(as_they_are, evaluations=50)
     with pytest.raises(InputError, match=r"^landmarks 4 and 5 on y_min overlap"):
         evaluate(problem_of(UniformDeployment(40)), Deployment(moved, start.normals))
     moved[5] = moved[5] + [0.0, 0.0, 5.0 - moved[5, 2] + 0.9]

@@ -3,13 +3,16 @@
 import json
 import sys
 
+import numpy as np
 import pandas as pd
 import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 from processes import call, refused
 
+from lmd.checks import InputError
 from pipelines.app import CONF
+from pipelines.building import build_problem
 from pipelines.deployments import read_deployment_as_a_list
 from pipelines.earlier_run import read_earlier_run
 
@@ -82,6 +85,46 @@ def test_landmarks_that_were_free_stay_so(earlier, monkeypatch):
     path = earlier / ".hydra" / "config.yaml"
     OmegaConf.save(OmegaConf.merge(OmegaConf.load(path), {"deployment": {"free": True}}), path)
     assert composed(monkeypatch, "evaluate", f"run='{earlier}'").deployment.free is True
+
+
+def leave(run, landmarks, **deployment):
+    """Let the run have left these landmarks, and been told so of its deployment."""
+    path = run / ".hydra" / "config.yaml"
+    OmegaConf.save(OmegaConf.merge(OmegaConf.load(path), {"deployment": deployment}), path)
+    (run / "landmarks.csv").write_text(landmarks)
+
+
+@pytest.mark.parametrize("fixed", [None, "tags.csv"])
+def test_tags_that_were_measured_are_taken_as_they_are(earlier, monkeypatch, fixed):
+    """Papers overlap, hang over an edge and stand before their wall."""
+    measured = "id,x,y,z,nx,ny,nz,fixed\n3,0,1,1,1,0,0,1\n1,0,1.18,1,1,0,0,1\n4,0,0.05,2,1,0,0,0\n0,0.08,2,1,1,0,0,0\n"
+    leave(earlier, measured, measured="measured.csv", fixed=fixed)
+    given = (f"run='{earlier}'", "tag.edge=0.15")
+    problem = build_problem(composed(monkeypatch, "export", *given))
+    assert problem.fixed_count == (0 if fixed is None else 2)
+    drawn = problem.draw(np.random.default_rng(0))
+    assert drawn.positions.tolist() == [[0, 1, 1], [0, 1.18, 1], [0, 0.05, 2], [0.08, 2, 1]]
+    with pytest.raises(InputError, match=r"landmarks? (3 and 1 .* overlap|0 .* hangs in mid-air)"):
+        build_problem(composed(monkeypatch, "export", *given, "deployment.free=false"))
+
+
+@pytest.mark.parametrize("others", ["landmarks.csv", "moved.csv"])
+def test_the_fixed_tags_of_a_run_are_those_it_marks(earlier, monkeypatch, others):
+    marked = "id,x,y,z,nx,ny,nz,fixed\n5,0,1,1,1,0,0,1\n7,0,2,1,1,0,0,0\n"
+    leave(earlier, marked, fixed="tags.csv")
+    (earlier / "moved.csv").write_text(marked.replace("0,2,1", "0,2.5,1"))
+    path = f"deployment.path='{earlier}/{others}'"
+    problem = build_problem(composed(monkeypatch, "evaluate", f"run='{earlier}'", path))
+    assert problem.fixed.ids.tolist() == [5]
+    assert problem.labels.ids.tolist() == [5, 7]
+
+
+def test_a_file_of_fixed_tags_that_is_named_is_all_of_them(earlier, monkeypatch):
+    leave(earlier, "id,x,y,z,nx,ny,nz,fixed\n5,0,1,1,1,0,0,1\n7,0,2,1,1,0,0,0\n", fixed="tags.csv")
+    hangs, more = f"deployment.fixed='{earlier}/landmarks.csv'", f"deployment.path='{earlier}/more.csv'"
+    (earlier / "more.csv").write_text("id,x,y,z,nx,ny,nz\n9,0,3,1,1,0,0\n")
+    problem = build_problem(composed(monkeypatch, "evaluate", f"run='{earlier}'", hangs, more))
+    assert problem.labels.ids.tolist() == [5, 7, 9]
 
 
 @pytest.mark.parametrize(

@@ -156,6 +156,7 @@ class Annealing(Optimiser):
         self.rng = np.random.default_rng(self.seed)
         start, plates = problem.draw(self.rng), problem.scene.plates
         movable = problem.free(start).movable(plates.room, flush=plates.edge > 0.0)
+        plates.check(start)  # a file may be taken as it is, with papers that overlap
         self.start = self.here = problem.complete(movable)
         if not stack and problem.start.varies:
             self.start, spent = greedy_start(problem, self.start, SPACING, (limit - count) / 2)
