@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
     from .tracking import Tracker
 
-
-MOUNTING = "deployment.mounting_error"
+MEASURED, MOUNTING = "deployment.measured", "deployment.mounting_error"
 
 
 def main() -> None:
@@ -54,7 +53,7 @@ def evaluate(cfg: DictConfig) -> float:
     problem = build_problem(cfg)
     seed = integer("seed", cfg.seed, low=0)
     deployment = plan = problem.draw(np.random.default_rng(seed))
-    with keyed("deployment", path="deployment.measured"):
+    with keyed("deployment", path=MEASURED):
         if cfg.deployment.measured is not None:
             deployment = read_measured(cfg.deployment.measured, problem, plan)
         error: MountingError = instantiate(cfg.deployment.mounting_error)
@@ -63,6 +62,10 @@ def evaluate(cfg: DictConfig) -> float:
     with tracked(cfg, subject, title_of(problem, subject)) as tracker:
         alone = not isinstance(problem.scene.camera, Rig)
         summary: dict[str, Any] = localise(problem, deployment, seed, tracker) if cfg.localisation and alone else {}
+    asked = {"sensitivity": cfg.sensitivity, MEASURED: deployment is not plan, MOUNTING: not error.is_none}
+    for key, is_asked in asked.items():
+        if is_asked:
+            problem.scene.single_camera(key)
         if cfg.localisation and not alone:
             print("localisation: left out, a single frame of a rig of several cameras is not bounded yet")
         fallen = lose(problem, deployment, tracker) if cfg.losses else None

@@ -14,6 +14,7 @@ from lmd.checks import InputError
 from lmd.rig import Mount, Rig
 from pipelines.app import CONF
 from pipelines.building import build_problem, camera_of
+from pipelines.evaluate import evaluate
 
 BACK_TO_BACK = "camera.rig=[{translation: [0.1, 0, 0]}, {translation: [-0.1, 0, 0], yaw: 3.14159}]"
 KALIBR = """
@@ -22,9 +23,9 @@ cam1: {camera_model: pinhole, intrinsics: [500, 500, 319.5, 239.5], distortion_m
 """
 
 
-def composed(*overrides):
+def composed(*overrides, pipeline="optimise"):
     with initialize_config_dir(CONF, version_base="1.3"):
-        return compose("optimise", ["room.spacing=1.5", *overrides])
+        return compose(pipeline, ["room.spacing=1.5", *overrides])
 
 
 def test_without_a_rig_there_is_one_camera():
@@ -65,6 +66,16 @@ def test_cameras_of_their_own_need_none_of_the_group(tmp_path):
 def test_a_bad_rig_is_named_by_its_key(override, message):
     with pytest.raises(InputError, match=message):
         build_problem(composed(override, "pdf=yaw"))
+
+
+@pytest.mark.parametrize("key", ["deployment.mounting_error", "deployment.measured", "sensitivity"])
+def test_what_needs_one_camera_is_refused_before_anything_is_scored(tmp_path, key):
+    plan = tmp_path / "plan.csv"
+    plan.write_text("id,x,y,z,nx,ny,nz\n0,0,2,3,1,0,0\n1,0,3,3,1,0,0\n")
+    value = {"deployment.mounting_error": "{position: 0.01}", "deployment.measured": plan, "sensitivity": "true"}[key]
+    overrides = (BACK_TO_BACK, "pdf=yaw", "deployment=file", f"deployment.path={plan}", f"{key}={value}")
+    with pytest.raises(InputError, match=f"^{key} works with a single camera, not with a rig of 2"):
+        evaluate(composed(*overrides, pipeline="evaluate"))
 
 
 @pytest.mark.slow
