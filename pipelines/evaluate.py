@@ -145,7 +145,7 @@ def compare_measured(
     from .tracked_run import title_of
 
     found, directory = survey(problem, plan, measured, seed), run_directory()
-    files = [directory / name for name in ("moved.csv", "measured.csv", "measured.png")]
+    files = [directory / name for name in ("moved.csv", "survey.csv", "survey.png")]
     found.moved.to_csv(files[0], index=False)
     found.figures.to_csv(files[1])
     save_map_figure(files[2], found.views, title_of(problem, "maps as planned and as measured,"))
