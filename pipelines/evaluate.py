@@ -26,9 +26,14 @@ MEASURED, MOUNTING = "deployment.measured", "deployment.mounting_error"
 
 def main() -> None:
     """Read `run=DIR` and a mounting error that is one number, then hand over to Hydra."""
-    sys.argv[1:] = [re.sub(rf"^{MOUNTING}=", f"{MOUNTING}.position=", argument) for argument in sys.argv[1:]]
+    read_mounting_error()
     read_earlier_run()
     _main()
+
+
+def read_mounting_error() -> None:
+    """Take a mounting error of the command line that is no mapping as its position."""
+    sys.argv[1:] = [re.sub(rf"^{MOUNTING}=(?!\{{)", f"{MOUNTING}.position=", argument) for argument in sys.argv[1:]]
 
 
 @application("evaluate")
@@ -57,15 +62,15 @@ def evaluate(cfg: DictConfig) -> float:
         if cfg.deployment.measured is not None:
             deployment = read_measured(cfg.deployment.measured, problem, plan)
         error: MountingError = instantiate(cfg.deployment.mounting_error)
+    asked = {"sensitivity": cfg.sensitivity, MEASURED: deployment is not plan, MOUNTING: not error.is_none}
+    for key, is_asked in asked.items():
+        if is_asked:
+            problem.scene.single_camera(key)
     history = [Record(1, problem.metrics(deployment)["fitness"], clock() - began)]
     subject = choices()["deployment"]
     with tracked(cfg, subject, title_of(problem, subject)) as tracker:
         alone = not isinstance(problem.scene.camera, Rig)
         summary: dict[str, Any] = localise(problem, deployment, seed, tracker) if cfg.localisation and alone else {}
-    asked = {"sensitivity": cfg.sensitivity, MEASURED: deployment is not plan, MOUNTING: not error.is_none}
-    for key, is_asked in asked.items():
-        if is_asked:
-            problem.scene.single_camera(key)
         if cfg.localisation and not alone:
             print("localisation: left out, a single frame of a rig of several cameras is not bounded yet")
         fallen = lose(problem, deployment, tracker) if cfg.losses else None

@@ -1,15 +1,21 @@
 """`pipelines.evaluate` with tags that hang elsewhere than planned, as a user meets it."""
 
 import json
+import sys
 
 import pandas as pd
 import processes
 import pytest
+from hydra import compose, initialize_config_dir
 from mlflow import MlflowClient
 
-pytestmark = pytest.mark.slow
-PLAN = "id,x,y,z,nx,ny,nz\n3,0,2,3,1,0,0\n5,0,3,3,1,0,0\n8,7.5,2,3,-1,0,0\n"
-MEASURED = "id,x,y,z,nx,ny,nz\n8,7.5,2,3,-1,0,0\n5,0,3,3,1,0,0\n3,0,2.03,3.04,1,0,0\n"
+from pipelines.app import CONF
+from pipelines.building import instantiate
+from pipelines.evaluate import read_mounting_error
+
+# In the plan the papers of 3 and 5 share an edge; as measured they overlap.
+PLAN = "id,x,y,z,nx,ny,nz\n3,0,2,3,1,0,0\n5,0,2.25,3,1,0,0\n8,7.5,2,3,-1,0,0\n"
+MEASURED = "id,x,y,z,nx,ny,nz\n8,7.5,2,3,-1,0,0\n5,0,2.25,3,1,0,0\n3,0,2.03,3.04,1,0,0\n"
 SMALL = ["room.spacing=1.5", "hydra.run.dir=run", "tag.edge=0.2", "deployment=file", "deployment.path=plan.csv"]
 
 
@@ -30,6 +36,23 @@ def logged(folder):
     return run.data.metrics, {file.path for file in client.list_artifacts(run.info.run_id)}
 
 
+@pytest.mark.parametrize(
+    ("error", "expected"),
+    [
+        ("0.005", {"position": 0.005, "tilt": 0.0}),
+        ("{position: 0.01, tilt: 0.02}", {"position": 0.01, "tilt": 0.02}),
+        ("{tilt: 0.02}", {"position": 0.0, "tilt": 0.02}),
+    ],
+)
+def test_a_mounting_error_may_be_a_mapping(monkeypatch, error, expected):
+    monkeypatch.setattr(sys, "argv", ["evaluate", f"deployment.mounting_error={error}"])
+    read_mounting_error()
+    with initialize_config_dir(CONF, version_base="1.3"):
+        found = instantiate(compose("evaluate", sys.argv[1:]).deployment.mounting_error)
+    assert {name: getattr(found, name) for name in expected} == expected
+
+
+@pytest.mark.slow
 def test_a_mounting_error_is_a_number_or_more(folder):
     done = processes.call("evaluate", "deployment.mounting_error=0.005", "deployment.mounting_error.tilt=0.01",
                           "deployment.mounting_error.draws=5", cwd=folder, settings=SMALL)  # fmt: skip
@@ -43,6 +66,7 @@ def test_a_mounting_error_is_a_number_or_more(folder):
     assert {"mounting.csv", "mountings.csv", "mounting_views.csv", "mounting.png"} <= artifacts
 
 
+@pytest.mark.slow
 def test_measured_places_are_scored_in_place_of_the_plan(folder):
     done = processes.call("evaluate", "deployment.measured=measured.csv", cwd=folder, settings=SMALL)
     assert done.returncode == 0, done.stderr
@@ -52,9 +76,15 @@ def test_measured_places_are_scored_in_place_of_the_plan(folder):
     assert pd.read_csv(folder / "run" / "landmarks.csv").iloc[0].y == 2.03  # what hangs is what the run is about
     document = written(folder)
     assert document["survey"]["fitness/measured"] == document["fitness"]
-    assert {"moved.csv", "measured.csv", "measured.png"} <= logged(folder)[1]
+    assert {"moved.csv", "survey.csv", "survey.png"} <= logged(folder)[1]
+    for pipeline, *settings in (("export", "formats=[csv]"), ("observe", "seeds=1", "trajectory.duration=2")):
+        done = processes.call(pipeline, "run=run", f"hydra.run.dir={pipeline}", cwd=folder,
+                              settings=["tracking=none", *settings])  # fmt: skip
+        assert done.returncode == 0, done.stderr
+    assert pd.read_csv(folder / "export" / "tags.csv").set_index("id").y.to_dict() == {3: 2.03, 5: 2.25, 8: 2.0}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("override", "message"),
     [
