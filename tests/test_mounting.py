@@ -176,6 +176,17 @@ def test_a_tilt_is_measured_by_the_normal(tmp_path):
     assert found.moved.set_index("id").tilted[plan.ids[0]] == pytest.approx(0.05)
 
 
+def test_tags_that_hung_before_are_measured_too(tmp_path):
+    fixed = Deployment(np.array([[0.0, 2.0, 3.0], [0.0, 3.0, 3.0]]), np.array([X, X]))
+    problem = problem_of(fixed=fixed, count=5)
+    plan = plan_of(problem)
+    positions = plan.positions.copy()
+    positions[0] = (0.0, 2.0, 3.5)
+    measured = read_measured(measured_file(tmp_path, replace(plan, positions=positions)), problem, plan)
+    np.testing.assert_array_equal(measured.positions, positions)
+    assert measured.labels.columns == {"fixed": list("1100000")}
+
+
 @pytest.mark.parametrize(
     ("order", "message"),
     [(slice(0, 29), "lacks the landmark 29 that is planned"), ([*range(30), 31], "has a landmark 30 that is not")],
