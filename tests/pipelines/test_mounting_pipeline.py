@@ -22,7 +22,6 @@ SMALL = ["room.spacing=1.5", "hydra.run.dir=run", "tag.edge=0.2", "deployment=fi
 @pytest.fixture
 def folder(tmp_path):
     (tmp_path / "plan.csv").write_text(PLAN)
-    (tmp_path / "measured.csv").write_text(MEASURED)
     return tmp_path
 
 
@@ -68,9 +67,13 @@ def test_a_mounting_error_is_a_number_or_more(folder):
 
 @pytest.mark.slow
 def test_measured_places_are_scored_in_place_of_the_plan(folder):
-    done = processes.call("evaluate", "deployment.measured=measured.csv", cwd=folder, settings=SMALL)
+    survey = folder / "run" / "measured.csv"  # beside what comes out
+    survey.parent.mkdir()
+    survey.write_text(MEASURED)
+    done = processes.call("evaluate", f"deployment.measured={survey}", cwd=folder, settings=SMALL)
     assert done.returncode == 0, done.stderr
     assert "at most 50.0 mm" in done.stdout
+    assert survey.read_text() == MEASURED
     moved = pd.read_csv(folder / "run" / "moved.csv").iloc[0]
     assert (moved["id"], moved.moved) == (3, pytest.approx(0.05))
     assert pd.read_csv(folder / "run" / "landmarks.csv").iloc[0].y == 2.03  # what hangs is what the run is about
