@@ -95,6 +95,17 @@ def _mean_and_error(shares: FloatArray | BoolArray) -> tuple[float, float]:
     return float(means.mean()), float(means.std(ddof=1) / np.sqrt(len(means)))
 
 
+def headline_off_grid(problem: Problem) -> str:
+    """The one of these figures that says how good a deployment is: what the objective is about, where it was not made.
+
+    With recorded poses it is the share of the time that was held out, or of all if none was.
+    """
+    recorded = problem.scene.recorded
+    if recorded is None:
+        return f"grid_free_{problem.objective.headline.key}"
+    return "held_out_share" if len(recorded.kept_back) else "recorded_share"
+
+
 def sampled_values(problem: Problem, deployment: Deployment, seed: int, sample: Sample) -> FloatArray:
     """The objective's value at the positions of a sample, `(groups, positions)`. Args as in `validation_metrics`."""
     landmarks = deployment.positions[None], deployment.normals[None]

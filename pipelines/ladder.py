@@ -1,5 +1,6 @@
 """Searches for several numbers of landmarks of one size with one seed, and what they have found, kept on disk."""
 
+import re
 from collections.abc import Callable, Iterable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from lmd.problem import Problem
     from lmd.tradeoff import Found
 
+NO_SHARE = re.compile("cost|predicted_error_.*|.*_(seconds|standard_error)")  # among the figures of a point
 ARRAYS = ("positions", "normals", "surfaces")
 
 
@@ -108,10 +110,16 @@ class Ladder:
 
 
 def figures_of(problem: "Problem", deployment: "Deployment", seed: int) -> dict[str, float]:
-    """All figures of a deployment, on the grid and off it, where `seed` draws the sample."""
+    """All figures of a deployment, on the grid and off it, where `seed` draws the sample, those of single images for a single camera."""
     from lmd.accuracy import accuracy_metrics
+    from lmd.rig import Rig
     from lmd.tradeoff import SAMPLE
     from lmd.validation import validation_metrics
 
     figures = problem.metrics(deployment) | validation_metrics(problem, deployment, seed, SAMPLE)
-    return figures | accuracy_metrics(problem, deployment, seed)
+    return figures if isinstance(problem.scene.camera, Rig) else figures | accuracy_metrics(problem, deployment, seed)
+
+
+def shares_among(figures: Iterable[str]) -> list[str]:
+    """The names of those figures that are fractions in [0, 1], of which more is better."""
+    return [name for name in figures if not NO_SHARE.fullmatch(name)]

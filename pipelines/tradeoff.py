@@ -17,7 +17,7 @@ from omegaconf import DictConfig, OmegaConf
 from .app import application, run_directory
 from .building import build_optimiser, instantiate, keyed
 from .earlier_run import read_earlier_run
-from .ladder import Ladder, figures_of
+from .ladder import Ladder, figures_of, shares_among
 from .sweeps.names import slug
 from .sweeps.supervisor import run
 from .workers import in_processes
@@ -33,7 +33,12 @@ if TYPE_CHECKING:
 Key = TypeVar("Key", bound=tuple[int, ...])
 Result = TypeVar("Result")
 COVERED, LOCALISED = "covered_share", "localised_share_20mm"  # off the grid, whatever the objective
-LABELS = {COVERED: "share of views with n tags or more", LOCALISED: "share of views localised to 20 mm"}
+LABELS = {
+    COVERED: "share of views with n tags or more",
+    LOCALISED: "share of views localised to 20 mm",
+    "held_out_share": "share of the held-out time",
+    "recorded_share": "share of the recorded time",
+}
 
 
 def main() -> None:
@@ -55,6 +60,7 @@ def tradeoff(cfg: DictConfig) -> None:
     from lmd.checks import choice, file_path, integer, real
     from lmd.optimisers.base import Budget
     from lmd.tradeoff import between
+    from lmd.validation import headline_off_grid
 
     from .tracked_run import title_of, tracked
 
@@ -72,8 +78,9 @@ def tradeoff(cfg: DictConfig) -> None:
     for ladder, count in product(ladders[:: len(seeds)], (counts[0], counts[-1])):  # and what does not fit together
         problem = ladder.problem(count)
     if cfg.figure is not None:
-        choice("figure", cfg.figure, list(figures_of(problem, problem.draw(np.random.default_rng(seed)), seed)))
-    figure = cfg.figure or f"grid_free_{problem.objective.headline.key}"
+        known = figures_of(problem, problem.draw(np.random.default_rng(seed)), seed)
+        choice("figure", cfg.figure, shares_among(known))
+    figure = cfg.figure or headline_off_grid(problem)
     points = Points(ladders, cfg.workers)
     with tracked(cfg, "tradeoff", title_of(problem, "tradeoff")) as tracker:
         try:
@@ -165,12 +172,16 @@ def _record(
     from lmd.objectives.localisation import Localisation
     from lmd.plot.tradeoff import Panel, save_tradeoff_figure
     from lmd.tradeoff import fewest, front
+    from lmd.validation import headline_off_grid
 
     directory, table, headline = run_directory(), points.table, problem.objective.headline
-    off_grid = f"grid_free_{headline.key}"
-    beside = COVERED if isinstance(problem.objective, Localisation) else LOCALISED
-    panels = {off_grid: Panel(f"{headline.label}, off the grid", off_grid, headline.key)}
-    panels |= {name: Panel(LABELS.get(name, name), name) for name in (beside, figure) if name not in panels}
+    off_grid, beside = headline_off_grid(problem), COVERED if isinstance(problem.objective, Localisation) else LOCALISED
+    if problem.scene.recorded is None:
+        panels = {off_grid: Panel(f"{headline.label}, off the grid", off_grid, headline.key)}
+    else:  # a share of time, which has no counterpart on the grid
+        panels = {off_grid: Panel(LABELS[off_grid], off_grid)}
+    others = [name for name in (beside, figure) if name in table and name not in panels]  # a rig has no `LOCALISED`
+    panels |= {name: Panel(LABELS.get(name, name), name) for name in others}
     panels[figure] = panels[figure]._replace(wanted=wanted)
     curves = front(table, list(dict.fromkeys([figure, headline.key, *panels])))
     table.to_csv(directory / "points.csv", index=False)

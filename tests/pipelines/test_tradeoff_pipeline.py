@@ -122,6 +122,20 @@ def test_what_was_finished_when_it_was_interrupted_is_kept(tmp_path):
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
 
 
+def test_a_rig_on_recorded_poses(tmp_path):
+    (tmp_path / "drive.csv").write_text(
+        "time,x,y,z,yaw,pitch\n" + "".join(f"{t},2,2,2,{0.1 * t},0\n" for t in range(60))
+    )
+    recorded = ("poses=recorded", "poses.path=drive.csv", "camera.rig=[{},{yaw: 3}]")
+    quick = ("optimiser=random_search", "counts=[6]", "seeds=1", "workers=1", "tracking=none")
+    run = tradeoff(tmp_path, *recorded, *quick, "wanted=0.1")
+    assert run.returncode == 0, run.stderr
+    assert json.loads((tmp_path / "run" / "tradeoff.json").read_text())["figure"] == "held_out_share"
+    assert pd.read_csv(tmp_path / "run" / "points.csv").held_out_share.between(0.0, 1.0).all()
+    assert "fewest landmarks with a held_out_share of 0.1" in run.stdout
+    assert (tmp_path / "run" / "tradeoff.png").is_file()
+
+
 @pytest.mark.parametrize(
     ("override", "message"),
     [
@@ -130,6 +144,7 @@ def test_what_was_finished_when_it_was_interrupted_is_kept(tmp_path):
         ("edges=[a]", "edges must be a number, got 'a'."),
         ("seeds=0", "seeds must be at least 1, got 0."),
         ("wanted=90", "wanted must be in [0, 1], got 90."),
+        ("figure=predicted_error_median", "figure must be one of "),
         ("budget.evaluations=0", "budget.evaluations must be at least 1, got 0."),
         ("objective.n=21", "objective.n = 21 exceeds the number of landmarks, 20."),
         ("edges=[2]", "deployment.count = 20 tags with papers of 2.5 m are too many"),

@@ -1,0 +1,66 @@
+"""The points of `pipelines.tradeoff`: their figures, and what is kept of them."""
+
+import numpy as np
+import pytest
+from hydra import compose, initialize_config_dir
+
+from lmd.checks import InputError
+from lmd.tradeoff import Found
+from lmd.validation import Sample, headline_off_grid
+from pipelines import ladder
+from pipelines.app import CONF
+
+SMALL = ("room.spacing=1.5", "objective.n=1")
+YAW = ("pdf=yaw", "pdf.divisions=4")
+RECORDED = "time,x,y,z,yaw,pitch\n" + "".join(f"{t},2,2,2,{0.1 * t},0\n" for t in range(60))
+
+
+def ladder_of(*overrides, edge=0.0):
+    with initialize_config_dir(CONF, version_base="1.3"):
+        return ladder.Ladder(compose("tradeoff", [*SMALL, *overrides]), edge, 0)
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    monkeypatch.setattr("lmd.tradeoff.SAMPLE", Sample(2, 4, 2))
+
+
+@pytest.fixture
+def drive(tmp_path):
+    """Overrides for recorded poses."""
+    path = tmp_path / "drive.csv"
+    path.write_text(RECORDED)
+    return "poses=recorded", f"poses.path={path}"
+
+
+def figures_of(problem):
+    return ladder.figures_of(problem, problem.draw(np.random.default_rng(0)), 0)
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_single_camera_has_figures_of_single_images():
+    problem = ladder_of(*YAW).problem(6)
+    figures = figures_of(problem)
+    assert {"covered_share", "localised_share_20mm", headline_off_grid(problem)} <= set(figures)
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_rig_has_the_figures_of_its_objective():
+    problem = ladder_of(*YAW, "camera.rig=[{},{yaw: 3}]").problem(6)
+    figures = figures_of(problem)
+    assert headline_off_grid(problem) == "grid_free_qualified_ratio"
+    assert 0.0 <= figures["grid_free_qualified_ratio"] <= 1.0
+    assert "covered_share" not in figures
+
+
+@pytest.mark.parametrize(("held_out", "headline"), [(5, "held_out_share"), ("null", "recorded_share")])
+def test_recorded_poses_are_judged_by_what_was_held_out(drive, held_out, headline):
+    problem = ladder_of(*drive, f"poses.held_out={held_out}").problem(6)
+    assert headline_off_grid(problem) == headline
+    assert headline in ladder.shares_among(figures_of(problem))
+
+
+def test_shares_are_fractions_of_which_more_is_better():
+    shares = ["qualified_ratio", "fitness", "grid_free_qualified_ratio", "held_out_share", "covered_share"]
+    others = ["cost", "held_out_seconds", "grid_free_qualified_ratio_standard_error", "predicted_error_90"]
+    assert ladder.shares_among([*others, *shares]) == shares
