@@ -97,10 +97,10 @@ def is_compiling() -> bool:
 
 
 @cache
-def _sources() -> str:
-    """A digest of all code that kernels may be made of."""
+def sources(*names: str) -> str:
+    """A digest of the code in packages and modules of `lmd` with these names, as in `SOURCES`; of all for none."""
     here, digest = Path(__file__).parent, hashlib.sha256()
-    for source in (here / name for name in SOURCES):
+    for source in (here / name for name in names or ("",)):
         for path in sorted(source.rglob("*.py")) or [source.with_suffix(".py")]:
             digest.update(path.read_bytes())
     return digest.hexdigest()
@@ -117,7 +117,7 @@ class _Cache(FunctionCache):
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
-        stamp = (self._impl.locator.get_source_stamp(), _sources())
+        stamp = (self._impl.locator.get_source_stamp(), sources(*SOURCES))
         self._cache_file = _Index(self._cache_path, self._impl.filename_base, stamp)
 
     def save_overload(self, sig: Any, data: Any) -> None:

@@ -87,8 +87,12 @@ def camera_of(node: DictConfig) -> "Camera | Rig":
         return rig_of(plain, None if own else instantiate(alone))
 
 
-def build_problem(cfg: DictConfig) -> "Problem":
+def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem":
     """The problem a composed configuration describes.
+
+    Args:
+        cfg: the configuration.
+        count: the key by which the user says how many landmarks there are.
 
     Raises:
         InputError: its parts do not fit together.
@@ -116,7 +120,7 @@ def build_problem(cfg: DictConfig) -> "Problem":
     choice("encoding.kind", cfg.encoding.kind, KINDS)
     boolean("encoding.flush", cfg.encoding.flush)
     objective = instantiate(cfg.objective)
-    with keyed("deployment"):
+    with keyed("deployment", count=count):
         fixed = fixed_of(cfg.deployment)
         total = total_of(cfg.deployment, fixed)
     start = instantiate(others_of(cfg.deployment, fixed, total))
@@ -125,7 +129,7 @@ def build_problem(cfg: DictConfig) -> "Problem":
     # What only shows when the parts meet; the problem would refuse it too, but could not tell whose argument it is.
     with keyed("room.relevance"):
         scene.room.relevance.weights(scene.room.grid())
-    with keyed("deployment"):
+    with keyed("deployment", count=count):
         hung = {} if fixed is None else {"fixed": scene.plates.hung(fixed, start)}
         if isinstance(start, partial):  # a source that depends on what the landmarks are for
             start = start(scene=scene, objective=objective, threads=threads, **hung)

@@ -52,7 +52,7 @@ class Ladder:
         Raises:
             InputError: its parts do not fit together.
         """
-        return build_problem(self.point(count))
+        return build_problem(self.point(count), count="counts")
 
     def anew(self, count: int) -> "Found":
         """What a search finds that sets out from nothing."""
@@ -97,10 +97,12 @@ class Ladder:
     def _kept(
         self, count: int, what: str, given: "Deployment | None", compute: Callable[[], dict[str, Any]]
     ) -> dict[str, Any]:
-        """What was computed before from the same configuration and deployment, or else is computed now."""
+        """What was computed before from the same configuration and deployment by the same code, or is computed now."""
+        from lmd.compiled import sources
+
         settings = flat_settings(self.point(count), *SAME_WHEN_RESUMED, "budget")
         arrays = None if given is None else [getattr(given, name).tolist() for name in ARRAYS]
-        path = Path(self.cfg.kept) / f"{digest(settings, what, arrays)}.json"
+        path = Path(self.cfg.kept) / f"{digest(settings, what, arrays, sources())}.json"
         found = read_document(path)
         if found is None:
             found = compute()

@@ -5,7 +5,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 
 from lmd.checks import InputError
-from lmd.tradeoff import Found
+from lmd.tradeoff import ANEW, Found
 from lmd.validation import Sample, headline_off_grid
 from pipelines import ladder
 from pipelines.app import CONF
@@ -58,6 +58,24 @@ def test_recorded_poses_are_judged_by_what_was_held_out(drive, held_out, headlin
     problem = ladder_of(*drive, f"poses.held_out={held_out}").problem(6)
     assert headline_off_grid(problem) == headline
     assert headline in ladder.shares_among(figures_of(problem))
+
+
+def test_what_other_code_has_computed_is_not_taken(tmp_path, monkeypatch):
+    known = ladder_of(*YAW, f"kept={tmp_path}")
+    found = Found(known.problem(6).draw(np.random.default_rng(0)), 0.0, ANEW)
+    scored = []
+    monkeypatch.setattr(ladder, "figures_of", lambda *_: scored.append(0) or {"share": len(scored)})
+    assert [known.figures(found)["share"] for _ in range(2)] == [1, 1]
+    monkeypatch.setattr("lmd.compiled.sources", lambda: "other code")
+    assert known.figures(found)["share"] == 2
+
+
+def test_too_many_landmarks_are_named_by_the_key_that_asked_for_them(tmp_path):
+    (tmp_path / "tags.csv").write_text("x,y,z,nx,ny,nz\n0,2,3,1,0,0\n0,3,3,1,0,0\n")
+    with pytest.raises(InputError, match=r"^counts = 2 leaves none to place"):
+        ladder_of(f"deployment.fixed={tmp_path}/tags.csv").problem(2)
+    with pytest.raises(InputError, match=r"^counts = 20 tags .* are too many"):
+        ladder_of(edge=2.0).problem(20)
 
 
 def test_shares_are_fractions_of_which_more_is_better():

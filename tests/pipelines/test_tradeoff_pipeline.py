@@ -147,7 +147,7 @@ def test_a_rig_on_recorded_poses(tmp_path):
         ("figure=predicted_error_median", "figure must be one of "),
         ("budget.evaluations=0", "budget.evaluations must be at least 1, got 0."),
         ("objective.n=21", "objective.n = 21 exceeds the number of landmarks, 20."),
-        ("edges=[2]", "deployment.count = 20 tags with papers of 2.5 m are too many"),
+        ("edges=[2]", "counts = 20 tags with papers of 2.5 m are too many"),
     ],
 )
 def test_bad_input_has_one_sentence(tmp_path, override, message):
