@@ -13,6 +13,7 @@ from yaml import YAMLError
 KEY = "run="
 GROUPS = ("room", "camera", "pdf", "poses", "tag", "visibility", "objective")  # what a run was about
 OPTION = "run"  # of these groups and of deployment
+RANDOM = "run_random"  # of deployment: random ones beside those that were fixed
 FILES = (".hydra/config.yaml", "landmarks.csv")  # what an earlier run must have left
 
 
@@ -41,13 +42,13 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}") -> None:
     # Runs of old lack some of these.
     free, measured, fixed = (OmegaConf.select(before, f"deployment.{key}") for key in ("free", "measured", "fixed"))
     path = str(directory / FILES[1])
-    landmarks = {
-        "path": path,
-        "free": bool(free) or measured is not None,  # measured places are what they are
+    free = bool(free) or measured is not None  # measured places are what they are
+    hung = {
         "fixed": None if fixed is None else path,  # the file they came from may have changed
         "marked": fixed is not None and "deployment.fixed" not in named,  # of its own file only those marked as fixed
     }
-    store.store(OPTION, {"defaults": ["file", "_self_"], **landmarks}, "deployment")
+    store.store(OPTION, {"defaults": ["file", "_self_"], "path": path, "free": free, **hung}, "deployment")
+    store.store(RANDOM, {"defaults": ["random", "_self_"], **hung}, "deployment")
     chosen = [f"{group}={OPTION}" for group in groups] + [deployment]
     if "poses" in named:
         named.add("pdf")  # each way of telling where the camera is brings its own way of telling how it looks

@@ -112,7 +112,10 @@ class Ladder:
 
 
 def figures_of(problem: "Problem", deployment: "Deployment", seed: int) -> dict[str, float]:
-    """All figures of a deployment, on the grid and off it, where `seed` draws the sample, those of single images for a single camera."""
+    """All figures of a deployment, on the grid and off it, where `seed` draws the sample.
+
+    Those of single images (`lmd.accuracy`) are left out for a rig.
+    """
     from lmd.accuracy import accuracy_metrics
     from lmd.rig import Rig
     from lmd.tradeoff import SAMPLE

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -14,7 +15,8 @@ from lmd.checks import InputError
 from pipelines.app import CONF
 from pipelines.building import build_problem
 from pipelines.deployments import read_deployment_as_a_list
-from pipelines.earlier_run import read_earlier_run
+from pipelines.earlier_run import RANDOM, read_earlier_run
+from pipelines.ladder import Ladder
 
 QUICK = ("tracking=none", "validate=false", "localisation=false")
 LAB = ("room=lab", "room.spacing=1", "camera=lab", "pdf=yaw", "pdf.pitch=0.1", "objective.n=1", "objective.thold_p=0.4")
@@ -125,6 +127,19 @@ def test_a_file_of_fixed_tags_that_is_named_is_all_of_them(earlier, monkeypatch)
     (earlier / "more.csv").write_text("id,x,y,z,nx,ny,nz\n9,0,3,1,1,0,0\n")
     problem = build_problem(composed(monkeypatch, "evaluate", f"run='{earlier}'", hangs, more))
     assert problem.labels.ids.tolist() == [5, 7, 9]
+
+
+def test_tradeoff_places_others_beside_the_fixed_tags_of_a_run(earlier, monkeypatch):
+    def problem_of(count):
+        random = partial(read_earlier_run, f"deployment={RANDOM}")
+        return Ladder(composed(monkeypatch, "tradeoff", f"run='{earlier}'", read=random), 0.0, 0).problem(count)
+
+    leave(earlier, "id,x,y,z,nx,ny,nz,fixed\n5,0,1,1,1,0,0,1\n7,0,2,1,1,0,0,0\n", fixed="tags.csv")
+    problem = problem_of(3)
+    assert problem.fixed.ids.tolist() == [5]
+    assert problem.labels.ids.tolist() == [5, 0, 1]
+    leave(earlier, LANDMARKS, fixed=None)
+    assert problem_of(3).fixed is None
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,12 @@ import numpy as np
 import pandas as pd
 import processes
 import pytest
+from hydra import compose, initialize_config_dir
 from mlflow import MlflowClient
+from omegaconf import OmegaConf
 
 from lmd.deployment import Deployment
+from pipelines.app import CONF
 
 pytestmark = pytest.mark.slow
 SMALL = ("room.spacing=1.5", "objective.n=1", "objective.thold_p=0.3", "budget.evaluations=20", "seeds=2")
@@ -122,15 +125,22 @@ def test_what_was_finished_when_it_was_interrupted_is_kept(tmp_path):
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
 
 
-def test_a_rig_on_recorded_poses(tmp_path):
+def test_a_rig_on_recorded_poses_beside_the_fixed_tags_of_a_run(tmp_path):
+    (tmp_path / "lab" / ".hydra").mkdir(parents=True)
+    with initialize_config_dir(CONF, version_base="1.3"):
+        earlier = compose("optimise", ["deployment.fixed=tags.csv", "deployment.count=2"])
+    OmegaConf.save(earlier, tmp_path / "lab" / ".hydra" / "config.yaml")
+    (tmp_path / "lab" / "landmarks.csv").write_text("id,x,y,z,nx,ny,nz,fixed\n5,0,2,3,1,0,0,1\n7,0,3,3,1,0,0,0\n")
     (tmp_path / "drive.csv").write_text(
         "time,x,y,z,yaw,pitch\n" + "".join(f"{t},2,2,2,{0.1 * t},0\n" for t in range(60))
     )
-    recorded = ("poses=recorded", "poses.path=drive.csv", "camera.rig=[{},{yaw: 3}]")
+    recorded = ("run=lab", "poses=recorded", "poses.path=drive.csv", "camera.rig=[{},{yaw: 3}]")
     quick = ("optimiser=random_search", "counts=[6]", "seeds=1", "workers=1", "tracking=none")
     run = tradeoff(tmp_path, *recorded, *quick, "wanted=0.1")
     assert run.returncode == 0, run.stderr
     assert json.loads((tmp_path / "run" / "tradeoff.json").read_text())["figure"] == "held_out_share"
+    landmarks = pd.read_csv(tmp_path / "run" / "points" / "K-6-seed-0" / "landmarks.csv")
+    assert landmarks.id.tolist() == [5, 0, 1, 2, 3, 4]
     assert pd.read_csv(tmp_path / "run" / "points.csv").held_out_share.between(0.0, 1.0).all()
     assert "fewest landmarks with a held_out_share of 0.1" in run.stdout
     assert (tmp_path / "run" / "tradeoff.png").is_file()
@@ -144,7 +154,7 @@ def test_a_rig_on_recorded_poses(tmp_path):
         ("edges=[a]", "edges must be a number, got 'a'."),
         ("seeds=0", "seeds must be at least 1, got 0."),
         ("wanted=90", "wanted must be in [0, 1], got 90."),
-        ("figure=predicted_error_median", "figure must be one of "),
+        ("figure=cost", "figure must be one of "),
         ("budget.evaluations=0", "budget.evaluations must be at least 1, got 0."),
         ("objective.n=21", "objective.n = 21 exceeds the number of landmarks, 20."),
         ("edges=[2]", "counts = 20 tags with papers of 2.5 m are too many"),
