@@ -329,6 +329,22 @@ class FileDeployment:
         return hung
 
 
+@dataclass(frozen=True)
+class GivenDeployment:
+    """A deployment that is there already.
+
+    Args:
+        deployment: with its surfaces.
+    """
+
+    deployment: Deployment
+    varies = False
+
+    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
+        """See `DeploymentSource.draw`; nothing here is random."""
+        return self.deployment
+
+
 def _flush(surfaces: SurfaceArrays, surface: IntArray, at: FloatArray) -> Deployment:
     """Landmarks flush on their surfaces `(K,)` at surface coordinates `(K, 2)`."""
     return Deployment(surfaces.points(surface, at), surfaces.normal[surface], surface)

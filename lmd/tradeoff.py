@@ -11,32 +11,15 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 
-from lmd.deployment import Deployment
+from lmd.deployment import Deployment, GivenDeployment
 from lmd.optimisers.selection import SPACING, select
 from lmd.problem import Problem
 from lmd.sight.poses import candidate_poses
-from lmd.space.space import Space
 from lmd.validation import Sample
 
 SAMPLE = Sample(groups=16, positions=512, divisions=23)  # smaller than that of a single run: there are many points
 FEWER, MORE = "fewer", "more"  # whence a search has set out; `ANEW` is the start of the problem
 ANEW = "anew"
-
-
-@dataclass(frozen=True)
-class Known:
-    """A deployment that is there already, as a start; see `lmd.deployment.DeploymentSource`.
-
-    Args:
-        deployment: with its surfaces.
-    """
-
-    deployment: Deployment
-    varies = False
-
-    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
-        """See `DeploymentSource.draw`; nothing here is random."""
-        return self.deployment
 
 
 @dataclass(frozen=True)
@@ -59,8 +42,8 @@ Search = Callable[[Problem, str], Found]
 
 def started(problem: Problem, deployment: Deployment) -> Problem:
     """The same problem, started from a deployment of all its landmarks."""
-    known = Known(problem.free(Deployment(deployment.positions, deployment.normals, deployment.surfaces)))
-    return Problem(problem.scene, problem.objective, known, problem.evaluator.threads, problem.fixed)
+    given = GivenDeployment(problem.free(Deployment(deployment.positions, deployment.normals, deployment.surfaces)))
+    return Problem(problem.scene, problem.objective, given, problem.evaluator.threads, problem.fixed)
 
 
 def grown(problem: Problem, deployment: Deployment) -> Deployment:

@@ -76,9 +76,9 @@ class Ladder:
 
     def _search(self, problem: "Problem", way: str) -> "Found":
         """Climb from the start of a problem with a budget of its own."""
-        from lmd.deployment import Deployment
+        from lmd.deployment import Deployment, GivenDeployment
         from lmd.optimisers.base import Budget
-        from lmd.tradeoff import Found, Known
+        from lmd.tradeoff import Found
 
         cfg = self.point(problem.count)
 
@@ -89,7 +89,7 @@ class Ladder:
             arrays = {name: getattr(result.deployment, name).tolist() for name in ARRAYS}
             return {**arrays, "fitness": result.fitness}
 
-        start = problem.start.deployment if isinstance(problem.start, Known) else None
+        start = problem.start.deployment if isinstance(problem.start, GivenDeployment) else None
         found = self._kept(problem.count, way, start, climb)
         deployment = problem.labelled(Deployment(*(found[name] for name in ARRAYS)))
         return Found(deployment, found["fitness"], way)

@@ -10,7 +10,7 @@ from scipy.stats import chisquare, kstest
 from strategies import deployments, rooms, seeds
 
 from lmd.checks import InputError
-from lmd.deployment import Deployment, FileDeployment, RandomDeployment, UniformDeployment
+from lmd.deployment import Deployment, FileDeployment, GivenDeployment, RandomDeployment, UniformDeployment
 
 HEADER = "id,x,y,z,nx,ny,nz\n"
 
@@ -280,3 +280,9 @@ def test_ups_are_written_for_tags_and_must_be_upright_where_they_are_read(tmp_pa
         InputError, match=r"turned\.csv: the up of landmark 1 is \(1, 0, 0\), but tags hang upright here"
     ):
         Deployment.from_csv(tmp_path / "turned.csv")
+
+
+def test_a_given_deployment_is_drawn_as_it_is():
+    given_one = GivenDeployment(uniform(6))
+    assert given_one.draw(paper_room(), np.random.default_rng(1)) is given_one.deployment
+    assert not given_one.varies

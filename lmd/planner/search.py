@@ -2,17 +2,16 @@
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from lmd.checks import InputError
-from lmd.deployment import Deployment
+from lmd.deployment import Deployment, GivenDeployment
 from lmd.optimisers.base import Budget, Optimiser
 from lmd.planner.plan import Plan
 from lmd.problem import Problem
-from lmd.space.space import Space
 
 
 class Progress(NamedTuple):
@@ -21,18 +20,6 @@ class Progress(NamedTuple):
     used: float
     fitness: float
     best: Deployment
-
-
-@dataclass(frozen=True)
-class _Present:
-    """The start that a search is given: the free tags where they are."""
-
-    free: Deployment
-    varies = False
-
-    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
-        """See `DeploymentSource.draw`; nothing here is random."""
-        return self.free
 
 
 class Search:
@@ -63,7 +50,7 @@ class Search:
         self._problem = Problem(
             problem.scene,
             problem.objective,
-            _Present(plan.deployment[plan.free]),
+            GivenDeployment(plan.deployment[plan.free]),
             problem.evaluator.threads,
             plan.deployment[pinned] if pinned.size else None,
         )
