@@ -12,14 +12,14 @@ the qualified ratio on that grid flatters it. Three figures do not depend on tha
 Like `qualified_ratio`, all of them count every position alike, whatever its relevance.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, integer
 from lmd.deployment import Deployment
-from lmd.held_out import held_out_metrics
+from lmd.held_out import describe_held_out, held_out_metrics
 from lmd.problem import Problem
 from lmd.scene import Scene
 from lmd.sight.evaluator import Evaluator
@@ -84,6 +84,17 @@ def validation_metrics(
     for key, shares in objective.shares(sampled).items():
         metrics[f"grid_free_{key}"], metrics[f"grid_free_{key}_standard_error"] = _mean_and_error(shares)
     return metrics
+
+
+def describe_validation(problem: Problem, figures: Mapping[str, float]) -> dict[str, str]:
+    """The figures of `validation_metrics` as labelled sentences.
+
+    Args:
+        problem: what they are of.
+        figures: all of them.
+    """
+    recorded = problem.scene.recorded is not None
+    return describe_held_out(figures) if recorded else problem.objective.describe_validation(figures)
 
 
 def _mean_and_error(shares: FloatArray | BoolArray) -> tuple[float, float]:

@@ -12,10 +12,9 @@ from omegaconf import DictConfig
 
 from lmd.checks import InputError
 from lmd.deployment import Deployment
-from lmd.held_out import describe_held_out
 from lmd.optimisers.base import Record
 from lmd.problem import Problem
-from lmd.validation import validation_metrics
+from lmd.validation import describe_validation, validation_metrics
 from lmd.verdicts import causes
 
 from .app import choices, flat_settings, run_directory
@@ -170,7 +169,7 @@ def record(
         [*(file for file in files if file.suffix != ".html"), *sorted((directory / ".hydra").glob("*.yaml"))]
     )
     tracker.finish(status)
-    off_grid = _described(problem, validation) if validation else {}
+    off_grid = describe_validation(problem, validation) if validation else {}
     lines = {key.replace("_", " "): f"{value:g}" for key, value in figures.items()}
     if all(camera.is_pinhole for camera in problem.scene.cameras):
         lines["focus"] = "no criterion: the camera has no aperture"
@@ -185,12 +184,6 @@ def record(
     if why and problem.objective.qualified(problem.values(deployment)).mean() < LITTLE:
         print(f"\n{why.to_text()}")
     return metrics["fitness"]
-
-
-def _described(problem: Problem, validation: Mapping[str, float]) -> Mapping[str, str]:
-    """The figures of the validation as labelled sentences."""
-    described = problem.objective.describe_validation if problem.scene.recorded is None else describe_held_out
-    return described(validation)
 
 
 def report(

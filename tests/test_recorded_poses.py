@@ -15,7 +15,7 @@ from lmd.checks import InputError
 from lmd.deployment import Deployment, RandomDeployment
 from lmd.geometry import se3
 from lmd.geometry.frames import angles_of, rotation
-from lmd.held_out import describe_held_out, exact_values, held_out_metrics
+from lmd.held_out import exact_values, held_out_metrics
 from lmd.localisation.trajectory import Pace, RandomMotion, Trajectory
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
@@ -27,7 +27,7 @@ from lmd.rig import Mount, Rig
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.views import visible
 from lmd.tag import Tag
-from lmd.validation import validation_metrics
+from lmd.validation import describe_validation, validation_metrics
 
 HEADER = "time,x,y,z,yaw,pitch\n"
 DEFAULTS = {
@@ -182,7 +182,7 @@ def test_held_out_figures_are_shares_of_time_at_the_exact_poses(write, objective
         assert 0.0 < values.mean() < 1.0
         assert figures[f"{name}_share"] == pytest.approx(np.average(values, weights=records.seconds))
         assert 0.0 < figures[f"{name}_share_standard_error"] < 0.5
-    assert set(describe_held_out(figures)) == {"held out", "optimised on"}
+    assert set(describe_validation(problem, figures)) == {"held out", "optimised on"}
 
 
 @pytest.mark.parametrize("objective", [Coverage(2, 0.5), Localisation(tolerance=0.1)])

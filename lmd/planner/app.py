@@ -27,7 +27,7 @@ from lmd.planner.pointing import pointed_at
 from lmd.planner.session import Session
 from lmd.planner.worker import Wanted, Worker
 from lmd.space.surface import SurfaceArrays
-from lmd.validation import validation_metrics
+from lmd.validation import describe_validation, validation_metrics
 
 HOST = "127.0.0.1"  # nobody else can reach it
 TO_COME = {"off the grid": "..."}
@@ -294,4 +294,4 @@ class Planner:
 
     def _take_off_grid(self, deployment: Deployment, figures: dict[str, float]) -> None:
         if deployment is self._session.deployment:
-            self._panel.show_off_grid(self._problem.objective.describe_validation(figures))
+            self._panel.show_off_grid(describe_validation(self._problem, figures))

@@ -1,0 +1,60 @@
+"""The planner without a browser."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from paper import paper_scene
+
+from lmd.deployment import RandomDeployment
+from lmd.objectives.coverage import Coverage
+from lmd.optimisers.base import Budget
+from lmd.optimisers.random_search import RandomSearch
+from lmd.planner.app import TO_COME, Planner
+from lmd.planner.panel import Panel
+from lmd.planner.session import Session
+from lmd.problem import Problem
+from lmd.recorded_poses import RecordedPoses
+
+pytest.importorskip("viser")
+
+
+class Shown(KeyboardInterrupt):
+    """What the panel shows at last; it ends the planner as Ctrl-C does."""
+
+
+@pytest.fixture
+def planner():
+    """Makes planners."""
+    made = []
+
+    def make(planned):
+        session = Session(planned, planned.draw(np.random.default_rng(0)))
+        made.append(Planner(session, 0, lambda _: "", RandomSearch, Budget(1), seed=0))
+        return made[0]
+
+    yield make
+    made[0].close()
+
+
+def recorded(write):
+    """Looks ahead at one place for 20 s, every third of which is held out."""
+    path = write("time,x,y,z,yaw,pitch\n" + "".join(f"{t},2,2.5,3,1.5,0\n" for t in range(21)))
+    poses = RecordedPoses(
+        path, spacing=0.5, bandwidth=0.2, direction_bandwidth=5.0, divisions=12, held_out=3, block=1.0
+    )
+    scene = paper_scene()
+    scene = replace(scene, room=poses.visited(scene.room), pdf=poses.pdf, recorded=poses)
+    return Problem(scene, Coverage(1, 0.3), RandomDeployment(6), threads=1)
+
+
+def test_of_recorded_poses_it_shows_the_figures_held_out(planner, monkeypatch, write):
+    def show(_, rows):
+        if rows != TO_COME:
+            raise Shown(rows)
+
+    monkeypatch.setattr("lmd.planner.app.additions", lambda *_: None)
+    monkeypatch.setattr(Panel, "show_off_grid", show)
+    with pytest.raises(Shown) as shown:
+        planner(recorded(write)).run()
+    assert set(shown.value.args[0]) == {"held out", "optimised on"}
