@@ -85,9 +85,8 @@ class Picture:
     def _drawn_balls(self) -> Any:
         from trimesh.creation import icosphere
 
-        room, positions = self._problem.scene.room, self._problem.evaluator.positions
-        reachable = np.ptp(room.outline()["reachable area"].reshape(-1, 3), axis=0)
-        ball = icosphere(subdivisions=1, radius=BALL * float(np.cbrt(np.prod(reachable) / len(positions))))
+        positions = self._problem.evaluator.positions
+        ball = icosphere(subdivisions=1, radius=BALL * common.spacing_of(self._problem.scene.room, positions))
         upright_all = np.tile([1.0, 0.0, 0.0, 0.0], (len(positions), 1))
         colours = np.tile(np.array(UNKNOWN, dtype=np.uint8), (len(positions), 1))
         mesh = (ball.vertices, ball.faces, upright_all, positions)

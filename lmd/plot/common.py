@@ -43,11 +43,17 @@ def size_of(room: Space) -> FloatArray:
     return high - low
 
 
-def ball_scale(room: Space, count: int) -> float:
-    """Factor for the diameter of one of `count` balls: at most 1, less where they are closer than in the paper."""
-    reachable = np.ptp(room.outline()["reachable area"].reshape(-1, 3), axis=0)
-    spacing = np.cbrt(np.prod(reachable) / count)
-    return min(1.0, float(spacing / np.linalg.norm(size_of(room))) / 0.046)
+def spacing_of(room: Space, positions: FloatArray) -> float:
+    """How far one of the positions `(P, 3)` of a room typically is from the next, metres; the room's size if alone."""
+    from scipy.spatial import cKDTree
+
+    distance, _ = cKDTree(positions).query(positions, k=[2])
+    return min(float(np.median(distance)), float(np.linalg.norm(size_of(room))))
+
+
+def ball_scale(room: Space, positions: FloatArray) -> float:
+    """Factor for the diameter of a ball at each position: at most 1, less where they are closer than in the paper."""
+    return min(1.0, spacing_of(room, positions) / float(np.linalg.norm(size_of(room))) / 0.046)
 
 
 def logarithmic_ticks(low: float, high: float) -> FloatArray:

@@ -85,7 +85,7 @@ def save_cramer_rao_map(path: str | Path, room: Space, bounds: CramerRaoMap, tit
     figure = Figure(figsize=(15.0, 7.0), dpi=100, facecolor="white", layout="constrained")
     figure.suptitle(title)
     finite = np.isfinite(bounds.position)
-    size = 49.0 * common.ball_scale(room, len(bounds.positions)) ** 2
+    size = 49.0 * common.ball_scale(room, bounds.positions) ** 2
     shown: tuple[tuple[FloatArray, str, dict[str, Any]], ...] = (
         (bounds.share, "share of orientations in which one frame fixes the pose", {"vmin": 0.0, "vmax": 1.0}),
         (1e3 * np.where(finite, bounds.position, np.nan), "median position bound there [mm per pixel of noise]",

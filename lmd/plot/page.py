@@ -56,7 +56,7 @@ def save_scene_page(path: str | Path, problem: Problem, deployment: Deployment, 
             name=name,
             text=[hover[i] for i in chosen],
             hoverinfo="text",
-            marker={"size": BALL * common.ball_scale(room, len(positions)), **marker},
+            marker={"size": BALL * common.ball_scale(room, positions), **marker},
         )
 
     by_probability = balls(

@@ -151,7 +151,7 @@ def _parts(room: Space) -> list[tuple[str, FloatArray, str, Any]]:
 
 
 def _draw_balls(axes: Any, room: Space, positions: FloatArray, **colours: Any) -> Any:
-    area = (BALL * common.ball_scale(room, len(positions))) ** 2
+    area = (BALL * common.ball_scale(room, positions)) ** 2
     return axes.scatter(*positions.T, s=area, linewidths=0, depthshade=False, zorder=BALLS, **colours)
 
 

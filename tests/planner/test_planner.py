@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from floor_plans import L_SHAPE
+from meshes import mesh_room
 from paper import paper_scene
 
 from lmd.deployment import RandomDeployment
@@ -12,11 +14,13 @@ from lmd.optimisers.base import Budget
 from lmd.optimisers.random_search import RandomSearch
 from lmd.planner.app import TO_COME, Planner
 from lmd.planner.panel import Panel
+from lmd.planner.picture import BALL, Picture
 from lmd.planner.session import Session
 from lmd.problem import Problem
 from lmd.recorded_poses import RecordedPoses
+from lmd.space.floor_plan import FloorPlan
 
-pytest.importorskip("viser")
+viser = pytest.importorskip("viser")
 
 
 class Shown(KeyboardInterrupt):
@@ -58,3 +62,18 @@ def test_of_recorded_poses_it_shows_the_figures_held_out(planner, monkeypatch, w
     with pytest.raises(Shown) as shown:
         planner(recorded(write)).run()
     assert set(shown.value.args[0]) == {"held out", "optimised on"}
+
+
+def test_positions_of_one_layer_are_balls_of_a_share_of_their_distance(tmp_path):
+    room = mesh_room(tmp_path / "room.glb", FloorPlan(L_SHAPE, 2.5), height=(0.9, 1.1), spacing=0.5)
+    scene = replace(paper_scene(), room=room)
+    layer = Problem(scene, Coverage(1, 0.3), RandomDeployment(6), threads=1)
+    positions = room.grid()
+    assert np.ptp(positions[:, 2]) == 0.0
+    away = np.linalg.norm(positions[1:] - positions[0], axis=1).min()
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    try:
+        ball = Picture(server, layer).balls.vertices
+    finally:
+        server.stop()
+    assert np.linalg.norm(ball, axis=1) == pytest.approx(BALL * away)
