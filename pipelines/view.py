@@ -60,14 +60,14 @@ def view(cfg: DictConfig) -> None:
         budget=budget,
         seed=cfg.seed if cfg.validate else None,
     )
-    print(f"planner {planner.address} (Ctrl-C ends it)", flush=True)
     try:
+        print(f"planner {planner.address} (Ctrl-C ends it)", flush=True)
         planner.run()
     finally:
-        planner.close()
-        if not session.is_saved:
+        if not session.is_saved:  # first of all, whatever may be in the way of ending well
             session.deployment.to_csv(directory / UNSAVED, ups=not tag.is_point)
             print(f"changes that were not saved are in {directory / UNSAVED}", file=sys.stderr)
+        planner.close()
 
 
 def _save(directory: Path, problem: "Problem", export: "Export | None", deployment: "Deployment") -> str:

@@ -75,7 +75,7 @@ class Planner:
             self._server.stop()
             raise InputError(f"port {port} is taken.", "port")
         self._picture, self._panel = Picture(self._server, self._problem), Panel(self._server.gui)
-        self._worker = Worker(self._work)
+        self._worker = Worker(self._work, lambda *failure: self._acts.put(partial(self._take_failure, *failure)))
         self._listen()
         self._show()
 
@@ -85,23 +85,19 @@ class Planner:
         return f"http://{HOST}:{self._server.get_port()}"
 
     def run(self) -> None:
-        """Do what is asked for, until an exception ends it."""
-        while True:
-            act = self._acts.next(IDLE)
-            if act is None:
-                self._idle()
-                continue
-            try:
-                act()
-            except InputError as error:
-                self._panel.say(str(error), refused=True)
+        """Do what is asked for, until an exception ends it; what a search has found by then is kept."""
+        try:
+            while True:
+                act = self._acts.next(IDLE) or self._idle
+                try:
+                    act()
+                except InputError as error:
+                    self._panel.say(str(error), refused=True)
+        finally:
+            self._session.end_search()
 
     def close(self) -> None:
-        """End whatever is at work; what a search has found is kept."""
-        if self._session.search is not None:
-            self._session.search.stop()
-            with contextlib.suppress(InputError):
-                self._session.take()
+        """End what is at work when nobody does anything, which may take a while, and the server."""
         self._worker.close()
         with contextlib.redirect_stdout(io.StringIO()):
             self._server.stop()
@@ -295,3 +291,8 @@ class Planner:
     def _take_off_grid(self, deployment: Deployment, figures: dict[str, float]) -> None:
         if deployment is self._session.deployment:
             self._panel.show_off_grid(describe_validation(self._problem, figures))
+
+    def _take_failure(self, deployment: Deployment, why: str) -> None:
+        if deployment is self._session.deployment:
+            self._panel.show_off_grid({})  # nothing is to come
+            self._panel.say(why, refused=True)

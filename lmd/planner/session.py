@@ -4,6 +4,7 @@ Only one thread may use a session. The search that it starts works on a copy, an
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -164,6 +165,13 @@ class Session:
             return 0.0
         self._become(Plan(search.progress.best, self.plan.pinned))
         return search.progress.fitness - before
+
+    def end_search(self) -> None:
+        """Stop the search, if there is one, and keep what it has found."""
+        if self.search is not None:
+            self.search.stop()
+            with suppress(InputError):
+                self.take()
 
     def _step(self, source: list[Plan], target: list[Plan], name: str) -> None:
         self._check_idle()

@@ -4,24 +4,26 @@ import threading
 from collections.abc import Callable
 from functools import partial
 
+from lmd.checks import InputError
 from lmd.deployment import Deployment
 
 Wanted = Callable[[], bool]
 
 
 class Worker:
-    """Works on one deployment at a time in a thread of its own; only the latest counts.
+    """Works on one deployment at a time in a thread of its own, which ends with the process; only the latest counts.
 
     Args:
         work: is given a deployment, and a function that says whether the outcome is still wanted.
+        failed: is given a deployment that could not be worked on, in that thread, and why, in a sentence.
     """
 
-    def __init__(self, work: Callable[[Deployment, Wanted], None]) -> None:
-        self._work = work
+    def __init__(self, work: Callable[[Deployment, Wanted], None], failed: Callable[[Deployment, str], None]) -> None:
+        self._work, self._failed = work, failed
         self._question: tuple[Deployment] | None = None  # another one each time it is asked
         self._closing = False
         self._changed = threading.Condition()
-        self._thread = threading.Thread(target=self._run, name="worker")
+        self._thread = threading.Thread(target=self._run, name="worker", daemon=True)
         self._thread.start()
 
     def ask(self, deployment: Deployment | None) -> None:
@@ -49,7 +51,10 @@ class Worker:
                 if self._question is None:
                     return
                 done = self._question
-            self._work(done[0], partial(self._is_asked, done))
+            try:
+                self._work(done[0], partial(self._is_asked, done))
+            except (InputError, MemoryError) as error:
+                self._failed(done[0], str(error) or "there is too little memory.")
 
     def _is_asked(self, question: tuple[Deployment]) -> bool:
         return self._question is question

@@ -7,11 +7,16 @@ import subprocess
 import chromium
 import numpy as np
 import pytest
+from hydra import compose, initialize_config_dir
 from paper import paper_room
 from planner_page import LIMIT, Page
 from processes import SMALL, call, command, help_of, refused, start
 
 from lmd.deployment import Deployment
+from lmd.planner.app import Planner
+from pipelines.app import CONF
+from pipelines.signals import Stopped
+from pipelines.view import UNSAVED, view
 
 pytestmark = pytest.mark.slow
 
@@ -128,6 +133,29 @@ def test_tags_are_added_pinned_optimised_and_looked_at(planner, browser, work):
     assert process.returncode == 128 + signal.SIGINT
     unsaved = work / "out" / "unsaved.csv"
     assert unsaved.exists() == ("changes that were not saved are in " in err)
+
+
+def test_what_is_unsaved_is_kept_before_anything_is_waited_for(work, monkeypatch):
+    kept = []
+
+    class Ended(Planner):
+        """Ends at once, with a tag deleted."""
+
+        def run(self):
+            self._session.delete(3)
+            raise Stopped(signal.SIGINT)
+
+        def close(self):
+            kept.append(Deployment.from_csv(work / UNSAVED).ids.tolist())
+            super().close()
+
+    monkeypatch.setattr("lmd.planner.app.Planner", Ended)
+    monkeypatch.setattr("pipelines.view.run_directory", lambda: work)
+    with initialize_config_dir(CONF, version_base="1.3"):
+        cfg = compose("view", [*SETTINGS, f"deployment.path={work / 'mine.csv'}"])
+    with pytest.raises(Stopped):
+        view(cfg)
+    assert kept == [[7, 9, 4]]
 
 
 def test_what_cannot_be_is_refused_in_one_sentence(work):

@@ -7,7 +7,9 @@ import pytest
 from floor_plans import L_SHAPE
 from meshes import mesh_room
 from paper import paper_scene
+from small import problem
 
+from lmd.checks import InputError
 from lmd.deployment import RandomDeployment
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.base import Budget
@@ -62,6 +64,20 @@ def test_of_recorded_poses_it_shows_the_figures_held_out(planner, monkeypatch, w
     with pytest.raises(Shown) as shown:
         planner(recorded(write)).run()
     assert set(shown.value.args[0]) == {"held out", "optimised on"}
+
+
+def test_what_cannot_be_worked_out_is_said(planner, monkeypatch):
+    def fail(*_):
+        raise InputError("that is too big.")
+
+    def say(_, text, refused=False):
+        if refused:
+            raise Shown(text)
+
+    monkeypatch.setattr("lmd.planner.app.additions", fail)
+    monkeypatch.setattr(Panel, "say", say)
+    with pytest.raises(Shown, match=r"^that is too big\.$"):
+        planner(problem()).run()
 
 
 def test_positions_of_one_layer_are_balls_of_a_share_of_their_distance(tmp_path):

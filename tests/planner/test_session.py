@@ -1,5 +1,6 @@
 """A session without a browser: whatever was done, its figures are those of `Problem`."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -205,6 +206,19 @@ def test_a_search_can_be_stopped_and_nothing_worse_is_taken():
     planned.optimise(RandomSearch(), Budget(1))
     if planned.take() == 0.0:
         assert planned.plan is before
+
+
+def test_the_end_keeps_what_a_search_has_found():
+    planned = session()
+    planned.end_search()  # there is none
+    search, start = planned.optimise(Annealing(), Budget(10**9)), planned.metrics()["fitness"]
+    while search.progress is None or search.progress.fitness <= start:
+        assert search.running
+        time.sleep(0.01)
+    planned.end_search()
+    assert planned.search is None
+    assert planned.metrics()["fitness"] == search.progress.fitness > start
+    assert not planned.is_saved
 
 
 def test_a_search_that_cannot_begin_or_fails_says_why():
