@@ -128,11 +128,14 @@ def test_tags_are_added_pinned_optimised_and_looked_at(planner, browser, work):
 
     page.press("Delete")  # of a tag that is pinned
     page.until(lambda: page.text("message") == "tag 3 is pinned.")
+    page.press("Pin or unpin")
+    page.press("Delete")
+    page.until(lambda: "of 3 landmarks" in page.rows("figures")["qualified ratio"])
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=LIMIT)
     assert process.returncode == 128 + signal.SIGINT
-    unsaved = work / "out" / "unsaved.csv"
-    assert unsaved.exists() == ("changes that were not saved are in " in err)
+    assert Deployment.from_csv(work / "out" / UNSAVED).ids.tolist() == [7, 9, 4]
+    assert f"changes that were not saved are in {work / 'out' / UNSAVED}\n" in err
 
 
 def test_what_is_unsaved_is_kept_before_anything_is_waited_for(work, monkeypatch):

@@ -202,10 +202,13 @@ def test_a_search_can_be_stopped_and_nothing_worse_is_taken():
     search.stop()
     planned.take()
     assert search.progress.used < 1e-3
+    planned.optimise(Annealing(), Budget(200))
+    assert planned.take() > 0.0
     before = planned.plan
-    planned.optimise(RandomSearch(), Budget(1))
-    if planned.take() == 0.0:
-        assert planned.plan is before
+    search = planned.optimise(RandomSearch(), Budget(3))
+    assert planned.take() == 0.0
+    assert search.progress.fitness <= planned.metrics()["fitness"]
+    assert planned.plan is before
 
 
 def test_the_end_keeps_what_a_search_has_found():
