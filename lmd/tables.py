@@ -144,8 +144,9 @@ def _is_number(text: str) -> bool:
 
 def _lines(path: Any, name: str) -> list[tuple[int, str]]:
     """The lines of a text that are neither blank nor comments, with their numbers."""
+    source = file_path(name, path)
     try:
-        with file_path(name, path).open(encoding="utf-8-sig", newline="") as file:
+        with source.open(encoding="utf-8-sig", newline="") as file:
             return [(i, line) for i, line in enumerate(file, 1) if line.strip() and line.lstrip()[0] != COMMENT]
     except FileNotFoundError:
         raise InputError(f"{name}: there is no file {str(path)!r}.", name) from None

@@ -100,6 +100,7 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
     import numpy as np
 
     from lmd.checks import InputError, boolean, choice, integer
+    from lmd.objectives.localisation import Localisation
     from lmd.optimisers.encoding import KINDS
     from lmd.problem import Problem
     from lmd.scene import Scene
@@ -120,6 +121,8 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
     choice("encoding.kind", cfg.encoding.kind, KINDS)
     boolean("encoding.flush", cfg.encoding.flush)
     objective = instantiate(cfg.objective)
+    if isinstance(objective, Localisation):
+        objective.precision(scene)  # refuses a rig before anything is compiled
     with keyed("deployment", count=count):
         fixed = fixed_of(cfg.deployment)
         total = total_of(cfg.deployment, fixed)
