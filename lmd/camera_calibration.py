@@ -10,19 +10,23 @@ import json
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 import yaml
 
 from lmd.camera import Camera
 from lmd.checks import InputError, choice, file_path, integer, real, vector
+from lmd.geometry.equidistant import nearest_radial
 
 PIXEL_CENTRE = 0.5  # of the first pixel, from the image's border
 # OpenCV's coefficients begin with those that `lmd.geometry.distortion` has: k1, k2, p1, p2, k3.
 KNOWN_COEFFICIENTS = 5
-ROS_MODELS = ("plumb_bob", "rational_polynomial")
-KALIBR_MODELS = ("radtan", "none")
+FISHEYE = "equidistant"
+ROS_MODELS = ("plumb_bob", "rational_polynomial", FISHEYE)
+KALIBR_MODELS = ("radtan", "none", FISHEYE)
+FARTHEST_OFF = 1.0  # pixels, by which a fisheye's image may differ from what is taken for it
 KALIBR_CAMERA = re.compile(r"cam\d+")
 OPTICS = ("focal_length", "aperture", "focus_distance")  # what no calibration says
 
@@ -58,6 +62,29 @@ class Calibration:
                 "distortion",
             )
         object.__setattr__(self, "distortion", self.distortion[:KNOWN_COEFFICIENTS])
+
+    def behind_fisheye(self, lens: tuple[float, ...]) -> "Calibration":
+        """This camera with a lens of the equidistant model, as near as `lmd.geometry.distortion` comes to it.
+
+        Args:
+            lens: k1 to k4, see `lmd.geometry.equidistant`.
+
+        Raises:
+            InputError: somewhere in the image that is not near enough.
+        """
+        size, centre, focal = (
+            np.array(pair, dtype=np.float64)
+            for pair in ((self.image_width, self.image_height), self.principal_point, self.focal_pixels)
+        )
+        corner = np.maximum(centre + PIXEL_CENTRE, size - centre - PIXEL_CENTRE) / focal
+        scale, distortion, off = nearest_radial(lens, float(np.hypot(*corner)))
+        if (pixels := off * focal.max()) > FARTHEST_OFF:
+            raise InputError(
+                f"distortion {list(lens)} is that of a fisheye too wide for the lenses known here: the nearest one "
+                f"would be {pixels:.3g} pixels off, and at most {FARTHEST_OFF:g} is taken.",
+                "distortion",
+            )
+        return replace(self, focal_pixels=tuple(scale * focal), distortion=distortion)
 
     def camera(
         self, focal_length: float | None = None, aperture: float | None = None, focus_distance: float = math.inf
@@ -135,16 +162,17 @@ def read_calibration(path: str | None, name: str | None = None) -> Calibration:
 
 def _opencv(keys: Mapping[str, Any]) -> Calibration:
     """What ROS and OpenCV call by the same names; only ROS names the model."""
-    choice("distortion_model", keys.get("distortion_model", ROS_MODELS[0]), ROS_MODELS)
-    if keys.get("fisheye_model", 0):
-        raise InputError(f"fisheye_model must be 0, got {keys['fisheye_model']!r}: only other lenses are known here.")
+    model = choice("distortion_model", keys.get("distortion_model", ROS_MODELS[0]), ROS_MODELS)
     matrix = vector("camera_matrix.data", _entry(keys, "camera_matrix", "data"), 9)
     focal_u, skew, centre_u, below, focal_v, centre_v, *last = matrix
     if (skew, below, *last) != (0.0, 0.0, 0.0, 0.0, 1.0):
         raise InputError(f"camera_matrix.data must be [fx, 0, cx, 0, fy, cy, 0, 0, 1], got {list(matrix)}.")
     lens = _numbers("distortion_coefficients.data", _entry(keys, "distortion_coefficients", "data"))
     width, height = (_entry(keys, name) for name in ("image_width", "image_height"))
-    return Calibration(width, height, (focal_u, focal_v), (centre_u, centre_v), lens)
+    pinhole = Calibration(width, height, (focal_u, focal_v), (centre_u, centre_v))
+    # OpenCV's own sample says by a flag of its own that it is a fisheye.
+    is_fisheye = model == FISHEYE or bool(keys.get("fisheye_model", 0))
+    return pinhole.behind_fisheye(lens) if is_fisheye else replace(pinhole, distortion=lens)
 
 
 def _kalibr(keys: Mapping[str, Any], name: str) -> Calibration:
@@ -152,10 +180,12 @@ def _kalibr(keys: Mapping[str, Any], name: str) -> Calibration:
     choice(f"{name}.camera_model", _entry(keys, name, "camera_model"), ("pinhole",))
     choice(f"{name}.distortion_model", _entry(keys, name, "distortion_model"), KALIBR_MODELS)
     intrinsics = vector(f"{name}.intrinsics", _entry(keys, name, "intrinsics"), 4)
-    distorted = keys[name]["distortion_model"] != "none"
+    model = keys[name]["distortion_model"]
+    distorted = model != "none"
     lens = _numbers(f"{name}.distortion_coeffs", _entry(keys, name, "distortion_coeffs")) if distorted else ()
     width, height = vector(f"{name}.resolution", _entry(keys, name, "resolution"), 2)
-    return Calibration(width, height, intrinsics[:2], intrinsics[2:], lens)  # type: ignore[arg-type] # whole, or refused
+    pinhole = Calibration(width, height, intrinsics[:2], intrinsics[2:])  # type: ignore[arg-type] # whole, or refused
+    return pinhole.behind_fisheye(lens) if model == FISHEYE else replace(pinhole, distortion=lens)
 
 
 def _entry(keys: Any, *path: str) -> Any:

@@ -75,6 +75,53 @@ def test_a_calibrated_camera_images_as_opencv_does(write, name, lens, tmp_path):
     assert camera.is_pinhole
 
 
+FISHEYE = {
+    "ros": ROS | {"distortion_model": "equidistant"},
+    "opencv": {key: value for key, value in ROS.items() if key != "distortion_model"} | {"fisheye_model": 1},
+    "kalibr": {"cam0": KALIBR | {"distortion_model": "equidistant"}},
+}
+
+
+def fisheye(path, kind, lens):
+    keys = json.loads(json.dumps(FISHEYE[kind]))
+    if kind == "kalibr":
+        keys["cam0"]["distortion_coeffs"] = lens
+    else:
+        keys["distortion_coefficients"] = {"data": lens}
+    path.write_text(yaml.safe_dump(keys))
+
+
+@pytest.mark.parametrize("kind", FISHEYE)
+@pytest.mark.parametrize("lens", [[0.0, 0.0, 0.0, 0.0], [-0.02, 0.01, -0.004, 0.001], [0.3, -0.1, 0.05, 0.0]])
+def test_a_fisheye_images_as_opencvs_does_but_for_a_fraction_of_a_pixel(kind, lens, tmp_path):
+    path = tmp_path / "camera.yaml"
+    fisheye(path, kind, lens)
+    camera = calibrated_camera(path)
+    rng = np.random.default_rng(0)
+    rays = np.concatenate([rng.uniform(-1.2, 1.2, (4000, 2)), np.ones((4000, 1))], axis=1)
+    expected = cv2.fisheye.projectPoints(rays[:, None], np.zeros(3), np.zeros(3), MATRIX, np.array(lens))[0][:, 0]
+    expected = expected + PIXEL_CENTRE
+    inside = ((expected >= 0.0) & (expected <= [640.0, 480.0])).all(axis=1)
+    assert inside.mean() > 0.1
+    off = np.linalg.norm(project(camera, np.eye(4), rays) - expected, axis=1)
+    assert off[inside].max() < 0.1  # 612 pixels of focal length are not very wide
+
+
+def test_a_fisheye_that_is_too_wide_is_refused_with_how_far_it_would_be_off(tmp_path):
+    path = tmp_path / "camera.yaml"
+    for focal, message in (
+        (
+            300.0,
+            r"distortion \[0.0, 0.0, 0.0, 0.0\] is that of a fisheye too wide .* 1\d.* pixels off",
+        ),
+        (200.0, r"distortion \[0.0, 0.0, 0.0, 0.0\] does not reach the corners of the image"),
+    ):
+        wide = {**KALIBR, "intrinsics": [focal, focal, 320, 240], "distortion_model": "equidistant"}
+        path.write_text(yaml.safe_dump({"cam0": wide | {"distortion_coeffs": [0.0] * 4}}))
+        with pytest.raises(InputError, match=message):
+            calibrated_camera(path)
+
+
 def test_a_lens_gives_pixels_their_size(tmp_path):
     ros(tmp_path / "info.yaml", LENS)
     camera = calibrated_camera(tmp_path / "info.yaml", focal_length=4.0, aperture=8.0, focus_distance=1500.0)
@@ -137,20 +184,20 @@ def data(*values):
         ),
         (ROS | {"camera_matrix": data(6, 0, 900, 0, 6, 240, 0, 0, 1)}, "principal_point must lie inside the 640 x 480"),
         (
-            ROS | {"distortion_model": "equidistant"},
-            "distortion_model must be one of plumb_bob, rational_polynomial",
+            ROS | {"distortion_model": "thin_prism"},
+            "distortion_model must be one of plumb_bob, rational_polynomial, equidistant",
         ),
         (ROS | {"distortion_coefficients": data(*LENS, 0.1, 0.0, 0.0)}, "distortion can have the coefficients k1, k2,"),
         (ROS | {"distortion_coefficients": data(1, "a")}, "distortion_coefficients.data[1] must be a number, got 'a'."),
         (ROS | {"distortion_coefficients": data(1, 2)}, "distortion must be [] or [k1, k2, p1, p2] or with k3, got"),
         (ROS | {"distortion_coefficients": data(-9, 0, 0, 0)}, "distortion must show what is farther"),
         (ROS | {"distortion_coefficients": {"data": 3}}, "distortion_coefficients.data must be a list of 5 numbers"),
-        (ROS | {"fisheye_model": 1}, "fisheye_model must be 0, got 1:"),
+        (ROS | {"fisheye_model": 1}, "distortion must be a list of 4 numbers"),
         ({"cam0": without(KALIBR, "resolution")}, "the key cam0.resolution is missing."),
         ({"cam0": KALIBR | {"camera_model": "omni"}}, "cam0.camera_model must be one of pinhole, got 'omni'."),
         (
-            {"cam0": KALIBR | {"distortion_model": "equidistant"}},
-            "cam0.distortion_model must be one of radtan, none",
+            {"cam0": KALIBR | {"distortion_model": "fov"}},
+            "cam0.distortion_model must be one of radtan, none, equidistant",
         ),
         ({"cam0": [1, 2]}, "the key cam0.camera_model is missing."),
     ],
