@@ -9,7 +9,6 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from importlib.util import find_spec
 from pathlib import Path
 
 from .app import PACKAGE
@@ -20,27 +19,9 @@ RUNS = (  # the longest first
     ("optimise", "budget.evaluations=60", "experiment=lab"),
     ("optimise", "budget.evaluations=60", "objective=localisation", "tag=printed"),
     ("optimise", "budget.evaluations=60", "experiment=lab_l_shape"),
-    ("optimise", "budget.evaluations=60", "experiment=lab", "room=mesh", "room.path={folder}/box.obj"),
     ("evaluate",),
     ("observe", "deployment=uniform", "seeds=1", "trajectory.duration=2"),
 )
-# A room of 6 x 4 x 2.8 m as a mesh.
-BOX = """\
-v 0 0 0
-v 6 0 0
-v 6 4 0
-v 0 4 0
-v 0 0 2.8
-v 6 0 2.8
-v 6 4 2.8
-v 0 4 2.8
-f 1 2 3 4
-f 8 7 6 5
-f 1 5 6 2
-f 2 6 7 3
-f 3 7 8 4
-f 4 8 5 1
-"""
 
 
 def main() -> None:
@@ -49,11 +30,8 @@ def main() -> None:
 
     print("compiling; this takes a few minutes, once", file=sys.stderr)
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(available_threads()) as pool:
-        (Path(folder) / "box.obj").write_text(BOX, encoding="utf-8")
-        possible = [run for run in RUNS if "room=mesh" not in run or find_spec("trimesh")]
-        runs = [[word.format(folder=folder) for word in run] for run in possible]
-        outputs = [f"hydra.run.dir={Path(folder) / str(i)}" for i in range(len(runs))]
-        failed = [message for message in pool.map(_run, runs, outputs) if message]
+        outputs = [f"hydra.run.dir={Path(folder) / str(i)}" for i in range(len(RUNS))]
+        failed = [message for message in pool.map(_run, RUNS, outputs) if message]
     if failed:
         sys.exit("\n".join(failed))
 
