@@ -91,6 +91,6 @@ def test_the_default_optimiser_and_the_judges_take_a_rig(tmp_path):
     assert again["qualified_ratio"] == found["qualified_ratio"]
     assert math.isfinite(again["fitness_without_one_worst"])
     refused(
-        "optimise", *common, "objective=localisation", "objective.tolerance=0.02", "hydra.run.dir=refused", cwd=tmp_path,
-        message="the objective Localisation works with a single camera, not with a rig of 2",
+        "optimise", *common, "objective=localisation", "objective.tolerance=0.02", "hydra.run.dir=refused",
+        cwd=tmp_path, message="the objective Localisation works with a single camera, not with a rig of 2",
     )  # fmt: skip
