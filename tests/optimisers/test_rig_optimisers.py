@@ -8,6 +8,7 @@ from small import make
 
 from lmd import pdf
 from lmd.deployment import RandomDeployment
+from lmd.losses import losses
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.sampling import Sampling
 from lmd.optimisers.base import Budget
@@ -38,3 +39,6 @@ def test_a_rig_is_climbed_and_scored_alike(name, sampling):
     result = make(name).run(rigged, Budget(80))
     assert result.fitness == rigged.fitness_of(result.deployment)
     assert result.fitness > rigged.fitness_of(rigged.draw(np.random.default_rng(0)))
+    left = losses(rigged, result.deployment)
+    assert left.without[0, 0] == pytest.approx(rigged.fitness_of(result.deployment[1:]), abs=1e-12)
+    assert left.without[0, 1] == pytest.approx(rigged.fitness_of(result.deployment[2:]), abs=1e-12)

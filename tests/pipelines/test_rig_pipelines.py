@@ -1,7 +1,6 @@
 """`camera.rig` in a configuration and on the command line."""
 
 import json
-import math
 
 import pytest
 from hydra import compose, initialize_config_dir
@@ -79,17 +78,16 @@ def test_what_needs_one_camera_is_refused_before_anything_is_scored(tmp_path, ke
 
 
 @pytest.mark.slow
-def test_the_default_optimiser_and_the_judges_take_a_rig(tmp_path):
-    common = (BACK_TO_BACK, "pdf=yaw", "deployment.count=12", "tracking=none")
+def test_a_rig_is_optimised_and_judged_or_refused(tmp_path):  # other optimisers, and losses, need no process
+    common = (BACK_TO_BACK, "pdf=yaw", "deployment.count=12", "tracking=none", "optimiser=random_search")
     done = call("optimise", *common, "budget.evaluations=60", "hydra.run.dir=run", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     found = json.loads((tmp_path / "run" / "metrics.json").read_text())
-    settings = ("tracking=none", "validate=false")
+    settings = ("tracking=none", "validate=false", "losses=false")
     done = call("evaluate", "run=run", "hydra.run.dir=again", cwd=tmp_path, settings=settings)
     assert done.returncode == 0, done.stderr
     again = json.loads((tmp_path / "again" / "metrics.json").read_text())
     assert again["qualified_ratio"] == found["qualified_ratio"]
-    assert math.isfinite(again["fitness_without_one_worst"])
     refused(
         "optimise", *common, "objective=localisation", "objective.tolerance=0.02", "hydra.run.dir=refused",
         cwd=tmp_path, message="the objective Localisation works with a single camera, not with a rig of 2",
