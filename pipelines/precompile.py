@@ -19,6 +19,7 @@ RUNS = (  # the longest first
     ("optimise", "budget.evaluations=60", "experiment=lab"),
     ("optimise", "budget.evaluations=60", "objective=localisation", "tag=printed"),
     ("optimise", "budget.evaluations=60", "experiment=lab_l_shape"),
+    ("optimise", "budget.evaluations=60", "objective=robust"),
     ("evaluate",),
     ("observe", "deployment=uniform", "seeds=1", "trajectory.duration=2"),
 )

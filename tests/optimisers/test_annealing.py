@@ -53,8 +53,8 @@ def test_plates_grow_to_their_size_and_stay_there(monkeypatch, walkers):
     seen = []
     prepare = Surrogate.prepare
 
-    def spy(self, here, best, in_stacks, size, used, rng):
-        prepare(self, here, best, in_stacks, size, used, rng)
+    def spy(self, here, best, in_stacks, size, done, rng):
+        prepare(self, here, best, in_stacks, size, done, rng)
         seen.append((in_stacks, size, self.is_true))
 
     monkeypatch.setattr(Surrogate, "prepare", spy)
@@ -73,7 +73,7 @@ def test_smaller_plates_hide_less():
     pairs = np.repeat(drawn.positions[:15], 2, axis=0)
     pairs[::2, 2] = np.clip(pairs[::2, 2] + 0.03, 0.0, p.scene.room.size[2])
     deployment = Deployment(pairs, np.repeat(drawn.normals[:15], 2, axis=0))
-    surrogate = Surrogate(p, 1)
+    surrogate = Surrogate(p, 1, 0.35)
     reached = []
     for size in (0.2, 0.5, 1.0):
         surrogate.prepare(deployment, deployment, False, size, 1.0, np.random.default_rng(0))
@@ -83,18 +83,18 @@ def test_smaller_plates_hide_less():
 
 
 def test_an_objective_with_a_sampling_is_climbed_on_fresh_draws():
-    sampling = Sampling(positions=4, divisions=6)
+    sampling = Sampling(positions=12, divisions=6)
     p = problem()
     p = Problem(p.scene, Coverage(2, 0.3, sampling), p.start, threads=1)
-    surrogate, rng = Surrogate(p, 1), np.random.default_rng(0)
+    surrogate, rng = Surrogate(p, 1, 0.35), np.random.default_rng(0)
     deployment = p.start.draw(p.scene.room, rng)
     positions = []
-    for used in (0.0, 0.7, 1.0, 1.0):
-        surrogate.prepare(deployment, deployment, False, 1.0, used, rng)
+    for done in (0.0, 0.7, 1.0, 1.0):
+        surrogate.prepare(deployment, deployment, False, 1.0, done, rng)
         assert not surrogate.is_true
         positions.append(surrogate._field.positions[:, surrogate._field.index_of])
     grid = len(p.evaluator.positions)
-    assert [x.shape[1] // grid for x in positions] == [1, 2, 4, 4]
+    assert [x.shape[1] // grid for x in positions] == [1, 3, 5, 5]
     assert not np.isin(positions[3][0], positions[2][0]).any()
     result = make("annealing").run(p, Budget(300))
     assert result.evaluations == 300
@@ -120,7 +120,7 @@ def test_samples_are_climbed_under_conditions_of_their_own(monkeypatch, sampling
 def test_walkers_move_landmarks_of_their_own_and_are_put_together(sampling):
     p = problem()
     p = Problem(p.scene, Coverage(2, 0.3, sampling), p.start, threads=1)
-    surrogate, rng = Surrogate(p, 3), np.random.default_rng(0)
+    surrogate, rng = Surrogate(p, 3, 0.35), np.random.default_rng(0)
     start = p.start.draw(p.scene.room, rng)
     surrogate.prepare(start, start, False, 1.0, 1.0, rng)
     surrogate.walk(400, SINGLE.settings(0.0, 0.1), rng)

@@ -15,7 +15,7 @@ def walked(n, occlusion, stage):
     """Where 200 moves lead, the random numbers after them, and how many trials were finished."""
     scene = paper_scene(paper_room(spacing=1.5), orientations=pdf.grid_with_ends(6), occlusion=occlusion)
     problem = Problem(scene, Coverage(n, 0.3), RandomDeployment(20), threads=1)
-    surrogate, rng = Surrogate(problem, 1), np.random.default_rng(0)
+    surrogate, rng = Surrogate(problem, 1, 0.35), np.random.default_rng(0)
     start = problem.start.draw(scene.room, rng)
     surrogate.prepare(start, start, False, 1.0, 1.0, rng)
     finished = []

@@ -9,7 +9,8 @@ size, and the landmarks make room for each other little by little, while the wal
 
 The walk then climbs a *stand-in* for the true problem: stacks, plates that are too small, or, for an objective with a
 design, positions and orientations drawn anew for each stretch of the walk, which nothing can be fitted to. Where a
-stand-in leads, on samples on average (`trail`), is looked at on the true problem now and then.
+stand-in leads is looked at on the true problem now and then. On samples a run ends with an ascent of the slopes of all
+landmarks at once (`ascent`), which finds what is best nearby where a walk is lost in what samples err.
 """
 
 import math
@@ -22,18 +23,19 @@ import numpy as np
 from lmd.checks import FloatArray, integer, real
 from lmd.compiled import clock
 from lmd.deployment import Deployment
+from lmd.optimisers.annealing.ascent import TRIED, Ascent
 from lmd.optimisers.annealing.stage import Stage, changed
 from lmd.optimisers.annealing.surrogate import Surrogate
-from lmd.optimisers.annealing.trail import Trail
 from lmd.optimisers.annealing.walk import Settings
 from lmd.optimisers.base import Budget, Callback, Optimiser, Result
 from lmd.optimisers.selection import SPACING, greedy_start
 from lmd.problem import Problem
 from lmd.space.surface import SurfaceArrays
 
-CHUNK = 2000  # moved landmarks between two looks at the clock and the keyboard, at most
-CHUNKS = 500  # and at least this many in a run, so that the schedule is smooth
-LOOK = 10  # evaluations' worth of moves between two looks, an evaluation each, at where a stand-in leads
+CHUNK = 4000  # moved landmarks between two looks at the clock and the keyboard, at most
+CHUNKS = 250  # and at least this many in a run, so that the schedule is smooth
+LOOK = 20  # evaluations' worth of moves between two looks, an evaluation each, at where a stand-in leads
+STEPS = 10  # of the ascent between two looks
 SMALLEST = 0.2  # of their virtual diameter: the size of plates when stacks are pulled apart
 
 
@@ -57,8 +59,11 @@ class Annealing(Optimiser):
             samples as smooth as `sampled`. Each of the four is a `Stage`, or a mapping of what differs from the default
             one.
         stacked_share: share of the budget spent on stacks.
+        climb_share: share of the budget spent on the ascent at the end, for an objective with a design.
         growth: share of the single stage in which plates grow to their size, nu or the paper of tags.
         spread: distance between the landmarks of a stack pulled apart, in virtual diameters, or papers if larger.
+        largest: share of the positions of an objective's design that the samples at the end of a stage have. Twice the
+            share takes twice the time, and makes fewer mistakes in the end.
         walkers: groups of landmarks that are moved at the same time; see `Surrogate`.
         seed: see `Optimiser`.
 
@@ -73,8 +78,10 @@ class Annealing(Optimiser):
         sampled: Stage | Mapping[str, Any] | None = None,
         given: Stage | Mapping[str, Any] | None = None,
         stacked_share: float = 0.5,
+        climb_share: float = 0.2,
         growth: float = 0.8,
         spread: float = 1.6,
+        largest: float = 0.35,
         walkers: int = 2,
         seed: int = 0,
     ) -> None:
@@ -82,8 +89,10 @@ class Annealing(Optimiser):
         self.stacked, self.single = changed("stacked", STACKED, stacked), changed("single", SINGLE, single)
         self.sampled, self.given = changed("sampled", SAMPLED, sampled), changed("given", GIVEN, given)
         self.stacked_share = real("stacked_share", stacked_share, low=0.0, high=0.9)
+        self.climb_share = real("climb_share", climb_share, low=0.0, high=1.0 - self.stacked_share)
         self.growth = real("growth", growth, low=0.0, high=1.0)
         self.spread = real("spread", spread, low=0.0)
+        self.largest = real("largest", largest, above=0.0, high=1.0)
         self.walkers = integer("walkers", walkers, low=1)
         self.spent = 0  # moved landmarks: K make an evaluation
         self.in_stacks = False
@@ -93,14 +102,16 @@ class Annealing(Optimiser):
         self.angles: FloatArray  # direction in which each stack is pulled apart
         self.here: Deployment  # where the walk is: stacks first, then landmarks
         self.best: Deployment | None = None
-        self.trail: Trail | None = None  # of single landmarks on samples
+        self.ascent: Ascent | None = None  # of all landmarks, at the end
 
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
         """See `Optimiser.run`."""
         ledger, count = self.ledger, problem.count
         began = clock() - ledger.seconds
         limit = budget.limit * count
-        surrogate = Surrogate(problem, self.walkers)
+        share = self._climb_share(problem)
+        to_walk = limit if math.isinf(limit) else round(limit * (1.0 - share))
+        surrogate = Surrogate(problem, self.walkers, self.largest)
 
         def note(moved: int, deployment: Deployment | None) -> None:
             """Note moves that led to `deployment`, or to nothing better than what is known."""
@@ -115,32 +126,10 @@ class Annealing(Optimiser):
             note(spent + count, self.start)
         stopped = "budget"
         while (used := budget.used(self.spent / count, ledger.seconds)) < 1.0:
-            if self.in_stacks and used >= self.stacked_share:
-                self.in_stacks, self.here = (
-                    False,
-                    self._apart(problem, surrogate.stack, SMALLEST if self.growth else 1.0),
-                )
-            size, settings = self._conditions(problem, used)
-            assert self.best is not None, "the start was noted"
-            surrogate.prepare(self.here, self.best, self.in_stacks, size, used, self.rng)
-            left = limit - self.spent
-            stretch = min(CHUNK, max(1.0, limit / CHUNKS), left)
-            if surrogate.is_true:
-                improved = surrogate.walk(int(stretch), settings, self.rng)
-                self.here = surrogate.here()
-                note(int(stretch), surrogate.best() if improved else None)
-            elif left < count:  # too little for a look
-                note(int(left), None)
+            if self.spent < to_walk and used < 1.0 - share:
+                note(*self._walk(problem, surrogate, used, to_walk - self.spent))
             else:
-                stretch = max(stretch, LOOK * count)
-                # The last stretch takes what would be too little for one more.
-                stretch = stretch if left >= 2 * (stretch + count) else left - count
-                each = surrogate.stack if self.in_stacks else 1
-                moves = int(stretch) // each
-                surrogate.walk(moves, settings, self.rng)
-                self.here = surrogate.here()
-                led_to = self._apart(problem, surrogate.stack, 1.0) if self.in_stacks else self._mean(problem)
-                note(moves * each + count, problem.apart(led_to))
+                note(*self._climb(problem, surrogate, used, limit - self.spent))
             if callback and callback(self):
                 stopped = "interrupted"
                 break
@@ -149,6 +138,52 @@ class Annealing(Optimiser):
     def found(self, problem: Problem) -> Deployment | None:
         """See `Optimiser.found`."""
         return self.best
+
+    def _walk(self, problem: Problem, surrogate: Surrogate, used: float, left: float) -> tuple[int, Deployment | None]:
+        """Walk a stretch; returns the landmarks moved and where that led, if it may be better than what is known.
+
+        Args:
+            problem: the true problem.
+            surrogate: of the problem.
+            used: share of the budget.
+            left: landmarks that may be moved until the walk ends.
+        """
+        count, stack = problem.count, surrogate.stack
+        if used >= self.stacked_share:
+            self._leave_stacks(problem, stack)
+        done, size, settings = self._conditions(problem, used)
+        surrogate.prepare(self.here, self._known, self.in_stacks, size, done, self.rng)
+        stretch = min(CHUNK, max(1.0, (self.spent + left) / CHUNKS), left)
+        if surrogate.is_true:
+            improved = surrogate.walk(int(stretch), settings, self.rng)
+            self.here = surrogate.here()
+            return int(stretch), surrogate.best() if improved else None
+        if left < count:  # too little for a look
+            return int(left), None
+        stretch = max(stretch, LOOK * count)
+        # The last stretch takes what would be too little for one more.
+        stretch = stretch if left >= 2 * (stretch + count) else left - count
+        each = stack if self.in_stacks else 1
+        moves = int(stretch) // each
+        surrogate.walk(moves, settings, self.rng)
+        self.here = surrogate.here()
+        led_to = self._apart(problem, stack, 1.0) if self.in_stacks else self.here
+        return moves * each + count, problem.apart(led_to)
+
+    def _climb(self, problem: Problem, surrogate: Surrogate, used: float, left: float) -> tuple[int, Deployment | None]:
+        """Ascend some steps; arguments and result as of `_walk`, but `left` until the end of the run."""
+        count, each = problem.count, TRIED * problem.free_count
+        steps = int(min(STEPS, (left - count) / each))
+        if steps < 1:
+            return int(left), None
+        if self.ascent is None:
+            self._leave_stacks(problem, surrogate.stack)
+            self.ascent, self.here = Ascent(count), problem.apart(self.here) or self._known
+        share = self._climb_share(problem)
+        done = max(0.0, (used - 1.0 + share) / share)
+        for _ in range(steps):
+            self.here = self.ascent.step(problem, self.here, done, self.walkers, self.rng)
+        return steps * each + count, self.here
 
     def _begin(self, problem: Problem, stack: int, limit: float) -> int:
         """Draw the start, and stack it if that pays; returns the landmarks moved to find the start."""
@@ -172,28 +207,37 @@ class Annealing(Optimiser):
             self.here = movable[:stacks]
         return 0
 
-    def _conditions(self, problem: Problem, used: float) -> tuple[float, Settings]:
-        """The size of plates and the settings of the walk after a share `used` of the budget."""
+    @property
+    def _known(self) -> Deployment:
+        """The best deployment so far."""
+        assert self.best is not None, "the start was noted"
+        return self.best
+
+    def _leave_stacks(self, problem: Problem, stack: int) -> None:
+        """Pull stacks apart, if there are any, into plates that may be small."""
         if self.in_stacks:
-            return 1.0, self.stacked.settings(used / self.stacked_share, near=0.0)
-        done = (used - self.skipped) / (1.0 - self.skipped)
+            self.in_stacks, self.here = False, self._apart(problem, stack, SMALLEST if self.growth else 1.0)
+
+    def _climb_share(self, problem: Problem) -> float:
+        """The share of the budget for the ascent: none where it would learn the grid by heart."""
+        return 0.0 if problem.objective.sampling is None else self.climb_share
+
+    def _conditions(self, problem: Problem, used: float) -> tuple[float, float, Settings]:
+        """The share of the stage that is done after a share `used` of the budget, the size of plates, and settings."""
+        if self.in_stacks:
+            done = used / self.stacked_share
+            return done, 1.0, self.stacked.settings(done, near=0.0)
+        done = (used - self.skipped) / (1.0 - self.skipped - self._climb_share(problem))
         near = self.spread * problem.scene.spacing
         sampled = problem.objective.sampling is not None
         if not self.skipped:
             smooth = self.sampled if sampled else self.given
             stage = replace(self.given, width=smooth.width, share=smooth.share)
-            return 1.0, stage.settings(done, near)
+            return done, 1.0, stage.settings(done, near)
         grown = min(done / self.growth, 1.0) if self.growth else 1.0
         size = SMALLEST + (1.0 - SMALLEST) * grown
         stage = self.sampled if sampled else self.single
-        return size, stage.settings(done, near * size)
-
-    def _mean(self, problem: Problem) -> Deployment:
-        """Where single landmarks are: on average, if they walk on samples and no plates that grow drive them."""
-        if problem.objective.sampling is None or self.skipped:
-            return self.here
-        self.trail = self.trail or Trail(self.here)
-        return self.trail.add(self.here)
+        return done, size, stage.settings(done, near * size)
 
     def _apart(self, problem: Problem, stack: int, size: float) -> Deployment:
         """Each stack as so many plates of this size, pulled apart; landmarks in no stack stay where they began."""

@@ -34,6 +34,15 @@ class Walker:
     best: Best
 
 
+def at_once(threads: int, work: Callable[..., T], *arguments: Iterable[Any]) -> list[T]:
+    """What `work` returns for each of the arguments, in their order."""
+    first, *others = calls = list(zip(*arguments, strict=True))
+    if not others:  # a thread of its own could not be interrupted, which the compiler gives reason for
+        return [work(*first)]
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(lambda call: work(*call), calls))
+
+
 class Surrogate:
     """A problem in the arrays of the walk, and where on it the walk is.
 
@@ -49,10 +58,11 @@ class Surrogate:
     Args:
         problem: the true problem.
         walkers: at most; each has landmarks enough to move together.
+        largest: share of the positions of an objective's sampling that the samples at the end of a stage have.
     """
 
-    def __init__(self, problem: Problem, walkers: int) -> None:
-        self._problem, self.walkers = problem, walkers
+    def __init__(self, problem: Problem, walkers: int, largest: float) -> None:
+        self._problem, self.walkers, self._largest = problem, walkers, largest
         self._surfaces = SurfaceArrays.of(problem.scene.plates.hanging.surfaces())
         self._survey(problem.fitness_evaluator, problem.fitness_relevance)
         self._apart = 0.0  # least distance between plates
@@ -70,7 +80,7 @@ class Surrogate:
         return self._true.stack
 
     def prepare(
-        self, here: Deployment, best: Deployment, in_stacks: bool, size: float, used: float, rng: np.random.Generator
+        self, here: Deployment, best: Deployment, in_stacks: bool, size: float, done: float, rng: np.random.Generator
     ) -> None:
         """Make ready to walk on from `here`.
 
@@ -79,11 +89,11 @@ class Surrogate:
             best: what single landmarks have to beat on the true problem.
             in_stacks: whether `here` is stacks.
             size: of the plates; 1 is the truth.
-            used: share of the budget. Samples for an objective with a sampling grow with its square: a rough direction
-                will do for the first steps, but the last ones are lost in what a small sample errs.
+            done: share of the stage. Samples for an objective with a sampling grow with its square: a rough
+                direction will do for the first moves, but the last ones are lost in what a small sample errs.
             rng: draws the samples.
         """
-        redrawn = self._problem.resampled(used**2, rng)
+        redrawn = self._problem.resampled(self._largest * done**2, rng)
         movable = np.arange(0 if in_stacks else self._problem.fixed_count, len(here))
         together = 1 if in_stacks else max(1, min(self.stack, len(movable)))
         number = max(1, min(self.walkers, len(movable) // together))
@@ -107,7 +117,7 @@ class Surrogate:
             met = Best(reached, known.landmarks.copy(), known.normals.copy(), known.surfaces.copy())
             return Walker(members, np.empty(together, dtype=np.int64), state, scratches, met)
 
-        self._walkers = self._at_once(walker, self._slices(here, movable, number, rng))
+        self._walkers = at_once(self._problem.evaluator.threads, walker, self._slices(here, movable, number, rng))
 
     def _slices(self, here: Deployment, movable: IntArray, number: int, rng: np.random.Generator) -> list[IntArray]:
         """The landmarks that may move, in so many slices of the room."""
@@ -115,14 +125,6 @@ class Surrogate:
             return [movable]
         across = movable[np.argsort(here.positions[movable] @ rng.normal(size=3), kind="stable")]
         return [np.sort(part) for part in np.array_split(across, number)]
-
-    def _at_once(self, work: Callable[..., T], *arguments: Iterable[Any]) -> list[T]:
-        """What `work` returns for each of the arguments, in their order."""
-        first, *others = calls = list(zip(*arguments, strict=True))
-        if not others:  # a thread of its own could not be interrupted, which the compiler gives reason for
-            return [work(*first)]
-        with ThreadPoolExecutor(self._problem.evaluator.threads) as pool:
-            return list(pool.map(lambda call: work(*call), calls))
 
     def walk(self, moves: int, settings: Settings, rng: np.random.Generator) -> bool:
         """Try `moves` moves; True if one led to a better deployment than any before."""
@@ -135,7 +137,7 @@ class Surrogate:
             w, place = walker, (self._target, self._surfaces, self._apart)
             walk(share, w.members, w.group, self._field, w.state, w.scratches, *place, settings, own, w.best)
 
-        self._at_once(go, self._walkers, shares, rngs)
+        at_once(self._problem.evaluator.threads, go, self._walkers, shares, rngs)
         return bool(self._walkers[0].best.fitness[0] > before)
 
     def here(self) -> Deployment:

@@ -1,0 +1,105 @@
+"""Gradient ascent of all landmarks at once on fresh samples: annealing on samples ends with it.
+
+A walk on samples stops short of a local optimum: what one small step of one landmark is worth is soon less than what
+the sample errs. Here each sample serves all landmarks, and the steps average over samples.
+
+The slope of the smoothed objective (`walk`) along u and v of a landmark's surface is a central difference of values
+that are exact on the sample, (f(x + d) - f(x - d)) / 2 d, hiding included. So any objective with a field can be
+climbed. The difference is taken over millimetres: pairs hang just far enough apart not to hide each other, and a wider
+one would smear that edge, and push them further. The steps are those of Adam (Kingma and Ba, 2015), which are smaller
+where samples disagree about the direction.
+"""
+
+import numpy as np
+
+from lmd.checks import FloatArray
+from lmd.compiled import kernel
+from lmd.deployment import Deployment
+from lmd.objectives.field import bound, in_order, settle, smoothed
+from lmd.optimisers.annealing.surrogate import at_once
+from lmd.problem import Problem
+from lmd.space.surface import SurfaceArrays
+
+TRIED = 4  # places at which a landmark is tried in each step
+DIFFERENCE = 3e-3  # d, metres
+STEP = 3e-3, 3e-4  # a landmark's step along u and v where all samples agree: at first, and at last; metres
+WIDTH, SHARE = 6e-3, 0.02  # of the smoothed objective
+MEMORY = 0.9, 0.999  # share of the mean slope, and of the mean squared slope, that a step leaves as it is
+
+
+@kernel
+def _slopes(first, field, state, scratch, target, surfaces, out):  # type: ignore[no-untyped-def]
+    """Write the slope of the smoothed objective along u and v into `out` `(K, 2)`, for landmarks from `first` on."""
+    units, accepted = scratch.units, state.units
+    value, pose, place = np.empty(len(accepted)), np.empty(6), np.empty(2)
+    for p in range(len(accepted)):
+        value[p] = smoothed(target, p, accepted[p], 0.0, WIDTH, SHARE)
+    for k in range(first, state.landmarks.shape[1]):
+        s = state.surfaces[k]
+        place[:] = 0.0
+        for i in range(3):
+            offset = state.landmarks[i, k] - surfaces.origin[s, i]
+            place[0] += offset * surfaces.u[s, i]
+            place[1] += offset * surfaces.v[s, i]
+        for side in range(2):
+            rise = run = 0.0
+            for sign in (-1.0, 1.0):
+                # Not beyond the end of the surface: nothing is seen through the wall around the corner.
+                away = min(max(place[side] + sign * DIFFERENCE, 0.0), surfaces.extent[s, side]) - place[side]
+                for i in range(3):
+                    along = surfaces.u[s, i] if side == 0 else surfaces.v[s, i]
+                    pose[i], pose[3 + i] = state.landmarks[i, k] + away * along, state.normals[i, k]
+                bound(field, k, pose, s, state, scratch)
+                settle(field, k, state, scratch)
+                run += sign * away
+                for p in range(len(accepted)):
+                    if units[p] != accepted[p]:
+                        rise += sign * (smoothed(target, p, units[p], 0.0, WIDTH, SHARE) - value[p])
+            out[k, side] = rise / run
+
+
+class Ascent:
+    """Where the ascent is going: Adam's means of the slopes of K landmarks.
+
+    Args:
+        count: K.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._mean, self._square, self._steps = np.zeros((count, 2)), np.zeros((count, 2)), 0
+
+    def step(
+        self, problem: Problem, here: Deployment, progress: float, samples: int, rng: np.random.Generator
+    ) -> Deployment:
+        """The landmarks of `here` that are not fixed, each a step further along its surface.
+
+        Args:
+            problem: its objective has a sampling.
+            here: K landmarks, flush on their surfaces.
+            progress: share of the ascent that is done, in [0, 1]; the steps get smaller.
+            samples: samples to draw, each with one position in each cell; on threads of their own, if there are any.
+            rng: draws them.
+        """
+        surfaces, seeds = SurfaceArrays.of(problem.scene.plates.hanging.surfaces()), rng.integers(2**63, size=samples)
+
+        def slopes(seed: int) -> FloatArray:
+            sample = problem.resampled(0.0, np.random.default_rng(seed))
+            assert sample is not None, "the objective has a sampling"
+            field = problem.objective.field(sample[0])
+            target = problem.objective.target(in_order(field, sample[1]))
+            state, out = field.state(here), np.zeros((len(here), 2))
+            _slopes(problem.fixed_count, field, state, field.scratch(state), target, surfaces, out)
+            return out
+
+        slope = sum(at_once(problem.evaluator.threads, slopes, seeds)) / samples
+        self._steps += 1
+        first, second = MEMORY
+        self._mean = first * self._mean + (1.0 - first) * slope
+        self._square = second * self._square + (1.0 - second) * slope**2
+        mean, square = self._mean / (1.0 - first**self._steps), self._square / (1.0 - second**self._steps)
+        length = STEP[0] * (STEP[1] / STEP[0]) ** progress
+        away = length * mean / np.maximum(np.sqrt(square), np.finfo(float).tiny)
+        at = surfaces.coordinates(here.surfaces, here.positions) + away
+        moved = Deployment(surfaces.points(here.surfaces, at), here.normals, here.surfaces)
+        moved = problem.complete(problem.free(moved))
+        return problem.apart(moved) or here
