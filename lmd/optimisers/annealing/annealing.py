@@ -26,6 +26,7 @@ from lmd.deployment import Deployment
 from lmd.optimisers.annealing.ascent import TRIED, Ascent
 from lmd.optimisers.annealing.stage import Stage, changed
 from lmd.optimisers.annealing.surrogate import Surrogate
+from lmd.optimisers.annealing.trail import Trail
 from lmd.optimisers.annealing.walk import Settings
 from lmd.optimisers.base import Budget, Callback, Optimiser, Result
 from lmd.optimisers.selection import SPACING, greedy_start
@@ -102,7 +103,9 @@ class Annealing(Optimiser):
         self.angles: FloatArray  # direction in which each stack is pulled apart
         self.here: Deployment  # where the walk is: stacks first, then landmarks
         self.best: Deployment | None = None
+        self.trail: Trail | None = None  # of single landmarks on samples
         self.ascent: Ascent | None = None  # of all landmarks, at the end
+        self.led_to: Deployment | None = None  # by the walk
 
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
         """See `Optimiser.run`."""
@@ -129,7 +132,7 @@ class Annealing(Optimiser):
             if self.spent < to_walk and used < 1.0 - share:
                 note(*self._walk(problem, surrogate, used, to_walk - self.spent))
             else:
-                note(*self._climb(problem, surrogate, used, limit - self.spent))
+                note(*self._climb(problem, used, limit - self.spent))
             if callback and callback(self):
                 stopped = "interrupted"
                 break
@@ -149,8 +152,8 @@ class Annealing(Optimiser):
             left: landmarks that may be moved until the walk ends.
         """
         count, stack = problem.count, surrogate.stack
-        if used >= self.stacked_share:
-            self._leave_stacks(problem, stack)
+        if self.in_stacks and used >= self.stacked_share:
+            self.in_stacks, self.here = False, self._apart(problem, stack, SMALLEST if self.growth else 1.0)
         done, size, settings = self._conditions(problem, used)
         surrogate.prepare(self.here, self._known, self.in_stacks, size, done, self.rng)
         stretch = min(CHUNK, max(1.0, (self.spent + left) / CHUNKS), left)
@@ -167,18 +170,18 @@ class Annealing(Optimiser):
         moves = int(stretch) // each
         surrogate.walk(moves, settings, self.rng)
         self.here = surrogate.here()
-        led_to = self._apart(problem, stack, 1.0) if self.in_stacks else self.here
-        return moves * each + count, problem.apart(led_to)
+        led_to = self._apart(problem, stack, 1.0) if self.in_stacks else self._mean(problem)
+        self.led_to = problem.apart(led_to)
+        return moves * each + count, self.led_to
 
-    def _climb(self, problem: Problem, surrogate: Surrogate, used: float, left: float) -> tuple[int, Deployment | None]:
+    def _climb(self, problem: Problem, used: float, left: float) -> tuple[int, Deployment | None]:
         """Ascend some steps; arguments and result as of `_walk`, but `left` until the end of the run."""
         count, each = problem.count, TRIED * problem.free_count
         steps = int(min(STEPS, (left - count) / each))
         if steps < 1:
             return int(left), None
         if self.ascent is None:
-            self._leave_stacks(problem, surrogate.stack)
-            self.ascent, self.here = Ascent(count), problem.apart(self.here) or self._known
+            self.ascent, self.in_stacks, self.here = Ascent(count), False, self.led_to or self._known
         share = self._climb_share(problem)
         done = max(0.0, (used - 1.0 + share) / share)
         for _ in range(steps):
@@ -213,11 +216,6 @@ class Annealing(Optimiser):
         assert self.best is not None, "the start was noted"
         return self.best
 
-    def _leave_stacks(self, problem: Problem, stack: int) -> None:
-        """Pull stacks apart, if there are any, into plates that may be small."""
-        if self.in_stacks:
-            self.in_stacks, self.here = False, self._apart(problem, stack, SMALLEST if self.growth else 1.0)
-
     def _climb_share(self, problem: Problem) -> float:
         """The share of the budget for the ascent: none where it would learn the grid by heart."""
         return 0.0 if problem.objective.sampling is None else self.climb_share
@@ -238,6 +236,13 @@ class Annealing(Optimiser):
         size = SMALLEST + (1.0 - SMALLEST) * grown
         stage = self.sampled if sampled else self.single
         return done, size, stage.settings(done, near * size)
+
+    def _mean(self, problem: Problem) -> Deployment:
+        """Where single landmarks are: on average, if they walk on samples and no plates that grow drive them."""
+        if problem.objective.sampling is None or self.skipped:
+            return self.here
+        self.trail = self.trail or Trail(self.here)
+        return self.trail.add(self.here)
 
     def _apart(self, problem: Problem, stack: int, size: float) -> Deployment:
         """Each stack as so many plates of this size, pulled apart; landmarks in no stack stay where they began."""

@@ -1,0 +1,36 @@
+"""Where a walk on samples has been lately, on average.
+
+On samples drawn anew the walk never comes to rest: each step is right for its sample only, and the next sample leads
+back again. The mean of where it has been is nearer to what all samples agree on than any place on the way. Later places
+weigh more, since the walk still improves: averaging of polynomial decay (Shamir and Zhang, 2013).
+"""
+
+import numpy as np
+
+from lmd.checks import FloatArray
+from lmd.deployment import Deployment
+
+DECAY = 3  # eta: at any time the last quarter of the way has half of the weight or more
+FAR = 0.5  # metres: a landmark that goes so far from its mean at once begins anew
+
+
+class Trail:
+    """The weighted mean of the places of each landmark since it last jumped, or came to another surface.
+
+    Args:
+        start: K landmarks.
+    """
+
+    def __init__(self, start: Deployment) -> None:
+        self._mean: FloatArray = start.positions.copy()
+        self._surfaces = start.surfaces
+        self._places = np.zeros(len(start))
+
+    def add(self, here: Deployment) -> Deployment:
+        """Go on to `here`; returns the mean, which has its surfaces."""
+        away = here.positions - self._mean
+        jumped = (here.surfaces != self._surfaces) | (np.linalg.norm(away, axis=1) > FAR)
+        self._places = np.where(jumped, 1.0, self._places + 1.0)
+        self._surfaces = here.surfaces
+        self._mean = self._mean + ((DECAY + 1.0) / (self._places + DECAY))[:, None] * away
+        return Deployment(self._mean, here.normals, here.surfaces)
