@@ -33,9 +33,10 @@ from lmd.optimisers.selection import SPACING, greedy_start
 from lmd.problem import Problem
 from lmd.space.surface import SurfaceArrays
 
-CHUNK = 4000  # moved landmarks between two looks at the clock and the keyboard, at most
-CHUNKS = 250  # and at least this many in a run, so that the schedule is smooth
-LOOK = 20  # evaluations' worth of moves between two looks, an evaluation each, at where a stand-in leads
+CHUNK = 2000  # moved landmarks between two looks at the clock and the keyboard, at most
+CHUNKS = 500  # and at least this many in a run, so that the schedule is smooth
+LOOK = 10  # evaluations' worth of moves between two looks, an evaluation each, at where a stand-in leads
+ON_SAMPLES = 2  # times as far is it from look to look on samples, which have to be drawn and laid out each time
 STEPS = 10  # of the ascent between two looks
 SMALLEST = 0.2  # of their virtual diameter: the size of plates when stacks are pulled apart
 
@@ -163,7 +164,8 @@ class Annealing(Optimiser):
             return int(stretch), surrogate.best() if improved else None
         if left < count:  # too little for a look
             return int(left), None
-        stretch = max(stretch, LOOK * count)
+        longer = ON_SAMPLES if problem.objective.sampling else 1
+        stretch = longer * max(stretch, LOOK * count)
         # The last stretch takes what would be too little for one more.
         stretch = stretch if left >= 2 * (stretch + count) else left - count
         each = stack if self.in_stacks else 1
