@@ -5,8 +5,8 @@ the qualified ratio on that grid flatters it. Three figures do not depend on tha
 
 - the qualified ratio on a finer grid: half the spacing, half the step of the orientations. It is computed in full
   and has no standard error;
-- the grid-free qualified ratio: at random positions, uniform in the reachable box, with orientations drawn from the
-  continuous distribution the PDF stands for;
+- the grid-free qualified ratio: at random positions, spread evenly over the reachable box, with orientations drawn
+  from the continuous distribution the PDF stands for;
 - the grid-free average coverage probability, over the random poses of the same sample.
 
 Like `qualified_ratio`, all of them count every position alike, whatever its relevance.
@@ -32,10 +32,10 @@ STREAM = 0x76616C
 class Sample:
     """The random poses of a validation: `groups` times `positions` positions, each seen in many orientations.
 
-    The positions are independent. Those of one group share their orientations, one in each of 2 `divisions` x
-    `divisions` cells of equal probability, so that P_n is known to about 0.002: with thousands of orientations it is
-    without bias, and its noise moves as many positions over the threshold as below it. Another group has other
-    orientations, so what is left of their error averages out, and the spread of the groups shows it.
+    The positions of a group are spread evenly, from a random shift. They share their orientations, one in each of
+    2 `divisions` x `divisions` cells of equal probability, so that P_n is known to about 0.006: with a thousand
+    orientations it is without bias, and its noise moves as many positions over the threshold as below it. Another group
+    has another shift and other orientations, so errors average out, and the spread of the groups shows what is left.
 
     Args:
         groups: at least 2.
@@ -46,9 +46,9 @@ class Sample:
         InputError: a number is too small.
     """
 
-    groups: int = 64
-    positions: int = 512
-    divisions: int = 46
+    groups: int = 32
+    positions: int = 4096
+    divisions: int = 23
 
     def __post_init__(self) -> None:
         for name, low in (("groups", 2), ("positions", 1), ("divisions", 1)):
@@ -61,8 +61,8 @@ def validation_metrics(
     """The figures of this module, fractions in [0, 1], the same for any number of threads.
 
     They are the means over positions that the objective names in `shares`: its headline on the finer grid, all of them
-    grid-free. The standard error of a share of positions is the binomial one; that of a mean of values comes from the
-    spread of the groups, which covers the positions and the orientations.
+    grid-free. Their standard errors come from the spread of the groups, which covers the positions and the
+    orientations.
 
     Where the poses were recorded, the figures are those of `lmd.held_out` instead.
 
@@ -99,9 +99,6 @@ def describe_validation(problem: Problem, figures: Mapping[str, float]) -> dict[
 
 def _mean_and_error(shares: FloatArray | BoolArray) -> tuple[float, float]:
     """The mean of a sample `(groups, positions)` and its standard error."""
-    if shares.dtype == np.bool_:
-        ratio = float(shares.mean())
-        return ratio, float(np.sqrt(ratio * (1.0 - ratio) / shares.size))
     means = shares.mean(axis=1)
     return float(means.mean()), float(means.std(ddof=1) / np.sqrt(len(means)))
 
@@ -135,5 +132,5 @@ def sampled_evaluators(scene: Scene, seed: int, sample: Sample, threads: int) ->
     """
     rng = np.random.default_rng([seed, STREAM])
     for _ in range(sample.groups):
-        positions = scene.room.sample(sample.positions, rng)
+        positions = scene.room.spread(sample.positions, rng)
         yield Evaluator(replace(scene, pdf=scene.pdf.stratified(sample.divisions, rng)), positions, threads)

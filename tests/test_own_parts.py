@@ -249,11 +249,14 @@ class Shifted:
     def finer(self):
         return Shifted(self._room.finer())
 
-    def jittered_grid(self, rng):
-        return self._room.jittered_grid(rng) + self.SHIFT
+    def jittered_grid(self, repeats, rng):
+        return self._room.jittered_grid(repeats, rng) + self.SHIFT
 
     def sample(self, size, rng):
         return self._room.sample(size, rng) + self.SHIFT
+
+    def spread(self, size, rng):
+        return self._room.spread(size, rng) + self.SHIFT
 
     def outline(self):
         return {name: edges + self.SHIFT for name, edges in self._room.outline().items()}

@@ -84,7 +84,7 @@ def test_positions_are_the_cells_visited_and_relevance_is_the_time_spent_there(w
     assert_allclose(scene.room.grid(), [[1.2, 1.1, 1.0], [2.6, 1.0, 1.0]])  # the record nearest to the mean
     assert_allclose(scene.room.relevance.weights(scene.room.grid()), [4.0, 5.0])
     rng = np.random.default_rng(0)
-    drawn = np.stack([scene.room.jittered_grid(rng) for _ in range(2000)])
+    drawn = np.stack([scene.room.jittered_grid(1, rng) for _ in range(2000)])
     assert_array_equal(np.unique(drawn[:, 1], axis=0), [[2.6, 1.0, 1.0]])
     places, times = np.unique(drawn[:, 0, 0], return_counts=True)
     assert_allclose(places, [1.1, 1.2, 1.3])

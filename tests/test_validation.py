@@ -110,7 +110,7 @@ def test_a_sample_too_small_for_a_standard_error_is_refused():
 @pytest.mark.parametrize("positions", ["cells", "vertices"])
 def test_a_jittered_position_is_nearer_to_its_own_grid_position_than_to_any_other(positions):
     room = paper_room(spacing=1.5, positions=positions)
-    jittered, grid = room.jittered_grid(np.random.default_rng(0)), room.grid()
+    jittered, grid = room.jittered_grid(1, np.random.default_rng(0)), room.grid()
     distance = np.linalg.norm(jittered[:, None] - grid[None], axis=-1)
     np.testing.assert_array_equal(distance.argmin(axis=1), np.arange(len(grid)))
     assert (jittered >= room.reachable_low).all()

@@ -31,5 +31,5 @@ class Sampling:
 
     def evaluator(self, scene: Scene, repeats: int, rng: np.random.Generator, threads: int | None) -> Evaluator:
         """The evaluator at a draw of `repeats` positions in each cell, which go through the grid again and again."""
-        positions = np.vstack([scene.room.jittered_grid(rng) for _ in range(repeats)])
+        positions = scene.room.jittered_grid(repeats, rng)
         return Evaluator(replace(scene, pdf=scene.pdf.stratified(self.divisions, rng)), positions, threads)

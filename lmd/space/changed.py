@@ -67,13 +67,17 @@ class Changed:
         """See `Space.finer`."""
         return self._room.finer()
 
-    def jittered_grid(self, rng: np.random.Generator) -> FloatArray:
+    def jittered_grid(self, repeats: int, rng: np.random.Generator) -> FloatArray:
         """See `Space.jittered_grid`."""
-        return self._room.jittered_grid(rng)
+        return self._room.jittered_grid(repeats, rng)
 
     def sample(self, size: int, rng: np.random.Generator) -> FloatArray:
         """See `Space.sample`."""
         return self._room.sample(size, rng)
+
+    def spread(self, size: int, rng: np.random.Generator) -> FloatArray:
+        """See `Space.spread`."""
+        return self._room.spread(size, rng)
 
     def outline(self) -> Mapping[str, FloatArray]:
         """See `Space.outline`."""

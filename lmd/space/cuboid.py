@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, InputError, IntArray, choice, vector
-from lmd.space.grid import KINDS, cell_borders, checked_spacing, combined, grid_axes, grid_counts
+from lmd.space.grid import KINDS, cell_borders, checked_spacing, combined, evenly, grid_axes, grid_counts, spread_out
 from lmd.space.relevance import Relevance
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, SurfaceArrays
 
@@ -75,13 +75,10 @@ class Cuboid:
         """The same room with half the spacing."""
         return replace(self, spacing=tuple(np.broadcast_to(self.spacing, 3) / 2.0))
 
-    def jittered_grid(self, rng: np.random.Generator) -> FloatArray:
-        """One uniformly drawn position in the cell of each grid position, `(P, 3)` in the order of `grid`, metres.
-
-        The cell of a position is the part of the reachable box that is nearest to it.
-        """
+    def jittered_grid(self, repeats: int, rng: np.random.Generator) -> FloatArray:
+        """See `Space.jittered_grid`; the cell of a position is the part of the reachable box that is nearest to it."""
         low, high = cell_borders(self._grid_axes(), self.reachable_low, self.reachable_high)
-        return low + rng.random(low.shape) * (high - low)
+        return (low + spread_out(repeats, low.shape, rng) * (high - low)).reshape(-1, 3)
 
     def _grid_axes(self) -> list[FloatArray]:
         """Coordinates of the grid along x, y, z, metres."""
@@ -90,6 +87,10 @@ class Cuboid:
     def sample(self, size: int, rng: np.random.Generator) -> FloatArray:
         """Positions drawn uniformly from the reachable box, `(size, 3)`, metres."""
         return rng.uniform(self.reachable_low, self.reachable_high, (size, 3))
+
+    def spread(self, size: int, rng: np.random.Generator) -> FloatArray:
+        """See `Space.spread`."""
+        return self.reachable_low + evenly(rng)(size) * (self.reachable_high - self.reachable_low)
 
     def surfaces(self) -> tuple[Surface, ...]:
         """The walls that may carry landmarks, in the order of `walls`."""

@@ -1,6 +1,7 @@
 """Rooms whose camera positions are those of a grid in a box, as far as they can be reached."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, Self
@@ -8,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.space.grid import cell_borders, combined, grid_axes, grid_counts
+from lmd.space.grid import cell_borders, combined, evenly, grid_axes, grid_counts, spread_out
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, SurfaceArrays
 
 # Draws of a position that is in the reachable volume, before its grid position is taken instead.
@@ -59,22 +60,33 @@ class Gridded(ABC):
         """See `Space.finer`."""
         return replace(self, spacing=tuple(np.broadcast_to(self.spacing, 3) / 2.0))  # type: ignore[type-var]
 
-    def jittered_grid(self, rng: np.random.Generator) -> FloatArray:
+    def jittered_grid(self, repeats: int, rng: np.random.Generator) -> FloatArray:
         """See `Space.jittered_grid`: in the part of each cell that is in the reachable volume."""
         positions, reached = self._grid
-        low, high = (corner[reached] for corner in cell_borders(self._grid_axes(), *self.box))
-        drawn, left = positions[reached], np.arange(reached.sum())
+        borders = (corner[reached] for corner in cell_borders(self._grid_axes(), *self.box))
+        low, high = (np.tile(corner, (repeats, 1)) for corner in borders)
+        drawn, left = np.tile(positions[reached], (repeats, 1)), np.arange(len(low))
+        offsets = spread_out(repeats, (reached.sum(), 3), rng).reshape(-1, 3)
         for _ in range(MOST_DRAWS):
-            tried = low[left] + rng.random((len(left), 3)) * (high[left] - low[left])
+            tried = low[left] + offsets * (high[left] - low[left])
             good = self.reaches(tried)
             drawn[left[good]] = tried[good]
             left = left[~good]
             if not len(left):
                 break
+            offsets = rng.random((len(left), 3))
         return drawn
 
     def sample(self, size: int, rng: np.random.Generator) -> FloatArray:
         """See `Space.sample`."""
+        return self._reached(size, lambda count: rng.random((count, 3)))
+
+    def spread(self, size: int, rng: np.random.Generator) -> FloatArray:
+        """See `Space.spread`."""
+        return self._reached(size, evenly(rng))
+
+    def _reached(self, size: int, following: Callable[[int], FloatArray]) -> FloatArray:
+        """The first `size` of the points of the unit cube `following`, laid over the box, that can be reached."""
         low, high = self.box
         drawn, tries = np.empty((0, 3)), 0
         while len(drawn) < size:
@@ -84,7 +96,7 @@ class Gridded(ABC):
                     "volume around them.",
                     "reachable.clearance",
                 )
-            tried = rng.uniform(low, high, (size - len(drawn), 3))
+            tried = low + following(size - len(drawn)) * (high - low)
             tries += len(tried)
             drawn = np.concatenate([drawn, tried[self.reaches(tried)]])
         return drawn

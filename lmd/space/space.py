@@ -52,11 +52,20 @@ class Space(Protocol):
     def finer(self) -> "Space":
         """The same room with half the spacing of its grid."""
 
-    def jittered_grid(self, rng: np.random.Generator) -> FloatArray:
-        """One uniformly drawn position in the cell of each grid position, `(P, 3)` in the order of `grid`."""
+    def jittered_grid(self, repeats: int, rng: np.random.Generator) -> FloatArray:
+        """Uniformly drawn positions in the cell of each grid position, `(repeats P, 3)`.
+
+        They go through the cells `repeats` times, in the order of `grid`. Those of one cell are spread over it.
+        """
 
     def sample(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """Positions drawn uniformly from where the camera may be, `(size, 3)`."""
+        """Independent positions drawn uniformly from where the camera may be, `(size, 3)`."""
+
+    def spread(self, size: int, rng: np.random.Generator) -> FloatArray:
+        """Positions spread evenly over where the camera may be, `(size, 3)`: each is distributed as those of `sample`.
+
+        They are not independent, which makes means over them err less.
+        """
 
     def outline(self) -> Mapping[str, FloatArray]:
         """Edges to draw, by what they belong to, `(M, 2, 3)` each.

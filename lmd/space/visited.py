@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from lmd.checks import BoolArray, FloatArray, IntArray
 from lmd.space.changed import Changed
-from lmd.space.grid import checked_spacing
+from lmd.space.grid import checked_spacing, spread_out
 from lmd.space.relevance import Weighing
 from lmd.space.space import Space
 
@@ -102,18 +102,24 @@ class Visited(Changed):
         half = tuple(np.broadcast_to(self._spacing, 3) / 2.0)
         return Visited(self._room, self._positions, self._seconds, half)
 
-    def jittered_grid(self, rng: np.random.Generator) -> FloatArray:
-        """See `Space.jittered_grid`: one of the records in each cell, drawn by how long they lasted."""
+    def jittered_grid(self, repeats: int, rng: np.random.Generator) -> FloatArray:
+        """See `Space.jittered_grid`: records in each cell, drawn by how long they lasted."""
         of, total, _ = self._cells
         by_cell = np.argsort(of, kind="stable")
         ends = np.cumsum(self._seconds[by_cell])
         last = np.cumsum(np.bincount(of)) - 1
-        drawn = np.searchsorted(ends, ends[last] - rng.random(len(total)) * total)
-        return np.asarray(self._positions[by_cell[np.minimum(drawn, last)]])
+        drawn = np.searchsorted(ends, ends[last] - spread_out(repeats, total.shape, rng) * total)
+        return np.asarray(self._positions[by_cell[np.minimum(drawn, last)]]).reshape(-1, 3)
 
     def sample(self, size: int, rng: np.random.Generator) -> FloatArray:
         """See `Space.sample`: of the records, by how long they lasted."""
         return self._positions[rng.choice(len(self._seconds), size, p=self._seconds / self._seconds.sum())]
+
+    def spread(self, size: int, rng: np.random.Generator) -> FloatArray:
+        """See `Space.spread`: records at even intervals of time."""
+        ends = np.cumsum(self._seconds)
+        times = (np.arange(size) + rng.random()) / size * ends[-1]
+        return np.asarray(self._positions[np.searchsorted(ends[:-1], times, side="right")])
 
     def describe(self) -> str:
         """See `Space.describe`."""

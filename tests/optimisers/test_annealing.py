@@ -134,6 +134,23 @@ def test_walkers_move_landmarks_of_their_own_and_are_put_together(sampling):
         np.testing.assert_array_equal(here.surfaces[walker.members], walker.state.surfaces[walker.members])
 
 
+@pytest.mark.parametrize("in_stacks", [True, False])
+def test_walkers_that_go_on_know_what_the_others_did(in_stacks):
+    p = problem()
+    surrogate, rng = Surrogate(p, 3, 0.35), np.random.default_rng(0)
+    start = p.start.draw(p.scene.room, rng)
+    here, before = start, []
+    for _ in range(4):
+        surrogate.prepare(here, start, in_stacks, 1.0, 1.0, rng)
+        assert not before or all(now.state is then.state for now, then in zip(surrogate._walkers, before, strict=True))
+        for walker in surrogate._walkers:
+            for array, fresh in zip(walker.state, surrogate._field.state(here), strict=True):
+                np.testing.assert_array_equal(array, fresh)
+        surrogate.walk(300, SINGLE.settings(0.0, 0.1), rng)
+        before, here = surrogate._walkers, surrogate.here()
+        assert (here.positions != start.positions).any()
+
+
 @pytest.mark.parametrize("sampling", [None, Sampling(positions=2, divisions=6)])
 @pytest.mark.parametrize("start", [UniformDeployment(9), RandomDeployment(30)])
 @pytest.mark.parametrize("n", [1, 2])

@@ -66,7 +66,7 @@ def test_a_keep_out_is_measured_from_the_first_vertex_of_its_wall():
 @given(prisms(), seeds)
 def test_positions_are_in_the_room_and_free(room, seed):
     rng = np.random.default_rng(seed)
-    grid, jittered, drawn = room.grid(), room.jittered_grid(rng), room.sample(50, rng)
+    grid, jittered, drawn = room.grid(), room.jittered_grid(1, rng), room.sample(50, rng)
     assert len(grid) == len(jittered)
     for points in (grid, jittered, drawn):
         assert room.contains(points).all()
@@ -112,7 +112,7 @@ def test_positions_keep_their_clearance():
     room = lab(spacing=0.125, clearance=0.25)
     for points in (
         room.grid(),
-        room.jittered_grid(np.random.default_rng(0)),
+        room.jittered_grid(1, np.random.default_rng(0)),
         room.sample(500, np.random.default_rng(1)),
     ):
         below = points[:, 2] < 1.75

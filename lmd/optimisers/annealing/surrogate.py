@@ -2,15 +2,15 @@
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
 
 from lmd.checks import FloatArray, IntArray
 from lmd.deployment import Deployment
-from lmd.objectives.field import in_order, total_worth
-from lmd.optimisers.annealing.walk import Best, Settings, walk
+from lmd.objectives.field import Field, in_order, total_worth
+from lmd.optimisers.annealing.walk import Best, Settings, follow, walk
 from lmd.plates import TOUCHING
 from lmd.problem import Problem
 from lmd.sight.evaluator import Evaluator
@@ -67,6 +67,8 @@ class Surrogate:
         self._survey(problem.fitness_evaluator, problem.fitness_relevance)
         self._apart = 0.0  # least distance between plates
         self._climbed: tuple[bool, float] | None = None  # in stacks, size of plates
+        self._field: Field
+        self._walkers: list[Walker]
 
     def _survey(self, evaluator: Evaluator, relevance: FloatArray) -> None:
         """Lay out positions, orientations and relevance for the walk."""
@@ -97,7 +99,8 @@ class Surrogate:
         movable = np.arange(0 if in_stacks else self._problem.fixed_count, len(here))
         together = 1 if in_stacks else max(1, min(self.stack, len(movable)))
         number = max(1, min(self.walkers, len(movable) // together))
-        if number == 1 and redrawn is None and self._climbed == (in_stacks, size):
+        same = redrawn is None and self._climbed == (in_stacks, size)
+        if same and number == 1:
             return
         if redrawn is not None:
             self._survey(*redrawn)
@@ -107,6 +110,16 @@ class Surrogate:
             pushed = self._problem.apart(here, size)
             self._apart = size * self._problem.scene.plates.edge * (1.0 - TOUCHING)
             here = best if pushed is None else pushed  # where there is no room for the plates, the best found has it
+        threads, slices = self._problem.evaluator.threads, self._slices(here, movable, number, rng)
+        if same:
+
+            def led(walker: Walker, members: IntArray) -> Walker:
+                at = here.positions, here.normals, here.surfaces
+                follow(*at, self._field, walker.state, walker.scratches[0])
+                return replace(walker, members=members)
+
+            self._walkers = at_once(threads, led, self._walkers, slices)
+            return
         self._field = self._true.stacked(self._problem.fixed) if in_stacks else self._true.shrunk(size)
 
         def walker(members: IntArray) -> Walker:
@@ -117,7 +130,7 @@ class Surrogate:
             met = Best(reached, known.landmarks.copy(), known.normals.copy(), known.surfaces.copy())
             return Walker(members, np.empty(together, dtype=np.int64), state, scratches, met)
 
-        self._walkers = at_once(self._problem.evaluator.threads, walker, self._slices(here, movable, number, rng))
+        self._walkers = at_once(threads, walker, slices)
 
     def _slices(self, here: Deployment, movable: IntArray, number: int, rng: np.random.Generator) -> list[IntArray]:
         """The landmarks that may move, in so many slices of the room."""

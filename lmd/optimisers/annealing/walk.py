@@ -233,3 +233,16 @@ def walk(moves, members, several, field, state, scratches, target, surfaces, apa
         else:
             for m in range(last - 1, -1, -1):
                 undo(field, group[m], state, scratches[m])
+
+
+@kernel
+def follow(positions, normals, surfaces, field, state, scratch):
+    """Move the landmarks of `state` that are elsewhere than at `positions`, `normals` `(K, 3)` on `surfaces` `(K,)`."""
+    pose = np.empty(6)
+    for k in range(len(positions)):
+        elsewhere = state.surfaces[k] != surfaces[k]
+        for i in range(3):
+            pose[i], pose[3 + i] = positions[k, i], normals[k, i]
+            elsewhere |= pose[i] != state.landmarks[i, k] or pose[3 + i] != state.normals[i, k]
+        if elsewhere:
+            move(field, k, pose, surfaces[k], state, scratch)
