@@ -33,7 +33,7 @@ class Sample:
     """The random poses of a validation: `groups` times `positions` positions, each seen in many orientations.
 
     The positions of a group are spread evenly, from a random shift. They share their orientations, one in each of
-    2 `divisions` x `divisions` cells of equal probability, so that P_n is known to about 0.006: with a thousand
+    2 `divisions` x `divisions` cells of equal probability, so that P_n is known to about 0.003: with thousands of
     orientations it is without bias, and its noise moves as many positions over the threshold as below it. Another group
     has another shift and other orientations, so errors average out, and the spread of the groups shows what is left.
 
@@ -46,9 +46,9 @@ class Sample:
         InputError: a number is too small.
     """
 
-    groups: int = 32
+    groups: int = 16
     positions: int = 4096
-    divisions: int = 23
+    divisions: int = 32
 
     def __post_init__(self) -> None:
         for name, low in (("groups", 2), ("positions", 1), ("divisions", 1)):
