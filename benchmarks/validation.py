@@ -3,8 +3,8 @@
 Optimises the paper's room for the robust objective with so few evaluations (400), and draws samples of the qualified
 ratio of the result: from independent positions and from ones that are spread evenly, with more and fewer orientations,
 and in the cells of the grid as for the objective's design. Prints two Markdown tables: the standard deviation of a
-sample and what that makes for 65,536 positions, with the processor time that these take beside that of the first row;
-and how far fewer orientations shift the ratio at the same positions.
+sample, what that makes for all positions of a validation, and the processor time that a position takes beside the first
+row; and how far fewer orientations shift the ratio at the same positions.
 """
 
 import sys
@@ -22,10 +22,12 @@ from lmd.pipelines.app import CONF
 from lmd.pipelines.building import build_optimiser, build_problem
 from lmd.problem import Problem
 from lmd.sight.evaluator import Evaluator
+from lmd.validation import Sample
 
-POSITIONS = 65_536  # of a validation
+VALIDATION = Sample()
 SAMPLES = 32
-DIVISIONS = 92, 46, 32, 23
+DIVISIONS = 92, 46, VALIDATION.divisions, 23
+REPEATS = 7  # positions in each cell of the grid
 
 
 def ratio(
@@ -46,22 +48,19 @@ def main() -> None:
         problem, optimiser = build_problem(cfg), build_optimiser(cfg, 0)
     found = optimiser.run(problem, Budget(int(sys.argv[1]) if len(sys.argv) > 1 else 400)).deployment
     room, rng = problem.scene.room, np.random.default_rng(0)
-    repeats = 7
-    cells = len(problem.relevance)
+    many, every = VALIDATION.positions, VALIDATION.groups * VALIDATION.positions
     rows: list[tuple[str, Callable[[], FloatArray], int]] = [
         ("512 independent", lambda: room.sample(512, rng), 46),
-        ("512 spread evenly", lambda: room.spread(512, rng), 46),
-        ("4,096 spread evenly", lambda: room.spread(4096, rng), 46),
-        ("4,096 spread evenly", lambda: room.spread(4096, rng), 32),
-        ("4,096 spread evenly", lambda: room.spread(4096, rng), 23),
+        ("512 spread evenly", lambda: room.sample_evenly(512, rng), 46),
+        *((f"{many:,} spread evenly", lambda: room.sample_evenly(many, rng), divisions) for divisions in DIVISIONS[1:]),
         (
-            f"{repeats} x {cells} independent in cells",
-            lambda: np.vstack([room.jittered_grid(1, rng) for _ in range(repeats)]),
+            f"{REPEATS} in each cell, independent",
+            lambda: np.vstack([room.jittered_grid(1, rng) for _ in range(REPEATS)]),
             23,
         ),
-        (f"{repeats} x {cells} spread in cells", lambda: room.jittered_grid(repeats, rng), 23),
+        (f"{REPEATS} in each cell, spread", lambda: room.jittered_grid(REPEATS, rng), 23),
     ]
-    print("| positions | orientations | standard deviation | error of 65,536 | time |")
+    print(f"| positions | orientations | standard deviation | error of {every:,} | time |")
     print(f"{'| --- ' * 5}|")
     first = 0.0
     for name, draw, divisions in rows:
@@ -72,10 +71,10 @@ def main() -> None:
         each = (time.process_time() - began) / (SAMPLES * size)
         first = first or each
         spread = np.std(ratios, ddof=1)
-        error = spread * np.sqrt(size / POSITIONS)
+        error = spread * np.sqrt(size / every)
         print(f"| {name} | {2 * divisions**2:,} | {spread:.2f} | {error:.3f} | {each / first:.2f} |", flush=True)
     print(f"\n| orientations | ratio less that with {2 * DIVISIONS[0] ** 2:,} at the same positions |\n| --- | --- |")
-    places = [room.spread(4096, rng) for _ in range(SAMPLES)]
+    places = [room.sample_evenly(many, rng) for _ in range(SAMPLES)]
     by_divisions = [np.array([ratio(problem, found, at, divisions, rng) for at in places]) for divisions in DIVISIONS]
     for divisions, ratios in zip(DIVISIONS[1:], by_divisions[1:], strict=True):
         less = ratios - by_divisions[0]

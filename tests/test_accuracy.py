@@ -59,7 +59,7 @@ def test_the_figures_are_those_of_all_views_of_the_sample():
     figures = accuracy_metrics(subject, deployment, seed, sample)
     rng, errors, weights = np.random.default_rng([seed, STREAM]), [], []
     for _ in range(sample.groups):
-        positions = SCENE.room.spread(sample.positions, rng)
+        positions = SCENE.room.sample_evenly(sample.positions, rng)
         drawn = replace(SCENE, pdf=SCENE.pdf.stratified(sample.divisions, rng))
         errors.append(errors_of(drawn, deployment, positions, 2, NOISE))
         weights.append(np.broadcast_to(drawn.orientations.weight, errors[-1].shape) / errors[-1].size)

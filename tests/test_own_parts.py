@@ -255,8 +255,8 @@ class Shifted:
     def sample(self, size, rng):
         return self._room.sample(size, rng) + self.SHIFT
 
-    def spread(self, size, rng):
-        return self._room.spread(size, rng) + self.SHIFT
+    def sample_evenly(self, size, rng):
+        return self._room.sample_evenly(size, rng) + self.SHIFT
 
     def outline(self):
         return {name: edges + self.SHIFT for name, edges in self._room.outline().items()}

@@ -84,13 +84,14 @@ def test_positions_are_the_cells_visited_and_relevance_is_the_time_spent_there(w
     assert_allclose(scene.room.grid(), [[1.2, 1.1, 1.0], [2.6, 1.0, 1.0]])  # the record nearest to the mean
     assert_allclose(scene.room.relevance.weights(scene.room.grid()), [4.0, 5.0])
     rng = np.random.default_rng(0)
-    drawn = np.stack([scene.room.jittered_grid(1, rng) for _ in range(2000)])
+    drawn = scene.room.jittered_grid(2000, rng).reshape(2000, 2, 3)
     assert_array_equal(np.unique(drawn[:, 1], axis=0), [[2.6, 1.0, 1.0]])
     places, times = np.unique(drawn[:, 0, 0], return_counts=True)
     assert_allclose(places, [1.1, 1.2, 1.3])
-    assert_allclose(times / 2000, [0.25, 0.5, 0.25], atol=0.05)
+    assert_allclose(times / 2000, [0.25, 0.5, 0.25], atol=1 / 2000)
     sampled = scene.room.sample(4000, rng)
     assert np.mean(sampled[:, 0] == 2.6) == pytest.approx(5 / 9, abs=0.04)
+    assert np.mean(scene.room.sample_evenly(4000, rng)[:, 0] == 2.6) == pytest.approx(5 / 9, abs=1 / 4000)
     assert len(scene.room.finer().grid()) == 3
 
 

@@ -75,9 +75,9 @@ class Changed:
         """See `Space.sample`."""
         return self._room.sample(size, rng)
 
-    def spread(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """See `Space.spread`."""
-        return self._room.spread(size, rng)
+    def sample_evenly(self, size: int, rng: np.random.Generator) -> FloatArray:
+        """See `Space.sample_evenly`."""
+        return self._room.sample_evenly(size, rng)
 
     def outline(self) -> Mapping[str, FloatArray]:
         """See `Space.outline`."""

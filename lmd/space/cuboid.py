@@ -6,7 +6,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, InputError, IntArray, choice, vector
-from lmd.space.grid import KINDS, cell_borders, checked_spacing, combined, evenly, grid_axes, grid_counts, spread_out
+from lmd.space.grid import (
+    KINDS,
+    cell_borders,
+    checked_spacing,
+    combined,
+    grid_axes,
+    grid_counts,
+    kronecker,
+    latin_hypercube,
+)
 from lmd.space.relevance import Relevance
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, SurfaceArrays
 
@@ -78,7 +87,7 @@ class Cuboid:
     def jittered_grid(self, repeats: int, rng: np.random.Generator) -> FloatArray:
         """See `Space.jittered_grid`; the cell of a position is the part of the reachable box that is nearest to it."""
         low, high = cell_borders(self._grid_axes(), self.reachable_low, self.reachable_high)
-        return (low + spread_out(repeats, low.shape, rng) * (high - low)).reshape(-1, 3)
+        return (low + latin_hypercube(repeats, low.shape, rng) * (high - low)).reshape(-1, 3)
 
     def _grid_axes(self) -> list[FloatArray]:
         """Coordinates of the grid along x, y, z, metres."""
@@ -88,9 +97,9 @@ class Cuboid:
         """Positions drawn uniformly from the reachable box, `(size, 3)`, metres."""
         return rng.uniform(self.reachable_low, self.reachable_high, (size, 3))
 
-    def spread(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """See `Space.spread`."""
-        return self.reachable_low + evenly(rng)(size) * (self.reachable_high - self.reachable_low)
+    def sample_evenly(self, size: int, rng: np.random.Generator) -> FloatArray:
+        """See `Space.sample_evenly`."""
+        return self.reachable_low + kronecker(rng.random(3))(size) * (self.reachable_high - self.reachable_low)
 
     def surfaces(self) -> tuple[Surface, ...]:
         """The walls that may carry landmarks, in the order of `walls`."""

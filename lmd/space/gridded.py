@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.space.grid import cell_borders, combined, evenly, grid_axes, grid_counts, spread_out
+from lmd.space.grid import cell_borders, combined, grid_axes, grid_counts, kronecker, latin_hypercube
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, SurfaceArrays
 
 # Draws of a position that is in the reachable volume, before its grid position is taken instead.
@@ -66,7 +66,7 @@ class Gridded(ABC):
         borders = (corner[reached] for corner in cell_borders(self._grid_axes(), *self.box))
         low, high = (np.tile(corner, (repeats, 1)) for corner in borders)
         drawn, left = np.tile(positions[reached], (repeats, 1)), np.arange(len(low))
-        offsets = spread_out(repeats, (reached.sum(), 3), rng).reshape(-1, 3)
+        offsets = latin_hypercube(repeats, (reached.sum(), 3), rng).reshape(-1, 3)
         for _ in range(MOST_DRAWS):
             tried = low[left] + offsets * (high[left] - low[left])
             good = self.reaches(tried)
@@ -81,9 +81,12 @@ class Gridded(ABC):
         """See `Space.sample`."""
         return self._reached(size, lambda count: rng.random((count, 3)))
 
-    def spread(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """See `Space.spread`."""
-        return self._reached(size, evenly(rng))
+    def sample_evenly(self, size: int, rng: np.random.Generator) -> FloatArray:
+        """See `Space.sample_evenly`."""
+        low, high = self.box
+        # From a first point that can be reached: the sequence comes back to what can be reached again and again, and
+        # each time at a uniform point. From anywhere, it would more often come to where it has been away from for long.
+        return self._reached(size, kronecker((self.sample(1, rng)[0] - low) / (high - low)))
 
     def _reached(self, size: int, following: Callable[[int], FloatArray]) -> FloatArray:
         """The first `size` of the points of the unit cube `following`, laid over the box, that can be reached."""

@@ -61,10 +61,10 @@ class Space(Protocol):
     def sample(self, size: int, rng: np.random.Generator) -> FloatArray:
         """Independent positions drawn uniformly from where the camera may be, `(size, 3)`."""
 
-    def spread(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """Positions spread evenly over where the camera may be, `(size, 3)`: each is distributed as those of `sample`.
+    def sample_evenly(self, size: int, rng: np.random.Generator) -> FloatArray:
+        """Positions spread evenly over where the camera may be, `(size, 3)`.
 
-        They are not independent, which makes means over them err less.
+        Means over them are those of `sample`, but as a rule they err less, as the positions are not independent.
         """
 
     def outline(self) -> Mapping[str, FloatArray]:

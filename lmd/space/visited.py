@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from lmd.checks import BoolArray, FloatArray, IntArray
 from lmd.space.changed import Changed
-from lmd.space.grid import checked_spacing, spread_out
+from lmd.space.grid import checked_spacing, latin_hypercube
 from lmd.space.relevance import Weighing
 from lmd.space.space import Space
 
@@ -108,17 +108,17 @@ class Visited(Changed):
         by_cell = np.argsort(of, kind="stable")
         ends = np.cumsum(self._seconds[by_cell])
         last = np.cumsum(np.bincount(of)) - 1
-        drawn = np.searchsorted(ends, ends[last] - spread_out(repeats, total.shape, rng) * total)
+        drawn = np.searchsorted(ends, ends[last] - latin_hypercube(repeats, total.shape, rng) * total)
         return np.asarray(self._positions[by_cell[np.minimum(drawn, last)]]).reshape(-1, 3)
 
     def sample(self, size: int, rng: np.random.Generator) -> FloatArray:
         """See `Space.sample`: of the records, by how long they lasted."""
         return self._positions[rng.choice(len(self._seconds), size, p=self._seconds / self._seconds.sum())]
 
-    def spread(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """See `Space.spread`: records at even intervals of time."""
+    def sample_evenly(self, size: int, rng: np.random.Generator) -> FloatArray:
+        """See `Space.sample_evenly`: a record from each of so many equal parts of the time."""
         ends = np.cumsum(self._seconds)
-        times = (np.arange(size) + rng.random()) / size * ends[-1]
+        times = (np.arange(size) + rng.random(size)) / size * ends[-1]
         return np.asarray(self._positions[np.searchsorted(ends[:-1], times, side="right")])
 
     def describe(self) -> str:

@@ -1,10 +1,10 @@
 import numpy as np
 
-from lmd.space.grid import evenly, spread_out
+from lmd.space.grid import kronecker, latin_hypercube
 
 
 def test_numbers_at_one_place_are_spread_out_and_uniform():
-    drawn = spread_out(5, (400, 3), np.random.default_rng(0))
+    drawn = latin_hypercube(5, (400, 3), np.random.default_rng(0))
     assert drawn.shape == (5, 400, 3)
     np.testing.assert_array_equal(
         np.sort(np.floor(5 * drawn), axis=0), np.broadcast_to(np.arange(5.0)[:, None, None], drawn.shape)
@@ -18,11 +18,11 @@ def test_numbers_at_one_place_are_spread_out_and_uniform():
 
 def test_points_fill_the_cube_evenly_from_a_random_shift():
     rng = np.random.default_rng(0)
-    following = evenly(rng)
+    following = kronecker(rng.random(3))
     points = np.concatenate([following(300), following(724)])
     octants = np.unique((points > 0.5) @ [1, 2, 4], return_counts=True)[1]
     assert len(octants) == 8
     assert octants.std() < 6.0  # that of independent ones is 11
-    firsts = np.array([evenly(rng)(1)[0] for _ in range(2000)])
+    firsts = np.array([kronecker(rng.random(3))(1)[0] for _ in range(2000)])
     assert (abs(firsts.mean(axis=0) - 0.5) < 5 * np.sqrt(1 / 12 / 2000)).all()
     assert (abs(np.corrcoef(firsts.T)[np.triu_indices(3, 1)]) < 0.12).all()

@@ -66,15 +66,38 @@ def test_a_keep_out_is_measured_from_the_first_vertex_of_its_wall():
 @given(prisms(), seeds)
 def test_positions_are_in_the_room_and_free(room, seed):
     rng = np.random.default_rng(seed)
-    grid, jittered, drawn = room.grid(), room.jittered_grid(1, rng), room.sample(50, rng)
-    assert len(grid) == len(jittered)
-    for points in (grid, jittered, drawn):
+    grid, jittered, drawn = room.grid(), room.jittered_grid(3, rng), room.sample(50, rng)
+    assert 3 * len(grid) == len(jittered)
+    for points in (grid, jittered, drawn, room.sample_evenly(50, rng)):
         assert room.contains(points).all()
         on_ground = shapely.points(points[:, :2])
         assert (shapely.distance(room.plan.ground, on_ground) <= 2e-6).all()
         for obstacle in room.plan.obstacles:
             inside = ((points > np.array(obstacle.low) + 2e-6) & (points < np.array(obstacle.high) - 2e-6)).all(axis=1)
             assert not inside.any()
+
+
+def test_every_position_that_is_spread_evenly_is_uniform_where_the_camera_may_be():
+    # Two narrow arms of unlike length: most points of the box around them cannot be reached.
+    room = Prism(FloorPlan([[0, 0], [9, 0], [9, 1], [1, 1], [1, 4], [0, 4]], 2.5), Reachable((0.5, 2.0)), 0.25)
+    rng = np.random.default_rng(0)
+    drawn = np.stack([room.sample_evenly(8, rng) for _ in range(2000)])
+    expected = (room.sample(200_000, rng)[:, 0] > 1.0).mean()
+    error = np.sqrt(expected * (1.0 - expected) / len(drawn))
+    assert (abs((drawn[..., 0] > 1.0).mean(axis=0) - expected) < 4.5 * error).all()
+    many = np.array([(room.sample_evenly(500, rng)[:, 0] > 1.0).mean() for _ in range(40)])
+    assert many.mean() == pytest.approx(expected, abs=0.005)
+    assert many.std() < 0.5 * np.sqrt(expected * (1.0 - expected) / 500)
+
+
+def test_positions_of_one_cell_are_spread_over_it_and_come_in_the_order_of_the_grid():
+    room = Prism(FloorPlan([[0, 0], [3, 0], [3, 2], [0, 2]], 2.5), Reachable((0.5, 2.0)), 0.5)
+    drawn = room.jittered_grid(5, np.random.default_rng(0)).reshape(5, -1, 3)
+    from_grid = (drawn - room.grid()) / 0.5 + 0.5
+    assert ((from_grid > 0.0) & (from_grid < 1.0)).all()
+    assert_array_equal(
+        np.sort(np.floor(5 * from_grid), axis=0), np.broadcast_to(np.arange(5)[:, None, None], from_grid.shape)
+    )
 
 
 NOTCHES = [[-3.9, 4.6], [-2.1, 2.1], [-2.5, 1.6], [-1.9, 0.7], [-5.7, -1.8], [0, -4], [4.8, -3.6], [1.7, -1]]

@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Walker:
-    """What one walk changes: where its `members` `(M,)` are, the best it met, and working memory.
+    """What one walk changes: where its `members` `(M,)` are, the best it met if it walks alone, and working memory.
 
     `group` `(n,)` holds the landmarks that move together; of the `scratches` as many are used. There are as many as for
     single landmarks also where it is stacks that walk, one by one: else the walk would be compiled for both.
@@ -69,6 +69,7 @@ class Surrogate:
         self._climbed: tuple[bool, float] | None = None  # in stacks, size of plates
         self._field: Field
         self._walkers: list[Walker]
+        self.is_true: bool
 
     def _survey(self, evaluator: Evaluator, relevance: FloatArray) -> None:
         """Lay out positions, orientations and relevance for the walk."""
