@@ -135,13 +135,16 @@ def test_walkers_move_landmarks_of_their_own_and_are_put_together(sampling):
 
 
 @pytest.mark.parametrize("in_stacks", [True, False])
-def test_walkers_that_go_on_know_what_the_others_did(in_stacks):
-    p = problem()
+@pytest.mark.parametrize("count", [0, 5])
+def test_walkers_that_go_on_know_what_the_others_did(in_stacks, count):
+    fixed = problem(RandomDeployment(count)).draw(np.random.default_rng(3)) if count else None
+    p = problem(RandomDeployment(20), fixed=fixed)
     surrogate, rng = Surrogate(p, 3, 0.35), np.random.default_rng(0)
-    start = p.start.draw(p.scene.room, rng)
-    here, before = start, []
+    complete = p.draw(rng)
+    here = start = complete[count:] if in_stacks else complete
+    before = []
     for _ in range(4):
-        surrogate.prepare(here, start, in_stacks, 1.0, 1.0, rng)
+        surrogate.prepare(here, complete, in_stacks, 1.0, 1.0, rng)
         assert not before or all(now.state is then.state for now, then in zip(surrogate._walkers, before, strict=True))
         for walker in surrogate._walkers:
             for array, fresh in zip(walker.state, surrogate._field.state(here), strict=True):
