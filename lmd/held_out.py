@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,12 +11,14 @@ from lmd.deployment import Deployment
 from lmd.geometry.frames import angles_of
 from lmd.pdf import OrientationPdf
 from lmd.problem import Problem
-from lmd.recorded_poses import RecordedPoses, Records
 from lmd.sight.bits import BITS
 from lmd.sight.evaluator import Evaluator
 
+if TYPE_CHECKING:
+    from lmd.recorded_poses import RecordedPoses, Records
 
-def held_out_metrics(problem: Problem, deployment: Deployment, recorded: RecordedPoses) -> dict[str, float]:
+
+def held_out_metrics(problem: Problem, deployment: Deployment, recorded: "RecordedPoses") -> dict[str, float]:
     """Shares of recorded time, fractions in [0, 1], the same for any number of threads.
 
     `recorded_share` is of the time that was optimised on, `held_out_share` of that held out, if any: the time in which
@@ -51,7 +54,7 @@ def describe_held_out(figures: Mapping[str, float]) -> dict[str, str]:
     return rows
 
 
-def exact_values(problem: Problem, deployment: Deployment, records: Records) -> FloatArray:
+def exact_values(problem: Problem, deployment: Deployment, records: "Records") -> FloatArray:
     """The objective's value at each of R records, each with its own orientation alone, `(R,)`: 0 or 1, or a weighting.
 
     They are evaluated in groups of a word of axes, in each of which a position looks along one axis for certain.
@@ -68,7 +71,7 @@ def exact_values(problem: Problem, deployment: Deployment, records: Records) -> 
     return np.concatenate(parts)
 
 
-def _share_and_error(values: FloatArray, records: Records) -> tuple[float, float | None]:
+def _share_and_error(values: FloatArray, records: "Records") -> tuple[float, float | None]:
     """The mean over time, and its standard error from the residuals of the blocks; None for a single block."""
     seconds, good = records.seconds, records.seconds * values
     share = good.sum() / seconds.sum()

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 
 from lmd.checks import FloatArray, IntArray
 from lmd.deployment import Deployment
@@ -30,11 +29,12 @@ class Losses:
     without: FloatArray
 
     @property
-    def table(self) -> pd.DataFrame:
-        """`id,fitness_without,fitness_loss`, the tag that matters most first."""
+    def table(self) -> dict[str, FloatArray | IntArray]:
+        """The columns `id`, `fitness_without` and `fitness_loss`, the tag that matters most first, `(K,)` each."""
         alone = np.diagonal(self.without)
-        rows = pd.DataFrame({"id": self.ids, "fitness_without": alone, "fitness_loss": self.fitness - alone})
-        return rows.sort_values("fitness_loss", ascending=False, kind="stable", ignore_index=True)
+        lost = self.fitness - alone
+        order = np.argsort(-lost, kind="stable")
+        return {"id": self.ids[order], "fitness_without": alone[order], "fitness_loss": lost[order]}
 
     @property
     def idle(self) -> IntArray:
@@ -53,9 +53,8 @@ class Losses:
 
     def to_text(self) -> str:
         """Which tags matter most and which are idle, for a terminal."""
-        dearest = self.table[self.table.fitness_loss > NOTHING].head(LISTED)
-        named = zip(dearest["id"], 100.0 * dearest["fitness_loss"], strict=True)
-        most = ", ".join(f"{number} ({points:.2f})" for number, points in named)
+        dearest = [(number, lost) for number, _, lost in zip(*self.table.values(), strict=True) if lost > NOTHING]
+        most = ", ".join(f"{number} ({100.0 * lost:.2f})" for number, lost in dearest[:LISTED])
         idle = ", ".join(map(str, self.idle[:LISTED]))
         more = f" and {len(self.idle) - LISTED} more" if len(self.idle) > LISTED else ""
         return (

@@ -6,10 +6,9 @@ as mounted, which is what one would have after measuring.
 """
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
-from scipy.spatial.transform import Rotation
 
 from lmd.checks import FloatArray, InputError, integer, real
 from lmd.deployment import Deployment
@@ -18,6 +17,9 @@ from lmd.localisation.maps import QUANTILES, Hung, error_quantiles, errors_text,
 from lmd.problem import Problem
 from lmd.tag import upright
 from lmd.validation import Sample, sampled_evaluators
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SAMPLE = Sample(groups=8, positions=256, divisions=23)
 VIEWS = 40  # random poses of a draw
@@ -68,6 +70,8 @@ class MountingError:
         Raises:
             InputError: there is no room for all papers.
         """
+        from scipy.spatial.transform import Rotation
+
         free = (np.arange(len(plan)) >= problem.fixed_count)[:, None]
         shift = np.where(free, rng.normal(0.0, self.position, (len(plan), 2)), 0.0)
         turns = np.where(free, rng.normal(0.0, (self.tilt, self.tilt, self.turn), (len(plan), 3)), 0.0)
@@ -107,13 +111,15 @@ class Mounted:
     error: MountingError
     seed: int
     n: int
-    planned: pd.Series
-    draws: pd.DataFrame
-    views: pd.DataFrame
+    planned: "pd.Series"
+    draws: "pd.DataFrame"
+    views: "pd.DataFrame"
 
     @property
-    def table(self) -> pd.DataFrame:
+    def table(self) -> "pd.DataFrame":
         """`planned`, `mean`, `5 %`, `50 %` and `95 %` of each figure over the draws, indexed by `figure`."""
+        import pandas as pd
+
         quantiles = {f"{100 * q:g} %": self.draws.quantile(q) for q in QUANTILES}
         return pd.DataFrame({"planned": self.planned, "mean": self.draws.mean(), **quantiles}).rename_axis("figure")
 
@@ -155,6 +161,8 @@ def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int,
     Raises:
         InputError: there is no room for all papers.
     """
+    import pandas as pd
+
     streams = np.random.default_rng([seed, STREAM]).spawn(error.draws)
     hung = [error.hung(problem, plan, rng) for rng in streams]
     all_of_them = [plan, *(each.deployment for each in hung)]
@@ -171,8 +179,10 @@ def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int,
     return Mounted(error, seed, problem.objective.n, figures.iloc[0], draws, numbered)
 
 
-def off_grid_figures(problem: Problem, deployments: list[Deployment], seed: int, sample: Sample) -> pd.DataFrame:
+def off_grid_figures(problem: Problem, deployments: list[Deployment], seed: int, sample: Sample) -> "pd.DataFrame":
     """The shares of the objective at random positions, the same for all deployments of K landmarks, a row each."""
+    import pandas as pd
+
     positions, normals = (np.stack([getattr(d, name) for d in deployments]) for name in ("positions", "normals"))
     groups: list[dict[str, FloatArray]] = []
     for evaluator in sampled_evaluators(problem.scene, seed, sample, problem.evaluator.threads):

@@ -50,7 +50,6 @@ def evaluate(cfg: DictConfig) -> float:
     from lmd.compiled import clock
     from lmd.optimisers.base import Record
     from lmd.rig import Rig
-    from lmd.survey import read_measured
 
     from .tracked_run import record, title_of, tracked
 
@@ -60,6 +59,8 @@ def evaluate(cfg: DictConfig) -> float:
     deployment = plan = problem.draw(np.random.default_rng(seed))
     with keyed("deployment", path=MEASURED):
         if cfg.deployment.measured is not None:
+            from lmd.survey import read_measured  # slow to load
+
             deployment = read_measured(cfg.deployment.measured, problem, plan)
         error: MountingError = instantiate(cfg.deployment.mounting_error)
     asked = {"sensitivity": cfg.sensitivity, MEASURED: deployment is not plan, MOUNTING: not error.is_none}
@@ -112,6 +113,7 @@ def lose(problem: "Problem", deployment: "Deployment", tracker: "Tracker") -> "L
     """Write and log what is lost without each landmark; None, and a line that says why, where that cannot be told."""
     from lmd.checks import InputError
     from lmd.losses import losses
+    from lmd.tables import write_table
 
     try:
         found = losses(problem, deployment)
@@ -119,7 +121,7 @@ def lose(problem: "Problem", deployment: "Deployment", tracker: "Tracker") -> "L
         print(f"no losses: {error}")
         return None
     file = run_directory() / "losses.csv"
-    found.table.to_csv(file, index=False)
+    write_table(file, found.table)
     tracker.log_artifacts([file])
     return found
 

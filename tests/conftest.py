@@ -1,5 +1,11 @@
+import gc
+
 import pytest
 from hypothesis import settings
+
+from pipelines.app import GARBAGE
+
+gc.set_threshold(GARBAGE)  # compiling makes many objects, too
 
 settings.register_profile("lmd", deadline=None)  # the first example may wait for a compiler
 settings.load_profile("lmd")

@@ -38,10 +38,15 @@ def refused(pipeline, *overrides, message, cwd, settings=SMALL):
 
 def help_of(pipeline, *slow, cwd):
     """What `--help` prints, followed by the list of those of the `slow` packages that it loaded."""
+    return loading(pipeline, "--help", slow=slow, cwd=cwd)
+
+
+def loading(pipeline, *arguments, slow, cwd):
+    """What a command prints, followed by the list of those of the `slow` packages that it loaded."""
     code = f"""
 import sys
 from pipelines.{pipeline} import main
-sys.argv = ["{pipeline}", "--help"]
+sys.argv = {[pipeline, *arguments]}
 try:
     main()
 finally:

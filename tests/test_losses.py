@@ -50,12 +50,12 @@ def test_of_two_doubles_each_is_idle_and_both_matter():
     p = Problem(scene, Coverage(1, 0.05), RandomDeployment(3), threads=1)
     found = losses(p, Deployment(positions, normals))
     assert found.idle.tolist() == [0, 1]
-    assert found.table.id[0] == 2
-    assert found.table.fitness_loss[0] > 0.0
+    assert found.table["id"][0] == 2
+    assert found.table["fitness_loss"][0] > 0.0
     assert found.without[0, 1] < found.fitness
     figures = found.metrics()
     assert figures["fitness_without_one_worst"] == found.without[2, 2]
     assert figures["fitness_without_one_mean"] == pytest.approx((2.0 * found.fitness + found.without[2, 2]) / 3.0)
     assert figures["fitness_without_two_worst"] <= figures["fitness_without_two_mean"] < found.fitness
-    assert f"lost without each: 2 ({100.0 * found.table.fitness_loss[0]:.2f})" in found.to_text()
+    assert f"lost without each: 2 ({100.0 * found.table['fitness_loss'][0]:.2f})" in found.to_text()
     assert found.to_text().endswith("nothing is lost: 0, 1")

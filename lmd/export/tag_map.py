@@ -3,16 +3,18 @@
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
-from scipy.spatial.transform import Rotation
 
 from lmd.checks import FloatArray, IntArray
 from lmd.deployment import MID_AIR, Deployment
 from lmd.space.space import Space
 from lmd.tag import Tag, corners, upright
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 QUATERNION = ("qw", "qx", "qy", "qz")
 # Written are picometres: what is less is rounding.
@@ -66,8 +68,10 @@ class TagMap:
         return written(self.deployment.positions)
 
     @cached_property
-    def turns(self) -> Rotation:
+    def turns(self) -> "Rotation":
         """From the frame of each tag to the world: x to its right, y up, z out of it to whoever looks at it."""
+        from scipy.spatial.transform import Rotation
+
         right, up = upright(self.deployment.normals)
         return Rotation.from_matrix(np.stack([right, up, self.deployment.normals], axis=-1))
 

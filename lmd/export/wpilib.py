@@ -10,17 +10,18 @@ import json
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from lmd.export.tag_map import TagMap, axes, written
 
 # The columns are WPILib's axes in the frame of `TagMap.turns`: out of the tag (z), to the right (x), up (y).
-OUT_RIGHT_UP = Rotation.from_matrix(np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]))
+OUT_RIGHT_UP = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 
 
 def write_wpilib(path: Path, tags: TagMap) -> None:
     """Write `tags.wpilib.json`."""
-    quaternions = written((tags.turns * OUT_RIGHT_UP).as_quat(canonical=True, scalar_first=True))
+    from scipy.spatial.transform import Rotation
+
+    quaternions = written((tags.turns * Rotation.from_matrix(OUT_RIGHT_UP)).as_quat(canonical=True, scalar_first=True))
     low, high = tags.room.bounds()
     length, width, _ = (high - low).tolist()
     layout = {

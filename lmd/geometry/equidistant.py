@@ -10,7 +10,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import linprog
 
 from lmd.checks import InputError, vector
 
@@ -32,6 +31,8 @@ def nearest_radial(lens: Sequence[float], reach: float) -> tuple[float, tuple[fl
     Raises:
         InputError: there are not four coefficients, or the image does not grow up to `reach` before `WIDEST`.
     """
+    from scipy.optimize import linprog  # slow to load, and most lenses are no such ones
+
     lens = vector("distortion", lens, 4)
     theta = np.linspace(0.0, WIDEST, SAMPLES * 10)
     image = theta * np.polynomial.polynomial.polyval(theta**2, [1.0, *lens])

@@ -6,9 +6,9 @@ pose that is off by the same motion; tags that are off each in its own way partl
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from lmd.accuracy import TOLERANCES, as_localisation
 from lmd.checks import FloatArray
@@ -19,6 +19,9 @@ from lmd.problem import Problem
 from lmd.render.optics import project
 from lmd.sight.views import visible
 from lmd.tag import Tag, corners
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 QUANTILES = (0.05, 0.5, 0.95)
 
@@ -48,7 +51,7 @@ class Hung:
 
 def map_errors(
     problem: Problem, truth: Hung, maps: Mapping[str, Hung], poses: FloatArray, rng: np.random.Generator
-) -> pd.DataFrame:
+) -> "pd.DataFrame":
     """Errors of the pose from single images, one row for each pose from which at least n tags are seen.
 
     Args:
@@ -63,6 +66,8 @@ def map_errors(
         `tags`, how many are seen, and for each map `position_<name>` (m) and `attitude_<name>` (rad), NaN where the
         points do not fix a pose.
     """
+    import pandas as pd
+
     camera, tag = problem.scene.single_camera("the error of the pose"), problem.scene.tag
     points = truth.points(tag)
     image = project(camera, poses, points.reshape(-1, 3)).reshape(len(poses), *points.shape[:2], 2)
@@ -79,12 +84,14 @@ def map_errors(
     return pd.DataFrame(columns)
 
 
-def error_quantiles(views: pd.DataFrame) -> pd.DataFrame:
+def error_quantiles(views: "pd.DataFrame") -> "pd.DataFrame":
     """The rows of `map_errors` in short, indexed by `position_<name>` and so on.
 
     Columns: `5 %`, `50 %`, `95 %` of all views with an estimate, and of positions the share of all views
     `within_<n>mm`, where one without an estimate counts as farther off.
     """
+    import pandas as pd
+
     rows: dict[str, dict[str, float]] = {}
     for name in views.columns[views.columns.str.startswith(("position_", "attitude_"))]:
         errors = views[name]
@@ -94,8 +101,10 @@ def error_quantiles(views: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame.from_dict(rows, orient="index")
 
 
-def errors_text(views: pd.DataFrame, n: int) -> str:
+def errors_text(views: "pd.DataFrame", n: int) -> str:
     """`error_quantiles` for a terminal, in mm and mrad."""
+    import pandas as pd
+
     table = error_quantiles(views)
     parts = [f"{name.replace('_', ', map as ', 1)} [{'mm' if name[0] == 'p' else 'mrad'}]" for name in table.index]
     shares = table.columns[table.columns.str.startswith("within")]

@@ -15,6 +15,7 @@ from lmd.space.space import Space
 
 BACK, BALLS, FRONT = 1, 2, 3  # z-orders
 BALL = 7.0  # diameter, points
+ARROW = ((-1.0, 0.0), (1.0, 0.0), (0.4, 0.35), (1.0, 0.0), (0.4, -0.35))  # as a text it would load a parser for that
 
 
 def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment, title: str) -> None:
@@ -137,7 +138,8 @@ def _arrows(groups: Iterable[common.Group]) -> list[Any]:
     from matplotlib.lines import Line2D
 
     entries = {group.label: group.colour for group in groups}
-    return [Line2D([], [], **_symbol(r"$\rightarrow$", 24, colour), label=label) for label, colour in entries.items()]
+    open_head: dict[str, Any] = {"fillstyle": "none", "markeredgewidth": 1.6}
+    return [Line2D([], [], **_symbol(ARROW, 20, colour), **open_head, label=of) for of, colour in entries.items()]
 
 
 def _parts(room: Space) -> list[tuple[str, FloatArray, str, Any]]:
@@ -163,5 +165,5 @@ def _faces(is_qualified: BoolArray) -> Any:
     return to_rgba_array(colours, np.where(is_qualified, 0.8, 0.45))
 
 
-def _symbol(marker: str, size: float, colour: str) -> dict[str, Any]:
+def _symbol(marker: Any, size: float, colour: str) -> dict[str, Any]:
     return {"marker": marker, "markersize": size, "color": colour, "linestyle": "none"}

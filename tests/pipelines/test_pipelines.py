@@ -6,7 +6,7 @@ import re
 import pandas as pd
 import pytest
 from mlflow import MlflowClient
-from processes import call, help_of, refused
+from processes import call, help_of, loading, refused
 
 FILES = ["convergence.png", "history.csv", "landmarks.csv", "metrics.json", "scene.html", "scene.png"]
 pytestmark = pytest.mark.slow
@@ -39,6 +39,19 @@ def test_a_run_leaves_its_files_and_nothing_else(optimised):
     left = {path.name for path in (cwd / "run").iterdir()}
     assert left == {*FILES, ".hydra", "checkpoint.pkl"}
     assert all((cwd / "run" / name).stat().st_size for name in FILES)
+
+
+@pytest.mark.parametrize(
+    ("pipeline", "more"),
+    [("optimise", ["budget.evaluations=1"]), ("evaluate", ["deployment=random", "localisation=false"])],
+)
+def test_a_run_loads_nothing_that_only_others_need(pipeline, more, tmp_path):
+    """Each of these takes a tenth of a second or more."""
+    slow = [f"scipy.{part}" for part in ("optimize", "spatial", "sparse", "stats")]
+    slow += ["pandas", "plotly", "mlflow", "pymoo", "nevergrad", "cv2"]
+    run = [*more, "tracking=none", "validate=true", "hydra.run.dir=run"]
+    assert loading(pipeline, *run, slow=slow, cwd=tmp_path).splitlines()[-1] == "[]"
+    assert (tmp_path / "run" / "scene.png").stat().st_size > 0
 
 
 def test_the_files_follow_the_contract(optimised):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 from paper import paper_scene
+from scipy.spatial import cKDTree
 
 from lmd.deployment import Deployment, RandomDeployment, UniformDeployment
 from lmd.labels import Labels
@@ -170,6 +171,13 @@ def test_convergence_figure(tmp_path, rows):
     save_convergence_figure(path, shown, Coverage.headline, "Convergence")
     assert imread(path).shape[:2] == (500, 900)
     assert path.stat().st_size > 8_000
+
+
+def test_neighbours_are_as_far_apart_as_a_tree_says():
+    for positions in (ROOM.grid(), np.random.default_rng(0).uniform(size=(200, 3))):
+        distance, _ = cKDTree(positions).query(positions, k=[2])
+        assert common.spacing_of(ROOM, positions) == pytest.approx(np.median(distance))
+    assert common.spacing_of(ROOM, ROOM.grid()[:1]) == pytest.approx(np.linalg.norm(common.size_of(ROOM)))
 
 
 @pytest.mark.parametrize(
