@@ -22,7 +22,7 @@ CONVERGED = 1e-9
 # Radii among which it finds a start.
 STARTS = 64
 # Rings in which the stretch is bounded.
-RINGS = 64
+RINGS = 2048
 # A root whose imaginary part is a smaller share counts as real: then D at least comes close to turning back.
 REAL = 1e-6
 
