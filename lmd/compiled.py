@@ -5,30 +5,96 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
 from numba import njit, types
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 from numba.core.event import Event, Listener, register
-from numba.core.registry import cpu_target
+from numba.core.registry import CPUDispatcher, cpu_target
 
 # Packages and modules with code that is compiled, or constants of it.
 SOURCES = (
-    *("dispatch", "geometry", "space/allowed", "space/triangles", "sight", "objectives"),
+    *("compiled", "dispatch", "geometry", "space/allowed", "space/triangles", "sight", "objectives"),
     *("optimisers/annealing", "plates", "tag", "planner/additions"),
 )
 
 
-def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a function when it is first called, without the GIL, and keep the result on disk.
+# A division by zero gives infinity or NaN instead of an exception, as in NumPy. Nobody calls kernels from C: a wrapper
+# for that would take a twelfth of the time of compiling.
+_OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+_INNER: Any = _OPTIONS | {"nopython": True, "no_cpython_wrapper": True}
 
-    A division by zero gives infinity or NaN instead of an exception, as in NumPy.
-    """
-    compiled: Any = njit(nogil=True, error_model="numpy")(function)
+
+def kernel(function: Callable[..., Any]) -> Any:
+    """Compile a function when it is first called, without the GIL, and keep the result on disk."""
+    compiled: Any = njit(**_OPTIONS)(function)
     compiled._cache = _Cache(function)  # what njit(cache=True) does with its own class
     return compiled
+
+
+def inner(function: Callable[..., Any]) -> Any:
+    """A function that kernels, and other such functions, call: compiled within each kernel.
+
+    With numba's own, LLVM optimises and translates whatever a function calls once for that function, once for each that
+    calls it, and so on: most of the time of compiling, where functions are nested as deeply as here.
+    """
+    return _Inner(function, targetoptions=_INNER, pipeline_class=InnerCompiler)
+
+
+def inlined(function: Callable[..., Any]) -> Any:
+    """The same, inlined by LLVM whatever its size.
+
+    Only so do loops over it vectorise, and what stays the same moves out of them. For what is called at every position,
+    handing over a field, a state and a scratch, hundreds of numbers, would take longer than the work.
+    """
+    return _Inner(function, targetoptions=_INNER | {"forceinline": True}, pipeline_class=InnerCompiler)
+
+
+class _Inner(CPUDispatcher):
+    """An inner function for kernels; Python, which tests call it from, gets it as a kernel of its own."""
+
+    @cached_property
+    def _kernel(self) -> Any:
+        return kernel(self.py_func)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """What the function returns."""
+        return self._kernel(*arguments)
+
+
+class _InnerLibrary(JITCodeLibrary):
+    """The code of an inner function for LLVM, which tidies it up by itself, to be linked into that of kernels."""
+
+    def finalize(self) -> None:
+        """Link what the function calls, and leave it at that."""
+        self._raise_if_finalized()
+        for library in dict.fromkeys(self._linking_libraries):
+            self._reload_init.update(library._reload_init)
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """None: there is no machine code."""
+        return 0
+
+    @property
+    def codegen(self) -> "_InnerLibrary":
+        """Who is told of the environment, see `set_env`."""
+        return self
+
+    def set_env(self, name: str, environment: Any) -> None:
+        """Where machine code finds what it needs of Python: there is none."""
+
+
+class InnerCompiler(Compiler):
+    """How numba compiles inner functions."""
+
+    def __init__(self, typingctx: Any, targetctx: Any, _: None, *others: Any) -> None:
+        super().__init__(typingctx, targetctx, _InnerLibrary(targetctx.codegen(), "inner"), *others)
 
 
 def load_compiler() -> None:

@@ -1,7 +1,7 @@
 """Functions that compiled code resolves by the class of their first argument, a named tuple.
 
 Like `functools.singledispatch`, but for numba: a kernel calls one name, and is compiled for each class that it is given
-with what that class registered, inlined. So a criterion or an objective is one file that no kernel knows of, and the
+with what that class registered. So a criterion or an objective is one file that no kernel knows of, and the
 compiled code stays cached on disk, which a function handed over as an argument would prevent.
 
     @dispatched
@@ -17,6 +17,8 @@ from typing import Any, Protocol, cast
 
 from numba.extending import overload
 
+from lmd.compiled import InnerCompiler
+
 Function = Callable[..., Any]
 
 
@@ -30,22 +32,22 @@ class Dispatched(Protocol):
         """Decorates the plain function for named tuples of a class, with the arguments of the dispatched one."""
 
 
-def _branchless(_call: Any, _caller: Any, callee: Any) -> bool:
-    """Whether numba itself shall inline a function, and not leave that to LLVM: loops over it then vectorise best."""
-    return len(callee.func_ir.blocks) == 1
-
-
 def dispatched(declaration: Function) -> Dispatched:
-    """A function with the name and the docstring of `declaration`, whose body is never used."""
-    return _dispatched(declaration, None)
+    """A function with the name and the docstring of `declaration`, whose body is never used; inlined, see `inlined`."""
+    return _dispatched(declaration, None, forceinline=True)
+
+
+def dispatched_call(declaration: Function) -> Dispatched:
+    """The same for what is long: not inlined."""
+    return _dispatched(declaration, None, forceinline=False)
 
 
 def overridable(declaration: Function) -> Dispatched:
-    """The same, but the body of `declaration` serves the classes that register nothing."""
-    return _dispatched(declaration, declaration)
+    """`dispatched`, but the body of `declaration` serves the classes that register nothing."""
+    return _dispatched(declaration, declaration, forceinline=True)
 
 
-def _dispatched(declaration: Function, otherwise: Function | None) -> Dispatched:
+def _dispatched(declaration: Function, otherwise: Function | None, forceinline: bool) -> Dispatched:
     table: dict[type, Function] = {}
 
     def call(first: Any, *others: Any) -> Any:
@@ -63,8 +65,7 @@ def _dispatched(declaration: Function, otherwise: Function | None) -> Dispatched
 
     call.__name__, call.__doc__, call.__module__ = declaration.__name__, declaration.__doc__, declaration.__module__
     call.register = register  # type: ignore[attr-defined]
-    # numpy's error model: a division by zero gives infinity instead of a branch that keeps loops from vectorising.
-    # Inlined whatever the size: only so do loops vectorise, and does what stays the same move out of them.
-    options: Any = {"error_model": "numpy", "forceinline": True}
-    overload(call, strict=False, inline=_branchless, jit_options=options)(resolve)
+    # A division by zero gives infinity instead of a branch that keeps loops from vectorising.
+    options: Any = {"error_model": "numpy", "forceinline": forceinline, "pipeline_class": InnerCompiler}
+    overload(call, strict=False, jit_options=options)(resolve)
     return cast(Dispatched, call)

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.compiled import kernel
+from lmd.compiled import inner, kernel
 from lmd.deployment import FLUSH, MID_AIR, MISPLACED, Deployment, DeploymentSource, FileDeployment
 from lmd.fixed import beside
 from lmd.space.allowed import allows, nearest
@@ -211,7 +211,7 @@ def _as_they_are(source: DeploymentSource) -> bool:
     return isinstance(source, FileDeployment) and source.free
 
 
-@kernel
+@inner
 def _is_free(a, b, s, others, surface, at, least):  # type: ignore[no-untyped-def]
     """Whether a plate at (a, b) on surface s is at least `least` away from the first `others` plates."""
     free = True
@@ -220,7 +220,7 @@ def _is_free(a, b, s, others, surface, at, least):  # type: ignore[no-untyped-de
     return free
 
 
-@kernel
+@inner
 def _nearest_free(k, s, a, b, within, surface, at, pieces, first, least, edge, lines, found):  # type: ignore
     """Write the free place for plate k nearest to (a, b) on surface s to `found`; whether there is one.
 

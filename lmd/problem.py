@@ -11,7 +11,8 @@ from lmd.checks import FloatArray, integer
 from lmd.deployment import Deployment, DeploymentSource
 from lmd.objectives.base import Objective
 from lmd.scene import Scene
-from lmd.sight.evaluator import MOST_THREADS, Evaluator
+from lmd.sight.evaluator import Evaluator
+from lmd.threads import MOST_THREADS
 
 # Seeds every draw of an objective's `Sampling`: the problem is the same for every seed of an optimiser.
 SAMPLING_STREAM = 0x64657369

@@ -6,7 +6,6 @@ of localising to the tolerance, and of P_n, that of covering n landmarks.
 """
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
@@ -31,6 +30,7 @@ from lmd.sight.bits import packed
 from lmd.sight.evaluator import Evaluator, averaged
 from lmd.sight.incremental.move import counts_of, overlook
 from lmd.sight.kernels import PROBABILITY_ONE
+from lmd.threads import at_once
 from lmd.validation import Sample, sampled_evaluators
 
 FACTORS = (0.5, 0.7, 1.0, 1.4, 2.0)  # of what was assumed
@@ -125,8 +125,7 @@ def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sam
     variants = _variants(problem, deployment)
     groups = enumerate(sampled_evaluators(problem.scene, seed, sample, threads=1))
     measure = partial(_measure, deployment, as_localisation(problem.objective), variants, seed)
-    with ThreadPoolExecutor(problem.evaluator.threads) as pool:
-        parts = list(pool.map(measure, groups))
+    parts = at_once(problem.evaluator.threads, measure, groups)
     assumed, missed, without = (np.mean(part, axis=0) for part in zip(*parts, strict=True))
     rows = [[v.assumption, v.factor, v.value, *shares, v.note] for v, shares in zip(variants, assumed, strict=True)]
     losses = missed[0][:, None, None] - without

@@ -104,8 +104,8 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
     from lmd.optimisers.encoding import KINDS
     from lmd.problem import Problem
     from lmd.scene import Scene
-    from lmd.sight.evaluator import MOST_THREADS
     from lmd.tag import Tag
+    from lmd.threads import MOST_THREADS
 
     cfg.seed = integer("seed", cfg.seed, low=0)
     if cfg.get("workers") is not None:

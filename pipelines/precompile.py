@@ -27,7 +27,7 @@ RUNS = (  # the longest first
 
 def main() -> None:
     """Do a small run of each kind, in processes of their own; exit with 1 if one fails."""
-    from lmd.sight.evaluator import available_threads
+    from lmd.threads import available_threads
 
     print("compiling; this takes a few minutes, once", file=sys.stderr)
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(available_threads()) as pool:

@@ -1,6 +1,7 @@
 """Work shared between processes."""
 
 import multiprocessing
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
@@ -23,7 +24,7 @@ def in_processes(
         InputError: `workers` is not positive.
     """
     from lmd.checks import integer
-    from lmd.sight.evaluator import available_threads
+    from lmd.threads import available_threads
 
     count = available_threads() if workers is None else integer("workers", workers, low=1)
     return _results(function, jobs, min(count, len(jobs)), ordered)
@@ -33,5 +34,10 @@ def _results(function: Callable[[Job], Result], jobs: Sequence[Job], workers: in
     if workers <= 1:
         yield from map(function, jobs)
         return
-    with multiprocessing.get_context("spawn").Pool(workers) as pool:
+    with multiprocessing.get_context("spawn").Pool(workers, initializer=_leave_interrupts) as pool:
         yield from (pool.imap if ordered else pool.imap_unordered)(function, jobs)
+
+
+def _leave_interrupts() -> None:
+    """A terminal interrupts the workers, too, each of which would print a traceback; who began them ends them."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

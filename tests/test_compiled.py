@@ -1,13 +1,19 @@
 import ast
+import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import lmd
 from lmd import compiled
+from lmd.compiled import inlined, inner, kernel
 
 PACKAGE = Path(lmd.__file__).parent
-DECORATORS = ("kernel", "njit", "intrinsic", "register", "dispatched", "overridable")
+DECORATORS = (
+    *("kernel", "inner", "inlined", "njit", "intrinsic", "register"),
+    *("dispatched", "dispatched_call", "overridable"),
+)
 
 
 def is_compiled(function):
@@ -44,6 +50,36 @@ def test_all_that_kernels_are_made_of_makes_them_stale():
         for module in modules:
             source = PACKAGE.parent / module.replace(".", "/")
             assert makes_stale(source), f"{path} compiles parts of {module}"
+
+
+@inlined
+def _half(x):
+    return 0.5 * x
+
+
+@inner
+def _root_of_half(x):
+    if x < 0.0:
+        raise ValueError("negative")
+    return math.sqrt(_half(x))
+
+
+@kernel
+def _sum_of_roots(values):
+    total = 0.0
+    for x in values:
+        total += _root_of_half(x)
+    return total
+
+
+def test_inner_functions_are_parts_of_kernels_and_can_be_called_from_python():
+    values = np.array([0.0, 2.0, 8.0, 32.0])
+    assert _sum_of_roots(values) == 7.0
+    assert [_root_of_half(x) for x in values] == [0.0, 1.0, 2.0, 4.0]
+    assert _half(3.0) == 1.5
+    for call in (lambda: _sum_of_roots(-values), lambda: _root_of_half(-1.0)):
+        with pytest.raises(ValueError, match="negative"):
+            call()
 
 
 @pytest.fixture

@@ -2,10 +2,10 @@
 
 import math
 
-from numba import njit
+from lmd.compiled import inlined
 
 
-@njit(inline="always")
+@inlined
 def upright_axes(nx, ny, nz, level):  # type: ignore[no-untyped-def]
     """Right and up of an upright square with the unit normal (nx, ny, nz); `level`: see `lmd.tag.LEVEL`."""
     across = nx * nx + ny * ny

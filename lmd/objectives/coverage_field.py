@@ -4,16 +4,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.checks import FloatArray
 from lmd.deployment import Deployment
 from lmd.objectives.field import accept, bound, settle, undo
 from lmd.sight.bits import BITS, packed
+from lmd.sight.blocks import boxes_around
 from lmd.sight.criteria import horizon_of
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.incremental.move import carry_out, counts_of, state_of, take_back
 from lmd.sight.incremental.state import Scratch, State, scratch_of
 from lmd.sight.incremental.trial import bound_move, finish_move
-from lmd.sight.kernels import BLOCK, SINGLE_ERROR
 from lmd.sight.obstacles import obstacles_at
 
 
@@ -97,7 +96,7 @@ def _undo(field, k, state, scratch):  # type: ignore[no-untyped-def]
 
 def coverage_field(evaluator: Evaluator, n: int) -> CoverageField:
     """The field of P_n at the positions of an evaluator."""
-    e, (order, index_of) = evaluator, in_blocks(evaluator.positions)
+    e, (order, index_of) = evaluator, evaluator.blocks
     centres, halves = boxes_around(e.positions[order])
     positions = np.ascontiguousarray(e.positions[order].T)
     horizon, given = horizon_of(e.sight), np.zeros((len(order), e.tables[0].shape[1]), dtype=np.uint64)
@@ -106,32 +105,3 @@ def coverage_field(evaluator: Evaluator, n: int) -> CoverageField:
     return CoverageField(
         positions, index_of, centres, halves, horizon, e.sight, obstacles, e.axes, *e.tables, given, weights, n
     )
-
-
-def boxes_around(positions: FloatArray) -> tuple[np.ndarray, np.ndarray]:
-    """Boxes around blocks of `BLOCK` positions `(Q, 3)`: centres, and half the sides, `(3, Q / BLOCK)`."""
-    blocks = positions.reshape(-1, BLOCK, 3)
-    least, most = blocks.min(axis=1), blocks.max(axis=1)
-    halves = ((most - least) / 2.0 * (1.0 + SINGLE_ERROR)).astype(np.float32)  # never less for the rounding
-    return np.ascontiguousarray(((least + most) / 2.0).T), np.ascontiguousarray(halves.T)
-
-
-def in_blocks(positions: FloatArray) -> tuple[np.ndarray, np.ndarray]:
-    """Indices `(Q,)` that put positions `(P, 3)` into blocks of neighbours, and where each is then, `(P,)`.
-
-    The longest side is cut in two; the last block is filled up with copies.
-    """
-
-    def cut(part: np.ndarray) -> list[np.ndarray]:
-        if len(part) <= BLOCK:
-            return [part]
-        side = np.argmax(np.ptp(positions[part], axis=0))
-        part = part[np.argsort(positions[part, side], kind="stable")]
-        middle = (len(part) // BLOCK + 1) // 2 * BLOCK
-        return cut(part[:middle]) + cut(part[middle:])
-
-    order = np.concatenate(cut(np.arange(len(positions))))
-    order = np.append(order, np.full(-len(order) % BLOCK, order[-1]))
-    index_of = np.empty(len(positions), dtype=np.int64)
-    index_of[order[::-1]] = np.arange(len(order))[::-1]  # the first of several copies
-    return order, index_of

@@ -14,9 +14,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from lmd.checks import FloatArray
-from lmd.compiled import kernel
+from lmd.compiled import inner, kernel
 from lmd.deployment import Deployment
-from lmd.dispatch import dispatched
+from lmd.dispatch import dispatched, dispatched_call
 
 
 class Field(Protocol):
@@ -59,7 +59,7 @@ class Target(Protocol):
         """The weight of each position of the field, `(Q,)`, with sum 1."""
 
 
-@dispatched
+@dispatched_call
 def bound(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-def]
     """Find values no lower than those with landmark k at `pose` `(6,)`, position and normal, on a surface.
 
@@ -67,17 +67,17 @@ def bound(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-d
     """
 
 
-@dispatched
+@dispatched_call
 def settle(field, k, state, scratch):  # type: ignore[no-untyped-def]
     """Make the values in `scratch.units` exact."""
 
 
-@dispatched
+@dispatched_call
 def accept(field, k, state, scratch):  # type: ignore[no-untyped-def]
     """Carry out the settled move; no other may have been tried or carried out since."""
 
 
-@dispatched
+@dispatched_call
 def undo(field, k, state, scratch):  # type: ignore[no-untyped-def]
     """Take back the last accepted move with this scratch, all later ones being taken back."""
 
@@ -104,12 +104,25 @@ def total_worth(target, units):  # type: ignore[no-untyped-def]
     return total
 
 
-@kernel
+@inner
 def move(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-def]
     """Move landmark k, whatever that is worth: `bound`, `settle` and `accept`."""
     bound(field, k, pose, surface, state, scratch)
     settle(field, k, state, scratch)
     accept(field, k, state, scratch)
+
+
+@kernel
+def follow(positions, normals, surfaces, field, state, scratch):  # type: ignore[no-untyped-def]
+    """Move the landmarks of `state` that are elsewhere than at `positions`, `normals` `(K, 3)` on `surfaces` `(K,)`."""
+    pose = np.empty(6)
+    for k in range(len(positions)):
+        elsewhere = state.surfaces[k] != surfaces[k]
+        for i in range(3):
+            pose[i], pose[3 + i] = positions[k, i], normals[k, i]
+            elsewhere |= pose[i] != state.landmarks[i, k] or pose[3 + i] != state.normals[i, k]
+        if elsewhere:
+            move(field, k, pose, surfaces[k], state, scratch)
 
 
 def in_order(field: Field, relevance: FloatArray) -> FloatArray:

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.deployment import Deployment
-from lmd.objectives.coverage_field import boxes_around, in_blocks
 from lmd.objectives.field import accept, bound, settle, undo
 from lmd.sight.bits import BITS, packed
+from lmd.sight.blocks import boxes_around
 from lmd.sight.criteria import horizon_of
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.incremental.move import counts_of
@@ -83,7 +83,7 @@ def _undo(field, k, state, scratch):  # type: ignore[no-untyped-def]
 
 def rig_field(evaluator: Evaluator, n: int) -> RigField:
     """The field of P_n at the positions of an evaluator whose scene has a rig."""
-    order, index_of = in_blocks(evaluator.positions)
+    order, index_of = evaluator.blocks
     blockers, parts = evaluator.scene.room.blockers(), []
     for number, part in enumerate(evaluator.parts):
         stations = (part.offsets[:, None] + evaluator.positions[order]).reshape(-1, 3)

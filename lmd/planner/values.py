@@ -6,7 +6,7 @@ import numpy as np
 
 from lmd.checks import FloatArray
 from lmd.deployment import Deployment
-from lmd.objectives.field import move
+from lmd.objectives.field import follow
 from lmd.problem import Problem
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE
@@ -65,13 +65,11 @@ class _Followed:
 
     def follow(self, deployment: Deployment) -> None:
         """Move what hangs elsewhere."""
-        before = np.hstack([self._state.landmarks.T, self._state.normals.T])
-        poses = np.hstack([deployment.positions, deployment.normals])
-        if len(poses) != len(before):
+        if len(deployment) == self._state.landmarks.shape[1]:
+            at = deployment.positions, deployment.normals, deployment.surfaces
+            follow(*at, self._field, self._state, self._scratch)
+        else:
             self._begin(deployment)
-            return
-        for k in np.flatnonzero((poses != before).any(axis=1)):
-            move(self._field, k, poses[k], deployment.surfaces[k], self._state, self._scratch)
 
     def values(self) -> FloatArray:
         """The value at each position of the evaluator, `(P,)`."""

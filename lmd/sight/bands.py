@@ -7,9 +7,9 @@ lowest and highest point bound the axes that need the exact test to one contiguo
 import math
 
 import numpy as np
-from numba import njit
 
 from lmd.checks import FloatArray
+from lmd.compiled import inlined
 
 # Number of equal intervals of [-1, 1] in which the start of a band of axes is tabulated.
 HEIGHT_BINS = 512
@@ -27,7 +27,7 @@ def height_index(heights: FloatArray) -> np.ndarray:
     return np.append(np.searchsorted(heights, edges - HEIGHT_MARGIN), len(heights)).astype(np.int64)
 
 
-@njit(inline="always")
+@inlined
 def band_of(x, y, z, low, slack):
     """The heights of the axes whose depth of a landmark at offset (x, y, z) may reach `low`.
 

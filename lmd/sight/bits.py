@@ -4,10 +4,11 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 
 from lmd.checks import FloatArray
+from lmd.compiled import inlined
 
 BITS = 64
 LANES = 32  # axes or landmarks tested at a time, a bit of a word each
@@ -45,19 +46,19 @@ def prefetch(_typing_context: Any, rows: Any, row: Any) -> Any:
     return types.void(rows, row), codegen
 
 
-@njit(inline="always")
+@inlined
 def add_digit(digit, carry, goes):  # type: ignore[no-untyped-def]
     """A binary digit of counts with one more (or one less where `goes`) at `carry`, and what is carried or borrowed."""
     return digit ^ carry, carry & (digit ^ goes)
 
 
-@njit(inline="always")
+@inlined
 def equal_so_far(equal, digit, n, j):  # type: ignore[no-untyped-def]
     """Where counts equal n in digit j, too."""
     return equal & (digit if n >> j & 1 else ~digit)
 
 
-@njit(inline="always")
+@inlined
 def at_least_so_far(reached, digit, n, j):  # type: ignore[no-untyped-def]
     """Where counts are at least n: from the lowest digit j up, each overrules those below."""
     return reached & digit if n >> j & 1 else reached | digit

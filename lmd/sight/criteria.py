@@ -20,10 +20,10 @@ import math
 from typing import Any, Protocol
 
 import numpy as np
-from numba import njit
 
 from lmd.camera import Camera
 from lmd.checks import BoolArray, FloatArray
+from lmd.compiled import inlined
 from lmd.dispatch import dispatched, overridable
 from lmd.sight.bits import BITS, LANES, ONE, ZERO, lowest
 
@@ -141,7 +141,7 @@ def in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: igno
     """
 
 
-@njit(inline="always")
+@inlined
 def in_cone(least, x, y, z, sine, cosine, ax, ay, az):  # type: ignore[no-untyped-def]
     """`in_view` where that is a cone around the axis, `least` the cosine of its half-angle theta."""
     # Made narrower by the angle delta: cos(theta - delta), unless nothing or all is left.
@@ -162,7 +162,7 @@ def hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: 
     """
 
 
-@njit(inline="always")
+@inlined
 def covers(sight, x, y, z, nx, ny, nz, low, slack, axes, a):  # type: ignore[no-untyped-def]
     """`in_image` with orientation a of `axes` `(6, D)`: axis and right."""
     ax, ay, az, rx, ry, rz = axes[0, a], axes[1, a], axes[2, a], axes[3, a], axes[4, a], axes[5, a]

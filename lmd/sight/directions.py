@@ -17,7 +17,7 @@ from functools import cache
 import numpy as np
 
 from lmd.checks import FloatArray
-from lmd.compiled import kernel
+from lmd.compiled import inner, kernel
 from lmd.sight.bits import BITS, LANES, ZERO
 from lmd.sight.criteria import Sight, in_view
 
@@ -27,7 +27,7 @@ NOWHERE = SIDE * SIDE  # one row more than there are cells: no axis at all
 _SLACK = 1e-6
 
 
-@kernel
+@inner
 def cell_of(x, y, z):
     """The cell of the direction of (x, y, z), anything if that is zero."""
     scale = 1.0 / (abs(x) + abs(y) + abs(z))

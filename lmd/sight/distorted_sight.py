@@ -8,17 +8,16 @@ focal lengths and the rest. In view is the cone of the widest ray, and every axi
 import math
 from typing import NamedTuple
 
-from numba import njit
-
 from lmd.checks import FloatArray
+from lmd.compiled import inlined
 from lmd.geometry import distortion
 from lmd.geometry.upright import upright_axes
 from lmd.sight.criteria import covering, depth_first, from_position, hide, in_cone, in_image, in_view
 from lmd.sight.fiducial_sight import FiducialSight, may_hide
 from lmd.sight.obstacles import half_edge
 
-_bent = njit(inline="always")(distortion.bent)
-_slopes = njit(inline="always")(distortion.slopes)
+_bent = inlined(distortion.bent)
+_slopes = inlined(distortion.slopes)
 
 
 class DistortedSight(NamedTuple):
@@ -95,7 +94,7 @@ def _in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ign
 covering.register(DistortedSight)(depth_first)
 
 
-@njit(inline="always")
+@inlined
 def _in_rectangle(sight, u, v, w):  # type: ignore[no-untyped-def]
     """Whether a point (u, v, w) in the camera's frame is in the image."""
     flat, x, y = sight.flat, u / w, v / w

@@ -1,8 +1,6 @@
 """Counts and probabilities of many deployments in one scene, on the fast exact path."""
 
-import itertools
-import os
-from concurrent.futures import ThreadPoolExecutor
+import math
 from functools import cached_property
 from typing import Any
 
@@ -15,20 +13,16 @@ from lmd.scene import Scene
 from lmd.sight import kernels
 from lmd.sight.bands import height_index
 from lmd.sight.bits import in_words
+from lmd.sight.blocks import BLOCK, in_blocks
 from lmd.sight.criteria import horizon_of
 from lmd.sight.directions import tables
 from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.sight.obstacles import obstacles_at
 from lmd.sight.rig_views import RigViews
 from lmd.sight.stations import parts_of
+from lmd.threads import available_threads, in_parts
 
-MOST_THREADS = 1024  # more than any machine gains from
 COUNT_BYTES = 4  # of a view, twice two: the counts of axes, and of orientations of the PDF
-
-
-def available_threads() -> int:
-    """Processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def in_units(probability: FloatArray) -> IntArray:
@@ -80,6 +74,11 @@ class Evaluator:
         """Which axes surely cover, and may cover, a landmark in each direction (`lmd.sight.directions.tables`)."""
         return tables(self.sight, self.axes)
 
+    @cached_property
+    def blocks(self) -> tuple[IntArray, IntArray]:
+        """The positions by blocks of neighbours, see `in_blocks`."""
+        return in_blocks(self.positions)
+
     def check_memory(self, each: float) -> None:
         """Raise `InputError` if `each` bytes of every position and axis do not fit into memory."""
         check_views(each, len(self.positions), self.axes.shape[1])
@@ -120,11 +119,13 @@ class Evaluator:
                 kept = counts[b] if keep else counts[0:0].reshape(0, 0)
                 units[b] = self.rig_views.evaluate(landmarks, facing, self.weights, n, kept)
             return units, counts
+        order = self.blocks[0][:size]
         scene: tuple[Any, ...] = (
+            order,
             self.positions,
             *(np.ascontiguousarray(v.transpose(0, 2, 1)) for v in (positions, normals)),
         )
-        sight = self.sight.among(self._low, self._high, *scene[1:])
+        sight = self.sight.among(self._low, self._high, *scene[2:])
         rest: tuple[Any, ...] = (
             sight,
             horizon_of(sight),
@@ -139,12 +140,9 @@ class Evaluator:
             keep,
         )
         kernel: Any = kernels.evaluate_range
-        if self.threads == 1:
-            kernel(0, size, *scene, *rest)
-            return units, counts
-        edges = np.linspace(0, size, self.threads + 1).astype(int)
-        with ThreadPoolExecutor(self.threads) as pool:
-            ranges = itertools.pairwise(edges)
-            for job in [pool.submit(kernel, a, b, *scene, *rest) for a, b in ranges]:
-                job.result()
+
+        def evaluate(first: int, last: int) -> None:
+            kernel(first * BLOCK, min(last * BLOCK, size), *scene, *rest)
+
+        in_parts(self.threads, evaluate, math.ceil(size / BLOCK), self.threads)
         return units, counts

@@ -6,10 +6,8 @@ The same operations in the same order as the reference there, hence the same bit
 import math
 from typing import NamedTuple
 
-from numba import njit
-
 from lmd.checks import FloatArray
-from lmd.compiled import kernel
+from lmd.compiled import inlined, inner, kernel
 from lmd.deployment import NORMAL_TOLERANCE
 from lmd.geometry.upright import upright_axes
 from lmd.sight.criteria import (
@@ -130,7 +128,7 @@ def _frame_of(sight, nx, ny, nz):  # type: ignore[no-untyped-def]
     return nx, ny, nz, *upright_axes(nx, ny, nz, sight.level)
 
 
-@njit(inline="always")
+@inlined
 def _inside(sight, u, v, w, tu, tv, tw, uu, uv, uw):  # type: ignore[no-untyped-def]
     """Whether the corners are in the image: centre, right and up of the tag in the camera's frame."""
     half, left, right, top, bottom = sight.half, sight.left, sight.right, sight.top, sight.bottom
@@ -141,7 +139,7 @@ def _inside(sight, u, v, w, tu, tv, tw, uu, uv, uw):  # type: ignore[no-untyped-
     return inside & (half * (abs(tv + top * tw) + abs(uv + top * uw)) - v <= top * w)
 
 
-@njit(inline="always")
+@inlined
 def _clear(sight, u, v, w, tu, tv, tw, uu, uv, uw, along):  # type: ignore[no-untyped-def]
     """Whether pitch and area suffice; `along` is n . d."""
     per = 1.0 / w
@@ -203,7 +201,7 @@ def _in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ign
     return seen & (top * w + v >= sine * math.sqrt(1.0 + top * top))
 
 
-@njit(error_model="numpy")
+@inner
 def _hides(sight, ax, ay, az, nx, ny, nz, bx, by, bz, mx, my, mz):  # type: ignore[no-untyped-def]
     """Whether plate A with normal n hides the centre or a corner of B with normal m."""
     height = -(nx * ax + ny * ay + nz * az)

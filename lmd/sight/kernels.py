@@ -4,8 +4,8 @@ Every decision is the reference's, by the same float64 operations in the same or
 re-associated or fused), hence the same bits. Speed comes from skipped work and from loops that vectorise, never
 from approximation:
 
-1. For each block of positions, landmarks beyond the horizon of all of them are dropped, and per position those that are
-   too near, too far or face away: some 60 % in the paper's room.
+1. For each block of positions, landmarks beyond the horizon of all of them are dropped, for many blocks at once first,
+   and per position those that are too near, too far or face away: some 60 % in the paper's room.
 2. Only those left are tested for being blocked by the room, where there is something in it, and then for being hidden
    by the others, without a branch in the inner loop.
 3. Only axes in a band of heights around the landmark need the exact test (`bands`).
@@ -20,11 +20,11 @@ on how it is shared.
 import math
 
 import numpy as np
-from numba import njit
 
-from lmd.compiled import kernel
+from lmd.compiled import inlined, inner, kernel
 from lmd.sight.bands import band_of
 from lmd.sight.bits import ALL, BITS, ONE, ZERO, lowest
+from lmd.sight.blocks import BLOCK, SINGLE_ERROR
 from lmd.sight.criteria import covering, covers, frame_of, from_position, hide
 from lmd.sight.directions import NOWHERE, cell_of
 from lmd.sight.obstacles import find_ends, is_blocked, no_ends
@@ -32,32 +32,28 @@ from lmd.sight.obstacles import find_ends, is_blocked, no_ends
 # A probability of 1 in the integer units of the kernels: quantisation is far below TOLERANCE, and a sum of
 # at most one fits a double exactly.
 PROBABILITY_ONE = 1 << 52
-# Positions and landmarks come in blocks of this many: loops over whole blocks vectorise without a remainder.
-BLOCK = 16
-
-# The square of a cosine in single precision is off by less than this: a dozen roundings of 6e-8.
-SINGLE_ERROR = 2e-6
+REGION = 16 * BLOCK  # positions: what is far from all of these is not looked at for each block
 
 
-@njit(inline="always")
+@inlined
 def weights_row(weights, p):
     """The row of `weights` `(1, D)` or `(P, D)` that holds for position p."""
     return np.uint64(p) if len(weights) > 1 else np.uint64(0)
 
 
-@kernel
-def box_around(positions):
-    """The lowest and the highest corner of a box around `positions` `(P, 3)`, three numbers each."""
-    low = high = positions[0, 0], positions[0, 1], positions[0, 2]
-    for p in range(1, len(positions)):
+@inner
+def box_around(positions, among):
+    """The lowest and the highest corner of a box around those of the `positions` `(P, 3)`, three numbers each."""
+    low = high = positions[among[0], 0], positions[among[0], 1], positions[among[0], 2]
+    for p in among[1:]:
         x, y, z = positions[p, 0], positions[p, 1], positions[p, 2]
         low = min(low[0], x), min(low[1], y), min(low[2], z)
         high = max(high[0], x), max(high[1], y), max(high[2], z)
     return low, high
 
 
-@kernel
-def gather(low, high, horizon, landmarks, normals, near, who):
+@inner
+def gather(low, high, horizon, count, poses, names, near, who):
     """Write position and normal of the landmarks at most `horizon` metres from a box into `near` `(6, K)`.
 
     Which they are goes into `who` `(K,)`.
@@ -65,24 +61,26 @@ def gather(low, high, horizon, landmarks, normals, near, who):
     Args:
         low, high: corners of the box, three numbers each.
         horizon: see `criteria.horizon_of`.
-        landmarks, normals: `(3, K)`.
+        count: so many landmarks are looked at.
+        poses: their positions and normals, `(6, K)`.
+        names: which they are, `(K,)`.
 
     Returns:
         how many there are.
     """
-    most, count = horizon * horizon, 0
-    for k in range(landmarks.shape[1]):
-        x, y, z = landmarks[0, k], landmarks[1, k], landmarks[2, k]
+    most, found = horizon * horizon, 0
+    for k in range(count):
+        x, y, z = poses[0, k], poses[1, k], poses[2, k]
         dx, dy = max(low[0] - x, x - high[0], 0.0), max(low[1] - y, y - high[1], 0.0)
         dz = max(low[2] - z, z - high[2], 0.0)
-        near[0, count], near[1, count], near[2, count] = x, y, z
-        near[3, count], near[4, count], near[5, count] = normals[0, k], normals[1, k], normals[2, k]
-        who[count] = k
-        count += dx * dx + dy * dy + dz * dz <= most
-    return count
+        near[0, found], near[1, found], near[2, found] = x, y, z
+        near[3, found], near[4, found], near[5, found] = poses[3, k], poses[4, k], poses[5, k]
+        who[found] = names[k]
+        found += dx * dx + dy * dy + dz * dz <= most
+    return found
 
 
-@kernel
+@inner
 def is_hidden(k, count, x, y, z, squared, normals, sight):
     """Whether one of the first `count` landmarks hides landmark k.
 
@@ -99,12 +97,13 @@ def is_hidden(k, count, x, y, z, squared, normals, sight):
 
 @kernel
 def evaluate_range(
-    first, last, positions, landmarks, normals, sight, horizon, obstacles, axes, bands, tables, weights, n, units,
-    counts, keep,
+    first, last, order, positions, landmarks, normals, sight, horizon, obstacles, axes, bands, tables, weights, n,
+    units, counts, keep,
 ):  # fmt: skip
-    """Evaluate deployments at the positions `first` to `last`.
+    """Evaluate deployments at the positions `order[first:last]`.
 
     Args:
+        order: `(P,)`, positions by blocks of neighbours.
         positions: `(P, 3)`.
         landmarks, normals: `(B, 3, K)`.
         sight: the compiled model of sight.
@@ -121,7 +120,10 @@ def evaluate_range(
     # One long body but for the rare `is_hidden`: handing arrays on to a function costs atomic reference counts, as
     # much as the work itself. Which half of it is compiled depends on the type of `tables`.
     count, size, reach = landmarks.shape[2], axes.shape[1], sight.reach
-    near, who, ends = np.empty((6, count + 1)), np.empty(count + 1, dtype=np.int64), no_ends(obstacles, count)
+    poses, names, ends = np.empty((6, count)), np.arange(count), no_ends(obstacles, count)
+    # Landmarks near a region of blocks, and near a block in it.
+    around, region = np.empty((6, count)), np.empty(count, dtype=np.int64)
+    near, who = np.empty((6, count)), np.empty(count, dtype=np.int64)
     directions = near[3:]
     x, y, z, squared = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
     low, high, deep = np.empty(count), np.empty(count), np.empty(count)
@@ -137,11 +139,17 @@ def evaluate_range(
     for b in range(landmarks.shape[0]):
         for k in range(landmarks.shape[2]):
             mx, my, mz = landmarks[b, 0, k], landmarks[b, 1, k], landmarks[b, 2, k]
+            for i in range(3):
+                poses[i, k], poses[3 + i, k] = landmarks[b, i, k], normals[b, i, k]
             find_ends(obstacles, sight, mx, my, mz, normals[b, 0, k], normals[b, 1, k], normals[b, 2, k], ends, k)
-        for p in range(first, last):
-            if (p - first) % BLOCK == 0:
-                low_corner, high_corner = box_around(positions[p : min(p + BLOCK, last)])
-                count = gather(low_corner, high_corner, horizon, landmarks[b], normals[b], near, who)
+        for o in range(first, last):
+            p = order[o]
+            if o == first or o % REGION == 0:
+                low_corner, high_corner = box_around(positions, order[o : min(o - o % REGION + REGION, last)])
+                many = gather(low_corner, high_corner, horizon, len(names), poses, names, around, region)
+            if o == first or o % BLOCK == 0:
+                low_corner, high_corner = box_around(positions, order[o : min(o - o % BLOCK + BLOCK, last)])
+                count = gather(low_corner, high_corner, horizon, many, around, region, near, who)
                 padded = (count + BLOCK - 1) & -BLOCK
                 close[count:padded] = 2.0
             px, py, pz = positions[p, 0], positions[p, 1], positions[p, 2]

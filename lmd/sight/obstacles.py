@@ -14,9 +14,9 @@ A room with nothing in the way has None in place of `Obstacles`, for which these
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from lmd.checks import BoolArray, FloatArray
+from lmd.compiled import inlined
 from lmd.dispatch import overridable
 from lmd.geometry.upright import upright_axes
 from lmd.memory import check_memory
@@ -128,7 +128,7 @@ def _find_end_points(obstacles, sight, x, y, z, nx, ny, nz, ends, k):  # type: i
         ends[k, i, 0], ends[k, i, 1], ends[k, i, 2] = _point(i, half, x, y, z, rx, ry, rz, ux, uy, uz)
 
 
-@njit(inline="always")
+@inlined
 def _point(i, half, x, y, z, rx, ry, rz, ux, uy, uz):  # type: ignore[no-untyped-def]
     """Point i of a landmark at (x, y, z) with right r and up u: the centre, then r + u, -(r + u), r - u, -(r - u)."""
     way, up = half * (0.0 if i == 0 else 1.0 if i % 2 == 1 else -1.0), 1.0 if i < 3 else -1.0

@@ -7,10 +7,8 @@ condition loosened by `slack` holds for the whole piece; without slack the decis
 room blocks a piece is not asked: some of it may be seen past it.
 """
 
-import itertools
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,12 +20,13 @@ from lmd.compiled import kernel
 from lmd.deployment import Deployment
 from lmd.memory import check_memory
 from lmd.sight.bands import band_of
+from lmd.sight.blocks import BLOCK
 from lmd.sight.criteria import TOLERANCE, covers, from_position
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.kernels import BLOCK
 from lmd.sight.obstacles import find_ends, is_blocked, no_ends
 from lmd.space.space import Space
 from lmd.space.surface import SurfaceArrays
+from lmd.threads import in_parts
 
 # Poses, or positions, that a thread works on at a time: the work differs much between walls.
 CHUNKS_PER_THREAD = 8
@@ -208,7 +207,4 @@ def covered_amounts(evaluator: Evaluator, poses: Deployment, amounts: FloatArray
 
 def shared(kernel: Callable[..., None], size: int, threads: int, fixed: tuple[Any, ...]) -> None:
     """Run `kernel(start, stop, *fixed)` over `range(size)` on several threads."""
-    edges = np.unique(np.linspace(0, size, threads * CHUNKS_PER_THREAD + 1).astype(int))
-    with ThreadPoolExecutor(threads) as pool:
-        for job in [pool.submit(kernel, a, b, *fixed) for a, b in itertools.pairwise(edges)]:
-            job.result()
+    in_parts(threads, lambda first, last: kernel(first, last, *fixed), size, threads * CHUNKS_PER_THREAD)

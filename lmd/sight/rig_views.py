@@ -4,9 +4,8 @@ The bits come from `stations`; threads share positions, or poses. Every sum is o
 whatever their number.
 """
 
-import itertools
+import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -17,8 +16,9 @@ from lmd.sight.kernels import weights_row
 from lmd.sight.stations import Part, seen_by
 from lmd.space.blockers import Blockers
 from lmd.space.triangles import Triangles
+from lmd.threads import in_parts
 
-# Positions, or poses, that a thread works on at a time: what they see in all orientations is kept until summed up.
+# Positions, or poses, that a thread works on at a time at most: what they see in all orientations is kept for so long.
 AT_A_TIME = 64
 
 
@@ -97,10 +97,7 @@ class RigViews:
         return tuple(part._replace(sight=part.sight.unhidden()) for part in self.parts)
 
     def _shared(self, size: int, job: Callable[[slice], None]) -> None:
-        edges = [*range(0, size, AT_A_TIME), size]
-        with ThreadPoolExecutor(self.threads) as pool:
-            for done in [pool.submit(job, slice(a, b)) for a, b in itertools.pairwise(edges)]:
-                done.result()
+        in_parts(self.threads, lambda first, last: job(slice(first, last)), size, math.ceil(size / AT_A_TIME))
 
     def evaluate(
         self, landmarks: FloatArray, normals: FloatArray, weights: np.ndarray, n: int, counts: np.ndarray

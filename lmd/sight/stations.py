@@ -16,9 +16,10 @@ from lmd.compiled import kernel
 from lmd.rig import Rig
 from lmd.scene import Scene
 from lmd.sight.bits import BITS, ONE, ZERO, in_words, lowest, packed
+from lmd.sight.blocks import BLOCK, SINGLE_ERROR
 from lmd.sight.criteria import covering, covers, frame_of, from_position
 from lmd.sight.directions import NOWHERE, cell_of, tables
-from lmd.sight.kernels import BLOCK, SINGLE_ERROR, is_hidden
+from lmd.sight.kernels import is_hidden
 from lmd.sight.obstacles import find_ends, is_blocked, no_ends, obstacles_at
 from lmd.space.blockers import Blockers
 from lmd.space.triangles import Triangles

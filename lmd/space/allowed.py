@@ -9,10 +9,9 @@ import itertools
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from lmd.checks import FloatArray
-from lmd.compiled import kernel
+from lmd.compiled import inlined, kernel
 
 # Regions are closed: a place so near is in them, metres.
 EDGE = 1e-9
@@ -108,10 +107,10 @@ def gathered(pieces: FloatArray, places: FloatArray) -> FloatArray:
     return np.clip(np.stack([x, y], axis=-1), 0.0, 1.0)
 
 
-spread_one = njit(inline="always")(_spread)
+spread_one = inlined(_spread)
 
 
-@njit(inline="always")
+@inlined
 def nearest(pieces, start, stop, a, b):  # type: ignore[no-untyped-def]
     """The trapezoid from `start` to `stop` and the place in it next to (a, b), which stays if it is in one.
 
@@ -131,7 +130,7 @@ def nearest(pieces, start, stop, a, b):  # type: ignore[no-untyped-def]
     return piece, at_a, at_b
 
 
-@njit(inline="always")
+@inlined
 def allows(pieces, start, stop, a, b):  # type: ignore[no-untyped-def]
     """Whether (a, b) is in one of the trapezoids from `start` to `stop`."""
     _, p, q = nearest(pieces, start, stop, a, b)

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, IntArray
-from lmd.compiled import kernel
+from lmd.compiled import inner, kernel
 from lmd.space.box_tree import box_tree
 
 # By which boxes are larger than what they hold, relative to the largest coordinate: more than rounding.
@@ -125,7 +125,7 @@ def _beyond(faces: IntArray, normals: FloatArray) -> FloatArray:
     return beyond.reshape(count, 3, 3)
 
 
-@kernel
+@inner
 def is_crossed(triangles, px, py, pz, qx, qy, qz):  # type: ignore[no-untyped-def]
     """Whether the line from p to q crosses a triangle."""
     normals, offsets, borders, beyond = triangles.normals, triangles.offsets, triangles.borders, triangles.beyond
@@ -174,7 +174,7 @@ def is_crossed(triangles, px, py, pz, qx, qy, qz):  # type: ignore[no-untyped-de
     return False
 
 
-@kernel
+@inner
 def _is_touched(triangles, corner, wx, wy, wz):  # type: ignore[no-untyped-def]
     """Whether a line along w through a corner only touches the surface at one of the edges that end there."""
     spokes, tolerance = triangles.spokes, triangles.tolerance

@@ -9,12 +9,12 @@ from strategies import scenes_with_deployments
 
 from lmd.deployment import RandomDeployment
 from lmd.objectives.coverage_field import coverage_field
+from lmd.sight.blocks import BLOCK
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.incremental.hiding import flips_with
 from lmd.sight.incremental.move import state_of
 from lmd.sight.incremental.state import scratch_of
 from lmd.sight.incremental.trial import bound_move, finish_move
-from lmd.sight.kernels import BLOCK
 from lmd.sight.paper import hidden_by_others
 
 

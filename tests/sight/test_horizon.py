@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from by_position import with_probabilities
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numba import njit
@@ -14,9 +15,11 @@ from strategies import cameras, distorted_cameras, fiducials, pdfs, rolled_pdfs,
 from lmd.deployment import NORMAL_TOLERANCE, Deployment, RandomDeployment
 from lmd.limits import Limits
 from lmd.scene import Scene
+from lmd.sight import reference
 from lmd.sight.criteria import from_position, horizon_of
+from lmd.sight.evaluator import Evaluator
 from lmd.sight.fiducial import Fiducial
-from lmd.sight.kernels import box_around, gather
+from lmd.sight.kernels import REGION, box_around, gather
 from lmd.sight.paper import Visibility
 from lmd.space.cuboid import Cuboid
 from lmd.tag import Tag
@@ -45,6 +48,27 @@ def test_in_a_hall_every_fast_path_counts_what_the_reference_does(scene, n, seed
     before = drawn.positions[:10] + 0.1 * drawn.normals[:10] + rng.normal(scale=0.05, size=(10, 3))
     normals = np.vstack([drawn.normals, drawn.normals[:10]])
     check_every_path(scene, Deployment(np.vstack([drawn.positions, before]), normals), targets, n, rng)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3, 5])
+def test_regions_that_see_other_landmarks_count_what_the_reference_does(threads):
+    """Several of them, cut by threads anywhere, with positions in any order that have weights of their own."""
+    hall = Cuboid((62.0, 22.0, 4.0), (60.0, 20.0, 0.5), (1.5, 1.5, 0.5))
+    scene = with_probabilities(paper_scene(hall, occlusion="line_of_sight"), 0)
+    rng, grid = np.random.default_rng(0), hall.grid()
+    shuffled = rng.permutation(len(grid))
+    evaluator, drawn = Evaluator(scene, grid[shuffled], threads), RandomDeployment(200).draw(hall, rng)
+    assert len(grid) > 2 * REGION
+    order, horizon = evaluator.blocks[0][: len(grid)], horizon_of(scene.sight)
+    corners = [box_around(evaluator.positions, order[o : o + REGION]) for o in range(0, len(grid), REGION)]
+    poses, names = np.vstack([drawn.positions.T, drawn.normals.T]), np.arange(200)
+    near = [gather(*corner, horizon, 200, poses, names, np.empty((6, 200)), np.empty(200, int)) for corner in corners]
+    assert max(near) < 200
+    expected = reference.counts(scene, drawn)[shuffled]
+    np.testing.assert_array_equal(evaluator.counts(drawn), expected)
+    for n in (1, 2):
+        wanted = reference.coverage_probability(expected, scene.pdf, n, grid[shuffled])
+        np.testing.assert_allclose(evaluator.probabilities(drawn, n), wanted, atol=1e-12)
 
 
 @njit(error_model="numpy")
@@ -89,11 +113,13 @@ def test_who_hides_from_any_distance_has_no_horizon():
 
 
 def test_what_is_gathered_is_at_most_so_far_from_a_box():
-    low, high = box_around(np.array([[0.0, 1.0, 2.0], [2.0, 0.0, 2.0]]))
+    low, high = box_around(np.array([[9.0, 9.0, 9.0], [0.0, 1.0, 2.0], [2.0, 0.0, 2.0]]), np.array([1, 2]))
     assert (low, high) == ((0.0, 0.0, 2.0), (2.0, 1.0, 2.0))
     places = [[1.0, 0.5, 5.0], [5.0, 5.0, 2.0], [5.1, 5.0, 2.0], [-3.0, 0.5, 2.0], [1.0, -3.1, 2.0]]
     landmarks, near, who = np.ascontiguousarray(np.array(places).T), np.empty((6, 6)), np.empty(6, dtype=np.int64)
-    assert gather(low, high, 5.0, landmarks, -landmarks, near, who) == 4
-    np.testing.assert_array_equal(who[:4], [0, 1, 3, 4])
+    poses, names = np.vstack([landmarks, -landmarks]), np.array([10, 11, 12, 13, 14])
+    assert gather(low, high, 5.0, 5, poses, names, near, who) == 4
+    np.testing.assert_array_equal(who[:4], [10, 11, 13, 14])
     np.testing.assert_array_equal(near[0, :4], [1.0, 5.0, -3.0, 1.0])
     np.testing.assert_array_equal(near[3:, :4], -near[:3, :4])
+    assert gather(low, high, 5.0, 3, poses, names, near, who) == 2

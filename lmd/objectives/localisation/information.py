@@ -32,9 +32,9 @@ in any order, so that landmarks may be added and taken away again.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from lmd.camera import Camera
+from lmd.compiled import inlined
 from lmd.dispatch import dispatched
 from lmd.sight.criteria import TOLERANCE
 from lmd.tag import Tag
@@ -104,7 +104,7 @@ def precision(
     return PosePrecision(half, share, most(tolerance), most(rotation))
 
 
-@njit(inline="always")
+@inlined
 def moments(x, y, z, rx, ry, rz, ux, uy, uz, share):
     """A, g and C of a landmark's four corners times r^3, as 15 numbers.
 
@@ -133,13 +133,13 @@ def moments(x, y, z, rx, ry, rz, ux, uy, uz, share):
     )  # fmt: skip
 
 
-@njit(inline="always")
+@inlined
 def share_of(moment, weight):
     """What a landmark adds to one of the 15 numbers of a view: its moment times 1 / z^3, rounded to the quantum."""
     return (moment * weight + ROUNDER) - ROUNDER
 
 
-@njit(inline="always")
+@inlined
 def schur(
     axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
 ):  # fmt: skip
@@ -155,7 +155,7 @@ def schur(
     return det, minors, sxx * nxx + sxy * nxy + sxz * nxz
 
 
-@njit(inline="always")
+@inlined
 def variance(
     axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
 ):  # fmt: skip
@@ -166,7 +166,7 @@ def variance(
     return minors * det / rest, fixed
 
 
-@njit(inline="always")
+@inlined
 def log_det(
     axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
 ):  # fmt: skip

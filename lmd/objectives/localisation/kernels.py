@@ -8,24 +8,24 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from lmd.checks import FloatArray
-from lmd.compiled import kernel
+from lmd.compiled import inlined, kernel
 from lmd.geometry.upright import upright_axes
 from lmd.objectives.localisation.information import WIDTH, meets, moments, share_of, variance
 from lmd.sight.bands import band_of
 from lmd.sight.bits import ALL, BITS, LANES, ONE, ZERO, add_digit, at_least_so_far, lowest
+from lmd.sight.blocks import BLOCK, SINGLE_ERROR
 from lmd.sight.criteria import covering, covers, frame_of, from_position
 from lmd.sight.directions import NOWHERE, cell_of
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.kernels import BLOCK, SINGLE_ERROR, is_hidden, weights_row
+from lmd.sight.kernels import is_hidden, weights_row
 from lmd.sight.obstacles import find_ends, is_blocked, no_ends
 from lmd.sight.poses import shared
 from lmd.tag import LEVEL
 
 
-@njit(inline="always")
+@inlined
 def landmark_moments(x, y, z, nx, ny, nz, precision):
     """The `moments` of an upright landmark at offset (x, y, z) with the unit normal (nx, ny, nz)."""
     rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, LEVEL)
@@ -33,7 +33,7 @@ def landmark_moments(x, y, z, nx, ny, nz, precision):
     return moments(x, y, z, half * rx, half * ry, half * rz, half * ux, half * uy, half * uz, precision.share)
 
 
-@njit(inline="always")
+@inlined
 def meets_row(precision, sums, v):
     """`meets` with the sums of view v in `sums` `(V, WIDTH)`."""
     return meets(
@@ -42,7 +42,7 @@ def meets_row(precision, sums, v):
     )  # fmt: skip
 
 
-@njit(inline="always")
+@inlined
 def variance_of_row(sums, v):
     """`variance` with the sums of view v in `sums` `(V, WIDTH)`, infinite where something is open."""
     value, fixed = variance(

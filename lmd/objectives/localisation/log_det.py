@@ -10,10 +10,9 @@ place as a greater gain than the accuracy of another.
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from lmd.checks import FloatArray
-from lmd.compiled import kernel
+from lmd.compiled import inlined, kernel
 from lmd.deployment import Deployment
 from lmd.objectives.localisation.information import WIDTH, log_det, share_of
 from lmd.objectives.localisation.kernels import landmark_moments
@@ -24,7 +23,7 @@ from lmd.sight.obstacles import find_ends, is_blocked, no_ends
 from lmd.sight.poses import shared
 
 
-@njit(inline="always")
+@inlined
 def _log_det_with(sums, p, a, moment, weight):
     """`log_det` of view (p, a) of `sums` `(P, D, WIDTH)` once a landmark with a `moment` is added."""
     return log_det(

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.compiled import kernel
+from lmd.compiled import inner, kernel
 from lmd.memory import check_views
 from lmd.objectives.localisation.information import WIDTH
 from lmd.objectives.localisation.state import LocalisationState, localisation_scratch
@@ -16,7 +16,7 @@ from lmd.sight.incremental.state import State
 VIEW_BYTES = 8 * (WIDTH + 3)  # of a view: its sums, and three lists of views
 
 
-@kernel
+@inner
 def change_sums(k, sign, field, state, scratch):
     """Change the sums by the move tried last, or with a `sign` of -1 back; landmark k is still where it was."""
     if not field.asks:
@@ -35,7 +35,7 @@ def change_sums(k, sign, field, state, scratch):
                     add_shares(sums, view, e, a, sign, axes, offsets, moments, goes)
 
 
-@kernel
+@inner
 def exchange(state, scratch):
     """Exchange what state and scratch know of the values."""
     for p in range(len(state.units)):
@@ -78,7 +78,9 @@ def _fill(field, state, scratch):
             while left:
                 bit = lowest(left)
                 left &= left - ONE
-                row[ZERO] = state.sums[(p * words + w) * VIEW + bit]
+                v = (p * words + w) * VIEW + bit
+                for j in range(np.uint64(WIDTH)):
+                    row[ZERO, j] = state.sums[v, j]
                 good |= np.uint64(row_meets(field.precision, row)) << bit
             state.enough[p, w], state.localised[p, w] = has, good
             state.located[p] += sum_weights(ZERO, good, weights, p, w)

@@ -13,30 +13,30 @@ decides anew at the positions where either happens.
 """
 
 import numpy as np
-from numba import njit
 
-from lmd.compiled import kernel
+from lmd.compiled import inlined, inner
 from lmd.objectives.localisation.information import WIDTH, meets, share_of
 from lmd.objectives.localisation.kernels import landmark_moments, meets_row
 from lmd.sight.bits import ALL, BITS, ONE, ZERO, add_digit, at_least_so_far, lowest, prefetch
+from lmd.sight.blocks import BLOCK
 from lmd.sight.criteria import covering, frame_of
 from lmd.sight.directions import NOWHERE
 from lmd.sight.incremental.hiding import flips_with
 from lmd.sight.incremental.move import touched
 from lmd.sight.incremental.trial import begin_move, complete_move
-from lmd.sight.kernels import BLOCK, weights_row
+from lmd.sight.kernels import weights_row
 
 GROUP = 8  # views decided at a time
 VIEW = np.uint64(BITS)
 
 
-@njit(inline="always")
+@inlined
 def mixed(located, covered, weight):
     """(1 - weight) L + weight P_n in whole units; never falls as either rises."""
     return located + np.int64(weight * (covered - located))
 
 
-@kernel
+@inner
 def moments_of(x, y, z, nx, ny, nz, precision, moments):
     """Write the moments of a landmark at an offset into `moments` `(WIDTH,)`."""
     (
@@ -45,13 +45,13 @@ def moments_of(x, y, z, nx, ny, nz, precision, moments):
     ) = landmark_moments(x, y, z, nx, ny, nz, precision)  # fmt: skip
 
 
-@kernel
+@inner
 def row_meets(precision, row):
-    """`meets_row` with `row` `(1, WIDTH)`, compiled once for all who ask for one row at a time."""
+    """`meets_row` with `row` `(1, WIDTH)`, not inlined."""
     return meets_row(precision, row, 0)
 
 
-@kernel
+@inner
 def _look(k, field, state, scratch):
     """Fill `old` and `new`, and the cap of the new place at all positions that reach it."""
     cover, trial = field.coverage, scratch.coverage
@@ -80,14 +80,14 @@ def _look(k, field, state, scratch):
             cap[p, w] = found
 
 
-@njit(inline="always")
+@inlined
 def _weight(axes, a, x, y, z):
     """1 / z^3 for the depth z of a landmark at offset (x, y, z) along axis a."""
     depth = axes[0, a] * x + axes[1, a] * y + axes[2, a] * z
     return 1.0 / (depth * depth * depth)
 
 
-@kernel
+@inner
 def sum_weights(before, after, weights, p, w):
     """What the axes of word w weigh at position p that are in the set `after`, less those in `before`."""
     change, left, row = np.int64(0), before ^ after, weights_row(weights, p)
@@ -99,7 +99,7 @@ def sum_weights(before, after, weights, p, w):
     return change
 
 
-@kernel
+@inner
 def _list_views(k, field, state, scratch):
     """List the views to be decided anew where landmark k comes or goes and no other appears; settle all others.
 
@@ -145,7 +145,7 @@ def _list_views(k, field, state, scratch):
     first[len(flips)] = count
 
 
-@kernel
+@inner
 def _decide_views(field, state, scratch):
     """Decide the views listed."""
     precision, sums, old, new = field.precision, state.sums, scratch.old, scratch.new
@@ -184,7 +184,7 @@ def _decide_views(field, state, scratch):
                 localised[p, a // VIEW] |= ONE << (a % VIEW)
 
 
-@kernel
+@inner
 def _touched_places(k, state, scratch):
     """The positions that a move of landmark k may change; the values of the others are copied."""
     units, located, covered = scratch.units, scratch.located, scratch.coverage.units
@@ -194,7 +194,7 @@ def _touched_places(k, state, scratch):
     return touched(k, state.coverage, scratch.coverage)
 
 
-@kernel
+@inner
 def _sum_up(places, field, state, scratch):
     """Find the values at `places` from the sets of axes."""
     weights, covered = field.coverage.weights, scratch.coverage.units
@@ -208,7 +208,7 @@ def _sum_up(places, field, state, scratch):
         covered[p], scratch.located[p], scratch.units[p] = seen, located, mixed(located, seen, field.weight)
 
 
-@njit(inline="always")
+@inlined
 def _note_change(count, gone, x, y, z, moments, m, caps, i, p, scratch):
     """Write down that the cap `caps[i, p]` `(W,)` comes, or is `gone`, with the moments in row m."""
     scratch.goes[count] = ALL if gone else ZERO
@@ -219,7 +219,7 @@ def _note_change(count, gone, x, y, z, moments, m, caps, i, p, scratch):
         scratch.caps[count, w] = caps[i, p, w]
 
 
-@kernel
+@inlined
 def list_changes(k, p, field, state, scratch):
     """Write down which caps come or go at position p, and return how many: of landmark k, and of those that flip."""
     landmarks, normals, positions = state.landmarks, state.normals, field.coverage.positions
@@ -248,7 +248,7 @@ def list_changes(k, p, field, state, scratch):
     return count
 
 
-@njit(inline="always")
+@inlined
 def add_shares(sums, v, e, a, sign, axes, offsets, moments, goes):
     """Add what change e of a position adds to axis a, or takes, to row v of `sums`; the arrays are those of a scratch.
 
@@ -260,7 +260,7 @@ def add_shares(sums, v, e, a, sign, axes, offsets, moments, goes):
         sums[v, j] += factor * share_of(moments[e, j], weight)
 
 
-@kernel
+@inner
 def _try_flips(k, places, field, state, scratch):
     """Find the values at the positions `places`, where other landmarks may appear or disappear."""
     counts, digits, n = state.coverage.counts, scratch.coverage.digits, field.coverage.n
@@ -285,7 +285,9 @@ def _try_flips(k, places, field, state, scratch):
             while left:
                 bit = lowest(left)
                 left &= left - ONE
-                row[ZERO] = state.sums[(p * words + w) * VIEW + bit]
+                v = (p * words + w) * VIEW + bit
+                for j in range(np.uint64(WIDTH)):
+                    row[ZERO, j] = state.sums[v, j]
                 for e in range(changes):
                     if caps[e, w] >> bit & ONE:
                         add_shares(row, ZERO, e, w * VIEW + bit, 1.0, axes, offsets, moments, goes)
@@ -294,7 +296,7 @@ def _try_flips(k, places, field, state, scratch):
     _sum_up(places, field, state, scratch)
 
 
-@kernel
+@inner
 def bound_move(k, pose, surface, field, state, scratch):
     """Find what the values are at most with landmark k at `pose` `(6,)` on a surface: `scratch.units`."""
     flips, listed = scratch.coverage.flips, scratch.coverage.listed
@@ -310,7 +312,7 @@ def bound_move(k, pose, surface, field, state, scratch):
     _try_flips(np.uint64(k), listed[:count], field, state, scratch)
 
 
-@kernel
+@inner
 def finish_move(k, field, state, scratch):
     """Make what `bound_move` found exact."""
     if field.coverage.sight.reach >= 0.0:

@@ -16,9 +16,9 @@ from lmd.checks import FloatArray
 from lmd.compiled import kernel
 from lmd.deployment import Deployment
 from lmd.objectives.field import bound, in_order, settle, smoothed
-from lmd.optimisers.annealing.surrogate import at_once
 from lmd.problem import Problem
 from lmd.space.surface import SurfaceArrays
+from lmd.threads import at_once
 
 TRIED = 4  # places at which a landmark is tried in each step
 DIFFERENCE = 3e-3  # d, metres

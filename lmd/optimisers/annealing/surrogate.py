@@ -1,22 +1,20 @@
 """What the walk of simulated annealing climbs: the true problem, or a surrogate of it."""
 
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from lmd.checks import FloatArray, IntArray
 from lmd.deployment import Deployment
-from lmd.objectives.field import Field, in_order, total_worth
-from lmd.optimisers.annealing.walk import Best, Settings, follow, walk
+from lmd.objectives.field import Field, follow, in_order, total_worth
+from lmd.optimisers.annealing.walk import Best, Settings, walk
 from lmd.plates import TOUCHING
 from lmd.problem import Problem
 from lmd.sight.evaluator import Evaluator
 from lmd.space.surface import SurfaceArrays
-
-T = TypeVar("T")
+from lmd.threads import at_once
 
 
 @dataclass(frozen=True)
@@ -32,15 +30,6 @@ class Walker:
     state: Any
     scratches: tuple[Any, ...]
     best: Best
-
-
-def at_once(threads: int, work: Callable[..., T], *arguments: Iterable[Any]) -> list[T]:
-    """What `work` returns for each of the arguments, in their order."""
-    first, *others = calls = list(zip(*arguments, strict=True))
-    if not others:  # a thread of its own could not be interrupted, which the compiler gives reason for
-        return [work(*first)]
-    with ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(lambda call: work(*call), calls))
 
 
 class Surrogate:
@@ -63,6 +52,7 @@ class Surrogate:
 
     def __init__(self, problem: Problem, walkers: int, largest: float) -> None:
         self._problem, self.walkers, self._largest = problem, walkers, largest
+        self._threads = problem.evaluator.threads
         self._surfaces = SurfaceArrays.of(problem.scene.plates.hanging.surfaces())
         self._survey(problem.fitness_evaluator, problem.fitness_relevance)
         self._apart = 0.0  # least distance between plates
@@ -111,27 +101,26 @@ class Surrogate:
             pushed = self._problem.apart(here, size)
             self._apart = size * self._problem.scene.plates.edge * (1.0 - TOUCHING)
             here = best if pushed is None else pushed  # where there is no room for the plates, the best found has it
-        threads, slices = self._problem.evaluator.threads, self._slices(here, movable, number, rng)
+        slices = self._slices(here, movable, number, rng)
         if same:
-
-            def led(walker: Walker, members: IntArray) -> Walker:
-                at = here.positions, here.normals, here.surfaces
-                follow(*at, self._field, walker.state, walker.scratches[0])
-                return replace(walker, members=members)
-
-            self._walkers = at_once(threads, led, self._walkers, slices)
+            self._walkers = at_once(self._threads, partial(self._led, here), self._walkers, slices)
             return
         self._field = self._true.stacked(self._problem.fixed) if in_stacks else self._true.shrunk(size)
+        self._walkers = at_once(self._threads, partial(self._walker, here, best, together), slices)
 
-        def walker(members: IntArray) -> Walker:
-            state = self._field.state(here)
-            scratches = tuple(self._field.scratch(state) for _ in range(max(together, self._true.stack)))
-            known = self._true.state(best) if self.is_true else state
-            reached = np.array([total_worth(self._target, known.units)])
-            met = Best(reached, known.landmarks.copy(), known.normals.copy(), known.surfaces.copy())
-            return Walker(members, np.empty(together, dtype=np.int64), state, scratches, met)
+    def _walker(self, here: Deployment, best: Deployment, together: int, members: IntArray) -> Walker:
+        """A walker at `here`; so many of its landmarks can move together."""
+        state = self._field.state(here)
+        scratches = tuple(self._field.scratch(state) for _ in range(max(together, self._true.stack)))
+        known = self._true.state(best) if self.is_true else state
+        reached = np.array([total_worth(self._target, known.units)])
+        met = Best(reached, known.landmarks.copy(), known.normals.copy(), known.surfaces.copy())
+        return Walker(members, np.empty(together, dtype=np.int64), state, scratches, met)
 
-        self._walkers = at_once(threads, walker, slices)
+    def _led(self, here: Deployment, walker: Walker, members: IntArray) -> Walker:
+        """The walker where all have got to, with other members."""
+        follow(here.positions, here.normals, here.surfaces, self._field, walker.state, walker.scratches[0])
+        return replace(walker, members=members)
 
     def _slices(self, here: Deployment, movable: IntArray, number: int, rng: np.random.Generator) -> list[IntArray]:
         """The landmarks that may move, in so many slices of the room."""
@@ -151,7 +140,7 @@ class Surrogate:
             w, place = walker, (self._target, self._surfaces, self._apart)
             walk(share, w.members, w.group, self._field, w.state, w.scratches, *place, settings, own, w.best)
 
-        at_once(self._problem.evaluator.threads, go, self._walkers, shares, rngs)
+        at_once(self._threads, go, self._walkers, shares, rngs)
         return bool(self._walkers[0].best.fitness[0] > before)
 
     def here(self) -> Deployment:

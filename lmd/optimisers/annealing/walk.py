@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.compiled import kernel
+from lmd.compiled import inner, kernel
 from lmd.objectives.field import accept, bound, move, settle, smoothed, total_worth, undo
 from lmd.space.allowed import allows, spread_one
 
@@ -56,14 +56,14 @@ class Best(NamedTuple):
     surfaces: np.ndarray
 
 
-@kernel
+@inner
 def _reflect(value, extent):
     """Fold a coordinate that left [0, extent] back into it."""
     value = abs(value) % (2.0 * extent)
     return 2.0 * extent - value if value > extent else value
 
 
-@kernel
+@inner
 def _propose(k, state, surfaces, settings, rng):
     """A new place for landmark k, flush on a surface: index of the surface and coordinates there."""
     kind = rng.random()
@@ -86,7 +86,7 @@ def _propose(k, state, surfaces, settings, rng):
     return s, _reflect(a, surfaces.extent[s, 0]), _reflect(b, surfaces.extent[s, 1])
 
 
-@kernel
+@inner
 def _gather(k, members, state, group):
     """Fill `group` with landmark k and its nearest neighbours among the `members`."""
     group[0] = k
@@ -103,7 +103,7 @@ def _gather(k, members, state, group):
                 nearest, group[m] = distance, j
 
 
-@kernel
+@inner
 def propose(group, state, surfaces, settings, rng, new):
     """Write where the landmarks of `group` shall go, `(len(group), 6)`: position and normal.
 
@@ -130,7 +130,7 @@ def propose(group, state, surfaces, settings, rng, new):
     return s
 
 
-@kernel
+@inner
 def _overlaps(group, surface, new, state, surfaces, apart):
     """Whether a plate of `group` at its `new` place on a surface would be less than `apart` from another there."""
     u, v, landmarks = surfaces.u[surface], surfaces.v[surface], state.landmarks
@@ -158,7 +158,7 @@ def _overlaps(group, surface, new, state, surfaces, apart):
     return False
 
 
-@kernel
+@inner
 def _sum_values(units, accepted, value, target, settings, trial):
     """The smoothed objective for `units`, its terms in `trial`; `value` has those for `accepted`."""
     total = 0.0
@@ -170,15 +170,16 @@ def _sum_values(units, accepted, value, target, settings, trial):
     return total
 
 
-@kernel
+@inner
 def _keep_best(state, target, best):
     """Update `best` if `state` is better."""
     fitness = total_worth(target, state.units)
     if fitness > best.fitness[0]:
         best.fitness[0] = fitness
-        best.landmarks[:] = state.landmarks
-        best.normals[:] = state.normals
-        best.surfaces[:] = state.surfaces
+        for k in range(len(state.surfaces)):
+            best.surfaces[k] = state.surfaces[k]
+            for i in range(3):
+                best.landmarks[i, k], best.normals[i, k] = state.landmarks[i, k], state.normals[i, k]
 
 
 @kernel
@@ -227,22 +228,10 @@ def walk(moves, members, several, field, state, scratches, target, surfaces, apa
             taken = gain >= 0.0 or drawn < math.exp(gain / settings.temperature)
         if taken:
             accept(field, group[last], state, scratch)
-            accepted[:] = state.units
+            for p in range(positions):
+                accepted[p] = state.units[p]
             value, trial, total = trial, value, sum_value
             _keep_best(state, target, best)
         else:
             for m in range(last - 1, -1, -1):
                 undo(field, group[m], state, scratches[m])
-
-
-@kernel
-def follow(positions, normals, surfaces, field, state, scratch):
-    """Move the landmarks of `state` that are elsewhere than at `positions`, `normals` `(K, 3)` on `surfaces` `(K,)`."""
-    pose = np.empty(6)
-    for k in range(len(positions)):
-        elsewhere = state.surfaces[k] != surfaces[k]
-        for i in range(3):
-            pose[i], pose[3 + i] = positions[k, i], normals[k, i]
-            elsewhere |= pose[i] != state.landmarks[i, k] or pose[3 + i] != state.normals[i, k]
-        if elsewhere:
-            move(field, k, pose, surfaces[k], state, scratch)

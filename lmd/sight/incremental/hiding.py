@@ -20,16 +20,15 @@ cheap to exact:
 import math
 
 import numpy as np
-from numba import njit
 
-from lmd.compiled import kernel
+from lmd.compiled import inlined, inner
 from lmd.sight.bits import LANES, ONE, lowest
+from lmd.sight.blocks import BLOCK, SINGLE_ERROR
 from lmd.sight.criteria import TOLERANCE, hide
 from lmd.sight.incremental.nearby import is_near
-from lmd.sight.kernels import BLOCK, SINGLE_ERROR
 
 
-@kernel
+@inner
 def find_neighbours(
     k, ax, ay, az, nx, ny, nz, field, landmarks, normals, blocks, wanted, others, ways, neighbours
 ):  # fmt: skip
@@ -105,13 +104,13 @@ def find_neighbours(
         found[b] = kept
 
 
-@njit(inline="always")
+@inlined
 def flips_with(reachable, was, now):
     """Whether a landmark appears or disappears when `now` others hide it instead of `was`."""
     return reachable & ((was == 0) != (now == 0))
 
 
-@kernel
+@inner
 def find_turns(blocks, before, after, turns, slot):
     """Merge what a landmark hides `before` and `after` a move into how many more others hide each of the others."""
     found, who, change = turns
@@ -131,7 +130,7 @@ def find_turns(blocks, before, after, turns, slot):
             slot[who[b, m]] = -1
 
 
-@kernel
+@inner
 def find_old(k, field, state, scratch):
     """Fill `before` with what landmark k hides, and is hidden by, where it is."""
     landmarks, normals, hiding, hidden = state.landmarks, state.normals, state.hiding, state.hidden
@@ -147,7 +146,7 @@ def find_old(k, field, state, scratch):
     )  # fmt: skip
 
 
-@kernel
+@inner
 def find_new(k, field, state, scratch):
     """Fill `after` with what landmark k hides, and is hidden by, at the place tried."""
     target, blocks = scratch.target, scratch.blocks[: scratch.near[0]]
@@ -157,7 +156,7 @@ def find_new(k, field, state, scratch):
     )  # fmt: skip
 
 
-@kernel
+@inner
 def find_flips(state, scratch):
     """Fill `turns` from `before` and `after`; set `flips` where another landmark appears or disappears."""
     reachable, hidden, flips = state.reachable, state.hidden, scratch.flips
@@ -172,14 +171,14 @@ def find_flips(state, scratch):
                 flips[p] |= flips_with(reachable[i, p], hidden[i, p], hidden[i, p] + change[b, m, q])
 
 
-@njit(inline="always")
+@inlined
 def swap(one, other, first, last):
     """Exchange a part of two arrays; by itself, so that the loop vectorises."""
     for p in range(first, last):
         one[p], other[p] = other[p], one[p]
 
 
-@kernel
+@inner
 def exchange_hiding(k, sign, sight, state, scratch):
     """Exchange from where landmark k is reached, and who hides whom, for what `scratch` has of its other place.
 

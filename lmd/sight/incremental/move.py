@@ -9,9 +9,8 @@ moves the counts equal a full evaluation's, bit for bit.
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-from lmd.compiled import kernel
+from lmd.compiled import inlined, inner, kernel
 from lmd.deployment import Deployment
 from lmd.memory import check_views
 from lmd.sight.bits import (
@@ -25,12 +24,13 @@ from lmd.sight.bits import (
     lowest,
     unpacked,
 )
+from lmd.sight.blocks import BLOCK
 from lmd.sight.criteria import covering, frame_of
 from lmd.sight.directions import NOWHERE
 from lmd.sight.incremental.hiding import exchange_hiding, find_new, flips_with, swap
 from lmd.sight.incremental.nearby import look_around
 from lmd.sight.incremental.state import State, scratch_of
-from lmd.sight.kernels import BLOCK, weights_row
+from lmd.sight.kernels import weights_row
 
 # What is kept of a landmark in a view: a bit whether it is covered, and as much again of what hides it.
 LANDMARK_BYTES = 0.25
@@ -38,7 +38,7 @@ LANDMARK_BYTES = 0.25
 # Indices are unsigned where it counts: signed ones cost extra instructions, as they might be negative.
 
 
-@kernel
+@inner
 def _find_cap(positions, field, scratch):
     """Find the axes that cover the place tried at `positions`, nobody hiding it."""
     sight, axes, certain, possible = field.sight, field.axes, field.certain, field.possible
@@ -57,7 +57,7 @@ def _find_cap(positions, field, scratch):
             caps[p, w] = cap
 
 
-@njit(inline="always")
+@inlined
 def ripple(p, w, changed, goes, n, counts, short, just):
     """Count a landmark less at those axes `changed` that are in `goes`, one more at the others, digit by digit."""
     one, two = ALL, ALL
@@ -68,7 +68,7 @@ def ripple(p, w, changed, goes, n, counts, short, just):
     short[p, w], just[p, w] = one, two
 
 
-@kernel
+@inner
 def _recount(k, positions, sign, field, state, scratch):
     """Exchange the cap of landmark k for the other in `scratch` at `positions`, and update the counts.
 
@@ -99,7 +99,7 @@ def _recount(k, positions, sign, field, state, scratch):
                     ripple(p, w, caps[i, p, w], ALL if was == 0 else ZERO, n, counts, short, just)
 
 
-@kernel
+@inner
 def touched(k, state, scratch):
     """Positions at which a move of landmark k may change anything."""
     reachable, reached, flips, listed = state.reachable, scratch.new.reached, scratch.flips, scratch.listed
@@ -111,7 +111,7 @@ def touched(k, state, scratch):
     return listed[:count]
 
 
-@kernel
+@inner
 def exchange_place(k, state, scratch):
     """Exchange where landmark k is for the other place in `scratch`."""
     landmarks, normals, target = state.landmarks, state.normals, scratch.target
@@ -121,7 +121,7 @@ def exchange_place(k, state, scratch):
     state.surfaces[k], scratch.surface[0] = scratch.surface[0], state.surfaces[k]
 
 
-@kernel
+@inner
 def _exchange(k, sign, field, state, scratch):
     """Exchange landmark k for what `scratch` has of its other place."""
     _recount(np.uint64(k), touched(k, state, scratch), sign, field, state, scratch)
@@ -131,20 +131,20 @@ def _exchange(k, sign, field, state, scratch):
     exchange_place(k, state, scratch)
 
 
-@kernel
+@inner
 def carry_out(k, field, state, scratch):
     """Move landmark k to where it was tried last; no other move may have been tried or carried out since."""
     _find_cap(touched(k, state, scratch), field, scratch)
     _exchange(k, 1, field, state, scratch)
 
 
-@kernel
+@inner
 def take_back(k, field, state, scratch):
     """Undo the last `carry_out` with this `scratch`, all later ones being undone."""
     _exchange(k, -1, field, state, scratch)
 
 
-@kernel
+@inner
 def sum_up(field, state):
     """Find P_n from the counts."""
     counts, units = state.counts, state.units
@@ -187,11 +187,9 @@ def _fill(field, state, scratch):
         positions = touched(k, state, scratch)
         _find_cap(positions, field, scratch)
         _recount(np.uint64(k), positions, 1, field, state, scratch)
-        state.reachable[k], state.hidden[k], state.hiding[k] = (
-            scratch.new.reached,
-            after.count_hidden,
-            after.count_hides,
-        )
+        for p in range(np.uint64(len(scratch.new.reached))):
+            state.reachable[k, p] = scratch.new.reached[p]
+            state.hidden[k, p], state.hiding[k, p] = after.count_hidden[p], after.count_hides[p]
     sum_up(field, state)
 
 

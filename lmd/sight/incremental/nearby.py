@@ -5,17 +5,16 @@ clears what the last one left, and no loop need look at the whole room.
 """
 
 import numpy as np
-from numba import njit
 
-from lmd.compiled import kernel
+from lmd.compiled import inlined, inner
 from lmd.sight.bits import ONE
+from lmd.sight.blocks import BLOCK
 from lmd.sight.criteria import from_position
 from lmd.sight.directions import cell_of
-from lmd.sight.kernels import BLOCK
 from lmd.sight.obstacles import find_ends, is_blocked, no_ends
 
 
-@njit(inline="always")
+@inlined
 def is_near(field, b, x, y, z):  # type: ignore[no-untyped-def]
     """Whether block b is within the horizon of (x, y, z): alike whenever it is asked, so that who hides whom is."""
     dx = max(abs(x - field.centres[0, b]) - field.halves[0, b], 0.0)
@@ -24,7 +23,7 @@ def is_near(field, b, x, y, z):  # type: ignore[no-untyped-def]
     return dx * dx + dy * dy + dz * dz <= field.horizon * field.horizon
 
 
-@kernel
+@inner
 def _forget(scratch):  # type: ignore[no-untyped-def]
     """Clear what the last trial left."""
     blocks, spans, near = scratch.blocks, scratch.spans, scratch.near
@@ -40,7 +39,7 @@ def _forget(scratch):  # type: ignore[no-untyped-def]
             hides[p] = hidden[p] = 0
 
 
-@kernel
+@inner
 def list_blocks(k, field, state, scratch):  # type: ignore[no-untyped-def]
     """Forget the last trial, and list the blocks near landmark k or its target."""
     target, landmarks = scratch.target, state.landmarks
@@ -64,7 +63,7 @@ def list_blocks(k, field, state, scratch):  # type: ignore[no-untyped-def]
     near[0], near[1] = count, number
 
 
-@kernel
+@inner
 def look_around(k, field, state, scratch):  # type: ignore[no-untyped-def]
     """`list_blocks`, and find what they see of the target."""
     list_blocks(k, field, state, scratch)

@@ -3,9 +3,9 @@
 from typing import Any
 
 import numpy as np
-from numba import literal_unroll, njit
+from numba import literal_unroll
 
-from lmd.compiled import kernel
+from lmd.compiled import inlined, inner, kernel
 from lmd.deployment import Deployment
 from lmd.memory import check_views
 from lmd.sight.bits import BITS
@@ -21,7 +21,7 @@ STATION_BYTES = 5
 CAMERA_BYTES = 3 / 8
 
 
-@kernel
+@inner
 def _exchange_parts(k, sign, parts, state, scratch):
     for part in literal_unroll(parts):
         mine, other = state.parts[part.number], scratch.parts[part.number]
@@ -33,7 +33,7 @@ def _exchange_parts(k, sign, parts, state, scratch):
         exchange_hiding(k, sign, part.sight, mine, other)
 
 
-@njit(inline="always")
+@inlined
 def _show(i, q, w, now, n, state):
     """Let `now` be the orientations of word w with which landmark i is seen; returns what they were."""
     was = state.shown[i, q, w]
@@ -43,7 +43,7 @@ def _show(i, q, w, now, n, state):
     return was
 
 
-@kernel
+@inner
 def _exchange(k, sign, field, state, scratch):
     """Exchange landmark k for what `scratch` has of its other place; to do so twice changes nothing."""
     n, words = field.n, np.uint64(scratch.fresh.shape[1])
@@ -63,20 +63,20 @@ def _exchange(k, sign, field, state, scratch):
     exchange_place(k, state, scratch)
 
 
-@kernel
+@inner
 def carry_out_rig(k, field, state, scratch):
     """See `move.carry_out`."""
     see_anew(field.parts, scratch, True)
     _exchange(np.uint64(k), 1, field, state, scratch)
 
 
-@kernel
+@inner
 def take_back_rig(k, field, state, scratch):
     """See `move.take_back`."""
     _exchange(np.uint64(k), -1, field, state, scratch)
 
 
-@kernel
+@inner
 def _arrive(k, parts, state, scratch):
     """Find what all parts see of landmark k at the place tried, and keep it."""
     for part in literal_unroll(parts):
@@ -86,8 +86,13 @@ def _arrive(k, parts, state, scratch):
     see_anew(parts, scratch, True)
     for i in range(len(state.parts)):
         mine, other = state.parts[i], scratch.parts[i]
-        mine.caps[:, k], mine.veiled[:, k], mine.reachable[k] = other.cap, other.veil, other.new.reached
-        mine.hidden[k], mine.hiding[k] = other.after.count_hidden, other.after.count_hides
+        for s in range(len(other.new.reached)):
+            mine.reachable[k, s] = other.new.reached[s]
+            mine.hidden[k, s], mine.hiding[k, s] = other.after.count_hidden[s], other.after.count_hides[s]
+        for m in range(len(mine.caps)):
+            for q in range(other.cap.shape[1]):
+                for w in range(other.cap.shape[2]):
+                    mine.caps[m, k, q, w], mine.veiled[m, k, q, w] = other.cap[m, q, w], other.veil[m, q, w]
 
 
 @kernel

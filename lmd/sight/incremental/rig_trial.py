@@ -11,20 +11,21 @@ only where P_n depends on them, with n - 1 other landmarks in view.
 """
 
 import numpy as np
-from numba import literal_unroll, njit
+from numba import literal_unroll
 
-from lmd.compiled import kernel
+from lmd.compiled import inlined, inner
 from lmd.sight.bits import ALL, BITS, ONE, ZERO, add_digit, at_least_so_far, equal_so_far, lowest
+from lmd.sight.blocks import BLOCK
 from lmd.sight.criteria import covering, covers_one, frame_of, from_position
 from lmd.sight.directions import NOWHERE, cell_of
 from lmd.sight.incremental.hiding import find_flips, find_new, find_old, flips_with
 from lmd.sight.incremental.nearby import list_blocks
-from lmd.sight.kernels import BLOCK, weights_row
+from lmd.sight.kernels import weights_row
 from lmd.sight.obstacles import find_ends, is_blocked, no_ends
 from lmd.sight.stations import SEVERAL
 
 
-@kernel
+@inner
 def _find_caps(part, scratch, asked, whole, fresh):
     """Add to `fresh` the `asked` orientations with which cameras of a part see the place tried.
 
@@ -93,7 +94,7 @@ def _find_caps(part, scratch, asked, whole, fresh):
                     veil[m, q, w] |= members[g, w]
 
 
-@kernel
+@inner
 def _forget_pairs(scratch):
     """Clear what the last trial left."""
     for e in range(scratch.found[0]):
@@ -107,7 +108,7 @@ def _forget_pairs(scratch):
     scratch.found[:] = 0
 
 
-@kernel
+@inner
 def _find_pairs(part, state, scratch, rig):
     """List the landmarks that appear or disappear for a camera of a part, and note down for which orientations."""
     members, size, flipped = part.members, np.uint64(len(rig.touched)), scratch.flipped
@@ -130,7 +131,7 @@ def _find_pairs(part, state, scratch, rig):
                         rig.found[1] += 1
 
 
-@njit(inline="always")
+@inlined
 def shown_by(i, q, w, state, scratch):
     """The orientations of word w with which some camera sees landmark i once what is `flipped` has."""
     shown = ZERO
@@ -141,14 +142,14 @@ def shown_by(i, q, w, state, scratch):
     return shown
 
 
-@njit(inline="always")
+@inlined
 def _add(q, w, changed, goes, digits):
     """Count one less in `digits` at the orientations `changed` that are in `goes`, one more at the others."""
     for j in range(np.uint64(digits.shape[2])):
         digits[q, w, j], changed = add_digit(digits[q, w, j], changed, goes)
 
 
-@njit(inline="always")
+@inlined
 def _weigh(left, w, weights, row):
     """The weight of the orientations `left` of word w, by a row of the `weights`."""
     total = np.int64(0)
@@ -158,7 +159,7 @@ def _weigh(left, w, weights, row):
     return total
 
 
-@kernel
+@inner
 def _ask(k, n, state, scratch):
     """Find where P_n depends on landmark k, the pairs having turned: where n - 1 others are seen."""
     counts, shown, asked, digits = state.counts, state.shown, scratch.asked, scratch.digits
@@ -168,7 +169,8 @@ def _ask(k, n, state, scratch):
             mine = shown[k, q, w]
             asked[q, w] = (state.short[q, w] & ~mine) | (state.just[q, w] & mine)
             if scratch.touched[q]:
-                digits[q, w] = counts[q, w]
+                for j in range(np.uint64(digits.shape[2])):
+                    digits[q, w, j] = counts[q, w, j]
                 _add(q, w, mine, ALL, digits)
     for e in range(scratch.found[0]):
         i, q = np.uint64(scratch.who[e]), np.uint64(scratch.where[e])
@@ -184,7 +186,7 @@ def _ask(k, n, state, scratch):
                 asked[q, w] = equal_so_far(asked[q, w], digits[q, w, j], n - 1, j)
 
 
-@kernel
+@inner
 def _find_units(k, n, weights, state, scratch):
     """Find P_n with the sets in `fresh` for landmark k and the pairs as they turn."""
     counts, shown, fresh, asked, digits = state.counts, state.shown, scratch.fresh, scratch.asked, scratch.digits
@@ -203,7 +205,7 @@ def _find_units(k, n, weights, state, scratch):
         scratch.units[q] = state.units[q] + change
 
 
-@kernel
+@inner
 def _look_again(k, parts, field, state, scratch):
     """Find P_n from who hides whom, as far as that is known."""
     _forget_pairs(scratch)
@@ -215,7 +217,7 @@ def _look_again(k, parts, field, state, scratch):
     _find_units(k, field.n, field.weights, state, scratch)
 
 
-@kernel
+@inner
 def see_anew(parts, scratch, whole):
     """Find what all cameras see of the place tried, see `_find_caps`."""
     scratch.fresh[:] = ZERO
@@ -223,7 +225,7 @@ def see_anew(parts, scratch, whole):
         _find_caps(part, scratch.parts[part.number], scratch.asked, whole, scratch.fresh)
 
 
-@kernel
+@inner
 def _begin(k, parts, state, scratch):
     for part in literal_unroll(parts):
         list_blocks(k, part, state.parts[part.number], scratch.parts[part.number])
@@ -232,7 +234,7 @@ def _begin(k, parts, state, scratch):
             find_flips(state.parts[part.number], scratch.parts[part.number])
 
 
-@kernel
+@inner
 def _complete(k, parts, state, scratch):
     hides = False
     for part in literal_unroll(parts):
@@ -243,16 +245,17 @@ def _complete(k, parts, state, scratch):
     return hides
 
 
-@kernel
+@inner
 def bound_rig_move(k, pose, surface, field, state, scratch):
     """See `trial.bound_move`."""
     scratch.surface[0] = surface
-    scratch.target[:] = pose
+    for i in range(6):
+        scratch.target[i] = pose[i]
     _begin(k, field.parts, state, scratch)
     _look_again(np.uint64(k), field.parts, field, state, scratch)
 
 
-@kernel
+@inner
 def finish_rig_move(k, field, state, scratch):
     """See `trial.finish_move`."""
     if _complete(k, field.parts, state, scratch):

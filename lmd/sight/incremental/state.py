@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lmd.sight.bits import LANES
-from lmd.sight.kernels import BLOCK
+from lmd.sight.blocks import BLOCK
 
 
 class State(NamedTuple):

@@ -25,7 +25,7 @@ another cap, so what it finds is never below P_n:
 
 import numpy as np
 
-from lmd.compiled import kernel
+from lmd.compiled import inner
 from lmd.sight.bits import (
     ALL,
     BITS,
@@ -38,16 +38,17 @@ from lmd.sight.bits import (
     equal_so_far,
     lowest,
 )
+from lmd.sight.blocks import BLOCK
 from lmd.sight.criteria import covers_one, frame_of
 from lmd.sight.directions import NOWHERE
 from lmd.sight.incremental.hiding import find_flips, find_new, find_old, flips_with
 from lmd.sight.incremental.nearby import look_around
-from lmd.sight.kernels import BLOCK, weights_row
+from lmd.sight.kernels import weights_row
 
 # Indices are unsigned where it counts: signed ones cost extra instructions, as they might be negative.
 
 
-@kernel
+@inner
 def _try_caps(k, field, state, scratch):
     """Bound P_n where landmark k comes or goes and no other appears; copy it elsewhere."""
     sight, axes, weights, certain, possible = field.sight, field.axes, field.weights, field.certain, field.possible
@@ -62,7 +63,8 @@ def _try_caps(k, field, state, scratch):
     listed, unsure, places = scratch.listed, scratch.unsure, scratch.places
     spans, near = scratch.spans, scratch.near
     count, found, size = ZERO, ZERO, np.uint64(caps.shape[2])
-    units[:] = before
+    for p in range(np.uint64(len(units))):
+        units[p] = before[p]
     for s in range(near[1]):
         first, last = spans[s, 0], spans[s, 1]
         for p in range(first, last):
@@ -96,7 +98,7 @@ def _try_caps(k, field, state, scratch):
         units[p] += change
 
 
-@kernel
+@inner
 def _try_flips(k, positions, field, state, scratch):
     """Find P_n at `positions`, where other landmarks may appear or disappear."""
     sight, axes, weights, n = field.sight, field.axes, field.weights, field.n
@@ -150,7 +152,7 @@ def _try_flips(k, positions, field, state, scratch):
                 left &= left - ONE
 
 
-@kernel
+@inner
 def begin_move(k, pose, surface, field, state, scratch):
     """Look at landmark k at `pose` `(6,)`, position and normal, on a surface, as if nothing hid or were hidden there.
 
@@ -165,7 +167,7 @@ def begin_move(k, pose, surface, field, state, scratch):
         find_flips(state, scratch)
 
 
-@kernel
+@inner
 def complete_move(k, field, state, scratch):
     """Find who hides whom with landmark k at its new place; returns the positions where that changes anything."""
     flips, listed = scratch.flips, scratch.listed
@@ -180,7 +182,7 @@ def complete_move(k, field, state, scratch):
     return listed[:count]
 
 
-@kernel
+@inner
 def bound_move(k, pose, surface, field, state, scratch):
     """Find what P_n is at most with landmark k at `pose` `(6,)`, position and normal, on a surface: `scratch.units`."""
     flips, listed = scratch.flips, scratch.listed
@@ -194,7 +196,7 @@ def bound_move(k, pose, surface, field, state, scratch):
     _try_flips(np.uint64(k), listed[:count], field, state, scratch)
 
 
-@kernel
+@inner
 def finish_move(k, field, state, scratch):
     """Make what `bound_move` found exact."""
     if field.sight.reach >= 0.0:
