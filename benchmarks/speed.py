@@ -27,13 +27,14 @@ from lmd.pipelines.building import build_problem
 from lmd.scene import Scene
 from lmd.sight import reference
 from lmd.sight.bands import band_of
+from lmd.sight.blocks import BLOCK
 from lmd.sight.criteria import from_position
-from lmd.sight.evaluator import Evaluator, available_threads
+from lmd.sight.evaluator import Evaluator
 from lmd.sight.incremental.move import carry_out, state_of
 from lmd.sight.incremental.state import scratch_of
 from lmd.sight.incremental.trial import bound_move, finish_move
-from lmd.sight.kernels import BLOCK
 from lmd.sight.poses import candidate_poses, gains
+from lmd.threads import available_threads
 
 COUNT, N = 90, 2  # of the paper: landmarks, and how many must be seen
 DEPLOYMENTS = 20
@@ -71,17 +72,19 @@ def move_all(poses, surfaces, field, state, scratch, steps):  # type: ignore[no-
             carry_out(k, field, state, scratch)
 
 
-def evaluation(scene: Scene, count: int, threads: int, occlusion: bool = True, caps: bool = True) -> float:
+def evaluation(
+    scene: Scene, count: int, threads: int, batch: int = DEPLOYMENTS, occlusion: bool = True, caps: bool = True
+) -> float:
     """Seconds of one evaluation, in a batch of random deployments; without occlusion, or with no cap in reach."""
     rng = np.random.default_rng(0)
-    drawn = [RandomDeployment(count).draw(scene.room, rng) for _ in range(DEPLOYMENTS)]
+    drawn = [RandomDeployment(count).draw(scene.room, rng) for _ in range(batch)]
     positions, normals = np.stack([d.positions for d in drawn]), np.stack([d.normals for d in drawn])
     evaluator = Evaluator(scene, threads=threads)
     if not occlusion:
         evaluator.sight = evaluator.sight.unhidden()
     if not caps:
         evaluator.sight = evaluator.sight._replace(min_depth=np.inf)
-    return best_of(5, lambda: evaluator.units(positions, normals, N)) / DEPLOYMENTS
+    return best_of(5 * DEPLOYMENTS // batch, lambda: evaluator.units(positions, normals, N)) / batch
 
 
 def moves(scene: Scene, count: int, step: str) -> float:
@@ -117,9 +120,10 @@ def speed(scene: Scene) -> Iterator[str]:
     drawn = RandomDeployment(COUNT).draw(scene.room, np.random.default_rng(0))
     base = best_of(3, lambda: reference.counts(scene, drawn))
     rows = [("reference, one evaluation", base)]
-    for threads in sorted({1, available_threads()}):
-        label = f"one evaluation of a batch, {threads} thread{'s' * (threads > 1)}"
-        rows.append((label, evaluation(scene, COUNT, threads)))
+    for kind, batch in (("of a batch", DEPLOYMENTS), ("by itself", 1)):
+        for threads in sorted({1, available_threads()}):
+            label = f"one evaluation {kind}, {threads} thread{'s' * (threads > 1)}"
+            rows.append((label, evaluation(scene, COUNT, threads, batch)))
     rows += [(f"one landmark moved, {step}", moves(scene, COUNT, step)) for step in STEPS]
     for threads in sorted({1, available_threads()}):
         poses, seconds = all_gains(scene, threads)

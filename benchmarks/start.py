@@ -20,6 +20,7 @@ SWEEP = ("optimise", "-m", "seed=0,1,2,3,4,5,6,7,8,9", "budget.evaluations=30", 
 STORE = "tracking.uri=sqlite:///../mlflow.db"  # the first round makes it
 COMMANDS = {
     "one evaluation, untracked": ("evaluate", *QUICK, "tracking=none"),
+    "one evaluation, untracked, without losses": ("evaluate", *QUICK, "tracking=none", "++losses=false"),
     "one evaluation, tracked": ("evaluate", *QUICK, STORE),
     "a sweep of ten jobs of 30 evaluations, untracked": (*SWEEP, "tracking=none"),
     "a sweep of ten jobs of 30 evaluations, tracked": (*SWEEP, STORE),
@@ -31,6 +32,7 @@ def processor_seconds(checkout: Path, cache: Path, pipeline: str, *arguments: st
     """What a command of a checkout takes, in a working directory of its own."""
     cache.mkdir(exist_ok=True)
     environment = os.environ | {"PYTHONPATH": str(checkout), "NUMBA_CACHE_DIR": str(cache)}
+    environment["PYTHONDONTWRITEBYTECODE"] = ""  # what Python compiles of modules is kept, as by default
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with tempfile.TemporaryDirectory(dir=cache) as cwd:
         command = [sys.executable, "-m", f"pipelines.{pipeline}", *arguments]
@@ -44,6 +46,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("before", type=Path, help="the checkout to compare with")
     parser.add_argument("--rounds", type=int, default=3, help="each command is timed so often")
+    parser.add_argument("--only", default="", help="of the commands after the first run those whose label has this")
     parser.add_argument("--precompile", action="store_true", help="also the first run after precompile, minutes")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
@@ -54,6 +57,8 @@ def main() -> None:
         first = [processor_seconds(*pair, *FIRST) for pair in pairs]  # compiles for all the others
         print_row("first run, with an empty cache", *first)
         for label, command in COMMANDS.items():
+            if options.only not in label:
+                continue
             rounds = [[processor_seconds(*pair, *command) for pair in pairs] for _ in range(options.rounds)]
             print_row(label, *(min(column) for column in zip(*rounds, strict=True)))
         if options.precompile:
