@@ -169,7 +169,8 @@ def ends_reported() -> Iterator[None]:
     from lmd.checks import InputError
 
     try:
-        yield
+        with stop.raising():
+            yield
     except (InputError, MemoryError) as error:
         discard_empty(run_directory())
         lack = "there is not enough memory for these settings: " if isinstance(error, MemoryError) else ""

@@ -29,10 +29,14 @@ class Stop:
     At first the process ends on the spot: it has nothing to lose yet. While `raising`, the first signal raises
     `Stopped`, once; what follows cleans up and is not disturbed. While `deferred`, the first one only sets
     `requested`, and the second one raises. While `postponed`, they wait.
+
+    A library may be hit where it cannot leave things as they were, and fail by an error of its own. Such an error
+    leaves as `Stopped`, too.
     """
 
     def __init__(self) -> None:
         self._number = 0  # the signal that was heard
+        self._is_under_way = False  # `Stopped` was raised, and has not got out of where it hit
         self._terminals: tuple[int, ...] = ()
         self._act: Callable[[int], None] = _leave
 
@@ -103,9 +107,13 @@ class Stop:
         before, self._act = self._act, act
         try:
             yield
-        except Stopped:  # no second one while what is around cleans up
-            before = _ignore
-            raise
+        except (Stopped, Exception) as error:
+            if not isinstance(error, Stopped) and not self._is_under_way:
+                raise
+            before, self._is_under_way = _ignore, False  # no second one while what is around cleans up
+            if isinstance(error, Stopped):
+                raise
+            raise Stopped(self._number) from error
         finally:
             self._act = before
 
@@ -117,7 +125,8 @@ class Stop:
         self._act(number)
 
     def _raise(self, number: int) -> None:
-        self._number, self._act = number, _ignore
+        self._number, self._act, self._is_under_way = number, _ignore, True
+        os.environ["HYDRA_FULL_ERROR"] = "1"  # or Hydra would print what a library made of it, and exit with 1
         _tell("stopping")
         raise Stopped(number)
 

@@ -85,8 +85,9 @@ def tracked(cfg: DictConfig, subject: str, about: str = "", earlier: Earlier | N
         else:
             tags["continues"] = earlier.run_id
     try:
-        tracker.start(RunStart(short_name(subject, varied), run_directory(), params, tags), run_id)
-        yield tracker
+        with stop.raising():
+            tracker.start(RunStart(short_name(subject, varied), run_directory(), params, tags), run_id)
+            yield tracker
     except InputError as error:
         if run_id is None and working_for is None:
             tracker.discard()

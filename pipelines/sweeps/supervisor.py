@@ -52,7 +52,8 @@ def _outcome_reported() -> Iterator[Callable[[float | None], None]]:
     folder, job = working_for
     threading.Thread(target=_stop_with_the_sweep, daemon=True).start()
     try:
-        yield lambda value: folder.save(replace(job, status="finished", value=value))
+        with stop.raising():
+            yield lambda value: folder.save(replace(job, status="finished", value=value))
     except BaseException as error:
         told_to = isinstance(error, KeyboardInterrupt) or (isinstance(error, SystemExit) and error.code in CODES)
         folder.save(replace(job, status="interrupted" if told_to else "failed", reason=reason_of(error)))

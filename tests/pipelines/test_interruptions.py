@@ -120,6 +120,33 @@ def test_told_to_stop_before_there_is_anything_it_leaves_nothing(begin, number, 
         assert not [run for run in runs(tmp_path) if run.info.status == "RUNNING"]
 
 
+@pytest.mark.parametrize(
+    ("library", "function"),
+    [("hydra._internal.config_loader_impl.ConfigLoaderImpl", "load_configuration"), ("pipelines.building", "deepcopy")],
+)
+def test_told_to_stop_within_a_library_that_fails_of_it_it_says_no_more(library, function, tmp_path):
+    """Hydra while it composes, and OmegaConf while objects are made, are left with a configuration half done."""
+    code = f"""
+import signal, sys, hydra.core.utils, hydra._internal.config_loader_impl, pipelines.building
+from pipelines.optimise import main
+from pipelines.signals import stop
+def halved(*args, **kwargs):
+    try:
+        signal.raise_signal(signal.SIGTERM)
+    finally:
+        raise AttributeError("half done")
+{library}.{function} = halved
+stop.listen()
+sys.argv = {["optimise", *SETTINGS, "hydra.run.dir=run"]}
+main()
+"""
+    line = [sys.executable, "-c", code]
+    done = subprocess.run(line, cwd=tmp_path, env=environment(), capture_output=True, text=True, check=False)
+    assert done.returncode == 128 + signal.SIGTERM, done.stderr
+    assert done.stderr.split() == ["stopping"]
+    assert not (tmp_path / "run").exists()
+
+
 def test_a_closed_terminal_is_no_reason_to_lose_the_result(begin, tmp_path):
     ours, theirs = os.openpty()
     line, terminal = command("optimise", *SETTINGS, *ENDLESS), dict.fromkeys(("stdin", "stdout", "stderr"), theirs)

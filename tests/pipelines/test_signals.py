@@ -10,8 +10,9 @@ from pipelines.tracking import MlflowTracker, RunStart
 
 
 @pytest.fixture(name="stop")
-def _stop():
+def _stop(monkeypatch):
     """What hears the signals of this process, during a test."""
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "0")  # as it was, it is again after the test
     before = {number: signal.getsignal(number) for number in SIGNALS}
     stop = Stop()
     stop.listen()
@@ -30,6 +31,28 @@ def test_the_first_raises_and_what_follows_does_not_disturb_the_cleaning_up(stop
     with pytest.raises(Stopped) as told, stop.raising():
         work()
     assert told.value.code == stop.code == 128 + signal.SIGTERM
+
+
+def test_what_a_library_makes_of_it_is_not_reported(stop):
+    def library():
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        finally:
+            raise AttributeError("left as it was when the signal came")
+
+    with pytest.raises(Stopped) as told, stop.raising():
+        library()
+    assert told.value.code == 128 + signal.SIGTERM
+
+
+def test_an_error_after_it_was_heard_is_an_error(stop):
+    def work():
+        with pytest.raises(Stopped), stop.deferred(lambda: False):
+            signal.raise_signal(signal.SIGTERM)
+        raise ValueError("another matter")
+
+    with pytest.raises(ValueError, match="another matter"), stop.raising():
+        work()
 
 
 def test_deferred_the_second_raises(stop, capfd):
