@@ -26,7 +26,10 @@ SOURCES = (
 # A division by zero gives infinity or NaN instead of an exception, as in NumPy. Nobody calls kernels from C: a wrapper
 # for that would take a twelfth of the time of compiling.
 _OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-_INNER: Any = _OPTIONS | {"nopython": True, "no_cpython_wrapper": True}
+# Of a function that `inner` makes, and of one that LLVM inlines. Where nothing is said, numba takes what goes for the
+# first that calls it.
+INNER: Any = _OPTIONS | {"nopython": True, "no_cpython_wrapper": True, "forceinline": False}
+INLINED: Any = INNER | {"forceinline": True}
 
 
 def kernel(function: Callable[..., Any]) -> Any:
@@ -42,7 +45,7 @@ def inner(function: Callable[..., Any]) -> Any:
     With numba's own, LLVM optimises and translates whatever a function calls once for that function, once for each that
     calls it, and so on: most of the time of compiling, where functions are nested as deeply as here.
     """
-    return _Inner(function, targetoptions=_INNER, pipeline_class=InnerCompiler)
+    return _Inner(function, targetoptions=INNER, pipeline_class=InnerCompiler)
 
 
 def inlined(function: Callable[..., Any]) -> Any:
@@ -51,7 +54,7 @@ def inlined(function: Callable[..., Any]) -> Any:
     Only so do loops over it vectorise, and what stays the same moves out of them. For what is called at every position,
     handing over a field, a state and a scratch, hundreds of numbers, would take longer than the work.
     """
-    return _Inner(function, targetoptions=_INNER | {"forceinline": True}, pipeline_class=InnerCompiler)
+    return _Inner(function, targetoptions=INLINED, pipeline_class=InnerCompiler)
 
 
 class _Inner(CPUDispatcher):

@@ -52,7 +52,7 @@ class Deployment:
 
     def __post_init__(self) -> None:
         for name in ("positions", "normals"):
-            array = np.array(getattr(self, name), dtype=np.float64)
+            array = np.array(getattr(self, name), dtype=np.float64, order="C")  # kernels are compiled for that
             if array.ndim != 2 or array.shape[1] != 3 or not len(array):
                 raise InputError(f"deployment {name} must have the shape (K, 3) with K >= 1, got {array.shape}.")
             if not np.isfinite(array).all():

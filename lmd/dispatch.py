@@ -17,7 +17,7 @@ from typing import Any, Protocol, cast
 
 from numba.extending import overload
 
-from lmd.compiled import InnerCompiler
+from lmd.compiled import INLINED, INNER, InnerCompiler
 
 Function = Callable[..., Any]
 
@@ -34,20 +34,20 @@ class Dispatched(Protocol):
 
 def dispatched(declaration: Function) -> Dispatched:
     """A function with the name and the docstring of `declaration`, whose body is never used; inlined, see `inlined`."""
-    return _dispatched(declaration, None, forceinline=True)
+    return _dispatched(declaration, None, INLINED)
 
 
 def dispatched_call(declaration: Function) -> Dispatched:
     """The same for what is long: not inlined."""
-    return _dispatched(declaration, None, forceinline=False)
+    return _dispatched(declaration, None, INNER)
 
 
 def overridable(declaration: Function) -> Dispatched:
     """`dispatched`, but the body of `declaration` serves the classes that register nothing."""
-    return _dispatched(declaration, declaration, forceinline=True)
+    return _dispatched(declaration, declaration, INLINED)
 
 
-def _dispatched(declaration: Function, otherwise: Function | None, forceinline: bool) -> Dispatched:
+def _dispatched(declaration: Function, otherwise: Function | None, options: Any) -> Dispatched:
     table: dict[type, Function] = {}
 
     def call(first: Any, *others: Any) -> Any:
@@ -65,7 +65,5 @@ def _dispatched(declaration: Function, otherwise: Function | None, forceinline: 
 
     call.__name__, call.__doc__, call.__module__ = declaration.__name__, declaration.__doc__, declaration.__module__
     call.register = register  # type: ignore[attr-defined]
-    # A division by zero gives infinity instead of a branch that keeps loops from vectorising.
-    options: Any = {"error_model": "numpy", "forceinline": forceinline, "pipeline_class": InnerCompiler}
-    overload(call, strict=False, jit_options=options)(resolve)
+    overload(call, strict=False, jit_options=options | {"pipeline_class": InnerCompiler})(resolve)
     return cast(Dispatched, call)

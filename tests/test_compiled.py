@@ -11,7 +11,7 @@ from lmd.compiled import inlined, inner, kernel
 
 PACKAGE = Path(lmd.__file__).parent
 DECORATORS = (
-    *("kernel", "inner", "inlined", "njit", "intrinsic", "register"),
+    *("kernel", "inner", "inlined", "intrinsic", "register"),
     *("dispatched", "dispatched_call", "overridable"),
 )
 

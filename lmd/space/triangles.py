@@ -186,7 +186,7 @@ def _is_touched(triangles, corner, wx, wy, wz):  # type: ignore[no-untyped-def]
     return False
 
 
-@kernel
+@inner
 def _distance(triangles, x, y, z, most):  # type: ignore[no-untyped-def]
     """How far (x, y, z) is from the nearest triangle; `most` if it is farther."""
     normals, offsets, corners, borders = triangles.normals, triangles.offsets, triangles.corners, triangles.borders
