@@ -1,0 +1,13 @@
+import signal
+
+from pipelines.workers import in_processes
+
+
+def ignores_interrupts(_job):
+    return signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+
+
+def test_a_terminal_that_interrupts_the_workers_is_left_to_who_began_them():
+    """One that raised would print a traceback, and the pool wait for ever for what it had in hand."""
+    assert list(in_processes(ignores_interrupts, range(3), workers=2, ordered=True)) == [True] * 3
+    assert not ignores_interrupts(0)
