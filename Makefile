@@ -28,11 +28,14 @@ run: install  ## the main job on the paper's room at a small budget
 view: install  ## the planner in the browser, for experiment=lab
 	-$(BIN)/python -m pipelines.view experiment=lab
 
+# Files in their order: those with few tests, which take longest, else come last, one after the other.
+PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
+
 test: install  ## the whole test suite
-	$(BIN)/python -m pytest -n auto --dist loadfile
+	$(PYTEST)
 
 quick: install  ## the tests that are not slow, for while you work
-	$(BIN)/python -m pytest -n auto --dist loadfile -m 'not slow'
+	$(PYTEST) -m 'not slow'
 
 lint: install  ## style and types
 	$(BIN)/ruff check .

@@ -54,6 +54,7 @@ class Page:
     def tick(self, label):
         labels = self.script("Array.from(document.querySelectorAll('label'), l => [l.innerText, l.htmlFor])")
         self.script("document.getElementById(arguments[0]).click()", dict(labels)[label])
+        time.sleep(1.0)  # the page tells of that some time later, but of a click in the picture at once
 
     def pixel(self, point):
         """Where a place in the room is shown."""
