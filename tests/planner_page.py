@@ -47,9 +47,12 @@ class Page:
         )
         return {key.strip(): text.strip() for key, text in found}
 
+    def buttons(self):
+        return self.script("Array.from(document.querySelectorAll('button')).map(b => b.innerText)")
+
     def press(self, label):
-        buttons = self.script("Array.from(document.querySelectorAll('button')).map(b => b.innerText)")
-        self.script("document.querySelectorAll('button')[arguments[0]].click()", buttons.index(label))
+        self.until(lambda: label in self.buttons())
+        self.script("document.querySelectorAll('button')[arguments[0]].click()", self.buttons().index(label))
 
     def tick(self, label):
         labels = self.script("Array.from(document.querySelectorAll('label'), l => [l.innerText, l.htmlFor])")

@@ -28,6 +28,7 @@ LANDMARKS = """id,x,y,z,nx,ny,nz,note
 """
 SETTINGS = (*SMALL[:2], "tag.edge=0.15", "objective.n=1", "objective.thold_p=0.1", "deployment=file")
 OVERRIDES = ("deployment.path=mine.csv", "hydra.run.dir=out")
+ENDLESS = "budget.evaluations=100000000"  # searches go on until they are stopped
 EXPORTED = {"tags.csv", "tags.json", "tags.wpilib.json", "plan.pdf", "sheets.pdf"}
 ADDS, BALLS = "a click on a surface adds a tag", "positions"
 
@@ -41,7 +42,7 @@ def work(tmp_path):
 @pytest.fixture
 def planner(work):
     """A running planner, and its address."""
-    line = command("view", *OVERRIDES, settings=SETTINGS)
+    line = command("view", *OVERRIDES, ENDLESS, settings=SETTINGS)
     process = start(line, cwd=work, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     yield process, process.stdout.readline().split()[1]
     process.kill()
