@@ -107,12 +107,13 @@ class Stop:
         before, self._act = self._act, act
         try:
             yield
-        except (Stopped, Exception) as error:
-            if not isinstance(error, Stopped) and not self._is_under_way:
-                raise
+        except Stopped:
             before, self._is_under_way = _ignore, False  # no second one while what is around cleans up
-            if isinstance(error, Stopped):
+            raise
+        except Exception as error:
+            if not self._is_under_way:
                 raise
+            before, self._is_under_way = _ignore, False
             raise Stopped(self._number) from error
         finally:
             self._act = before

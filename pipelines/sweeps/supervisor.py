@@ -148,7 +148,8 @@ def _execute(cfg: DictConfig, arguments: list[str], folder: JobFolder, lock: int
         )
     with closing(process), _told_by_slurm():
         try:
-            return process.wait(), False
+            with stop.raising():  # heard here: what fails later is another matter
+                return process.wait(), False
         except KeyboardInterrupt:
             process.stdin.close()
             try:
