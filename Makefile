@@ -6,43 +6,65 @@ EVALUATIONS ?= 3000
 
 export MLFLOW_DISABLE_TELEMETRY := true
 export DO_NOT_TRACK := true
+# Packages are installed without what Python compiles of them, which is kept when they are first imported.
+export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: install precompile run view test quick lint docs ui figures paper-experiment clean
+.PHONY: install install-all precompile run view test test-thorough quick lint docs ui figures paper-experiment clean
 
-install: $(VENV)/installed
+# uv where there is one, else pip; the same pins.
+UV := $(shell command -v uv 2>/dev/null)
+MAKE_VENV := $(if $(UV),$(UV) venv --quiet --seed --allow-existing --python $(PYTHON) $(VENV),$(PYTHON) -m venv $(VENV))
+INSTALL := $(if $(UV),$(UV) pip install --quiet --python $(BIN)/python,\
+  $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check) --constraint constraints.txt --editable
+TIMED = began=$$(date +%s) && $(1) && echo "$(2) took $$(($$(date +%s) - began)) s"
+
+install: $(VENV)/installed  ## what the main job needs, compiled
+install-all: $(VENV)/installed-all  ## what all commands and the tests need; nothing more is compiled
 
 # Reinstalled whenever what is pinned or declared changes.
-$(VENV)/installed: pyproject.toml constraints.txt
-	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "error: lmd needs Python 3.11 or newer; set PYTHON=python3.x")'
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
-	$(BIN)/python -m pipelines.precompile
-	touch $@
+$(VENV)/made: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "error: lmd needs Python 3.11 or newer; set PYTHON=python3.x")'
+	@$(MAKE_VENV)
+	@touch $@
 
-precompile: install  ## after a change of compiled code, what the first runs would compile
+$(VENV)/installed: $(VENV)/made
+	@echo "installing what the main job needs, with $(if $(UV),uv,pip)"
+	@$(call TIMED,$(INSTALL) .,installing)
+	@$(call TIMED,$(BIN)/python -m pipelines.precompile main,compiling)
+	@touch $@
+
+$(VENV)/installed-all: $(VENV)/made
+	@echo "installing what all commands and the tests need, with $(if $(UV),uv,pip)"
+	@$(call TIMED,$(INSTALL) '.[dev]',installing)
+	@touch $@
+
+precompile: install-all  ## compile what the first runs of other commands would, on all processors
 	$(BIN)/python -m pipelines.precompile
 
 run: install  ## the main job on the paper's room at a small budget
-	$(BIN)/python -m pipelines.optimise budget.evaluations=$(EVALUATIONS) page=true
+	$(BIN)/python -m pipelines.optimise budget.evaluations=$(EVALUATIONS)
 
-view: install  ## the planner in the browser, for experiment=lab
+view: install-all  ## the planner in the browser, for experiment=lab
 	-$(BIN)/python -m pipelines.view experiment=lab
 
 # Files in their order: those with few tests, which take longest, else come last, one after the other.
 PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
-test: install  ## the whole test suite
+test: install-all  ## the whole test suite
 	$(PYTEST)
 
-quick: install  ## the tests that are not slow, for while you work
+test-thorough: install-all  ## the same, property tests with four times as many examples
+	LMD_EXAMPLES=4 $(PYTEST)
+
+quick: install-all  ## the tests that are not slow, for while you work
 	$(PYTEST) -m 'not slow'
 
-lint: install  ## style and types
+lint: install-all  ## style and types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-docs: install  ## the documentation as HTML in build/docs; a broken link or reference fails
+docs: install-all  ## the documentation as HTML in build/docs; a broken link or reference fails
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
 ui: install  ## browse the runs at http://127.0.0.1:5000
@@ -64,4 +86,4 @@ paper-experiment: install  ## the paper's experiment, simulated: PDF from a reco
 
 clean:  ## remove the environment and caches, keep outputs
 	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
-	find lmd -name '*.nb[ic]' -delete
+	find lmd tests -name '*.nb[ic]' -delete

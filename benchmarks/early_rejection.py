@@ -32,9 +32,9 @@ def try_all(who, places, surfaces, field, state, scratch, finish):  # type: igno
     """Try each of the moves, or only bound it; P_n of each, in units."""
     units = np.empty((len(who), len(state.units)), dtype=np.int64)
     for i in range(len(who)):
-        bound_move(who[i], places[i], surfaces[i], field, state, scratch)
+        bound_move(field, who[i], places[i], surfaces[i], state, scratch)
         if finish:
-            finish_move(who[i], field, state, scratch)
+            finish_move(field, who[i], state, scratch)
         units[i] = scratch.units
     return units
 

@@ -65,11 +65,11 @@ def move_all(poses, surfaces, field, state, scratch, steps):  # type: ignore[no-
     """Move the landmarks in turn to each of the poses `(M, 6)`, as an optimiser does: the first of `STEPS`."""
     for i in range(len(poses)):
         k = i % state.landmarks.shape[1]
-        bound_move(k, poses[i], surfaces[i], field, state, scratch)
+        bound_move(field, k, poses[i], surfaces[i], state, scratch)
         if steps > 1:
-            finish_move(k, field, state, scratch)
+            finish_move(field, k, state, scratch)
         if steps > 2:
-            carry_out(k, field, state, scratch)
+            carry_out(field, k, state, scratch)
 
 
 def evaluation(

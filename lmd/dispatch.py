@@ -17,7 +17,7 @@ from typing import Any, Protocol, cast
 
 from numba.extending import overload
 
-from lmd.compiled import INLINED, INNER, InnerCompiler
+from lmd.compiled import OVERLOAD, OVERLOAD_INLINED
 
 Function = Callable[..., Any]
 
@@ -34,17 +34,17 @@ class Dispatched(Protocol):
 
 def dispatched(declaration: Function) -> Dispatched:
     """A function with the name and the docstring of `declaration`, whose body is never used; inlined, see `inlined`."""
-    return _dispatched(declaration, None, INLINED)
+    return _dispatched(declaration, None, OVERLOAD_INLINED)
 
 
 def dispatched_call(declaration: Function) -> Dispatched:
     """The same for what is long: not inlined."""
-    return _dispatched(declaration, None, INNER)
+    return _dispatched(declaration, None, OVERLOAD)
 
 
 def overridable(declaration: Function) -> Dispatched:
     """`dispatched`, but the body of `declaration` serves the classes that register nothing."""
-    return _dispatched(declaration, declaration, INLINED)
+    return _dispatched(declaration, declaration, OVERLOAD_INLINED)
 
 
 def _dispatched(declaration: Function, otherwise: Function | None, options: Any) -> Dispatched:
@@ -61,9 +61,10 @@ def _dispatched(declaration: Function, otherwise: Function | None, options: Any)
         return remember
 
     def resolve(first: Any, *_: Any) -> Function | None:
-        return table.get(getattr(first, "instance_class", object)) or otherwise
+        function = table.get(getattr(first, "instance_class", object)) or otherwise
+        return getattr(function, "py_func", function)  # of an inner function
 
     call.__name__, call.__doc__, call.__module__ = declaration.__name__, declaration.__doc__, declaration.__module__
     call.register = register  # type: ignore[attr-defined]
-    overload(call, strict=False, jit_options=options | {"pipeline_class": InnerCompiler})(resolve)
+    overload(call, strict=False, jit_options=options)(resolve)
     return cast(Dispatched, call)

@@ -55,6 +55,7 @@ def instantiate(node: Any, **extra: Any) -> Any:
     from hydra.errors import InstantiationException
 
     from lmd.checks import InputError
+    from lmd.optional import missing_of
 
     try:
         return hydra.utils.instantiate(node, **extra, _convert_="all")
@@ -62,6 +63,9 @@ def instantiate(node: Any, **extra: Any) -> Any:
         cause: BaseException | None = error.__cause__
         while cause is not None and not isinstance(cause, InputError):
             cause = cause.__cause__
+        lacks = missing_of(error)
+        if lacks is not None:
+            raise lacks from None
         if cause is not None:
             with keyed(str(error).partition("full_key: ")[2].strip(), **{name: name for name in extra}):
                 raise cause from None
@@ -102,6 +106,7 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
     from lmd.checks import InputError, boolean, choice, integer
     from lmd.objectives.localisation import Localisation
     from lmd.optimisers.encoding import KINDS
+    from lmd.optional import optional
     from lmd.problem import Problem
     from lmd.scene import Scene
     from lmd.tag import Tag
@@ -113,6 +118,8 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
     for switch in SWITCHES:
         if switch in cfg:
             boolean(switch, cfg[switch])
+    if cfg.get("page"):
+        optional("plotly", "page")
     tag = instantiate(cfg.tag) if cfg.get("tag") else Tag()  # runs of old have none
     camera, visibility = camera_of(cfg.camera), instantiate(cfg.visibility)
     room, pdf, recorded = _poses(cfg)

@@ -1,24 +1,25 @@
-"""Compile what the commands use as they are configured by default: `python -m pipelines.precompile`.
+"""Compile what the commands use as they are configured by default: `python -m pipelines.precompile [main]`.
 
 Compiled code is kept beside the modules, or where `NUMBA_CACHE_DIR` says. Without this, the first run that needs
-something compiles it.
+something compiles it. With `main`, that is done for the main job alone.
 """
 
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import count
 from pathlib import Path
 
-from .app import PACKAGE
+from .app import PACKAGE, command_of
 
 SMALL = ("tracking=none", "threads=1")
-RUNS = (  # the longest first
-    ("optimise", "budget.evaluations=200"),  # enough for stacks, plates that grow, and plates of their size
+MAIN = ("optimise", "budget.evaluations=60")
+OTHERS = (  # the longest first
     ("optimise", "budget.evaluations=60", "experiment=lab"),
     ("optimise", "budget.evaluations=60", "objective=localisation", "tag=printed"),
-    ("optimise", "budget.evaluations=60", "experiment=lab_l_shape"),
     ("optimise", "budget.evaluations=60", "objective=robust"),
     ("evaluate",),
     ("observe", "deployment=uniform", "seeds=1", "trajectory.duration=2"),
@@ -29,20 +30,47 @@ def main() -> None:
     """Do a small run of each kind, in processes of their own; exit with 1 if one fails."""
     from lmd.threads import available_threads
 
-    print("compiling; this takes a few minutes, once", file=sys.stderr)
-    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(available_threads()) as pool:
-        outputs = [f"hydra.run.dir={Path(folder) / str(i)}" for i in range(len(RUNS))]
-        failed = [message for message in pool.map(_run, RUNS, outputs) if message]
-    if failed:
-        sys.exit("\n".join(failed))
+    asked = sys.argv[1:]
+    if asked not in ([], ["main"]):
+        sys.exit(f"error: {command_of('precompile')} takes nothing or main, got {' '.join(asked)}.")
+    with tempfile.TemporaryDirectory() as folder:
+        if not asked:
+            print("compiling what the commands use; this takes a minute or two, once", file=sys.stderr)
+        failed = [_run(MAIN, Path(folder) / "main", told=True)]
+        if not asked and not failed[0]:  # the others have use for what it compiled
+            done = count(1)
+
+            def run(number: int) -> str:
+                began = time.monotonic()
+                problem = _run(OTHERS[number], Path(folder) / str(number), told=False)
+                took = f"took {time.monotonic() - began:.0f} s: {' '.join(OTHERS[number])}"
+                print(f"compiling {next(done)} of {len(OTHERS)} {took}", file=sys.stderr)
+                return problem
+
+            with ThreadPoolExecutor(available_threads()) as pool:
+                failed += pool.map(run, range(len(OTHERS)))
+    if any(failed):
+        sys.exit("\n".join(filter(None, failed)))
 
 
-def _run(run: Sequence[str], output: str) -> str:
-    """Do a run; returns what it said if it failed."""
+def _run(run: Sequence[str], output: Path, told: bool) -> str:
+    """Do a run; returns what it said if it failed.
+
+    Args:
+        run: a pipeline and its overrides.
+        output: folder of the run.
+        told: whether to tell which kernels it compiles.
+    """
     pipeline, *overrides = run
-    command = [sys.executable, "-m", f"{PACKAGE}.{pipeline}", *overrides, *SMALL, output]
-    done = subprocess.run(command, capture_output=True, text=True)
-    return f"{' '.join(command)}\n{done.stderr}" if done.returncode else ""
+    command = [sys.executable, "-m", f"{PACKAGE}.{pipeline}", *overrides, *SMALL, f"hydra.run.dir={output}"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None, "it has a pipe"
+    lines = []
+    for line in process.stderr:
+        lines.append(line)
+        if told and "compiling" in line:
+            print(line.rpartition("\r")[2].strip(), file=sys.stderr)
+    return f"{' '.join(command)}\n{''.join(lines)}" if process.wait() else ""
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
 """What every model of sight must pass: all fast paths count what its reference counts."""
 
 import numpy as np
+from moves import move
 
 from lmd.deployment import Deployment
 from lmd.objectives.coverage_field import coverage_field
-from lmd.objectives.field import move
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.incremental.move import counts_of, state_of

@@ -1,12 +1,28 @@
-"""Pipelines as a user starts them: processes of their own."""
+"""Pipelines as a user starts them: processes of their own.
 
+To start Python and to import takes longer than most of what is tested. So pipelines are forked from one process that
+has done that (`warm`), unless the start itself matters (`fresh`).
+"""
+
+import atexit
+import importlib
+import multiprocessing
 import os
+import signal
 import subprocess
 import sys
+import threading
+from multiprocessing import reduction
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).parents[1]
 SMALL = ("room.spacing=1.5", "objective.thold_p=0.5", "validate=false")
+LIMIT = 120  # seconds that a test waits for a process
+
+_context = multiprocessing.get_context("forkserver")
+_context.set_forkserver_preload(["warm"])
 
 
 def environment(*folders):
@@ -18,11 +34,12 @@ def command(pipeline, *overrides, settings=SMALL):
     return [sys.executable, "-m", f"pipelines.{pipeline}", *settings, *overrides]
 
 
-def call(pipeline, *overrides, cwd, settings=SMALL, folders=()):
+def call(pipeline, *overrides, cwd, settings=SMALL, folders=(), fresh=False):
     """Run a pipeline to its end, whatever that is."""
     line = command(pipeline, *overrides, settings=settings)
-    environ = environment(*folders)
-    return subprocess.run(line, cwd=cwd, env=environ, capture_output=True, text=True, check=False)
+    process = start(line, cwd=cwd, folders=folders, fresh=fresh, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    out, err = process.communicate(timeout=5 * LIMIT)
+    return subprocess.CompletedProcess(line, process.returncode, out, err)
 
 
 def refused(pipeline, *overrides, message, cwd, settings=SMALL):
@@ -56,6 +73,132 @@ finally:
     return subprocess.run(line, cwd=cwd, env=environment(), capture_output=True, text=True, check=False).stdout
 
 
-def start(line, *, cwd, folders=(), **streams):
-    """Start a command and go on."""
-    return subprocess.Popen(line, cwd=cwd, env=environment(*folders), text=True, **streams)
+def hearing():
+    """Hear signals as a process in the foreground does, whatever this one was made to ignore."""
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM, signal.SIGPIPE):
+        signal.signal(number, signal.SIG_DFL)
+
+
+def start(line, *, cwd, folders=(), fresh=False, ignoring=(), **streams):
+    """Start a command and go on.
+
+    Args:
+        line: of `command`, or any other.
+        cwd: its folder.
+        folders: where it finds modules of the test.
+        fresh: a process that has imported nothing; so is that of any other command.
+        ignoring: signals that it is made to ignore.
+        streams: of `subprocess.Popen`.
+    """
+
+    def before():
+        hearing()
+        for number in ignoring:
+            signal.signal(number, signal.SIG_IGN)
+
+    if fresh or line[:2] != [sys.executable, "-m"]:
+        return subprocess.Popen(line, cwd=cwd, env=environment(*folders), text=True, preexec_fn=before, **streams)
+    return Forked(line[2], list(map(str, line[3:])), cwd, environment(*folders), ignoring, **streams)
+
+
+class Forked:
+    """A pipeline in a process forked from a warm one, with what tests use of `subprocess.Popen`."""
+
+    def __init__(
+        self, module, arguments, cwd, environ, ignoring, start_new_session=False, stdin=None, stdout=None, stderr=None
+    ):
+        ends = {0: stdin, 1: stdout, 2: stderr}
+        pipes = {number: os.pipe() for number, end in ends.items() if end == subprocess.PIPE}
+        given = {number: end for number, end in ends.items() if isinstance(end, int) and end >= 0}
+        streams = {number: _Descriptor(end) for number, end in given.items()}
+        streams |= {number: _Descriptor(writing) for number, (_, writing) in pipes.items()}
+        asked = (module, arguments, str(cwd), environ, tuple(ignoring), streams, start_new_session)
+        self._process = _context.Process(target=_run, args=asked)
+        with pytest.MonkeyPatch.context() as patch:  # where the warm process, if this starts it, finds its modules
+            patch.setenv("PYTHONPATH", os.pathsep.join(map(str, (ROOT, ROOT / "tests"))))
+            self._process.start()
+        for _, writing in pipes.values():
+            os.close(writing)
+        self._readers = {number: os.fdopen(reading, newline=None) for number, (reading, _) in pipes.items()}
+        self.stdout, self.stderr = self._readers.get(1), self._readers.get(2)
+        self.pid = self._process.pid
+
+    def poll(self):
+        return self._process.exitcode
+
+    @property
+    def returncode(self):
+        return self._process.exitcode
+
+    def wait(self, timeout=None):
+        self._process.join(timeout)
+        if self._process.exitcode is None:
+            raise subprocess.TimeoutExpired(self._process.name, timeout)
+        return self._process.exitcode
+
+    def communicate(self, timeout=None):
+        """What it has written that was not read yet, until its end."""
+        texts = {1: None, 2: None}
+
+        def read(number):
+            texts[number] = self._readers[number].read()
+
+        threads = [threading.Thread(target=read, args=[number], daemon=True) for number in self._readers]
+        for thread in threads:
+            thread.start()
+        self.wait(timeout)
+        for thread in threads:
+            thread.join(timeout)
+        return texts[1], texts[2]
+
+    def send_signal(self, number):
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def kill(self):
+        self.send_signal(signal.SIGKILL)
+
+    def terminate(self):
+        self.send_signal(signal.SIGTERM)
+
+
+class _Descriptor:
+    """A descriptor that is handed on to the process."""
+
+    def __init__(self, number):
+        self._number = number
+
+    def __reduce__(self):
+        return _handed_on, (reduction.DupFd(self._number),)
+
+
+def _handed_on(descriptor):
+    return descriptor.detach()
+
+
+def _run(module, arguments, folder, environ, ignoring, streams, leads):
+    """Do in the forked process what `python -m module` does."""
+    assert "warm" in sys.modules, "the server could not import it"
+    if leads:
+        os.setsid()
+    for number, descriptor in streams.items():
+        os.dup2(descriptor, number)
+        os.close(descriptor)
+    hearing()
+    for number in ignoring:
+        signal.signal(number, signal.SIG_IGN)
+    os.chdir(folder)
+    os.environ.clear()
+    os.environ.update(environ)
+    sys.path[:0] = [folder, *environ["PYTHONPATH"].split(os.pathsep)]
+    pipeline = importlib.import_module(module)
+    sys.argv = [str(pipeline.__file__), *arguments]
+    from pipelines.signals import stop
+
+    stop.listen()
+    try:
+        pipeline.main()
+    finally:
+        sys.stdout.flush()
+        threading._shutdown()
+        atexit._run_exitfuncs()

@@ -7,6 +7,8 @@ import time
 import urllib.request
 from contextlib import contextmanager
 
+from processes import hearing
+
 
 def free_port():
     with socket.socket() as probe:
@@ -38,7 +40,7 @@ def wait_until(ready, process=None, report=lambda: ""):
 def service(command, ready, log, **options):
     """A process that runs while this is entered, from the moment it is `ready()`."""
     with log.open("w") as output:
-        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, **options)
+        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, preexec_fn=hearing, **options)
     try:
         wait_until(ready, process, log.read_text)
         yield

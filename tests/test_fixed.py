@@ -7,6 +7,7 @@ import pytest
 from floor_plans import lab
 from hypothesis import given
 from hypothesis import strategies as st
+from moves import move
 from paper import paper_room
 from small import make, problem
 from strategies import deployments, scenes, seeds
@@ -17,7 +18,6 @@ from lmd.fixed import beside
 from lmd.labels import Labels
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.coverage_field import coverage_field
-from lmd.objectives.field import move
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.sampling import Sampling
 from lmd.optimisers.base import Budget

@@ -74,24 +74,10 @@ class CoverageField(NamedTuple):
         return self._replace(sight=self.sight.shrunk(size))
 
 
-@bound.register(CoverageField)
-def _bound(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-def]
-    bound_move(k, pose, surface, field, state, scratch)
-
-
-@settle.register(CoverageField)
-def _settle(field, k, state, scratch):  # type: ignore[no-untyped-def]
-    finish_move(k, field, state, scratch)
-
-
-@accept.register(CoverageField)
-def _accept(field, k, state, scratch):  # type: ignore[no-untyped-def]
-    carry_out(k, field, state, scratch)
-
-
-@undo.register(CoverageField)
-def _undo(field, k, state, scratch):  # type: ignore[no-untyped-def]
-    take_back(k, field, state, scratch)
+bound.register(CoverageField)(bound_move)
+settle.register(CoverageField)(finish_move)
+accept.register(CoverageField)(carry_out)
+undo.register(CoverageField)(take_back)
 
 
 def coverage_field(evaluator: Evaluator, n: int) -> CoverageField:

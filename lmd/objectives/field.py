@@ -9,14 +9,15 @@ and may be dropped after each of the first two. The value of each position is a 
 `PROBABILITY_ONE` are 1: sums of integers are exact, so updating ends at the same values as computing anew.
 """
 
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from lmd.checks import FloatArray
+from lmd.checks import FloatArray, IntArray
 from lmd.compiled import inner, kernel
 from lmd.deployment import Deployment
 from lmd.dispatch import dispatched, dispatched_call
+from lmd.layers import layer
 
 
 class Field(Protocol):
@@ -49,6 +50,24 @@ class Field(Protocol):
 
     def shrunk(self, size: float) -> "Field":
         """The field of landmarks whose bodies are `size` times as large."""
+
+
+BOUND, SETTLE, ACCEPT, UNDO = range(4)  # the steps of a move
+NO_UNITS = np.empty((0, 0), dtype=np.int64)
+
+
+class Places(NamedTuple):
+    """Where landmarks are: positions and normals `(3, K)`, surfaces `(K,)`."""
+
+    landmarks: np.ndarray
+    normals: np.ndarray
+    surfaces: np.ndarray
+
+
+def places_of(deployment: Deployment) -> Places:
+    """The places of its landmarks."""
+    positions, normals = (of.T.copy(order="C") for of in (deployment.positions, deployment.normals))
+    return Places(positions, normals, deployment.surfaces.copy())
 
 
 class Target(Protocol):
@@ -112,17 +131,58 @@ def move(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-de
     accept(field, k, state, scratch)
 
 
-@kernel
-def follow(positions, normals, surfaces, field, state, scratch):  # type: ignore[no-untyped-def]
-    """Move the landmarks of `state` that are elsewhere than at `positions`, `normals` `(K, 3)` on `surfaces` `(K,)`."""
+@inner
+def lead(places, field, state, scratch):  # type: ignore[no-untyped-def]
+    """Move the landmarks of `state` that are elsewhere than at `places`."""
     pose = np.empty(6)
-    for k in range(len(positions)):
-        elsewhere = state.surfaces[k] != surfaces[k]
+    for k in range(len(places.surfaces)):
+        elsewhere = state.surfaces[k] != places.surfaces[k]
         for i in range(3):
-            pose[i], pose[3 + i] = positions[k, i], normals[k, i]
+            pose[i], pose[3 + i] = places.landmarks[i, k], places.normals[i, k]
             elsewhere |= pose[i] != state.landmarks[i, k] or pose[3 + i] != state.normals[i, k]
         if elsewhere:
-            move(field, k, pose, surfaces[k], state, scratch)
+            move(field, k, pose, places.surfaces[k], state, scratch)
+
+
+@kernel
+def perform(steps, poses, field, state, scratches, units):  # type: ignore[no-untyped-def]
+    """Do the steps of moves one after the other.
+
+    All that Python asks of a field goes through this kernel, as one is compiled for each kind of field, and for long.
+
+    Args:
+        steps: `(S, 4)` int64: which of `BOUND`, `SETTLE`, `ACCEPT`, `UNDO`; landmark; surface; which of the scratches.
+        poses: `(S, 6)`, position and normal to be bounded.
+        field, state: whose landmarks move.
+        scratches: `layers` of one.
+        units: `(S, Q)` int64, receives after each step the values tried or, once they are accepted or undone, of the
+            state; or `(0, 0)`.
+    """
+    for s in range(len(steps)):
+        which, k, surface, scratch = steps[s, 0], steps[s, 1], steps[s, 2], layer(scratches, steps[s, 3])
+        tried = which <= SETTLE
+        if which == BOUND:
+            bound(field, k, poses[s], surface, state, scratch)
+        elif which == SETTLE:
+            settle(field, k, state, scratch)
+        elif which == ACCEPT:
+            accept(field, k, state, scratch)
+        else:
+            undo(field, k, state, scratch)
+        if len(units):
+            for p in range(len(state.units)):
+                units[s, p] = scratch.units[p] if tried else state.units[p]
+
+
+def moved(places: Places, state: Any) -> tuple[IntArray, FloatArray]:
+    """The steps, and their poses, for `perform` to move what in `state` is elsewhere than at `places`."""
+    there = np.vstack([places.landmarks, places.normals])
+    elsewhere = (there != np.vstack([state.landmarks, state.normals])).any(axis=0) | (places.surfaces != state.surfaces)
+    which = np.flatnonzero(elsewhere)
+    steps = np.zeros((len(which), 3, 4), dtype=np.int64)
+    steps[:, :, 0] = BOUND, SETTLE, ACCEPT
+    steps[:, :, 1], steps[:, :, 2] = which[:, None], places.surfaces[which][:, None]
+    return steps.reshape(-1, 4), np.repeat(there.T[which], 3, axis=0)
 
 
 def in_order(field: Field, relevance: FloatArray) -> FloatArray:

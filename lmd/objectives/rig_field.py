@@ -61,24 +61,10 @@ class RigField(NamedTuple):
         return self._replace(parts=tuple(part._replace(sight=part.sight.shrunk(size)) for part in self.parts))
 
 
-@bound.register(RigField)
-def _bound(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-def]
-    bound_rig_move(k, pose, surface, field, state, scratch)
-
-
-@settle.register(RigField)
-def _settle(field, k, state, scratch):  # type: ignore[no-untyped-def]
-    finish_rig_move(k, field, state, scratch)
-
-
-@accept.register(RigField)
-def _accept(field, k, state, scratch):  # type: ignore[no-untyped-def]
-    carry_out_rig(k, field, state, scratch)
-
-
-@undo.register(RigField)
-def _undo(field, k, state, scratch):  # type: ignore[no-untyped-def]
-    take_back_rig(k, field, state, scratch)
+bound.register(RigField)(bound_rig_move)
+settle.register(RigField)(finish_rig_move)
+accept.register(RigField)(carry_out_rig)
+undo.register(RigField)(take_back_rig)
 
 
 def rig_field(evaluator: Evaluator, n: int) -> RigField:

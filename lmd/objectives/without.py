@@ -8,38 +8,31 @@ nothing any more.
 import numpy as np
 
 from lmd.checks import FloatArray
-from lmd.compiled import kernel
 from lmd.deployment import Deployment
-from lmd.objectives.field import Field, Target, accept, bound, total_worth, undo
+from lmd.layers import layers
+from lmd.objectives.field import ACCEPT, BOUND, UNDO, Field, Target, perform, total_worth
 
 # Out of reach, and with its back to every camera: position, metres, and normal.
 AWAY = np.array([0.0, 0.0, 1e6, 0.0, 0.0, 1.0])
 
 
-@kernel
-def _without(field, target, away, state, first, second, fitness):  # type: ignore[no-untyped-def]
-    """Write the fitness without landmarks i and j to `fitness` `(K, K)`.
-
-    A move is not settled: what is left out until then is what the landmark hides, and is hidden by, at its new place.
-    """
-    for i in range(len(fitness)):
-        bound(field, i, away, -1, state, first)
-        accept(field, i, state, first)
-        fitness[i, i] = total_worth(target, state.units)
-        for j in range(i + 1, len(fitness)):
-            bound(field, j, away, -1, state, second)
-            fitness[i, j] = fitness[j, i] = total_worth(target, second.units)
-        undo(field, i, state, first)
-
-
 def without_landmarks(field: Field, target: Target, deployment: Deployment) -> FloatArray:
     """The fitness without landmarks i and j, `(K, K)`; without i alone for i = j.
+
+    A move is not settled: what is left out until then is what the landmark hides, and is hidden by, at its new place.
 
     Args:
         field: values of positions.
         target: what they are worth.
         deployment: K landmarks.
     """
-    state, fitness = field.state(deployment), np.empty((len(deployment), len(deployment)))
-    _without(field, target, AWAY, state, field.scratch(state), field.scratch(state), fitness)
+    state, count = field.state(deployment), len(deployment)
+    scratches, fitness = layers(field.scratch(state), 2), np.empty((count, count))
+    units, poses = np.empty((count + 3, field.size), dtype=np.int64), np.tile(AWAY, (count + 3, 1))
+    for i in range(count):
+        others = [(BOUND, j, -1, 1) for j in range(i + 1, count)]
+        steps = np.array([(BOUND, i, -1, 0), (ACCEPT, i, -1, 0), *others, (UNDO, i, -1, 0)])
+        perform(steps, poses, field, state, scratches, units)
+        for j in range(i, count):
+            fitness[i, j] = fitness[j, i] = total_worth(target, units[1 + j - i])
     return fitness

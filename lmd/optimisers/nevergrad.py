@@ -9,6 +9,7 @@ import numpy as np
 
 from lmd.checks import FloatArray, InputError, integer, real
 from lmd.optimisers.wrapped import Session, Wrapped
+from lmd.optional import optional
 
 
 class Nevergrad(Wrapped):
@@ -52,6 +53,7 @@ class Nevergrad(Wrapped):
         Raises:
             InputError: nevergrad has none of that name, or it refuses the options.
         """
+        optional("nevergrad", "optimisers")
         from nevergrad.optimization import families, registry
 
         if self.name in registry and not self.options:

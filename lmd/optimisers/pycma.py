@@ -6,6 +6,7 @@ import numpy as np
 
 from lmd.checks import FloatArray, choice, integer, real
 from lmd.optimisers.wrapped import Session, Wrapped
+from lmd.optional import optional
 
 
 class PyCma(Wrapped):
@@ -33,6 +34,7 @@ class PyCma(Wrapped):
         encoding: str | None = None,
         seed: int = 0,
     ) -> None:
+        optional("cma", "optimisers")
         import cma.restricted_gaussian_sampler  # noqa: F401 # it draws random numbers: before the session has its own
 
         super().__init__(seed, encoding)

@@ -13,7 +13,8 @@ import numpy as np
 from lmd.checks import FloatArray
 from lmd.compiled import kernel
 from lmd.deployment import Deployment
-from lmd.objectives.field import bound, in_order, settle, total_worth
+from lmd.layers import layers
+from lmd.objectives.field import BOUND, SETTLE, in_order, perform, total_worth
 from lmd.objectives.without import AWAY
 from lmd.problem import Problem
 from lmd.sight.kernels import PROBABILITY_ONE
@@ -36,16 +37,13 @@ class Additions(NamedTuple):
 
 
 @kernel
-def _add(poses, surfaces, field, target, state, scratch, fitness, value):  # type: ignore[no-untyped-def]
-    """Write the fitness and the mean value with the last landmark at each of `poses` `(N, 6)` on `surfaces` `(N,)`."""
-    last = state.landmarks.shape[1] - 1
-    for i in range(len(poses)):
-        bound(field, last, poses[i], surfaces[i], state, scratch)
-        settle(field, last, state, scratch)
-        fitness[i] = total_worth(target, scratch.units)
+def _add_up(units, target, fitness, value):  # type: ignore[no-untyped-def]
+    """Write the fitness and the mean value of each row of `units` `(N, Q)`."""
+    for i in range(len(units)):
+        fitness[i] = total_worth(target, units[i])
         total = 0.0
-        for p in range(len(scratch.units)):
-            total += target.relevance[p] * (scratch.units[p] / PROBABILITY_ONE)
+        for p in range(units.shape[1]):
+            total += target.relevance[p] * (units[i, p] / PROBABILITY_ONE)
         value[i] = total
 
 
@@ -79,13 +77,18 @@ def additions(
     target = problem.objective.target(in_order(field, problem.relevance))
     # Out of reach, it changes nothing of what the others are worth.
     state = field.state(deployment + Deployment(AWAY[None, :3], AWAY[None, 3:]))
-    scratch, places = field.scratch(state), np.hstack([poses.positions, poses.normals])
+    scratches, places = layers(field.scratch(state), 1), np.hstack([poses.positions, poses.normals])
+    steps = np.zeros((len(poses), 2, 4), dtype=np.int64)
+    steps[:, :, 0], steps[:, :, 1], steps[:, :, 2] = (BOUND, SETTLE), len(deployment), poses.surfaces[:, None]
+    units = np.empty((2 * BATCH, field.size), dtype=np.int64)
     fitness, value = np.empty(len(poses)), np.empty(len(poses))
     for first in range(0, len(poses), BATCH):
         if not wanted():
             return None
         part = slice(first, first + BATCH)
-        _add(places[part], poses.surfaces[part], field, target, state, scratch, fitness[part], value[part])
+        tried = steps[part].reshape(-1, 4)
+        perform(tried, np.repeat(places[part], 2, axis=0), field, state, scratches, units)
+        _add_up(units[1 : len(tried) : 2], target, fitness[part], value[part])
     before = float((target.relevance * (state.units / PROBABILITY_ONE)).sum())
     taken = np.zeros(len(poses), dtype=np.bool_)
     for k in range(len(deployment)):

@@ -6,7 +6,8 @@ import numpy as np
 
 from lmd.checks import FloatArray
 from lmd.deployment import Deployment
-from lmd.objectives.field import follow
+from lmd.layers import layers
+from lmd.objectives.field import NO_UNITS, moved, perform, places_of
 from lmd.problem import Problem
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE
@@ -61,13 +62,13 @@ class _Followed:
 
     def _begin(self, deployment: Deployment) -> None:
         state: Any = self._field.state(deployment)
-        self._state, self._scratch = state, self._field.scratch(state)
+        self._state, self._scratches = state, layers(self._field.scratch(state), 1)
 
     def follow(self, deployment: Deployment) -> None:
         """Move what hangs elsewhere."""
         if len(deployment) == self._state.landmarks.shape[1]:
-            at = deployment.positions, deployment.normals, deployment.surfaces
-            follow(*at, self._field, self._state, self._scratch)
+            steps, poses = moved(places_of(deployment), self._state)
+            perform(steps, poses, self._field, self._state, self._scratches, NO_UNITS)
         else:
             self._begin(deployment)
 

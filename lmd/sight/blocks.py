@@ -3,7 +3,6 @@
 import numpy as np
 
 from lmd.checks import FloatArray
-from lmd.compiled import kernel
 
 # Positions and landmarks come in blocks of this many: loops over whole blocks vectorise without a remainder.
 BLOCK = 16
@@ -20,23 +19,21 @@ def boxes_around(positions: FloatArray) -> tuple[np.ndarray, np.ndarray]:
     return np.ascontiguousarray(((least + most) / 2.0).T), np.ascontiguousarray(halves.T)
 
 
-@kernel
-def _cut(positions, order):  # type: ignore[no-untyped-def]
-    """Sort the indices `order` of `positions` `(P, 3)` in place, so that neighbours come in blocks."""
-    left = [(0, len(order))]
-    while left:
-        first, last = left.pop()
-        if last - first <= BLOCK:
-            continue
-        part, side, longest = order[first:last], 0, -1.0
-        for i in range(3):
-            values = positions[part, i]
-            if values.max() - values.min() > longest:
-                side, longest = i, values.max() - values.min()
-        part[:] = part[np.argsort(positions[part, side], kind="mergesort")]
-        middle = first + ((last - first) // BLOCK + 1) // 2 * BLOCK
-        left.append((first, middle))
-        left.append((middle, last))
+def _by_blocks(positions: FloatArray) -> np.ndarray:
+    """Indices `(P,)` that put positions `(P, 3)` into an order in which neighbours come in blocks.
+
+    Each round cuts all parts that are longer than a block in two, across their longest side.
+    """
+    order, edges = np.arange(len(positions)), np.array([0, len(positions)])
+    while (too_long := np.diff(edges) > BLOCK).any():
+        first, sizes, ordered = edges[:-1], np.diff(edges), positions[order]
+        sides = np.maximum.reduceat(ordered, first) - np.minimum.reduceat(ordered, first)
+        part = np.repeat(np.arange(len(first)), sizes)
+        along = ordered[np.arange(len(order)), sides.argmax(axis=1)[part]]
+        order = order[np.lexsort((np.where(too_long[part], along, 0.0), part))]  # stable
+        middle = first + (sizes // BLOCK + 1) // 2 * BLOCK
+        edges = np.sort(np.append(edges, middle[too_long]))
+    return order
 
 
 def in_blocks(positions: FloatArray) -> tuple[np.ndarray, np.ndarray]:
@@ -44,8 +41,7 @@ def in_blocks(positions: FloatArray) -> tuple[np.ndarray, np.ndarray]:
 
     The longest side is cut in two; the last block is filled up with copies.
     """
-    order = np.arange(len(positions))
-    _cut(positions, order)
+    order = _by_blocks(positions)
     order = np.append(order, np.full(-len(order) % BLOCK, order[-1]))
     index_of = np.empty(len(positions), dtype=np.int64)
     index_of[order[::-1]] = np.arange(len(order))[::-1]  # the first of several copies

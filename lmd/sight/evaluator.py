@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, IntArray
+from lmd.compiled import for_kernels
 from lmd.deployment import Deployment
 from lmd.memory import check_views
 from lmd.scene import Scene
@@ -51,7 +52,7 @@ class Evaluator:
 
     def __init__(self, scene: Scene, positions: FloatArray | None = None, threads: int | None = None) -> None:
         self.scene = scene
-        self.positions = np.ascontiguousarray(scene.room.grid() if positions is None else positions)
+        self.positions = for_kernels(scene.room.grid() if positions is None else positions)
         self._low, self._high = self.positions.min(axis=0), self.positions.max(axis=0)
         self.threads = threads or available_threads()
         axes, self.axis_of, _ = scene.orientations
@@ -123,7 +124,7 @@ class Evaluator:
         scene: tuple[Any, ...] = (
             order,
             self.positions,
-            *(np.ascontiguousarray(v.transpose(0, 2, 1)) for v in (positions, normals)),
+            *(for_kernels(v.transpose(0, 2, 1)) for v in (positions, normals)),
         )
         sight = self.sight.among(self._low, self._high, *scene[2:])
         rest: tuple[Any, ...] = (

@@ -8,7 +8,7 @@ is mostly out of the way after a few comparisons: if all are in front of one of 
 A room from a mesh has triangles in place of bodies (`lmd.space.triangles`). They are too many for heights above each:
 `Shadows` has the positions themselves, and each line is sent through the tree of the triangles.
 
-A room with nothing in the way has None in place of `Obstacles`, for which these functions are nothing at all.
+A room with nothing in the way has `Obstacles` without a body: kernels are not compiled for it by itself.
 """
 
 from typing import Any, NamedTuple
@@ -17,7 +17,7 @@ import numpy as np
 
 from lmd.checks import BoolArray, FloatArray
 from lmd.compiled import inlined
-from lmd.dispatch import overridable
+from lmd.dispatch import dispatched, overridable
 from lmd.geometry.upright import upright_axes
 from lmd.memory import check_memory
 from lmd.space.blockers import Blockers
@@ -44,10 +44,10 @@ class Shadows(NamedTuple):
     positions: np.ndarray
 
 
-def obstacles_at(blockers: Blockers | Triangles | None, positions: FloatArray) -> Obstacles | Shadows | None:
+def obstacles_at(blockers: Blockers | Triangles | None, positions: FloatArray) -> Obstacles | Shadows:
     """What stands in the way of cameras at `positions` `(P, 3)`."""
     if blockers is None:
-        return None
+        return Obstacles(np.empty((0, 3)), np.empty(0), np.zeros(1, dtype=np.int64), np.empty((0, 0)))
     if isinstance(blockers, Triangles):
         return Shadows(blockers, np.ascontiguousarray(positions))
     check_memory(8 * len(positions) * len(blockers.offsets), f"{len(positions)} positions beside obstacles")
@@ -84,7 +84,7 @@ def unobstructed(
     return np.asarray(space.clear(np.broadcast_to(position, points.shape), points).all(axis=0))
 
 
-@overridable
+@dispatched
 def no_ends(obstacles, count):  # type: ignore[no-untyped-def]
     """Room for the heights of so many landmarks, see `find_ends`."""
 
@@ -99,7 +99,7 @@ def _no_end_points(obstacles, count):  # type: ignore[no-untyped-def]
     return np.empty((count, POINTS, 3))
 
 
-@overridable
+@dispatched
 def find_ends(obstacles, sight, x, y, z, nx, ny, nz, ends, k):  # type: ignore[no-untyped-def]
     """Write the points of landmark k at (x, y, z) into `ends`.
 
@@ -135,10 +135,9 @@ def _point(i, half, x, y, z, rx, ry, rz, ux, uy, uz):  # type: ignore[no-untyped
     return x + way * (rx + up * ux), y + way * (ry + up * uy), z + way * (rz + up * uz)
 
 
-@overridable
+@dispatched
 def is_blocked(obstacles, sight, p, ends, k):  # type: ignore[no-untyped-def]
     """Whether something blocks landmark k from position p; `ends` as in `find_ends`."""
-    return False
 
 
 @is_blocked.register(Obstacles)

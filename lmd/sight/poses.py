@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lmd.checks import FloatArray, real
-from lmd.compiled import kernel
+from lmd.compiled import for_kernels, kernel
 from lmd.deployment import Deployment
 from lmd.memory import check_memory
 from lmd.sight.bands import band_of
@@ -180,7 +180,7 @@ def gains(evaluator: Evaluator, poses: Deployment, prices: FloatArray, slack: Fl
     slack = np.zeros(len(poses)) if slack is None else slack
     if e.parts:
         return e.rig_views.gains(poses.positions, poses.normals, prices, slack)
-    positions = np.ascontiguousarray(e.positions.T)
+    positions = for_kernels(e.positions.T)
     fixed = (poses.positions, poses.normals, slack, prices, positions, e.sight, e.obstacles, e.axes, e.bands, out)
     shared(_gains, len(poses), e.threads, fixed)
     return out

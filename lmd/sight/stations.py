@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lmd.checks import FloatArray
-from lmd.compiled import kernel
+from lmd.compiled import for_kernels, kernel
 from lmd.rig import Rig
 from lmd.scene import Scene
 from lmd.sight.bits import BITS, ONE, ZERO, in_words, lowest, packed
@@ -181,7 +181,7 @@ def seen_by(
         positions: of the body, `(P, 3)`, metres.
         landmarks, normals, slack: `(K, 3)` and `(K,)`, see `_see`.
     """
-    points, directions = np.ascontiguousarray(landmarks.T), np.ascontiguousarray(normals.T)
+    points, directions = for_kernels(landmarks.T), for_kernels(normals.T)
     seen = np.zeros((len(positions), len(landmarks), parts[0].members.shape[1]), dtype=np.uint64)
     for part in parts:
         stations = (positions[:, None] + part.offsets).reshape(-1, 3)

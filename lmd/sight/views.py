@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from lmd.checks import BoolArray, FloatArray
-from lmd.compiled import kernel
+from lmd.compiled import for_kernels, kernel
 from lmd.deployment import Deployment
 from lmd.rig import Rig
 from lmd.scene import Scene
@@ -64,7 +64,7 @@ def visible(evaluator: Evaluator, deployment: Deployment, positions: FloatArray,
 def _visible(scene: Scene, sight: Any, deployment: Deployment, positions: FloatArray, axes: FloatArray) -> BoolArray:
     """`visible` for a camera with a compiled model of sight, axes `(N, 6)`."""
     seen = np.zeros((len(positions), len(deployment)), dtype=np.bool_)
-    landmarks, normals = (np.ascontiguousarray(v.T) for v in (deployment.positions, deployment.normals))
-    positions, axes = np.ascontiguousarray(positions), np.ascontiguousarray(axes.T)
+    landmarks, normals = (for_kernels(v.T) for v in (deployment.positions, deployment.normals))
+    positions, axes = for_kernels(positions), for_kernels(axes.T)
     _see(positions, axes, landmarks, normals, sight, obstacles_at(scene.room.blockers(), positions), seen)
     return seen

@@ -146,6 +146,7 @@ def test_walkers_that_go_on_know_what_the_others_did(in_stacks, count):
     for _ in range(4):
         surrogate.prepare(here, complete, in_stacks, 1.0, 1.0, rng)
         assert not before or all(now.state is then.state for now, then in zip(surrogate._walkers, before, strict=True))
+        surrogate.walk(0, SINGLE.settings(0.0, 0.1), rng)  # where it begins
         for walker in surrogate._walkers:
             for array, fresh in zip(walker.state, surrogate._field.state(here), strict=True):
                 np.testing.assert_array_equal(array, fresh)

@@ -23,8 +23,7 @@ COUNTS = ("counts=[6,10,14]", "wanted=0.4", "figure=covered_share")
 
 
 def tradeoff(cwd, *overrides, directory="run"):
-    line = processes.command("tradeoff", *overrides, f"hydra.run.dir={directory}", settings=SMALL)
-    return subprocess.run(line, cwd=cwd, env=processes.environment(), capture_output=True, text=True, check=False)
+    return processes.call("tradeoff", *overrides, f"hydra.run.dir={directory}", cwd=cwd, settings=SMALL)
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ import pytest
 from by_position import varied_scenes, with_probabilities
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from moves import accept, bound, move, settle, undo
 from numpy.testing import assert_array_equal
 from paper import facing, paper_room, paper_scene
 from strategies import deployments, seeds
@@ -13,7 +14,6 @@ from lmd import pdf
 from lmd.bounds import Search, average_upper_bound
 from lmd.deployment import UniformDeployment
 from lmd.objectives.coverage import Coverage
-from lmd.objectives.field import accept, bound, move, settle, undo
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation import reference as localisation_reference
 from lmd.problem import Problem

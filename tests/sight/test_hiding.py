@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from moves import bound, settle
 from paper import paper_room, paper_scene
 from strategies import scenes_with_deployments
 
@@ -14,7 +15,6 @@ from lmd.sight.evaluator import Evaluator
 from lmd.sight.incremental.hiding import flips_with
 from lmd.sight.incremental.move import state_of
 from lmd.sight.incremental.state import scratch_of
-from lmd.sight.incremental.trial import bound_move, finish_move
 from lmd.sight.paper import hidden_by_others
 
 
@@ -70,8 +70,8 @@ def test_a_trial_finds_what_its_place_hides_and_who_hides_it(case, data):
     target = deployment.positions[data.draw(st.integers(0, len(deployment) - 1))] + data.draw(
         st.sampled_from([0, 0.03])
     )
-    bound_move(k, np.concatenate([target, deployment.normals[k]]), -1, field, state, scratch)
-    finish_move(k, field, state, scratch)
+    bound(field, k, np.concatenate([target, deployment.normals[k]]), -1, state, scratch)
+    settle(field, k, state, scratch)
     moved = deployment.positions.copy()
     moved[k] = target
     after = scratch.after

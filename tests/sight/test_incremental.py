@@ -2,17 +2,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from moves import accept, bound, move, settle, undo
 from paper import paper_room, paper_scene
 from strategies import deployments, scenes_with_boundary_landmarks, scenes_with_deployments, seeds
 
 from lmd.deployment import Deployment, RandomDeployment
 from lmd.objectives.coverage_field import coverage_field
-from lmd.objectives.field import move
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.incremental.move import carry_out, counts_of, state_of, take_back
+from lmd.sight.incremental.move import counts_of, state_of
 from lmd.sight.incremental.state import scratch_of
-from lmd.sight.incremental.trial import bound_move, finish_move
 
 
 def moved(scene, deployment, targets, n, rng):
@@ -24,19 +23,19 @@ def moved(scene, deployment, targets, n, rng):
         k = int(rng.integers(len(deployment)))
         before = [array.copy() for array in state]
         pose = np.concatenate([position, normal])
-        bound_move(k, pose, -1, field, state, scratch)
+        bound(field, k, pose, -1, state, scratch)
         most = scratch.units.copy()
-        finish_move(k, field, state, scratch)
+        settle(field, k, state, scratch)
         assert all((a == b).all() for a, b in zip(state, before, strict=True)), "a trial changed the state"
         promised = scratch.units.copy()
         assert (promised <= most).all(), "not a bound"
         end = rng.choice(["nothing", "carried out", "taken back", "moved", "moved and back"])
         if end in ("carried out", "taken back"):
-            carry_out(k, field, state, scratch)
+            accept(field, k, state, scratch)
         if end in ("moved", "moved and back"):
             move(field, k, pose, -1, state, scratch)
         if end in ("taken back", "moved and back"):
-            take_back(k, field, state, scratch)
+            undo(field, k, state, scratch)
         moves = end in ("carried out", "moved")
         np.testing.assert_array_equal(state.units, promised if moves else before[-1])
         assert moves or all((a == b).all() for a, b in zip(state, before, strict=True)), end
@@ -91,5 +90,5 @@ def test_several_moves_are_taken_back_one_by_one():
         move(field, k % 2, np.concatenate([position, normal]), 0, state, scratch)  # the first moves twice
         before.append([array.copy() for array in state])
     for k in range(2, -1, -1):
-        take_back(k % 2, field, state, scratches[k])
+        undo(field, k % 2, state, scratches[k])
         assert all((a == b).all() for a, b in zip(state, before[k], strict=True))

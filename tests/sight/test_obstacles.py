@@ -5,6 +5,7 @@ import pytest
 from floor_plans import L_SHAPE, lab, prisms
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from moves import move
 from numpy.testing import assert_array_equal
 from paper import paper_scene
 from strategies import cameras, fiducials, pdfs, rolled_pdfs, seeds, visibilities
@@ -14,7 +15,6 @@ from lmd.deployment import Deployment, RandomDeployment
 from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.coverage_field import coverage_field
-from lmd.objectives.field import move
 from lmd.optimisers.annealing import Annealing
 from lmd.optimisers.base import Budget
 from lmd.problem import Problem
@@ -23,6 +23,7 @@ from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.fiducial import Fiducial
 from lmd.sight.incremental.move import counts_of
+from lmd.sight.obstacles import obstacles_at
 from lmd.sight.poses import candidate_poses, covered_amounts, gains
 from lmd.sight.views import visible
 from lmd.space.cuboid import Cuboid
@@ -65,7 +66,7 @@ def test_obstacles_take_some_landmarks_away(fiducial):
     deployment = scene.plates.draw(RandomDeployment(30), np.random.default_rng(0))
     evaluator = Evaluator(scene, threads=2)
     with_obstacles = evaluator.counts(deployment)
-    evaluator.obstacles = None
+    evaluator.obstacles = obstacles_at(None, evaluator.positions)
     without = evaluator.counts(deployment)
     assert (with_obstacles <= without).all()
     assert 0 < with_obstacles.sum() < 0.97 * without.sum()

@@ -2,11 +2,11 @@ import numpy as np
 from floor_plans import lab
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from moves import accept, bound, move, settle, undo
 from rigs import rig_scenes_with_deployments, rigs
 from strategies import deployments, seeds
 
 from lmd.deployment import Deployment, RandomDeployment
-from lmd.objectives.field import accept, bound, move, settle, undo
 from lmd.objectives.rig_field import rig_field
 from lmd.pdf import level_flight
 from lmd.scene import Scene

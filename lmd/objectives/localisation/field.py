@@ -56,25 +56,19 @@ class LocalisationField(NamedTuple):
         return self._replace(coverage=self.coverage.shrunk(size))
 
 
-@bound.register(LocalisationField)
-def _bound(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-def]
-    bound_move(k, pose, surface, field, state, scratch)
-
-
-@settle.register(LocalisationField)
-def _settle(field, k, state, scratch):  # type: ignore[no-untyped-def]
-    finish_move(k, field, state, scratch)
+bound.register(LocalisationField)(bound_move)
+settle.register(LocalisationField)(finish_move)
 
 
 @accept.register(LocalisationField)
 def _accept(field, k, state, scratch):  # type: ignore[no-untyped-def]
     change_sums(k, 1.0, field, state, scratch)
-    carry_out(k, field.coverage, state.coverage, scratch.coverage)
+    carry_out(field.coverage, k, state.coverage, scratch.coverage)
     exchange(state, scratch)
 
 
 @undo.register(LocalisationField)
 def _undo(field, k, state, scratch):  # type: ignore[no-untyped-def]
-    take_back(k, field.coverage, state.coverage, scratch.coverage)
+    take_back(field.coverage, k, state.coverage, scratch.coverage)
     change_sums(k, -1.0, field, state, scratch)
     exchange(state, scratch)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lmd.checks import FloatArray
-from lmd.compiled import inlined, kernel
+from lmd.compiled import for_kernels, inlined, kernel
 from lmd.geometry.upright import upright_axes
 from lmd.objectives.localisation.information import WIDTH, meets, moments, share_of, variance
 from lmd.sight.bands import band_of
@@ -221,7 +221,7 @@ def localised_views(
         e.check_memory(8 * batch)
     covered, localised = np.zeros((2, batch, size), dtype=np.int64)
     views = Views(covered, localised, np.empty((batch, size, e.axes.shape[1]) if keep else (0, 0, 0)))
-    landmarks = tuple(np.ascontiguousarray(v.transpose(0, 2, 1)) for v in (positions, normals))
+    landmarks = tuple(for_kernels(v.transpose(0, 2, 1)) for v in (positions, normals))
     sight = e.sight.among(e.positions.min(axis=0), e.positions.max(axis=0), *landmarks)
     tables = e.tables if e.sight.tabulated else None
     places = max(positions.shape[1], n).bit_length()

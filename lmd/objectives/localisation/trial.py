@@ -297,7 +297,7 @@ def _try_flips(k, places, field, state, scratch):
 
 
 @inner
-def bound_move(k, pose, surface, field, state, scratch):
+def bound_move(field, k, pose, surface, state, scratch):
     """Find what the values are at most with landmark k at `pose` `(6,)` on a surface: `scratch.units`."""
     flips, listed = scratch.coverage.flips, scratch.coverage.listed
     begin_move(k, pose, surface, field.coverage, state.coverage, scratch.coverage)
@@ -313,7 +313,7 @@ def bound_move(k, pose, surface, field, state, scratch):
 
 
 @inner
-def finish_move(k, field, state, scratch):
+def finish_move(field, k, state, scratch):
     """Make what `bound_move` found exact."""
     if field.coverage.sight.reach >= 0.0:
         places = complete_move(k, field.coverage, state.coverage, scratch.coverage)

@@ -8,7 +8,8 @@ import numpy as np
 
 from lmd.checks import FloatArray, IntArray
 from lmd.deployment import Deployment
-from lmd.objectives.field import Field, follow, in_order, total_worth
+from lmd.layers import layers
+from lmd.objectives.field import Field, Places, in_order, places_of, total_worth
 from lmd.optimisers.annealing.walk import Best, Settings, walk
 from lmd.plates import TOUCHING
 from lmd.problem import Problem
@@ -21,14 +22,15 @@ from lmd.threads import at_once
 class Walker:
     """What one walk changes: where its `members` `(M,)` are, the best it met if it walks alone, and working memory.
 
-    `group` `(n,)` holds the landmarks that move together; of the `scratches` as many are used. There are as many as for
-    single landmarks also where it is stacks that walk, one by one: else the walk would be compiled for both.
+    `group` `(n,)` holds the landmarks that move together, `scratches` as many `layers`. The next walk begins at
+    `places`.
     """
 
+    places: Places
     members: IntArray
     group: IntArray
     state: Any
-    scratches: tuple[Any, ...]
+    scratches: Any
     best: Best
 
 
@@ -103,7 +105,11 @@ class Surrogate:
             here = best if pushed is None else pushed  # where there is no room for the plates, the best found has it
         slices = self._slices(here, movable, number, rng)
         if same:
-            self._walkers = at_once(self._threads, partial(self._led, here), self._walkers, slices)
+            places = places_of(here)
+            self._walkers = [
+                replace(walker, places=places, members=members)
+                for walker, members in zip(self._walkers, slices, strict=True)
+            ]
             return
         self._field = self._true.stacked(self._problem.fixed) if in_stacks else self._true.shrunk(size)
         self._walkers = at_once(self._threads, partial(self._walker, here, best, together), slices)
@@ -111,16 +117,11 @@ class Surrogate:
     def _walker(self, here: Deployment, best: Deployment, together: int, members: IntArray) -> Walker:
         """A walker at `here`; so many of its landmarks can move together."""
         state = self._field.state(here)
-        scratches = tuple(self._field.scratch(state) for _ in range(max(together, self._true.stack)))
+        scratches = layers(self._field.scratch(state), together)
         known = self._true.state(best) if self.is_true else state
         reached = np.array([total_worth(self._target, known.units)])
         met = Best(reached, known.landmarks.copy(), known.normals.copy(), known.surfaces.copy())
-        return Walker(members, np.empty(together, dtype=np.int64), state, scratches, met)
-
-    def _led(self, here: Deployment, walker: Walker, members: IntArray) -> Walker:
-        """The walker where all have got to, with other members."""
-        follow(here.positions, here.normals, here.surfaces, self._field, walker.state, walker.scratches[0])
-        return replace(walker, members=members)
+        return Walker(places_of(here), members, np.empty(together, dtype=np.int64), state, scratches, met)
 
     def _slices(self, here: Deployment, movable: IntArray, number: int, rng: np.random.Generator) -> list[IntArray]:
         """The landmarks that may move, in so many slices of the room."""
@@ -138,7 +139,7 @@ class Surrogate:
 
         def go(walker: Walker, share: int, own: np.random.Generator) -> None:
             w, place = walker, (self._target, self._surfaces, self._apart)
-            walk(share, w.members, w.group, self._field, w.state, w.scratches, *place, settings, own, w.best)
+            walk(share, w.places, w.members, w.group, self._field, w.state, w.scratches, *place, settings, own, w.best)
 
         at_once(self._threads, go, self._walkers, shares, rngs)
         return bool(self._walkers[0].best.fitness[0] > before)

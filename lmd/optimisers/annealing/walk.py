@@ -20,7 +20,8 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.compiled import inner, kernel
-from lmd.objectives.field import accept, bound, move, settle, smoothed, total_worth, undo
+from lmd.layers import layer
+from lmd.objectives.field import accept, bound, lead, settle, smoothed, total_worth, undo
 from lmd.space.allowed import allows, spread_one
 
 # Relative, for the bound: exp may fall by a rounding error or two where its argument rises.
@@ -183,13 +184,26 @@ def _keep_best(state, target, best):
 
 
 @kernel
-def walk(moves, members, several, field, state, scratches, target, surfaces, apart, settings, rng, best):
-    """Move landmarks `moves` times from `state`, which ends where the walk ends; `best` is updated.
+def walk(moves, places, members, several, field, state, scratches, target, surfaces, apart, settings, rng, best):
+    """Move landmarks `moves` times from `places`; `state` ends where the walk ends, and `best` is updated.
 
-    members: the landmarks that may move, at least as many as can move together. several: for those that do, as many as
-    can. scratches: at least as many. apart: least distance of plates on a surface, along its u or its v, metres; moves
-    that come closer, or lead where no landmark may hang, are not even tried, but count.
+    Args:
+        moves: landmarks that are moved in all.
+        places: where the walk begins, see `Places`; nothing moves to an empty one.
+        members: the landmarks that may move, at least as many as can move together.
+        several: for those that do, as many as can.
+        field, target: what is climbed.
+        state: of the field.
+        scratches: `layers` of one, at least as many as landmarks can move together.
+        surfaces: where landmarks may hang.
+        apart: least distance of plates on a surface, along its u or its v, metres; moves that come closer, or lead
+            where no landmark may hang, are not even tried, but count.
+        settings: see `Settings`.
+        rng: the source of all random numbers.
+        best: see `Best`.
     """
+    # Here, not in a kernel of its own: what moves landmarks is compiled once.
+    lead(places, field, state, layer(scratches, 0))
     positions, count = len(state.units), len(members)
     accepted = state.units.copy()
     value, trial = np.empty(positions), np.empty(positions)
@@ -208,30 +222,35 @@ def walk(moves, members, several, field, state, scratches, target, surfaces, apa
             group = several
         last = len(group) - 1
         moved += last + 1
-        scratch = scratches[last]
-        units = scratch.units
         surface = propose(group, state, surfaces, settings, rng, new)
         if surface < 0 or (apart > 0.0 and _overlaps(group, surface, new, state, surfaces, apart)):
             continue
-        for m in range(last):
-            move(field, group[m], new[m], surface, state, scratches[m])
-        bound(field, group[last], new[last], surface, state, scratch)
-        most = _sum_values(units, accepted, value, target, settings, trial) - total + _SLACK * (1.0 + settings.share)
-        drawn = rng.random() if most < 0.0 else -1.0
-        taken = drawn < math.exp(min(most, 0.0) / settings.temperature) * (1.0 + _SLACK)
+        taken, sum_value = False, total
+        for m in range(last + 1):
+            k, scratch = group[m], layer(scratches, m)
+            bound(field, k, new[m], surface, state, scratch)
+            most = drawn = 0.0
+            if m == last:
+                most = _sum_values(scratch.units, accepted, value, target, settings, trial) - total
+                most += _SLACK * (1.0 + settings.share)
+                drawn = rng.random() if most < 0.0 else -1.0
+                if drawn >= math.exp(min(most, 0.0) / settings.temperature) * (1.0 + _SLACK):
+                    break
+            settle(field, k, state, scratch)
+            if m == last:
+                sum_value = _sum_values(scratch.units, accepted, value, target, settings, trial)
+                gain = sum_value - total
+                if gain < 0.0 <= most:
+                    drawn = rng.random()
+                if gain < 0.0 and drawn >= math.exp(gain / settings.temperature):
+                    break
+                taken = True
+            accept(field, k, state, scratch)
         if taken:
-            settle(field, group[last], state, scratch)
-            sum_value = _sum_values(units, accepted, value, target, settings, trial)
-            gain = sum_value - total
-            if gain < 0.0 <= most:
-                drawn = rng.random()
-            taken = gain >= 0.0 or drawn < math.exp(gain / settings.temperature)
-        if taken:
-            accept(field, group[last], state, scratch)
             for p in range(positions):
                 accepted[p] = state.units[p]
             value, trial, total = trial, value, sum_value
             _keep_best(state, target, best)
         else:
             for m in range(last - 1, -1, -1):
-                undo(field, group[m], state, scratches[m])
+                undo(field, group[m], state, layer(scratches, m))

@@ -35,6 +35,10 @@ from lmd.sight.kernels import weights_row
 # What is kept of a landmark in a view: a bit whether it is covered, and as much again of what hides it.
 LANDMARK_BYTES = 0.25
 
+# Signs of a move that is carried out, and of one that is taken back. Of Python's numbers each is a type of its own for
+# numba, which would compile what it is handed to twice.
+FORTH, BACK = np.int64(1), np.int64(-1)
+
 # Indices are unsigned where it counts: signed ones cost extra instructions, as they might be negative.
 
 
@@ -132,16 +136,16 @@ def _exchange(k, sign, field, state, scratch):
 
 
 @inner
-def carry_out(k, field, state, scratch):
+def carry_out(field, k, state, scratch):
     """Move landmark k to where it was tried last; no other move may have been tried or carried out since."""
     _find_cap(touched(k, state, scratch), field, scratch)
-    _exchange(k, 1, field, state, scratch)
+    _exchange(k, FORTH, field, state, scratch)
 
 
 @inner
-def take_back(k, field, state, scratch):
+def take_back(field, k, state, scratch):
     """Undo the last `carry_out` with this `scratch`, all later ones being undone."""
-    _exchange(k, -1, field, state, scratch)
+    _exchange(k, BACK, field, state, scratch)
 
 
 @inner
@@ -186,7 +190,7 @@ def _fill(field, state, scratch):
             find_new(k, field, state, scratch)
         positions = touched(k, state, scratch)
         _find_cap(positions, field, scratch)
-        _recount(np.uint64(k), positions, 1, field, state, scratch)
+        _recount(np.uint64(k), positions, FORTH, field, state, scratch)
         for p in range(np.uint64(len(scratch.new.reached))):
             state.reachable[k, p] = scratch.new.reached[p]
             state.hidden[k, p], state.hiding[k, p] = after.count_hidden[p], after.count_hides[p]

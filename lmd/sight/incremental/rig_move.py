@@ -10,7 +10,7 @@ from lmd.deployment import Deployment
 from lmd.memory import check_views
 from lmd.sight.bits import BITS
 from lmd.sight.incremental.hiding import exchange_hiding, find_new
-from lmd.sight.incremental.move import exchange_place, given_counts, ripple, sum_up
+from lmd.sight.incremental.move import BACK, FORTH, exchange_place, given_counts, ripple, sum_up
 from lmd.sight.incremental.nearby import list_blocks
 from lmd.sight.incremental.rig_state import RigState, StationState, rig_scratch_of
 from lmd.sight.incremental.rig_trial import see_anew, shown_by
@@ -64,16 +64,16 @@ def _exchange(k, sign, field, state, scratch):
 
 
 @inner
-def carry_out_rig(k, field, state, scratch):
+def carry_out_rig(field, k, state, scratch):
     """See `move.carry_out`."""
     see_anew(field.parts, scratch, True)
-    _exchange(np.uint64(k), 1, field, state, scratch)
+    _exchange(np.uint64(k), FORTH, field, state, scratch)
 
 
 @inner
-def take_back_rig(k, field, state, scratch):
+def take_back_rig(field, k, state, scratch):
     """See `move.take_back`."""
-    _exchange(np.uint64(k), -1, field, state, scratch)
+    _exchange(np.uint64(k), BACK, field, state, scratch)
 
 
 @inner

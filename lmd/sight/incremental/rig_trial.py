@@ -246,7 +246,7 @@ def _complete(k, parts, state, scratch):
 
 
 @inner
-def bound_rig_move(k, pose, surface, field, state, scratch):
+def bound_rig_move(field, k, pose, surface, state, scratch):
     """See `trial.bound_move`."""
     scratch.surface[0] = surface
     for i in range(6):
@@ -256,7 +256,7 @@ def bound_rig_move(k, pose, surface, field, state, scratch):
 
 
 @inner
-def finish_rig_move(k, field, state, scratch):
+def finish_rig_move(field, k, state, scratch):
     """See `trial.finish_move`."""
     if _complete(k, field.parts, state, scratch):
         _look_again(np.uint64(k), field.parts, field, state, scratch)

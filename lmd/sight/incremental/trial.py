@@ -183,7 +183,7 @@ def complete_move(k, field, state, scratch):
 
 
 @inner
-def bound_move(k, pose, surface, field, state, scratch):
+def bound_move(field, k, pose, surface, state, scratch):
     """Find what P_n is at most with landmark k at `pose` `(6,)`, position and normal, on a surface: `scratch.units`."""
     flips, listed = scratch.flips, scratch.listed
     begin_move(k, pose, surface, field, state, scratch)
@@ -197,7 +197,7 @@ def bound_move(k, pose, surface, field, state, scratch):
 
 
 @inner
-def finish_move(k, field, state, scratch):
+def finish_move(field, k, state, scratch):
     """Make what `bound_move` found exact."""
     if field.sight.reach >= 0.0:
         _try_flips(np.uint64(k), complete_move(k, field, state, scratch), field, state, scratch)

@@ -1,0 +1,53 @@
+"""Several named tuples of arrays as one, along a first axis: so how many there are is no part of a compiled type.
+
+A tuple of n named tuples would be: kernels would be compiled anew for every n.
+"""
+
+from typing import Any, TypeVar
+
+import numpy as np
+from numba import types
+from numba.extending import overload
+
+from lmd.compiled import OVERLOAD_INLINED
+
+Bundle = TypeVar("Bundle")
+
+
+def layers(bundle: Bundle, number: int) -> Bundle:
+    """So many copies of a named tuple of arrays, along a new first axis; an array that it has twice stays one."""
+    copies: dict[int, np.ndarray] = {}
+
+    def copied(part: Any) -> Any:
+        if isinstance(part, tuple):
+            return _made(type(part), map(copied, part))
+        if id(part) not in copies:
+            copies[id(part)] = np.repeat(part[None], number, axis=0)
+        return copies[id(part)]
+
+    made: Bundle = copied(bundle)
+    return made
+
+
+def layer(bundle: Any, number: Any) -> Any:
+    """One of `layers`, as views; in kernels, too."""
+    if isinstance(bundle, tuple):
+        return _made(type(bundle), (layer(part, number) for part in bundle))
+    return bundle[number]
+
+
+def _made(kind: type, parts: Any) -> Any:
+    return kind(*parts) if hasattr(kind, "_fields") else kind(parts)
+
+
+@overload(layer, jit_options=OVERLOAD_INLINED)
+def _layer(bundle, number):  # noqa: ARG001 # numba compares names and annotations
+    if isinstance(bundle, types.Array):
+        return lambda bundle, number: bundle[number]
+    # numba has no map over tuples of different types: the call of each part is written down.
+    calls = ", ".join(f"layer(bundle[{i}], number)" for i in range(len(bundle)))
+    kind = getattr(bundle, "instance_class", None)
+    made = f"Kind({calls})" if kind else f"({calls},)"
+    known: dict[str, Any] = {"layer": layer, "Kind": kind}
+    exec(f"def pick(bundle, number):\n    return {made}", known)
+    return known["pick"]
