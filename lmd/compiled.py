@@ -23,10 +23,12 @@ SOURCES = (
 # A division by zero gives infinity or NaN instead of an exception, as in NumPy. Nobody calls kernels from C: a wrapper
 # for that would take a twelfth of the time of compiling.
 _OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-# Of a function that `inner` makes, and of one that LLVM inlines. Where nothing is said, numba takes what goes for the
-# first that calls it.
-_INNER: Any = _OPTIONS | {"nopython": True, "no_cpython_wrapper": True, "forceinline": False}
-_INLINED: Any = _INNER | {"forceinline": True}
+# Of what is called by kernels alone. Without `forceinline` numba takes what goes for the first that calls it.
+_CALLED: Any = _OPTIONS | {"nopython": True, "no_cpython_wrapper": True, "forceinline": False}
+# Arrays that are handed on need not be counted: the kernel holds them. Counting, by instructions that lock the memory,
+# would take a fifth of a move, and more where two threads count the same array.
+_INNER: Any = _CALLED | {"_nrt": False}
+_INLINED: Any = _CALLED | {"forceinline": True}
 
 # Versions whose inside `lmd.inside_numba` knows. With others, everything works, compiles for longer, and nothing that
 # was compiled is kept. So it does with PLAIN=1 in the environment, which shows what another version would do.
@@ -45,8 +47,9 @@ def _known_inside() -> Any:
 
 _inside = _known_inside()
 # For `numba.extending.overload`: options of what LLVM inlines, and of what is long.
-OVERLOAD_INLINED: Any = _INLINED if _inside is None else _INLINED | _inside.OVERLOAD
-OVERLOAD: Any = _INNER if _inside is None else _INNER | _inside.OVERLOAD
+# What they resolve to counts arrays if what calls it does.
+OVERLOAD: Any = _CALLED | ({} if _inside is None else _inside.OVERLOAD)
+OVERLOAD_INLINED: Any = OVERLOAD | {"forceinline": True}
 
 
 def kernel(function: Callable[..., Any]) -> Any:
@@ -62,15 +65,27 @@ def inner(function: Callable[..., Any]) -> Any:
 
     With numba's own, LLVM optimises and translates whatever a function calls once for that function, once for each that
     calls it, and so on: most of the time of compiling, where functions are nested as deeply as here.
+
+    It must not make arrays, nor return any to a kernel, not even in a tuple: what it returns is not counted.
     """
-    return numba.njit(**_OPTIONS)(function) if _inside is None else _inside.Inner(function, _INNER, kernel)
+    return _made_inner(function, _INNER)
+
+
+def allocating(function: Callable[..., Any]) -> Any:
+    """The same for what makes arrays, which `inner` refuses."""
+    return _made_inner(function, _CALLED | {"_nrt": True})
+
+
+def _made_inner(function: Callable[..., Any], options: Any) -> Any:
+    return numba.njit(**_OPTIONS)(function) if _inside is None else _inside.Inner(function, options, kernel)
 
 
 def inlined(function: Callable[..., Any]) -> Any:
     """The same, inlined by LLVM whatever its size.
 
     Only so do loops over it vectorise, and what stays the same moves out of them. For what is called at every position,
-    handing over a field, a state and a scratch, hundreds of numbers, would take longer than the work.
+    handing over a field, a state and a scratch, hundreds of numbers, would take longer than the work. It must not return
+    arrays either.
     """
     if _inside is None:
         return numba.njit(**_OPTIONS, forceinline=True)(function)

@@ -42,12 +42,19 @@ def _made(kind: type, parts: Any) -> Any:
 
 @overload(layer, jit_options=OVERLOAD_INLINED)
 def _layer(bundle, number):  # noqa: ARG001 # numba compares names and annotations
-    if isinstance(bundle, types.Array):
-        return lambda bundle, number: bundle[number]
-    # numba has no map over tuples of different types: the call of each part is written down.
-    calls = ", ".join(f"layer(bundle[{i}], number)" for i in range(len(bundle)))
-    kind = getattr(bundle, "instance_class", None)
-    made = f"Kind({calls})" if kind else f"({calls},)"
-    known: dict[str, Any] = {"layer": layer, "Kind": kind}
-    exec(f"def pick(bundle, number):\n    return {made}", known)
-    return known["pick"]
+    # numba has no map over tuples of different types: what is taken of each array is written down.
+    kinds: dict[str, Any] = {}
+    exec(f"def pick(bundle, number):\n    return {_written(bundle, 'bundle', kinds)}", kinds)
+    return kinds["pick"]
+
+
+def _written(part: Any, path: str, kinds: dict[str, Any]) -> str:
+    """The layer of what stands at `path`, as Python; `kinds` gets the classes of named tuples that it names."""
+    if isinstance(part, types.Array):
+        return f"{path}[number]"
+    taken = ", ".join(_written(inner, f"{path}[{i}]", kinds) for i, inner in enumerate(part))
+    kind = getattr(part, "instance_class", None)
+    if kind is None:
+        return f"({taken},)"
+    kinds[kind.__name__] = kind
+    return f"{kind.__name__}({taken})"

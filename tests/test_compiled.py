@@ -12,7 +12,7 @@ from lmd.compiled import inlined, inner, kernel
 
 PACKAGE = Path(lmd.__file__).parent
 DECORATORS = (
-    *("kernel", "inner", "inlined", "intrinsic", "register"),
+    *("kernel", "inner", "inlined", "allocating", "intrinsic", "register"),
     *("dispatched", "dispatched_call", "overridable"),
 )
 

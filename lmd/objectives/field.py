@@ -132,9 +132,12 @@ def move(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-de
 
 
 @inner
-def lead(places, field, state, scratch):  # type: ignore[no-untyped-def]
-    """Move the landmarks of `state` that are elsewhere than at `places`."""
-    pose = np.empty(6)
+def lead(places, field, state, scratches, pose):  # type: ignore[no-untyped-def]
+    """Move the landmarks of `state` that are elsewhere than at `places`, with the first of the `scratches`.
+
+    `pose` `(6,)` is working memory.
+    """
+    scratch = layer(scratches, 0)
     for k in range(len(places.surfaces)):
         elsewhere = state.surfaces[k] != places.surfaces[k]
         for i in range(3):

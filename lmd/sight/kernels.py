@@ -27,7 +27,7 @@ from lmd.sight.bits import ALL, BITS, ONE, ZERO, lowest
 from lmd.sight.blocks import BLOCK, SINGLE_ERROR
 from lmd.sight.criteria import covering, covers, frame_of, from_position, hide
 from lmd.sight.directions import NOWHERE, cell_of
-from lmd.sight.obstacles import find_ends, is_blocked, no_ends
+from lmd.sight.obstacles import find_ends, is_blocked, is_clear, no_ends
 
 # A probability of 1 in the integer units of the kernels: quantisation is far below TOLERANCE, and a sum of
 # at most one fits a double exactly.
@@ -120,7 +120,8 @@ def evaluate_range(
     # One long body but for the rare `is_hidden`: handing arrays on to a function costs atomic reference counts, as
     # much as the work itself. Which half of it is compiled depends on the type of `tables`.
     count, size, reach = landmarks.shape[2], axes.shape[1], sight.reach
-    poses, names, ends = np.empty((6, count)), np.arange(count), no_ends(obstacles, count)
+    poses, names = np.empty((6, count)), np.arange(count)
+    clear, ends = is_clear(obstacles), no_ends(obstacles, count)
     # Landmarks near a region of blocks, and near a block in it.
     around, region = np.empty((6, count)), np.empty(count, dtype=np.int64)
     near, who = np.empty((6, count)), np.empty(count, dtype=np.int64)
@@ -141,7 +142,8 @@ def evaluate_range(
             mx, my, mz = landmarks[b, 0, k], landmarks[b, 1, k], landmarks[b, 2, k]
             for i in range(3):
                 poses[i, k], poses[3 + i, k] = landmarks[b, i, k], normals[b, i, k]
-            find_ends(obstacles, sight, mx, my, mz, normals[b, 0, k], normals[b, 1, k], normals[b, 2, k], ends, k)
+            if not clear:
+                find_ends(obstacles, sight, mx, my, mz, normals[b, 0, k], normals[b, 1, k], normals[b, 2, k], ends, k)
         for o in range(first, last):
             p = order[o]
             if o == first or o % REGION == 0:
@@ -173,7 +175,7 @@ def evaluate_range(
                     close[k] = -1.0 if here else 1.0 - SINGLE_ERROR - reach / squared[k]
             found = ZERO
             for k in range(count):
-                if not reached[k] or is_blocked(obstacles, sight, p, ends, who[k]):
+                if not reached[k] or (not clear and is_blocked(obstacles, sight, p, ends, who[k])):
                     continue
                 if reach >= 0.0:
                     uk, vk, wk, suspects = u[k], v[k], w[k], np.int32(0)

@@ -85,6 +85,21 @@ def unobstructed(
 
 
 @dispatched
+def is_clear(obstacles):  # type: ignore[no-untyped-def]
+    """Whether there is nothing that could block anything."""
+
+
+@is_clear.register(Obstacles)
+def _has_no_body(obstacles):  # type: ignore[no-untyped-def]
+    return len(obstacles.first) == 1
+
+
+@is_clear.register(Shadows)
+def _has_no_triangle(obstacles):  # type: ignore[no-untyped-def]
+    return False
+
+
+@dispatched
 def no_ends(obstacles, count):  # type: ignore[no-untyped-def]
     """Room for the heights of so many landmarks, see `find_ends`."""
 

@@ -10,7 +10,7 @@ from lmd.objectives.localisation.information import WIDTH
 from lmd.objectives.localisation.state import LocalisationState, localisation_scratch
 from lmd.objectives.localisation.trial import VIEW, add_shares, list_changes, mixed, moments_of, row_meets, sum_weights
 from lmd.sight.bits import ALL, BITS, ONE, ZERO, at_least_so_far, lowest
-from lmd.sight.incremental.move import touched
+from lmd.sight.incremental.move import list_touched
 from lmd.sight.incremental.state import State
 
 VIEW_BYTES = 8 * (WIDTH + 3)  # of a view: its sums, and three lists of views
@@ -24,7 +24,7 @@ def change_sums(k, sign, field, state, scratch):
     sums, caps = state.sums, scratch.caps
     axes, offsets, moments, goes = field.coverage.axes, scratch.offsets, scratch.moments, scratch.goes
     words = np.uint64(caps.shape[1])
-    for p in touched(k, state.coverage, scratch.coverage):
+    for p in scratch.coverage.listed[: list_touched(k, state.coverage, scratch.coverage)]:
         for e in range(list_changes(np.uint64(k), p, field, state, scratch)):
             for w in range(words):
                 left = caps[e, w]

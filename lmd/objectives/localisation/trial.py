@@ -22,7 +22,7 @@ from lmd.sight.blocks import BLOCK
 from lmd.sight.criteria import covering, frame_of
 from lmd.sight.directions import NOWHERE
 from lmd.sight.incremental.hiding import flips_with
-from lmd.sight.incremental.move import touched
+from lmd.sight.incremental.move import list_touched
 from lmd.sight.incremental.trial import begin_move, complete_move
 from lmd.sight.kernels import weights_row
 
@@ -185,13 +185,13 @@ def _decide_views(field, state, scratch):
 
 
 @inner
-def _touched_places(k, state, scratch):
-    """The positions that a move of landmark k may change; the values of the others are copied."""
+def _list_places(k, state, scratch):
+    """List the positions that a move of landmark k may change; the values of the others are copied."""
     units, located, covered = scratch.units, scratch.located, scratch.coverage.units
     known = state.coverage.units
     for p in range(len(units)):
         units[p], located[p], covered[p] = state.units[p], state.located[p], known[p]
-    return touched(k, state.coverage, scratch.coverage)
+    return list_touched(k, state.coverage, scratch.coverage)
 
 
 @inner
@@ -304,7 +304,7 @@ def bound_move(field, k, pose, surface, state, scratch):
     _look(k, field, state, scratch)
     _list_views(np.uint64(k), field, state, scratch)
     _decide_views(field, state, scratch)
-    _sum_up(_touched_places(k, state, scratch), field, state, scratch)
+    _sum_up(listed[: _list_places(k, state, scratch)], field, state, scratch)
     count = ZERO
     for p in range(np.uint64(len(flips))):
         listed[count] = p
@@ -316,5 +316,5 @@ def bound_move(field, k, pose, surface, state, scratch):
 def finish_move(field, k, state, scratch):
     """Make what `bound_move` found exact."""
     if field.coverage.sight.reach >= 0.0:
-        places = complete_move(k, field.coverage, state.coverage, scratch.coverage)
-        _try_flips(np.uint64(k), places, field, state, scratch)
+        count = complete_move(k, field.coverage, state.coverage, scratch.coverage)
+        _try_flips(np.uint64(k), scratch.coverage.listed[:count], field, state, scratch)

@@ -183,6 +183,41 @@ def _keep_best(state, target, best):
                 best.landmarks[i, k], best.normals[i, k] = state.landmarks[i, k], state.normals[i, k]
 
 
+@inner
+def _try(group, surface, new, field, state, scratches, target, settings, rng, known):
+    """Move the landmarks of `group` to their `new` places on a surface, if the random numbers say so.
+
+    `known` is what the walk knows of the smoothed objective: its total, accepted units, their terms, and room for those
+    that are tried. Returns the total then, and whether they were moved.
+    """
+    total, accepted, value, trial = known
+    last = len(group) - 1
+    for m in range(last + 1):
+        k, scratch = group[m], layer(scratches, m)
+        bound(field, k, new[m], surface, state, scratch)
+        most = drawn = 0.0
+        if m == last:
+            most = _sum_values(scratch.units, accepted, value, target, settings, trial) - total
+            most += _SLACK * (1.0 + settings.share)
+            drawn = rng.random() if most < 0.0 else -1.0
+            if drawn >= math.exp(min(most, 0.0) / settings.temperature) * (1.0 + _SLACK):
+                break
+        settle(field, k, state, scratch)
+        if m == last:
+            sum_value = _sum_values(scratch.units, accepted, value, target, settings, trial)
+            gain = sum_value - total
+            if gain < 0.0 <= most:
+                drawn = rng.random()
+            if gain < 0.0 and drawn >= math.exp(gain / settings.temperature):
+                break
+        accept(field, k, state, scratch)
+        if m == last:
+            return sum_value, True
+    for m in range(last - 1, -1, -1):
+        undo(field, group[m], state, layer(scratches, m))
+    return total, False
+
+
 @kernel
 def walk(moves, places, members, several, field, state, scratches, target, surfaces, apart, settings, rng, best):
     """Move landmarks `moves` times from `places`; `state` ends where the walk ends, and `best` is updated.
@@ -202,8 +237,9 @@ def walk(moves, places, members, several, field, state, scratches, target, surfa
         rng: the source of all random numbers.
         best: see `Best`.
     """
-    # Here, not in a kernel of its own: what moves landmarks is compiled once.
-    lead(places, field, state, layer(scratches, 0))
+    # Here, not in a kernel of its own: what moves landmarks is compiled once. And by inner functions alone, as for
+    # numba what a kernel calls by itself is something else.
+    lead(places, field, state, scratches, np.empty(6))
     positions, count = len(state.units), len(members)
     accepted = state.units.copy()
     value, trial = np.empty(positions), np.empty(positions)
@@ -220,37 +256,14 @@ def walk(moves, places, members, several, field, state, scratches, target, surfa
         if moves - moved >= len(several) > 1 and rng.random() < settings.together:
             _gather(group[0], members, state, several)
             group = several
-        last = len(group) - 1
-        moved += last + 1
+        moved += len(group)
         surface = propose(group, state, surfaces, settings, rng, new)
         if surface < 0 or (apart > 0.0 and _overlaps(group, surface, new, state, surfaces, apart)):
             continue
-        taken, sum_value = False, total
-        for m in range(last + 1):
-            k, scratch = group[m], layer(scratches, m)
-            bound(field, k, new[m], surface, state, scratch)
-            most = drawn = 0.0
-            if m == last:
-                most = _sum_values(scratch.units, accepted, value, target, settings, trial) - total
-                most += _SLACK * (1.0 + settings.share)
-                drawn = rng.random() if most < 0.0 else -1.0
-                if drawn >= math.exp(min(most, 0.0) / settings.temperature) * (1.0 + _SLACK):
-                    break
-            settle(field, k, state, scratch)
-            if m == last:
-                sum_value = _sum_values(scratch.units, accepted, value, target, settings, trial)
-                gain = sum_value - total
-                if gain < 0.0 <= most:
-                    drawn = rng.random()
-                if gain < 0.0 and drawn >= math.exp(gain / settings.temperature):
-                    break
-                taken = True
-            accept(field, k, state, scratch)
+        known = (total, accepted, value, trial)
+        total, taken = _try(group, surface, new, field, state, scratches, target, settings, rng, known)
         if taken:
             for p in range(positions):
                 accepted[p] = state.units[p]
-            value, trial, total = trial, value, sum_value
+            value, trial = trial, value
             _keep_best(state, target, best)
-        else:
-            for m in range(last - 1, -1, -1):
-                undo(field, group[m], state, layer(scratches, m))

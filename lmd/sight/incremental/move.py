@@ -104,15 +104,15 @@ def _recount(k, positions, sign, field, state, scratch):
 
 
 @inner
-def touched(k, state, scratch):
-    """Positions at which a move of landmark k may change anything."""
+def list_touched(k, state, scratch):
+    """List the positions at which a move of landmark k may change anything in `scratch.listed`; returns how many."""
     reachable, reached, flips, listed = state.reachable, scratch.new.reached, scratch.flips, scratch.listed
     count = ZERO
     for s in range(scratch.near[1]):
         for p in range(scratch.spans[s, 0], scratch.spans[s, 1]):
             listed[count] = p
             count += np.uint64(reachable[k, p] | reached[p] | flips[p])
-    return listed[:count]
+    return count
 
 
 @inner
@@ -128,7 +128,7 @@ def exchange_place(k, state, scratch):
 @inner
 def _exchange(k, sign, field, state, scratch):
     """Exchange landmark k for what `scratch` has of its other place."""
-    _recount(np.uint64(k), touched(k, state, scratch), sign, field, state, scratch)
+    _recount(np.uint64(k), scratch.listed[: list_touched(k, state, scratch)], sign, field, state, scratch)
     exchange_hiding(k, sign, field.sight, state, scratch)
     for s in range(scratch.near[1]):
         swap(state.units, scratch.units, scratch.spans[s, 0], scratch.spans[s, 1])
@@ -138,7 +138,7 @@ def _exchange(k, sign, field, state, scratch):
 @inner
 def carry_out(field, k, state, scratch):
     """Move landmark k to where it was tried last; no other move may have been tried or carried out since."""
-    _find_cap(touched(k, state, scratch), field, scratch)
+    _find_cap(scratch.listed[: list_touched(k, state, scratch)], field, scratch)
     _exchange(k, FORTH, field, state, scratch)
 
 
@@ -188,7 +188,7 @@ def _fill(field, state, scratch):
         look_around(k, field, state, scratch)
         if field.sight.reach >= 0.0:
             find_new(k, field, state, scratch)
-        positions = touched(k, state, scratch)
+        positions = scratch.listed[: list_touched(k, state, scratch)]
         _find_cap(positions, field, scratch)
         _recount(np.uint64(k), positions, FORTH, field, state, scratch)
         for p in range(np.uint64(len(scratch.new.reached))):

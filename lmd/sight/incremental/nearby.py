@@ -6,12 +6,12 @@ clears what the last one left, and no loop need look at the whole room.
 
 import numpy as np
 
-from lmd.compiled import inlined, inner
+from lmd.compiled import allocating, inlined, inner
 from lmd.sight.bits import ONE
 from lmd.sight.blocks import BLOCK
 from lmd.sight.criteria import from_position
 from lmd.sight.directions import cell_of
-from lmd.sight.obstacles import find_ends, is_blocked, no_ends
+from lmd.sight.obstacles import find_ends, is_blocked, is_clear, no_ends
 
 
 @inlined
@@ -77,8 +77,18 @@ def look_around(k, field, state, scratch):  # type: ignore[no-untyped-def]
             x[p], y[p], z[p] = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
             reached[p], low[p], high[p], sure[p] = from_position(sight, x[p], y[p], z[p], nx, ny, nz, 0.0)
             cell[p] = cell_of(x[p], y[p], z[p])
+    if not is_clear(field.obstacles):
+        _block(field, scratch)
+
+
+@allocating
+def _block(field, scratch):  # type: ignore[no-untyped-def]
+    """Do not reach the target where something of the room stands in the way."""
+    target, reached, spans = scratch.target, scratch.new.reached, scratch.spans
     ends = no_ends(field.obstacles, 1)
-    find_ends(field.obstacles, sight, ax, ay, az, nx, ny, nz, ends, 0)
-    for s in range(number):
+    find_ends(
+        field.obstacles, field.sight, target[0], target[1], target[2], target[3], target[4], target[5], ends, 0
+    )  # fmt: skip
+    for s in range(scratch.near[1]):
         for p in range(spans[s, 0], spans[s, 1]):
-            reached[p] = reached[p] and not is_blocked(field.obstacles, sight, p, ends, 0)
+            reached[p] = reached[p] and not is_blocked(field.obstacles, field.sight, p, ends, 0)

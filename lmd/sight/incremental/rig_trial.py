@@ -13,7 +13,7 @@ only where P_n depends on them, with n - 1 other landmarks in view.
 import numpy as np
 from numba import literal_unroll
 
-from lmd.compiled import inlined, inner
+from lmd.compiled import allocating, inlined, inner
 from lmd.sight.bits import ALL, BITS, ONE, ZERO, add_digit, at_least_so_far, equal_so_far, lowest
 from lmd.sight.blocks import BLOCK
 from lmd.sight.criteria import covering, covers_one, frame_of, from_position
@@ -25,7 +25,7 @@ from lmd.sight.obstacles import find_ends, is_blocked, no_ends
 from lmd.sight.stations import SEVERAL
 
 
-@inner
+@allocating
 def _find_caps(part, scratch, asked, whole, fresh):
     """Add to `fresh` the `asked` orientations with which cameras of a part see the place tried.
 

@@ -169,7 +169,11 @@ def begin_move(k, pose, surface, field, state, scratch):
 
 @inner
 def complete_move(k, field, state, scratch):
-    """Find who hides whom with landmark k at its new place; returns the positions where that changes anything."""
+    """Find who hides whom with landmark k at its new place; lists where that changes anything.
+
+    Returns:
+        how many positions are in `scratch.listed`.
+    """
     flips, listed = scratch.flips, scratch.listed
     reached, count_hidden = scratch.new.reached, scratch.after.count_hidden
     find_new(k, field, state, scratch)
@@ -179,7 +183,7 @@ def complete_move(k, field, state, scratch):
         for p in range(scratch.spans[s, 0], scratch.spans[s, 1]):
             listed[count] = p
             count += np.uint64(flips[p] | (reached[p] & (count_hidden[p] != 0)))
-    return listed[:count]
+    return count
 
 
 @inner
@@ -200,4 +204,5 @@ def bound_move(field, k, pose, surface, state, scratch):
 def finish_move(field, k, state, scratch):
     """Make what `bound_move` found exact."""
     if field.sight.reach >= 0.0:
-        _try_flips(np.uint64(k), complete_move(k, field, state, scratch), field, state, scratch)
+        count = complete_move(k, field, state, scratch)
+        _try_flips(np.uint64(k), scratch.listed[:count], field, state, scratch)
