@@ -53,8 +53,8 @@ PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 test: install-all  ## the whole test suite
 	$(PYTEST)
 
-test-thorough: install-all  ## the same, property tests with four times as many examples
-	LMD_EXAMPLES=4 $(PYTEST)
+test-thorough: install-all  ## the same, property tests with ten times as many examples
+	LMD_EXAMPLES=3 $(PYTEST)
 
 quick: install-all  ## the tests that are not slow, for while you work
 	$(PYTEST) -m 'not slow'

@@ -1,13 +1,14 @@
 import gc
 
 import pytest
+from examples import DEFAULT, examples
 from hypothesis import settings
 
 from pipelines.app import GARBAGE
 
 gc.set_threshold(GARBAGE)  # compiling makes many objects, too
 
-settings.register_profile("lmd", deadline=None)  # the first example may wait for a compiler
+settings.register_profile("lmd", examples(DEFAULT))
 settings.load_profile("lmd")
 
 

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from paper import paper_room, paper_scene
 from processes import call
@@ -89,7 +90,7 @@ def test_candidates_are_the_centres_of_cells_on_every_wall():
     assert len(candidate_poses(room, 100.0)) == 6
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(st.one_of(scenes_with_deployments(), scenes_with_boundary_landmarks()), seeds)
 def test_gains_and_amounts_follow_the_reference(drawn, seed):
     scene, poses = drawn
@@ -106,7 +107,7 @@ def test_gains_and_amounts_follow_the_reference(drawn, seed):
     assert not covered[:, size:].any()
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(scenes(), seeds, st.sampled_from([0.1, 0.5, 2.0]))
 def test_a_cell_earns_at_least_what_any_landmark_in_it_does(scene, seed, spacing):
     evaluator, rng = Evaluator(scene, threads=1), np.random.default_rng(seed)
@@ -138,7 +139,7 @@ def test_the_smoothed_min_has_the_slope_it_says():
                                atol=1e-5)  # fmt: skip
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(seeds, st.floats(0.05, 1.0), st.integers(1, 3), st.integers(1, 30))
 def test_every_dual_bounds_every_distribution_of_landmarks(seed, threshold, n, count):
     problem, rng = small_problem(threads=1), np.random.default_rng(seed)
@@ -316,7 +317,7 @@ def test_bad_input_gets_one_sentence_and_leaves_nothing(override, message, tmp_p
     assert not list(tmp_path.iterdir())
 
 
-@settings(max_examples=20, deadline=None)
+@examples(20)
 @given(count=st.integers(4, 12), n=st.integers(1, 4), seed=seeds)
 def test_the_relaxed_average_is_the_mean_of_the_probabilities_of_at_least_one_to_n(count, n, seed):
     """E[min(count, n)] / n = (P_1 + ... + P_n) / n: what `bound objective.n=4` bounds, with nothing hidden."""

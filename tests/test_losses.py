@@ -5,7 +5,8 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from examples import examples
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from paper import X
 from small import problem
@@ -29,7 +30,7 @@ def check(p, deployment):
 
 
 @given(data=st.data(), scene=scenes(), n=st.integers(1, 2), thold_p=st.floats(0.0, 0.5))
-@settings(max_examples=15)
+@examples(15)
 def test_the_fitness_without_tags_is_that_of_the_others(data, scene, n, thold_p):
     deployment = data.draw(deployments(scene.room, 6))
     assume(len(deployment) >= 3)

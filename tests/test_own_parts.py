@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from paper import paper_camera, paper_room, paper_scene
 from paths import check_every_path
@@ -133,7 +134,7 @@ def own_scene(room=None):
     return Scene(room or paper_room(spacing=1.5), paper_camera(), pdf.grid_of_cells(6), Rectangle())
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(data=st.data(), room=rooms(), n=st.integers(1, 3), seed=seeds)
 def test_every_fast_path_counts_by_a_criterion_of_ones_own(data, room, n, seed):
     scene = own_scene(room)

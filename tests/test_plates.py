@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from paper import paper_camera, paper_room, paper_scene
 from strategies import rooms, seeds
@@ -55,7 +56,7 @@ def overlaps(deployment, room, edge):
     return found
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(room=rooms(), edge=st.floats(0.02, 0.5), count=st.integers(1, 30), seed=seeds)
 def test_plates_are_pushed_apart_or_there_is_no_room(room, edge, count, seed):
     plates, rng = Plates(room, edge), np.random.default_rng(seed)

@@ -3,7 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import assume, given, settings
+from examples import examples
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from matplotlib.image import imread
 from paper import X, Y, paper_room, paper_scene
@@ -57,7 +58,7 @@ def tagged(scene, edge):
 
 
 @pytest.mark.slow  # compiled for three models of sight
-@settings(max_examples=40)
+@examples(40)
 @given(
     data=st.data(),
     scene=st.one_of(st.builds(tagged, scenes(), st.sampled_from([None, 0.1])), fiducial_scenes()),
@@ -93,7 +94,7 @@ def test_a_landmark_with_a_double_is_no_loss():
 
 
 @given(seed=seeds, n=st.integers(1, 3))
-@settings(max_examples=10)
+@examples(10)
 def test_missed_landmarks_are_thinned_as_the_binomial_formula_says(seed, n):
     problem = problem_of(objective=Localisation(n))
     deployment = problem.draw(np.random.default_rng(seed))

@@ -2,7 +2,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from moves import accept, bound, move, settle, undo
 from paper import paper_room, paper_scene
@@ -57,7 +58,7 @@ def expected_units(scene, deployment, objective, positions):
     )
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(data=st.data(), case=cases)
 def test_views_are_localised_as_the_reference_says(data, case):
     scene, objective = case
@@ -100,7 +101,7 @@ def same(state, before):
     return all((a == b).all() for a, b in zip((*state[:-1], *state.coverage), before, strict=True))
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(data=st.data(), case=cases, seed=seeds)
 def test_after_any_moves_the_views_are_those_of_a_full_evaluation(data, case, seed):
     scene, objective = case

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 from by_position import varied_scenes, with_probabilities
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from moves import accept, bound, move, settle, undo
 from numpy.testing import assert_array_equal
@@ -37,7 +38,7 @@ def units_by_the_reference(scene, good):
     return np.array([row[good(p, axes)].sum() for row, p in zip(rows, evaluator.positions, strict=True)])
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(data=st.data(), scene=varied_scenes, n=st.integers(1, 4))
 def test_probabilities_are_those_of_the_reference(data, scene, n):
     deployment = data.draw(deployments(scene.room))
@@ -51,7 +52,7 @@ def test_probabilities_are_those_of_the_reference(data, scene, n):
     np.testing.assert_allclose(expected / PROBABILITY_ONE, by_formula, rtol=0.0, atol=1e-12)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(data=st.data(), scene=varied_scenes, tolerance=st.sampled_from([0.02, 0.3]))
 def test_localised_views_are_those_of_the_reference(data, scene, tolerance):
     deployment, objective = data.draw(deployments(scene.room)), Localisation(tolerance=tolerance)
@@ -65,7 +66,7 @@ def test_localised_views_are_those_of_the_reference(data, scene, tolerance):
         assert_array_equal(values, expected / PROBABILITY_ONE)
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(data=st.data(), scene=varied_scenes, objective=objectives, seed=seeds)
 def test_after_any_moves_the_values_are_those_of_a_full_evaluation(data, scene, objective, seed):
     deployment, targets = data.draw(deployments(scene.room)), data.draw(deployments(scene.room, most=6))

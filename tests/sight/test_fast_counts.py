@@ -2,7 +2,8 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from paper import facing, one_position_room, paper_room, paper_scene
@@ -40,7 +41,7 @@ def test_counts_are_those_of_the_reference(case):
     assert_counts_are_the_references(*case)
 
 
-@settings(max_examples=300)
+@examples(300)
 @given(scenes_with_boundary_landmarks())
 def test_counts_on_a_boundary_are_those_of_the_reference(case):
     assert_counts_are_the_references(*case)

@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from paper import paper_camera, paper_room
 from paths import check_every_path
@@ -70,7 +71,7 @@ def by_the_detection_package(scene, deployment, poses):
     return slack > 0.0, np.abs(slack) > 1e-6
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(data=st.data(), scene=fiducial_scenes(), seed=seeds)
 def test_the_reference_is_what_the_detection_package_says(data, scene, seed):
     deployment, rng = data.draw(deployments(scene.room)), np.random.default_rng(seed)
@@ -94,7 +95,7 @@ def test_the_reference_sees_some_tags_and_not_others(lens):
     assert sure.mean() > 0.99
 
 
-@settings(max_examples=100)
+@examples(100)
 @given(data=st.data(), scene=fiducial_scenes(), n=st.integers(1, 3), seed=seeds)
 def test_every_path_counts_what_the_reference_counts(data, scene, n, seed):
     deployment, targets = data.draw(deployments(scene.room)), data.draw(deployments(scene.room, most=4))

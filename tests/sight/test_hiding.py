@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from moves import bound, settle
 from paper import paper_room, paper_scene
@@ -46,7 +47,7 @@ def check(scene, deployment):
         np.testing.assert_array_equal(near[reached], hides[reached])  # nothing that matters is left out
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(scenes_with_deployments())
 def test_a_state_knows_how_many_hide_each_landmark_and_how_many_it_hides(case):
     check(*case)

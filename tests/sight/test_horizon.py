@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 from by_position import with_probabilities
-from hypothesis import assume, given, settings
+from examples import examples
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from numba import njit
 from paper import paper_camera, paper_scene
@@ -39,7 +40,7 @@ def any_scene(room):
     )
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(scene=any_scene(halls()), n=st.integers(1, 3), seed=seeds)
 def test_in_a_hall_every_fast_path_counts_what_the_reference_does(scene, n, seed):
     rng = np.random.default_rng(seed)

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from moves import accept, bound, move, settle, undo
 from paper import paper_room, paper_scene
@@ -54,14 +55,14 @@ def check(scene, deployment, targets, n, seed):
     np.testing.assert_array_equal(counts[field.index_of][:, scene.pdf.axis_of], reference.counts(scene, now))
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(data=st.data(), n=st.integers(1, 5), seed=seeds)
 def test_after_any_moves_the_counts_are_the_references(data, n, seed):
     scene, deployment = data.draw(scenes_with_deployments())
     check(scene, deployment, data.draw(deployments(scene.room)), n, seed)
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(scene_and_targets=scenes_with_boundary_landmarks(), n=st.integers(1, 3), seed=seeds, data=st.data())
 def test_moves_onto_a_boundary_are_exact_too(scene_and_targets, n, seed, data):
     scene, targets = scene_and_targets

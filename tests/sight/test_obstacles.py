@@ -2,8 +2,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from examples import examples
 from floor_plans import L_SHAPE, lab, prisms
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from moves import move
 from numpy.testing import assert_array_equal
@@ -53,7 +54,7 @@ def lab_scene(fiducial, room=None):
     return replace(scene, visibility=Fiducial(Tag(0.15)), tag=None) if fiducial else scene
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(scenes, seeds)
 def test_counts_are_those_of_the_reference(scene, seed):
     deployment = landmarks(scene.room, 8, seed)

@@ -1,6 +1,7 @@
 import numpy as np
+from examples import examples
 from floor_plans import lab
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from moves import accept, bound, move, settle, undo
 from rigs import rig_scenes_with_deployments, rigs
@@ -58,21 +59,21 @@ def check(scene, deployment, targets, n, seed):
     np.testing.assert_array_equal(counts, reference.counts(scene, now))
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(data=st.data(), case=rig_scenes_with_deployments(), n=st.integers(1, 4), seed=seeds)
 def test_after_any_moves_a_rig_counts_what_the_reference_counts(data, case, n, seed):
     scene, deployment = case
     check(scene, deployment, data.draw(deployments(scene.room, most=8)), n, seed)
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(data=st.data(), case=rig_scenes_with_deployments(fiducial=True), n=st.integers(1, 3), seed=seeds)
 def test_after_any_moves_of_tags_a_rig_counts_what_the_reference_counts(data, case, n, seed):
     scene, deployment = case
     check(scene, deployment, data.draw(deployments(scene.room, most=8)), n, seed)
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(rig=rigs(kinds=1), n=st.integers(1, 3), seed=seeds)
 def test_among_obstacles_too(rig, n, seed):
     rng, room = np.random.default_rng(seed), lab(spacing=1.0)

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 from paper import paper_scene
@@ -14,7 +15,7 @@ from lmd.sight.views import visible
 any_case = st.one_of(scenes_with_deployments(), scenes_with_boundary_landmarks())
 
 
-@settings(max_examples=200)
+@examples(200)
 @given(any_case)
 def test_a_camera_sees_what_the_reference_covers(case):
     scene, deployment = case

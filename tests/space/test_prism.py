@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 import shapely
+from examples import examples
 from floor_plans import DOOR, L_SHAPE, PILLAR, RACK, hangs_properly, lab, plan_of, prisms, star
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -62,7 +63,7 @@ def test_a_keep_out_is_measured_from_the_first_vertex_of_its_wall():
         assert (hung.fault(room) is None) == free
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(prisms(), seeds)
 def test_positions_are_in_the_room_and_free(room, seed):
     rng = np.random.default_rng(seed)
@@ -145,7 +146,7 @@ def test_positions_keep_their_clearance():
         ).all()
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(prisms(), seeds)
 def test_what_is_drawn_decoded_and_pushed_hangs_where_it_may(room, seed):
     rng = np.random.default_rng(seed)
