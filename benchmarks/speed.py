@@ -1,8 +1,10 @@
-"""How fast the exact paths are: `python benchmarks/speed.py [--update docs/results/performance.md]`.
+"""How fast the exact paths are: `python benchmarks/speed.py [--update docs/results/performance.md] [--against COMMIT]`.
 
 Prints Markdown tables of times and ratios, all measured in one run on the paper's problem (756 positions, 325
 orientations, 90 landmarks, the paper's occlusion test) and on larger ones. With `--update`, the part of the page
-between the two marks is replaced by the output, and the plot of the scaling is written beside it.
+between the two marks is replaced by the output, and the plot of the scaling is written beside it. With `--against`, it
+prints instead what runs of the paper's problem take, in turn with those of that commit: its processor seconds on one
+thread, less those of one evaluation.
 """
 
 import argparse
@@ -18,6 +20,7 @@ from pathlib import Path
 import numpy as np
 from hydra import compose, initialize_config_dir
 from numba import njit
+from start import processor_seconds
 
 from lmd.deployment import RandomDeployment
 from lmd.objectives.coverage_field import coverage_field
@@ -40,6 +43,8 @@ COUNT, N = 90, 2  # of the paper: landmarks, and how many must be seen
 DEPLOYMENTS = 20
 MOVES = 2000
 STEPS = ("bounded", "tried", "carried out")
+EVALUATIONS = 2000  # of a run that is compared with another commit's
+ROUNDS = 3
 MARKS = ("<!-- benchmark -->", "<!-- end of benchmark -->")
 
 
@@ -219,11 +224,48 @@ def plot(points: dict[str, list[tuple[int, float, float]]], picture: Path) -> No
     plt.close(figure)
 
 
+def against(commit: str) -> Iterator[str]:
+    """A table of runs by this checkout and by a commit of it, in turn; the first round only compiles."""
+    here = Path(__file__).resolve().parents[1]
+    settings = ("threads=1", "tracking=none", "validate=false")
+    yield "| optimiser | before, s | now, s | ratios | median |\n| --- | --- | --- | --- | --- |"
+    with tempfile.TemporaryDirectory() as folder:
+        before = Path(folder) / "before"
+        subprocess.run(["git", "-C", here, "worktree", "add", "--quiet", "--detach", before, commit], check=True)
+        try:
+            for optimiser in ("ega", "annealing"):
+                times = []
+                for _ in range(1 + ROUNDS):
+                    row = []
+                    for number, checkout in enumerate((before, here)):
+                        pair = [
+                            processor_seconds(
+                                checkout, Path(folder) / str(number), "optimise", f"optimiser={optimiser}",
+                                f"budget.evaluations={evaluations}", *settings,
+                            )
+                            for evaluations in (EVALUATIONS, 1)
+                        ]  # fmt: skip
+                        row.append(pair[0] - pair[1])
+                    times.append(row)
+                then, now = np.array(times[1:]).T
+                ratios = now / then
+                texts = [", ".join(f"{value:.2f}" for value in values) for values in (then, now, ratios)]
+                yield f"| {optimiser} | {' | '.join(texts)} | {np.median(ratios):.2f} |"
+        finally:
+            subprocess.run(["git", "-C", here, "worktree", "remove", "--force", before], check=True)
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description="Measure the exact paths; prints Markdown.")
     parser.add_argument("--update", type=Path, metavar="PAGE", help="write the output between the marks of this page")
-    page = parser.parse_args().update
+    parser.add_argument("--against", metavar="COMMIT", help="compare runs with those of a commit, and nothing else")
+    options = parser.parse_args()
+    if options.against:
+        for line in against(options.against):
+            print(line, flush=True)
+        return
+    page = options.update
     scene, lines = paper_scene(), []
     sections = {
         "## Speed": speed(scene),

@@ -84,8 +84,8 @@ def inlined(function: Callable[..., Any]) -> Any:
     """The same, inlined by LLVM whatever its size.
 
     Only so do loops over it vectorise, and what stays the same moves out of them. For what is called at every position,
-    handing over a field, a state and a scratch, hundreds of numbers, would take longer than the work. It must not return
-    arrays either.
+    handing over a field, a state and a scratch, hundreds of numbers, would take longer than the work. It must not
+    return arrays either.
     """
     if _inside is None:
         return numba.njit(**_OPTIONS, forceinline=True)(function)

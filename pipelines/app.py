@@ -3,6 +3,7 @@
 import atexit
 import errno
 import gc
+import importlib.util
 import shutil
 import sys
 import tempfile
@@ -34,6 +35,30 @@ def lmd_package() -> str:
 OmegaConf.register_new_resolver("lmd.package", lmd_package, replace=True)
 
 
+# Launchers of Hydra that others wrote, and the extra's package that has each.
+LAUNCHERS = {
+    "joblib": "hydra_plugins.hydra_joblib_launcher",
+    **dict.fromkeys(("slurm", "submitit_local", "submitit_slurm"), "hydra_plugins.hydra_submitit_launcher"),
+}
+
+
+def _refuse_launcher_that_is_missing() -> None:
+    """Say what is missing before Hydra says only that it knows no such launcher."""
+    for argument in sys.argv[1:]:
+        name = argument.removeprefix("+").removeprefix("hydra/launcher=")
+        if name in LAUNCHERS and name != argument and not _is_installed(LAUNCHERS[name]):
+            from lmd.optional import missing
+
+            sys.exit(f"error: {missing(LAUNCHERS[name], 'sweeps')}")
+
+
+def _is_installed(package: str) -> bool:
+    try:
+        return importlib.util.find_spec(package) is not None
+    except ModuleNotFoundError:  # nor is what it is a part of
+        return False
+
+
 def application(config_name: str) -> Callable[[Callable[[DictConfig], object]], Callable[[], None]]:
     """Make a function of a configuration a program that composes it from the command line and can be told to stop.
 
@@ -48,6 +73,7 @@ def application(config_name: str) -> Callable[[Callable[[DictConfig], object]], 
         def main() -> None:
             gc.set_threshold(GARBAGE)
             sys.argv[1:] = map(quoted, sys.argv[1:])
+            _refuse_launcher_that_is_missing()
             atexit.register(gc.freeze)  # Python looks for garbage once more when it ends: with mlflow, for a second
             try:
                 with stop.raising():

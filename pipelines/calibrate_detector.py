@@ -30,11 +30,13 @@ def calibrate(cfg: DictConfig) -> None:
     from lmd.checks import integer, real
     from lmd.detection.calibration import Calibration, foreseen, judged
     from lmd.detection.fit import fit
+    from lmd.optional import optional
     from lmd.plot.detection import save_limits_figure
 
     from .detect import sightings, subject_of
     from .tracked_run import tracked
 
+    optional("cv2", "detection")
     seed, count = integer("seed", cfg.seed, low=0), integer("poses", cfg.frames, low=0)
     margin, source = real("margin", cfg.margin, low=0.0), instantiate(cfg.views)
     subject = subject_of(cfg, max(count, 1), seed)

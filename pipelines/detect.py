@@ -73,10 +73,12 @@ def detect(cfg: DictConfig) -> None:
     """Let the configured detectors read frames of the configured deployments."""
     from lmd.checks import integer
     from lmd.detection.report import to_markdown
+    from lmd.optional import optional
     from lmd.plot.detection import save_calibration_figure
 
     from .tracked_run import title_of, tracked
 
+    optional("cv2", "detection")
     seed, count = integer("seed", cfg.seed, low=0), integer("poses", cfg.frames, low=1)
     pictures = integer("pictures", cfg.pictures, low=0)
     composed = composed_deployments(cfg, "detect")

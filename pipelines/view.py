@@ -40,9 +40,11 @@ def view(cfg: DictConfig) -> None:
 
     from lmd.checks import integer
     from lmd.optimisers.base import Budget
+    from lmd.optional import optional
     from lmd.planner.app import Planner
     from lmd.planner.session import Session
 
+    optional("viser", "view")
     problem = build_problem(cfg)
     with keyed("budget"):
         budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)

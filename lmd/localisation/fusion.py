@@ -41,6 +41,7 @@ class Uncertainty:
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
             object.__setattr__(self, name, real(name, getattr(self, name), above=0.0))
+        optional("gtsam", "estimators")
 
     @property
     def initial(self) -> FloatArray:

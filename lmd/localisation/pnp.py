@@ -10,6 +10,7 @@ from lmd.detection.pose import Solution, solutions
 from lmd.geometry.se3 import exp
 from lmd.localisation.errors import Errors, pose_errors
 from lmd.localisation.recording import Recording
+from lmd.optional import optional
 from lmd.render.optics import project
 
 AMBIGUOUS = ("odometry", "refuse")
@@ -38,6 +39,7 @@ class PerspectiveNPoint:
 
     def __post_init__(self) -> None:
         choice("ambiguous", self.ambiguous, AMBIGUOUS)
+        optional("cv2", "estimators")
 
     def errors(self, recording: Recording, start: FloatArray) -> Errors:
         """See `lmd.localisation.estimators.Estimator.errors`."""

@@ -203,8 +203,8 @@ def test_the_kalman_filter_converges_and_averages_the_noise():
 
 def test_a_missing_package_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "cv2", None)
-    with pytest.raises(InputError, match=r"needs the package cv2: pip install 'lmd\[estimators\]'"):
-        PerspectiveNPoint().errors(recorded(), None)
+    with pytest.raises(InputError, match=r"needs the package cv2: .*pip install .*\[estimators\]'"):
+        PerspectiveNPoint()
 
 
 def test_a_filter_without_spread_is_refused():

@@ -40,6 +40,7 @@ def context():
         made = moderngl.create_context(standalone=True, backend="egl")
     except Exception as error:  # of the driver, or of what looks for it
         pytest.skip(f"OpenGL without a screen (EGL) is not to be had here: {error}")
+    made.gc_mode = "auto"  # or what a test has made is kept until the end
     yield made
     made.release()
 
