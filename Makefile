@@ -86,4 +86,4 @@ paper-experiment: install  ## the paper's experiment, simulated: PDF from a reco
 
 clean:  ## remove the environment and caches, keep outputs
 	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
-	find lmd tests -name '*.nb[ic]' -delete
+	find lmd tests -name '*.nb[ic]*' -delete

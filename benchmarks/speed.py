@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 from hydra import compose, initialize_config_dir
 from numba import njit
+from same_results import HERE, checkout
 from start import processor_seconds
 
 from lmd.deployment import RandomDeployment
@@ -226,33 +227,22 @@ def plot(points: dict[str, list[tuple[int, float, float]]], picture: Path) -> No
 
 def against(commit: str) -> Iterator[str]:
     """A table of runs by this checkout and by a commit of it, in turn; the first round only compiles."""
-    here = Path(__file__).resolve().parents[1]
     settings = ("threads=1", "tracking=none", "validate=false")
     yield "| optimiser | before, s | now, s | ratios | median |\n| --- | --- | --- | --- | --- |"
-    with tempfile.TemporaryDirectory() as folder:
-        before = Path(folder) / "before"
-        subprocess.run(["git", "-C", here, "worktree", "add", "--quiet", "--detach", before, commit], check=True)
-        try:
-            for optimiser in ("ega", "annealing"):
-                times = []
-                for _ in range(1 + ROUNDS):
-                    row = []
-                    for number, checkout in enumerate((before, here)):
-                        pair = [
-                            processor_seconds(
-                                checkout, Path(folder) / str(number), "optimise", f"optimiser={optimiser}",
-                                f"budget.evaluations={evaluations}", *settings,
-                            )
-                            for evaluations in (EVALUATIONS, 1)
-                        ]  # fmt: skip
-                        row.append(pair[0] - pair[1])
-                    times.append(row)
-                then, now = np.array(times[1:]).T
-                ratios = now / then
-                texts = [", ".join(f"{value:.2f}" for value in values) for values in (then, now, ratios)]
-                yield f"| {optimiser} | {' | '.join(texts)} | {np.median(ratios):.2f} |"
-        finally:
-            subprocess.run(["git", "-C", here, "worktree", "remove", "--force", before], check=True)
+    with checkout(commit) as before, tempfile.TemporaryDirectory() as caches:
+
+        def taken(code: Path, optimiser: str, evaluations: int) -> float:
+            overrides = (f"optimiser={optimiser}", f"budget.evaluations={evaluations}", *settings)
+            return processor_seconds(code, Path(caches) / code.name, "optimise", *overrides)
+
+        for optimiser in ("ega", "annealing"):
+            times = [
+                [taken(code, optimiser, EVALUATIONS) - taken(code, optimiser, 1) for code in (before, HERE)]
+                for _ in range(1 + ROUNDS)
+            ]
+            then, now = np.array(times[1:]).T
+            texts = [", ".join(f"{value:.2f}" for value in values) for values in (then, now, now / then)]
+            yield f"| {optimiser} | {' | '.join(texts)} | {np.median(now / then):.2f} |"
 
 
 def main() -> None:

@@ -3,15 +3,19 @@
 Only `lmd.compiled` uses this, and only with versions of numba for which it was tried; it works without.
 """
 
+import hashlib
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
+from filelock import FileLock, Timeout
 from numba import types
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher, cpu_target
+
+PATIENCE = 60.0  # seconds to wait for another process that compiles the same kernel: longer than any takes
 
 
 class Inner(CPUDispatcher):
@@ -81,7 +85,7 @@ def keep(compiled: Any, digest: str) -> None:
 
 
 class _Cache(FunctionCache):
-    """numba's, but safe in three ways.
+    """numba's, but safe in three ways, and of processes that need the same kernel one compiles it for all.
 
     - numba looks at a kernel's own file only, and would go on with old copies of what other files contributed.
     - The index on disk names the classes of the arguments. One that another process cannot import, such as a criterion
@@ -93,11 +97,35 @@ class _Cache(FunctionCache):
         super().__init__(function)
         stamp = (self._impl.locator.get_source_stamp(), digest)
         self._cache_file = _Index(self._cache_path, self._impl.filename_base, stamp)
+        self._locks: dict[str, FileLock] = {}  # of what this process compiles, or could not
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """What was kept; where another process is about to compile it, once that has."""
+        found = super().load_overload(sig, target_context)
+        if found is not None or _has_foreign(sig) or str(sig) in self._locks:
+            return found
+        name = hashlib.sha256(str(sig).encode()).hexdigest()[:16]
+        lock = FileLock(f"{self._cache_file._index_path}.{name}.lock")
+        try:
+            self._impl.locator.ensure_cache_path()
+            lock.acquire(timeout=PATIENCE)
+        except (OSError, Timeout):
+            return None
+        found = super().load_overload(sig, target_context)
+        if found is not None:
+            lock.release()
+        else:
+            self._locks[str(sig)] = lock
+        return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep a compiled kernel, if all its arguments are of classes of this package."""
-        if not any(_is_foreign(kind) for kind in getattr(sig, "args", sig)):
-            super().save_overload(sig, data)
+        try:
+            if not _has_foreign(sig):
+                super().save_overload(sig, data)
+        finally:
+            if (lock := self._locks.pop(str(sig), None)) is not None:
+                lock.release()
 
 
 class _Index(IndexDataCacheFile):
@@ -105,10 +133,13 @@ class _Index(IndexDataCacheFile):
 
     def save(self, key: Any, data: Any) -> None:
         """Keep a compiled kernel, in a folder that exists."""
-        from filelock import FileLock
-
         with FileLock(f"{self._index_path}.lock"):
             super().save(key, data)
+
+
+def _has_foreign(sig: Any) -> bool:
+    """Whether a signature has a class of somebody's own."""
+    return any(_is_foreign(kind) for kind in getattr(sig, "args", sig))
 
 
 def _is_foreign(kind: Any) -> bool:

@@ -24,8 +24,10 @@ def mounts(draw, kinds):
 
 @st.composite
 def rigs(draw, any_camera=cameras(), kinds=2):  # noqa: B008
-    kinds = draw(st.lists(any_camera, min_size=1, max_size=kinds))
-    return Rig(tuple(draw(st.lists(mounts(kinds), min_size=1, max_size=3))))
+    """Rigs of so many kinds of cameras, nearly always: those that are drawn may be equal."""
+    found = draw(st.lists(any_camera, min_size=kinds, max_size=kinds))
+    each = tuple(draw(mounts([camera])) for camera in found)
+    return Rig(each + tuple(draw(st.lists(mounts(found), max_size=3 - kinds))))
 
 
 @st.composite

@@ -21,16 +21,14 @@ for name in (*MODULES, *TRACKED, "mlflow.tracking.client", "lmd.plot.page", *(f"
 
 
 def _load_kernels():
-    """Load what most runs call."""
+    """Load what the main job calls."""
     from small import problem
 
     import lmd
     from lmd.compiled import load_compiler
-    from lmd.losses import losses
 
     load_compiler()
-    ours = problem()
-    losses(ours, lmd.optimise(ours, evaluations=60).deployment)
+    lmd.optimise(problem(), evaluations=60)
 
 
 def _copy_tables():

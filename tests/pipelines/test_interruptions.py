@@ -302,16 +302,15 @@ def test_a_server_that_dies_costs_a_warning_and_gets_everything_later(endless, t
     refused = call(*sync.split(), settings=(), cwd=tmp_path)
     assert refused.returncode == 1
     assert "cannot be used" in refused.stderr
-    # What it would hand in to the server goes to the store of another address as well, which needs no second server.
-    again = f"sqlite:///{tmp_path}/other.db"
-    done = call(*sync.split(), f"uri={again}", settings=(), cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    client = MlflowClient(tracking_uri=again)
-    (kept,) = client.search_runs([client.get_experiment_by_name("lmd").experiment_id])
-    assert kept.info.status == "KILLED"
-    assert kept.data.metrics["fitness"] == metrics_in(tmp_path / "run")["fitness"]
-    files = {file.path for file in client.list_artifacts(kept.info.run_id)}
-    assert {"landmarks.csv", "metrics.json", "scene.png"} <= files
+    with mlflow_server(database, tmp_path / "server") as again:
+        done = call(*sync.split(), f"uri={again}", settings=(), cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        client = MlflowClient(tracking_uri=again)
+        (kept,) = client.search_runs([client.get_experiment_by_name("lmd").experiment_id])
+        assert kept.info.status == "KILLED"
+        assert kept.data.metrics["fitness"] == metrics_in(tmp_path / "run")["fitness"]
+        files = {file.path for file in client.list_artifacts(kept.info.run_id)}
+        assert {"landmarks.csv", "metrics.json", "scene.png"} <= files
     assert "nothing to hand in" in call("sync", "folder=.", settings=(), cwd=tmp_path).stdout
 
 

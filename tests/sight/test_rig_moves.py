@@ -74,7 +74,7 @@ def test_after_any_moves_of_tags_a_rig_counts_what_the_reference_counts(data, ca
 
 
 @examples(20)
-@given(rig=rigs(kinds=1), n=st.integers(1, 3), seed=seeds)
+@given(rig=rigs(), n=st.integers(1, 3), seed=seeds)
 def test_among_obstacles_too(rig, n, seed):
     rng, room = np.random.default_rng(seed), lab(spacing=1.0)
     scene = Scene(room, rig, level_flight(3), Visibility(thold=0.1))
