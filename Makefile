@@ -36,6 +36,8 @@ $(VENV)/installed: $(VENV)/made
 $(VENV)/installed-all: $(VENV)/made
 	@echo "installing what all commands and the tests need, with $(if $(UV),uv,pip)"
 	@$(call TIMED,$(INSTALL) '.[dev]',installing)
+	@# Once, before many processes would do it at the same time: what Python compiles of all packages, and the main job.
+	@$(call TIMED,PYTHONPATH=.:tests $(BIN)/python -c 'import warm',compiling)
 	@touch $@
 
 precompile: install-all  ## compile what the first runs of other commands would, on all processors
