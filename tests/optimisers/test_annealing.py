@@ -134,6 +134,21 @@ def test_walkers_move_landmarks_of_their_own_and_are_put_together(sampling):
         np.testing.assert_array_equal(here.surfaces[walker.members], walker.state.surfaces[walker.members])
 
 
+@pytest.mark.parametrize("walkers", [1, 3])
+def test_a_walk_goes_on_where_the_last_one_ended(walkers):
+    p = problem(RandomDeployment(20))
+    surrogate, rng = Surrogate(p, walkers, 0.35), np.random.default_rng(0)
+    start = p.draw(rng)
+    surrogate.prepare(start, start, False, 1.0, 1.0, rng)
+    surrogate.walk(300, SINGLE.settings(0.0, 0.1), rng)
+    here = surrogate.here()
+    assert (here.positions != start.positions).any()
+    if walkers == 1:  # others are led to what all have found
+        surrogate.prepare(here, start, False, 1.0, 1.0, rng)
+    surrogate.walk(0, SINGLE.settings(0.0, 0.1), rng)
+    np.testing.assert_array_equal(surrogate.here().positions, here.positions)
+
+
 @pytest.mark.parametrize("in_stacks", [True, False])
 @pytest.mark.parametrize("count", [0, 5])
 def test_walkers_that_go_on_know_what_the_others_did(in_stacks, count):

@@ -17,13 +17,15 @@ from lmd.sight.evaluator import Evaluator
 from lmd.space.surface import SurfaceArrays
 from lmd.threads import at_once
 
+NOWHERE = Places(np.empty((3, 0)), np.empty((3, 0)), np.empty(0, dtype=np.int64))
+
 
 @dataclass(frozen=True)
 class Walker:
     """What one walk changes: where its `members` `(M,)` are, the best it met if it walks alone, and working memory.
 
     `group` `(n,)` holds the landmarks that move together, `scratches` as many `layers`. The next walk begins at
-    `places`.
+    `places`, or where the last one ended if there are none.
     """
 
     places: Places
@@ -142,6 +144,7 @@ class Surrogate:
             walk(share, w.places, w.members, w.group, self._field, w.state, w.scratches, *place, settings, own, w.best)
 
         at_once(self._threads, go, self._walkers, shares, rngs)
+        self._walkers = [replace(walker, places=NOWHERE) for walker in self._walkers]  # the next one goes on from there
         return bool(self._walkers[0].best.fitness[0] > before)
 
     def here(self) -> Deployment:
