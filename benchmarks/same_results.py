@@ -17,7 +17,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parents[1]
 COMMON = ("tracking=none", "validate=false", "threads=2")
 TAGS = ("visibility=fiducial", "tag=printed", "tag.edge=0.16", "objective.thold_p=0.3", "room.spacing=1.0")
-RIG = "camera.rig=[{position: [0, 0.1, 0], yaw: 0.0}, {position: [0, -0.1, 0], yaw: 3.1}]"
+RIG = "camera.rig=[{translation: [0, 0.1, 0], yaw: 0.0}, {translation: [0, -0.1, 0], yaw: 3.1}]"
 CONFIGURATIONS = {
     "annealing": ("budget.evaluations=600",),
     "annealing, n = 1": ("budget.evaluations=200", "objective.n=1"),
@@ -65,10 +65,14 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description="Compare the results of a dozen configurations with another commit's.")
     parser.add_argument("commit")
-    commit, differ = parser.parse_args().commit, 0
+    parser.add_argument("--only", default="", help="of the configurations those whose label has this")
+    options, differ = parser.parse_args(), 0
+    commit = options.commit
     print(f"| run | {commit} | now | same |\n| --- | --- | --- | --- |")
     with checkout(commit) as before, tempfile.TemporaryDirectory() as caches:
         for label, overrides in CONFIGURATIONS.items():
+            if options.only not in label:
+                continue
             there, here = (digest(code, Path(caches) / code.name, overrides) for code in (before, HERE))
             differ += there != here
             print(f"| {label} | {there} | {here} | {'yes' if there == here else 'NO'} |", flush=True)
