@@ -26,12 +26,12 @@ _OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True
 # Of what is called by kernels alone. Without `forceinline` numba takes what goes for the first that calls it.
 _CALLED: Any = _OPTIONS | {"nopython": True, "no_cpython_wrapper": True, "forceinline": False}
 # Arrays that are handed on need not be counted: the kernel holds them. Counting, by instructions that lock the memory,
-# would take a fifth of a move, and more where two threads count the same array.
+# would take a seventh of a move, and more where two threads count the same array.
 _INNER: Any = _CALLED | {"_nrt": False}
 _INLINED: Any = _CALLED | {"forceinline": True}
 
 # Versions whose inside `lmd.inside_numba` knows. With others, everything works, compiles for longer, and nothing that
-# was compiled is kept. So it does with PLAIN=1 in the environment, which shows what another version would do.
+# was compiled is kept. With this variable in the environment, any version is treated so.
 KNOWN = ("0.68",)
 PLAIN = "LMD_PLAIN_NUMBA"
 
