@@ -178,6 +178,7 @@ def _handed_on(descriptor):
 
 def _run(module, arguments, folder, environ, ignoring, streams, leads):
     """Do in the forked process what `python -m module` does."""
+    atexit._clear()  # what the server would do at its end, such as removing a folder that others use, is not for this
     assert "warm" in sys.modules, "the server could not import it"
     if leads:
         os.setsid()
