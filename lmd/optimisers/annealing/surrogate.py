@@ -123,7 +123,7 @@ class Surrogate:
         known = self._true.state(best) if self.is_true else state
         reached = np.array([total_worth(self._target, known.units)])
         met = Best(reached, known.landmarks.copy(), known.normals.copy(), known.surfaces.copy())
-        return Walker(places_of(here), members, np.empty(together, dtype=np.int64), state, scratches, met)
+        return Walker(NOWHERE, members, np.empty(together, dtype=np.int64), state, scratches, met)
 
     def _slices(self, here: Deployment, movable: IntArray, number: int, rng: np.random.Generator) -> list[IntArray]:
         """The landmarks that may move, in so many slices of the room."""
