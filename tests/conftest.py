@@ -1,4 +1,7 @@
+import ctypes
 import gc
+import os
+from pathlib import Path
 
 import pytest
 from examples import DEFAULT, examples
@@ -11,6 +14,19 @@ gc.set_threshold(GARBAGE)  # compiling makes many objects, too
 
 settings.register_profile("lmd", examples(DEFAULT))
 settings.load_profile("lmd")
+
+
+PLENTY = 2**30  # bytes in memory
+
+
+@pytest.fixture(autouse=True, scope="module")
+def give_memory_back():
+    """After each file: compiling leaves garbage, for which Python looks too seldom, and C keeps what is free."""
+    yield
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    if pages * os.sysconf("SC_PAGE_SIZE") > PLENTY:
+        gc.collect()
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def pytest_xdist_auto_num_workers():

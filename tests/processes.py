@@ -5,24 +5,21 @@ has done that (`warm`), unless the start itself matters (`fresh`).
 """
 
 import atexit
-import importlib
-import multiprocessing
 import os
 import signal
 import subprocess
 import sys
 import threading
-from multiprocessing import reduction
+from multiprocessing import forkserver, resource_tracker
 from pathlib import Path
 
 import pytest
 
+from pipelines.sweeps.forks import Descriptor, context, run_module
+
 ROOT = Path(__file__).parents[1]
 SMALL = ("room.spacing=1.5", "objective.thold_p=0.5", "validate=false")
 LIMIT = 120  # seconds that a test waits for a process
-
-_context = multiprocessing.get_context("forkserver")
-_context.set_forkserver_preload(["warm"])
 
 
 def environment(*folders):
@@ -101,6 +98,14 @@ def start(line, *, cwd, folders=(), fresh=False, ignoring=(), **streams):
     return Forked(line[2], list(map(str, line[3:])), cwd, environment(*folders), ignoring, **streams)
 
 
+def ensure_warm():
+    """Let processes of this one's fork server come from one that is warm."""
+    with pytest.MonkeyPatch.context() as patch:  # where it finds its modules
+        patch.setenv("PYTHONPATH", os.pathsep.join(map(str, (ROOT, ROOT / "tests"))))
+        context.set_forkserver_preload(["warm"])
+        forkserver.ensure_running()
+
+
 class Forked:
     """A pipeline in a process forked from a warm one, with what tests use of `subprocess.Popen`."""
 
@@ -110,13 +115,12 @@ class Forked:
         ends = {0: stdin, 1: stdout, 2: stderr}
         pipes = {number: os.pipe() for number, end in ends.items() if end == subprocess.PIPE}
         given = {number: end for number, end in ends.items() if isinstance(end, int) and end >= 0}
-        streams = {number: _Descriptor(end) for number, end in given.items()}
-        streams |= {number: _Descriptor(writing) for number, (_, writing) in pipes.items()}
+        streams = {number: Descriptor(end) for number, end in given.items()}
+        streams |= {number: Descriptor(writing) for number, (_, writing) in pipes.items()}
         asked = (module, arguments, str(cwd), environ, tuple(ignoring), streams, start_new_session)
-        self._process = _context.Process(target=_run, args=asked)
-        with pytest.MonkeyPatch.context() as patch:  # where the warm process, if this starts it, finds its modules
-            patch.setenv("PYTHONPATH", os.pathsep.join(map(str, (ROOT, ROOT / "tests"))))
-            self._process.start()
+        self._process = context.Process(target=_run, args=asked)
+        ensure_warm()
+        self._process.start()
         for _, writing in pipes.values():
             os.close(writing)
         self._readers = {number: os.fdopen(reading, newline=None) for number, (reading, _) in pipes.items()}
@@ -162,44 +166,21 @@ class Forked:
         self.send_signal(signal.SIGTERM)
 
 
-class _Descriptor:
-    """A descriptor that is handed on to the process."""
-
-    def __init__(self, number):
-        self._number = number
-
-    def __reduce__(self):
-        return _handed_on, (reduction.DupFd(self._number),)
-
-
-def _handed_on(descriptor):
-    return descriptor.detach()
-
-
 def _run(module, arguments, folder, environ, ignoring, streams, leads):
     """Do in the forked process what `python -m module` does."""
     atexit._clear()  # what the server would do at its end, such as removing a folder that others use, is not for this
     assert "warm" in sys.modules, "the server could not import it"
+    # What it starts comes from the server that it came from, where Python would start another.
+    forkserver._forkserver.ensure_running = resource_tracker.ensure_running
     if leads:
         os.setsid()
-    for number, descriptor in streams.items():
-        os.dup2(descriptor, number)
-        os.close(descriptor)
     hearing()
     for number in ignoring:
         signal.signal(number, signal.SIG_IGN)
     os.chdir(folder)
-    os.environ.clear()
-    os.environ.update(environ)
     sys.path[:0] = [folder, *environ["PYTHONPATH"].split(os.pathsep)]
-    pipeline = importlib.import_module(module)
-    sys.argv = [str(pipeline.__file__), *arguments]
-    from pipelines.signals import stop
-
-    stop.listen()
     try:
-        pipeline.main()
+        run_module(module, arguments, environ, streams)
     finally:
-        sys.stdout.flush()
         threading._shutdown()
         atexit._run_exitfuncs()

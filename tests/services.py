@@ -1,5 +1,6 @@
 """Services that tests start for themselves, on the loopback."""
 
+import os
 import socket
 import subprocess
 import sys
@@ -50,14 +51,16 @@ def service(command, ready, log, **options):
 
 
 @contextmanager
-def mlflow_server(store, home):
+def mlflow_server(store, home, workers=1):
     """The address of an mlflow server that keeps its runs in `store`, as docs/sweeps.md starts it."""
     port = free_port()
     command = [
         sys.executable, "-m", "mlflow", "server", "--backend-store-uri", store, "--artifacts-destination", home,
-        "--host", "127.0.0.1", "--port", str(port), "--workers", "2",
+        "--host", "127.0.0.1", "--port", str(port), "--workers", str(workers),
+        "--uvicorn-opts", "--timeout-worker-healthcheck 60",  # on a machine that is busy, five seconds are not enough
     ]  # fmt: skip
     address = f"http://127.0.0.1:{port}"
     health = f"{address}/health"
-    with service(command, lambda: urllib.request.urlopen(health).status == 200, home / "log", cwd=home):
+    environ = os.environ | {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}  # four more processes for jobs of its own
+    with service(command, lambda: urllib.request.urlopen(health).status == 200, home / "log", cwd=home, env=environ):
         yield address

@@ -133,31 +133,32 @@ def _execute(cfg: DictConfig, arguments: list[str], folder: JobFolder, lock: int
     The process has a session of its own, so that Ctrl-C reaches it once and through the pipe only, and it inherits the
     lock of its folder, which so stays held should the sweep be killed.
     """
-    environment, threads = os.environ | {"HYDRA_FULL_ERROR": "1"}, _threads(cfg)
-    if threads is not None:
-        environment |= dict.fromkeys(THREAD_VARIABLES, str(threads))
+    threads = _threads(cfg)
+    if threads is not None:  # for the server, too: what it imports reads them then
+        os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
     with folder.output.open("ab") as output:
-        process = forks.start(
+        process = forks.Process(
             f"{PACKAGE}.{HydraConfig.get().job.config_name}",
             arguments,
-            environment,
-            {JOB_VARIABLE: str(folder.path)},
+            os.environ | {"HYDRA_FULL_ERROR": "1", JOB_VARIABLE: str(folder.path)},
             output.fileno(),
             () if lock is None else (lock,),
             tracked="uri" in cfg.tracking,
         )
-    with closing(process), _told_by_slurm():
-        try:
-            with stop.raising():  # heard here: what fails later is another matter
-                return process.wait(), False
-        except KeyboardInterrupt:
-            process.stdin.close()
+        with closing(process), _told_by_slurm():
             try:
-                with stop.raising():
-                    return process.wait(), True
+                with stop.raising():  # heard here: what fails later is another matter
+                    with stop.postponed():  # or a process could be left that nobody knows of
+                        process.start()
+                    return process.wait(), False
             except KeyboardInterrupt:
-                process.kill()
-                return process.wait(), True
+                process.stdin.close()
+                try:
+                    with stop.raising():
+                        return process.wait(), True
+                except KeyboardInterrupt:
+                    process.kill()
+                    return process.wait(), True
 
 
 @contextmanager

@@ -188,7 +188,7 @@ def test_a_run_is_scored_flown_and_improved_where_it_was(earlier):
     file = ("deployment=file", f"deployment.path='{earlier}/landmarks.csv'")
     message = "landmark 1 at (6, 2, 1) hangs in mid-air, 1 m from the nearest surface that may carry it, floor (1 of 2"
     refused("evaluate", *file, *QUICK, "hydra.run.dir=../elsewhere", message=message, cwd=cwd, settings=())
-    sweep = ("hydra.mode=MULTIRUN", "objective.thold_p=0.2,0.4", "hydra/launcher=joblib")
+    sweep = ("hydra.mode=MULTIRUN", "objective.thold_p=0.2,0.4")
     for pipeline, overrides in (
         ("evaluate", [*QUICK, "hydra.run.dir=score"]),
         ("evaluate", [*QUICK, *sweep]),

@@ -1,11 +1,13 @@
 import json
 import os
 import signal
+import subprocess
+import sys
 
 import pytest
 
 from pipelines.sweeps import forks
-from tests.processes import environment
+from tests.processes import LIMIT, ensure_warm, environment, start
 
 pytestmark = pytest.mark.slow
 
@@ -30,13 +32,15 @@ def main():
 def begin(tmp_path, monkeypatch):
     """Begins a job that prints to the file of its name."""
     (tmp_path / "probe.py").write_text(PROBE)
-    monkeypatch.setattr(forks, "MODULES", ())
+    monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.chdir(tmp_path)
-    shared = {name: value for name, value in environment(tmp_path).items() if name != "OWN"}
+    ensure_warm()
 
     def begun(name, code=0, **own):
         with (tmp_path / name).open("wb") as output:
-            return forks.start("probe", [name, str(code)], shared, own, output.fileno(), (), tracked=False)
+            process = forks.Process("probe", [name, str(code)], environment() | own, output.fileno())
+            process.start()
+            return process
 
     return begun
 
@@ -62,19 +66,44 @@ def test_a_job_ends_when_it_is_told_or_killed(begin):
 
 
 def test_a_job_that_nobody_waits_for_any_more_ends_and_the_server_goes_on(begin, tmp_path):
-    begin("wait").close()
+    left = begin("wait")
+    left.close()
+    left.wait()
     assert begin("after").wait() == 0
     left, after = (json.loads((tmp_path / name).read_text())["server"] for name in ("wait", "after"))
     assert left == after
 
 
-def test_where_the_server_is_killed_the_next_job_gets_another(begin, tmp_path):
-    assert begin("before").wait() == 0
-    job = begin("wait")
-    os.kill(json.loads((tmp_path / "before").read_text())["server"], signal.SIGKILL)
-    assert job.wait() in (1, -signal.SIGKILL)  # not begun yet, or begun
-    assert begin("after").wait() == 0
-    idle = json.loads((tmp_path / "after").read_text())["server"]
-    os.kill(idle, signal.SIGKILL)
-    os.waitpid(idle, 0)
-    assert begin("later").wait() == 0
+KILLS = """
+import json, os, signal, sys
+from pipelines.sweeps import forks
+
+forks.READY = "json"
+
+def begin(name):
+    with open(name, "wb") as output:
+        process = forks.Process("probe", [name, "0"], os.environ, output.fileno())
+        process.start()
+        return process
+
+def server(name):
+    return json.load(open(name))["server"]
+
+assert begin("before").wait() == 0
+job = begin("wait")
+os.kill(server("before"), signal.SIGKILL)
+assert job.wait() == -signal.SIGKILL
+assert begin("after").wait() == 0
+assert server("after") != server("before")
+os.kill(server("after"), signal.SIGKILL)
+while os.waitid(os.P_PID, server("after"), os.WEXITED | os.WNOWAIT) is None:
+    pass
+assert begin("later").wait() == 0
+"""
+
+
+def test_where_the_server_is_killed_the_next_job_gets_another(tmp_path):
+    (tmp_path / "probe.py").write_text(PROBE)
+    line = [sys.executable, "-c", KILLS]
+    done = start(line, cwd=tmp_path, folders=[tmp_path], stderr=subprocess.PIPE)
+    assert (done.communicate(timeout=LIMIT)[1], done.returncode) == ("", 0)

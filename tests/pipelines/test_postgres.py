@@ -1,6 +1,5 @@
 """Several processes at once, and a sweep, against a real mlflow server on a real PostgreSQL, on the loopback."""
 
-import multiprocessing
 import os
 import shutil
 import subprocess
@@ -9,9 +8,10 @@ from pathlib import Path
 
 import pytest
 from mlflow import MlflowClient
-from processes import call
+from processes import call, ensure_warm
 from services import free_port, mlflow_server, service
 
+from pipelines.sweeps.forks import context
 from pipelines.tracking import MlflowTracker, RunStart
 
 PROCESSES, POINTS = 4, 1600
@@ -68,7 +68,7 @@ def database():
 @pytest.fixture(scope="module")
 def server(database, tmp_path_factory):
     """The address of an mlflow server that keeps its runs in `database`, as docs/sweeps.md starts it."""
-    with mlflow_server(database, tmp_path_factory.mktemp("server")) as address:
+    with mlflow_server(database, tmp_path_factory.mktemp("server"), workers=2) as address:
         yield address
 
 
@@ -85,10 +85,9 @@ def record_one(server, number, folder, together):
 
 
 def test_processes_that_record_at_once_lose_nothing(server, tmp_path):
-    fresh = multiprocessing.get_context("forkserver")
-    fresh.set_forkserver_preload(["mlflow"])  # imported once
-    together = fresh.Barrier(PROCESSES)
-    processes = [fresh.Process(target=record_one, args=(server, i, tmp_path, together)) for i in range(PROCESSES)]
+    ensure_warm()
+    together = context.Barrier(PROCESSES)
+    processes = [context.Process(target=record_one, args=(server, i, tmp_path, together)) for i in range(PROCESSES)]
     for process in processes:
         process.start()
     for process in processes:

@@ -1,11 +1,14 @@
-import multiprocessing
+import sys
 import tempfile
 from pathlib import Path
 
 import pytest
 from mlflow import MlflowClient
+from mlflow.store.db import utils
+from processes import ensure_warm
 
 from lmd.checks import InputError
+from pipelines.sweeps.forks import context
 from pipelines.tracking import MlflowReader, MlflowTracker, NoTracker, RunStart
 from pipelines.tracking.hand_in import GONE, hand_in
 from pipelines.tracking.journal import FILE, Journal
@@ -92,17 +95,17 @@ def test_a_store_that_cannot_be_used_is_named():
 
 
 def start_together(uri, barrier, ids):
+    utils._initialize_tables = sys.modules["warm"].make_tables  # mlflow's own way
     barrier.wait()
     ids.put(started(uri).run_id)
 
 
 @pytest.mark.slow
 def test_eight_processes_that_start_at_once_on_no_database_all_get_a_run(tmp_path):
-    fresh = multiprocessing.get_context("forkserver")
-    fresh.set_forkserver_preload(["mlflow.store.tracking.sqlalchemy_store"])  # imported once, and not eight times
-    barrier, ids = fresh.Barrier(8), fresh.Queue()
+    ensure_warm()
+    barrier, ids = context.Barrier(8), context.Queue()
     arguments = (f"sqlite:///{tmp_path}/fresh.db", barrier, ids)
-    processes = [fresh.Process(target=start_together, args=arguments) for _ in range(8)]
+    processes = [context.Process(target=start_together, args=arguments) for _ in range(8)]
     for process in processes:
         process.start()
     for process in processes:

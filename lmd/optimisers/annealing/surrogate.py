@@ -8,7 +8,7 @@ import numpy as np
 
 from lmd.checks import FloatArray, IntArray
 from lmd.deployment import Deployment
-from lmd.layers import layers
+from lmd.layers import layer, layers
 from lmd.objectives.field import Field, Places, in_order, places_of, total_worth
 from lmd.optimisers.annealing.walk import Best, Settings, walk
 from lmd.plates import TOUCHING
@@ -114,11 +114,13 @@ class Surrogate:
             ]
             return
         self._field = self._true.stacked(self._problem.fixed) if in_stacks else self._true.shrunk(size)
-        self._walkers = at_once(self._threads, partial(self._walker, here, best, together), slices)
-
-    def _walker(self, here: Deployment, best: Deployment, together: int, members: IntArray) -> Walker:
-        """A walker at `here`; so many of its landmarks can move together."""
         state = self._field.state(here)
+        others = layers(state, number - 1)
+        states = [state, *(layer(others, i) for i in range(number - 1))]
+        self._walkers = at_once(self._threads, partial(self._walker, best, together), slices, states)
+
+    def _walker(self, best: Deployment, together: int, members: IntArray, state: Any) -> Walker:
+        """A walker that begins with `state`; so many of its landmarks can move together."""
         scratches = layers(self._field.scratch(state), together)
         known = self._true.state(best) if self.is_true else state
         reached = np.array([total_worth(self._target, known.units)])

@@ -1,0 +1,32 @@
+"""What the fork server of a sweep's jobs does before it forks the first, imported by that server alone.
+
+Importing takes longer than a small job. The server runs nothing else, so nothing of one job reaches another.
+"""
+
+import gc
+import importlib
+import signal
+
+from lmd.compiled import load_compiler
+
+from ..app import GARBAGE, PACKAGE
+from ..signals import SIGNALS
+
+# What reaches all processes of a SLURM job is for the one that started this.
+BEFORE = {number: signal.signal(number, signal.SIG_IGN) for number in (*SIGNALS, signal.SIGUSR2)}
+
+gc.set_threshold(GARBAGE)
+for module in (
+    "lmd.accuracy",
+    "lmd.objectives.coverage_field",
+    "lmd.optimisers.annealing",
+    "lmd.plot.convergence",
+    "lmd.plot.scene",
+    "matplotlib.backends.backend_agg",
+    "matplotlib.figure",
+    "mpl_toolkits.mplot3d",
+    f"{PACKAGE}.tracked_run",
+):
+    importlib.import_module(module)
+load_compiler()
+gc.freeze()  # what jobs share stays shared: nobody looks for garbage in it
