@@ -13,7 +13,7 @@ from lmd.space.prism import Prism
 L_SHAPE = [[0, 0], [6, 0], [6, 2], [3, 2], [3, 4], [0, 4]]
 PILLAR = [[1.25, 1.25], [1.75, 1.25], [1.75, 1.75], [1.25, 1.75]]
 RACK = {"low": [0, 3, 0], "high": [0.5, 4, 1.75], "faces": ["x_max", "top"]}
-DOOR = {"surface": "wall_0", "low": [4.5, 0], "high": [5.5, 2]}
+DOOR = {"name": "door", "surface": "wall_0", "from_left": [0.5, 1.5], "from_below": [0, 2]}
 
 
 def lab(spacing=0.5, clearance=0.25, height=(0.5, 1.5), **plan):

@@ -33,12 +33,6 @@ class View:
     surface: Surface
 
     @property
-    def mirrored(self) -> bool:
-        """Whether the surface's own u runs to the left."""
-        right = np.cross(self.surface.v, self.surface.normal)
-        return bool(right @ self.surface.u < 0.0)
-
-    @property
     def allowed(self) -> list[FloatArray]:
         """Polygons `(4, 2)` that together are where tags may hang."""
         return list(self.place(self.surface.point(*np.moveaxis(self.surface.parts, -1, 0))))
@@ -51,13 +45,12 @@ class View:
 
     def place(self, points: FloatArray) -> FloatArray:
         """Where world points `(..., 3)` are in this view, `(..., 2)`."""
-        x, y = self.surface.coordinates(points)
-        return np.stack([self.surface.extent[0] - x if self.mirrored else x, y], axis=-1)
+        return self.surface.seen(np.stack(self.surface.coordinates(points), axis=-1))
 
     def corner(self, right: bool, top: bool) -> FloatArray:
         """A corner of the surface in the world, `(3,)`."""
         width, height = self.surface.extent
-        return self.surface.point(width * (right != self.mirrored), height * top)
+        return self.surface.point(*self.surface.seen(np.array([width * right, height * top])))
 
 
 def write_plan(path: Path, tags: TagMap, paper: str) -> None:

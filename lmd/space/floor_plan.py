@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, InputError, choice, real
+from lmd.checks import BoolArray, FloatArray, InputError, real
 from lmd.space.allowed import polygons
 from lmd.space.blockers import Blockers
-from lmd.space.parts import FACES, KeepOut, Obstacle, all_made, checked_band, checked_names
+from lmd.space.parts import FACES, Obstacle, all_keep_outs, all_made, checked_band, checked_names
 from lmd.space.polygon import checked_ring, edges, on_hull, planes, upright_bodies
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
 
@@ -21,10 +21,6 @@ BEFORE = 1e-3
 @dataclass(frozen=True)
 class FloorPlan:
     """A room with upright walls over a simple polygon, with pillars, furniture, doors and windows.
-
-    Each surface has coordinates (a, b), metres: along a wall from its first vertex and up from the floor; along x and y
-    from the lowest x and y of the outline, or of the obstacle, on what lies flat; along x or y and up on the side of an
-    obstacle.
 
     Args:
         outline: its vertices [x, y], counter-clockwise, metres. The wall from vertex i to the next is `wall_<i>`.
@@ -60,11 +56,11 @@ class FloorPlan:
             "height": real("height", self.height, above=0.0),
             "holes": tuple(checked_ring(f"holes[{i}]", hole) for i, hole in enumerate(self.holes)),
             "obstacles": all_made("obstacles", Obstacle, self.obstacles),
-            "keep_out": all_made("keep_out", KeepOut, self.keep_out),
             "margin": real("margin", self.margin, low=0.0),
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
+        object.__setattr__(self, "keep_out", all_keep_outs(self.keep_out, list(self._faces), self._seen_before))
         object.__setattr__(self, "band", checked_band(self.band, low=0.0, high=self.height))
         self._check_parts()
         if self.surfaces is not None:
@@ -100,9 +96,8 @@ class FloorPlan:
                     )
         for i, part in enumerate(self.keep_out):
             name = f"keep_out[{i}]"
-            choice(f"{name}.surface", part.surface, list(self._faces))
             face = self._faces[part.surface]
-            if not self._region(face).intersects(self._kept_out(part)):
+            if not self._region(face).intersects(part.region(face)):
                 along, up = face.extent
                 raise InputError(f"{name} lies beside {part.surface}, which is {along:.4g} x {up:.4g} m.", name)
 
@@ -175,8 +170,8 @@ class FloorPlan:
     @property
     def kept_out(self) -> list[FloatArray]:
         """The vertices of the keep-outs, `(N, 3)` each, world frame, metres."""
-        rings = ((self._faces[part.surface], self._kept_out(part).exterior.coords[:-1]) for part in self.keep_out)
-        return [face.point(*np.array(ring).T) for face, ring in rings]
+        on = ((self._faces[part.surface], part.ring) for part in self.keep_out)
+        return [face.point(*face.seen(ring).T) for face, ring in on]
 
     def clearings(self, clearance: float) -> list[list[tuple[float, ...]]]:
         """The rings of the ground that is so far from walls, holes and obstacles, to draw it."""
@@ -199,7 +194,7 @@ class FloorPlan:
     def _carrier(self, face: Surface) -> Surface:
         """A face with the places where landmarks may hang."""
         taken = [_covered(face, obstacle) for obstacle in self.obstacles]
-        taken += [self._kept_out(part) for part in self.keep_out if part.surface == face.name]
+        taken += [part.region(face) for part in self.keep_out if part.surface == face.name]
         region = free_of(face, self._region(face), self.margin, self.band, taken)
         if region.is_empty:
             raise InputError(
@@ -226,20 +221,12 @@ class FloorPlan:
         ends = [np.sort((part - before[:2]) @ face.u[:2]) for part in parts]
         return polygons(shapely.union_all([shapely.box(line[0], 0.0, line[-1], up) for line in ends]))
 
-    def _kept_out(self, part: KeepOut) -> Any:
-        """A keep-out in the coordinates of the `Surface`, whose u may run against its wall."""
-        import shapely
-
-        at, face = np.array(part.ring), self._faces[part.surface]
-        if self._is_reversed(face):
-            at[:, 0] = face.extent[0] - at[:, 0]
-        return shapely.Polygon(at)
-
-    def _is_reversed(self, face: Surface) -> bool:
-        """Whether u runs from the second vertex of a wall to its first."""
-        rings = {"wall": self.outline} | {f"hole_{i}_wall": hole for i, hole in enumerate(self.holes)}
-        ring, _, number = face.name.rpartition("_")
-        return ring in rings and list(rings[ring][int(number)]) != face.origin[:2].tolist()
+    def _seen_before(self, name: str, at: FloatArray) -> FloatArray:
+        """Places (a, b) as one stands before a face: earlier versions counted a from the first vertex of a wall."""
+        face = self._faces[name]
+        if name.startswith("hole_"):  # seen from outside of it, its first vertex is on the left
+            return at
+        return np.array([face.extent[0], 0.0]) + at * [-1.0, 1.0] if name.startswith("wall_") else face.seen(at)
 
 
 def _covered(face: Surface, obstacle: Obstacle) -> Any:

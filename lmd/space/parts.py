@@ -1,14 +1,15 @@
 """What stands in a floor plan, and where nothing may hang: as a user gives it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
 
 from lmd.checks import FloatArray, InputError, choice, real, vector
 from lmd.space.blockers import Body
-from lmd.space.polygon import Ring, checked_ring
+from lmd.space.polygon import checked_ring
 from lmd.space.surface import Surface
 
 FACES = ("x_min", "x_max", "y_min", "y_max", "bottom", "top")
@@ -23,6 +24,7 @@ class Obstacle:
     Args:
         low, high: its corners, world frame, metres.
         faces: those of `FACES` that may carry landmarks.
+        name: what it is called on paper, such as `rack`.
 
     Raises:
         InputError: it is empty, or there is no such face.
@@ -31,6 +33,7 @@ class Obstacle:
     low: Sequence[float]
     high: Sequence[float]
     faces: Sequence[str] = ()
+    name: str | None = None
 
     def __post_init__(self) -> None:
         low, high = vector("low", self.low, 3), vector("high", self.high, 3)
@@ -40,6 +43,7 @@ class Obstacle:
             raise InputError(f"faces must be a list, got {self.faces!r}.", "faces")
         for i, face in enumerate(self.faces):
             choice(f"faces[{i}]", face, FACES)
+        _check_name(self.name)
         object.__setattr__(self, "low", low)
         object.__setattr__(self, "high", high)
         object.__setattr__(self, "faces", tuple(self.faces))
@@ -74,41 +78,103 @@ class Obstacle:
 class KeepOut:
     """A part of a surface where nothing may hang: a door, a window, a screen.
 
+    It is measured as one stands before the surface: before a wall, above the floor or below the ceiling with y up.
+
     Args:
         surface: its name.
-        low, high: corners of a rectangle in the coordinates (a, b) of the surface, metres.
-        polygon: vertices [a, b] in place of a rectangle.
+        from_left: where it begins and ends, from the left edge of the surface, metres.
+        from_below: where it begins and ends, from the lower edge of the surface, metres.
+        corners: vertices [from left, from below] in place of both.
+        name: what it is called on paper, such as `door`.
 
     Raises:
-        InputError: neither or both are given, or it is empty.
+        InputError: neither both spans nor corners are given, or it is empty.
     """
 
     surface: str
-    low: Sequence[float] | None = None
-    high: Sequence[float] | None = None
-    polygon: Sequence[Sequence[float]] | None = None
+    from_left: Sequence[float] | None = None
+    from_below: Sequence[float] | None = None
+    corners: Sequence[Sequence[float]] | None = None
+    name: str | None = None
 
     def __post_init__(self) -> None:
-        if (self.polygon is None) == (self.low is None) or (self.low is None) != (self.high is None):
-            raise InputError("low and high, or polygon in their place, must be given.", "low")
-        if self.polygon is not None:
-            object.__setattr__(self, "polygon", checked_ring("polygon", self.polygon))
+        if (self.corners is None) == (self.from_left is None) or (self.from_left is None) != (self.from_below is None):
+            raise InputError("from_left and from_below, or corners in their place, must be given.", "from_left")
+        _check_name(self.name)
+        if self.corners is not None:
+            object.__setattr__(self, "corners", checked_ring("corners", self.corners, either_way=True))
             return
-        low, high = vector("low", self.low, 2), vector("high", self.high, 2)
-        if any(a >= b for a, b in zip(low, high, strict=True)):
-            raise InputError(f"low = {list(low)} must be below high = {list(high)}.", "low")
-        object.__setattr__(self, "low", low)
-        object.__setattr__(self, "high", high)
+        for name, span in (("from_left", self.from_left), ("from_below", self.from_below)):
+            start, stop = vector(name, span, 2)
+            if start >= stop:
+                raise InputError(f"{name} must go from the lower to the higher, got {[start, stop]}.", name)
+            object.__setattr__(self, name, (start, stop))
 
     @property
-    def ring(self) -> Ring:
-        """Its vertices in the coordinates of the surface."""
-        if self.polygon is not None:
-            return tuple(tuple(vertex) for vertex in self.polygon)
-        assert self.low is not None
-        assert self.high is not None
-        (a, b), (c, d) = self.low, self.high
-        return (a, b), (c, b), (c, d), (a, d)
+    def ring(self) -> FloatArray:
+        """Its vertices (from left, from below), `(N, 2)`, metres."""
+        if self.corners is not None:
+            return np.array(self.corners)
+        assert self.from_left is not None
+        assert self.from_below is not None
+        return _rectangle(*zip(self.from_left, self.from_below, strict=True))
+
+    def region(self, face: Surface) -> Any:
+        """It in the coordinates of its surface, a polygon of shapely."""
+        import shapely
+
+        return shapely.Polygon(face.seen(self.ring))
+
+
+def all_keep_outs(
+    values: Any, faces: Sequence[str], seen_before: Callable[[str, FloatArray], FloatArray]
+) -> tuple[KeepOut, ...]:
+    """A list of keep-outs on surfaces that there are.
+
+    Args:
+        values: as the user gave them.
+        faces: names of the surfaces.
+        seen_before: from a name and places `(N, 2)` as `low`, `high` and `polygon` of earlier versions measured them,
+            to those places from the left and from below.
+
+    Raises:
+        InputError: one is none, or has keys of earlier versions: the message says what they are now.
+    """
+    for i, value in enumerate(values if isinstance(values, list | tuple) else ()):
+        old = [key for key in ("low", "high", "polygon") if isinstance(value, Mapping) and key in value]
+        if old:
+            name = f"keep_out[{i}]"
+            surface = choice(f"{name}.surface", value.get("surface"), faces)
+            raise InputError(
+                f"{name} has {' and '.join(old)}, with which earlier versions measured some surfaces from their other "
+                f"end; as one stands before {surface}, it is {_rewritten(name, value, partial(seen_before, surface))}.",
+                name,
+            )
+    made = all_made("keep_out", KeepOut, values)
+    for i, part in enumerate(made):
+        choice(f"keep_out[{i}].surface", part.surface, faces)
+    return made
+
+
+def _rewritten(name: str, old: Mapping[str, Any], seen_before: Callable[[FloatArray], FloatArray]) -> str:
+    """The part of a keep-out of earlier versions that says where it is, as it is written now."""
+    if "polygon" in old:
+        places = seen_before(np.array(checked_ring(f"{name}.polygon", old["polygon"], either_way=True))).round(6)
+        return f"corners: [{', '.join(f'[{a:g}, {b:g}]' for a, b in places)}]"
+    corners = np.array([vector(f"{name}.{key}", old.get(key), 2) for key in ("low", "high")])
+    (left, right), (low, high) = np.sort(seen_before(corners), axis=0).T.round(6)
+    return f"from_left: [{left:g}, {right:g}], from_below: [{low:g}, {high:g}]"
+
+
+def _rectangle(low: Sequence[float], high: Sequence[float]) -> FloatArray:
+    """Its vertices, counter-clockwise, `(4, 2)`."""
+    (a, b), (c, d) = low, high
+    return np.array([(a, b), (c, b), (c, d), (a, d)])
+
+
+def _check_name(name: Any) -> None:
+    if name is not None and (not isinstance(name, str) or not name.strip()):
+        raise InputError(f"name must be a text, got {name!r}.", "name")
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ SAME_EDGE = 1e-9
 Ring = tuple[tuple[float, ...], ...]
 
 
-def checked_ring(name: str, value: Any) -> Ring:
-    """The vertices of a simple polygon, counter-clockwise, metres.
+def checked_ring(name: str, value: Any, either_way: bool = False) -> Ring:
+    """The vertices of a simple polygon, metres, counter-clockwise unless they may run `either_way`.
 
     Raises:
         InputError: they are no polygon, it crosses or touches itself, or runs clockwise.
@@ -32,7 +32,7 @@ def checked_ring(name: str, value: Any) -> Ring:
     if not polygon.is_valid:
         place = shapely.is_valid_reason(polygon).partition("[")[2].rstrip("]")
         raise InputError(f"{name} crosses or touches itself at ({', '.join(place.split())}).", name)
-    if not polygon.exterior.is_ccw:
+    if not either_way and not polygon.exterior.is_ccw:
         raise InputError(f"{name} must run counter-clockwise, seen from above, but it runs clockwise.", name)
     return ring
 

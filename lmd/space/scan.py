@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, InputError, IntArray, choice, real
+from lmd.checks import BoolArray, FloatArray, InputError, IntArray, real
 from lmd.space.allowed import eroded, polygons
 from lmd.space.interior import Interior
 from lmd.space.mesh_file import Mesh, read_mesh
-from lmd.space.parts import KeepOut, all_made, checked_band, checked_names
+from lmd.space.parts import KeepOut, all_keep_outs, checked_band, checked_names
 from lmd.space.patches import UNEVEN, area_of, flat_parts, plane_of, surface_of
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
 from lmd.space.triangles import Triangles, unit_normals
@@ -44,8 +44,7 @@ class Scan:
         up: which of its axes points up, `z` or `y`; None for what its format says.
         least_area: of a square that hangs on a patch upright, square metres.
         surfaces: names of the patches that may carry landmarks; None for all.
-        keep_out: `KeepOut`s, or mappings of their arguments; (a, b) are metres to the right and up from the lower left
-            corner of the rectangle around the patch, seen from the room.
+        keep_out: `KeepOut`s, or mappings of their arguments, measured from the rectangle around the patch.
         band: lowest and highest z at which landmarks may hang on upright patches, metres; None for all heights.
         margin: from where landmarks may hang to the edges of a patch, along its u and v, metres.
 
@@ -66,7 +65,6 @@ class Scan:
         object.__setattr__(self, "path", str(self.path) if isinstance(self.path, Path) else self.path)
         object.__setattr__(self, "scale", real("scale", self.scale, above=0.0))
         object.__setattr__(self, "least_area", real("least_area", self.least_area, above=0.0))
-        object.__setattr__(self, "keep_out", all_made("keep_out", KeepOut, self.keep_out))
         object.__setattr__(self, "band", checked_band(self.band))
         object.__setattr__(self, "margin", real("margin", self.margin, low=0.0))
         if not self._patches:
@@ -75,8 +73,8 @@ class Scan:
             )
         if self.surfaces is not None:
             object.__setattr__(self, "surfaces", checked_names("surfaces", self.surfaces, list(self._patches)))
-        for i, part in enumerate(self.keep_out):
-            choice(f"keep_out[{i}].surface", part.surface, list(self._patches))
+        # Patches are as they are seen, so here earlier versions measured as this one does.
+        object.__setattr__(self, "keep_out", all_keep_outs(self.keep_out, list(self._patches), lambda _, at: at))
 
     @cached_property
     def mesh(self) -> Mesh:
@@ -179,14 +177,12 @@ class Scan:
     def _free(self, surface: Surface) -> Any:
         """Where on a patch landmarks may hang, None if not even a square of `least_area` does."""
         taken = [self._standing(surface)]
-        taken += [kept_out for part, kept_out in self._kept_out(surface)]
+        taken += [part.region(surface) for part in self._kept_out(surface)]
         region = free_of(surface, _shape(surface), self.margin, self.band, taken)
         return None if eroded(region, self._half_edge).is_empty else region
 
-    def _kept_out(self, surface: Surface) -> list[tuple[KeepOut, Any]]:
-        import shapely
-
-        return [(part, shapely.Polygon(part.ring)) for part in self.keep_out if part.surface == surface.name]
+    def _kept_out(self, surface: Surface) -> list[KeepOut]:
+        return [part for part in self.keep_out if part.surface == surface.name]
 
     def _standing(self, surface: Surface) -> Any:
         """What other triangles cover of a patch, in its coordinates: they lie on it, or are less than `BEFORE` away."""
@@ -226,7 +222,7 @@ class Scan:
 
     def kept_out(self, surfaces: Sequence[Surface]) -> list[FloatArray]:
         """The vertices of the keep-outs on surfaces, `(N, 3)` each, world frame, metres."""
-        return [surface.point(*np.array(part.ring).T) for surface in surfaces for part, _ in self._kept_out(surface)]
+        return [surface.point(*part.ring.T) for surface in surfaces for part in self._kept_out(surface)]
 
     def keeps_away(self, points: FloatArray, clearance: float) -> BoolArray:
         """Whether points `(..., 3)` are so far from all but floor and ceiling, `(...)`."""

@@ -91,6 +91,19 @@ class Surface:
         a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
         return np.asarray(self.origin + a[..., None] * self.u + b[..., None] * self.v)
 
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether u runs to the left of whoever stands before the surface, `v` pointing up."""
+        return bool(np.cross(self.v, self.normal) @ self.u < 0.0)
+
+    def seen(self, at: FloatArray) -> FloatArray:
+        """Places (a, b) `(..., 2)` as metres from the left and from the lower edge, for whoever stands before them.
+
+        Applied to these, it gives (a, b) again.
+        """
+        a, b = np.moveaxis(np.asarray(at, dtype=np.float64), -1, 0)
+        return np.stack([self.extent[0] - a if self.is_mirrored else a, b], axis=-1)
+
     def coordinates(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Surface coordinates of the projections of world points `(..., 3)`, clipped to the surface."""
         offset = np.asarray(points) - self.origin

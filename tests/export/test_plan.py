@@ -27,6 +27,8 @@ SEEN = {
     "floor": ((2.0, 1.0, 0.0), (2000, 1000)),
     "ceiling": ((2.0, 1.0, 2.8), (4000, 1000)),
 }
+# An obstacle that hangs in the room, so that all of its faces are seen.
+FACES = {"low": [4, 0.5, 0.5], "high": [5, 1.5, 1.5], "faces": ["x_min", "x_max", "y_min", "y_max", "bottom", "top"]}
 
 
 def one_tag(name):
@@ -85,6 +87,19 @@ def test_a_view_is_that_of_a_tag_on_the_surface():
         np.testing.assert_allclose(view.place(middle + 0.1 * up) - start, [0.0, 0.1], atol=1e-12)
         np.testing.assert_allclose(view.place(view.corner(right=False, top=False)), [0.0, 0.0], atol=1e-12)
         np.testing.assert_allclose(view.place(view.corner(right=True, top=True)), surface.extent, atol=1e-12)
+
+
+def test_keep_outs_are_measured_as_the_plan_shows_them():
+    names = [surface.name for surface in floor_plans.lab(obstacles=[FACES]).surfaces()]
+    assert {"ceiling", "hole_0_wall_3", "obstacle_0_x_min", "obstacle_0_y_max", "obstacle_0_bottom"} < set(names)
+    for name in names:
+        part = {"surface": name, "from_left": [0.1, 0.2], "from_below": [0.3, 0.4]}
+        room = floor_plans.lab(obstacles=[FACES], keep_out=[part], band=None)
+        (surface,) = [surface for surface in room.surfaces() if surface.name == name]
+        seen = View(surface).place(np.array(room.plan.kept_out[0]))
+        np.testing.assert_allclose([seen.min(axis=0), seen.max(axis=0)], [[0.1, 0.3], [0.2, 0.4]], atol=1e-9)
+        corner = View(surface).corner(right=False, top=False) + 0.05 * upright(surface.normal)[0]
+        assert View(surface).place(corner)[0] == pytest.approx(0.05)
 
 
 def test_where_nothing_may_hang_is_grey(tmp_path):

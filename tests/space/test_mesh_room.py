@@ -193,7 +193,14 @@ def test_a_file_with_no_room_in_it_gets_one_sentence(tmp_path):
         ({"up": "x"}, r"^up must be one of z, y, got 'x'"),
         ({"least_area": 30.0}, r"^least_area = 30 m2 is more than any planar patch"),
         ({"surfaces": ["wall"]}, r"^surfaces must be one of patch_0, .*, got 'wall'"),
-        ({"keep_out": [{"surface": "wall", "low": [0, 0], "high": [1, 1]}]}, r"^keep_out\[0\]\.surface must be one of"),
+        (
+            {"keep_out": [{"surface": "wall", "from_left": [0, 1], "from_below": [0, 1]}]},
+            r"^keep_out\[0\]\.surface must be one of",
+        ),
+        (
+            {"keep_out": [{"surface": "patch_2", "low": [0, 0], "high": [1, 2]}]},
+            r"^keep_out\[0\] has low and high, .* before patch_2, it is from_left: \[0, 1\], from_below: \[0, 2\]\.$",
+        ),
         ({"surfaces": ["patch_2"], "margin": 1.3}, r"^surfaces: patch_2 has no place left where anything may hang"),
         ({"reachable": {"height": [3, 4]}}, r"^reachable\.height and clearance = 0 leave nothing of the mesh, whose x"),
         ({"reachable": {"low": [7, 1, 1], "high": [8, 2, 1]}}, r"^reachable\.low and clearance = 0 leave nothing"),

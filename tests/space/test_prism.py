@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import shapely
+import yaml
 from examples import examples
 from floor_plans import DOOR, L_SHAPE, PILLAR, RACK, hangs_properly, lab, plan_of, prisms, star
 from hypothesis import given
@@ -52,15 +53,40 @@ def test_areas_are_what_is_left_of_the_faces():
     assert_allclose(surface(lab(band=[0.25, 2.25], margin=0.125), "wall_1").area, 1.75 * 2)
 
 
-def test_a_keep_out_is_measured_from_the_first_vertex_of_its_wall():
-    # Wall 2 goes from (6, 2) to (3, 2), wall 5 from (0, 4) to (0, 0).
-    parts = [{"surface": "wall_2", "low": [0, 0], "high": [1, 2]}, {"surface": "wall_5", "low": [0, 0], "high": [1, 1]}]
+def test_a_keep_out_is_measured_from_the_left_as_one_stands_before_its_wall():
+    # Before wall 2, over y = 2, low x is on the left; before wall 5, over x = 0, low y.
+    parts = [
+        {"surface": "wall_2", "from_left": [0, 1], "from_below": [0, 2]},
+        {"surface": "wall_5", "corners": [[0, 0], [1, 0], [1, 1], [0, 1]]},
+    ]
     room = Prism(FloorPlan(L_SHAPE, 2.5, keep_out=parts), Reachable((1, 1)), 0.5)
     marks = np.array([[5.5, 2, 1], [3.5, 2, 1], [0, 3.5, 0.5], [0, 0.5, 0.5]])
     normals = np.array([[0, -1, 0], [0, -1, 0], [1, 0, 0], [1, 0, 0]])
-    for k, free in enumerate([False, True, False, True]):
+    for k, free in enumerate([True, False, True, False]):
         hung = Deployment(marks[k : k + 1], normals[k : k + 1]).hung(room)
         assert (hung.fault(room) is None) == free
+
+
+def test_keep_outs_of_earlier_versions_are_refused_with_what_they_are_now():
+    # Up to then walls were measured from their first vertex, ceilings and obstacles along x or y.
+    for surface_name, old, low, now in [
+        ("wall_0", [4.5, 5.5], [4.5, 0.0, 0.0], r"from_left: \[0\.5, 1\.5\], from_below: \[0, 2\]"),
+        ("wall_2", [0.0, 1.0], [5.0, 2.0, 0.0], r"from_left: \[2, 3\], from_below: \[0, 2\]"),
+        ("hole_0_wall_0", [0.0, 0.25], [1.25, 1.25, 0.0], r"from_left: \[0, 0\.25\], from_below: \[0, 2\]"),
+        ("floor", [1.0, 2.0], [1.0, 0.0, 0.0], r"from_left: \[1, 2\], from_below: \[0, 2\]"),
+        ("ceiling", [1.0, 2.0], [1.0, 0.0, 2.5], r"from_left: \[4, 5\], from_below: \[0, 2\]"),
+        ("obstacle_0_y_min", [0.0, 0.25], [0.0, 3.0, 0.0], r"from_left: \[0, 0\.25\], from_below: \[0, 2\]"),
+    ]:
+        part = {"surface": surface_name, "low": [old[0], 0.0], "high": [old[1], 2.0]}
+        message = rf"^keep_out\[0\] has low and high, .*; as one stands before {surface_name}, it is {now}\.$"
+        with pytest.raises(InputError, match=message) as refused:
+            FloorPlan(L_SHAPE, 2.5, holes=[PILLAR], obstacles=[RACK], keep_out=[part])
+        spans = yaml.safe_load("{" + str(refused.value).partition("it is ")[2][:-1] + "}")
+        room = FloorPlan(L_SHAPE, 2.5, holes=[PILLAR], obstacles=[RACK], keep_out=[{"surface": surface_name, **spans}])
+        assert_allclose(room.kept_out[0].min(axis=0), low, atol=1e-9)
+    old = {"surface": "wall_0", "polygon": [[4.5, 0], [5.5, 0], [5, 1]]}
+    with pytest.raises(InputError, match=r"has polygon, .* it is corners: \[\[1\.5, 0\], \[0\.5, 0\], \[1, 1\]\]\.$"):
+        FloorPlan(L_SHAPE, 2.5, keep_out=[old])
 
 
 @examples(40)
@@ -220,8 +246,9 @@ def test_random_landmarks_are_uniform_over_slanting_regions():
         ({"obstacles": [{"low": [1, 3, 0]}]}, r"^obstacles\[0\] lacks a key"),
         ({"obstacles": [{**RACK, "faces": ["y_max"]}]}, r"^obstacles\[0\]\.faces: y_max stands against"),
         ({"keep_out": [{**DOOR, "surface": "wall_9"}]}, r"^keep_out\[0\]\.surface must be one of wall_0, .*'wall_9'"),
-        ({"keep_out": [{"surface": "wall_1", "low": [3, 0], "high": [4, 1]}]}, r"^keep_out\[0\] lies beside wall_1"),
-        ({"keep_out": [{"surface": "wall_1", "low": [0, 0], "high": [2, 3]}]}, r"nowhere on wall_1 may anything hang"),
+        ({"keep_out": [{**DOOR, "surface": "wall_1", "from_left": [3, 4]}]}, r"^keep_out\[0\] lies beside wall_1"),
+        ({"keep_out": [{"surface": "wall_1", "from_left": [0, 2], "from_below": [0, 3]}]},
+         r"nowhere on wall_1 may anything hang"),
         ({"band": [2, 1]}, r"^band must go from the lowest"),
         ({"margin": 1.0}, r"nowhere on wall_1 may anything hang"),
         ({"surfaces": ["x_min"]}, r"^surfaces must be one of wall_0, "),
