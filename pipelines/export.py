@@ -1,6 +1,8 @@
 """Tag maps, mounting plan and print sheets: `python -m pipelines.export run=DIR formats=[wpilib,plan,sheets]`."""
 
+import sys
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,16 +23,23 @@ if TYPE_CHECKING:
 def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
     """What `key` of a configuration asks to be written of tags like this one.
 
+    If it asks for all there is, maps do not wait for paper: what cannot be printed is left out, and said.
+
     Raises:
         InputError: that cannot be written, or there is no such format.
     """
-    from lmd.export.formats import Export, formats_of
+    from lmd.export.formats import FORMATS, Export, formats_of, not_printed
 
     with keyed(formats=key, paper="paper_size", edge="tag.edge"):
         settings = OmegaConf.to_container(cfg, resolve=True)
         assert isinstance(settings, dict)
-        names = formats_of(tag) if settings[key] is None else settings[key]
-        chosen = Export(names, settings["paper_size"])
+        paper, names = settings["paper_size"], settings[key]
+        chosen = Export(formats_of(tag) if names is None else names, paper)
+        if names is None and not tag.is_point:
+            left_out = not_printed(tag, paper)
+            chosen = replace(chosen, formats=tuple(name for name in chosen.formats if name not in left_out))
+            for name, reason in left_out.items():
+                print(f"note: {FORMATS[name].file} is not written: {reason}", file=sys.stderr)
         chosen.check(tag)
     return chosen
 
@@ -52,6 +61,7 @@ def export(cfg: DictConfig) -> None:
     import numpy as np
 
     from lmd.checks import InputError
+    from lmd.export.sheets import describe_sheets
 
     from .tracked_run import title_of, tracked
 
@@ -66,6 +76,8 @@ def export(cfg: DictConfig) -> None:
         tracker.log_artifacts(files)
         tracker.finish("FINISHED")
     print(f"tags   {problem.count} of {scene.tag.family}, {1000.0 * scene.tag.size:g} mm")
+    if "sheets" in chosen.formats:
+        print(f"sheets {describe_sheets(scene.tag, chosen.paper, problem.count)}")
     print(f"files  {run_directory()}: {', '.join(file.name for file in files)}")
     print(f"mlflow {tracker.describe()}")
 

@@ -57,6 +57,25 @@ def formats_of(tag: Tag) -> tuple[str, ...]:
     return tuple(name for name, form in FORMATS.items() if known or not form.only_apriltag)
 
 
+def check_printing(name: str, tag: Tag, paper: str) -> None:
+    """Raise `InputError` if a format that is printed cannot be written of tags like this one."""
+    optional("reportlab", "export")
+    if name == "sheets":
+        check_sheets(tag, paper)
+
+
+def not_printed(tag: Tag, paper: str) -> dict[str, str]:
+    """The formats that cannot be printed of tags like this one, and why."""
+    reasons = {}
+    for name, form in FORMATS.items():
+        if form.on_paper:
+            try:
+                check_printing(name, tag, paper)
+            except InputError as error:
+                reasons[name] = str(error)
+    return reasons
+
+
 @dataclass(frozen=True)
 class Export:
     """What is to be written of a deployment.
@@ -89,9 +108,7 @@ class Export:
                 known = ", ".join(name for name, family in FAMILIES.items() if family.apriltag)
                 raise InputError(f"formats has {name}, which knows the families {known}, not {tag.family}.", "formats")
             if FORMATS[name].on_paper:
-                optional("reportlab", "export")
-        if "sheets" in self.formats:
-            check_sheets(tag, self.paper)
+                check_printing(name, tag, self.paper)
 
     def writers(self, room: Space, tag: Tag, deployment: Deployment) -> dict[str, Callable[[Path], None]]:
         """What writes each file of these tags, by its name.

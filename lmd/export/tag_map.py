@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 QUATERNION = ("qw", "qx", "qy", "qz")
 # Written are picometres: what is less is rounding.
 DECIMALS = 12
+FLAT = 0.5  # a normal with a larger vertical part is that of a floor or a ceiling
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,40 @@ class TagMap:
         distance = np.array([surface.distance(self.deployment.positions) for surface in self.room.surfaces()])
         nearest = np.where(distance.min(axis=0) <= MID_AIR, distance.argmin(axis=0), -1)
         return np.where(self.deployment.surfaces < 0, nearest, self.deployment.surfaces)
+
+    @cached_property
+    def at(self) -> FloatArray:
+        """How far each is from the left and the lower edge of its surface, `(K, 2)`, metres; NaN for free ones.
+
+        That is as one stands before the surface.
+        """
+        at = np.full((len(self.ids), 2), np.nan)
+        for index, surface in enumerate(self.room.surfaces()):
+            own = self.surfaces == index
+            at[own] = surface.seen(np.stack(surface.coordinates(self.deployment.positions[own]), axis=-1))
+        return at
+
+    @cached_property
+    def route(self) -> list[int]:
+        """The surfaces with tags in the order in which one comes to them, -1 for what is free in the room at the end.
+
+        That is from left to right around the middle of the room, then what lies flat.
+        """
+        surfaces, (low, high) = self.room.surfaces(), self.room.bounds()
+        middles = np.array([surface.point(*np.divide(surface.extent, 2.0)) for surface in surfaces])
+        x, y = (middles - (low + high) / 2.0)[:, :2].T
+        flat = np.array([abs(surface.normal[2]) > FLAT for surface in surfaces])
+        angle = np.arctan2(y, x)
+        turned = np.round(angle[np.argmin(flat)] - angle, 9) % (2.0 * np.pi)
+        order = np.lexsort((np.where(flat, 0.0, turned), flat))
+        return [index for index in [*order.tolist(), -1] if (self.surfaces == index).any()]
+
+    @cached_property
+    def order(self) -> IntArray:
+        """The tags in the order of hanging, `(K,)`: along `route`, on a surface from the left and then from below."""
+        rank = np.array([self.route.index(surface) for surface in self.surfaces.tolist()])
+        left, below = np.round(self.at, DECIMALS).T
+        return np.asarray(np.lexsort((self.deployment.ids, below, left, rank)))
 
     def place_of(self, k: int) -> str:
         """The name of the surface of tag k, in words where there is none."""

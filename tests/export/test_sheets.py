@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pypdfium2
 import pytest
@@ -10,9 +11,9 @@ import pytest
 from lmd.checks import InputError
 from lmd.deployment import RandomDeployment, UniformDeployment
 from lmd.detection.detectors import AprilTagDetector, ArucoDetector
-from lmd.export.formats import Export
+from lmd.export.formats import Export, not_printed
 from lmd.export.paper import PAPERS
-from lmd.export.sheets import check_sheets, largest_paper, write_sheets
+from lmd.export.sheets import check_sheets, describe_sheets, write_sheets
 from lmd.export.tag_map import TagMap
 from lmd.labels import Labels
 from lmd.plates import Plates
@@ -44,10 +45,16 @@ def pages(path):
     ("tag", "paper", "count", "per_page"),
     [
         (Tag(0.15), "a4", 3, 1),
+        (Tag(0.1651), "a4", 1, 1),  # of FIRST robotics: the paper is wider than what is printed of it
+        (Tag(0.1651), "letter", 1, 1),
+        (Tag(0.1), "a4", 3, 2),
+        (Tag(0.1), "letter", 3, 2),
+        (Tag(0.08), "a4", 3, 2),
         (Tag(0.06), "a4", 8, 6),
-        (Tag(0.05), "letter", 14, 6),
-        (Tag(0.04, "25h9"), "a4", 13, 12),
+        (Tag(0.05), "letter", 14, 12),
+        (Tag(0.04, "25h9"), "a4", 16, 15),
         (Tag(0.1, "4x4_50"), "a3", 7, 6),
+        (Tag(0.06, quiet_zone=0.3), "a4", 10, 9),  # labels stand beside the paper
     ],
 )
 def test_a_detector_reads_every_tag_upright_and_at_its_size(tag, paper, count, per_page, tmp_path):
@@ -58,7 +65,7 @@ def test_a_detector_reads_every_tag_upright_and_at_its_size(tag, paper, count, p
     for detector in detectors:
         ids = []
         for picture, size in printed:
-            assert size == pytest.approx(PAPERS[paper], abs=0.01)
+            assert sorted(size) == pytest.approx(PAPERS[paper], abs=0.01)
             found = detector.detect(picture)
             ids += found.ids.tolist()
             top_left, top_right, bottom_right, bottom_left = (MM * found.corners[:, i] for i in range(4))
@@ -66,13 +73,88 @@ def test_a_detector_reads_every_tag_upright_and_at_its_size(tag, paper, count, p
             np.testing.assert_allclose(top_right - top_left, np.tile([edge, 0.0], (len(found), 1)), atol=0.25)
             np.testing.assert_allclose(bottom_left - top_left, np.tile([0.0, edge], (len(found), 1)), atol=0.25)
             np.testing.assert_allclose(bottom_right - bottom_left, np.tile([edge, 0.0], (len(found), 1)), atol=0.25)
-            # The paper with its quiet zone is on the sheet, and white up to the black square.
+            # The paper with its quiet zone is on the sheet, and white around the black square.
             margin = 500 * (tag.paper_edge - tag.size)
-            assert top_left.min() - margin > 7.5
+            assert top_left.min() > 7.5
+            assert top_left.min() - margin > -0.1
+            inner = 0.5 * margin  # further out are labels and marks
             for x, y in top_left:
-                left, right, above, below = (round(at / MM) for at in (x - margin, x - 0.5, y - margin, y + edge))
-                assert (picture[above + 2 : below, left + 2 : right] == 255).all()
+                left, above = (round((at - inner) / MM) for at in (x, y))
+                around = np.full(2 * [round((edge + 2 * inner) / MM)], True)
+                black = slice(round(inner / MM) - 2, round((inner + edge) / MM) + 2)
+                around[black, black] = False
+                assert (picture[above : above + len(around), left : left + len(around)][around] == 255).all()
         assert sorted(ids) == list(range(5, 5 + count))
+
+
+def test_the_number_and_the_arrow_are_inside_of_the_cut(tmp_path):
+    for tag, paper in ((Tag(0.1), "a4"), (Tag(0.1651), "a4"), (Tag(0.03), "letter")):
+        deployment = sheets(tmp_path / "sheets.pdf", tag, 4, paper, first=171)
+        cut = 0
+        for page in pypdfium2.PdfDocument(tmp_path / "sheets.pdf"):
+            picture = np.array(page.render(scale=DPI / 72, grayscale=True).to_pil())
+            found, text, height = AprilTagDetector().detect(picture), page.get_textpage(), page.get_size()[1]
+            for number, square in zip(found.ids.tolist(), MM * found.corners, strict=True):
+                index, _ = text.search(str(number), match_whole_word=True).get_next()
+                left, bottom, right, top = (at / 72 * 25.4 for at in text.get_charbox(index))
+                margin = 500 * (tag.paper_edge - tag.size)
+                low, high = square.min(axis=0) - margin, square.max(axis=0) + margin
+                assert low[0] < left < right < high[0]
+                assert low[1] < height / 72 * 25.4 - top < square[:, 1].min() - 0.5 * margin
+                # Left of the number, and as high as it, is the arrow.
+                rows = slice(round((height / 72 * 25.4 - top) / MM), round((height / 72 * 25.4 - bottom) / MM) + 1)
+                columns = slice(round(max(low[0], 0.0) / MM) + 2, round(left / MM) - 1)
+                arrow = picture[rows, columns] < 128
+                width = arrow.sum(axis=1)
+                assert width[-3] > 2 * width[2]  # it points up
+                cut += 1
+        assert cut == len(deployment.ids)
+
+
+def crosses(picture):
+    """Where the registration crosses of a sheet are, pixels: a black cross in a white one, found as such."""
+    half, pixels = 4.0 / MM, round(4.5 / MM)
+    ways = np.arange(-pixels, pixels + 1)
+    across, along = np.meshgrid(np.abs(ways), np.abs(ways))
+    near, far = np.minimum(across, along), np.maximum(across, along)
+    white = (near * MM > 0.2) & (near * MM < 0.3) & (far < half - 1)
+    black = (near < 0.5) & (far < half - 1)
+    dark = (picture < 160).astype(np.float32)
+    found = sum(
+        way * cv2.filter2D(dark, -1, mask.astype(np.float32) / mask.sum(), borderType=cv2.BORDER_CONSTANT)
+        for way, mask in ((1.0, black), (-1.0, white))
+    )
+    _, _, _, middles = cv2.connectedComponentsWithStats((found > 0.8).astype(np.uint8))
+    return middles[1:]
+
+
+@pytest.mark.parametrize(("tag", "paper", "grid"), [(Tag(0.2), "letter", (2, 1)), (Tag(0.3), "a4", (2, 3))])
+def test_a_tag_that_is_larger_than_a_sheet_is_put_together_by_its_crosses(tag, paper, grid, tmp_path):
+    sheets(tmp_path / "sheets.pdf", tag, 1, paper, first=8)
+    printed = [picture for picture, _ in pages(tmp_path / "sheets.pdf")]
+    rows, columns = grid
+    assert len(printed) == rows * columns
+    plate = 1000 * tag.paper_edge
+    whole = np.full((round(plate / MM) + 200, round(plate / MM) + 200), 255, np.uint8)
+    for place, picture in enumerate(printed):
+        row, column = divmod(place, columns)
+        found = crosses(picture)
+        assert len(found) == 4
+        (left, top), (right, bottom) = found.min(axis=0), found.max(axis=0)
+        np.testing.assert_allclose(
+            [MM * (right - left), MM * (bottom - top)], [plate / columns, plate / rows], atol=0.2
+        )
+        # Cut on the left and above, and laid on what is there already.
+        x, y = (100 + round(at / MM) for at in (column * plate / columns, row * plate / rows))
+        piece = picture[round(top) : round(bottom) + 60, round(left) : round(right) + 60]
+        whole[y : y + piece.shape[0], x : x + piece.shape[1]] = piece
+    whole = cv2.resize(whole, None, fx=1 / 4, fy=1 / 4, interpolation=cv2.INTER_AREA)  # as a camera sees it
+    detectors = [ArucoDetector(tag.family)] + ([] if "_" in tag.family else [AprilTagDetector(tag.family)])
+    for detector in detectors:
+        together = detector.detect(whole)
+        assert together.ids.tolist() == [8]
+        edges = 4 * MM * np.linalg.norm(together.corners[0] - np.roll(together.corners[0], 1, axis=0), axis=1)
+        np.testing.assert_allclose(edges, 1000 * tag.size, atol=0.5)
 
 
 def test_the_ruler_is_100_mm_long(tmp_path):
@@ -96,20 +178,25 @@ def test_labels_name_tag_and_surface(tmp_path):
         assert "36h11: black square 150 mm, paper 187.5 mm" in text
 
 
-def test_the_largest_tag_fits_and_a_larger_one_is_refused(tmp_path):
-    for paper in PAPERS:
-        edge = math.floor(largest_paper(paper) / 1.25) / 1000
-        sheets(tmp_path / "sheets.pdf", Tag(edge), 1, paper)
-        ((picture, _),) = pages(tmp_path / "sheets.pdf")
-        assert AprilTagDetector().detect(picture).ids.tolist() == [0]
-        with pytest.raises(InputError, match=rf"^edge = .* for a sheet of {paper}; .* {edge:g} m on {paper}"):
-            check_sheets(Tag(edge + 0.001), paper)
-    with pytest.raises(InputError, match=r"a4; what fits is 0\.155 m on a4, 0\.224 m on a3, 0\.159 m on letter\.$"):
-        Export(["sheets"], "a4").check(Tag(0.2))
-    Export(["sheets"], "a3").check(Tag(0.2))
-    Export(["plan"], "a4").check(Tag(0.2))
+def test_what_takes_too_many_sheets_is_refused_and_left_out_of_all_formats():
+    with pytest.raises(
+        InputError, match=r"^tag\.edge = 3 m takes 330 .* of a4 .*, more than 100; .* paper_size .* formats"
+    ):
+        check_sheets(Tag(3.0), "a4")
+    with pytest.raises(InputError, match=r"^tag\.edge = 3 m takes"):
+        Export(["wpilib", "sheets"], "a4").check(Tag(3.0))
+    Export(["plan", "wpilib"], "a4").check(Tag(3.0))
+    assert list(not_printed(Tag(3.0), "a4")) == ["sheets"]
+    assert not not_printed(Tag(0.1651), "letter")
     with pytest.raises(InputError, match=r"^paper must be one of a4, a3, letter, got 'a5'\.$"):
         Export(["sheets"], "a5")
+
+
+def test_sheets_are_described_by_how_many_there_are():
+    assert describe_sheets(Tag(0.1), "a4", 40) == "20 of a4, 2 to a sheet"
+    assert describe_sheets(Tag(0.3), "a4", 2).startswith(
+        "12 of a4: a tag is larger than a sheet and comes in 6 pieces,"
+    )
 
 
 def test_the_same_sheets_are_the_same_bytes(tmp_path):

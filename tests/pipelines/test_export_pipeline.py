@@ -3,7 +3,12 @@
 import json
 
 import pytest
+from omegaconf import OmegaConf
 from processes import SMALL, call, help_of, refused
+
+from lmd.export.formats import formats_of
+from lmd.tag import Tag
+from pipelines.export import build_export
 
 LANDMARKS = "id,x,y,z,nx,ny,nz,note\n7,0,2,3,1,0,0,by the door\n3,0,3,3,1,0,0,\n9,7.5,2,3,-1,0,0,\n"
 TAGS = (*SMALL, "tag.edge=0.15")
@@ -42,6 +47,26 @@ def test_a_file_becomes_every_format(work):
     assert again.returncode == 0, again.stderr
 
 
+def test_maps_do_not_wait_for_paper(work):
+    overrides = ("deployment.path=mine.csv", "deployment.free=true", "tracking=none")
+    done = call("export", *overrides, "tag.edge=0.3", "hydra.run.dir=pieces", cwd=work, settings=TAGS)
+    assert done.returncode == 0, done.stderr
+    assert {path.name for path in (work / "pieces").iterdir()} == {*EVERY, ".hydra"}
+    assert "sheets 18 of a4: a tag is larger than a sheet and comes in 6 pieces" in done.stdout
+    assert "paper_size=a4|a3|letter" in done.stdout
+    done = call("export", *overrides, "tag.edge=2", "hydra.run.dir=huge", cwd=work, settings=TAGS)
+    assert done.returncode == 0, done.stderr
+    assert {path.name for path in (work / "huge").iterdir()} == {*EVERY, ".hydra"} - {"sheets.pdf"}
+    assert "note: sheets.pdf is not written: tag.edge = 2 m takes 150 sheets of a4 for a tag" in done.stderr
+
+
+def test_the_planner_starts_whatever_the_paper(capsys):
+    for edge, missing in ((0.1651, set()), (2.0, {"sheets"})):
+        asked = build_export(OmegaConf.create({"export": None, "paper_size": "letter"}), "export", Tag(edge))
+        assert set(formats_of(Tag(edge))) - set(asked.formats) == missing
+    assert capsys.readouterr().err.startswith("note: sheets.pdf is not written: tag.edge = 2 m takes ")
+
+
 def test_a_run_writes_its_own_maps_and_can_be_exported_later(work):
     overrides = ("deployment.count=6", "objective.n=1", "budget.evaluations=2", "tracking=none", "hydra.run.dir=found")
     done = call("optimise", *overrides, "export=[wpilib,csv,plan]", cwd=work, settings=TAGS)
@@ -67,7 +92,11 @@ def test_a_run_writes_its_own_maps_and_can_be_exported_later(work):
             ("deployment.path=mine.csv", "tag.family=4x4_50", "formats=[csv,wpilib]"),
             "formats has wpilib, which knows the families ",
         ),
-        ("export", ("deployment.path=mine.csv", "tag.edge=0.2"), "tag.edge = 0.2 m is too large for a sheet of a4; "),
+        (
+            "export",
+            ("deployment.path=mine.csv", "tag.edge=2", "deployment.free=true", "formats=[wpilib,sheets]"),
+            "tag.edge = 2 m takes 150 sheets of a4 for a tag, more than 100; a larger paper_size ",
+        ),
         (
             "export",
             ("deployment.path=mine.csv", "paper_size=a5"),
