@@ -34,7 +34,7 @@ def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
         settings = OmegaConf.to_container(cfg, resolve=True)
         assert isinstance(settings, dict)
         paper, names = settings["paper_size"], settings[key]
-        chosen = Export(formats_of(tag) if names is None else names, paper)
+        chosen = Export(formats_of(tag) if names is None else names, paper, settings["north"])
         if names is None and not tag.is_point:
             left_out = not_printed(tag, paper)
             chosen = replace(chosen, formats=tuple(name for name in chosen.formats if name not in left_out))

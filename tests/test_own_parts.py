@@ -262,6 +262,9 @@ class Shifted:
     def outline(self):
         return {name: edges + self.SHIFT for name, edges in self._room.outline().items()}
 
+    def fixtures(self):
+        return ()
+
     def describe(self):
         return self._room.describe()
 

@@ -4,9 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from lmd.checks import InputError, choice
+from lmd.checks import ONE_TURN, InputError, choice, real
 from lmd.deployment import Deployment
 from lmd.export.apriltag_ros import write_apriltag_ros, write_apriltag_ros2
 from lmd.export.aruco import write_aruco
@@ -27,7 +27,8 @@ class Format(NamedTuple):
 
     Args:
         file: its name.
-        write: a function of the path, the map as `tags` and, if it is printed, the size of the paper as `paper`.
+        write: a function of the path, the map as `tags` and, if it is printed, the size of the paper as `paper`; of the
+            plan, where north is as `north` too.
         only_apriltag: whether its readers know the families of AprilTag only.
         on_paper: whether it is printed.
     """
@@ -83,13 +84,15 @@ class Export:
     Args:
         formats: names of `FORMATS`.
         paper: what is printed is printed on, one of `lmd.export.paper.PAPERS`.
+        north: where north is on the plan, rad from x towards y; None if that is not known.
 
     Raises:
-        InputError: a format or the paper is not known.
+        InputError: a format or the paper is not known, or north is not in radians.
     """
 
     formats: tuple[str, ...]
     paper: str
+    north: float | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.formats, list | tuple):
@@ -98,6 +101,8 @@ class Export:
             choice("formats", name, tuple(FORMATS))
         object.__setattr__(self, "formats", tuple(self.formats))
         choice("paper", self.paper, tuple(PAPERS))
+        if self.north is not None:
+            object.__setattr__(self, "north", real("north", self.north, low=-ONE_TURN, high=ONE_TURN))
 
     def check(self, tag: Tag) -> None:
         """Raise `InputError` if tags like this one cannot be written in each of the formats here."""
@@ -119,6 +124,11 @@ class Export:
         if not self.formats:
             return {}
         tags = TagMap(room, tag, deployment)
-        chosen = [FORMATS[name] for name in self.formats]
-        paper = {"paper": self.paper}
-        return {form.file: partial(form.write, tags=tags, **(paper if form.on_paper else {})) for form in chosen}
+        writers: dict[str, Callable[[Path], None]] = {}
+        for name in self.formats:
+            form = FORMATS[name]
+            options: dict[str, Any] = {"paper": self.paper} if form.on_paper else {}
+            if name == "plan":
+                options["north"] = self.north
+            writers[form.file] = partial(form.write, tags=tags, **options)
+        return writers

@@ -1,6 +1,6 @@
 """Pages in millimetres from their lower left corner, as PDF; the same drawing gives the same bytes."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -33,21 +33,54 @@ def begin_page(canvas: Any, width: float, height: float) -> None:
 
 
 def write_text(
-    canvas: Any, x: float, y: float, text: str, *, size: float = 3.0, bold: bool = False, align: str = "left"
+    canvas: Any,
+    x: float,
+    y: float,
+    text: str,
+    *,
+    size: float = 3.0,
+    bold: bool = False,
+    align: str = "left",
+    turn: float = 0.0,
 ) -> None:
-    """Write a line of text that begins at, ends at or is centred on (x, y), as `align` says: left, right or centre."""
+    """Write a line of text that begins at, ends at or is centred on (x, y), as `align` says: left, right or centre.
+
+    It is turned about that point by `turn`, degrees, counter-clockwise.
+    """
+    canvas.saveState()
     canvas.setFont(BOLD if bold else FONT, size)
-    {"left": canvas.drawString, "right": canvas.drawRightString, "centre": canvas.drawCentredString}[align](x, y, text)
+    canvas.translate(x, y)
+    canvas.rotate(turn)
+    {"left": canvas.drawString, "right": canvas.drawRightString, "centre": canvas.drawCentredString}[align](0, 0, text)
+    canvas.restoreState()
 
 
-def fill_polygon(canvas: Any, points: list[tuple[float, float]]) -> None:
-    """Fill a polygon."""
-    shape = canvas.beginPath()
-    shape.moveTo(*points[0])
-    for point in points[1:]:
+def write_on_white(canvas: Any, x: float, y: float, text: str, *, size: float, turn: float = 0.0) -> None:
+    """Write a line of text centred on (x, y), on white that hides what is below it."""
+    width = canvas.stringWidth(text, FONT, size)
+    canvas.saveState()
+    canvas.translate(x, y)
+    canvas.rotate(turn)
+    canvas.setFillGray(1.0)
+    canvas.rect(-width / 2.0 - 0.3, -0.6 * size, width + 0.6, 1.2 * size, stroke=0, fill=1)
+    canvas.setFillGray(0.0)
+    write_text(canvas, 0.0, -0.35 * size, text, size=size, align="centre")
+    canvas.restoreState()
+
+
+def polygon(canvas: Any, points: Iterable[Sequence[float]]) -> Any:
+    """A path around points."""
+    shape, (first, *others) = canvas.beginPath(), points
+    shape.moveTo(*first)
+    for point in others:
         shape.lineTo(*point)
     shape.close()
-    canvas.drawPath(shape, stroke=0, fill=1)
+    return shape
+
+
+def fill_polygon(canvas: Any, points: Iterable[Sequence[float]]) -> None:
+    """Fill a polygon."""
+    canvas.drawPath(polygon(canvas, points), stroke=0, fill=1)
 
 
 def up_arrow(canvas: Any, x: float, y: float, size: float) -> None:

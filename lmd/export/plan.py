@@ -1,15 +1,31 @@
-"""The mounting plan: a page for each surface that carries tags, to scale, with a table of where they go."""
+"""The mounting plan: the floor plan of the room, then a page for each surface with tags, to scale, with a table.
 
+Tags come in the order of hanging (`TagMap.order`), with a box to tick and room for what was measured.
+"""
+
+import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from lmd.camera import MM_PER_M
 from lmd.checks import FloatArray, IntArray
-from lmd.export.paper import GREY, LINE, PAPERS, begin_page, document, fill_polygon, up_arrow, write_text
-from lmd.export.tag_map import TagMap
+from lmd.export.overview import draw_floor_plan, numbers_of, scale_of
+from lmd.export.paper import (
+    GREY,
+    LINE,
+    PAPERS,
+    begin_page,
+    document,
+    fill_polygon,
+    up_arrow,
+    write_on_white,
+    write_text,
+)
+from lmd.export.symbols import draw_fixture
+from lmd.export.tag_map import FLAT, TagMap
 from lmd.space.surface import Surface
 
 # On the page, all in mm.
@@ -18,12 +34,48 @@ HEAD = 18.0  # for the title
 DIMENSION = 6.0  # from the surface to the lines that say how long it is
 TICK = 1.5
 TITLE, TEXT, SMALL = 5.0, 3.0, 2.4  # letters
-TABLE, ROW = 82.0, 4.2  # width of the table, height of its rows
-COLUMNS = (10.0, 28.0, 46.0, 64.0, 82.0)  # right ends of the columns
+ROW = 4.8  # height of the rows of tables
 SCALES = (1, 2, 5, 10, 15, 20, 25, 30, 40, 50, 75, 100, 150, 200, 250, 500, 1000, 2000, 5000)
 LIGHT = 0.85  # grey of black squares, and of lines below rows
 FORBIDDEN = 0.94  # grey of where nothing may hang
-LEVEL = 0.5  # a normal with a larger vertical part is that of a floor or a ceiling
+LEVEL = 1e-3  # the normal of a wall has a smaller vertical part
+
+
+class Table(NamedTuple):
+    """A table on the right of a page: the widths of its columns, mm, the lines of its head, which columns are boxes."""
+
+    widths: tuple[float, ...]
+    head: tuple[tuple[str, ...], ...]
+    boxes: tuple[int, ...] = ()
+
+    @property
+    def width(self) -> float:
+        """Of all columns, mm."""
+        return sum(self.widths)
+
+    def fitting(self, height: float) -> int:
+        """How many rows a page of this height takes."""
+        return int((height - 2.0 * MARGIN - HEAD) // ROW) - len(self.head)
+
+    def pages(self, rows: int, height: float) -> int:
+        """How many pages so many rows take."""
+        return max(1, math.ceil(rows / self.fitting(height)))
+
+
+HUNG = Table((20.0, 38.0, 10.0, 12.0), (("order of hanging", "", "", ""), ("no.", "surface", "tags", "page")))
+ON_SURFACE = Table(
+    (5.0, 8.0, 10.0, 14.0, 15.0, 14.0, 15.0, 16.0, 16.0),
+    (
+        ("", "", "", "", "centre, mm", "", "lower left of paper", "", "measured, mm"),
+        ("", "no.", "id", *3 * ("from left", "from {edge}")),
+    ),
+    (0, 7, 8),
+)
+FREE = Table(
+    (5.0, 8.0, 11.0, 18.0, 18.0, 18.0, 16.0, 16.0, 16.0),
+    (("", "", "", "", "", "centre, mm", "", "", "measured, mm"), ("", "no.", "id", *2 * ("x", "y", "z"))),
+    (0, 6, 7, 8),
+)
 
 
 @dataclass(frozen=True)
@@ -38,10 +90,15 @@ class View:
         return list(self.place(self.surface.point(*np.moveaxis(self.surface.parts, -1, 0))))
 
     @property
+    def is_upright(self) -> bool:
+        """Whether it is a wall, so that from its lower edge is up."""
+        return bool(abs(self.surface.normal[2]) < LEVEL)
+
+    @property
     def seen(self) -> str:
         """From where, in words."""
         up = self.surface.normal[2]
-        return "seen from above" if up > LEVEL else "seen from below" if up < -LEVEL else "seen from the front"
+        return "seen from above" if up > FLAT else "seen from below" if up < -FLAT else "seen from the front"
 
     def place(self, points: FloatArray) -> FloatArray:
         """Where world points `(..., 3)` are in this view, `(..., 2)`."""
@@ -53,72 +110,92 @@ class View:
         return self.surface.point(*self.surface.seen(np.array([width * right, height * top])))
 
 
-def write_plan(path: Path, tags: TagMap, paper: str) -> None:
+def write_plan(path: Path, tags: TagMap, paper: str, north: float | None = None) -> None:
     """Write `plan.pdf`; tags that stand free in the room are a table at the end.
 
     Args:
         path: the file.
         tags: what is mounted.
         paper: one of `lmd.export.paper.PAPERS`, laid on its side.
+        north: where north is on the floor plan, rad from x towards y; None for no arrow.
     """
     size = PAPERS[paper][::-1]
+    first, pages = HUNG.pages(len(tags.hung), size[1]) + 1, {}
+    for index, own in tags.hung.items():
+        pages[index] = first
+        first += (FREE if index < 0 else ON_SURFACE).pages(len(own), size[1])
     with document(path, f"{len(tags.ids)} tags in a {tags.room.describe()}") as canvas:
-        for index, surface in enumerate(tags.room.surfaces()):
-            own = _by_number(tags, np.flatnonzero(tags.surfaces == index))
-            if own.size:
-                _draw_surface(canvas, size, tags, View(surface), own)
-        free = _by_number(tags, np.flatnonzero(tags.surfaces < 0))
-        if free.size:
-            _draw_free(canvas, size, tags, free)
+        _draw_overview(canvas, size, tags, pages, north)
+        for index, own in tags.hung.items():
+            if index < 0:
+                _draw_free(canvas, size, tags, own)
+            else:
+                _draw_surface(canvas, size, tags, View(tags.room.surfaces()[index]), own)
 
 
-def _by_number(tags: TagMap, chosen: IntArray) -> IntArray:
-    return chosen[np.argsort(tags.deployment.ids[chosen])]
+def _draw_overview(
+    canvas: Any, size: tuple[float, float], tags: TagMap, pages: dict[int, int], north: float | None
+) -> None:
+    """The floor plan with the surfaces in the order of hanging; `pages` says where each of them is."""
+    rows = [
+        [numbers_of(own), tags.place_of(int(tags.order[own[0]])), str(len(own)), str(pages[index])]
+        for index, own in tags.hung.items()
+    ]
+    room = size[0] - 3.0 * MARGIN - HUNG.width, size[1] - 2.0 * MARGIN - HEAD
+    scale = scale_of(tags.room, *room, SCALES)
+    title = f"{len(tags.ids)} tags of {tags.tag.family}, {MM_PER_M * tags.tag.size:.4g} mm"
+    facts = f"seen from above, scale 1 : {scale}; {tags.room.describe()}; a triangle is a tag on a wall"
+    _begin(canvas, size, title, facts)
+    draw_floor_plan(canvas, tags, MARGIN, size[1] - MARGIN - HEAD, scale, north)
+    _draw_tables(canvas, size, HUNG, rows, title, facts)
 
 
-def _draw_surface(canvas: Any, size: tuple[float, float], tags: TagMap, view: View, own: IntArray) -> None:
+def _draw_surface(canvas: Any, size: tuple[float, float], tags: TagMap, view: View, places: IntArray) -> None:
+    own = tags.order[places]
     width, height = (MM_PER_M * length for length in view.surface.extent)
-    room_x = size[0] - 3.0 * MARGIN - TABLE - DIMENSION - TEXT
+    room_x = size[0] - 3.0 * MARGIN - ON_SURFACE.width - DIMENSION - TEXT
     room_y = size[1] - 2.0 * MARGIN - HEAD - DIMENSION - TEXT
     scale = next((one for one in SCALES if width <= one * room_x and height <= one * room_y), SCALES[-1])
     title = f"{view.surface.name}, {view.seen}"
     facts = f"{width:.0f} x {height:.0f} mm, tags: {len(own)}, scale 1 : {scale}; {tags.room.describe()}"
     facts += "" if view.surface.allowed is None else "; nothing hangs where it is grey"
-    at = MM_PER_M * view.place(tags.deployment.positions[own])
-    paper = MM_PER_M * tags.tag.paper_edge
+    at, paper = MM_PER_M * view.place(tags.deployment.positions[own]), MM_PER_M * tags.tag.paper_edge
+    floor = MM_PER_M * (view.surface.origin[2] - tags.room.bounds()[0][2]) if view.is_upright else 0.0
     rows = [
-        [str(tags.ids[k]), *(f"{length:.0f}" for length in (*centre, *(centre - paper / 2.0)))]
-        for k, centre in zip(own, at, strict=True)
+        ["", str(place + 1), str(tags.ids[k]), *(f"{x:.0f}" for x in (*centre, *(centre - paper / 2.0))), "", ""]
+        for place, k, centre in zip(places, own, at + np.array([0.0, floor]), strict=True)
     ]
-    head = [["", "", "centre, mm", "", "lower left of paper, mm"], ["id", *2 * ("from left", "from below")]]
+    edge = "floor" if view.is_upright else "below"
+    table = ON_SURFACE._replace(head=tuple(tuple(text.format(edge=edge) for text in line) for line in ON_SURFACE.head))
     _begin(canvas, size, title, facts)
     origin = MARGIN + DIMENSION + TEXT, size[1] - MARGIN - HEAD - height / scale
-    _draw_outline(canvas, origin, view, scale)
+    _draw_outline(canvas, origin, tags, view, scale)
     for k, centre in zip(own, at, strict=True):
         _draw_tag(canvas, origin, tags, int(k), centre, scale, at)
-    while rows := _draw_table(canvas, size[0] - MARGIN - TABLE, size, head, rows):
-        canvas.showPage()
-        _begin(canvas, size, title, facts)
-    canvas.showPage()
+    _draw_tables(canvas, size, table, rows, title, facts)
 
 
-def _draw_free(canvas: Any, size: tuple[float, float], tags: TagMap, own: IntArray) -> None:
+def _draw_free(canvas: Any, size: tuple[float, float], tags: TagMap, places: IntArray) -> None:
+    own = tags.order[places]
     positions = MM_PER_M * tags.deployment.positions[own]
-    rows = [[str(tags.ids[k]), *(f"{value:.0f}" for value in place)] for k, place in zip(own, positions, strict=True)]
-    while rows:
-        _begin(canvas, size, "free in the room", f"on no surface, tags: {len(own)}; {tags.room.describe()}")
-        rows = _draw_table(canvas, MARGIN, size, [["", "", "", "centre, mm"], ["id", "x", "y", "z"]], rows)
-        canvas.showPage()
+    rows = [
+        ["", str(place + 1), str(tags.ids[k]), *(f"{value:.0f}" for value in at), "", "", ""]
+        for place, k, at in zip(places, own, positions, strict=True)
+    ]
+    title, facts = "free in the room", f"on no surface, tags: {len(own)}; {tags.room.describe()}"
+    _begin(canvas, size, title, facts)
+    _draw_tables(canvas, size, FREE, rows, title, facts)
 
 
 def _begin(canvas: Any, size: tuple[float, float], title: str, facts: str) -> None:
     begin_page(canvas, *size)
     write_text(canvas, MARGIN, size[1] - MARGIN - TITLE, title, size=TITLE, bold=True)
     write_text(canvas, MARGIN, size[1] - MARGIN - TITLE - 1.5 * TEXT, facts, size=TEXT)
+    write_text(canvas, size[0] - MARGIN, MARGIN / 2.0, f"page {canvas.getPageNumber()}", size=SMALL, align="right")
 
 
-def _draw_outline(canvas: Any, origin: tuple[float, float], view: View, scale: int) -> None:
-    """The surface and where on it tags may hang, its width and height, and where its corners are in the world."""
+def _draw_outline(canvas: Any, origin: tuple[float, float], tags: TagMap, view: View, scale: int) -> None:
+    """The surface, where on it tags may hang, what is on it, its size, and where its corners are in the world."""
     left, below = origin
     width, height = (MM_PER_M * length / scale for length in view.surface.extent)
     canvas.setFillGray(FORBIDDEN)
@@ -127,6 +204,11 @@ def _draw_outline(canvas: Any, origin: tuple[float, float], view: View, scale: i
     for ring in view.allowed:
         fill_polygon(canvas, [(left + x, below + y) for x, y in MM_PER_M * ring / scale])
     canvas.setFillGray(0.0)
+    for fixture in tags.room.fixtures():
+        region = fixture.on(view.surface)
+        if not region.is_empty and fixture.name != view.surface.name:
+            ring = np.array(region.exterior.coords[:-1])
+            draw_fixture(canvas, fixture.kind, origin + MM_PER_M * ring / scale, fixture.name)
     canvas.setLineWidth(2.0 * LINE)
     canvas.rect(left, below, width, height)
     canvas.setLineWidth(LINE)
@@ -174,20 +256,32 @@ def _draw_tag(
     distance = np.abs(((at - centre) / scale)[:, None] - places).max(axis=2).min(axis=0)
     free = np.flatnonzero(distance > (plate + SMALL) / 2.0)
     right, up = places[free[0] if free.size else 0]
-    write_text(canvas, x + right, y + up - SMALL / 3.0, str(tags.ids[k]), size=SMALL, align="centre")
+    write_on_white(canvas, x + right, y + up, str(tags.ids[k]), size=SMALL)
 
 
-def _draw_table(
-    canvas: Any, left: float, size: tuple[float, float], head: list[list[str]], rows: list[list[str]]
-) -> list[list[str]]:
-    """Draw as many rows as there is room for below the title; returns the others."""
-    top = size[1] - MARGIN - HEAD
-    fitting = int((top - MARGIN) // ROW) - len(head)
-    for line, row in enumerate(head + rows[:fitting]):
-        y = top - (line + 1) * ROW
-        for right, text in zip(COLUMNS, row, strict=False):
-            write_text(canvas, left + right, y, text, size=SMALL, align="right", bold=line < len(head))
+def _draw_tables(
+    canvas: Any, size: tuple[float, float], table: Table, rows: list[list[str]], title: str, facts: str
+) -> None:
+    """Draw the rows on the right of the page, and those that do not fit on further ones; ends the last."""
+    fitting = table.fitting(size[1])
+    for first in range(0, len(rows), fitting):
+        if first:
+            canvas.showPage()
+            _begin(canvas, size, title, facts)
+        _draw_table(canvas, size, table, rows[first : first + fitting])
+    canvas.showPage()
+
+
+def _draw_table(canvas: Any, size: tuple[float, float], table: Table, rows: list[list[str]]) -> None:
+    left, top = size[0] - MARGIN - table.width, size[1] - MARGIN - HEAD
+    for line, row in enumerate((*table.head, *rows)):
+        y, x = top - (line + 1) * ROW, left
+        for column, (width, text) in enumerate(zip(table.widths, row, strict=True)):
+            if line >= len(table.head) and column in table.boxes:
+                side = min(width, 0.65 * ROW) if width < 2.0 * ROW else width - 2.0  # to tick, or to write in
+                canvas.rect(x + width - side, y - 0.17 * ROW, side, 0.65 * ROW)
+            write_text(canvas, x + width, y, text, size=SMALL, align="right", bold=line < len(table.head))
+            x += width
         canvas.setStrokeGray(LIGHT)
-        canvas.line(left, y - ROW / 4.0, left + TABLE, y - ROW / 4.0)
+        canvas.line(left, y - ROW / 4.0, left + table.width, y - ROW / 4.0)
         canvas.setStrokeGray(0.0)
-    return rows[fitting:]

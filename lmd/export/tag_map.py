@@ -92,6 +92,11 @@ class TagMap:
         left, below = np.round(self.at, DECIMALS).T
         return np.asarray(np.lexsort((self.deployment.ids, below, left, rank)))
 
+    @cached_property
+    def hung(self) -> dict[int, IntArray]:
+        """Of each surface of `route` the places of its tags in `order`, counted from 0."""
+        return {index: np.flatnonzero(self.surfaces[self.order] == index) for index in self.route}
+
     def place_of(self, k: int) -> str:
         """The name of the surface of tag k, in words where there is none."""
         surface = self.surfaces[k]

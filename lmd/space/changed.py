@@ -1,11 +1,12 @@
 """A space that is a room but for what a subclass says otherwise."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, IntArray
 from lmd.space.blockers import Blockers
+from lmd.space.fixture import Fixture
 from lmd.space.relevance import Weighing
 from lmd.space.space import Space
 from lmd.space.surface import Surface
@@ -82,6 +83,10 @@ class Changed:
     def outline(self) -> Mapping[str, FloatArray]:
         """See `Space.outline`."""
         return self._room.outline()
+
+    def fixtures(self) -> Sequence[Fixture]:
+        """See `Space.fixtures`."""
+        return self._room.fixtures()
 
     def describe(self) -> str:
         """See `Space.describe`."""

@@ -144,6 +144,10 @@ class Cuboid:
             "reachable area": box_edges(self.reachable_low, self.reachable_high),
         }
 
+    def fixtures(self) -> tuple[()]:
+        """See `Space.fixtures`: a cuboid is empty."""
+        return ()
+
     def describe(self) -> str:
         """See `Space.describe`."""
         return f"room of {' x '.join(f'{length:g}' for length in self.size)} m"

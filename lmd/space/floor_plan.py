@@ -10,6 +10,7 @@ import numpy as np
 from lmd.checks import BoolArray, FloatArray, InputError, real
 from lmd.space.allowed import polygons
 from lmd.space.blockers import Blockers
+from lmd.space.fixture import Fixture
 from lmd.space.parts import FACES, Obstacle, all_keep_outs, all_made, checked_band, checked_names
 from lmd.space.polygon import checked_ring, edges, on_hull, planes, upright_bodies
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
@@ -172,6 +173,13 @@ class FloorPlan:
         """The vertices of the keep-outs, `(N, 3)` each, world frame, metres."""
         on = ((self._faces[part.surface], part.ring) for part in self.keep_out)
         return [face.point(*face.seen(ring).T) for face, ring in on]
+
+    @property
+    def fixtures(self) -> list[Fixture]:
+        """The keep-outs and the obstacles, by their names or else by their places in the lists."""
+        parts = [(f"keep_out {i}", *pair) for i, pair in enumerate(zip(self.keep_out, self.kept_out, strict=True))]
+        parts += [(f"obstacle {i}", part, part.corners()) for i, part in enumerate(self.obstacles)]
+        return [Fixture(part.name or number, corners) for number, part, corners in parts]
 
     def clearings(self, clearance: float) -> list[list[tuple[float, ...]]]:
         """The rings of the ground that is so far from walls, holes and obstacles, to draw it."""

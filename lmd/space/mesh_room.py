@@ -8,6 +8,7 @@ import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, InputError, choice
 from lmd.space.cuboid import box_edges
+from lmd.space.fixture import Fixture
 from lmd.space.grid import KINDS, checked_spacing
 from lmd.space.gridded import Gridded
 from lmd.space.parts import FreeVolume, made
@@ -126,6 +127,10 @@ class MeshRoom(Gridded):
                 [np.stack([ring, np.roll(ring, -1, axis=0)], axis=1) for ring in kept_out]
             )
         return parts | {"reachable area": box_edges(grid.min(axis=0), grid.max(axis=0))}
+
+    def fixtures(self) -> list[Fixture]:
+        """See `Space.fixtures`."""
+        return self.scan.fixtures(self.surfaces())
 
     def describe(self) -> str:
         """See `Space.describe`."""

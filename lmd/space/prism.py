@@ -10,6 +10,7 @@ import numpy as np
 from lmd.checks import BoolArray, FloatArray, InputError, choice
 from lmd.space.blockers import Blockers
 from lmd.space.cuboid import box_edges
+from lmd.space.fixture import Fixture
 from lmd.space.floor_plan import FloorPlan
 from lmd.space.grid import KINDS, checked_spacing
 from lmd.space.gridded import Gridded
@@ -115,6 +116,10 @@ class Prism(Gridded):
         parts["nothing hangs here"] = [edges(ring) for ring in plan.kept_out]
         parts["reachable area"] = [_prism_edges(ring, low, high) for ring in plan.clearings(self.reachable.clearance)]
         return {name: np.concatenate(drawn) for name, drawn in parts.items() if drawn}
+
+    def fixtures(self) -> list[Fixture]:
+        """See `Space.fixtures`."""
+        return self.plan.fixtures
 
     def describe(self) -> str:
         """See `Space.describe`."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, InputError, IntArray, real
 from lmd.space.allowed import eroded, polygons
+from lmd.space.fixture import Fixture
 from lmd.space.interior import Interior
 from lmd.space.mesh_file import Mesh, read_mesh
 from lmd.space.parts import KeepOut, all_keep_outs, checked_band, checked_names
@@ -20,6 +21,8 @@ from lmd.space.triangles import Triangles, unit_normals
 # Floor and ceiling: level triangles so near to the lowest or the highest point of the mesh, metres.
 STOREY = 0.1
 LEVEL = 0.999  # vertical part of the normal of what is level
+# Of the height, which a wall takes at least, and of the ground, which floor and ceiling do.
+WALL, GROUND = 0.9, 0.5
 # Relative, by which the coordinates of a file may be rounded.
 ROUNDING = 1e-5
 # Nothing hangs where something stands so near before the surface, metres.
@@ -219,6 +222,26 @@ class Scan:
         drawn = drawn.reshape(-1, 2, 3)
         length = np.linalg.norm(drawn[:, 1] - drawn[:, 0], axis=1)
         return np.asarray(drawn[np.sort(np.argsort(-length, kind="stable")[:MOST_EDGES])])
+
+    def fixtures(self, surfaces: Sequence[Surface]) -> list[Fixture]:
+        """The named objects of the file that are no floor, ceiling or wall, and the keep-outs on surfaces.
+
+        Walls reach over nearly all of the height, floor and ceiling over half of the ground.
+        """
+        low, high = self.bounds
+        found = []
+        for number, name in enumerate(self.mesh.names):
+            corners = self._corners[self.mesh.of == number].reshape(-1, 3)
+            if name and len(corners):
+                object_ = Fixture(name, np.unique(corners, axis=0))
+                share = np.ptp(corners, axis=0) / (high - low)
+                if share[2] < WALL and object_.footprint.area < GROUND * float(np.prod((high - low)[:2])):
+                    found.append(object_)
+        parts = [part for surface in surfaces for part in self._kept_out(surface)]
+        return found + [
+            Fixture(part.name or f"keep_out {self.keep_out.index(part)}", corners)
+            for part, corners in zip(parts, self.kept_out(surfaces), strict=True)
+        ]
 
     def kept_out(self, surfaces: Sequence[Surface]) -> list[FloatArray]:
         """The vertices of the keep-outs on surfaces, `(N, 3)` each, world frame, metres."""

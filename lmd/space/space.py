@@ -1,12 +1,13 @@
 """What a room must answer; everything else in the library asks nothing more of it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, IntArray
 from lmd.space.blockers import Blockers
+from lmd.space.fixture import Fixture
 from lmd.space.relevance import Weighing
 from lmd.space.surface import Surface
 from lmd.space.triangles import Triangles
@@ -72,6 +73,9 @@ class Space(Protocol):
 
         At least `room` and `reachable area`; also `obstacles`, and `nothing hangs here`.
         """
+
+    def fixtures(self) -> Sequence[Fixture]:
+        """Doors, windows, furniture and the like, to draw them."""
 
     def describe(self) -> str:
         """The room in a few words, such as `room of 7.5 x 5 x 6 m`."""

@@ -62,7 +62,9 @@ def test_maps_do_not_wait_for_paper(work):
 
 def test_the_planner_starts_whatever_the_paper(capsys):
     for edge, missing in ((0.1651, set()), (2.0, {"sheets"})):
-        asked = build_export(OmegaConf.create({"export": None, "paper_size": "letter"}), "export", Tag(edge))
+        asked = build_export(
+            OmegaConf.create({"export": None, "paper_size": "letter", "north": None}), "export", Tag(edge)
+        )
         assert set(formats_of(Tag(edge))) - set(asked.formats) == missing
     assert capsys.readouterr().err.startswith("note: sheets.pdf is not written: tag.edge = 2 m takes ")
 
@@ -102,6 +104,7 @@ def test_a_run_writes_its_own_maps_and_can_be_exported_later(work):
             ("deployment.path=mine.csv", "paper_size=a5"),
             "paper_size must be one of a4, a3, letter, got",
         ),
+        ("export", ("deployment.path=mine.csv", "north=90"), "north must be in [-6.29319, 6.29319], got 90."),
         ("optimise", ("export=[nosuch]",), "export must be one of wpilib, "),
         ("optimise", ("export=[wpilib]", "tag.edge=null"), "tag.edge must be given, in metres"),
     ],
