@@ -111,7 +111,7 @@ def _write_along(canvas: Any, text: str, ends: FloatArray, way: FloatArray, away
     size = NAME if width <= length + 2.0 * away else max(SMALLEST, NAME * (length + 2.0 * away) / width)
     x, y = (ends.mean(axis=0) + away * way).tolist()
     turn = math.degrees(math.atan2(*(ends[1] - ends[0])[::-1]))
-    turn = (turn + 90.0 - 1e-6) % 180.0 - 90.0 + 1e-6  # never upside down
+    turn = (turn + 80.0) % 180.0 - 80.0  # never upside down, and all walls that run up about the same way
     aside = 0.35 * size * np.array([math.sin(math.radians(turn)), -math.cos(math.radians(turn))])
     write_text(canvas, x + aside[0], y + aside[1], text, size=size, bold=bold, align="centre", turn=turn)
 

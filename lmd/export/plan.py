@@ -144,7 +144,9 @@ def _draw_overview(
     room = size[0] - 3.0 * MARGIN - HUNG.width, size[1] - 2.0 * MARGIN - HEAD
     scale = scale_of(tags.room, *room, SCALES)
     title = f"{len(tags.ids)} tags of {tags.tag.family}, {MM_PER_M * tags.tag.size:.4g} mm"
-    facts = f"seen from above, scale 1 : {scale}; {tags.room.describe()}; a triangle is a tag on a wall"
+    facts = f"seen from above, scale 1 : {scale}; {tags.room.describe()}; triangles are tags on walls"
+    if (np.abs(tags.deployment.normals[:, 2]) > FLAT).any():
+        facts += ", squares those on floors (black) and ceilings (white)"
     _begin(canvas, size, title, facts)
     draw_floor_plan(canvas, tags, MARGIN, size[1] - MARGIN - HEAD, scale, north)
     _draw_tables(canvas, size, HUNG, rows, title, facts)

@@ -315,3 +315,25 @@ def test_a_model_of_points_takes_papers_that_overlap(write):
     assert build_problem(any_deployment(composed("observe", *overrides))).count == 3
     with pytest.raises(InputError, match="overlap"):
         build_problem(any_deployment(composed("observe", *overrides, "visibility=fiducial")))
+
+
+def test_the_doors_and_windows_of_the_lab_are_where_they_always_were():
+    with initialize_config_dir(CONF, version_base=None):
+        cfg = compose("optimise", overrides=["experiment=lab_l_shape"])
+    door, one, other = (np.sort(ring, axis=0)[[0, -1]] for ring in instantiate(cfg.room).plan.kept_out)
+    np.testing.assert_allclose(door, [[4.8, 0.0, 0.0], [5.7, 0.0, 2.1]], atol=1e-9)
+    np.testing.assert_allclose(one, [[0.0, 1.3, 0.9], [0.0, 2.5, 2.1]], atol=1e-9)
+    np.testing.assert_allclose(other, [[6.0, 0.4, 0.9], [6.0, 1.6, 2.1]], atol=1e-9)
+
+
+def test_a_keep_out_of_an_earlier_version_is_refused_by_its_key():
+    with initialize_config_dir(CONF, version_base=None):
+        cfg = compose(
+            "optimise",
+            overrides=["room=floor_plan", "room.keep_out=[{surface: wall_0, low: [4.8, 0], high: [5.7, 2.1]}]"],
+        )
+    with pytest.raises(
+        InputError,
+        match=r"^room\.keep_out\[0\] has low and high, .* from_left: \[0\.3, 1\.2\], from_below: \[0, 2\.1\]",
+    ):
+        instantiate(cfg.room)
