@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from lmd.checks import FloatArray, IntArray
-from lmd.export.paper import BOLD, LINE, fill_polygon, write_on_white, write_text
+from lmd.export.paper import LINE, fill_polygon, shortened, width_of, write_on_white, write_text
 from lmd.export.symbols import NAME, WALL, draw_fixture, draw_legend, draw_opening
 from lmd.export.tag_map import FLAT, TagMap
 from lmd.space.fixture import KINDS
@@ -18,6 +18,7 @@ AROUND = 11.0  # around the room, for names
 NEAR, FAR = 3.0, 6.0  # from a wall to a name
 SMALLEST = 1.5  # letters of a name
 TAG = 1.8  # height of the triangle of a tag
+MANY = 1000  # edges of a room, as a scan has them: they are drawn thinner
 ARROW = 9.0  # length of the arrow to the north
 BEHIND = np.linspace(0.02, 1.0, 20)  # where it is asked whether the room goes on behind a surface, of its size
 
@@ -43,8 +44,9 @@ def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: i
     openings = [fixture for fixture in fixtures if fixture.kind != "furniture"]
     for body in bodies:
         draw_fixture(canvas, body.kind, place(np.array(body.footprint.exterior.coords[:-1])))
-    canvas.setLineWidth(2.0 * LINE)
-    for start, end in place(tags.room.outline()["room"]).tolist():
+    drawn = place(tags.room.outline()["room"])
+    canvas.setLineWidth(2.0 * LINE if len(drawn) < MANY else LINE / 2.0)
+    for start, end in drawn.tolist():
         canvas.line(*start, *end)
     upright = [surface for surface in tags.room.surfaces() if abs(surface.normal[2]) <= FLAT]
     canvas.setLineWidth(WALL)
@@ -57,10 +59,10 @@ def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: i
         draw_opening(canvas, opening.kind, ends)
         wall = next((surface for surface in upright if opening.on(surface).area > 0.0), None)
         way = np.array([0.0, 1.0]) if wall is None else _outwards(tags.room, wall)
-        _write_along(canvas, opening.name, ends, way, NEAR)
+        _write_along(canvas, shortened(opening.name), ends, way, NEAR)
     for body in bodies:
         x, y = place(body.corners).mean(axis=0).tolist()
-        write_on_white(canvas, x, y, body.name, size=NAME)
+        write_on_white(canvas, x, y, shortened(body.name), size=NAME)
     hung = {tags.room.surfaces()[index].name: numbers_of(own) for index, own in tags.hung.items() if index >= 0}
     for surface in upright:
         # The name of a piece of furniture, or of a door, will do where no tag hangs on it.
@@ -68,7 +70,7 @@ def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: i
         if own and surface.name not in hung:
             continue
         ends = place(surface.point(np.array([0.0, surface.extent[0]]), np.zeros(2)))
-        text = f"{surface.name}: {hung[surface.name]}" if surface.name in hung else surface.name
+        text = shortened(surface.name) + (f": {hung[surface.name]}" if surface.name in hung else "")
         way = surface.normal[:2] if own else _outwards(tags.room, surface)
         beside = any(fixture.on(surface).area > 0.0 for fixture in openings if not fixture.has(surface))
         _write_along(canvas, text, ends, way, FAR if beside and not own else NEAR, bold=True)
@@ -107,7 +109,7 @@ def _outwards(room: Space, surface: Surface) -> FloatArray:
 def _write_along(canvas: Any, text: str, ends: FloatArray, way: FloatArray, away: float, bold: bool = False) -> None:
     """Write a text along a line between `ends` `(2, 2)`, beside it in the given way."""
     length = float(np.linalg.norm(ends[1] - ends[0]))
-    width = canvas.stringWidth(text, BOLD, NAME)
+    width = width_of(text, NAME, bold)
     size = NAME if width <= length + 2.0 * away else max(SMALLEST, NAME * (length + 2.0 * away) / width)
     x, y = (ends.mean(axis=0) + away * way).tolist()
     turn = math.degrees(math.atan2(*(ends[1] - ends[0])[::-1]))

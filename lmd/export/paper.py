@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ POINTS = 72.0 / 25.4  # of PDF in a millimetre
 FONT, BOLD = "Helvetica", "Helvetica-Bold"
 LINE = 0.15  # width of thin lines, mm
 GREY = 0.5
+LONGEST = 24  # letters of a name
 
 
 @contextmanager
@@ -32,6 +34,37 @@ def begin_page(canvas: Any, width: float, height: float) -> None:
     canvas.setLineWidth(LINE)
 
 
+@cache
+def _own_font(bold: bool) -> str:
+    """The name of the font of matplotlib, which knows more letters, once it is registered."""
+    from matplotlib import get_data_path
+
+    metrics, fonts = (optional(f"reportlab.pdfbase.{name}", "export") for name in ("pdfmetrics", "ttfonts"))
+    name = "DejaVuSans-Bold" if bold else "DejaVuSans"
+    metrics.registerFont(fonts.TTFont(name, str(Path(get_data_path(), "fonts", "ttf", f"{name}.ttf"))))
+    return name
+
+
+def font_of(text: str, bold: bool = False) -> str:
+    """The font of a text: that of the viewer, which knows Western European letters, or one that goes with the file."""
+    try:
+        text.encode("cp1252")
+    except UnicodeEncodeError:
+        return _own_font(bold)
+    return BOLD if bold else FONT
+
+
+def width_of(text: str, size: float, bold: bool = False) -> float:
+    """The width of a line of text, mm."""
+    width = optional("reportlab.pdfbase.pdfmetrics", "export").stringWidth(text, font_of(text, bold), size)
+    return float(width)
+
+
+def shortened(text: str) -> str:
+    """A name that has room beside others."""
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}\N{HORIZONTAL ELLIPSIS}"
+
+
 def write_text(
     canvas: Any,
     x: float,
@@ -48,7 +81,7 @@ def write_text(
     It is turned about that point by `turn`, degrees, counter-clockwise.
     """
     canvas.saveState()
-    canvas.setFont(BOLD if bold else FONT, size)
+    canvas.setFont(font_of(text, bold), size)
     canvas.translate(x, y)
     canvas.rotate(turn)
     {"left": canvas.drawString, "right": canvas.drawRightString, "centre": canvas.drawCentredString}[align](0, 0, text)
@@ -57,7 +90,7 @@ def write_text(
 
 def write_on_white(canvas: Any, x: float, y: float, text: str, *, size: float, turn: float = 0.0) -> None:
     """Write a line of text centred on (x, y), on white that hides what is below it."""
-    width = canvas.stringWidth(text, FONT, size)
+    width = width_of(text, size)
     canvas.saveState()
     canvas.translate(x, y)
     canvas.rotate(turn)

@@ -26,7 +26,7 @@ from lmd.export.layout import (
     label_size,
     layout,
 )
-from lmd.export.paper import FONT, GREY, PAPERS, begin_page, document, up_arrow, write_text
+from lmd.export.paper import GREY, PAPERS, begin_page, document, shortened, up_arrow, width_of, write_text
 from lmd.export.tag_map import TagMap
 from lmd.optional import optional
 from lmd.tag import Tag
@@ -130,15 +130,13 @@ def _draw_tag(canvas: Any, tags: TagMap, k: int, x: float, y: float, inset: floa
         left, top = x + (plate - edge) / 2.0 + column * module, y + (plate + edge) / 2.0 - row * module
         black.rect(left, top - module, module, module)
     canvas.drawPath(black, stroke=0, fill=1)
-    label, size = f"{number}   {tags.place_of(k)}", label_size(tag)
+    label, size = f"{number}   {shortened(tags.place_of(k))}", label_size(tag)
     away = size / 4.0 if inset is None else inset
     start, top = max(x, MARGIN) + away, y + plate - away if size else y + plate + LABEL_GAP + LABEL
     size = size or LABEL
-    _write_label(canvas, label, start, top, size * min(1.0, (x + plate - start) / _label_width(canvas, label, size)))
-
-
-def _label_width(canvas: Any, text: str, size: float) -> float:
-    return float(1.75 * size + canvas.stringWidth(text, FONT, size))
+    _write_label(
+        canvas, label, start, top, size * min(1.0, (x + plate - start) / (1.75 * size + width_of(label, size)))
+    )
 
 
 def _write_label(canvas: Any, text: str, x: float, top: float, size: float) -> None:

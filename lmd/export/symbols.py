@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from lmd.checks import FloatArray
-from lmd.export.paper import FONT, LINE, polygon, write_on_white, write_text
+from lmd.export.paper import LINE, polygon, shortened, width_of, write_on_white, write_text
 
 HATCH = 2.0  # between the lines of furniture, mm
 NAME = 2.4  # letters
@@ -30,7 +30,7 @@ def draw_fixture(canvas: Any, kind: str, ring: FloatArray, name: str = "") -> No
     canvas.drawPath(polygon(canvas, ring.tolist()), stroke=1, fill=0)
     canvas.setLineWidth(LINE)
     if name:
-        write_on_white(canvas, *middle, name, size=NAME)
+        write_on_white(canvas, *middle, shortened(name), size=NAME)
 
 
 def _lines(kind: str, left: float, bottom: float, right: float, top: float) -> list[tuple[float, float, float, float]]:
@@ -79,4 +79,4 @@ def draw_legend(canvas: Any, x: float, y: float, kinds: Sequence[str]) -> None:
             canvas.setLineWidth(LINE)
             draw_opening(canvas, kind, np.array([(x + 2.0, y + 1.0), (x + 6.0, y + 1.0)]))
         write_text(canvas, x + 10.0, y, kind, size=NAME)
-        x += 14.0 + canvas.stringWidth(kind, FONT, NAME)
+        x += 14.0 + width_of(kind, NAME)

@@ -237,6 +237,20 @@ def test_doors_windows_and_furniture_are_told_apart_without_their_names(tmp_path
         assert "furniture" in (one, other) or different[:, 140:].any()  # and from above
 
 
+def test_names_in_other_letters_are_written_and_long_ones_shortened(tmp_path):
+    door, rack = {**floor_plans.DOOR, "name": "dve\u0159e"}, {**floor_plans.RACK, "name": 50 * "rack "}
+    room = floor_plans.lab(keep_out=[door], obstacles=[rack])
+    (wall,) = [surface for surface in room.surfaces() if surface.name == "wall_0"]
+    tag = Deployment(wall.point(3.0, 1.5)[None], wall.normal[None]).hung(room)
+    for name in ("one", "two"):
+        write_plan(tmp_path / name, TagMap(room, TAG, tag), "a4")
+    assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes()
+    first, page = (words(page) for page in pypdfium2.PdfDocument(tmp_path / "one"))
+    assert "dve\u0159e" in first
+    assert "dve\u0159e" in page
+    assert "rack rack rack rack rac\u2026" in first
+
+
 def test_north_is_where_it_is_said_to_be(tmp_path):
     ends = []
     for north in (0.0, np.pi / 2, np.pi):

@@ -1,17 +1,22 @@
 """What comes out of the printer is what a real detector reads, at the right size."""
 
 import math
+import sys
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pypdfium2
 import pytest
+from examples import examples
+from hypothesis import given
+from hypothesis import strategies as st
 
 from lmd.checks import InputError
 from lmd.deployment import RandomDeployment, UniformDeployment
 from lmd.detection.detectors import AprilTagDetector, ArucoDetector
 from lmd.export.formats import Export, not_printed
+from lmd.export.layout import FOOTER, MARGIN, STRIP, Whole, layout
 from lmd.export.paper import PAPERS
 from lmd.export.sheets import check_sheets, describe_sheets, write_sheets
 from lmd.export.tag_map import TagMap
@@ -190,6 +195,40 @@ def test_what_takes_too_many_sheets_is_refused_and_left_out_of_all_formats():
     assert not not_printed(Tag(0.1651), "letter")
     with pytest.raises(InputError, match=r"^paper must be one of a4, a3, letter, got 'a5'\.$"):
         Export(["sheets"], "a5")
+
+
+def test_maps_do_not_wait_for_a_package_that_prints(monkeypatch):
+    monkeypatch.setitem(sys.modules, "reportlab", None)
+    reasons = not_printed(Tag(0.1), "a4")
+    assert list(reasons) == ["plan", "sheets"]
+    assert all("this needs the package reportlab" in reason for reason in reasons.values())
+
+
+@examples(100)
+@given(
+    edge=st.floats(0.01, 0.8),
+    family=st.sampled_from(["36h11", "16h5", "4x4_50"]),
+    quiet_zone=st.floats(0.0, 3.0),
+    paper=st.sampled_from(list(PAPERS)),
+)
+def test_what_is_black_is_where_printers_print(edge, family, quiet_zone, paper):
+    tag = Tag(edge, family, quiet_zone)
+    sheets, plate, black = layout(tag, paper), 1000 * tag.paper_edge, 1000 * tag.size
+    width, height = sheets.page
+    assert sorted(sheets.page) == sorted(PAPERS[paper])
+    if isinstance(sheets, Whole):
+        right, bottom = sheets.left + sheets.columns * plate, sheets.top - sheets.rows * sheets.pitch
+        margin = (plate - black) / 2
+        assert sheets.pitch >= plate
+        assert min(sheets.left, width - right, height - sheets.top) > -1e-6
+        assert min(sheets.left + margin, width - right + margin) > MARGIN - 1e-6
+        assert bottom > MARGIN + FOOTER - 1e-6
+    else:
+        assert sheets.columns * sheets.width == pytest.approx(plate)
+        assert sheets.rows * sheets.height == pytest.approx(plate)
+        assert sheets.per_tag > 1
+        assert sheets.width + STRIP * (sheets.columns > 1) + 2 * MARGIN < width
+        assert sheets.height + STRIP * (sheets.rows > 1) + 2 * MARGIN + FOOTER < height
 
 
 def test_sheets_are_described_by_how_many_there_are():
