@@ -39,7 +39,7 @@ def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: i
     def place(points: FloatArray) -> FloatArray:
         return np.asarray(origin + 1000.0 * (np.asarray(points)[..., :2] - low[:2]) / scale)
 
-    fixtures = tags.room.fixtures()
+    fixtures = tags.fixtures
     bodies = [fixture for fixture in fixtures if fixture.kind == "furniture"]
     openings = [fixture for fixture in fixtures if fixture.kind != "furniture"]
     for body in bodies:

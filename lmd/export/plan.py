@@ -20,6 +20,7 @@ from lmd.export.paper import (
     begin_page,
     document,
     fill_polygon,
+    shortened,
     up_arrow,
     write_on_white,
     write_text,
@@ -138,7 +139,7 @@ def _draw_overview(
 ) -> None:
     """The floor plan with the surfaces in the order of hanging; `pages` says where each of them is."""
     rows = [
-        [numbers_of(own), tags.place_of(int(tags.order[own[0]])), str(len(own)), str(pages[index])]
+        [numbers_of(own), shortened(tags.place_of(int(tags.order[own[0]]))), str(len(own)), str(pages[index])]
         for index, own in tags.hung.items()
     ]
     room = size[0] - 3.0 * MARGIN - HUNG.width, size[1] - 2.0 * MARGIN - HEAD
@@ -161,8 +162,8 @@ def _draw_surface(canvas: Any, size: tuple[float, float], tags: TagMap, view: Vi
     title = f"{view.surface.name}, {view.seen}"
     facts = f"{width:.0f} x {height:.0f} mm, tags: {len(own)}, scale 1 : {scale}; {tags.room.describe()}"
     facts += "" if view.surface.allowed is None else "; nothing hangs where it is grey"
-    at, paper = MM_PER_M * view.place(tags.deployment.positions[own]), MM_PER_M * tags.tag.paper_edge
-    floor = MM_PER_M * (view.surface.origin[2] - tags.room.bounds()[0][2]) if view.is_upright else 0.0
+    at, paper = MM_PER_M * tags.at[own], MM_PER_M * tags.tag.paper_edge
+    floor = MM_PER_M * (view.surface.origin[2] - tags.floor) if view.is_upright else 0.0
     rows = [
         ["", str(place + 1), str(tags.ids[k]), *(f"{x:.0f}" for x in (*centre, *(centre - paper / 2.0))), "", ""]
         for place, k, centre in zip(places, own, at + np.array([0.0, floor]), strict=True)
@@ -206,7 +207,7 @@ def _draw_outline(canvas: Any, origin: tuple[float, float], tags: TagMap, view: 
     for ring in view.allowed:
         fill_polygon(canvas, [(left + x, below + y) for x, y in MM_PER_M * ring / scale])
     canvas.setFillGray(0.0)
-    for fixture in tags.room.fixtures():
+    for fixture in tags.fixtures:
         region = fixture.on(view.surface)
         if not region.is_empty and fixture.name != view.surface.name:
             ring = np.array(region.exterior.coords[:-1])

@@ -10,6 +10,7 @@ import yaml
 
 from lmd.checks import FloatArray, IntArray
 from lmd.deployment import MID_AIR, Deployment
+from lmd.space.fixture import Fixture
 from lmd.space.space import Space
 from lmd.tag import Tag, corners, upright
 
@@ -19,7 +20,8 @@ if TYPE_CHECKING:
 QUATERNION = ("qw", "qx", "qy", "qz")
 # Written are picometres: what is less is rounding.
 DECIMALS = 12
-FLAT = 0.5  # a normal with a larger vertical part is that of a floor or a ceiling
+# Normals with a larger vertical part are those of floors and ceilings, and of what is level.
+FLAT, LEVEL = 0.5, 0.99
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,18 @@ class TagMap:
         distance = np.array([surface.distance(self.deployment.positions) for surface in self.room.surfaces()])
         nearest = np.where(distance.min(axis=0) <= MID_AIR, distance.argmin(axis=0), -1)
         return np.where(self.deployment.surfaces < 0, nearest, self.deployment.surfaces)
+
+    @cached_property
+    def fixtures(self) -> tuple[Fixture, ...]:
+        """What stands in the room."""
+        return tuple(self.room.fixtures())
+
+    @cached_property
+    def floor(self) -> float:
+        """The height of the floor, metres: of the largest face that looks up, else of the lowest point."""
+        level = [face for face in self.room.faces() if face.normal[2] > LEVEL]
+        largest = max(level, key=lambda face: face.extent[0] * face.extent[1], default=None)
+        return float(self.room.bounds()[0][2] if largest is None else largest.origin[2])
 
     @cached_property
     def at(self) -> FloatArray:

@@ -1,5 +1,6 @@
 """Doors, windows and furniture of a room by their names, for whoever draws it."""
 
+import re
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,6 +13,7 @@ from lmd.space.surface import Surface
 # What is so near to a surface stands against it, and what is no thicker is flat, metres.
 TOUCHING = 0.03
 KINDS = ("door", "window", "furniture", "other")
+NAMED = re.compile("(?<![a-z])(door|window)")  # a word of the name begins so
 
 
 @dataclass(frozen=True)
@@ -29,10 +31,12 @@ class Fixture:
     @cached_property
     def kind(self) -> str:
         """One of `KINDS`: as its name says, else `furniture` for what stands on some ground."""
-        named = next((kind for kind in ("door", "window") if kind in self.name.lower()), None)
-        return named or ("other" if self.footprint.buffer(-TOUCHING / 2.0).is_empty else "furniture")
+        named = NAMED.search(self.name.lower())
+        if named:
+            return named[0]
+        return "other" if self.footprint.buffer(-TOUCHING / 2.0).is_empty else "furniture"
 
-    @property
+    @cached_property
     def footprint(self) -> Any:
         """What it covers of the floor, seen from above, a polygon of shapely, or a line."""
         import shapely

@@ -230,13 +230,13 @@ class Scan:
         """
         low, high = self.bounds
         found = []
-        for number, name in enumerate(self.mesh.names):
-            corners = self._corners[self.mesh.of == number].reshape(-1, 3)
-            if name and len(corners):
-                object_ = Fixture(name, np.unique(corners, axis=0))
-                share = np.ptp(corners, axis=0) / (high - low)
-                if share[2] < WALL and object_.footprint.area < GROUND * float(np.prod((high - low)[:2])):
-                    found.append(object_)
+        order = np.argsort(self.mesh.of, kind="stable")
+        for part in np.split(order, np.flatnonzero(np.diff(self.mesh.of[order])) + 1):
+            name, corners = self.mesh.names[self.mesh.of[part[0]]], np.unique(self.mesh.faces[part])
+            thing = Fixture(name, self.mesh.vertices[corners])
+            height, ground = np.ptp(thing.corners[:, 2]) / (high - low)[2], np.prod((high - low)[:2])
+            if name and height < WALL and thing.footprint.area < GROUND * ground:
+                found.append(thing)
         parts = [part for surface in surfaces for part in self._kept_out(surface)]
         return found + [
             Fixture(part.name or f"keep_out {self.keep_out.index(part)}", corners)

@@ -4,9 +4,11 @@ import itertools
 
 import cv2
 import floor_plans
+import meshes
 import numpy as np
 import pypdfium2
 import pytest
+import trimesh
 
 from lmd.deployment import Deployment, UniformDeployment
 from lmd.export.paper import PAPERS, begin_page, document
@@ -17,6 +19,8 @@ from lmd.labels import Labels
 from lmd.plates import Plates
 from lmd.space.cuboid import Cuboid
 from lmd.space.fixture import KINDS
+from lmd.space.floor_plan import FloorPlan
+from lmd.space.mesh_room import from_mesh
 from lmd.tag import Tag, upright
 
 ROOM = Cuboid((6.0, 4.0, 2.8), (5.0, 3.0, 1.2), 0.5)
@@ -219,6 +223,20 @@ def test_the_first_page_names_walls_and_fixtures_and_says_where_each_is_hung(tmp
     for name, fixture in (("wall_0", "door"), ("wall_5", "big window"), ("wall_5", "rack"), ("wall_1", "keep_out 2")):
         (text,) = [text for text in others if text.startswith(f"{name},")]
         assert fixture in text
+
+
+def test_heights_are_from_the_floor_even_where_it_is_not_the_lowest_point(tmp_path):
+    plan = FloorPlan(floor_plans.L_SHAPE, 2.5, obstacles=[{"low": [1, 1, 1], "high": [2, 2, 1.5]}])
+    scene = trimesh.load_scene(meshes.written(tmp_path / "lab.glb", plan))
+    scene.add_geometry(trimesh.creation.box(bounds=[(4, 0.5, -1), (5, 1.5, -0.5)]), node_name="pit")
+    scene.export(tmp_path / "pit.glb")
+    room = from_mesh(str(tmp_path / "pit.glb"), {"height": [0.5, 1.5], "clearance": 0.25}, 0.5, up="z")
+    assert room.bounds()[0][2] == -1.0
+    side = next(surface for surface in room.surfaces() if surface.name.startswith("box_0") and surface.normal[0] < -0.9)
+    tag = Deployment(side.point(0.5, 0.25)[None], side.normal[None]).hung(room)
+    write_plan(tmp_path / "plan.pdf", TagMap(room, TAG, tag), "a4")
+    _, page = pypdfium2.PdfDocument(tmp_path / "plan.pdf")
+    assert "1 0 500 1250 375 1125" in words(page)  # 250 mm above the lower edge of the box, which hangs at 1 m
 
 
 def test_doors_windows_and_furniture_are_told_apart_without_their_names(tmp_path):

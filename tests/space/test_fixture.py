@@ -23,6 +23,8 @@ def surfaces(room):
     [
         ("door", (1, 0, 0), (2, 0, 2), "door"),
         ("Garage Door", (1, 0, 0), (2, 0.1, 2), "door"),
+        ("sliding_door_2", (1, 0, 0), (2, 0, 2), "door"),
+        ("outdoor bench", (1, 1, 0), (2, 2, 0.5), "furniture"),
         ("window_frame_0", (1, 0, 1), (2, 0, 2), "window"),
         ("poster", (1, 0, 1), (2, 0, 2), "other"),
         ("table", (1, 1, 0), (2, 2, 0.7), "furniture"),
