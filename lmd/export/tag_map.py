@@ -67,10 +67,11 @@ class TagMap:
 
     @cached_property
     def floor(self) -> float:
-        """The height of the floor, metres: of the largest face that looks up, else of the lowest point."""
+        """Where the floor is, z, metres: the lowest of the large faces that look up, else the lowest point."""
         level = [face for face in self.room.faces() if face.normal[2] > LEVEL]
-        largest = max(level, key=lambda face: face.extent[0] * face.extent[1], default=None)
-        return float(self.room.bounds()[0][2] if largest is None else largest.origin[2])
+        sizes = np.array([face.extent[0] * face.extent[1] for face in level])
+        heights = np.array([face.origin[2] for face in level])
+        return float(heights[sizes > sizes.max() / 2.0].min() if level else self.room.bounds()[0][2])
 
     @cached_property
     def at(self) -> FloatArray:

@@ -229,6 +229,7 @@ def test_heights_are_from_the_floor_even_where_it_is_not_the_lowest_point(tmp_pa
     plan = FloorPlan(floor_plans.L_SHAPE, 2.5, obstacles=[{"low": [1, 1, 1], "high": [2, 2, 1.5]}])
     scene = trimesh.load_scene(meshes.written(tmp_path / "lab.glb", plan))
     scene.add_geometry(trimesh.creation.box(bounds=[(4, 0.5, -1), (5, 1.5, -0.5)]), node_name="pit")
+    scene.add_geometry(trimesh.creation.box(bounds=[(-0.5, -0.5, 2.5), (6.5, 4.5, 2.6)]), node_name="roof")
     scene.export(tmp_path / "pit.glb")
     room = from_mesh(str(tmp_path / "pit.glb"), {"height": [0.5, 1.5], "clearance": 0.25}, 0.5, up="z")
     assert room.bounds()[0][2] == -1.0
