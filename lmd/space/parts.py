@@ -13,6 +13,7 @@ from lmd.space.polygon import checked_ring
 from lmd.space.surface import Surface
 
 FACES = ("x_min", "x_max", "y_min", "y_max", "bottom", "top")
+OLD_KEYS = ("low", "high", "polygon")  # of keep-outs in earlier versions
 
 T = TypeVar("T")
 
@@ -140,16 +141,18 @@ def all_keep_outs(
     Raises:
         InputError: one is none, or has keys of earlier versions: the message says what they are now.
     """
+    old = []
     for i, value in enumerate(values if isinstance(values, list | tuple) else ()):
-        old = [key for key in ("low", "high", "polygon") if isinstance(value, Mapping) and key in value]
-        if old:
-            name = f"keep_out[{i}]"
-            surface = choice(f"{name}.surface", value.get("surface"), faces)
-            raise InputError(
-                f"{name} has {' and '.join(old)}, with which earlier versions measured some surfaces from their other "
-                f"end; as one stands before {surface}, it is {_rewritten(name, value, partial(seen_before, surface))}.",
-                name,
-            )
+        if isinstance(value, Mapping) and any(key in value for key in OLD_KEYS):
+            surface = choice(f"keep_out[{i}].surface", value.get("surface"), faces)
+            place = _rewritten(f"keep_out[{i}]", value, partial(seen_before, surface))
+            old.append(f"{{surface: {surface}, {place}}}")
+    if old:
+        raise InputError(
+            f"keep_out has the keys {', '.join(OLD_KEYS)}, with which earlier versions measured some surfaces from "
+            f"their other end; as one stands before them, it is [{', '.join(old)}].",
+            "keep_out",
+        )
     made = all_made("keep_out", KeepOut, values)
     for i, part in enumerate(made):
         choice(f"keep_out[{i}].surface", part.surface, faces)

@@ -327,13 +327,9 @@ def test_the_doors_and_windows_of_the_lab_are_where_they_always_were():
 
 
 def test_a_keep_out_of_an_earlier_version_is_refused_by_its_key():
+    old = "room.keep_out=[{surface: wall_0, low: [4.8, 0], high: [5.7, 2.1]}]"
     with initialize_config_dir(CONF, version_base=None):
-        cfg = compose(
-            "optimise",
-            overrides=["room=floor_plan", "room.keep_out=[{surface: wall_0, low: [4.8, 0], high: [5.7, 2.1]}]"],
-        )
-    with pytest.raises(
-        InputError,
-        match=r"^room\.keep_out\[0\] has low and high, .* from_left: \[0\.3, 1\.2\], from_below: \[0, 2\.1\]",
-    ):
+        cfg = compose("optimise", overrides=["room=floor_plan", old])
+    now = r"\[{surface: wall_0, from_left: \[0\.3, 1\.2\], from_below: \[0, 2\.1\]}\]"
+    with pytest.raises(InputError, match=rf"^room\.keep_out has the keys low, high, polygon, .* it is {now}\.$"):
         instantiate(cfg.room)

@@ -199,7 +199,7 @@ def test_a_file_with_no_room_in_it_gets_one_sentence(tmp_path):
         ),
         (
             {"keep_out": [{"surface": "patch_2", "low": [0, 0], "high": [1, 2]}]},
-            r"^keep_out\[0\] has low and high, .* before patch_2, it is from_left: \[0, 1\], from_below: \[0, 2\]\.$",
+            r"^keep_out has .*, it is \[{surface: patch_2, from_left: \[0, 1\], from_below: \[0, 2\]}\]\.$",
         ),
         ({"surfaces": ["patch_2"], "margin": 1.3}, r"^surfaces: patch_2 has no place left where anything may hang"),
         ({"reachable": {"height": [3, 4]}}, r"^reachable\.height and clearance = 0 leave nothing of the mesh, whose x"),

@@ -78,15 +78,21 @@ def test_keep_outs_of_earlier_versions_are_refused_with_what_they_are_now():
         ("obstacle_0_y_min", [0.0, 0.25], [0.0, 3.0, 0.0], r"from_left: \[0, 0\.25\], from_below: \[0, 2\]"),
     ]:
         part = {"surface": surface_name, "low": [old[0], 0.0], "high": [old[1], 2.0]}
-        message = rf"^keep_out\[0\] has low and high, .*; as one stands before {surface_name}, it is {now}\.$"
+        message = rf"^keep_out has the keys low, high, polygon, .*, it is \[{{surface: {surface_name}, {now}}}\]\.$"
         with pytest.raises(InputError, match=message) as refused:
             FloorPlan(L_SHAPE, 2.5, holes=[PILLAR], obstacles=[RACK], keep_out=[part])
-        spans = yaml.safe_load("{" + str(refused.value).partition("it is ")[2][:-1] + "}")
-        room = FloorPlan(L_SHAPE, 2.5, holes=[PILLAR], obstacles=[RACK], keep_out=[{"surface": surface_name, **spans}])
+        written = yaml.safe_load(str(refused.value).partition("it is ")[2][:-1])
+        room = FloorPlan(L_SHAPE, 2.5, holes=[PILLAR], obstacles=[RACK], keep_out=written)
         assert_allclose(room.kept_out[0].min(axis=0), low, atol=1e-9)
-    old = {"surface": "wall_0", "polygon": [[4.5, 0], [5.5, 0], [5, 1]]}
-    with pytest.raises(InputError, match=r"has polygon, .* it is corners: \[\[1\.5, 0\], \[0\.5, 0\], \[1, 1\]\]\.$"):
-        FloorPlan(L_SHAPE, 2.5, keep_out=[old])
+    triangle = {"surface": "wall_0", "polygon": [[4.5, 0], [5.5, 0], [5, 1]]}
+    window = {"surface": "wall_1", "low": [0.5, 1], "high": [1, 2]}
+    with pytest.raises(
+        InputError, match=r"it is \[{surface: wall_0, corners: .*}, {surface: wall_1, .*}\]\.$"
+    ) as refused:
+        FloorPlan(L_SHAPE, 2.5, keep_out=[triangle, window])
+    one, other = yaml.safe_load(str(refused.value).partition("it is ")[2][:-1])  # all at once
+    assert one["corners"] == [[1.5, 0], [0.5, 0], [1, 1]]
+    assert other["from_left"] == [1, 1.5]
 
 
 @examples(40)
