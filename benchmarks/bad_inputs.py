@@ -66,7 +66,7 @@ FILES: dict[str, str | bytes] = {
     "brokenrun/landmarks.csv": GOOD,
     "binaryrun/.hydra/config.yaml": EVERY_BYTE,
     "binaryrun/landmarks.csv": GOOD,
-    "binrun/checkpoint.pkl": EVERY_BYTE,
+    "binrun/checkpoint.npz": EVERY_BYTE,
 }
 
 

@@ -1,38 +1,31 @@
 """Checkpoints: a stopped run goes on where it was.
 
 A checkpoint holds data and no code: the optimiser is made by who resumes, and takes over the state that is read. The
-file is a pickle behind a checksum. The checksum tells damage; what keeps a file that was tampered with from running
-code is that only classes of `lmd` and of the optimiser's own package, and what numpy's arrays and generators are made
-of, can be named in it.
+file is an archive of NumPy's, with the arrays and a document in JSON, and nothing in it is unpickled.
 """
 
-import hashlib
 import io
+import json
 import os
-import pickle
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lmd.checks import InputError, file_path
-from lmd.optimisers.base import Optimiser
+import numpy as np
 
-FILE = "checkpoint.pkl"
-HEADER = b"lmd checkpoint 2\n"  # a number for each way of writing it
-CHECKSUM = hashlib.sha256
-# What pickled arrays, numbers and generators of numpy call.
-NUMPY = {
-    "numpy": {"dtype", "ndarray"},
-    "numpy._core.multiarray": {"_reconstruct", "scalar"},
-    "numpy._core.numeric": {"_frombuffer"},
-    "numpy.random._pickle": {"__bit_generator_ctor", "__generator_ctor", "__randomstate_ctor"},
-    "numpy.random._mt19937": {"MT19937"},
-    "numpy.random._pcg64": {"PCG64", "PCG64DXSM"},
-    "numpy.random._philox": {"Philox"},
-    "numpy.random._sfc64": {"SFC64"},
-    "numpy.random.bit_generator": {"SeedSequence", "__pyx_unpickle_SeedSequence"},
-}
+from lmd.checks import InputError, file_path
+from lmd.memory import check_memory
+from lmd.optimisers.base import Optimiser
+from lmd.problem import Problem
+
+FILE = "checkpoint.npz"
+PICKLE = "checkpoint.pkl"  # that of earlier versions
+FORMAT = "lmd checkpoint 3"  # a number for each way of writing it
+DOCUMENT = "document"  # the JSON, UTF-8, among the arrays
+ARRAY = "$array"  # in the document: here belongs the array of that name
+MOST_TEXT = 200  # characters of another's message
 
 
 @dataclass
@@ -49,76 +42,125 @@ class Checkpoint:
     settings: Mapping[str, Any]
     run_id: str | None = None
 
+    def check(self) -> None:
+        """Raise `InputError` if the optimiser cannot be checkpointed."""
+        self._content()
+
     def save(self, directory: Path) -> None:
-        """Replace the checkpoint in `directory`; a crash leaves the old one or the new one, never half of one."""
-        content = pickle.dumps((self.optimiser.state(), dict(self.settings), self.run_id))
-        partial = directory / f"{FILE}.partial"
+        """Replace the checkpoint in `directory`; a crash leaves the old one or the new one, never half of one.
+
+        Raises:
+            InputError: the optimiser cannot be checkpointed.
+        """
+        content, partial = self._content(), directory / f"{FILE}.partial"
         try:
-            partial.write_bytes(HEADER + CHECKSUM(content).digest() + content)
+            with partial.open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
             os.replace(partial, directory / FILE)
         except OSError:
             partial.unlink(missing_ok=True)
             raise
 
-    def resume(self, directory: str | Path) -> None:
+    def resume(self, directory: str | Path, problem: Problem) -> None:
         """Take over the state and the run of the checkpoint in `directory`.
 
+        Args:
+            directory: of the run that goes on.
+            problem: what it maximises.
+
         Raises:
-            InputError: there is none, it is damaged or holds what it may not, or it was made with other settings.
+            InputError: there is none, it is damaged, or it was made with other settings.
         """
         path = file_path("resume", directory) / FILE
         if not path.is_file():
-            raise InputError(f"resume = {str(directory)!r} holds no {FILE}.")
-        state, then, run_id = _read(path, {"lmd", _package(type(self.optimiser).__module__)})
-        for key in sorted({*self.settings, *then}):
-            if then.get(key) != self.settings.get(key):
+            if path.with_name(PICKLE).is_file():
                 raise InputError(
-                    f"{path} was made with {key} = {then.get(key)!r}, not {self.settings.get(key)!r}; resume with the "
-                    "same settings."
+                    f"{path.with_name(PICKLE)} is of an earlier version and could run code, so it is not read; begin a "
+                    "new run, from its landmarks.csv with run=DIR."
                 )
-        self.optimiser.restore(state)
+            raise InputError(f"resume = {str(directory)!r} holds no {FILE}.")
+        check_memory(path.stat().st_size, f"resume = {str(directory)!r}", "resume")
+        state, then, run_id = _read(path)
+        now = json.loads(json.dumps(dict(self.settings)))
+        for key in sorted({*now, *then}):
+            if then.get(key) != now.get(key):
+                raise InputError(
+                    f"{path} was made with {key} = {then.get(key)!r}, not {now.get(key)!r}; resume with the same "
+                    "settings."
+                )
+        try:
+            self.optimiser.restore(state, problem)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
+        except Exception as error:  # what was written on purpose can raise anything
+            raise InputError(f"{path} cannot be gone on from ({_described(error)}).") from error
         self.run_id = run_id
 
+    def _content(self) -> bytes:
+        arrays: dict[str, Any] = {}
+        try:
+            state = _without_arrays("", self.optimiser.state(), arrays)
+        except InputError as error:
+            raise InputError(f"{type(self.optimiser).__name__} cannot be checkpointed: {error}") from error
+        document = {"format": FORMAT, "run": self.run_id, "settings": dict(self.settings), "state": state}
+        arrays[DOCUMENT] = np.frombuffer(json.dumps(document).encode(), np.uint8)
+        content = io.BytesIO()
+        np.savez(content, **arrays)
+        return content.getvalue()
 
-def _read(path: Path, packages: set[str]) -> tuple[dict[str, Any], dict[str, Any], str | None]:
-    """State, settings and run of a checkpoint whose classes are of these packages."""
-    begin = len(HEADER) + CHECKSUM().digest_size
-    read = path.read_bytes()
-    if not read.startswith(HEADER):
-        raise InputError(f"{path} is not a checkpoint of this version.")
-    if CHECKSUM(read[begin:]).digest() != read[len(HEADER) : begin]:
-        raise InputError(f"{path} is damaged: its checksum does not match what it holds.")
+
+def _without_arrays(name: str, value: Any, arrays: dict[str, Any]) -> Any:
+    """`value` as JSON has it, with the names of its arrays in their place; they go to `arrays`."""
+    if value is None or isinstance(value, str | bool | int | float):
+        return value
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray) and not value.dtype.hasobject:
+        arrays[f"state{name}"] = value
+        return {ARRAY: f"state{name}"}
+    if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
+        return {key: _without_arrays(f"{name}.{key}", inner, arrays) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_arrays(f"{name}.{i}", inner, arrays) for i, inner in enumerate(value)]
+    kinds = "number, text, array of numbers, nor a list of these or a mapping from texts to them"
+    raise InputError(f"its state{name} is a {type(value).__name__}, which is no {kinds}")
+
+
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any], str | None]:
+    """State, settings and run of a checkpoint."""
     try:
-        state, settings, run_id = _Unpickler(io.BytesIO(read[begin:]), packages).load()
-    except Exception as error:  # what was written on purpose can raise anything
-        raise InputError(f"{path} cannot be read ({type(error).__name__}: {error}).") from error
+        document = _document(path)
+        state, settings, run_id = document["state"], document["settings"], document["run"]
+        if document["format"] != FORMAT or not isinstance(state, dict) or not isinstance(settings, dict):
+            raise ValueError("it is of another kind")
+        if not all(map(str.isprintable, settings)):
+            raise ValueError("a setting has no such name")
+        if run_id is not None and not (isinstance(run_id, str) and run_id.isalnum()):
+            raise ValueError("the tracked run has no such name")
+    except Exception as error:  # what is damaged, or was written on purpose, can raise anything
+        raise InputError(f"{path} is damaged, or no checkpoint of this version ({_described(error)}).") from error
     return state, settings, run_id
 
 
-class _Unpickler(pickle.Unpickler):
-    """Reads data: of all that a pickle can name, only what is known to do no more than to hold it.
+def _document(path: Path) -> Any:
+    size = path.stat().st_size
+    with zipfile.ZipFile(path) as archive:
+        members = archive.infolist()
+        # Or a small file could ask for all the memory there is.
+        if any(m.compress_type != zipfile.ZIP_STORED for m in members) or sum(m.file_size for m in members) > size:
+            raise ValueError("it is compressed")
+    with np.load(path, allow_pickle=False) as archive:
+        arrays = dict(archive)
 
-    Args:
-        file: of bytes.
-        packages: whose own classes may be named.
-    """
+    def with_arrays(mapping: dict[str, Any]) -> Any:
+        return arrays[mapping[ARRAY]] if ARRAY in mapping else mapping
 
-    def __init__(self, file: io.BytesIO, packages: set[str]) -> None:
-        super().__init__(file)
-        self._packages = packages
-
-    def find_class(self, module: str, name: str) -> Any:
-        """What a pickle calls, by its name."""
-        if name in NUMPY.get(module, ()):
-            return super().find_class(module, name)
-        if _package(module) in self._packages and name.isidentifier():
-            found = super().find_class(module, name)
-            if isinstance(found, type) and found.__module__ == module:  # and nothing that the module has imported
-                return found
-        raise pickle.UnpicklingError(
-            f"it names {module}.{name}, which is neither numpy's nor a class of {' or '.join(sorted(self._packages))}"
-        )
+    return json.loads(bytes(arrays.pop(DOCUMENT)), object_hook=with_arrays)
 
 
-def _package(module: str) -> str:
-    return module.partition(".")[0]
+def _described(error: Exception) -> str:
+    """An error in words, of which a file may have made some."""
+    text = "".join(letter if letter.isprintable() else " " for letter in str(error))
+    return f"{type(error).__name__}: {' '.join(text.split())[:MOST_TEXT]}"

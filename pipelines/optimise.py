@@ -60,7 +60,7 @@ def optimise(cfg: DictConfig) -> float:
     export = build_export(cfg, "export", problem.scene.tag)
     checkpoint, earlier = Checkpoint(build_optimiser(cfg, cfg.seed), settings), None
     if cfg.resume is not None:
-        checkpoint.resume(cfg.resume)
+        checkpoint.resume(cfg.resume, problem)
         earlier = Earlier(checkpoint.run_id, Path(cfg.resume))
     subject = choices()["optimiser"]
     try:
@@ -117,9 +117,7 @@ def _run(
     directory, optimiser = run_directory(), checkpoint.optimiser
     goes_on, before = tracker.run_id == checkpoint.run_id, optimiser.ledger.evaluations
     checkpoint.run_id = tracker.run_id
-    progress = Progress(
-        budget, tracker, lambda: checkpoint.save(directory), cfg.checkpoint_seconds, optimiser, logged=goes_on
-    )
+    progress = Progress(budget, tracker, checkpoint, directory, cfg.checkpoint_seconds, logged=goes_on)
     with space_reserved(directory), closing(progress):
         try:
             with stop.deferred(lambda: optimiser.ledger.evaluations > before and not is_compiling()):

@@ -78,6 +78,20 @@ def write_figures(
     return all_or_none(directory, write)
 
 
+def write_history(directory: Path, history: "Sequence[Record]") -> tuple[list[Path], list[str]]:
+    """Write history.csv, the best fitness over a run, if the disk takes it; returns as `write_pictures` does."""
+    from lmd.tables import write_table
+
+    return _write_what_fits(directory, {"history.csv": lambda path: write_table(path, columns_of(history))})
+
+
+def columns_of(history: "Sequence[Record]") -> dict[str, list[float]]:
+    """The history of a run as columns of a table."""
+    from lmd.optimisers.base import Record
+
+    return {key.name: [getattr(row, key.name) for row in history] for key in fields(Record)}
+
+
 def write_pictures(
     directory: Path,
     problem: "Problem",
@@ -86,9 +100,8 @@ def write_pictures(
     title: str,
     page: bool,
     exports: Mapping[str, Callable[[Path], object]],
-    in_haste: bool,
-) -> tuple[list[Path], str]:
-    """Write history.csv, the pictures and what is exported, as many as the disk takes.
+) -> tuple[list[Path], list[str]]:
+    """Write the pictures and what is exported, as many as the disk takes.
 
     Args:
         directory: the run's directory.
@@ -98,34 +111,34 @@ def write_pictures(
         title: heads the pictures.
         page: whether to write the interactive page.
         exports: what writes further files, by their names.
-        in_haste: only history.csv.
 
     Returns:
-        the files, and what could not be written, empty if all could.
+        the files, and of each that could not be written why.
     """
-    from lmd.optimisers.base import Record
     from lmd.plot.convergence import save_convergence_figure
     from lmd.plot.page import save_scene_page
     from lmd.plot.scene import save_scene_figure
-    from lmd.tables import write_table
 
-    headline = problem.objective.headline
-    table = {key.name: [getattr(row, key.name) for row in history] for key in fields(Record)}
-    writers: dict[str, Callable[[Path], object]] = {"history.csv": lambda path: write_table(path, table)}
-    if not in_haste:
-        writers["scene.png"] = lambda path: save_scene_figure(path, problem, deployment, title)
-        if len(history) > 1:
-            writers["convergence.png"] = lambda path: save_convergence_figure(path, table, headline, title)
-        if page:
-            writers["scene.html"] = lambda path: save_scene_page(path, problem, deployment, title)
-        writers |= exports
+    headline, table = problem.objective.headline, columns_of(history)
+    writers: dict[str, Callable[[Path], object]] = {
+        "scene.png": lambda path: save_scene_figure(path, problem, deployment, title)
+    }
+    if len(history) > 1:
+        writers["convergence.png"] = lambda path: save_convergence_figure(path, table, headline, title)
+    if page:
+        writers["scene.html"] = lambda path: save_scene_page(path, problem, deployment, title)
+    return _write_what_fits(directory, {**writers, **exports})
+
+
+def _write_what_fits(directory: Path, writers: Mapping[str, Callable[[Path], object]]) -> tuple[list[Path], list[str]]:
+    """Let each of `writers` write the file of its name; returns as `write_pictures` does."""
     files, failed = [], []
     for name, write in writers.items():
         try:
             files += all_or_none(directory, partial(_write_below, write, name))
         except OSError as error:
             failed.append(f"{name} could not be written ({error.strerror or error})")
-    return files, "; ".join(failed)
+    return files, failed
 
 
 def _write_below(write: Callable[[Path], object], name: str, folder: Path) -> None:

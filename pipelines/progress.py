@@ -4,10 +4,14 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
+from lmd.checkpoint import Checkpoint
+from lmd.checks import InputError
 from lmd.optimisers.base import Budget, Optimiser, Record
 
 from .signals import stop
@@ -32,12 +36,14 @@ def bar(total: int | None, unit: str, initial: int = 0) -> "tqdm[Any]":
 class Progress:
     """The callback of a run: shows the best fitness, logs the curve and saves checkpoints as it goes.
 
+    An optimiser that cannot be checkpointed gets a warning at once.
+
     Args:
         budget: where the bar ends.
         tracker: receives the curve.
-        save: saves a checkpoint.
-        every: seconds between checkpoints.
-        resumed: the optimiser before the run.
+        checkpoint: of the optimiser before the run.
+        directory: where checkpoints are saved.
+        every: seconds between them.
         logged: whether the tracked run has what is in its ledger already.
     """
 
@@ -45,17 +51,19 @@ class Progress:
         self,
         budget: Budget,
         tracker: Tracker,
-        save: Callable[[], None],
+        checkpoint: Checkpoint,
+        directory: Path,
         every: float,
-        resumed: Optimiser,
         logged: bool,
     ) -> None:
-        self.budget, self.tracker, self.save, self.every = budget, tracker, save, every
-        ledger = resumed.ledger
+        self.budget, self.tracker, self.every = budget, tracker, every
+        self.save = partial(checkpoint.save, directory)
+        ledger = checkpoint.optimiser.ledger
         self.used = budget.used(ledger.evaluations, ledger.seconds) if logged else 0.0
         self.logged = len(ledger.history) if logged else 0
         self.saved = time.monotonic()
         self.warned = False
+        self._warning_of(checkpoint.check)
         self.bar = bar(budget.evaluations, "evaluations", int(ledger.evaluations))
 
     def __call__(self, optimiser: Optimiser) -> bool:
@@ -73,17 +81,19 @@ class Progress:
         ledger = optimiser.ledger
         used = self.budget.used(ledger.evaluations, ledger.seconds)
         new = ledger.history[self.logged :]
-        self._save()
+        self._warning_of(self.save)
         self.tracker.log_curve("best_fitness", thinned(new, 1 + int(CURVE_POINTS * (used - self.used))))
         self.logged, self.used = len(ledger.history), used
         self.saved = time.monotonic()
 
-    def _save(self) -> None:
+    def _warning_of(self, save: Callable[[], None]) -> None:
+        """Do what may fail, for the run is worth more than its checkpoint; warn once."""
         try:
-            self.save()
-        except OSError as error:  # the run is worth more than its checkpoint
+            save()
+        except (OSError, InputError) as error:
             if not self.warned:
-                print(f"warning: no checkpoint can be written ({error.strerror}); the run goes on", file=sys.stderr)
+                reason = error.strerror if isinstance(error, OSError) else error
+                print(f"warning: no checkpoint can be written ({reason}); the run goes on", file=sys.stderr)
             self.warned = True
 
     def close(self) -> None:

@@ -19,7 +19,7 @@ from lmd.verdicts import causes
 
 from .app import choices, flat_settings, run_directory
 from .building import instantiate
-from .outputs import write_figures, write_pictures
+from .outputs import write_figures, write_history, write_pictures
 from .provenance import command_line, source_tags
 from .signals import stop
 from .sweeps.folder import current_job
@@ -127,8 +127,8 @@ def record(
 ) -> float:
     """Write the outputs, log them, end the run with `status` and print a report; returns the fitness.
 
-    What cannot be had again comes first: landmarks and figures are written before anything else is computed, and
-    whatever happens then they stay.
+    What cannot be had again comes first: landmarks, figures and history are written before anything else is computed,
+    and whatever happens then they stay.
 
     Args:
         cfg: of the run.
@@ -143,10 +143,12 @@ def record(
         status: the run ends with.
         in_haste: leave out what takes seconds: validation, pictures, exports and `further` entries.
     """
-    directory, metrics = run_directory(), problem.metrics(deployment)
-    document: dict[str, Any] = {**metrics, **summary, "seed": cfg.seed}
+    directory = run_directory()
     with stop.shielded():
+        metrics = problem.metrics(deployment)
+        document: dict[str, Any] = {**metrics, **summary, "seed": cfg.seed}
         files = write_figures(directory, problem, deployment, document)
+        curve, failed = write_history(directory, history)
     figures = {key: value for key, value in summary.items() if isinstance(value, int | float)}
     validation, why = {}, None
     if not in_haste:
@@ -161,11 +163,17 @@ def record(
             # A standard error says how well a figure is known; as a curve of its own it would only be in the way.
             kept = {key: value for key, value in values.items() if not key.endswith("standard_error")}
             tracker.log_metrics({f"{group}/{key}": value for key, value in kept.items()})
-    write_figures(directory, problem, deployment, document)
-    title = f"{title_of(problem, subject)}, {problem.scene.room.describe()}"
-    exports = export.writers(problem.scene.room, problem.scene.tag, deployment) if export else {}
-    pictures, failed = write_pictures(directory, problem, deployment, history, title, cfg.page, exports, in_haste)
-    files = sorted({*files, *pictures})
+    pictures: list[Path] = []
+    if not in_haste:
+        try:
+            write_figures(directory, problem, deployment, document)
+        except OSError as error:
+            failed.append(f"metrics.json has no validation ({error.strerror})")
+        title = f"{title_of(problem, subject)}, {problem.scene.room.describe()}"
+        exports = export.writers(problem.scene.room, problem.scene.tag, deployment) if export else {}
+        pictures, lost = write_pictures(directory, problem, deployment, history, title, cfg.page, exports)
+        failed += lost
+    files = sorted({*files, *curve, *pictures})
     tracker.log_artifacts(
         [*(file for file in files if file.suffix != ".html"), *sorted((directory / ".hydra").glob("*.yaml"))]
     )
@@ -181,7 +189,7 @@ def record(
     print(report(problem, metrics, off_grid, lines))
     if failed:
         again = command_line("evaluate", [f"run={directory}", f"page={cfg.page}".lower()])
-        print(f"warning: {failed}; with more space: {again}", file=sys.stderr)
+        print(f"warning: {'; '.join(failed)}; with more space: {again}", file=sys.stderr)
     if why and problem.objective.qualified(problem.values(deployment)).mean() < LITTLE:
         print(f"\n{why.to_text()}")
     return metrics["fitness"]

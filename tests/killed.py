@@ -34,7 +34,7 @@ def forked(overrides):
     child = os.fork()
     if child:
         return child
-    goes_on = ["resume=run"] if (RUN / "checkpoint.pkl").exists() else []
+    goes_on = ["resume=run"] if (RUN / "checkpoint.npz").exists() else []
     sys.argv = ["optimise", *overrides, *goes_on, f"hydra.run.dir={RUN}"]
     log = os.open("log", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     os.dup2(log, 1)
@@ -57,7 +57,7 @@ def main():
         time.sleep(start * rng.uniform(0.2, 1.5))
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
-        print("killed after a checkpoint" if (RUN / "checkpoint.pkl").exists() else "killed before", flush=True)
+        print("killed after a checkpoint" if (RUN / "checkpoint.npz").exists() else "killed before", flush=True)
     _, status = os.waitpid(forked(overrides), 0)
     sys.exit(os.waitstatus_to_exitcode(status))
 

@@ -1,9 +1,10 @@
 """What every optimiser shares: the budget, the ledger, and the ask/tell loop."""
 
 import math
+import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from lmd.checks import BoolArray, FloatArray, InputError, IntArray, integer, rea
 from lmd.compiled import clock
 from lmd.deployment import Deployment
 from lmd.optimisers.encoding import Encoding, make_encoding
+from lmd.optimisers.stored import array
 from lmd.problem import Problem
 
 
@@ -75,6 +77,27 @@ class Ledger:
         self.history.append(Record(evaluations, self.best_fitness, self.seconds))
         return is_best
 
+    def state(self) -> dict[str, Any]:
+        """The history as arrays `(N,)`, for a checkpoint; it says all the rest."""
+        return {f.name: np.array([getattr(r, f.name) for r in self.history], dtype=float) for f in fields(Record)}
+
+    @classmethod
+    def of(cls, state: Mapping[str, Any]) -> "Ledger":
+        """The ledger with the `state` of another.
+
+        Raises:
+            InputError: it is none.
+        """
+        evaluations = array("evaluations", state["evaluations"], np.float64, None, low=0.0)
+        best = array("best_fitness", state["best_fitness"], np.float64, len(evaluations), low=-math.inf)
+        seconds = array("wall_time", state["wall_time"], np.float64, len(evaluations), low=0.0)
+        if (evaluations[1:] < evaluations[:-1]).any() or (best[1:] < best[:-1]).any():
+            raise InputError("the history must not fall.")
+        ledger = cls()
+        for spent, fitness, ledger.seconds in zip(evaluations.tolist(), best.tolist(), seconds.tolist(), strict=True):
+            ledger.note(spent, fitness)
+        return ledger
+
 
 @dataclass(frozen=True)
 class Result:
@@ -104,8 +127,8 @@ Callback = Callable[["Optimiser"], bool | None]
 class Optimiser(ABC):
     """What a pipeline sees.
 
-    Everything needed to go on lives in the instance: calling `run` on one that was pickled, or that took over the
-    `state` of another, continues where that stopped.
+    Everything needed to go on lives in the instance: calling `run` on one that has run, or that took over the `state`
+    of another, continues where that stopped.
 
     Args:
         seed: seeds the one random generator of the run.
@@ -116,17 +139,27 @@ class Optimiser(ABC):
         self.ledger = Ledger()
 
     def state(self) -> dict[str, Any]:
-        """What a checkpoint keeps: everything needed to go on, as data.
+        """What a checkpoint keeps: what was found by running, as data.
 
-        That is numbers, texts, arrays and generators of numpy, classes of `lmd` and of the optimiser's own package, and
-        containers of these. An optimiser whose attributes are of other classes says here how to write them as data, or
-        leaves out what configuration gives.
+        That is None, numbers, texts, arrays of NumPy, and lists and mappings of these. What configuration gives is left
+        out. `lmd.optimisers.stored` has generators and deployments as data.
+
+        Raises:
+            InputError: the optimiser cannot be checkpointed; the default.
         """
-        return dict(self.__getstate__())  # type: ignore[call-overload, no-any-return]
+        raise InputError("it does not say what its state is")
 
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from what `state` gave, in an optimiser that was made with the same settings."""
-        self.__dict__.update(state)
+    def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
+        """Go on from what `state` gave, in an optimiser that was made with the same settings and has not run.
+
+        Args:
+            state: read from a file that anyone may have written, so each value has to be checked.
+            problem: what was maximised.
+
+        Raises:
+            InputError: `state` cannot be gone on from.
+        """
+        raise InputError(f"{type(self).__name__} cannot be checkpointed.")
 
     @abstractmethod
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
@@ -167,6 +200,9 @@ class AskTell(Optimiser):
             the caller sets before `run`.
 
     `flush` says whether landmarks lie flat on their surface; a caller may set it before `run`.
+
+    A checkpoint keeps the fitness that was told, and no genes. Going on asks and tells all of it again, which costs no
+    evaluation: whatever a subclass keeps is then as it was.
     """
 
     # How many starting deployments the method can use.
@@ -180,6 +216,7 @@ class AskTell(Optimiser):
         super().__init__(seed)
         self.encoding = encoding
         self.best_genes: FloatArray | None = None
+        self.told: list[tuple[int, FloatArray]] = []  # of each batch: the checksum of its genes, their fitness
 
     @abstractmethod
     def _ask(self) -> FloatArray:
@@ -198,14 +235,59 @@ class AskTell(Optimiser):
 
     def tell(self, genes: FloatArray, fitness: FloatArray) -> None:
         """Note a batch and pass it on; NaN counts as -inf."""
-        fitness = np.where(np.isnan(fitness), -np.inf, fitness)
-        self._note(genes, fitness)
+        fitness = self._note(genes, fitness)
         self._tell(genes, fitness)
 
-    def _note(self, genes: FloatArray, fitness: FloatArray) -> None:
+    def _note(self, genes: FloatArray, fitness: FloatArray) -> FloatArray:
+        """Note a batch; returns the fitness, -inf where it was NaN."""
+        fitness = np.where(np.isnan(fitness), -np.inf, fitness)
+        self.told.append((_checksum(genes), fitness.copy()))
         best = int(np.argmax(fitness))
         if self.ledger.note(self.ledger.evaluations + len(genes), float(fitness[best])):
             self.best_genes = genes[best].copy()
+        return fitness
+
+    def _learn(self, genes: FloatArray, fitness: FloatArray, asked: int) -> None:
+        """Note the fitness of the first of so many genes `asked` for, and tell it if it is that of all."""
+        if len(genes) == asked:
+            self.tell(genes, fitness)
+        else:  # the method cannot learn from half a batch
+            self._note(genes, fitness)
+
+    def state(self) -> dict[str, Any]:
+        """See `Optimiser.state`."""
+        return {
+            "checksums": np.array([checksum for checksum, _ in self.told], dtype=np.uint32),
+            "batches": np.array([len(fitness) for _, fitness in self.told], dtype=np.int64),
+            "fitness": np.concatenate([np.empty(0), *(fitness for _, fitness in self.told)]),
+            "wall_time": np.array([record.wall_time for record in self.ledger.history], dtype=np.float64),
+        }
+
+    def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
+        """See `Optimiser.restore`: the method is asked and told again, which takes as long as it did."""
+        checksums = array("checksums", state["checksums"], np.uint32, None)
+        seconds = array("wall_time", state["wall_time"], np.float64, len(checksums), low=0.0)
+        batches = array("batches", state["batches"], np.int64, len(checksums), low=1)
+        fitness = array("fitness", state["fitness"], np.float64, int(batches.sum()), low=-math.inf)
+        self._draw_start(problem)
+        told = np.split(fitness, np.cumsum(batches))[:-1]
+        for checksum, known, self.ledger.seconds in zip(checksums.tolist(), told, seconds.tolist(), strict=True):
+            genes = self.ask()
+            asked, genes = len(genes), genes[: len(known)]
+            if len(genes) < len(known) or _checksum(genes) != checksum:
+                raise InputError(
+                    f"{type(self).__name__} cannot go on: asked again, it proposes other genes than the checkpoint was "
+                    "made with, as with another version of its library, or random numbers that are not of self.rng."
+                )
+            self._learn(genes, known, asked)
+
+    def _draw_start(self, problem: Problem) -> None:
+        encoding = self._encoding_of(problem)
+        self.dim = problem.free_count * encoding.genes_per_landmark
+        self.rng = np.random.default_rng(self.seed)
+        draws = self.start_size if problem.start.varies else 1
+        starts = [problem.draw(self.rng) for _ in range(draws)]
+        self.start = np.stack([encoding.encode(problem.free(start)) for start in starts])
 
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
         """See `Optimiser.run`. A batch that would exceed the budget is cut short."""
@@ -214,11 +296,7 @@ class AskTell(Optimiser):
             raise InputError("flush must be true where tags have a size: their papers lie flat on the wall.", "flush")
         encoding = self._encoding_of(problem)
         if not ledger.evaluations:
-            self.dim = problem.free_count * encoding.genes_per_landmark
-            self.rng = np.random.default_rng(self.seed)
-            draws = self.start_size if problem.start.varies else 1
-            starts = [problem.draw(self.rng) for _ in range(draws)]
-            self.start = np.stack([encoding.encode(problem.free(start)) for start in starts])
+            self._draw_start(problem)
         began = clock() - ledger.seconds
         stopped = "budget"
         while budget.used(ledger.evaluations, ledger.seconds) < 1.0:
@@ -228,10 +306,7 @@ class AskTell(Optimiser):
             positions, normals, _, fits = _placed(problem, encoding, genes)
             fitness = np.where(fits, problem.fitness(positions, normals), -np.inf)
             ledger.seconds = clock() - began
-            if len(genes) == asked:
-                self.tell(genes, fitness)
-            else:  # the method cannot learn from half a batch
-                self._note(genes, np.where(np.isnan(fitness), -np.inf, fitness))
+            self._learn(genes, fitness, asked)
             if callback and callback(self):
                 stopped = "interrupted"
                 break
@@ -246,6 +321,10 @@ class AskTell(Optimiser):
 
     def _encoding_of(self, problem: Problem) -> Encoding:
         return make_encoding(self.encoding or "wall", problem.scene.plates.hanging, self.flush)
+
+
+def _checksum(genes: FloatArray) -> int:
+    return zlib.crc32(genes.tobytes())
 
 
 def _placed(

@@ -40,10 +40,6 @@ class Pymoo(Wrapped):
             raise InputError(f"algorithm makes a {type(made).__name__}, not a pymoo algorithm.", "algorithm")
         self.start_size = _size(made)
 
-    def state(self) -> dict[str, Any]:
-        """See `Optimiser.state`: what makes the algorithm is code, and comes from the configuration."""
-        return {name: value for name, value in super().state().items() if name != "algorithm"}
-
     def _open(self, start: FloatArray, rng: np.random.Generator) -> Session:
         return _Session(self.algorithm(), start, rng)
 

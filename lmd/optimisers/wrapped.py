@@ -1,9 +1,8 @@
-"""What the wrapped libraries share: seeding, silence, restarts and going on after a checkpoint."""
+"""What the wrapped libraries share: seeding, silence and restarts."""
 
 import io
 import random
 import warnings
-import zlib
 from abc import abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
@@ -37,50 +36,35 @@ class Wrapped(AskTell):
 
     - An optimiser that ends before the budget does is followed by a fresh one with a new seed that starts from the
       best genes so far.
-    - Library objects hold generators, threads and closures, so a pickle leaves them out and keeps what they were
-      told; going on repeats the conversation, which costs no evaluation.
     - Libraries draw from the global random generators. They get their own, and the caller's are put back.
     """
 
     def __init__(self, seed: int = 0, encoding: str | None = None) -> None:
         super().__init__(seed, encoding)
-        self.told: list[tuple[int, FloatArray]] = []  # (checksum of the genes, their losses)
         self.session: Session | None = None
 
     @abstractmethod
     def _open(self, start: FloatArray, rng: np.random.Generator) -> Session:
         """A session that begins with `start` `(S, dim)`, if it can use a start, and draws from `rng`."""
 
-    def __getstate__(self) -> dict[str, Any]:
-        transient = ("session", "session_rng", "global_state", "best")
-        return {key: value for key, value in self.__dict__.items() if key not in transient} | {"session": None}
-
     def _ask(self) -> FloatArray:
         if self.session is None:
-            self._repeat()
+            self.session_rng = np.random.default_rng(self.seed)
+            self.global_state = _global_state_of(self.seed)
+            self.best: tuple[float, FloatArray] = (np.inf, self.start)
+            with self._own_world():
+                self.session = self._open(self.start, self.session_rng)
         return self._next()
 
     def _tell(self, genes: FloatArray, fitness: FloatArray) -> None:
         age = self.ledger.evaluations - np.arange(len(genes), 0, -1)
         losses = np.where(np.isfinite(fitness), -fitness, FAILED) - NEWER * age
-        self.told.append((zlib.crc32(genes.tobytes()), losses))
-        self._pass_on(genes, losses)
-
-    def _repeat(self) -> None:
-        """Open the first session and repeat what was said before the checkpoint."""
-        self.session_rng = np.random.default_rng(self.seed)
-        self.global_state = _global_state_of(self.seed)
-        self.best: tuple[float, FloatArray] = (np.inf, self.start)
+        least = int(np.argmin(losses))
+        if losses[least] < self.best[0]:
+            self.best = (float(losses[least]), genes[least : least + 1].copy())
+        assert self.session is not None, "it was asked"
         with self._own_world():
-            self.session = self._open(self.start, self.session_rng)
-        for checksum, losses in self.told:
-            genes = np.clip(self._next(), 0.0, 1.0)
-            if zlib.crc32(genes.tobytes()) != checksum:
-                raise InputError(
-                    f"{type(self).__name__} cannot go on: on this machine its library proposes other genes than the "
-                    "checkpoint was made with."
-                )
-            self._pass_on(genes, losses)
+            self.session.tell(genes, losses)
 
     def _next(self) -> FloatArray:
         assert self.session is not None
@@ -92,14 +76,6 @@ class Wrapped(AskTell):
         if genes is None:
             raise InputError(f"{type(self).__name__}: the library's optimiser ended before its first proposal.")
         return np.asarray(genes, dtype=np.float64)
-
-    def _pass_on(self, genes: FloatArray, losses: FloatArray) -> None:
-        assert self.session is not None
-        least = int(np.argmin(losses))
-        if losses[least] < self.best[0]:
-            self.best = (float(losses[least]), genes[least : least + 1].copy())
-        with self._own_world():
-            self.session.tell(genes, losses)
 
     @contextmanager
     def _own_world(self) -> Iterator[None]:

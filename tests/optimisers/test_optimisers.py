@@ -115,10 +115,12 @@ def test_interrupted_and_resumed_it_ends_where_it_would_have(name, result, tmp_p
     assert stopped.evaluations < BUDGET
     Checkpoint(optimiser, {}).save(tmp_path)
     checkpoint = Checkpoint(make(name), {})
-    checkpoint.resume(tmp_path)
+    checkpoint.resume(tmp_path, problem())
     resumed = checkpoint.optimiser.run(problem(), Budget(BUDGET))
     np.testing.assert_array_equal(resumed.deployment.positions, result.deployment.positions)
-    assert [r.evaluations for r in resumed.history] == [r.evaluations for r in result.history]
+    assert [(r.evaluations, r.best_fitness) for r in resumed.history] == [
+        (r.evaluations, r.best_fitness) for r in result.history
+    ]
 
 
 def test_a_run_in_which_every_evaluation_fails_says_so():

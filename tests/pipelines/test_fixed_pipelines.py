@@ -106,6 +106,6 @@ def test_a_run_does_not_go_on_beside_other_tags(work):
     done = call("optimise", "budget.evaluations=30", "hydra.run.dir=run", cwd=work, settings=settings)
     assert done.returncode == 0, done.stderr
     (work / "tags.csv").write_text(TAGS.replace("0,2,3", "0,1,3"))
-    message = "checkpoint.pkl was made with contents of tags.csv = "
+    message = "checkpoint.npz was made with contents of tags.csv = "
     refused("optimise", "budget.evaluations=60", "resume=run", "hydra.run.dir=next", message=message, cwd=work,
             settings=settings)  # fmt: skip

@@ -92,6 +92,6 @@ def test_a_run_does_not_go_on_with_another_pdf(tmp_path):
     done = call("optimise", *again, cwd=tmp_path, settings=settings)
     assert done.returncode == 0, done.stderr
     (tmp_path / "in.csv").write_text("yaw,pitch,weight\n0,0,0.5\n2,0,0.5\n")
-    message = "checkpoint.pkl was made with contents of in.csv = "
+    message = "checkpoint.npz was made with contents of in.csv = "
     refused("optimise", "budget.evaluations=90", "resume=run", "hydra.run.dir=third", message=message, cwd=tmp_path,
             settings=settings)  # fmt: skip

@@ -52,7 +52,7 @@ def _endless(begin, tmp_path):
 
     def endless(*overrides, settings=SETTINGS, cwd=tmp_path, line=(), **options):
         process = begin([*line, *command("optimise", *settings, *ENDLESS, *overrides)], cwd, **options)
-        wait_for(cwd / "run" / "checkpoint.pkl", process)
+        wait_for(cwd / "run" / "checkpoint.npz", process)
         return process
 
     return endless
@@ -120,7 +120,7 @@ def test_told_to_stop_before_there_is_anything_it_leaves_nothing(begin, number, 
     assert "Traceback" not in err or f"{ROOT}/pipelines" not in err
     codes = {128 + number, -number} | ({1} if "Traceback" in err and f"{ROOT}/pipelines" not in err else set())
     left = {path.name for path in (tmp_path / "run").iterdir()} if (tmp_path / "run").exists() else set()
-    if "checkpoint.pkl" not in left:
+    if "checkpoint.npz" not in left:
         assert process.returncode in codes, err
         assert not left or "landmarks.csv" in left
     if (tmp_path / "store.db").exists():
@@ -159,7 +159,7 @@ def test_a_closed_terminal_is_no_reason_to_lose_the_result(begin, tmp_path):
     line, terminal = command("optimise", *SETTINGS, *ENDLESS), dict.fromkeys(("stdin", "stdout", "stderr"), theirs)
     process = begin(line, tmp_path, start_new_session=True, **terminal)
     os.close(theirs)
-    wait_for(tmp_path / "run" / "checkpoint.pkl", process)
+    wait_for(tmp_path / "run" / "checkpoint.npz", process)
     os.close(ours)
     process.send_signal(signal.SIGHUP)
     assert process.wait(timeout=120) == 128 + signal.SIGHUP
@@ -326,9 +326,9 @@ def test_runs_are_listed_with_the_command_that_goes_on(begin, endless, tmp_path)
     (again,) = re.findall(r"^python -m pipelines\.optimise (.*)$", listed.stdout, re.MULTILINE)
     assert again.endswith(f"resume={tmp_path / 'run'}")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run", "store.db", "store.db.lock"]
-    saved = (tmp_path / "run" / "checkpoint.pkl").stat().st_mtime_ns
+    saved = (tmp_path / "run" / "checkpoint.npz").stat().st_mtime_ns
     process = begin(command("runs", "tracking.uri=sqlite:///store.db", "resume=last", settings=()), tmp_path)
-    while (tmp_path / "run" / "checkpoint.pkl").stat().st_mtime_ns == saved and process.poll() is None:
+    while (tmp_path / "run" / "checkpoint.npz").stat().st_mtime_ns == saved and process.poll() is None:
         time.sleep(0.1)
     process.send_signal(signal.SIGINT)
     code, out, _ = ended(process)

@@ -37,7 +37,7 @@ def optimised(tmp_path_factory):
 def test_a_run_leaves_its_files_and_nothing_else(optimised):
     cwd, _ = optimised
     left = {path.name for path in (cwd / "run").iterdir()}
-    assert left == {*FILES, ".hydra", "checkpoint.pkl"}
+    assert left == {*FILES, ".hydra", "checkpoint.npz"}
     assert all((cwd / "run" / name).stat().st_size for name in FILES)
 
 
@@ -98,7 +98,7 @@ def test_evaluating_what_was_optimised_gives_the_same_metrics(optimised):
     for key in ("qualified_ratio", "average_coverage_probability", "settings"):
         assert after[key] == before[key]
     assert (cwd / "score" / "landmarks.csv").read_bytes() == (cwd / "run" / "landmarks.csv").read_bytes()
-    assert {path.name for path in (cwd / "score").iterdir()} & {"checkpoint.pkl", "convergence.png"} == set()
+    assert {path.name for path in (cwd / "score").iterdir()} & {"checkpoint.npz", "convergence.png"} == set()
 
 
 def test_same_config_same_result(optimised):

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import FloatArray, integer, real
+from lmd.checks import FloatArray, InputError, boolean, integer, real
 from lmd.compiled import clock
 from lmd.deployment import Deployment
 from lmd.optimisers.annealing.ascent import TRIED, Ascent
@@ -28,8 +28,9 @@ from lmd.optimisers.annealing.stage import Stage, changed
 from lmd.optimisers.annealing.surrogate import Surrogate
 from lmd.optimisers.annealing.trail import Trail
 from lmd.optimisers.annealing.walk import Settings
-from lmd.optimisers.base import Budget, Callback, Optimiser, Result
+from lmd.optimisers.base import Budget, Callback, Ledger, Optimiser, Result
 from lmd.optimisers.selection import SPACING, greedy_start
+from lmd.optimisers.stored import array, deployment, deployment_state, generator, generator_state
 from lmd.problem import Problem
 from lmd.space.surface import SurfaceArrays
 
@@ -98,15 +99,61 @@ class Annealing(Optimiser):
         self.walkers = integer("walkers", walkers, low=1)
         self.spent = 0  # moved landmarks: K make an evaluation
         self.in_stacks = False
-        self.skipped = 0.0  # share of the budget before the single stage
         self.rng: np.random.Generator
         self.start: Deployment
-        self.angles: FloatArray  # direction in which each stack is pulled apart
+        self.angles: FloatArray | None = None  # direction in which each stack is pulled apart; None without stacks
         self.here: Deployment  # where the walk is: stacks first, then landmarks
         self.best: Deployment | None = None
         self.trail: Trail | None = None  # of single landmarks on samples
         self.ascent: Ascent | None = None  # of all landmarks, at the end
         self.led_to: Deployment | None = None  # by the walk
+
+    @property
+    def skipped(self) -> float:
+        """Share of the budget before the single stage."""
+        return 0.0 if self.angles is None else self.stacked_share
+
+    def state(self) -> dict[str, Any]:
+        """See `Optimiser.state`."""
+        history = self.ledger.state()
+        if not self.spent:
+            return history
+        parts = {"trail": self.trail, "ascent": self.ascent}
+        places = {name: getattr(self, name) for name in ("start", "here", "best", "led_to")}
+        return {
+            **history,
+            **{name: None if part is None else part.state() for name, part in parts.items()},
+            **{name: None if place is None else deployment_state(place) for name, place in places.items()},
+            "rng": generator_state(self.rng),
+            "angles": self.angles,
+            "in_stacks": self.in_stacks,
+        }
+
+    def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
+        """See `Optimiser.restore`."""
+        count = problem.count
+        self.ledger = Ledger.of(state)
+        if not self.ledger.history:
+            return
+        self.spent = integer("moved landmarks", round(self.ledger.evaluations * count), low=1)
+        self.rng = generator("rng", state["rng"])
+        self.in_stacks = boolean("in_stacks", state["in_stacks"])
+        if self.in_stacks or state["angles"] is not None:
+            stacks = _stacks(problem, problem.objective.field(problem.fitness_evaluator).stack)
+            self.angles = array("angles", state["angles"], np.float64, stacks)
+        self.start = deployment("start", state["start"], problem, count)
+        self.here = deployment("here", state["here"], problem, stacks if self.in_stacks else count)
+        self.best = deployment("best", state["best"], problem, count)
+        if state["led_to"] is not None:
+            self.led_to = deployment("led_to", state["led_to"], problem, count)
+        if state["trail"] is not None:
+            self.trail = Trail(self.start)
+            self.trail.restore(state["trail"], problem)
+        if state["ascent"] is not None:
+            if self.in_stacks:
+                raise InputError("in_stacks must be false where there is an ascent.", "in_stacks")
+            self.ascent = Ascent(count)
+            self.ascent.restore(state["ascent"])
 
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
         """See `Optimiser.run`."""
@@ -203,10 +250,9 @@ class Annealing(Optimiser):
             self.here = self.start
             return spent
         looks = 2 * (LOOK + stack + 1) * count  # the cost of two looks at the stacks
-        stacks = problem.free_count // stack if stack else 0
+        stacks = _stacks(problem, stack)
         pays = stacks and self.stacked_share * limit > looks and (1.0 - self.stacked_share) * limit > looks
         self.in_stacks = problem.start.varies and bool(pays)
-        self.skipped = self.stacked_share if self.in_stacks else 0.0
         if self.in_stacks:
             self.angles = self.rng.uniform(0.0, 2.0 * np.pi, stacks)
             self.here = movable[:stacks]
@@ -251,6 +297,7 @@ class Annealing(Optimiser):
         surfaces, surface = SurfaceArrays.of(problem.scene.plates.hanging.surfaces()), self.here.surfaces
         # Neighbours on the circle are `spread` apart.
         distance = self.spread * size * problem.scene.spacing
+        assert self.angles is not None, "there are stacks"
         radius = 0.0 if stack == 1 else distance / (2.0 * math.sin(math.pi / stack))
         angle = self.angles[:, None] + 2.0 * np.pi * np.arange(stack) / stack
         centre = surfaces.coordinates(surface, self.here.positions)
@@ -258,3 +305,8 @@ class Annealing(Optimiser):
         of = np.repeat(surface, stack)
         apart = problem.complete(Deployment(surfaces.points(of, at.reshape(-1, 2)), surfaces.normal[of], of))
         return apart if len(apart) == problem.count else apart + self.start[len(apart) :]
+
+
+def _stacks(problem: Problem, stack: int) -> int:
+    """How many stacks of `stack` landmarks there are; what is left over is in none."""
+    return problem.free_count // stack if stack else 0

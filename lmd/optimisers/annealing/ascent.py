@@ -10,12 +10,16 @@ one would smear that edge, and push them further. The steps are those of Adam (K
 where samples disagree about the direction.
 """
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
-from lmd.checks import FloatArray
+from lmd.checks import FloatArray, integer
 from lmd.compiled import kernel
 from lmd.deployment import Deployment
 from lmd.objectives.field import bound, in_order, settle, smoothed
+from lmd.optimisers.stored import WORD, array
 from lmd.problem import Problem
 from lmd.space.surface import SurfaceArrays
 from lmd.threads import at_once
@@ -103,3 +107,18 @@ class Ascent:
         moved = Deployment(surfaces.points(here.surfaces, at), here.normals, here.surfaces)
         moved = problem.complete(problem.free(moved))
         return problem.apart(moved) or here
+
+    def state(self) -> dict[str, Any]:
+        """Where it is going, as data."""
+        return {"mean": self._mean, "square": self._square, "steps": self._steps}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Take over the `state` of another of as many landmarks.
+
+        Raises:
+            InputError: it is none.
+        """
+        count = len(self._mean)
+        self._mean = array("ascent.mean", state["mean"], np.float64, count, 2)
+        self._square = array("ascent.square", state["square"], np.float64, count, 2, low=0.0)
+        self._steps = integer("ascent.steps", state["steps"], low=0, high=WORD)

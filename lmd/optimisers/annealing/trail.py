@@ -5,10 +5,15 @@ back again. The mean of where it has been is nearer to what all samples agree on
 weigh more, since the walk still improves: averaging of polynomial decay (Shamir and Zhang, 2013).
 """
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from lmd.checks import FloatArray
 from lmd.deployment import Deployment
+from lmd.optimisers.stored import array, points
+from lmd.problem import Problem
 
 DECAY = 3  # eta: at any time the last quarter of the way has half of the weight or more
 FAR = 0.5  # metres: a landmark that goes so far from its mean at once begins anew
@@ -34,3 +39,18 @@ class Trail:
         self._surfaces = here.surfaces
         self._mean = self._mean + ((DECAY + 1.0) / (self._places + DECAY))[:, None] * away
         return Deployment(self._mean, here.normals, here.surfaces)
+
+    def state(self) -> dict[str, Any]:
+        """The trail as data."""
+        return {"mean": self._mean, "surfaces": self._surfaces, "places": self._places}
+
+    def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
+        """Take over the `state` of another of as many landmarks in the room of `problem`.
+
+        Raises:
+            InputError: it is none.
+        """
+        count = len(self._places)
+        self._mean = points("trail.mean", state["mean"], problem, count)
+        self._surfaces = array("trail.surfaces", state["surfaces"], np.int64, count)
+        self._places = array("trail.places", state["places"], np.float64, count, low=0.0)

@@ -1,0 +1,103 @@
+"""Generators and deployments as the data that a checkpoint keeps, and back.
+
+Anyone may have written the file, and kernels trust what they are given. So every value is checked on its way in.
+"""
+
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike
+
+from lmd.checks import FloatArray, InputError, integer
+from lmd.deployment import MID_AIR, Deployment
+from lmd.problem import Problem
+
+LARGEST = sys.float_info.max
+WORD, STATE = 2**32 - 1, 2**128 - 1  # the largest of 32 and of 128 bits
+
+
+def array(
+    name: str,
+    value: Any,
+    dtype: DTypeLike,
+    *shape: int | None,
+    low: float | FloatArray = -LARGEST,
+    high: float | FloatArray = LARGEST,
+) -> np.ndarray:
+    """Return `value` if it is an array of that type and shape, where None stands for any length, in [low, high].
+
+    Raises:
+        InputError: it is something else, or has a value that is NaN or out of range.
+    """
+    wanted = f"{np.dtype(dtype)} of shape ({', '.join('N' if size is None else str(size) for size in shape)})"
+    if not isinstance(value, np.ndarray):
+        raise InputError(f"{name} must be {wanted}, got a {type(value).__name__}.", name)
+    fits = value.ndim == len(shape) and all(s in (None, n) for s, n in zip(shape, value.shape, strict=True))
+    if value.dtype != dtype or not fits:
+        raise InputError(f"{name} must be {wanted}, got {value.dtype} of shape {value.shape}.", name)
+    if (wrong := value[~((low <= value) & (value <= high))]).size:
+        raise InputError(f"{name} must not have the value {wrong[0]}.", name)
+    return value
+
+
+def generator_state(rng: np.random.Generator) -> dict[str, Any]:
+    """A generator as data.
+
+    Raises:
+        InputError: it is not of the kind that `numpy.random.default_rng` makes.
+    """
+    state = dict(rng.bit_generator.state)
+    if state["bit_generator"] != "PCG64":
+        raise InputError(f"only generators of numpy.random.default_rng are kept, not a {state['bit_generator']}")
+    return state
+
+
+def generator(name: str, state: Mapping[str, Any]) -> np.random.Generator:
+    """The generator with the `generator_state` of another.
+
+    Raises:
+        InputError: it is none.
+    """
+    inner, rng = state["state"], np.random.default_rng(0)
+    rng.bit_generator.state = {
+        "bit_generator": "PCG64",
+        "state": {key: integer(f"{name}.{key}", inner[key], low=0, high=STATE) for key in ("state", "inc")},
+        "has_uint32": integer(f"{name}.has_uint32", state["has_uint32"], low=0, high=1),
+        "uinteger": integer(f"{name}.uinteger", state["uinteger"], low=0, high=WORD),
+    }
+    return rng
+
+
+def deployment_state(deployment: Deployment) -> dict[str, Any]:
+    """A deployment as data, without the labels: they are the problem's (`Problem.labelled`)."""
+    return {name: getattr(deployment, name) for name in ("positions", "normals", "surfaces")}
+
+
+def deployment(name: str, state: Mapping[str, Any], problem: Problem, count: int) -> Deployment:
+    """The deployment with the `deployment_state` of another.
+
+    Args:
+        name: for messages.
+        state: of that.
+        problem: in whose room it hangs, each landmark on a surface.
+        count: of its landmarks.
+
+    Raises:
+        InputError: it is none, or of another room.
+    """
+    last = len(problem.scene.plates.hanging.surfaces()) - 1
+    surfaces = array(f"{name}.surfaces", state["surfaces"], np.int64, count, low=0, high=last)
+    normals = array(f"{name}.normals", state["normals"], np.float64, count, 3, low=-1.5, high=1.5)
+    return Deployment(points(f"{name}.positions", state["positions"], problem, count), normals, surfaces)
+
+
+def points(name: str, value: Any, problem: Problem, count: int) -> FloatArray:
+    """Return `value` if it is so many points `(count, 3)` in the box around a problem's room, metres.
+
+    Raises:
+        InputError: it is not.
+    """
+    low, high = problem.scene.room.bounds()
+    return array(name, value, np.float64, count, 3, low=low - MID_AIR, high=high + MID_AIR)
