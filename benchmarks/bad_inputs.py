@@ -67,6 +67,7 @@ FILES: dict[str, str | bytes] = {
     "binaryrun/.hydra/config.yaml": EVERY_BYTE,
     "binaryrun/landmarks.csv": GOOD,
     "binrun/checkpoint.npz": EVERY_BYTE,
+    "oldrun/checkpoint.pkl": EVERY_BYTE,
 }
 
 

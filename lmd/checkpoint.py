@@ -75,10 +75,10 @@ class Checkpoint:
         """
         path = file_path("resume", directory) / FILE
         if not path.is_file():
-            if path.with_name(PICKLE).is_file():
+            if (old := path.with_name(PICKLE)).is_file():
                 raise InputError(
-                    f"{path.with_name(PICKLE)} is of an earlier version and could run code, so it is not read; begin a "
-                    "new run, from its landmarks.csv with run=DIR."
+                    f"{old} is of an earlier version and could run code, so it is not read; a new run with "
+                    f"run={old.parent} begins at its landmarks."
                 )
             raise InputError(f"resume = {str(directory)!r} holds no {FILE}.")
         check_memory(path.stat().st_size, f"resume = {str(directory)!r}", "resume")

@@ -1,5 +1,6 @@
 """What every optimiser promises, checked for every config in conf/optimiser."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from pipelines.app import CONF
 NAMES = sorted(path.stem for path in Path(CONF, "optimiser").glob("*.yaml"))
 QUICK = {"annealing", "cma_es", "ega"}  # one of each kind
 BUDGET = 200
+GUIDE = Path(__file__).parents[2] / "CONTRIBUTING.md"
 RNG = np.random.default_rng(0)
 
 
@@ -121,6 +123,22 @@ def test_interrupted_and_resumed_it_ends_where_it_would_have(name, result, tmp_p
     assert [(r.evaluations, r.best_fitness) for r in resumed.history] == [
         (r.evaluations, r.best_fitness) for r in result.history
     ]
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_the_optimisers_of_the_guide_work_and_are_checkpointed(number, tmp_path):
+    blocks = re.findall(r"```python\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.DOTALL)
+    names: dict[str, type[AskTell]] = {}
+    exec([block for block in blocks if "lmd.optimisers" in block][number], names)
+    made, p = names[("HillClimber", "Theirs")[number]], problem()
+    whole, half = made().run(p, Budget(60)), made()
+    half.run(p, Budget(60), lambda o: o.ledger.evaluations > 25)
+    Checkpoint(half, {}).save(tmp_path)
+    checkpoint = Checkpoint(made(), {})
+    checkpoint.resume(tmp_path, p)
+    resumed = checkpoint.optimiser.run(p, Budget(60))
+    assert resumed.fitness == whole.fitness > whole.history[0].best_fitness
+    np.testing.assert_array_equal(resumed.deployment.positions, whole.deployment.positions)
 
 
 def test_a_run_in_which_every_evaluation_fails_says_so():

@@ -1,0 +1,84 @@
+"""What a run keeps of what it found, whatever stops it then; in this process, as no other is the subject."""
+
+import csv
+import errno
+import signal
+
+import pytest
+from omegaconf import OmegaConf
+from small import problem
+
+from lmd.checkpoint import FILE, Checkpoint
+from lmd.optimisers.base import Budget, Optimiser
+from lmd.optimisers.ega import EGA
+from pipelines import outputs, tracked_run
+from pipelines.progress import Progress
+from pipelines.signals import Stopped
+from pipelines.tracking.tracker import NoTracker
+
+CFG = OmegaConf.create({"seed": 0, "validate": True, "page": False})
+
+
+@pytest.fixture(name="found")
+def _found(tmp_path, monkeypatch):
+    """A run that has spent its budget: its problem, result and keyword arguments of `record`."""
+    monkeypatch.setattr(tracked_run, "run_directory", lambda: tmp_path)
+    p, optimiser = problem(), EGA()
+    result = optimiser.run(p, Budget(60))
+    Checkpoint(optimiser, {}).save(tmp_path)
+    return p, result, {"subject": "ega", "summary": {"evaluations": result.evaluations}}
+
+
+def record(found, **others):
+    p, result, arguments = found
+    return tracked_run.record(CFG, p, NoTracker(), result.deployment, result.history, **(arguments | others))
+
+
+def told_to_stop(*_):
+    raise Stopped(signal.SIGTERM)
+
+
+@pytest.mark.parametrize("where", ["further", "causes", "validation_metrics", "write_pictures"])
+def test_a_run_that_is_stopped_while_it_writes_keeps_all_that_cannot_be_had_again(found, where, tmp_path, monkeypatch):
+    monkeypatch.setattr(tracked_run, where, told_to_stop, raising=False)
+    with pytest.raises(Stopped):
+        record(found, **({"further": told_to_stop} if where == "further" else {}))
+    assert {"landmarks.csv", "metrics.json", "history.csv", FILE} == {path.name for path in tmp_path.iterdir()}
+    with (tmp_path / "history.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert float(rows[-1]["best_fitness"]) == found[1].fitness
+    assert int(rows[-1]["evaluations"]) == 60
+
+
+def test_a_disk_that_is_full_by_then_takes_nothing_back(found, tmp_path, monkeypatch, capsys):
+    write = outputs.all_or_none
+
+    def full(directory, fill):
+        if (tmp_path / "history.csv").exists():
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return write(directory, fill)
+
+    monkeypatch.setattr(outputs, "all_or_none", full)
+    monkeypatch.setattr(tracked_run, "command_line", lambda *_: "again")
+    record(found)
+    assert {"landmarks.csv", "metrics.json", "history.csv", FILE} == {path.name for path in tmp_path.iterdir()}
+    assert capsys.readouterr().err.startswith(
+        "warning: metrics.json has no validation (No space left on device); scene.png could not be written (No space"
+    )
+
+
+def test_a_method_that_cannot_be_checkpointed_is_named_when_the_run_starts(tmp_path, capsys):
+    class Mine(Optimiser):
+        def run(self, problem, budget, callback=None):
+            raise NotImplementedError
+
+        def found(self, problem):
+            return None
+
+    progress = Progress(Budget(9), NoTracker(), Checkpoint(Mine(), {}), tmp_path, 10.0, logged=False)
+    warning = "warning: no checkpoint can be written (Mine cannot be checkpointed: it does not say what its state is); "
+    assert capsys.readouterr().err.startswith(f"{warning}the run goes on\n")
+    progress.flush(Mine())
+    progress.close()
+    assert "warning" not in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
