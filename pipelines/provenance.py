@@ -51,9 +51,8 @@ def _version() -> dict[str, str]:
 def _git(*arguments: str) -> str:
     """What git prints in this checkout; nothing where there is no git, or no repository."""
     try:
-        done = subprocess.run(
-            ["git", *arguments], cwd=Path(CONF).parent, capture_output=True, text=True, timeout=5.0, check=False
-        )
+        line = ["git", "--no-optional-locks", *arguments]  # a run may be killed, and would leave the lock behind
+        done = subprocess.run(line, cwd=Path(CONF).parent, capture_output=True, text=True, timeout=5.0, check=False)
     except (OSError, subprocess.TimeoutExpired):
         return ""
     return done.stdout.strip()

@@ -20,7 +20,7 @@ from lmd.deployment import UniformDeployment
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.sampling import Sampling
 from lmd.optimisers.annealing import Annealing
-from lmd.optimisers.base import AskTell, Budget, Optimiser
+from lmd.optimisers.base import Budget, Optimiser
 from lmd.optimisers.ega import EGA
 from lmd.optimisers.random_search import RandomSearch
 from lmd.optimisers.stored import generator, generator_state
@@ -449,7 +449,3 @@ def test_plain_states_of_every_kind_come_back(tmp_path, small):
     np.testing.assert_array_equal(again["b"]["c"], np.arange(3))
     np.testing.assert_array_equal(again["b"]["d"][0], np.eye(2))
     assert again["b"]["d"][1] == 7
-
-
-def test_asking_and_telling_is_what_is_kept():
-    assert AskTell.restore is RandomSearch.restore is EGA.restore

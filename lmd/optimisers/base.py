@@ -94,7 +94,8 @@ class Ledger:
         if (evaluations[1:] < evaluations[:-1]).any() or (best[1:] < best[:-1]).any():
             raise InputError("the history must not fall.")
         ledger = cls()
-        for spent, fitness, ledger.seconds in zip(evaluations.tolist(), best.tolist(), seconds.tolist(), strict=True):
+        for spent, fitness, by_then in zip(evaluations.tolist(), best.tolist(), seconds.tolist(), strict=True):
+            ledger.seconds = by_then
             ledger.note(spent, fitness)
         return ledger
 
@@ -247,7 +248,7 @@ class AskTell(Optimiser):
             self.best_genes = genes[best].copy()
         return fitness
 
-    def _learn(self, genes: FloatArray, fitness: FloatArray, asked: int) -> None:
+    def _note_or_tell(self, genes: FloatArray, fitness: FloatArray, asked: int) -> None:
         """Note the fitness of the first of so many genes `asked` for, and tell it if it is that of all."""
         if len(genes) == asked:
             self.tell(genes, fitness)
@@ -271,7 +272,7 @@ class AskTell(Optimiser):
         fitness = array("fitness", state["fitness"], np.float64, int(batches.sum()), low=-math.inf)
         self._draw_start(problem)
         told = np.split(fitness, np.cumsum(batches))[:-1]
-        for checksum, known, self.ledger.seconds in zip(checksums.tolist(), told, seconds.tolist(), strict=True):
+        for checksum, known, by_then in zip(checksums.tolist(), told, seconds.tolist(), strict=True):
             genes = self.ask()
             asked, genes = len(genes), genes[: len(known)]
             if len(genes) < len(known) or _checksum(genes) != checksum:
@@ -279,9 +280,11 @@ class AskTell(Optimiser):
                     f"{type(self).__name__} cannot go on: asked again, it proposes other genes than the checkpoint was "
                     "made with, as with another version of its library, or random numbers that are not of self.rng."
                 )
-            self._learn(genes, known, asked)
+            self.ledger.seconds = by_then
+            self._note_or_tell(genes, known, asked)
 
     def _draw_start(self, problem: Problem) -> None:
+        """Set what a run begins with."""
         encoding = self._encoding_of(problem)
         self.dim = problem.free_count * encoding.genes_per_landmark
         self.rng = np.random.default_rng(self.seed)
@@ -306,7 +309,7 @@ class AskTell(Optimiser):
             positions, normals, _, fits = _placed(problem, encoding, genes)
             fitness = np.where(fits, problem.fitness(positions, normals), -np.inf)
             ledger.seconds = clock() - began
-            self._learn(genes, fitness, asked)
+            self._note_or_tell(genes, fitness, asked)
             if callback and callback(self):
                 stopped = "interrupted"
                 break
