@@ -42,6 +42,21 @@ LAUNCHERS = {
 }
 
 
+# What commands that work on no run's problem take in place of `run=DIR`.
+INSTEAD = {
+    "estimate_pdf": "recording.path=FILE is the recording to estimate from",
+    "report": "sweeps=[ID,...] chooses among the sweeps of the tracking store",
+    "runs": "resume=ID goes on with one of the runs that it lists",
+    "sync": "folder=DIR hands in what runs below a folder have kept",
+}
+
+
+def _refuse_run(pipeline: str) -> None:
+    """Say what a command that takes no `run=DIR` takes instead."""
+    if pipeline in INSTEAD and any(argument.startswith("run=") for argument in sys.argv[1:]):
+        sys.exit(f"error: run is no key of {pipeline}: {INSTEAD[pipeline]}.")
+
+
 def _refuse_launcher_that_is_missing() -> None:
     """Say what is missing before Hydra says only that it knows no such launcher."""
     for argument in sys.argv[1:]:
@@ -74,6 +89,7 @@ def application(config_name: str) -> Callable[[Callable[[DictConfig], object]], 
             gc.set_threshold(GARBAGE)
             sys.argv[1:] = map(quoted, sys.argv[1:])
             _refuse_launcher_that_is_missing()
+            _refuse_run(config_name)
             atexit.register(gc.freeze)  # Python looks for garbage once more when it ends: with mlflow, for a second
             try:
                 with stop.raising():

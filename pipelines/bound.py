@@ -7,11 +7,18 @@ from omegaconf import DictConfig
 
 from .app import application, run_directory
 from .building import build_problem, keyed
+from .earlier_run import read_earlier_run
 from .sweeps.supervisor import run
 
 
+def main() -> None:
+    """Read `run=DIR`, then hand over to Hydra."""
+    read_earlier_run("deployment=random")
+    _main()
+
+
 @application("bound")
-def main(cfg: DictConfig) -> None:
+def _main(cfg: DictConfig) -> None:
     """Compute, record and show the bounds."""
     run(cfg, bound)
 

@@ -6,14 +6,16 @@ from omegaconf import DictConfig
 
 from .app import application, choices, run_directory
 from .building import instantiate, keyed
+from .earlier_run import read_earlier_run
 from .sweeps.supervisor import run
 
 
 def main() -> None:
-    """Read `poses=N` as a number, then hand over to Hydra."""
+    """Read `poses=N` as a number and `run=DIR`, then hand over to Hydra."""
     from .detect import read_number_of_poses
 
     read_number_of_poses()
+    read_earlier_run()
     _main()
 
 

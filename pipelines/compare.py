@@ -7,6 +7,7 @@ from omegaconf import DictConfig, ListConfig
 
 from .app import application, recompose, run_directory, save_path, search_path, task_overrides
 from .building import build_optimiser, build_problem, instantiate, keyed
+from .earlier_run import read_earlier_run
 from .sweeps.supervisor import run
 from .workers import in_processes
 
@@ -20,8 +21,14 @@ if TYPE_CHECKING:
 OWN_KEYS = ("optimisers", "seeds", "workers", "save_as", "budget", "seed", "tracking")
 
 
+def main() -> None:
+    """Read `run=DIR`, then hand over to Hydra."""
+    read_earlier_run("deployment=random")
+    _main()
+
+
 @application("compare")
-def main(cfg: DictConfig) -> None:
+def _main(cfg: DictConfig) -> None:
     """Run every optimiser with every seed, and write the table and the plot."""
     run(cfg, compare)
 

@@ -6,7 +6,7 @@ import sys
 from omegaconf import DictConfig, OmegaConf
 
 from .app import recompose, search_path, task_overrides
-from .earlier_run import OPTION, read_earlier_run
+from .earlier_run import OPTION, count_of, read_earlier_run
 
 NAME = re.compile(r"[\w.-]+")  # what mlflow takes in the name of a metric
 
@@ -14,7 +14,8 @@ NAME = re.compile(r"[\w.-]+")  # what mlflow takes in the name of a metric
 def read_deployment_as_a_list() -> None:
     """Take `deployment=a,b,c` of the command line as `deployments=[a,b,c]`: all share one run, so it is no sweep.
 
-    An earlier run that is named there (`run=DIR`) takes part as the deployment `run`, alone if no other is named.
+    An earlier run that is named there (`run=DIR`) takes part as the deployment `run`, alone if no other is named, and
+    says how many landmarks those have for which nothing else does.
     """
     sys.argv[1:] = [re.sub(r"^deployment=(.*)$", r"deployments=[\1]", argument) for argument in sys.argv[1:]]
     read_earlier_run(f"deployments=[{OPTION}]")
@@ -22,6 +23,8 @@ def read_deployment_as_a_list() -> None:
 
 def composed_deployments(cfg: DictConfig, config_name: str) -> dict[str, DictConfig]:
     """The configuration for each entry of `deployments`, under its name.
+
+    Those that do not come from a file have as many landmarks as the earlier run, unless something else says how many.
 
     Args:
         cfg: of the running application.
@@ -36,6 +39,7 @@ def composed_deployments(cfg: DictConfig, config_name: str) -> dict[str, DictCon
     if not entries or not all(str(entry).split() for entry in entries):
         raise InputError(f"deployments must list at least one option of conf/deployment, got {cfg.deployments!r}.")
     composed: dict[str, DictConfig] = {}
+    count = [] if cfg.run is None else [f"deployment.count={count_of(str(cfg.run))}"]
     used: set[str] = set()
     for entry in map(str, entries):
         first, *rest = entry.split()
@@ -44,23 +48,24 @@ def composed_deployments(cfg: DictConfig, config_name: str) -> dict[str, DictCon
             raise InputError(f"deployments has {name!r} twice: give them names, e.g. 'mine: {entry}'.")
         if not NAME.fullmatch(name):
             raise InputError(f"deployments: the name {name!r} must be of letters, digits, _, - and dots.")
-        composed[name] = _compose(config_name, entry, option, own, used)
+        composed[name] = _compose(config_name, entry, option, own, count, used)
     unused = [override for key, override in task_overrides() if key.startswith("deployment.") and key not in used]
     if unused:
         raise InputError(f"{unused[0]} is for none of the deployments {', '.join(composed)}.")
     return composed
 
 
-def _compose(config_name: str, entry: str, option: str, own: list[str], used: set[str]) -> DictConfig:
+def _compose(config_name: str, entry: str, option: str, own: list[str], count: list[str], used: set[str]) -> DictConfig:
     """The configuration for one deployment, without overrides of keys it lacks; the keys it has go to `used`."""
     keys = recompose(config_name, [*search_path(), f"deployment={option}"], "deployments", entry).deployment
-    shared = []
+    shared = count if "count" in keys and "path" not in keys else []
     for key, override in task_overrides():
         group, _, rest = key.partition(".")
-        if group == "deployments" or (group == "deployment" and rest.split(".")[0] not in keys):
+        lacking = group == "deployment" and rest.split(".")[0] not in keys and not override.startswith("++")
+        if group == "deployments" or lacking:
             continue
         used.add(key)
-        shared.append(override)
+        shared = [*shared, override]
     return recompose(config_name, [*shared, *search_path(), f"deployment={option}", *own], "deployments", entry)
 
 

@@ -35,8 +35,8 @@ CHUNK = 10  # frames that a worker renders and reads at a time
 
 def main() -> None:
     """Read `deployment=...` as the list of deployments and `poses=N` as a number, then hand over to Hydra."""
+    read_number_of_poses()  # first: what is no option of the group `poses` does not choose one
     read_deployment_as_a_list()
-    read_number_of_poses()
     _main()
 
 

@@ -5,23 +5,29 @@ from pathlib import Path
 from typing import NoReturn
 
 from hydra.core.config_store import ConfigStore
+from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from yaml import YAMLError
+
+from .app import choices, search_path
+from .sweeps.names import quoted
 
 KEY = "run="
 GROUPS = ("room", "camera", "pdf", "poses", "tag", "visibility", "objective")  # what a run was about
 OPTION = "run"  # of these groups and of deployment
-RANDOM = "run_random"  # of deployment: random ones beside those that were fixed
+COUNTED = {"random", "uniform", "greedy"}  # of deployment: those that ask how many landmarks there are
 FILES = (".hydra/config.yaml", "landmarks.csv")  # what an earlier run must have left
 
 
 def read_earlier_run(deployment: str = f"deployment={OPTION}") -> None:
     """Make what the run in `run=DIR` of the command line was about an option `run` of each group, and choose it.
 
-    Where the command line chooses another option of a group itself, that stands; and keys of the options can be
-    overridden like those of any other. Must be called before Hydra reads the command line.
+    What hung already in that run, and how many landmarks it had, goes for other sources of landmarks too. Where the
+    command line chooses another option of a group itself, that stands; and keys of the options can be overridden like
+    those of any other. Must be called before Hydra reads the command line.
 
     Args:
         deployment: the override that chooses the landmarks of the run.
@@ -38,22 +44,55 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}") -> None:
     groups = [group for group in GROUPS if parts[group] is not None]  # runs of old lack some
     for group in groups:
         store.store(OPTION, parts[group], group)
-    named = {argument.partition("=")[0] for argument in sys.argv[1:]}
+    named = {argument.partition("=")[0].lstrip("+~").partition("@")[0] for argument in sys.argv[1:]}
     # Runs of old lack some of these.
     free, measured, fixed = (OmegaConf.select(before, f"deployment.{key}") for key in ("free", "measured", "fixed"))
-    path = str(directory / FILES[1])
+    path = directory / FILES[1]
     free = bool(free) or measured is not None  # measured places are what they are
-    hung = {
-        "fixed": None if fixed is None else path,  # the file they came from may have changed
-        "marked": fixed is not None and "deployment.fixed" not in named,  # of its own file only those marked as fixed
-    }
-    store.store(OPTION, {"defaults": ["file", "_self_"], "path": path, "free": free, **hung}, "deployment")
-    store.store(RANDOM, {"defaults": ["random", "_self_"], **hung}, "deployment")
+    store.store(OPTION, {"defaults": ["file", "_self_"], "path": str(path), "free": free}, "deployment")
     chosen = [f"{group}={OPTION}" for group in groups] + [deployment]
+    options = [argument for argument in (deployment, *sys.argv[1:]) if argument.startswith("deployment=")]
+    if options and COUNTED.issuperset(options[-1].partition("=")[2].split(",")):
+        chosen.append(f"deployment.count={count_of(directory)}")
+    if fixed is not None and "deployment.fixed" not in named:  # the file they came from may have changed
+        chosen += [f"++deployment.fixed={quoted(path)}", "++deployment.marked=true"]
     if "poses" in named:
         named.add("pdf")  # each way of telling where the camera is brings its own way of telling how it looks
     place = sys.argv.index(given[-1]) + 1  # beside it: options of Hydra may stand before and after
     sys.argv[place:place] = [override for override in chosen if override.partition("=")[0] not in named]
+
+
+def count_of(run: str | Path) -> int:
+    """How many landmarks the run in a directory has."""
+    from lmd.checks import InputError
+    from lmd.tables import read_table
+
+    try:
+        return len(read_table(Path(run) / FILES[1], name="run").lines)
+    except InputError as error:
+        _refuse(str(error))
+
+
+def check_experiment(cfg: DictConfig) -> None:
+    """Raise `InputError` if an earlier run and an experiment both choose what a problem consists of.
+
+    Hydra lets what stands on the command line go before an experiment, which would be half of one without a word.
+    """
+    from hydra.core.global_hydra import GlobalHydra
+
+    from lmd.checks import InputError
+
+    name = choices().get("experiment")
+    if name is None or cfg.get("run") is None:
+        return
+    loader = GlobalHydra.instance().config_loader()
+    alone = [*search_path(), f"experiment={name}"]
+    theirs = loader.compute_defaults_list(HydraConfig.get().job.config_name, alone, RunMode.RUN).overrides
+    if twice := [group for group in (*GROUPS, "deployment") if group in theirs.override_choices]:
+        raise InputError(
+            f"run = {str(cfg.run)!r} and experiment={name} both choose {', '.join(twice)}: leave one of the two out; "
+            "what shall differ from the run can be named by itself."
+        )
 
 
 def _configuration(file: Path) -> DictConfig:

@@ -16,7 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from .app import application, run_directory
 from .building import build_optimiser, instantiate, keyed
-from .earlier_run import RANDOM, read_earlier_run
+from .earlier_run import read_earlier_run
 from .ladder import Ladder, figures_of, shares_among
 from .sweeps.names import slug
 from .sweeps.supervisor import run
@@ -43,7 +43,7 @@ LABELS = {
 
 def main() -> None:
     """Read `run=DIR`, then hand over to Hydra."""
-    read_earlier_run(f"deployment={RANDOM}")
+    read_earlier_run("deployment=random")
     _main()
 
 

@@ -18,6 +18,7 @@ from omegaconf import DictConfig
 
 from ..app import PACKAGE, config_dir, ends_reported, run_directory, search_path
 from ..building import instantiate
+from ..earlier_run import check_experiment
 from ..signals import CODES, Stopped, stop
 from . import forks
 from .folder import JOB_VARIABLE, JobFolder, SweepFolder, current_job
@@ -37,6 +38,7 @@ def run(cfg: DictConfig, pipeline: Callable[[DictConfig], float | None]) -> floa
     if HydraConfig.get().mode == RunMode.MULTIRUN:
         return _supervise(cfg)
     with ends_reported(), _outcome_reported() as report:
+        check_experiment(cfg)
         value = pipeline(cfg)
         report(value)
     return value

@@ -1,8 +1,10 @@
 """`run=DIR` takes the scene and the landmarks from an earlier run."""
 
+import importlib
 import json
 import sys
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -12,10 +14,11 @@ from omegaconf import OmegaConf
 from processes import call, refused
 
 from lmd.checks import InputError
+from pipelines import accuracy
 from pipelines.app import CONF
 from pipelines.building import build_problem
-from pipelines.deployments import read_deployment_as_a_list
-from pipelines.earlier_run import RANDOM, read_earlier_run
+from pipelines.deployments import composed_deployments, read_deployment_as_a_list
+from pipelines.earlier_run import GROUPS, read_earlier_run
 from pipelines.ladder import Ladder
 
 QUICK = ("tracking=none", "validate=false", "localisation=false")
@@ -50,6 +53,71 @@ def test_the_scene_the_objective_and_the_landmarks_are_taken(earlier, monkeypatc
         assert cfg[group] == before[group]
     assert cfg.deployment.path == str(earlier / "landmarks.csv")
     assert cfg.deployment.free is False
+
+
+COMMANDS = sorted(path.stem for path in Path(CONF).glob("*.yaml") if "\nrun: null" in path.read_text())
+OTHER = {"room": "hall", "camera": "hall", "pdf": "sphere", "poses": "recorded", "tag": "printed",
+         "visibility": "fiducial", "objective": "robust"}  # fmt: skip
+
+
+def told(monkeypatch, command, *arguments):
+    """What a command hands over to Hydra."""
+    module = importlib.import_module(f"pipelines.{command}")
+    monkeypatch.setattr(module, "_main", lambda: None)
+    monkeypatch.setattr(sys, "argv", [command, *arguments])
+    module.main()
+    return sys.argv[1:]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_no_command_loses_a_group_of_the_run_beside_what_else_is_told(earlier, monkeypatch, command):
+    run, before = f"run='{earlier}'", OmegaConf.load(earlier / ".hydra" / "config.yaml")
+    groups = [group for group in GROUPS if command != "export" or group in before]
+    for group in groups:
+        given = told(monkeypatch, command, run, f"{group}={OTHER[group]}")
+        lost = {group, "pdf"} if group == "poses" else {group}
+        assert {word for word in given if word.endswith("=run")} >= {f"{name}=run" for name in {*groups} - lost}
+        assert not {f"{name}=run" for name in lost} & {*given}
+    number = ["poses=200"] if command in ("detect", "calibrate_detector") else []
+    given = told(monkeypatch, command, run, *number, "pdf.pitch=0.3", "objective.n=2", "seed=3")
+    with initialize_config_dir(CONF, version_base="1.3"):
+        cfg = compose(command, given)
+    before.pdf.pitch, before.objective.n = 0.3, 2
+    assert cfg.seed == 3
+    assert {group: cfg[group] for group in groups} == {group: before[group] for group in groups}
+    assert cfg.get("frames", 200) == 200 or not number
+
+
+@pytest.mark.parametrize("command", ["bound", "compare", "tradeoff", "evaluate"])
+def test_landmarks_placed_anew_are_as_many_as_those_of_the_run_and_beside_its_fixed_ones(earlier, monkeypatch, command):
+    leave(earlier, "id,x,y,z,nx,ny,nz,fixed\n5,0,1,1,1,0,0,1\n7,0,2,1,1,0,0,0\n9,0,3,1,1,0,0,0\n", fixed="tags.csv")
+    given = told(monkeypatch, command, f"run='{earlier}'", *(["deployment=random"] if command == "evaluate" else []))
+    with initialize_config_dir(CONF, version_base="1.3"):
+        problem = build_problem(compose(command, given))
+    assert (problem.count, problem.fixed.ids.tolist()) == (3, [5])
+    assert "deployment.count=4" in told(monkeypatch, command, f"run='{earlier}'", "deployment.count=4")
+    assert sys.argv.count("deployment.count=3") == 0
+
+
+def test_a_run_and_an_experiment_that_choose_the_same_get_one_sentence(earlier):
+    message = "and experiment=lab both choose room, camera, pdf, tag, visibility, objective: leave one of the two out"
+    given = (f"run='{earlier}'", "experiment=lab", "hydra.run.dir=out")
+    refused("evaluate", *given, message=message, cwd=earlier.parent, settings=())
+
+
+def test_an_experiment_that_chooses_nothing_of_the_problem_goes_with_a_run(earlier):
+    (earlier.parent / "mine" / "experiment").mkdir(parents=True)
+    (earlier.parent / "mine" / "experiment" / "short.yaml").write_text("# @package _global_\nseed: 3\n")
+    given = ("--config-dir", "mine", f"run='{earlier}'", "experiment=short", *QUICK, "losses=false")
+    done = call("evaluate", *given, cwd=earlier.parent, settings=())
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("command", ["estimate_pdf", "report", "runs", "sync"])
+def test_a_command_that_takes_no_run_says_what_it_takes(monkeypatch, command):
+    monkeypatch.setattr(sys, "argv", [command, "run=outputs/lab"])
+    with pytest.raises(SystemExit, match=rf"^error: run is no key of {command}: [\w.]+=\S+ \w+.*\.$"):
+        importlib.import_module(f"pipelines.{command}").main()
 
 
 def test_other_poses_bring_their_own_pdf(earlier, monkeypatch):
@@ -131,7 +199,7 @@ def test_a_file_of_fixed_tags_that_is_named_is_all_of_them(earlier, monkeypatch)
 
 def test_tradeoff_places_others_beside_the_fixed_tags_of_a_run(earlier, monkeypatch):
     def problem_of(count):
-        random = partial(read_earlier_run, f"deployment={RANDOM}")
+        random = partial(read_earlier_run, "deployment=random")
         return Ladder(composed(monkeypatch, "tradeoff", f"run='{earlier}'", read=random), 0.0, 0).problem(count)
 
     leave(earlier, "id,x,y,z,nx,ny,nz,fixed\n5,0,1,1,1,0,0,1\n7,0,2,1,1,0,0,0\n", fixed="tags.csv")
@@ -148,6 +216,23 @@ def test_tradeoff_places_others_beside_the_fixed_tags_of_a_run(earlier, monkeypa
 def test_where_deployments_are_compared_the_run_is_one_of_them(earlier, monkeypatch, arguments, deployments):
     cfg = composed(monkeypatch, "observe", f"run='{earlier}'", *arguments, read=read_deployment_as_a_list)
     assert cfg.deployments == deployments
+
+
+def test_deployments_beside_a_run_have_as_many_landmarks_and_its_fixed_ones(earlier, monkeypatch):
+    marked = "id,x,y,z,nx,ny,nz,fixed\n5,0,1,1,1,0,0,1\n7,0,2,1,1,0,0,0\n9,0,3,1,1,0,0,0\n"
+    leave(earlier, marked, fixed="tags.csv")
+    (earlier.parent / "two.csv").write_text("x,y,z,nx,ny,nz\n0,1,1,1,0,0\n6,2,1,-1,0,0\n")
+    entries = "deployments=[run,random,'more: uniform deployment.count=4','two: file deployment.path=two.csv']"
+    problems = {}
+
+    def build(cfg):
+        problems.update({name: build_problem(own) for name, own in composed_deployments(cfg, "accuracy").items()})
+
+    monkeypatch.setattr(accuracy, "accuracy", build)
+    monkeypatch.setattr(sys, "argv", ["accuracy", f"run='{earlier}'", entries])
+    accuracy.main()
+    assert {name: problem.count for name, problem in problems.items()} == {"run": 3, "random": 3, "more": 4, "two": 3}
+    assert {tuple(problem.fixed.ids) for problem in problems.values()} == {(5,)}
 
 
 def test_without_a_run_nothing_changes(monkeypatch):
