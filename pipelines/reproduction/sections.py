@@ -134,7 +134,7 @@ def _table_2(source: Source) -> Blocks:
     shown = {name: source.load(_typical(found[name])) for name in PANELS if len(found[name])}
     if not shown:
         return blocks[:-1]
-    title = "Of each row the run with the median qualified ratio"
+    title = "Of each row the run in the middle by qualified ratio, the lower one of two"
     picture = source.picture("deployments", title, lambda path: save_deployments_figure(path, shown, title))
     return [*blocks, picture]
 
@@ -225,7 +225,7 @@ def _landmark_count(source: Source) -> Blocks:
     return [
         *_origins(source, "landmark_count"),
         Table(["K", "runs", "qualified ratio"], rows),
-        Text(f"{answer} here, the median run reaches {target:.2%}, which the paper's EGA reached with 90."),
+        Text(f"{answer} here, the median of the runs reaches {target:.2%}, which the paper's EGA reached with 90."),
         picture,
     ]
 
@@ -297,7 +297,7 @@ def _by_pair(jobs: pd.DataFrame) -> pd.Series:
 
 
 def _typical(jobs: pd.DataFrame) -> str:
-    """Id of the run with the median qualified ratio, the lower one of two."""
+    """Id of the run in the middle by qualified ratio, the lower one of two: the median of those is of neither."""
     return str(jobs[RATIO].sort_values(kind="stable").index[(len(jobs) - 1) // 2])
 
 
