@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
-from .app import application, run_directory
+from .app import application, choices, run_directory
 from .building import build_problem, instantiate, keyed
 from .deployments import any_deployment, composed_deployments, read_deployment_as_a_list
 from .sweeps.supervisor import run
@@ -92,7 +92,8 @@ def observe(cfg: DictConfig) -> None:
         files = [*(directory / name for name in names), *films]
         tracker.log_artifacts([*files, *sorted((directory / ".hydra").glob("*.yaml"))])
         tracker.finish("FINISHED")
-    print(f"{markdown}\nfiles: {directory}\nmlflow: {tracker.describe()}")
+    made = " ".join(f"{group}={choices()[group]}" for group in ("trajectory", "detector", "odometry"))
+    print(f"{markdown}\nflown with {made}\nfiles: {directory}\nmlflow: {tracker.describe()}")
 
 
 def _each(workers: int | None, function: Callable[[Any], Any], jobs: Sequence[Any]) -> Iterator[Any]:

@@ -25,7 +25,7 @@ def call(*overrides, cwd, pipeline="observe", settings=SMALL):
 def observed(tmp_path_factory):
     cwd = tmp_path_factory.mktemp("work")
     (cwd / "mine.csv").write_text(LANDMARKS)
-    done = call("deployment=file,uniform,random", "deployment.path=mine.csv", "detector=noisy",
+    done = call("deployment=file,uniform,random", "deployment.path=mine.csv",
                 "estimator=[observer,left_observer,bound]", cwd=cwd)  # fmt: skip
     assert done.returncode == 0, done.stderr
     return cwd, done.stdout
@@ -52,6 +52,17 @@ def test_one_run_compares_the_deployments_over_the_same_flights(observed):
     curves = pd.read_csv(observed[0] / "run" / "curves.csv")
     first = curves[(curves.estimator == "observer") & (curves.time == 0.0)]
     assert np.ptp(first.error_median) < 1e-9
+
+
+def test_detector_and_odometry_err_unless_told_to_be_exact(tmp_path):
+    near = ("deployment=uniform", "start.position=0", "start.attitude=0", "tracking=none")
+    done = call(*near, cwd=tmp_path)
+    exact = call(*near, "detector=exact", "odometry=exact", "hydra.run.dir=exact", cwd=tmp_path)
+    assert (done.returncode, exact.returncode) == (0, 0), done.stderr + exact.stderr
+    errors = [pd.read_csv(tmp_path / run / "figures.csv").position_error.min() for run in ("run", "exact")]
+    assert errors[0] > 1e-3 > 1e-9 > errors[1]
+    assert "flown with trajectory=random_motion detector=noisy odometry=fast" in done.stdout
+    assert "detector=exact odometry=exact" in exact.stdout
 
 
 def test_the_table_is_shown_and_kept(observed):
@@ -160,7 +171,7 @@ BAD_INPUT = {
     "tag": (["detector=rendered", "tag.edge=null"], "detector.tag.edge must be given, in metres: a detector"),
     "ids": (["detector=rendered", "tag.family=16h5"], "tag.family 16h5 has 30 different tags, too few for 90."),
     "reader": (["detector=noisy", "tag.edge=0.1", "detector.reader=eyes"], "detector.reader must be one of aruco"),
-    "noise": (["all_visible=true", "detector=noisy"], "all_visible must be false where measurements are not exact"),
+    "noise": (["all_visible=true"], "all_visible must be false where measurements are not exact"),
     "film": (["film=5"], "film needs rendered frames: detector=rendered."),
     "length": (["detector=rendered", "film=0"], "film must be greater than 0, got 0."),
     "workers": (["detector=rendered", "workers=0"], "workers must be at least 1, got 0."),
@@ -179,7 +190,7 @@ def test_a_trajectory_file_is_flown_by_every_seed(tmp_path):
     rows = "".join(f"{0.1 * i:g},{2 + 0.01 * i:g},2,3,{0.02 * i:g},0\n" for i in range(20))
     (tmp_path / "flight.csv").write_text("time,x,y,z,yaw,pitch\n" + rows)
     settings = ["room.spacing=3", "seeds=2", "hydra.run.dir=run", "tracking=none", "deployment=uniform"]
-    done = call("trajectory=file", "trajectory.path=flight.csv", cwd=tmp_path, settings=settings)
+    done = call("trajectory=file", "trajectory.path=flight.csv", "detector.missed=0", cwd=tmp_path, settings=settings)
     assert done.returncode == 0, done.stderr
     figures = pd.read_csv(tmp_path / "run" / "figures.csv")
     assert figures.mean_visible[0] == figures.mean_visible[1]
