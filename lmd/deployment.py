@@ -10,20 +10,19 @@ from lmd.checks import BoolArray, FloatArray, InputError, IntArray, boolean, cho
 from lmd.labels import ID, Labels
 from lmd.memory import check_memory
 from lmd.space.space import Space
-from lmd.space.surface import SurfaceArrays
+from lmd.space.surface import PLACEMENT_TOLERANCE, SurfaceArrays
+from lmd.surveyed import Surveyed
 from lmd.tables import read_table, write_table
 from lmd.tag import upright
 
 COLUMNS = ("x", "y", "z", "nx", "ny", "nz")
 UP_COLUMNS = ("ux", "uy", "uz")
-# An up printed with a few decimals is still upright.
-UP_TOLERANCE = 1e-2
+# An up printed with a few decimals is still upright, and in the plane of its tag.
+UPRIGHT, IN_PLANE = 1e-3, 1e-2
 # A normal printed with a few decimals is still a unit normal.
 NORMAL_TOLERANCE = 1e-3
 # A normal this close to that of its surface is flush with it.
 FLUSH = 1e-6
-# Landmarks of a file may be so far from their surface, metres: they were measured by hand, or have a board behind them.
-MID_AIR = 0.05
 # Landmarks of a file rounded to micrometres may be so far beside where they may hang, or overlap by so much, metres.
 MISPLACED = 2e-6
 # What a landmark takes while a deployment is made, bytes: a dozen vectors.
@@ -40,6 +39,8 @@ class Deployment:
         surfaces: `(K,)`, index of the surface of its room that each hangs on, -1 where none is known, the default: see
             `hung`.
         labels: what the landmarks are called; None where they are numbered from 0.
+        surveyed: places and ups to the last digit, where landmarks were measured behind their surface, or turned in
+            their plane; None where `positions` are the places and all hang upright.
 
     Raises:
         InputError: wrong shapes, no landmark, a value that is not finite, or a normal that is not unit.
@@ -49,6 +50,7 @@ class Deployment:
     normals: FloatArray
     surfaces: IntArray = None  # type: ignore[assignment] # always an array once made
     labels: Labels | None = None
+    surveyed: Surveyed | None = None
 
     def __post_init__(self) -> None:
         for name in ("positions", "normals"):
@@ -80,7 +82,8 @@ class Deployment:
     def __getitem__(self, chosen: slice | IntArray | BoolArray) -> "Deployment":
         """The landmarks that `chosen` selects."""
         labels = None if self.labels is None else self.labels[chosen]
-        return Deployment(self.positions[chosen], self.normals[chosen], self.surfaces[chosen], labels)
+        surveyed = None if self.surveyed is None else self.surveyed[chosen]
+        return Deployment(self.positions[chosen], self.normals[chosen], self.surfaces[chosen], labels, surveyed)
 
     @property
     def ids(self) -> IntArray:
@@ -90,38 +93,63 @@ class Deployment:
     def __add__(self, other: "Deployment") -> "Deployment":
         """The landmarks of both, numbered from 0."""
         parts = ((getattr(self, name), getattr(other, name)) for name in ("positions", "normals", "surfaces"))
-        return Deployment(*(np.concatenate(part) for part in parts))
+        both = Deployment(*(np.concatenate(part) for part in parts))
+        if self.surveyed is None and other.surveyed is None:
+            return both
+        places, ups = (np.concatenate([getattr(each, name) for each in (self, other)]) for name in ("places", "ups"))
+        return replace(both, surveyed=Surveyed(both.positions, places, ups))
 
-    def hung(self, room: Space) -> "Deployment":
+    def hung(self, room: Space, anywhere: bool = False) -> "Deployment":
         """The same landmarks with the surfaces of `room` that they hang on.
 
-        Raises:
-            InputError: a landmark lies outside the room.
-        """
-        outside = np.flatnonzero(~room.contains(self.positions))
-        if outside.size:
-            raise InputError(f"landmark {self._place(outside[0])} lies outside the {room.describe()}.")
-        return replace(self, surfaces=room.surfaces_of(self.positions, self.normals))
+        What belongs to a surface (`Space.surface_near`) and was measured behind it counts as if it hung on it: nothing
+        is seen through a wall. Its `places` stay what they were.
 
-    def fault(self, room: Space, near: float = 0.0) -> str | None:
+        Args:
+            room: has the surfaces.
+            anywhere: whether landmarks may lie outside the room.
+
+        Raises:
+            InputError: a landmark lies outside the room and belongs to no surface of it.
+        """
+        own, surfaces = room.surface_near(self.positions, self.normals), room.surfaces()
+        outside = np.flatnonzero((own < 0) & ~room.contains(self.positions))
+        if outside.size and not anywhere:
+            first = outside[0]
+            raise InputError(
+                f"landmark {self._place(first)} lies outside the {room.describe()}, "
+                f"{self._distance(room)[:, first].min():.4g} m from the nearest surface; only with free=true is it "
+                "taken there."
+            )
+        depth = np.take_along_axis(SurfaceArrays.of(surfaces).depth(self.positions), own[:, None], axis=1)
+        behind = (own[:, None] >= 0) & (depth < -PLACEMENT_TOLERANCE)
+        hung = self
+        if behind.any():
+            normals = np.array([surface.normal for surface in surfaces])[own]
+            positions = np.where(behind, self.positions - depth * normals, self.positions)
+            hung = replace(self, positions=positions, surveyed=Surveyed(positions, self.places, self.ups))
+        return replace(hung, surfaces=room.surfaces_of(hung.positions, hung.normals))
+
+    def fault(self, room: Space, near: bool = False) -> str | None:
         """What is wrong with how the landmarks hang, in a clause about the first that hangs on no surface, faces into
         its own, or hangs where none may; None if all hang properly. They know their surfaces (`hung`), which are those
         of `room`.
 
         Args:
             room: has the surfaces.
-            near: a landmark that is no farther from a surface may stand before it, metres.
+            near: whether landmarks may stand a little before a surface, see `Space.surface_near`.
         """
         surfaces, some = room.surfaces(), f"of {len(self)} landmarks do"
         distance = self._distance(room)
-        if (floating := np.flatnonzero((self.surfaces < 0) & (distance.min(axis=0) > near))).size:
+        touching = np.where(distance.min(axis=0) > 0.0, -1, distance.argmin(axis=0))
+        own = self.belonging(room) if near else np.where(self.surfaces < 0, touching, self.surfaces)
+        if (floating := np.flatnonzero(own < 0)).size:
             first = int(floating[0])
             nearest = int(np.argmin(distance[:, first]))
             return (
                 f"landmark {self._place(first)} hangs in mid-air, {distance[nearest, first]:.4g} m from the nearest "
                 f"surface that may carry it, {surfaces[nearest].name} ({len(floating)} {some})"
             )
-        own = np.where(self.surfaces < 0, distance.argmin(axis=0), self.surfaces)
         normals = np.array([surface.normal for surface in surfaces])[own]
         if (inwards := np.flatnonzero((self.normals * normals).sum(axis=1) < 0.0)).size:
             first = int(inwards[0])
@@ -138,10 +166,14 @@ class Deployment:
             )
         return None
 
+    def belonging(self, room: Space) -> IntArray:
+        """The surface of `room` that each hangs on, or else belongs to (`Space.surface_near`), -1 for none, `(K,)`."""
+        return np.where(self.surfaces < 0, room.surface_near(self.positions, self.normals), self.surfaces)
+
     def before(self, room: Space) -> "Deployment":
-        """The same landmarks, those that hang on no surface of `room` with the one they are nearest to."""
-        nearest = self._distance(room).argmin(axis=0)
-        return replace(self, surfaces=np.where(self.surfaces < 0, nearest, self.surfaces))
+        """The same landmarks, those that belong to no surface of `room` with the one they are nearest to."""
+        own = self.belonging(room)
+        return replace(self, surfaces=np.where(own < 0, self._distance(room).argmin(axis=0), own))
 
     def _distance(self, room: Space) -> FloatArray:
         """From each surface of `room` to each landmark, `(W, K)`, metres."""
@@ -161,6 +193,7 @@ class Deployment:
         hung = self.hung(room)
         if fault := hung.fault(room):
             raise InputError(f"{fault}, so it cannot be a start.")
+        hung = hung.before(room)
         normals = np.array([surface.normal for surface in room.surfaces()])[hung.surfaces]
         deviation = np.linalg.norm(self.normals - normals, axis=1)
         if flush and deviation.max() > FLUSH:
@@ -175,9 +208,15 @@ class Deployment:
         return f"{self.ids[k]} at ({x:.9g}, {y:.9g}, {z:.9g})"
 
     @property
+    def places(self) -> FloatArray:
+        """Where the landmarks hang to the last digit, `(K, 3)`, world frame, metres."""
+        return self.positions if self.surveyed is None else self.surveyed.places_of(self.positions)
+
+    @property
     def ups(self) -> FloatArray:
-        """Unit vectors to the upper edges of tags there, `(K, 3)`, world frame: all hang upright, see `lmd.tag`."""
-        return upright(self.normals)[1] + 0.0  # no -0
+        """Unit vectors to the upper edges of tags there, `(K, 3)`, world frame: upright unless they were `surveyed`."""
+        ups = upright(self.normals)[1] + 0.0  # no -0
+        return ups if self.surveyed is None else self.surveyed.ups_of(self.positions, ups)
 
     def to_csv(self, path: str | Path, ups: bool = False) -> None:
         """Write `id,x,y,z,nx,ny,nz` with every digit, so that reading it back gives the same numbers and labels.
@@ -186,7 +225,7 @@ class Deployment:
             path: the file.
             ups: whether to add `ux,uy,uz`, for landmarks that are tags with an upper edge.
         """
-        columns = dict(zip(COLUMNS, np.hstack([self.positions, self.normals]).T, strict=True))
+        columns = dict(zip(COLUMNS, np.hstack([self.places, self.normals]).T, strict=True))
         if ups:
             columns |= zip(UP_COLUMNS, self.ups.T, strict=True)
         further = {} if self.labels is None else self.labels.columns
@@ -194,12 +233,12 @@ class Deployment:
 
     @classmethod
     def from_csv(cls, path: str | Path) -> "Deployment":
-        """Read a CSV with the columns x,y,z,nx,ny,nz (and id, and ux,uy,uz if tags hang upright).
+        """Read a CSV with the columns x,y,z,nx,ny,nz (and id, and ux,uy,uz for how tags are turned in their plane).
 
         Normals are scaled to length 1 if they are printed with few decimals. Further columns are kept as labels.
 
         Raises:
-            InputError: the file cannot be read, or what it holds is no deployment, or of tags that do not hang upright.
+            InputError: the file cannot be read, or what it holds is no deployment, or an up is not in its tag's plane.
         """
         table = read_table(path, name="path")
         columns = COLUMNS + UP_COLUMNS if any(name in table for name in UP_COLUMNS) else COLUMNS
@@ -208,17 +247,27 @@ class Deployment:
             deployment = cls(rows[:, :3], rows[:, 3:6], labels=labels)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
-        turned = rows[:, 6:] - deployment.ups if rows.shape[1] > len(COLUMNS) else np.zeros((1, 3))
-        if (off := np.flatnonzero(np.linalg.norm(turned, axis=1) > UP_TOLERANCE)).size:
-            first = off[0]
-            up, way = (", ".join(f"{value:.4g}" for value in v[first]) for v in (rows[:, 6:], deployment.ups))
-            raise InputError(
-                f"{path}: the up of landmark {deployment.ids[first]} is ({up}), but tags hang upright here, which "
-                f"would be ({way})."
-            )
         length = np.linalg.norm(deployment.normals, axis=1, keepdims=True)
         exact = np.abs(length - 1.0) < 1e-12  # dividing these would only move the last bit
-        return replace(deployment, normals=np.where(exact, deployment.normals, deployment.normals / length))
+        deployment = replace(deployment, normals=np.where(exact, deployment.normals, deployment.normals / length))
+        return deployment if rows.shape[1] == len(COLUMNS) else deployment._turned(path, rows[:, 6:])
+
+    def _turned(self, path: str | Path, ups: FloatArray) -> "Deployment":
+        """The same landmarks with the ups `(K, 3)` of a file, if one of them is not upright."""
+        leaning = (ups * self.normals).sum(axis=1, keepdims=True)
+        off = np.maximum(np.abs(leaning[:, 0]), np.abs(np.linalg.norm(ups, axis=1) - 1.0))
+        if (wrong := np.flatnonzero(off > IN_PLANE)).size:
+            up, normal = (", ".join(f"{value:.4g}" for value in v[wrong[0]]) for v in (ups, self.normals))
+            raise InputError(
+                f"{path}: the up of landmark {self.ids[wrong[0]]}, ({up}), is no unit vector in the plane of its tag, "
+                f"whose normal is ({normal})."
+            )
+        level = np.linalg.norm(ups - self.ups, axis=1, keepdims=True) <= UPRIGHT
+        if level.all():
+            return self
+        flat = ups - leaning * self.normals
+        turned = np.where(level, self.ups, flat / np.linalg.norm(flat, axis=1, keepdims=True))
+        return replace(self, surveyed=Surveyed(self.positions, self.positions, turned))
 
 
 class DeploymentSource(Protocol):
@@ -301,8 +350,8 @@ class FileDeployment:
     Args:
         path: the CSV.
         count: K; if given, the file must have that many rows.
-        free: whether landmarks are taken as they are: they may stand free in the room, face into the surface they hang
-            on or hang where none may, and papers may overlap.
+        free: whether landmarks are taken as they are: they may stand free in the room or outside, face into the surface
+            they hang on or hang where none may, and papers may overlap.
     """
 
     path: str | None
@@ -321,10 +370,10 @@ class FileDeployment:
         if self.count is not None and self.count != len(deployment):
             raise InputError(f"count = {self.count}, but {self.path} has {len(deployment)} landmarks.", "count")
         try:
-            hung = deployment.hung(room)
+            hung = deployment.hung(room, anywhere=self.free)
         except InputError as error:
             raise InputError(f"{self.path}: {error}") from None
-        if not self.free and (fault := hung.fault(room, MID_AIR)):
+        if not self.free and (fault := hung.fault(room, near=True)):
             raise InputError(f"free = false, but in {self.path} {fault}.", "free")
         return hung
 

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from lmd.checks import InputError
-from lmd.deployment import MID_AIR, Deployment
+from lmd.deployment import Deployment
 from lmd.labels import Labels
+from lmd.space.surface import NEAR_SURFACE
 
 COLUMN = "fixed"  # of a file of landmarks: 1 for those that hung already, 0 for the others
 
@@ -29,7 +30,7 @@ def beside(fixed: Deployment, others: Deployment) -> Deployment:
         others = replace(others, labels=Labels(unused))
     again, of, among = np.intersect1d(fixed.ids, others.ids, return_indices=True)
     away = np.linalg.norm(fixed.positions[of] - others.positions[among], axis=1)
-    if (elsewhere := np.flatnonzero(away > MID_AIR)).size:
+    if (elsewhere := np.flatnonzero(away > NEAR_SURFACE)).size:
         first = elsewhere[0]
         raise InputError(
             f"fixed has a landmark {again[first]}, and so has the start, {away[first]:.4g} m away from it; ids must be "

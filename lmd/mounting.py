@@ -163,6 +163,7 @@ def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int,
     """
     import pandas as pd
 
+    plan = replace(plan, surveyed=None)  # what is mounted are the places on the surfaces
     streams = np.random.default_rng([seed, STREAM]).spawn(error.draws)
     hung = [error.hung(problem, plan, rng) for rng in streams]
     all_of_them = [plan, *(each.deployment for each in hung)]
@@ -170,7 +171,7 @@ def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int,
     figures = pd.concat([on_grid, off_grid_figures(problem, all_of_them, seed, sample)], axis=1)
     poses = draw_poses(problem.scene, error.draws * VIEWS, seed).reshape(error.draws, VIEWS, 4, 4)
     drawn = zip(hung, poses, streams, strict=True)
-    as_planned = Hung.upright(plan)
+    as_planned = Hung.of(plan)
     views = [
         map_errors(problem, each, {"planned": as_planned, "mounted": each}, some, rng) for each, some, rng in drawn
     ]

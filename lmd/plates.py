@@ -13,7 +13,7 @@ import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.compiled import inner, kernel
-from lmd.deployment import FLUSH, MID_AIR, MISPLACED, Deployment, DeploymentSource, FileDeployment
+from lmd.deployment import FLUSH, MISPLACED, Deployment, DeploymentSource, FileDeployment
 from lmd.fixed import beside
 from lmd.space.allowed import allows, nearest
 from lmd.space.inset import Inset
@@ -66,8 +66,8 @@ class Plates:
     def hung(self, fixed: Deployment, beside: DeploymentSource) -> Deployment:
         """Landmarks that hang already, with their surfaces.
 
-        They were measured by hand: what stands a little before a surface has that one, and its plate is in the way
-        there.
+        They were measured by hand: what stands a little before or behind a surface has that one, and its plate is in
+        the way there.
 
         Args:
             fixed: those landmarks.
@@ -78,10 +78,10 @@ class Plates:
                 not wholly on their surface.
         """
         try:
-            hung = fixed.hung(self.hanging)
-            if _as_they_are(beside):
+            hung = fixed.hung(self.hanging, anywhere=as_they_are(beside))
+            if as_they_are(beside):
                 return hung.before(self.hanging)
-            if fault := hung.fault(self.hanging, MID_AIR):
+            if fault := hung.fault(self.hanging, near=True):
                 raise InputError(f"{fault}.")
             hung = hung.before(self.hanging)
             self.check(hung)
@@ -106,7 +106,7 @@ class Plates:
         drawn = source.draw(self.hanging, rng)
         if fixed is not None:
             drawn = beside(fixed, drawn)
-        if not self.edge or _as_they_are(source):
+        if not self.edge or as_they_are(source):
             return drawn
         if len(drawn) > self.capacity:
             raise InputError(
@@ -206,7 +206,7 @@ class Plates:
         return np.asarray((surfaces >= 0) & (deviation <= FLUSH))
 
 
-def _as_they_are(source: DeploymentSource) -> bool:
+def as_they_are(source: DeploymentSource) -> bool:
     """Whether landmarks from `source` hang wherever they do."""
     return isinstance(source, FileDeployment) and source.free
 

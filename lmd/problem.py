@@ -50,7 +50,7 @@ class Problem:
         self.scene, self.objective, self.start = scene, objective, start
         self.fixed = None if fixed is None else scene.plates.hung(fixed, start)
         first = self.draw(np.random.default_rng(0))
-        self.count, self.labels = len(first), first.labels
+        self.count, self.labels, self.surveyed = len(first), first.labels, first.surveyed
         if not scene.tag.is_point:
             scene.tag.check_ids(first.ids)
         objective.check(self.count)
@@ -90,8 +90,11 @@ class Problem:
         return self.scene.plates.apart(deployment, size, self.fixed_count)
 
     def labelled(self, deployment: Deployment) -> Deployment:
-        """What an optimiser made of the start: its k-th landmark keeps the id and the columns of the k-th there."""
-        return replace(deployment, labels=self.labels)
+        """What an optimiser made of the start: its k-th landmark keeps the id and the columns of the k-th there.
+
+        What stays where it was keeps what was measured of it, too.
+        """
+        return replace(deployment, labels=self.labels, surveyed=self.surveyed)
 
     def fitness(self, positions: FloatArray, normals: FloatArray) -> FloatArray:
         """Fitness in [0, 1], to maximise, of B deployments with landmarks `(B, K, 3)`, `(B,)`."""

@@ -1,6 +1,6 @@
 """As measured: where tags hang beside where they were planned, and what the difference is worth."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,7 @@ from lmd.deployment import Deployment
 from lmd.detection.frames import draw_poses
 from lmd.localisation.maps import Hung, error_quantiles, errors_text, map_errors
 from lmd.mounting import SAMPLE, off_grid_figures
+from lmd.plates import as_they_are
 from lmd.problem import Problem
 from lmd.validation import Sample
 
@@ -22,7 +23,8 @@ STREAM = 0x737572766579  # keeps the noise apart from every other use of the sam
 def read_measured(path: str | Path, problem: Problem, plan: Deployment) -> Deployment:
     """The measured places of the tags of a plan, in its order and with its labels.
 
-    They are taken as they are: measured places need not be flush, and papers may seem to overlap.
+    They are taken as they are: measured places need not be flush, and papers may seem to overlap. If those of the plan
+    are taken from anywhere (`FileDeployment.free`), so are these.
 
     Args:
         path: a CSV like those of plans.
@@ -30,7 +32,8 @@ def read_measured(path: str | Path, problem: Problem, plan: Deployment) -> Deplo
         plan: K landmarks.
 
     Raises:
-        InputError: the file is no deployment, does not have the ids of the plan, or a tag is outside the room.
+        InputError: the file is no deployment, does not have the ids of the plan, or a tag is outside the room and
+            belongs to no surface.
     """
     measured = Deployment.from_csv(file_path("measured", path))
     for name, ids in (
@@ -42,10 +45,10 @@ def read_measured(path: str | Path, problem: Problem, plan: Deployment) -> Deplo
             raise InputError(f"measured: {path} {name} landmark {ids[0]} {other} ({len(ids)} in all).", "measured")
     places = np.argsort(measured.ids)[np.searchsorted(np.sort(measured.ids), plan.ids)]
     try:
-        hung = measured[places].hung(problem.scene.room)
+        hung = measured[places].hung(problem.scene.room, anywhere=as_they_are(problem.start))
     except InputError as error:
         raise InputError(f"measured: {path}: {error}", "measured") from None
-    return Deployment(hung.positions, hung.normals, hung.surfaces, plan.labels)
+    return replace(hung, labels=plan.labels)
 
 
 @dataclass(frozen=True)
@@ -109,7 +112,7 @@ def survey(
     both = {"planned": plan, "measured": measured}
     on_grid = pd.DataFrame([problem.metrics(each) for each in both.values()])
     figures = pd.concat([on_grid, off_grid_figures(problem, list(both.values()), seed, sample)], axis=1)
-    maps, poses = {name: Hung.upright(each) for name, each in both.items()}, draw_poses(problem.scene, views, seed)
+    maps, poses = {name: Hung.of(each) for name, each in both.items()}, draw_poses(problem.scene, views, seed)
     noise = np.random.default_rng([seed, STREAM])
     return Survey(
         problem.objective.n,
@@ -121,7 +124,7 @@ def survey(
 
 def _moved(plan: Deployment, measured: Deployment) -> pd.DataFrame:
     """`Survey.moved`."""
-    way = measured.positions - plan.positions
+    way = measured.places - plan.places
     chord = np.linalg.norm(measured.normals - plan.normals, axis=1)  # more accurate than the cosine
     rows = {
         "id": plan.ids,

@@ -228,6 +228,9 @@ class Shifted:
     def surfaces_of(self, positions, normals):
         return self._room.surfaces_of(positions - self.SHIFT, normals)
 
+    def surface_near(self, positions, normals):
+        return self._room.surface_near(positions - self.SHIFT, normals)
+
     def bounds(self):
         low, high = self._room.bounds()
         return low + self.SHIFT, high + self.SHIFT

@@ -19,7 +19,7 @@ from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
 from lmd.scene import Scene
 from lmd.space.space import Space
-from lmd.tag import Tag, upright
+from lmd.tag import Tag
 
 # Keeps the poses and the noise apart from every other use of the same seed.
 STREAM = 0x646574656374
@@ -49,14 +49,13 @@ def nudged(poses: FloatArray, position: float, attitude: float, seed: int) -> Fl
 
 
 def tagged_room(room: Space, deployment: Deployment, tag: Tag) -> TaggedRoom:
-    """A deployment with tag k at the landmark with the id k, hanging upright, in a room of surfaces.
+    """A deployment with tag k at the landmark with the id k, as it hangs, in a room of surfaces.
 
     Raises:
         InputError: the tag is a point, or its family is too small.
     """
     tag.check_ids(deployment.ids)
-    _, ups = upright(deployment.normals)
-    return TaggedRoom(tag, deployment.ids, deployment.positions, deployment.normals, ups, room.faces())
+    return TaggedRoom(tag, deployment.ids, deployment.positions, deployment.normals, deployment.ups, room.faces())
 
 
 def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

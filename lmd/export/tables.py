@@ -18,7 +18,7 @@ FRAME = "metres; z up; of a tag x is right, y up, z out of it; its quaternion tu
 def write_csv(path: Path, tags: TagMap) -> None:
     """Write `tags.csv`: what `Deployment.to_csv` writes, then the quaternion and the corners."""
     deployment = tags.deployment
-    vectors = [deployment.positions, deployment.normals, deployment.ups, tags.quaternions, tags.corners.reshape(-1, 12)]
+    vectors = [deployment.places, deployment.normals, deployment.ups, tags.quaternions, tags.corners.reshape(-1, 12)]
     corners = [f"{corner}_{axis}" for corner in CORNER_NAMES for axis in "xyz"]
     names = (*COLUMNS, *UP_COLUMNS, *QUATERNION, *corners)
     columns: dict[str, Any] = {ID: tags.ids, **dict(zip(names, np.hstack(vectors).T, strict=True))}

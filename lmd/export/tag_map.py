@@ -9,10 +9,10 @@ import numpy as np
 import yaml
 
 from lmd.checks import FloatArray, IntArray
-from lmd.deployment import MID_AIR, Deployment
+from lmd.deployment import Deployment
 from lmd.space.fixture import Fixture
 from lmd.space.space import Space
-from lmd.tag import Tag, corners, upright
+from lmd.tag import Tag, corners
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -26,7 +26,7 @@ FLAT, LEVEL = 0.5, 0.99
 
 @dataclass(frozen=True)
 class TagMap:
-    """K tags that hang upright in a room. World frame, metres.
+    """K tags in a room. World frame, metres.
 
     Args:
         room: where they hang.
@@ -56,9 +56,7 @@ class TagMap:
 
         A tag that was measured a little before a surface is mounted on it.
         """
-        distance = np.array([surface.distance(self.deployment.positions) for surface in self.room.surfaces()])
-        nearest = np.where(distance.min(axis=0) <= MID_AIR, distance.argmin(axis=0), -1)
-        return np.where(self.deployment.surfaces < 0, nearest, self.deployment.surfaces)
+        return self.deployment.belonging(self.room)
 
     @cached_property
     def fixtures(self) -> tuple[Fixture, ...]:
@@ -120,15 +118,15 @@ class TagMap:
     @property
     def positions(self) -> FloatArray:
         """Their centres, `(K, 3)`."""
-        return written(self.deployment.positions)
+        return written(self.deployment.places)
 
     @cached_property
     def turns(self) -> "Rotation":
         """From the frame of each tag to the world: x to its right, y up, z out of it to whoever looks at it."""
         from scipy.spatial.transform import Rotation
 
-        right, up = upright(self.deployment.normals)
-        return Rotation.from_matrix(np.stack([right, up, self.deployment.normals], axis=-1))
+        up, normal = self.deployment.ups, self.deployment.normals
+        return Rotation.from_matrix(np.stack([np.cross(up, normal), up, normal], axis=-1))
 
     @property
     def quaternions(self) -> FloatArray:
@@ -138,7 +136,7 @@ class TagMap:
     @property
     def corners(self) -> FloatArray:
         """Of the black squares, top-left, top-right, bottom-right, bottom-left seen from the front, `(K, 4, 3)`."""
-        return written(corners(self.deployment.positions, self.deployment.normals, self.deployment.ups, self.tag.size))
+        return written(corners(self.deployment.places, self.deployment.normals, self.deployment.ups, self.tag.size))
 
 
 def written(values: FloatArray) -> FloatArray:

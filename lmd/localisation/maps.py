@@ -39,14 +39,14 @@ class Hung:
     ups: FloatArray
 
     @classmethod
-    def upright(cls, deployment: Deployment) -> "Hung":
-        """All of them upright."""
+    def of(cls, deployment: Deployment) -> "Hung":
+        """All of them as the deployment has them."""
         return cls(deployment, deployment.ups)
 
     def points(self, tag: Tag) -> FloatArray:
         """What an image shows of each: the M = 4 corners of a tag, or the centre of a point, metres, `(K, M, 3)`."""
-        positions = self.deployment.positions
-        return positions[:, None] if tag.is_point else corners(positions, self.deployment.normals, self.ups, tag.size)
+        places = self.deployment.places
+        return places[:, None] if tag.is_point else corners(places, self.deployment.normals, self.ups, tag.size)
 
 
 def map_errors(

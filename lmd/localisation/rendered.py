@@ -11,7 +11,7 @@ from lmd.deployment import Deployment
 from lmd.detection.detectors import Detections, Detector
 from lmd.detection.frames import tagged_room
 from lmd.localisation.recording import Each, Flight, Observation, check_images
-from lmd.localisation.tags import observation, upright_corners
+from lmd.localisation.tags import corners_of, observation
 from lmd.render.imaging import Imaging, UInt8Array
 from lmd.render.renderer import Renderer
 from lmd.tag import Tag
@@ -79,7 +79,7 @@ class RenderedDetector:
 
     def tags(self, deployment: Deployment) -> FloatArray:
         """See `Sensor.tags`."""
-        return upright_corners(deployment, self.tag)
+        return corners_of(deployment, self.tag)
 
     def batch(self, flight: Flight) -> "Batch":
         """The frames of a flight; rendered from a flight with the same source of noise they are the same."""

@@ -16,7 +16,7 @@ from lmd.localisation.measurements import Detector, detected
 from lmd.localisation.recording import Each, Flight, Observation, Sensor, check_images
 from lmd.optional import optional
 from lmd.render.optics import intrinsics, project, rectified, slope
-from lmd.tag import CORNERS, Tag, corners, upright
+from lmd.tag import CORNERS, Tag, corners
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class TagDetector:
 
     def tags(self, deployment: Deployment) -> FloatArray:
         """See `Sensor.tags`."""
-        return upright_corners(deployment, self.tag)
+        return corners_of(deployment, self.tag)
 
     def _observed(self, flight: Flight) -> Observation:
         camera, poses, deployment = flight.camera, flight.poses, flight.deployment
@@ -75,9 +75,9 @@ def noisy_detector(tag: Tag, reader: str, pixel_noise: float, missed: float, edg
     return Detector(pixel_noise, missed, edge) if tag.is_point else TagDetector(tag, reader, missed)
 
 
-def upright_corners(deployment: Deployment, tag: Tag) -> FloatArray:
-    """The corners of tags that hang upright at the landmarks, world frame, metres, `(K, 4, 3)`."""
-    return corners(deployment.positions, deployment.normals, upright(deployment.normals)[1], tag.size)
+def corners_of(deployment: Deployment, tag: Tag) -> FloatArray:
+    """The corners of tags at the landmarks, world frame, metres, `(K, 4, 3)`."""
+    return corners(deployment.positions, deployment.normals, deployment.ups, tag.size)
 
 
 def observation(camera: Camera, tag: Tag, seen: BoolArray, found: FloatArray, noise: FloatArray) -> Observation:

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from lmd.checks import FloatArray, InputError, integer
-from lmd.deployment import MID_AIR, Deployment
+from lmd.deployment import Deployment
 from lmd.problem import Problem
+from lmd.space.surface import NEAR_SURFACE
 
 LARGEST = sys.float_info.max
 WORD, STATE = 2**32 - 1, 2**128 - 1  # the largest of 32 and of 128 bits
@@ -100,4 +101,4 @@ def points(name: str, value: Any, problem: Problem, count: int) -> FloatArray:
         InputError: it is not.
     """
     low, high = problem.scene.room.bounds()
-    return array(name, value, np.float64, count, 3, low=low - MID_AIR, high=high + MID_AIR)
+    return array(name, value, np.float64, count, 3, low=low - NEAR_SURFACE, high=high + NEAR_SURFACE)

@@ -36,6 +36,10 @@ class Changed:
         """See `Space.surfaces_of`."""
         return self._room.surfaces_of(positions, normals)
 
+    def surface_near(self, positions: FloatArray, normals: FloatArray) -> IntArray:
+        """See `Space.surface_near`."""
+        return self._room.surface_near(positions, normals)
+
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """See `Space.bounds`."""
         return self._room.bounds()

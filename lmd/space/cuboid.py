@@ -17,7 +17,7 @@ from lmd.space.grid import (
     latin_hypercube,
 )
 from lmd.space.relevance import Relevance
-from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, SurfaceArrays
+from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, SurfaceArrays, surface_near
 
 WALLS = ("x_min", "x_max", "y_min", "y_max", "floor", "ceiling")
 
@@ -111,6 +111,10 @@ class Cuboid:
         on_wall = (np.abs(walls.depth(positions)) <= PLACEMENT_TOLERANCE) & self.contains(positions)[..., None]
         nearest = np.argmax(np.where(on_wall, normals @ walls.normal.T, -np.inf), axis=-1)
         return np.where(on_wall.any(axis=-1), nearest, -1)
+
+    def surface_near(self, positions: FloatArray, normals: FloatArray) -> IntArray:
+        """See `Space.surface_near`."""
+        return surface_near(self.surfaces(), positions, normals)
 
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """See `Space.bounds`."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.space.grid import cell_borders, combined, grid_axes, grid_counts, kronecker, latin_hypercube
-from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, SurfaceArrays
+from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, SurfaceArrays, surface_near
 
 # Draws of a position that is in the reachable volume, before its grid position is taken instead.
 MOST_DRAWS = 100
@@ -113,3 +113,7 @@ class Gridded(ABC):
         hangs = within & (np.abs(carriers.depth(positions)) <= tolerance) & self.contains(positions)[..., None]
         nearest = np.argmax(np.where(hangs, normals @ carriers.normal.T, -np.inf), axis=-1)
         return np.where(hangs.any(axis=-1), nearest, -1)
+
+    def surface_near(self, positions: FloatArray, normals: FloatArray) -> IntArray:
+        """See `Space.surface_near`."""
+        return surface_near(self.surfaces(), positions, normals)

@@ -6,7 +6,7 @@ from lmd.space.surface import Surface
 
 
 class Inset(Changed):
-    """A room with other surfaces; those of `surfaces_of` and `faces` stay the room's, to their edges.
+    """A room with other surfaces; those of `surfaces_of`, `surface_near` and `faces` stay the room's, to their edges.
 
     Args:
         room: the room.

@@ -29,6 +29,9 @@ class Space(Protocol):
         Also where none may hang, see `Surface.allowed`.
         """
 
+    def surface_near(self, positions: FloatArray, normals: FloatArray) -> IntArray:
+        """The index of the surface that each landmark `(K, 3)` belongs to, see `lmd.space.surface.surface_near`."""
+
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper corner of a box around everything, `(3,)` each."""
 

@@ -14,6 +14,11 @@ from lmd.space.allowed import EDGE, eroded, find_nearest, gathered, polygons, re
 # Landmarks this far (m) outside still count as inside: a CSV rounded to micrometres is not an error.
 PLACEMENT_TOLERANCE = 1e-6
 
+# Landmarks so far from a surface belong to it, metres: somebody measured them, or they have a board behind them.
+NEAR_SURFACE = 0.05
+# A landmark faces away from a surface if its normal is within 45 degrees of that of the surface.
+FACING = math.sqrt(0.5)
+
 # A grid whose cells are more elongated than this gives way to one with rows of unequal number.
 MAX_ELONGATION = 3.0
 
@@ -148,7 +153,21 @@ class Surface:
 
     def distance(self, points: FloatArray) -> FloatArray:
         """How far world points `(..., 3)` are from the surface, `(...)`, metres."""
-        return np.asarray(np.linalg.norm(points - self.point(*self.coordinates(points)), axis=-1))
+        with np.errstate(over="ignore"):  # what is far enough away is infinitely far
+            return np.asarray(np.linalg.norm(points - self.point(*self.coordinates(points)), axis=-1))
+
+
+def surface_near(surfaces: Sequence[Surface], positions: FloatArray, normals: FloatArray) -> IntArray:
+    """The index of the surface that each landmark `(K, 3)` belongs to, -1 for none, `(K,)`.
+
+    It is at most `NEAR_SURFACE` away, before the surface or behind it. Of several that are so near it belongs to the
+    nearest that it faces away from, or else to the nearest.
+    """
+    distance = np.array([surface.distance(positions) for surface in surfaces])  # (W, K)
+    facing = np.array([surface.normal for surface in surfaces]) @ normals.T >= FACING
+    rank = np.where(facing, distance, distance + NEAR_SURFACE)
+    nearest = np.where(distance <= NEAR_SURFACE, rank, np.inf).argmin(axis=0)
+    return np.where(distance.min(axis=0) <= NEAR_SURFACE, nearest, -1)
 
 
 def free_of(face: Surface, region: Any, margin: float, band: Sequence[float] | None, taken: Sequence[Any]) -> Any:

@@ -19,7 +19,7 @@ from lmd.localisation.measurements import Detector
 from lmd.localisation.odometry import Odometry
 from lmd.localisation.pnp import PerspectiveNPoint
 from lmd.localisation.recording import Flight, record
-from lmd.localisation.tags import TagDetector, observation, upright_corners
+from lmd.localisation.tags import TagDetector, corners_of, observation
 from lmd.localisation.trajectory import Pace, RandomMotion
 from lmd.render.optics import project
 from lmd.sight.evaluator import Evaluator
@@ -114,7 +114,7 @@ def test_corners_tell_the_smoother_more_than_places():
 def tags_before(camera_at, centres, normals):
     """World corners and exact images of upright tags, for a camera at the origin that looks along y."""
     deployment = Deployment(np.array(centres, dtype=float), np.array(normals, dtype=float))
-    corners = upright_corners(deployment, TAG)
+    corners = corners_of(deployment, TAG)
     return corners, project(CAMERA, camera_at, corners.reshape(-1, 3)).reshape(-1, 4, 2)
 
 

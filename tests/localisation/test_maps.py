@@ -28,7 +28,7 @@ def problem_of(tag=TAG, noise=EXACT, n=1, start=None):
 def before_a_tag():
     """A tag on the wall x = 0, and the pose of a camera that looks straight at it from `AWAY`."""
     tag = Deployment(np.array([[0.0, 2.5, 3.0]]), np.array([X]))
-    return Hung.upright(tag), camera_pose(np.array([[AWAY, 2.5, 3.0]]), np.array([-np.pi / 2.0]), np.array([0.0]))
+    return Hung.of(tag), camera_pose(np.array([[AWAY, 2.5, 3.0]]), np.array([-np.pi / 2.0]), np.array([0.0]))
 
 
 def errors_of(problem, truth, known, poses):
@@ -70,7 +70,7 @@ def test_a_single_tag_that_is_turned_rolls_the_camera_in_place():
 
 def test_a_map_that_is_off_as_a_whole_moves_every_pose_with_it():
     problem = problem_of(n=2, start=UniformDeployment(90))
-    truth, poses = Hung.upright(problem.draw(np.random.default_rng(0))), draw_poses(problem.scene, 100, 0)
+    truth, poses = Hung.of(problem.draw(np.random.default_rng(0))), draw_poses(problem.scene, 100, 0)
     turn, shift = np.array([0.01, -0.02, 0.015]), np.array([0.02, 0.01, -0.03])
     views = map_errors(problem, truth, {"planned": moved(truth, turn, shift=shift)}, poses, np.random.default_rng(0))
     seeing = map_errors(problem, truth, {"planned": truth}, poses, np.random.default_rng(0))
@@ -85,7 +85,7 @@ def test_a_map_that_is_off_as_a_whole_moves_every_pose_with_it():
 
 def test_two_tags_shifted_apart_are_off_as_the_linearised_estimate_says():
     tags = Deployment(np.array([[0.0, 2.1, 3.0], [0.0, 2.9, 3.1]]), np.array([X, X]))
-    truth, (_, poses) = Hung.upright(tags), before_a_tag()
+    truth, (_, poses) = Hung.of(tags), before_a_tag()
     shifts = np.array([[0.0, -1e-4, 2e-4], [0.0, 2e-4, 1e-4]])
     known = Hung(replace(tags, positions=tags.positions + shifts), truth.ups)
     position, _ = errors_of(problem_of(n=2), truth, known, poses)
@@ -105,7 +105,7 @@ def test_two_tags_shifted_apart_are_off_as_the_linearised_estimate_says():
 
 def test_points_need_four_for_a_pose():
     problem = problem_of(Tag(), n=2)
-    truth, poses = Hung.upright(problem.draw(np.random.default_rng(0))), draw_poses(problem.scene, 60, 0)
+    truth, poses = Hung.of(problem.draw(np.random.default_rng(0))), draw_poses(problem.scene, 60, 0)
     views = map_errors(problem, truth, {"planned": truth}, poses, np.random.default_rng(0))
     assert (views.position_planned.isna() == (views.tags < 4)).all()
     assert set(views.tags < 4) == {True, False}
