@@ -103,6 +103,7 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
     """
     import numpy as np
 
+    from lmd.carried import carried
     from lmd.checks import InputError, boolean, choice, integer
     from lmd.objectives.localisation import Localisation
     from lmd.optimisers.encoding import KINDS
@@ -129,6 +130,8 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
     boolean("encoding.flush", cfg.encoding.flush)
     objective = instantiate(cfg.objective)
     if isinstance(objective, Localisation):
+        with keyed(rig="camera.rig"):
+            scene = carried(scene)
         objective.precision(scene)  # refuses a rig before anything is compiled
     with keyed("deployment", count=count):
         fixed = fixed_of(cfg.deployment)
