@@ -15,10 +15,12 @@ from lmd.checks import InputError
 from lmd.deployment import Deployment, FileDeployment, RandomDeployment
 from lmd.detection.frames import tagged_room
 from lmd.export.tag_map import TagMap
+from lmd.labels import Labels
 from lmd.localisation.tags import corners_of
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.base import Budget
 from lmd.optimisers.random_search import RandomSearch
+from lmd.optimisers.stored import points
 from lmd.plates import Plates
 from lmd.problem import Problem
 from lmd.scene import Scene
@@ -163,6 +165,18 @@ def test_fixed_tags_keep_what_was_measured_of_them_through_a_search(tmp_path):
     assert_array_equal(found.places[:4], Deployment.from_csv(path).positions)
     assert_allclose(found.ups[:4], ups, atol=1e-12)
     assert_array_equal(found.places[4:], found.positions[4:])
+
+
+def test_a_checkpoint_may_hold_fixed_tags_outside_the_room(tmp_path):
+    room = paper_room(spacing=1.5)
+    there = Deployment(np.array([[-1.0, 2.0, 1.0]]), np.array([[1.0, 0.0, 0.0]]))
+    free = FileDeployment(
+        saved(tmp_path / "tags.csv", replace(hanging(room), labels=Labels(np.arange(5, 17)))), free=True
+    )
+    problem = Problem(Scene(room, paper_camera(), pdf.grid_with_ends(4), SEEN), Coverage(1, 0.5), free, fixed=there)
+    assert_array_equal(points("positions", problem.fixed.positions, problem, 1), there.positions)
+    with pytest.raises(InputError):
+        points("positions", there.positions - 1.0, problem, 1)
 
 
 def test_how_far_a_tag_hangs_from_its_plan_counts_what_is_behind_the_wall(tmp_path):

@@ -95,10 +95,12 @@ def deployment(name: str, state: Mapping[str, Any], problem: Problem, count: int
 
 
 def points(name: str, value: Any, problem: Problem, count: int) -> FloatArray:
-    """Return `value` if it is so many points `(count, 3)` in the box around a problem's room, metres.
+    """Return `value` if it is so many points `(count, 3)` in the box around a problem's room and fixed tags, metres.
 
     Raises:
         InputError: it is not.
     """
-    low, high = problem.scene.room.bounds()
+    fixed = np.empty((0, 3)) if problem.fixed is None else problem.fixed.positions
+    corners = np.vstack([*problem.scene.room.bounds(), fixed])
+    low, high = corners.min(axis=0), corners.max(axis=0)
     return array(name, value, np.float64, count, 3, low=low - NEAR_SURFACE, high=high + NEAR_SURFACE)
