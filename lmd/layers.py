@@ -16,17 +16,17 @@ Bundle = TypeVar("Bundle")
 
 def layers(bundle: Bundle, number: int) -> Bundle:
     """So many copies of a named tuple of arrays, along a new first axis; an array that it has twice stays one."""
-    copies: dict[int, np.ndarray] = {}
-
-    def copied(part: Any) -> Any:
-        if isinstance(part, tuple):
-            return _made(type(part), map(copied, part))
-        if id(part) not in copies:
-            copies[id(part)] = np.repeat(part[None], number, axis=0)
-        return copies[id(part)]
-
-    made: Bundle = copied(bundle)
+    made: Bundle = _copied(bundle, number, {})
     return made
+
+
+def _copied(part: Any, number: int, copies: dict[int, np.ndarray]) -> Any:
+    """`copies` are those made already; not a function within `layers`, which would keep them as garbage in a circle."""
+    if isinstance(part, tuple):
+        return _made(type(part), [_copied(inner, number, copies) for inner in part])
+    if id(part) not in copies:
+        copies[id(part)] = np.repeat(part[None], number, axis=0)
+    return copies[id(part)]
 
 
 def layer(bundle: Any, number: Any) -> Any:
