@@ -7,8 +7,8 @@ from typing import NoReturn
 from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
-from omegaconf import DictConfig, OmegaConf
-from yaml import YAMLError
+
+from .trust import Trust, read_yaml
 
 KEY = "run="
 GROUPS = ("room", "camera", "pdf", "poses", "tag", "visibility", "objective")  # what a run was about
@@ -21,7 +21,8 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}") -> None:
     """Make what the run in `run=DIR` of the command line was about an option `run` of each group, and choose it.
 
     Where the command line chooses another option of a group itself, that stands; and keys of the options can be
-    overridden like those of any other. Must be called before Hydra reads the command line.
+    overridden like those of any other. Must be called before Hydra reads the command line. A run that names code which
+    the user does not trust ends the process.
 
     Args:
         deployment: the override that chooses the landmarks of the run.
@@ -30,41 +31,36 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}") -> None:
     directory = _directory(given[-1]) if given else None
     if directory is None:
         return
+    from lmd.checks import InputError
+
     for name in FILES:
         if not (directory / name).is_file():
             _refuse(f"run = '{directory}' is no run to go on from: it holds no {name}.")
-    before, store = _configuration(directory / FILES[0]), ConfigStore.instance()
-    parts = {group: OmegaConf.select(before, group) for group in GROUPS}
-    groups = [group for group in GROUPS if parts[group] is not None]  # runs of old lack some
-    for group in groups:
-        store.store(OPTION, parts[group], group)
+    config, store = directory / FILES[0], ConfigStore.instance()
+    try:
+        before = read_yaml(config, "run")
+        parts = Trust.given().parts(before, f"run: '{config}'", GROUPS)  # runs of old lack some
+    except InputError as error:
+        _refuse(str(error))
+    for group, part in parts.items():
+        store.store(OPTION, part, group)
     named = {argument.partition("=")[0] for argument in sys.argv[1:]}
-    # Runs of old lack some of these.
-    free, measured, fixed = (OmegaConf.select(before, f"deployment.{key}") for key in ("free", "measured", "fixed"))
+    hung = before.get("deployment")
+    hung = hung if isinstance(hung, dict) else {}
+    free, measured, fixed = (hung.get(key) for key in ("free", "measured", "fixed"))  # runs of old lack some
     path = str(directory / FILES[1])
     free = bool(free) or measured is not None  # measured places are what they are
-    hung = {
+    kept = {
         "fixed": None if fixed is None else path,  # the file they came from may have changed
         "marked": fixed is not None and "deployment.fixed" not in named,  # of its own file only those marked as fixed
     }
-    store.store(OPTION, {"defaults": ["file", "_self_"], "path": path, "free": free, **hung}, "deployment")
-    store.store(RANDOM, {"defaults": ["random", "_self_"], **hung}, "deployment")
-    chosen = [f"{group}={OPTION}" for group in groups] + [deployment]
+    store.store(OPTION, {"defaults": ["file", "_self_"], "path": path, "free": free, **kept}, "deployment")
+    store.store(RANDOM, {"defaults": ["random", "_self_"], **kept}, "deployment")
+    chosen = [f"{group}={OPTION}" for group in parts] + [deployment]
     if "poses" in named:
         named.add("pdf")  # each way of telling where the camera is brings its own way of telling how it looks
     place = sys.argv.index(given[-1]) + 1  # beside it: options of Hydra may stand before and after
     sys.argv[place:place] = [override for override in chosen if override.partition("=")[0] not in named]
-
-
-def _configuration(file: Path) -> DictConfig:
-    """What is in the configuration of a run; ends the process where that cannot be read."""
-    try:
-        found = OmegaConf.load(file)
-    except (OSError, UnicodeDecodeError, YAMLError) as error:
-        _refuse(f"run: '{file}' cannot be read ({' '.join(str(error).split())}).")
-    if not isinstance(found, DictConfig):
-        _refuse(f"run: '{file}' is no configuration.")
-    return found
 
 
 def _refuse(message: str) -> NoReturn:
