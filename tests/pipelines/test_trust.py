@@ -38,7 +38,7 @@ def composed():
 
 @pytest.fixture
 def strangers(tmp_path, monkeypatch, composed):
-    """A function that writes the folder of a run with a changed configuration, beside a module `evil` that leaves a trace."""
+    """A function that writes a run's folder with other settings, beside a module `evil` that leaves traces."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "evil.py").write_text(EVIL)
