@@ -17,7 +17,7 @@ from hydra.errors import HydraException
 
 from .app import CONF, PACKAGE, command_of, config_dir, search_path, task_overrides
 from .sweeps.names import quoted
-from .trust import PAGE, SHOWN, TARGET, Trust, listed, printable, read_yaml
+from .trust import PAGE, SHOWN, TARGET, Trust, listed, read_yaml
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -58,7 +58,7 @@ def going_on(run: "pd.Series", trust: Trust) -> GoingOn | None:
         trust: of the command line.
     """
     from lmd.checkpoint import FILE
-    from lmd.checks import InputError
+    from lmd.checks import InputError, printable
 
     from .tracking import PARENT_TAG
 
@@ -98,15 +98,15 @@ def _command(folder: Path, is_sweep: bool, trust: Trust) -> tuple[str, list[str]
         keys = [override.partition("=")[0] for override in own]
         kept = [override for override in task if _is_kept(override, str(file), trust)]
     except (KeyError, TypeError, AttributeError):
-        raise InputError(f"{printable(str(file))} is none as Hydra writes it") from None
+        raise InputError(f"{file} is none as Hydra writes it") from None
     if not _is_pipeline(pipeline):
-        raise InputError(f"{printable(str(file))} names {pipeline[:SHOWN]!r}, which is no pipeline")
+        raise InputError(f"{file} names {pipeline[:SHOWN]!r}, which is no pipeline")
     for path in folder.rglob("*"):
         if path.is_symlink() and ".submitit" not in path.parts:  # what is written there would go elsewhere
-            raise InputError(f"{printable(str(path))} is a link")
+            raise InputError(f"{path} is a link")
     for place in places:
         if not trust.has(place):
-            told = f"it read configuration in {printable(place)}"
+            told = f"it read configuration in {place}"
             raise InputError(f"{told}; if that is yours, add {shlex.quote(f'hydra.searchpath=[{place}]')} ({PAGE})")
     for key, override in zip(keys, own, strict=True):
         if HARMLESS.fullmatch(override):
@@ -141,7 +141,7 @@ def _is_kept(override: str, source: str, trust: Trust) -> bool:
     try:
         parsed = OverridesParser.create().parse_override(override)
     except HydraException:
-        raise InputError(f"{printable(source)} holds {override[:SHOWN]!r}, which is no override") from None
+        raise InputError(f"{source} holds {override[:SHOWN]!r}, which is no override") from None
     key, is_sweep = str(parsed.key_or_group), parsed.is_sweep_override()
     first = re.split("[./]", key)[0]
     if first in ("tracking", "resume"):
@@ -153,7 +153,7 @@ def _is_kept(override: str, source: str, trust: Trust) -> bool:
         return False
     if first in PLACES or parsed.package is not None or (is_sweep and TARGET in override.replace("\\", "")):
         raise InputError(f"it was given {override[:SHOWN]!r}, which is not taken from a file ({PAGE})")
-    trust.check(printable(source), key, override.partition("=")[2] if is_sweep else parsed.value())
+    trust.check(source, key, override.partition("=")[2] if is_sweep else parsed.value())
     return True
 
 

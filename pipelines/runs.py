@@ -12,7 +12,7 @@ from omegaconf import DictConfig
 from .app import application, ends_reported
 from .building import instantiate
 from .going_on import GoingOn, going_on
-from .trust import Trust, printable
+from .trust import Trust
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -36,7 +36,7 @@ def main(cfg: DictConfig) -> None:
 
 def runs(cfg: DictConfig) -> None:
     """List the newest runs of the configured store."""
-    from lmd.checks import InputError, integer
+    from lmd.checks import InputError, integer, printable
 
     from .tracking import MlflowReader, MlflowTracker
     from .tracking.experiment import link
@@ -64,6 +64,8 @@ def runs(cfg: DictConfig) -> None:
 
 
 def _listed(table: "pd.DataFrame") -> str:
+    from lmd.checks import printable
+
     shown = table.reindex(columns=list(COLUMNS)).rename(columns=COLUMNS)
     for column in ("run", "pipeline"):
         shown[column] = shown[column].fillna("").astype(str).map(printable)
@@ -80,7 +82,7 @@ def _resume(unfinished: Mapping[str, GoingOn], wanted: str) -> None:
         raise InputError(f"resume = {wanted!r} is no run among these that can go on.")
     again = unfinished[found[-1]]
     if not again.process:
-        raise InputError(f"resume = {wanted!r}: {printable(found[-1])} does not go on from here: {again.why_not}.")
+        raise InputError(f"resume = {wanted!r}: {found[-1]} does not go on from here: {again.why_not}.")
     print(f"\n{again.command}", flush=True)
     os.execv(again.process[0], again.process)
 

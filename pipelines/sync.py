@@ -10,7 +10,7 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from .app import application, ends_reported
-from .trust import PAGE, printable
+from .trust import PAGE
 
 
 def main() -> None:
@@ -33,7 +33,7 @@ def sync(cfg: DictConfig) -> bool:
     Raises:
         InputError: there is no such folder.
     """
-    from lmd.checks import InputError, boolean
+    from lmd.checks import InputError, boolean, printable
 
     from .tracking.hand_in import hand_in
     from .tracking.journal import FILE, Journal

@@ -108,7 +108,7 @@ class Trust:
         for where, leaf in _leaves(source, key, value, set()):
             if where.rpartition(".")[2] == TARGET:
                 if not isinstance(leaf, str) or not NAME.fullmatch(leaf):
-                    raise InputError(f"{source}: {printable(where)} is no name of a class or a function ({PAGE}).")
+                    raise InputError(f"{source}: {where} is no name of a class or a function ({PAGE}).")
                 if self._trusts(leaf):
                     trusted.add((where, leaf))
                     continue
@@ -117,12 +117,12 @@ class Trust:
                 asked = self._resolver_in(leaf) if isinstance(leaf, str) else None
             if asked is not None:
                 raise InputError(
-                    f"{source}: {printable(where)} = {leaf[:SHOWN]!r} would run code that neither this project's "
+                    f"{source}: {where} = {leaf[:SHOWN]!r} would run code that neither this project's "
                     f"configuration nor your search path names; if you trust it, add trust=[{asked}] ({PAGE})."
                 )
         for where, leaf in sorted(trusted):
             if not self._is_defined_there(leaf):
-                told = f"{source}: {printable(where)} = {leaf[:SHOWN]!r}"
+                told = f"{source}: {where} = {leaf[:SHOWN]!r}"
                 raise InputError(f"{told} is not defined in what you trust, which only imports it ({PAGE}).")
 
     def _named_in(self, group: str) -> set[str]:
@@ -171,11 +171,6 @@ def read_yaml(file: Path, source: str) -> dict[Any, Any]:
     return found
 
 
-def printable(text: str) -> str:
-    """A text from elsewhere for the terminal, which it cannot steer."""
-    return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
-
-
 def listed(argument: str) -> list[str]:
     """The names in an argument of the command line; none if Hydra will refuse it."""
     from lmd.checks import InputError
@@ -201,13 +196,13 @@ def _leaves(source: str, key: str, value: Any, seen: set[int]) -> Iterator[tuple
     is_target = key.rpartition(".")[2] == TARGET
     if isinstance(value, Mapping | list | tuple) and not is_target:
         if id(value) in seen:
-            raise InputError(f"{source}: {printable(key)} is an alias, which Hydra writes none of.")
+            raise InputError(f"{source}: {key} is an alias, which Hydra writes none of.")
         seen.add(id(value))
         for name, inner in value.items() if isinstance(value, Mapping) else enumerate(value):
             if not isinstance(name, str | int | float):
-                raise InputError(f"{source}: {printable(key)} has a key that is no text.")
+                raise InputError(f"{source}: {key} has a key that is no text.")
             yield from _leaves(source, f"{key}.{name}", inner, seen)
     elif isinstance(value, PLAIN) or is_target:
         yield key, value
     else:
-        raise InputError(f"{source}: {printable(key)} is no plain value.")
+        raise InputError(f"{source}: {key} is no plain value.")

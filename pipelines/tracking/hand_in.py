@@ -2,9 +2,8 @@
 
 import sys
 
-from lmd.checks import InputError
+from lmd.checks import InputError, printable
 
-from ..trust import printable
 from .journal import Journal
 from .processes import is_gone
 from .store import Store, now

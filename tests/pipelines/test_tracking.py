@@ -369,7 +369,6 @@ def test_only_files_of_a_runs_own_folder_are_handed_in(uri, folder, tmp_path_fac
 
 def test_a_journal_goes_to_the_configured_store_or_asks(uri, folder, capsys, monkeypatch):
     asked = []
-    monkeypatch.setattr("pipelines.sync.printable", str)
     monkeypatch.setattr("pipelines.tracking.hand_in.hand_in", lambda _, to: asked.append(to) or "done")
     journal_of_a_stranger(folder, "http://127.0.0.1:9/\x1b[2J", "3f")
     assert not synced(f"tracking.uri={uri}")
