@@ -30,6 +30,7 @@ HARMLESS = re.compile(
     r"hydra\.mode=\w+|hydra/launcher=\w+|"
     r"hydra\.launcher\.(n_jobs|partition|timeout_min|cpus_per_task|mem_gb|array_parallelism)=[\w.-]+"
 )
+PICKLES = ".submitit"  # a folder in that of a sweep; submitit unpickles what is there
 REPLACED = ("hydra.run.dir", "hydra.sweep.dir", "hydra.searchpath")  # by the folder itself, and by what is ours
 
 
@@ -102,8 +103,10 @@ def _command(folder: Path, is_sweep: bool, trust: Trust) -> tuple[str, list[str]
     if not _is_pipeline(pipeline):
         raise InputError(f"{file} names {pipeline[:SHOWN]!r}, which is no pipeline")
     for path in folder.rglob("*"):
-        if path.is_symlink() and ".submitit" not in path.parts:  # what is written there would go elsewhere
-            raise InputError(f"{path} is a link")
+        if path.is_symlink():  # what is written there would go elsewhere
+            raise InputError(f"{path} is a link ({PAGE})")
+        if path.name == PICKLES:
+            raise InputError(f"{path} holds what jobs and the sweep hand to each other, which may run code ({PAGE})")
     for place in places:
         if not trust.has(place):
             told = f"it read configuration in {place}"

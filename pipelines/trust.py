@@ -162,6 +162,8 @@ def read_yaml(file: Path, source: str) -> dict[Any, Any]:
     """
     from lmd.checks import InputError
 
+    if not file.is_file():  # nor a pipe, which would be waited for
+        raise InputError(f"{source}: there is no file '{file}'.")
     try:
         found = yaml.load(file.read_text(encoding="utf-8"), Loader=get_yaml_loader())
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:

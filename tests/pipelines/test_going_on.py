@@ -166,12 +166,25 @@ def test_a_folder_that_leads_elsewhere_does_not_go_on(left, tmp_path):
     assert "config.yaml is a link" in again.why_not
 
 
+def test_pickles_of_a_sweep_are_not_read(left):
+    folder = left("seed=0,1", own=["hydra/launcher=submitit_local"], sweep=True)
+    assert told(folder, sweep="seed").process
+    (folder / ".submitit" / "1").mkdir(parents=True)
+    again = told(folder, sweep="seed")
+    assert not again.process
+    assert ".submitit holds what jobs and the sweep hand to each other, which may run code" in again.why_not
+
+
 @pytest.mark.parametrize("text", ["", "[1]", "hydra: 1", "hydra: {job: 1}", "a: [", "hydra: {job: {name: optimise}}"])
 def test_a_folder_that_hydra_has_not_written_does_not_go_on(left, text):
     folder = left()
-    (folder / ".hydra" / "hydra.yaml").write_text(text)
+    file = folder / ".hydra" / "hydra.yaml"
+    file.write_text(text)
     assert not told(folder).process
     assert told(folder).why_not
+    file.unlink()
+    os.mkfifo(file)
+    assert "there is no file" in told(folder).why_not
 
 
 def test_what_is_not_here_is_named_and_what_has_left_nothing_is_not(left, tmp_path, monkeypatch):
