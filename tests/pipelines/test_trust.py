@@ -146,6 +146,12 @@ def test_a_run_without_code_of_others_is_taken(strangers, monkeypatch, capsys):
     assert told(capsys, monkeypatch) == ""
 
 
+def test_an_optimiser_of_ones_own_is_no_part_of_what_a_run_was_about(strangers, monkeypatch, capsys):
+    strangers("{optimiser: {_target_: evil.Room}, tracking: {_target_: evil.Room}}")
+    assert told(capsys, monkeypatch) == ""
+    assert "evil" not in sys.modules
+
+
 @pytest.mark.parametrize("trust", ["trust=[evil]", "+trust=evil", "trust=[evil.Room,os]"])
 def test_a_package_that_is_trusted_may_be_named_but_not_walked_through(strangers, monkeypatch, capsys, trust):
     strangers("room: {_target_: evil.Room}")
