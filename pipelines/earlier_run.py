@@ -9,11 +9,11 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf
-from yaml import YAMLError
+from omegaconf import DictConfig
 
 from .app import choices, search_path
 from .sweeps.names import quoted
+from .trust import Trust, read_yaml
 
 KEY = "run="
 GROUPS = ("room", "camera", "pdf", "poses", "tag", "visibility", "objective")  # what a run was about
@@ -27,7 +27,8 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}") -> None:
 
     What hung already in that run, and how many landmarks it had, goes for other sources of landmarks too. Where the
     command line chooses another option of a group itself, that stands; and keys of the options can be overridden like
-    those of any other. Must be called before Hydra reads the command line.
+    those of any other. Must be called before Hydra reads the command line. A run that names code which the user does
+    not trust ends the process.
 
     Args:
         deployment: the override that chooses the landmarks of the run.
@@ -36,21 +37,27 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}") -> None:
     directory = _directory(given[-1]) if given else None
     if directory is None:
         return
+    from lmd.checks import InputError
+
     for name in FILES:
         if not (directory / name).is_file():
             _refuse(f"run = '{directory}' is no run to go on from: it holds no {name}.")
-    before, store = _configuration(directory / FILES[0]), ConfigStore.instance()
-    parts = {group: OmegaConf.select(before, group) for group in GROUPS}
-    groups = [group for group in GROUPS if parts[group] is not None]  # runs of old lack some
-    for group in groups:
-        store.store(OPTION, parts[group], group)
+    config, store = directory / FILES[0], ConfigStore.instance()
+    try:
+        before = read_yaml(config, "run")
+        parts = Trust.given().parts(before, f"run: '{config}'", GROUPS)  # runs of old lack some
+    except InputError as error:
+        _refuse(str(error))
+    for group, part in parts.items():
+        store.store(OPTION, part, group)
     named = {argument.partition("=")[0].lstrip("+~").partition("@")[0] for argument in sys.argv[1:]}
-    # Runs of old lack some of these.
-    free, measured, fixed = (OmegaConf.select(before, f"deployment.{key}") for key in ("free", "measured", "fixed"))
+    hung = before.get("deployment")
+    hung = hung if isinstance(hung, dict) else {}
+    free, measured, fixed = (hung.get(key) for key in ("free", "measured", "fixed"))  # runs of old lack some
     path = directory / FILES[1]
     free = bool(free) or measured is not None  # measured places are what they are
     store.store(OPTION, {"defaults": ["file", "_self_"], "path": str(path), "free": free}, "deployment")
-    chosen = [f"{group}={OPTION}" for group in groups] + [deployment]
+    chosen = [f"{group}={OPTION}" for group in parts] + [deployment]
     options = [argument for argument in (deployment, *sys.argv[1:]) if argument.startswith("deployment=")]
     if options and COUNTED.issuperset(options[-1].partition("=")[2].split(",")):
         chosen.append(f"deployment.count={count_of(directory)}")
@@ -93,17 +100,6 @@ def check_experiment(cfg: DictConfig) -> None:
             f"run = {str(cfg.run)!r} and experiment={name} both choose {', '.join(twice)}: leave one of the two out; "
             "what shall differ from the run can be named by itself."
         )
-
-
-def _configuration(file: Path) -> DictConfig:
-    """What is in the configuration of a run; ends the process where that cannot be read."""
-    try:
-        found = OmegaConf.load(file)
-    except (OSError, UnicodeDecodeError, YAMLError) as error:
-        _refuse(f"run: '{file}' cannot be read ({' '.join(str(error).split())}).")
-    if not isinstance(found, DictConfig):
-        _refuse(f"run: '{file}' is no configuration.")
-    return found
 
 
 def _refuse(message: str) -> NoReturn:

@@ -6,9 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from .app import application, ends_reported, run_directory, save_path
 from .building import build_problem
+from .earlier_run import GROUPS
+from .trust import Trust, read_yaml
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -43,10 +46,10 @@ def report(cfg: DictConfig) -> None:
     kept = _kept_text(save_as)
     reader = MlflowReader(cfg.tracking.uri, cfg.tracking.experiment_name)
     runs = _chosen(reader.runs(), cfg.sweeps)
-    directory = run_directory()
+    directory, trust = run_directory(), Trust.given()
     with tempfile.TemporaryDirectory(dir=directory, prefix=".partial_") as name:
         partial = Path(name)
-        found = sections(Source(reader, runs, lambda run_id: _load(reader, run_id), partial))
+        found = sections(Source(reader, runs, lambda run_id: _load(reader, run_id, trust), partial))
         pictures = sorted(path.name for path in partial.iterdir())
         (partial / "report.html").write_text(to_html(TITLE, found), encoding="utf-8")
         (partial / "report.md").write_text(f"# {TITLE}\n\n{to_markdown(found, '')}", encoding="utf-8")
@@ -101,16 +104,22 @@ def _chosen(runs: "pd.DataFrame", sweeps: ListConfig | None) -> "pd.DataFrame":
     return runs[parents.isin(list(sweeps)) | runs.index.isin(list(sweeps))]
 
 
-def _load(reader: "MlflowReader", run_id: str) -> "tuple[Problem, Deployment]":
+def _load(reader: "MlflowReader", run_id: str, trust: Trust) -> "tuple[Problem, Deployment]":
     """The problem a run was about and the deployment it found, from the files it kept."""
     import numpy as np
 
-    cfg = OmegaConf.load(reader.artifact(run_id, "config.yaml"))
-    assert isinstance(cfg, DictConfig)
+    from lmd.checks import InputError
+
+    source = f"run {run_id}"
+    found = read_yaml(reader.artifact(run_id, "config.yaml"), source)
+    parts = trust.parts(found, f"{source}: config.yaml", (*GROUPS, "encoding"))
     landmarks = reader.artifact(run_id, "landmarks.csv")
     # In place of its start; what the run took as it was is shown as it was.
-    cfg.deployment = {"_target_": "lmd.deployment.FileDeployment", "path": str(landmarks), "free": True}
-    problem = build_problem(cfg)
+    deployment = {"_target_": "lmd.deployment.FileDeployment", "path": str(landmarks), "free": True}
+    try:
+        problem = build_problem(OmegaConf.create({**parts, "deployment": deployment, "seed": 0, "threads": None}))
+    except OmegaConfBaseException as error:
+        raise InputError(f"{source}: config.yaml: {str(error).splitlines()[0]}") from None
     return problem, problem.draw(np.random.default_rng(0))
 
 

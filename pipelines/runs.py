@@ -4,16 +4,15 @@ Runs whose process is gone are ended first: they would be shown as running for e
 """
 
 import os
-import shlex
-import sys
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
 from .app import application, ends_reported
 from .building import instantiate
+from .going_on import GoingOn, going_on
+from .trust import Trust
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -37,7 +36,7 @@ def main(cfg: DictConfig) -> None:
 
 def runs(cfg: DictConfig) -> None:
     """List the newest runs of the configured store."""
-    from lmd.checks import InputError, integer
+    from lmd.checks import InputError, integer, printable
 
     from .tracking import MlflowReader, MlflowTracker
     from .tracking.experiment import link
@@ -51,50 +50,41 @@ def runs(cfg: DictConfig) -> None:
         end_those_gone(tracker.store)
     table = reader.runs().iloc[-last:]
     print(_listed(table))
-    unfinished = {str(run_id): again for run_id, run in table.iterrows() if (again := _how_to_go_on(run))}
-    names = table["name"].to_dict()
+    trust = Trust.given()
+    unfinished = {str(run_id): again for run_id, run in table.iterrows() if (again := going_on(run, trust))}
     for run_id, again in unfinished.items():
-        print(f"\n{names[run_id]} ({run_id}) goes on with:\n{shlex.join(again)}")
+        name = printable(f"{table['name'][run_id]} ({run_id})")
+        if again.process:
+            print(f"\n{name} goes on with:\n{again.command}")
+        else:
+            print(f"\n{name} does not go on from here: {again.why_not}. Read before you run it:\n{again.command}")
     if cfg.resume is not None:
         _resume(unfinished, str(cfg.resume))
     print(f"\nin the browser, while `make ui` runs: {link(cfg.address, tracker.store.experiment_id)}")
 
 
 def _listed(table: "pd.DataFrame") -> str:
+    from lmd.checks import printable
+
     shown = table.reindex(columns=list(COLUMNS)).rename(columns=COLUMNS)
+    for column in ("run", "pipeline"):
+        shown[column] = shown[column].fillna("").astype(str).map(printable)
     shown["started (UTC)"] = shown["started (UTC)"].dt.strftime("%Y-%m-%d %H:%M:%S")
     return str(shown.to_string(index=False, na_rep="", float_format="{:g}".format))
 
 
-def _how_to_go_on(run: "pd.Series") -> list[str]:
-    """The command that goes on with a run, in words; none where it has ended well, or has left nothing to go on from.
-
-    A sweep goes on with the same command, and with it its jobs.
-    """
-    from lmd.checkpoint import FILE
-
-    from .tracking import PARENT_TAG
-
-    command, folder = run.get("tags.command"), Path(str(run.get("tags.folder")))
-    if run["status"] not in ("KILLED", "FAILED") or not isinstance(command, str):
-        return []
-    words = [word for word in shlex.split(command) if not word.startswith("resume=")]
-    if isinstance(run.get("tags.sweep"), str):
-        return [] if isinstance(run.get(f"tags.{PARENT_TAG}"), str) else words
-    return [*words, f"resume={folder}"] if (folder / FILE).is_file() else []
-
-
-def _resume(unfinished: Mapping[str, list[str]], wanted: str) -> None:
+def _resume(unfinished: Mapping[str, GoingOn], wanted: str) -> None:
     """Become the command that goes on with the run called `wanted`, or with the last one."""
     from lmd.checks import InputError
 
     found = list(unfinished) if wanted == "last" else [run_id for run_id in unfinished if run_id.startswith(wanted)]
     if not found:
         raise InputError(f"resume = {wanted!r} is no run among these that can go on.")
-    words = unfinished[found[-1]]
-    print(f"\n{shlex.join(words)}", flush=True)
-    program = sys.executable if words[0] == "python" else words[0]
-    os.execvp(program, [program, *words[1:]])
+    again = unfinished[found[-1]]
+    if not again.process:
+        raise InputError(f"resume = {wanted!r}: {found[-1]} does not go on from here: {again.why_not}.")
+    print(f"\n{again.command}", flush=True)
+    os.execv(again.process[0], again.process)
 
 
 if __name__ == "__main__":

@@ -3,16 +3,24 @@
 A run whose tracking store stops to answer goes on, and keeps what it has to record in a journal in its folder.
 """
 
+import shlex
 import sys
 from pathlib import Path
 
 from omegaconf import DictConfig
 
 from .app import application, ends_reported
+from .trust import PAGE
+
+
+def main() -> None:
+    """Read `--yes`, then hand over to Hydra."""
+    sys.argv[1:] = ["yes=true" if argument == "--yes" else argument for argument in sys.argv[1:]]
+    _main()
 
 
 @application("sync")
-def main(cfg: DictConfig) -> None:
+def _main(cfg: DictConfig) -> None:
     """Hand in all journals below a folder; exits with 1 if one could not be."""
     with ends_reported():
         if not sync(cfg):
@@ -25,24 +33,42 @@ def sync(cfg: DictConfig) -> bool:
     Raises:
         InputError: there is no such folder.
     """
-    from lmd.checks import InputError
+    from lmd.checks import InputError, boolean, printable
 
     from .tracking.hand_in import hand_in
-    from .tracking.journal import Journal
+    from .tracking.journal import FILE, Journal
 
-    folder = Path(str(cfg.folder))
+    folder, yes = Path(str(cfg.folder)), boolean("yes", cfg.yes)
     if not folder.is_dir():
         raise InputError(f"folder = {str(cfg.folder)!r} is no folder.")
-    journals, failed = list(Journal.below(folder)), False
-    for journal in journals:
+    paths, failed = sorted(folder.rglob(FILE)), False
+    for path in paths:
         try:
-            print(hand_in(journal, cfg.uri), flush=True)
+            journal = Journal.of(path.parent, elsewhere=yes)
+            print(printable(hand_in(journal, _destination(journal.store, cfg, yes))), flush=True)
         except InputError as error:
-            print(f"error: {journal.path}: {error}", file=sys.stderr)
+            print(printable(f"error: {path}: {error}"), file=sys.stderr)
             failed = True
-    if not journals:
+    if not paths:
         print(f"nothing to hand in below {folder}")
     return not failed
+
+
+def _destination(given: str | None, cfg: DictConfig, yes: bool) -> str:
+    """The store that a journal goes to, where the run was given the address `given`.
+
+    Raises:
+        InputError: it is not the configured one, and nobody has said that it may be.
+    """
+    from lmd.checks import InputError
+
+    if cfg.uri is not None:
+        return str(cfg.uri)
+    configured = cfg.tracking.get("uri")  # none has `tracking=none`
+    if given not in (None, configured) and not yes:
+        raise InputError(f"it is for {given!r}, and not for {configured!r}, your tracking.uri; if you know it, add "
+                         f"{shlex.quote(f'uri={given}')} or --yes ({PAGE}).")  # fmt: skip
+    return str(given or configured)
 
 
 if __name__ == "__main__":

@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 
 # What a run is about is a parameter; what only says how it is done, where it goes on and where it is kept is none.
 NO_PARAMETERS = (
-    "tracking", "run", "resume", "page", "threads", "checkpoint_seconds", "tracked_as", "export", "paper_size", "north"
+    "tracking", "trust", "run", "resume", "page", "threads", "checkpoint_seconds", "tracked_as", "export", "paper_size",
+    "north",
 )  # fmt: skip
 
 LITTLE = 0.1  # share of qualified positions below which a run says what takes the others

@@ -1,5 +1,7 @@
 """Stores of tracked sweeps as the pipelines leave them, without the work, and reports on them."""
 
+import sys
+
 import numpy as np
 import pytest
 from hydra import compose, initialize_config_dir
@@ -85,5 +87,6 @@ def write_report(folder, *overrides):
     folder.mkdir()
     with initialize_config_dir(CONF, version_base="1.3"), pytest.MonkeyPatch.context() as patch:
         patch.setattr(pipelines.report, "run_directory", lambda: folder)
+        patch.setattr(sys, "argv", ["report", *overrides])
         pipelines.report.report(compose("report", list(overrides)))
     return (folder / "report.md").read_text()

@@ -2,6 +2,8 @@
 
 import sys
 
+from lmd.checks import InputError, printable
+
 from .journal import Journal
 from .processes import is_gone
 from .store import Store, now
@@ -9,19 +11,30 @@ from .store import Store, now
 GONE = "its process is gone: it was killed, or the machine was switched off"
 
 
-def hand_in(journal: Journal, uri: str | None = None) -> str:
+def hand_in(journal: Journal, uri: str) -> str:
     """Send all of a journal that a run left behind, and remove it; what the store has already is not doubled.
 
     Args:
         journal: of a run that has ended, one way or another.
-        uri: of the store; None for the one that the run was given.
+        uri: of the store.
 
     Returns:
         what was done, in one line.
 
     Raises:
-        InputError: the store cannot be used.
+        InputError: the store cannot be used, or the journal is none.
     """
+    try:
+        return _hand_in(journal, uri)
+    except InputError:
+        raise
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(
+            f"the journal in {journal.path.parent} is none that a run has written ({type(error).__name__}: {error})."
+        ) from error
+
+
+def _hand_in(journal: Journal, uri: str) -> str:
     begins = [entry for entry in journal.entries if "run_id" in entry]
     if not begins:  # killed before it had a run
         journal.remove()
@@ -30,7 +43,7 @@ def hand_in(journal: Journal, uri: str | None = None) -> str:
     ended = "end" in entries[-1]
     if not ended and not is_gone(last):
         return f"{journal.path} is left: its process still runs, or ran on another host ({last['host']})"
-    store, run_id = Store(uri or last["uri"], last["experiment"]), last["run_id"]
+    store, run_id = Store(uri, last["experiment"]), last["run_id"]
     with store.errors_reported():
         run = store.client.get_run(run_id)
         if not ended and run.info.status == "RUNNING":
@@ -51,5 +64,5 @@ def end_those_gone(store: Store) -> list[str]:
         if is_gone(run.data.tags):
             store.send(run.info.run_id, {"end": "FAILED", "reason": GONE, "at": now()})
             ended.append(str(run.info.run_name))
-            print(f"{run.info.run_name} is ended as FAILED: {GONE}", file=sys.stderr)
+            print(f"{printable(run.info.run_name)} is ended as FAILED: {GONE}", file=sys.stderr)
     return ended

@@ -148,7 +148,8 @@ class MlflowTracker:
 
         uri = self.store.uri
         if self._journal is not None and self._journal.path.exists():
-            return f"not in {uri} yet; when it answers again: {command_of('sync')} folder={self._journal.path.parent}"
+            given = f"folder={self._journal.path.parent} uri={uri}"
+            return f"not in {uri} yet; when it answers again: {command_of('sync')} {given}"
         shown_by = "make ui" if IN_CHECKOUT else f"mlflow ui --backend-store-uri {uri}"
         return f"run {self._run_id} in {uri}" + (f" ({shown_by})" if uri.startswith(SQLITE) else "")
 

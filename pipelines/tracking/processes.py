@@ -19,8 +19,10 @@ def is_gone(tags: dict[str, str]) -> bool:
 
     if tags.get("host") != socket.gethostname() or "process" not in tags:
         return False
-    number, began = tags["process"].split()
     try:
+        number, began = tags["process"].split()
         return bool(abs(psutil.Process(int(number)).create_time() - float(began)) > SAME)
     except psutil.NoSuchProcess:
         return True
+    except ValueError:  # nothing that a run has written
+        return False

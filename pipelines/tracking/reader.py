@@ -2,10 +2,11 @@
 
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
 
 from lmd.checks import InputError
 
-from .store import first_line, is_of_store
+from .store import SQLITE, first_line, is_of_store
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,8 +26,9 @@ class MlflowReader:
     def __init__(self, uri: str, experiment_name: str) -> None:
         from mlflow import MlflowClient
 
-        database = Path(uri.removeprefix("sqlite:///"))
-        if uri.startswith("sqlite:///") and not database.exists():
+        database = Path(uri.removeprefix(SQLITE))
+        self._is_local = uri.startswith(SQLITE)
+        if self._is_local and not database.exists():
             raise InputError(f"tracking.uri = {uri!r}: there is no file {str(database)!r}.")
         try:
             self._client = MlflowClient(tracking_uri=uri)
@@ -69,10 +71,13 @@ class MlflowReader:
         """A local copy of one of the files that a run kept.
 
         Raises:
-            InputError: the run has no such file.
+            InputError: the run has no such file, or a store that is a file says that it lies on a server.
         """
         from mlflow.exceptions import MlflowException
 
+        place = str(self._client.get_run(run_id).info.artifact_uri)
+        if self._is_local and urlsplit(place).scheme not in ("", "file"):
+            raise InputError(f"run {run_id} says that its files are at {place!r}, from where none are fetched.")
         try:
             return Path(self._client.download_artifacts(run_id, name))
         except (MlflowException, OSError) as error:

@@ -298,7 +298,7 @@ def test_a_server_that_dies_costs_a_warning_and_gets_everything_later(endless, t
     assert code == 130
     assert err.count("cannot be used") == 1
     assert len(pd.read_csv(tmp_path / "run" / "landmarks.csv")) == 40
-    (sync,) = re.findall(r"python -m pipelines\.(sync folder=\S+)", out)
+    (sync,) = re.findall(r"python -m pipelines\.(sync folder=\S+ uri=\S+)", out)
     refused = call(*sync.split(), settings=(), cwd=tmp_path)
     assert refused.returncode == 1
     assert "cannot be used" in refused.stderr

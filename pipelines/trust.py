@@ -1,0 +1,210 @@
+"""What a file from elsewhere may name: Hydra imports and calls every `_target_`, so a target is code.
+
+A configuration that neither this project nor the command line gave is read as plain data and checked here before
+anything is imported: that of `run=DIR`, those in a tracking store, and the overrides of a run that is to go on.
+docs/trust.md says what each kind of file can do.
+"""
+
+import re
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+from hydra._internal.utils import get_args_parser
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
+from omegaconf._utils import get_yaml_loader
+
+from .app import CONF
+
+PAGE = "docs/trust.md"
+TARGET = "_target_"
+PACKAGED = "pkg://"  # begins a place of configuration that is in a package
+NAMED = re.compile(rf"{TARGET}:\s*['\"]?([\w.]+)")  # in a file of configuration
+REFERENCE = re.compile(r"\$\{\.*\w+(\.\w+|\[\w+\])*\}")  # to a value of the same configuration: calls no resolver
+RESOLVER = re.compile(r"\$\{\s*([\w.]+)\s*:")
+PLAIN = (str, int, float, bool, type(None))
+NAME = re.compile(r"\w+(\.\w+)+")
+SHOWN = 100  # characters of a value in a message
+
+
+@dataclass(frozen=True)
+class Trust:
+    """What may be named in a configuration from elsewhere.
+
+    Args:
+        names: packages, single targets and resolvers that the user trusts.
+        folders: of configuration; the targets that their files name are trusted in the same group.
+    """
+
+    names: tuple[str, ...] = ()
+    folders: tuple[Path, ...] = (Path(CONF),)
+
+    @classmethod
+    def given(cls) -> "Trust":
+        """What the command line trusts: `trust=[...]`, and the folders and packages of its search path.
+
+        Raises:
+            InputError: `trust` is no list of names.
+        """
+        options, more = get_args_parser().parse_known_args(sys.argv[1:])
+        names: list[str] = []
+        folders = [CONF] if options.config_dir is None else [CONF, options.config_dir]
+        for argument in [*options.overrides, *more]:
+            key = argument.partition("=")[0].lstrip("+")
+            if key == "trust":
+                names += listed(argument)
+            elif key == "hydra.searchpath":
+                for place in listed(argument):
+                    if place.startswith(PACKAGED):
+                        names.append(place.removeprefix(PACKAGED).partition(".")[0])
+                    else:
+                        folders.append(place.removeprefix("file://"))
+        return cls(tuple(names), tuple(Path(folder).resolve() for folder in folders))
+
+    def has(self, place: str) -> bool:
+        """Whether a place of configuration, `file://FOLDER` or `pkg://PACKAGE`, is trusted."""
+        if place.startswith(PACKAGED):
+            return self._trusts(place.removeprefix(PACKAGED))
+        return Path(place.removeprefix("file://")).resolve() in self.folders
+
+    def parts(self, found: Mapping[Any, Any], source: str, groups: Sequence[str]) -> dict[str, dict[str, Any]]:
+        """What a configuration from elsewhere says of some groups, those that it has.
+
+        Args:
+            found: plain data.
+            source: where it is from, for messages.
+            groups: of the configuration.
+
+        Raises:
+            InputError: they name what is not trusted, or are none.
+        """
+        from lmd.checks import InputError
+
+        parts = {group: found[group] for group in groups if found.get(group) is not None}
+        for group, part in parts.items():
+            if not isinstance(part, dict) or "defaults" in part:  # which would have Hydra read other files
+                raise InputError(f"{source}: {group} is none as Hydra writes it.")
+            self.check(source, group, part)
+        return parts
+
+    def check(self, source: str, key: str, value: Any) -> None:
+        """Look through a value from elsewhere.
+
+        Args:
+            source: where it is from, for messages.
+            key: its key in the configuration, which begins with its group.
+            value: plain data, nested in any way.
+
+        Raises:
+            InputError: it names what is not trusted, or is no plain data.
+        """
+        from lmd.checks import InputError
+
+        trusted, named = set(), self._named_in(re.split(r"[./@]", key)[0])
+        for where, leaf in _leaves(source, key, value, set()):
+            if where.rpartition(".")[2] == TARGET:
+                if not isinstance(leaf, str) or not NAME.fullmatch(leaf):
+                    raise InputError(f"{source}: {where} is no name of a class or a function ({PAGE}).")
+                if self._trusts(leaf):
+                    trusted.add((where, leaf))
+                    continue
+                asked = None if leaf in named else leaf.partition(".")[0]
+            else:
+                asked = self._resolver_in(leaf) if isinstance(leaf, str) else None
+            if asked is not None:
+                raise InputError(
+                    f"{source}: {where} = {leaf[:SHOWN]!r} would run code that neither this project's "
+                    f"configuration nor your search path names; if you trust it, add trust=[{asked}] ({PAGE})."
+                )
+        for where, leaf in sorted(trusted):
+            if not self._is_defined_there(leaf):
+                told = f"{source}: {where} = {leaf[:SHOWN]!r}"
+                raise InputError(f"{told} is not defined in what you trust, which only imports it ({PAGE}).")
+
+    def _named_in(self, group: str) -> set[str]:
+        """The targets that files of a group name."""
+        files = [file for folder in self.folders for file in (folder / group).rglob("*.yaml")]
+        return {name for file in files for name in NAMED.findall(file.read_text(encoding="utf-8", errors="replace"))}
+
+    def _resolver_in(self, text: str) -> str | None:
+        """A resolver that a text calls and that is not trusted; None if it calls none."""
+        rest = REFERENCE.sub("", text)
+        found = RESOLVER.findall(rest)
+        for name in filter(self._trusts, found):
+            rest = re.sub(rf"\$\{{\s*{re.escape(name)}\s*:", "", rest)
+        if "${" not in rest:
+            return None
+        return next((name for name in found if not self._trusts(name)), "${...}")
+
+    def _trusts(self, name: str) -> bool:
+        return any(name == trusted or name.startswith(f"{trusted}.") for trusted in self.names)
+
+    def _is_defined_there(self, target: str) -> bool:
+        """Whether a target leads to what a trusted package itself defines, and not on to what it has imported."""
+        from hydra.utils import get_object
+
+        try:
+            found = get_object(target)
+        except Exception:  # whatever its package does when it is imported; building it will say the same
+            return True
+        return self._trusts(f"{getattr(found, '__module__', '')}.{getattr(found, '__qualname__', '')}")
+
+
+def read_yaml(file: Path, source: str) -> dict[Any, Any]:
+    """What a configuration file holds, as plain data in which nothing is resolved.
+
+    Raises:
+        InputError: it cannot be read, or is no configuration.
+    """
+    from lmd.checks import InputError
+
+    if not file.is_file():  # nor a pipe, which would be waited for
+        raise InputError(f"{source}: there is no file '{file}'.")
+    try:
+        found = yaml.load(file.read_text(encoding="utf-8"), Loader=get_yaml_loader())
+    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
+        raise InputError(f"{source}: '{file}' cannot be read ({' '.join(str(error).split())}).") from None
+    if not isinstance(found, dict):
+        raise InputError(f"{source}: '{file}' is no configuration.")
+    return found
+
+
+def listed(argument: str) -> list[str]:
+    """The names in an argument of the command line; none if Hydra will refuse it."""
+    from lmd.checks import InputError
+
+    try:
+        value = OverridesParser.create().parse_override(argument).value()
+    except HydraException:
+        return []
+    names = value if isinstance(value, list) else [] if value is None else [value]
+    if not all(isinstance(name, str) and name for name in names):
+        raise InputError(f"{argument.partition('=')[0]} must be a list of names, got {argument.partition('=')[2]}.")
+    return [str(name) for name in names]
+
+
+def _leaves(source: str, key: str, value: Any, seen: set[int]) -> Iterator[tuple[str, Any]]:
+    """The values below a key that are no containers, and all that is called `_target_`, with their keys.
+
+    Raises:
+        InputError: a container is there twice, as YAML's aliases make it, or a key or a value is no plain data.
+    """
+    from lmd.checks import InputError
+
+    is_target = key.rpartition(".")[2] == TARGET
+    if isinstance(value, Mapping | list | tuple) and not is_target:
+        if id(value) in seen:
+            raise InputError(f"{source}: {key} is an alias, which Hydra writes none of.")
+        seen.add(id(value))
+        for name, inner in value.items() if isinstance(value, Mapping) else enumerate(value):
+            if not isinstance(name, str | int | float):
+                raise InputError(f"{source}: {key} has a key that is no text.")
+            yield from _leaves(source, f"{key}.{name}", inner, seen)
+    elif isinstance(value, PLAIN) or is_target:
+        yield key, value
+    else:
+        raise InputError(f"{source}: {key} is no plain value.")

@@ -1,0 +1,217 @@
+"""Whoever hands over a folder or a tracking store runs no code by it, and nothing is imported to find that out."""
+
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
+
+import pipelines.report
+from lmd.checks import InputError, printable
+from pipelines.app import CONF
+from pipelines.earlier_run import read_earlier_run
+from pipelines.trust import Trust
+
+EVIL = """
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+Path("imported").touch()
+
+
+@dataclass
+class Room:
+    size: float = 1.0
+"""
+LANDMARKS = "id,x,y,z,nx,ny,nz\n0,0,1,1,1,0,0\n1,0,2,1,1,0,0\n"
+
+
+@pytest.fixture(scope="module")
+def composed():
+    """The default configuration of `optimise`, as Hydra writes it."""
+    with initialize_config_dir(CONF, version_base="1.3"):
+        return OmegaConf.to_yaml(compose("optimise"))
+
+
+@pytest.fixture
+def strangers(tmp_path, monkeypatch, composed):
+    """A function that writes a run's folder with other settings, beside a module `evil` that leaves traces."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "evil.py").write_text(EVIL)
+    folder = tmp_path / "run"
+    (folder / ".hydra").mkdir(parents=True)
+    (folder / "landmarks.csv").write_text(LANDMARKS)
+
+    def write(changes="", text=None):
+        config = OmegaConf.merge(OmegaConf.create(composed), OmegaConf.create(changes))
+        (folder / ".hydra" / "config.yaml").write_text(OmegaConf.to_yaml(config) if text is None else text)
+        return folder
+
+    yield write
+    sys.modules.pop("evil", None)
+
+
+def told(capsys, monkeypatch, *arguments):
+    """What `run=DIR` says before Hydra begins; empty where it takes the run."""
+    monkeypatch.setattr(sys, "argv", ["evaluate", "run=run", *arguments])
+    with suppress(SystemExit):
+        read_earlier_run()
+    return capsys.readouterr().err
+
+
+TARGETS = {
+    "room: {_target_: evil.Room}": "room._target_ = 'evil.Room' would run code",
+    "room: {_target_: os.system}": "room._target_ = 'os.system'",
+    "room: {relevance: {_target_: evil.Room}}": "room.relevance._target_ = 'evil.Room'",
+    "room: {relevance: {regions: [{low: {_target_: evil.Room}}]}}": "room.relevance.regions.0.low._target_",
+    "camera: {rig: [{camera: {_target_: evil.Room, _partial_: true}}]}": "camera.rig.0.camera._target_",
+    "objective: {_target_: lmd.camera_calibration.yaml.load}": "lmd.camera_calibration.yaml.load",  # a walk
+    "objective: {_target_: lmd.tables.write_table}": "objective._target_ = 'lmd.tables.write_table'",  # writes files
+    "pdf: {_target_: lmd.camera.Camera}": "pdf._target_ = 'lmd.camera.Camera'",  # of another group
+    "pdf: {_target_: '${optimiser._target_}'}": "pdf._target_ is no name of a class or a function",
+    "pdf: {_target_: [evil.Room]}": "pdf._target_ is no name",
+    "pdf: {_target_: evil}": "pdf._target_ is no name",
+    "'room': {'a\\e[2J': {_target_: os.system}}": "error: run: ",
+}
+TEXTS = {
+    "visibility: {thold: '${oc.env:SECRET}'}": "add trust=[oc.env]",
+    "room: {size: ['${now:%Y}']}": "room.size.0 = '${now:%Y}'",
+    "tag: {family: '${oc.select:${oc.env:SECRET}}'}": "tag.family",
+    "tag: {family: '${tag.edge}${oc.env:SECRET}'}": "add trust=[oc.env]",
+    "tag: {family: '${oc.decode:\"${oc.env:SECRET}\"}'}": "add trust=[oc.decode]",
+    "tag: {family: '${ hydra : searchpath }'}": "add trust=[hydra]",
+}
+
+
+@pytest.mark.parametrize("changes", TARGETS | TEXTS)
+def test_a_run_of_a_stranger_runs_no_code(strangers, monkeypatch, capsys, changes):
+    monkeypatch.setenv("SECRET", "sesame")
+    strangers(changes)
+    error = told(capsys, monkeypatch)
+    assert (TARGETS | TEXTS)[changes] in error
+    assert error.startswith("error: run: 'run/.hydra/config.yaml': ")
+    assert error.count("\n") == 1
+    assert printable(error.strip()) == error.strip()
+    assert "sesame" not in error
+    assert "evil" not in sys.modules
+    assert not Path("imported").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        # Hydra would put the room where its callbacks are: it imports and calls them.
+        (
+            "room: {hydra: {callbacks: {a: 1}}}\nobjective: {defaults: [{/room@_global_: run}]}",
+            "objective is none as Hydra writes it",
+        ),
+        ("room: [1]", "room is none as Hydra writes it"),
+        ("room: &a [*a]", "room is none as Hydra writes it"),
+        ("room: {size: &a [1], walls: *a}", "room.walls is an alias"),
+        ("room: &a {size: *a}", "room.size is an alias"),
+        ("room: {_target_: &a [[*a, *a]]}", "room._target_ is no name"),
+        ("room: {? [1, 2] : 3}", "cannot be read"),
+        ("room: {? !!binary aGk= : 3}", "room has a key that is no text"),
+        ("room: {null: 3}", "room has a key that is no text"),
+        ("tag: {family: '${oc.${tag.edge}env:SECRET}'}", "add trust=[oc.env]"),
+        ("tag: {family: '${tag[edge}'}", "tag.family = '${tag[edge}' would run code"),
+        ("room: {size: !!timestamp 2020-01-01}", "room.size is no plain value"),
+        ("room: !!python/object/apply:os.system [touch imported]", "cannot be read"),
+        ("room: {size: " + "[" * 2_000, "cannot be read"),
+        ("room: " + "9" * 5_000, "cannot be read"),
+        ("- 1", "is no configuration"),
+    ],
+)
+def test_what_hydra_has_not_written_is_refused(strangers, monkeypatch, capsys, text, message):
+    strangers(text=text)
+    error = told(capsys, monkeypatch)
+    assert message in error
+    assert error.count("\n") == 1
+    assert not Path("imported").exists()
+
+
+def test_aliases_do_not_grow(strangers, monkeypatch, capsys):
+    """The deepest list has ten to the power of thirty entries."""
+    levels = [f"- &l{i} [{', '.join([f'*l{i - 1}'] * 10) if i else 0}]" for i in range(30)]
+    strangers(text="other:\n" + "\n".join(levels) + "\nroom: {size: *l29}")
+    assert "alias" in told(capsys, monkeypatch)
+
+
+def test_a_run_without_code_of_others_is_taken(strangers, monkeypatch, capsys):
+    strangers("visibility: {_target_: lmd.sight.fiducial.Fiducial, tag: '${tag}', detector: '${.tag}'}")
+    assert told(capsys, monkeypatch) == ""
+
+
+def test_an_optimiser_of_ones_own_is_no_part_of_what_a_run_was_about(strangers, monkeypatch, capsys):
+    strangers("{optimiser: {_target_: evil.Room}, tracking: {_target_: evil.Room}}")
+    assert told(capsys, monkeypatch) == ""
+    assert "evil" not in sys.modules
+
+
+@pytest.mark.parametrize("trust", ["trust=[evil]", "+trust=evil", "trust=[evil.Room,os]"])
+def test_a_package_that_is_trusted_may_be_named_but_not_walked_through(strangers, monkeypatch, capsys, trust):
+    strangers("room: {_target_: evil.Room}")
+    assert told(capsys, monkeypatch, trust) == ""
+    assert "evil" in sys.modules
+    strangers("room: {_target_: evil.os.getcwd}")
+    error = told(capsys, monkeypatch, "trust=[evil]")
+    assert "room._target_ = 'evil.os.getcwd' is not defined in what you trust" in error
+
+
+def test_a_resolver_that_is_trusted_may_be_called(strangers, monkeypatch, capsys):
+    strangers("visibility: {thold: '${oc.env:THOLD}', nu: '${oc.decode:1}'}")
+    assert "add trust=[oc.decode]" in told(capsys, monkeypatch, "trust=[oc.env]")
+    assert told(capsys, monkeypatch, "trust=[oc.env,oc.decode]") == ""
+
+
+@pytest.mark.parametrize(
+    "search", ["hydra.searchpath=[file://{}]", "hydra.searchpath=[{}]", "--config-dir={}", "-cd {}"]
+)
+def test_what_files_of_ones_own_search_path_name_is_trusted(strangers, monkeypatch, capsys, search):
+    folder = strangers("room: {_target_: evil.Room}")
+    own = folder.parent / "mine"
+    (own / "room").mkdir(parents=True)
+    (own / "room" / "hall.yaml").write_text("_target_: evil.Room  # mine\n")
+    assert told(capsys, monkeypatch, *search.format(own).split()) == ""
+    assert "evil" not in sys.modules  # it needs no look: the name is that of the file
+    strangers("objective: {_target_: evil.Room}")
+    assert "add trust=[evil]" in told(capsys, monkeypatch, *search.format(own).split())
+
+
+def test_a_search_path_in_a_package_trusts_the_package(strangers, monkeypatch, capsys):
+    strangers("room: {_target_: evil.Room}")
+    assert told(capsys, monkeypatch, "hydra.searchpath=[pkg://evil.conf]") == ""
+
+
+@pytest.mark.parametrize("value", ["[1]", "a,b", "{a: b}"])
+def test_trust_is_a_list_of_names(strangers, monkeypatch, capsys, value):
+    strangers()
+    assert told(capsys, monkeypatch, f"trust={value}") == f"error: trust must be a list of names, got {value}.\n"
+
+
+class Reader:
+    """A store with one run."""
+
+    def __init__(self, folder):
+        self.folder = folder
+
+    def artifact(self, run_id, name):
+        return self.folder / (f".hydra/{name}" if name.endswith("yaml") else name)
+
+
+@pytest.mark.parametrize("changes", ["room: {_target_: evil.Room}", "room: {spacing: '${oc.env:SECRET}'}"])
+def test_a_report_builds_nothing_that_a_store_names(strangers, changes):
+    reader = Reader(strangers(changes))
+    with pytest.raises(InputError, match=r"^run 3f: config\.yaml: room\..* would run code"):
+        pipelines.report._load(reader, "3f", Trust())
+    assert "evil" not in sys.modules
+    strangers("objective: {n: '${seed.of}'}")
+    with pytest.raises(InputError, match=r"^run 3f: config\.yaml: "):
+        pipelines.report._load(reader, "3f", Trust())
+    strangers("optimiser: {_target_: evil.Room}\ntracking: {_target_: evil.Room}\nthreads: '${oc.env:SECRET}'")
+    assert pipelines.report._load(reader, "3f", Trust())[0].count == 2  # which needs none of these
+    assert "evil" not in sys.modules
