@@ -13,18 +13,28 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
 ONE_TURN = 2.0 * math.pi + 0.01  # 6.2832 was rounded up
+# Of a longer message the middle is left out, characters: a file may give a value of any length.
+LONGEST = 2000
+
+
+def printable(text: str) -> str:
+    """A text with escapes in place of what a terminal would obey or not show, such as names in a stranger's file."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 class InputError(ValueError):
     """The user's input is wrong.
 
     Args:
-        message: one sentence meant for the user.
+        message: one sentence meant for the user; it is made `printable`.
         argument: the name of the argument that the message begins with, if it does.
     """
 
     def __init__(self, message: str, argument: str | None = None) -> None:
-        super().__init__(message)
+        text = printable(message)
+        if len(text) > LONGEST:
+            text = f"{text[: LONGEST // 2]} ... {text[-LONGEST // 4 :]}"
+        super().__init__(text)
         self.argument = argument
 
     def within(self, whole: str) -> "InputError":

@@ -97,9 +97,16 @@ def check_experiment(cfg: DictConfig) -> None:
 
 def _configuration(file: Path) -> DictConfig:
     """What is in the configuration of a run; ends the process where that cannot be read."""
+    from lmd.checks import InputError
+    from lmd.files import LARGEST_YAML, check_aliases, read_text
+
     try:
-        found = OmegaConf.load(file)
-    except (OSError, UnicodeDecodeError, YAMLError) as error:
+        text = read_text(file, "run", LARGEST_YAML)
+        check_aliases(text)
+        found = OmegaConf.create(text)
+    except InputError as error:
+        _refuse(str(error))
+    except (ValueError, RecursionError, YAMLError) as error:
         _refuse(f"run: '{file}' cannot be read ({' '.join(str(error).split())}).")
     if not isinstance(found, DictConfig):
         _refuse(f"run: '{file}' is no configuration.")
