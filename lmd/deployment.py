@@ -10,7 +10,7 @@ from lmd.checks import BoolArray, FloatArray, InputError, IntArray, boolean, cho
 from lmd.labels import ID, Labels
 from lmd.memory import check_memory
 from lmd.space.space import Space
-from lmd.space.surface import PLACEMENT_TOLERANCE, SurfaceArrays
+from lmd.space.surface import MISPLACED, PLACEMENT_TOLERANCE, SurfaceArrays
 from lmd.surveyed import Surveyed
 from lmd.tables import read_table, write_table
 from lmd.tag import upright
@@ -23,8 +23,6 @@ UPRIGHT, IN_PLANE = 1e-3, 1e-2
 NORMAL_TOLERANCE = 1e-3
 # A normal this close to that of its surface is flush with it.
 FLUSH = 1e-6
-# Landmarks of a file rounded to micrometres may be so far beside where they may hang, or overlap by so much, metres.
-MISPLACED = 2e-6
 # What a landmark takes while a deployment is made, bytes: a dozen vectors.
 LANDMARK_BYTES = 400
 

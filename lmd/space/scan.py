@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, InputError, IntArray, real
-from lmd.space.allowed import eroded, polygons
+from lmd.space.allowed import eroded, polygons, spread, trapezoids
 from lmd.space.fixture import Fixture
 from lmd.space.interior import Interior
 from lmd.space.mesh_file import Mesh, read_mesh
@@ -179,16 +179,19 @@ class Scan:
 
     def _free(self, surface: Surface) -> Any:
         """Where on a patch landmarks may hang, None if not even a square of `least_area` does."""
-        taken = [self._standing(surface)]
-        taken += [part.region(surface) for part in self._kept_out(surface)]
-        region = free_of(surface, _shape(surface), self.margin, self.band, taken)
+        standing = self._standing(surface)
+        taken = [_area_of(standing), *(part.region(surface) for part in self._kept_out(surface))]
+        region = self._inside(surface, free_of(surface, _shape(surface), self.margin, self.band, taken), standing)
         return None if eroded(region, self._half_edge).is_empty else region
 
     def _kept_out(self, surface: Surface) -> list[KeepOut]:
         return [part for part in self.keep_out if part.surface == surface.name]
 
-    def _standing(self, surface: Surface) -> Any:
-        """What other triangles cover of a patch, in its coordinates: they lie on it, or are less than `BEFORE` away."""
+    def _standing(self, surface: Surface) -> list[Any]:
+        """What other triangles cover of a patch, in its coordinates: they lie on it, or are less than `BEFORE` away.
+
+        Those that cross it at a right angle cover a line.
+        """
         import shapely
 
         other = np.ones(len(self._corners), dtype=np.bool_)
@@ -199,7 +202,25 @@ class Scan:
         for corners, height in zip(self._corners[near] - surface.origin, depth[near], strict=True):
             part = _between(corners, height, -PLACEMENT_TOLERANCE, BEFORE)
             shapes.append(shapely.MultiPoint(np.stack([part @ surface.u, part @ surface.v], axis=1)).convex_hull)
-        return polygons(shapely.union_all([shape for shape in shapes if shape.geom_type == "Polygon"]))
+        return shapes
+
+    def _inside(self, surface: Surface, region: Any, standing: Sequence[Any]) -> Any:
+        """The part of a region of a patch that is in the room: not below its floor, beyond a wall or in furniture.
+
+        What stands on the patch divides it into cells; slits of two `BEFORE` between are closed. Nothing crosses a
+        cell, so that all of it is in the room if one place of it is.
+        """
+        import shapely
+
+        lines = [shape for shape in standing if shape.geom_type == "LineString"]
+        divided = region.difference(shapely.union_all(shapely.buffer(lines, PLACEMENT_TOLERANCE)))
+        outside = []
+        for cell in shapely.get_parts(polygons(shapely.buffer(divided, -BEFORE, join_style="mitre"))):
+            pieces = trapezoids(cell)
+            places = surface.point(*spread(pieces, np.full((len(pieces), 2), 0.5)).T) + AWAY * surface.normal
+            if not self.interior.contains(places).any():
+                outside.append(shapely.buffer(cell, BEFORE, join_style="mitre"))
+        return polygons(region.difference(shapely.union_all(outside))) if outside else region
 
     @cached_property
     def faces(self) -> tuple[Surface, ...]:
@@ -252,6 +273,12 @@ class Scan:
         if self.solids is None or not clearance:
             return np.ones(points.shape[:-1], dtype=np.bool_)
         return self.solids.distance(points, clearance) >= clearance - PLACEMENT_TOLERANCE
+
+
+def _area_of(shapes: Sequence[Any]) -> Any:
+    import shapely
+
+    return polygons(shapely.union_all([shape for shape in shapes if shape.geom_type == "Polygon"]))
 
 
 def _shape(surface: Surface) -> Any:
