@@ -1,6 +1,7 @@
 """Building objects from a composed configuration, with messages that name its keys."""
 
 import re
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import deepcopy
@@ -161,6 +162,8 @@ def _poses(cfg: DictConfig) -> "tuple[Space, OrientationPdf, RecordedPoses | Non
     from lmd.checks import InputError
 
     room, recorded = instantiate(cfg.room), bool(cfg.get("poses"))  # runs of old have none
+    if doubt := getattr(getattr(room, "scan", None), "doubt", None):  # of a mesh
+        print(f"warning: room.up: is it right for {room.scan.path!r}? {doubt[0].upper()}{doubt[1:]}", file=sys.stderr)
     if recorded == bool(cfg.pdf):
         needed = "poses=recorded, which says how the camera looks, needs pdf=recorded"
         cure = "add it to the command line where an experiment has chosen another one"

@@ -98,6 +98,7 @@ class FloorPlan:
         for i, part in enumerate(self.keep_out):
             name = f"keep_out[{i}]"
             face = self._faces[part.surface]
+            part.check_on(name, face.extent)
             if not self._region(face).intersects(part.region(face)):
                 along, up = face.extent
                 raise InputError(f"{name} lies beside {part.surface}, which is {along:.4g} x {up:.4g} m.", name)

@@ -29,13 +29,15 @@ SHORTEST, LONGEST = 0.3, 1000.0
 class Mesh(NamedTuple):
     """Triangles in the world frame, metres, and the objects of the file that they belong to.
 
-    vertices `(V, 3)`; faces `(T, 3)`; of `(T,)`, the index of its object in `names`, which are those in the file.
+    vertices `(V, 3)`; faces `(T, 3)`; of `(T,)`, the index of its object in `names`, which are those in the file; up,
+    the axis of the file that points up.
     """
 
     vertices: FloatArray
     faces: IntArray
     of: IntArray
     names: tuple[str, ...]
+    up: str
 
 
 def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None) -> Mesh:
@@ -84,7 +86,7 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
         raise InputError(
             f"scale = {scale:g} makes {str(file)!r} a room of {box} m; a file in millimetres takes 0.001.", "scale"
         )
-    return Mesh(np.array(mesh.vertices), np.array(mesh.faces, dtype=np.int64), of[kept], names)
+    return Mesh(np.array(mesh.vertices), np.array(mesh.faces, dtype=np.int64), of[kept], names, up)
 
 
 def _parts(file: Path, up: str) -> dict[str, Any]:

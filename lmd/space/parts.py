@@ -12,6 +12,8 @@ from lmd.space.blockers import Body
 from lmd.space.polygon import checked_ring
 from lmd.space.surface import Surface
 
+# A keep-out may reach so far beyond its surface, metres: it was measured by hand.
+OFF = 0.05
 FACES = ("x_min", "x_max", "y_min", "y_max", "bottom", "top")
 OLD_KEYS = ("low", "high", "polygon")  # of keep-outs in earlier versions
 
@@ -110,6 +112,21 @@ class KeepOut:
             if start >= stop:
                 raise InputError(f"{name} must go from the lower to the higher, got {[start, stop]}.", name)
             object.__setattr__(self, name, (start, stop))
+
+    def check_on(self, name: str, extent: tuple[float, float]) -> None:
+        """Raise `InputError` if it reaches beyond its surface, whose rectangle is `extent`, metres, long and wide.
+
+        Args:
+            name: the argument it came from, for messages.
+            extent: of the surface.
+        """
+        at = np.array(self.ring)
+        beyond = float(max((0.0 - at).max(), (at - extent).max()))
+        if beyond > OFF:
+            along, up = extent
+            raise InputError(
+                f"{name} reaches {beyond:.4g} m beyond {self.surface}, which is {along:.4g} x {up:.4g} m.", name
+            )
 
     @property
     def ring(self) -> FloatArray:

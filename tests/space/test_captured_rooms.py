@@ -9,10 +9,12 @@ from hypothesis import given, strategies
 from meshes import captured, quad
 from numpy.testing import assert_array_equal
 
+from lmd.checks import InputError
 from lmd.deployment import Deployment, RandomDeployment, UniformDeployment
 from lmd.optimisers.encoding import make_encoding
 from lmd.plates import Plates
 from lmd.space.mesh_room import from_mesh
+from lmd.space.scan import Scan
 
 HEIGHT = {"height": [0.5, 1.9], "clearance": 0.3}
 
@@ -78,3 +80,28 @@ def test_nothing_hangs_below_the_floor_beyond_a_wall_or_in_furniture(tmp_path):
     expected = shapely.box(0.0, 0.0, 4.0, 2.5).difference(shapely.box(1.0, 0.0, 2.0, 1.0))
     expected = expected if carrier.u[0] > 0 else shapely.transform(expected, lambda at: at * [-1, 1])
     assert hanging.symmetric_difference(expected).area == pytest.approx(0.0, abs=1e-3)
+
+
+def test_which_way_is_up_is_asked_where_it_is_hard_to_tell(tmp_path):
+    """Walls of a captured room are upright, and turned against the axes of the file."""
+    turned = str(captured(tmp_path / "turned.obj", np.random.default_rng(1)))
+    assert Scan(turned).doubt is None
+    scene = trimesh.load_scene(turned, split_objects=True, process=False)
+    scene.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, [1, 0, 0]))  # y up
+    scene.export(tmp_path / "lying.obj")
+    lying = str(tmp_path / "lying.obj")
+    with pytest.raises(InputError, match=r"^up must be given for .*: with z up .*; with y up .* m high, .* of floor"):
+        Scan(lying)
+    assert Scan(lying, up="y").doubt is None
+    assert Scan(lying, up="z").doubt.startswith("with z up it is ")
+
+
+def test_a_room_in_line_with_the_axes_is_taken_to_be_wider_than_high(tmp_path):
+    tall = trimesh.creation.box(extents=[6.0, 2.5, 4.0])
+    tall.export(tmp_path / "tall.stl")
+    with pytest.raises(InputError, match=r"^up must be given .* it is 4 m high, with 15 m2 .* it is 2\.5 m high"):
+        Scan(str(tmp_path / "tall.stl"))
+    assert Scan(str(tmp_path / "tall.stl"), up="z").doubt is None
+    part = {"surface": "patch_0", "from_left": [0.0, 6.1], "from_below": [0.0, 1.0]}
+    with pytest.raises(InputError, match=r"^keep_out\[0\] reaches 0\.1 m beyond patch_0, which is 6 x 4 m\.$"):
+        Scan(str(tmp_path / "tall.stl"), up="z", keep_out=[part])
