@@ -230,15 +230,19 @@ class Deployment:
         write_table(path, {ID: self.ids, **columns, **further})
 
     @classmethod
-    def from_csv(cls, path: str | Path) -> "Deployment":
+    def from_csv(cls, path: str | Path, name: str = "path") -> "Deployment":
         """Read a CSV with the columns x,y,z,nx,ny,nz (and id, and ux,uy,uz for how tags are turned in their plane).
 
         Normals are scaled to length 1 if they are printed with few decimals. Further columns are kept as labels.
 
+        Args:
+            path: the file.
+            name: the argument the path came from, for messages.
+
         Raises:
             InputError: the file cannot be read, or what it holds is no deployment, or an up is not in its tag's plane.
         """
-        table = read_table(path, name="path")
+        table = read_table(path, name=name)
         columns = COLUMNS + UP_COLUMNS if any(name in table for name in UP_COLUMNS) else COLUMNS
         rows, labels = table.numbers(columns, None), Labels.of(table, columns)
         try:

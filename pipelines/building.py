@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Any
 import hydra
 from omegaconf import DictConfig, OmegaConf, open_dict
 
+from .app import CONF
 from .fixed import fixed_of, others_of, total_of
+from .spelling import meant
 
 if TYPE_CHECKING:
     from lmd.camera import Camera
@@ -70,7 +72,11 @@ def instantiate(node: Any, **extra: Any) -> Any:
         if cause is not None:
             with keyed(str(error).partition("full_key: ")[2].strip(), **{name: name for name in extra}):
                 raise cause from None
-        raise InputError(" ".join(str(error).split())) from error
+        text = " ".join(str(error).split())
+        if unknown := re.search(r"unexpected keyword argument '(\w+)'.* full_key: ([\w.]+)", text):
+            key = f"{unknown[2]}.{unknown[1]}"
+            raise InputError(f"{key} is no setting that is known; {meant(key, CONF)}".rstrip("; ")) from error
+        raise InputError(text) from error
 
 
 def camera_of(node: DictConfig) -> "Camera | Rig":

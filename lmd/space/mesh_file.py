@@ -2,6 +2,7 @@
 
 import io
 import json
+import logging
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,6 +11,7 @@ import numpy as np
 from lmd.checks import FloatArray, InputError, IntArray, choice, file_path, printable, real
 from lmd.files import read_bytes
 from lmd.optional import optional
+from lmd.space.parts import check_metres
 from lmd.space.triangles import THINNEST
 
 UPS = ("z", "y")
@@ -22,8 +24,6 @@ MOST_TRIANGLES = 5_000_000
 # Levels of nodes in glTF, and the numbers in a value of each type.
 DEEPEST = 32
 COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
-# A room whose longest side is not between these was not in metres.
-SHORTEST, LONGEST = 0.3, 1000.0
 
 
 class Mesh(NamedTuple):
@@ -80,18 +80,15 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
         raise InputError(f"path: {str(file)!r} holds no triangles with an area.", "path")
     mesh.update_faces(kept)
     mesh.remove_unreferenced_vertices()
-    size = np.ptp(mesh.vertices, axis=0)
-    if not SHORTEST <= size.max() <= LONGEST:
-        box = " x ".join(f"{length:.4g}" for length in size)
-        raise InputError(
-            f"scale = {scale:g} makes {str(file)!r} a room of {box} m; a file in millimetres takes 0.001.", "scale"
-        )
+    makes = f"scale = {scale:g} makes {str(file)!r}"
+    check_metres(np.ptp(mesh.vertices, axis=0), makes, "a file in millimetres takes 0.001", "scale")
     return Mesh(np.array(mesh.vertices), np.array(mesh.faces, dtype=np.int64), of[kept], names, up)
 
 
 def _parts(file: Path, up: str) -> dict[str, Any]:
     """The objects of a file that have triangles, as meshes in its scene, by their names."""
     trimesh = optional("trimesh", "mesh")
+    logging.getLogger("trimesh").setLevel(logging.WARNING)  # it would say of every object that it has quads
     content, kind = read_bytes(file, "path"), file.suffix.lower().removeprefix(".")
     options = {"split_objects": True} if kind == "obj" else {}
     try:

@@ -109,3 +109,11 @@ def test_names_in_a_file_do_not_reach_the_terminal_as_they_are(tmp_path):
     faces = "v 0 0 0\nv 3 0 0\nv 0 3 0\nv 0 0 3\no a\x1b[2J\nf 1 2 3\no b\nf 1 2 4\n"
     (tmp_path / "room.obj").write_text(faces)
     assert read_mesh(tmp_path / "room.obj").names == (r"a\x1b[2J", "b")
+
+
+def test_nothing_is_said_of_each_object(tmp_path, caplog):
+    caplog.set_level("INFO")
+    corners = "".join(f"v {x} {y} {z}\n" for z in (0, 2) for x, y in ((0, 0), (3, 0), (3, 3), (0, 3)))
+    (tmp_path / "room.obj").write_text(f"{corners}o floor\nf 1 2 3 4\no ceiling\nf 5 6 7 8\n")
+    assert len(read_mesh(tmp_path / "room.obj").faces) == 4
+    assert not caplog.records
