@@ -65,23 +65,17 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
     trimesh = optional("trimesh", "mesh")
     names = tuple(map(printable, parts))
     _check_count(file, sum(len(part.faces) for part in parts.values()))
-    for name, part in parts.items():
-        corners = part.triangles.reshape(-1, 3)
-        if not np.isfinite(corners).all():
-            bad = ", ".join(f"{x:g}" for x in corners[~np.isfinite(corners).all(axis=1)][0])
-            where = f" of {name!r}" if name else ""
-            raise InputError(f"path: {str(file)!r} has a corner{where} at ({bad}), which is no place.", "path")
     of = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts.values()])
     whole = trimesh.util.concatenate(list(parts.values()))
     mesh = trimesh.Trimesh(whole.vertices * scale, whole.faces, process=False)
+    size = np.ptp(mesh.vertices[mesh.faces].reshape(-1, 3), axis=0)
+    check_metres(size, f"scale = {scale:g} makes {str(file)!r}", "a file in millimetres takes 0.001", "scale")
     mesh.merge_vertices(digits_vertex=DIGITS)
     kept = mesh.unique_faces() & mesh.nondegenerate_faces(height=THINNEST)
     if not kept.any():
         raise InputError(f"path: {str(file)!r} holds no triangles with an area.", "path")
     mesh.update_faces(kept)
     mesh.remove_unreferenced_vertices()
-    makes = f"scale = {scale:g} makes {str(file)!r}"
-    check_metres(np.ptp(mesh.vertices, axis=0), makes, "a file in millimetres takes 0.001", "scale")
     return Mesh(np.array(mesh.vertices), np.array(mesh.faces, dtype=np.int64), of[kept], names, up)
 
 
@@ -96,13 +90,16 @@ def _parts(file: Path, up: str) -> dict[str, Any]:
             _check_gltf(file, content)
         # Of bytes, nothing says where they are from: no other file is looked for, such as materials or textures.
         # Not processed, or corners that are no numbers would be left out with their triangles.
-        scene = trimesh.load_scene(io.BytesIO(content), kind, skip_materials=True, process=False, **options)
+        with np.errstate(all="ignore"):  # of numbers that are refused below
+            scene = trimesh.load_scene(io.BytesIO(content), kind, skip_materials=True, process=False, **options)
         parts = {}
         for name in sorted(scene.graph.nodes_geometry):
             matrix, geometry = scene.graph[name]
             part = scene.geometry[geometry]
             if isinstance(part, trimesh.Trimesh) and len(part.faces):
-                vertices = trimesh.transform_points(part.vertices, matrix)
+                with np.errstate(all="ignore"):
+                    vertices = trimesh.transform_points(part.vertices, matrix)
+                _check_corners(file, name, vertices, part.faces)
                 vertices = vertices if up == "z" else vertices[:, [0, 2, 1]] * [1.0, -1.0, 1.0]
                 parts[name] = trimesh.Trimesh(vertices + 0.0, part.faces, process=False)
     except InputError:
@@ -111,6 +108,16 @@ def _parts(file: Path, up: str) -> dict[str, Any]:
         raise InputError(f"path: {str(file)!r} cannot be read as a mesh ({error}).", "path") from None
     named = len(parts) > 1 or not any(name.startswith("geometry") for name in parts)
     return parts if named else {"": next(iter(parts.values()))}
+
+
+def _check_corners(file: Path, name: str, vertices: FloatArray, faces: IntArray) -> None:
+    """Raise `InputError` if a corner of a face is not finite, `ValueError` if there is none of its number."""
+    if not ((faces >= 0) & (faces < len(vertices))).all():
+        raise ValueError("a triangle has a corner that is not there")
+    corners = vertices[faces].reshape(-1, 3)
+    if not (finite := np.isfinite(corners).all(axis=1)).all():
+        place = ", ".join(f"{x:g}" for x in corners[~finite][0])
+        raise InputError(f"path: {str(file)!r} has a corner of {name!r} at ({place}), which is no place.", "path")
 
 
 def _check_gltf(file: Path, content: bytes) -> None:

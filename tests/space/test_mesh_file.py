@@ -4,6 +4,7 @@ import base64
 import json
 import os
 import struct
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -79,6 +80,22 @@ def test_a_mesh_of_too_many_triangles_is_refused(tmp_path, monkeypatch):
     assert "has 12 triangles, more than 1; simplify it" in refused(str(tmp_path / "box.ply"))
 
 
+def test_a_file_that_was_damaged_is_read_or_refused(tmp_path):
+    """Bits that flipped, an end that is missing, numbers that grew."""
+    rng = np.random.default_rng(0)
+    for name in ("room.obj", "room.ply", "room.stl", "room.glb"):
+        trimesh.creation.box().export(tmp_path / name)
+        good = (tmp_path / name).read_bytes()
+        for _ in range(30):
+            at = int(rng.integers(len(good)))
+            flipped = bytes([good[at] ^ 1 << int(rng.integers(8))])
+            for middle in (flipped, b"9999999", b""):
+                end = b"" if middle == b"" else good[at + 1 :]
+                (tmp_path / name).write_bytes(good[:at] + middle + end)
+                with suppress(InputError):
+                    read_mesh(tmp_path / name)
+
+
 def test_no_other_file_is_looked_for(tmp_path):
     """A material in a pipe would be waited for."""
     os.mkfifo(tmp_path / "room.mtl")
@@ -102,7 +119,8 @@ def test_a_corner_that_is_no_place_is_refused(name, bad, tmp_path):
     box.vertices[3, 0] = bad
     box.export(tmp_path / name)
     told = refused(tmp_path / name, up="z")
-    assert told.endswith(f"{name}' has a corner at ({bad:g}, 0.5, 0.5), which is no place.")
+    assert f"{name}' has a corner of 'geometry" in told
+    assert told.endswith(f"at ({bad:g}, 0.5, 0.5), which is no place.")
 
 
 def test_names_in_a_file_do_not_reach_the_terminal_as_they_are(tmp_path):
