@@ -26,7 +26,12 @@ HEADER = "id,x,y,z,nx,ny,nz\n"
 GOOD = f"{HEADER}7,0,1,1,1,0,0\n3,0,2,1,1,0,0\n9,7.5,2,1,-1,0,0\n"
 TURNS = [(i, (37 * i) % 360) for i in range(600)]
 EVERY_BYTE = bytes(range(256)) * 40
-FILES: dict[str, str | bytes] = {
+BOX = "".join(f"v {x} {y} {z}\n" for z in (0, 3) for y in (0, 5) for x in (0, 6))
+BOX += "f 1 2 4 3\nf 5 6 8 7\nf 1 2 6 5\nf 3 4 8 7\nf 1 3 7 5\nf 2 4 8 6\n"
+MESHES = '"scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}], "asset": {"version": "2.0"}, '
+MESHES += '"meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}], '
+CORNERS = '"componentType": 5126, "type": "VEC3", "count"'
+FILES: dict[str, str | bytes | None] = {  # None for a pipe into which nobody writes
     "good.csv": GOOD,
     "dup.csv": f"{HEADER}1,0,1,1,1,0,0\n1,0,2,1,1,0,0\n2,0,3,1,1,0,0\n",
     "comment.csv": f"# tags of the lab\n{GOOD}# end\n",
@@ -68,6 +73,15 @@ FILES: dict[str, str | bytes] = {
     "binaryrun/landmarks.csv": GOOD,
     "binrun/checkpoint.npz": EVERY_BYTE,
     "oldrun/checkpoint.pkl": EVERY_BYTE,
+    "stranger/pipe.csv": None,
+    "stranger/bomb.yaml": "a0: &a0 [1, 1]\n"
+    + "".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]\n" for i in range(1, 30))
+    + "camera_matrix: {data: *a29}\n",
+    "stranger/zeros.gltf": f'{{{MESHES}"accessors": [{{{CORNERS}: 600000000}}], "bufferViews": []}}',
+    "stranger/outside.gltf": f'{{{MESHES}"buffers": [{{"uri": "../../corners.bin", "byteLength": 36}}]}}',
+    "stranger/corner.obj": BOX.replace("v 6 5 3", "v 6 inf 3"),
+    "stranger/box.obj": BOX,
+    "stranger/lying.obj": BOX.replace("5 3", "5 9").replace("0 3", "0 9"),
 }
 
 
@@ -78,6 +92,9 @@ def outcome(command: str, checkout: Path) -> str:
         folder = Path(name)
         for file, content in FILES.items():
             (folder / file).parent.mkdir(parents=True, exist_ok=True)
+            if content is None:
+                os.mkfifo(folder / file)
+                continue
             (folder / file).write_bytes(content if isinstance(content, bytes) else content.encode())
         line = [sys.executable, "-m", f"pipelines.{pipeline}", *SETTINGS.get(pipeline, QUIET), *overrides]
         environment = os.environ | {"PYTHONPATH": str(checkout)}

@@ -6,7 +6,6 @@ say only the principal point changes.
 Sources: `camera_calibration_parsers` of ROS, the page "YAML formats" of Kalibr, the calibration samples of OpenCV.
 """
 
-import json
 import math
 import re
 from collections.abc import Mapping
@@ -14,10 +13,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import yaml
 
 from lmd.camera import Camera
-from lmd.checks import InputError, choice, file_path, integer, real, vector
+from lmd.checks import InputError, choice, integer, real, vector
+from lmd.files import read_keys
 from lmd.geometry.equidistant import nearest_radial
 
 PIXEL_CENTRE = 0.5  # of the first pixel, from the image's border
@@ -148,7 +147,7 @@ def read_calibration(path: str | None, name: str | None = None) -> Calibration:
     """
     if path is None:
         raise InputError("path is missing: a calibration file is needed.", "path")
-    keys = _content(path)
+    keys = read_keys(path, "path")
     cameras = [key for key in keys if KALIBR_CAMERA.fullmatch(key)]
     if name is None and len(cameras) > 1:
         raise InputError(f"name must be given: {path} has the cameras {', '.join(cameras)}.", "name")
@@ -204,31 +203,3 @@ def _entry(keys: Any, *path: str) -> Any:
 def _numbers(name: str, value: Any) -> tuple[float, ...]:
     """A list of numbers of any length."""
     return vector(name, value, len(value) if isinstance(value, list) else KNOWN_COEFFICIENTS)
-
-
-class _Loader(yaml.SafeLoader):  # type: ignore[misc] # yaml has no types
-    """Takes OpenCV's matrices for mappings, and 1e-5 for a number, which to YAML 1.1 is a text."""
-
-
-_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _Loader.construct_yaml_map)
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
-)
-
-
-def _content(path: Any) -> dict[str, Any]:
-    """The keys of a YAML or JSON file."""
-    file = file_path("path", path)
-    try:
-        text = file.read_text(encoding="utf-8-sig")
-        # YAML takes most of JSON, but no tabs. OpenCV up to version 3 begins a file with %YAML:1.0, which is no YAML.
-        is_json = text.lstrip().startswith("{")
-        keys = json.loads(text) if is_json else yaml.load(re.sub(r"\A%YAML.*\n", "", text), _Loader)
-    except FileNotFoundError:
-        raise InputError(f"path: there is no file {str(path)!r}.", "path") from None
-    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"path: {str(path)!r} cannot be read as YAML or JSON ({reason}).", "path") from None
-    if not isinstance(keys, dict):
-        raise InputError(f"path: {str(path)!r} is no calibration: it has no keys.", "path")
-    return {str(key): value for key, value in keys.items()}

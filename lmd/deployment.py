@@ -10,7 +10,7 @@ from lmd.checks import BoolArray, FloatArray, InputError, IntArray, boolean, cho
 from lmd.labels import ID, Labels
 from lmd.memory import check_memory
 from lmd.space.space import Space
-from lmd.space.surface import PLACEMENT_TOLERANCE, SurfaceArrays
+from lmd.space.surface import MISPLACED, PLACEMENT_TOLERANCE, SurfaceArrays
 from lmd.surveyed import Surveyed
 from lmd.tables import read_table, write_table
 from lmd.tag import upright
@@ -23,8 +23,6 @@ UPRIGHT, IN_PLANE = 1e-3, 1e-2
 NORMAL_TOLERANCE = 1e-3
 # A normal this close to that of its surface is flush with it.
 FLUSH = 1e-6
-# Landmarks of a file rounded to micrometres may be so far beside where they may hang, or overlap by so much, metres.
-MISPLACED = 2e-6
 # What a landmark takes while a deployment is made, bytes: a dozen vectors.
 LANDMARK_BYTES = 400
 
@@ -232,15 +230,19 @@ class Deployment:
         write_table(path, {ID: self.ids, **columns, **further})
 
     @classmethod
-    def from_csv(cls, path: str | Path) -> "Deployment":
+    def from_csv(cls, path: str | Path, name: str = "path") -> "Deployment":
         """Read a CSV with the columns x,y,z,nx,ny,nz (and id, and ux,uy,uz for how tags are turned in their plane).
 
         Normals are scaled to length 1 if they are printed with few decimals. Further columns are kept as labels.
 
+        Args:
+            path: the file.
+            name: the argument the path came from, for messages.
+
         Raises:
             InputError: the file cannot be read, or what it holds is no deployment, or an up is not in its tag's plane.
         """
-        table = read_table(path, name="path")
+        table = read_table(path, name=name)
         columns = COLUMNS + UP_COLUMNS if any(name in table for name in UP_COLUMNS) else COLUMNS
         rows, labels = table.numbers(columns, None), Labels.of(table, columns)
         try:

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from lmd.checks import BoolArray, FloatArray, InputError, choice, real
+from lmd.files import read_keys
 
 FOLDER = Path(__file__).parent / "presets"
 SUFFIXES = (".yaml", ".yml")
@@ -96,17 +96,11 @@ class Preset:
         Raises:
             InputError: it cannot be read, a key is missing or unknown, or a value is out of range.
         """
-        try:
-            keys = yaml.safe_load(Path(path).read_text())
-        except FileNotFoundError:
-            raise InputError(f"detector: there is no file {str(path)!r}.", "detector") from None
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-            reason = " ".join(str(error).split())
-            raise InputError(f"detector: {str(path)!r} cannot be read as YAML ({reason}).", "detector") from None
+        keys = read_keys(path, "detector")
         expected = {"detector", "family", *NAMES}
-        if not isinstance(keys, dict) or set(keys) != expected:
-            keys = f"detector, family, {', '.join(NAMES)}"
-            raise InputError(f"detector: {str(path)!r} must have the keys {keys} and no others.", "detector")
+        if set(keys) != expected:
+            asked = f"detector, family, {', '.join(NAMES)}"
+            raise InputError(f"detector: {str(path)!r} must have the keys {asked} and no others.", "detector")
         try:
             return cls(str(keys["detector"]), str(keys["family"]), Limits(**{name: keys[name] for name in NAMES}))
         except InputError as error:

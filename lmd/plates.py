@@ -13,12 +13,12 @@ import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.compiled import inner, kernel
-from lmd.deployment import FLUSH, MISPLACED, Deployment, DeploymentSource, FileDeployment
+from lmd.deployment import FLUSH, Deployment, DeploymentSource, FileDeployment
 from lmd.fixed import beside
 from lmd.space.allowed import allows, nearest
 from lmd.space.inset import Inset
 from lmd.space.space import Space
-from lmd.space.surface import SurfaceArrays
+from lmd.space.surface import MISPLACED, SurfaceArrays
 
 # Relative: papers that share an edge do not overlap, however their distance is rounded.
 TOUCHING = 1e-9

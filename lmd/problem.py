@@ -135,7 +135,7 @@ class Problem:
         return evaluator, np.tile(self.relevance, repeats)
 
     def settings(self) -> Mapping[str, Any]:
-        """What the figures of `metrics` depend on, for the record."""
+        """What the figures of `metrics` depend on, for the record; None for what is infinite, as JSON has no such."""
         scene = self.scene
         return {
             "objective": type(self.objective).__name__,
@@ -154,4 +154,13 @@ class Problem:
 
 def _fields(part: Any) -> dict[str, Any]:
     """The values of a dataclass, or what it says of itself."""
-    return asdict(part) if hasattr(part, "__dataclass_fields__") else {"name": repr(part)}
+    return _finite(asdict(part)) if hasattr(part, "__dataclass_fields__") else {"name": repr(part)}
+
+
+def _finite(value: Any) -> Any:
+    """A value with None for each number in it that is infinite, such as the focus of a camera without an aperture."""
+    if isinstance(value, Mapping):
+        return {key: _finite(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(inner) for inner in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from lmd.checks import InputError, file_path
+from lmd.checks import InputError
 from lmd.deployment import Deployment
 from lmd.detection.frames import draw_poses
 from lmd.localisation.maps import Hung, error_quantiles, errors_text, map_errors
@@ -35,7 +35,7 @@ def read_measured(path: str | Path, problem: Problem, plan: Deployment) -> Deplo
         InputError: the file is no deployment, does not have the ids of the plan, or a tag is outside the room and
             belongs to no surface.
     """
-    measured = Deployment.from_csv(file_path("measured", path))
+    measured = Deployment.from_csv(path, "measured")
     for name, ids in (
         ("lacks the", np.setdiff1d(plan.ids, measured.ids)),
         ("has a", np.setdiff1d(measured.ids, plan.ids)),

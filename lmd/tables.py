@@ -1,6 +1,7 @@
 """CSV tables: writing them with every digit, and reading them with messages that name file, line and value."""
 
 import csv
+import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lmd.checks import FloatArray, InputError, file_path
+from lmd.checks import FloatArray, InputError
+from lmd.files import read_text
 
 COMMENT = "#"  # begins a line that is not read
 
@@ -144,14 +146,8 @@ def _is_number(text: str) -> bool:
 
 def _lines(path: Any, name: str) -> list[tuple[int, str]]:
     """The lines of a text that are neither blank nor comments, with their numbers."""
-    source = file_path(name, path)
-    try:
-        with source.open(encoding="utf-8-sig", newline="") as file:
-            return [(i, line) for i, line in enumerate(file, 1) if line.strip() and line.lstrip()[0] != COMMENT]
-    except FileNotFoundError:
-        raise InputError(f"{name}: there is no file {str(path)!r}.", name) from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{name}: {str(path)!r} cannot be read as text ({error}).", name) from None
+    lines = io.StringIO(read_text(path, name), newline="")
+    return [(i, line) for i, line in enumerate(lines, 1) if line.strip() and line.lstrip()[0] != COMMENT]
 
 
 def read_numbers(path: Any, columns: Sequence[str], *, name: str, optional: Sequence[str] = ()) -> FloatArray:

@@ -20,6 +20,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from .fixed import quoted
 from .signals import Stopped, stop
+from .spelling import ask_what_was_meant
 
 PACKAGE = str(__package__)  # `pipelines` in a checkout, `lmd.pipelines` where lmd is installed
 IN_CHECKOUT = PACKAGE == "pipelines"
@@ -96,6 +97,10 @@ def application(config_name: str) -> Callable[[Callable[[DictConfig], object]], 
                     composed()
             except Stopped as told:
                 sys.exit(told.code)
+            except SystemExit as ended:
+                if ended.code:
+                    ask_what_was_meant(CONF)
+                raise
 
         return main
 

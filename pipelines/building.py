@@ -1,6 +1,7 @@
 """Building objects from a composed configuration, with messages that name its keys."""
 
 import re
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import deepcopy
@@ -10,7 +11,9 @@ from typing import TYPE_CHECKING, Any
 import hydra
 from omegaconf import DictConfig, OmegaConf, open_dict
 
+from .app import CONF
 from .fixed import fixed_of, others_of, total_of
+from .spelling import meant
 
 if TYPE_CHECKING:
     from lmd.camera import Camera
@@ -69,7 +72,11 @@ def instantiate(node: Any, **extra: Any) -> Any:
         if cause is not None:
             with keyed(str(error).partition("full_key: ")[2].strip(), **{name: name for name in extra}):
                 raise cause from None
-        raise InputError(" ".join(str(error).split())) from error
+        text = " ".join(str(error).split())
+        if unknown := re.search(r"unexpected keyword argument '(\w+)'.* full_key: ([\w.]+)", text):
+            key = f"{unknown[2]}.{unknown[1]}"
+            raise InputError(f"{key} is no setting that is known; {meant(key, CONF)}".rstrip("; ")) from error
+        raise InputError(text) from error
 
 
 def camera_of(node: DictConfig) -> "Camera | Rig":
@@ -161,6 +168,8 @@ def _poses(cfg: DictConfig) -> "tuple[Space, OrientationPdf, RecordedPoses | Non
     from lmd.checks import InputError
 
     room, recorded = instantiate(cfg.room), bool(cfg.get("poses"))  # runs of old have none
+    if doubt := getattr(getattr(room, "scan", None), "doubt", None):  # of a mesh
+        print(f"warning: room.up: is it right for {room.scan.path!r}? {doubt[0].upper()}{doubt[1:]}", file=sys.stderr)
     if recorded == bool(cfg.pdf):
         needed = "poses=recorded, which says how the camera looks, needs pdf=recorded"
         cure = "add it to the command line where an experiment has chosen another one"

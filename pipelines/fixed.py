@@ -30,14 +30,13 @@ def fixed_of(node: DictConfig) -> "Deployment | None":
     """
     import numpy as np
 
-    from lmd.checks import file_path
     from lmd.deployment import Deployment
     from lmd.fixed import COLUMN
 
     path = node.get("fixed")  # runs of old have none
     if path is None:
         return None
-    found = Deployment.from_csv(file_path("fixed", path))
+    found = Deployment.from_csv(path, "fixed")
     marks = found.labels.columns.get(COLUMN) if found.labels and node.get("marked") else None
     return found if marks is None else found[np.array(marks) == "1"]
 

@@ -161,12 +161,13 @@ def read_yaml(file: Path, source: str) -> dict[Any, Any]:
         InputError: it cannot be read, or is no configuration.
     """
     from lmd.checks import InputError
+    from lmd.files import LARGEST_YAML, check_aliases, read_text
 
-    if not file.is_file():  # nor a pipe, which would be waited for
-        raise InputError(f"{source}: there is no file '{file}'.")
+    text = read_text(file, source, LARGEST_YAML)
     try:
-        found = yaml.load(file.read_text(encoding="utf-8"), Loader=get_yaml_loader())
-    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
+        check_aliases(text)
+        found = yaml.load(text, Loader=get_yaml_loader())
+    except (ValueError, RecursionError, yaml.YAMLError) as error:
         raise InputError(f"{source}: '{file}' cannot be read ({' '.join(str(error).split())}).") from None
     if not isinstance(found, dict):
         raise InputError(f"{source}: '{file}' is no configuration.")

@@ -44,3 +44,43 @@ def mesh_room(path, plan, height=(0.5, 1.5), clearance=0.25, spacing=0.5, **more
     """A floor plan as a room from a mesh."""
     reachable = {"height": list(height), "clearance": clearance}
     return from_mesh(str(written(path, plan)), reachable, spacing, **{"up": "z", **more})
+
+
+def quad(origin, u, v):
+    """A rectangle of two triangles, by itself."""
+    corners = np.array([origin, origin + u, origin + u + v, origin + v])
+    return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
+
+
+def captured(path, rng):
+    """A room as a headset captures it, z up: walls, floor, ceiling, a picture and furniture, each by itself.
+
+    Nothing is quite in line: walls stick out beyond others and below the floor, or end a little before them, are not
+    quite flat, furniture stands through floor and walls, and corners are rounded to micrometres.
+    """
+    size = rng.uniform([3.0, 3.0, 2.3], [5.0, 4.0, 2.8])
+    parts = {}
+    for axis, name in enumerate(("x", "y", "z")):
+        across, up = ((1, 2), (0, 2), (0, 1))[axis]
+        for side in (0, 1):
+            out = rng.uniform(-0.004, 0.12, (2, 2))  # beyond each edge, or short of it
+            origin, u, v = side * size * np.eye(3)[axis], *(size[i] * np.eye(3)[i] for i in (across, up))
+            for way, i, (before, after) in ((u, across, out[0]), (v, up, out[1])):
+                origin[i] -= before
+                way[i] += before + after
+            parts[f"{name}_{side}"] = quad(origin, u, v)
+            parts[f"{name}_{side}"].vertices += rng.normal(0.0, 1e-4, (4, 3))
+    for i in range(3):
+        low = rng.uniform([-0.2, -0.2, -0.05], [size[0] - 0.6, size[1] - 0.6, 0.0])
+        box = trimesh.creation.box(bounds=[low, low + rng.uniform([0.4, 0.4, 0.5], [0.9, 0.7, 0.9])])
+        parts[f"box_{i}"] = box
+    picture = rng.uniform([0.3, 0.0, 0.9], [1.0, 5e-4, 1.4])
+    parts["picture"] = quad(picture, np.array([0.8, 0.0, 0.0]), np.array([0.0, 0.0, 0.6]))
+    turn = trimesh.transformations.rotation_matrix(rng.uniform(0.0, 2.0 * np.pi), [0, 0, 1])
+    scene = trimesh.Scene()
+    for name, part in parts.items():
+        part.apply_transform(turn)
+        part.vertices = part.vertices.round(6)
+        scene.add_geometry(part, node_name=name)
+    scene.export(path)
+    return path

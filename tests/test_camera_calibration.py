@@ -211,7 +211,7 @@ def test_what_is_wrong_names_file_and_key(keys, message, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "message"), [("a: [", "cannot be read as YAML or JSON"), ("", "no calibration"), ("- 1", "no calibration")]
+    ("text", "message"), [("a: [", "cannot be read as YAML or JSON"), ("", "has no keys"), ("- 1", "has no keys")]
 )
 def test_what_is_no_calibration_is_said(text, message, write):
     with pytest.raises(InputError, match=rf"^path: .*{message}"):

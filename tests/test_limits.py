@@ -43,9 +43,9 @@ def test_a_file_is_a_detector(preset):
     ("text", "message"),
     [
         (None, r"^detector: there is no file '.*mine\.yaml'\.$"),
-        ("a: [", r"^detector: '.*mine\.yaml' cannot be read as YAML \(.*\)\.$"),
+        ("a: [", r"^detector: '.*mine\.yaml' cannot be read as YAML or JSON \(.*\)\.$"),
         ("pitch: 2", r"^detector: '.*mine\.yaml' must have the keys detector, family, pitch, .* and no others\.$"),
-        ("text", r"^detector: '.*mine\.yaml' must have the keys"),
+        ("text", r"^detector: '.*mine\.yaml' has no keys"),
         ("edge: much", r"^detector: '.*mine\.yaml': edge must be a number, got 'much'\.$"),
         ("incidence: 95", r"^detector: '.*mine\.yaml': incidence must be at most 89, got 95\.$"),
         ("family: 36h11", r"^detector: '.*mine\.yaml' is about tags of the family 36h11, not 7x7_50\.$"),

@@ -182,7 +182,7 @@ def test_a_row_longer_than_the_header_is_refused(write):
 def test_a_missing_file_is_refused_by_name(tmp_path):
     with pytest.raises(InputError, match=r"^path: there is no file .*nowhere\.csv"):
         pdf.from_csv(str(tmp_path / "nowhere.csv"))
-    with pytest.raises(InputError, match=r"^path: .*cannot be read as text"):
+    with pytest.raises(InputError, match=r"^path: .*cannot be read: it is a directory"):
         pdf.from_csv(str(tmp_path))
     with pytest.raises(InputError, match=r"^path is missing"):
         pdf.from_csv(None)

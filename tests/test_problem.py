@@ -1,12 +1,16 @@
+import json
+import math
+
 import numpy as np
 import pytest
-from paper import one_position_room, paper_room, paper_scene
+from paper import one_position_room, paper_camera, paper_room, paper_scene
 
 from lmd import pdf
 from lmd.checks import InputError
 from lmd.deployment import RandomDeployment, UniformDeployment
 from lmd.objectives.coverage import Coverage
 from lmd.problem import Problem
+from lmd.rig import rig_of
 from lmd.sight import reference
 from lmd.space.relevance import Relevance
 
@@ -17,6 +21,14 @@ def coarse_scene(**room):
 
 def problem(scene=None, n=2, thold_p=0.5, start=None, **options):
     return Problem(scene or coarse_scene(), Coverage(n, thold_p), start or RandomDeployment(40), **options)
+
+
+def test_settings_are_json_also_where_nothing_is_out_of_focus():
+    camera = paper_camera(aperture=0.0, focus_distance=math.inf)
+    mounts = [{"yaw": yaw} for yaw in (0.0, 1.0)]
+    for cameras in (camera, rig_of(mounts, camera)):
+        scene = paper_scene(room=paper_room(spacing=1.5), camera=cameras, orientations=pdf.grid_with_ends(6))
+        assert "Infinity" not in json.dumps(problem(scene).settings())
 
 
 def test_metrics_are_the_references():

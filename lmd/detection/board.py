@@ -1,5 +1,6 @@
 """Views of tags in your own images of a printed board whose geometry is known."""
 
+import io
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from lmd.detection.evaluation import TOLERANCE, corner_error, match
 from lmd.detection.frames import qualities
 from lmd.detection.mosaic import Views
 from lmd.detection.pose import pose_from_corners
+from lmd.files import read_bytes
 from lmd.geometry.se3 import poses_from_rows
 from lmd.optional import optional
 from lmd.render.imaging import Imaging, UInt8Array
@@ -119,16 +121,31 @@ def _read(path: Path, camera: Camera) -> UInt8Array:
         InputError: it cannot be read, or is not of the camera's size.
     """
     cv2 = optional("cv2", "detection")
-    image: UInt8Array | None = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if image is None:
-        raise InputError(f"folder: {str(path)!r} cannot be read as an image.", "folder")
+    content = read_bytes(path, "folder")
     width, height = image_size(camera)
-    if image.shape != (height, width):
-        raise InputError(
-            f"folder: {str(path)!r} has {image.shape[1]} x {image.shape[0]} pixels, the camera {width} x {height}.",
-            "folder",
-        )
-    return image
+    written = _pixels(content)
+    # A camera that was held upright says so in the image, which is turned when it is read.
+    if written in ((width, height), (height, width)):
+        image: UInt8Array | None = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE)
+        written = None if image is None else image.shape[::-1]
+        if image is not None and written == (width, height):
+            return image
+    if written is None:
+        raise InputError(f"folder: {str(path)!r} cannot be read as an image.", "folder")
+    raise InputError(
+        f"folder: {str(path)!r} has {written[0]} x {written[1]} pixels, the camera {width} x {height}.", "folder"
+    )
+
+
+def _pixels(content: bytes) -> tuple[int, ...] | None:
+    """Width and height that an image says it has: a small file may stand for gigabytes. None if it is no image."""
+    from PIL import Image
+
+    try:
+        with Image.open(io.BytesIO(content)) as header:
+            return header.size
+    except Exception:  # whatever a reader of a broken file runs into
+        return None
 
 
 def _pose_by(renderer: Renderer, found: Detections, tolerance: float) -> FloatArray | None:

@@ -11,7 +11,7 @@ from lmd.checks import BoolArray, FloatArray, InputError, real
 from lmd.space.allowed import polygons
 from lmd.space.blockers import Blockers
 from lmd.space.fixture import Fixture
-from lmd.space.parts import FACES, Obstacle, all_keep_outs, all_made, checked_band, checked_names
+from lmd.space.parts import FACES, Obstacle, all_keep_outs, all_made, check_metres, checked_band, checked_names
 from lmd.space.polygon import checked_ring, edges, on_hull, planes, upright_bodies
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
 
@@ -52,9 +52,12 @@ class FloorPlan:
     def __post_init__(self) -> None:
         if isinstance(self.holes, str) or not isinstance(self.holes, Sequence):
             raise InputError(f"holes must be a list of polygons, got {self.holes!r}.", "holes")
+        outline, height = checked_ring("outline", self.outline), real("height", self.height, above=0.0)
+        hint = "it is in metres, a thousandth of millimetres"
+        check_metres([*np.ptp(np.array(outline), axis=0), height], "outline makes", hint, "outline")
         checked = {
-            "outline": checked_ring("outline", self.outline),
-            "height": real("height", self.height, above=0.0),
+            "outline": outline,
+            "height": height,
             "holes": tuple(checked_ring(f"holes[{i}]", hole) for i, hole in enumerate(self.holes)),
             "obstacles": all_made("obstacles", Obstacle, self.obstacles),
             "margin": real("margin", self.margin, low=0.0),
@@ -98,6 +101,7 @@ class FloorPlan:
         for i, part in enumerate(self.keep_out):
             name = f"keep_out[{i}]"
             face = self._faces[part.surface]
+            part.check_on(name, face.extent)
             if not self._region(face).intersects(part.region(face)):
                 along, up = face.extent
                 raise InputError(f"{name} lies beside {part.surface}, which is {along:.4g} x {up:.4g} m.", name)

@@ -10,11 +10,13 @@ import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.space.grid import cell_borders, combined, grid_axes, grid_counts, kronecker, latin_hypercube
-from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, SurfaceArrays, surface_near
+from lmd.space.surface import MISPLACED, PLACEMENT_TOLERANCE, Surface, SurfaceArrays, surface_near
 
 # Draws of a position that is in the reachable volume, before its grid position is taken instead.
 MOST_DRAWS = 100
 LEAST_SHARE = 1e-4  # of the box around it that the reachable volume fills
+# Normals whose products with a third differ by less are the same.
+SAME_WAY = 1e-6
 
 
 class Gridded(ABC):
@@ -105,14 +107,26 @@ class Gridded(ABC):
         return drawn
 
     def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
-        """See `Space.surfaces_of`; at an edge between two surfaces, the one whose normal is nearer."""
-        carriers, tolerance = SurfaceArrays.of(self.surfaces()), PLACEMENT_TOLERANCE
+        """See `Space.surfaces_of`; at an edge between two surfaces, the one whose normal is nearer.
+
+        Of surfaces in one plane, whose rectangles may overlap, it is the one on which something may hang there.
+        """
+        carriers, within, allowed = self._carried(positions)
+        hangs = within & self.contains(positions)[..., None]
+        facing = np.where(hangs, normals @ carriers.normal.T, -np.inf)
+        same = allowed & (facing >= facing.max(axis=-1, keepdims=True) - SAME_WAY)
+        return np.where(hangs.any(axis=-1), np.argmax(np.where(same, facing + 1.0, facing), axis=-1), -1)
+
+    def _carried(self, points: FloatArray) -> tuple[SurfaceArrays, BoolArray, BoolArray]:
+        """The surfaces, which of their rectangles points `(..., 3)` lie on, and where of these landmarks may hang."""
+        carriers = SurfaceArrays.of(self.surfaces())
         every = np.arange(len(carriers.normal))
-        at = carriers.coordinates(every, np.asarray(positions)[..., None, :])
-        within = ((at >= -tolerance) & (at <= carriers.extent + tolerance)).all(axis=-1)
-        hangs = within & (np.abs(carriers.depth(positions)) <= tolerance) & self.contains(positions)[..., None]
-        nearest = np.argmax(np.where(hangs, normals @ carriers.normal.T, -np.inf), axis=-1)
-        return np.where(hangs.any(axis=-1), nearest, -1)
+        at = carriers.coordinates(every, np.asarray(points)[..., None, :])
+        within = ((at >= -PLACEMENT_TOLERANCE) & (at <= carriers.extent + PLACEMENT_TOLERANCE)).all(axis=-1)
+        within &= np.abs(carriers.depth(points)) <= PLACEMENT_TOLERANCE
+        allowed = within.copy()
+        allowed[within] = carriers.allow(np.broadcast_to(every, within.shape)[within], at[within], MISPLACED)
+        return carriers, within, allowed
 
     def surface_near(self, positions: FloatArray, normals: FloatArray) -> IntArray:
         """See `Space.surface_near`."""

@@ -1,13 +1,17 @@
 """Triangle meshes from files: glTF, OBJ, STL and PLY, by trimesh."""
 
+import io
 import json
+import logging
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.checks import FloatArray, InputError, IntArray, choice, file_path, real
+from lmd.checks import FloatArray, InputError, IntArray, choice, file_path, printable, real
+from lmd.files import read_bytes
 from lmd.optional import optional
+from lmd.space.parts import check_metres
 from lmd.space.triangles import THINNEST
 
 UPS = ("z", "y")
@@ -15,20 +19,25 @@ Y_UP = (".gltf", ".glb")  # what their standard says
 FORMATS = (*Y_UP, ".obj", ".stl", ".ply")
 # Corners that differ by less are the same, metres: files have 32 bits for a number.
 DIGITS = 6
-# A room whose longest side is not between these was not in metres.
-SHORTEST, LONGEST = 0.3, 1000.0
+# Of more triangles, what has to be known of each would take gigabytes and minutes.
+MOST_TRIANGLES = 5_000_000
+# Levels of nodes in glTF, and the numbers in a value of each type.
+DEEPEST = 32
+COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 
 
 class Mesh(NamedTuple):
     """Triangles in the world frame, metres, and the objects of the file that they belong to.
 
-    vertices `(V, 3)`; faces `(T, 3)`; of `(T,)`, the index of its object in `names`, which are those in the file.
+    vertices `(V, 3)`; faces `(T, 3)`; of `(T,)`, the index of its object in `names`, which are those in the file; up,
+    the axis of the file that points up.
     """
 
     vertices: FloatArray
     faces: IntArray
     of: IntArray
     names: tuple[str, ...]
+    up: str
 
 
 def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None) -> Mesh:
@@ -48,60 +57,114 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
     scale = real("scale", scale, above=0.0)
     if file.suffix.lower() not in FORMATS:
         raise InputError(f"path = {str(file)!r} must end in one of {', '.join(FORMATS)}.", "path")
-    if not file.is_file():
-        raise InputError(f"path: there is no file {str(file)!r}.", "path")
-    if file.suffix.lower() == ".gltf" and (outside := _outside(file)):
-        raise InputError(f"path = {str(file)!r} has its triangles in {outside!r}; save it as one file, .glb.", "path")
     if up is None:
         up = "y" if file.suffix.lower() in Y_UP else "z"
     parts = _parts(file, choice("up", up, UPS))
     if not parts:
         raise InputError(f"path: {str(file)!r} holds no triangles.", "path")
     trimesh = optional("trimesh", "mesh")
-    names = tuple(parts)
+    names = tuple(map(printable, parts))
+    _check_count(file, sum(len(part.faces) for part in parts.values()))
     of = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts.values()])
     whole = trimesh.util.concatenate(list(parts.values()))
     mesh = trimesh.Trimesh(whole.vertices * scale, whole.faces, process=False)
+    size = np.ptp(mesh.vertices[mesh.faces].reshape(-1, 3), axis=0)
+    check_metres(size, f"scale = {scale:g} makes {str(file)!r}", "a file in millimetres takes 0.001", "scale")
     mesh.merge_vertices(digits_vertex=DIGITS)
     kept = mesh.unique_faces() & mesh.nondegenerate_faces(height=THINNEST)
-    if not np.isfinite(mesh.vertices).all() or not kept.any():
+    if not kept.any():
         raise InputError(f"path: {str(file)!r} holds no triangles with an area.", "path")
     mesh.update_faces(kept)
     mesh.remove_unreferenced_vertices()
-    size = np.ptp(mesh.vertices, axis=0)
-    if not SHORTEST <= size.max() <= LONGEST:
-        box = " x ".join(f"{length:.4g}" for length in size)
-        raise InputError(
-            f"scale = {scale:g} makes {str(file)!r} a room of {box} m; a file in millimetres takes 0.001.", "scale"
-        )
-    return Mesh(np.array(mesh.vertices), np.array(mesh.faces, dtype=np.int64), of[kept], names)
-
-
-def _outside(file: Path) -> str | None:
-    """Another file that a glTF keeps its numbers in: what is read must be in the file that is named."""
-    try:
-        buffers = json.loads(file.read_text()).get("buffers", [])
-        names = [buffer.get("uri", "data:") for buffer in buffers]
-    except (ValueError, AttributeError):  # no glTF, which the reader says better
-        return None
-    return next((name for name in names if not name.startswith("data:")), None)
+    return Mesh(np.array(mesh.vertices), np.array(mesh.faces, dtype=np.int64), of[kept], names, up)
 
 
 def _parts(file: Path, up: str) -> dict[str, Any]:
     """The objects of a file that have triangles, as meshes in its scene, by their names."""
     trimesh = optional("trimesh", "mesh")
-    options = {"split_objects": True} if file.suffix.lower() == ".obj" else {}
+    logging.getLogger("trimesh").setLevel(logging.WARNING)  # it would say of every object that it has quads
+    content, kind = read_bytes(file, "path"), file.suffix.lower().removeprefix(".")
+    options = {"split_objects": True} if kind == "obj" else {}
     try:
-        scene = trimesh.load_scene(file, **options)
+        if file.suffix.lower() in Y_UP:
+            _check_gltf(file, content)
+        # Of bytes, nothing says where they are from: no other file is looked for, such as materials or textures.
+        # Not processed, or corners that are no numbers would be left out with their triangles.
+        with np.errstate(all="ignore"):  # of numbers that are refused below
+            scene = trimesh.load_scene(io.BytesIO(content), kind, skip_materials=True, process=False, **options)
         parts = {}
         for name in sorted(scene.graph.nodes_geometry):
             matrix, geometry = scene.graph[name]
             part = scene.geometry[geometry]
             if isinstance(part, trimesh.Trimesh) and len(part.faces):
-                vertices = trimesh.transform_points(part.vertices, matrix)
+                with np.errstate(all="ignore"):
+                    vertices = trimesh.transform_points(part.vertices, matrix)
+                _check_corners(file, name, vertices, part.faces)
                 vertices = vertices if up == "z" else vertices[:, [0, 2, 1]] * [1.0, -1.0, 1.0]
                 parts[name] = trimesh.Trimesh(vertices + 0.0, part.faces, process=False)
+    except InputError:
+        raise
     except Exception as error:  # whatever a reader of a broken file runs into
         raise InputError(f"path: {str(file)!r} cannot be read as a mesh ({error}).", "path") from None
-    named = len(parts) > 1 or not any(name.startswith((file.name, "geometry_")) for name in parts)
+    named = len(parts) > 1 or not any(name.startswith("geometry") for name in parts)
     return parts if named else {"": next(iter(parts.values()))}
+
+
+def _check_corners(file: Path, name: str, vertices: FloatArray, faces: IntArray) -> None:
+    """Raise `InputError` if a corner of a face is not finite, `ValueError` if there is none of its number."""
+    if not ((faces >= 0) & (faces < len(vertices))).all():
+        raise ValueError("a triangle has a corner that is not there")
+    corners = vertices[faces].reshape(-1, 3)
+    if not (finite := np.isfinite(corners).all(axis=1)).all():
+        place = ", ".join(f"{x:g}" for x in corners[~finite][0])
+        raise InputError(f"path: {str(file)!r} has a corner of {name!r} at ({place}), which is no place.", "path")
+
+
+def _check_gltf(file: Path, content: bytes) -> None:
+    """Raise `InputError` if a glTF has its triangles in another file, or stands for far more than it holds.
+
+    What is read must be in the file that is named: by its contents another run knows whether it is the same.
+    """
+    header = json.loads(content if file.suffix.lower() == ".gltf" else content[20 : 20 + _word(content, 12)])
+    for buffer in header.get("buffers", []):
+        if not buffer.get("uri", "data:").startswith("data:"):
+            where = f"path = {str(file)!r} has its triangles in {buffer['uri']!r}"
+            raise InputError(f"{where}; save it as one file, .glb with everything in it.", "path")
+    accessors = header.get("accessors", [])
+    counts = [part["count"] for part in accessors]
+    if not all(isinstance(count, int) and count >= 0 for count in counts):
+        raise ValueError("an accessor has a count that is none")
+    numbers = sum(n * COMPONENTS[part["type"]] for n, part in zip(counts, accessors, strict=True))
+    if numbers > len(content):
+        raise InputError(f"path: {str(file)!r}, of {len(content)} bytes, asks for {numbers:.4g} numbers.", "path")
+    corners = []
+    for mesh in header.get("meshes", []):
+        read = [i for part in mesh["primitives"] for i in (part["attributes"]["POSITION"], part.get("indices"))]
+        corners.append(sum(counts[i] for i in read if i is not None))
+    nodes = header.get("nodes", [])
+    _check_count(file, sum(corners[node["mesh"]] for node in nodes if "mesh" in node) / 3)
+    _check_tree([node.get("children", []) for node in nodes])
+
+
+def _check_tree(children: list[list[int]]) -> None:
+    """Raise `ValueError` if nodes are no tree, or one so deep that the way to a node takes long to be multiplied."""
+    parents = {child: node for node, theirs in enumerate(children) for child in theirs}
+    if len(parents) < sum(map(len, children)):
+        raise ValueError("a node has two parents")
+    for node in range(len(children)):
+        above, depth = parents.get(node), 0
+        while above is not None:
+            above, depth = parents.get(above), depth + 1
+            if depth > DEEPEST:
+                raise ValueError(f"its nodes are nested more than {DEEPEST} deep")
+
+
+def _word(content: bytes, at: int) -> int:
+    return int.from_bytes(content[at : at + 4], "little")
+
+
+def _check_count(file: Path, triangles: float) -> None:
+    if triangles > MOST_TRIANGLES:
+        raise InputError(
+            f"path: {str(file)!r} has {triangles:.4g} triangles, more than {MOST_TRIANGLES:.4g}; simplify it.", "path"
+        )

@@ -96,10 +96,12 @@ class MeshRoom(Gridded):
         return self.scan.bounds
 
     def contains(self, points: FloatArray) -> BoolArray:
-        """See `Space.contains`."""
+        """See `Space.contains`; where landmarks may hang is in the room, also in a niche that is not seen from afar."""
         low, high = self.bounds()
         within = (points >= low - PLACEMENT_TOLERANCE) & (points <= high + PLACEMENT_TOLERANCE)
-        return np.asarray(within.all(axis=-1) & self.scan.interior.contains(points))
+        found = np.asarray(within.all(axis=-1) & self.scan.interior.contains(points))
+        found[~found] = self._carried(points[~found])[2].any(axis=-1)
+        return found
 
     def blockers(self) -> Triangles:
         """See `Space.blockers`."""

@@ -1,6 +1,6 @@
 """What stands in a floor plan, and where nothing may hang: as a user gives it."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
@@ -12,10 +12,30 @@ from lmd.space.blockers import Body
 from lmd.space.polygon import checked_ring
 from lmd.space.surface import Surface
 
+# A keep-out may reach so far beyond its surface, metres: it was measured by hand.
+OFF = 0.05
 FACES = ("x_min", "x_max", "y_min", "y_max", "bottom", "top")
 OLD_KEYS = ("low", "high", "polygon")  # of keep-outs in earlier versions
 
+# A room whose longest side is not between these, metres, was not given in metres.
+SHORTEST, LONGEST = 0.3, 1000.0
+
 T = TypeVar("T")
+
+
+def check_metres(size: Iterable[float], makes: str, hint: str, argument: str) -> None:
+    """Raise `InputError` if a room of such lengths `(3,)` is none that was given in metres.
+
+    Args:
+        size: along x, y and z.
+        makes: what made it so, the beginning of the sentence.
+        hint: what to do about millimetres, the end of it.
+        argument: its name.
+    """
+    lengths = list(size)
+    if not SHORTEST <= max(lengths) <= LONGEST:
+        box = " x ".join(f"{length:.4g}" for length in lengths)
+        raise InputError(f"{makes} a room of {box} m; {hint}.", argument)
 
 
 @dataclass(frozen=True)
@@ -110,6 +130,21 @@ class KeepOut:
             if start >= stop:
                 raise InputError(f"{name} must go from the lower to the higher, got {[start, stop]}.", name)
             object.__setattr__(self, name, (start, stop))
+
+    def check_on(self, name: str, extent: tuple[float, float]) -> None:
+        """Raise `InputError` if it reaches beyond its surface, whose rectangle is `extent`, metres, long and wide.
+
+        Args:
+            name: the argument it came from, for messages.
+            extent: of the surface.
+        """
+        at = np.array(self.ring)
+        beyond = float(max((0.0 - at).max(), (at - extent).max()))
+        if beyond > OFF:
+            along, up = extent
+            raise InputError(
+                f"{name} reaches {beyond:.4g} m beyond {self.surface}, which is {along:.4g} x {up:.4g} m.", name
+            )
 
     @property
     def ring(self) -> FloatArray:

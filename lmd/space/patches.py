@@ -31,10 +31,10 @@ def flat_parts(mesh: Mesh) -> list[IntArray]:
     return [parts[i] for i in np.argsort(-np.round(area, 9), kind="stable")]
 
 
-def area_of(corners: FloatArray) -> float:
-    """Of triangles `(T, 3, 3)` together, square metres."""
+def areas_of(corners: FloatArray) -> FloatArray:
+    """Of triangles `(T, 3, 3)`, `(T,)`, square metres."""
     one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    return float(np.linalg.norm(np.cross(one, other), axis=1).sum() / 2.0)
+    return np.asarray(np.linalg.norm(np.cross(one, other), axis=1) / 2.0)
 
 
 def plane_of(corners: FloatArray) -> tuple[FloatArray, float]:

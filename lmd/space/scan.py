@@ -9,18 +9,16 @@ from typing import Any
 import numpy as np
 
 from lmd.checks import BoolArray, FloatArray, InputError, IntArray, real
-from lmd.space.allowed import eroded, polygons
+from lmd.space.allowed import eroded, polygons, spread, trapezoids
 from lmd.space.fixture import Fixture
+from lmd.space.gravity import LEVEL, STOREY, doubt_of
 from lmd.space.interior import Interior
-from lmd.space.mesh_file import Mesh, read_mesh
+from lmd.space.mesh_file import Y_UP, Mesh, read_mesh
 from lmd.space.parts import KeepOut, all_keep_outs, checked_band, checked_names
-from lmd.space.patches import UNEVEN, area_of, flat_parts, plane_of, surface_of
+from lmd.space.patches import UNEVEN, areas_of, flat_parts, plane_of, surface_of
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
 from lmd.space.triangles import Triangles, unit_normals
 
-# Floor and ceiling: level triangles so near to the lowest or the highest point of the mesh, metres.
-STOREY = 0.1
-LEVEL = 0.999  # vertical part of the normal of what is level
 # Of the height, which a wall takes at least, and of the ground, which floor and ceiling do.
 WALL, GROUND = 0.9, 0.5
 # Relative, by which the coordinates of a file may be rounded.
@@ -44,7 +42,7 @@ class Scan:
     Args:
         path: the file, see `lmd.space.mesh_file.read_mesh`.
         scale: metres in a unit of the file.
-        up: which of its axes points up, `z` or `y`; None for what its format says.
+        up: which of its axes points up, `z` or `y`; None for what its format says, else z if nothing is against.
         least_area: of a square that hangs on a patch upright, square metres.
         surfaces: names of the patches that may carry landmarks; None for all.
         keep_out: `KeepOut`s, or mappings of their arguments, measured from the rectangle around the patch.
@@ -52,7 +50,8 @@ class Scan:
         margin: from where landmarks may hang to the edges of a patch, along its u and v, metres.
 
     Raises:
-        InputError: the file is none of a room, it has no patch large enough, or a name is not known.
+        InputError: the file is none of a room, it has no patch large enough, a name is not known, a keep-out reaches
+            beyond its patch, or `up` is not given and hard to tell.
     """
 
     path: str | None
@@ -74,10 +73,21 @@ class Scan:
             raise InputError(
                 f"least_area = {self.least_area:g} m2 is more than any planar patch of {self.path!r} has.", "least_area"
             )
+        told = self.up is not None or str(self.path).lower().endswith(Y_UP)
+        if not told and (doubt := doubt_of(self.mesh, undecided=True)):
+            raise InputError(f"up must be given for {self.path!r}: {doubt}", "up")
         if self.surfaces is not None:
             object.__setattr__(self, "surfaces", checked_names("surfaces", self.surfaces, list(self._patches)))
         # Patches are as they are seen, so here earlier versions measured as this one does.
         object.__setattr__(self, "keep_out", all_keep_outs(self.keep_out, list(self._patches), lambda _, at: at))
+        for i, part in enumerate(self.keep_out):
+            corners = self._corners[self._patches[part.surface]]
+            part.check_on(f"keep_out[{i}]", surface_of("", corners, plane_of(corners)[0]).extent)
+
+    @property
+    def doubt(self) -> str | None:
+        """Why another axis than `up` seems to point up, whoever said so; None where nothing speaks for that."""
+        return doubt_of(self.mesh, undecided=False)
 
     @cached_property
     def mesh(self) -> Mesh:
@@ -92,7 +102,7 @@ class Scan:
 
     @cached_property
     def solids(self) -> Triangles | None:
-        """Those from which the camera keeps its clearance: all but floor and ceiling."""
+        """Those from which the camera keeps its clearance: all but floor and ceiling, what is level at either end."""
         z, (low, high) = self._corners[..., 2], self.bounds
         level = np.abs(unit_normals(self._corners)[:, 2]) > LEVEL
         ends = (z.max(axis=1) < low[2] + STOREY) | (z.min(axis=1) > high[2] - STOREY)
@@ -128,7 +138,7 @@ class Scan:
         chosen = []
         for part in self._flat:
             corners = self._corners[part]
-            if area_of(corners) < self.least_area * (1.0 - ROUNDING):
+            if areas_of(corners).sum() < self.least_area * (1.0 - ROUNDING):
                 break  # they come by their area
             normal, uneven = plane_of(corners)
             if uneven <= UNEVEN:
@@ -179,16 +189,19 @@ class Scan:
 
     def _free(self, surface: Surface) -> Any:
         """Where on a patch landmarks may hang, None if not even a square of `least_area` does."""
-        taken = [self._standing(surface)]
-        taken += [part.region(surface) for part in self._kept_out(surface)]
-        region = free_of(surface, _shape(surface), self.margin, self.band, taken)
+        standing = self._standing(surface)
+        taken = [_area_of(standing), *(part.region(surface) for part in self._kept_out(surface))]
+        region = self._inside(surface, free_of(surface, _shape(surface), self.margin, self.band, taken), standing)
         return None if eroded(region, self._half_edge).is_empty else region
 
     def _kept_out(self, surface: Surface) -> list[KeepOut]:
         return [part for part in self.keep_out if part.surface == surface.name]
 
-    def _standing(self, surface: Surface) -> Any:
-        """What other triangles cover of a patch, in its coordinates: they lie on it, or are less than `BEFORE` away."""
+    def _standing(self, surface: Surface) -> list[Any]:
+        """What other triangles cover of a patch, in its coordinates: they lie on it, or are less than `BEFORE` away.
+
+        Those that cross it at a right angle cover a line.
+        """
         import shapely
 
         other = np.ones(len(self._corners), dtype=np.bool_)
@@ -199,7 +212,25 @@ class Scan:
         for corners, height in zip(self._corners[near] - surface.origin, depth[near], strict=True):
             part = _between(corners, height, -PLACEMENT_TOLERANCE, BEFORE)
             shapes.append(shapely.MultiPoint(np.stack([part @ surface.u, part @ surface.v], axis=1)).convex_hull)
-        return polygons(shapely.union_all([shape for shape in shapes if shape.geom_type == "Polygon"]))
+        return shapes
+
+    def _inside(self, surface: Surface, region: Any, standing: Sequence[Any]) -> Any:
+        """The part of a region of a patch that is in the room: not below its floor, beyond a wall or in furniture.
+
+        What stands on the patch divides it into cells; slits of two `BEFORE` between are closed. Nothing crosses a
+        cell, so that all of it is in the room if one place of it is.
+        """
+        import shapely
+
+        lines = [shape for shape in standing if shape.geom_type == "LineString"]
+        divided = region.difference(shapely.union_all(_grown(lines, PLACEMENT_TOLERANCE)))
+        outside = []
+        for cell in shapely.get_parts(polygons(_grown(divided, -BEFORE))):
+            pieces = trapezoids(cell)
+            places = surface.point(*spread(pieces, np.full((len(pieces), 2), 0.5)).T) + AWAY * surface.normal
+            if not self.interior.contains(places).any():
+                outside.append(_grown(cell, BEFORE))
+        return polygons(region.difference(shapely.union_all(outside))) if outside else region
 
     @cached_property
     def faces(self) -> tuple[Surface, ...]:
@@ -252,6 +283,20 @@ class Scan:
         if self.solids is None or not clearance:
             return np.ones(points.shape[:-1], dtype=np.bool_)
         return self.solids.distance(points, clearance) >= clearance - PLACEMENT_TOLERANCE
+
+
+def _grown(shapes: Any, width: float) -> Any:
+    """Shapes with a strip around them, less one where it is negative; corners stay corners."""
+    import shapely
+
+    with np.errstate(divide="ignore", invalid="ignore"):  # of trials that GEOS discards
+        return shapely.buffer(shapes, width, cap_style="square", join_style="mitre")
+
+
+def _area_of(shapes: Sequence[Any]) -> Any:
+    import shapely
+
+    return polygons(shapely.union_all([shape for shape in shapes if shape.geom_type == "Polygon"]))
 
 
 def _shape(surface: Surface) -> Any:

@@ -13,6 +13,8 @@ from lmd.space.allowed import EDGE, eroded, find_nearest, gathered, polygons, re
 
 # Landmarks this far (m) outside still count as inside: a CSV rounded to micrometres is not an error.
 PLACEMENT_TOLERANCE = 1e-6
+# Landmarks of a file rounded to micrometres may be so far beside where they may hang, or overlap by so much, metres.
+MISPLACED = 2e-6
 
 # Landmarks so far from a surface belong to it, metres: somebody measured them, or they have a board behind them.
 NEAR_SURFACE = 0.05

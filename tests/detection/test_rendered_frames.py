@@ -1,7 +1,10 @@
 """Rooms of tags, frames of them, limits judged on them, and views from images of a board."""
 
 import math
+import os
 import pickle
+import struct
+import zlib
 from dataclasses import replace
 
 import cv2
@@ -301,6 +304,19 @@ def test_images_that_do_not_fit_are_refused(board, tmp_path):
     refused("lacks the column 'image'", poses=str(tmp_path / "poses.csv"))
     (tmp_path / "tags.csv").write_text("id,x,y,z,nx,ny,nz\n1,0,0,0,0,0,1\n1,1,0,0,0,0,1\n")
     refused("ids must be different whole numbers", tags=str(tmp_path / "tags.csv"))
+
+
+def test_images_that_are_traps_are_not_opened(board, tmp_path):
+    """A header of a few bytes that stands for gigabytes of pixels, and a pipe."""
+    header = b"IHDR" + struct.pack(">IIBBBBB", 60_000, 60_000, 8, 0, 0, 0, 0)
+    chunk = struct.pack(">I", 13) + header + struct.pack(">I", zlib.crc32(header))
+    (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + chunk)
+    with pytest.raises(InputError, match=r"a\.png' (cannot be read as an image|has 60000 x 60000 pixels)"):
+        views_of(of(board, folder=str(tmp_path)))
+    (tmp_path / "a.png").unlink()
+    os.mkfifo(tmp_path / "a.png")
+    with pytest.raises(InputError, match=r"^folder: .*a\.png' cannot be read: it is a pipe"):
+        views_of(of(board, folder=str(tmp_path)))
 
 
 def test_rows_of_poses_have_unit_quaternions():

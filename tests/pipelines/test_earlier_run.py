@@ -23,6 +23,7 @@ from pipelines.ladder import Ladder
 
 QUICK = ("tracking=none", "validate=false", "localisation=false")
 LAB = ("room=lab", "room.spacing=1", "camera=lab", "pdf=yaw", "pdf.pitch=0.1", "objective.n=1", "objective.thold_p=0.4")
+BOMB = b"a: &a [1, 1, 1, 1]\nb: &b [*a, *a, *a, *a, *a, *a]\nc: [*b, *b, *b, *b, *b, *b]\n"
 LANDMARKS = "id,x,y,z,nx,ny,nz\n0,0,1,1,1,0,0\n1,6,2,1,-1,0,0\n"
 
 
@@ -254,7 +255,12 @@ def test_a_directory_that_is_no_run_gets_one_sentence(earlier, monkeypatch, caps
 
 @pytest.mark.parametrize(
     ("content", "told"),
-    [(b"a: [\n", "cannot be read ("), (b"\x80", "cannot be read ("), (b"[1]", "is no configuration")],
+    [
+        (b"a: [\n", "cannot be read ("),
+        (b"\x80", "cannot be read as text ("),
+        (b"[1]", "is no configuration"),
+        (BOMB, "cannot be read (its aliases stand for"),
+    ],
 )
 def test_a_configuration_that_is_none_gets_one_sentence(earlier, monkeypatch, capsys, content, told):
     (earlier / ".hydra" / "config.yaml").write_bytes(content)

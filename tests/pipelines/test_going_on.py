@@ -184,7 +184,7 @@ def test_a_folder_that_hydra_has_not_written_does_not_go_on(left, text):
     assert told(folder).why_not
     file.unlink()
     os.mkfifo(file)
-    assert "there is no file" in told(folder).why_not
+    assert "it is a pipe" in told(folder).why_not
 
 
 def test_what_is_not_here_is_named_and_what_has_left_nothing_is_not(left, tmp_path, monkeypatch):

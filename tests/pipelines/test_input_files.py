@@ -1,5 +1,7 @@
 """The contents of input files are part of what a sweep, a job and a checkpoint go by."""
 
+import os
+
 import pandas as pd
 import pytest
 from hydra import compose, initialize_config_dir
@@ -40,6 +42,13 @@ def test_the_same_name_with_other_contents_is_another_input(work):
         (work / "a.csv").write_text(text)
         found.append(contents_of(["a.csv"]))
     assert found[0] == found[2] != found[1]
+
+
+def test_a_file_that_no_memory_holds_is_not_read_for_it(work):
+    with (work / "a.csv").open("wb") as file:
+        file.truncate(1 << 43)  # takes no space
+    os.mkfifo(work / "b.csv")
+    assert contents_of(["a.csv", "b.csv", "/dev/zero"]) == {"contents of a.csv": f"{1 << 43} bytes"}
 
 
 @pytest.mark.parametrize(

@@ -70,14 +70,14 @@ def test_a_keep_out_is_measured_from_the_left_as_one_stands_before_its_wall():
 def test_keep_outs_of_earlier_versions_are_refused_with_what_they_are_now():
     # Up to then walls were measured from their first vertex, ceilings and obstacles along x or y.
     for surface_name, old, low, now in [
-        ("wall_0", [4.5, 5.5], [4.5, 0.0, 0.0], r"from_left: \[0\.5, 1\.5\], from_below: \[0, 2\]"),
-        ("wall_2", [0.0, 1.0], [5.0, 2.0, 0.0], r"from_left: \[2, 3\], from_below: \[0, 2\]"),
-        ("hole_0_wall_0", [0.0, 0.25], [1.25, 1.25, 0.0], r"from_left: \[0, 0\.25\], from_below: \[0, 2\]"),
-        ("floor", [1.0, 2.0], [1.0, 0.0, 0.0], r"from_left: \[1, 2\], from_below: \[0, 2\]"),
-        ("ceiling", [1.0, 2.0], [1.0, 0.0, 2.5], r"from_left: \[4, 5\], from_below: \[0, 2\]"),
-        ("obstacle_0_y_min", [0.0, 0.25], [0.0, 3.0, 0.0], r"from_left: \[0, 0\.25\], from_below: \[0, 2\]"),
+        ("wall_0", [4.5, 5.5], [4.5, 0.0, 0.0], r"from_left: \[0\.5, 1\.5\], from_below: \[0, 1\.5\]"),
+        ("wall_2", [0.0, 1.0], [5.0, 2.0, 0.0], r"from_left: \[2, 3\], from_below: \[0, 1\.5\]"),
+        ("hole_0_wall_0", [0.0, 0.25], [1.25, 1.25, 0.0], r"from_left: \[0, 0\.25\], from_below: \[0, 1\.5\]"),
+        ("floor", [1.0, 2.0], [1.0, 0.0, 0.0], r"from_left: \[1, 2\], from_below: \[0, 1\.5\]"),
+        ("ceiling", [1.0, 2.0], [1.0, 0.0, 2.5], r"from_left: \[4, 5\], from_below: \[0, 1\.5\]"),
+        ("obstacle_0_y_min", [0.0, 0.25], [0.0, 3.0, 0.0], r"from_left: \[0, 0\.25\], from_below: \[0, 1\.5\]"),
     ]:
-        part = {"surface": surface_name, "low": [old[0], 0.0], "high": [old[1], 2.0]}
+        part = {"surface": surface_name, "low": [old[0], 0.0], "high": [old[1], 1.5]}
         message = rf"^keep_out has the keys low, high, polygon, .*, it is \[{{surface: {surface_name}, {now}}}\]\.$"
         with pytest.raises(InputError, match=message) as refused:
             FloorPlan(L_SHAPE, 2.5, holes=[PILLAR], obstacles=[RACK], keep_out=[part])
@@ -252,9 +252,14 @@ def test_random_landmarks_are_uniform_over_slanting_regions():
         ({"obstacles": [{"low": [1, 3, 0]}]}, r"^obstacles\[0\] lacks a key"),
         ({"obstacles": [{**RACK, "faces": ["y_max"]}]}, r"^obstacles\[0\]\.faces: y_max stands against"),
         ({"keep_out": [{**DOOR, "surface": "wall_9"}]}, r"^keep_out\[0\]\.surface must be one of wall_0, .*'wall_9'"),
-        ({"keep_out": [{**DOOR, "surface": "wall_1", "from_left": [3, 4]}]}, r"^keep_out\[0\] lies beside wall_1"),
-        ({"keep_out": [{"surface": "wall_1", "from_left": [0, 2], "from_below": [0, 3]}]},
+        ({"keep_out": [{**DOOR, "surface": "wall_1", "from_left": [1.2, 2.1]}]},
+         r"^keep_out\[0\] reaches 0\.1 m beyond wall_1, which is 2 x 2\.5 m\.$"),
+        ({"keep_out": [{"surface": "floor", "from_left": [5, 6], "from_below": [3, 4]}]},
+         r"^keep_out\[0\] lies beside floor"),
+        ({"keep_out": [{"surface": "wall_1", "from_left": [0, 2], "from_below": [0, 2.5]}]},
          r"nowhere on wall_1 may anything hang"),
+        ({"outline": [[0, 0], [6000, 0], [6000, 4000]], "height": 2500},
+         r"^outline makes a room of 6000 x 4000 x 2500 m; it is in metres, a thousandth of millimetres\.$"),
         ({"band": [2, 1]}, r"^band must go from the lowest"),
         ({"margin": 1.0}, r"nowhere on wall_1 may anything hang"),
         ({"surfaces": ["x_min"]}, r"^surfaces must be one of wall_0, "),

@@ -1,0 +1,137 @@
+"""Meshes as a stranger may hand them over."""
+
+import base64
+import json
+import os
+import struct
+from contextlib import suppress
+
+import numpy as np
+import pytest
+import trimesh
+
+from lmd.checks import InputError
+from lmd.space.mesh_file import read_mesh
+
+TRIANGLE = struct.pack("<9f", 0, 0, 0, 3, 0, 0, 0, 3, 0)
+
+
+def gltf(uri=None, accessors=None, nodes=None):
+    """A triangle, in the file itself if nothing else is said."""
+    uri = uri or "data:application/octet-stream;base64," + base64.b64encode(TRIANGLE).decode()
+    return {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": nodes or [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "buffers": [{"byteLength": len(TRIANGLE), "uri": uri}],
+        "bufferViews": [{"buffer": 0, "byteLength": len(TRIANGLE)}],
+        "accessors": accessors or [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
+    }
+
+
+def written(path, document):
+    text = json.dumps(document).encode()
+    if path.suffix == ".glb":
+        text += b" " * (-len(text) % 4)
+        text = struct.pack("<4sII", b"glTF", 2, 20 + len(text)) + struct.pack("<I4s", len(text), b"JSON") + text
+    path.write_bytes(text)
+    return str(path)
+
+
+def refused(path, **how):
+    with pytest.raises(InputError) as told:
+        read_mesh(path, **how)
+    assert str(told.value).isprintable()
+    return str(told.value)
+
+
+@pytest.mark.parametrize("name", ["room.gltf", "room.glb"])
+def test_triangles_are_in_the_file_that_is_named(name, tmp_path):
+    """Else a repeated sweep would not know that they changed."""
+    (tmp_path / "room.bin").write_bytes(TRIANGLE)
+    for uri in ("room.bin", "../room.bin", f"{tmp_path}/room.bin", "http://localhost/room.bin", "file:///dev/zero"):
+        assert f"has its triangles in '{uri}'; save it as one file" in refused(written(tmp_path / name, gltf(uri)))
+    assert len(read_mesh(written(tmp_path / name, gltf())).faces) == 1
+
+
+@pytest.mark.parametrize("name", ["room.gltf", "room.glb"])
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"accessors": [{"componentType": 5126, "count": 600_000_000, "type": "VEC3"}]}, "asks for 1.8e+09 numbers"),
+        ({"accessors": [{"componentType": 5126, "count": -1, "type": "VEC3"}]}, "a count that is none"),
+        ({"nodes": [{"children": [1]}, {"children": [0]}]}, "nested more than 32 deep"),
+        ({"nodes": [{"mesh": 0, "children": [i + 1]} for i in range(99)] + [{"mesh": 0}]}, "nested more than 32 deep"),
+        ({"nodes": [{"children": [1, 1]}, {"mesh": 0}]}, "two parents"),
+    ],
+)
+def test_a_gltf_that_stands_for_more_than_it_holds_is_refused(name, change, message, tmp_path):
+    assert message in refused(written(tmp_path / name, gltf(**change)))
+
+
+def test_a_mesh_of_too_many_triangles_is_refused(tmp_path, monkeypatch):
+    many = gltf(nodes=[{"children": [1, 2]}, {"mesh": 0}, {"mesh": 0}])
+    assert len(read_mesh(written(tmp_path / "room.gltf", many)).faces) == 1  # one that is there twice
+    monkeypatch.setattr("lmd.space.mesh_file.MOST_TRIANGLES", 1)
+    assert "has 2 triangles, more than 1; simplify it" in refused(written(tmp_path / "room.gltf", many))
+    trimesh.creation.box().export(tmp_path / "box.ply")
+    assert "has 12 triangles, more than 1; simplify it" in refused(str(tmp_path / "box.ply"))
+
+
+def test_a_file_that_was_damaged_is_read_or_refused(tmp_path):
+    """Bits that flipped, an end that is missing, numbers that grew."""
+    rng = np.random.default_rng(0)
+    for name in ("room.obj", "room.ply", "room.stl", "room.glb"):
+        trimesh.creation.box().export(tmp_path / name)
+        good = (tmp_path / name).read_bytes()
+        for _ in range(30):
+            at = int(rng.integers(len(good)))
+            flipped = bytes([good[at] ^ 1 << int(rng.integers(8))])
+            for middle in (flipped, b"9999999", b""):
+                end = b"" if middle == b"" else good[at + 1 :]
+                (tmp_path / name).write_bytes(good[:at] + middle + end)
+                with suppress(InputError):
+                    read_mesh(tmp_path / name)
+
+
+def test_no_other_file_is_looked_for(tmp_path):
+    """A material in a pipe would be waited for."""
+    os.mkfifo(tmp_path / "room.mtl")
+    os.mkfifo(tmp_path / "room.png")
+    trimesh.creation.box().export(tmp_path / "box.obj")
+    (tmp_path / "room.obj").write_text("mtllib room.mtl\n" + (tmp_path / "box.obj").read_text())
+    head = b"ply\ncomment TextureFile room.png\n"
+    (tmp_path / "room.ply").write_bytes(head + trimesh.creation.box().export(file_type="ply").removeprefix(b"ply\n"))
+    for name in ("room.obj", "room.ply"):
+        assert len(read_mesh(tmp_path / name).faces) == 12
+    os.mkfifo(tmp_path / "pipe.obj")
+    assert "it is a pipe" in refused(tmp_path / "pipe.obj")
+
+
+@pytest.mark.filterwarnings("ignore:invalid value")  # of what writes the file
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+@pytest.mark.parametrize("name", ["room.obj", "room.ply", "room.stl", "room.glb"])
+def test_a_corner_that_is_no_place_is_refused(name, bad, tmp_path):
+    """Its triangles would be missing, a hole in the wall."""
+    box = trimesh.creation.box()
+    box.vertices[3, 0] = bad
+    box.export(tmp_path / name)
+    told = refused(tmp_path / name, up="z")
+    assert f"{name}' has a corner of 'geometry" in told
+    assert told.endswith(f"at ({bad:g}, 0.5, 0.5), which is no place.")
+
+
+def test_names_in_a_file_do_not_reach_the_terminal_as_they_are(tmp_path):
+    faces = "v 0 0 0\nv 3 0 0\nv 0 3 0\nv 0 0 3\no a\x1b[2J\nf 1 2 3\no b\nf 1 2 4\n"
+    (tmp_path / "room.obj").write_text(faces)
+    assert read_mesh(tmp_path / "room.obj").names == (r"a\x1b[2J", "b")
+
+
+def test_nothing_is_said_of_each_object(tmp_path, caplog):
+    caplog.set_level("INFO")
+    corners = "".join(f"v {x} {y} {z}\n" for z in (0, 2) for x, y in ((0, 0), (3, 0), (3, 3), (0, 3)))
+    (tmp_path / "room.obj").write_text(f"{corners}o floor\nf 1 2 3 4\no ceiling\nf 5 6 7 8\n")
+    assert len(read_mesh(tmp_path / "room.obj").faces) == 4
+    assert not caplog.records
