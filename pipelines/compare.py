@@ -1,5 +1,6 @@
 """Compare optimisers: `python -m pipelines.compare optimisers=[annealing,ega] seeds=5 [overrides]`."""
 
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -53,10 +54,10 @@ def compare(cfg: DictConfig) -> None:
     if not configs:
         raise InputError("optimisers must name at least one optimiser.")
     jobs = [(name, configs[name], seed, budget) for seed in seeds for name in configs]
-    finished = in_processes(_run, jobs, cfg.workers)
+    finished = in_processes(_run, jobs, cfg.workers, lambda job: f"{job[0]} seed={job[2]}")
     directory, headline, runs = run_directory(), problem.objective.headline, []
     axis = "evaluations" if budget.evaluations else "wall_time"
-    with tracked(cfg, "compare", title_of(problem, "compare")) as tracker:
+    with closing(finished), tracked(cfg, "compare", title_of(problem, "compare")) as tracker:
         try:
             for done in finished:
                 runs.append(done)

@@ -177,9 +177,9 @@ def sightings(subjects: Mapping[str, Subject], seed: int, workers: int | None) -
         for poses in [subject.prediction.poses]
         for first in range(0, len(poses), CHUNK)
     ]
-    finished, found = in_processes(_look, jobs, workers), {}
+    found = {}
     with bar(sum(len(job.poses) for job in jobs), "frames") as progress:
-        for name, first, part in finished:
+        for name, first, part in in_processes(_look, jobs, workers, lambda job: f"frames of {job.name}"):
             found[name, first] = part
             progress.update(len(next(iter(part.values())).false))
     parts = {name: [found[key] for key in sorted(found) if key[0] == name] for name in subjects}

@@ -101,7 +101,9 @@ def _each(workers: int | None, function: Callable[[Any], Any], jobs: Sequence[An
     from .progress import bar
     from .workers import in_processes
 
-    results = in_processes(partial(_on_one_thread, function), jobs, workers, ordered=True)
+    results = in_processes(
+        partial(_on_one_thread, function), jobs, workers, lambda _: "a batch of frames", ordered=True
+    )
     with bar(len(jobs), "batches of frames") as progress:
         for result in results:
             progress.update()

@@ -129,7 +129,8 @@ class Points:
 
     def _done(self, what: str, jobs: Mapping[Key, Callable[[], Result]]) -> Iterator[tuple[Key, Result]]:
         """The keys of jobs and what they return, as they come."""
-        for i, (key, result) in enumerate(in_processes(_do, list(jobs.items()), self._workers), 1):
+        results = in_processes(_do, list(jobs.items()), self._workers, lambda job: self.name(*job[0]))
+        for i, (key, result) in enumerate(results, 1):
             print(f"{i}/{len(jobs)} {what}: {self.name(*key)}", flush=True)
             yield key, result
 

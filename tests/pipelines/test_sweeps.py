@@ -66,9 +66,9 @@ def sweep(cwd, faults, *overrides):
     return call("optimise", *settings(cwd, faults), *overrides, cwd=cwd, folders=[cwd])
 
 
-def start_sweep(cwd, faults):
+def start_sweep(cwd, faults, *overrides):
     """Start a sweep and wait until its slow job is at work."""
-    line = command("optimise", *settings(cwd, faults))
+    line = command("optimise", *settings(cwd, faults), *overrides)
     process = start(line, cwd=cwd, folders=[cwd], stderr=subprocess.PIPE)
     deadline = time.monotonic() + 120
     while not (cwd / "pid").exists() and time.monotonic() < deadline:
@@ -211,6 +211,17 @@ def test_a_sweep_killed_with_its_job_goes_on_with_what_is_missing(work):
     assert statuses(children) == {"none": ["FINISHED"], "slow": ["FAILED", "FINISHED"]}
     (lost,) = [run for run in children["slow"] if run.info.status == "FAILED"]
     assert lost.data.tags["reason"] == "its process was killed, and the sweep with it"
+
+
+def test_the_jobs_of_a_sweep_that_is_killed_under_joblib_stop(work):
+    process = start_sweep(work, "slow", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
+    process.kill()
+    process.wait(timeout=60)
+    (record,) = work.glob("outputs/optimise_sweep/*/*/job.json")
+    deadline = time.monotonic() + 60
+    while (status := json.loads(record.read_text())["status"]) == "running" and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert status == "interrupted"
 
 
 def test_an_interrupted_job_goes_on_from_its_checkpoint(work):
