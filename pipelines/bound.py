@@ -1,12 +1,12 @@
 """What no deployment can exceed: `python -m pipelines.bound deployment.count=90 [overrides]`."""
 
-import json
 from typing import Any
 
 from omegaconf import DictConfig
 
 from .app import application, run_directory
 from .building import build_problem, keyed
+from .documents import write_document
 from .earlier_run import read_earlier_run
 from .sweeps.supervisor import run
 
@@ -65,7 +65,7 @@ def bound(cfg: DictConfig) -> None:
             _show("landmarks", f">= {fewest} for a fitness of {target:.2%}")
         document["settings"] = problem.settings()
         file = directory / "bound.json"
-        file.write_text(json.dumps(document, indent=2) + "\n")
+        write_document(file, document)
         tracker.log_metrics(figures)
         tracker.log_artifacts([file, *sorted((directory / ".hydra").glob("*.yaml"))])
         tracker.finish("FINISHED")

@@ -1,11 +1,10 @@
 """What a tag must be like for a detector to find it: `python -m pipelines.calibrate_detector detectors=[aruco]`."""
 
-import json
-
 from omegaconf import DictConfig
 
 from .app import application, choices, run_directory
 from .building import instantiate, keyed
+from .documents import write_document
 from .earlier_run import read_earlier_run
 from .sweeps.supervisor import run
 
@@ -63,7 +62,7 @@ def calibrate(cfg: DictConfig) -> None:
         figures = {name: calibration.figures() for name, calibration in calibrations.items()}
         markdown = to_markdown(figures)
         (directory / "calibration.md").write_text(markdown)
-        (directory / "calibration.json").write_text(json.dumps({"seed": seed, "figures": figures}, indent=2) + "\n")
+        write_document(directory / "calibration.json", {"seed": seed, "figures": figures})
         save_limits_figure(directory / "calibration.png", calibrations, f"{tag.family}, {choices()['views']}")
         written += [directory / f"calibration.{kind}" for kind in ("md", "json", "png")]
         tracker.log_metrics(

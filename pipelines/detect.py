@@ -4,7 +4,6 @@ Random poses are rendered and read by each detector, the same poses for every de
 start a sweep here: it is read as `deployments=[a,b,c]`.
 """
 
-import json
 import re
 import sys
 from collections.abc import Mapping
@@ -16,6 +15,7 @@ from omegaconf import DictConfig
 from .app import application, run_directory
 from .building import build_problem, instantiate, keyed
 from .deployments import any_deployment, composed_deployments, read_deployment_as_a_list
+from .documents import write_document
 from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def detect(cfg: DictConfig) -> None:
             table.to_csv(directory / f"{name}.csv", index=False)
         metrics = _metrics(figures)
         document = {"figures": metrics, "poses": count, "seed": seed, "settings": problem.settings()}
-        (directory / "detect.json").write_text(json.dumps(document, indent=2) + "\n")
+        write_document(directory / "detect.json", document)
         title = title_of(problem, f"{count} poses,")
         save_calibration_figure(directory / "calibration.png", figures, pitches, title)
         frames = _save_frames(directory / "frames", subjects, seen, min(pictures, count), seed)

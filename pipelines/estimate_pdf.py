@@ -1,6 +1,5 @@
 """An orientation PDF from data: `python -m pipelines.estimate_pdf recording.path=flight.csv [overrides]`."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,6 +7,7 @@ from omegaconf import DictConfig
 
 from .app import application, choices, flat_settings, run_directory
 from .building import instantiate, keyed
+from .documents import write_document
 from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def estimate(cfg: DictConfig) -> None:
 
     def write(partial: Path) -> None:
         result.pdf.to_csv(partial / "pdf.csv")
-        (partial / "pdf_estimate.json").write_text(json.dumps(document, indent=2) + "\n")
+        write_document(partial / "pdf_estimate.json", document)
         save_orientation_figure(partial / "pdf.png", result, subject)
 
     with tracked(cfg, f"estimate_pdf {choices()['recording']}") as tracker:

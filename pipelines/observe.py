@@ -4,7 +4,6 @@ All deployments share one run, because they are to be compared over the same fli
 start a sweep here: it is read as `deployments=[a,b,c]`.
 """
 
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -14,6 +13,7 @@ from omegaconf import DictConfig
 from .app import application, choices, run_directory
 from .building import build_problem, instantiate, keyed
 from .deployments import any_deployment, composed_deployments, read_deployment_as_a_list
+from .documents import write_document
 from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def observe(cfg: DictConfig) -> None:
         (directory / "observe.md").write_text(markdown)
         medians = _medians(figures)
         document = {"medians": medians, "seeds": list(seeds), "settings": problem.settings()}
-        (directory / "observe.json").write_text(json.dumps(document, indent=2) + "\n")
+        write_document(directory / "observe.json", document)
         counts = {name: outcome.counts[0] for name, outcome in study.outcomes.items()}
         title = title_of(problem, f"{len(seeds)} flights: median, band from 10 to 90 %;")
         save_error_figure(directory / "errors.png", curves, study.time, counts, n, title)

@@ -4,7 +4,6 @@ Jobs of a sweep know nothing of each other, but here each point sets out from it
 whose searches share the processors, and which keeps what they have found.
 """
 
-import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -16,6 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from .app import application, run_directory
 from .building import build_optimiser, instantiate, keyed
+from .documents import write_document
 from .earlier_run import read_earlier_run
 from .ladder import Ladder, figures_of, shares_among
 from .sweeps.names import slug
@@ -202,7 +202,7 @@ def _record(
         document |= {"wanted": wanted, "fewest": finite}
         known = {edge: count for edge, count in reached["count"].items() if isfinite(count)}
         tracker.log_metrics({f"fewest/edge_{edge:g}": count for edge, count in known.items()})
-    (directory / "tradeoff.json").write_text(json.dumps(document, indent=2) + "\n")
+    write_document(directory / "tradeoff.json", document)
     for name, edge in product(panels, dict.fromkeys(ladder.edge for ladder in points.ladders)):
         curve = [(int(count), float(value), 0.0) for count, value in curves.loc[edge, name].items()]
         tracker.log_curve(f"{name}/edge_{edge:g}", curve)

@@ -80,10 +80,10 @@ def _supervise(cfg: DictConfig) -> float | None:
     if HydraConfig.get().launcher._target_.endswith("JoblibLauncher"):
         _end_with_the_sweep()
     with folder.held() as lock:
-        before = folder.load()
-        if before is not None and before.status == "finished":
+        if (done := folder.finished()) is not None:
             print(f"done already: {job.label}", flush=True)
-            return before.value
+            return done.value
+        before = folder.load()
         continued = before is not None and before.status != "failed" and folder.checkpoint.exists()
         if before is not None:
             end_runs(cfg.tracking, folder, job, LOST)

@@ -179,8 +179,11 @@ def test_the_same_sweep_again_does_only_what_is_missing(faulty):
     untouched = table(cwd).folder["none"]
     before = (cwd / "outputs/optimise_sweep" / folder(cwd) / untouched / "metrics.json").stat().st_mtime_ns
     (cwd / "repaired").touch()
+    damaged = cwd / "outputs/optimise_sweep" / folder(cwd) / table(cwd).folder["raise"] / "job.json"
+    damaged.write_text(damaged.read_text()[:100])
     again = sweep(cwd, "none,raise,exit,kill")
     assert again.returncode == 0, again.stderr
+    assert f"warning: {damaged.relative_to(cwd)} is damaged (JSONDecodeError" in again.stderr
     assert "going on after 1 finished jobs" in again.stdout
     assert "done already: optimiser.fault=none" in again.stdout
     assert again.stdout.count("finished in") == 3
