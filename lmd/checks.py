@@ -12,6 +12,8 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
+LARGEST = 1e12  # numbers beyond mean nothing here, and their products overflow
+LARGEST_SEED = 2**128 - 1  # as many bits as numpy draws for a seed
 ONE_TURN = 2.0 * math.pi + 0.01  # 6.2832 was rounded up
 
 
@@ -45,7 +47,8 @@ def real(
 ) -> float:
     """Return `value` as a float.
 
-    `above` is an open lower bound, `low` and `high` are closed; infinity passes only with `infinite`.
+    `above` is an open lower bound, `low` and `high` are closed; infinity passes only with `infinite`. Without
+    `high` the number is at most `LARGEST` in size.
 
     Raises:
         InputError: `value` is not a number, is NaN, or is out of range.
@@ -66,11 +69,13 @@ def real(
         raise InputError(f"{name} must be at least {low:g}, got {value!r}.", name)
     if high is not None and number > high:
         raise InputError(f"{name} must be at most {high:g}, got {value!r}.", name)
+    if high is None and LARGEST < abs(number) < math.inf:
+        raise InputError(f"{name} must be at most {LARGEST:g} in size, got {value!r}.", name)
     return number
 
 
 def integer(name: str, value: Any, *, low: int, high: int | None = None) -> int:
-    """Return `value` as an int in [low, high]; a float that is whole will do, such as 1e3.
+    """Return `value` as an int in [low, high], see `real`; a float that is whole will do, such as 1e3.
 
     Raises:
         InputError: `value` is not a whole number or is out of range.
@@ -80,6 +85,15 @@ def integer(name: str, value: Any, *, low: int, high: int | None = None) -> int:
         raise InputError(f"{name} must be a whole number, got {value!r}.", name)
     real(name, value, low=low, high=high)
     return int(value)
+
+
+def seed_number(value: Any) -> int:
+    """Return `value`, called `seed`, as the seed of a random generator.
+
+    Raises:
+        InputError: it is no whole number from 0 to `LARGEST_SEED`.
+    """
+    return integer("seed", value, low=0, high=LARGEST_SEED)
 
 
 def boolean(name: str, value: Any) -> bool:

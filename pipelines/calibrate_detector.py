@@ -28,7 +28,7 @@ def calibrate(cfg: DictConfig) -> None:
     """Fit limits to each of the configured detectors."""
     import numpy as np
 
-    from lmd.checks import integer, real
+    from lmd.checks import integer, real, seed_number
     from lmd.detection.calibration import Calibration, foreseen, judged
     from lmd.detection.fit import fit
     from lmd.optional import optional
@@ -38,7 +38,7 @@ def calibrate(cfg: DictConfig) -> None:
     from .tracked_run import tracked
 
     optional("cv2", "detection")
-    seed, count = integer("seed", cfg.seed, low=0), integer("poses", cfg.frames, low=0)
+    seed, count = seed_number(cfg.seed), integer("poses", cfg.frames, low=0)
     margin, source = real("margin", cfg.margin, low=0.0), instantiate(cfg.views)
     subject = subject_of(cfg, max(count, 1), seed)
     told, directory, written = subject.prediction, run_directory(), []

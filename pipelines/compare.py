@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from omegaconf import DictConfig, ListConfig
 
 from .app import application, recompose, run_directory, save_path, search_path, task_overrides
-from .building import build_optimiser, build_problem, instantiate, keyed
+from .building import budget_of, build_optimiser, build_problem, instantiate, keyed, seeds_of
 from .earlier_run import read_earlier_run
 from .sweeps.supervisor import run
 from .workers import in_processes
@@ -36,18 +36,15 @@ def _main(cfg: DictConfig) -> None:
 
 def compare(cfg: DictConfig) -> None:
     """Run the configured comparison."""
-    from lmd.checks import InputError, integer
+    from lmd.checks import InputError
     from lmd.comparison import comparison_table
-    from lmd.optimisers.base import Budget
     from lmd.plot.comparison import save_comparison_figure
 
     from .reproduction.comparison import to_markdown
     from .tracked_run import title_of, tracked
 
     problem, save_as = build_problem(cfg), save_path(cfg.save_as)
-    with keyed("budget"):
-        budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
-    seeds = range(cfg.seed, cfg.seed + integer("seeds", cfg.seeds, low=1))
+    budget, seeds = budget_of(cfg), seeds_of(cfg)
     if not isinstance(cfg.optimisers, ListConfig) or not all(str(entry).split() for entry in cfg.optimisers):
         raise InputError(f"optimisers must be a list of names, got {cfg.optimisers!r}.")
     configs = {str(entry): _compose(str(entry), cfg) for entry in cfg.optimisers}

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from omegaconf import DictConfig
 
 from .app import application, choices, flat_settings, run_directory
-from .building import instantiate, keyed
+from .building import instantiate, keyed, settings_of
 from .documents import write_document
 from .sweeps.supervisor import run
 
@@ -24,15 +24,15 @@ def estimate(cfg: DictConfig) -> None:
     """Estimate the PDF of the configured recording."""
     import numpy as np
 
-    from lmd.checks import integer
+    from lmd.checks import seed_number
     from lmd.orientation.estimate import estimate_pdf
     from lmd.plot.orientation import save_orientation_figure
 
     from .outputs import all_or_none
     from .tracked_run import tracked
 
-    rng = np.random.default_rng(integer("seed", cfg.seed, low=0))
-    source = instantiate(cfg.recording)
+    rng = np.random.default_rng(seed_number(cfg.seed))
+    source = instantiate(settings_of(cfg, "recording"))
     with keyed("recording"):
         recording = source.record(rng)
     result = estimate_pdf(

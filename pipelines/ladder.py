@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from omegaconf import DictConfig
 
 from .app import flat_settings
-from .building import build_optimiser, build_problem, keyed
+from .building import budget_of, build_optimiser, build_problem
 from .documents import read_document, write_document
 from .optimise import SAME_WHEN_RESUMED
 from .sweeps.names import digest
@@ -78,15 +78,12 @@ class Ladder:
     def _search(self, problem: "Problem", way: str) -> "Found":
         """Climb from the start of a problem with a budget of its own."""
         from lmd.deployment import Deployment, GivenDeployment
-        from lmd.optimisers.base import Budget
         from lmd.tradeoff import Found
 
         cfg = self.point(problem.count)
 
         def climb() -> dict[str, Any]:
-            with keyed("budget"):
-                budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
-            result = build_optimiser(cfg, self.seed).run(problem, budget)
+            result = build_optimiser(cfg, self.seed).run(problem, budget_of(cfg))
             arrays = {name: getattr(result.deployment, name).tolist() for name in ARRAYS}
             return {**arrays, "fitness": result.fitness}
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig
 
 from .app import application, choices, run_directory
-from .building import build_problem, instantiate, keyed
+from .building import build_problem, instantiate, keyed, seeds_of, settings_of
 from .deployments import any_deployment, composed_deployments, read_deployment_as_a_list
 from .documents import write_document
 from .sweeps.supervisor import run
@@ -44,29 +44,28 @@ def _main(cfg: DictConfig) -> None:
 
 def observe(cfg: DictConfig) -> None:
     """Localise a camera over the configured deployments."""
-    from lmd.checks import InputError, integer, real
+    from lmd.checks import InputError, real
     from lmd.localisation import pairs
     from lmd.localisation.study import Flights, conduct, to_markdown
     from lmd.plot.localisation import save_error_figure
 
     from .tracked_run import title_of, tracked
 
-    seed = integer("seed", cfg.seed, low=0)
-    seeds = range(seed, seed + integer("seeds", cfg.seeds, low=1))
+    seeds = seeds_of(cfg)
     composed = composed_deployments(cfg, "observe")
     problems = {name: build_problem(any_deployment(own)) for name, own in composed.items()}
     problem = next(iter(problems.values()))
     problem.scene.single_camera("observe")
     film = None if cfg.film is None else real("film", cfg.film, above=0.0)
-    estimators = {name: instantiate(node) for name, node in (cfg.get("estimator") or {}).items()}
-    trajectory, start, odometry = (instantiate(cfg[key]) for key in ("trajectory", "start", "odometry"))
+    trajectory, start, odometry = (instantiate(settings_of(cfg, key)) for key in ("trajectory", "start", "odometry"))
+    estimators = {name: instantiate(settings_of(cfg, f"estimator.{name}")) for name in cfg.get("estimator") or {}}
+    detectors = {name: instantiate(settings_of(own, "detector")) for name, own in composed.items()}
+    if film is not None and not all(hasattr(detector, "moments") for detector in detectors.values()):
+        raise InputError("film needs rendered frames: detector=rendered.")
     with keyed("trajectory", seeds="seeds"):
         flights = Flights.draw(problem, trajectory, start, seeds)
     directory, n = run_directory(), problem.objective.n
     with tracked(cfg, "observe", title_of(problem, "observe")) as tracker:
-        detectors = {name: instantiate(own.detector) for name, own in composed.items()}
-        if film is not None and not all(hasattr(detector, "moments") for detector in detectors.values()):
-            raise InputError("film needs rendered frames: detector=rendered.")
         with keyed(estimators="estimator", family="tag.family"):
             each = partial(_each, cfg.workers)
             study = conduct(problems, flights, detectors, estimators, cfg.all_visible, odometry, each)

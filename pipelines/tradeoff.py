@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from omegaconf import DictConfig, OmegaConf
 
 from .app import application, run_directory
-from .building import build_optimiser, instantiate, keyed
+from .building import budget_of, build_optimiser, instantiate, keyed, seeds_of
 from .documents import write_document
 from .earlier_run import read_earlier_run
 from .ladder import Ladder, figures_of, shares_among
@@ -57,28 +57,27 @@ def tradeoff(cfg: DictConfig) -> None:
     """Search for every number of landmarks, edge and seed."""
     import numpy as np
 
-    from lmd.checks import choice, file_path, integer, real
-    from lmd.optimisers.base import Budget
+    from lmd.checks import choice, file_path, real
+    from lmd.deployment import landmark_count
     from lmd.tradeoff import between
     from lmd.validation import headline_off_grid
 
     from .tracked_run import title_of, tracked
 
-    counts = sorted({integer("counts", count, low=1) for count in _listed("counts", cfg.counts)})
+    with keyed(count="counts"):
+        counts = sorted({landmark_count(count) for count in _listed("counts", cfg.counts)})
     edges = [cfg.tag.edge or 0.0] if cfg.edges is None else _listed("edges", cfg.edges)
     edges = sorted({real("tag.edge" if cfg.edges is None else "edges", edge, low=0.0) for edge in edges})
-    seed = integer("seed", cfg.seed, low=0)
-    seeds = range(seed, seed + integer("seeds", cfg.seeds, low=1))
+    seeds = seeds_of(cfg)
     wanted = None if cfg.wanted is None else real("wanted", cfg.wanted, low=0.0, high=1.0)
     file_path("kept", cfg.kept)
-    with keyed("budget"):
-        Budget(cfg.budget.evaluations, cfg.budget.seconds)
-    build_optimiser(cfg, seed)  # what cannot be built fails before anything has run
+    budget_of(cfg)
+    build_optimiser(cfg, seeds[0])  # what cannot be built fails before anything has run
     ladders = [Ladder(cfg, edge, seed) for edge, seed in product(edges, seeds)]
     for ladder, count in product(ladders[:: len(seeds)], (counts[0], counts[-1])):  # and what does not fit together
         problem = ladder.problem(count)
     if cfg.figure is not None:
-        known = figures_of(problem, problem.draw(np.random.default_rng(seed)), seed)
+        known = figures_of(problem, problem.draw(np.random.default_rng(seeds[0])), seeds[0])
         choice("figure", cfg.figure, shares_among(known))
     figure = cfg.figure or headline_off_grid(problem)
     points = Points(ladders, cfg.workers)
