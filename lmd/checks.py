@@ -14,6 +14,7 @@ IntArray = NDArray[np.int64]
 
 LARGEST = 1e12  # numbers beyond mean nothing here, and their products overflow
 LARGEST_SEED = 2**128 - 1  # as many bits as numpy draws for a seed
+LATEST = 1e11  # seconds since 1970: in three thousand years; in milliseconds it was 1973
 ONE_TURN = 2.0 * math.pi + 0.01  # 6.2832 was rounded up
 
 
@@ -141,6 +142,14 @@ def file_path(name: str, value: Any) -> Path:
     if not isinstance(value, str | Path):
         raise InputError(f"{name} must be the path of a file or a folder, got {value!r}.", name)
     return Path(value)
+
+
+def seconds(source: str, time: FloatArray) -> None:
+    """Raise `InputError` if times from the file `source`, in seconds since whenever, look like smaller units."""
+    latest = float(np.abs(time).max())
+    if latest > LATEST:
+        asked = "times are in seconds"
+        raise InputError(f"{source}: time = {latest:.15g} looks like milliseconds or nanoseconds; {asked}.")
 
 
 def radians(source: str, **angles: FloatArray) -> None:

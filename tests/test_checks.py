@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lmd.checks import InputError, boolean, file_path, integer, radians, real, seed_number
+from lmd.checks import InputError, boolean, file_path, integer, radians, real, seconds, seed_number
 
 
 @pytest.mark.parametrize("value", [1000, 1e3, np.int64(1000), np.float64(1000.0)])
@@ -50,6 +50,16 @@ def test_a_path_is_text(value):
     assert file_path("resume", "runs/first") == Path("runs/first")
     with pytest.raises(InputError, match=r"^resume must be the path of a file or a folder, got "):
         file_path("resume", value)
+
+
+@pytest.mark.parametrize("unit", [1e3, 1e6, 1e9])
+def test_stamps_of_a_clock_in_other_units_than_seconds_are_refused(unit):
+    now = np.array([1.75e9, 1.76e9])
+    seconds("flight.csv", now)
+    with pytest.raises(
+        InputError, match=r"^flight\.csv: time = 1\.?76.* looks like milliseconds or nanoseconds; times"
+    ):
+        seconds("flight.csv", unit * now)
 
 
 def test_angles_beyond_one_turn_look_like_degrees():

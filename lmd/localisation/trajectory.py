@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from lmd.checks import FloatArray, InputError, choice, radians, real, vector
+from lmd.checks import FloatArray, InputError, choice, radians, real, seconds, vector
 from lmd.geometry.se3 import camera_pose, inverse, log, poses_from_rows
 from lmd.memory import check_memory
 from lmd.scene import Scene
@@ -73,10 +73,12 @@ class Trajectory:
         try:
             if "qw" in table:
                 rows = table.numbers(QUATERNIONS)
+                seconds(str(path), rows[:, 0])
                 poses = poses_from_rows(rows[:, 1:])
                 poses[:, :3, :3] = poses[:, :3, :3] @ FRAMES[frame]
                 return cls(rows[:, 0], poses)
             rows = table.numbers((*ANGLES, "roll") if "roll" in table else ANGLES)
+            seconds(str(path), rows[:, 0])
             angles = dict(zip(("yaw", "pitch", "roll"), rows[:, 4:].T, strict=False))
             radians("the trajectory", **angles)
             return cls(rows[:, 0], camera_pose(rows[:, 1:4], **angles))
