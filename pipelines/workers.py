@@ -38,7 +38,8 @@ def in_processes(
         ordered: results in the order of the jobs, not as they come.
 
     Raises:
-        InputError: `workers` is not positive; or the process that worked on a job was killed, twice.
+        InputError: `workers` is not positive; a process that worked on one job alone was killed; or the
+            system has no semaphores.
     """
     from lmd.checks import integer
     from lmd.threads import available_threads
@@ -78,8 +79,8 @@ def _alone(function: Callable[[Job], Result], job: Job, name: Callable[[Job], st
             return pool.submit(function, job).result()
         except BrokenProcessPool:
             raise InputError(
-                f"workers: the process that worked on {name(job)} was killed, and again when nothing else was worked "
-                "on; is there too little memory?",
+                f"workers: the process that worked on {name(job)} was killed, even with nothing beside it; is there "
+                "too little memory?",
                 "workers",
             ) from None
 
@@ -97,9 +98,16 @@ def _in_order(results: Iterable[tuple[int, Result]]) -> Generator[Result, None, 
 @contextmanager
 def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     """Processes that end with the block, whatever they are at."""
+    from lmd.checks import InputError
+
     ready_server()
     others = multiprocessing.active_children()
-    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("forkserver"), _begin)
+    try:
+        pool = ProcessPoolExecutor(workers, multiprocessing.get_context("forkserver"), _begin)
+    except OSError as error:  # there is no /dev/shm, or it is full
+        raise InputError(
+            f"workers need semaphores of the system ({error}); workers=1 does without.", "workers"
+        ) from None
     try:
         yield pool
     finally:
