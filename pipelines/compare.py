@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from omegaconf import DictConfig, ListConfig
 
 from .app import application, recompose, run_directory, save_path, search_path, task_overrides
-from .building import budget_of, build_optimiser, build_problem, instantiate, keyed, seeds_of
+from .building import budget_of, build_optimiser, build_problem, instantiate, seeds_of
 from .earlier_run import read_earlier_run
 from .sweeps.supervisor import run
 from .workers import in_processes
