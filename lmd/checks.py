@@ -12,6 +12,9 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 
+LARGEST = 1e12  # numbers beyond mean nothing here, and their products overflow
+LARGEST_SEED = 2**128 - 1  # as many bits as numpy draws for a seed
+LATEST = 1e11  # seconds since 1970: in three thousand years; in milliseconds it was 1973
 ONE_TURN = 2.0 * math.pi + 0.01  # 6.2832 was rounded up
 # Of a longer message the middle is left out, characters: a file may give a value of any length.
 LONGEST = 2000
@@ -55,7 +58,8 @@ def real(
 ) -> float:
     """Return `value` as a float.
 
-    `above` is an open lower bound, `low` and `high` are closed; infinity passes only with `infinite`.
+    `above` is an open lower bound, `low` and `high` are closed; infinity passes only with `infinite`. Without
+    `high` the number is at most `LARGEST` in size.
 
     Raises:
         InputError: `value` is not a number, is NaN, or is out of range.
@@ -76,11 +80,13 @@ def real(
         raise InputError(f"{name} must be at least {low:g}, got {value!r}.", name)
     if high is not None and number > high:
         raise InputError(f"{name} must be at most {high:g}, got {value!r}.", name)
+    if high is None and LARGEST < abs(number) < math.inf:
+        raise InputError(f"{name} must be at most {LARGEST:g} in size, got {value!r}.", name)
     return number
 
 
 def integer(name: str, value: Any, *, low: int, high: int | None = None) -> int:
-    """Return `value` as an int in [low, high]; a float that is whole will do, such as 1e3.
+    """Return `value` as an int in [low, high], see `real`; a float that is whole will do, such as 1e3.
 
     Raises:
         InputError: `value` is not a whole number or is out of range.
@@ -90,6 +96,15 @@ def integer(name: str, value: Any, *, low: int, high: int | None = None) -> int:
         raise InputError(f"{name} must be a whole number, got {value!r}.", name)
     real(name, value, low=low, high=high)
     return int(value)
+
+
+def seed_number(value: Any) -> int:
+    """Return `value`, called `seed`, as the seed of a random generator.
+
+    Raises:
+        InputError: it is no whole number from 0 to `LARGEST_SEED`.
+    """
+    return integer("seed", value, low=0, high=LARGEST_SEED)
 
 
 def boolean(name: str, value: Any) -> bool:
@@ -137,6 +152,14 @@ def file_path(name: str, value: Any) -> Path:
     if not isinstance(value, str | Path):
         raise InputError(f"{name} must be the path of a file or a folder, got {value!r}.", name)
     return Path(value)
+
+
+def seconds(source: str, time: FloatArray) -> None:
+    """Raise `InputError` if times from the file `source`, in seconds since whenever, look like smaller units."""
+    latest = float(np.abs(time).max())
+    if latest > LATEST:
+        asked = "times are in seconds"
+        raise InputError(f"{source}: time = {latest:.15g} looks like milliseconds or nanoseconds; {asked}.")
 
 
 def radians(source: str, **angles: FloatArray) -> None:

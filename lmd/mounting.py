@@ -14,6 +14,7 @@ from lmd.checks import FloatArray, InputError, integer, real
 from lmd.deployment import Deployment
 from lmd.detection.frames import draw_poses
 from lmd.localisation.maps import QUANTILES, Hung, error_quantiles, errors_text, map_errors
+from lmd.memory import check_memory
 from lmd.problem import Problem
 from lmd.tag import upright
 from lmd.validation import Sample, sampled_evaluators
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 SAMPLE = Sample(groups=8, positions=256, divisions=23)
 VIEWS = 40  # random poses of a draw
+POSE_BYTES = 4 * 4 * 8
 STREAM = 0x6D6F756E74  # keeps the draws apart from every other use of the same seed
 
 
@@ -50,6 +52,8 @@ class MountingError:
         for name in ("turn", "tilt"):
             object.__setattr__(self, name, real(name, getattr(self, name), low=0.0, high=np.pi / 2.0))
         object.__setattr__(self, "draws", integer("draws", self.draws, low=1))
+        what = f"draws = {self.draws} mountings, each in {VIEWS} views,"
+        check_memory(POSE_BYTES * VIEWS * self.draws, what, "draws")
 
     @property
     def is_none(self) -> bool:

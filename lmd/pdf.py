@@ -178,8 +178,16 @@ class OrientationPdf:
         write_table(path, columns | ({"roll": np.broadcast_to(self.roll, len(self.yaw))} if np.any(self.roll) else {}))
 
 
-def _divisions(value: int, pitches: int | None = None) -> int:
-    """The number of pitches, and half that of yaws; `pitches` if there are others."""
+def divisions_of(value: int, pitches: int | None = None) -> int:
+    """The number of pitches of a grid, and half that of its yaws.
+
+    Args:
+        value: what a user says.
+        pitches: how many there are if others.
+
+    Raises:
+        InputError: it is no positive whole number, or there is not enough memory for so many orientations.
+    """
     count = integer("divisions", value, low=1)
     made = 2 * count * (pitches or count)
     check_memory(made * ORIENTATION_BYTES, f"divisions = {count} makes {made:.4g} orientations, which", "divisions")
@@ -248,7 +256,7 @@ def grid_with_ends(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
         divisions: the step is pi / divisions in yaw and pitch.
         roll: of the camera about its optical axis, radians: one angle, or several with their probabilities.
     """
-    n, roll = _divisions(divisions), _rolls(roll)
+    n, roll = divisions_of(divisions), _rolls(roll)
     yaw, pitch = np.linspace(-np.pi, np.pi, 2 * n + 1), np.linspace(-np.pi / 2, np.pi / 2, n + 1)
     total = len(yaw) * len(pitch)
     refine = partial(grid_with_ends, 2 * n, roll)
@@ -260,14 +268,14 @@ def grid_of_cells(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
 
     Yaw -pi, ..., pi - step; pitch at the middle of each step. Args as in `grid_with_ends`.
     """
-    n, roll = _divisions(divisions), _rolls(roll)
+    n, roll = divisions_of(divisions), _rolls(roll)
     weight, refine = np.full(n, 1.0 / (2 * n * n)), partial(grid_of_cells, 2 * n, roll)
     return _product(_open_yaws(n), _cell_pitches(n), weight, f"pdf grid_{2 * n * n}", refine, _uniform_angles, roll)
 
 
 def solid_angle(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
     """Uniform over the sphere: each cell of `grid_of_cells` weighs its solid angle over 4 pi."""
-    n, roll = _divisions(divisions), _rolls(roll)
+    n, roll = divisions_of(divisions), _rolls(roll)
     weight = np.diff(np.sin(np.linspace(-np.pi / 2, np.pi / 2, n + 1))) / (4 * n)
     refine = partial(solid_angle, 2 * n, roll)
     return _product(_open_yaws(n), _cell_pitches(n), weight, "pdf sphere", refine, _uniform_directions, roll)
@@ -281,7 +289,7 @@ def level_flight(divisions: int = 12, pitch: float = 0.0, roll: Roll = 0.0) -> O
         pitch: radians.
         roll: as in `grid_with_ends`.
     """
-    n, roll = _divisions(divisions, pitches=1), _rolls(roll)
+    n, roll = divisions_of(divisions, pitches=1), _rolls(roll)
     fixed = real("pitch", pitch, low=-np.pi / 2, high=np.pi / 2)
     weight, refine = np.array([1.0 / (2 * n)]), partial(level_flight, 2 * n, fixed, roll)
     return _product(

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from lmd.checks import FloatArray, InputError
 from lmd.files import read_text
 
+MOST_COLUMNS = 1000
 COMMENT = "#"  # begins a line that is not read
 
 
@@ -91,7 +92,7 @@ def read_table(path: Any, *, name: str) -> Table:
         name: the argument the path came from, for messages.
 
     Raises:
-        InputError: the file is missing or no CSV, names a column twice, or has a row of another length.
+        InputError: the file is missing or no CSV, has too many columns or two of a name, or a row of another length.
     """
     content = _lines(path, name)
     try:
@@ -102,6 +103,8 @@ def read_table(path: Any, *, name: str) -> Table:
     if not rows:
         return Table(str(path), (), {})
     (_, header), *body = rows
+    if len(header) > MOST_COLUMNS:
+        raise InputError(f"{path} has {len(header)} columns, more than {MOST_COLUMNS}; the first line is its header.")
     for i, column in enumerate(header):
         if column in header[:i]:
             raise InputError(f"{path} names the column {column!r} twice; the first line is its header.")

@@ -32,12 +32,12 @@ def accuracy(cfg: DictConfig) -> None:
     import pandas as pd
 
     from lmd.accuracy import accuracy_metrics
-    from lmd.checks import integer
+    from lmd.checks import seed_number
     from lmd.plot.accuracy import save_accuracy_figure
 
     from .tracked_run import title_of, tracked
 
-    seed, directory = integer("seed", cfg.seed, low=0), run_directory()
+    seed, directory = seed_number(cfg.seed), run_directory()
     problems = {name: build_problem(own) for name, own in composed_deployments(cfg, "accuracy").items()}
     drawn = {name: (problem, problem.draw(np.random.default_rng(seed))) for name, problem in problems.items()}
     problem = next(iter(problems.values()))

@@ -4,7 +4,9 @@ import atexit
 import errno
 import gc
 import importlib.util
+import os
 import shutil
+import signal
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -218,11 +220,15 @@ def ends_reported() -> Iterator[None]:
     try:
         with stop.raising():
             yield
+            sys.stdout.flush()
     except (InputError, MemoryError) as error:
         discard_empty(run_directory())
         lack = "there is not enough memory for these settings: " if isinstance(error, MemoryError) else ""
         print(f"error: {lack}{error}", file=sys.stderr)
         sys.exit(1)
+    except BrokenPipeError:  # whoever read what is printed, such as `head`, has had enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        sys.exit(128 + signal.SIGPIPE)
     except OSError as error:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT):
             raise

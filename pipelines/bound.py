@@ -1,12 +1,12 @@
 """What no deployment can exceed: `python -m pipelines.bound deployment.count=90 [overrides]`."""
 
-import json
 from typing import Any
 
 from omegaconf import DictConfig
 
 from .app import application, run_directory
-from .building import build_problem, keyed
+from .building import build_problem, keyed, settings_of
+from .documents import write_document
 from .earlier_run import read_earlier_run
 from .sweeps.supervisor import run
 
@@ -32,9 +32,10 @@ def bound(cfg: DictConfig) -> None:
     from .tracked_run import title_of, tracked
 
     problem = build_problem(cfg)
+    settings = settings_of(cfg, "bound")
     with keyed("bound"):
-        search = Search(cfg.bound.spacing, cfg.bound.iterations, cfg.bound.tolerance)
-        target = None if cfg.bound.target is None else real("target", cfg.bound.target, low=0.0, high=1.0)
+        search = Search(settings.spacing, settings.iterations, settings.tolerance)
+        target = None if settings.target is None else real("target", settings.target, low=0.0, high=1.0)
     directory, count, free = run_directory(), problem.count, problem.free_count
     beside = f" beside {problem.fixed_count} that hang already" if problem.fixed else ""
     document: dict[str, Any] = {}
@@ -65,7 +66,7 @@ def bound(cfg: DictConfig) -> None:
             _show("landmarks", f">= {fewest} for a fitness of {target:.2%}")
         document["settings"] = problem.settings()
         file = directory / "bound.json"
-        file.write_text(json.dumps(document, indent=2) + "\n")
+        write_document(file, document)
         tracker.log_metrics(figures)
         tracker.log_artifacts([file, *sorted((directory / ".hydra").glob("*.yaml"))])
         tracker.finish("FINISHED")

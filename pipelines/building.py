@@ -17,13 +17,16 @@ from .spelling import meant
 
 if TYPE_CHECKING:
     from lmd.camera import Camera
-    from lmd.optimisers.base import Optimiser
+    from lmd.optimisers.base import Budget, Optimiser
     from lmd.pdf import OrientationPdf
     from lmd.problem import Problem
     from lmd.recorded_poses import RecordedPoses
     from lmd.rig import Rig
     from lmd.space.space import Space
 
+# What every problem has settings of.
+GROUPS = ("room", "camera", "visibility", "objective", "encoding", "deployment")
+RUN_BYTES = 1000  # at the least, of each of several runs
 # Settings that are true or false.
 SWITCHES = ("validate", "page", "localisation", "losses", "sensitivity", "all_visible")
 
@@ -79,6 +82,47 @@ def instantiate(node: Any, **extra: Any) -> Any:
         raise InputError(text) from error
 
 
+def settings_of(cfg: DictConfig, key: str) -> DictConfig:
+    """The settings below a key.
+
+    Raises:
+        InputError: there are none.
+    """
+    from lmd.checks import InputError
+
+    found = OmegaConf.select(cfg, key)
+    if not isinstance(found, DictConfig):
+        raise InputError(f"{key} must be settings or the name of some, got {found!r}.")
+    return found
+
+
+def budget_of(cfg: DictConfig) -> "Budget":
+    """The budget of a configuration.
+
+    Raises:
+        InputError: it is none.
+    """
+    from lmd.optimisers.base import Budget
+
+    budget = settings_of(cfg, "budget")
+    with keyed("budget"):
+        return Budget(budget.evaluations, budget.seconds)
+
+
+def seeds_of(cfg: DictConfig) -> range:
+    """The seeds of several runs: `seed`, `seed + 1` and so on, as many as `seeds` says.
+
+    Raises:
+        InputError: one of the two is refused, or they are more than there is memory for.
+    """
+    from lmd.checks import integer, seed_number
+    from lmd.memory import check_memory
+
+    seed, count = seed_number(cfg.seed), integer("seeds", cfg.seeds, low=1)
+    check_memory(RUN_BYTES * count, f"seeds = {count} runs", "seeds")
+    return range(seed, seed + count)
+
+
 def camera_of(node: DictConfig) -> "Camera | Rig":
     """The camera of a configuration, or those of its rig.
 
@@ -111,7 +155,7 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
     import numpy as np
 
     from lmd.carried import carried
-    from lmd.checks import InputError, boolean, choice, integer
+    from lmd.checks import InputError, boolean, choice, integer, seed_number
     from lmd.objectives.localisation import Localisation
     from lmd.optimisers.encoding import KINDS
     from lmd.optional import optional
@@ -120,7 +164,11 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
     from lmd.tag import Tag
     from lmd.threads import MOST_THREADS
 
-    cfg.seed = integer("seed", cfg.seed, low=0)
+    for group in GROUPS:
+        settings_of(cfg, group)
+    if "relevance" in cfg.room:
+        settings_of(cfg, "room.relevance")
+    cfg.seed = seed_number(cfg.seed)
     if cfg.get("workers") is not None:
         integer("workers", cfg.workers, low=1)
     for switch in SWITCHES:
@@ -190,7 +238,7 @@ def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":
     from lmd.checks import InputError
     from lmd.optimisers.base import AskTell, Optimiser
 
-    optimiser = instantiate(cfg.optimiser, seed=seed)
+    optimiser = instantiate(settings_of(cfg, "optimiser"), seed=seed)
     if not isinstance(optimiser, Optimiser):
         raise InputError(
             f"optimiser._target_ = {cfg.optimiser.get('_target_')!r} makes a {type(optimiser).__name__}, which is not "

@@ -1,11 +1,10 @@
 """What a tag must be like for a detector to find it: `python -m pipelines.calibrate_detector detectors=[aruco]`."""
 
-import json
-
 from omegaconf import DictConfig
 
 from .app import application, choices, run_directory
 from .building import instantiate, keyed
+from .documents import write_document
 from .earlier_run import read_earlier_run
 from .sweeps.supervisor import run
 
@@ -29,7 +28,7 @@ def calibrate(cfg: DictConfig) -> None:
     """Fit limits to each of the configured detectors."""
     import numpy as np
 
-    from lmd.checks import integer, real
+    from lmd.checks import integer, real, seed_number
     from lmd.detection.calibration import Calibration, foreseen, judged
     from lmd.detection.fit import fit
     from lmd.optional import optional
@@ -39,7 +38,7 @@ def calibrate(cfg: DictConfig) -> None:
     from .tracked_run import tracked
 
     optional("cv2", "detection")
-    seed, count = integer("seed", cfg.seed, low=0), integer("poses", cfg.frames, low=0)
+    seed, count = seed_number(cfg.seed), integer("poses", cfg.frames, low=0)
     margin, source = real("margin", cfg.margin, low=0.0), instantiate(cfg.views)
     subject = subject_of(cfg, max(count, 1), seed)
     told, directory, written = subject.prediction, run_directory(), []
@@ -63,7 +62,7 @@ def calibrate(cfg: DictConfig) -> None:
         figures = {name: calibration.figures() for name, calibration in calibrations.items()}
         markdown = to_markdown(figures)
         (directory / "calibration.md").write_text(markdown)
-        (directory / "calibration.json").write_text(json.dumps({"seed": seed, "figures": figures}, indent=2) + "\n")
+        write_document(directory / "calibration.json", {"seed": seed, "figures": figures})
         save_limits_figure(directory / "calibration.png", calibrations, f"{tag.family}, {choices()['views']}")
         written += [directory / f"calibration.{kind}" for kind in ("md", "json", "png")]
         tracker.log_metrics(

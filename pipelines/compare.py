@@ -1,12 +1,13 @@
 """Compare optimisers: `python -m pipelines.compare optimisers=[annealing,ega] seeds=5 [overrides]`."""
 
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig, ListConfig
 
 from .app import application, recompose, run_directory, save_path, search_path, task_overrides
-from .building import build_optimiser, build_problem, instantiate, keyed
+from .building import budget_of, build_optimiser, build_problem, instantiate, seeds_of
 from .earlier_run import read_earlier_run
 from .sweeps.supervisor import run
 from .workers import in_processes
@@ -35,28 +36,25 @@ def _main(cfg: DictConfig) -> None:
 
 def compare(cfg: DictConfig) -> None:
     """Run the configured comparison."""
-    from lmd.checks import InputError, integer
+    from lmd.checks import InputError
     from lmd.comparison import comparison_table
-    from lmd.optimisers.base import Budget
     from lmd.plot.comparison import save_comparison_figure
 
     from .reproduction.comparison import to_markdown
     from .tracked_run import title_of, tracked
 
     problem, save_as = build_problem(cfg), save_path(cfg.save_as)
-    with keyed("budget"):
-        budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
-    seeds = range(cfg.seed, cfg.seed + integer("seeds", cfg.seeds, low=1))
+    budget, seeds = budget_of(cfg), seeds_of(cfg)
     if not isinstance(cfg.optimisers, ListConfig) or not all(str(entry).split() for entry in cfg.optimisers):
         raise InputError(f"optimisers must be a list of names, got {cfg.optimisers!r}.")
     configs = {str(entry): _compose(str(entry), cfg) for entry in cfg.optimisers}
     if not configs:
         raise InputError("optimisers must name at least one optimiser.")
     jobs = [(name, configs[name], seed, budget) for seed in seeds for name in configs]
-    finished = in_processes(_run, jobs, cfg.workers)
+    finished = in_processes(_run, jobs, cfg.workers, lambda job: f"{job[0]} seed={job[2]}")
     directory, headline, runs = run_directory(), problem.objective.headline, []
     axis = "evaluations" if budget.evaluations else "wall_time"
-    with tracked(cfg, "compare", title_of(problem, "compare")) as tracker:
+    with closing(finished), tracked(cfg, "compare", title_of(problem, "compare")) as tracker:
         try:
             for done in finished:
                 runs.append(done)

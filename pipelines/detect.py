@@ -4,7 +4,6 @@ Random poses are rendered and read by each detector, the same poses for every de
 start a sweep here: it is read as `deployments=[a,b,c]`.
 """
 
-import json
 import re
 import sys
 from collections.abc import Mapping
@@ -14,8 +13,9 @@ from typing import TYPE_CHECKING, NamedTuple
 from omegaconf import DictConfig
 
 from .app import application, run_directory
-from .building import build_problem, instantiate, keyed
+from .building import build_problem, instantiate, keyed, settings_of
 from .deployments import any_deployment, composed_deployments, read_deployment_as_a_list
+from .documents import write_document
 from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from lmd.problem import Problem
     from lmd.render.renderer import Renderer
 
+FRAME_BYTES = 100  # at the least, of what is predicted of a landmark in a frame
 CHUNK = 10  # frames that a worker renders and reads at a time
 
 
@@ -71,7 +72,7 @@ class Subject:
 
 def detect(cfg: DictConfig) -> None:
     """Let the configured detectors read frames of the configured deployments."""
-    from lmd.checks import integer
+    from lmd.checks import integer, seed_number
     from lmd.detection.report import to_markdown
     from lmd.optional import optional
     from lmd.plot.detection import save_calibration_figure
@@ -79,7 +80,7 @@ def detect(cfg: DictConfig) -> None:
     from .tracked_run import title_of, tracked
 
     optional("cv2", "detection")
-    seed, count = integer("seed", cfg.seed, low=0), integer("poses", cfg.frames, low=1)
+    seed, count = seed_number(cfg.seed), integer("poses", cfg.frames, low=1)
     pictures = integer("pictures", cfg.pictures, low=0)
     composed = composed_deployments(cfg, "detect")
     subjects = {name: subject_of(own, count, seed) for name, own in composed.items()}
@@ -95,7 +96,7 @@ def detect(cfg: DictConfig) -> None:
             table.to_csv(directory / f"{name}.csv", index=False)
         metrics = _metrics(figures)
         document = {"figures": metrics, "poses": count, "seed": seed, "settings": problem.settings()}
-        (directory / "detect.json").write_text(json.dumps(document, indent=2) + "\n")
+        write_document(directory / "detect.json", document)
         title = title_of(problem, f"{count} poses,")
         save_calibration_figure(directory / "calibration.png", figures, pitches, title)
         frames = _save_frames(directory / "frames", subjects, seen, min(pictures, count), seed)
@@ -124,6 +125,7 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
     from lmd.detection.frames import draw_poses, tagged_room
     from lmd.detection.report import Prediction
     from lmd.geometry.se3 import axis_and_right
+    from lmd.memory import check_memory
     from lmd.render.renderer import Renderer
     from lmd.sight.views import visible
     from lmd.verdicts import verdicts
@@ -133,7 +135,7 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
     scene, camera = problem.scene, problem.scene.single_camera("detect")
     with keyed():
         tag.check_edge()
-    detectors = {name: instantiate(node) for name, node in (cfg.get("detectors") or {}).items()}
+    detectors = {name: instantiate(settings_of(cfg, f"detectors.{name}")) for name in cfg.get("detectors") or {}}
     if not detectors:
         raise InputError("detectors must name at least one detector.")
     for detector in detectors.values():
@@ -141,6 +143,8 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
     deployment = problem.draw(np.random.default_rng(seed))
     with keyed("tag"):
         room = tagged_room(scene.room, deployment, tag)
+    taken = f"poses = {count} frames of {len(deployment)} landmarks"
+    check_memory(FRAME_BYTES * count * len(deployment), taken, "poses")
     poses = draw_poses(scene, count, seed)
     predicted = visible(problem.evaluator, deployment, poses[:, :3, 3], axis_and_right(poses))
     renderer = Renderer(camera, room, imaging)
@@ -177,9 +181,9 @@ def sightings(subjects: Mapping[str, Subject], seed: int, workers: int | None) -
         for poses in [subject.prediction.poses]
         for first in range(0, len(poses), CHUNK)
     ]
-    finished, found = in_processes(_look, jobs, workers), {}
+    found = {}
     with bar(sum(len(job.poses) for job in jobs), "frames") as progress:
-        for name, first, part in finished:
+        for name, first, part in in_processes(_look, jobs, workers, lambda job: f"frames of {job.name}"):
             found[name, first] = part
             progress.update(len(next(iter(part.values())).false))
     parts = {name: [found[key] for key in sorted(found) if key[0] == name] for name in subjects}

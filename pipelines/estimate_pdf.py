@@ -1,13 +1,13 @@
 """An orientation PDF from data: `python -m pipelines.estimate_pdf recording.path=flight.csv [overrides]`."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
 from .app import application, choices, flat_settings, run_directory
-from .building import instantiate, keyed
+from .building import instantiate, keyed, settings_of
+from .documents import write_document
 from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
@@ -24,15 +24,15 @@ def estimate(cfg: DictConfig) -> None:
     """Estimate the PDF of the configured recording."""
     import numpy as np
 
-    from lmd.checks import integer
+    from lmd.checks import seed_number
     from lmd.orientation.estimate import estimate_pdf
     from lmd.plot.orientation import save_orientation_figure
 
     from .outputs import all_or_none
     from .tracked_run import tracked
 
-    rng = np.random.default_rng(integer("seed", cfg.seed, low=0))
-    source = instantiate(cfg.recording)
+    rng = np.random.default_rng(seed_number(cfg.seed))
+    source = instantiate(settings_of(cfg, "recording"))
     with keyed("recording"):
         recording = source.record(rng)
     result = estimate_pdf(
@@ -51,7 +51,7 @@ def estimate(cfg: DictConfig) -> None:
 
     def write(partial: Path) -> None:
         result.pdf.to_csv(partial / "pdf.csv")
-        (partial / "pdf_estimate.json").write_text(json.dumps(document, indent=2) + "\n")
+        write_document(partial / "pdf_estimate.json", document)
         save_orientation_figure(partial / "pdf.png", result, subject)
 
     with tracked(cfg, f"estimate_pdf {choices()['recording']}") as tracker:

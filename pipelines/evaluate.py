@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig
 
 from .app import application, choices, run_directory
-from .building import build_problem, instantiate, keyed
+from .building import build_problem, instantiate, keyed, settings_of
 from .earlier_run import read_earlier_run
 from .sweeps.supervisor import run
 
@@ -46,7 +46,7 @@ def evaluate(cfg: DictConfig) -> float:
     """Score the configured deployment."""
     import numpy as np
 
-    from lmd.checks import integer
+    from lmd.checks import seed_number
     from lmd.compiled import clock
     from lmd.optimisers.base import Record
     from lmd.rig import Rig
@@ -55,14 +55,14 @@ def evaluate(cfg: DictConfig) -> float:
 
     began = clock()
     problem = build_problem(cfg)
-    seed = integer("seed", cfg.seed, low=0)
+    seed = seed_number(cfg.seed)
     deployment = plan = problem.draw(np.random.default_rng(seed))
     with keyed("deployment", path=MEASURED):
         if cfg.deployment.measured is not None:
             from lmd.survey import read_measured  # slow to load
 
             deployment = read_measured(cfg.deployment.measured, problem, plan)
-        error: MountingError = instantiate(cfg.deployment.mounting_error)
+        error: MountingError = instantiate(settings_of(cfg, MOUNTING))
     asked = {"sensitivity": cfg.sensitivity, MEASURED: deployment is not plan, MOUNTING: not error.is_none}
     for key, is_asked in asked.items():
         if is_asked:

@@ -6,14 +6,14 @@ from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from omegaconf import DictConfig
 
 from .app import flat_settings
-from .building import build_optimiser, build_problem, keyed
+from .building import budget_of, build_optimiser, build_problem
+from .documents import read_document, write_document
 from .optimise import SAME_WHEN_RESUMED
-from .sweeps.folder import read_document, write_document
 from .sweeps.names import digest
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from lmd.tradeoff import Found
 
 NO_SHARE = re.compile("cost|predicted_error_.*|.*_(seconds|standard_error)")  # among the figures of a point
+Content = TypeVar("Content")
 ARRAYS = ("positions", "normals", "surfaces")
 
 
@@ -72,43 +73,49 @@ class Ladder:
 
         deployment = found.deployment
         score = partial(figures_of, self.problem(len(deployment)), deployment, self.seed)
-        return self._kept(len(deployment), f"figures of {SAMPLE}", deployment, score)
+        return self._kept(len(deployment), f"figures of {SAMPLE}", deployment, score, dict)
 
     def _search(self, problem: "Problem", way: str) -> "Found":
         """Climb from the start of a problem with a budget of its own."""
         from lmd.deployment import Deployment, GivenDeployment
-        from lmd.optimisers.base import Budget
         from lmd.tradeoff import Found
 
         cfg = self.point(problem.count)
 
         def climb() -> dict[str, Any]:
-            with keyed("budget"):
-                budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
-            result = build_optimiser(cfg, self.seed).run(problem, budget)
+            result = build_optimiser(cfg, self.seed).run(problem, budget_of(cfg))
             arrays = {name: getattr(result.deployment, name).tolist() for name in ARRAYS}
             return {**arrays, "fitness": result.fitness}
 
         start = problem.start.deployment if isinstance(problem.start, GivenDeployment) else None
-        found = self._kept(problem.count, way, start, climb)
-        deployment = problem.labelled(Deployment(*(found[name] for name in ARRAYS)))
-        return Found(deployment, found["fitness"], way)
+
+        def found(kept: dict[str, Any]) -> Found:
+            deployment = Deployment(*(kept[name] for name in ARRAYS))
+            return Found(problem.labelled(deployment), kept["fitness"], way)
+
+        return self._kept(problem.count, way, start, climb, found)
 
     def _kept(
-        self, count: int, what: str, given: "Deployment | None", compute: Callable[[], dict[str, Any]]
-    ) -> dict[str, Any]:
+        self,
+        count: int,
+        what: str,
+        given: "Deployment | None",
+        compute: Callable[[], dict[str, Any]],
+        content_of: Callable[[dict[str, Any]], Content],
+    ) -> Content:
         """What was computed before from the same configuration and deployment by the same code, or is computed now."""
         from lmd.compiled import sources
 
         settings = flat_settings(self.point(count), *SAME_WHEN_RESUMED, "budget")
         arrays = None if given is None else [getattr(given, name).tolist() for name in ARRAYS]
         path = Path(self.cfg.kept) / f"{digest(settings, what, arrays, sources())}.json"
-        found = read_document(path)
-        if found is None:
-            found = compute()
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_document(path, found)
-        return found
+        found = read_document(path, content_of)
+        if found is not None:
+            return found
+        computed = compute()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_document(path, computed)
+        return content_of(computed)
 
 
 def figures_of(problem: "Problem", deployment: "Deployment", seed: int) -> dict[str, float]:

@@ -4,7 +4,6 @@ All deployments share one run, because they are to be compared over the same fli
 start a sweep here: it is read as `deployments=[a,b,c]`.
 """
 
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -12,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig
 
 from .app import application, choices, run_directory
-from .building import build_problem, instantiate, keyed
+from .building import build_problem, instantiate, keyed, seeds_of, settings_of
 from .deployments import any_deployment, composed_deployments, read_deployment_as_a_list
+from .documents import write_document
 from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
@@ -44,29 +44,28 @@ def _main(cfg: DictConfig) -> None:
 
 def observe(cfg: DictConfig) -> None:
     """Localise a camera over the configured deployments."""
-    from lmd.checks import InputError, integer, real
+    from lmd.checks import InputError, real
     from lmd.localisation import pairs
     from lmd.localisation.study import Flights, conduct, to_markdown
     from lmd.plot.localisation import save_error_figure
 
     from .tracked_run import title_of, tracked
 
-    seed = integer("seed", cfg.seed, low=0)
-    seeds = range(seed, seed + integer("seeds", cfg.seeds, low=1))
+    seeds = seeds_of(cfg)
     composed = composed_deployments(cfg, "observe")
     problems = {name: build_problem(any_deployment(own)) for name, own in composed.items()}
     problem = next(iter(problems.values()))
     problem.scene.single_camera("observe")
     film = None if cfg.film is None else real("film", cfg.film, above=0.0)
-    estimators = {name: instantiate(node) for name, node in (cfg.get("estimator") or {}).items()}
-    trajectory, start, odometry = (instantiate(cfg[key]) for key in ("trajectory", "start", "odometry"))
+    trajectory, start, odometry = (instantiate(settings_of(cfg, key)) for key in ("trajectory", "start", "odometry"))
+    estimators = {name: instantiate(settings_of(cfg, f"estimator.{name}")) for name in cfg.get("estimator") or {}}
+    detectors = {name: instantiate(settings_of(own, "detector")) for name, own in composed.items()}
+    if film is not None and not all(hasattr(detector, "moments") for detector in detectors.values()):
+        raise InputError("film needs rendered frames: detector=rendered.")
     with keyed("trajectory", seeds="seeds"):
         flights = Flights.draw(problem, trajectory, start, seeds)
     directory, n = run_directory(), problem.objective.n
     with tracked(cfg, "observe", title_of(problem, "observe")) as tracker:
-        detectors = {name: instantiate(own.detector) for name, own in composed.items()}
-        if film is not None and not all(hasattr(detector, "moments") for detector in detectors.values()):
-            raise InputError("film needs rendered frames: detector=rendered.")
         with keyed(estimators="estimator", family="tag.family"):
             each = partial(_each, cfg.workers)
             study = conduct(problems, flights, detectors, estimators, cfg.all_visible, odometry, each)
@@ -80,7 +79,7 @@ def observe(cfg: DictConfig) -> None:
         (directory / "observe.md").write_text(markdown)
         medians = _medians(figures)
         document = {"medians": medians, "seeds": list(seeds), "settings": problem.settings()}
-        (directory / "observe.json").write_text(json.dumps(document, indent=2) + "\n")
+        write_document(directory / "observe.json", document)
         counts = {name: outcome.counts[0] for name, outcome in study.outcomes.items()}
         title = title_of(problem, f"{len(seeds)} flights: median, band from 10 to 90 %;")
         save_error_figure(directory / "errors.png", curves, study.time, counts, n, title)
@@ -101,7 +100,9 @@ def _each(workers: int | None, function: Callable[[Any], Any], jobs: Sequence[An
     from .progress import bar
     from .workers import in_processes
 
-    results = in_processes(partial(_on_one_thread, function), jobs, workers, ordered=True)
+    results = in_processes(
+        partial(_on_one_thread, function), jobs, workers, lambda _: "a batch of frames", ordered=True
+    )
     with bar(len(jobs), "batches of frames") as progress:
         for result in results:
             progress.update()

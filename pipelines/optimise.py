@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from omegaconf import DictConfig
 
 from .app import application, choices, flat_settings, run_directory
-from .building import build_optimiser, build_problem, keyed
+from .building import budget_of, build_optimiser, build_problem
 from .earlier_run import read_earlier_run
 from .export import build_export
 from .input_files import contents_of
@@ -47,13 +47,11 @@ def optimise(cfg: DictConfig) -> float:
     """Run one optimisation as configured."""
     from lmd.checkpoint import Checkpoint
     from lmd.checks import real
-    from lmd.optimisers.base import Budget
 
     from .tracked_run import Earlier, record, title_of, tracked
 
     problem = build_problem(cfg)
-    with keyed("budget"):
-        budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
+    budget = budget_of(cfg)
     real("checkpoint_seconds", cfg.checkpoint_seconds, above=0.0)
     settings = flat_settings(cfg, *SAME_WHEN_RESUMED)
     settings |= contents_of(settings)

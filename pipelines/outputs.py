@@ -1,7 +1,6 @@
 """What every run leaves in its directory."""
 
 import atexit
-import json
 import shutil
 import sys
 import tempfile
@@ -16,6 +15,7 @@ from hydra.experimental.callback import Callback as HydraCallback
 from omegaconf import DictConfig
 
 from .app import discard_empty
+from .documents import write_document
 
 if TYPE_CHECKING:
     from lmd.deployment import Deployment
@@ -72,8 +72,7 @@ def write_figures(
 
     def write(partial: Path) -> None:
         deployment.to_csv(partial / "landmarks.csv", ups=not problem.scene.tag.is_point)
-        text = json.dumps({**document, "settings": problem.settings()}, indent=2)
-        (partial / "metrics.json").write_text(f"{text}\n")
+        write_document(partial / "metrics.json", {**document, "settings": problem.settings()})
 
     return all_or_none(directory, write)
 

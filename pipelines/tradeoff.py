@@ -4,7 +4,6 @@ Jobs of a sweep know nothing of each other, but here each point sets out from it
 whose searches share the processors, and which keeps what they have found.
 """
 
-import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -15,7 +14,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from omegaconf import DictConfig, OmegaConf
 
 from .app import application, run_directory
-from .building import build_optimiser, instantiate, keyed
+from .building import budget_of, build_optimiser, instantiate, keyed, seeds_of
+from .documents import write_document
 from .earlier_run import read_earlier_run
 from .ladder import Ladder, figures_of, shares_among
 from .sweeps.names import slug
@@ -57,28 +57,27 @@ def tradeoff(cfg: DictConfig) -> None:
     """Search for every number of landmarks, edge and seed."""
     import numpy as np
 
-    from lmd.checks import choice, file_path, integer, real
-    from lmd.optimisers.base import Budget
+    from lmd.checks import choice, file_path, real
+    from lmd.deployment import landmark_count
     from lmd.tradeoff import between
     from lmd.validation import headline_off_grid
 
     from .tracked_run import title_of, tracked
 
-    counts = sorted({integer("counts", count, low=1) for count in _listed("counts", cfg.counts)})
+    with keyed(count="counts"):
+        counts = sorted({landmark_count(count) for count in _listed("counts", cfg.counts)})
     edges = [cfg.tag.edge or 0.0] if cfg.edges is None else _listed("edges", cfg.edges)
     edges = sorted({real("tag.edge" if cfg.edges is None else "edges", edge, low=0.0) for edge in edges})
-    seed = integer("seed", cfg.seed, low=0)
-    seeds = range(seed, seed + integer("seeds", cfg.seeds, low=1))
+    seeds = seeds_of(cfg)
     wanted = None if cfg.wanted is None else real("wanted", cfg.wanted, low=0.0, high=1.0)
     file_path("kept", cfg.kept)
-    with keyed("budget"):
-        Budget(cfg.budget.evaluations, cfg.budget.seconds)
-    build_optimiser(cfg, seed)  # what cannot be built fails before anything has run
+    budget_of(cfg)
+    build_optimiser(cfg, seeds[0])  # what cannot be built fails before anything has run
     ladders = [Ladder(cfg, edge, seed) for edge, seed in product(edges, seeds)]
     for ladder, count in product(ladders[:: len(seeds)], (counts[0], counts[-1])):  # and what does not fit together
         problem = ladder.problem(count)
     if cfg.figure is not None:
-        known = figures_of(problem, problem.draw(np.random.default_rng(seed)), seed)
+        known = figures_of(problem, problem.draw(np.random.default_rng(seeds[0])), seeds[0])
         choice("figure", cfg.figure, shares_among(known))
     figure = cfg.figure or headline_off_grid(problem)
     points = Points(ladders, cfg.workers)
@@ -129,7 +128,8 @@ class Points:
 
     def _done(self, what: str, jobs: Mapping[Key, Callable[[], Result]]) -> Iterator[tuple[Key, Result]]:
         """The keys of jobs and what they return, as they come."""
-        for i, (key, result) in enumerate(in_processes(_do, list(jobs.items()), self._workers), 1):
+        results = in_processes(_do, list(jobs.items()), self._workers, lambda job: self.name(*job[0]))
+        for i, (key, result) in enumerate(results, 1):
             print(f"{i}/{len(jobs)} {what}: {self.name(*key)}", flush=True)
             yield key, result
 
@@ -201,7 +201,7 @@ def _record(
         document |= {"wanted": wanted, "fewest": finite}
         known = {edge: count for edge, count in reached["count"].items() if isfinite(count)}
         tracker.log_metrics({f"fewest/edge_{edge:g}": count for edge, count in known.items()})
-    (directory / "tradeoff.json").write_text(json.dumps(document, indent=2) + "\n")
+    write_document(directory / "tradeoff.json", document)
     for name, edge in product(panels, dict.fromkeys(ladder.edge for ladder in points.ladders)):
         curve = [(int(count), float(value), 0.0) for count, value in curves.loc[edge, name].items()]
         tracker.log_curve(f"{name}/edge_{edge:g}", curve)

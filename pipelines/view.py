@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from omegaconf import DictConfig
 
 from .app import application, run_directory
-from .building import build_optimiser, build_problem, keyed
+from .building import budget_of, build_optimiser, build_problem
 from .earlier_run import read_earlier_run
 from .export import build_export
 from .outputs import all_or_none
@@ -39,15 +39,13 @@ def view(cfg: DictConfig) -> None:
     import numpy as np
 
     from lmd.checks import integer
-    from lmd.optimisers.base import Budget
     from lmd.optional import optional
     from lmd.planner.app import Planner
     from lmd.planner.session import Session
 
     optional("viser", "view")
     problem = build_problem(cfg)
-    with keyed("budget"):
-        budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
+    budget = budget_of(cfg)
     build_optimiser(cfg, cfg.seed)  # what is wrong with it shows now, not at the first search
     tag, directory = problem.scene.tag, run_directory()
     nothing = tag.is_point and cfg.export is None  # of a point there is no map

@@ -1,43 +1,136 @@
 """Work shared between processes."""
 
 import multiprocessing
+import os
 import signal
-from collections.abc import Callable, Iterator, Sequence
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
 from typing import TypeVar
+
+from .app import PACKAGE
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
+OWN_PACKAGES = ("lmd.", f"{PACKAGE}.")
 
 
 def in_processes(
-    function: Callable[[Job], Result], jobs: Sequence[Job], workers: int | None, ordered: bool = False
-) -> Iterator[Result]:
+    function: Callable[[Job], Result],
+    jobs: Sequence[Job],
+    workers: int | None,
+    name: Callable[[Job], str],
+    ordered: bool = False,
+) -> Generator[Result, None, None]:
     """Results from processes of their own when there is more than one worker.
+
+    When a process is killed, the jobs that it may have had in hand are tried again, one at a time.
 
     Args:
         function: does a job; a process of its own must find it by its name.
         jobs: what is done.
         workers: processes; None for every processor.
+        name: of a job, for messages.
         ordered: results in the order of the jobs, not as they come.
 
     Raises:
-        InputError: `workers` is not positive.
+        InputError: `workers` is not positive; a process that worked on one job alone was killed; or the
+            system has no semaphores.
     """
     from lmd.checks import integer
     from lmd.threads import available_threads
 
     count = available_threads() if workers is None else integer("workers", workers, low=1)
-    return _results(function, jobs, min(count, len(jobs)), ordered)
+    count = min(count, len(jobs))
+    if count <= 1:
+        return (function(job) for job in jobs)
+    results = _results(function, jobs, count, name)
+    return _in_order(results) if ordered else (result for _, result in results)
 
 
-def _results(function: Callable[[Job], Result], jobs: Sequence[Job], workers: int, ordered: bool) -> Iterator[Result]:
-    if workers <= 1:
-        yield from map(function, jobs)
-        return
-    with multiprocessing.get_context("spawn").Pool(workers, initializer=_leave_interrupts) as pool:
-        yield from (pool.imap if ordered else pool.imap_unordered)(function, jobs)
+def _results(
+    function: Callable[[Job], Result], jobs: Sequence[Job], workers: int, name: Callable[[Job], str]
+) -> Iterator[tuple[int, Result]]:
+    """The numbers of jobs and their results, as they come."""
+    waiting = deque(range(len(jobs)))
+    while waiting:
+        in_hand: dict[Future[Result], int] = {}
+        with _pool(workers) as pool, suppress(BrokenProcessPool):
+            while waiting or in_hand:
+                while waiting and len(in_hand) < 2 * workers:  # so that no worker waits for its next job
+                    future = pool.submit(function, jobs[waiting[0]])
+                    in_hand[future] = waiting.popleft()
+                for future in wait(in_hand, return_when=FIRST_COMPLETED).done:
+                    result = future.result()
+                    yield in_hand.pop(future), result
+        for number in in_hand.values():
+            yield number, _alone(function, jobs[number], name)
 
 
-def _leave_interrupts() -> None:
+def _alone(function: Callable[[Job], Result], job: Job, name: Callable[[Job], str]) -> Result:
+    from lmd.checks import InputError
+
+    with _pool(1) as pool:
+        try:
+            return pool.submit(function, job).result()
+        except BrokenProcessPool:
+            raise InputError(
+                f"workers: the process that worked on {name(job)} was killed, even with nothing beside it; is there "
+                "too little memory?",
+                "workers",
+            ) from None
+
+
+def _in_order(results: Iterable[tuple[int, Result]]) -> Generator[Result, None, None]:
+    early: dict[int, Result] = {}
+    following = 0
+    for number, result in results:
+        early[number] = result
+        while following in early:
+            yield early.pop(following)
+            following += 1
+
+
+@contextmanager
+def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Processes that end with the block, whatever they are at."""
+    from lmd.checks import InputError
+
+    ready_server()
+    others = multiprocessing.active_children()
+    try:
+        pool = ProcessPoolExecutor(workers, multiprocessing.get_context("forkserver"), _begin)
+    except OSError as error:  # there is no /dev/shm, or it is full
+        raise InputError(
+            f"workers need semaphores of the system ({error}); workers=1 does without.", "workers"
+        ) from None
+    try:
+        yield pool
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in multiprocessing.active_children():
+            if process not in others:
+                process.terminate()
+
+
+def ready_server() -> None:
+    """Let workers be forked from a process that has imported what this one has of these packages."""
+    multiprocessing.set_forkserver_preload([name for name in sys.modules if name.startswith(OWN_PACKAGES)])
+
+
+def _begin() -> None:
     """A terminal interrupts the workers, too, each of which would print a traceback; who began them ends them."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_the_parent, daemon=True).start()
+
+
+def _end_with_the_parent() -> None:
+    """No worker outlives the process that began it: it would wait for work for ever."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None, "a worker has one"
+    parent.join()
+    os._exit(1)

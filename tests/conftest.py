@@ -3,11 +3,13 @@ import gc
 import os
 from pathlib import Path
 
+import processes
 import pytest
 from examples import DEFAULT, examples
 from hypothesis import settings
 
 from lmd.threads import available_threads
+from pipelines import workers
 from pipelines.app import GARBAGE
 
 gc.set_threshold(GARBAGE)  # compiling makes many objects, too
@@ -32,6 +34,9 @@ def give_memory_back():
 def pytest_xdist_auto_num_workers():
     """One more than processors: every other test waits for a server, a browser or a cluster."""
     return available_threads() + 1
+
+
+workers.ready_server = processes.ensure_warm  # all that a test starts is forked from one process
 
 
 @pytest.fixture

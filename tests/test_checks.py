@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lmd.checks import InputError, boolean, file_path, integer, radians, real
+from lmd.checks import InputError, boolean, file_path, integer, radians, real, seconds, seed_number
 
 
 @pytest.mark.parametrize("value", [1000, 1e3, np.int64(1000), np.float64(1000.0)])
@@ -15,7 +15,16 @@ def test_a_float_that_is_whole_is_a_whole_number(value):
 
 
 def test_a_large_whole_number_keeps_every_digit():
-    assert integer("seed", 2**60 + 1, low=0) == 2**60 + 1
+    assert seed_number(2**60 + 1) == 2**60 + 1
+
+
+def test_a_number_that_can_only_be_a_slip_is_refused():
+    assert real("edge", -1e12) == -1e12
+    assert real("far", float("inf"), infinite=True) == float("inf")
+    with pytest.raises(InputError, match=r"^edge must be at most 1e\+12 in size, got -1e\+300\."):
+        real("edge", -1e300)
+    with pytest.raises(InputError, match=r"^seed must be in \[0, 3\.40282e\+38\], got 1e\+300\."):
+        seed_number(1e300)
 
 
 @pytest.mark.parametrize("value", [2.5, math.inf, math.nan, "3", True, None, [1]])
@@ -41,6 +50,16 @@ def test_a_path_is_text(value):
     assert file_path("resume", "runs/first") == Path("runs/first")
     with pytest.raises(InputError, match=r"^resume must be the path of a file or a folder, got "):
         file_path("resume", value)
+
+
+@pytest.mark.parametrize("unit", [1e3, 1e6, 1e9])
+def test_stamps_of_a_clock_in_other_units_than_seconds_are_refused(unit):
+    now = np.array([1.75e9, 1.76e9])
+    seconds("flight.csv", now)
+    with pytest.raises(
+        InputError, match=r"^flight\.csv: time = 1\.?76.* looks like milliseconds or nanoseconds; times"
+    ):
+        seconds("flight.csv", unit * now)
 
 
 def test_angles_beyond_one_turn_look_like_degrees():

@@ -9,10 +9,13 @@ from lmd.checks import InputError
 from lmd.deployment import RandomDeployment, UniformDeployment
 from lmd.localisation.trajectory import Pace, RandomMotion
 from lmd.memory import check_memory, free_memory
-from lmd.objectives.coverage import CappedCount
+from lmd.objectives.coverage import CappedCount, Coverage
 from lmd.objectives.coverage_field import coverage_field
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation.kernels import localised_views
+from lmd.optimisers.base import Budget
+from lmd.optimisers.ega import EGA
+from lmd.problem import Problem
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.incremental.move import state_of
 from lmd.sight.poses import candidate_poses
@@ -80,6 +83,18 @@ def test_too_many_orientations_are_refused(make):
 def test_a_flight_that_takes_years_is_refused():
     with pytest.raises(InputError, match=r"^duration = 1e\+12 s makes 2e\+13 frames, which would take"):
         RandomMotion(1e12, Pace(1.0, 1.0, 20.0))
+
+
+def test_a_flight_that_nobody_could_film_is_refused():
+    motion = RandomMotion(30.0, Pace(1e9, 1e9, 20.0))
+    with pytest.raises(InputError, match=r"^pace\.speed = 1e\+09 m/s .* is 100 waypoints and more between two frames"):
+        motion.draw(SCENE, np.random.default_rng(0))
+
+
+def test_a_population_that_does_not_fit_is_refused_before_it_is_drawn():
+    problem = Problem(SCENE, Coverage(2, 0.5), RandomDeployment(90))
+    with pytest.raises(InputError, match=r"^optimiser: 1000000000 deployments of 180 genes at a time would take"):
+        EGA(population=10**9).run(problem, Budget(10))
 
 
 def test_a_grid_of_too_many_poses_is_refused():

@@ -63,6 +63,14 @@ def test_what_is_no_file_is_named(tmp_path):
             read_numbers(path, COLUMNS, name="path")
 
 
+def test_a_table_is_not_as_wide_as_it_is_long(write):
+    path = write(",".join(map(str, range(100_000))))
+    with pytest.raises(
+        InputError, match=r"table\.csv has 100000 columns, more than 1000; the first line is its header"
+    ):
+        read_numbers(path, COLUMNS, name="path")
+
+
 def test_what_is_written_is_what_pandas_writes(tmp_path):
     columns = {
         "id": np.arange(3),

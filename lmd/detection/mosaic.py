@@ -17,6 +17,7 @@ from lmd.checks import BoolArray, FloatArray, InputError, integer, vector
 from lmd.detection.detectors import Detections, Detector
 from lmd.detection.evaluation import TOLERANCE, corner_error
 from lmd.detection.quality import apparent_edge, incidence, pitch
+from lmd.memory import check_memory
 from lmd.render.canvas import PATTERN, REACH, Canvas, pattern
 from lmd.render.imaging import Float32Array, Imaging
 from lmd.render.optics import image_size, intrinsics, project
@@ -24,6 +25,7 @@ from lmd.tag import Tag, corners
 
 # Edges of tiles, pixels; a view goes into the smallest that surely holds it.
 TILES = (64, 128, 256, 512)
+VIEW_BYTES = 1000  # at the least, of one and what is drawn for it
 POSE = np.eye(4)
 
 
@@ -76,6 +78,7 @@ class Mosaics:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "count", integer("count", self.count, low=2))
+        check_memory(VIEW_BYTES * self.count, f"count = {self.count} views", "count")
 
     def views(
         self, camera: Camera, tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from lmd.checks import FloatArray, InputError, choice, radians, real, vector
+from lmd.checks import FloatArray, InputError, choice, radians, real, seconds, vector
 from lmd.geometry.se3 import camera_pose, inverse, log, poses_from_rows
 from lmd.memory import check_memory
 from lmd.scene import Scene
@@ -19,6 +19,7 @@ QUATERNIONS = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")  # the order of TU
 FRAMES = {"optical": np.eye(3), "body": np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])}
 # Greatest slope of the minimum-jerk profile, at its middle.
 PEAK = 1.875
+MOST_WAYPOINTS = 100  # between two frames
 MOST_DRAWS = 1000  # of a waypoint, until a straight way leads there
 FRAME_BYTES = 1000  # what a frame of random motion takes at the least: its pose, and those of the way there
 
@@ -72,10 +73,12 @@ class Trajectory:
         try:
             if "qw" in table:
                 rows = table.numbers(QUATERNIONS)
+                seconds(str(path), rows[:, 0])
                 poses = poses_from_rows(rows[:, 1:])
                 poses[:, :3, :3] = poses[:, :3, :3] @ FRAMES[frame]
                 return cls(rows[:, 0], poses)
             rows = table.numbers((*ANGLES, "roll") if "roll" in table else ANGLES)
+            seconds(str(path), rows[:, 0])
             angles = dict(zip(("yaw", "pitch", "roll"), rows[:, 4:].T, strict=False))
             radians("the trajectory", **angles)
             return cls(rows[:, 0], camera_pose(rows[:, 1:4], **angles))
@@ -200,6 +203,10 @@ class RandomMotion:
         """See `TrajectorySource.draw`."""
         room, left, waypoints = scene.room, self.duration, [_random_waypoint(scene, rng)]
         while left > 0.0:
+            frames = (self.duration - left) * self.pace.frame_rate
+            if len(waypoints) > max(1000.0, MOST_WAYPOINTS * frames):
+                speeds = f"pace.speed = {self.pace.speed:g} m/s with pace.turn_rate = {self.pace.turn_rate:g} rad/s"
+                raise InputError(f"{speeds} is {MOST_WAYPOINTS} waypoints and more between two frames.", "pace.speed")
             waypoints.append(_next_waypoint(scene, waypoints[-1], rng))
             left -= float(self.pace.seconds(_shortest(waypoints[-1] - waypoints[-2])))
         trajectory = self.pace.through(np.array(waypoints), self.duration)
@@ -237,7 +244,8 @@ class Waypoints:
         pace: limits and frame rate.
 
     Raises:
-        InputError: fewer than two waypoints, or one that is not five finite numbers with a pitch in [-pi/2, pi/2].
+        InputError: fewer than two waypoints, no pace, or a waypoint that is not five finite numbers with a pitch in
+            [-pi/2, pi/2].
     """
 
     points: Sequence[Sequence[float]]
@@ -248,6 +256,8 @@ class Waypoints:
             raise InputError(
                 f"points must list at least 2 waypoints [x, y, z, yaw, pitch], got {self.points!r}.", "points"
             )
+        if not isinstance(self.pace, Pace):
+            raise InputError(f"pace must say speed, turn_rate and frame_rate, got {self.pace!r}.", "pace")
         for i, point in enumerate(self.points):
             *_, pitch = vector(f"points[{i}]", point, 5)
             real(f"points[{i}] pitch", pitch, low=-np.pi / 2, high=np.pi / 2)
@@ -255,7 +265,10 @@ class Waypoints:
     def draw(self, scene: Scene, rng: np.random.Generator) -> Trajectory:
         """See `TrajectorySource.draw`; nothing here is random."""
         trajectory = self.pace.through(np.array(self.points, dtype=np.float64))
-        trajectory.check_inside(scene.room)
+        try:
+            trajectory.check_inside(scene.room)
+        except InputError as error:
+            raise InputError(f"points: {error}", "points") from None
         return trajectory
 
 

@@ -5,8 +5,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lmd.checks import integer
+from lmd.memory import check_memory
+from lmd.pdf import divisions_of
 from lmd.scene import Scene
 from lmd.sight.evaluator import Evaluator
+
+POSITION_BYTES = 3 * 8
 
 
 @dataclass(frozen=True)
@@ -19,17 +23,24 @@ class Sampling:
             the continuous distribution that the PDF stands for; a PDF from samples is taken as it is.
 
     Raises:
-        InputError: a number is less than 1.
+        InputError: a number is less than 1, or there is not enough memory for so many orientations.
     """
 
     positions: int = 20
     divisions: int = 18
 
     def __post_init__(self) -> None:
-        for name in ("positions", "divisions"):
-            object.__setattr__(self, name, integer(name, getattr(self, name), low=1))
+        object.__setattr__(self, "positions", integer("positions", self.positions, low=1))
+        object.__setattr__(self, "divisions", divisions_of(self.divisions))
 
     def evaluator(self, scene: Scene, repeats: int, rng: np.random.Generator, threads: int | None) -> Evaluator:
-        """The evaluator at a draw of `repeats` positions in each cell, which go through the grid again and again."""
+        """The evaluator at a draw of `repeats` positions in each cell, which go through the grid again and again.
+
+        Raises:
+            InputError: there is not enough memory for them.
+        """
+        cells = len(scene.room.grid())
+        what = f"sampling.positions = {repeats} in each of {cells} cells"
+        check_memory(POSITION_BYTES * repeats * cells, what, "sampling.positions")
         positions = scene.room.jittered_grid(repeats, rng)
         return Evaluator(replace(scene, pdf=scene.pdf.stratified(self.divisions, rng)), positions, threads)

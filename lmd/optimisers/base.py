@@ -9,12 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, InputError, IntArray, integer, real
+from lmd.checks import BoolArray, FloatArray, InputError, IntArray, integer, real, seed_number
 from lmd.compiled import clock
 from lmd.deployment import Deployment
+from lmd.memory import check_memory
 from lmd.optimisers.encoding import Encoding, make_encoding
 from lmd.optimisers.stored import array
 from lmd.problem import Problem
+
+GENE_BYTES = 8
 
 
 @dataclass(frozen=True)
@@ -136,7 +139,7 @@ class Optimiser(ABC):
     """
 
     def __init__(self, seed: int = 0) -> None:
-        self.seed = integer("seed", seed, low=0)
+        self.seed = seed_number(seed)
         self.ledger = Ledger()
 
     def state(self) -> dict[str, Any]:
@@ -287,6 +290,8 @@ class AskTell(Optimiser):
         """Set what a run begins with."""
         encoding = self._encoding_of(problem)
         self.dim = problem.free_count * encoding.genes_per_landmark
+        taken = f"optimiser: {self.start_size} deployments of {self.dim} genes at a time"
+        check_memory(GENE_BYTES * self.start_size * self.dim, taken)
         self.rng = np.random.default_rng(self.seed)
         draws = self.start_size if problem.start.varies else 1
         starts = [problem.draw(self.rng) for _ in range(draws)]

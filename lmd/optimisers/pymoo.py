@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import FloatArray, InputError
+from lmd.checks import FloatArray, InputError, integer
 from lmd.optimisers.wrapped import Session, Wrapped, filled_up
 
 
@@ -46,7 +46,8 @@ class Pymoo(Wrapped):
 
 def _size(algorithm: Any) -> int:
     """How many genes the algorithm begins with; a local search goes on from the best of them."""
-    return int(getattr(algorithm, "n_sample_points", None) or getattr(algorithm, "pop_size", None) or 1)
+    size = getattr(algorithm, "n_sample_points", None) or getattr(algorithm, "pop_size", None) or 1
+    return integer("algorithm.pop_size", size, low=1)
 
 
 class _Session:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import circmean, iqr
 
-from lmd.checks import FloatArray, integer, real
+from lmd.checks import FloatArray, real
 from lmd.orientation import density
 from lmd.orientation.density import Axis, Candidate, Density, Family, IntArray
 from lmd.orientation.recording import OrientationRecording
@@ -28,7 +28,7 @@ from lmd.orientation.sampling import (
     independence_test,
     sample_at_random_intervals,
 )
-from lmd.pdf import OrientationPdf
+from lmd.pdf import OrientationPdf, divisions_of
 
 # Fine cells on half a turn, at least: densities are held in steps of 1.9 degrees or less.
 FINE = 96
@@ -181,7 +181,7 @@ def estimate_pdf(
     Raises:
         InputError: a setting is out of range, or the recording gives too few samples.
     """
-    divisions = integer("divisions", divisions, low=1)
+    divisions = divisions_of(divisions)
     significance = real("significance", significance, low=0.0, high=1.0)
     samples = sample_at_random_intervals(recording, mean_interval, rng)
     block = -(-FINE // divisions)

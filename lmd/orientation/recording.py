@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm, truncnorm, vonmises
 
-from lmd.checks import FloatArray, InputError, radians, real
+from lmd.checks import FloatArray, InputError, radians, real, seconds
 from lmd.geometry.frames import normal_angles
 from lmd.memory import check_memory
 from lmd.tables import read_table
@@ -53,6 +53,7 @@ class OrientationRecording:
             raise InputError(f"{self.name} has {len(self.time)} records; a recording needs at least 2.")
         if not all(np.isfinite(a).all() for a in (self.time, self.yaw, self.pitch)):
             raise InputError(f"{self.name} has a value that is not finite.")
+        seconds(self.name, self.time)
         if (late := np.flatnonzero(np.diff(self.time) <= 0.0)).size:
             before, after = self.time[late[0] : late[0] + 2]
             raise InputError(f"{self.name}: time must increase, but {before:.9g} s is followed by {after:.9g} s.")

@@ -2,6 +2,7 @@
 
 import atexit
 import csv
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from ..provenance import source_tags
 from .folder import JobFolder, SweepFolder
 from .jobs import Job, Sweep, reason_of
 from .names import override_tags, pin_sweep_folder, sweep_name, swept, varied_keys
-from .supervisor import LOST, end_runs
+from .supervisor import LOST, SWEEP_VARIABLE, end_runs
 
 if TYPE_CHECKING:
     from ..tracking import Tracker
@@ -47,6 +48,7 @@ class SweepRecord(Callback):
             print(f"error: {error}{hint}", file=sys.stderr)
             sys.exit(1)
         folder.save(replace(sweep, run_id=tracker.run_id))
+        os.environ[SWEEP_VARIABLE] = str(os.getpid())
         atexit.register(_cut_short, config)
         if config.hydra.launcher._target_.endswith("SlurmLauncher"):
             from .slurm import follow_the_queue

@@ -1,14 +1,14 @@
 """What a sweep and its jobs keep on disk, so that processes and machines can share it and a later sweep can go on."""
 
-import json
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from ..documents import read_document, write_document
 from .jobs import Job, Sweep
 
 JOB_VARIABLE = "LMD_JOB"  # tells a process which job folder it works for
@@ -35,16 +35,21 @@ class JobFolder:
 
     def load(self) -> Job | None:
         """The job; None where there is none."""
-        values = read_document(self.record)
-        return None if values is None else Job(**(values | {"overrides": tuple(values["overrides"])}))
+        return read_document(self.record, lambda values: Job(**values | {"overrides": tuple(values["overrides"])}))
+
+    def finished(self) -> Job | None:
+        """The job, if it has finished and its figures are whole."""
+        job = self.load()
+        lost = self.metrics.exists() and not self.figures()
+        return None if job is None or job.status != "finished" or lost else job
 
     def save(self, job: Job) -> None:
-        """Write the job, whole or not at all."""
+        """Write the job."""
         write_document(self.record, asdict(job))
 
     def figures(self) -> dict[str, Any]:
         """What the job's metrics.json says; nothing where there is none."""
-        return read_document(self.metrics) or {}
+        return read_document(self.metrics, dict) or {}
 
     @contextmanager
     def held(self, wait: bool = True) -> Iterator[int | None]:
@@ -81,11 +86,10 @@ class SweepFolder:
 
     def load(self) -> Sweep | None:
         """The sweep; None where there is none."""
-        values = read_document(self.record)
-        return None if values is None else Sweep(**(values | {"varied": tuple(values["varied"])}))
+        return read_document(self.record, lambda values: Sweep(**values | {"varied": tuple(values["varied"])}))
 
     def save(self, sweep: Sweep) -> None:
-        """Write the sweep, whole or not at all."""
+        """Write the sweep."""
         self.path.mkdir(parents=True, exist_ok=True)
         write_document(self.record, asdict(sweep))
 
@@ -108,15 +112,3 @@ def current_job() -> tuple[JobFolder, Job] | None:
     folder = JobFolder(path) if path else None
     job = folder.load() if folder else None
     return (folder, job) if folder and job else None
-
-
-def read_document(path: Path) -> dict[str, Any] | None:
-    """What a JSON file holds; None where there is none."""
-    return dict(json.loads(path.read_text())) if path.is_file() else None
-
-
-def write_document(path: Path, document: Mapping[str, Any]) -> None:
-    """Write a JSON file, whole or not at all."""
-    partial = path.with_suffix(f".{os.getpid()}.partial")
-    partial.write_text(json.dumps(document, indent=2) + "\n")
-    os.replace(partial, path)

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
+from functools import cache
 from types import FrameType
 from typing import TYPE_CHECKING
 
@@ -28,6 +29,7 @@ from .names import key_and_value, override_tags, quoted
 if TYPE_CHECKING:
     from ..tracking import Tracker
 
+SWEEP_VARIABLE = "LMD_SWEEP"  # tells the processes of a sweep which one began it
 THREAD_VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 SLURM_SIGNALS = (signal.SIGTERM, signal.SIGUSR2)  # the job is to end; its time is nearly up
 LOST = "its process was killed, and the sweep with it"
@@ -75,11 +77,13 @@ def _supervise(cfg: DictConfig) -> float | None:
     A failure is noted and not raised: so no job can end a sweep, whatever it does to its process, under any launcher.
     """
     folder, job = JobFolder(run_directory()), job_of(HydraConfig.get())
+    if HydraConfig.get().launcher._target_.endswith("JoblibLauncher"):
+        _end_with_the_sweep()
     with folder.held() as lock:
-        before = folder.load()
-        if before is not None and before.status == "finished":
+        if (done := folder.finished()) is not None:
             print(f"done already: {job.label}", flush=True)
-            return before.value
+            return done.value
+        before = folder.load()
         continued = before is not None and before.status != "failed" and folder.checkpoint.exists()
         if before is not None:
             end_runs(cfg.tracking, folder, job, LOST)
@@ -98,6 +102,20 @@ def _supervise(cfg: DictConfig) -> float | None:
         if interrupted:
             sys.exit(128 + signal.SIGINT)
         return float("nan")
+
+
+@cache
+def _end_with_the_sweep() -> None:
+    """Let a process of joblib's end when the sweep's has, even by `kill -9`; its job then stops by itself."""
+    sweep = int(os.environ[SWEEP_VARIABLE])
+
+    def watch() -> None:
+        while os.getppid() == sweep:
+            time.sleep(1.0)
+        os._exit(1)
+
+    if os.getpid() != sweep:
+        threading.Thread(target=watch, daemon=True).start()
 
 
 def job_of(context: HydraConf) -> Job:

@@ -2,15 +2,15 @@
 
 import os
 import socket
+from pathlib import Path
 
-SAME = 1.0  # seconds; two processes of one number began further apart
+PROC = Path("/proc")
+BOOT = PROC / "sys/kernel/random/boot_id"
 
 
 def this_process() -> dict[str, str]:
     """Host, number and beginning of this process, as tags of a run."""
-    import psutil
-
-    return {"host": socket.gethostname(), "process": f"{os.getpid()} {psutil.Process().create_time():.2f}"}
+    return {"host": socket.gethostname(), "process": _identity(os.getpid())}
 
 
 def is_gone(tags: dict[str, str]) -> bool:
@@ -20,9 +20,18 @@ def is_gone(tags: dict[str, str]) -> bool:
     if tags.get("host") != socket.gethostname() or "process" not in tags:
         return False
     try:
-        number, began = tags["process"].split()
-        return bool(abs(psutil.Process(int(number)).create_time() - float(began)) > SAME)
-    except psutil.NoSuchProcess:
+        return _identity(int(tags["process"].partition(" ")[0])) != tags["process"]
+    except (psutil.NoSuchProcess, FileNotFoundError, ProcessLookupError):
         return True
     except ValueError:  # nothing that a run has written
         return False
+
+
+def _identity(number: int) -> str:
+    """A process, by its number and when it began: on Linux since which boot, as the clock may be set meanwhile."""
+    if BOOT.is_file():
+        began = (PROC / str(number) / "stat").read_text().rpartition(")")[2].split()[19]  # ticks; proc(5) counts from 1
+        return f"{number} {began} {BOOT.read_text().strip()}"
+    import psutil
+
+    return f"{number} {psutil.Process(number).create_time():.2f}"

@@ -147,7 +147,7 @@ def test_rendered_flights_are_the_same_in_processes():
     detector = RenderedDetector(TAG, ArucoDetector(), Imaging())
     frames = slice(0, 120, 10)
     alone = record(detector, [flight(frames, 1), flight(frames, 2)])
-    each = partial(in_processes, workers=2, ordered=True)
+    each = partial(in_processes, workers=2, name=str, ordered=True)
     shared = record(detector, [flight(frames, 1), flight(frames, 2)], each=each)
     assert_array_equal(alone.seen, shared.seen)
     assert_array_equal(alone.corners, shared.corners)

@@ -95,7 +95,7 @@ def test_the_defaults_are_the_printed_parameters():
         ({"recombination_min": 0.9}, r"^recombination_min must be in \[0, 0\.666667\], got 0\.9"),
         ({"mutation_probability": 2}, r"^mutation_probability must be in \[0, 1\], got 2"),
         ({"partner": "best"}, r"^partner must be one of pool, survivor, got 'best'"),
-        ({"seed": -1}, r"seed must be at least 0, got -1"),
+        ({"seed": -1}, r"seed must be in \[0, 3\.40282e\+38\], got -1"),
     ],
 )
 def test_impossible_parameters_are_refused(parameters, message):

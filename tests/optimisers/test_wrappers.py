@@ -228,6 +228,7 @@ def test_random_search_does_not_depend_on_its_batch():
             lambda: pymoo("DE", variant="DE/rand"),
             r"^algorithm cannot be made: Please provide a valid variant",
         ),
+        (lambda: pymoo("GA", pop_size=-1), r"^algorithm\.pop_size must be at least 1, got -1"),
         (lambda: Nevergrad("DE", workers=0), r"^workers must be at least 1, got 0"),
         (lambda: Nevergrad("DE", step=0), r"^step must be greater than 0, got 0"),
         (lambda: Nevergrad("DE", budget=0.5), r"^budget must be a whole number, got 0\.5"),

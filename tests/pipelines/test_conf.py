@@ -179,7 +179,7 @@ def test_a_part_that_is_refused_names_the_whole_key(override):
     [
         ("+optimiser.single.temperature=[-1,1]", "optimiser.single.temperature[0] must be greater than 0, got -1."),
         ("+optimiser.growth=2", "optimiser.growth must be in [0, 1], got 2."),
-        ("seed=-1", "seed must be at least 0, got -1."),
+        ("seed=-1", "seed must be in [0, 3.40282e+38], got -1."),
     ],
 )
 def test_an_optimiser_that_is_refused_names_the_whole_key(override, message):

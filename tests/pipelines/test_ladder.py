@@ -70,6 +70,19 @@ def test_what_other_code_has_computed_is_not_taken(tmp_path, monkeypatch):
     assert known.figures(found)["share"] == 2
 
 
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize("damage", ["", "{", "[1]", "{}", "\0\0", '{"positions": 5, "normals": 5, "surfaces": 5}'])
+def test_what_is_kept_but_damaged_is_named_and_computed_again(damage, tmp_path, capsys):
+    known = ladder_of(*YAW, f"kept={tmp_path}", "optimiser=random_search", "budget.evaluations=2")
+    found = known.anew(6)
+    (path,) = tmp_path.iterdir()
+    whole = path.read_text()
+    path.write_text(damage)
+    assert known.anew(6).fitness == found.fitness
+    assert f"warning: {path} is damaged (" in capsys.readouterr().err
+    assert (path.read_text(), path.with_name(f"{path.name}.damaged").read_text()) == (whole, damage)
+
+
 def test_too_many_landmarks_are_named_by_the_key_that_asked_for_them(tmp_path):
     (tmp_path / "tags.csv").write_text("x,y,z,nx,ny,nz\n0,2,3,1,0,0\n0,3,3,1,0,0\n")
     with pytest.raises(InputError, match=r"^counts = 2 leaves none to place"):

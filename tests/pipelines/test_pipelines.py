@@ -176,7 +176,7 @@ BAD_INPUT = {
     "no file": (HEADER, ["deployment.path=none.csv"], "deployment.path: there is no file 'none.csv'"),
     "no path": (HEADER, ["deployment.path=null"], "deployment.path is missing"),
     "count": (HEADER + TWO, ["deployment.count=3"], "deployment.count = 3, but bad.csv has 2 landmarks"),
-    "seed": (HEADER + TWO, ["seed=-1"], "seed must be at least 0, got -1"),
+    "seed": (HEADER + TWO, ["seed=-1"], "seed must be in [0, 3.40282e+38], got -1"),
     "threads": (HEADER + TWO, ["threads=0"], "threads must be in [1, 1024], got 0"),
     "room": (HEADER + TWO, ["room.size=[1,2]"], "room.size must be a list of 3 numbers, got [1, 2]"),
     "unknown argument": (HEADER + TWO, ["+camera.zoom=2"], "unexpected keyword argument 'zoom'"),
@@ -219,16 +219,13 @@ BAD_SETTINGS = {
     "resume": (["optimise", "resume=5"], "resume must be the path of a file or a folder, got 5"),
     "flush": (["optimise", "encoding.flush=foo", "optimiser=ega"], "encoding.flush must be true or false, got 'foo'"),
     "budget": (["optimise", "budget.evaluations=null"], "budget.evaluations or seconds must be given"),
-    "seeds": (["observe", "deployment=uniform", "seeds=1e12"], "seeds: the poses of 1000000000000 flights would take"),
+    "seeds": (["observe", "deployment=uniform", "seeds=1e12"], "seeds = 1000000000000 runs would take"),
     "workers": (["observe", "workers=-1"], "workers must be at least 1, got -1"),
     "all_visible": (["observe", "all_visible=2"], "all_visible must be true or false, got 2"),
     "cells": (["bound", "bound.spacing=1e-6"], "bound.spacing = 1e-06 makes 3e+13 poses, which would take"),
     "save_as": (["compare", "save_as=[1]"], "save_as must be the path of a file or a folder, got [1]"),
     "folder": (["compare", "save_as=taken/here"], "save_as = 'taken/here' cannot be written"),
-    "array": (
-        ["detect", "tag.edge=0.1", "poses=1e13"],
-        "there is not enough memory for these settings: Unable to allocate",
-    ),
+    "frames": (["detect", "tag.edge=0.1", "poses=1e12"], "poses = 1000000000000 frames of 90 landmarks would take"),
 }
 
 

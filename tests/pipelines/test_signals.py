@@ -1,9 +1,12 @@
 """What a signal does, depending on where the process is."""
 
+import os
 import signal
+import subprocess
 
 import pytest
 from mlflow import MlflowClient
+from processes import LIMIT, command, start
 
 from pipelines.signals import SIGNALS, Stop, Stopped
 from pipelines.tracking import MlflowTracker, RunStart
@@ -109,3 +112,13 @@ def test_a_database_is_never_left_locked(stop, tmp_path, monkeypatch):
     run = MlflowClient(tracking_uri=uri).get_run(tracker.run_id)
     assert run.data.metrics == {"qualified_ratio": 0.5}
     assert run.info.status == "KILLED"
+
+
+def test_who_reads_no_further_costs_no_traceback(tmp_path):
+    reading, writing = os.pipe()
+    os.close(reading)
+    line = command("sync", "folder=.", settings=())
+    process = start(line, cwd=tmp_path, stdout=writing, stderr=subprocess.PIPE, fresh=True)
+    os.close(writing)
+    _, told = process.communicate(timeout=LIMIT)
+    assert (process.returncode, "Traceback" in told, "error" in told) == (128 + signal.SIGPIPE, False, False), told

@@ -66,9 +66,9 @@ def sweep(cwd, faults, *overrides):
     return call("optimise", *settings(cwd, faults), *overrides, cwd=cwd, folders=[cwd])
 
 
-def start_sweep(cwd, faults):
+def start_sweep(cwd, faults, *overrides):
     """Start a sweep and wait until its slow job is at work."""
-    line = command("optimise", *settings(cwd, faults))
+    line = command("optimise", *settings(cwd, faults), *overrides)
     process = start(line, cwd=cwd, folders=[cwd], stderr=subprocess.PIPE)
     deadline = time.monotonic() + 120
     while not (cwd / "pid").exists() and time.monotonic() < deadline:
@@ -179,8 +179,11 @@ def test_the_same_sweep_again_does_only_what_is_missing(faulty):
     untouched = table(cwd).folder["none"]
     before = (cwd / "outputs/optimise_sweep" / folder(cwd) / untouched / "metrics.json").stat().st_mtime_ns
     (cwd / "repaired").touch()
+    damaged = cwd / "outputs/optimise_sweep" / folder(cwd) / table(cwd).folder["raise"] / "job.json"
+    damaged.write_text(damaged.read_text()[:100])
     again = sweep(cwd, "none,raise,exit,kill")
     assert again.returncode == 0, again.stderr
+    assert f"warning: {damaged.relative_to(cwd)} is damaged (JSONDecodeError" in again.stderr
     assert "going on after 1 finished jobs" in again.stdout
     assert "done already: optimiser.fault=none" in again.stdout
     assert again.stdout.count("finished in") == 3
@@ -211,6 +214,17 @@ def test_a_sweep_killed_with_its_job_goes_on_with_what_is_missing(work):
     assert statuses(children) == {"none": ["FINISHED"], "slow": ["FAILED", "FINISHED"]}
     (lost,) = [run for run in children["slow"] if run.info.status == "FAILED"]
     assert lost.data.tags["reason"] == "its process was killed, and the sweep with it"
+
+
+def test_the_jobs_of_a_sweep_that_is_killed_under_joblib_stop(work):
+    process = start_sweep(work, "slow", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
+    process.kill()
+    process.wait(timeout=60)
+    (record,) = work.glob("outputs/optimise_sweep/*/*/job.json")
+    deadline = time.monotonic() + 60
+    while (status := json.loads(record.read_text())["status"]) == "running" and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert status == "interrupted"
 
 
 def test_an_interrupted_job_goes_on_from_its_checkpoint(work):

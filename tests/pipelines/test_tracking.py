@@ -3,6 +3,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+import psutil
 import pytest
 from hydra import compose, initialize_config_dir
 from mlflow import MlflowClient
@@ -216,6 +217,13 @@ def test_what_cannot_be_written_stays_in_the_journal_for_the_next_time(folder):
     (folder / "none").unlink()
     journal.add({"end": "FINISHED"})
     assert Journal.of(folder / "none").entries == [{"metrics": {}}, {"end": "FINISHED"}]
+
+
+def test_a_clock_that_is_set_ends_no_living_run(monkeypatch):
+    tags = this_process()
+    monkeypatch.setattr(psutil.Process, "create_time", lambda _: 0.0)
+    assert not is_gone(tags)
+    assert is_gone(tags | {"process": tags["process"].replace(" ", " 1", 1)})
 
 
 def test_the_next_run_ends_those_whose_process_is_gone(uri, monkeypatch, capsys):

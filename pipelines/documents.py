@@ -1,0 +1,45 @@
+"""Documents: JSON files that are there whole or not at all, and whose damage costs no more than what they held."""
+
+import json
+import os
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+Content = TypeVar("Content")
+
+
+def read_document(path: Path, content_of: Callable[[dict[str, Any]], Content]) -> Content | None:
+    """What a document holds; None where there is none, and where it is damaged, which is then named and set aside.
+
+    Args:
+        path: of the file.
+        content_of: makes of the file's keys and values what they stand for; raises ValueError, KeyError or TypeError
+            where they stand for nothing.
+    """
+    try:
+        return content_of(dict(json.loads(path.read_text())))
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        aside = path.with_name(f"{path.name}.damaged")
+        os.replace(path, aside)
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        what = f"warning: {path} is damaged ({reason}); it is kept as {aside.name}, and what it held is done again"
+        print(what, file=sys.stderr)
+        return None
+
+
+def write_document(path: Path, document: Mapping[str, Any]) -> None:
+    """Write a document, whole or not at all, whatever ends the process or the machine meanwhile."""
+    partial = path.with_suffix(f".{os.getpid()}.partial")
+    try:
+        with partial.open("w") as file:
+            file.write(json.dumps(document, indent=2) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(partial, path)
+    except OSError:
+        partial.unlink(missing_ok=True)
+        raise

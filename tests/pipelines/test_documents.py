@@ -1,0 +1,82 @@
+"""Documents that are damaged, and those that are written while something fails."""
+
+import json
+import os
+
+import pytest
+
+from pipelines import documents
+from pipelines.documents import read_document, write_document
+from pipelines.sweeps.folder import JobFolder, SweepFolder
+from pipelines.sweeps.jobs import Job, Sweep
+
+JOB = Job("table2", None, 3, ("seed=3",), {"seed": "3"}, "finished", 0.5)
+DAMAGES = {
+    "empty": "",
+    "cut": '{"sweep": "tab',
+    "zeros": "\0" * 40,
+    "list": "[]",
+    "other": '{"a": 1}',
+    "deep": "[" * 10**5,
+}
+
+
+@pytest.fixture
+def job(tmp_path):
+    folder = JobFolder(tmp_path / "job")
+    folder.path.mkdir()
+    folder.save(JOB)
+    write_document(folder.metrics, {"fitness": 0.5})
+    return folder
+
+
+def test_what_is_written_is_read(job, tmp_path):
+    sweep, saved = SweepFolder(tmp_path), Sweep("table2", ("seed",), "3f2a")
+    sweep.save(saved)
+    assert sweep.load() == saved
+    assert job.load() == job.finished() == JOB
+    assert [found for _, found in sweep.jobs()] == [JOB]
+    assert sorted(path.name for path in job.path.iterdir()) == ["job.json", "metrics.json"]
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_what_is_damaged_is_named_and_set_aside(damage, job, tmp_path, capsys):
+    for path in (job.record, tmp_path / "sweep.json"):
+        path.write_text(DAMAGES[damage])
+    assert (job.load(), job.finished(), SweepFolder(tmp_path).load()) == (None, None, None)
+    first, second = capsys.readouterr().err.splitlines()
+    assert first.startswith(f"warning: {job.record} is damaged (")
+    assert second.endswith("; it is kept as sweep.json.damaged, and what it held is done again")
+    assert (job.path / "job.json.damaged").read_text() == DAMAGES[damage]
+
+
+def test_a_job_whose_figures_are_damaged_has_not_finished(job, capsys):
+    job.metrics.write_text('{"fitness": 0.')
+    assert job.finished() is None
+    assert f"warning: {job.metrics} is damaged" in capsys.readouterr().err
+    assert job.figures() == {}
+
+
+def test_a_document_is_on_disk_before_it_takes_the_place_of_another(job, monkeypatch):
+    done = []
+    monkeypatch.setattr(os, "fsync", lambda _: done.append("fsync"))
+    monkeypatch.setattr(os, "replace", lambda *_: done.append("replace"))
+    write_document(job.metrics, {})
+    assert done == ["fsync", "replace"]
+
+
+def test_on_a_full_disk_the_former_document_stays(job, monkeypatch):
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(documents.os, "fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        write_document(job.metrics, {"fitness": 1.0})
+    assert json.loads(job.metrics.read_text()) == {"fitness": 0.5}
+    assert sorted(path.name for path in job.path.iterdir()) == ["job.json", "metrics.json"]
+
+
+def test_where_there_is_no_folder_there_is_no_document(tmp_path):
+    (tmp_path / "file").touch()
+    assert read_document(tmp_path / "file" / "job.json", dict) is None
+    assert read_document(tmp_path / "none" / "job.json", dict) is None

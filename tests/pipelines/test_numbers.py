@@ -1,0 +1,163 @@
+"""Every number of every configuration: what cannot be is refused by one sentence that names its key."""
+
+import importlib
+import warnings
+from copy import deepcopy
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import OmegaConf, open_dict
+
+from lmd.checks import InputError
+from pipelines.app import CONF
+
+VALUES = (1e300, -1, float("nan"), None, 10**9)
+SMALL = ["room.spacing=1.5", "objective.n=1"]
+UNIFORM = [*SMALL, "deployment=uniform"]
+# What a pipeline needs to be composed, and the name of its function where that is not the pipeline's.
+PIPELINES = {
+    "optimise": SMALL,
+    "evaluate": SMALL,
+    "export": [*UNIFORM, "tag.edge=0.1"],
+    "bound": SMALL,
+    "tradeoff": [*SMALL, "counts=[6]"],
+    "compare": SMALL,
+    "observe": [*UNIFORM, "deployments=[uniform]", "detector=noisy", "seeds=1"],
+    "accuracy": [*UNIFORM, "deployments=[uniform]"],
+    "detect": [*UNIFORM, "deployments=[uniform]", "detectors=[apriltag]", "frames=2"],
+    "calibrate_detector": [*SMALL, "frames=2"],
+    "estimate_pdf": ["recording=simulated"],
+    "view": SMALL,
+    "runs": [],
+    "report": [],
+    "sync": [],
+}
+FUNCTIONS = {"calibrate_detector": "calibrate", "estimate_pdf": "estimate"}
+# Options of groups that no pipeline has by default: the pipeline, the group, overrides that choose and complete it.
+OPTIONS = [
+    *(("optimise", "optimiser", [f"optimiser={path.stem}"]) for path in sorted(Path(CONF, "optimiser").glob("*.yaml"))),
+    *(("optimise", "room", [f"room={name}"]) for name in ("hall", "lab", "paper_experiment")),
+    ("optimise", "room", ["room=floor_plan", "room.spacing=1"]),
+    *(("optimise", "camera", [f"camera={name}"]) for name in ("hall", "lab", "paper_experiment")),
+    *(("optimise", "pdf", [f"pdf={name}"]) for name in ("grid_288", "sphere", "yaw")),
+    ("optimise", "visibility", ["visibility=fiducial", "tag=printed", "deployment.count=20"]),
+    ("optimise", "tag", ["visibility=fiducial", "tag=printed", "deployment.count=20"]),
+    *(("optimise", "objective", [f"objective={name}"]) for name in ("localisation", "robust")),
+    ("optimise", "deployment", ["deployment=greedy", "deployment.count=2"]),
+    *(
+        ("observe", "estimator", [f"estimator=[{name}]"])
+        for name in ("left_observer", "bound", "pnp", "iekf", "smoother")
+    ),
+    ("observe", "trajectory", ["trajectory=waypoints"]),
+    ("observe", "detector", ["detector=rendered", "tag.edge=0.1"]),
+    ("observe", "odometry", ["odometry=slow"]),
+    ("detect", "detectors", ["detectors=[aruco_fine,apriltag_decimate2]"]),
+]
+# The whole key is not in the sentence, but what it is called there.
+CALLED = {"frames": "poses", "mean_interval": "mean interval", "export": "tag.edge must be given"}
+FOREIGN = "optimiser.algorithm."  # parameters of a library's, which has its own words for them
+
+
+class BeganError(Exception):
+    """All was checked."""
+
+
+def _begin(*_args, **_kwargs):
+    raise BeganError
+
+
+@pytest.fixture(autouse=True)
+def _nothing_begins(monkeypatch, tmp_path):
+    """What is checked runs; what computes, records or serves does not."""
+    for name in (
+        "pipelines.tracked_run.tracked",
+        "pipelines.tracking.MlflowReader",
+        "lmd.planner.app.Planner",
+    ):
+        monkeypatch.setattr(name, _begin)
+    monkeypatch.setattr("lmd.planner.session.Session.warm_up", lambda _: None)
+    monkeypatch.setattr("pipelines.compare._compose", lambda _, cfg: cfg)
+    (tmp_path / "outputs").mkdir()
+    monkeypatch.chdir(tmp_path)
+    yield
+    HydraConfig.instance().cfg = None
+
+
+def composed(pipeline, overrides, folder):
+    with initialize_config_dir(CONF, version_base="1.3"):
+        whole = compose(pipeline, [*PIPELINES[pipeline], *overrides], return_hydra_config=True)
+    with open_dict(whole):
+        whole.hydra.runtime.output_dir = str(folder)
+    HydraConfig.instance().set_config(whole)
+    cfg = deepcopy(whole)
+    OmegaConf.set_struct(cfg, False)
+    cfg.pop("hydra")
+    return cfg
+
+
+def entries(node, prefix=""):
+    """The keys of all numbers, of what is null and of what has keys of its own, with their values."""
+    for key in node if OmegaConf.is_dict(node) else range(len(node)):
+        value, path = node[key], f"{prefix}{key}"
+        if OmegaConf.is_interpolation(node, key):
+            continue
+        if OmegaConf.is_config(value):
+            if OmegaConf.is_dict(value):
+                yield path, value
+            yield from entries(value, f"{path}.")
+        elif value is None or (isinstance(value, int | float) and not isinstance(value, bool)):
+            yield path, value
+
+
+def wrong(pipeline, cfg, key, value, monkeypatch):
+    """What is wrong with how a pipeline takes a value, None for nothing."""
+    changed = deepcopy(cfg)
+    OmegaConf.update(changed, key, value)
+    monkeypatch.setattr("pipelines.deployments.recompose", lambda *_: deepcopy(changed))
+    function = getattr(importlib.import_module(f"pipelines.{pipeline}"), FUNCTIONS.get(pipeline, pipeline))
+    try:
+        with warnings.catch_warnings(action="error"):
+            function(changed)
+    except BeganError:
+        return None
+    except InputError as error:
+        *parents, last = [word for word in key.split(".") if not word.isdigit()]
+        named = any(word in str(error) for word in (last, CALLED.get(last, last), *parents[-1:]))
+        return None if named and "\n" not in str(error) else f"{key}={value}: {error}"
+    except Exception as error:
+        return f"{key}={value}: {type(error).__name__}: {error}"
+    return None
+
+
+def all_wrong(pipeline, cfg, keys, monkeypatch):
+    found = []
+    for key, value in keys.items():
+        values = (
+            [None] if OmegaConf.is_config(value) else VALUES if value is None or isinstance(value, int) else VALUES[:4]
+        )
+        found += [wrong(pipeline, cfg, key, tried, monkeypatch) for tried in values]
+    return [sentence for sentence in found if sentence]
+
+
+def test_every_number_of_every_pipeline(monkeypatch, tmp_path):
+    seen, found = {"tracked_as", "run"}, []
+    for pipeline in PIPELINES:
+        cfg = composed(pipeline, [], tmp_path)
+        keys = {key: value for key, value in entries(cfg) if key not in seen and not key.startswith("tracking")}
+        seen |= {*keys}
+        found += [f"{pipeline} {sentence}" for sentence in all_wrong(pipeline, cfg, keys, monkeypatch)]
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize(
+    ("pipeline", "group", "overrides"),
+    OPTIONS,
+    ids=lambda value: ",".join([value] if isinstance(value, str) else value),
+)
+def test_every_number_of_every_option(pipeline, group, overrides, monkeypatch, tmp_path):
+    cfg = composed(pipeline, overrides, tmp_path)
+    keys = {key: value for key, value in entries(cfg[group], f"{group}.") if not key.startswith(FOREIGN)}
+    found = all_wrong(pipeline, cfg, keys, monkeypatch)
+    assert not found, "\n".join(found)
