@@ -4,6 +4,7 @@ import time
 
 import chromium
 import numpy as np
+import viser
 from paper import paper_room
 from selenium.webdriver.common.actions.action_builder import ActionBuilder
 
@@ -27,6 +28,15 @@ class Page:
 
     def script(self, text, *arguments):
         return self.browser.execute_script(f"return {text}", *arguments)
+
+    def connects_to(self, address):
+        """Whether the page that is shown can open a websocket to a planner."""
+        return self.browser.execute_async_script(
+            """const [address, protocol, done] = arguments, socket = new WebSocket(address, [protocol]);
+            socket.onopen = () => done(true); socket.onclose = () => done(false);""",
+            address.rstrip("/").replace("http", "ws", 1),
+            f"viser-v{viser.__version__}",
+        )
 
     def complaints(self):
         return [message for message in chromium.complaints(self.browser) if OF_VISERS not in message]

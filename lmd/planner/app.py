@@ -18,6 +18,7 @@ from lmd.checks import InputError
 from lmd.deployment import Deployment
 from lmd.optimisers.base import Budget, Optimiser
 from lmd.optional import optional
+from lmd.planner.access import HOST, Access
 from lmd.planner.acts import Acts, in_order
 from lmd.planner.additions import Additions, additions
 from lmd.planner.panel import ADDITIONS, DELETE, UNDO, Panel
@@ -29,13 +30,12 @@ from lmd.planner.worker import Wanted, Worker
 from lmd.space.surface import SurfaceArrays
 from lmd.validation import describe_validation, validation_metrics
 
-HOST = "127.0.0.1"  # nobody else can reach it
 TO_COME = {"off the grid": "..."}
 IDLE = 0.5  # seconds in which nothing is done, before what takes longer is worked out
 
 
 class Planner:
-    """Serves a session to browsers on this machine.
+    """Serves a session to browsers on this machine, under an address that is new each time (`lmd.planner.access`).
 
     Args:
         session: what is planned.
@@ -46,7 +46,7 @@ class Planner:
         seed: of the sample off the grid; None to leave that out.
 
     Raises:
-        InputError: viser is not installed, or the port is taken.
+        InputError: viser is not installed or cannot be guarded, or the port is taken.
     """
 
     def __init__(
@@ -69,7 +69,8 @@ class Planner:
         self._camera: np.ndarray | None = None  # position `(3,)`
         self._additions: Additions | None = None
         logging.getLogger("websockets.server").setLevel(logging.WARNING)
-        with contextlib.redirect_stdout(io.StringIO()):  # it prints a banner
+        self._access = Access()
+        with contextlib.redirect_stdout(io.StringIO()), self._access.checking():  # it prints a banner
             self._server = viser.ViserServer(host=HOST, port=port, verbose=False)
         if port not in (0, self._server.get_port()):
             self._server.stop()
@@ -81,8 +82,8 @@ class Planner:
 
     @property
     def address(self) -> str:
-        """Where a browser finds it."""
-        return f"http://{HOST}:{self._server.get_port()}"
+        """Where a browser finds it; nobody else is let in."""
+        return self._access.address(self._server.get_port())
 
     def run(self) -> None:
         """Do what is asked for, until an exception ends it; what a search has found by then is kept."""

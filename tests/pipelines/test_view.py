@@ -3,6 +3,10 @@
 import signal
 import socket
 import subprocess
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from threading import Thread
+from urllib.parse import urlsplit
 
 import chromium
 import numpy as np
@@ -49,11 +53,20 @@ def planner(work):
     process.communicate()
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def browser(tmp_path_factory):
     driver = chromium.start(tmp_path_factory.mktemp("profile"))
     yield driver
     driver.quit()
+
+
+@pytest.fixture
+def site(tmp_path):
+    """The port of another site on this machine."""
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(SimpleHTTPRequestHandler, directory=tmp_path)) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        yield server.server_port
+        server.shutdown()
 
 
 @chromium.needs_chromium
@@ -83,7 +96,7 @@ def test_a_tag_is_dragged_and_saved_and_the_figures_are_those_of_evaluate(planne
     said = {key: line[len(key) :].strip() for line in done.stdout.splitlines() for key in shown if line.startswith(key)}
     assert said == shown
     assert page.complaints() == []
-    assert {url.rstrip("/") for url in chromium.requests(browser)} == {address}
+    assert set(chromium.requests(browser)) == {address}
 
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=LIMIT)
@@ -137,6 +150,23 @@ def test_tags_are_added_pinned_optimised_and_looked_at(planner, browser, work):
     assert process.returncode == 128 + signal.SIGINT
     assert Deployment.from_csv(work / "out" / UNSAVED).ids.tolist() == [7, 9, 4]
     assert f"changes that were not saved are in {work / 'out' / UNSAVED}\n" in err
+
+
+@chromium.needs_chromium
+def test_a_page_of_another_site_cannot_talk_to_it_whatever_it_knows(planner, browser, site):
+    _, address = planner
+    page = Page(browser, address)
+    assert page.connects_to(address)
+    browser.refresh()
+    page.until(lambda: page.rows("figures"))
+    for origin in (f"http://{chromium.FOREIGN}:{site}", f"http://127.0.0.1:{site}"):
+        browser.get(origin)
+        assert page.script("window.origin") == origin
+        assert not page.connects_to(address)
+    mine = urlsplit(address)
+    browser.get(f"http://{chromium.FOREIGN}:{mine.port}{mine.path}")  # as if its name meant this machine
+    assert page.script("document.body.innerText").strip() == "The planner talks to no page but its own."
+    assert not page.connects_to(address.replace("127.0.0.1", chromium.FOREIGN))
 
 
 def test_what_is_unsaved_is_kept_before_anything_is_waited_for(work, monkeypatch):
