@@ -20,7 +20,7 @@ import numpy as np
 import viser
 import zstandard
 from hydra import compose, initialize_config_dir
-from websockets import Subprotocol
+from websockets import Origin, Subprotocol
 from websockets.sync.client import connect
 
 from lmd.pipelines.app import CONF
@@ -91,8 +91,8 @@ def message_times(address: str) -> np.ndarray:
         "end_screen_pos": (0, 0), "button": "left", "modifier": None,
     }  # fmt: skip
     protocol, url = Subprotocol(f"viser-v{viser.__version__}"), address.replace("http", "ws")
-    times = []
-    with connect(url, subprotocols=[protocol], max_size=None, compression=None) as socket:
+    origin, times = Origin("/".join(address.split("/")[:3])), []
+    with connect(url, origin=origin, subprotocols=[protocol], max_size=None, compression=None) as socket:
 
         def send(**message: object) -> None:
             socket.send(msgspec.msgpack.encode(message))

@@ -8,6 +8,7 @@ there is no lock.
 import contextlib
 import io
 import logging
+import operator
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -128,9 +129,9 @@ class Planner:
     def _point(self, event: Any) -> None:
         """Note a drag, in a thread of viser's; of the places on its way only the latest matters."""
         if event.phase == "start":
-            self._acts.put(partial(self._grab, event.instance_index))
+            self._acts.put_answer(self._grab, event.instance_index)
         self._pointer = event
-        self._acts.put(self._follow)
+        self._acts.put_answer(self._follow)
         if event.phase == "end":
             self._acts.put(self._drop)
 
@@ -165,7 +166,9 @@ class Planner:
 
     def _select(self, index: int) -> None:
         ids = self._session.deployment.ids
-        self._selected = int(ids[min(index, len(ids) - 1)])  # a tag may be gone that a browser still shows
+        self._selected = int(
+            ids[min(operator.index(index), len(ids) - 1)]
+        )  # a tag may be gone that a browser still shows
         self._show_tags()
 
     def _click_surface(self, event: Any) -> None:
@@ -212,7 +215,7 @@ class Planner:
         self._panel.say(f"the fitness is {gained:.3%} higher" if gained else "nothing better was found")
 
     def _click_position(self, event: Any) -> None:
-        self._camera = self._problem.evaluator.positions[event.instance_index]
+        self._camera = self._problem.evaluator.positions[operator.index(event.instance_index)]
         self._look(event)
 
     def _look(self, _: Any) -> None:
@@ -224,7 +227,7 @@ class Planner:
         try:
             self._panel.say(f"saved in {self._save_files(self._session.deployment)}")
         except OSError as error:
-            raise InputError(f"this could not be saved ({error.strerror or error}).") from None
+            raise InputError(f"this could not be saved ({error}).") from None
         self._session.note_saved()
 
     # What follows, for users to see.

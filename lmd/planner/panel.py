@@ -39,8 +39,8 @@ class Panel:
             self._bar = gui.add_progress_bar(0.0, visible=False)
         with gui.add_folder("What the camera sees"):
             self._seen = gui.add_html("")
-            self.yaw = gui.add_slider("yaw, degrees", -180, 180, 1, 0)
-            self.pitch = gui.add_slider("pitch, degrees", -90, 90, 1, 0)
+            self.yaw = gui.add_slider("yaw, degrees", -180.0, 180.0, 1.0, 0.0)
+            self.pitch = gui.add_slider("pitch, degrees", -90.0, 90.0, 1.0, 0.0)
         with gui.add_folder("Show"):
             self.positions = gui.add_checkbox("positions", initial_value=True)
             self.additions = gui.add_dropdown("what a tag adds to", (*ADDITIONS, NOTHING))
@@ -52,7 +52,7 @@ class Panel:
     @property
     def view(self) -> tuple[float, float]:
         """Yaw and pitch of the sliders, rad."""
-        return math.radians(self.yaw.value), math.radians(self.pitch.value)
+        return math.radians(_within(self.yaw)), math.radians(_within(self.pitch))
 
     def show_figures(self, rows: Mapping[str, str]) -> None:
         """Show the figures on the grid."""
@@ -97,6 +97,13 @@ class Panel:
     def show_legend(self, most: float | None) -> None:
         """Say what the brightest places of the surfaces mean; None while nothing is shown there."""
         self._legend.content = _paragraph("legend", "" if most is None else f"brightest on the surfaces: +{most:.3%}")
+
+
+def _within(slider: Any) -> float:
+    """The value of a slider, which is back at 0 if a browser has sent one that it cannot have."""
+    if not slider.min <= slider.value <= slider.max:
+        slider.value = 0.0
+    return float(slider.value)
 
 
 def _table(name: str, rows: Mapping[str, str]) -> str:
