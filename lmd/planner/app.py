@@ -22,6 +22,8 @@ from lmd.optional import optional
 from lmd.planner.access import HOST, Access
 from lmd.planner.acts import Acts, in_order
 from lmd.planner.additions import Additions, additions
+from lmd.planner.captions import MANY
+from lmd.planner.off_grid import off_grid
 from lmd.planner.panel import ADDITIONS, DELETE, UNDO, Panel
 from lmd.planner.picture import Picture
 from lmd.planner.plan import Plan
@@ -29,7 +31,6 @@ from lmd.planner.pointing import pointed_at
 from lmd.planner.session import Session
 from lmd.planner.worker import Wanted, Worker
 from lmd.space.surface import SurfaceArrays
-from lmd.validation import describe_validation, validation_metrics
 
 TO_COME = {"off the grid": "..."}
 IDLE = 0.5  # seconds in which nothing is done, before what takes longer is worked out
@@ -61,7 +62,7 @@ class Planner:
     ) -> None:
         viser = optional("viser", "view")
         self._session, self._problem = session, session.problem
-        self._save_files, self._optimiser, self._budget, self._seed = save, optimiser, budget, seed
+        self._save_files, self._optimiser, self._seed = save, optimiser, seed
         self._acts = Acts()
         self._surfaces = SurfaceArrays.of(session.problem.scene.plates.hanging.surfaces())
         self._selected: int | None = None
@@ -76,7 +77,8 @@ class Planner:
         if port not in (0, self._server.get_port()):
             self._server.stop()
             raise InputError(f"port {port} is taken.", "port")
-        self._picture, self._panel = Picture(self._server, self._problem), Panel(self._server.gui)
+        self._picture, value = Picture(self._server, self._problem), self._problem.objective.value_label
+        self._panel = Panel(self._server.gui, value, budget, ids=len(session.deployment) <= MANY)
         self._worker = Worker(self._work, lambda *failure: self._acts.put(partial(self._take_failure, *failure)))
         self._listen()
         self._show()
@@ -109,11 +111,14 @@ class Planner:
         for register, act in (
             (panel.save.on_click, self._save),
             (panel.tag.on_click, self._change_tag),
+            (panel.place.on_click, self._place),
             (panel.step.on_click, self._step),
             (panel.optimise.on_click, self._optimise_or_stop),
             (panel.yaw.on_update, self._look),
             (panel.pitch.on_update, self._look),
             (panel.positions.on_update, self._show_or_hide),
+            (panel.names.on_update, self._show_or_hide),
+            (panel.ids.on_update, self._show_or_hide),
             (panel.additions.on_update, self._show_additions),
             (self._picture.cells.on_click, self._click_surface),
             (self._picture.balls.on_click, self._click_position),
@@ -181,6 +186,12 @@ class Planner:
         elif self._additions is not None:
             self._panel.say_additions(self._additions, event.instance_index)
 
+    def _place(self, _: Any) -> None:
+        if self._selected is None:
+            raise InputError("click a tag first.")
+        self._session.place(self._selected, *self._panel.typed)
+        self._show()
+
     def _change_tag(self, event: Any) -> None:
         if self._selected is None:
             raise InputError("click a tag first.")
@@ -201,7 +212,7 @@ class Planner:
         if self._session.search is not None:
             self._session.search.stop()
             return
-        self._session.optimise(self._optimiser(), self._budget, done=lambda: self._acts.put(self._take))
+        self._session.optimise(self._optimiser(), self._panel.budget, done=lambda: self._acts.put(self._take))
         self._worker.ask(None)
         self._panel.say("optimising")
         self._show_search()
@@ -253,13 +264,18 @@ class Planner:
         if self._selected not in deployment.ids:
             self._selected = None
         number, room = self._selected, self._problem.scene.room
-        self._panel.show_tag(None if number is None else plan.described(number, room))
-        if self._picture.show_tags(plan, number, seen):
+        if number is None:
+            self._panel.show_tag(None, None)
+        else:
+            self._panel.show_tag(plan.described(number, room), plan.seen(number, room))
+        if self._picture.show_tags(plan, number, seen, self._panel.ids.value):
             self._acts.on(self._picture.tags.on_click, self._click_tag)
             in_order(self._picture.tags.on_drag, self._point)
 
     def _show_or_hide(self, _: Any) -> None:
         self._picture.balls.visible = self._panel.positions.value
+        self._picture.captions.show_names(self._panel.names.value)
+        self._show_tags()
 
     def _show_additions(self, _: Any = None) -> None:
         key = ADDITIONS.get(self._panel.additions.value)
@@ -274,27 +290,31 @@ class Planner:
         self._panel.show_progress(search.progress, running=True)
         if search.progress is not None:
             plan = Plan(search.progress.best, self._session.plan.pinned)
-            self._picture.show_tags(plan, self._selected, None)
+            self._picture.show_tags(plan, self._selected, None, self._panel.ids.value)
 
     # What is worked out when nobody does anything.
 
     def _work(self, deployment: Deployment, wanted: Wanted) -> None:
-        """Find what tags would add, then the figures off the grid; in the thread of the worker."""
+        """Find figures off the grid, what tags would add, then exacter figures; in the thread of the worker."""
+        seed = self._seed
+        figures = iter(()) if seed is None else off_grid(self._problem, deployment, seed, wanted)
+        self._hand_over(deployment, next(figures, None))
         found = additions(self._problem, deployment, self._picture.candidates.poses, wanted)
         if found is not None:
             self._acts.put(partial(self._take_additions, found))
-        if self._seed is not None and wanted():
-            figures = validation_metrics(self._problem, deployment, self._seed)
-            if wanted():
-                self._acts.put(partial(self._take_off_grid, deployment, figures))
+        self._hand_over(deployment, next(figures, None))
+
+    def _hand_over(self, deployment: Deployment, rows: dict[str, str] | None) -> None:
+        if rows is not None:
+            self._acts.put(partial(self._take_off_grid, deployment, rows))
 
     def _take_additions(self, found: Additions) -> None:
         self._additions = found
         self._show_additions()
 
-    def _take_off_grid(self, deployment: Deployment, figures: dict[str, float]) -> None:
+    def _take_off_grid(self, deployment: Deployment, rows: dict[str, str]) -> None:
         if deployment is self._session.deployment:
-            self._panel.show_off_grid(describe_validation(self._problem, figures))
+            self._panel.show_off_grid(rows)
 
     def _take_failure(self, deployment: Deployment, why: str) -> None:
         if deployment is self._session.deployment:

@@ -55,11 +55,28 @@ class Plan:
         Raises:
             InputError: there is no such tag.
         """
-        k = self.index_of(number)
+        k, seen = self.index_of(number), self.seen(number, room)
         x, y, z = self.deployment.positions[k]
-        surface = int(self.deployment.surfaces[k])
-        where = room.surfaces()[surface].name if surface >= 0 else "free in the room"
-        return f"tag {number}: {where}, ({x:.3f}, {y:.3f}, {z:.3f}) m{', pinned' if number in self.pinned else ''}"
+        where = room.surfaces()[int(self.deployment.surfaces[k])].name if seen else "free in the room"
+        pinned = ", pinned" if number in self.pinned else ""
+        return f"tag {number}: {where}, ({x:.3f}, {y:.3f}, {z:.3f}) m{pinned}"
+
+    def seen(self, number: int, room: Space) -> tuple[float, float] | None:
+        """How far from the left and from the lower edge of its surface a tag is, metres, see `Surface.seen`.
+
+        Returns:
+            None if it hangs on none.
+
+        Raises:
+            InputError: there is no such tag.
+        """
+        k = self.index_of(number)
+        index = int(self.deployment.surfaces[k])
+        if index < 0:
+            return None
+        surface = room.surfaces()[index]
+        left, below = surface.seen(np.stack(surface.coordinates(self.deployment.positions[k])))
+        return float(left), float(below)
 
     def moved(self, plates: Plates, number: int, surface: int, at: FloatArray) -> "Plan":
         """The plan with a tag at the free place nearest to `at` `(2,)` on a surface, coordinates of `Surface`, metres.

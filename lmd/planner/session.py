@@ -75,6 +75,7 @@ class Session:
         turned = replace(deployment, positions=deployment.positions[::-1], normals=deployment.normals[::-1])
         self._values.follow(turned)
         self._values.follow(deployment)
+        self.problem.values(deployment)
         self.seen(position, 0.0, 0.0)
         additions(self.problem, deployment, deployment[:1])
 
@@ -85,6 +86,22 @@ class Session:
             InputError: as there, or a search is running.
         """
         self._become(self.plan.moved(self.problem.scene.plates, number, surface, at), number)
+
+    def place(self, number: int, left: float, below: float) -> None:
+        """Move a tag on its surface to where it was measured, see `Surface.seen`, or as near to that as it may hang.
+
+        Raises:
+            InputError: as for `drag`, or it hangs on no surface.
+        """
+        index = int(self.deployment.surfaces[self.plan.index_of(number)])
+        if index < 0:
+            raise InputError(f"tag {number} hangs on no surface.")
+        surface, hanging = (
+            space.surfaces()[index] for space in (self.problem.scene.room, self.problem.scene.plates.hanging)
+        )
+        point = surface.point(*surface.seen(np.array([left, below])))
+        self.drag(number, index, np.array([(point - hanging.origin) @ axis for axis in (hanging.u, hanging.v)]))
+        self.drop()
 
     def drop(self) -> None:
         """End a drag."""

@@ -83,7 +83,7 @@ def test_a_tag_is_dragged_and_saved_and_the_figures_are_those_of_evaluate(planne
     page.mouse((2.0, 5.0, 1.0), (2.3, 5.0, 1.5), (3.0, 5.0, 2.5))
     page.until(lambda: page.rows("figures") != before)
     assert "tag 7: y_max, (" in page.text("tag")
-    page.until(lambda: page.rows("off-grid").keys() > {"off the grid"})
+    page.until(page.is_settled)
     shown = page.rows("figures") | page.rows("off-grid")
     page.press("Save")
     page.until(lambda: page.text("message").startswith("saved in "))
@@ -113,8 +113,10 @@ def test_a_tag_is_dragged_and_saved_and_the_figures_are_those_of_evaluate(planne
 def test_tags_are_added_pinned_optimised_and_looked_at(planner, browser, work):
     process, address = planner
     page = Page(browser, address)
+    browser.set_window_size(1280, 800)
     before = page.rows("figures")
     assert "of 4 landmarks" in before["qualified ratio"]
+    assert "rgb(" in page.script("document.getElementById('legend').innerHTML")
 
     page.tick(BALLS)  # nothing is in the mouse's way
     page.tick(ADDS)
@@ -127,17 +129,25 @@ def test_tags_are_added_pinned_optimised_and_looked_at(planner, browser, work):
 
     page.mouse((5.0, 5.0, 1.0))
     page.until(lambda: page.text("tag").startswith("tag 3: "))
+    page.type("from left, m", "4.25")
+    page.type("from below, m", "2")
+    page.press("Hang it there")
+    page.until(lambda: page.text("tag") == "tag 3: y_max, (4.250, 5.000, 2.000) m")
+    page.press("Undo")
+    page.until(lambda: page.rows("figures") == before)
+
     page.press("Pin or unpin")
     page.until(lambda: page.text("tag").endswith("pinned"))
-    page.until(lambda: page.rows("off-grid").keys() > {"off the grid"})
+    page.until(page.is_settled)
     page.mouse((5.0, 5.0, 1.0), (5.0, 5.0, 2.0), (5.0, 5.0, 2.5))
     page.until(lambda: page.text("message") == "tag 3 is pinned.")
     assert page.rows("figures") == before
 
     page.press("Optimise the free tags")
-    page.until(lambda: page.text("message").startswith("optimising"))
+    page.until(lambda: "% of 1e+08 evaluations; best fitness" in page.text("progress"))
+    assert page.script("document.querySelectorAll('[role=progressbar]').length") == 1
     page.press("Stop, keep the best")
-    page.until(lambda: not page.text("message").startswith("optimising"))
+    page.until(lambda: not page.text("progress"))
 
     page.tick(BALLS)
     position = paper_room(spacing=1.5).grid()[-1]
