@@ -75,7 +75,7 @@ def validation_metrics(
         deployment: what is judged.
         seed: of the sample.
         sample: its size.
-        between: called now and then, a second apart at most where processors are free; it may raise to give up.
+        between: called before each group; it may raise to give up.
     """
     scene, objective = problem.scene, problem.objective
     if scene.recorded is not None:

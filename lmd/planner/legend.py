@@ -7,6 +7,7 @@ import numpy as np
 from lmd.planner.colours import FREE, GAINS, PINNED, SEEN, SELECTED, UNKNOWN, VALUES, Rgb, mapped
 
 STOPS = 9  # of a scale of colours
+STYLE = "font-size: 0.75em; padding: 0 0.8em; white-space: nowrap; line-height: 1.4"
 TAGS = {"free": FREE, "pinned": PINNED, "selected": SELECTED, "seen": SEEN}
 
 
@@ -17,12 +18,12 @@ def legend(value: str, most: float | None) -> str:
         value: what positions are coloured by, from 0 to 1.
         most: what the brightest place of a surface adds; None while nothing is shown there.
     """
-    rows = [("positions", _scale(VALUES, "0", "1")), ("", html.escape(value))]
+    rows = [f"<td colspan=2>positions: {html.escape(value)}</td>", f"<td></td><td>{_scale(VALUES, '0', '1')}</td>"]
     if most is not None:
-        rows += [("a tag adds", _scale(GAINS, "0", f"+{most:.3%}")), ("a tag overlaps", _square(UNKNOWN))]
-    rows.append(("tags", " ".join(f"{_square(colour)} {name}" for name, colour in TAGS.items())))
-    cells = (f"<tr><td>{head}&emsp;</td><td>{cell}</td></tr>" for head, cell in rows)
-    return f'<table id="legend" style="font-size: 0.85em; padding: 0 1em">{"".join(cells)}</table>'
+        rows.append(f"<td>a tag adds&ensp;</td><td>{_scale(GAINS, '0', f'+{most:.3%}')}</td>")
+        rows.append(f"<td></td><td>{_square(UNKNOWN)} would overlap</td>")
+    rows.append(f"<td>tags</td><td>{' '.join(f'{_square(colour)} {name}' for name, colour in TAGS.items())}</td>")
+    return f'<table id="legend" style="{STYLE}">{"".join(f"<tr>{row}</tr>" for row in rows)}</table>'
 
 
 def _scale(name: str, low: str, high: str) -> str:

@@ -18,7 +18,7 @@ NOTHING = "nothing"
 HINT = "drag a tag; click a tag, a position or a surface"
 UNDO, REDO, PIN, DELETE, SAVE = "Undo", "Redo", "Pin or unpin", "Delete", "Save"
 PLACE = "Hang it there"
-WIDTH, GAP = 340.0, 12.0  # of the legend, and from it to the lower left corner of the picture, pixels
+WIDTH, GAP = 290.0, 12.0  # of the legend, and from it to the lower left corner of the picture, pixels
 OPTIMISE, STOP = "Optimise the free tags", "Stop, keep the best"
 
 
