@@ -267,7 +267,7 @@ class Planner:
         if number is None:
             self._panel.show_tag(None, None)
         else:
-            self._panel.show_tag(plan.described(number, room), plan.seen(number, room))
+            self._panel.show_tag(plan.described(number, room), plan.measured(number, room))
         if self._picture.show_tags(plan, number, seen, self._panel.ids.value):
             self._acts.on(self._picture.tags.on_click, self._click_tag)
             in_order(self._picture.tags.on_drag, self._point)

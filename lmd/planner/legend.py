@@ -18,7 +18,8 @@ def legend(value: str, most: float | None) -> str:
         value: what positions are coloured by, from 0 to 1.
         most: what the brightest place of a surface adds; None while nothing is shown there.
     """
-    rows = [f"<td colspan=2>positions: {html.escape(value)}</td>", f"<td></td><td>{_scale(VALUES, '0', '1')}</td>"]
+    rows = [f'<td colspan=2 style="white-space: normal">positions: {html.escape(value)}</td>']
+    rows.append(f"<td></td><td>{_scale(VALUES, '0', '1')}</td>")
     if most is not None:
         rows.append(f"<td>a tag adds&ensp;</td><td>{_scale(GAINS, '0', f'+{most:.3%}')}</td>")
         rows.append(f"<td></td><td>{_square(UNKNOWN)} would overlap</td>")

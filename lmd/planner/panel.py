@@ -11,13 +11,14 @@ from lmd.compiled import is_compiling
 from lmd.optimisers.base import Budget
 from lmd.planner.additions import Additions
 from lmd.planner.legend import legend
+from lmd.planner.plan import Measured
 from lmd.planner.search import Progress
 
 ADDITIONS = {"mean value": "value", "fitness": "fitness"}  # what surfaces may show, and where `Additions` has it
 NOTHING = "nothing"
 HINT = "drag a tag; click a tag, a position or a surface"
 UNDO, REDO, PIN, DELETE, SAVE = "Undo", "Redo", "Pin or unpin", "Delete", "Save"
-PLACE = "Hang it there"
+PLACE, FROM_FLOOR, FROM_BELOW = "Hang it there", "from floor, m", "from below, m"
 WIDTH, GAP = 290.0, 12.0  # of the legend, and from it to the lower left corner of the picture, pixels
 OPTIMISE, STOP = "Optimise the free tags", "Stop, keep the best"
 
@@ -44,7 +45,7 @@ class Panel:
         with gui.add_folder("Tags"):
             self._tag = gui.add_html("")
             self._left = gui.add_number("from left, m", 0.0, step=0.001)
-            self._below = gui.add_number("from below, m", 0.0, step=0.001, hint="from the surface's lower edge")
+            self._up = gui.add_number(FROM_FLOOR, 0.0, step=0.001)
             self.place = gui.add_button(PLACE)
             self.tag = gui.add_button_group("tag", (PIN, DELETE))
             self.step = gui.add_button_group("step", (UNDO, REDO))
@@ -93,8 +94,8 @@ class Panel:
 
     @property
     def typed(self) -> tuple[float, float]:
-        """The place that was typed: metres from the left and from the lower edge of a surface."""
-        return float(self._left.value), float(self._below.value)
+        """The place that was typed, see `Measured`: from the left, and up."""
+        return float(self._left.value), float(self._up.value)
 
     def show_figures(self, rows: Mapping[str, str]) -> None:
         """Show the figures on the grid."""
@@ -117,13 +118,14 @@ class Panel:
         else:
             self.say(f"a tag here adds {', '.join(f'{gain:+.3%} to the {name}' for name, gain in gains.items())}")
 
-    def show_tag(self, text: str | None, seen: tuple[float, float] | None) -> None:
-        """Say which tag is selected and where it hangs, see `typed`; None for none, and for one that hangs nowhere."""
+    def show_tag(self, text: str | None, measured: Measured | None) -> None:
+        """Say which tag is selected and where it hangs; None for none, and for one that hangs on no surface."""
         self._tag.content = _paragraph("tag", text or "no tag is selected")
-        if seen is not None:
-            self._left.value, self._below.value = (round(length, 4) for length in seen)
-        for widget in (self._left, self._below, self.place):
-            widget.disabled = seen is None
+        if measured is not None:
+            self._left.value, self._up.value = round(measured.left, 4), round(measured.up, 4)
+            self._up.label = FROM_FLOOR if measured.from_floor else FROM_BELOW
+        for widget in (self._left, self._up, self.place):
+            widget.disabled = measured is None
 
     def show_seen(self, ids: IntArray | None) -> None:
         """Say which tags the camera sees; None while it is nowhere."""

@@ -19,6 +19,7 @@ from lmd.planner.search import Search
 from lmd.planner.values import Values
 from lmd.problem import Problem
 from lmd.sight.views import visible
+from lmd.space.heights import lower_edge
 
 
 class Session:
@@ -87,8 +88,8 @@ class Session:
         """
         self._become(self.plan.moved(self.problem.scene.plates, number, surface, at), number)
 
-    def place(self, number: int, left: float, below: float) -> None:
-        """Move a tag on its surface to where it was measured, see `Surface.seen`, or as near to that as it may hang.
+    def place(self, number: int, left: float, up: float) -> None:
+        """Move a tag on its surface to where it was `Measured`, or as near to that as it may hang.
 
         Raises:
             InputError: as for `drag`, or it hangs on no surface.
@@ -96,10 +97,9 @@ class Session:
         index = int(self.deployment.surfaces[self.plan.index_of(number)])
         if index < 0:
             raise InputError(f"tag {number} hangs on no surface.")
-        surface, hanging = (
-            space.surfaces()[index] for space in (self.problem.scene.room, self.problem.scene.plates.hanging)
-        )
-        point = surface.point(*surface.seen(np.array([left, below])))
+        room = self.problem.scene.room
+        surface, hanging = (space.surfaces()[index] for space in (room, self.problem.scene.plates.hanging))
+        point = surface.point(*surface.seen(np.array([left, up - lower_edge(room, surface)])))
         self.drag(number, index, np.array([(point - hanging.origin) @ axis for axis in (hanging.u, hanging.v)]))
         self.drop()
 

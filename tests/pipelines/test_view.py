@@ -130,7 +130,7 @@ def test_tags_are_added_pinned_optimised_and_looked_at(planner, browser, work):
     page.mouse((5.0, 5.0, 1.0))
     page.until(lambda: page.text("tag").startswith("tag 3: "))
     page.type("from left, m", "4.25")
-    page.type("from below, m", "2")
+    page.type("from floor, m", "2")
     page.press("Hang it there")
     page.until(lambda: page.text("tag") == "tag 3: y_max, (4.250, 5.000, 2.000) m")
     page.press("Undo")

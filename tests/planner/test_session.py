@@ -260,11 +260,12 @@ def test_a_tag_hangs_where_its_place_was_typed(of):
     planned, rng = session(of()), np.random.default_rng(2)
     before, room = planned.deployment, planned.problem.scene.room
     for number in before.ids.tolist():
-        seen, surface = planned.plan.seen(number, room), int(before.surfaces[planned.plan.index_of(number)])
+        measured = planned.plan.measured(number, room)
+        surface = int(before.surfaces[planned.plan.index_of(number)])
         planned.drag(number, surface, rng.uniform(size=2) * room.surfaces()[surface].extent)
         planned.drop()
-        planned.place(number, *seen)
-        assert planned.plan.seen(number, room) == pytest.approx(seen)
+        planned.place(number, measured.left, measured.up)
+        assert planned.plan.measured(number, room) == pytest.approx(measured)
     assert planned.deployment.positions == pytest.approx(before.positions)
     planned.undo()
     assert planned.deployment.positions != pytest.approx(before.positions)
@@ -286,6 +287,6 @@ def test_a_tag_on_no_surface_has_no_place_to_type():
     planned = session()
     free = replace(planned.deployment, surfaces=np.full(len(planned.deployment), -1))
     planned.plan = Plan(free)
-    assert planned.plan.seen(0, planned.problem.scene.room) is None
+    assert planned.plan.measured(0, planned.problem.scene.room) is None
     with pytest.raises(InputError, match=r"^tag 0 hangs on no surface\.$"):
         planned.place(0, 1.0, 1.0)
