@@ -75,6 +75,7 @@ class Page:
         field = self.browser.find_element("id", dict(labels)[label])
         field.send_keys(Keys.CONTROL, "a")
         field.send_keys(text, Keys.TAB)
+        time.sleep(1.0)  # as below
 
     def tick(self, label):
         labels = self.script("Array.from(document.querySelectorAll('label'), l => [l.innerText, l.htmlFor])")
