@@ -20,11 +20,12 @@ import numpy as np
 import viser
 import zstandard
 from hydra import compose, initialize_config_dir
-from websockets import Subprotocol
+from websockets import Origin, Subprotocol
 from websockets.sync.client import connect
 
 from lmd.pipelines.app import CONF
 from lmd.pipelines.building import build_problem
+from lmd.planner.off_grid import ESTIMATE
 from lmd.planner.session import Session
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
@@ -91,18 +92,18 @@ def message_times(address: str) -> np.ndarray:
         "end_screen_pos": (0, 0), "button": "left", "modifier": None,
     }  # fmt: skip
     protocol, url = Subprotocol(f"viser-v{viser.__version__}"), address.replace("http", "ws")
-    times = []
-    with connect(url, subprotocols=[protocol], max_size=None, compression=None) as socket:
+    origin, times = Origin("/".join(address.split("/")[:3])), []
+    with connect(url, origin=origin, subprotocols=[protocol], max_size=None, compression=None) as socket:
 
         def send(**message: object) -> None:
             socket.send(msgspec.msgpack.encode(message))
 
-        def wait_for(text: bytes, seconds: float | None = None) -> None:
-            while text not in _unpacked(socket.recv(seconds)):
+        def wait_for(text: bytes, but: bytes | None = None) -> None:
+            while text not in (messages := _unpacked(socket.recv())) or (but is not None and but in messages):
                 pass
 
         send(type="ViewerCameraMessage", **camera)
-        wait_for(b"on a finer grid")  # then nothing else is worked out
+        wait_for(b"on a finer grid", but=next(iter(ESTIMATE)).encode())  # then nothing else is worked out
         for step in range(STEPS + 1):
             time.sleep(0.1)
             began = time.perf_counter()

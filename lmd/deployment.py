@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TextIO
 
 import numpy as np
 
@@ -216,18 +216,18 @@ class Deployment:
         ups = upright(self.normals)[1] + 0.0  # no -0
         return ups if self.surveyed is None else self.surveyed.ups_of(self.positions, ups)
 
-    def to_csv(self, path: str | Path, ups: bool = False) -> None:
+    def to_csv(self, file: str | Path | TextIO, ups: bool = False) -> None:
         """Write `id,x,y,z,nx,ny,nz` with every digit, so that reading it back gives the same numbers and labels.
 
         Args:
-            path: the file.
+            file: its path, or an open text file.
             ups: whether to add `ux,uy,uz`, for landmarks that are tags with an upper edge.
         """
         columns = dict(zip(COLUMNS, np.hstack([self.places, self.normals]).T, strict=True))
         if ups:
             columns |= zip(UP_COLUMNS, self.ups.T, strict=True)
         further = {} if self.labels is None else self.labels.columns
-        write_table(path, {ID: self.ids, **columns, **further})
+        write_table(file, {ID: self.ids, **columns, **further})
 
     @classmethod
     def from_csv(cls, path: str | Path, name: str = "path") -> "Deployment":

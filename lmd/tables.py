@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,19 +18,22 @@ MOST_COLUMNS = 1000
 COMMENT = "#"  # begins a line that is not read
 
 
-def write_table(path: str | Path, columns: Mapping[str, ArrayLike]) -> None:
+def write_table(file: str | Path | TextIO, columns: Mapping[str, ArrayLike]) -> None:
     """Write a CSV with a header, as `pandas.DataFrame.to_csv` does, which takes long to import.
 
     Args:
-        path: the file.
+        file: its path, or an open text file.
         columns: numbers or texts by the name of the column, all as many. NaN is left empty; reading any other number
             back gives the same.
     """
+    if isinstance(file, str | Path):
+        with Path(file).open("w", encoding="utf-8", newline="") as opened:
+            write_table(opened, columns)
+        return
     values = [np.asarray(column).tolist() for column in columns.values()]
-    with Path(path).open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows([["" if value != value else value for value in row] for row in zip(*values, strict=True)])
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows([["" if value != value else value for value in row] for row in zip(*values, strict=True)])
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ the qualified ratio on that grid flatters it. Three figures do not depend on tha
 Like `qualified_ratio`, all of them count every position alike, whatever its relevance.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -56,7 +56,11 @@ class Sample:
 
 
 def validation_metrics(
-    problem: Problem, deployment: Deployment, seed: int, sample: Sample | None = None
+    problem: Problem,
+    deployment: Deployment,
+    seed: int,
+    sample: Sample | None = None,
+    between: Callable[[], None] = lambda: None,
 ) -> dict[str, float]:
     """The figures of this module, fractions in [0, 1], the same for any number of threads.
 
@@ -71,6 +75,7 @@ def validation_metrics(
         deployment: what is judged.
         seed: of the sample.
         sample: its size.
+        between: called before each group; it may raise to give up.
     """
     scene, objective = problem.scene, problem.objective
     if scene.recorded is not None:
@@ -80,7 +85,7 @@ def validation_metrics(
     on_finer_grid = objective.shares(objective.values(finer, *landmarks)[0])
     key = objective.headline.key
     metrics = {f"finer_grid_{key}": float(on_finer_grid[key].mean())}
-    sampled = sampled_values(problem, deployment, seed, sample or Sample())
+    sampled = sampled_values(problem, deployment, seed, sample or Sample(), between)
     for key, shares in objective.shares(sampled).items():
         metrics[f"grid_free_{key}"], metrics[f"grid_free_{key}_standard_error"] = _mean_and_error(shares)
     return metrics
@@ -114,11 +119,20 @@ def headline_off_grid(problem: Problem) -> str:
     return "held_out_share" if len(recorded.kept_back) else "recorded_share"
 
 
-def sampled_values(problem: Problem, deployment: Deployment, seed: int, sample: Sample) -> FloatArray:
+def sampled_values(
+    problem: Problem,
+    deployment: Deployment,
+    seed: int,
+    sample: Sample,
+    between: Callable[[], None] = lambda: None,
+) -> FloatArray:
     """The objective's value at the positions of a sample, `(groups, positions)`. Args as in `validation_metrics`."""
     landmarks = deployment.positions[None], deployment.normals[None]
-    drawn = sampled_evaluators(problem.scene, seed, sample, problem.evaluator.threads)
-    return np.stack([problem.objective.values(evaluator, *landmarks)[0] for evaluator in drawn])
+    values = []
+    for evaluator in sampled_evaluators(problem.scene, seed, sample, problem.evaluator.threads):
+        between()
+        values.append(problem.objective.values(evaluator, *landmarks)[0])
+    return np.stack(values)
 
 
 def sampled_evaluators(scene: Scene, seed: int, sample: Sample, threads: int) -> Iterator[Evaluator]:

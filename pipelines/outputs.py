@@ -1,6 +1,8 @@
 """What every run leaves in its directory."""
 
 import atexit
+import errno
+import os
 import shutil
 import sys
 import tempfile
@@ -149,12 +151,19 @@ def all_or_none(directory: Path, write: Callable[[Path], object]) -> list[Path]:
 
     Returns:
         the files in `directory`, sorted.
+
+    Raises:
+        OSError: they cannot be written, or one has the name of a folder there.
     """
     for left in directory.glob(f"{PARTIAL}*"):  # by a process that was killed
         shutil.rmtree(left, ignore_errors=True)
     with tempfile.TemporaryDirectory(dir=directory, prefix=PARTIAL) as name:
         write(Path(name))
-        return [Path(shutil.move(path, directory / path.name)) for path in sorted(Path(name).iterdir())]
+        moves = [(path, directory / path.name) for path in sorted(Path(name).iterdir())]
+        for _, target in moves:
+            if target.is_dir():
+                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(target))
+        return [path.replace(target) for path, target in moves]
 
 
 @contextmanager

@@ -30,8 +30,8 @@ class Stop:
     `Stopped`, once; what follows cleans up and is not disturbed. While `deferred`, the first one only sets
     `requested`, and the second one raises. While `postponed`, they wait.
 
-    A library may be hit where it cannot leave things as they were, and fail by an error of its own. Such an error
-    leaves as `Stopped`, too.
+    A library may be hit where it cannot leave things as they were, and fail by an error of its own, and so may what
+    cleans up. Such an error is reported in a line and leaves as `Stopped`, too.
     """
 
     def __init__(self) -> None:
@@ -114,6 +114,7 @@ class Stop:
             if not self._is_under_way:
                 raise
             before, self._is_under_way = _ignore, False
+            _tell(f"while stopping: {type(error).__name__}: {error}")
             raise Stopped(self._number) from error
         finally:
             self._act = before

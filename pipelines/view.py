@@ -1,6 +1,10 @@
 """Plan in the browser: `python -m pipelines.view [run=DIR] [overrides]`."""
 
+import os
+import secrets
 import sys
+import tempfile
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -65,8 +69,7 @@ def view(cfg: DictConfig) -> None:
         planner.run()
     finally:
         if not session.is_saved:  # first of all, whatever may be in the way of ending well
-            session.deployment.to_csv(directory / UNSAVED, ups=not tag.is_point)
-            print(f"changes that were not saved are in {directory / UNSAVED}", file=sys.stderr)
+            _keep_unsaved(directory, session.deployment, ups=not tag.is_point)
         planner.close()
 
 
@@ -83,6 +86,27 @@ def _save(directory: Path, problem: "Problem", export: "Export | None", deployme
     with stop.postponed():
         files = all_or_none(directory, write)
     return f"{directory}: {', '.join(file.name for file in files)}"
+
+
+def _keep_unsaved(directory: Path, deployment: "Deployment", ups: bool) -> None:
+    """Write it to the directory; where that cannot be, to the working or the temporary directory, or to stdout."""
+    elsewhere = f"unsaved_{secrets.token_hex(4)}.csv"
+
+    def write(name: str, folder: Path) -> None:
+        deployment.to_csv(folder / name, ups)
+
+    for place, name in ((str(directory), UNSAVED), (os.curdir, elsewhere), ("", elsewhere)):
+        try:
+            folder = Path(place or tempfile.gettempdir())  # there may be none
+            (file,) = all_or_none(folder.resolve(), partial(write, name))
+        except OSError as error:
+            print(f"changes that were not saved cannot be written ({error})", file=sys.stderr)
+        else:
+            print(f"changes that were not saved are in {file}", file=sys.stderr)
+            return
+    print("the tags as they are now:", flush=True)
+    deployment.to_csv(sys.stdout, ups)
+    sys.stdout.flush()
 
 
 if __name__ == "__main__":

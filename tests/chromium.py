@@ -7,6 +7,7 @@ import pytest
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 DRIVER = shutil.which("chromedriver")
+FOREIGN = "foreign.example"
 FLAGS = (
     "--headless",
     "--no-sandbox",
@@ -18,6 +19,7 @@ FLAGS = (
     "--disable-component-update",
     "--disable-sync",
     "--window-size=1400,900",
+    f"--host-resolver-rules=MAP {FOREIGN} 127.0.0.1",  # as its owner may have names servers say
 )
 REASON = "needs Chromium and its driver (Debian: apt-get install chromium chromium-driver)"
 needs_chromium = pytest.mark.skipif(not (CHROMIUM and DRIVER), reason=REASON)

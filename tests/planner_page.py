@@ -4,14 +4,15 @@ import time
 
 import chromium
 import numpy as np
+import viser
 from paper import paper_room
 from selenium.webdriver.common.actions.action_builder import ActionBuilder
+from selenium.webdriver.common.keys import Keys
 
-from lmd.planner.picture import VIEWER
-from lmd.plot.common import viewer
+from lmd.planner.framing import FIELD, framed
+from lmd.planner.off_grid import ESTIMATE
 
 LIMIT = 300.0  # seconds
-FIELD = np.radians(75.0)  # of the browser's view, vertical
 OF_VISERS = "Unable to preventDefault inside passive event listener"  # what its own page says of every drag
 
 
@@ -23,10 +24,19 @@ class Page:
         browser.get("about:blank")
         chromium.complaints(browser), chromium.requests(browser)
         browser.get(address)
-        self.until(lambda: self.rows("off-grid").keys() > {"off the grid"})
+        self.until(self.is_settled)
 
     def script(self, text, *arguments):
         return self.browser.execute_script(f"return {text}", *arguments)
+
+    def connects_to(self, address):
+        """Whether the page that is shown can open a websocket to a planner."""
+        return self.browser.execute_async_script(
+            """const [address, protocol, done] = arguments, socket = new WebSocket(address, [protocol]);
+            socket.onopen = () => done(true); socket.onclose = () => done(false);""",
+            address.rstrip("/").replace("http", "ws", 1),
+            f"viser-v{viser.__version__}",
+        )
 
     def complaints(self):
         return [message for message in chromium.complaints(self.browser) if OF_VISERS not in message]
@@ -36,6 +46,11 @@ class Page:
         while not is_so():
             assert time.monotonic() - began < LIMIT, self.script("document.body.innerText")
             time.sleep(0.1)
+
+    def is_settled(self):
+        """Whether nothing is worked out any more."""
+        rows = self.rows("off-grid")
+        return rows.keys() > {"off the grid"} and not rows.keys() & ESTIMATE.keys()
 
     def text(self, name):
         return self.script("document.getElementById(arguments[0])?.innerText ?? ''", name).strip()
@@ -54,6 +69,14 @@ class Page:
         self.until(lambda: label in self.buttons())
         self.script("document.querySelectorAll('button')[arguments[0]].click()", self.buttons().index(label))
 
+    def type(self, label, text):
+        """Type a number into the field with a label, in place of what is there."""
+        labels = self.script("Array.from(document.querySelectorAll('label'), l => [l.innerText, l.htmlFor])")
+        field = self.browser.find_element("id", dict(labels)[label])
+        field.send_keys(Keys.CONTROL, "a")
+        field.send_keys(text, Keys.TAB)
+        time.sleep(1.0)  # as below
+
     def tick(self, label):
         labels = self.script("Array.from(document.querySelectorAll('label'), l => [l.innerText, l.htmlFor])")
         self.script("document.getElementById(arguments[0]).click()", dict(labels)[label])
@@ -61,14 +84,16 @@ class Page:
 
     def pixel(self, point):
         """Where a place in the room is shown."""
-        low, high = paper_room().bounds()
-        ahead = -viewer()
+        left, top, width, height = self.script(
+            "(r => [r.left, r.top, r.width, r.height])(document.querySelector('canvas').getBoundingClientRect())"
+        )
+        position, look_at = framed(*paper_room().bounds(), width / height)
+        ahead = (look_at - position) / np.linalg.norm(look_at - position)
         right = np.cross(ahead, [0.0, 0.0, 1.0]) / np.linalg.norm(np.cross(ahead, [0.0, 0.0, 1.0]))
-        offset = np.array(point) - (low + high) / 2.0 + VIEWER * np.linalg.norm(high - low) * ahead
+        offset = np.array(point) - position
         x, y, z = offset @ right, offset @ np.cross(right, ahead), offset @ ahead
-        width, height = self.script("[window.innerWidth, window.innerHeight]")
         scale = height / 2.0 / np.tan(FIELD / 2.0) / z
-        return round(width / 2.0 + scale * x), round(height / 2.0 - scale * y)
+        return round(left + width / 2.0 + scale * x), round(top + height / 2.0 - scale * y)
 
     def mouse(self, *places, pause=0.1):
         """Press the mouse at the first place, and release it at the last."""

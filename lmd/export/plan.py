@@ -27,6 +27,7 @@ from lmd.export.paper import (
 )
 from lmd.export.symbols import draw_fixture
 from lmd.export.tag_map import FLAT, TagMap
+from lmd.space.heights import lower_edge
 from lmd.space.surface import Surface
 
 # On the page, all in mm.
@@ -39,7 +40,6 @@ ROW = 4.8  # height of the rows of tables
 SCALES = (1, 2, 5, 10, 15, 20, 25, 30, 40, 50, 75, 100, 150, 200, 250, 300, 400, 500, 1000, 2000, 5000)
 LIGHT = 0.85  # grey of black squares, and of lines below rows
 FORBIDDEN = 0.94  # grey of where nothing may hang
-LEVEL = 1e-3  # the normal of a wall has a smaller vertical part
 
 
 class Table(NamedTuple):
@@ -89,11 +89,6 @@ class View:
     def allowed(self) -> list[FloatArray]:
         """Polygons `(4, 2)` that together are where tags may hang."""
         return list(self.place(self.surface.point(*np.moveaxis(self.surface.parts, -1, 0))))
-
-    @property
-    def is_upright(self) -> bool:
-        """Whether it is a wall, so that from its lower edge is up."""
-        return bool(abs(self.surface.normal[2]) < LEVEL)
 
     @property
     def seen(self) -> str:
@@ -163,12 +158,12 @@ def _draw_surface(canvas: Any, size: tuple[float, float], tags: TagMap, view: Vi
     facts = f"{width:.0f} x {height:.0f} mm, tags: {len(own)}, scale 1 : {scale}; {tags.room.describe()}"
     facts += "" if view.surface.allowed is None else "; nothing hangs where it is grey"
     at, paper = MM_PER_M * tags.at[own], MM_PER_M * tags.tag.paper_edge
-    floor = MM_PER_M * (view.surface.origin[2] - tags.floor) if view.is_upright else 0.0
+    floor = MM_PER_M * lower_edge(tags.room, view.surface)
     rows = [
         ["", str(place + 1), str(tags.ids[k]), *(f"{x:.0f}" for x in (*centre, *(centre - paper / 2.0))), "", ""]
         for place, k, centre in zip(places, own, at + np.array([0.0, floor]), strict=True)
     ]
-    edge = "floor" if view.is_upright else "below"
+    edge = "floor" if view.surface.is_upright else "below"
     table = ON_SURFACE._replace(head=tuple(tuple(text.format(edge=edge) for text in line) for line in ON_SURFACE.head))
     _begin(canvas, size, title, facts)
     origin = MARGIN + DIMENSION + TEXT, size[1] - MARGIN - HEAD - height / scale

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 QUATERNION = ("qw", "qx", "qy", "qz")
 # Written are picometres: what is less is rounding.
 DECIMALS = 12
-# Normals with a larger vertical part are those of floors and ceilings, and of what is level.
-FLAT, LEVEL = 0.5, 0.99
+FLAT = 0.5  # normals with a larger vertical part are those of floors and ceilings
 
 
 @dataclass(frozen=True)
@@ -62,14 +61,6 @@ class TagMap:
     def fixtures(self) -> tuple[Fixture, ...]:
         """What stands in the room."""
         return tuple(self.room.fixtures())
-
-    @cached_property
-    def floor(self) -> float:
-        """Where the floor is, z, metres: the lowest of the large faces that look up, else the lowest point."""
-        level = [face for face in self.room.faces() if face.normal[2] > LEVEL]
-        sizes = np.array([face.extent[0] * face.extent[1] for face in level])
-        heights = np.array([face.origin[2] for face in level])
-        return float(heights[sizes > sizes.max() / 2.0].min() if level else self.room.bounds()[0][2])
 
     @cached_property
     def at(self) -> FloatArray:

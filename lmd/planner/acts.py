@@ -1,9 +1,14 @@
 """What is to be done, one after the other, by whichever threads it was asked for."""
 
+import logging
 from collections.abc import Callable
 from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Any
+
+from lmd.checks import InputError
+
+_LOG = logging.getLogger(__name__)
 
 Act = Callable[[], None]
 
@@ -27,7 +32,24 @@ class Acts:
 
     def on(self, register: Callable[[Any], object], answer: Callable[[Any], None]) -> None:
         """Let events of viser be answered in their turn; `register` takes a callback."""
-        in_order(register, lambda event: self.put(partial(answer, event)))
+        in_order(register, partial(self.put_answer, answer))
+
+    def put_answer(self, answer: Callable[..., None], *of_event: Any) -> None:
+        """Let something be done that a browser asked for.
+
+        Browsers send what they like: where it makes no sense the act raises InputError, and no other.
+        """
+        self.put(partial(_answer, answer, *of_event))
+
+
+def _answer(answer: Callable[..., None], *of_event: Any) -> None:
+    try:
+        answer(*of_event)
+    except InputError:
+        raise
+    except Exception as error:
+        _LOG.warning("an event that could not be answered", exc_info=True)
+        raise InputError(f"that cannot be done ({type(error).__name__}: {error}).") from error
 
 
 def in_order(register: Callable[[Any], object], answer: Callable[[Any], None]) -> None:

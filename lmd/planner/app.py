@@ -8,6 +8,7 @@ there is no lock.
 import contextlib
 import io
 import logging
+import operator
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -18,8 +19,11 @@ from lmd.checks import InputError
 from lmd.deployment import Deployment
 from lmd.optimisers.base import Budget, Optimiser
 from lmd.optional import optional
+from lmd.planner.access import HOST, Access
 from lmd.planner.acts import Acts, in_order
 from lmd.planner.additions import Additions, additions
+from lmd.planner.captions import MANY
+from lmd.planner.off_grid import off_grid
 from lmd.planner.panel import ADDITIONS, DELETE, UNDO, Panel
 from lmd.planner.picture import Picture
 from lmd.planner.plan import Plan
@@ -27,15 +31,13 @@ from lmd.planner.pointing import pointed_at
 from lmd.planner.session import Session
 from lmd.planner.worker import Wanted, Worker
 from lmd.space.surface import SurfaceArrays
-from lmd.validation import describe_validation, validation_metrics
 
-HOST = "127.0.0.1"  # nobody else can reach it
 TO_COME = {"off the grid": "..."}
 IDLE = 0.5  # seconds in which nothing is done, before what takes longer is worked out
 
 
 class Planner:
-    """Serves a session to browsers on this machine.
+    """Serves a session to browsers on this machine, under an address that is new each time (`lmd.planner.access`).
 
     Args:
         session: what is planned.
@@ -46,7 +48,7 @@ class Planner:
         seed: of the sample off the grid; None to leave that out.
 
     Raises:
-        InputError: viser is not installed, or the port is taken.
+        InputError: viser is not installed or cannot be guarded, or the port is taken.
     """
 
     def __init__(
@@ -60,7 +62,7 @@ class Planner:
     ) -> None:
         viser = optional("viser", "view")
         self._session, self._problem = session, session.problem
-        self._save_files, self._optimiser, self._budget, self._seed = save, optimiser, budget, seed
+        self._save_files, self._optimiser, self._seed = save, optimiser, seed
         self._acts = Acts()
         self._surfaces = SurfaceArrays.of(session.problem.scene.plates.hanging.surfaces())
         self._selected: int | None = None
@@ -69,20 +71,22 @@ class Planner:
         self._camera: np.ndarray | None = None  # position `(3,)`
         self._additions: Additions | None = None
         logging.getLogger("websockets.server").setLevel(logging.WARNING)
-        with contextlib.redirect_stdout(io.StringIO()):  # it prints a banner
+        self._access = Access()
+        with contextlib.redirect_stdout(io.StringIO()), self._access.checking():  # it prints a banner
             self._server = viser.ViserServer(host=HOST, port=port, verbose=False)
         if port not in (0, self._server.get_port()):
             self._server.stop()
             raise InputError(f"port {port} is taken.", "port")
-        self._picture, self._panel = Picture(self._server, self._problem), Panel(self._server.gui)
+        self._picture, value = Picture(self._server, self._problem), self._problem.objective.value_label
+        self._panel = Panel(self._server.gui, value, budget, ids=len(session.deployment) <= MANY)
         self._worker = Worker(self._work, lambda *failure: self._acts.put(partial(self._take_failure, *failure)))
         self._listen()
         self._show()
 
     @property
     def address(self) -> str:
-        """Where a browser finds it."""
-        return f"http://{HOST}:{self._server.get_port()}"
+        """Where a browser finds it; nobody else is let in."""
+        return self._access.address(self._server.get_port())
 
     def run(self) -> None:
         """Do what is asked for, until an exception ends it; what a search has found by then is kept."""
@@ -107,11 +111,14 @@ class Planner:
         for register, act in (
             (panel.save.on_click, self._save),
             (panel.tag.on_click, self._change_tag),
+            (panel.place.on_click, self._place),
             (panel.step.on_click, self._step),
             (panel.optimise.on_click, self._optimise_or_stop),
             (panel.yaw.on_update, self._look),
             (panel.pitch.on_update, self._look),
             (panel.positions.on_update, self._show_or_hide),
+            (panel.names.on_update, self._show_or_hide),
+            (panel.ids.on_update, self._show_or_hide),
             (panel.additions.on_update, self._show_additions),
             (self._picture.cells.on_click, self._click_surface),
             (self._picture.balls.on_click, self._click_position),
@@ -127,9 +134,9 @@ class Planner:
     def _point(self, event: Any) -> None:
         """Note a drag, in a thread of viser's; of the places on its way only the latest matters."""
         if event.phase == "start":
-            self._acts.put(partial(self._grab, event.instance_index))
+            self._acts.put_answer(self._grab, event.instance_index)
         self._pointer = event
-        self._acts.put(self._follow)
+        self._acts.put_answer(self._follow)
         if event.phase == "end":
             self._acts.put(self._drop)
 
@@ -164,7 +171,9 @@ class Planner:
 
     def _select(self, index: int) -> None:
         ids = self._session.deployment.ids
-        self._selected = int(ids[min(index, len(ids) - 1)])  # a tag may be gone that a browser still shows
+        self._selected = int(
+            ids[min(operator.index(index), len(ids) - 1)]
+        )  # a tag may be gone that a browser still shows
         self._show_tags()
 
     def _click_surface(self, event: Any) -> None:
@@ -176,6 +185,12 @@ class Planner:
             self._show()
         elif self._additions is not None:
             self._panel.say_additions(self._additions, event.instance_index)
+
+    def _place(self, _: Any) -> None:
+        if self._selected is None:
+            raise InputError("click a tag first.")
+        self._session.place(self._selected, *self._panel.typed)
+        self._show()
 
     def _change_tag(self, event: Any) -> None:
         if self._selected is None:
@@ -197,7 +212,7 @@ class Planner:
         if self._session.search is not None:
             self._session.search.stop()
             return
-        self._session.optimise(self._optimiser(), self._budget, done=lambda: self._acts.put(self._take))
+        self._session.optimise(self._optimiser(), self._panel.budget, done=lambda: self._acts.put(self._take))
         self._worker.ask(None)
         self._panel.say("optimising")
         self._show_search()
@@ -211,7 +226,7 @@ class Planner:
         self._panel.say(f"the fitness is {gained:.3%} higher" if gained else "nothing better was found")
 
     def _click_position(self, event: Any) -> None:
-        self._camera = self._problem.evaluator.positions[event.instance_index]
+        self._camera = self._problem.evaluator.positions[operator.index(event.instance_index)]
         self._look(event)
 
     def _look(self, _: Any) -> None:
@@ -223,7 +238,7 @@ class Planner:
         try:
             self._panel.say(f"saved in {self._save_files(self._session.deployment)}")
         except OSError as error:
-            raise InputError(f"this could not be saved ({error.strerror or error}).") from None
+            raise InputError(f"this could not be saved ({error}).") from None
         self._session.note_saved()
 
     # What follows, for users to see.
@@ -249,13 +264,18 @@ class Planner:
         if self._selected not in deployment.ids:
             self._selected = None
         number, room = self._selected, self._problem.scene.room
-        self._panel.show_tag(None if number is None else plan.described(number, room))
-        if self._picture.show_tags(plan, number, seen):
+        if number is None:
+            self._panel.show_tag(None, None)
+        else:
+            self._panel.show_tag(plan.described(number, room), plan.measured(number, room))
+        if self._picture.show_tags(plan, number, seen, self._panel.ids.value):
             self._acts.on(self._picture.tags.on_click, self._click_tag)
             in_order(self._picture.tags.on_drag, self._point)
 
     def _show_or_hide(self, _: Any) -> None:
         self._picture.balls.visible = self._panel.positions.value
+        self._picture.captions.show_names(self._panel.names.value)
+        self._show_tags()
 
     def _show_additions(self, _: Any = None) -> None:
         key = ADDITIONS.get(self._panel.additions.value)
@@ -270,27 +290,31 @@ class Planner:
         self._panel.show_progress(search.progress, running=True)
         if search.progress is not None:
             plan = Plan(search.progress.best, self._session.plan.pinned)
-            self._picture.show_tags(plan, self._selected, None)
+            self._picture.show_tags(plan, self._selected, None, self._panel.ids.value)
 
     # What is worked out when nobody does anything.
 
     def _work(self, deployment: Deployment, wanted: Wanted) -> None:
-        """Find what tags would add, then the figures off the grid; in the thread of the worker."""
+        """Find figures off the grid, what tags would add, then exacter figures; in the thread of the worker."""
+        seed = self._seed
+        figures = iter(()) if seed is None else off_grid(self._problem, deployment, seed, wanted)
+        self._hand_over(deployment, next(figures, None))
         found = additions(self._problem, deployment, self._picture.candidates.poses, wanted)
         if found is not None:
             self._acts.put(partial(self._take_additions, found))
-        if self._seed is not None and wanted():
-            figures = validation_metrics(self._problem, deployment, self._seed)
-            if wanted():
-                self._acts.put(partial(self._take_off_grid, deployment, figures))
+        self._hand_over(deployment, next(figures, None))
+
+    def _hand_over(self, deployment: Deployment, rows: dict[str, str] | None) -> None:
+        if rows is not None:
+            self._acts.put(partial(self._take_off_grid, deployment, rows))
 
     def _take_additions(self, found: Additions) -> None:
         self._additions = found
         self._show_additions()
 
-    def _take_off_grid(self, deployment: Deployment, figures: dict[str, float]) -> None:
+    def _take_off_grid(self, deployment: Deployment, rows: dict[str, str]) -> None:
         if deployment is self._session.deployment:
-            self._panel.show_off_grid(describe_validation(self._problem, figures))
+            self._panel.show_off_grid(rows)
 
     def _take_failure(self, deployment: Deployment, why: str) -> None:
         if deployment is self._session.deployment:

@@ -3,16 +3,23 @@
 import html
 import math
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 from lmd.checks import IntArray
+from lmd.compiled import is_compiling
+from lmd.optimisers.base import Budget
 from lmd.planner.additions import Additions
+from lmd.planner.legend import legend
+from lmd.planner.plan import Measured
 from lmd.planner.search import Progress
 
 ADDITIONS = {"mean value": "value", "fitness": "fitness"}  # what surfaces may show, and where `Additions` has it
 NOTHING = "nothing"
 HINT = "drag a tag; click a tag, a position or a surface"
 UNDO, REDO, PIN, DELETE, SAVE = "Undo", "Redo", "Pin or unpin", "Delete", "Save"
+PLACE, FROM_FLOOR, FROM_BELOW = "Hang it there", "from floor, m", "from below, m"
+WIDTH, GAP = 290.0, 12.0  # of the legend, and from it to the lower left corner of the picture, pixels
 OPTIMISE, STOP = "Optimise the free tags", "Stop, keep the best"
 
 
@@ -21,38 +28,74 @@ class Panel:
 
     Args:
         gui: of a server of viser.
+        value: what positions are coloured by.
+        budget: of searches at first; users may change what limits it.
+        ids: whether those of tags are shown at first.
     """
 
-    def __init__(self, gui: Any) -> None:
+    def __init__(self, gui: Any, value: str, budget: Budget, ids: bool) -> None:
+        self._value = value
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
         gui.set_panel_label("lmd")
+        gui.main_panel.dock_right()
         self._figures = gui.add_html("")
         self._off_grid = gui.add_html("")
         self._message = gui.add_html("")
         self.save = gui.add_button(SAVE)
         with gui.add_folder("Tags"):
             self._tag = gui.add_html("")
+            self._left = gui.add_number("from left, m", 0.0, step=0.001)
+            self._up = gui.add_number(FROM_FLOOR, 0.0, step=0.001)
+            self.place = gui.add_button(PLACE)
             self.tag = gui.add_button_group("tag", (PIN, DELETE))
             self.step = gui.add_button_group("step", (UNDO, REDO))
             self.adds = gui.add_checkbox("a click on a surface adds a tag", initial_value=False)
+        with gui.add_folder("Optimise"):
+            # Numbers with a fraction: of one without, viser makes one that no browser could be told.
+            self._limits = {
+                name: gui.add_number(f"budget, {name}", float(limit), step=1.0)
+                for name, limit in asdict(budget).items()
+                if limit is not None
+            }
             self.optimise = gui.add_button(OPTIMISE)
             self._bar = gui.add_progress_bar(0.0, visible=False)
+            self._progress = gui.add_html("")
         with gui.add_folder("What the camera sees"):
             self._seen = gui.add_html("")
-            self.yaw = gui.add_slider("yaw, degrees", -180, 180, 1, 0)
-            self.pitch = gui.add_slider("pitch, degrees", -90, 90, 1, 0)
+            self.yaw = gui.add_slider("yaw, degrees", -180.0, 180.0, 1.0, 0.0)
+            self.pitch = gui.add_slider("pitch, degrees", -90.0, 90.0, 1.0, 0.0)
         with gui.add_folder("Show"):
             self.positions = gui.add_checkbox("positions", initial_value=True)
+            self.names = gui.add_checkbox("names of surfaces", initial_value=True)
+            self.ids = gui.add_checkbox("ids of tags", initial_value=ids)
             self.additions = gui.add_dropdown("what a tag adds to", (*ADDITIONS, NOTHING))
+        colours = gui.add_panel()
+        with colours.add_tab("Colours"):
             self._legend = gui.add_html("")
+        colours.float(x=GAP, y=-GAP, width=WIDTH)
         self.say(HINT)
-        self.show_tag(None)
+        self.show_tag(None, None)
+        self.show_legend(None)
         self.show_seen(None)
 
     @property
     def view(self) -> tuple[float, float]:
         """Yaw and pitch of the sliders, rad."""
-        return math.radians(self.yaw.value), math.radians(self.pitch.value)
+        return math.radians(_within(self.yaw)), math.radians(_within(self.pitch))
+
+    @property
+    def budget(self) -> Budget:
+        """What the next search may spend.
+
+        Raises:
+            InputError: a limit that was typed makes no sense.
+        """
+        return Budget(**{name: number.value for name, number in self._limits.items()})
+
+    @property
+    def typed(self) -> tuple[float, float]:
+        """The place that was typed, see `Measured`: from the left, and up."""
+        return float(self._left.value), float(self._up.value)
 
     def show_figures(self, rows: Mapping[str, str]) -> None:
         """Show the figures on the grid."""
@@ -75,9 +118,14 @@ class Panel:
         else:
             self.say(f"a tag here adds {', '.join(f'{gain:+.3%} to the {name}' for name, gain in gains.items())}")
 
-    def show_tag(self, text: str | None) -> None:
-        """Say which tag is selected; None for none."""
+    def show_tag(self, text: str | None, measured: Measured | None) -> None:
+        """Say which tag is selected and where it hangs; None for none, and for one that hangs on no surface."""
         self._tag.content = _paragraph("tag", text or "no tag is selected")
+        if measured is not None:
+            self._left.value, self._up.value = round(measured.left, 4), round(measured.up, 4)
+            self._up.label = FROM_FLOOR if measured.from_floor else FROM_BELOW
+        for widget in (self._left, self._up, self.place):
+            widget.disabled = measured is None
 
     def show_seen(self, ids: IntArray | None) -> None:
         """Say which tags the camera sees; None while it is nowhere."""
@@ -90,13 +138,25 @@ class Panel:
     def show_progress(self, progress: Progress | None, running: bool) -> None:
         """Show how far a search is, and what its button does."""
         self.optimise.label = STOP if running else OPTIMISE
+        for number in self._limits.values():
+            number.disabled = running
         self._bar.visible, self._bar.value = running, 100.0 * progress.used if progress else 0.0
+        text = "compiling what this needs, once" if running and is_compiling() else "begins" if running else ""
         if running and progress:
-            self.say(f"optimising: best fitness {progress.fitness:.2%}")
+            limits = " or ".join(f"{number.value:g} {name}" for name, number in self._limits.items())
+            text = f"{progress.used:.0%} of {limits}; best fitness {progress.fitness:.2%}"
+        self._progress.content = _paragraph("progress", text)
 
     def show_legend(self, most: float | None) -> None:
-        """Say what the brightest places of the surfaces mean; None while nothing is shown there."""
-        self._legend.content = _paragraph("legend", "" if most is None else f"brightest on the surfaces: +{most:.3%}")
+        """Say what colours mean; `most` is what the brightest surface means, None while nothing is shown there."""
+        self._legend.content = legend(self._value, most)
+
+
+def _within(slider: Any) -> float:
+    """The value of a slider, which is back at 0 if a browser has sent one that it cannot have."""
+    if not slider.min <= slider.value <= slider.max:
+        slider.value = 0.0
+    return float(slider.value)
 
 
 def _table(name: str, rows: Mapping[str, str]) -> str:

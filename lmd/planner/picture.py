@@ -4,19 +4,19 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lmd.camera import Camera
 from lmd.checks import BoolArray, FloatArray
 from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.planner.additions import candidate_cells
+from lmd.planner.captions import Captions
+from lmd.planner.colours import FREE, GAINS, PINNED, SEEN, SELECTED, UNKNOWN, VALUES, alike, mapped, rgb
+from lmd.planner.framing import Framing
 from lmd.planner.plan import Plan
 from lmd.plot import common
 from lmd.problem import Problem
 from lmd.tag import upright
-
-Colours = NDArray[np.uint8]
 
 SQUARE = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
 TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
@@ -25,11 +25,8 @@ ABOVE = 0.01  # metres from a surface to the tags on it, so that they are drawn 
 BALL = 0.12  # radius of a position, in distances to the next one
 POINT = 0.008  # half the edge of a landmark that is a point, in diagonals of the room
 CELL = 0.97  # of a cell that is coloured
-VIEWER = 0.95  # distance from the middle of the room, in diagonals
 LIGHT = 2.0  # with which colours come out as they are given, nearly
 FRUSTUM = 0.08  # size of the camera, in diagonals
-SELECTED, SEEN, UNKNOWN = (255, 127, 14), (255, 221, 51), (205, 205, 205)
-ADDED = "magma"  # colour map of what a tag would add
 
 
 class Picture:
@@ -48,8 +45,7 @@ class Picture:
         self.candidates = candidate_cells(problem)
         low, high = problem.scene.room.bounds()
         self._diagonal = float(np.linalg.norm(high - low))
-        server.initial_camera.position = (low + high) / 2.0 + VIEWER * self._diagonal * common.viewer()
-        server.initial_camera.look_at = (low + high) / 2.0
+        self._framing = Framing(server, low, high)
         # One light from everywhere: colours mean values, and shades would change them.
         self._scene.configure_default_lights(enabled=False)
         self._scene.configure_environment_map(None)
@@ -58,12 +54,12 @@ class Picture:
         self.cells = self._drawn_cells()
         self.balls = self._drawn_balls()
         self.tags: Any = None
-        self._label: Any = None
+        self.captions = Captions(self._scene, problem.scene.plates.hanging.surfaces())
         self._frustums: list[Any] = []
 
     def _draw_outline(self) -> None:
         for name, edges in self._problem.scene.room.outline().items():
-            colour = _rgb(common.PARTS[name][0])
+            colour = rgb(common.PARTS[name][0])
             self._scene.add_line_segments(f"/outline/{name}", edges, np.array(colour, dtype=np.uint8))
 
     def _drawn_cells(self) -> Any:
@@ -77,7 +73,7 @@ class Picture:
             _quaternions(np.cross(up, poses.normals), up, poses.normals),
             poses.positions,
             batched_scales=sizes,
-            batched_colors=np.tile(np.array(UNKNOWN, dtype=np.uint8), (len(poses), 1)),
+            batched_colors=alike(UNKNOWN, len(poses)),
             side="front",  # walls between the viewer and the room are not seen
             **FLAT,
         )
@@ -88,56 +84,48 @@ class Picture:
         positions = self._problem.evaluator.positions
         ball = icosphere(subdivisions=1, radius=BALL * common.spacing_of(self._problem.scene.room, positions))
         upright_all = np.tile([1.0, 0.0, 0.0, 0.0], (len(positions), 1))
-        colours = np.tile(np.array(UNKNOWN, dtype=np.uint8), (len(positions), 1))
-        mesh = (ball.vertices, ball.faces, upright_all, positions)
-        return self._scene.add_batched_meshes_simple("/positions", *mesh, batched_colors=colours, **FLAT)
+        unknown, mesh = alike(UNKNOWN, len(positions)), (ball.vertices, ball.faces, upright_all, positions)
+        return self._scene.add_batched_meshes_simple("/positions", *mesh, batched_colors=unknown, **FLAT)
 
-    def show_tags(self, plan: Plan, selected: int | None, seen: BoolArray | None) -> bool:
-        """Draw the tags of a plan: the selected one by its id and those `seen` `(K,)` stand out.
+    def show_tags(self, plan: Plan, selected: int | None, seen: BoolArray | None, ids: bool) -> bool:
+        """Draw the tags of a plan, with their `ids` or only that of the selected one; those `seen` `(K,)` stand out.
 
         Returns:
             whether `tags` is a new handle, which callbacks do not know yet.
         """
         deployment = plan.deployment
-        colours = np.tile(np.array(_rgb(common.LANDMARK), dtype=np.uint8), (len(deployment), 1))
-        colours[np.isin(deployment.ids, list(plan.pinned))] = _rgb(common.FIXED)
+        painted = alike(FREE, len(deployment))
+        painted[np.isin(deployment.ids, list(plan.pinned))] = PINNED
         if seen is not None:
-            colours[seen] = SEEN
-        chosen = deployment.ids == selected
-        colours[chosen] = SELECTED
+            painted[seen] = SEEN
+        painted[deployment.ids == selected] = SELECTED
         places = deployment.positions + ABOVE * deployment.normals
         turns = _quaternions(*upright(deployment.normals), deployment.normals)
         fresh = self.tags is None or len(self.tags.batched_positions) != len(deployment)
+        half = self._problem.scene.plates.edge / 2.0 or POINT * self._diagonal
         if fresh:
-            half = self._problem.scene.plates.edge / 2.0 or POINT * self._diagonal
             self.tags = self._scene.add_batched_meshes_simple(
-                "/tags", half * SQUARE, TRIANGLES, turns, places, batched_colors=colours, side="double", **FLAT
+                "/tags", half * SQUARE, TRIANGLES, turns, places, batched_colors=painted, side="double", **FLAT
             )
         else:
-            self.tags.batched_positions, self.tags.batched_wxyzs, self.tags.batched_colors = places, turns, colours
-        self._show_label(selected, places[chosen])
+            self.tags.batched_positions, self.tags.batched_wxyzs, self.tags.batched_colors = places, turns, painted
+        above = places + half * upright(deployment.normals)[1]
+        self.captions.show_ids(deployment.ids, above, selected, ids)
         return fresh
-
-    def _show_label(self, number: int | None, places: FloatArray) -> None:
-        if self._label is None:
-            self._label = self._scene.add_label("/selected", "", anchor="bottom-center", visible=False)
-        self._label.visible = bool(len(places))
-        if len(places):
-            self._label.text, self._label.position = str(number), places[0]
 
     def show_values(self, values: FloatArray) -> None:
         """Colour the positions by the objective's values `(P,)`."""
-        self.balls.batched_colors = _colours(common.COLOUR_MAP, values)
+        self.balls.batched_colors = mapped(VALUES, values)
 
     def show_additions(self, gains: FloatArray | None) -> None:
         """Colour the surfaces by what a tag would add, `(N,)`, from nothing to the most; None while it is not known."""
         if gains is None:
-            self.cells.batched_colors = np.tile(np.array(UNKNOWN, dtype=np.uint8), (len(self.candidates.poses), 1))
+            self.cells.batched_colors = alike(UNKNOWN, len(self.candidates.poses))
             return
         most = float(np.nanmax(gains, initial=0.0))
-        colours = _colours(ADDED, np.nan_to_num(gains) / (most or 1.0))
-        colours[np.isnan(gains)] = UNKNOWN
-        self.cells.batched_colors = colours
+        painted = mapped(GAINS, np.nan_to_num(gains) / (most or 1.0))
+        painted[np.isnan(gains)] = UNKNOWN
+        self.cells.batched_colors = painted
 
     def show_camera(self, position: FloatArray, yaw: float, pitch: float) -> None:
         """Draw the camera, or all of a rig, with the body at `position` `(3,)`, metres, a yaw and a pitch in rad."""
@@ -164,16 +152,3 @@ class Picture:
 def _quaternions(right: FloatArray, up: FloatArray, normal: FloatArray) -> FloatArray:
     """The turns that take x, y, z to these unit vectors `(N, 3)`, as w, x, y, z, `(N, 4)`."""
     return np.asarray(Rotation.from_matrix(np.stack([right, up, normal], axis=-1)).as_quat(scalar_first=True))
-
-
-def _colours(name: str, shares: FloatArray) -> Colours:
-    """Shares of 1 `(N,)` as colours of a map of matplotlib, `(N, 3)`."""
-    from matplotlib import colormaps
-
-    return np.asarray(colormaps[name](shares, bytes=True)[:, :3])
-
-
-def _rgb(colour: str) -> tuple[int, int, int]:
-    """`#rrggbb` as three numbers."""
-    red, green, blue = bytes.fromhex(colour[1:])
-    return red, green, blue

@@ -1,6 +1,7 @@
 """A plan: tags, and which of them stay where they are."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,8 +11,20 @@ from lmd.fixed import COLUMN
 from lmd.labels import Labels
 from lmd.plates import Plates
 from lmd.scene import Scene
+from lmd.space.heights import lower_edge
 from lmd.space.space import Space
 from lmd.space.surface import SurfaceArrays
+
+
+class Measured(NamedTuple):
+    """A place on a surface as it is measured by whoever stands before it, and as `plan.pdf` says it."""
+
+    left: float
+    """From the left edge, metres."""
+    up: float
+    """From the floor on a wall, else from the lower edge of the surface, metres."""
+    from_floor: bool
+    """Which of these."""
 
 
 @dataclass(frozen=True)
@@ -55,11 +68,25 @@ class Plan:
         Raises:
             InputError: there is no such tag.
         """
-        k = self.index_of(number)
+        k, measured = self.index_of(number), self.measured(number, room)
         x, y, z = self.deployment.positions[k]
-        surface = int(self.deployment.surfaces[k])
-        where = room.surfaces()[surface].name if surface >= 0 else "free in the room"
-        return f"tag {number}: {where}, ({x:.3f}, {y:.3f}, {z:.3f}) m{', pinned' if number in self.pinned else ''}"
+        where = room.surfaces()[int(self.deployment.surfaces[k])].name if measured else "free in the room"
+        pinned = ", pinned" if number in self.pinned else ""
+        return f"tag {number}: {where}, ({x:.3f}, {y:.3f}, {z:.3f}) m{pinned}"
+
+    def measured(self, number: int, room: Space) -> "Measured | None":
+        """Where on its surface the tag with an id is, None if it hangs on none.
+
+        Raises:
+            InputError: there is no such tag.
+        """
+        k = self.index_of(number)
+        index = int(self.deployment.surfaces[k])
+        if index < 0:
+            return None
+        surface = room.surfaces()[index]
+        left, below = surface.seen(np.stack(surface.coordinates(self.deployment.positions[k])))
+        return Measured(float(left), float(below) + lower_edge(room, surface), surface.is_upright)
 
     def moved(self, plates: Plates, number: int, surface: int, at: FloatArray) -> "Plan":
         """The plan with a tag at the free place nearest to `at` `(2,)` on a surface, coordinates of `Surface`, metres.

@@ -32,17 +32,17 @@ def pointed_at(surfaces: SurfaceArrays, eye: FloatArray, way: FloatArray, own: i
         own: index of a surface; -1 for none.
 
     Returns:
-        None if the ray meets nothing.
+        None if the ray meets nothing, or its numbers are none.
     """
-    towards = surfaces.normal @ way
-    with np.errstate(divide="ignore", invalid="ignore"):
+    every = np.arange(len(surfaces.normal))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        towards = surfaces.normal @ way
         far = ((surfaces.origin - eye) * surfaces.normal).sum(axis=1) / towards
-    is_met = (np.abs(towards) > EDGE_ON) & (far > 0.0)
-    every = np.arange(len(far))
-    at = surfaces.coordinates(every, eye + np.where(is_met, far, 0.0)[:, None] * way)
+        is_met = (np.abs(towards) > EDGE_ON) & (far > 0.0)
+        at = surfaces.coordinates(every, eye + np.where(is_met, far, 0.0)[:, None] * way)
     within = ((at >= -BESIDE) & (at <= surfaces.extent + BESIDE)).all(axis=1)
     front = is_met & within & (towards < 0.0)
     if front.any():
         first = int(np.argmin(np.where(front, far, np.inf)))
         return Place(first, at[first])
-    return Place(own, at[own]) if own >= 0 and is_met[own] else None
+    return Place(own, at[own]) if own >= 0 and is_met[own] and np.isfinite(at[own]).all() else None

@@ -19,6 +19,7 @@ from lmd.planner.search import Search
 from lmd.planner.values import Values
 from lmd.problem import Problem
 from lmd.sight.views import visible
+from lmd.space.heights import lower_edge
 
 
 class Session:
@@ -75,6 +76,7 @@ class Session:
         turned = replace(deployment, positions=deployment.positions[::-1], normals=deployment.normals[::-1])
         self._values.follow(turned)
         self._values.follow(deployment)
+        self.problem.values(deployment)
         self.seen(position, 0.0, 0.0)
         additions(self.problem, deployment, deployment[:1])
 
@@ -85,6 +87,21 @@ class Session:
             InputError: as there, or a search is running.
         """
         self._become(self.plan.moved(self.problem.scene.plates, number, surface, at), number)
+
+    def place(self, number: int, left: float, up: float) -> None:
+        """Move a tag on its surface to where it was `Measured`, or as near to that as it may hang.
+
+        Raises:
+            InputError: as for `drag`, or it hangs on no surface.
+        """
+        index = int(self.deployment.surfaces[self.plan.index_of(number)])
+        if index < 0:
+            raise InputError(f"tag {number} hangs on no surface.")
+        room = self.problem.scene.room
+        surface, hanging = (space.surfaces()[index] for space in (room, self.problem.scene.plates.hanging))
+        point = surface.point(*surface.seen(np.array([left, up - lower_edge(room, surface)])))
+        self.drag(number, index, np.array([(point - hanging.origin) @ axis for axis in (hanging.u, hanging.v)]))
+        self.drop()
 
     def drop(self) -> None:
         """End a drag."""

@@ -20,6 +20,7 @@ MISPLACED = 2e-6
 NEAR_SURFACE = 0.05
 # A landmark faces away from a surface if its normal is within 45 degrees of that of the surface.
 FACING = math.sqrt(0.5)
+UPRIGHT = 1e-3  # the normal of a wall has a smaller vertical part
 
 # A grid whose cells are more elongated than this gives way to one with rows of unequal number.
 MAX_ELONGATION = 3.0
@@ -97,6 +98,11 @@ class Surface:
         """World points `(..., 3)` at surface coordinates `a`, `b` of shape `(...)`, metres."""
         a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
         return np.asarray(self.origin + a[..., None] * self.u + b[..., None] * self.v)
+
+    @property
+    def is_upright(self) -> bool:
+        """Whether it is a wall, so that from its lower edge is up."""
+        return bool(abs(self.normal[2]) < UPRIGHT)
 
     @property
     def is_mirrored(self) -> bool:

@@ -36,16 +36,18 @@ def test_the_first_raises_and_what_follows_does_not_disturb_the_cleaning_up(stop
     assert told.value.code == stop.code == 128 + signal.SIGTERM
 
 
-def test_what_a_library_makes_of_it_is_not_reported(stop):
+def test_what_goes_wrong_meanwhile_is_reported_once_and_changes_nothing(stop, capfd):
     def library():
         try:
             signal.raise_signal(signal.SIGTERM)
         finally:
             raise AttributeError("left as it was when the signal came")
 
-    with pytest.raises(Stopped) as told, stop.raising():
+    with pytest.raises(Stopped) as told, stop.raising(), stop.raising():
         library()
     assert told.value.code == 128 + signal.SIGTERM
+    said = ["stopping", "while stopping: AttributeError: left as it was when the signal came"]
+    assert capfd.readouterr().err.split("\n\n") == [f"\n{said[0]}", f"{said[1]}\n"]
 
 
 def test_an_error_after_it_was_heard_is_an_error(stop):

@@ -1,8 +1,16 @@
 """`pipelines.view` as a user meets it: a process, and a page in Chromium that is dragged on with the mouse."""
 
+import errno
+import os
+import shutil
 import signal
 import socket
 import subprocess
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
+from urllib.parse import urlsplit
 
 import chromium
 import numpy as np
@@ -15,8 +23,9 @@ from processes import SMALL, call, command, help_of, refused, start
 from lmd.deployment import Deployment
 from lmd.planner.app import Planner
 from pipelines.app import CONF
+from pipelines.outputs import all_or_none
 from pipelines.signals import Stopped
-from pipelines.view import UNSAVED, view
+from pipelines.view import UNSAVED, _keep_unsaved, view
 
 pytestmark = pytest.mark.slow
 
@@ -49,11 +58,20 @@ def planner(work):
     process.communicate()
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def browser(tmp_path_factory):
     driver = chromium.start(tmp_path_factory.mktemp("profile"))
     yield driver
     driver.quit()
+
+
+@pytest.fixture
+def site(tmp_path):
+    """The port of another site on this machine."""
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(SimpleHTTPRequestHandler, directory=tmp_path)) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        yield server.server_port
+        server.shutdown()
 
 
 @chromium.needs_chromium
@@ -65,7 +83,7 @@ def test_a_tag_is_dragged_and_saved_and_the_figures_are_those_of_evaluate(planne
     page.mouse((2.0, 5.0, 1.0), (2.3, 5.0, 1.5), (3.0, 5.0, 2.5))
     page.until(lambda: page.rows("figures") != before)
     assert "tag 7: y_max, (" in page.text("tag")
-    page.until(lambda: page.rows("off-grid").keys() > {"off the grid"})
+    page.until(page.is_settled)
     shown = page.rows("figures") | page.rows("off-grid")
     page.press("Save")
     page.until(lambda: page.text("message").startswith("saved in "))
@@ -83,7 +101,7 @@ def test_a_tag_is_dragged_and_saved_and_the_figures_are_those_of_evaluate(planne
     said = {key: line[len(key) :].strip() for line in done.stdout.splitlines() for key in shown if line.startswith(key)}
     assert said == shown
     assert page.complaints() == []
-    assert {url.rstrip("/") for url in chromium.requests(browser)} == {address}
+    assert set(chromium.requests(browser)) == {address}
 
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=LIMIT)
@@ -95,8 +113,10 @@ def test_a_tag_is_dragged_and_saved_and_the_figures_are_those_of_evaluate(planne
 def test_tags_are_added_pinned_optimised_and_looked_at(planner, browser, work):
     process, address = planner
     page = Page(browser, address)
+    browser.set_window_size(1280, 800)
     before = page.rows("figures")
     assert "of 4 landmarks" in before["qualified ratio"]
+    assert "rgb(" in page.script("document.getElementById('legend').innerHTML")
 
     page.tick(BALLS)  # nothing is in the mouse's way
     page.tick(ADDS)
@@ -109,17 +129,25 @@ def test_tags_are_added_pinned_optimised_and_looked_at(planner, browser, work):
 
     page.mouse((5.0, 5.0, 1.0))
     page.until(lambda: page.text("tag").startswith("tag 3: "))
+    page.type("from left, m", "4.25")
+    page.type("from floor, m", "2")
+    page.press("Hang it there")
+    page.until(lambda: page.text("tag") == "tag 3: y_max, (4.250, 5.000, 2.000) m")
+    page.press("Undo")
+    page.until(lambda: page.rows("figures") == before)
+
     page.press("Pin or unpin")
     page.until(lambda: page.text("tag").endswith("pinned"))
-    page.until(lambda: page.rows("off-grid").keys() > {"off the grid"})
+    page.until(page.is_settled)
     page.mouse((5.0, 5.0, 1.0), (5.0, 5.0, 2.0), (5.0, 5.0, 2.5))
     page.until(lambda: page.text("message") == "tag 3 is pinned.")
     assert page.rows("figures") == before
 
     page.press("Optimise the free tags")
-    page.until(lambda: page.text("message").startswith("optimising"))
+    page.until(lambda: "% of 1e+08 evaluations; best fitness" in page.text("progress"))
+    assert page.script("document.querySelectorAll('[role=progressbar]').length") == 1
     page.press("Stop, keep the best")
-    page.until(lambda: not page.text("message").startswith("optimising"))
+    page.until(lambda: not page.text("progress"))
 
     page.tick(BALLS)
     position = paper_room(spacing=1.5).grid()[-1]
@@ -137,6 +165,23 @@ def test_tags_are_added_pinned_optimised_and_looked_at(planner, browser, work):
     assert process.returncode == 128 + signal.SIGINT
     assert Deployment.from_csv(work / "out" / UNSAVED).ids.tolist() == [7, 9, 4]
     assert f"changes that were not saved are in {work / 'out' / UNSAVED}\n" in err
+
+
+@chromium.needs_chromium
+def test_a_page_of_another_site_cannot_talk_to_it_whatever_it_knows(planner, browser, site):
+    _, address = planner
+    page = Page(browser, address)
+    assert page.connects_to(address)
+    browser.refresh()
+    page.until(lambda: page.rows("figures"))
+    for origin in (f"http://{chromium.FOREIGN}:{site}", f"http://127.0.0.1:{site}"):
+        browser.get(origin)
+        assert page.script("window.origin") == origin
+        assert not page.connects_to(address)
+    mine = urlsplit(address)
+    browser.get(f"http://{chromium.FOREIGN}:{mine.port}{mine.path}")  # as if its name meant this machine
+    assert page.script("document.body.innerText").strip() == "The planner talks to no page but its own."
+    assert not page.connects_to(address.replace("127.0.0.1", chromium.FOREIGN))
 
 
 def test_what_is_unsaved_is_kept_before_anything_is_waited_for(work, monkeypatch):
@@ -160,6 +205,87 @@ def test_what_is_unsaved_is_kept_before_anything_is_waited_for(work, monkeypatch
     with pytest.raises(Stopped):
         view(cfg)
     assert kept == [[7, 9, 4]]
+
+
+def full(path):
+    """Writes something, and finds the disk full."""
+    Path(path).write_text("id,")
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+
+def on_full_disks(monkeypatch, *disks):
+    """Let no deployment be written below some folders."""
+    to_csv = Deployment.to_csv
+
+    def written(deployment, file, ups=False):
+        if isinstance(file, Path) and any(file.is_relative_to(disk) for disk in disks):
+            full(file)
+        to_csv(deployment, file, ups)
+
+    monkeypatch.setattr(Deployment, "to_csv", written)
+
+
+def folders(tmp_path, monkeypatch):
+    """A run's directory, and those to which changes go that cannot be written there."""
+    made = run, here, temporary = tmp_path / "run", tmp_path / "here", tmp_path / "temporary"
+    for folder in made:
+        folder.mkdir()
+    monkeypatch.chdir(here)
+    monkeypatch.setattr("tempfile.tempdir", str(temporary))
+    return run, here, temporary
+
+
+def test_changes_are_kept_elsewhere_when_the_disk_is_full_or_gone(tmp_path, monkeypatch, capsys):
+    run, here, temporary = folders(tmp_path, monkeypatch)
+    tags, earlier = Deployment([[0.0, 2.0, 3.0]], [[1.0, 0.0, 0.0]]), "id,x,y,z,nx,ny,nz\n"
+    (run / UNSAVED).write_text(earlier)
+    on_full_disks(monkeypatch, run)
+    for gone in (False, True):
+        if gone:
+            shutil.rmtree(run)
+        else:
+            assert (run / UNSAVED).read_text() == earlier
+        _keep_unsaved(run, tags, ups=False)
+        (kept,) = here.iterdir()
+        assert (Deployment.from_csv(kept).positions == tags.positions).all()
+        err = capsys.readouterr().err
+        assert f"changes that were not saved are in {kept}\n" in err
+        assert str(run) in err
+        kept.unlink()
+    on_full_disks(monkeypatch, here)
+    _keep_unsaved(run, tags, ups=False)
+    assert [*here.iterdir()] == []
+    assert len([*temporary.iterdir()]) == 1
+
+
+def test_changes_that_can_be_written_nowhere_are_printed(tmp_path, monkeypatch, capsys):
+    tags = Deployment([[0.0, 2.0, 3.0]], [[1.0, 0.0, 0.0]])
+    run, *_ = folders(tmp_path, monkeypatch)
+    on_full_disks(monkeypatch, tmp_path)
+    _keep_unsaved(run, tags, ups=True)
+    said = capsys.readouterr()
+    assert said.err.count("No space left on device") == 3
+    head, *table = said.out.splitlines()
+    assert head == "the tags as they are now:"
+    assert (Deployment.from_csv(write_lines(tmp_path / "printed.csv", table)).positions == tags.positions).all()
+    assert list(tmp_path.rglob("*.csv")) == [tmp_path / "printed.csv"]
+
+
+def write_lines(path, lines):
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_a_folder_with_the_name_of_a_file_is_no_place_to_save(tmp_path):
+    (tmp_path / "landmarks.csv").mkdir()
+
+    def write(folder):
+        for name in ("a.csv", "landmarks.csv"):
+            (folder / name).write_text("new")
+
+    with pytest.raises(IsADirectoryError, match=r"landmarks\.csv"):
+        all_or_none(tmp_path, write)
+    assert [path.name for path in tmp_path.rglob("*")] == ["landmarks.csv"]
 
 
 def test_what_cannot_be_is_refused_in_one_sentence(work):

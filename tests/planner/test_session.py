@@ -253,3 +253,40 @@ def test_the_camera_sees_what_the_reference_says():
 def test_a_plan_gives_ids_to_landmarks_without():
     planned = Plan.of(Deployment([[0.0, 2.0, 3.0], [0.0, 3.0, 3.0]], [[1.0, 0.0, 0.0]] * 2))
     assert planned.without(0).deployment.ids.tolist() == [1]
+
+
+@pytest.mark.parametrize("of", [lambda: problem(tag=TAG), on_a_floor_plan])
+def test_a_tag_hangs_where_its_place_was_typed(of):
+    planned, rng = session(of()), np.random.default_rng(2)
+    before, room = planned.deployment, planned.problem.scene.room
+    for number in before.ids.tolist():
+        measured = planned.plan.measured(number, room)
+        surface = int(before.surfaces[planned.plan.index_of(number)])
+        planned.drag(number, surface, rng.uniform(size=2) * room.surfaces()[surface].extent)
+        planned.drop()
+        planned.place(number, measured.left, measured.up)
+        assert planned.plan.measured(number, room) == pytest.approx(measured)
+    assert planned.deployment.positions == pytest.approx(before.positions)
+    planned.undo()
+    assert planned.deployment.positions != pytest.approx(before.positions)
+
+
+def test_left_is_where_it_is_for_whoever_stands_before_the_wall():
+    planned = session()  # 7.5 x 5 x 6 m
+    for wall, corner in (("x_min", (0, 0, 0)), ("y_max", (0, 5, 0)), ("x_max", (7.5, 5, 0)), ("y_min", (7.5, 0, 0))):
+        index = [surface.name for surface in planned.problem.scene.room.surfaces()].index(wall)
+        planned.drag(3, index, np.array([2.0, 2.0]))
+        planned.drop()
+        planned.place(3, 1.0, 1.5)
+        position = planned.deployment.positions[planned.plan.index_of(3)]
+        assert np.linalg.norm(position[:2] - corner[:2]) == pytest.approx(1.0)
+        assert position[2] == pytest.approx(1.5)
+
+
+def test_a_tag_on_no_surface_has_no_place_to_type():
+    planned = session()
+    free = replace(planned.deployment, surfaces=np.full(len(planned.deployment), -1))
+    planned.plan = Plan(free)
+    assert planned.plan.measured(0, planned.problem.scene.room) is None
+    with pytest.raises(InputError, match=r"^tag 0 hangs on no surface\.$"):
+        planned.place(0, 1.0, 1.0)

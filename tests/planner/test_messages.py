@@ -1,0 +1,115 @@
+"""Messages that make no sense: the planner says so, goes on, and is there for the next browser."""
+
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+from small import problem
+
+from lmd.optimisers.base import Budget
+from lmd.optimisers.random_search import RandomSearch
+from lmd.planner.app import Planner
+from lmd.planner.panel import Panel
+from lmd.planner.session import Session
+
+viser = pytest.importorskip("viser")
+import msgspec  # noqa: E402
+import zstandard  # noqa: E402
+from websockets.sync.client import connect  # noqa: E402
+
+LIMIT = 60.0
+CAMERA = {
+    "type": "ViewerCameraMessage", "wxyz": (1, 0, 0, 0), "position": (3, -6, 3), "fov": 1.3, "near": 0.01, "far": 100,
+    "image_height": 800, "image_width": 1200, "look_at": (3, 2, 3), "up_direction": (0, 0, 1),
+}  # fmt: skip
+POINTED = {
+    "type": "SceneNodeClickMessage", "instance_index": 0, "ray_origin": (3, -6, 3), "ray_direction": (0, 1, 0),
+    "screen_pos": (0, 0), "modifier": None,
+}  # fmt: skip
+DRAGGED = {
+    "type": "SceneNodeDragMessage", "name": "/tags", "instance_index": 0, "start_position": (2, 5, 1),
+    "start_screen_pos": (0, 0), "end_position": (2, 5, 1), "end_screen_pos": (0, 0), "button": "left", "modifier": None,
+}  # fmt: skip
+NAN, HUGE = float("nan"), 1e308
+
+
+class Ended(KeyboardInterrupt):
+    """Ends the planner, as Ctrl-C does."""
+
+
+def shown_to(connection):
+    """The messages that a browser gets when it comes."""
+    found = []
+    while not found or found[-1]["type"] != "ReplayDoneMessage":
+        window = connection.recv(timeout=LIMIT)
+        size = int.from_bytes(window[8:16], "little")
+        text = zstandard.ZstdDecompressor().decompress(window[16 : 16 + size])
+        found += msgspec.msgpack.decode(text)["messages"]
+    return found
+
+
+def widget(messages, label):
+    """The name by which a browser calls the widget with a label."""
+    (uuid,) = (m["uuid"] for m in messages if m["type"].startswith("Gui") and m.get("props", {}).get("label") == label)
+    return uuid
+
+
+def odd_messages(of):
+    """Messages that no browser sends by itself, and whether the planner refuses what they ask for."""
+    for index in (10**9, -(10**9), "3", None, 0.5):
+        yield True, [{**POINTED, "name": "/positions", "instance_index": index}]
+        gone = index == 10**9  # a tag may be gone that a browser still shows
+        yield not gone, [{**DRAGGED, "phase": "start", "instance_index": index}, {**DRAGGED, "phase": "end"}]
+    for ray in ((NAN, 0, 0), (HUGE, -HUGE, HUGE)):
+        yield False, [{**POINTED, "name": "/surfaces", "ray_direction": ray}]
+        yield False, [{**DRAGGED, "phase": phase, "end_position": ray} for phase in ("start", "update", "end")]
+    yield True, [{**POINTED, "name": "/surfaces", "ray_origin": "here"}]
+    for label in ("yaw, degrees", "pitch, degrees"):
+        for value in (HUGE, -HUGE, NAN, float("inf"), "east"):
+            yield False, [{"type": "GuiUpdateMessage", "uuid": of(label), "updates": {"value": value}}]
+
+
+def test_odd_messages_end_nothing_and_shut_nobody_out(monkeypatch):
+    planned, said, saved = problem(), [], []
+
+    def save(deployment):
+        saved.append(deployment)
+        raise Ended
+
+    say = Panel.say
+    monkeypatch.setattr(Panel, "say", lambda *args, refused=False: (said.append(refused), say(*args, refused=refused)))
+    monkeypatch.setattr("lmd.planner.app.additions", lambda *_: None)
+    session = Session(planned, planned.draw(np.random.default_rng(0)))
+    planner = Planner(session, 0, save, RandomSearch, Budget(1), seed=None)
+    before, mine = session.plan, urlsplit(planner.address)
+    open_socket = lambda: connect(  # noqa: E731
+        f"ws://{mine.netloc}{mine.path}",
+        origin=f"http://{mine.netloc}",
+        subprotocols=[f"viser-v{viser.__version__}"],
+        max_size=None,
+    )
+    try:
+        with open_socket() as socket:
+            messages = shown_to(socket)
+            socket.send(msgspec.msgpack.encode(CAMERA))
+            socket.send(msgspec.msgpack.encode({**POINTED, "name": "/positions"}))  # the camera is somewhere
+            said.clear()
+            refused = 0
+            for is_refused, odd in odd_messages(lambda label: widget(messages, label)):
+                refused += is_refused
+                for message in odd:
+                    socket.send(msgspec.msgpack.encode(message))
+            socket.send(
+                msgspec.msgpack.encode(
+                    {"type": "GuiUpdateMessage", "uuid": widget(messages, "Save"), "updates": {"value": True}}
+                )
+            )
+            with pytest.raises(Ended):
+                planner.run()
+        assert saved[0] is before.deployment
+        assert sum(said) == refused
+        with open_socket() as socket:
+            values = [m["updates"] for m in shown_to(socket) if m["type"] == "GuiUpdateMessage"]
+        assert all(np.isfinite(update.get("value", 0.0)) and abs(update.get("value", 0.0)) <= 180 for update in values)
+    finally:
+        planner.close()

@@ -1,0 +1,56 @@
+"""What the panel says, and what is typed into it."""
+
+import math
+
+import pytest
+
+from lmd.checks import InputError
+from lmd.optimisers.base import Budget
+from lmd.planner.legend import TAGS, legend
+from lmd.planner.panel import Panel
+from lmd.planner.search import Progress
+
+viser = pytest.importorskip("viser")
+
+
+@pytest.fixture(scope="module")
+def gui():
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    yield server.gui
+    server.stop()
+
+
+@pytest.mark.parametrize("budget", [Budget(2000), Budget(None, 60.0), Budget(300, 1.5)])
+def test_the_budget_of_a_search_is_shown_and_can_be_typed(gui, budget):
+    panel = Panel(gui, "P", budget, ids=True)
+    assert panel.budget == budget
+    for name, field in panel._limits.items():
+        before = field.value
+        field.value = 7.0
+        assert getattr(panel.budget, name) == 7
+        for senseless in (0.0, -1.0, math.nan, math.inf):
+            field.value = senseless
+            with pytest.raises(InputError, match=name):
+                panel.budget  # noqa: B018
+        field.value = before
+
+
+def test_a_search_shows_its_share_of_the_budget_and_what_it_waits_for(gui, monkeypatch):
+    panel = Panel(gui, "P", Budget(2000, 60.0), ids=True)
+    for compiling, text in ((True, "compiling what this needs, once"), (False, "begins")):
+        monkeypatch.setattr("lmd.planner.panel.is_compiling", lambda compiling=compiling: compiling)
+        panel.show_progress(None, running=True)
+        assert f">{text}<" in panel._progress.content
+    panel.show_progress(Progress(0.25, 0.4321, None), running=True)
+    assert ">25% of 2000 evaluations or 60 seconds; best fitness 43.21%<" in panel._progress.content
+    assert panel._bar.visible
+    assert panel._bar.value == 25.0
+    panel.show_progress(None, running=False)
+    assert not panel._bar.visible
+
+
+def test_the_legend_has_colours_with_numbers():
+    text = legend("P(see <2>)", 0.01422)
+    for part in ("linear-gradient(to right, rgb(68, 1, 84)", "+1.422%", "P(see &lt;2&gt;)", *TAGS):
+        assert part in text
+    assert "linear" not in legend("P", None).replace("linear", "", 1)
