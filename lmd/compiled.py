@@ -14,6 +14,11 @@ import numba
 import numpy as np
 from numba.core.event import Event, Listener, register
 
+from lmd.checks import InputError
+
+if numba.config.DISABLE_JIT:  # type: ignore[attr-defined] # it is made of the environment
+    raise InputError("NUMBA_DISABLE_JIT is set, but lmd's kernels are for the compiler: unset it.", "NUMBA_DISABLE_JIT")
+
 # Packages and modules with code that is compiled, or constants of it.
 SOURCES = (
     *("compiled", "inside_numba", "dispatch", "layers", "geometry", "space/allowed", "space/triangles", "sight"),
@@ -52,11 +57,67 @@ OVERLOAD: Any = _CALLED | ({} if _inside is None else _inside.OVERLOAD)
 OVERLOAD_INLINED: Any = OVERLOAD | {"forceinline": True}
 
 
+class _Compiling(Listener):
+    """How long this process has waited for the compiler, in any of its threads; says what it waits for."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._compiling = 0  # kernels, of which most are parts of others
+        self._began = self._spent = 0.0
+        self._kernels = 0  # whose compiling has begun
+        self.homeless = False  # whether no folder can be written to in which kernels could be kept
+
+    def on_start(self, event: Event) -> None:
+        """The compiler begins with a kernel that is not in the cache, or with a part of one."""
+        with self._lock:
+            if not self._compiling:
+                self._began = time.perf_counter()
+                self._tell(event.data["dispatcher"].py_func)
+            self._compiling += 1
+
+    def _tell(self, function: Any) -> None:
+        """Say which kernel comes, and how far this process is."""
+        if not self._kernels:
+            nowhere = "cannot be kept, as no folder can be written to; NUMBA_CACHE_DIR=DIR names one"
+            kept = "" if _inside is None else f"; it {nowhere if self.homeless else 'is kept for the next time'}"
+            _say(f"compiling what this needs{kept}")
+        self._kernels += 1
+        name = f"{function.__module__.removeprefix('lmd.')}.{function.__name__}"
+        _say(f"compiling kernel {self._kernels}, {self._spent:.0f} s so far: {name}")
+
+    def on_end(self, event: Event) -> None:
+        """It is done with it."""
+        with self._lock:
+            self._compiling -= 1
+            if not self._compiling:
+                self._spent += time.perf_counter() - self._began
+
+    @property
+    def active(self) -> bool:
+        """Whether it is at work."""
+        return self._compiling > 0
+
+    def clock(self) -> float:
+        """The time without what was spent, seconds."""
+        with self._lock:
+            return (self._began if self._compiling else time.perf_counter()) - self._spent
+
+
+def _say(text: str) -> None:
+    from tqdm import tqdm
+
+    tqdm.write(text, file=sys.stderr)  # above a progress bar
+
+
+_compiling = _Compiling()
+register("numba:compile", _compiling)
+
+
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile a function when it is first called, without the GIL, and keep the result on disk."""
     compiled: Any = numba.njit(**_OPTIONS)(function)
-    if _inside is not None:
-        _inside.keep(compiled, sources(*SOURCES))
+    if _inside is not None and not _inside.keep(compiled, sources(*SOURCES)):
+        _compiling.homeless = True
     return compiled
 
 
@@ -101,59 +162,6 @@ def load_compiler() -> None:
     """Load what numba else loads with the first kernel, be it compiled or kept: a third of a second."""
     if _inside is not None:
         _inside.load_compiler()
-
-
-class _Compiling(Listener):
-    """How long this process has waited for the compiler, in any of its threads; says what it waits for."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._compiling = 0  # kernels, of which most are parts of others
-        self._began = self._spent = 0.0
-        self._kernels = 0  # whose compiling has begun
-
-    def on_start(self, event: Event) -> None:
-        """The compiler begins with a kernel that is not in the cache, or with a part of one."""
-        with self._lock:
-            if not self._compiling:
-                self._began = time.perf_counter()
-                self._tell(event.data["dispatcher"].py_func)
-            self._compiling += 1
-
-    def _tell(self, function: Any) -> None:
-        """Say which kernel comes, and how far this process is."""
-        if not self._kernels:
-            _say("compiling what this needs" + ("" if _inside is None else "; it is kept for the next time"))
-        self._kernels += 1
-        name = f"{function.__module__.removeprefix('lmd.')}.{function.__name__}"
-        _say(f"compiling kernel {self._kernels}, {self._spent:.0f} s so far: {name}")
-
-    def on_end(self, event: Event) -> None:
-        """It is done with it."""
-        with self._lock:
-            self._compiling -= 1
-            if not self._compiling:
-                self._spent += time.perf_counter() - self._began
-
-    @property
-    def active(self) -> bool:
-        """Whether it is at work."""
-        return self._compiling > 0
-
-    def clock(self) -> float:
-        """The time without what was spent, seconds."""
-        with self._lock:
-            return (self._began if self._compiling else time.perf_counter()) - self._spent
-
-
-def _say(text: str) -> None:
-    from tqdm import tqdm
-
-    tqdm.write(text, file=sys.stderr)  # above a progress bar
-
-
-_compiling = _Compiling()
-register("numba:compile", _compiling)
 
 
 def clock() -> float:

@@ -79,9 +79,13 @@ def load_compiler() -> None:
     cpu_target.target_context.refresh()
 
 
-def keep(compiled: Any, digest: str) -> None:
-    """Keep what a kernel compiles on disk, as long as the code has the same digest."""
-    compiled._cache = _Cache(compiled.py_func, digest)  # what njit(cache=True) does with its own class
+def keep(compiled: Any, digest: str) -> bool:
+    """Keep what a kernel compiles on disk, as long as the code has the same digest; False if there is no place."""
+    try:
+        compiled._cache = _Cache(compiled.py_func, digest)  # what njit(cache=True) does with its own class
+    except RuntimeError:  # numba has looked for a folder that it can write to
+        return False
+    return True
 
 
 class _Cache(FunctionCache):

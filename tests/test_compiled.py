@@ -5,9 +5,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from processes import call
 
 import lmd
-from lmd import compiled
+from lmd import compiled, inside_numba
 from lmd.compiled import inlined, inner, kernel
 
 PACKAGE = Path(lmd.__file__).parent
@@ -78,9 +79,9 @@ def test_inner_functions_are_parts_of_kernels_and_can_be_called_from_python():
     assert _sum_of_roots(values) == 7.0
     assert [_root_of_half(x) for x in values] == [0.0, 1.0, 2.0, 4.0]
     assert _half(3.0) == 1.5
-    for call in (lambda: _sum_of_roots(-values), lambda: _root_of_half(-1.0)):
+    for attempt in (lambda: _sum_of_roots(-values), lambda: _root_of_half(-1.0)):
         with pytest.raises(ValueError, match="negative"):
-            call()
+            attempt()
 
 
 @pytest.fixture
@@ -105,3 +106,24 @@ def test_the_clock_stands_still_while_kernels_and_their_parts_are_compiled(compi
         "compiling what this needs; it is kept for the next time",
         "compiling kernel 1, 0 s so far: test_compiled._sum_of_roots",
     ]
+
+
+def test_where_nothing_can_be_written_kernels_are_compiled_all_the_same(monkeypatch, capsys):
+    def refuse(*_):
+        raise RuntimeError("no locator available")
+
+    monkeypatch.setattr(inside_numba, "_Cache", refuse)
+    monkeypatch.setattr(compiled, "_compiling", compiled._Compiling())
+    double = kernel(lambda x: 2.0 * x)
+    assert double(1.5) == 3.0
+    compiled._compiling.on_start(SimpleNamespace(data={"dispatcher": double}))
+    assert "it cannot be kept, as no folder can be written to; NUMBA_CACHE_DIR=DIR" in capsys.readouterr().err
+
+
+def test_without_the_compiler_there_is_a_sentence(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    done = call("optimise", cwd=tmp_path, fresh=True)
+    assert (done.returncode, done.stderr.splitlines()) == (
+        1,
+        ["error: NUMBA_DISABLE_JIT is set, but lmd's kernels are for the compiler: unset it."],
+    )
