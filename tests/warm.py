@@ -8,19 +8,34 @@ import tempfile
 from contextlib import closing
 from pathlib import Path
 
+from hydra import compose, initialize_config_dir
 from mlflow.store.db import utils
 
+from pipelines.app import CONF
 from pipelines.sweeps.forks import READY, TRACKED
 
 PIPELINES = (
     *("accuracy", "bound", "calibrate_detector", "compare", "detect", "estimate_pdf", "evaluate", "export"),
     *("observe", "optimise", "report", "runs", "sync", "tradeoff", "view"),
 )
-for name in (READY, *TRACKED, "mlflow.tracking.client", "lmd.plot.page", *(f"pipelines.{p}" for p in PIPELINES)):
+# What they import when they need it, if it takes long.
+LIBRARIES = (
+    *("PIL.PngImagePlugin", "cv2", "pandas", "plotly.graph_objects", "psutil", "pyapriltags", "pymoo.core.algorithm"),
+    *("reportlab.pdfgen.canvas", "scipy.ndimage", "scipy.optimize", "scipy.spatial", "scipy.stats"),
+    *("lmd.detection.evaluation", "lmd.export.formats", "lmd.export.sheets", "lmd.localisation.study", "lmd.plot.page"),
+    *("lmd.detection.board", "lmd.localisation.maps", "lmd.losses", "lmd.plot.detection", "lmd.plot.localisation"),
+)
+for name in (READY, *TRACKED, "mlflow.tracking.client", *LIBRARIES, *(f"pipelines.{p}" for p in PIPELINES)):
     importlib.import_module(name)
 
 
 make_tables = utils._initialize_tables
+
+
+def _compose():
+    """Let Hydra find its plugins, and its parser learn the grammar."""
+    with initialize_config_dir(CONF, version_base="1.3"):
+        compose("optimise", ["room.spacing=1.5", "deployment=uniform"], return_hydra_config=True)
 
 
 def _load_kernels():
@@ -53,6 +68,7 @@ def _copy_tables():
     utils._initialize_tables = copy
 
 
+_compose()
 _load_kernels()
 _copy_tables()
 gc.freeze()  # what all share stays shared

@@ -1,11 +1,14 @@
 """Which process a run belongs to, so that a run whose process is gone can be told from one that runs."""
 
 import os
+import re
 import socket
 from pathlib import Path
 
 PROC = Path("/proc")
 BOOT = PROC / "sys/kernel/random/boot_id"
+# What a run of this version writes: a store may hold anything, and what earlier ones wrote tells nothing here.
+IDENTITY = re.compile(r"\d{1,9} \d{1,19} [0-9a-f-]{36}" if BOOT.is_file() else r"\d{1,9} \d{1,19}\.\d\d")
 
 
 def this_process() -> dict[str, str]:
@@ -17,14 +20,13 @@ def is_gone(tags: dict[str, str]) -> bool:
     """Whether the process in these tags has ended; False where it belongs to another host, or to none."""
     import psutil
 
-    if tags.get("host") != socket.gethostname() or "process" not in tags:
+    process = tags.get("process", "")
+    if tags.get("host") != socket.gethostname() or not IDENTITY.fullmatch(process):
         return False
     try:
-        return _identity(int(tags["process"].partition(" ")[0])) != tags["process"]
+        return _identity(int(process.partition(" ")[0])) != process
     except (psutil.NoSuchProcess, FileNotFoundError, ProcessLookupError):
         return True
-    except ValueError:  # nothing that a run has written
-        return False
 
 
 def _identity(number: int) -> str:

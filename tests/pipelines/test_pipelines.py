@@ -179,7 +179,7 @@ BAD_INPUT = {
     "seed": (HEADER + TWO, ["seed=-1"], "seed must be in [0, 3.40282e+38], got -1"),
     "threads": (HEADER + TWO, ["threads=0"], "threads must be in [1, 1024], got 0"),
     "room": (HEADER + TWO, ["room.size=[1,2]"], "room.size must be a list of 3 numbers, got [1, 2]"),
-    "unknown argument": (HEADER + TWO, ["+camera.zoom=2"], "unexpected keyword argument 'zoom'"),
+    "unknown argument": (HEADER + TWO, ["+camera.zoom=2"], "camera.zoom is no setting that is known"),
     "positions": (
         HEADER + TWO,
         ["room.spacing=1e-3"],
