@@ -9,6 +9,7 @@ from contextlib import closing
 from pathlib import Path
 
 from hydra import compose, initialize_config_dir
+from hydra._internal.hydra import Hydra
 from mlflow.store.db import utils
 
 from pipelines.app import CONF
@@ -36,6 +37,18 @@ def _compose():
     """Let Hydra find its plugins, and its parser learn the grammar."""
     with initialize_config_dir(CONF, version_base="1.3"):
         compose("optimise", ["room.spacing=1.5", "deployment=uniform"], return_hydra_config=True)
+
+
+def _look_for_a_mode_only_where_one_may_be_set():
+    """Hydra composes everything once more to see whether a configuration says that it is a sweep."""
+    look = Hydra.get_mode
+    may_set = ("experiment=", "+experiment=", "hydra.mode", "hydra.searchpath", "+hydra", "hydra/")
+
+    def get_mode(self, config_name, overrides):
+        own = any(source.provider == "command-line" for source in self.config_loader.get_sources())
+        return look(self, config_name, overrides) if own or any(o.startswith(may_set) for o in overrides) else None
+
+    Hydra.get_mode = get_mode
 
 
 def _load_kernels():
@@ -69,6 +82,7 @@ def _copy_tables():
 
 
 _compose()
+_look_for_a_mode_only_where_one_may_be_set()
 _load_kernels()
 _copy_tables()
 gc.freeze()  # what all share stays shared
