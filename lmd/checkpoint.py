@@ -6,7 +6,6 @@ file is an archive of NumPy's, with the arrays and a document in JSON, and nothi
 
 import io
 import json
-import os
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from lmd.checks import InputError, file_path
+from lmd.files import write_whole
 from lmd.memory import check_memory
 from lmd.optimisers.base import Optimiser
 from lmd.problem import Problem
@@ -52,16 +52,7 @@ class Checkpoint:
         Raises:
             InputError: the optimiser cannot be checkpointed.
         """
-        content, partial = self._content(), directory / f"{FILE}.partial"
-        try:
-            with partial.open("wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(partial, directory / FILE)
-        except OSError:
-            partial.unlink(missing_ok=True)
-            raise
+        write_whole(directory / FILE, self._content())
 
     def resume(self, directory: str | Path, problem: Problem) -> None:
         """Take over the state and the run of the checkpoint in `directory`.
@@ -132,7 +123,8 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any], str | None]:
     """State, settings and run of a checkpoint."""
     try:
         document = _document(path)
-        state, settings, run_id = document["state"], document["settings"], document["run"]
+        state, run_id = document["state"], document["run"]
+        settings = json.loads(json.dumps(document["settings"]))  # in which there are no arrays
         if document["format"] != FORMAT or not isinstance(state, dict) or not isinstance(settings, dict):
             raise ValueError("it is of another kind")
         if not all(map(str.isprintable, settings)):
@@ -162,5 +154,4 @@ def _document(path: Path) -> Any:
 
 def _described(error: Exception) -> str:
     """An error in words, of which a file may have made some."""
-    text = "".join(letter if letter.isprintable() else " " for letter in str(error))
-    return f"{type(error).__name__}: {' '.join(text.split())[:MOST_TEXT]}"
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:MOST_TEXT]}"

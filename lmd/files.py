@@ -9,6 +9,7 @@ import math
 import os
 import re
 import stat
+from pathlib import Path
 from typing import Any
 
 import yaml
@@ -18,8 +19,8 @@ from lmd.memory import check_memory
 
 # What a byte of a file takes at most while its contents are made sense of, bytes: the texts of a table.
 EACH = 20.0
-# A configuration or a calibration has a few kilobytes; a megabyte is read in some seconds.
-LARGEST_YAML = 1 << 20
+# A calibration has a few kilobytes; so much is read in some seconds.
+LARGEST_YAML = 1 << 18
 
 _KINDS = {stat.S_IFDIR: "a directory", stat.S_IFIFO: "a pipe", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device"}
 
@@ -62,6 +63,20 @@ def read_bytes(path: Any, name: str, largest: float = math.inf) -> bytes:
         raise InputError(f"{refused} ({error}).", name) from None
 
 
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file, whole or not at all, whatever ends the process or the machine meanwhile."""
+    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
+    try:
+        with partial.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(partial, path)
+    except OSError:
+        partial.unlink(missing_ok=True)
+        raise
+
+
 def read_text(path: Any, name: str, largest: float = math.inf) -> str:
     """The text of a file in UTF-8, see `read_bytes`.
 
@@ -94,7 +109,10 @@ def read_keys(path: Any, name: str) -> dict[str, Any]:
 
 
 class _Loader(yaml.SafeLoader):  # type: ignore[misc] # yaml has no types
-    """Takes OpenCV's matrices for mappings, and 1e-5 for a number, which to YAML 1.1 is a text."""
+    """Takes OpenCV's matrices for mappings, and 1e-5 for a number, which to YAML 1.1 is a text.
+
+    Not libyaml's, which is faster: where values are nested deeply, it overflows the stack of the process.
+    """
 
 
 _Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _Loader.construct_yaml_map)
@@ -104,7 +122,9 @@ _Loader.add_implicit_resolver(
 
 
 def _integer(loader: Any, node: Any) -> int:
-    """An integer that can be printed: in other bases than ten, Python reads longer ones."""
+    """An integer that can be printed: in other bases than ten, Python reads longer ones. None of YAML's base 60."""
+    if ":" in node.value:
+        raise ValueError(f"{node.value[:20]!r} is no number")
     value = loader.construct_yaml_int(node)
     str(value)
     return int(value)

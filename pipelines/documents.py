@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
+from lmd.files import write_whole
+
 Content = TypeVar("Content")
 
 
@@ -18,10 +20,10 @@ def read_document(path: Path, content_of: Callable[[dict[str, Any]], Content]) -
         content_of: makes of the file's keys and values what they stand for; raises ValueError, KeyError or TypeError
             where they stand for nothing.
     """
+    if not path.is_file():  # nor a pipe, which would be waited for
+        return None
     try:
         return content_of(dict(json.loads(path.read_text())))
-    except (FileNotFoundError, NotADirectoryError):
-        return None
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         aside = path.with_name(f"{path.name}.damaged")
         os.replace(path, aside)
@@ -33,13 +35,4 @@ def read_document(path: Path, content_of: Callable[[dict[str, Any]], Content]) -
 
 def write_document(path: Path, document: Mapping[str, Any]) -> None:
     """Write a document, whole or not at all, whatever ends the process or the machine meanwhile."""
-    partial = path.with_suffix(f".{os.getpid()}.partial")
-    try:
-        with partial.open("w") as file:
-            file.write(json.dumps(document, indent=2) + "\n")
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(partial, path)
-    except OSError:
-        partial.unlink(missing_ok=True)
-        raise
+    write_whole(path, (json.dumps(document, indent=2) + "\n").encode())

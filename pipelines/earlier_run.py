@@ -103,7 +103,7 @@ def check_experiment(cfg: DictConfig) -> None:
 
 
 def _refuse(message: str) -> NoReturn:
-    """End the process in one sentence; Hydra, which would report an error, has not begun yet."""
+    """End the process in one sentence; Hydra has not begun yet, so nobody else would report it."""
     print(f"error: {message}", file=sys.stderr)
     sys.exit(1)
 

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 OURS = ("tracking", "trust")  # keys that this command line says, and not the run's
 PLACES = ("hydra", "save_as", "kept")  # keys that say where something is written
+ENTRIES = ("optimisers", "deployments")  # lists of options, each of which may have overrides of its own
+# An option of a group by its name: with dots and slashes it would be a file anywhere, and with = or ~ an override.
+NAMES = re.compile(r"[\w\[\],'\" -]*")
 GIVEN = "command-line"  # how Hydra's name for what a command line added to the search path ends
 # Of Hydra's own settings what no file can misuse.
 HARMLESS = re.compile(
@@ -156,7 +159,11 @@ def _is_kept(override: str, source: str, trust: Trust) -> bool:
         return False
     if first in PLACES or parsed.package is not None or (is_sweep and TARGET in override.replace("\\", "")):
         raise InputError(f"it was given {override[:SHOWN]!r}, which is not taken from a file ({PAGE})")
-    trust.check(source, key, override.partition("=")[2] if is_sweep else parsed.value())
+    given = override.partition("=")[2]
+    trust.check(source, key, given if is_sweep else parsed.value())
+    is_group = first in ENTRIES or "/" in key or any((folder / key).is_dir() for folder in trust.folders)
+    if is_group and not NAMES.fullmatch(given):
+        raise InputError(f"it was given {override[:SHOWN]!r}, which is not taken from a file ({PAGE})")
     return True
 
 

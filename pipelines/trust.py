@@ -28,6 +28,7 @@ REFERENCE = re.compile(r"\$\{\.*\w+(\.\w+|\[\w+\])*\}")  # to a value of the sam
 RESOLVER = re.compile(r"\$\{\s*([\w.]+)\s*:")
 PLAIN = (str, int, float, bool, type(None))
 NAME = re.compile(r"\w+(\.\w+)+")
+LARGEST = 1 << 17  # bytes of a configuration, which has a few kilobytes; its parser takes seconds for more
 SHOWN = 100  # characters of a value in a message
 
 
@@ -161,13 +162,13 @@ def read_yaml(file: Path, source: str) -> dict[Any, Any]:
         InputError: it cannot be read, or is no configuration.
     """
     from lmd.checks import InputError
-    from lmd.files import LARGEST_YAML, check_aliases, read_text
+    from lmd.files import check_aliases, read_text
 
-    text = read_text(file, source, LARGEST_YAML)
+    text = read_text(file, source, LARGEST)
     try:
         check_aliases(text)
         found = yaml.load(text, Loader=get_yaml_loader())
-    except (ValueError, RecursionError, yaml.YAMLError) as error:
+    except Exception as error:  # whatever a parser of a broken file runs into
         raise InputError(f"{source}: '{file}' cannot be read ({' '.join(str(error).split())}).") from None
     if not isinstance(found, dict):
         raise InputError(f"{source}: '{file}' is no configuration.")

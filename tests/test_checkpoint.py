@@ -353,6 +353,13 @@ def test_names_in_a_message_are_printable(case, tmp_path):
         resumed(written(tmp_path, tampered), p, optimiser=make())
 
 
+def test_settings_hold_no_arrays(case, tmp_path):
+    make, p, _, members = case
+    tampered = changed(members, lambda document: document["settings"].update(seed={"$array": "state.told"}))
+    with pytest.raises(InputError, match=r"checkpoint\.npz"):
+        resumed(written(tmp_path, tampered), p, optimiser=make())
+
+
 # Optimisers of one's own.
 
 

@@ -27,7 +27,7 @@ def test_what_is_too_large_is_not_read(tmp_path):
         file.truncate(1 << 43)  # takes no space
     assert "holes.csv', of 8.796e+12 bytes, would take " in refused(read_text, tmp_path / "holes.csv", "path")
     (tmp_path / "long.yaml").write_bytes(b"#" * (LARGEST_YAML + 1))
-    assert refused(read_keys, tmp_path / "long.yaml", "path").endswith("and at most 1.049e+06 are taken.")
+    assert refused(read_keys, tmp_path / "long.yaml", "path").endswith("and at most 2.621e+05 are taken.")
 
 
 @pytest.mark.parametrize(
@@ -38,6 +38,7 @@ def test_what_is_too_large_is_not_read(tmp_path):
         ("a: &a {x: 1, y: 2}\nb: &b {<<: [*a, *a, *a, *a]}\nc: {<<: [*b, *b, *b, *b, *b, *b]}\n", "its aliases stand"),
         ("a: " + "[" * 5000, "recursion"),
         ("a: 0x" + "f" * 5000, "integer string conversion"),
+        ("a: 1:1:1", "'1:1:1' is no number"),
         ("a: !!int ''", "cannot be read as YAML or JSON"),
         ("a: !!python/object/apply:os.system [id]", "could not determine a constructor"),
         ("{" + '"a":{' * 5000, "cannot be read as YAML or JSON"),

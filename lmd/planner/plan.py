@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.checks import FloatArray, InputError, IntArray
+from lmd.checks import LARGEST, FloatArray, InputError, IntArray
 from lmd.deployment import Deployment
 from lmd.fixed import COLUMN
 from lmd.labels import Labels
@@ -154,7 +154,8 @@ def placed(plates: Plates, others: Deployment | None, surface: int, at: FloatArr
         InputError: there is no room for its paper on any surface.
     """
     surfaces, on = SurfaceArrays.of(plates.hanging.surfaces()), np.array([surface])
-    one = Deployment(surfaces.points(on, np.asarray(at)[None]), surfaces.normal[on], on)
+    place = np.clip(at, -LARGEST, LARGEST)  # squares of more would overflow
+    one = Deployment(surfaces.points(on, place[None]), surfaces.normal[on], on)
     fixed = 0 if others is None else len(others)
     apart = plates.apart(one if others is None else others + one, fixed=fixed)
     if apart is None:

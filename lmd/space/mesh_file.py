@@ -131,6 +131,8 @@ def _check_gltf(file: Path, content: bytes) -> None:
             where = f"path = {str(file)!r} has its triangles in {buffer['uri']!r}"
             raise InputError(f"{where}; save it as one file, .glb with everything in it.", "path")
     accessors = header.get("accessors", [])
+    if any("sparse" in part for part in accessors):
+        raise ValueError("an accessor is sparse, which is not read")
     counts = [part["count"] for part in accessors]
     if not all(isinstance(count, int) and count >= 0 for count in counts):
         raise ValueError("an accessor has a count that is none")

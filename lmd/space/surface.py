@@ -191,7 +191,7 @@ def free_of(face: Surface, region: Any, margin: float, band: Sequence[float] | N
     import shapely
 
     left = eroded(region, margin)
-    if band is not None and face.normal[2] == 0.0:
+    if band is not None and face.is_upright:
         low, high = (z - float(face.origin[2]) for z in band)
         left = left.intersection(shapely.box(0.0, low, face.extent[0], high))
     return polygons(left.difference(shapely.union_all(taken)))

@@ -28,7 +28,7 @@ def hand_in(journal: Journal, uri: str) -> str:
         return _hand_in(journal, uri)
     except InputError:
         raise
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
         raise InputError(
             f"the journal in {journal.path.parent} is none that a run has written ({type(error).__name__}: {error})."
         ) from error

@@ -50,6 +50,12 @@ def test_what_is_damaged_is_named_and_set_aside(damage, job, tmp_path, capsys):
     assert (job.path / "job.json.damaged").read_text() == DAMAGES[damage]
 
 
+def test_a_pipe_is_no_document_and_is_not_waited_for(job):
+    job.record.unlink()
+    os.mkfifo(job.record)
+    assert job.load() is None
+
+
 def test_a_job_whose_figures_are_damaged_has_not_finished(job, capsys):
     job.metrics.write_text('{"fitness": 0.')
     assert job.finished() is None

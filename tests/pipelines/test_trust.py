@@ -116,6 +116,8 @@ def test_a_run_of_a_stranger_runs_no_code(strangers, monkeypatch, capsys, change
         ("room: {_target_: [[lmd]]}", "room._target_ is no name"),
         ("room: {? [1, 2] : 3}", "cannot be read"),
         ("room: {? !!binary aGk= : 3}", "room has a key that is no text"),
+        ("room: !!bool foo", "cannot be read"),
+        ("room: !!int ''", "cannot be read"),
         ("room: {null: 3}", "room has a key that is no text"),
         ("tag: {family: '${oc.${tag.edge}env:SECRET}'}", "add trust=[oc.env]"),
         ("tag: {family: '${tag[edge}'}", "tag.family = '${tag[edge}' would run code"),

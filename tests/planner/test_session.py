@@ -271,6 +271,14 @@ def test_a_tag_hangs_where_its_place_was_typed(of):
     assert planned.deployment.positions != pytest.approx(before.positions)
 
 
+@pytest.mark.parametrize("far", [1e160, -1e308])
+def test_a_place_far_away_is_the_nearest_in_the_room(far):
+    planned = session(problem(tag=TAG))
+    number = planned.deployment.ids[0]
+    planned.place(number, far, far)
+    assert planned.problem.scene.room.contains(planned.deployment.positions).all()
+
+
 def test_left_is_where_it_is_for_whoever_stands_before_the_wall():
     planned = session()  # 7.5 x 5 x 6 m
     for wall, corner in (("x_min", (0, 0, 0)), ("y_max", (0, 5, 0)), ("x_max", (7.5, 5, 0)), ("y_min", (7.5, 0, 0))):

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import trimesh
 from floor_plans import DOOR, L_SHAPE, PILLAR, RACK, hangs_properly
 from meshes import mesh_room, walls_of
 from numpy.testing import assert_allclose, assert_array_equal
@@ -136,6 +137,15 @@ def test_tags_hang_where_they_may(room, tmp_path):
         )
         assert hangs_properly(place, decoded.reshape(-1, 3), on.ravel(), 0.15).all()
         assert fits.all()
+
+
+def test_a_wall_that_is_not_quite_upright_has_the_band_too(tmp_path):
+    mesh = walls_of(BOX)
+    mesh.apply_transform(trimesh.transformations.rotation_matrix(1e-6, [1, 0, 0]))
+    mesh.export(tmp_path / "tilted.ply")
+    room = from_mesh(str(tmp_path / "tilted.ply"), {"height": [0.5, 1.5]}, 0.5, band=[1.0, 1.5])
+    walls = sorted(surface.area for surface in room.surfaces() if surface.is_upright)
+    assert_allclose(walls, [2.0, 2.0, 3.0, 3.0], atol=1e-4)
 
 
 def test_flights_go_around_what_stands_there(room):
