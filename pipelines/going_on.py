@@ -16,7 +16,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 
 from .app import CONF, PACKAGE, command_of, config_dir, search_path, task_overrides
-from .sweeps.names import quoted
+from .sweeps.names import at
 from .trust import PAGE, SHOWN, TARGET, Trust, listed, read_yaml
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def going_on(run: "pd.Series", trust: Trust) -> GoingOn | None:
     try:
         pipeline, arguments = _command(folder, is_sweep, trust)
     except InputError as error:
-        shown = told if is_sweep else f"{told} {_at('resume', folder)}"
+        shown = told if is_sweep else f"{told} {at('resume', folder)}"
         return GoingOn(printable(shown), why_not=str(error).rstrip("."))
     process = (sys.executable, "-m", f"{PACKAGE}.{pipeline}", *arguments)
     return GoingOn(printable(f"{command_of(pipeline)} {shlex.join(arguments)}"), process)
@@ -102,7 +102,7 @@ def _command(folder: Path, is_sweep: bool, trust: Trust) -> tuple[str, list[str]
         keys = [override.partition("=")[0] for override in own]
         kept = [override for override in task if _is_kept(override, str(file), trust)]
     except (KeyError, TypeError, AttributeError):
-        raise InputError(f"{file} is none as Hydra writes it") from None
+        raise InputError(f"{file} is not written as Hydra writes it") from None
     if not _is_pipeline(pipeline):
         raise InputError(f"{file} names {pipeline[:SHOWN]!r}, which is no pipeline")
     for path in folder.rglob("*"):
@@ -121,10 +121,10 @@ def _command(folder: Path, is_sweep: bool, trust: Trust) -> tuple[str, list[str]
             raise InputError(f"it was given {override[:SHOWN]!r}, which is not taken from a file ({PAGE})")
     kept += [override for key, override in task_overrides() if key.split(".")[0] in OURS]
     if is_sweep:
-        kept.append(_at("hydra.sweep.dir", folder))
+        kept.append(at("hydra.sweep.dir", folder))
     else:
-        kept += [_at("hydra.run.dir", folder)] if "hydra.run.dir" in keys else []
-        kept.append(_at("resume", folder))
+        kept += [at("hydra.run.dir", folder)] if "hydra.run.dir" in keys else []
+        kept.append(at("resume", folder))
     return pipeline, [*config_dir(), *search_path(), *kept]
 
 
@@ -165,8 +165,3 @@ def _is_kept(override: str, source: str, trust: Trust) -> bool:
     if is_group and not NAMES.fullmatch(given):
         raise InputError(f"it was given {override[:SHOWN]!r}, which is not taken from a file ({PAGE})")
     return True
-
-
-def _at(key: str, path: Path) -> str:
-    """An override whose value is a path."""
-    return f"{key}={path}" if re.fullmatch(r"[\w./-]+", str(path)) else f"{key}={quoted(path)}"

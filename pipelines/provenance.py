@@ -10,6 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from .app import CONF, IN_CHECKOUT, command_of
+from .sweeps.names import at
 
 
 def command_line(pipeline: str, overrides: Sequence[str]) -> str:
@@ -20,7 +21,7 @@ def command_line(pipeline: str, overrides: Sequence[str]) -> str:
 def resuming(pipeline: str, folder: Path) -> str:
     """The command that goes on with what this one has left in a folder."""
     given = [word for word in sys.argv[1:] if not word.startswith("resume=")]
-    return command_line(pipeline, [*given, f"resume={folder}"])
+    return command_line(pipeline, [*given, at("resume", folder)])
 
 
 def source_tags(pipeline: str) -> dict[str, str]:

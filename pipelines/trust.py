@@ -88,7 +88,7 @@ class Trust:
         parts = {group: found[group] for group in groups if found.get(group) is not None}
         for group, part in parts.items():
             if not isinstance(part, dict) or "defaults" in part:  # which would have Hydra read other files
-                raise InputError(f"{source}: {group} is none as Hydra writes it.")
+                raise InputError(f"{source}: {group} is not written as Hydra writes it.")
             self.check(source, group, part)
         return parts
 

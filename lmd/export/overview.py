@@ -8,10 +8,10 @@ import numpy as np
 from lmd.checks import FloatArray, IntArray
 from lmd.export.paper import LINE, fill_polygon, shortened, width_of, write_on_white, write_text
 from lmd.export.symbols import NAME, WALL, draw_fixture, draw_legend, draw_opening
-from lmd.export.tag_map import FLAT, TagMap
+from lmd.export.tag_map import TagMap
 from lmd.space.fixture import KINDS
 from lmd.space.space import Space
-from lmd.space.surface import Surface
+from lmd.space.surface import FLAT, Surface
 
 # On the page, mm.
 AROUND = 11.0  # around the room, for names

@@ -26,9 +26,9 @@ from lmd.export.paper import (
     write_text,
 )
 from lmd.export.symbols import draw_fixture
-from lmd.export.tag_map import FLAT, TagMap
+from lmd.export.tag_map import TagMap
 from lmd.space.heights import lower_edge
-from lmd.space.surface import Surface
+from lmd.space.surface import FLAT, Surface
 
 # On the page, all in mm.
 MARGIN = 12.0

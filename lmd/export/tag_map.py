@@ -12,6 +12,7 @@ from lmd.checks import FloatArray, IntArray
 from lmd.deployment import Deployment
 from lmd.space.fixture import Fixture
 from lmd.space.space import Space
+from lmd.space.surface import FLAT
 from lmd.tag import Tag, corners
 
 if TYPE_CHECKING:
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 QUATERNION = ("qw", "qx", "qy", "qz")
 # Written are picometres: what is less is rounding.
 DECIMALS = 12
-FLAT = 0.5  # normals with a larger vertical part are those of floors and ceilings
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from lmd.checks import FloatArray, IntArray
-from lmd.space.surface import Surface
+from lmd.space.surface import FLAT, Surface
 
-LEVEL = 0.5  # a normal with a larger vertical part is that of a floor or a ceiling
 NAME, ID, CHOSEN = 1.0, 0.75, 1.1  # sizes of letters, in those of viser
 MANY = 120  # ids that would hide what they are beside
 
@@ -51,7 +50,7 @@ class Captions:
 
 def _add_name(scene: Any, surface: Surface) -> Any:
     """Name a wall below its lower edge, which is in sight also where the wall is not drawn; a floor in its middle."""
-    is_level, (width, height) = abs(surface.normal[2]) > LEVEL, surface.extent
+    is_level, (width, height) = abs(surface.normal[2]) > FLAT, surface.extent
     return scene.add_label(
         f"/names/{surface.name}",
         surface.name,

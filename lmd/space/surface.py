@@ -20,7 +20,8 @@ MISPLACED = 2e-6
 NEAR_SURFACE = 0.05
 # A landmark faces away from a surface if its normal is within 45 degrees of that of the surface.
 FACING = math.sqrt(0.5)
-UPRIGHT = 1e-3  # the normal of a wall has a smaller vertical part
+# The normal of a wall has a smaller vertical part than this, that of a floor or a ceiling a larger one than that.
+UPRIGHT, FLAT = 1e-3, 0.5
 
 # A grid whose cells are more elongated than this gives way to one with rows of unequal number.
 MAX_ELONGATION = 3.0

@@ -99,6 +99,11 @@ def job_folder(*, _root_: DictConfig) -> str:
     return "_".join([*filter(None, [slug("_".join(kept))]), digest(_settings(_root_))[:SHORT]])
 
 
+def at(key: str, path: Path) -> str:
+    """An override whose value is a path, in quotes where Hydra needs them."""
+    return f"{key}={path}" if re.fullmatch(r"[\w./-]+", str(path)) else f"{key}={quoted(path)}"
+
+
 def quoted(path: Path) -> str:
     """A path as the value of an override."""
     escaped = str(path).replace("\\", "\\\\").replace("'", "\\'")

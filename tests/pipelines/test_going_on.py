@@ -108,7 +108,7 @@ def test_a_sweep_goes_on_in_its_folder(left):
         ("--experimental-rerun=evil.pickle", "which is no override"),
         ("seed=1; touch imported", "which is no override"),
         ("tag.family='1; touch imported'", None),  # one argument of no shell
-        (["seed=1"], "is none as Hydra writes it"),
+        (["seed=1"], "is not written as Hydra writes it"),
     ],
 )
 def test_what_a_stranger_may_have_written_is_shown_and_not_run(left, task, why):

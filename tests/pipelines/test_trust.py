@@ -107,9 +107,9 @@ def test_a_run_of_a_stranger_runs_no_code(strangers, monkeypatch, capsys, change
         # Hydra would put the room where its callbacks are: it imports and calls them.
         (
             "room: {hydra: {callbacks: {a: 1}}}\nobjective: {defaults: [{/room@_global_: run}]}",
-            "objective is none as Hydra writes it",
+            "objective is not written as Hydra writes it",
         ),
-        ("room: [1]", "room is none as Hydra writes it"),
+        ("room: [1]", "room is not written as Hydra writes it"),
         ("room: &a [*a]", "its aliases stand for inf values"),
         ("room: {size: &a [1], walls: *a}", "room.walls is an alias"),
         ("room: {low: &a [1, 2, 3], size: *a}", "room.size is an alias"),
