@@ -42,10 +42,7 @@ class Trajectory:
     def __post_init__(self) -> None:
         if len(self.time) < 2:
             raise InputError(f"a trajectory must have at least 2 frames, got {len(self.time)}.")
-        late = np.flatnonzero(np.diff(self.time) <= 0.0)
-        if late.size:
-            before, after = self.time[late[0]], self.time[late[0] + 1]
-            raise InputError(f"the times of a trajectory must increase, but {after:g} s follows {before:g} s.")
+        _check_order(self.time)
 
     @property
     def twists(self) -> FloatArray:
@@ -74,11 +71,13 @@ class Trajectory:
             if "qw" in table:
                 rows = table.numbers(QUATERNIONS)
                 seconds(str(path), rows[:, 0])
+                _check_order(rows[:, 0], table.lines)
                 poses = poses_from_rows(rows[:, 1:])
                 poses[:, :3, :3] = poses[:, :3, :3] @ FRAMES[frame]
                 return cls(rows[:, 0], poses)
             rows = table.numbers((*ANGLES, "roll") if "roll" in table else ANGLES)
             seconds(str(path), rows[:, 0])
+            _check_order(rows[:, 0], table.lines)
             angles = dict(zip(("yaw", "pitch", "roll"), rows[:, 4:].T, strict=False))
             radians("the trajectory", **angles)
             return cls(rows[:, 0], camera_pose(rows[:, 1:4], **angles))
@@ -92,7 +91,7 @@ class Trajectory:
         if outside.size:
             x, y, z = positions[outside[0]]
             raise InputError(
-                f"the camera at {self.time[outside[0]]:g} s, ({x:.9g}, {y:.9g}, {z:.9g}), is outside the "
+                f"the camera at {self.time[outside[0]]:.16g} s, ({x:.9g}, {y:.9g}, {z:.9g}), is outside the "
                 f"{room.describe()}."
             )
 
@@ -104,8 +103,8 @@ class Trajectory:
         if through.size:
             x, y, z = positions[through[0]]
             raise InputError(
-                f"the camera goes straight on from ({x:.9g}, {y:.9g}, {z:.9g}) at {self.time[through[0]]:g} s, through "
-                f"something that stands in the {room.describe()}."
+                f"the camera goes straight on from ({x:.9g}, {y:.9g}, {z:.9g}) at {self.time[through[0]]:.16g} s, "
+                f"through something that stands in the {room.describe()}."
             )
 
 
@@ -118,6 +117,15 @@ class TrajectorySource(Protocol):
         Raises:
             InputError: there is none.
         """
+
+
+def _check_order(time: FloatArray, lines: Sequence[int] | None = None) -> None:
+    """Raise `InputError` if a time `(T,)` is not later than the one before, with its line in the file if known."""
+    late = np.flatnonzero(np.diff(time) <= 0.0)
+    if late.size:
+        before, after = time[late[0] : late[0] + 2].tolist()
+        where = "" if lines is None else f"line {lines[late[0] + 1]}: "
+        raise InputError(f"{where}the times of a trajectory must increase, but {after:.16g} s follows {before:.16g} s.")
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,7 @@ class OrientationRecording:
         seconds(self.name, self.time)
         if (late := np.flatnonzero(np.diff(self.time) <= 0.0)).size:
             before, after = self.time[late[0] : late[0] + 2]
-            raise InputError(f"{self.name}: time must increase, but {before:.9g} s is followed by {after:.9g} s.")
+            raise InputError(f"{self.name}: time must increase, but {before:.16g} s is followed by {after:.16g} s.")
         if (worst := self.pitch[np.argmax(np.abs(self.pitch))]) and abs(worst) > np.pi / 2 + 1e-9:
             raise InputError(f"{self.name}: pitch must be in [-pi/2, pi/2] radians, got {worst:g}.")
 
