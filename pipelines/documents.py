@@ -7,8 +7,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from lmd.files import write_whole
-
 Content = TypeVar("Content")
 
 
@@ -35,4 +33,6 @@ def read_document(path: Path, content_of: Callable[[dict[str, Any]], Content]) -
 
 def write_document(path: Path, document: Mapping[str, Any]) -> None:
     """Write a document, whole or not at all, whatever ends the process or the machine meanwhile."""
+    from lmd.files import write_whole
+
     write_whole(path, (json.dumps(document, indent=2) + "\n").encode())

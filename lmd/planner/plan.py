@@ -151,11 +151,12 @@ def placed(plates: Plates, others: Deployment | None, surface: int, at: FloatArr
     """One landmark at the free place nearest to `at` `(2,)` on a surface, pushed away from the `others` if need be.
 
     Raises:
-        InputError: there is no room for its paper on any surface.
+        InputError: there is no such place, or no room for its paper on any surface.
     """
     surfaces, on = SurfaceArrays.of(plates.hanging.surfaces()), np.array([surface])
-    place = np.clip(at, -LARGEST, LARGEST)  # squares of more would overflow
-    one = Deployment(surfaces.points(on, place[None]), surfaces.normal[on], on)
+    if not (np.abs(at) <= LARGEST).all():  # NaN neither
+        raise InputError(f"there is no place at ({at[0]:g}, {at[1]:g}) m.")
+    one = Deployment(surfaces.points(on, np.asarray(at)[None]), surfaces.normal[on], on)
     fixed = 0 if others is None else len(others)
     apart = plates.apart(one if others is None else others + one, fixed=fixed)
     if apart is None:

@@ -204,7 +204,7 @@ def test_a_journal_cut_short_is_handed_in_without_its_last_line(uri, folder, rea
     (folder / FILE).write_text(whole[:-5])
     reachable["reachable"] = True
     assert "its process still runs" in hand_in(Journal.of(folder), uri)  # without the line that ended it
-    (folder / FILE).write_text(whole[:-5].replace(this_process()["process"], "1 0.0"))
+    (folder / FILE).write_text(whole[:-5].replace(this_process()["process"], ANOTHER))
     assert "is handed in" in hand_in(Journal.of(folder), uri)
     assert stored(tracker).data.metrics == {"fitness": 0.5}
     assert stored(tracker).data.tags["reason"] == GONE
@@ -219,16 +219,19 @@ def test_what_cannot_be_written_stays_in_the_journal_for_the_next_time(folder):
     assert Journal.of(folder / "none").entries == [{"metrics": {}}, {"end": "FINISHED"}]
 
 
+ANOTHER = this_process()["process"].replace(" ", " 1", 1)  # one that had the same number
+
+
 def test_a_clock_that_is_set_ends_no_living_run(monkeypatch):
     tags = this_process()
     monkeypatch.setattr(psutil.Process, "create_time", lambda _: 0.0)
     assert not is_gone(tags)
-    assert is_gone(tags | {"process": tags["process"].replace(" ", " 1", 1)})
+    assert is_gone(tags | {"process": ANOTHER})
 
 
 def test_the_next_run_ends_those_whose_process_is_gone(uri, monkeypatch, capsys):
     alive = started(uri)
-    gone = {"host": this_process()["host"], "process": f"{this_process()['process'].split()[0]} 0.0"}
+    gone = {"host": this_process()["host"], "process": ANOTHER}
     monkeypatch.setattr("pipelines.tracking.mlflow_tracker.this_process", lambda: gone)
     lost = started(uri)  # of another process that had the same number
     monkeypatch.setattr("pipelines.tracking.mlflow_tracker.this_process", lambda: gone | {"host": "elsewhere"})

@@ -271,12 +271,13 @@ def test_a_tag_hangs_where_its_place_was_typed(of):
     assert planned.deployment.positions != pytest.approx(before.positions)
 
 
-@pytest.mark.parametrize("far", [1e160, -1e308])
-def test_a_place_far_away_is_the_nearest_in_the_room(far):
+@pytest.mark.parametrize("far", [1e160, -1e308, np.nan])
+def test_a_place_out_of_all_proportion_is_refused(far):
     planned = session(problem(tag=TAG))
-    number = planned.deployment.ids[0]
-    planned.place(number, far, far)
-    assert planned.problem.scene.room.contains(planned.deployment.positions).all()
+    before = planned.deployment
+    with pytest.raises(InputError, match="there is no place at"):
+        planned.place(before.ids[0], far, 1.0)
+    assert planned.deployment is before
 
 
 def test_left_is_where_it_is_for_whoever_stands_before_the_wall():
