@@ -119,6 +119,8 @@ def run_module(pipeline: str, arguments: list[str], environment: dict[str, str],
         os.dup2(descriptor, number)
     for descriptor in streams.values():
         os.close(descriptor)
+    if 0 in streams:
+        sys.stdin = os.fdopen(0, closefd=False)  # multiprocessing has put nothing in its place
     os.environ.clear()
     os.environ.update(environment)
     module: Any = importlib.import_module(pipeline)

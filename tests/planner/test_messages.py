@@ -26,11 +26,12 @@ POINTED = {
     "type": "SceneNodeClickMessage", "instance_index": 0, "ray_origin": (3, -6, 3), "ray_direction": (0, 1, 0),
     "screen_pos": (0, 0), "modifier": None,
 }  # fmt: skip
-DRAGGED = {
-    "type": "SceneNodeDragMessage", "name": "/tags", "instance_index": 0, "start_position": (2, 5, 1),
-    "start_screen_pos": (0, 0), "end_position": (2, 5, 1), "end_screen_pos": (0, 0), "button": "left", "modifier": None,
-}  # fmt: skip
 NAN, HUGE = float("nan"), 1e308
+DRAGGED = {  # to nowhere: what arrives before it is overtaken by the next changes nothing either
+    "type": "SceneNodeDragMessage", "name": "/tags", "instance_index": 0, "start_position": (2, 5, 1),
+    "start_screen_pos": (0, 0), "end_position": (NAN, 5, 1), "end_screen_pos": (0, 0), "button": "left",
+    "modifier": None,
+}  # fmt: skip
 
 
 class Ended(KeyboardInterrupt):
