@@ -65,7 +65,7 @@ def read_bytes(path: Any, name: str, largest: float = math.inf) -> bytes:
 
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file, whole or not at all, whatever ends the process or the machine meanwhile."""
-    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
+    partial = path.with_name(f"{path.name}.partial")  # the next one takes the place of what a kill leaves
     try:
         with partial.open("wb") as file:
             file.write(content)

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from pipelines.signals import stop
 from pipelines.sweeps.forks import Descriptor, context, run_module
 
 ROOT = Path(__file__).parents[1]
@@ -117,10 +118,14 @@ class Forked:
         given = {number: end for number, end in ends.items() if isinstance(end, int) and end >= 0}
         streams = {number: Descriptor(end) for number, end in given.items()}
         streams |= {number: Descriptor(writing) for number, (_, writing) in pipes.items()}
-        asked = (module, arguments, str(cwd), environ, tuple(ignoring), streams, start_new_session)
+        heard, hears = os.pipe()
+        asked = (module, arguments, str(cwd), environ, tuple(ignoring), streams, start_new_session, Descriptor(hears))
         self._process = context.Process(target=_run, args=asked)
         ensure_warm()
         self._process.start()
+        os.close(hears)
+        os.read(heard, 1)  # until it hears signals, which the server does not, or is gone
+        os.close(heard)
         for _, writing in pipes.values():
             os.close(writing)
         self._readers = {number: os.fdopen(reading, newline=None) for number, (reading, _) in pipes.items()}
@@ -166,7 +171,7 @@ class Forked:
         self.send_signal(signal.SIGTERM)
 
 
-def _run(module, arguments, folder, environ, ignoring, streams, leads):
+def _run(module, arguments, folder, environ, ignoring, streams, leads, hears):
     """Do in the forked process what `python -m module` does."""
     atexit._clear()  # what the server would do at its end, such as removing a folder that others use, is not for this
     assert "warm" in sys.modules, "the server could not import it"
@@ -177,6 +182,9 @@ def _run(module, arguments, folder, environ, ignoring, streams, leads):
     hearing()
     for number in ignoring:
         signal.signal(number, signal.SIG_IGN)
+    stop.listen()
+    os.write(hears, b"1")
+    os.close(hears)
     os.chdir(folder)
     sys.path[:0] = [folder, *environ["PYTHONPATH"].split(os.pathsep)]
     try:
