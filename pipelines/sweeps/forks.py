@@ -112,7 +112,7 @@ def run_module(pipeline: str, arguments: list[str], environment: dict[str, str],
     Args:
         pipeline: the module.
         arguments: of its command line.
-        environment: all of its variables.
+        environment: its variables; what modules set by themselves when the server imported them stays.
         streams: descriptors that become 0, 1 and 2.
     """
     for number, descriptor in streams.items():
@@ -121,7 +121,6 @@ def run_module(pipeline: str, arguments: list[str], environment: dict[str, str],
         os.close(descriptor)
     if 0 in streams:
         sys.stdin = os.fdopen(0, closefd=False)  # multiprocessing has put nothing in its place
-    os.environ.clear()
     os.environ.update(environment)
     module: Any = importlib.import_module(pipeline)
     sys.argv = [str(module.__file__), *arguments]

@@ -14,11 +14,13 @@ pytestmark = pytest.mark.slow
 PROBE = """
 import json, os, sys, time
 
+TRIES = "MLFLOW_HTTP_REQUEST_MAX_RETRIES"
 seen = []  # of the jobs before, if they shared anything
 
 def main():
     seen.append(sys.argv[1])
-    told = {"seen": seen, "own": os.environ.get("OWN"), "leads": os.getsid(0) == os.getpid(), "folder": os.getcwd()}
+    told = {"seen": seen, "own": os.environ.get("OWN"), "leads": os.getsid(0) == os.getpid(), "folder": os.getcwd(),
+            "tries": os.environ.get(TRIES)}
     print(json.dumps(told | {"server": os.getppid()}), flush=True)
     if sys.argv[1] == "wait":
         sys.stdin.read()
@@ -54,6 +56,12 @@ def test_jobs_share_a_server_and_nothing_else(begin, tmp_path):
     assert (one["own"], two["own"]) == ("1", None)
     assert one["leads"]
     assert one["folder"] == str(tmp_path)
+
+
+def test_what_modules_set_when_the_server_imported_them_stays(begin, tmp_path, monkeypatch):
+    monkeypatch.delenv("MLFLOW_HTTP_REQUEST_MAX_RETRIES", raising=False)
+    assert begin("bare").wait() == 0
+    assert json.loads((tmp_path / "bare").read_text())["tries"] == "2"  # or a server that is gone is tried for minutes
 
 
 def test_a_job_ends_when_it_is_told_or_killed(begin):
