@@ -18,7 +18,7 @@ from lmd.tag import upright
 COLUMNS = ("x", "y", "z", "nx", "ny", "nz")
 UP_COLUMNS = ("ux", "uy", "uz")
 # An up printed with a few decimals is still upright, and in the plane of its tag.
-UPRIGHT, IN_PLANE = 1e-3, 1e-2
+UP_TOLERANCE, IN_PLANE = 1e-3, 1e-2
 # A normal printed with a few decimals is still a unit normal.
 NORMAL_TOLERANCE = 1e-3
 # A normal this close to that of its surface is flush with it.
@@ -264,7 +264,7 @@ class Deployment:
                 f"{path}: the up of landmark {self.ids[wrong[0]]}, ({up}), is no unit vector in the plane of its tag, "
                 f"whose normal is ({normal})."
             )
-        level = np.linalg.norm(ups - self.ups, axis=1, keepdims=True) <= UPRIGHT
+        level = np.linalg.norm(ups - self.ups, axis=1, keepdims=True) <= UP_TOLERANCE
         if level.all():
             return self
         flat = ups - leaning * self.normals

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from checkpoints import BUDGET, SETTINGS, resumed, saved, stopped
 from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,14 +21,11 @@ from lmd.deployment import UniformDeployment
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.sampling import Sampling
 from lmd.optimisers.annealing import Annealing
-from lmd.optimisers.base import Budget, Optimiser
+from lmd.optimisers.base import Budget
 from lmd.optimisers.ega import EGA
-from lmd.optimisers.random_search import RandomSearch
 from lmd.optimisers.stored import generator, generator_state
 from lmd.problem import Problem
 
-SETTINGS = {"seed": 0, "objective.n": 2, "camera.rig": [{"yaw": 0.5}], "tag": None, "room.height": math.inf}
-BUDGET = 100
 REFUSED = r"checkpoint\.npz(:| is damaged, or no checkpoint of this version| cannot be gone on from| was made with)"
 # Optimisers and where they are stopped: what an annealing keeps depends on its stage.
 STAGES = {"genes": (EGA, 60), "stacks": (Annealing, 30), "single": (Annealing, 60), "walk": (Annealing, 70),
@@ -59,22 +57,6 @@ def _case(request, problems, tmp_path_factory):
     Checkpoint(stopped(make(), p, evaluations), SETTINGS, "abc").save(folder)
     with np.load(folder / FILE, allow_pickle=False) as archive:
         return make, p, folder, dict(archive)
-
-
-def stopped(optimiser, p, evaluations=BUDGET // 2):
-    optimiser.run(p, Budget(BUDGET), lambda o: o.ledger.evaluations >= evaluations)
-    return optimiser
-
-
-def saved(directory, p):
-    Checkpoint(stopped(EGA(), p), SETTINGS, "abc").save(directory)
-    return directory
-
-
-def resumed(directory, p, settings=SETTINGS, optimiser=None):
-    checkpoint = Checkpoint(optimiser or EGA(), settings)
-    checkpoint.resume(directory, p)
-    return checkpoint
 
 
 def written(directory, members):
@@ -358,101 +340,3 @@ def test_settings_hold_no_arrays(case, tmp_path):
     tampered = changed(members, lambda document: document["settings"].update(seed={"$array": "state.told"}))
     with pytest.raises(InputError, match=r"checkpoint\.npz"):
         resumed(written(tmp_path, tampered), p, optimiser=make())
-
-
-# Optimisers of one's own.
-
-
-class Remembering(RandomSearch):
-    """An optimiser that keeps more than its parent, in classes of its own."""
-
-    def __init__(self, seed=0):
-        super().__init__(10, seed=seed)
-        self.memory = {(0, "any key"): [object()]}
-        self.mean = 0.0
-
-    def _ask(self):
-        return super()._ask() * 0.9 + 0.1 * self.mean
-
-    def _tell(self, genes, fitness):
-        self.memory[float(fitness[0]), "key"] = genes
-        self.mean = genes[np.argmax(fitness)]
-
-
-class Elsewhere(RandomSearch):
-    """Its random numbers are not those it is given."""
-
-    def _ask(self):
-        return np.random.default_rng().random((4, self.dim))
-
-
-class Own(Optimiser):
-    """A method that says nothing of its state."""
-
-    def run(self, problem, budget, callback=None):
-        raise NotImplementedError
-
-    def found(self, problem):
-        return None
-
-
-class Careless(Own):
-    """A method whose state is no data."""
-
-    def state(self):
-        return {"seen": [1, {"by": Path}]}
-
-
-def test_whatever_asks_and_tells_is_checkpointed(tmp_path, small):
-    whole, half = Remembering(seed=2), stopped(Remembering(seed=2), small)
-    Checkpoint(half, SETTINGS).save(tmp_path)
-    again = resumed(tmp_path, small, optimiser=Remembering(seed=2)).optimiser
-    assert len(again.memory) == len(half.memory)
-    np.testing.assert_array_equal(
-        again.run(small, Budget(BUDGET)).deployment.positions, whole.run(small, Budget(BUDGET)).deployment.positions
-    )
-
-
-def test_nothing_is_evaluated_to_go_on(tmp_path, small, monkeypatch):
-    saved(tmp_path, small)
-    monkeypatch.setattr(Problem, "fitness", lambda *_: pytest.fail("it is known already"))
-    assert resumed(tmp_path, small).optimiser.ledger.evaluations >= BUDGET // 2
-
-
-def test_genes_that_cannot_be_had_again_are_a_sentence(tmp_path, small):
-    Checkpoint(stopped(Elsewhere(), small), SETTINGS).save(tmp_path)
-    with pytest.raises(InputError, match=r"Elsewhere cannot go on: asked again, it proposes other genes"):
-        resumed(tmp_path, small, optimiser=Elsewhere())
-
-
-@pytest.mark.parametrize(
-    ("optimiser", "message"),
-    [
-        (Own(), r"^Own cannot be checkpointed: it does not say what its state is$"),
-        (Careless(), r"^Careless cannot be checkpointed: its state\.seen\.1\.by is a type, which is no number, text,"),
-    ],
-)
-def test_a_class_that_cannot_be_checkpointed_says_so(optimiser, message, tmp_path, small):
-    with pytest.raises(InputError, match=message):
-        Checkpoint(optimiser, {}).check()
-    saved(tmp_path, small)
-    with pytest.raises(InputError, match=rf"{type(optimiser).__name__} cannot be checkpointed"):
-        resumed(tmp_path, small, optimiser=optimiser)
-
-
-def test_plain_states_of_every_kind_come_back(tmp_path, small):
-    class Plain(Own):
-        kept = {"a": [1, 2.5, None, True, "text"], "b": {"c": np.arange(3), "d": [np.eye(2), np.int64(7)]}}  # noqa: RUF012
-
-        def state(self):
-            return self.kept
-
-        def restore(self, state, problem):
-            self.again = state
-
-    Checkpoint(Plain(), SETTINGS).save(tmp_path)
-    again = resumed(tmp_path, small, optimiser=Plain()).optimiser.again
-    assert again["a"] == Plain.kept["a"]
-    np.testing.assert_array_equal(again["b"]["c"], np.arange(3))
-    np.testing.assert_array_equal(again["b"]["d"][0], np.eye(2))
-    assert again["b"]["d"][1] == 7
