@@ -15,6 +15,8 @@ IntArray = NDArray[np.int64]
 LARGEST = 1e12  # numbers beyond mean nothing here, and their products overflow
 LARGEST_SEED = 2**128 - 1  # as many bits as numpy draws for a seed
 LATEST = 1e11  # seconds since 1970: in three thousand years; in milliseconds it was 1973
+APART = 5.0  # seconds from frame to frame: at 200 frames per second they are 5 ms apart
+CREEPING = 5e-3  # m/s: slower than any robot that records itself every APART seconds
 ONE_TURN = 2.0 * math.pi + 0.01  # 6.2832 was rounded up
 # Of a longer message the middle is left out, characters: a file may give a value of any length.
 LONGEST = 2000
@@ -154,12 +156,27 @@ def file_path(name: str, value: Any) -> Path:
     return Path(value)
 
 
-def seconds(source: str, time: FloatArray) -> None:
-    """Raise `InputError` if times from the file `source`, in seconds since whenever, look like smaller units."""
+def seconds(source: str, time: FloatArray, positions: FloatArray | None = None) -> None:
+    """Raise `InputError` if times `(T,)` from the file `source`, in seconds since whenever, look like smaller units.
+
+    With the `positions` `(T, 3)` at these times, in metres, times since the start of the file are recognised too:
+    frames that are seconds apart, between which the camera creeps, are milliseconds apart.
+    """
     latest = float(np.abs(time).max())
     if latest > LATEST:
         asked = "times are in seconds"
         raise InputError(f"{source}: time = {latest:.15g} looks like milliseconds or nanoseconds; {asked}.")
+    if positions is None or len(time) < 3:
+        return
+    step, way = np.diff(time), np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    moving = (step > 0.0) & (way > 0.0)
+    if moving.any() and np.median(step) >= APART:
+        speed = float(np.median(way[moving] / step[moving]))
+        if speed < CREEPING:
+            raise InputError(
+                f"{source}: frames {np.median(step):g} s apart, between which the camera moves at "
+                f"{1000.0 * speed:.2g} mm/s, look like milliseconds; times are in seconds."
+            )
 
 
 def radians(source: str, **angles: FloatArray) -> None:

@@ -15,7 +15,7 @@ from .building import budget_of, build_optimiser, build_problem
 from .earlier_run import read_earlier_run
 from .export import build_export
 from .outputs import all_or_none
-from .signals import stop
+from .signals import CODES, stop
 from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
@@ -29,7 +29,14 @@ UNSAVED = "unsaved.csv"
 def main() -> None:
     """Read `run=DIR`, then hand over to Hydra."""
     read_earlier_run()
-    _main()
+    try:
+        _main()
+    except SystemExit as ended:
+        if ended.code in CODES:  # Python would wait for threads that compile
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(int(ended.code))
+        raise
 
 
 @application("view")

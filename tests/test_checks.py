@@ -62,6 +62,17 @@ def test_stamps_of_a_clock_in_other_units_than_seconds_are_refused(unit):
         seconds("flight.csv", unit * now)
 
 
+@pytest.mark.parametrize("rate", [30.0, 200.0])
+def test_milliseconds_since_the_start_are_refused_where_the_camera_would_creep(rate):
+    time = np.arange(100) / rate
+    walk = np.stack([0.8 * time, np.zeros(100), np.ones(100)], axis=1)
+    rare = np.arange(100) * 10.0
+    for true, way in ((time, walk), (rare, 0.8 * rare[:, None] * [1.0, 0.0, 0.0]), (rare, np.ones((100, 3)))):
+        seconds("flight.csv", true, way)
+    with pytest.raises(InputError, match=r"^flight\.csv: frames [\d.]+ s apart, .* at 0\.8 mm/s, look like milli"):
+        seconds("flight.csv", 1e3 * time, walk)
+
+
 def test_angles_beyond_one_turn_look_like_degrees():
     radians("flight.csv", yaw=np.array([-6.2832, 6.2832]), pitch=np.array([1.57]))
     with pytest.raises(InputError, match=r"^flight\.csv: yaw = -90 looks like degrees; angles are in radians"):

@@ -70,13 +70,13 @@ class Trajectory:
         try:
             if "qw" in table:
                 rows = table.numbers(QUATERNIONS)
-                seconds(str(path), rows[:, 0])
+                seconds(str(path), rows[:, 0], rows[:, 1:4])
                 _check_order(rows[:, 0], table.lines)
                 poses = poses_from_rows(rows[:, 1:])
                 poses[:, :3, :3] = poses[:, :3, :3] @ FRAMES[frame]
                 return cls(rows[:, 0], poses)
             rows = table.numbers((*ANGLES, "roll") if "roll" in table else ANGLES)
-            seconds(str(path), rows[:, 0])
+            seconds(str(path), rows[:, 0], rows[:, 1:4])
             _check_order(rows[:, 0], table.lines)
             angles = dict(zip(("yaw", "pitch", "roll"), rows[:, 4:].T, strict=False))
             radians("the trajectory", **angles)

@@ -23,7 +23,7 @@ class Progress(NamedTuple):
 
 
 class Search:
-    """Moves the free tags of a plan in a thread of its own; the pinned ones are fixed.
+    """Moves the free tags of a plan in a thread of its own, which ends with the process; the pinned ones are fixed.
 
     Args:
         problem: what the tags are for.
@@ -56,7 +56,7 @@ class Search:
         )
         self.plan, self._optimiser, self._budget, self._done = plan, optimiser, budget, done
         self._told = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="search")
+        self._thread = threading.Thread(target=self._run, name="search", daemon=True)
         self.progress: Progress | None = None
         self.error: str | None = None
 
@@ -68,9 +68,9 @@ class Search:
         """End with what is found by then, after the batch that is being evaluated."""
         self._told.set()
 
-    def join(self) -> None:
-        """Wait for the end."""
-        self._thread.join()
+    def join(self, patience: float | None = None) -> None:
+        """Wait for the end, for so many seconds at most."""
+        self._thread.join(patience)
 
     @property
     def running(self) -> bool:

@@ -21,6 +21,8 @@ from lmd.problem import Problem
 from lmd.sight.views import visible
 from lmd.space.heights import lower_edge
 
+PATIENCE = 1.0  # seconds that a search which was stopped is waited for; compiling takes longer
+
 
 class Session:
     """What a user does to a plan. Each change is one step that can be undone; what is refused changes nothing.
@@ -163,8 +165,11 @@ class Session:
         self.search.start()
         return self.search
 
-    def take(self) -> float:
+    def take(self, patience: float | None = None) -> float:
         """Wait for the end of the search and take over what it found if that is better, as one step.
+
+        Args:
+            patience: seconds to wait at most; what it finds later is lost. None to wait however long it takes.
 
         Returns:
             what the fitness has gained.
@@ -174,7 +179,7 @@ class Session:
         """
         search = self.search
         assert search is not None, "there is a search"
-        search.join()
+        search.join(patience)
         self.search, before = None, self.metrics()["fitness"]
         if search.error is not None:
             raise InputError(search.error)
@@ -184,11 +189,11 @@ class Session:
         return search.progress.fitness - before
 
     def end_search(self) -> None:
-        """Stop the search, if there is one, and keep what it has found."""
+        """Stop the search, if there is one, and keep what it has found; one that compiles is not waited for."""
         if self.search is not None:
             self.search.stop()
             with suppress(InputError):
-                self.take()
+                self.take(PATIENCE)
 
     def _step(self, source: list[Plan], target: list[Plan], name: str) -> None:
         self._check_idle()

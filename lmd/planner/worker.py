@@ -7,6 +7,8 @@ from functools import partial
 from lmd.checks import InputError
 from lmd.deployment import Deployment
 
+PATIENCE = 0.5  # seconds that work which nobody wants is waited for
+
 Wanted = Callable[[], bool]
 
 
@@ -36,11 +38,11 @@ class Worker:
                 self._changed.notify()
 
     def close(self) -> None:
-        """End, as soon as the work at hand looks whether it is wanted."""
+        """End, as soon as the work at hand looks whether it is wanted; while it compiles it does not look."""
         with self._changed:
             self._question, self._closing = None, True
             self._changed.notify()
-        self._thread.join()
+        self._thread.join(PATIENCE)
 
     def _run(self) -> None:
         done: tuple[Deployment] | None = None

@@ -1,5 +1,6 @@
 """A session without a browser: whatever was done, its figures are those of `Problem`."""
 
+import threading
 import time
 from dataclasses import replace
 
@@ -299,3 +300,21 @@ def test_a_tag_on_no_surface_has_no_place_to_type():
     assert planned.plan.measured(0, planned.problem.scene.room) is None
     with pytest.raises(InputError, match=r"^tag 0 hangs on no surface\.$"):
         planned.place(0, 1.0, 1.0)
+
+
+def test_the_end_does_not_wait_for_a_search_that_hears_nothing(monkeypatch):
+    monkeypatch.setattr("lmd.planner.session.PATIENCE", 0.01)
+    planned, go = session(), threading.Event()
+    before = planned.plan
+
+    class Compiling(RandomSearch):
+        def run(self, *arguments):
+            go.wait()
+            return super().run(*arguments)
+
+    search = planned.optimise(Compiling(), Budget(3))
+    planned.end_search()
+    assert search.running
+    assert planned.plan is before
+    go.set()
+    search.join()
