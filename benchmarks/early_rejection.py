@@ -10,15 +10,15 @@ import numpy as np
 from hydra import compose, initialize_config_dir
 from numba import njit
 
-from lmd.objectives.coverage_field import coverage_field
-from lmd.objectives.field import move
+from lmd.incremental.coverage_field import coverage_field
+from lmd.incremental.field import move
+from lmd.incremental.move import state_of
+from lmd.incremental.state import scratch_of
+from lmd.incremental.trial import bound_move, finish_move
 from lmd.optimisers.annealing.walk import propose
 from lmd.optimisers.base import Budget
 from lmd.pipelines.app import CONF
 from lmd.pipelines.building import build_optimiser, build_problem
-from lmd.sight.incremental.move import state_of
-from lmd.sight.incremental.state import scratch_of
-from lmd.sight.incremental.trial import bound_move, finish_move
 from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.space.surface import SurfaceArrays
 

@@ -12,14 +12,14 @@ from time import process_time
 import numpy as np
 from speed import N, best_of, move_all, paper_scene
 
-from lmd.deployment import RandomDeployment
-from lmd.objectives.coverage_field import coverage_field
-from lmd.scene import Scene
+from lmd.incremental.coverage_field import coverage_field
+from lmd.incremental.move import state_of
+from lmd.incremental.state import scratch_of
+from lmd.scene.deployment import RandomDeployment
+from lmd.scene.scene import Scene
+from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.fiducial import Fiducial
-from lmd.sight.incremental.move import state_of
-from lmd.sight.incremental.state import scratch_of
-from lmd.tag import Tag
+from lmd.sight.models.fiducial import Fiducial
 
 CASES = ((90, 0.1), (40, 0.1), (90, 0.05))  # how many tags, and their edge in metres
 MOVES, TRIED = 400, 2  # moves that are bounded and made exact

@@ -13,15 +13,15 @@ import numpy as np
 from hydra import compose, initialize_config_dir
 from numba import njit
 
-from lmd.deployment import Deployment, RandomDeployment
+from lmd.incremental.field import bound, settle
 from lmd.objectives.coverage import Coverage
-from lmd.objectives.field import bound, settle
 from lmd.objectives.localisation import Localisation
 from lmd.pipelines.app import CONF
 from lmd.pipelines.building import build_problem
-from lmd.scene import Scene
+from lmd.scene.deployment import Deployment, RandomDeployment
+from lmd.scene.scene import Scene
+from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
-from lmd.tag import Tag
 
 COUNT, MOVES, STEP = 90, 400, 0.1
 

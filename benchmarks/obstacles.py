@@ -13,24 +13,24 @@ from collections.abc import Callable
 import numpy as np
 import trimesh
 
-from lmd import pdf
-from lmd.camera import Camera
-from lmd.compiled import kernel
-from lmd.deployment import RandomDeployment
-from lmd.objectives.coverage_field import coverage_field
-from lmd.objectives.field import bound, settle
-from lmd.scene import Scene
-from lmd.sight.criteria import Criteria
+from lmd.core.compiled import kernel
+from lmd.incremental.coverage_field import coverage_field
+from lmd.incremental.field import bound, settle
+from lmd.scene import pdf
+from lmd.scene.camera import Camera
+from lmd.scene.criteria import Criteria
+from lmd.scene.deployment import RandomDeployment
+from lmd.scene.scene import Scene
+from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.fiducial import Fiducial
-from lmd.sight.paper import Visibility
+from lmd.sight.models.fiducial import Fiducial
+from lmd.sight.models.paper import Visibility
 from lmd.space.cuboid import Cuboid
 from lmd.space.floor_plan import FloorPlan
 from lmd.space.mesh_room import from_mesh
 from lmd.space.parts import Reachable
 from lmd.space.prism import Prism
 from lmd.space.space import Space
-from lmd.tag import Tag
 
 CAMERA = Camera(
     focal_length=5.0, pixel_width=0.0058, pixel_height=0.0058, principal_point=(800, 600), image_width=1600,
@@ -42,13 +42,13 @@ COUNT, MOVES, BATCH = 90, 200, 5
 
 @kernel
 def bound_one(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-def]
-    """See `lmd.objectives.field.bound`."""
+    """See `lmd.incremental.field.bound`."""
     bound(field, k, pose, surface, state, scratch)
 
 
 @kernel
 def settle_one(field, k, state, scratch):  # type: ignore[no-untyped-def]
-    """See `lmd.objectives.field.settle`."""
+    """See `lmd.incremental.field.settle`."""
     settle(field, k, state, scratch)
 
 

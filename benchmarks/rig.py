@@ -12,17 +12,17 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lmd import pdf
-from lmd.camera import Camera
-from lmd.compiled import kernel
-from lmd.deployment import RandomDeployment
+from lmd.core.compiled import kernel
+from lmd.incremental.field import accept, bound, settle, undo
 from lmd.objectives.coverage import Coverage
-from lmd.objectives.field import accept, bound, settle, undo
-from lmd.pdf import OrientationPdf
-from lmd.rig import Mount, Rig
-from lmd.scene import Scene
+from lmd.scene import pdf
+from lmd.scene.camera import Camera
+from lmd.scene.deployment import RandomDeployment
+from lmd.scene.pdf import OrientationPdf
+from lmd.scene.rig import Mount, Rig
+from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.paper import Visibility
+from lmd.sight.models.paper import Visibility
 from lmd.space.cuboid import Cuboid
 
 CAMERA = Camera(

@@ -10,11 +10,11 @@ from time import process_time
 
 from hydra import compose, initialize_config_dir
 
-from lmd.compiled import clock
+from lmd.core.compiled import clock
+from lmd.evaluation.validation import Sample, validation_metrics
 from lmd.optimisers.base import Budget
 from lmd.pipelines.app import CONF
 from lmd.pipelines.building import build_optimiser, build_problem
-from lmd.validation import Sample, validation_metrics
 
 SEEDS = range(3)
 SAMPLE = Sample(groups=64)

@@ -23,22 +23,22 @@ from numba import njit
 from same_results import HERE, checkout
 from start import processor_seconds
 
-from lmd.deployment import RandomDeployment
-from lmd.objectives.coverage_field import coverage_field
-from lmd.pdf import grid_with_ends
+from lmd.core.threads import available_threads
+from lmd.incremental.coverage_field import coverage_field
+from lmd.incremental.move import carry_out, state_of
+from lmd.incremental.state import scratch_of
+from lmd.incremental.trial import bound_move, finish_move
 from lmd.pipelines.app import CONF
 from lmd.pipelines.building import build_problem
-from lmd.scene import Scene
+from lmd.scene.criteria import from_position
+from lmd.scene.deployment import RandomDeployment
+from lmd.scene.pdf import grid_with_ends
+from lmd.scene.scene import Scene
 from lmd.sight import reference
 from lmd.sight.bands import band_of
 from lmd.sight.blocks import BLOCK
-from lmd.sight.criteria import from_position
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.incremental.move import carry_out, state_of
-from lmd.sight.incremental.state import scratch_of
-from lmd.sight.incremental.trial import bound_move, finish_move
 from lmd.sight.poses import candidate_poses, gains
-from lmd.threads import available_threads
 
 COUNT, N = 90, 2  # of the paper: landmarks, and how many must be seen
 DEPLOYMENTS = 20

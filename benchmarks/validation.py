@@ -15,14 +15,14 @@ from dataclasses import replace
 import numpy as np
 from hydra import compose, initialize_config_dir
 
-from lmd.checks import FloatArray
-from lmd.deployment import Deployment
+from lmd.core.checks import FloatArray
+from lmd.evaluation.validation import Sample
 from lmd.optimisers.base import Budget
 from lmd.pipelines.app import CONF
 from lmd.pipelines.building import build_optimiser, build_problem
 from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
-from lmd.validation import Sample
 
 VALIDATION = Sample()
 SAMPLES = 32

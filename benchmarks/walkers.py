@@ -11,10 +11,10 @@ import time
 import numpy as np
 from hydra import compose, initialize_config_dir
 
-from lmd.deployment import Deployment
 from lmd.optimisers.base import Budget
 from lmd.pipelines.app import CONF
 from lmd.pipelines.building import build_optimiser, build_problem
+from lmd.scene.deployment import Deployment
 
 RUNS = {
     "paper": (12000, []),

@@ -22,13 +22,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from lmd import pdf as pdf
-    from lmd.camera import Camera as Camera
-    from lmd.checks import InputError as InputError
-    from lmd.deployment import Deployment as Deployment
-    from lmd.deployment import FileDeployment as FileDeployment
-    from lmd.deployment import RandomDeployment as RandomDeployment
-    from lmd.deployment import UniformDeployment as UniformDeployment
+    from lmd.core.checks import InputError as InputError
     from lmd.objectives.coverage import Coverage as Coverage
     from lmd.objectives.localisation import Localisation as Localisation
     from lmd.objectives.sampling import Sampling as Sampling
@@ -37,12 +31,18 @@ if TYPE_CHECKING:
     from lmd.optimisers.base import Result as Result
     from lmd.plot.scene import save_scene_figure as save_scene_figure
     from lmd.problem import Problem as Problem
-    from lmd.rig import Mount as Mount
-    from lmd.rig import Rig as Rig
     from lmd.run import evaluate as evaluate
     from lmd.run import optimise as optimise
-    from lmd.scene import Scene as Scene
-    from lmd.sight.paper import Visibility as Visibility
+    from lmd.scene import pdf as pdf
+    from lmd.scene.camera import Camera as Camera
+    from lmd.scene.deployment import Deployment as Deployment
+    from lmd.scene.deployment import FileDeployment as FileDeployment
+    from lmd.scene.deployment import RandomDeployment as RandomDeployment
+    from lmd.scene.deployment import UniformDeployment as UniformDeployment
+    from lmd.scene.rig import Mount as Mount
+    from lmd.scene.rig import Rig as Rig
+    from lmd.scene.scene import Scene as Scene
+    from lmd.sight.models.paper import Visibility as Visibility
     from lmd.space.cuboid import Cuboid as Cuboid
     from lmd.space.floor_plan import FloorPlan as FloorPlan
     from lmd.space.mesh_room import MeshRoom as MeshRoom
@@ -54,27 +54,27 @@ if TYPE_CHECKING:
 _HOMES = {
     "Annealing": "lmd.optimisers.annealing",
     "Budget": "lmd.optimisers.base",
-    "Camera": "lmd.camera",
+    "Camera": "lmd.scene.camera",
     "Coverage": "lmd.objectives.coverage",
     "Localisation": "lmd.objectives.localisation",
     "Cuboid": "lmd.space.cuboid",
-    "Deployment": "lmd.deployment",
-    "FileDeployment": "lmd.deployment",
+    "Deployment": "lmd.scene.deployment",
+    "FileDeployment": "lmd.scene.deployment",
     "FloorPlan": "lmd.space.floor_plan",
-    "InputError": "lmd.checks",
+    "InputError": "lmd.core.checks",
     "MeshRoom": "lmd.space.mesh_room",
-    "Mount": "lmd.rig",
+    "Mount": "lmd.scene.rig",
     "Prism": "lmd.space.prism",
     "Problem": "lmd.problem",
-    "RandomDeployment": "lmd.deployment",
+    "RandomDeployment": "lmd.scene.deployment",
     "Reachable": "lmd.space.parts",
     "Result": "lmd.optimisers.base",
-    "Rig": "lmd.rig",
+    "Rig": "lmd.scene.rig",
     "Sampling": "lmd.objectives.sampling",
     "Scan": "lmd.space.scan",
-    "Scene": "lmd.scene",
-    "UniformDeployment": "lmd.deployment",
-    "Visibility": "lmd.sight.paper",
+    "Scene": "lmd.scene.scene",
+    "UniformDeployment": "lmd.scene.deployment",
+    "Visibility": "lmd.sight.models.paper",
     "evaluate": "lmd.run",
     "optimise": "lmd.run",
     "save_scene_figure": "lmd.plot.scene",

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import FloatArray, integer
-from lmd.deployment import Deployment, DeploymentSource
+from lmd.core.checks import FloatArray, integer
+from lmd.core.threads import MOST_THREADS
 from lmd.objectives.base import Objective
-from lmd.scene import Scene
+from lmd.scene.deployment import Deployment, DeploymentSource
+from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
-from lmd.threads import MOST_THREADS
 
 # Seeds every draw of an objective's `Sampling`: the problem is the same for every seed of an optimiser.
 SAMPLING_STREAM = 0x64657369

@@ -1,10 +1,10 @@
 """The two verbs: find a deployment, score a deployment."""
 
-from lmd.deployment import Deployment
+from lmd.evaluation.validation import validation_metrics
 from lmd.optimisers.annealing import Annealing
 from lmd.optimisers.base import Budget, Callback, Optimiser, Result
 from lmd.problem import Problem
-from lmd.validation import validation_metrics
+from lmd.scene.deployment import Deployment
 
 
 def optimise(
@@ -38,7 +38,7 @@ def evaluate(problem: Problem, deployment: Deployment, validate: bool = False, s
     Args:
         problem: what it is scored for.
         deployment: any number of landmarks in the problem's room.
-        validate: also score it off the problem's grid, see `lmd.validation`; takes a second.
+        validate: also score it off the problem's grid, see `lmd.evaluation.validation`; takes a second.
         seed: of the sample used for that.
 
     Raises:

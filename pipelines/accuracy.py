@@ -31,8 +31,8 @@ def accuracy(cfg: DictConfig) -> None:
     import numpy as np
     import pandas as pd
 
-    from lmd.accuracy import accuracy_metrics
-    from lmd.checks import seed_number
+    from lmd.core.checks import seed_number
+    from lmd.evaluation.accuracy import accuracy_metrics
     from lmd.plot.accuracy import save_accuracy_figure
 
     from .tracked_run import title_of, tracked

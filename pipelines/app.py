@@ -65,7 +65,7 @@ def _refuse_launcher_that_is_missing() -> None:
     for argument in sys.argv[1:]:
         name = argument.removeprefix("+").removeprefix("hydra/launcher=")
         if name in LAUNCHERS and name != argument and not _is_installed(LAUNCHERS[name]):
-            from lmd.optional import missing
+            from lmd.core.optional import missing
 
             sys.exit(f"error: {missing(LAUNCHERS[name], 'sweeps')}")
 
@@ -120,7 +120,7 @@ def save_path(save_as: Any) -> Path | None:
     Raises:
         InputError: it is no text, or its folder cannot be written to.
     """
-    from lmd.checks import InputError, file_path
+    from lmd.core.checks import InputError, file_path
 
     if save_as is None:
         return None
@@ -166,7 +166,7 @@ def recompose(config_name: str, overrides: Sequence[str], setting: str, entry: s
     from hydra.core.global_hydra import GlobalHydra
     from hydra.errors import HydraException
 
-    from lmd.checks import InputError
+    from lmd.core.checks import InputError
 
     try:
         loader = GlobalHydra.instance().config_loader()
@@ -213,9 +213,9 @@ def choices() -> dict[str, str]:
 def ends_reported() -> Iterator[None]:
     """Turn bad input and a full disk into one sentence on stderr and exit code 1; bad input leaves no trace.
 
-    Memory that is refused counts as bad input: what takes most is estimated (`lmd.memory`), the rest is not.
+    Memory that is refused counts as bad input: what takes most is estimated (`lmd.core.memory`), the rest is not.
     """
-    from lmd.checks import InputError
+    from lmd.core.checks import InputError
 
     try:
         with stop.raising():

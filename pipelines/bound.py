@@ -25,9 +25,9 @@ def _main(cfg: DictConfig) -> None:
 
 def bound(cfg: DictConfig) -> None:
     """Bound what the configured problem admits."""
-    from lmd.bounds import Search, average_upper_bound, fewest_landmarks, fitness_upper_bound
-    from lmd.checks import real
-    from lmd.selection_bound import GUARANTEE, selection_upper_bound
+    from lmd.core.checks import real
+    from lmd.evaluation.bounds import Search, average_upper_bound, fewest_landmarks, fitness_upper_bound
+    from lmd.evaluation.selection_bound import GUARANTEE, selection_upper_bound
 
     from .tracked_run import title_of, tracked
 

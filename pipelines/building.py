@@ -16,12 +16,12 @@ from .fixed import fixed_of, others_of, total_of
 from .spelling import meant
 
 if TYPE_CHECKING:
-    from lmd.camera import Camera
     from lmd.optimisers.base import Budget, Optimiser
-    from lmd.pdf import OrientationPdf
     from lmd.problem import Problem
-    from lmd.recorded_poses import RecordedPoses
-    from lmd.rig import Rig
+    from lmd.scene.camera import Camera
+    from lmd.scene.pdf import OrientationPdf
+    from lmd.scene.recorded_poses import RecordedPoses
+    from lmd.scene.rig import Rig
     from lmd.space.space import Space
 
 # What every problem has settings of.
@@ -39,7 +39,7 @@ def keyed(group: str = "", **keys: str) -> Iterator[None]:
         group: has the arguments as its keys; none for keys at the top.
         keys: of arguments that come from elsewhere, by the names of the arguments.
     """
-    from lmd.checks import InputError
+    from lmd.core.checks import InputError
 
     try:
         yield
@@ -60,8 +60,8 @@ def instantiate(node: Any, **extra: Any) -> Any:
     """
     from hydra.errors import InstantiationException
 
-    from lmd.checks import InputError
-    from lmd.optional import missing_of
+    from lmd.core.checks import InputError
+    from lmd.core.optional import missing_of
 
     try:
         return hydra.utils.instantiate(node, **extra, _convert_="all")
@@ -88,7 +88,7 @@ def settings_of(cfg: DictConfig, key: str) -> DictConfig:
     Raises:
         InputError: there are none.
     """
-    from lmd.checks import InputError
+    from lmd.core.checks import InputError
 
     found = OmegaConf.select(cfg, key)
     if not isinstance(found, DictConfig):
@@ -115,8 +115,8 @@ def seeds_of(cfg: DictConfig) -> range:
     Raises:
         InputError: one of the two is refused, or they are more than there is memory for.
     """
-    from lmd.checks import integer, seed_number
-    from lmd.memory import check_memory
+    from lmd.core.checks import integer, seed_number
+    from lmd.core.memory import check_memory
 
     seed, count = seed_number(cfg.seed), integer("seeds", cfg.seeds, low=1)
     check_memory(RUN_BYTES * count, f"seeds = {count} runs", "seeds")
@@ -129,7 +129,7 @@ def camera_of(node: DictConfig) -> "Camera | Rig":
     Raises:
         InputError: the rig is none, or a camera is refused; that of the group is made only where a mount has none.
     """
-    from lmd.rig import has_own_camera, rig_of
+    from lmd.scene.rig import has_own_camera, rig_of
 
     alone = deepcopy(node)
     with open_dict(alone):
@@ -154,15 +154,15 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
     """
     import numpy as np
 
-    from lmd.carried import carried
-    from lmd.checks import InputError, boolean, choice, integer, seed_number
+    from lmd.core.checks import InputError, boolean, choice, integer, seed_number
+    from lmd.core.optional import optional
+    from lmd.core.threads import MOST_THREADS
     from lmd.objectives.localisation import Localisation
     from lmd.optimisers.encoding import KINDS
-    from lmd.optional import optional
     from lmd.problem import Problem
-    from lmd.scene import Scene
-    from lmd.tag import Tag
-    from lmd.threads import MOST_THREADS
+    from lmd.scene.carried import carried
+    from lmd.scene.scene import Scene
+    from lmd.scene.tag import Tag
 
     for group in GROUPS:
         settings_of(cfg, group)
@@ -213,7 +213,7 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
 
 def _poses(cfg: DictConfig) -> "tuple[Space, OrientationPdf, RecordedPoses | None]":
     """Where the camera is, how it looks there, and the recording that says so, if one does."""
-    from lmd.checks import InputError
+    from lmd.core.checks import InputError
 
     room, recorded = instantiate(cfg.room), bool(cfg.get("poses"))  # runs of old have none
     if doubt := getattr(getattr(room, "scan", None), "doubt", None):  # of a mesh
@@ -235,7 +235,7 @@ def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":
     Raises:
         InputError: it cannot be built, or is none.
     """
-    from lmd.checks import InputError
+    from lmd.core.checks import InputError
     from lmd.optimisers.base import AskTell, Optimiser
 
     optimiser = instantiate(settings_of(cfg, "optimiser"), seed=seed)

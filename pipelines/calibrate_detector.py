@@ -28,10 +28,10 @@ def calibrate(cfg: DictConfig) -> None:
     """Fit limits to each of the configured detectors."""
     import numpy as np
 
-    from lmd.checks import integer, real, seed_number
+    from lmd.core.checks import integer, real, seed_number
+    from lmd.core.optional import optional
     from lmd.detection.calibration import Calibration, foreseen, judged
     from lmd.detection.fit import fit
-    from lmd.optional import optional
     from lmd.plot.detection import save_limits_figure
 
     from .detect import sightings, subject_of

@@ -13,7 +13,7 @@ from .sweeps.supervisor import run
 from .workers import in_processes
 
 if TYPE_CHECKING:
-    from lmd.comparison import OptimiserRun
+    from lmd.evaluation.comparison import OptimiserRun
     from lmd.optimisers.base import Budget
 
     from .tracking import Tracker
@@ -36,8 +36,8 @@ def _main(cfg: DictConfig) -> None:
 
 def compare(cfg: DictConfig) -> None:
     """Run the configured comparison."""
-    from lmd.checks import InputError
-    from lmd.comparison import comparison_table
+    from lmd.core.checks import InputError
+    from lmd.evaluation.comparison import comparison_table
     from lmd.plot.comparison import save_comparison_figure
 
     from .reproduction.comparison import to_markdown
@@ -88,7 +88,7 @@ def _compose(entry: str, cfg: DictConfig) -> DictConfig:
 
 def _run(job: "tuple[str, DictConfig, int, Budget]") -> "OptimiserRun":
     """One run, on one thread."""
-    from lmd.comparison import OptimiserRun
+    from lmd.evaluation.comparison import OptimiserRun
 
     name, cfg, seed, budget = job
     problem = build_problem(cfg)

@@ -33,7 +33,7 @@ def composed_deployments(cfg: DictConfig, config_name: str) -> dict[str, DictCon
     Raises:
         InputError: there is no entry, or one that is refused.
     """
-    from lmd.checks import InputError
+    from lmd.core.checks import InputError
 
     entries = OmegaConf.to_container(cfg.deployments) if OmegaConf.is_list(cfg.deployments) else []
     if not entries or not all(str(entry).split() for entry in entries):

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-    from lmd.checks import FloatArray
+    from lmd.core.checks import FloatArray
     from lmd.detection.detectors import Detector
     from lmd.detection.frames import Sightings
     from lmd.detection.report import Prediction
@@ -62,7 +62,7 @@ class Subject:
 
     def nudged(self, sizes: object, seed: int) -> "Subject":
         """The same in poses that are moved by `sizes`, standard deviations in metres and rad."""
-        from lmd.checks import vector
+        from lmd.core.checks import vector
         from lmd.detection.frames import nudged
 
         position, attitude = vector("nudge", sizes, 2, low=0.0)
@@ -72,9 +72,9 @@ class Subject:
 
 def detect(cfg: DictConfig) -> None:
     """Let the configured detectors read frames of the configured deployments."""
-    from lmd.checks import integer, seed_number
+    from lmd.core.checks import integer, seed_number
+    from lmd.core.optional import optional
     from lmd.detection.report import to_markdown
-    from lmd.optional import optional
     from lmd.plot.detection import save_calibration_figure
 
     from .tracked_run import title_of, tracked
@@ -121,14 +121,14 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
     """
     import numpy as np
 
-    from lmd.checks import InputError
+    from lmd.core.checks import InputError
+    from lmd.core.memory import check_memory
     from lmd.detection.frames import draw_poses, tagged_room
     from lmd.detection.report import Prediction
+    from lmd.evaluation.verdicts import verdicts
     from lmd.geometry.se3 import axis_and_right
-    from lmd.memory import check_memory
     from lmd.render.renderer import Renderer
     from lmd.sight.views import visible
-    from lmd.verdicts import verdicts
 
     tag, imaging = instantiate(cfg.tag), instantiate(cfg.imaging)
     problem = build_problem(any_deployment(cfg))
@@ -195,8 +195,8 @@ def sightings(subjects: Mapping[str, Subject], seed: int, workers: int | None) -
 
 def _look(job: Job) -> tuple[str, int, dict[str, "Sightings"]]:
     """One job, on one thread."""
+    from lmd.core.optional import optional
     from lmd.detection.frames import look
-    from lmd.optional import optional
 
     optional("cv2", "detection").setNumThreads(1)
     return job.name, job.first, look(job.renderer, job.detectors, job.poses, job.first, job.seed)

@@ -33,6 +33,6 @@ def read_document(path: Path, content_of: Callable[[dict[str, Any]], Content]) -
 
 def write_document(path: Path, document: Mapping[str, Any]) -> None:
     """Write a document, whole or not at all, whatever ends the process or the machine meanwhile."""
-    from lmd.files import write_whole
+    from lmd.core.files import write_whole
 
     write_whole(path, (json.dumps(document, indent=2) + "\n").encode())

@@ -37,7 +37,7 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}") -> None:
     directory = _directory(given[-1]) if given else None
     if directory is None:
         return
-    from lmd.checks import InputError
+    from lmd.core.checks import InputError
 
     for name in FILES:
         if not (directory / name).is_file():
@@ -71,8 +71,8 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}") -> None:
 
 def count_of(run: str | Path) -> int:
     """How many landmarks the run in a directory has."""
-    from lmd.checks import InputError
-    from lmd.tables import read_table
+    from lmd.core.checks import InputError
+    from lmd.core.tables import read_table
 
     try:
         return len(read_table(Path(run) / FILES[1], name="run").lines)
@@ -87,7 +87,7 @@ def check_experiment(cfg: DictConfig) -> None:
     """
     from hydra.core.global_hydra import GlobalHydra
 
-    from lmd.checks import InputError
+    from lmd.core.checks import InputError
 
     name = choices().get("experiment")
     if name is None or cfg.get("run") is None:

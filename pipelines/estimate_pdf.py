@@ -24,7 +24,7 @@ def estimate(cfg: DictConfig) -> None:
     """Estimate the PDF of the configured recording."""
     import numpy as np
 
-    from lmd.checks import seed_number
+    from lmd.core.checks import seed_number
     from lmd.orientation.estimate import estimate_pdf
     from lmd.plot.orientation import save_orientation_figure
 

@@ -12,12 +12,12 @@ from .earlier_run import read_earlier_run
 from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
-    from lmd.deployment import Deployment
-    from lmd.losses import Losses
-    from lmd.mounting import Mounted, MountingError
+    from lmd.evaluation.losses import Losses
+    from lmd.evaluation.mounting import Mounted, MountingError
+    from lmd.evaluation.sensitivity import Sensitivity
+    from lmd.evaluation.survey import Survey
     from lmd.problem import Problem
-    from lmd.sensitivity import Sensitivity
-    from lmd.survey import Survey
+    from lmd.scene.deployment import Deployment
 
     from .tracking import Tracker
 
@@ -46,10 +46,10 @@ def evaluate(cfg: DictConfig) -> float:
     """Score the configured deployment."""
     import numpy as np
 
-    from lmd.checks import seed_number
-    from lmd.compiled import clock
+    from lmd.core.checks import seed_number
+    from lmd.core.compiled import clock
     from lmd.optimisers.base import Record
-    from lmd.rig import Rig
+    from lmd.scene.rig import Rig
 
     from .tracked_run import record, title_of, tracked
 
@@ -59,7 +59,7 @@ def evaluate(cfg: DictConfig) -> float:
     deployment = plan = problem.draw(np.random.default_rng(seed))
     with keyed("deployment", path=MEASURED):
         if cfg.deployment.measured is not None:
-            from lmd.survey import read_measured  # slow to load
+            from lmd.evaluation.survey import read_measured  # slow to load
 
             deployment = read_measured(cfg.deployment.measured, problem, plan)
         error: MountingError = instantiate(settings_of(cfg, MOUNTING))
@@ -93,8 +93,8 @@ def evaluate(cfg: DictConfig) -> float:
 
 def localise(problem: "Problem", deployment: "Deployment", seed: int, tracker: "Tracker") -> dict[str, float]:
     """Write and log the maps of how well a single frame is localised; returns the figures."""
-    from lmd.accuracy import accuracy_metrics, save_accuracy_map
-    from lmd.localisation.cramer_rao import cramer_rao_map
+    from lmd.estimation.cramer_rao import cramer_rao_map
+    from lmd.evaluation.accuracy import accuracy_metrics, save_accuracy_map
     from lmd.plot.localisation import save_cramer_rao_map
 
     from .tracked_run import title_of
@@ -111,9 +111,9 @@ def localise(problem: "Problem", deployment: "Deployment", seed: int, tracker: "
 
 def lose(problem: "Problem", deployment: "Deployment", tracker: "Tracker") -> "Losses | None":
     """Write and log what is lost without each landmark; None, and a line that says why, where that cannot be told."""
-    from lmd.checks import InputError
-    from lmd.losses import losses
-    from lmd.tables import write_table
+    from lmd.core.checks import InputError
+    from lmd.core.tables import write_table
+    from lmd.evaluation.losses import losses
 
     try:
         found = losses(problem, deployment)
@@ -128,8 +128,8 @@ def lose(problem: "Problem", deployment: "Deployment", tracker: "Tracker") -> "L
 
 def vary(problem: "Problem", deployment: "Deployment", seed: int, tracker: "Tracker") -> "Sensitivity":
     """Write and log how much the figures hang on what was assumed."""
+    from lmd.evaluation.sensitivity import sensitivity
     from lmd.plot.sensitivity import save_sensitivity_figure
-    from lmd.sensitivity import sensitivity
 
     from .tracked_run import title_of
 
@@ -146,8 +146,8 @@ def compare_measured(
     problem: "Problem", plan: "Deployment", measured: "Deployment", seed: int, tracker: "Tracker"
 ) -> "Survey":
     """Write and log how far tags hang from where they were planned, and what that changes."""
+    from lmd.evaluation.survey import survey
     from lmd.plot.mounting import save_map_figure
-    from lmd.survey import survey
 
     from .tracked_run import title_of
 
@@ -164,7 +164,7 @@ def mount(
     problem: "Problem", deployment: "Deployment", error: "MountingError", seed: int, tracker: "Tracker"
 ) -> "Mounted":
     """Write and log what becomes of the figures if tags do not hang quite where they should."""
-    from lmd.mounting import mounted
+    from lmd.evaluation.mounting import mounted
     from lmd.plot.mounting import save_map_figure
 
     from .tracked_run import title_of

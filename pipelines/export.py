@@ -16,8 +16,8 @@ from .outputs import all_or_none
 from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
-    from lmd.export.formats import Export
-    from lmd.tag import Tag
+    from lmd.mapping.formats import Export
+    from lmd.scene.tag import Tag
 
 
 def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
@@ -28,7 +28,7 @@ def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
     Raises:
         InputError: that cannot be written, or there is no such format.
     """
-    from lmd.export.formats import FORMATS, Export, formats_of, not_printed
+    from lmd.mapping.formats import FORMATS, Export, formats_of, not_printed
 
     with keyed(formats=key, paper="paper_size", edge="tag.edge"):
         settings = OmegaConf.to_container(cfg, resolve=True)
@@ -60,8 +60,8 @@ def export(cfg: DictConfig) -> None:
     """Write the configured deployment in the configured formats, all files or none."""
     import numpy as np
 
-    from lmd.checks import InputError
-    from lmd.export.sheets import describe_sheets
+    from lmd.core.checks import InputError
+    from lmd.mapping.sheets import describe_sheets
 
     from .tracked_run import title_of, tracked
 

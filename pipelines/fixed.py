@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from omegaconf import DictConfig, open_dict
 
 if TYPE_CHECKING:
-    from lmd.deployment import Deployment
+    from lmd.scene.deployment import Deployment
 
 COUNT = "deployment.count="
 # Keys of the group that say nothing of where landmarks come from.
@@ -30,8 +30,8 @@ def fixed_of(node: DictConfig) -> "Deployment | None":
     """
     import numpy as np
 
-    from lmd.deployment import Deployment
-    from lmd.fixed import COLUMN
+    from lmd.scene.deployment import Deployment
+    from lmd.scene.fixed import COLUMN
 
     path = node.get("fixed")  # runs of old have none
     if path is None:
@@ -47,7 +47,7 @@ def total_of(node: DictConfig, fixed: "Deployment | None") -> int | None:
     Raises:
         InputError: the count goes on from fixed landmarks, of which there are none, or leaves none to place.
     """
-    from lmd.checks import InputError, integer
+    from lmd.core.checks import InputError, integer
 
     count = node.get("count")
     more = MORE.fullmatch(count) if isinstance(count, str) else None

@@ -61,8 +61,8 @@ def going_on(run: "pd.Series", trust: Trust) -> GoingOn | None:
         run: of `MlflowReader.runs`.
         trust: of the command line.
     """
-    from lmd.checkpoint import FILE
-    from lmd.checks import InputError, printable
+    from lmd.core.checks import InputError, printable
+    from lmd.optimisers.checkpoint import FILE
 
     from .tracking import PARENT_TAG
 
@@ -91,7 +91,7 @@ def _command(folder: Path, is_sweep: bool, trust: Trust) -> tuple[str, list[str]
     Raises:
         InputError: Hydra has not written the folder so, or what it was given is not taken from a file.
     """
-    from lmd.checks import InputError
+    from lmd.core.checks import InputError
 
     file = folder / ("multirun.yaml" if is_sweep else ".hydra/hydra.yaml")
     written: Any = read_yaml(file, "its folder").get("hydra")
@@ -142,7 +142,7 @@ def _is_kept(override: str, source: str, trust: Trust) -> bool:
     Raises:
         InputError: it is not taken from a file, or names what is not trusted.
     """
-    from lmd.checks import InputError
+    from lmd.core.checks import InputError
 
     try:
         parsed = OverridesParser.create().parse_override(override)

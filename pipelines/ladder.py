@@ -17,9 +17,9 @@ from .optimise import SAME_WHEN_RESUMED
 from .sweeps.names import digest
 
 if TYPE_CHECKING:
-    from lmd.deployment import Deployment
+    from lmd.evaluation.tradeoff import Found
     from lmd.problem import Problem
-    from lmd.tradeoff import Found
+    from lmd.scene.deployment import Deployment
 
 NO_SHARE = re.compile("cost|predicted_error_.*|.*_(seconds|standard_error)")  # among the figures of a point
 Content = TypeVar("Content")
@@ -57,19 +57,19 @@ class Ladder:
 
     def anew(self, count: int) -> "Found":
         """What a search finds that sets out from nothing."""
-        from lmd.tradeoff import ANEW
+        from lmd.evaluation.tradeoff import ANEW
 
         return self._search(self.problem(count), ANEW)
 
     def improved(self, known: "Mapping[int, Found]", chosen: Iterable[int]) -> "dict[int, Found]":
-        """See `lmd.tradeoff.improved`."""
-        from lmd.tradeoff import improved
+        """See `lmd.evaluation.tradeoff.improved`."""
+        from lmd.evaluation.tradeoff import improved
 
         return improved(known, chosen, self.problem, self._search)
 
     def figures(self, found: "Found") -> dict[str, float]:
         """All figures of what was found."""
-        from lmd.tradeoff import SAMPLE
+        from lmd.evaluation.tradeoff import SAMPLE
 
         deployment = found.deployment
         score = partial(figures_of, self.problem(len(deployment)), deployment, self.seed)
@@ -77,8 +77,8 @@ class Ladder:
 
     def _search(self, problem: "Problem", way: str) -> "Found":
         """Climb from the start of a problem with a budget of its own."""
-        from lmd.deployment import Deployment, GivenDeployment
-        from lmd.tradeoff import Found
+        from lmd.evaluation.tradeoff import Found
+        from lmd.scene.deployment import Deployment, GivenDeployment
 
         cfg = self.point(problem.count)
 
@@ -104,7 +104,7 @@ class Ladder:
         content_of: Callable[[dict[str, Any]], Content],
     ) -> Content:
         """What was computed before from the same configuration and deployment by the same code, or is computed now."""
-        from lmd.compiled import sources
+        from lmd.core.compiled import sources
 
         settings = flat_settings(self.point(count), *SAME_WHEN_RESUMED, "budget")
         arrays = None if given is None else [getattr(given, name).tolist() for name in ARRAYS]
@@ -121,12 +121,12 @@ class Ladder:
 def figures_of(problem: "Problem", deployment: "Deployment", seed: int) -> dict[str, float]:
     """All figures of a deployment, on the grid and off it, where `seed` draws the sample.
 
-    Those of single images (`lmd.accuracy`) are left out for a rig.
+    Those of single images (`lmd.evaluation.accuracy`) are left out for a rig.
     """
-    from lmd.accuracy import accuracy_metrics
-    from lmd.rig import Rig
-    from lmd.tradeoff import SAMPLE
-    from lmd.validation import validation_metrics
+    from lmd.evaluation.accuracy import accuracy_metrics
+    from lmd.evaluation.tradeoff import SAMPLE
+    from lmd.evaluation.validation import validation_metrics
+    from lmd.scene.rig import Rig
 
     figures = problem.metrics(deployment) | validation_metrics(problem, deployment, seed, SAMPLE)
     return figures if isinstance(problem.scene.camera, Rig) else figures | accuracy_metrics(problem, deployment, seed)

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-    from lmd.localisation.rendered import RenderedDetector
-    from lmd.localisation.study import Flights
+    from lmd.estimation.rendered import RenderedDetector
+    from lmd.estimation.study import Flights
     from lmd.problem import Problem
 
     from .tracking import Tracker
@@ -44,9 +44,9 @@ def _main(cfg: DictConfig) -> None:
 
 def observe(cfg: DictConfig) -> None:
     """Localise a camera over the configured deployments."""
-    from lmd.checks import InputError, real
-    from lmd.localisation import pairs
-    from lmd.localisation.study import Flights, conduct, to_markdown
+    from lmd.core.checks import InputError, real
+    from lmd.estimation import pairs
+    from lmd.estimation.study import Flights, conduct, to_markdown
     from lmd.plot.localisation import save_error_figure
 
     from .tracked_run import title_of, tracked
@@ -96,7 +96,7 @@ def observe(cfg: DictConfig) -> None:
 
 
 def _each(workers: int | None, function: Callable[[Any], Any], jobs: Sequence[Any]) -> Iterator[Any]:
-    """See `lmd.localisation.recording.Each`."""
+    """See `lmd.estimation.recording.Each`."""
     from .progress import bar
     from .workers import in_processes
 
@@ -111,7 +111,7 @@ def _each(workers: int | None, function: Callable[[Any], Any], jobs: Sequence[An
 
 def _on_one_thread(function: Callable[[Any], Any], job: Any) -> Any:
     """One job, in a process among others."""
-    from lmd.optional import optional
+    from lmd.core.optional import optional
 
     optional("cv2", "detection").setNumThreads(1)
     return function(job)

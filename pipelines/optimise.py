@@ -18,10 +18,10 @@ from .signals import Stopped, stop
 from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
-    from lmd.checkpoint import Checkpoint
-    from lmd.deployment import Deployment
     from lmd.optimisers.base import Budget, Result
+    from lmd.optimisers.checkpoint import Checkpoint
     from lmd.problem import Problem
+    from lmd.scene.deployment import Deployment
 
     from .tracking import Tracker
 
@@ -45,8 +45,8 @@ def _main(cfg: DictConfig) -> float | None:
 
 def optimise(cfg: DictConfig) -> float:
     """Run one optimisation as configured."""
-    from lmd.checkpoint import Checkpoint
-    from lmd.checks import real
+    from lmd.core.checks import real
+    from lmd.optimisers.checkpoint import Checkpoint
 
     from .tracked_run import Earlier, record, title_of, tracked
 
@@ -88,7 +88,7 @@ def optimise(cfg: DictConfig) -> float:
 
 
 def _tell_how_to_go_on() -> None:
-    from lmd.checkpoint import FILE
+    from lmd.optimisers.checkpoint import FILE
 
     directory = run_directory()
     if (directory / FILE).exists():
@@ -97,7 +97,7 @@ def _tell_how_to_go_on() -> None:
 
 def _accuracy(cfg: DictConfig, problem: "Problem", deployment: "Deployment") -> dict[str, float]:
     """How well an image localises the camera, where that is what the deployment is for."""
-    from lmd.accuracy import accuracy_metrics
+    from lmd.evaluation.accuracy import accuracy_metrics
     from lmd.objectives.localisation import Localisation
 
     wanted = cfg.validate and isinstance(problem.objective, Localisation)
@@ -108,7 +108,7 @@ def _run(
     cfg: DictConfig, problem: "Problem", budget: "Budget", checkpoint: "Checkpoint", tracker: "Tracker"
 ) -> "tuple[Result, bool]":
     """Optimise; returns what was found, and whether it was told to stop so urgently that it left a batch undone."""
-    from lmd.compiled import is_compiling
+    from lmd.core.compiled import is_compiling
 
     from .progress import Progress
 

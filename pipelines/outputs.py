@@ -20,9 +20,9 @@ from .app import discard_empty
 from .documents import write_document
 
 if TYPE_CHECKING:
-    from lmd.deployment import Deployment
     from lmd.optimisers.base import Record
     from lmd.problem import Problem
+    from lmd.scene.deployment import Deployment
 
 LEAST = 1 << 20  # bytes that must be free for a run to begin
 PARTIAL = ".partial_"
@@ -81,7 +81,7 @@ def write_figures(
 
 def write_history(directory: Path, history: "Sequence[Record]") -> tuple[list[Path], list[str]]:
     """Write history.csv, the best fitness over a run, if the disk takes it; returns as `write_pictures` does."""
-    from lmd.tables import write_table
+    from lmd.core.tables import write_table
 
     return _write_what_fits(directory, {"history.csv": lambda path: write_table(path, columns_of(history))})
 

@@ -28,7 +28,7 @@ OTHERS = (  # the longest first
 
 def main() -> None:
     """Do a small run of each kind, in processes of their own; exit with 1 if one fails."""
-    from lmd.threads import available_threads
+    from lmd.core.threads import available_threads
 
     asked = sys.argv[1:]
     if asked not in ([], ["main"]):

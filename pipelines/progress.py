@@ -10,9 +10,9 @@ from typing import Any
 
 from tqdm import tqdm
 
-from lmd.checkpoint import Checkpoint
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 from lmd.optimisers.base import Budget, Optimiser, Record
+from lmd.optimisers.checkpoint import Checkpoint
 
 from .signals import stop
 from .tracking import Tracker

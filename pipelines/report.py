@@ -16,8 +16,8 @@ from .trust import Trust, read_yaml
 if TYPE_CHECKING:
     import pandas as pd
 
-    from lmd.deployment import Deployment
     from lmd.problem import Problem
+    from lmd.scene.deployment import Deployment
 
     from .tracking import MlflowReader
 
@@ -34,7 +34,7 @@ def main(cfg: DictConfig) -> None:
 
 def report(cfg: DictConfig) -> None:
     """Write report.html, report.md and its pictures to the run directory."""
-    from lmd.checks import InputError
+    from lmd.core.checks import InputError
 
     from .reproduction.document import to_html, to_markdown
     from .reproduction.sections import Source, sections
@@ -72,7 +72,7 @@ def _kept_text(save_as: Path | None) -> str:
     Raises:
         InputError: the page is not one of ours.
     """
-    from lmd.checks import InputError
+    from lmd.core.checks import InputError
 
     page = Path(f"{save_as}.md")
     if save_as is None or not page.exists():
@@ -89,7 +89,7 @@ def _chosen(runs: "pd.DataFrame", sweeps: ListConfig | None) -> "pd.DataFrame":
     Raises:
         InputError: a sweep has no runs.
     """
-    from lmd.checks import InputError
+    from lmd.core.checks import InputError
 
     from .tracking import PARENT_TAG
 
@@ -108,14 +108,14 @@ def _load(reader: "MlflowReader", run_id: str, trust: Trust) -> "tuple[Problem, 
     """The problem a run was about and the deployment it found, from the files it kept."""
     import numpy as np
 
-    from lmd.checks import InputError
+    from lmd.core.checks import InputError
 
     source = f"run {run_id}"
     found = read_yaml(reader.artifact(run_id, "config.yaml"), source)
     parts = trust.parts(found, f"{source}: config.yaml", (*GROUPS, "encoding"))
     landmarks = reader.artifact(run_id, "landmarks.csv")
     # In place of its start; what the run took as it was is shown as it was.
-    deployment = {"_target_": "lmd.deployment.FileDeployment", "path": str(landmarks), "free": True}
+    deployment = {"_target_": "lmd.scene.deployment.FileDeployment", "path": str(landmarks), "free": True}
     try:
         problem = build_problem(OmegaConf.create({**parts, "deployment": deployment, "seed": 0, "threads": None}))
     except OmegaConfBaseException as error:

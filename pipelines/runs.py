@@ -36,7 +36,7 @@ def main(cfg: DictConfig) -> None:
 
 def runs(cfg: DictConfig) -> None:
     """List the newest runs of the configured store."""
-    from lmd.checks import InputError, integer, printable
+    from lmd.core.checks import InputError, integer, printable
 
     from .tracking import MlflowReader, MlflowTracker
     from .tracking.experiment import link
@@ -64,7 +64,7 @@ def runs(cfg: DictConfig) -> None:
 
 
 def _listed(table: "pd.DataFrame") -> str:
-    from lmd.checks import printable
+    from lmd.core.checks import printable
 
     shown = table.reindex(columns=list(COLUMNS)).rename(columns=COLUMNS)
     for column in ("run", "pipeline"):
@@ -75,7 +75,7 @@ def _listed(table: "pd.DataFrame") -> str:
 
 def _resume(unfinished: Mapping[str, GoingOn], wanted: str) -> None:
     """Become the command that goes on with the run called `wanted`, or with the last one."""
-    from lmd.checks import InputError
+    from lmd.core.checks import InputError
 
     found = list(unfinished) if wanted == "last" else [run_id for run_id in unfinished if run_id.startswith(wanted)]
     if not found:

@@ -33,7 +33,7 @@ def sync(cfg: DictConfig) -> bool:
     Raises:
         InputError: there is no such folder.
     """
-    from lmd.checks import InputError, boolean, printable
+    from lmd.core.checks import InputError, boolean, printable
 
     from .tracking.hand_in import hand_in
     from .tracking.journal import FILE, Journal
@@ -60,7 +60,7 @@ def _destination(given: str | None, cfg: DictConfig, yes: bool) -> str:
     Raises:
         InputError: it is not the configured one, and nobody has said that it may be.
     """
-    from lmd.checks import InputError
+    from lmd.core.checks import InputError
 
     if cfg.uri is not None:
         return str(cfg.uri)

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from lmd.checks import InputError
-from lmd.deployment import Deployment
+from lmd.core.checks import InputError
+from lmd.evaluation.validation import describe_validation, validation_metrics
+from lmd.evaluation.verdicts import causes
 from lmd.optimisers.base import Record
 from lmd.problem import Problem
-from lmd.validation import describe_validation, validation_metrics
-from lmd.verdicts import causes
+from lmd.scene.deployment import Deployment
 
 from .app import choices, flat_settings, run_directory
 from .building import instantiate
@@ -28,7 +28,7 @@ from .sweeps.names import override_tags, short_name
 from .tracking import RunStart
 
 if TYPE_CHECKING:
-    from lmd.export.formats import Export
+    from lmd.mapping.formats import Export
 
     from .tracking import Tracker
 

@@ -25,8 +25,8 @@ from .workers import in_processes
 if TYPE_CHECKING:
     import pandas as pd
 
+    from lmd.evaluation.tradeoff import Found
     from lmd.problem import Problem
-    from lmd.tradeoff import Found
 
     from .tracking import Tracker
 
@@ -57,10 +57,10 @@ def tradeoff(cfg: DictConfig) -> None:
     """Search for every number of landmarks, edge and seed."""
     import numpy as np
 
-    from lmd.checks import choice, file_path, real
-    from lmd.deployment import landmark_count
-    from lmd.tradeoff import between
-    from lmd.validation import headline_off_grid
+    from lmd.core.checks import choice, file_path, real
+    from lmd.evaluation.tradeoff import between
+    from lmd.evaluation.validation import headline_off_grid
+    from lmd.scene.deployment import landmark_count
 
     from .tracked_run import title_of, tracked
 
@@ -93,7 +93,7 @@ def tradeoff(cfg: DictConfig) -> None:
 
 
 def _listed(name: str, value: Any) -> list[Any]:
-    from lmd.checks import InputError
+    from lmd.core.checks import InputError
 
     if not OmegaConf.is_list(value) or not len(value):
         raise InputError(f"{name} must be a list of numbers, got {value!r}.")
@@ -169,10 +169,10 @@ def _record(
     cfg: DictConfig, points: Points, problem: "Problem", figure: str, wanted: float | None, tracker: "Tracker"
 ) -> None:
     """Write, log and show what is known."""
+    from lmd.evaluation.tradeoff import fewest, front
+    from lmd.evaluation.validation import headline_off_grid
     from lmd.objectives.localisation import Localisation
     from lmd.plot.tradeoff import Panel, save_tradeoff_figure
-    from lmd.tradeoff import fewest, front
-    from lmd.validation import headline_off_grid
 
     directory, table, headline = run_directory(), points.table, problem.objective.headline
     off_grid, beside = headline_off_grid(problem), COVERED if isinstance(problem.objective, Localisation) else LOCALISED
@@ -214,7 +214,7 @@ def _record(
 
 
 def _told(reached: "pd.DataFrame") -> str:
-    """`lmd.tradeoff.fewest` for a terminal, a line for each edge."""
+    """`lmd.evaluation.tradeoff.fewest` for a terminal, a line for each edge."""
     lines = []
     for edge, *numbers in reached.reset_index().to_numpy().tolist():
         count, least, greatest = (f"{k:.0f}" if isfinite(k) else "more than was tried" for k in numbers)

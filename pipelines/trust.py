@@ -83,7 +83,7 @@ class Trust:
         Raises:
             InputError: they name what is not trusted, or are none.
         """
-        from lmd.checks import InputError
+        from lmd.core.checks import InputError
 
         parts = {group: found[group] for group in groups if found.get(group) is not None}
         for group, part in parts.items():
@@ -103,7 +103,7 @@ class Trust:
         Raises:
             InputError: it names what is not trusted, or is no plain data.
         """
-        from lmd.checks import InputError
+        from lmd.core.checks import InputError
 
         trusted, named = set(), self._named_in(re.split(r"[./@]", key)[0])
         for where, leaf in _leaves(source, key, value, set()):
@@ -161,8 +161,8 @@ def read_yaml(file: Path, source: str) -> dict[Any, Any]:
     Raises:
         InputError: it cannot be read, or is no configuration.
     """
-    from lmd.checks import InputError
-    from lmd.files import check_aliases, read_text
+    from lmd.core.checks import InputError
+    from lmd.core.files import check_aliases, read_text
 
     text = read_text(file, source, LARGEST)
     try:
@@ -177,7 +177,7 @@ def read_yaml(file: Path, source: str) -> dict[Any, Any]:
 
 def listed(argument: str) -> list[str]:
     """The names in an argument of the command line; none if Hydra will refuse it."""
-    from lmd.checks import InputError
+    from lmd.core.checks import InputError
 
     try:
         value = OverridesParser.create().parse_override(argument).value()
@@ -195,7 +195,7 @@ def _leaves(source: str, key: str, value: Any, seen: set[int]) -> Iterator[tuple
     Raises:
         InputError: a container is there twice, as YAML's aliases make it, or a key or a value is no plain data.
     """
-    from lmd.checks import InputError
+    from lmd.core.checks import InputError
 
     is_target = key.rpartition(".")[2] == TARGET
     if isinstance(value, Mapping | list | tuple) and not is_target:

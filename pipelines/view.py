@@ -19,9 +19,9 @@ from .signals import CODES, stop
 from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
-    from lmd.deployment import Deployment
-    from lmd.export.formats import Export
+    from lmd.mapping.formats import Export
     from lmd.problem import Problem
+    from lmd.scene.deployment import Deployment
 
 UNSAVED = "unsaved.csv"
 
@@ -49,8 +49,8 @@ def view(cfg: DictConfig) -> None:
     """Let the configured deployment be changed in a browser."""
     import numpy as np
 
-    from lmd.checks import integer
-    from lmd.optional import optional
+    from lmd.core.checks import integer
+    from lmd.core.optional import optional
     from lmd.planner.app import Planner
     from lmd.planner.session import Session
 

@@ -41,8 +41,8 @@ def in_processes(
         InputError: `workers` is not positive; a process that worked on one job alone was killed; or the
             system has no semaphores.
     """
-    from lmd.checks import integer
-    from lmd.threads import available_threads
+    from lmd.core.checks import integer
+    from lmd.core.threads import available_threads
 
     count = available_threads() if workers is None else integer("workers", workers, low=1)
     count = min(count, len(jobs))
@@ -72,7 +72,7 @@ def _results(
 
 
 def _alone(function: Callable[[Job], Result], job: Job, name: Callable[[Job], str]) -> Result:
-    from lmd.checks import InputError
+    from lmd.core.checks import InputError
 
     with _pool(1) as pool:
         try:
@@ -98,7 +98,7 @@ def _in_order(results: Iterable[tuple[int, Result]]) -> Generator[Result, None, 
 @contextmanager
 def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     """Processes that end with the block, whatever they are at."""
-    from lmd.checks import InputError
+    from lmd.core.checks import InputError
 
     ready_server()
     others = multiprocessing.active_children()

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from lmd.geometry.squares import corners, upright
 from lmd.sight.reference import coverage_caps
-from lmd.tag import corners, upright
 
 
 def view_matrices(scene, deployment, position, axes):

@@ -2,8 +2,8 @@
 
 import math
 
-from lmd.checkpoint import Checkpoint
 from lmd.optimisers.base import Budget
+from lmd.optimisers.checkpoint import Checkpoint
 from lmd.optimisers.ega import EGA
 
 SETTINGS = {"seed": 0, "objective.n": 2, "camera.rig": [{"yaw": 0.5}], "tag": None, "room.height": math.inf}

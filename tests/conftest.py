@@ -8,7 +8,7 @@ import pytest
 from examples import DEFAULT, examples
 from hypothesis import settings
 
-from lmd.threads import available_threads
+from lmd.core.threads import available_threads
 from pipelines import workers
 from pipelines.app import GARBAGE
 

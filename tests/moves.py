@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lmd.objectives.field import ACCEPT, BOUND, NO_UNITS, SETTLE, UNDO, perform
+from lmd.incremental.field import ACCEPT, BOUND, NO_UNITS, SETTLE, UNDO, perform
 
 
 def _step(which, field, k, state, scratch, pose=(0.0,) * 6, surface=-1):

@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 
-from lmd import pdf
-from lmd.camera import Camera
-from lmd.deployment import Deployment
-from lmd.scene import Scene
-from lmd.sight.paper import Visibility
+from lmd.scene import pdf
+from lmd.scene.camera import Camera
+from lmd.scene.deployment import Deployment
+from lmd.scene.scene import Scene
+from lmd.sight.models.paper import Visibility
 from lmd.space.cuboid import Cuboid
 
 PAPER_CAMERA = {

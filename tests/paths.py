@@ -3,12 +3,12 @@
 import numpy as np
 from moves import move
 
-from lmd.deployment import Deployment
-from lmd.objectives.coverage_field import coverage_field
+from lmd.incremental.coverage_field import coverage_field
+from lmd.incremental.move import counts_of, state_of
+from lmd.incremental.state import scratch_of
+from lmd.scene.deployment import Deployment
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.incremental.move import counts_of, state_of
-from lmd.sight.incremental.state import scratch_of
 from lmd.sight.views import visible
 
 

@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import strategies as st
 from strategies import cameras, deployments, fiducials, pdfs, rolled_pdfs, rooms, visibilities
 
-from lmd.rig import Mount, Rig
-from lmd.scene import Scene
+from lmd.scene.rig import Mount, Rig
+from lmd.scene.scene import Scene
 
 angles = st.one_of(st.sampled_from([0.0, math.pi / 2, math.pi]), st.floats(-math.pi, math.pi))
 translations = st.one_of(st.just((0.0, 0.0, 0.0)), st.just((0.0, 0.0, 0.2)), st.tuples(*[st.floats(-0.5, 0.5)] * 3))

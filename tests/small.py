@@ -5,10 +5,10 @@ from dataclasses import replace
 from hydra import compose, initialize_config_dir
 from paper import paper_room, paper_scene
 
-from lmd import pdf
-from lmd.deployment import RandomDeployment
 from lmd.objectives.coverage import Coverage
 from lmd.problem import Problem
+from lmd.scene import pdf
+from lmd.scene.deployment import RandomDeployment
 from pipelines.app import CONF
 from pipelines.building import instantiate
 

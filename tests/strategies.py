@@ -6,16 +6,16 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import strategies as st
 
-from lmd import pdf
-from lmd.camera import Camera
-from lmd.deployment import Deployment, RandomDeployment
 from lmd.geometry.frames import optical_axis
-from lmd.limits import measured
-from lmd.scene import Scene
-from lmd.sight.fiducial import Fiducial
-from lmd.sight.paper import OCCLUSION_MODES, Visibility
+from lmd.scene import pdf
+from lmd.scene.camera import Camera
+from lmd.scene.deployment import Deployment, RandomDeployment
+from lmd.scene.scene import Scene
+from lmd.scene.tag import Tag
+from lmd.sight.models.fiducial import Fiducial
+from lmd.sight.models.limits import measured
+from lmd.sight.models.paper import OCCLUSION_MODES, Visibility
 from lmd.space.cuboid import Cuboid
-from lmd.tag import Tag
 
 yaws = st.floats(-math.pi, math.pi)
 pitches = st.floats(-math.pi / 2, math.pi / 2)

@@ -13,10 +13,9 @@ from paper import paper_camera, paper_room, paper_scene
 from paths import check_every_path
 from strategies import deployments, rooms, seeds
 
-from lmd import pdf
-from lmd.bounds import Search, average_upper_bound
-from lmd.checks import InputError
-from lmd.deployment import RandomDeployment, UniformDeployment
+from lmd.core.checks import InputError
+from lmd.evaluation.bounds import Search, average_upper_bound
+from lmd.evaluation.validation import Sample, validation_metrics
 from lmd.objectives.base import Headline
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.annealing import Annealing
@@ -26,12 +25,13 @@ from lmd.optimisers.greedy import Greedy
 from lmd.plot.scene import save_scene_figure
 from lmd.problem import Problem
 from lmd.run import optimise
-from lmd.scene import Scene
-from lmd.sight.criteria import TOLERANCE, from_position, hide, in_image, in_view
+from lmd.scene import pdf
+from lmd.scene.criteria import TOLERANCE, from_position, hide, in_image, in_view
+from lmd.scene.deployment import RandomDeployment, UniformDeployment
+from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import evaluate_range
 from lmd.space.cuboid import Cuboid
-from lmd.validation import Sample, validation_metrics
 from pipelines.evaluate import lose
 
 pytestmark = pytest.mark.slow  # what is made for classes from elsewhere is compiled anew each time

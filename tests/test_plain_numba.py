@@ -8,7 +8,7 @@ import pytest
 from examples import SHARE
 from processes import ROOT, environment
 
-from lmd.compiled import PLAIN
+from lmd.core.compiled import PLAIN
 
 CODE = """
 import json, sys

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 from paper import one_position_room, paper_camera, paper_room, paper_scene
 
-from lmd import pdf
-from lmd.checks import InputError
-from lmd.deployment import RandomDeployment, UniformDeployment
+from lmd.core.checks import InputError
 from lmd.objectives.coverage import Coverage
 from lmd.problem import Problem
-from lmd.rig import rig_of
+from lmd.scene import pdf
+from lmd.scene.deployment import RandomDeployment, UniformDeployment
+from lmd.scene.rig import rig_of
 from lmd.sight import reference
 from lmd.space.relevance import Relevance
 

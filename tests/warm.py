@@ -23,8 +23,14 @@ PIPELINES = (
 LIBRARIES = (
     *("PIL.PngImagePlugin", "cv2", "pandas", "plotly.graph_objects", "psutil", "pyapriltags", "pymoo.core.algorithm"),
     *("reportlab.pdfgen.canvas", "scipy.ndimage", "scipy.optimize", "scipy.spatial", "scipy.stats"),
-    *("lmd.detection.evaluation", "lmd.export.formats", "lmd.export.sheets", "lmd.localisation.study", "lmd.plot.page"),
-    *("lmd.detection.board", "lmd.localisation.maps", "lmd.losses", "lmd.plot.detection", "lmd.plot.localisation"),
+    *("lmd.detection.evaluation", "lmd.mapping.formats", "lmd.mapping.sheets", "lmd.estimation.study", "lmd.plot.page"),
+    *(
+        "lmd.detection.board",
+        "lmd.evaluation.maps",
+        "lmd.evaluation.losses",
+        "lmd.plot.detection",
+        "lmd.plot.localisation",
+    ),
 )
 for name in (READY, *TRACKED, "mlflow.tracking.client", *LIBRARIES, *(f"pipelines.{p}" for p in PIPELINES)):
     importlib.import_module(name)

@@ -6,23 +6,24 @@ from pathlib import Path
 
 import numpy as np
 
-from lmd.camera import Camera
-from lmd.checks import FloatArray, InputError, file_path, real
-from lmd.deployment import COLUMNS
+from lmd.core.checks import FloatArray, InputError, file_path, real
+from lmd.core.files import read_bytes
+from lmd.core.optional import optional
+from lmd.core.tables import read_numbers, read_table
 from lmd.detection.detectors import Detections, Detector
 from lmd.detection.evaluation import TOLERANCE, corner_error, match
 from lmd.detection.frames import qualities
 from lmd.detection.mosaic import Views
 from lmd.detection.pose import pose_from_corners
-from lmd.files import read_bytes
 from lmd.geometry.se3 import poses_from_rows
-from lmd.optional import optional
+from lmd.geometry.squares import upright
 from lmd.render.imaging import Imaging, UInt8Array
 from lmd.render.optics import image_size
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
-from lmd.tables import read_numbers, read_table
-from lmd.tag import Tag, upright
+from lmd.scene.camera import Camera
+from lmd.scene.deployment import COLUMNS
+from lmd.scene.tag import Tag
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")

@@ -5,17 +5,17 @@ from typing import Protocol
 
 import numpy as np
 
-from lmd.camera import Camera
-from lmd.checks import BoolArray, FloatArray
+from lmd.core.checks import BoolArray, FloatArray
 from lmd.detection.detectors import Detector
 from lmd.detection.evaluation import NUMBERS, agreement, at_least, precision_recall
 from lmd.detection.fit import Fit
 from lmd.detection.frames import Sightings, overlapping, qualities
 from lmd.detection.mosaic import Views
-from lmd.limits import NAMES, Limits, Preset
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
-from lmd.tag import Tag
+from lmd.scene.camera import Camera
+from lmd.scene.tag import Tag
+from lmd.sight.models.limits import NAMES, Limits, Preset
 
 
 class Source(Protocol):

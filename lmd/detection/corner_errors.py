@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from lmd.checks import FloatArray
+from lmd.core.checks import FloatArray
 
 # The 90 % quantile of the standard normal distribution.
 NINETY = 1.2815515655446004

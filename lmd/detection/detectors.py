@@ -1,7 +1,7 @@
 """Detectors of tags behind one interface.
 
 All corners are in image coordinates from the border (see `lmd.render.optics`) and in the order top-left, top-right,
-bottom-right, bottom-left of the tag as it hangs (see `lmd.tag`), whatever the library's own conventions are.
+bottom-right, bottom-left of the tag as it hangs (see `lmd.scene.tag`), whatever the library's own conventions are.
 """
 
 from dataclasses import dataclass
@@ -11,10 +11,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lmd.checks import FloatArray, InputError, choice, integer, real
-from lmd.optional import optional
+from lmd.core.checks import FloatArray, InputError, choice, integer, real
+from lmd.core.optional import optional
 from lmd.render.imaging import UInt8Array
-from lmd.tag import FAMILIES, dictionary
+from lmd.scene.tag import FAMILIES, dictionary
 
 # OpenCV counts pixels from the centre of the first one.
 PIXEL_CENTRE = 0.5
@@ -73,7 +73,7 @@ class ArucoDetector:
     `CORNER_REFINE_APRILTAG` is no choice: its corners are off by about half a pixel.
 
     Args:
-        family: one of `lmd.tag.FAMILIES`.
+        family: one of `lmd.scene.tag.FAMILIES`.
         preset: `default`, or `fine` for smaller tags.
 
     Raises:
@@ -101,7 +101,7 @@ class AprilTagDetector:
     """The AprilTag 3 library, by `pyapriltags`.
 
     Args:
-        family: one of `lmd.tag.FAMILIES` that the library knows.
+        family: one of `lmd.scene.tag.FAMILIES` that the library knows.
         quad_decimate: factor by which the image is made smaller before quadrilaterals are looked for.
         most_errors: wrong bits in a tag that are corrected, at most; the library itself corrects two.
 

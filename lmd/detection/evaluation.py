@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lmd.checks import BoolArray, FloatArray
+from lmd.core.checks import BoolArray, FloatArray
 from lmd.detection.detectors import Detections
 
 # Numbers of tags in a frame that are asked for, n = 1, 2, 3, 4.

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from lmd.checks import BoolArray, FloatArray, InputError
+from lmd.core.checks import BoolArray, FloatArray, InputError
 from lmd.detection.evaluation import precision_recall
 from lmd.detection.mosaic import Views
-from lmd.limits import Limits
+from lmd.sight.models.limits import Limits
 
 
 @dataclass(frozen=True)

@@ -6,20 +6,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, IntArray
-from lmd.deployment import Deployment
+from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.detection.detectors import Detector
 from lmd.detection.evaluation import Matches, match
 from lmd.detection.quality import apparent_edge, incidence, pitch
 from lmd.geometry.se3 import camera_pose, exp
-from lmd.plates import TOUCHING
 from lmd.render.imaging import UInt8Array
 from lmd.render.optics import blur_sigma, to_camera
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
-from lmd.scene import Scene
+from lmd.scene.deployment import Deployment
+from lmd.scene.plates import TOUCHING
+from lmd.scene.scene import Scene
+from lmd.scene.tag import Tag
 from lmd.space.space import Space
-from lmd.tag import Tag
 
 # Keeps the poses and the noise apart from every other use of the same seed.
 STREAM = 0x646574656374
@@ -59,7 +59,7 @@ def tagged_room(room: Space, deployment: Deployment, tag: Tag) -> TaggedRoom:
 
 
 def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Pitch, incidence, edge and sigma of every tag, `(N, K)` each, as `lmd.limits.Limits.found` takes them.
+    """Pitch, incidence, edge and sigma of every tag, `(N, K)` each, as `Limits.found` takes them.
 
     Args:
         renderer: the camera and the tags.

@@ -12,16 +12,17 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from lmd.camera import Camera
-from lmd.checks import BoolArray, FloatArray, InputError, integer, vector
+from lmd.core.checks import BoolArray, FloatArray, InputError, integer, vector
+from lmd.core.memory import check_memory
 from lmd.detection.detectors import Detections, Detector
 from lmd.detection.evaluation import TOLERANCE, corner_error
 from lmd.detection.quality import apparent_edge, incidence, pitch
-from lmd.memory import check_memory
+from lmd.geometry.squares import corners
 from lmd.render.canvas import PATTERN, REACH, Canvas, pattern
 from lmd.render.imaging import Float32Array, Imaging
 from lmd.render.optics import image_size, intrinsics, project
-from lmd.tag import Tag, corners
+from lmd.scene.camera import Camera
+from lmd.scene.tag import Tag
 
 # Edges of tiles, pixels; a view goes into the smallest that surely holds it.
 TILES = (64, 128, 256, 512)

@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lmd.camera import Camera
-from lmd.checks import FloatArray
+from lmd.core.checks import FloatArray
+from lmd.core.optional import optional
 from lmd.geometry.se3 import angle_between, inverse
-from lmd.optional import optional
 from lmd.render.optics import intrinsics, project, rectified
+from lmd.scene.camera import Camera
 
 # The fewest points that fix a pose; four corners of one tag do.
 FEWEST = 4

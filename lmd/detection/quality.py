@@ -13,11 +13,11 @@ Everything is a function of arrays: poses `(..., 4, 4)`, K centres and normals `
 
 import numpy as np
 
-from lmd.camera import Camera
-from lmd.checks import FloatArray
+from lmd.core.checks import FloatArray
 from lmd.geometry.distortion import jacobian
 from lmd.render.optics import intrinsics, to_camera
-from lmd.tag import Tag
+from lmd.scene.camera import Camera
+from lmd.scene.tag import Tag
 
 
 def pitch(camera: Camera, pose: FloatArray, centres: FloatArray, normals: FloatArray, tag: Tag) -> FloatArray:

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
-from lmd.checks import BoolArray, FloatArray
+from lmd.core.checks import BoolArray, FloatArray
 from lmd.detection.evaluation import NUMBERS, agreement, at_least, corner_error, precision_recall, quantiles_by
 from lmd.detection.frames import Sightings, overlapping
 from lmd.detection.pose import pose_error, pose_from_corners

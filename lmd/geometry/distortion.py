@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import FloatArray, InputError, vector
+from lmd.core.checks import FloatArray, InputError, vector
 
 # Newton's method has found a ray when its last step was smaller.
 CONVERGED = 1e-9
@@ -28,7 +28,7 @@ REAL = 1e-6
 
 
 def bent(x: Any, y: Any, k1: float, k2: float, p1: float, p2: float, k3: float) -> tuple[Any, Any]:
-    """D(x, y), of numbers or arrays; `lmd.sight.distorted_sight` compiles this very function."""
+    """D(x, y), of numbers or arrays; `lmd.sight.models.distorted_sight` compiles this very function."""
     square = x * x + y * y
     factor = 1.0 + square * (k1 + square * (k2 + square * k3)) + 2.0 * (p2 * x + p1 * y)
     return factor * x + square * p2, factor * y + square * p1

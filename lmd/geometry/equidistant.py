@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lmd.checks import InputError, vector
+from lmd.core.checks import InputError, vector
 
 WIDEST = math.radians(85.0)  # from the axis; tan(theta) grows without end
 SAMPLES = 400  # radii at which the two are compared

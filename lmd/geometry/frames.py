@@ -10,7 +10,7 @@ Source: Lei et al., "Optimization of Directional Landmark Deployment for Visual 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lmd.checks import FloatArray
+from lmd.core.checks import FloatArray
 
 # Maps the world axes to a local frame with zero angles: x right, y down, z (the optical axis) along world y.
 ZERO_ANGLES = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])

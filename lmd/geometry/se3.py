@@ -9,7 +9,7 @@ of arrays with any leading shape `(...)`.
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lmd.checks import FloatArray, InputError
+from lmd.core.checks import FloatArray, InputError
 from lmd.geometry.frames import rotation
 
 # Below this angle (rad) the coefficients of the exponential come from their Taylor series.

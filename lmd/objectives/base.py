@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, InputError, integer, real
-from lmd.deployment import Deployment
-from lmd.sight.criteria import TOLERANCE
+from lmd.core.checks import BoolArray, FloatArray, InputError, integer, real
+from lmd.scene.criteria import TOLERANCE
+from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
 
 if TYPE_CHECKING:
-    from lmd.objectives.field import Field, Target
+    from lmd.incremental.field import Field, Target
     from lmd.objectives.sampling import Sampling
 
 
@@ -115,7 +115,7 @@ class Objective(Protocol):
         """The figures as labelled sentences for the terminal, for so many positions and landmarks."""
 
     def describe_validation(self, figures: Mapping[str, float]) -> dict[str, str]:
-        """The same for the figures off the grid (`lmd.validation`)."""
+        """The same for the figures off the grid (`lmd.evaluation.validation`)."""
 
     def field(self, evaluator: Evaluator) -> "Field":
         """The values at the positions of `evaluator`, ready to be updated as single landmarks move."""

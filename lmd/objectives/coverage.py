@@ -7,14 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray
-from lmd.deployment import Deployment
+from lmd.core.checks import BoolArray, FloatArray
+from lmd.incremental.coverage_field import CoverageField, coverage_field
+from lmd.incremental.field import smoothed, worth
+from lmd.incremental.rig_field import RigField, rig_field
 from lmd.objectives.base import AtLeast, Headline
-from lmd.objectives.coverage_field import CoverageField, coverage_field
-from lmd.objectives.field import smoothed, worth
-from lmd.objectives.rig_field import RigField, rig_field
 from lmd.objectives.sampling import Sampling
-from lmd.sight.criteria import TOLERANCE
+from lmd.scene.criteria import TOLERANCE
+from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.sight.poses import covered_amounts, gains

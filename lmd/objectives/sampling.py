@@ -4,10 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lmd.checks import integer
-from lmd.memory import check_memory
-from lmd.pdf import divisions_of
-from lmd.scene import Scene
+from lmd.core.checks import integer
+from lmd.core.memory import check_memory
+from lmd.scene.pdf import divisions_of
+from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 
 POSITION_BYTES = 3 * 8

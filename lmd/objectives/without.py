@@ -7,10 +7,10 @@ nothing any more.
 
 import numpy as np
 
-from lmd.checks import FloatArray
-from lmd.deployment import Deployment
-from lmd.layers import layers
-from lmd.objectives.field import ACCEPT, BOUND, UNDO, Field, Target, perform, total_worth
+from lmd.core.checks import FloatArray
+from lmd.core.layers import layers
+from lmd.incremental.field import ACCEPT, BOUND, UNDO, Field, Target, perform, total_worth
+from lmd.scene.deployment import Deployment
 
 # Out of reach, and with its back to every camera: position, metres, and normal.
 AWAY = np.array([0.0, 0.0, 1e6, 0.0, 0.0, 1.0])

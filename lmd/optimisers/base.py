@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, InputError, IntArray, integer, real, seed_number
-from lmd.compiled import clock
-from lmd.deployment import Deployment
-from lmd.memory import check_memory
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, integer, real, seed_number
+from lmd.core.compiled import clock
+from lmd.core.memory import check_memory
 from lmd.optimisers.encoding import Encoding, make_encoding
 from lmd.optimisers.stored import array
 from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
 
 GENE_BYTES = 8
 
@@ -189,8 +189,8 @@ class Optimiser(ABC):
 class AskTell(Optimiser):
     """Optimisers that propose batches of genes and are told their fitness.
 
-    The plates of tags with a size are pushed apart before they are evaluated (`lmd.plates`), the genes stay what they
-    are; a deployment whose plates find no room counts as a failed evaluation.
+    The plates of tags with a size are pushed apart before they are evaluated (`lmd.scene.plates`), the genes stay what
+    they are; a deployment whose plates find no room counts as a failed evaluation.
 
     Subclasses write `_ask` and `_tell` only. Before the first `_ask`, `run` sets
 

@@ -7,9 +7,9 @@ from typing import Protocol
 
 import numpy as np
 
-from lmd.checks import FloatArray, choice
-from lmd.deployment import Deployment
+from lmd.core.checks import FloatArray, choice
 from lmd.geometry.frames import landmark_normal, normal_angles
+from lmd.scene.deployment import Deployment
 from lmd.space.space import Space
 from lmd.space.surface import SurfaceArrays
 

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import InputError, real
-from lmd.deployment import Deployment, landmark_count
+from lmd.core.checks import InputError, real
 from lmd.objectives.base import Objective
 from lmd.optimisers.annealing import Annealing, Stage
 from lmd.optimisers.annealing.stage import changed
 from lmd.optimisers.selection import SPACING, greedy_start, select
 from lmd.problem import Problem
-from lmd.scene import Scene
+from lmd.scene.deployment import Deployment, landmark_count
+from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses
 from lmd.space.space import Space

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import FloatArray, InputError, integer, real
+from lmd.core.checks import FloatArray, InputError, integer, real
+from lmd.core.optional import optional
 from lmd.optimisers.wrapped import Session, Wrapped
-from lmd.optional import optional
 
 
 class Nevergrad(Wrapped):

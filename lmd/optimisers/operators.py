@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lmd.checks import FloatArray, real
+from lmd.core.checks import FloatArray, real
 
 
 def recombination_range(shortest: float, longest: float) -> tuple[float, float]:

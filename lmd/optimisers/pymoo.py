@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import FloatArray, InputError, integer
+from lmd.core.checks import FloatArray, InputError, integer
 from lmd.optimisers.wrapped import Session, Wrapped, filled_up
 
 

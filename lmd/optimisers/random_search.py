@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lmd.checks import FloatArray, integer
+from lmd.core.checks import FloatArray, integer
 from lmd.optimisers.base import AskTell
 
 

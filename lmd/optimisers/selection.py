@@ -7,10 +7,10 @@ the lazy variant (Minoux 1978) exact: a pose needs evaluating again only while i
 
 import numpy as np
 
-from lmd.deployment import Deployment
 from lmd.objectives.base import Selection
-from lmd.plates import Plates
 from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
+from lmd.scene.plates import Plates
 from lmd.sight.poses import candidate_poses
 from lmd.space.space import Space
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lmd.checks import FloatArray, integer, real
+from lmd.core.checks import FloatArray, integer, real
 from lmd.optimisers.base import AskTell
 from lmd.optimisers.operators import exchange, recombination_range, reset
 

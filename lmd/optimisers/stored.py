@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike
 
-from lmd.checks import FloatArray, InputError, integer
-from lmd.deployment import Deployment
+from lmd.core.checks import FloatArray, InputError, integer
 from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
 from lmd.space.surface import NEAR_SURFACE
 
 LARGEST = sys.float_info.max

@@ -11,7 +11,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from lmd.checks import FloatArray, InputError
+from lmd.core.checks import FloatArray, InputError
 from lmd.optimisers.base import AskTell
 
 # Libraries minimise finite losses: what a failed evaluation costs them; fitness lies in [0, 1].

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.stats import circmean, norm, truncnorm, vonmises
 
-from lmd.checks import FloatArray
+from lmd.core.checks import FloatArray
 from lmd.orientation.sampling import circular_difference
 
 FOLDS = 10

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import circmean, iqr
 
-from lmd.checks import FloatArray, real
+from lmd.core.checks import FloatArray, real
 from lmd.orientation import density
 from lmd.orientation.density import Axis, Candidate, Density, Family, IntArray
 from lmd.orientation.recording import OrientationRecording
@@ -28,7 +28,7 @@ from lmd.orientation.sampling import (
     independence_test,
     sample_at_random_intervals,
 )
-from lmd.pdf import OrientationPdf, divisions_of
+from lmd.scene.pdf import OrientationPdf, divisions_of
 
 # Fine cells on half a turn, at least: densities are held in steps of 1.9 degrees or less.
 FINE = 96

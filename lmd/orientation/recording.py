@@ -9,10 +9,10 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm, truncnorm, vonmises
 
-from lmd.checks import FloatArray, InputError, radians, real, seconds
+from lmd.core.checks import FloatArray, InputError, radians, real, seconds
+from lmd.core.memory import check_memory
+from lmd.core.tables import read_table
 from lmd.geometry.frames import normal_angles
-from lmd.memory import check_memory
-from lmd.tables import read_table
 
 ANGLES = ("yaw", "pitch")
 QUATERNION = ("qw", "qx", "qy", "qz")

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.signal import correlate
 from scipy.stats import MonteCarloMethod, chi2_contingency, circmean
 
-from lmd.checks import FloatArray, InputError, real
+from lmd.core.checks import FloatArray, InputError, real
 from lmd.orientation.recording import OrientationRecording
 
 LEAST_SAMPLES = 50

@@ -19,8 +19,8 @@ from functools import partial
 from http import HTTPStatus
 from typing import Any
 
-from lmd.checks import InputError
-from lmd.optional import optional
+from lmd.core.checks import InputError
+from lmd.core.optional import optional
 
 HOST = "127.0.0.1"  # the planner listens there: other machines cannot reach it
 HERE = re.compile(r"(127\.0\.0\.1|localhost)(:\d+)?")  # any port: it may be forwarded

@@ -6,7 +6,7 @@ from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 
 _LOG = logging.getLogger(__name__)
 

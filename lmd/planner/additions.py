@@ -1,6 +1,6 @@
 """What one tag more would add, wherever it may hang: the colours of the surfaces.
 
-A landmark that nobody sees is moved from place to place (`lmd.objectives.field`). A move is settled, so that shadows
+A landmark that nobody sees is moved from place to place (`lmd.incremental.field`). A move is settled, so that shadows
 count, but never accepted.
 """
 
@@ -10,13 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.checks import FloatArray
-from lmd.compiled import kernel
-from lmd.deployment import Deployment
-from lmd.layers import layers
-from lmd.objectives.field import BOUND, SETTLE, in_order, perform, total_worth
+from lmd.core.checks import FloatArray
+from lmd.core.compiled import kernel
+from lmd.core.layers import layers
+from lmd.incremental.field import BOUND, SETTLE, in_order, perform, total_worth
 from lmd.objectives.without import AWAY
 from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
 from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.sight.poses import Cells, wall_cells
 from lmd.space.surface import SurfaceArrays

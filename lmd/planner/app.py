@@ -15,10 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import InputError
-from lmd.deployment import Deployment
+from lmd.core.checks import InputError
+from lmd.core.optional import optional
 from lmd.optimisers.base import Budget, Optimiser
-from lmd.optional import optional
 from lmd.planner.access import HOST, Access
 from lmd.planner.acts import Acts, in_order
 from lmd.planner.additions import Additions, additions
@@ -30,6 +29,7 @@ from lmd.planner.plan import Plan
 from lmd.planner.pointing import pointed_at
 from lmd.planner.session import Session
 from lmd.planner.worker import Wanted, Worker
+from lmd.scene.deployment import Deployment
 from lmd.space.surface import SurfaceArrays
 
 TO_COME = {"off the grid": "..."}

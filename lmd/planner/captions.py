@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from lmd.checks import FloatArray, IntArray
+from lmd.core.checks import FloatArray, IntArray
 from lmd.space.surface import FLAT, Surface
 
 NAME, ID, CHOSEN = 1.0, 0.75, 1.1  # sizes of letters, in those of viser

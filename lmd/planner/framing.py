@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.checks import FloatArray
+from lmd.core.checks import FloatArray
 from lmd.plot.common import viewer
 
 FIELD = math.radians(50.0)  # of view, vertical

@@ -2,9 +2,9 @@
 
 from collections.abc import Callable, Iterator
 
-from lmd.deployment import Deployment
+from lmd.evaluation.validation import Sample, describe_validation, validation_metrics
 from lmd.problem import Problem
-from lmd.validation import Sample, describe_validation, validation_metrics
+from lmd.scene.deployment import Deployment
 
 FIRST = Sample(groups=8, positions=256, divisions=8)  # takes a fiftieth of the whole sample
 ESTIMATE = {"a first estimate": "all digits follow"}

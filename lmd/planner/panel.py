@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from lmd.checks import IntArray
-from lmd.compiled import is_compiling
+from lmd.core.checks import IntArray
+from lmd.core.compiled import is_compiling
 from lmd.optimisers.base import Budget
 from lmd.planner.additions import Additions
 from lmd.planner.legend import legend

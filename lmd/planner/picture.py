@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lmd.camera import Camera
-from lmd.checks import BoolArray, FloatArray
+from lmd.core.checks import BoolArray, FloatArray
 from lmd.geometry.se3 import axis_and_right, camera_pose
+from lmd.geometry.squares import upright
 from lmd.planner.additions import candidate_cells
 from lmd.planner.captions import Captions
 from lmd.planner.colours import FREE, GAINS, PINNED, SEEN, SELECTED, UNKNOWN, VALUES, alike, mapped, rgb
@@ -16,7 +16,7 @@ from lmd.planner.framing import Framing
 from lmd.planner.plan import Plan
 from lmd.plot import common
 from lmd.problem import Problem
-from lmd.tag import upright
+from lmd.scene.camera import Camera
 
 SQUARE = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
 TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])

@@ -5,12 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.checks import LARGEST, FloatArray, InputError, IntArray
-from lmd.deployment import Deployment
-from lmd.fixed import COLUMN
-from lmd.labels import Labels
-from lmd.plates import Plates
-from lmd.scene import Scene
+from lmd.core.checks import LARGEST, FloatArray, InputError, IntArray
+from lmd.scene.deployment import Deployment
+from lmd.scene.fixed import COLUMN
+from lmd.scene.labels import Labels
+from lmd.scene.plates import Plates
+from lmd.scene.scene import Scene
 from lmd.space.heights import lower_edge
 from lmd.space.space import Space
 from lmd.space.surface import SurfaceArrays

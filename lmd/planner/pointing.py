@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.checks import FloatArray
+from lmd.core.checks import FloatArray
 from lmd.space.surface import SurfaceArrays
 
 EDGE_ON = 1e-6  # cosine of a surface that is looked at along its plane

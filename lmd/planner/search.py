@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.checks import InputError
-from lmd.deployment import Deployment, GivenDeployment
+from lmd.core.checks import InputError
 from lmd.optimisers.base import Budget, Optimiser
 from lmd.planner.plan import Plan
 from lmd.problem import Problem
+from lmd.scene.deployment import Deployment, GivenDeployment
 
 
 class Progress(NamedTuple):

@@ -9,8 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, InputError
-from lmd.deployment import Deployment
+from lmd.core.checks import BoolArray, FloatArray, InputError
 from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.optimisers.base import Budget, Optimiser
 from lmd.planner.additions import additions
@@ -18,6 +17,7 @@ from lmd.planner.plan import Plan
 from lmd.planner.search import Search
 from lmd.planner.values import Values
 from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
 from lmd.sight.views import visible
 from lmd.space.heights import lower_edge
 

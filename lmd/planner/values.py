@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import FloatArray
-from lmd.deployment import Deployment
-from lmd.layers import layers
-from lmd.objectives.field import NO_UNITS, moved, perform, places_of
+from lmd.core.checks import FloatArray
+from lmd.core.layers import layers
+from lmd.incremental.field import NO_UNITS, moved, perform, places_of
 from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE
 
@@ -16,7 +16,8 @@ from lmd.sight.kernels import PROBABILITY_ONE
 class Values:
     """The objective's values for a deployment, and its figures, equal to those of `Problem` to the last bit.
 
-    Where tags have only moved, they are updated (`lmd.objectives.field`); where there are more or fewer, computed anew.
+    Where tags have only moved, they are updated (`lmd.incremental.field`); where there are more or fewer, computed
+    anew.
 
     Args:
         problem: what the deployment is for; its count does not matter.

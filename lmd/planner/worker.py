@@ -4,8 +4,8 @@ import threading
 from collections.abc import Callable
 from functools import partial
 
-from lmd.checks import InputError
-from lmd.deployment import Deployment
+from lmd.core.checks import InputError
+from lmd.scene.deployment import Deployment
 
 PATIENCE = 0.5  # seconds that work which nobody wants is waited for
 

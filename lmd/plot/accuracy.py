@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from lmd.accuracy import plan_of_errors
-from lmd.deployment import Deployment
+from lmd.evaluation.accuracy import plan_of_errors
 from lmd.plot import common
 from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
 
 BEYOND = "#c8c8c8"  # where there is no median
 

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import FloatArray
-from lmd.deployment import Deployment
+from lmd.core.checks import FloatArray
 from lmd.plot import common
-from lmd.scene import Scene
+from lmd.scene.deployment import Deployment
+from lmd.scene.scene import Scene
 from lmd.sight.reference import cap_count, coverage_caps, coverage_probability
 
 PIXELS = 320  # across a hemisphere

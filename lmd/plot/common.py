@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray
+from lmd.core.checks import BoolArray, FloatArray
 from lmd.space.space import Space
 
 ARROW_LENGTH = 0.35  # metres, drawn along the normal of a landmark

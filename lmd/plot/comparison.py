@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lmd.comparison import OptimiserRun, best_at, by_optimiser
+from lmd.evaluation.comparison import OptimiserRun, best_at, by_optimiser
 from lmd.objectives.base import Headline
 
 

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from lmd.checks import BoolArray, FloatArray
+from lmd.core.checks import BoolArray, FloatArray
+from lmd.core.optional import optional
 from lmd.detection.calibration import Calibration
 from lmd.detection.evaluation import NUMBERS
-from lmd.optional import optional
 from lmd.plot.common import shrink
 from lmd.render.imaging import UInt8Array
 

@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from lmd.camera import Camera
-from lmd.checks import FloatArray
+from lmd.core.checks import FloatArray
+from lmd.core.optional import optional
+from lmd.estimation.rendered import Moment
 from lmd.geometry.se3 import act
-from lmd.localisation.rendered import Moment
-from lmd.optional import optional
 from lmd.plot import common
 from lmd.plot.detection import BOTH, LEGEND, outlined
 from lmd.render.optics import image_size, intrinsics
+from lmd.scene.camera import Camera
 from lmd.space.space import Space
 
 SIZE = (9.0, 4.1)  # inches

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from lmd.checks import FloatArray, IntArray
-from lmd.localisation.cramer_rao import CramerRaoMap
+from lmd.core.checks import FloatArray, IntArray
+from lmd.estimation.cramer_rao import CramerRaoMap
 from lmd.plot import common
 from lmd.space.space import Space
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from lmd.accuracy import TOLERANCES
+from lmd.evaluation.accuracy import TOLERANCES
 
 
 def save_map_figure(path: str | Path, views: pd.DataFrame, title: str) -> None:
@@ -13,7 +13,7 @@ def save_map_figure(path: str | Path, views: pd.DataFrame, title: str) -> None:
 
     Args:
         path: the PNG.
-        views: rows of `lmd.localisation.maps.map_errors`; views without an estimate never come in.
+        views: rows of `lmd.evaluation.maps.map_errors`; views without an estimate never come in.
         title: heads the picture.
     """
     from matplotlib.figure import Figure

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import FloatArray
-from lmd.deployment import Deployment
+from lmd.core.checks import FloatArray
 from lmd.plot import common
 from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
 from lmd.space.space import Space
 
 BALL = 5.5  # diameter, pixels

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.sensitivity import SHARES, Sensitivity
+from lmd.evaluation.sensitivity import SHARES, Sensitivity
 
 STYLES = dict(zip(SHARES, (("localised", "-"), ("enough landmarks covered", "--")), strict=True))
 

@@ -29,7 +29,7 @@ def save_tradeoff_figure(path: str | Path, points: pd.DataFrame, panels: Sequenc
 
     Args:
         path: the PNG.
-        points: as for `lmd.tradeoff.front`.
+        points: as for `lmd.evaluation.tradeoff.front`.
         panels: from left to right; their figures are shares.
         title: heads the picture.
     """

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import FloatArray
-from lmd.optional import optional
+from lmd.core.checks import FloatArray
+from lmd.core.optional import optional
 from lmd.render.imaging import Float32Array, Imaging, UInt8Array
-from lmd.tag import Tag
+from lmd.scene.tag import Tag
 
 # What is nearer to the plane of the lens than this is not drawn, metres.
 NEAR = 0.02
@@ -91,7 +91,8 @@ class Canvas:
         Args:
             tag: its family and size.
             number: its id.
-            square: corners of the black square in the order of `lmd.tag.CORNERS`, camera frame, metres, `(4, 3)`.
+            square: corners of the black square in the order of `lmd.geometry.squares.CORNERS`, camera frame, metres,
+                `(4, 3)`.
             sigma: standard deviation of the blur, pixels.
             hidden_by: image outlines `(m, 2)` of what is in front of it.
         """

@@ -7,8 +7,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from lmd.checks import FloatArray, InputError, boolean, integer, real
-from lmd.optional import optional
+from lmd.core.checks import FloatArray, InputError, boolean, integer, real
+from lmd.core.optional import optional
 
 UInt8Array = NDArray[np.uint8]
 Float32Array = NDArray[np.float32]

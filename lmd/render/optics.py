@@ -8,9 +8,9 @@ corners count this way; OpenCV counts from the first pixel's centre, 0.5 less.
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lmd.camera import MM_PER_M, Camera
-from lmd.checks import FloatArray
+from lmd.core.checks import FloatArray
 from lmd.geometry.distortion import distort, jacobian, undistort
+from lmd.scene.camera import MM_PER_M, Camera
 
 
 def intrinsics(camera: Camera) -> FloatArray:

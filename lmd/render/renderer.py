@@ -6,15 +6,15 @@ from functools import lru_cache
 
 import numpy as np
 
-from lmd.camera import Camera
-from lmd.checks import BoolArray, FloatArray
+from lmd.core.checks import BoolArray, FloatArray
+from lmd.core.optional import optional
 from lmd.geometry.distortion import jacobian
 from lmd.geometry.se3 import exp
-from lmd.optional import optional
 from lmd.render.canvas import NEAR, Canvas, covering
 from lmd.render.imaging import Float32Array, Imaging, UInt8Array
 from lmd.render.optics import blur_sigma, image_size, intrinsics, project, rectified, to_camera
 from lmd.render.room import Surface, TaggedRoom
+from lmd.scene.camera import Camera
 
 # Pictures averaged to one with motion blur, at most.
 MOST_STEPS = 64

@@ -8,8 +8,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lmd.checks import FloatArray, InputError
-from lmd.tag import Tag, corners
+from lmd.core.checks import FloatArray, InputError
+from lmd.geometry.squares import corners
+from lmd.scene.tag import Tag
 
 
 class Surface(Protocol):
@@ -80,5 +81,5 @@ class TaggedRoom:
 
     @cached_property
     def corners(self) -> FloatArray:
-        """Of the black squares in the order of `lmd.tag.CORNERS`, world frame, metres, `(K, 4, 3)`."""
+        """Of the black squares in the order of `lmd.geometry.squares.CORNERS`, world frame, metres, `(K, 4, 3)`."""
         return corners(self.centres, self.normals, self.ups, self.tag.size)

@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
-from lmd.checks import FloatArray
-from lmd.compiled import inlined
+from lmd.core.checks import FloatArray
+from lmd.core.compiled import inlined
 
 # Number of equal intervals of [-1, 1] in which the start of a band of axes is tabulated.
 HEIGHT_BINS = 512

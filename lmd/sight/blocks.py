@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lmd.checks import FloatArray
+from lmd.core.checks import FloatArray
 
 # Positions and landmarks come in blocks of this many: loops over whole blocks vectorise without a remainder.
 BLOCK = 16

@@ -16,10 +16,10 @@ from functools import cache
 
 import numpy as np
 
-from lmd.checks import FloatArray
-from lmd.compiled import inner, kernel
-from lmd.sight.bits import BITS, LANES, ZERO
-from lmd.sight.criteria import Sight, in_view
+from lmd.core.bits import BITS, LANES, ZERO
+from lmd.core.checks import FloatArray
+from lmd.core.compiled import inner, kernel
+from lmd.scene.criteria import Sight, in_view
 
 SIDE = 64
 NOWHERE = SIDE * SIDE  # one row more than there are cells: no axis at all

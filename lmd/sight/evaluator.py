@@ -6,22 +6,22 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, IntArray
-from lmd.compiled import for_kernels
-from lmd.deployment import Deployment
-from lmd.memory import check_views
-from lmd.scene import Scene
+from lmd.core.bits import in_words
+from lmd.core.checks import BoolArray, FloatArray, IntArray
+from lmd.core.compiled import for_kernels
+from lmd.core.memory import check_views
+from lmd.core.threads import available_threads, in_parts
+from lmd.scene.criteria import horizon_of
+from lmd.scene.deployment import Deployment
+from lmd.scene.scene import Scene
 from lmd.sight import kernels
 from lmd.sight.bands import height_index
-from lmd.sight.bits import in_words
 from lmd.sight.blocks import BLOCK, in_blocks
-from lmd.sight.criteria import horizon_of
 from lmd.sight.directions import tables
 from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.sight.obstacles import obstacles_at
 from lmd.sight.rig_views import RigViews
 from lmd.sight.stations import parts_of
-from lmd.threads import available_threads, in_parts
 
 COUNT_BYTES = 4  # of a view, twice two: the counts of axes, and of orientations of the PDF
 

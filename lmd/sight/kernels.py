@@ -21,11 +21,11 @@ import math
 
 import numpy as np
 
-from lmd.compiled import inlined, inner, kernel
+from lmd.core.bits import ALL, BITS, ONE, ZERO, lowest
+from lmd.core.compiled import inlined, inner, kernel
+from lmd.scene.criteria import covering, covers, frame_of, from_position, hide
 from lmd.sight.bands import band_of
-from lmd.sight.bits import ALL, BITS, ONE, ZERO, lowest
 from lmd.sight.blocks import BLOCK, SINGLE_ERROR
-from lmd.sight.criteria import covering, covers, frame_of, from_position, hide
 from lmd.sight.directions import NOWHERE, cell_of
 from lmd.sight.obstacles import find_ends, is_blocked, is_clear, no_ends
 

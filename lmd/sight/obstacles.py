@@ -15,15 +15,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray
-from lmd.compiled import inlined
-from lmd.dispatch import dispatched, overridable
-from lmd.geometry.upright import upright_axes
-from lmd.memory import check_memory
+from lmd.core.checks import BoolArray, FloatArray
+from lmd.core.compiled import inlined
+from lmd.core.dispatch import dispatched, overridable
+from lmd.core.memory import check_memory
+from lmd.geometry.squares import LEVEL, upright, upright_axes
 from lmd.space.blockers import Blockers
 from lmd.space.space import Space
 from lmd.space.triangles import Triangles, is_crossed
-from lmd.tag import LEVEL, upright
 
 POINTS = 5  # of a tag: centre and corners
 

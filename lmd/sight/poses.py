@@ -15,18 +15,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lmd.checks import FloatArray, real
-from lmd.compiled import for_kernels, kernel
-from lmd.deployment import Deployment
-from lmd.memory import check_memory
+from lmd.core.checks import FloatArray, real
+from lmd.core.compiled import for_kernels, kernel
+from lmd.core.memory import check_memory
+from lmd.core.threads import in_parts
+from lmd.scene.criteria import TOLERANCE, covers, from_position
+from lmd.scene.deployment import Deployment
 from lmd.sight.bands import band_of
 from lmd.sight.blocks import BLOCK
-from lmd.sight.criteria import TOLERANCE, covers, from_position
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.obstacles import find_ends, is_blocked, no_ends
 from lmd.space.space import Space
 from lmd.space.surface import SurfaceArrays
-from lmd.threads import in_parts
 
 # Poses, or positions, that a thread works on at a time: the work differs much between walls.
 CHUNKS_PER_THREAD = 8

@@ -9,11 +9,11 @@ Source: Lei et al., "Optimization of Directional Landmark Deployment for Visual 
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, IntArray
-from lmd.deployment import Deployment
-from lmd.pdf import OrientationPdf
-from lmd.scene import Scene
-from lmd.sight.criteria import TOLERANCE
+from lmd.core.checks import BoolArray, FloatArray, IntArray
+from lmd.scene.criteria import TOLERANCE
+from lmd.scene.deployment import Deployment
+from lmd.scene.pdf import OrientationPdf
+from lmd.scene.scene import Scene
 from lmd.sight.obstacles import unobstructed
 
 

@@ -9,14 +9,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lmd.checks import FloatArray
-from lmd.compiled import kernel
-from lmd.sight.bits import BITS, ONE, ZERO, lowest
+from lmd.core.bits import BITS, ONE, ZERO, lowest
+from lmd.core.checks import FloatArray
+from lmd.core.compiled import kernel
+from lmd.core.threads import in_parts
 from lmd.sight.kernels import weights_row
 from lmd.sight.stations import Part, seen_by
 from lmd.space.blockers import Blockers
 from lmd.space.triangles import Triangles
-from lmd.threads import in_parts
 
 # Positions, or poses, that a thread works on at a time at most: what they see in all orientations is kept for so long.
 AT_A_TIME = 64

@@ -1,4 +1,4 @@
-"""Where the cameras of a rig are, and what they cover from there: the compiled side of `lmd.rig`.
+"""Where the cameras of a rig are, and what they cover from there: the compiled side of `lmd.scene.rig`.
 
 A *station* is a place of one camera relative to the body's origin. It belongs to those orientations of the body with
 which the camera is there: to all of them where it sits in the origin, to a single one where the body turns it around.
@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.checks import FloatArray
-from lmd.compiled import for_kernels, kernel
-from lmd.rig import Rig
-from lmd.scene import Scene
-from lmd.sight.bits import BITS, ONE, ZERO, in_words, lowest, packed
+from lmd.core.bits import BITS, ONE, ZERO, in_words, lowest, packed
+from lmd.core.checks import FloatArray
+from lmd.core.compiled import for_kernels, kernel
+from lmd.scene.criteria import covering, covers, frame_of, from_position
+from lmd.scene.rig import Rig
+from lmd.scene.scene import Scene
 from lmd.sight.blocks import BLOCK, SINGLE_ERROR
-from lmd.sight.criteria import covering, covers, frame_of, from_position
 from lmd.sight.directions import NOWHERE, cell_of, tables
 from lmd.sight.kernels import is_hidden
 from lmd.sight.obstacles import find_ends, is_blocked, no_ends, obstacles_at

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray
-from lmd.compiled import for_kernels, kernel
-from lmd.deployment import Deployment
-from lmd.rig import Rig
-from lmd.scene import Scene
-from lmd.sight.criteria import covers, from_position
+from lmd.core.checks import BoolArray, FloatArray
+from lmd.core.compiled import for_kernels, kernel
+from lmd.scene.criteria import covers, from_position
+from lmd.scene.deployment import Deployment
+from lmd.scene.rig import Rig
+from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import is_hidden
 from lmd.sight.obstacles import find_ends, is_blocked, no_ends, obstacles_at

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import FloatArray
-from lmd.compiled import inlined, kernel
+from lmd.core.checks import FloatArray
+from lmd.core.compiled import inlined, kernel
 
 # Regions are closed: a place so near is in them, metres.
 EDGE = 1e-9

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray
+from lmd.core.checks import BoolArray, FloatArray
 from lmd.space.surface import PLACEMENT_TOLERANCE
 
 # By which bodies that meet reach into each other, metres: more than rounding, and too little to stick out of a corner.

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lmd.checks import FloatArray, IntArray
+from lmd.core.checks import FloatArray, IntArray
 
 # Triangles in a box that is not divided further, and in one that is simply halved: to look for the best cut takes time.
 LEAF, SMALL = 4, 48

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, IntArray
+from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.space.changed import Changed
 from lmd.space.cuboid import Cuboid
 from lmd.space.gridded import Gridded

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, IntArray
+from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.space.blockers import Blockers
 from lmd.space.fixture import Fixture
 from lmd.space.relevance import Weighing

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, InputError, IntArray, choice, vector
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, choice, vector
 from lmd.space.grid import (
     KINDS,
     cell_borders,

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import FloatArray
+from lmd.core.checks import FloatArray
 from lmd.space.surface import Surface
 
 # What is so near to a surface stands against it, and what is no thicker is flat, metres.

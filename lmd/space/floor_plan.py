@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, InputError, real
+from lmd.core.checks import BoolArray, FloatArray, InputError, real
 from lmd.space.allowed import polygons
 from lmd.space.blockers import Blockers
 from lmd.space.fixture import Fixture

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import FloatArray, real, vector
-from lmd.memory import check_memory
+from lmd.core.checks import FloatArray, real, vector
+from lmd.core.memory import check_memory
 
 KINDS = ("cells", "vertices")
 # What a position takes before anything is seen from it, bytes: three coordinates twice over, a value and a weight.

@@ -8,7 +8,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.space.grid import cell_borders, combined, grid_axes, grid_counts, kronecker, latin_hypercube
 from lmd.space.surface import MISPLACED, PLACEMENT_TOLERANCE, Surface, SurfaceArrays, surface_near
 

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, IntArray
+from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.space.grid import combined, grid_axes, grid_counts
 from lmd.space.triangles import Triangles
 

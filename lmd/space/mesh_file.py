@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.checks import FloatArray, InputError, IntArray, choice, file_path, printable, real
-from lmd.files import read_bytes
-from lmd.optional import optional
+from lmd.core.checks import FloatArray, InputError, IntArray, choice, file_path, printable, real
+from lmd.core.files import read_bytes
+from lmd.core.optional import optional
 from lmd.space.parts import check_metres
 from lmd.space.triangles import THINNEST
 

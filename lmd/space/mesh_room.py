@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, InputError, choice
+from lmd.core.checks import BoolArray, FloatArray, InputError, choice
 from lmd.space.cuboid import box_edges
 from lmd.space.fixture import Fixture
 from lmd.space.grid import KINDS, checked_spacing

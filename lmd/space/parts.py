@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from lmd.checks import FloatArray, InputError, choice, real, vector
+from lmd.core.checks import FloatArray, InputError, choice, real, vector
 from lmd.space.blockers import Body
 from lmd.space.polygon import checked_ring
 from lmd.space.surface import Surface

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from lmd.checks import FloatArray, IntArray
-from lmd.optional import optional
+from lmd.core.checks import FloatArray, IntArray
+from lmd.core.optional import optional
+from lmd.geometry.squares import upright
 from lmd.space.allowed import polygons
 from lmd.space.mesh_file import Mesh
 from lmd.space.surface import Surface
-from lmd.tag import upright
 
 # Two triangles whose normals differ by less than this angle, rad, are in one plane, as long as all corners of the patch
 # are so near to it, metres.

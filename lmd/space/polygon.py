@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import FloatArray, InputError, vector
+from lmd.core.checks import FloatArray, InputError, vector
 from lmd.space.blockers import Body
 
 # An edge so near to another one is a part of it, metres.

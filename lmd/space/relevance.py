@@ -6,8 +6,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from lmd.checks import FloatArray, InputError, real, vector
-from lmd.tables import read_numbers
+from lmd.core.checks import FloatArray, InputError, real, vector
+from lmd.core.tables import read_numbers
 
 # A position and a row of the weights file are the same point within this distance, metres.
 SAME_POINT = 1e-6

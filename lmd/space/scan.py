@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, InputError, IntArray, real
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, real
 from lmd.space.allowed import eroded, polygons, spread, trapezoids
 from lmd.space.fixture import Fixture
 from lmd.space.gravity import LEVEL, STOREY, doubt_of

@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, IntArray
+from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.space.blockers import Blockers
 from lmd.space.fixture import Fixture
 from lmd.space.relevance import Weighing

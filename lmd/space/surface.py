@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.space.allowed import EDGE, eroded, find_nearest, gathered, polygons, rectangle, sizes, spread, trapezoids
 
 # Landmarks this far (m) outside still count as inside: a CSV rounded to micrometres is not an error.

@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, IntArray
-from lmd.compiled import inner, kernel
+from lmd.core.checks import BoolArray, FloatArray, IntArray
+from lmd.core.compiled import inner, kernel
 from lmd.space.box_tree import box_tree
 
 # By which boxes are larger than what they hold, relative to the largest coordinate: more than rounding.

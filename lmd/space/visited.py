@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from lmd.checks import BoolArray, FloatArray, IntArray
+from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.space.changed import Changed
 from lmd.space.grid import checked_spacing, latin_hypercube
 from lmd.space.relevance import Weighing

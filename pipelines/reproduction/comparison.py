@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from lmd.comparison import MILESTONES
+from lmd.evaluation.comparison import MILESTONES
 from lmd.objectives.base import Headline
 
 from .document import Table

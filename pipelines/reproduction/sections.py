@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from lmd.comparison import OptimiserRun, comparison_table
-from lmd.deployment import Deployment
+from lmd.evaluation.comparison import OptimiserRun, comparison_table
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.base import Record
 from lmd.plot.cap import save_cap_figure
@@ -17,6 +16,7 @@ from lmd.plot.common import shrink
 from lmd.plot.comparison import save_comparison_figure
 from lmd.plot.scene import save_deployments_figure
 from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
 
 from ..app import command_of
 from ..tracking import PARENT_TAG, MlflowReader

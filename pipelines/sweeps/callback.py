@@ -30,7 +30,7 @@ class SweepRecord(Callback):
 
     def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Start the parent run, or continue that of the same sweep before."""
-        from lmd.checks import InputError
+        from lmd.core.checks import InputError
 
         from ..tracking import RunStart
 

@@ -26,7 +26,7 @@ class JobFolder:
         self.record = self.path / "job.json"
         self.output = self.path / "output.log"  # what the job printed
         self.metrics = self.path / "metrics.json"
-        self.checkpoint = self.path / "checkpoint.npz"  # as in lmd.checkpoint, which takes long to import
+        self.checkpoint = self.path / "checkpoint.npz"  # as in lmd.optimisers.checkpoint, which takes long to import
 
     @property
     def name(self) -> str:

@@ -59,7 +59,7 @@ class Job:
 
 def reason_of(error: BaseException) -> str:
     """What ended a run, in one line."""
-    from lmd.checks import InputError
+    from lmd.core.checks import InputError
 
     if isinstance(error, SystemExit) and not isinstance(error.code, str):
         return f"exited with code {error.code or 0} before it had finished"

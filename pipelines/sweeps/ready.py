@@ -7,7 +7,7 @@ import gc
 import importlib
 import signal
 
-from lmd.compiled import load_compiler
+from lmd.core.compiled import load_compiler
 
 from ..app import GARBAGE, PACKAGE
 from ..signals import SIGNALS
@@ -17,8 +17,8 @@ BEFORE = {number: signal.signal(number, signal.SIG_IGN) for number in (*SIGNALS,
 
 gc.set_threshold(GARBAGE)
 for module in (
-    "lmd.accuracy",
-    "lmd.objectives.coverage_field",
+    "lmd.evaluation.accuracy",
+    "lmd.incremental.coverage_field",
     "lmd.optimisers.annealing",
     "lmd.plot.convergence",
     "lmd.plot.scene",

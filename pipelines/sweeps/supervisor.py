@@ -215,7 +215,7 @@ def _settled(job: Job, code: int) -> Job:
 
 def end_runs(tracking: DictConfig, folder: JobFolder, job: Job, reason: str, name: str | None = None) -> None:
     """Mark the job's runs that its process left running as FAILED; where it had none yet, record one called `name`."""
-    from lmd.checks import InputError
+    from lmd.core.checks import InputError
 
     from ..tracking import RunStart
 

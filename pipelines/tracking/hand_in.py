@@ -2,7 +2,7 @@
 
 import sys
 
-from lmd.checks import InputError, printable
+from lmd.core.checks import InputError, printable
 
 from .journal import Journal
 from .processes import is_gone

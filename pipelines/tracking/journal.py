@@ -6,7 +6,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 
 from ..trust import PAGE
 

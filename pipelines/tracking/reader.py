@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 
 from .store import SQLITE, first_line, is_of_store
 

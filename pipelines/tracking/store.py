@@ -9,7 +9,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 
 from ..signals import stop
 from .experiment import prepare

@@ -4,27 +4,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lmd.camera import Camera
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 from lmd.detection.detectors import AprilTagDetector, ArucoDetector, Detections
-from lmd.detection.evaluation import (
-    agreement,
-    at_least,
-    corner_error,
-    match,
-    precision_recall,
-    quantiles_by,
-)
+from lmd.detection.evaluation import agreement, at_least, corner_error, match, precision_recall, quantiles_by
 from lmd.detection.fit import fit
 from lmd.detection.mosaic import Sampling, Views, sample_views
 from lmd.detection.pose import pose_error, pose_from_corners
 from lmd.geometry.se3 import camera_pose
-from lmd.limits import Limits
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
+from lmd.scene.camera import Camera
+from lmd.scene.tag import Tag
+from lmd.sight.models.limits import Limits
 from lmd.space.cuboid import Cuboid
-from lmd.tag import Tag
 
 pytestmark = pytest.mark.slow  # images, or kernels of a second model of sight
 

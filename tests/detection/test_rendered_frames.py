@@ -13,40 +13,32 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from lmd import pdf
-from lmd.camera import Camera
-from lmd.checks import InputError
-from lmd.deployment import Deployment, UniformDeployment
+from lmd.core.checks import InputError
 from lmd.detection.board import BoardImages
 from lmd.detection.calibration import Calibration, foreseen, judged
 from lmd.detection.detectors import AprilTagDetector, ArucoDetector
 from lmd.detection.evaluation import agreement
 from lmd.detection.fit import Fit
-from lmd.detection.frames import (
-    Sightings,
-    draw_poses,
-    look,
-    nudged,
-    overlapping,
-    picture,
-    qualities,
-    tagged_room,
-)
+from lmd.detection.frames import Sightings, draw_poses, look, nudged, overlapping, picture, qualities, tagged_room
 from lmd.detection.mosaic import Mosaics, Views
 from lmd.detection.report import Prediction, by_pitch, by_tag, figures, repeated, to_markdown
+from lmd.evaluation.verdicts import verdicts
 from lmd.geometry.se3 import axis_and_right, camera_pose, poses_from_rows
-from lmd.limits import Limits, Preset
+from lmd.geometry.squares import upright
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
-from lmd.scene import Scene
+from lmd.scene import pdf
+from lmd.scene.camera import Camera
+from lmd.scene.deployment import Deployment, UniformDeployment
+from lmd.scene.scene import Scene
+from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.fiducial import Fiducial
-from lmd.sight.paper import Visibility
+from lmd.sight.models.fiducial import Fiducial
+from lmd.sight.models.limits import Limits, Preset
+from lmd.sight.models.paper import Visibility
 from lmd.sight.views import visible
 from lmd.space.cuboid import Cuboid
-from lmd.tag import Tag, upright
-from lmd.verdicts import verdicts
 
 pytestmark = pytest.mark.slow  # images, or kernels of a second model of sight
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 from lmd.geometry.distortion import (
     coefficients,
     distort,

@@ -8,12 +8,13 @@ import pytest
 from bearings import view_matrices
 from paper import paper_room, paper_scene
 
-from lmd.deployment import RandomDeployment, UniformDeployment
 from lmd.geometry.se3 import axis_and_right, camera_pose
+from lmd.geometry.squares import corners, upright
 from lmd.objectives.localisation import reference
 from lmd.objectives.localisation.information import deviation_per_variance, log_det, precision, variance
+from lmd.scene.deployment import RandomDeployment, UniformDeployment
+from lmd.scene.tag import Tag
 from lmd.sight.reference import coverage_caps
-from lmd.tag import Tag, corners, upright
 
 EDGE, NOISE = 0.1, 0.5
 SCENE = replace(paper_scene(paper_room()), tag=Tag(EDGE))

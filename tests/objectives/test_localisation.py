@@ -9,16 +9,16 @@ from moves import accept, bound, move, settle, undo
 from paper import paper_room, paper_scene
 from strategies import deployments, fiducial_scenes, scenes, seeds
 
-from lmd.checks import InputError
-from lmd.deployment import Deployment, RandomDeployment, UniformDeployment
+from lmd.core.checks import InputError
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation, localisation, reference
 from lmd.objectives.localisation.kernels import localised_views
-from lmd.scene import Scene
+from lmd.scene.deployment import Deployment, RandomDeployment, UniformDeployment
+from lmd.scene.scene import Scene
+from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.fiducial import Fiducial
 from lmd.sight.kernels import PROBABILITY_ONE
-from lmd.tag import Tag
+from lmd.sight.models.fiducial import Fiducial
 
 TAG = Tag(0.1)
 

@@ -8,17 +8,17 @@ import pytest
 from bearings import view_matrices
 from paper import paper_room, paper_scene
 
-from lmd import pdf
-from lmd.deployment import RandomDeployment
+from lmd.evaluation.selection_bound import GUARANTEE, selection_upper_bound
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.optimisers.selection import select
 from lmd.problem import Problem
-from lmd.selection_bound import GUARANTEE, selection_upper_bound
+from lmd.scene import pdf
+from lmd.scene.deployment import RandomDeployment
+from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses
 from lmd.space.relevance import Relevance
-from lmd.tag import Tag
 
 SPACING = 4.0  # 24 poses
 OBJECTIVE = Localisation(sampling=None)

@@ -3,9 +3,7 @@ import pytest
 from paper import paper_room, paper_scene
 from small import make, problem
 
-from lmd import pdf
-from lmd.checks import InputError
-from lmd.deployment import Deployment, FileDeployment, RandomDeployment, UniformDeployment
+from lmd.core.checks import InputError
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.sampling import Sampling
 from lmd.optimisers.annealing import Annealing, Stage
@@ -14,6 +12,8 @@ from lmd.optimisers.annealing.surrogate import Surrogate
 from lmd.optimisers.annealing.walk import _reflect
 from lmd.optimisers.base import Budget
 from lmd.problem import Problem
+from lmd.scene import pdf
+from lmd.scene.deployment import Deployment, FileDeployment, RandomDeployment, UniformDeployment
 
 PAIRS = {"temperature": [1e-3, 1e-4], "width": [0.1, 0.01], "step": [1.0, 0.1]}
 

@@ -2,15 +2,15 @@ import numpy as np
 import pytest
 from small import make, problem
 
-from lmd.deployment import Deployment, RandomDeployment
+from lmd.incremental.field import in_order
 from lmd.objectives.coverage import Coverage
-from lmd.objectives.field import in_order
 from lmd.objectives.sampling import Sampling
 from lmd.optimisers.annealing import Annealing
 from lmd.optimisers.annealing import ascent as room
 from lmd.optimisers.annealing.ascent import Ascent, _slopes
 from lmd.optimisers.base import Budget
 from lmd.problem import Problem
+from lmd.scene.deployment import Deployment, RandomDeployment
 from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.space.surface import SurfaceArrays
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 from lmd.optimisers.ega import EGA
 
 

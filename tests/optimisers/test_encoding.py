@@ -5,9 +5,9 @@ from hypothesis import strategies as st
 from paper import experiment_room, paper_room
 from strategies import flush_deployments, seeds
 
-from lmd.checks import InputError
-from lmd.deployment import Deployment
+from lmd.core.checks import InputError
 from lmd.optimisers.encoding import make_encoding
+from lmd.scene.deployment import Deployment
 
 ROOMS = st.sampled_from([paper_room(), experiment_room(), paper_room(walls=("ceiling", "y_min"))])
 ENCODINGS = [("wall", True), ("wall", False), ("paper", True), ("paper", False)]

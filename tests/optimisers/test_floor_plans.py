@@ -7,9 +7,8 @@ import pytest
 from floor_plans import hangs_properly, lab
 from paper import paper_scene
 
-from lmd import pdf
-from lmd.bounds import Search, average_upper_bound
-from lmd.deployment import RandomDeployment
+from lmd.evaluation.bounds import Search, average_upper_bound
+from lmd.evaluation.validation import Sample, validation_metrics
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.sampling import Sampling
 from lmd.optimisers.annealing import Annealing
@@ -17,9 +16,10 @@ from lmd.optimisers.base import Budget
 from lmd.optimisers.ega import EGA
 from lmd.optimisers.greedy import Greedy
 from lmd.problem import Problem
+from lmd.scene import pdf
+from lmd.scene.deployment import RandomDeployment
+from lmd.scene.tag import Tag
 from lmd.sight import reference
-from lmd.tag import Tag
-from lmd.validation import Sample, validation_metrics
 
 SCENE = paper_scene(lab(), orientations=pdf.grid_with_ends(6), thold=0.3, occlusion="line_of_sight")
 WITH_TAGS = replace(SCENE, tag=Tag(0.15))

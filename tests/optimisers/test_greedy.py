@@ -4,11 +4,11 @@ from hydra import compose, initialize_config_dir
 from paper import paper_room, paper_scene
 from small import make, problem
 
-from lmd import pdf
-from lmd.deployment import Deployment, UniformDeployment
 from lmd.objectives.coverage import CappedCount, Coverage
 from lmd.optimisers.base import Budget
 from lmd.optimisers.greedy import GreedyDeployment, select
+from lmd.scene import pdf
+from lmd.scene.deployment import Deployment, UniformDeployment
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from small import make, problem
 
-from lmd.checkpoint import Checkpoint
-from lmd.checks import InputError
-from lmd.deployment import RandomDeployment, UniformDeployment
-from lmd.labels import Labels
+from lmd.core.checks import InputError
 from lmd.optimisers.base import AskTell, Budget
+from lmd.optimisers.checkpoint import Checkpoint
 from lmd.problem import Problem
+from lmd.scene.deployment import RandomDeployment, UniformDeployment
+from lmd.scene.labels import Labels
 from pipelines.app import CONF
 
 NAMES = sorted(path.stem for path in Path(CONF, "optimiser").glob("*.yaml"))

@@ -7,9 +7,9 @@ import pytest
 from checkpoints import BUDGET, SETTINGS, resumed, saved, stopped
 from small import problem
 
-from lmd.checkpoint import Checkpoint
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 from lmd.optimisers.base import Budget, Optimiser
+from lmd.optimisers.checkpoint import Checkpoint
 from lmd.optimisers.random_search import RandomSearch
 from lmd.problem import Problem
 

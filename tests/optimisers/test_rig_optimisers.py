@@ -6,14 +6,14 @@ import pytest
 from paper import paper_camera, paper_room, paper_scene
 from small import make
 
-from lmd import pdf
-from lmd.deployment import RandomDeployment
-from lmd.losses import losses
+from lmd.evaluation.losses import losses
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.sampling import Sampling
 from lmd.optimisers.base import Budget
 from lmd.problem import Problem
-from lmd.rig import Mount, Rig
+from lmd.scene import pdf
+from lmd.scene.deployment import RandomDeployment
+from lmd.scene.rig import Mount, Rig
 
 CAMERA = paper_camera()
 BACK_TO_BACK = Rig((Mount(CAMERA, (0.1, 0.0, 0.0)), Mount(CAMERA, (-0.1, 0.0, 0.0), yaw=math.pi)))

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from lmd.deployment import Deployment
 from lmd.optimisers.annealing.trail import DECAY, FAR, Trail
+from lmd.scene.deployment import Deployment
 
 
 def at(positions, surfaces=(0, 1)):

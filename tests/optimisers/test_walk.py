@@ -3,13 +3,13 @@ import numpy as np
 import pytest
 from paper import paper_room, paper_scene
 
-from lmd import pdf
-from lmd.deployment import RandomDeployment
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.annealing import Stage
 from lmd.optimisers.annealing import walk as module
 from lmd.optimisers.annealing.surrogate import Surrogate
 from lmd.problem import Problem
+from lmd.scene import pdf
+from lmd.scene.deployment import RandomDeployment
 
 
 def walked(n, occlusion, stage):

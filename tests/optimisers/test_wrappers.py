@@ -12,7 +12,7 @@ from hydra import compose, initialize_config_dir
 from processes import environment
 from small import problem
 
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 from lmd.optimisers.base import Budget
 from lmd.optimisers.nevergrad import Nevergrad
 from lmd.optimisers.pycma import PyCma

@@ -6,12 +6,12 @@ from numpy.testing import assert_allclose
 from recordings import MOVING, estimated, independent_draws, simulated
 from scipy.stats import norm, vonmises
 
-from lmd import pdf
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 from lmd.orientation import density
 from lmd.orientation.density import Axis
 from lmd.orientation.recording import FileRecording, OrientationRecording
 from lmd.orientation.sampling import circular_difference
+from lmd.scene import pdf
 
 STEP = np.pi / 12
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from recordings import MOVING, estimated, independent_draws, simulated
 
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 from lmd.orientation.recording import OrientationRecording
 from lmd.orientation.sampling import (
     Samples,

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from recordings import MOVING, simulated
 from scipy.spatial.transform import Rotation
 
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 from lmd.geometry.frames import rotation
 from lmd.orientation.recording import OrientationRecording
 from lmd.orientation.sampling import circular_difference

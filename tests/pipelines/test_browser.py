@@ -10,10 +10,10 @@ from matplotlib.image import imread
 from paper import paper_scene
 from tracked import record_sweep, write_report
 
-from lmd.deployment import UniformDeployment
 from lmd.objectives.coverage import Coverage
 from lmd.plot.page import save_scene_page
 from lmd.problem import Problem
+from lmd.scene.deployment import UniformDeployment
 from lmd.space.cuboid import Cuboid
 
 pytestmark = [pytest.mark.slow, chromium.needs_chromium]

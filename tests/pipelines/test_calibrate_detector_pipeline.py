@@ -8,13 +8,13 @@ import processes
 import pytest
 from test_detect_pipeline import CAMERA
 
-from lmd.camera import Camera
 from lmd.geometry.se3 import camera_pose
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
-from lmd.sight.fiducial import Fiducial
-from lmd.tag import Tag
+from lmd.scene.camera import Camera
+from lmd.scene.tag import Tag
+from lmd.sight.models.fiducial import Fiducial
 
 SMALL = ["room.spacing=3", *CAMERA, "tag.edge=0.3", "views.count=300", "poses=10", "hydra.run.dir=run", "tracking=none"]
 pytestmark = pytest.mark.slow

@@ -12,10 +12,10 @@ from hydra.utils import get_class
 from omegaconf import OmegaConf
 from paper import PAPER_CAMERA, PRINTED_EXPERIMENT_CAMERA
 
-from lmd.camera import Camera
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 from lmd.objectives.localisation import Localisation
 from lmd.optimisers.encoding import make_encoding
+from lmd.scene.camera import Camera
 from pipelines.app import CONF, flat_settings
 from pipelines.building import build_optimiser, build_problem, camera_of, instantiate, keyed
 from pipelines.deployments import any_deployment

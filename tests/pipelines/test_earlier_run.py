@@ -13,7 +13,7 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 from processes import call, refused
 
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 from pipelines import accuracy
 from pipelines.app import CONF
 from pipelines.building import build_problem

@@ -11,8 +11,8 @@ from mlflow import MlflowClient
 from numpy.testing import assert_allclose
 from recordings import MOVING, estimated, simulated
 
-from lmd import pdf
 from lmd.orientation.recording import OrientationRecording
+from lmd.scene import pdf
 from pipelines.app import CONF
 from pipelines.building import instantiate
 

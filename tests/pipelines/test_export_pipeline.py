@@ -6,8 +6,8 @@ import pytest
 from omegaconf import OmegaConf
 from processes import SMALL, call, help_of, refused
 
-from lmd.export.formats import formats_of
-from lmd.tag import Tag
+from lmd.mapping.formats import formats_of
+from lmd.scene.tag import Tag
 from pipelines.export import build_export
 
 LANDMARKS = "id,x,y,z,nx,ny,nz,note\n7,0,2,3,1,0,0,by the door\n3,0,3,3,1,0,0,\n9,7.5,2,3,-1,0,0,\n"

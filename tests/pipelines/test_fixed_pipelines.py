@@ -8,7 +8,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 from processes import call, refused
 
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 from pipelines.app import CONF
 from pipelines.building import build_problem
 from pipelines.fixed import quoted

@@ -12,8 +12,8 @@ from hydra import compose, initialize_config_dir
 from hydra.core.hydra_config import HydraConfig
 
 import pipelines.runs
-from lmd.checkpoint import FILE
-from lmd.checks import InputError
+from lmd.core.checks import InputError
+from lmd.optimisers.checkpoint import FILE
 from pipelines.app import CONF
 from pipelines.going_on import going_on
 from pipelines.trust import Trust

@@ -9,7 +9,7 @@ from mlflow import MlflowClient
 from recorded_runs import ANOTHER, started, stored
 
 import pipelines.sync
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 from pipelines.app import CONF
 from pipelines.sync import sync
 from pipelines.tracking.hand_in import GONE, hand_in

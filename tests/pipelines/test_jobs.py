@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from lmd.checkpoint import FILE
-from lmd.checks import InputError
+from lmd.core.checks import InputError
+from lmd.optimisers.checkpoint import FILE
 from pipelines.sweeps.folder import JobFolder, SweepFolder
 from pipelines.sweeps.jobs import Job, Sweep, reason_of
 from pipelines.sweeps.names import key_and_value, quoted, slug, varied_keys

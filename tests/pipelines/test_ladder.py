@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from hydra import compose, initialize_config_dir
 
-from lmd.checks import InputError
-from lmd.tradeoff import ANEW, Found
-from lmd.validation import Sample, headline_off_grid
+from lmd.core.checks import InputError
+from lmd.evaluation.tradeoff import ANEW, Found
+from lmd.evaluation.validation import Sample, headline_off_grid
 from pipelines import ladder
 from pipelines.app import CONF
 
@@ -22,7 +22,7 @@ def ladder_of(*overrides, edge=0.0):
 
 @pytest.fixture
 def quick(monkeypatch):
-    monkeypatch.setattr("lmd.tradeoff.SAMPLE", Sample(2, 4, 2))
+    monkeypatch.setattr("lmd.evaluation.tradeoff.SAMPLE", Sample(2, 4, 2))
 
 
 @pytest.fixture
@@ -66,7 +66,7 @@ def test_what_other_code_has_computed_is_not_taken(tmp_path, monkeypatch):
     scored = []
     monkeypatch.setattr(ladder, "figures_of", lambda *_: scored.append(0) or {"share": len(scored)})
     assert [known.figures(found)["share"] for _ in range(2)] == [1, 1]
-    monkeypatch.setattr("lmd.compiled.sources", lambda: "other code")
+    monkeypatch.setattr("lmd.core.compiled.sources", lambda: "other code")
     assert known.figures(found)["share"] == 2
 
 

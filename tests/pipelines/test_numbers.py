@@ -10,7 +10,7 @@ from hydra import compose, initialize_config_dir
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import OmegaConf, open_dict
 
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 from pipelines.app import CONF
 
 VALUES = (1e300, -1, float("nan"), None, 10**9)

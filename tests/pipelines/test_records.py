@@ -8,8 +8,8 @@ import pytest
 from omegaconf import OmegaConf
 from small import problem
 
-from lmd.checkpoint import FILE, Checkpoint
 from lmd.optimisers.base import Budget, Optimiser
+from lmd.optimisers.checkpoint import FILE, Checkpoint
 from lmd.optimisers.ega import EGA
 from pipelines import outputs, tracked_run
 from pipelines.progress import Progress

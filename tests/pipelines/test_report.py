@@ -10,7 +10,7 @@ from matplotlib.image import imread
 from processes import call
 from tracked import record_all, record_sweep, write_report
 
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 from pipelines.reproduction.document import Picture, Section, Table, Text, to_html, to_markdown
 from pipelines.reproduction.paper import TABLE_2, TABLE_3
 from pipelines.reproduction.sections import COMMANDS, RATIO, _typical

@@ -4,14 +4,14 @@ import pytest
 from matplotlib.image import imread
 from paper import paper_scene
 
-from lmd import pdf
-from lmd.deployment import Deployment, UniformDeployment
 from lmd.geometry.frames import optical_axis
 from lmd.objectives.coverage import Coverage
 from lmd.plot import common
 from lmd.plot.cap import hemisphere, save_cap_figure
 from lmd.plot.scene import save_deployments_figure
 from lmd.problem import Problem
+from lmd.scene import pdf
+from lmd.scene.deployment import Deployment, UniformDeployment
 from lmd.space.cuboid import Cuboid
 from pipelines.reproduction.plots import save_heat_map, save_landmark_count_figure
 

@@ -8,9 +8,9 @@ from omegaconf import open_dict
 from paper import PAPER_CAMERA
 from processes import call, refused
 
-from lmd.camera import Camera
-from lmd.checks import InputError
-from lmd.rig import Mount, Rig
+from lmd.core.checks import InputError
+from lmd.scene.camera import Camera
+from lmd.scene.rig import Mount, Rig
 from pipelines.app import CONF
 from pipelines.building import build_problem, camera_of
 from pipelines.evaluate import evaluate

@@ -8,7 +8,7 @@ from meshes import captured
 from numpy.random import default_rng
 from omegaconf import OmegaConf
 
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 from pipelines.app import CONF
 from pipelines.building import build_problem, instantiate
 from pipelines.fixed import fixed_of

@@ -8,7 +8,7 @@ from mlflow.store.db import utils
 from processes import ensure_warm
 from recorded_runs import ANOTHER, started, stored
 
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 from pipelines.sweeps.forks import context
 from pipelines.tracking import MlflowReader, MlflowTracker, NoTracker, RunStart
 from pipelines.tracking.hand_in import GONE

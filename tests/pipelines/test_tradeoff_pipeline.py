@@ -14,7 +14,7 @@ from hydra import compose, initialize_config_dir
 from mlflow import MlflowClient
 from omegaconf import OmegaConf
 
-from lmd.deployment import Deployment
+from lmd.scene.deployment import Deployment
 from pipelines.app import CONF
 
 pytestmark = pytest.mark.slow

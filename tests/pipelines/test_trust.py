@@ -9,7 +9,7 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 import pipelines.report
-from lmd.checks import InputError, printable
+from lmd.core.checks import InputError, printable
 from pipelines.app import CONF
 from pipelines.earlier_run import read_earlier_run
 from pipelines.trust import Trust
@@ -69,9 +69,9 @@ TARGETS = {
     "room: {relevance: {_target_: evil.Room}}": "room.relevance._target_ = 'evil.Room'",
     "room: {relevance: {regions: [{low: {_target_: evil.Room}}]}}": "room.relevance.regions.0.low._target_",
     "camera: {rig: [{camera: {_target_: evil.Room, _partial_: true}}]}": "camera.rig.0.camera._target_",
-    "objective: {_target_: lmd.camera_calibration.yaml.load}": "lmd.camera_calibration.yaml.load",  # a walk
-    "objective: {_target_: lmd.tables.write_table}": "objective._target_ = 'lmd.tables.write_table'",  # writes files
-    "pdf: {_target_: lmd.camera.Camera}": "pdf._target_ = 'lmd.camera.Camera'",  # of another group
+    "objective: {_target_: lmd.scene.camera_calibration.yaml.load}": "lmd.scene.camera_calibration.yaml.load",  # a walk
+    "objective: {_target_: lmd.core.tables.write_table}": "objective._target_ = 'lmd.core.tables.write_table'",
+    "pdf: {_target_: lmd.scene.camera.Camera}": "pdf._target_ = 'lmd.scene.camera.Camera'",  # of another group
     "pdf: {_target_: '${optimiser._target_}'}": "pdf._target_ is no name of a class or a function",
     "pdf: {_target_: [evil.Room]}": "pdf._target_ is no name",
     "pdf: {_target_: evil}": "pdf._target_ is no name",
@@ -144,7 +144,7 @@ def test_aliases_do_not_grow(strangers, monkeypatch, capsys):
 
 
 def test_a_run_without_code_of_others_is_taken(strangers, monkeypatch, capsys):
-    strangers("visibility: {_target_: lmd.sight.fiducial.Fiducial, tag: '${tag}', detector: '${.tag}'}")
+    strangers("visibility: {_target_: lmd.sight.models.fiducial.Fiducial, tag: '${tag}', detector: '${.tag}'}")
     assert told(capsys, monkeypatch) == ""
 
 

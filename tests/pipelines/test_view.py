@@ -20,8 +20,8 @@ from paper import paper_room
 from planner_page import LIMIT, Page
 from processes import SMALL, call, command, help_of, refused, start
 
-from lmd.deployment import Deployment
 from lmd.planner.app import Planner
+from lmd.scene.deployment import Deployment
 from pipelines.app import CONF
 from pipelines.outputs import all_or_none
 from pipelines.signals import Stopped

@@ -6,7 +6,7 @@ import sys
 import pytest
 from processes import ROOT, environment
 
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 from pipelines.workers import in_processes
 
 OUTLIVING = """

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from small import problem
 
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 from lmd.optimisers.base import Budget
 from lmd.optimisers.random_search import RandomSearch
 from lmd.planner.access import Access

@@ -7,12 +7,12 @@ import pytest
 from paper import paper_room, paper_scene
 from small import problem
 
-from lmd import pdf
-from lmd.deployment import RandomDeployment
 from lmd.objectives.localisation import Localisation
 from lmd.planner.additions import additions, candidate_cells
 from lmd.problem import Problem
-from lmd.tag import Tag
+from lmd.scene import pdf
+from lmd.scene.deployment import RandomDeployment
+from lmd.scene.tag import Tag
 
 TAG = Tag(edge=0.3)
 

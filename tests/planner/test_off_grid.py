@@ -5,8 +5,8 @@ from itertools import count
 import numpy as np
 from small import problem
 
+from lmd.evaluation.validation import Sample, describe_validation, validation_metrics
 from lmd.planner.off_grid import ESTIMATE, FIRST, off_grid
-from lmd.validation import Sample, describe_validation, validation_metrics
 
 SMALL = Sample(groups=4, positions=32, divisions=4)
 

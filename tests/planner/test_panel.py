@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 from lmd.optimisers.base import Budget
 from lmd.planner.legend import TAGS, legend
 from lmd.planner.panel import Panel

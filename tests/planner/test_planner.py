@@ -9,8 +9,7 @@ from meshes import mesh_room
 from paper import paper_scene
 from small import problem
 
-from lmd.checks import InputError
-from lmd.deployment import RandomDeployment
+from lmd.core.checks import InputError
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.base import Budget
 from lmd.optimisers.random_search import RandomSearch
@@ -19,7 +18,8 @@ from lmd.planner.panel import Panel
 from lmd.planner.picture import BALL, Picture
 from lmd.planner.session import Session
 from lmd.problem import Problem
-from lmd.recorded_poses import RecordedPoses
+from lmd.scene.deployment import RandomDeployment
+from lmd.scene.recorded_poses import RecordedPoses
 from lmd.space.floor_plan import FloorPlan
 
 viser = pytest.importorskip("viser")

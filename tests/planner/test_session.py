@@ -10,9 +10,7 @@ from floor_plans import lab
 from paper import paper_room, paper_scene
 from small import problem
 
-from lmd import pdf
-from lmd.checks import InputError
-from lmd.deployment import Deployment, FileDeployment, RandomDeployment
+from lmd.core.checks import InputError
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.sampling import Sampling
@@ -22,7 +20,9 @@ from lmd.optimisers.random_search import RandomSearch
 from lmd.planner.plan import Plan
 from lmd.planner.session import Session
 from lmd.problem import Problem
-from lmd.tag import Tag
+from lmd.scene import pdf
+from lmd.scene.deployment import Deployment, FileDeployment, RandomDeployment
+from lmd.scene.tag import Tag
 
 TAG = Tag(edge=0.2)
 

@@ -6,9 +6,9 @@ import threading
 
 import pytest
 
-from lmd.checks import InputError
-from lmd.deployment import Deployment
+from lmd.core.checks import InputError
 from lmd.planner.worker import Worker
+from lmd.scene.deployment import Deployment
 
 LIMIT = 60.0
 

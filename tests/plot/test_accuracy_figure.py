@@ -2,14 +2,14 @@ import numpy as np
 from matplotlib.image import imread
 from paper import paper_room, paper_scene
 
-from lmd import pdf
-from lmd.accuracy import plan_of_errors, predicted_errors
-from lmd.deployment import UniformDeployment
+from lmd.evaluation.accuracy import plan_of_errors, predicted_errors
 from lmd.objectives.coverage import Coverage
 from lmd.plot.accuracy import save_accuracy_figure
 from lmd.problem import Problem
-from lmd.scene import Scene
-from lmd.tag import Tag
+from lmd.scene import pdf
+from lmd.scene.deployment import UniformDeployment
+from lmd.scene.scene import Scene
+from lmd.scene.tag import Tag
 
 
 def problem_of(count, n=2):

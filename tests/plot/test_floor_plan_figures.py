@@ -6,12 +6,12 @@ import numpy as np
 from floor_plans import lab
 from paper import paper_scene
 
-from lmd import pdf
-from lmd.deployment import RandomDeployment
 from lmd.objectives.coverage import Coverage
 from lmd.plot.page import save_scene_page
 from lmd.plot.scene import save_scene_figure
 from lmd.problem import Problem
+from lmd.scene import pdf
+from lmd.scene.deployment import RandomDeployment
 from lmd.space.cuboid import Cuboid
 
 

@@ -10,8 +10,6 @@ from matplotlib.image import imread
 from paper import paper_scene
 from scipy.spatial import cKDTree
 
-from lmd.deployment import Deployment, RandomDeployment, UniformDeployment
-from lmd.labels import Labels
 from lmd.objectives.coverage import Coverage
 from lmd.plot import common
 from lmd.plot.common import qualified_labels
@@ -19,6 +17,8 @@ from lmd.plot.convergence import save_convergence_figure
 from lmd.plot.page import save_scene_page
 from lmd.plot.scene import save_scene_figure
 from lmd.problem import Problem
+from lmd.scene.deployment import Deployment, RandomDeployment, UniformDeployment
+from lmd.scene.labels import Labels
 from lmd.sight.evaluator import Evaluator
 from lmd.space.cuboid import Cuboid, box_edges
 

@@ -1,14 +1,15 @@
 import numpy as np
 from floor_plans import lab
 
-from lmd.camera import Camera
-from lmd.deployment import Deployment, RandomDeployment
 from lmd.detection.frames import tagged_room
 from lmd.geometry.se3 import camera_pose
-from lmd.plates import Plates
+from lmd.geometry.squares import corners, upright
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
-from lmd.tag import Tag, corners, upright
+from lmd.scene.camera import Camera
+from lmd.scene.deployment import Deployment, RandomDeployment
+from lmd.scene.plates import Plates
+from lmd.scene.tag import Tag
 
 CAMERA = Camera(3.6, 0.02, 0.02, (160.0, 120.0), 320.0, 240.0, 1.0, 1000.0)
 SHARP = Imaging(psf_sigma=0.0, defocus=False, noise=0.0)

@@ -6,15 +6,16 @@ import cv2
 import numpy as np
 import pytest
 
-from lmd.camera import Camera
 from lmd.detection.detectors import AprilTagDetector
 from lmd.detection.evaluation import corner_error
 from lmd.geometry.se3 import camera_pose, inverse
+from lmd.geometry.squares import upright
 from lmd.render.imaging import Imaging
 from lmd.render.optics import image_size, intrinsics
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
-from lmd.tag import Tag, upright
+from lmd.scene.camera import Camera
+from lmd.scene.tag import Tag
 
 moderngl = pytest.importorskip("moderngl")
 

@@ -4,16 +4,16 @@ import cv2
 import numpy as np
 import pytest
 
-from lmd.camera import Camera
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 from lmd.detection.detectors import AprilTagDetector
 from lmd.geometry.se3 import camera_pose, exp
 from lmd.render.imaging import Imaging
 from lmd.render.optics import intrinsics, project, rectified
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
+from lmd.scene.camera import Camera
+from lmd.scene.tag import Tag
 from lmd.space.cuboid import Cuboid
-from lmd.tag import Tag
 
 # 500 pixels a metre at a depth of 1 m.
 CAMERA = Camera(5.0, 0.01, 0.01, (160.0, 120.0), 320.0, 240.0, 1.0, 1000.0)

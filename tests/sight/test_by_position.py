@@ -11,13 +11,13 @@ from numpy.testing import assert_array_equal
 from paper import facing, paper_room, paper_scene
 from strategies import deployments, seeds
 
-from lmd import pdf
-from lmd.bounds import Search, average_upper_bound
-from lmd.deployment import UniformDeployment
+from lmd.evaluation.bounds import Search, average_upper_bound
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation import reference as localisation_reference
 from lmd.problem import Problem
+from lmd.scene import pdf
+from lmd.scene.deployment import UniformDeployment
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from paper import paper_camera, paper_scene
 from strategies import seeds
 
-from lmd import pdf
-from lmd.sight.bits import in_words, unpacked
-from lmd.sight.criteria import in_view as seen
+from lmd.core.bits import in_words, unpacked
+from lmd.scene import pdf
+from lmd.scene.criteria import in_view as seen
+from lmd.scene.tag import Tag
 from lmd.sight.directions import NOWHERE, SIDE, cell_of, tables
-from lmd.sight.fiducial import Fiducial
-from lmd.tag import Tag
+from lmd.sight.models.fiducial import Fiducial
 
 AXIS = pdf.grid_with_ends(8).axes
 RIGHT = np.cross(AXIS, [0.6, 0.0, 0.8])  # any way around will do

@@ -18,14 +18,14 @@ from strategies import (
     visibilities,
 )
 
-from lmd import pdf
-from lmd.deployment import Deployment, RandomDeployment, UniformDeployment
 from lmd.geometry.frames import optical_axis
-from lmd.scene import Scene
+from lmd.scene import pdf
+from lmd.scene.criteria import TOLERANCE
+from lmd.scene.deployment import Deployment, RandomDeployment, UniformDeployment
+from lmd.scene.scene import Scene
 from lmd.sight import reference
-from lmd.sight.criteria import TOLERANCE
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.paper import Visibility
+from lmd.sight.models.paper import Visibility
 from lmd.space.cuboid import Cuboid
 
 RNG = np.random.default_rng(0)

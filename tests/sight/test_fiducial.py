@@ -11,19 +11,20 @@ from paper import paper_camera, paper_room
 from paths import check_every_path
 from strategies import deployments, fiducial_scenes, seeds, unit_vectors
 
-from lmd import pdf
-from lmd.camera import Camera
-from lmd.checks import InputError
-from lmd.deployment import Deployment, RandomDeployment
+from lmd.core.checks import InputError
 from lmd.detection.quality import apparent_edge, incidence, pitch
 from lmd.geometry.se3 import axis_and_right, camera_pose
-from lmd.limits import measured
+from lmd.geometry.squares import LEVEL, corners, upright
 from lmd.render.optics import blur_sigma, project, to_camera
-from lmd.scene import Scene
+from lmd.scene import pdf
+from lmd.scene.camera import Camera
+from lmd.scene.deployment import Deployment, RandomDeployment
+from lmd.scene.scene import Scene
+from lmd.scene.tag import Tag
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.fiducial import Fiducial
-from lmd.tag import LEVEL, Tag, corners, upright
+from lmd.sight.models.fiducial import Fiducial
+from lmd.sight.models.limits import measured
 
 pytestmark = pytest.mark.slow  # images, or kernels of a second model of sight
 

@@ -9,14 +9,14 @@ from moves import bound, settle
 from paper import paper_room, paper_scene
 from strategies import scenes_with_deployments
 
-from lmd.deployment import RandomDeployment
-from lmd.objectives.coverage_field import coverage_field
+from lmd.incremental.coverage_field import coverage_field
+from lmd.incremental.hiding import flips_with
+from lmd.incremental.move import state_of
+from lmd.incremental.state import scratch_of
+from lmd.scene.deployment import RandomDeployment
 from lmd.sight.blocks import BLOCK
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.incremental.hiding import flips_with
-from lmd.sight.incremental.move import state_of
-from lmd.sight.incremental.state import scratch_of
-from lmd.sight.paper import hidden_by_others
+from lmd.sight.models.paper import hidden_by_others
 
 
 def hidden_by_each(scene, landmarks, position):

@@ -13,17 +13,17 @@ from paper import paper_camera, paper_scene
 from paths import check_every_path
 from strategies import cameras, distorted_cameras, fiducials, pdfs, rolled_pdfs, seeds, unit_vectors, visibilities
 
-from lmd.deployment import NORMAL_TOLERANCE, Deployment, RandomDeployment
-from lmd.limits import Limits
-from lmd.scene import Scene
+from lmd.scene.criteria import from_position, horizon_of
+from lmd.scene.deployment import NORMAL_TOLERANCE, Deployment, RandomDeployment
+from lmd.scene.scene import Scene
+from lmd.scene.tag import Tag
 from lmd.sight import reference
-from lmd.sight.criteria import from_position, horizon_of
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.fiducial import Fiducial
 from lmd.sight.kernels import REGION, box_around, gather
-from lmd.sight.paper import Visibility
+from lmd.sight.models.fiducial import Fiducial
+from lmd.sight.models.limits import Limits
+from lmd.sight.models.paper import Visibility
 from lmd.space.cuboid import Cuboid
-from lmd.tag import Tag
 
 
 @st.composite

@@ -7,12 +7,12 @@ from moves import accept, bound, move, settle, undo
 from paper import paper_room, paper_scene
 from strategies import deployments, scenes_with_boundary_landmarks, scenes_with_deployments, seeds
 
-from lmd.deployment import Deployment, RandomDeployment
-from lmd.objectives.coverage_field import coverage_field
+from lmd.incremental.coverage_field import coverage_field
+from lmd.incremental.move import counts_of, state_of
+from lmd.incremental.state import scratch_of
+from lmd.scene.deployment import Deployment, RandomDeployment
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.incremental.move import counts_of, state_of
-from lmd.sight.incremental.state import scratch_of
 
 
 def moved(scene, deployment, targets, n, rng):

@@ -11,19 +11,20 @@ from numpy.testing import assert_array_equal
 from paper import paper_scene
 from strategies import cameras, fiducials, pdfs, rolled_pdfs, seeds, visibilities
 
-from lmd import pdf
-from lmd.deployment import Deployment, RandomDeployment
 from lmd.geometry.se3 import axis_and_right, camera_pose
+from lmd.incremental.coverage_field import coverage_field
+from lmd.incremental.move import counts_of
 from lmd.objectives.coverage import Coverage
-from lmd.objectives.coverage_field import coverage_field
 from lmd.optimisers.annealing import Annealing
 from lmd.optimisers.base import Budget
 from lmd.problem import Problem
-from lmd.scene import Scene
+from lmd.scene import pdf
+from lmd.scene.deployment import Deployment, RandomDeployment
+from lmd.scene.scene import Scene
+from lmd.scene.tag import Tag
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.fiducial import Fiducial
-from lmd.sight.incremental.move import counts_of
+from lmd.sight.models.fiducial import Fiducial
 from lmd.sight.obstacles import obstacles_at
 from lmd.sight.poses import candidate_poses, covered_amounts, gains
 from lmd.sight.views import visible
@@ -31,7 +32,6 @@ from lmd.space.cuboid import Cuboid
 from lmd.space.floor_plan import FloorPlan
 from lmd.space.parts import Reachable
 from lmd.space.prism import Prism
-from lmd.tag import Tag
 
 scenes = st.one_of(
     st.builds(Scene, prisms(), cameras(), pdfs, visibilities()),

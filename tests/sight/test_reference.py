@@ -18,12 +18,13 @@ from paper import (
 )
 from strategies import cameras, free_deployments, pitches, points, seeds, unit_vectors, yaws
 
-from lmd import pdf
-from lmd.deployment import Deployment, RandomDeployment, UniformDeployment
 from lmd.geometry.frames import optical_axis, rotation, world_to_local
-from lmd.sight import paper, reference
-from lmd.sight.criteria import TOLERANCE
-from lmd.sight.paper import Visibility
+from lmd.scene import pdf
+from lmd.scene.criteria import TOLERANCE
+from lmd.scene.deployment import Deployment, RandomDeployment, UniformDeployment
+from lmd.sight import reference
+from lmd.sight.models import paper
+from lmd.sight.models.paper import Visibility
 
 ORIGIN = np.zeros(3)
 HALF_ANGLE = math.atan(0.696)

@@ -7,14 +7,14 @@ from moves import accept, bound, move, settle, undo
 from rigs import rig_scenes_with_deployments, rigs
 from strategies import deployments, seeds
 
-from lmd.deployment import Deployment, RandomDeployment
-from lmd.objectives.rig_field import rig_field
-from lmd.pdf import level_flight
-from lmd.scene import Scene
+from lmd.incremental.move import counts_of
+from lmd.incremental.rig_field import rig_field
+from lmd.scene.deployment import Deployment, RandomDeployment
+from lmd.scene.pdf import level_flight
+from lmd.scene.scene import Scene
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.incremental.move import counts_of
-from lmd.sight.paper import Visibility
+from lmd.sight.models.paper import Visibility
 
 
 def arrays_of(state):

@@ -9,10 +9,10 @@ from hypothesis import given, strategies
 from meshes import captured, quad
 from numpy.testing import assert_array_equal
 
-from lmd.checks import InputError
-from lmd.deployment import Deployment, RandomDeployment, UniformDeployment
+from lmd.core.checks import InputError
 from lmd.optimisers.encoding import make_encoding
-from lmd.plates import Plates
+from lmd.scene.deployment import Deployment, RandomDeployment, UniformDeployment
+from lmd.scene.plates import Plates
 from lmd.space.mesh_room import from_mesh
 from lmd.space.scan import Scan
 

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from paper import SIDE_WALLS, experiment_room, paper_room
 from strategies import rooms
 
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 from lmd.space.cuboid import WALLS, Cuboid
 from lmd.space.relevance import Relevance
 

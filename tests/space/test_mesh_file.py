@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from lmd.checks import InputError
+from lmd.core.checks import InputError
 from lmd.space.mesh_file import read_mesh
 
 TRIANGLE = struct.pack("<9f", 0, 0, 0, 3, 0, 0, 0, 3, 0)

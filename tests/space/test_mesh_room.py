@@ -6,24 +6,25 @@ from meshes import mesh_room, walls_of
 from numpy.testing import assert_allclose, assert_array_equal
 from paper import paper_camera
 
-from lmd import pdf
-from lmd.checks import InputError
-from lmd.deployment import RandomDeployment, UniformDeployment
+from lmd.core.checks import InputError
 from lmd.geometry.se3 import camera_pose
-from lmd.localisation.trajectory import Trajectory
+from lmd.geometry.trajectory import Trajectory
 from lmd.optimisers.encoding import make_encoding
-from lmd.plates import Plates
-from lmd.scene import Scene
+from lmd.scene import pdf
+from lmd.scene.deployment import RandomDeployment, UniformDeployment
+from lmd.scene.plates import Plates
+from lmd.scene.scene import Scene
+from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.fiducial import Fiducial
-from lmd.sight.paper import Visibility
+from lmd.sight.models.fiducial import Fiducial
+from lmd.sight.models.paper import Visibility
 from lmd.sight.reference import counts as reference_counts
 from lmd.space.cuboid import Cuboid
 from lmd.space.floor_plan import FloorPlan
+from lmd.space.inside import check_inside
 from lmd.space.mesh_room import from_mesh
 from lmd.space.parts import Reachable
 from lmd.space.prism import Prism
-from lmd.tag import Tag
 
 L = FloorPlan(L_SHAPE, 2.5, holes=[PILLAR], obstacles=[RACK])
 BOX = FloorPlan([[0, 0], [6, 0], [6, 4], [0, 4]], 2.5)
@@ -154,13 +155,13 @@ def test_flights_go_around_what_stands_there(room):
             np.arange(len(places)), camera_pose(np.array(places, dtype=float), *np.zeros((2, len(places))))
         )
 
-    flight([5, 1, 1], [2.5, 0.7, 1], [2.5, 3, 1]).check_inside(room)
+    check_inside(flight([5, 1, 1], [2.5, 0.7, 1], [2.5, 3, 1]), room)
     with pytest.raises(
         InputError, match=r"goes straight on from \(1, 1\.5, 1\) .* through something .* room from a mesh"
     ):
-        flight([1, 1.5, 1], [2, 1.5, 1]).check_inside(room)
+        check_inside(flight([1, 1.5, 1], [2, 1.5, 1]), room)
     with pytest.raises(InputError, match=r"\(1\.5, 1\.5, 1\), is outside the room from a mesh of 6 x 4 x 2\.5 m"):
-        flight([1, 1.5, 1], [1.5, 1.5, 1]).check_inside(room)
+        check_inside(flight([1, 1.5, 1], [1.5, 1.5, 1]), room)
     assert not room.passable(np.array([5.0, 1.0, 1.0]), np.array([1.0, 2.5, 1.0]))  # across the corner
     same, rng = Prism(L, Reachable((0.5, 1.5), 0.0), 0.5), np.random.default_rng(3)
     one, two = room.sample(300, rng), room.sample(300, rng)

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from lmd.checks import InputError
-from lmd.deployment import Deployment, RandomDeployment, UniformDeployment
+from lmd.core.checks import InputError
 from lmd.optimisers.encoding import make_encoding
-from lmd.plates import Plates
+from lmd.scene.deployment import Deployment, RandomDeployment, UniformDeployment
+from lmd.scene.plates import Plates
 from lmd.sight.poses import candidate_poses, wall_cells
 from lmd.space.floor_plan import FloorPlan
 from lmd.space.parts import Reachable

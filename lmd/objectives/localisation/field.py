@@ -4,17 +4,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.deployment import Deployment
-from lmd.objectives.coverage_field import CoverageField
-from lmd.objectives.field import accept, bound, settle, undo
+from lmd.incremental.coverage_field import CoverageField
+from lmd.incremental.field import accept, bound, settle, undo
+from lmd.incremental.move import carry_out, take_back
 from lmd.objectives.localisation.move import change_sums, exchange, localisation_state
 from lmd.objectives.localisation.state import LocalisationScratch, LocalisationState, localisation_scratch
 from lmd.objectives.localisation.trial import bound_move, finish_move
-from lmd.sight.incremental.move import carry_out, take_back
+from lmd.scene.deployment import Deployment
 
 
 class LocalisationField(NamedTuple):
-    """What does not change while landmarks move; a `lmd.objectives.field.Field`.
+    """What does not change while landmarks move; a `lmd.incremental.field.Field`.
 
     coverage: the field of P_n; precision, asks: see `kernels.localise_range`; weight: of P_n beside L.
     """

@@ -33,11 +33,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.camera import Camera
-from lmd.compiled import inlined
-from lmd.dispatch import dispatched
-from lmd.sight.criteria import TOLERANCE
-from lmd.tag import Tag
+from lmd.core.compiled import inlined
+from lmd.core.dispatch import dispatched
+from lmd.scene.camera import Camera
+from lmd.scene.criteria import TOLERANCE
+from lmd.scene.tag import Tag
 
 WIDTH = 16  # numbers of a view: A, g and C, of symmetric matrices xx, xy, xz, yy, yz, zz, and one that fills up
 QUANTUM = 2.0**-36

@@ -9,20 +9,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.checks import FloatArray
-from lmd.compiled import for_kernels, inlined, kernel
-from lmd.geometry.upright import upright_axes
+from lmd.core.bits import ALL, BITS, LANES, ONE, ZERO, add_digit, at_least_so_far, lowest
+from lmd.core.checks import FloatArray
+from lmd.core.compiled import for_kernels, inlined, kernel
+from lmd.geometry.squares import LEVEL, upright_axes
 from lmd.objectives.localisation.information import WIDTH, meets, moments, share_of, variance
+from lmd.scene.criteria import covering, covers, frame_of, from_position
 from lmd.sight.bands import band_of
-from lmd.sight.bits import ALL, BITS, LANES, ONE, ZERO, add_digit, at_least_so_far, lowest
 from lmd.sight.blocks import BLOCK, SINGLE_ERROR
-from lmd.sight.criteria import covering, covers, frame_of, from_position
 from lmd.sight.directions import NOWHERE, cell_of
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import is_hidden, weights_row
 from lmd.sight.obstacles import find_ends, is_blocked, no_ends
 from lmd.sight.poses import shared
-from lmd.tag import LEVEL
 
 
 @inlined

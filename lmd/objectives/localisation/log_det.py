@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import FloatArray
-from lmd.compiled import inlined, kernel
-from lmd.deployment import Deployment
+from lmd.core.checks import FloatArray
+from lmd.core.compiled import inlined, kernel
 from lmd.objectives.localisation.information import WIDTH, log_det, share_of
 from lmd.objectives.localisation.kernels import landmark_moments
+from lmd.scene.criteria import covers, from_position
+from lmd.scene.deployment import Deployment
 from lmd.sight.bands import band_of
-from lmd.sight.criteria import covers, from_position
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.obstacles import find_ends, is_blocked, no_ends
 from lmd.sight.poses import shared

@@ -4,14 +4,14 @@ from typing import Any
 
 import numpy as np
 
-from lmd.compiled import inner, kernel
-from lmd.memory import check_views
+from lmd.core.bits import ALL, BITS, ONE, ZERO, at_least_so_far, lowest
+from lmd.core.compiled import inner, kernel
+from lmd.core.memory import check_views
+from lmd.incremental.move import list_touched
+from lmd.incremental.state import State
 from lmd.objectives.localisation.information import WIDTH
 from lmd.objectives.localisation.state import LocalisationState, localisation_scratch
 from lmd.objectives.localisation.trial import VIEW, add_shares, list_changes, mixed, moments_of, row_meets, sum_weights
-from lmd.sight.bits import ALL, BITS, ONE, ZERO, at_least_so_far, lowest
-from lmd.sight.incremental.move import list_touched
-from lmd.sight.incremental.state import State
 
 VIEW_BYTES = 8 * (WIDTH + 3)  # of a view: its sums, and three lists of views
 

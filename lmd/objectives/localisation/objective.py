@@ -7,19 +7,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray, choice, real
+from lmd.core.checks import BoolArray, FloatArray, choice, real
+from lmd.incremental.coverage_field import coverage_field
+from lmd.incremental.field import smoothed, worth
 from lmd.objectives.base import AtLeast, Headline
 from lmd.objectives.coverage import Threshold
-from lmd.objectives.coverage_field import coverage_field
-from lmd.objectives.field import smoothed, worth
 from lmd.objectives.localisation.field import LocalisationField
 from lmd.objectives.localisation.information import PosePrecision, Precision, deviation_per_variance, precision
 from lmd.objectives.localisation.kernels import localised_views
 from lmd.objectives.localisation.log_det import LogDeterminant
 from lmd.objectives.localisation.trial import mixed
 from lmd.objectives.sampling import Sampling
-from lmd.scene import Scene
-from lmd.sight.criteria import TOLERANCE
+from lmd.scene.criteria import TOLERANCE
+from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE
 

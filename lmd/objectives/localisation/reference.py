@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import BoolArray, FloatArray
-from lmd.deployment import Deployment
+from lmd.core.checks import BoolArray, FloatArray
+from lmd.geometry.squares import upright
 from lmd.objectives.localisation.information import PosePrecision, Precision, meets, moments, share_of
 from lmd.objectives.localisation.objective import Localisation
-from lmd.scene import Scene
-from lmd.sight.paper import dot
+from lmd.scene.deployment import Deployment
+from lmd.scene.scene import Scene
+from lmd.sight.models.paper import dot
 from lmd.sight.reference import cap_count, coverage_caps, n_ple_cap
-from lmd.tag import upright
 
 
 def view_information(

@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lmd.core.bits import BITS
+from lmd.incremental.state import Scratch, State, scratch_of
 from lmd.objectives.localisation.information import WIDTH
-from lmd.sight.bits import BITS
-from lmd.sight.incremental.state import Scratch, State, scratch_of
 
 
 class LocalisationState(NamedTuple):

@@ -14,16 +14,16 @@ decides anew at the positions where either happens.
 
 import numpy as np
 
-from lmd.compiled import inlined, inner
+from lmd.core.bits import ALL, BITS, ONE, ZERO, add_digit, at_least_so_far, lowest, prefetch
+from lmd.core.compiled import inlined, inner
+from lmd.incremental.hiding import flips_with
+from lmd.incremental.move import list_touched
+from lmd.incremental.trial import begin_move, complete_move
 from lmd.objectives.localisation.information import WIDTH, meets, share_of
 from lmd.objectives.localisation.kernels import landmark_moments, meets_row
-from lmd.sight.bits import ALL, BITS, ONE, ZERO, add_digit, at_least_so_far, lowest, prefetch
+from lmd.scene.criteria import covering, frame_of
 from lmd.sight.blocks import BLOCK
-from lmd.sight.criteria import covering, frame_of
 from lmd.sight.directions import NOWHERE
-from lmd.sight.incremental.hiding import flips_with
-from lmd.sight.incremental.move import list_touched
-from lmd.sight.incremental.trial import begin_move, complete_move
 from lmd.sight.kernels import weights_row
 
 GROUP = 8  # views decided at a time

@@ -20,9 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import FloatArray, InputError, boolean, integer, real
-from lmd.compiled import clock
-from lmd.deployment import Deployment
+from lmd.core.checks import FloatArray, InputError, boolean, integer, real
+from lmd.core.compiled import clock
 from lmd.optimisers.annealing.ascent import TRIED, Ascent
 from lmd.optimisers.annealing.stage import Stage, changed
 from lmd.optimisers.annealing.surrogate import Surrogate
@@ -32,6 +31,7 @@ from lmd.optimisers.base import Budget, Callback, Ledger, Optimiser, Result
 from lmd.optimisers.selection import SPACING, greedy_start
 from lmd.optimisers.stored import array, deployment, deployment_state, generator, generator_state
 from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
 from lmd.space.surface import SurfaceArrays
 
 CHUNK = 2000  # moved landmarks between two looks at the clock and the keyboard, at most

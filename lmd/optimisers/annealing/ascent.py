@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import FloatArray, integer
-from lmd.compiled import kernel
-from lmd.deployment import Deployment
-from lmd.objectives.field import bound, in_order, settle, smoothed
+from lmd.core.checks import FloatArray, integer
+from lmd.core.compiled import kernel
+from lmd.core.threads import at_once
+from lmd.incremental.field import bound, in_order, settle, smoothed
 from lmd.optimisers.stored import WORD, array
 from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
 from lmd.space.surface import SurfaceArrays
-from lmd.threads import at_once
 
 TRIED = 4  # places at which a landmark is tried in each step
 DIFFERENCE = 3e-3  # d, metres

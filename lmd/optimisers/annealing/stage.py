@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from lmd.checks import InputError, choice, real, vector
+from lmd.core.checks import InputError, choice, real, vector
 from lmd.optimisers.annealing.walk import Settings
 
 

@@ -6,16 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import FloatArray, IntArray
-from lmd.deployment import Deployment
-from lmd.layers import layer, layers
-from lmd.objectives.field import Field, Places, in_order, places_of, total_worth
+from lmd.core.checks import FloatArray, IntArray
+from lmd.core.layers import layer, layers
+from lmd.core.threads import at_once
+from lmd.incremental.field import Field, Places, in_order, places_of, total_worth
 from lmd.optimisers.annealing.walk import Best, Settings, walk
-from lmd.plates import TOUCHING
 from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
+from lmd.scene.plates import TOUCHING
 from lmd.sight.evaluator import Evaluator
 from lmd.space.surface import SurfaceArrays
-from lmd.threads import at_once
 
 NOWHERE = Places(np.empty((3, 0)), np.empty((3, 0)), np.empty(0, dtype=np.int64))
 

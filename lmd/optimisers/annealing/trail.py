@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from lmd.checks import FloatArray
-from lmd.deployment import Deployment
+from lmd.core.checks import FloatArray
 from lmd.optimisers.stored import array, points
 from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
 
 DECAY = 3  # eta: at any time the last quarter of the way has half of the weight or more
 FAR = 0.5  # metres: a landmark that goes so far from its mean at once begins anew

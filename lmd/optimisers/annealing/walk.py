@@ -19,9 +19,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.compiled import inner, kernel
-from lmd.layers import layer
-from lmd.objectives.field import accept, bound, lead, settle, smoothed, total_worth, undo
+from lmd.core.compiled import inner, kernel
+from lmd.core.layers import layer
+from lmd.incremental.field import accept, bound, lead, settle, smoothed, total_worth, undo
 from lmd.space.allowed import allows, spread_one
 
 # Relative, for the bound: exp may fall by a rounding error or two where its argument rises.

@@ -1,0 +1,1 @@
+"""What has nothing to do with tags: checks of input, files, tables, memory, threads, and how numba compiles."""

@@ -1,0 +1,83 @@
+"""Sets of axes as bits: axis a is bit a % 64 of word a // 64."""
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from lmd.core.checks import FloatArray
+from lmd.core.compiled import inlined
+
+BITS = 64
+LANES = 32  # axes or landmarks tested at a time, a bit of a word each
+ZERO, ONE, ALL = np.uint64(0), np.uint64(1), np.uint64(2**64 - 1)
+HALF, LOWER = np.uint64(32), np.uint64(2**32 - 1)  # two numbers in one word: a << HALF | b
+
+
+@intrinsic
+def lowest(_typing_context: Any, word: Any) -> Any:
+    """Index of the lowest bit that is set in a word other than 0: one instruction."""
+
+    def codegen(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
+
+    return word(word), codegen
+
+
+@intrinsic
+def prefetch(_typing_context: Any, rows: Any, row: Any) -> Any:
+    """Ask for a row `(16,)` of doubles, two lines of the cache, that will be needed soon."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array = context.make_array(signature.args[0])(context, builder, arguments[0])
+        integer, pointer = ir.IntType(32), ir.IntType(8).as_pointer()
+        kind = ir.FunctionType(ir.VoidType(), [pointer, integer, integer, integer])
+        function = builder.module.declare_intrinsic("llvm.prefetch", [pointer], kind)
+        for item in (0, 8):
+            index = builder.add(
+                builder.mul(arguments[1], ir.Constant(ir.IntType(64), 16)), ir.Constant(ir.IntType(64), item)
+            )
+            address = builder.bitcast(builder.gep(array.data, [index]), pointer)
+            builder.call(function, [address, *(ir.Constant(integer, value) for value in (0, 3, 1))])
+        return context.get_dummy_value()
+
+    return types.void(rows, row), codegen
+
+
+@inlined
+def add_digit(digit, carry, goes):  # type: ignore[no-untyped-def]
+    """A binary digit of counts with one more (or one less where `goes`) at `carry`, and what is carried or borrowed."""
+    return digit ^ carry, carry & (digit ^ goes)
+
+
+@inlined
+def equal_so_far(equal, digit, n, j):  # type: ignore[no-untyped-def]
+    """Where counts equal n in digit j, too."""
+    return equal & (digit if n >> j & 1 else ~digit)
+
+
+@inlined
+def at_least_so_far(reached, digit, n, j):  # type: ignore[no-untyped-def]
+    """Where counts are at least n: from the lowest digit j up, each overrules those below."""
+    return reached & digit if n >> j & 1 else reached | digit
+
+
+def in_words(values: FloatArray) -> FloatArray:
+    """Fill the last axis of `values` `(..., D)` up with zeros to whole words."""
+    missing = -values.shape[-1] % BITS
+    return np.ascontiguousarray(np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, missing)]))
+
+
+def packed(flags: np.ndarray) -> np.ndarray:
+    """The sets `(..., W)` uint64 of `flags` `(..., D)`."""
+    missing = -flags.shape[-1] % BITS
+    padded = np.pad(flags, [(0, 0)] * (flags.ndim - 1) + [(0, missing)])
+    return np.packbits(padded, axis=-1, bitorder="little").view("<u8").astype(np.uint64, copy=False)
+
+
+def unpacked(words: np.ndarray, size: int) -> np.ndarray:
+    """The flags `(..., size)` of the sets `words` `(..., W)`, 0 or 1."""
+    octets = np.ascontiguousarray(words.astype("<u8", copy=False)).view(np.uint8)
+    return np.unpackbits(octets, axis=-1, count=size, bitorder="little")

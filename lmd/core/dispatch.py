@@ -1,0 +1,70 @@
+"""Functions that compiled code resolves by the class of their first argument, a named tuple.
+
+Like `functools.singledispatch`, but for numba: a kernel calls one name, and is compiled for each class that it is given
+with what that class registered. So a criterion or an objective is one file that no kernel knows of, and the
+compiled code stays cached on disk, which a function handed over as an argument would prevent.
+
+    @dispatched
+    def area(shape): ...
+
+    @area.register(Square)
+    def _area_of_square(square):
+        return square.side * square.side
+"""
+
+from collections.abc import Callable
+from typing import Any, Protocol, cast
+
+from numba.extending import overload
+
+from lmd.core.compiled import OVERLOAD, OVERLOAD_INLINED
+
+Function = Callable[..., Any]
+
+
+class Dispatched(Protocol):
+    """What `dispatched` makes of a function."""
+
+    def __call__(self, first: Any, *others: Any) -> Any:
+        """What the class of `first` registered; positional arguments only."""
+
+    def register(self, kind: type) -> Callable[[Function], Function]:
+        """Decorates the plain function for named tuples of a class, with the arguments of the dispatched one."""
+
+
+def dispatched(declaration: Function) -> Dispatched:
+    """A function with the name and the docstring of `declaration`, whose body is never used; inlined, see `inlined`."""
+    return _dispatched(declaration, None, OVERLOAD_INLINED)
+
+
+def dispatched_call(declaration: Function) -> Dispatched:
+    """The same for what is long: not inlined."""
+    return _dispatched(declaration, None, OVERLOAD)
+
+
+def overridable(declaration: Function) -> Dispatched:
+    """`dispatched`, but the body of `declaration` serves the classes that register nothing."""
+    return _dispatched(declaration, declaration, OVERLOAD_INLINED)
+
+
+def _dispatched(declaration: Function, otherwise: Function | None, options: Any) -> Dispatched:
+    table: dict[type, Function] = {}
+
+    def call(first: Any, *others: Any) -> Any:
+        return (table.get(type(first)) or otherwise or table[type(first)])(first, *others)
+
+    def register(kind: type) -> Callable[[Function], Function]:
+        def remember(function: Function) -> Function:
+            table[kind] = function
+            return function
+
+        return remember
+
+    def resolve(first: Any, *_: Any) -> Function | None:
+        function = table.get(getattr(first, "instance_class", object)) or otherwise
+        return getattr(function, "py_func", function)  # of an inner function
+
+    call.__name__, call.__doc__, call.__module__ = declaration.__name__, declaration.__doc__, declaration.__module__
+    call.register = register  # type: ignore[attr-defined]
+    overload(call, strict=False, jit_options=options)(resolve)
+    return cast(Dispatched, call)

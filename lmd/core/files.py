@@ -1,0 +1,155 @@
+"""Files that users name, read in one place.
+
+A file may come from a stranger: it may be a pipe or a device, larger than the memory, or a few hundred bytes that stand
+for gigabytes. Each of these is refused in one sentence before it is read.
+"""
+
+import json
+import math
+import os
+import re
+import stat
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from lmd.core.checks import InputError, file_path
+from lmd.core.memory import check_memory
+
+# What a byte of a file takes at most while its contents are made sense of, bytes: the texts of a table.
+EACH = 20.0
+# A calibration has a few kilobytes; so much is read in some seconds.
+LARGEST_YAML = 1 << 18
+
+_KINDS = {stat.S_IFDIR: "a directory", stat.S_IFIFO: "a pipe", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device"}
+
+
+def read_bytes(path: Any, name: str, largest: float = math.inf) -> bytes:
+    """The contents of a file.
+
+    Args:
+        path: the file.
+        name: the argument the path came from, for messages.
+        largest: bytes that it may have.
+
+    Raises:
+        InputError: it is missing, no regular file, larger than is allowed or than fits into memory, or not readable.
+    """
+    source = file_path(name, path)
+    refused = f"{name}: {str(path)!r} cannot be read"
+    try:
+        descriptor = os.open(source, os.O_RDONLY | os.O_NONBLOCK)  # does not wait for who writes into a pipe
+        try:
+            status = os.fstat(descriptor)
+            if not stat.S_ISREG(status.st_mode):
+                kind = _KINDS.get(stat.S_IFMT(status.st_mode), "no file")
+                raise InputError(f"{refused}: it is {kind}.", name)
+            size = status.st_size
+            if size > largest:
+                raise InputError(f"{refused}: it has {size:.4g} bytes, and at most {largest:.4g} are taken.", name)
+            check_memory(EACH * size, f"{name}: {str(path)!r}, of {size:.4g} bytes,", name)
+            with os.fdopen(descriptor, "rb", closefd=False) as file:
+                return file.read(size)
+        finally:
+            os.close(descriptor)
+    except FileNotFoundError:
+        raise InputError(f"{name}: there is no file {str(path)!r}.", name) from None
+    except OSError as error:
+        raise InputError(f"{refused} ({error.strerror}).", name) from None
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{refused} ({error}).", name) from None
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file, whole or not at all, whatever ends the process or the machine meanwhile."""
+    partial = path.with_name(f"{path.name}.partial")  # the next one takes the place of what a kill leaves
+    try:
+        with partial.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(partial, path)
+    except OSError:
+        partial.unlink(missing_ok=True)
+        raise
+
+
+def read_text(path: Any, name: str, largest: float = math.inf) -> str:
+    """The text of a file in UTF-8, see `read_bytes`.
+
+    Raises:
+        InputError: as there, or it is no such text.
+    """
+    try:
+        return read_bytes(path, name, largest).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"{name}: {str(path)!r} cannot be read as text ({error}).", name) from None
+
+
+def read_keys(path: Any, name: str) -> dict[str, Any]:
+    """The keys and values of a file in YAML or JSON, see `read_bytes`; there may be matrices of OpenCV.
+
+    Raises:
+        InputError: as there, or it is neither, or has no keys.
+    """
+    text = read_text(path, name, LARGEST_YAML)
+    try:
+        # YAML takes most of JSON, but no tabs. OpenCV up to version 3 begins a file with %YAML:1.0, which is no YAML.
+        is_json = text.lstrip().startswith("{")
+        keys = json.loads(text) if is_json else _yaml(re.sub(r"\A%YAML.*\n", "", text))
+    except Exception as error:  # whatever a parser of a broken file runs into
+        reason = " ".join(str(error).split())
+        raise InputError(f"{name}: {str(path)!r} cannot be read as YAML or JSON ({reason}).", name) from None
+    if not isinstance(keys, dict):
+        raise InputError(f"{name}: {str(path)!r} has no keys.", name)
+    return {str(key): value for key, value in keys.items()}
+
+
+class _Loader(yaml.SafeLoader):  # type: ignore[misc] # yaml has no types
+    """Takes OpenCV's matrices for mappings, and 1e-5 for a number, which to YAML 1.1 is a text.
+
+    Not libyaml's, which is faster: where values are nested deeply, it overflows the stack of the process.
+    """
+
+
+_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _Loader.construct_yaml_map)
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
+)
+
+
+def _integer(loader: Any, node: Any) -> int:
+    """An integer that can be printed: in other bases than ten, Python reads longer ones. None of YAML's base 60."""
+    if ":" in node.value:
+        raise ValueError(f"{node.value[:20]!r} is no number")
+    value = loader.construct_yaml_int(node)
+    str(value)
+    return int(value)
+
+
+_Loader.add_constructor("tag:yaml.org,2002:int", _integer)
+
+
+def _yaml(text: str) -> Any:
+    check_aliases(text)
+    return yaml.load(text, _Loader)
+
+
+def check_aliases(text: str) -> None:
+    """Raise `ValueError` if the aliases of a text in YAML stand for more values than it has characters."""
+    root = yaml.compose(text, _Loader)
+    if root is not None and (values := _values(root, {})) > len(text):
+        raise ValueError(f"its aliases stand for {values:.4g} values")
+
+
+def _values(node: Any, known: dict[int, float]) -> float:
+    """How many values a node has with every alias written out; infinitely many where it holds itself."""
+    if id(node) not in known:
+        known[id(node)] = math.inf
+        pairs = isinstance(node, yaml.MappingNode)
+        parts = [part for pair in node.value for part in pair] if pairs else node.value
+        known[id(node)] = 1.0 + (0.0 if isinstance(node, yaml.ScalarNode) else sum(_values(p, known) for p in parts))
+    return known[id(node)]

@@ -1,0 +1,56 @@
+"""Packages that only some uses need: imported when first used, with one sentence when they are missing."""
+
+import importlib
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from lmd.core.checks import InputError
+
+# Packages that are named in configurations, and the extra that brings them.
+EXTRAS = {
+    "cma": "optimisers",
+    "cv2": "detection",
+    "gtsam": "estimators",
+    "hydra_plugins.hydra_joblib_launcher": "sweeps",
+    "hydra_plugins.hydra_submitit_launcher": "sweeps",
+    "nevergrad": "optimisers",
+    "pymoo": "optimisers",
+}
+
+
+def optional(package: str, extra: str) -> Any:
+    """The package named `package`, which pip's extra `lmd[extra]` installs.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    try:
+        return importlib.import_module(package)
+    except ImportError:
+        raise missing(package, extra) from None
+
+
+def missing(package: str, extra: str) -> InputError:
+    """What says that a package is not installed, and the command that installs it."""
+    root, python = Path(__file__).parents[2], _short(sys.executable)
+    source = "'lmd"
+    if (root / "constraints.txt").exists():  # a checkout
+        source = f"--constraint {_short(root / 'constraints.txt')} --editable '{_short(root)}"
+    return InputError(f"this needs the package {package}: {python} -m pip install {source}[{extra}]'.")
+
+
+def missing_of(error: BaseException | None) -> InputError | None:
+    """`missing` for an error that was caused by a package of `EXTRAS`, None for any other."""
+    while error is not None and not isinstance(error, ModuleNotFoundError):
+        error = error.__cause__ or error.__context__
+    name = getattr(error, "name", None) or ""
+    found = [package for package in EXTRAS if name == package or name.startswith(f"{package}.")]
+    return missing(found[0], EXTRAS[found[0]]) if found else None
+
+
+def _short(path: str | Path) -> str:
+    """A path relative to the working directory, if it is below it."""
+    relative = os.path.relpath(path)
+    return str(path) if relative.startswith("..") else relative

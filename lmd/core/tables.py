@@ -1,0 +1,174 @@
+"""CSV tables: writing them with every digit, and reading them with messages that name file, line and value."""
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lmd.core.checks import FloatArray, InputError
+from lmd.core.files import read_text
+
+MOST_COLUMNS = 1000
+COMMENT = "#"  # begins a line that is not read
+
+
+def write_table(file: str | Path | TextIO, columns: Mapping[str, ArrayLike]) -> None:
+    """Write a CSV with a header, as `pandas.DataFrame.to_csv` does, which takes long to import.
+
+    Args:
+        file: its path, or an open text file.
+        columns: numbers or texts by the name of the column, all as many. NaN is left empty; reading any other number
+            back gives the same.
+    """
+    if isinstance(file, str | Path):
+        with Path(file).open("w", encoding="utf-8", newline="") as opened:
+            write_table(opened, columns)
+        return
+    values = [np.asarray(column).tolist() for column in columns.values()]
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows([["" if value != value else value for value in row] for row in zip(*values, strict=True)])
+
+
+@dataclass(frozen=True)
+class Table:
+    """The texts of a CSV with a header.
+
+    Args:
+        path: the file, for messages.
+        lines: where each row stands in it, from 1.
+        texts: by the name of the column, one for each row.
+    """
+
+    path: str
+    lines: Sequence[int]
+    texts: Mapping[str, Sequence[str]]
+
+    def __contains__(self, column: str) -> bool:
+        return column in self.texts
+
+    def numbers(self, columns: Sequence[str], optional: Sequence[str] | None = ()) -> FloatArray:
+        """Some columns as finite numbers, `(rows, len(columns))`.
+
+        Args:
+            columns: in the order of the result.
+            optional: columns that may be there besides; None for any.
+
+        Raises:
+            InputError: the file is empty, a column is missing or unknown, or a value is no finite number.
+        """
+        if not self.texts:
+            raise InputError(f"{self.path} is empty; expected the columns {','.join(columns)}.")
+        expected = f"expected {','.join(columns)}"
+        for column in self.texts:
+            if optional is not None and column not in (*columns, *optional):
+                raise InputError(f"{self.path} has an unknown column {column!r}; {expected}.")
+        for column in columns:
+            if column not in self:
+                raise InputError(f"{self.path} lacks the column {column!r}; {expected}.")
+        if not self.lines:
+            raise InputError(f"{self.path} has a header but no rows.")
+        return np.array([[self._number(i, column) for column in columns] for i in range(len(self.lines))])
+
+    def _number(self, row: int, column: str) -> float:
+        text, place = self.texts[column][row], f"{self.path} line {self.lines[row]}: {column}"
+        try:
+            number = float(text)
+        except ValueError:
+            raise InputError(f"{place} is {text!r}, not a number.") from None
+        if not math.isfinite(number):
+            raise InputError(f"{place} is {text!r}, not a finite number.")
+        return number
+
+
+def read_table(path: Any, *, name: str) -> Table:
+    """Read a CSV with a header; blank lines and lines that begin with # are left out.
+
+    Args:
+        path: the file.
+        name: the argument the path came from, for messages.
+
+    Raises:
+        InputError: the file is missing or no CSV, has too many columns or two of a name, or a row of another length.
+    """
+    content = _lines(path, name)
+    try:
+        reader = csv.reader((line for _, line in content), skipinitialspace=True, strict=True)
+        rows = [(content[reader.line_num - 1][0], [text.strip() for text in row]) for row in reader]
+    except csv.Error as error:
+        raise InputError(f"{name}: {str(path)!r} cannot be read as CSV ({error}).", name) from None
+    if not rows:
+        return Table(str(path), (), {})
+    (_, header), *body = rows
+    if len(header) > MOST_COLUMNS:
+        raise InputError(f"{path} has {len(header)} columns, more than {MOST_COLUMNS}; the first line is its header.")
+    for i, column in enumerate(header):
+        if column in header[:i]:
+            raise InputError(f"{path} names the column {column!r} twice; the first line is its header.")
+    for line, row in body:
+        if len(row) != len(header):
+            raise InputError(f"{path} line {line} has {len(row)} values, but the header has {len(header)} columns.")
+    texts = {column: [row[j] for _, row in body] for j, column in enumerate(header)}
+    return Table(str(path), [line for line, _ in body], texts)
+
+
+def read_headless(path: Any, columns: Sequence[str], *, name: str) -> Table | None:
+    """Read a text of values with spaces between them and no header, such as a trajectory of TUM's tools.
+
+    Args:
+        path: the file; blank lines and lines that begin with # are left out.
+        columns: what the values of a line are called.
+        name: the argument the path came from, for messages.
+
+    Returns:
+        None if the first line is none of spaced numbers.
+
+    Raises:
+        InputError: the file is missing or no text, or a line has another number of values.
+    """
+    rows = [(number, line.split()) for number, line in _lines(path, name)]
+    if not rows or "," in rows[0][1][0] or not _is_number(rows[0][1][0]):
+        return None
+    for line, row in rows:
+        if len(row) != len(columns):
+            raise InputError(f"{path} line {line} has {len(row)} values, not {len(columns)}: {' '.join(columns)}.")
+    texts = {column: [row[j] for _, row in rows] for j, column in enumerate(columns)}
+    return Table(str(path), [line for line, _ in rows], texts)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _lines(path: Any, name: str) -> list[tuple[int, str]]:
+    """The lines of a text that are neither blank nor comments, with their numbers."""
+    lines = io.StringIO(read_text(path, name), newline="")
+    return [(i, line) for i, line in enumerate(lines, 1) if line.strip() and line.lstrip()[0] != COMMENT]
+
+
+def read_numbers(path: Any, columns: Sequence[str], *, name: str, optional: Sequence[str] = ()) -> FloatArray:
+    """Read the numeric `columns` of a CSV with a header, in that order.
+
+    Args:
+        path: the file.
+        columns: columns that must be there.
+        name: the argument the path came from, for messages.
+        optional: columns that may be there and are ignored.
+
+    Returns:
+        `(rows, len(columns))` finite float64.
+
+    Raises:
+        InputError: the file cannot be read, a column is missing or unknown, a value is no finite number.
+    """
+    return read_table(path, name=name).numbers(columns, optional)

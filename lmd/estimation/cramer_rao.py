@@ -1,0 +1,131 @@
+"""The Cramer-Rao bound of a camera's pose from the pixels of the landmarks it sees.
+
+A perturbation X exp(w, v) moves a landmark at y_i = (x, y, z) in the camera's frame by y_i x w - v, hence its image by
+J_i (w, v) with `J_i = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)] [[y_i]x  -I]`; a lens that distorts puts its
+Jacobian (`lmd.geometry.distortion`) after the focal lengths. With pixel noise sigma the information is
+sum J_i^T J_i / sigma^2, and no unbiased estimate from this one frame has a smaller covariance than its
+inverse. Fewer than three landmarks, or three in line, do not fix the pose: the bound is infinite.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from lmd.core.checks import BoolArray, FloatArray
+from lmd.geometry.se3 import axis_and_right, camera_pose, skew
+from lmd.render.optics import slope
+from lmd.scene.camera import Camera
+from lmd.scene.deployment import Deployment
+from lmd.scene.scene import Scene
+from lmd.sight.evaluator import Evaluator, averaged
+from lmd.sight.views import visible
+
+# A smaller eigenvalue of the scaled information is rounding: the pose is not fixed.
+SINGULAR = 1e-9
+# Poses whose information is computed at a time.
+CHUNK = 1 << 14
+
+
+def pose_information(
+    poses: FloatArray, landmarks: FloatArray, seen: BoolArray, camera: Camera, noise: FloatArray | None = None
+) -> FloatArray:
+    """Information on the pose of each frame for one pixel of noise, `(F, 6, 6)`, of body twists (w, v).
+
+    Args:
+        poses: X, `(F, 4, 4)`.
+        landmarks: C_i, world frame, metres, `(K, 3)`.
+        seen: which of them each frame sees, `(F, K)`; they must be in front of the camera.
+        camera: its focal length in pixels, and its distortion.
+        noise: standard deviation of each image if it is not one pixel, in the order of `np.nonzero(seen)`, `(M,)`.
+    """
+    frame, landmark = np.nonzero(seen)
+    offset = landmarks[landmark] - poses[frame, :3, 3]
+    points = (offset[:, None, :] @ poses[frame, :3, :3])[:, 0]  # R^T (C - p)
+    moved = np.concatenate([skew(points), np.broadcast_to(-np.eye(3), (len(points), 3, 3))], axis=-1)
+    jacobian = slope(camera, points) @ moved
+    if noise is not None:
+        jacobian /= noise[:, None, None]
+    information = np.zeros((len(poses), 6, 6))
+    some = seen.any(axis=1)
+    if some.any():
+        first = np.searchsorted(frame, np.flatnonzero(some))
+        information[some] = np.add.reduceat(np.swapaxes(jacobian, 1, 2) @ jacobian, first, axis=0)
+    return information
+
+
+def cramer_rao_bound(information: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Smallest standard deviations of position (metres) and attitude (rad), `(...)` each, infinite where not fixed.
+
+    They are the roots of the traces of the position and the attitude block of the inverse. Whether there is one is
+    asked of the information scaled to a diagonal of ones, which does not depend on the units of length and angle.
+
+    Args:
+        information: `(..., 6, 6)`.
+    """
+    diagonal = np.diagonal(information, axis1=-2, axis2=-1)
+    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, np.inf))
+    fixed = np.linalg.eigvalsh(scale[..., :, None] * information * scale[..., None, :])[..., 0] > SINGULAR
+    variance = np.full((*information.shape[:-2], 6), np.inf)
+    variance[fixed] = np.diagonal(np.linalg.inv(information[fixed]), axis1=-2, axis2=-1)
+    return np.sqrt(variance[..., 3:].sum(axis=-1)), np.sqrt(variance[..., :3].sum(axis=-1))
+
+
+@dataclass(frozen=True)
+class CramerRaoMap:
+    """Where localisation is weak: the bound for one pixel of noise over the orientations at each position.
+
+    Args:
+        positions: `(P, 3)`, metres.
+        share: probability, under the orientation PDF, that a single frame fixes the pose, `(P,)`.
+        position: median bound over those orientations, metres, `(P,)`; infinite where there are none.
+        attitude: the same, rad, `(P,)`.
+    """
+
+    positions: FloatArray
+    share: FloatArray
+    position: FloatArray
+    attitude: FloatArray
+
+    def metrics(self) -> dict[str, float]:
+        """The share of poses that a single frame fixes, and the medians of the bounds over positions that have one."""
+        metrics = {"pose_fixed_share": float(self.share.mean())}
+        some = self.share > 0.0
+        if some.any():
+            metrics["position_bound_mm_per_pixel"] = float(1e3 * np.median(self.position[some]))
+            metrics["attitude_bound_mrad_per_pixel"] = float(1e3 * np.median(self.attitude[some]))
+        return metrics
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write `x,y,z,share,position,attitude`, one row for each position, empty where the bound is infinite."""
+        values = np.column_stack([self.positions, self.share, self.position, self.attitude])
+        columns = ["x", "y", "z", "share", "position", "attitude"]
+        pd.DataFrame(values, columns=columns).replace(np.inf, np.nan).to_csv(path, index=False)
+
+
+def cramer_rao_map(scene: Scene, evaluator: Evaluator, deployment: Deployment) -> CramerRaoMap:
+    """The bound at every position of `evaluator` and every orientation of the PDF."""
+    camera = scene.single_camera("the Cramer-Rao bound")
+    pdf, positions, weight = scene.pdf, evaluator.positions, scene.probability(evaluator.positions)
+    _, first = np.unique(scene.orientations.index_of, return_index=True)
+    turns = camera_pose(np.zeros(3), pdf.yaw[first], pdf.pitch[first], np.asarray(pdf.roll)[first])
+    per_chunk, parts = max(CHUNK // len(turns), 1), []
+    for start in range(0, len(positions), per_chunk):
+        here = positions[start : start + per_chunk]
+        poses = np.tile(turns, (len(here), 1, 1))
+        poses[:, :3, 3] = np.repeat(here, len(turns), axis=0)
+        seen = visible(evaluator, deployment, poses[:, :3, 3], axis_and_right(poses))
+        parts.append(cramer_rao_bound(pose_information(poses, deployment.positions, seen, camera)))
+    position, attitude = (np.concatenate(part).reshape(len(positions), -1) for part in zip(*parts, strict=True))
+    share = averaged(np.isfinite(position), weight)
+    return CramerRaoMap(positions, share, _finite_median(position, weight), _finite_median(attitude, weight))
+
+
+def _finite_median(values: FloatArray, weight: FloatArray) -> FloatArray:
+    """Weighted median of the finite values of each row `(P, D)`, `(P,)`; infinite without any."""
+    order = np.argsort(values, axis=1)
+    ordered, weights = (np.take_along_axis(v, order, axis=1) for v in (values, np.broadcast_to(weight, values.shape)))
+    below = np.cumsum(np.where(np.isfinite(ordered), weights, 0.0), axis=1)
+    middle = (below >= below[:, -1:] / 2.0).argmax(axis=1)
+    return np.asarray(ordered[np.arange(len(ordered)), middle])

@@ -1,0 +1,201 @@
+"""Flights: the motions of a camera through a room, from random or given waypoints or from a file."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, InputError, real, vector
+from lmd.core.memory import check_memory
+from lmd.geometry.se3 import camera_pose
+from lmd.geometry.trajectory import Trajectory
+from lmd.scene.scene import Scene
+from lmd.space.inside import check_inside
+
+# Greatest slope of the minimum-jerk profile, at its middle.
+PEAK = 1.875
+MOST_WAYPOINTS = 100  # between two frames
+MOST_DRAWS = 1000  # of a waypoint, until a straight way leads there
+FRAME_BYTES = 1000  # what a frame of random motion takes at the least: its pose, and those of the way there
+
+
+class TrajectorySource(Protocol):
+    """Something that provides trajectories."""
+
+    def draw(self, scene: Scene, rng: np.random.Generator) -> Trajectory:
+        """A trajectory inside the room of `scene`.
+
+        Raises:
+            InputError: there is none.
+        """
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How fast a camera goes from one waypoint to the next, and how often it takes a frame.
+
+    Between two waypoints position, yaw and pitch follow the minimum-jerk profile 10 t^3 - 15 t^4 + 6 t^5, as slowly as
+    both limits ask for; at a waypoint the camera is at rest.
+
+    Args:
+        speed: limit of |v|, m/s.
+        turn_rate: limit of |w|, rad/s; yaw and pitch turn about perpendicular axes.
+        frame_rate: frames per second.
+
+    Raises:
+        InputError: a value is not positive.
+    """
+
+    speed: float
+    turn_rate: float
+    frame_rate: float
+
+    def __post_init__(self) -> None:
+        for name in ("speed", "turn_rate", "frame_rate"):
+            object.__setattr__(self, name, real(name, getattr(self, name), above=0.0))
+
+    def seconds(self, steps: FloatArray) -> FloatArray:
+        """Time that each change (x, y, z, yaw, pitch) `(..., 5)` takes, `(...)`."""
+        way, turn = np.linalg.norm(steps[..., :3], axis=-1), np.linalg.norm(steps[..., 3:], axis=-1)
+        return np.asarray(PEAK * np.maximum(way / self.speed, turn / self.turn_rate))
+
+    def through(self, waypoints: FloatArray, duration: float | None = None) -> Trajectory:
+        """The trajectory through waypoints (x, y, z, yaw, pitch).
+
+        Args:
+            waypoints: `(N, 5)`, metres and radians; the yaw turns the shorter way.
+            duration: seconds after which it ends; None for the last waypoint.
+
+        Raises:
+            InputError: two consecutive waypoints are the same.
+        """
+        path = waypoints.copy()
+        path[:, 3] = np.unwrap(path[:, 3])
+        steps = np.diff(path, axis=0)
+        seconds = self.seconds(steps)
+        if (still := np.flatnonzero(seconds == 0.0)).size:
+            raise InputError(f"waypoints {still[0]} and {still[0] + 1} are the same, {waypoints[still[0]].tolist()}.")
+        arrival = np.concatenate([[0.0], np.cumsum(seconds)])
+        end = arrival[-1] if duration is None else duration
+        # The small allowance keeps 0.3 s at 10 frames per second at 3 steps however the product rounds.
+        time = np.arange(int(end * self.frame_rate + 1e-9) + 1) / self.frame_rate
+        leg = np.clip(np.searchsorted(arrival, time, side="right") - 1, 0, len(steps) - 1)
+        t = (time - arrival[leg]) / seconds[leg]
+        x, y, z, yaw, pitch = (path[leg] + (t**3 * (10.0 - 15.0 * t + 6.0 * t**2))[:, None] * steps[leg]).T
+        return Trajectory(time, camera_pose(np.stack([x, y, z], axis=1), yaw, pitch))
+
+
+@dataclass(frozen=True)
+class RandomMotion:
+    """Random movement in the reachable area: from one random waypoint straight to the next.
+
+    Waypoints are uniform in the reachable area, or in what of it can be reached on a straight way from the one before;
+    their orientations follow the orientation PDF of the scene.
+
+    Args:
+        duration: seconds.
+        pace: limits and frame rate.
+
+    Raises:
+        InputError: the duration is not positive.
+    """
+
+    duration: float
+    pace: Pace
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "duration", real("duration", self.duration, above=0.0))
+        frames = self.duration * self.pace.frame_rate
+        made = f"duration = {self.duration:g} s makes {frames:.4g} frames, which"
+        check_memory(FRAME_BYTES * frames, made, "duration")
+
+    def draw(self, scene: Scene, rng: np.random.Generator) -> Trajectory:
+        """See `TrajectorySource.draw`."""
+        room, left, waypoints = scene.room, self.duration, [_random_waypoint(scene, rng)]
+        while left > 0.0:
+            frames = (self.duration - left) * self.pace.frame_rate
+            if len(waypoints) > max(1000.0, MOST_WAYPOINTS * frames):
+                speeds = f"pace.speed = {self.pace.speed:g} m/s with pace.turn_rate = {self.pace.turn_rate:g} rad/s"
+                raise InputError(f"{speeds} is {MOST_WAYPOINTS} waypoints and more between two frames.", "pace.speed")
+            waypoints.append(_next_waypoint(scene, waypoints[-1], rng))
+            left -= float(self.pace.seconds(_shortest(waypoints[-1] - waypoints[-2])))
+        trajectory = self.pace.through(np.array(waypoints), self.duration)
+        check_inside(trajectory, room)
+        return trajectory
+
+
+def _random_waypoint(scene: Scene, rng: np.random.Generator) -> FloatArray:
+    position = scene.room.sample(1, rng)
+    return np.concatenate([position[0], *scene.pdf.draw_at(position, rng)[:2]])
+
+
+def _next_waypoint(scene: Scene, before: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Another waypoint, to which a straight way leads from the one `before`; drawn anew until there is one."""
+    for _ in range(MOST_DRAWS):
+        waypoint = _random_waypoint(scene, rng)
+        if not np.array_equal(waypoint, before) and scene.room.passable(before[:3], waypoint[:3]):
+            return waypoint
+    x, y, z = before[:3]
+    raise InputError(f"no straight way leads on from ({x:.9g}, {y:.9g}, {z:.9g}): none of {MOST_DRAWS} is free.")
+
+
+def _shortest(step: FloatArray) -> FloatArray:
+    """A change of (x, y, z, yaw, pitch) `(5,)` with the yaw brought into [-pi, pi)."""
+    yaw = (step[3] + np.pi) % (2.0 * np.pi) - np.pi
+    return np.array([*step[:3], yaw, step[4]])
+
+
+@dataclass(frozen=True)
+class Waypoints:
+    """Through given waypoints.
+
+    Args:
+        points: [x, y, z, yaw, pitch] each, metres and radians, at least two.
+        pace: limits and frame rate.
+
+    Raises:
+        InputError: fewer than two waypoints, no pace, or a waypoint that is not five finite numbers with a pitch in
+            [-pi/2, pi/2].
+    """
+
+    points: Sequence[Sequence[float]]
+    pace: Pace
+
+    def __post_init__(self) -> None:
+        if isinstance(self.points, str) or not isinstance(self.points, Sequence) or len(self.points) < 2:
+            raise InputError(
+                f"points must list at least 2 waypoints [x, y, z, yaw, pitch], got {self.points!r}.", "points"
+            )
+        if not isinstance(self.pace, Pace):
+            raise InputError(f"pace must say speed, turn_rate and frame_rate, got {self.pace!r}.", "pace")
+        for i, point in enumerate(self.points):
+            *_, pitch = vector(f"points[{i}]", point, 5)
+            real(f"points[{i}] pitch", pitch, low=-np.pi / 2, high=np.pi / 2)
+
+    def draw(self, scene: Scene, rng: np.random.Generator) -> Trajectory:
+        """See `TrajectorySource.draw`; nothing here is random."""
+        trajectory = self.pace.through(np.array(self.points, dtype=np.float64))
+        try:
+            check_inside(trajectory, scene.room)
+        except InputError as error:
+            raise InputError(f"points: {error}", "points") from None
+        return trajectory
+
+
+@dataclass(frozen=True)
+class FileTrajectory:
+    """A recorded or planned trajectory from a file, one row for each frame, see `Trajectory.from_file`."""
+
+    path: str | None
+
+    def draw(self, scene: Scene, rng: np.random.Generator) -> Trajectory:
+        """See `TrajectorySource.draw`; nothing here is random."""
+        if self.path is None:
+            raise InputError("path is missing: a CSV of poses is needed.", "path")
+        trajectory = Trajectory.from_file(self.path)
+        try:
+            check_inside(trajectory, scene.room)
+        except InputError as error:
+            raise InputError(f"{self.path}: {error}") from None
+        return trajectory

@@ -1,0 +1,103 @@
+"""A detector of landmarks that are points, whose apparent size gives their depth."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray, real
+from lmd.estimation.recording import Each, Flight, Observation, check_images
+from lmd.geometry.distortion import distort, undistort
+from lmd.geometry.se3 import act, inverse
+from lmd.scene.camera import Camera
+from lmd.scene.deployment import Deployment
+
+
+@dataclass(frozen=True)
+class Detector:
+    """What becomes of a visible landmark in an image; a `lmd.estimation.recording.Sensor`.
+
+    Noise has three independent parts for each landmark and frame, all normal with the same standard deviation: the two
+    image coordinates of its centre, and the apparent length of its edge, f a / z, that gives the depth z.
+
+    Args:
+        pixel_noise: standard deviation sigma, pixels; 0 for exact measurements.
+        missed: probability that a visible landmark is not detected.
+        edge: edge length a of a landmark, metres.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    pixel_noise: float = 0.0
+    missed: float = 0.0
+    edge: float = 0.1
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "pixel_noise", real("pixel_noise", self.pixel_noise, low=0.0))
+        object.__setattr__(self, "missed", real("missed", self.missed, low=0.0, high=1.0))
+        object.__setattr__(self, "edge", real("edge", self.edge, above=0.0))
+
+    def observed(self, flights: Sequence[Flight], each: Each = map) -> list[Observation]:
+        """See `Sensor.observed`; a landmark is visible as the scene's visibility model says."""
+        if self.pixel_noise > 0.0:
+            check_images(flights)
+        return [self._observed(flight) for flight in flights]
+
+    def tags(self, deployment: Deployment) -> None:
+        """See `Sensor.tags`."""
+
+    def _observed(self, flight: Flight) -> Observation:
+        seen = detected(flight.in_view(), self.missed, flight.rng)
+        exact = act(inverse(flight.poses), flight.deployment.positions)
+        points = self.measured(exact, flight.camera, flight.rng)
+        covariance = self.covariance(points[seen], flight.camera)
+        return Observation(seen, points, np.full(len(covariance), self.pixel_noise), covariance)
+
+    def measured(self, points: FloatArray, camera: Camera, rng: np.random.Generator) -> FloatArray:
+        """Measurements of landmarks at y = (x, y, z) in the camera's frame.
+
+        (x / z, y / z) carries the pixel noise over the focal length, z = f a / w that of the edge w >= 1 pixel. Where
+        the lens distorts, the noise is added to the distorted image, and the sum undistorted.
+
+        Args:
+            points: `(..., 3)`, metres; meaningful where the depth z is positive.
+            camera: its focal length in pixels, and its distortion.
+            rng: source of the noise.
+
+        Returns:
+            `(..., 3)`, metres.
+        """
+        if self.pixel_noise == 0.0:
+            return points
+        focal, noise = camera.focal_pixels, rng.normal(scale=self.pixel_noise, size=points.shape)
+        depth = np.where(points[..., 2:] > 0.0, points[..., 2:], 1.0)
+        image = points[..., :2] / depth
+        if camera.distortion:
+            image = undistort(distort(image, camera.distortion) + noise[..., :2] / focal, camera.distortion)
+        else:
+            image = image + noise[..., :2] / focal
+        ray = np.concatenate([image, np.ones_like(depth)], axis=-1)
+        width = np.maximum(focal[0] * self.edge / depth + noise[..., 2:], 1.0)
+        return np.asarray(focal[0] * self.edge / width * ray)
+
+    def covariance(self, measured: FloatArray, camera: Camera) -> FloatArray:
+        """Covariance of y = z (a, b, 1) for one pixel of noise: that of the image moves a and b, that of the edge z.
+
+        Args:
+            measured: `(M, 3)`, metres.
+            camera: its focal length in pixels; what a distortion changes of the noise is left out.
+
+        Returns:
+            `(M, 3, 3)`, m^2.
+        """
+        focal, depth = camera.focal_pixels, measured[:, 2:]
+        moved = np.zeros((len(measured), 3, 3))
+        moved[:, [0, 1], [0, 1]] = depth / focal
+        moved[:, :, 2] = measured * depth / (focal[0] * self.edge)
+        return np.asarray(moved @ np.swapaxes(moved, 1, 2))
+
+
+def detected(seen: BoolArray, missed: float, rng: np.random.Generator) -> BoolArray:
+    """Those of the visible landmarks that are detected, same shape as `seen`; `missed` is a probability."""
+    return seen & (rng.random(seen.shape) >= missed)

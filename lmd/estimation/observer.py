@@ -1,0 +1,159 @@
+"""The observer on SE(3): X-hat' = X-hat (U - epsilon - P(k_0 I_4 Q(Y-hat - Y))) from the landmarks in view.
+
+Notation: y_i = X^-1 C_i measured, yh_i = Xh^-1 C_i predicted, e_i = yh_i - y_i, f = 1/2 sum k_i |e_i|^2, all sums over
+the landmarks visible at that instant. With the metric diag(l^2 I, I) on twists (w, v) the descent direction is
+
+- left-invariant, as printed:  -eps = (l^-2 sum k_i yh_i x e_i, sum k_i e_i),
+- right-invariant:             -eps = Ad_{Xh^-1} (l^-2 sum k_i C_i x s_i, sum k_i s_i) with s_i = C_i - Xh y_i,
+
+the latter with error dynamics that do not depend on the trajectory. The paper takes Q, k_0 and P from a work that is
+not public. Here Q(d) = -d e_4^T / m with d = Yh - Y and m landmarks in view, and P is the orthogonal projection to
+se(3): the term is then the translation k_0 mean(e_i), which damps for k_0 > 0.
+
+Source: Lei et al., "Optimization of Directional Landmark Deployment for Visual Observer on SE(3)", Sec. II-A.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray, InputError, choice, real
+from lmd.estimation.errors import Errors, pose_errors
+from lmd.estimation.recording import Recording
+from lmd.geometry.se3 import act, adjoint, exp, inverse, project, vee
+
+FORMS = ("right", "left")
+# The step times the sum of the gains from which on the correction overshoots to ever larger errors.
+STABILITY_LIMIT = 2.0
+
+
+@dataclass(frozen=True)
+class Observer:
+    """Predict with the known twist, correct with the landmarks in view.
+
+    Args:
+        form: `right`-invariant, or `left`-invariant as printed.
+        gain: kappa, 1/s. The k_i of an instant are all kappa / sum(1 + |z_i|^2 / l^2), z = C (right) or y (left), which
+            makes kappa the fastest rate of convergence whatever the number of landmarks.
+        damping: k_0, 1/s.
+        length: l of the metric, metres: how many metres of error weigh as much as a radian.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    form: str = "right"
+    gain: float = 10.0
+    damping: float = 1.0
+    length: float = 2.0
+
+    def __post_init__(self) -> None:
+        choice("form", self.form, FORMS)
+        object.__setattr__(self, "gain", real("gain", self.gain, above=0.0))
+        object.__setattr__(self, "damping", real("damping", self.damping, low=0.0))
+        object.__setattr__(self, "length", real("length", self.length, above=0.0))
+
+    def landmark_gain(self, landmarks: FloatArray, measured: FloatArray, seen: BoolArray) -> FloatArray:
+        """k_i, the same for all landmarks of an instant, `(...)`; 0 where none is seen.
+
+        Args:
+            landmarks: C_i, world frame, metres, `(..., K, 3)`.
+            measured: y_i, camera frame, metres, `(..., K, 3)`.
+            seen: which of them are in view, `(..., K)`.
+        """
+        z = landmarks if self.form == "right" else measured
+        total = (seen * (1.0 + (z**2).sum(axis=-1) / self.length**2)).sum(axis=-1)
+        return np.where(total > 0.0, self.gain / np.where(total > 0.0, total, 1.0), 0.0)
+
+    def correction(
+        self, estimate: FloatArray, landmarks: FloatArray, measured: FloatArray, seen: BoolArray
+    ) -> FloatArray:
+        """The body twist -epsilon - P(k_0 I_4 Q(Yh - Y)), rad/s and m/s, `(..., 6)`; zero where nothing is seen.
+
+        Args:
+            estimate: Xh, `(..., 4, 4)`.
+            landmarks, measured, seen: as in `landmark_gain`.
+        """
+        gain = self.landmark_gain(landmarks, measured, seen)[..., None]
+        back = inverse(estimate)
+        predicted = act(back, landmarks)
+        error = np.where(seen[..., None], predicted - measured, 0.0)
+        if self.form == "left":
+            descent = self._twist(predicted, error, gain)
+        else:
+            residual = np.where(seen[..., None], landmarks - act(estimate, measured), 0.0)
+            descent = adjoint(back, self._twist(landmarks, residual, gain))
+        return descent - vee(project(self.damping * _q(error.sum(axis=-2), seen.sum(axis=-1))))
+
+    def _twist(self, arms: FloatArray, forces: FloatArray, gain: FloatArray) -> FloatArray:
+        """(l^-2 k sum arm x force, k sum force), `(..., 6)`."""
+        turning = np.cross(arms, forces).sum(axis=-2) / self.length**2
+        return np.concatenate([gain * turning, gain * forces.sum(axis=-2)], axis=-1)
+
+    def estimates(self, recording: Recording, start: FloatArray) -> FloatArray:
+        """Xh at every frame, after its landmarks have been used, `(S, T, 4, 4)`.
+
+        Each step is exact for a twist and a correction that are constant over it: Xh <- Xh exp(h U), then
+        Xh <- Xh exp(h xi), with the landmarks of the new frame. The world's origin is put at the centroid of all K
+        landmarks meanwhile: the arms C_i of the right-invariant form are then short, and it converges faster.
+
+        Args:
+            recording: S runs.
+            start: Xh at the first frame, before any landmark has been used, `(S, 4, 4)`.
+
+        Raises:
+            InputError: the time between two frames is too long for the gains.
+        """
+        steps = np.diff(recording.time)
+        self._check_step(float(steps.max()))
+        motions = exp(steps[:, None] * recording.twists)
+        centroid = recording.landmarks.mean(axis=1)
+        landmarks, estimate = recording.landmarks - centroid[:, None], start.copy()
+        estimate[:, :3, 3] -= centroid
+        estimates = np.empty_like(recording.poses)
+        estimates[:, 0] = estimate
+        for t, step in enumerate(steps, start=1):
+            estimate = estimate @ motions[:, t - 1]
+            correction = self.correction(estimate, landmarks, recording.points[:, t], recording.seen[:, t])
+            estimates[:, t] = estimate = estimate @ exp(step * correction)
+        estimates[..., :3, 3] += centroid[:, None]
+        return estimates
+
+    def _check_step(self, longest: float) -> None:
+        if longest * (self.gain + self.damping) >= STABILITY_LIMIT:
+            raise InputError(
+                f"gain + damping = {self.gain + self.damping:g} 1/s must stay below "
+                f"{STABILITY_LIMIT / longest:g} 1/s, {STABILITY_LIMIT:g} over the longest time between frames, "
+                f"{longest:g} s.",
+                "gain",
+            )
+
+    def errors(self, recording: Recording, start: FloatArray) -> Errors:
+        """See `lmd.estimation.estimators.Estimator.errors`."""
+        return pose_errors(recording.poses, self.estimates(recording, start))
+
+
+def cost(estimate: FloatArray, landmarks: FloatArray, measured: FloatArray, seen: BoolArray) -> FloatArray:
+    """f = 1/2 sum |yh_i - y_i|^2 over the landmarks in view, with k_i = 1, m^2, `(...)` (Eq. f_without).
+
+    Args:
+        estimate: Xh, `(..., 4, 4)`.
+        landmarks, measured, seen: as in `Observer.landmark_gain`.
+    """
+    error = np.where(seen[..., None], act(inverse(estimate), landmarks) - measured, 0.0)
+    return np.asarray(0.5 * (error**2).sum(axis=(-2, -1)))
+
+
+def _q(difference: FloatArray, count: FloatArray) -> FloatArray:
+    """Q(d) = -d e_4^T / m, zero for m = 0; the fourth component of d is always 0.
+
+    Args:
+        difference: the first three components of d = Yh - Y, metres, `(..., 3)`.
+        count: m, `(...)`.
+
+    Returns:
+        `(..., 4, 4)`.
+    """
+    matrix = np.zeros((*difference.shape[:-1], 4, 4))
+    matrix[..., :3, 3] = -difference / np.maximum(count, 1)[..., None]
+    return matrix

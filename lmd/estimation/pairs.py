@@ -1,0 +1,69 @@
+"""Deployments against each other, flight by flight: the same flights are flown over all of them."""
+
+import numpy as np
+import pandas as pd
+from scipy.stats import wilcoxon
+
+from lmd.core.checks import FloatArray
+
+WITHIN = "within_20mm"
+
+
+def paired(figures: pd.DataFrame) -> pd.DataFrame:
+    """Every deployment against the first one.
+
+    Args:
+        figures: `Study.figures`, one row for each deployment, estimator and seed.
+
+    Returns:
+        A row for each estimator and further deployment, with the columns `estimator`, `deployment`, `against`;
+        `position_ratio`, the median over the flights of the ratio of the position errors, `position_better`, the number
+        of flights with the smaller one, of `flights` with both; `within_20mm_gain`, the mean difference of the shares
+        of frames; and for both `..._p`, the two-sided p-value of the Wilcoxon signed-rank test. NaN without a flight.
+    """
+    rows = []
+    for estimator, runs in figures.groupby("estimator", sort=False):
+        position, share = (
+            runs.pivot(index="seed", columns="deployment", values=key) for key in ("position_error", WITHIN)
+        )
+        first, *others = runs.deployment.unique()
+        for name in others:
+            ratio = (position[name] / position[first]).dropna().to_numpy()
+            gain = (share[name] - share[first]).to_numpy()
+            rows.append({
+                "estimator": estimator,
+                "deployment": name,
+                "against": first,
+                "flights": len(ratio),
+                "position_ratio": float(np.median(ratio)) if ratio.size else np.nan,
+                "position_better": int((ratio < 1.0).sum()),
+                "position_p": _p_value(np.log(ratio)),
+                f"{WITHIN}_gain": float(gain.mean()),
+                f"{WITHIN}_p": _p_value(gain),
+            })  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def _p_value(differences: FloatArray) -> float:
+    """Of the Wilcoxon signed-rank test; 1 where nothing differs."""
+    if not differences.size:
+        return np.nan
+    return float(wilcoxon(differences).pvalue) if differences.any() else 1.0
+
+
+def to_markdown(pairs: pd.DataFrame) -> str:
+    """`paired` as a Markdown table."""
+    head = ["deployment", "against", "estimator", "position error", "smaller in", "p", "more frames within 20 mm", "p"]
+    lines = [" | ".join(head), " | ".join(["---"] * len(head))]
+    for row in pairs.to_dict("records"):
+        lines.append(" | ".join([
+            row["deployment"],
+            row["against"],
+            row["estimator"],
+            f"x {row['position_ratio']:.2f}",
+            f"{row['position_better']} of {row['flights']} flights",
+            f"{row['position_p']:.2g}",
+            f"{100.0 * row[f'{WITHIN}_gain']:+.1f} points",
+            f"{row[f'{WITHIN}_p']:.2g}",
+        ]))  # fmt: skip
+    return "\n".join(f"| {line} |" for line in lines) + "\n"

@@ -1,0 +1,80 @@
+"""The camera's pose from each frame on its own."""
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, choice
+from lmd.core.optional import optional
+from lmd.detection.pose import Solution, solutions
+from lmd.estimation.errors import Errors, pose_errors
+from lmd.estimation.recording import Recording
+from lmd.geometry.se3 import exp
+from lmd.render.optics import project
+
+AMBIGUOUS = ("odometry", "refuse")
+# Two poses are told apart by their image if one is a hundred times as likely as the other.
+TOLD_APART = 2.0 * np.log(100.0)
+# Assumed where measurements are more exact, pixels.
+LEAST_NOISE = 0.01
+
+
+@dataclass(frozen=True)
+class PerspectiveNPoint:
+    """The pose of each frame on its own (PnP), see `lmd.detection.pose.solutions`.
+
+    It takes the corners of all tags in view; of landmarks that are points their centres, of which it needs four, and
+    not their apparent size. Of several poses that fit almost equally well, as with a single tag that is seen from
+    afar, `odometry` takes the one nearest to where the last pose that was beyond doubt leads by the measured twists.
+
+    Args:
+        ambiguous: `odometry`, or `refuse` to give an estimate in such a frame.
+
+    Raises:
+        InputError: an unknown value.
+    """
+
+    ambiguous: str = "odometry"
+
+    def __post_init__(self) -> None:
+        choice("ambiguous", self.ambiguous, AMBIGUOUS)
+        optional("cv2", "estimators")
+
+    def errors(self, recording: Recording, start: FloatArray) -> Errors:
+        """See `lmd.estimation.estimators.Estimator.errors`."""
+        return pose_errors(recording.poses, np.stack([self._run(recording, s) for s in range(len(recording.poses))]))
+
+    def _run(self, recording: Recording, s: int) -> FloatArray:
+        """The estimates of run s, `(T, 4, 4)`, NaN where there is none."""
+        estimates: FloatArray = np.full_like(recording.poses[s], np.nan)
+        motions = exp(np.diff(recording.time)[:, None] * recording.twists[s])
+        expected: FloatArray | None = None  # where the last pose that was not ambiguous leads
+        for t in range(len(estimates)):
+            if expected is not None:
+                expected = expected @ motions[t - 1]
+            rivals = likely(solutions(recording.camera, *image_of(recording, s, t)))
+            if len(rivals) == 1:
+                expected = estimates[t] = rivals[0]
+            elif rivals and expected is not None and self.ambiguous == "odometry":
+                estimates[t] = min(rivals, key=partial(_distance, expected))
+        return estimates
+
+
+def likely(found: list[Solution]) -> list[FloatArray]:
+    """The poses that cannot be told from the best one by their image."""
+    return [solution.pose for solution in found if solution.square - found[0].square < TOLD_APART]
+
+
+def _distance(one: FloatArray, other: FloatArray) -> float:
+    return float(((one - other) ** 2).sum())
+
+
+def image_of(recording: Recording, s: int, t: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Known points `(m, 3)` that a frame has, their image `(m, 2)` in pixels from the border, and its noise `(m,)`."""
+    seen, these = recording.seen[s, t], recording.detections(s, t, t + 1)
+    noise = np.maximum(recording.noise[these], LEAST_NOISE)
+    if recording.tags is not None and recording.corners is not None:
+        return recording.tags[s, seen].reshape(-1, 3), recording.corners[these].reshape(-1, 2), noise.repeat(4)
+    image = project(recording.camera, np.eye(4), recording.points[s, t, seen])
+    return recording.landmarks[s, seen], image, noise

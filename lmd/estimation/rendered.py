@@ -1,0 +1,149 @@
+"""Measurements by a real detector that reads rendered frames."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray, IntArray, real
+from lmd.detection.detectors import Detections, Detector
+from lmd.detection.frames import tagged_room
+from lmd.estimation.recording import Each, Flight, Observation, check_images
+from lmd.estimation.tags import corners_of, observation
+from lmd.render.imaging import Imaging, UInt8Array
+from lmd.render.renderer import Renderer
+from lmd.scene.deployment import Deployment
+from lmd.scene.tag import Tag
+
+# Frames that are rendered and read in one go.
+BATCH = 10
+
+
+class Frame(NamedTuple):
+    """A frame to be rendered: X `(4, 4)`, the camera's motion meanwhile `(6,)` or None, and the source of its noise."""
+
+    pose: FloatArray
+    motion: FloatArray | None
+    rng: np.random.Generator
+
+
+class Moment(NamedTuple):
+    """A frame of a flight beside what was predicted and found in it.
+
+    Args:
+        time: seconds.
+        pose: X, `(4, 4)`.
+        image: `(h, w)`.
+        expected: exact corners of the K tags, pixels from the border, `(K, 4, 2)`; NaN behind the camera.
+        predicted: which tags the visibility model counts as seen, `(K,)`.
+        found: corners as detected, `(K, 4, 2)`; NaN where not detected.
+    """
+
+    time: float
+    pose: FloatArray
+    image: UInt8Array
+    expected: FloatArray
+    predicted: BoolArray
+    found: FloatArray
+
+
+@dataclass(frozen=True)
+class RenderedDetector:
+    """What a detector finds of tags in rendered frames, missing and false ones included; a `Sensor`.
+
+    A tag's place in the camera's frame comes from its own four corners. A detection with the id of a tag is believed,
+    wherever it is; of two with the same id the larger one. Ids that hang nowhere are left out.
+
+    Args:
+        tag: at every landmark, upright.
+        reader: reads the frames.
+        imaging: lens, light and noise.
+        pixel_noise: standard deviation of corners that estimators are told, pixels.
+        shutter: how long it is open for a frame, seconds; the camera's motion meanwhile blurs the frame.
+
+    Raises:
+        InputError: the tag is a point, the noise is not positive, or the shutter's time negative.
+    """
+
+    tag: Tag
+    reader: Detector
+    imaging: Imaging
+    pixel_noise: float = 0.5
+    shutter: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.tag.check_edge()
+        object.__setattr__(self, "pixel_noise", real("pixel_noise", self.pixel_noise, above=0.0))
+        object.__setattr__(self, "shutter", real("shutter", self.shutter, low=0.0))
+
+    def tags(self, deployment: Deployment) -> FloatArray:
+        """See `Sensor.tags`."""
+        return corners_of(deployment, self.tag)
+
+    def batch(self, flight: Flight) -> "Batch":
+        """The frames of a flight; rendered from a flight with the same source of noise they are the same."""
+        room = tagged_room(flight.evaluator.scene.room, flight.deployment, self.tag)
+        twists = flight.trajectory.twists
+        motions = self.shutter * np.concatenate([twists, twists[-1:]])  # at the end as in the step before
+        moving = motions if self.shutter > 0.0 else [None] * len(motions)
+        frames = zip(flight.poses, moving, flight.rng.spawn(len(motions)), strict=True)
+        return Batch(Renderer(flight.camera, room, self.imaging), self.reader, [Frame(*frame) for frame in frames])
+
+    def observed(self, flights: Sequence[Flight], each: Each = map) -> list[Observation]:
+        """See `Sensor.observed`; `each` gets batches of frames."""
+        check_images(flights)
+        jobs = [
+            whole._replace(frames=whole.frames[first : first + BATCH])
+            for whole in map(self.batch, flights)
+            for first in range(0, len(whole.frames), BATCH)
+        ]
+        found = [detections for batch in each(read, jobs) for detections in batch]
+        frames = len(flights[0].poses)
+        return [self._observed(flight, found[s * frames : (s + 1) * frames]) for s, flight in enumerate(flights)]
+
+    def moments(self, flight: Flight, frames: Sequence[int]) -> list[Moment]:
+        """Some frames of a flight, to look at."""
+        whole, sight, times = self.batch(flight), flight.in_view(), flight.trajectory.time
+        chosen = whole._replace(frames=[whole.frames[t] for t in frames])
+        pictures = list(images(chosen))
+        found = believed([self.reader.detect(picture) for picture in pictures], flight.deployment.ids)
+        return [
+            Moment(times[t], flight.poses[t], picture, whole.renderer.corners(flight.poses[t]), sight[t], corners)
+            for t, picture, corners in zip(frames, pictures, found, strict=True)
+        ]
+
+    def _observed(self, flight: Flight, found: Sequence[Detections]) -> Observation:
+        corners = believed(found, flight.deployment.ids)
+        seen = np.isfinite(corners[..., 0, 0])
+        noise = np.full(int(seen.sum()), self.pixel_noise)
+        return observation(flight.camera, self.tag, seen, corners[seen], noise)
+
+
+class Batch(NamedTuple):
+    """Frames of one flight, for a process of its own."""
+
+    renderer: Renderer
+    reader: Detector
+    frames: Sequence[Frame]
+
+
+def images(batch: Batch) -> Iterator[UInt8Array]:
+    """The frames of a batch, `(h, w)` each; this uses up their sources of noise."""
+    return (batch.renderer.frame(frame.pose, frame.rng, frame.motion) for frame in batch.frames)
+
+
+def read(batch: Batch) -> list[Detections]:
+    """What the reader finds in each frame of a batch."""
+    return [batch.reader.detect(image) for image in images(batch)]
+
+
+def believed(found: Sequence[Detections], ids: IntArray) -> FloatArray:
+    """The corners of tags with `ids` `(K,)` as found in T frames, pixels, `(T, K, 4, 2)`; NaN where not found."""
+    corners, place = np.full((len(found), len(ids), 4, 2), np.nan), {number: k for k, number in enumerate(ids.tolist())}
+    for t, detections in enumerate(found):
+        edges = detections.corners - np.roll(detections.corners, 1, axis=1)
+        for i in np.argsort((edges**2).sum(axis=(1, 2)), kind="stable"):  # the larger one comes last, and stays
+            if (k := place.get(int(detections.ids[i]))) is not None:
+                corners[t, k] = detections.corners[i]
+    return corners

@@ -1,0 +1,282 @@
+"""What deployments do to localisation: the same flights over each of them, and the figures of a table and a plot."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from lmd.core.checks import FloatArray, InputError, IntArray, real
+from lmd.core.memory import check_memory
+from lmd.estimation.errors import Errors, pose_errors
+from lmd.estimation.estimators import Estimator
+from lmd.estimation.flights import TrajectorySource
+from lmd.estimation.odometry import Odometry
+from lmd.estimation.recording import Each, Flight, Recording, Sensor, record
+from lmd.geometry.se3 import exp
+from lmd.geometry.trajectory import Trajectory
+from lmd.problem import Problem
+
+# Keeps the flights apart from every other use of the same seed.
+STREAM = 0x666C79
+SHARES = (1, 2, 3, 4)  # landmarks in view for which the share of time is reported, beside the objective's n
+WITHIN = (0.01, 0.02, 0.05)  # position errors of which the share of frames is reported, metres
+SETTLED = 0.01  # of the initial Er
+QUANTILES = (0.1, 0.5, 0.9)  # over the seeds: band, median, band
+CURVE_WINDOWS = 300
+
+
+@dataclass(frozen=True)
+class InitialError:
+    """How wrong the first estimate is; the directions are random.
+
+    Args:
+        position: metres.
+        attitude: rad.
+
+    Raises:
+        InputError: a value is negative, or the attitude is more than pi.
+    """
+
+    position: float
+    attitude: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position", real("position", self.position, low=0.0))
+        object.__setattr__(self, "attitude", real("attitude", self.attitude, low=0.0, high=np.pi))
+
+    def applied(self, pose: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """A first estimate for a camera at `pose` `(4, 4)`."""
+        directions = rng.normal(size=(2, 3))
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        turn = np.concatenate([self.attitude * directions[0], np.zeros(3)])
+        estimate = pose @ exp(turn)
+        estimate[:3, 3] += self.position * directions[1]
+        return np.asarray(estimate)
+
+
+@dataclass(frozen=True)
+class Flights:
+    """S flights, the same for every deployment: one for each seed.
+
+    Args:
+        seeds: `(S,)`.
+        trajectories: S of them with the same times.
+        start: first estimate of each, `(S, 4, 4)`.
+    """
+
+    seeds: Sequence[int]
+    trajectories: Sequence[Trajectory]
+    start: FloatArray
+
+    @classmethod
+    def draw(cls, problem: Problem, source: TrajectorySource, initial: InitialError, seeds: Sequence[int]) -> "Flights":
+        """One flight for each seed in the scene of `problem`.
+
+        Raises:
+            InputError: there is no trajectory, or so many would not fit into memory.
+        """
+        trajectories, start = [], []
+        for seed in seeds:
+            motion, error = np.random.default_rng([seed, STREAM]).spawn(2)
+            trajectories.append(source.draw(problem.scene, motion))
+            to_come = (len(seeds) - len(trajectories)) * trajectories[-1].poses.nbytes
+            check_memory(to_come, f"seeds: the poses of {len(seeds)} flights", "seeds")
+            start.append(initial.applied(trajectories[-1].poses[0], error))
+        return cls(seeds, trajectories, np.stack(start))
+
+    def over(self, problem: Problem, all_visible: bool = False) -> list[Flight]:
+        """The flights over the deployment that `problem` starts from; a random one is another for each seed."""
+        return [
+            Flight(
+                problem.evaluator,
+                problem.draw(np.random.default_rng(seed)),
+                trajectory,
+                np.random.default_rng([seed, STREAM, 1]),
+                all_visible,
+            )
+            for seed, trajectory in zip(self.seeds, self.trajectories, strict=True)
+        ]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of the S flights over one deployment.
+
+    Args:
+        counts: landmarks in each frame, `(S, T)`.
+        shares: share of time with at least n landmarks, by n, `(S,)` each.
+        errors: of each estimator.
+    """
+
+    counts: IntArray
+    shares: Mapping[int, FloatArray]
+    errors: Mapping[str, Errors]
+
+
+@dataclass(frozen=True)
+class Study:
+    """The outcome for each deployment.
+
+    Args:
+        seeds: of the flights.
+        time: of the frames, seconds, `(T,)`.
+        initial: Er of the first estimates, `(S,)`.
+        outcomes: by the deployment's name.
+    """
+
+    seeds: Sequence[int]
+    time: FloatArray
+    initial: FloatArray
+    outcomes: Mapping[str, Outcome]
+
+    def figures(self) -> pd.DataFrame:
+        """One row for each deployment, estimator and seed.
+
+        Columns: `mean_visible`, `share_visible_<n>`; `mean_error` (Er over the whole flight); `settling_time` (s, from
+        when on Er stays below 1 % of its initial value, infinite if it does not or if there are frames without an
+        estimate); `position_error` (m) and `attitude_error` (rad), medians over the second half of the flight;
+        `within_<n>mm`, the share of its frames with a smaller position error, those without an estimate counted as
+        larger; `available`, the share of frames with an estimate.
+        """
+        rows = []
+        for name, outcome in self.outcomes.items():
+            for estimator, errors in outcome.errors.items():
+                columns = {
+                    "mean_visible": outcome.counts.mean(axis=1),
+                    **{f"share_visible_{n}": share for n, share in outcome.shares.items()},
+                    **self._error_figures(errors),
+                }
+                for i, seed in enumerate(self.seeds):
+                    values = {key: float(column[i]) for key, column in columns.items()}
+                    rows.append({"deployment": name, "estimator": estimator, "seed": seed, **values})
+        return pd.DataFrame(rows)
+
+    def _error_figures(self, errors: Errors) -> dict[str, FloatArray]:
+        half = len(self.time) // 2
+        large = errors.frobenius > SETTLED * self.initial[:, None]
+        after = len(self.time) - large[:, ::-1].argmax(axis=1)  # the frame after the last large one
+        settled = np.append(self.time - self.time[0], np.inf)[np.where(large.any(axis=1), after, 0)]
+        settled = np.where(errors.available < 1.0, np.inf, settled)
+        return {
+            "mean_error": _each_run(np.mean, errors.frobenius),
+            "settling_time": settled,
+            "position_error": _each_run(np.median, errors.position[:, half:]),
+            "attitude_error": _each_run(np.median, errors.attitude[:, half:]),
+            **{name: (errors.position[:, half:] <= limit).mean(axis=1) for name, limit in within().items()},
+            "available": errors.available,
+        }
+
+    def curves(self) -> pd.DataFrame:
+        """Errors over time, in up to `CURVE_WINDOWS` windows: quantiles over the seeds and the frames of a window.
+
+        Columns: `deployment`, `estimator`, `time` (s, middle of the window), and for each of `error` (Er), `position`
+        (m) and `attitude` (rad) the `_low`, `_median` and `_high` quantile (10, 50 and 90 %), NaN without an estimate.
+        """
+        windows = np.array_split(np.arange(len(self.time)), min(CURVE_WINDOWS, len(self.time)))
+        time = [float(self.time[window].mean()) for window in windows]
+        parts = []
+        for name, outcome in self.outcomes.items():
+            for estimator, errors in outcome.errors.items():
+                columns: dict[str, FloatArray] = {}
+                for label in ("frobenius", "position", "attitude"):
+                    bands = np.array([_band(getattr(errors, label)[:, window]) for window in windows])
+                    short = "error" if label == "frobenius" else label
+                    columns |= {f"{short}_{part}": bands[:, i] for i, part in enumerate(("low", "median", "high"))}
+                parts.append(pd.DataFrame({"deployment": name, "estimator": estimator, "time": time, **columns}))
+        return pd.concat(parts, ignore_index=True)
+
+
+def conduct(
+    problems: Mapping[str, Problem],
+    flights: Flights,
+    detectors: Mapping[str, Sensor],
+    estimators: Mapping[str, Estimator],
+    all_visible: bool,
+    odometry: Odometry | None = None,
+    each: Each = map,
+) -> Study:
+    """Fly over each deployment and let each estimator localise the camera.
+
+    Args:
+        problems: by the deployment's name; all share one scene.
+        flights: what is flown.
+        detectors: noise and missed detections, by the deployment's name.
+        estimators: by name.
+        all_visible: fly over each deployment a second time, as `<name> all visible`, with every landmark in view.
+        odometry: measures the twists; None for exact ones.
+        each: does what takes long.
+
+    Raises:
+        InputError: an estimator is missing, or cannot work with what is recorded.
+    """
+    if not estimators:
+        raise InputError("estimators must name at least one estimator.", "estimators")
+    outcomes = {}
+    for name, problem in problems.items():
+        for everything in (False, True) if all_visible else (False,):
+            recording = record(detectors[name], flights.over(problem, everything), odometry, each)
+            outcomes[f"{name} all visible" if everything else name] = Outcome(
+                recording.visible_counts,
+                {n: recording.share_visible(n) for n in sorted({*SHARES, problem.objective.n})},
+                _errors(estimators, recording, flights.start),
+            )
+    true = np.stack([trajectory.poses[:1] for trajectory in flights.trajectories])
+    initial = pose_errors(true, flights.start[:, None]).frobenius[:, 0]
+    return Study(flights.seeds, flights.trajectories[0].time, initial, outcomes)
+
+
+def _errors(estimators: Mapping[str, Estimator], recording: Recording, start: FloatArray) -> dict[str, Errors]:
+    errors = {}
+    for name, estimator in estimators.items():
+        try:
+            errors[name] = estimator.errors(recording, start)
+        except InputError as error:
+            raise error.within(name).within("estimators") from None
+    return errors
+
+
+def to_markdown(figures: pd.DataFrame, n: int) -> str:
+    """`Study.figures` as a Markdown table: medians over the seeds.
+
+    Args:
+        figures: one row for each deployment, estimator and seed.
+        n: of the objective; the share of time with as many in view is shown beside that with 3, which fix a pose.
+    """
+    head = ["deployment", "estimator", *(f"time with >= {m} in view" for m in sorted({n, 3}))]
+    head += ["mean Er (10 to 90 %)", "settled after [s]", "position [mm]", "attitude [mrad]", "available"]
+    head.append(f"of all frames within {' / '.join(f'{1e3 * limit:g}' for limit in WITHIN)} mm")
+    lines = [" | ".join(head), " | ".join(["---"] * len(head))]
+    for (name, estimator), runs in figures.groupby(["deployment", "estimator"], sort=False):
+        middle = runs.median(numeric_only=True)
+        low, high = runs.mean_error.quantile(QUANTILES[0]), runs.mean_error.quantile(QUANTILES[2])
+        lines.append(" | ".join([
+            f"{name}",
+            f"{estimator}",
+            *(f"{runs[f'share_visible_{m}'].mean():.2%}" for m in sorted({n, 3})),
+            f"{middle.mean_error:.3g} ({low:.3g} to {high:.3g})",
+            f"{middle.settling_time:.1f}" if np.isfinite(middle.settling_time) else "–",
+            f"{1e3 * middle.position_error:.3g}",
+            f"{1e3 * middle.attitude_error:.3g}",
+            f"{runs.available.mean():.1%}",
+            " / ".join(f"{100.0 * runs[name].mean():.1f}" for name in within()) + " %",
+        ]))  # fmt: skip
+    return "\n".join(f"| {line} |" for line in lines) + "\n"
+
+
+def within() -> dict[str, float]:
+    """Columns of `Study.figures` with the share of frames within a position error, and these, metres."""
+    return {f"within_{1e3 * limit:g}mm": limit for limit in WITHIN}
+
+
+def _each_run(reduce: Callable[[FloatArray], Any], values: FloatArray) -> FloatArray:
+    """`reduce` over the finite values of each row, NaN for a row without."""
+    rows = [row[np.isfinite(row)] for row in values]
+    return np.array([reduce(row) if row.size else np.nan for row in rows])
+
+
+def _band(values: FloatArray) -> FloatArray:
+    """`QUANTILES` of the finite values, NaN without any."""
+    finite = values[np.isfinite(values)]
+    return np.quantile(finite, QUANTILES) if finite.size else np.full(len(QUANTILES), np.nan)

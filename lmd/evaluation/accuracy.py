@@ -1,0 +1,120 @@
+"""What a deployment lets one image tell of the camera's position, predicted for every view, whatever it was made for.
+
+The prediction is the standard deviation of `lmd.objectives.localisation`, infinite for views that cover fewer than n
+landmarks. All figures are off the grid: random positions, orientations from the PDF's continuous distribution.
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, IntArray
+from lmd.core.tables import write_table
+from lmd.evaluation.validation import Sample, sampled_evaluators
+from lmd.objectives.base import Objective
+from lmd.objectives.localisation import Localisation
+from lmd.objectives.localisation.information import deviation_per_variance, precision
+from lmd.objectives.localisation.kernels import localised_views
+from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
+from lmd.sight.evaluator import Evaluator, averaged
+from lmd.sight.kernels import PROBABILITY_ONE
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+TOLERANCES = (0.01, 0.02, 0.05)  # metres
+SAMPLE = Sample(groups=8, positions=512, divisions=23)
+
+
+def as_localisation(objective: Objective) -> Localisation:
+    """The objective itself where it is one of localisation, else the default one with its n."""
+    return objective if isinstance(objective, Localisation) else Localisation(objective.n)
+
+
+def predicted_errors(problem: Problem, deployment: Deployment, evaluator: Evaluator) -> tuple[FloatArray, FloatArray]:
+    """Standard deviation of the position in each view, metres, `(P, D)`, D orientations of the evaluator, and P_n.
+
+    The noise of a corner is the objective's, where it is one of localisation.
+    """
+    objective, scene = problem.objective, problem.scene
+    noise = as_localisation(objective).pixel_noise
+    camera = scene.single_camera("the predicted error")
+    asked: Any = precision(camera, scene.tag, noise, np.inf)
+    landmarks = deployment.positions[None], deployment.normals[None]
+    views = localised_views(evaluator, *landmarks, objective.n, asked, keep=True)
+    scale = deviation_per_variance(camera, noise)
+    errors = scale * np.sqrt(views.variances[0, :, : len(evaluator.scene.orientations.axes)])
+    return errors, views.covered[0] / PROBABILITY_ONE
+
+
+def _share_name(tolerance: float) -> str:
+    return f"localised_share_{1e3 * tolerance:g}mm"
+
+
+def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample: Sample = SAMPLE) -> dict[str, float]:
+    """The mean of P_n, shares of views localised to `TOLERANCES`, median and 90 % of the predicted error, metres.
+
+    The last two are over all views, and left out where they are infinite, as too few views cover n landmarks.
+
+    Args:
+        problem: the scene, n, and the noise of a corner.
+        deployment: what is judged.
+        seed: of the sample.
+        sample: its size.
+    """
+    parts = []
+    for evaluator in sampled_evaluators(problem.scene, seed, sample, problem.evaluator.threads):
+        errors, covered = predicted_errors(problem, deployment, evaluator)
+        parts.append((errors, np.broadcast_to(evaluator.scene.probability(evaluator.positions), errors.shape), covered))
+    errors, weights, covered = (np.concatenate([part[i].reshape(-1) for part in parts]) for i in range(3))
+    weights = weights / weights.sum()
+    metrics = {"covered_share": float(covered.mean())}
+    metrics |= {_share_name(limit): float(weights[errors <= limit].sum()) for limit in TOLERANCES}
+    order: IntArray = np.argsort(errors)
+    below = np.cumsum(weights[order])
+    for name, level in (("median", 0.5), ("90", 0.9)):
+        error = errors[order[min(int(np.searchsorted(below, level)), len(order) - 1)]]
+        if np.isfinite(error):
+            metrics[f"predicted_error_{name}"] = float(error)
+    return metrics
+
+
+def save_accuracy_map(path: str | Path, problem: Problem, deployment: Deployment) -> None:
+    """Write `x,y,z`, the shares localised and the median predicted error, metres, at each position of the grid.
+
+    The median is empty where it is infinite.
+    """
+    evaluator = problem.evaluator
+    weight = problem.scene.probability(evaluator.positions)
+    errors, _ = predicted_errors(problem, deployment, evaluator)
+    median = _medians(errors, weight)
+    columns = dict(zip("xyz", evaluator.positions.T, strict=True))
+    columns |= {_share_name(limit): averaged(errors <= limit, weight) for limit in TOLERANCES}
+    columns["predicted_error_median"] = np.where(np.isfinite(median), median, np.nan)
+    write_table(path, columns)
+
+
+def plan_of_errors(problem: Problem, deployment: Deployment) -> "pd.DataFrame":
+    """`x,y,predicted_error_median`, metres: over all orientations and heights at each place of the grid's plan.
+
+    The median is infinite where fewer than half of these views cover n landmarks.
+    """
+    import pandas as pd
+
+    evaluator = problem.evaluator
+    errors, _ = predicted_errors(problem, deployment, evaluator)
+    places, place = np.unique(evaluator.positions[:, :2].round(9), axis=0, return_inverse=True)
+    weight = np.broadcast_to(problem.scene.probability(evaluator.positions), errors.shape)
+    columns = [(errors[place == i], weight[place == i]) for i in range(len(places))]
+    medians = [_medians(*(part.reshape(1, -1) for part in (e, w / len(e))))[0] for e, w in columns]
+    return pd.DataFrame({"x": places[:, 0], "y": places[:, 1], "predicted_error_median": medians})
+
+
+def _medians(errors: FloatArray, weight: FloatArray) -> FloatArray:
+    """The median of each row of `(P, V)` with weights `(1, V)` or `(P, V)` of sum 1, `(P,)`."""
+    order = np.argsort(errors, axis=1)
+    ordered = np.take_along_axis(np.broadcast_to(weight, errors.shape), order, axis=1)
+    middle = (np.cumsum(ordered, axis=1) >= 0.5).argmax(axis=1)[:, None]
+    return np.asarray(np.take_along_axis(errors, np.take_along_axis(order, middle, axis=1), axis=1)[:, 0])

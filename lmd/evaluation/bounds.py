@@ -1,0 +1,282 @@
+"""How good a deployment can be at best: upper bounds from a concave relaxation and its dual.
+
+Let x_j be the number of landmarks with pose j (any flush pose on the walls; sum_j x_j = K), A_jpa whether such a
+landmark covers axis a from position p when nothing hides it, c_pa = sum_j x_j A_jpa, w_a the probability of an axis
+(sum 1) and r_p the share of a position (sum 1). Landmarks hidden by others only lower c, and c >= n is worth at most
+min(c/n, 1), so P_n(p) <= s_p = sum_a w_a min(c_pa/n, 1), and whether p is qualified is at most min(s_p/t, 1) with
+t = thold_p. Both objectives are therefore at most
+
+    F(x) = sum_p r_p min(s_p / t, 1),        with t = 1 for the average of P_n (there s_p <= 1 anyway),
+
+which is concave in x >= 0, fractions allowed. From min(v, 1) = min over 0 <= d <= 1 of 1 - d + d v, once for each
+position (z_p) and once for each axis (d_pa), with y_pa = d_pa z_p r_p w_a / (n t),
+
+    F(x) <= sum_p r_p (1 - z_p + z_p / t) - n sum_pa y_pa + sum_j x_j g_j,   g_j = sum_pa y_pa A_jpa,
+         <= constant(z, y) + K max_j g_j.
+
+*Any* choice of z and d gives a valid bound. Good ones are slopes of a smoothed min at a good x; x is found by
+accelerated projected ascent. F(x) itself is what no choice can get below.
+
+The largest g_j is sought over a grid of poses while x is improved, and in the end over the whole walls, by branch and
+bound on cells (`lmd.sight.poses`): that makes the bound one for every flush deployment.
+
+Landmarks that hang already are not chosen: where nothing hides them they cover b_pa, and c_pa = b_pa + sum_j x_j A_jpa
+adds sum_pa y_pa b_pa to the constant, with K the number of the others.
+
+A view that is localised covers n landmarks, so the same bounds hold for what `Localisation` makes of P_n: they are
+valid, but take no account of its tolerance.
+"""
+
+import heapq
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, InputError, integer, real
+from lmd.objectives.coverage import Coverage
+from lmd.objectives.localisation import Localisation
+from lmd.problem import Problem
+from lmd.scene.criteria import TOLERANCE
+from lmd.scene.deployment import Deployment
+from lmd.sight.evaluator import Evaluator, averaged
+from lmd.sight.poses import Cells, covered_amounts, gains, wall_cells
+
+# The smoothed min is rounded off this far on both sides of its kink: at first, and in the end. Halved as x improves.
+FIRST_WIDTH, LAST_WIDTH, STEPS_PER_WIDTH = 0.3, 0.01, 25
+# Cells that branch and bound may look at, a minute or two on two cores; the bound is valid whenever it stops.
+MOST_CELLS = 2_000_000
+# It cuts so many cells at a time, and looks at the landmark in the centre of so many of the new ones.
+BATCH, PROBES = 10_000, 500
+# A target that more than these would be needed for counts as out of reach.
+MOST_LANDMARKS = 10_000
+
+
+class Dual(NamedTuple):
+    """A choice of multipliers: its constant, and the prices y, `(P, D)`."""
+
+    constant: float
+    prices: FloatArray
+
+    def bound(self, count: int, gain: float) -> float:
+        """The bound for `count` free landmarks if none earns more than `gain`; 1 is always one."""
+        return min(self.constant + count * gain, 1.0)
+
+
+@dataclass(frozen=True)
+class Search:
+    """How long to improve a bound.
+
+    Args:
+        spacing: largest distance between the poses on which the multipliers are found, metres.
+        iterations: at most this many steps.
+        tolerance: stop when this close to the best bound on that grid.
+
+    Raises:
+        InputError: a number is out of range.
+    """
+
+    spacing: float = 0.125
+    iterations: int = 200
+    tolerance: float = 1e-3
+
+    def __post_init__(self) -> None:
+        real("spacing", self.spacing, above=0.0)
+        object.__setattr__(self, "iterations", integer("iterations", self.iterations, low=1))
+        real("tolerance", self.tolerance, above=0.0)
+
+
+@dataclass(frozen=True)
+class UpperBound:
+    """An upper bound, as fractions in [0, 1].
+
+    Args:
+        walls: no deployment of flush landmarks on the walls is better.
+        grid: no deployment on the grid of poses is better.
+        fractional: what fractions of landmarks on that grid reach; bounds for the grid end here.
+        dual: the multipliers.
+        gain: no flush landmark earns more than this with them.
+    """
+
+    walls: float
+    grid: float
+    fractional: float
+    dual: Dual
+    gain: float
+
+
+@dataclass(frozen=True)
+class Relaxation:
+    """F for one objective.
+
+    Args:
+        evaluator: the scene.
+        shares: r, `(P,)`.
+        n: landmarks that must be seen.
+        threshold: t, in (0, 1].
+        fixed: landmarks that hang already.
+    """
+
+    evaluator: Evaluator
+    shares: FloatArray
+    n: int
+    threshold: float
+    fixed: Deployment | None = None
+
+    @property
+    def weights(self) -> FloatArray:
+        """w, `(1, D)` or `(P, D)`."""
+        return self.evaluator.probability
+
+    @cached_property
+    def already(self) -> FloatArray | float:
+        """b, `(P, D)`; 0 where nothing is fixed."""
+        return 0.0 if self.fixed is None else covered_amounts(self.evaluator, self.fixed, np.ones(len(self.fixed)))
+
+    def value(self, added: FloatArray) -> float:
+        """F at c - b `(P, D)`."""
+        seen = averaged(np.minimum((added + self.already) / self.n, 1.0), self.weights)
+        return float(self.shares @ np.minimum(seen / self.threshold, 1.0))
+
+    def smoothed(self, added: FloatArray, width: float) -> tuple[float, Dual]:
+        """Smoothed F at c - b `(P, D)`, and its slopes as multipliers; the prices are its gradient in c."""
+        by_axis, slope = smoothed_min((added + self.already) / self.n, width)
+        by_position, z = smoothed_min(averaged(by_axis, self.weights) / self.threshold, width)
+        prices = slope * self.weights * (z * self.shares / (self.n * self.threshold))[:, None]
+        constant = self.shares @ (1.0 - z + z / self.threshold) - self.n * prices.sum()
+        constant += (self.already * prices).sum()
+        return float(self.shares @ by_position), Dual(float(constant), prices)
+
+
+def smoothed_min(v: FloatArray, width: float) -> tuple[FloatArray, FloatArray]:
+    """min(v, 1) with its kink rounded off within `width`, and its slope in [0, 1]; `v` has any shape."""
+    slope = np.clip((1.0 + width - v) / (2.0 * width), 0.0, 1.0)
+    # The integral of the slope: 1 on the right of the kink, v on the left.
+    return np.where(slope < 1.0, 1.0 - width * slope**2, v), slope
+
+
+def average_upper_bound(problem: Problem, count: int, search: Search) -> UpperBound:
+    """Bounds the mean of P_n over the grid (positions count alike) for `count` landmarks."""
+    size = len(problem.evaluator.positions)
+    shares, n = np.full(size, 1.0 / size), _at_most_coverage(problem).n
+    return _bound(problem, Relaxation(problem.evaluator, shares, n, 1.0, problem.fixed), count, search)
+
+
+def fitness_upper_bound(problem: Problem, count: int, search: Search) -> UpperBound:
+    """Bounds the fitness, the share of positions that are qualified or a mean, by relevance, for `count` landmarks."""
+    evaluator, relevance = problem.fitness_evaluator, problem.fitness_relevance
+    objective = _at_most_coverage(problem)
+    averaged = isinstance(objective, Localisation) and objective.climbs == "mean"
+    # Positions qualify from TOLERANCE below thold_p; where nothing is asked, all do.
+    threshold = 1.0 if averaged else objective.thold_p - TOLERANCE
+    if threshold <= 0.0:
+        return UpperBound(1.0, 1.0, 1.0, Dual(1.0, np.zeros((len(relevance), evaluator.axes.shape[1]))), 0.0)
+    relaxation = Relaxation(evaluator, relevance / relevance.sum(), objective.n, threshold, problem.fixed)
+    return _bound(problem, relaxation, count, search)
+
+
+def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
+    """No fewer landmarks than this reach a fitness of `target`, the fixed ones and at least one more among them.
+
+    A dual bounds every K by a line in K: too few landmarks become as many as their own line asks for, which by
+    concavity are never too many, until the bound reaches the target.
+
+    Raises:
+        InputError: not even `MOST_LANDMARKS` reach it.
+    """
+    real("target", target, low=0.0, high=1.0)
+    count = max(_at_most_coverage(problem).n, problem.fixed_count + 1)
+    while (bound := fitness_upper_bound(problem, count, search)).walls < target - TOLERANCE:
+        count = problem.fixed_count + math.ceil((target - bound.dual.constant) / bound.gain - TOLERANCE)
+        if count > MOST_LANDMARKS:
+            raise InputError(f"target = {target:g} is out of reach of {MOST_LANDMARKS} landmarks.", "target")
+    return count
+
+
+def _at_most_coverage(problem: Problem) -> Coverage | Localisation:
+    """The objective, whose values are at most P_n."""
+    if not isinstance(problem.objective, Coverage | Localisation):
+        raise InputError(
+            f"there is no upper bound for the objective {type(problem.objective).__name__}, only for Coverage and "
+            "Localisation."
+        )
+    return problem.objective
+
+
+def _bound(problem: Problem, relaxation: Relaxation, count: int, search: Search) -> UpperBound:
+    """Multipliers found on the grid of poses, and what they prove for the whole walls."""
+    cells, free = wall_cells(problem.scene.plates.hanging, search.spacing), count - problem.fixed_count
+    dual, grid, fractional = _solve(relaxation, cells.poses, free, search)
+    gain = largest_gain(relaxation.evaluator, cells, dual.prices, search.tolerance / free)
+    return UpperBound(dual.bound(free, gain), grid, fractional, dual, gain)
+
+
+def _solve(relaxation: Relaxation, poses: Deployment, count: int, search: Search) -> tuple[Dual, float, float]:
+    """The best multipliers found for `count` free landmarks on `poses`, their bound there, and the largest F found."""
+    evaluator = relaxation.evaluator
+    x = ahead = np.full(len(poses), count / len(poses))
+    covered = covered_ahead = covered_amounts(evaluator, poses, x)
+    fractional, momentum, curvature = relaxation.value(covered), 1.0, 0.0
+    best, grid = Dual(1.0, np.zeros_like(covered)), 1.0
+    for step in range(search.iterations):
+        width = max(FIRST_WIDTH * 0.5 ** (step // STEPS_PER_WIDTH), LAST_WIDTH)
+        value, dual = relaxation.smoothed(covered_ahead, width)
+        gradient = gains(evaluator, poses, dual.prices)
+        if (bound := dual.bound(count, gradient.max())) < grid:
+            best, grid = dual, bound
+        if grid - fractional <= search.tolerance:
+            break
+        curvature = 0.9 * curvature or 0.01 * gradient.max() / x.max()
+        while True:
+            new = _nearest_on_simplex(ahead + gradient / curvature, count)
+            covered_new, moved = covered_amounts(evaluator, poses, new), new - ahead
+            model = value + gradient @ moved - curvature / 2.0 * moved @ moved
+            if relaxation.smoothed(covered_new, width)[0] >= model - TOLERANCE:
+                break
+            curvature *= 2.0
+        fractional = max(fractional, relaxation.value(covered_new))
+        # Momentum that no longer leads uphill, or belongs to another width, is dropped.
+        if gradient @ (new - x) < 0.0 or step % STEPS_PER_WIDTH == STEPS_PER_WIDTH - 1:
+            momentum = 1.0
+        before, momentum = momentum, (1.0 + math.sqrt(1.0 + 4.0 * momentum**2)) / 2.0
+        carry = (before - 1.0) / momentum
+        ahead, covered_ahead = new + carry * (new - x), covered_new + carry * (covered_new - covered)
+        x, covered = new, covered_new
+    return best, grid, fractional
+
+
+def _nearest_on_simplex(v: FloatArray, total: float) -> FloatArray:
+    """The point nearest to `v` `(N,)` among those that are not negative and sum to `total`."""
+    descending = np.sort(v)[::-1]
+    excess = (np.cumsum(descending) - total) / np.arange(1, len(v) + 1)
+    return np.asarray(np.maximum(v - excess[np.flatnonzero(descending > excess)[-1]], 0.0))
+
+
+def largest_gain(evaluator: Evaluator, cells: Cells, prices: FloatArray, tolerance: float) -> float:
+    """No flush landmark in any of the cells earns more than this; some landmark earns `tolerance` less, if time allows.
+
+    Args:
+        evaluator: the scene.
+        cells: pieces of wall.
+        prices: y, `(P, D)`, not negative.
+        tolerance: in units of the gain.
+    """
+    largest, looked_at = 0.0, 0
+    # The most promising cells first: whenever this stops, the first on the heap bounds all that are left.
+    heap: list[tuple[float, int, Cells]] = []
+    while True:
+        most = gains(evaluator, cells.poses, prices, cells.radius)
+        looked_at += len(most)
+        order = np.argsort(-most)
+        largest = max(largest, float(gains(evaluator, cells.picked(order[:PROBES]).poses, prices).max()))
+        order = order[most[order] > largest + tolerance]
+        for first in range(0, len(order), BATCH):
+            part = order[first : first + BATCH]
+            heapq.heappush(heap, (-float(most[part[0]]), looked_at + first, cells.picked(part)))
+        if not heap or -heap[0][0] <= largest + tolerance:
+            return largest + tolerance
+        if looked_at > MOST_CELLS:
+            return -heap[0][0]
+        cells = heapq.heappop(heap)[2].quarters()

@@ -1,0 +1,78 @@
+"""One tag falls off, or two: what a deployment loses without them, and which tags matter."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, IntArray
+from lmd.incremental.field import in_order
+from lmd.objectives.without import without_landmarks
+from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
+
+LISTED = 8  # tags that a terminal names
+NOTHING = 1e-12  # a difference in fitness that is one of rounding
+
+
+@dataclass(frozen=True)
+class Losses:
+    """The fitness that is left.
+
+    Args:
+        ids: of K landmarks.
+        fitness: of all of them.
+        without: `(K, K)`, without landmarks i and j; without i alone for i = j.
+    """
+
+    ids: IntArray
+    fitness: float
+    without: FloatArray
+
+    @property
+    def table(self) -> dict[str, FloatArray | IntArray]:
+        """The columns `id`, `fitness_without` and `fitness_loss`, the tag that matters most first, `(K,)` each."""
+        alone = np.diagonal(self.without)
+        lost = self.fitness - alone
+        order = np.argsort(-lost, kind="stable")
+        return {"id": self.ids[order], "fitness_without": alone[order], "fitness_loss": lost[order]}
+
+    @property
+    def idle(self) -> IntArray:
+        """The ids of the landmarks without any of which the fitness is no lower."""
+        return np.sort(self.ids[np.diagonal(self.without) >= self.fitness - NOTHING])
+
+    def metrics(self) -> dict[str, float]:
+        """The least and the mean fitness over the loss of any one landmark, and of any two."""
+        one, two = np.diagonal(self.without), self.without[np.triu_indices(len(self.ids), 1)]
+        return {
+            f"fitness_without_{name}_{kind}": float(figure(left))
+            for name, left in (("one", one), ("two", two))
+            if left.size
+            for kind, figure in (("worst", np.min), ("mean", np.mean))
+        }
+
+    def to_text(self) -> str:
+        """Which tags matter most and which are idle, for a terminal."""
+        dearest = [(number, lost) for number, _, lost in zip(*self.table.values(), strict=True) if lost > NOTHING]
+        most = ", ".join(f"{number} ({100.0 * lost:.2f})" for number, lost in dearest[:LISTED])
+        idle = ", ".join(map(str, self.idle[:LISTED]))
+        more = f" and {len(self.idle) - LISTED} more" if len(self.idle) > LISTED else ""
+        return (
+            f"tags that matter most, and the points of fitness lost without each: {most or 'none'}\n"
+            f"idle tags, without any one of which nothing is lost: {idle or 'none'}{more}"
+        )
+
+
+def losses(problem: Problem, deployment: Deployment) -> Losses:
+    """The fitness without each landmark, and without any two.
+
+    Args:
+        problem: what the deployment is scored for.
+        deployment: K landmarks.
+
+    Raises:
+        InputError: the objective has no field.
+    """
+    field = problem.objective.field(problem.fitness_evaluator)
+    target = problem.objective.target(in_order(field, problem.fitness_relevance))
+    return Losses(deployment.ids, problem.fitness_of(deployment), without_landmarks(field, target, deployment))

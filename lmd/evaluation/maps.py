@@ -1,0 +1,115 @@
+"""What a map that is wrong does to the pose: tags hang in one place, and the estimate takes them to be in another.
+
+The pose comes from one image by PnP (`lmd.detection.pose`). A map that is off as a whole, by a rigid motion T, gives a
+pose that is off by the same motion; tags that are off each in its own way partly cancel out.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lmd.core.checks import FloatArray
+from lmd.detection.pose import pose_error, pose_from_corners
+from lmd.evaluation.accuracy import TOLERANCES, as_localisation
+from lmd.geometry.se3 import axis_and_right
+from lmd.geometry.squares import corners
+from lmd.problem import Problem
+from lmd.render.optics import project
+from lmd.scene.deployment import Deployment
+from lmd.scene.tag import Tag
+from lmd.sight.views import visible
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+QUANTILES = (0.05, 0.5, 0.95)
+
+
+@dataclass(frozen=True)
+class Hung:
+    """Tags with their upper edges, which need not be upright.
+
+    Args:
+        deployment: K landmarks.
+        ups: unit vectors in the planes of the tags that point to their upper edges, `(K, 3)`, world frame.
+    """
+
+    deployment: Deployment
+    ups: FloatArray
+
+    @classmethod
+    def of(cls, deployment: Deployment) -> "Hung":
+        """All of them as the deployment has them."""
+        return cls(deployment, deployment.ups)
+
+    def points(self, tag: Tag) -> FloatArray:
+        """What an image shows of each: the M = 4 corners of a tag, or the centre of a point, metres, `(K, M, 3)`."""
+        places = self.deployment.places
+        return places[:, None] if tag.is_point else corners(places, self.deployment.normals, self.ups, tag.size)
+
+
+def map_errors(
+    problem: Problem, truth: Hung, maps: Mapping[str, Hung], poses: FloatArray, rng: np.random.Generator
+) -> "pd.DataFrame":
+    """Errors of the pose from single images, one row for each pose from which at least n tags are seen.
+
+    Args:
+        problem: the scene, n, and the noise of a corner; where the objective is not one of localisation, the default
+            one says that.
+        truth: where the K tags hang. The visibility model says which are seen; it takes all tags to be upright.
+        maps: where the estimates take them to be, by name; the same noise for all.
+        poses: X, `(N, 4, 4)`.
+        rng: draws the noise.
+
+    Returns:
+        `tags`, how many are seen, and for each map `position_<name>` (m) and `attitude_<name>` (rad), NaN where the
+        points do not fix a pose.
+    """
+    import pandas as pd
+
+    camera, tag = problem.scene.single_camera("the error of the pose"), problem.scene.tag
+    points = truth.points(tag)
+    image = project(camera, poses, points.reshape(-1, 3)).reshape(len(poses), *points.shape[:2], 2)
+    image += rng.normal(0.0, as_localisation(problem.objective).pixel_noise, image.shape)
+    seen = visible(problem.evaluator, truth.deployment, poses[:, :3, 3], axis_and_right(poses))
+    seen &= np.isfinite(image).all(axis=(-2, -1))
+    enough = np.flatnonzero(seen.sum(axis=1) >= problem.objective.n)
+    columns: dict[str, FloatArray] = {"tags": seen[enough].sum(axis=1)}
+    for name, known in maps.items():
+        places = known.points(tag)
+        found = [pose_from_corners(camera, places[seen[v]], image[v, seen[v]]) for v in enough]
+        errors = pose_error(poses[enough], np.array(found).reshape(-1, 4, 4))
+        columns |= {f"{part}_{name}": error for part, error in zip(("position", "attitude"), errors, strict=True)}
+    return pd.DataFrame(columns)
+
+
+def error_quantiles(views: "pd.DataFrame") -> "pd.DataFrame":
+    """The rows of `map_errors` in short, indexed by `position_<name>` and so on.
+
+    Columns: `5 %`, `50 %`, `95 %` of all views with an estimate, and of positions the share of all views
+    `within_<n>mm`, where one without an estimate counts as farther off.
+    """
+    import pandas as pd
+
+    rows: dict[str, dict[str, float]] = {}
+    for name in views.columns[views.columns.str.startswith(("position_", "attitude_"))]:
+        errors = views[name]
+        rows[name] = {f"{100 * q:g} %": float(errors.quantile(q)) for q in QUANTILES}
+        if name.startswith("position_"):
+            rows[name] |= {f"within_{1e3 * limit:g}mm": float((errors <= limit).mean()) for limit in TOLERANCES}
+    return pd.DataFrame.from_dict(rows, orient="index")
+
+
+def errors_text(views: "pd.DataFrame", n: int) -> str:
+    """`error_quantiles` for a terminal, in mm and mrad."""
+    import pandas as pd
+
+    table = error_quantiles(views)
+    parts = [f"{name.replace('_', ', map as ', 1)} [{'mm' if name[0] == 'p' else 'mrad'}]" for name in table.index]
+    shares = table.columns[table.columns.str.startswith("within")]
+    shown = {label: (1e3 * table[label]).map("{:.2f}".format) for label in table.columns.difference(shares, sort=False)}
+    shown |= {label.replace("_", " "): table[label].map("{:.1%}".format, na_action="ignore") for label in shares}
+    head = f"error of the pose from one image (PnP) in {len(views)} random views of {n} tags or more"
+    return f"{head}\n{pd.DataFrame(shown).set_axis(parts).to_string(na_rep='')}"

@@ -1,0 +1,196 @@
+"""As mounted: what becomes of the figures if no tag hangs quite where the plan has it.
+
+Every draw mounts all tags with errors of their own, and is scored like any deployment, on the grid and at random
+positions off it. The pose is then estimated from single images with the map as planned, and for comparison with the map
+as mounted, which is what one would have after measuring.
+"""
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, InputError, integer, real
+from lmd.core.memory import check_memory
+from lmd.detection.frames import draw_poses
+from lmd.evaluation.maps import QUANTILES, Hung, error_quantiles, errors_text, map_errors
+from lmd.evaluation.validation import Sample, sampled_evaluators
+from lmd.geometry.squares import upright
+from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+SAMPLE = Sample(groups=8, positions=256, divisions=23)
+VIEWS = 40  # random poses of a draw
+POSE_BYTES = 4 * 4 * 8
+STREAM = 0x6D6F756E74  # keeps the draws apart from every other use of the same seed
+
+
+@dataclass(frozen=True)
+class MountingError:
+    """How exactly tags are mounted: independent normal errors of each tag, given by their standard deviations.
+
+    Args:
+        position: along each of the two directions of the surface, metres.
+        turn: in the plane of the tag, rad.
+        tilt: of the normal, about each of the two directions of the surface, rad: a tag that does not lie flat.
+        draws: how many mountings are looked at.
+
+    Raises:
+        InputError: a value is negative, an angle more than a quarter turn, or there is no draw.
+    """
+
+    position: float
+    turn: float
+    tilt: float
+    draws: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position", real("position", self.position, low=0.0))
+        for name in ("turn", "tilt"):
+            object.__setattr__(self, name, real(name, getattr(self, name), low=0.0, high=np.pi / 2.0))
+        object.__setattr__(self, "draws", integer("draws", self.draws, low=1))
+        what = f"draws = {self.draws} mountings, each in {VIEWS} views,"
+        check_memory(POSE_BYTES * VIEWS * self.draws, what, "draws")
+
+    @property
+    def is_none(self) -> bool:
+        """Whether all hangs as planned."""
+        return not (self.position or self.turn or self.tilt)
+
+    def hung(self, problem: Problem, plan: Deployment, rng: np.random.Generator) -> Hung:
+        """The tags of a plan as somebody mounts them.
+
+        Tags stay on their surface, and papers do not overlap: one that would hang over an edge, or over a tag before
+        it, goes to the nearest place where it may hang. Tags that hang already (`Problem.fixed`) stay where they are.
+
+        Args:
+            problem: the surfaces, the papers, and which tags are fixed.
+            plan: K landmarks with their surfaces.
+            rng: draws the errors.
+
+        Raises:
+            InputError: there is no room for all papers.
+        """
+        from scipy.spatial.transform import Rotation
+
+        free = (np.arange(len(plan)) >= problem.fixed_count)[:, None]
+        shift = np.where(free, rng.normal(0.0, self.position, (len(plan), 2)), 0.0)
+        turns = np.where(free, rng.normal(0.0, (self.tilt, self.tilt, self.turn), (len(plan), 3)), 0.0)
+        along = np.stack(upright(plan.normals), axis=1)  # (K, 2, 3)
+        moved = self._apart(problem, replace(plan, positions=plan.positions + (shift[:, None] @ along)[:, 0]))
+        axes = np.stack([*upright(moved.normals), moved.normals], axis=-1)
+        _, ups, normals = np.moveaxis(axes @ Rotation.from_rotvec(turns).as_matrix(), -1, 0)
+        return Hung(replace(moved, normals=normals), ups)
+
+    def _apart(self, problem: Problem, moved: Deployment) -> Deployment:
+        """The landmarks on surfaces pushed apart; those that hang on none stay."""
+        on = np.flatnonzero(moved.surfaces >= 0)
+        if not len(on):
+            return moved
+        apart = problem.scene.plates.apart(moved[on], fixed=int((on < problem.fixed_count).sum()))
+        if apart is None:
+            raise InputError(f"position = {self.position:g} m leaves no room for all papers.", "position")
+        changed = {name: getattr(moved, name).copy() for name in ("positions", "normals", "surfaces")}
+        for name, array in changed.items():
+            array[on] = getattr(apart, name)
+        return replace(moved, **changed)
+
+
+@dataclass(frozen=True)
+class Mounted:
+    """What came out.
+
+    Args:
+        error: what was drawn from.
+        seed: of the draws.
+        n: tags that a view must show for a pose.
+        planned: the figures as planned, on the grid, and at the random positions of the draws as `grid_free_...`.
+        draws: the same figures of each draw, a row each.
+        views: the errors of the pose with the map as `planned` and as `mounted`, see `map_errors`, and the `draw`.
+    """
+
+    error: MountingError
+    seed: int
+    n: int
+    planned: "pd.Series"
+    draws: "pd.DataFrame"
+    views: "pd.DataFrame"
+
+    @property
+    def table(self) -> "pd.DataFrame":
+        """`planned`, `mean`, `5 %`, `50 %` and `95 %` of each figure over the draws, indexed by `figure`."""
+        import pandas as pd
+
+        quantiles = {f"{100 * q:g} %": self.draws.quantile(q) for q in QUANTILES}
+        return pd.DataFrame({"planned": self.planned, "mean": self.draws.mean(), **quantiles}).rename_axis("figure")
+
+    def metrics(self) -> dict[str, float]:
+        """All figures by names such as `fitness/5 %` and `position_planned/50 %`, metres and rad."""
+        named = {
+            f"{row}/{column}": value
+            for table in (self.table.drop(columns="planned"), error_quantiles(self.views))
+            for row, values in table.to_dict("index").items()
+            for column, value in values.items()
+        }
+        return {name.replace(" %", ""): float(value) for name, value in named.items() if np.isfinite(value)}
+
+    def to_text(self) -> str:
+        """What a terminal shows, per cent."""
+        error = self.error
+        head = (
+            f"as mounted: tags off by {1e3 * error.position:g} mm along their surface, turned by "
+            f"{1e3 * error.turn:g} and tilted by {1e3 * error.tilt:g} mrad (1 sigma); {error.draws} draws, seed "
+            f"{self.seed}; per cent"
+        )
+        figures = self.table.rename_axis(None).to_string(float_format=lambda value: f"{100.0 * value:.2f}")
+        return f"{head}\n{figures}\n\n{errors_text(self.views, self.n)}"
+
+
+def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int, sample: Sample = SAMPLE) -> Mounted:
+    """Score a plan as it may be mounted.
+
+    Args:
+        problem: what it is scored for.
+        plan: K landmarks with their surfaces.
+        error: of the mounting.
+        seed: of the draws, of the random positions, and of the views.
+        sample: the random positions off the grid, the same for all draws.
+
+    Returns:
+        the same for any number of threads.
+
+    Raises:
+        InputError: there is no room for all papers.
+    """
+    import pandas as pd
+
+    plan = replace(plan, surveyed=None)  # what is mounted are the places on the surfaces
+    streams = np.random.default_rng([seed, STREAM]).spawn(error.draws)
+    hung = [error.hung(problem, plan, rng) for rng in streams]
+    all_of_them = [plan, *(each.deployment for each in hung)]
+    on_grid = pd.DataFrame([problem.metrics(deployment) for deployment in all_of_them])
+    figures = pd.concat([on_grid, off_grid_figures(problem, all_of_them, seed, sample)], axis=1)
+    poses = draw_poses(problem.scene, error.draws * VIEWS, seed).reshape(error.draws, VIEWS, 4, 4)
+    drawn = zip(hung, poses, streams, strict=True)
+    as_planned = Hung.of(plan)
+    views = [
+        map_errors(problem, each, {"planned": as_planned, "mounted": each}, some, rng) for each, some, rng in drawn
+    ]
+    numbered = pd.concat(views, keys=range(error.draws), names=["draw"]).reset_index("draw").reset_index(drop=True)
+    draws = figures.iloc[1:].reset_index(drop=True).rename_axis("draw")
+    return Mounted(error, seed, problem.objective.n, figures.iloc[0], draws, numbered)
+
+
+def off_grid_figures(problem: Problem, deployments: list[Deployment], seed: int, sample: Sample) -> "pd.DataFrame":
+    """The shares of the objective at random positions, the same for all deployments of K landmarks, a row each."""
+    import pandas as pd
+
+    positions, normals = (np.stack([getattr(d, name) for d in deployments]) for name in ("positions", "normals"))
+    groups: list[dict[str, FloatArray]] = []
+    for evaluator in sampled_evaluators(problem.scene, seed, sample, problem.evaluator.threads):
+        shares = problem.objective.shares(problem.objective.values(evaluator, positions, normals))
+        groups.append({f"grid_free_{key}": share.mean(axis=1) for key, share in shares.items()})
+    return pd.DataFrame({key: np.mean([group[key] for group in groups], axis=0) for key in groups[0]})

@@ -1,0 +1,75 @@
+"""How good a greedy choice of landmarks is at the least: the upper bound that submodularity gives.
+
+What greedy selection climbs, f, is an objective's `selection`: monotone and submodular in the landmarks, nobody hiding
+anybody. So for *any* set S the best K poses of a grid, each taken once, reach at most
+
+    f(S) + the sum of the K largest gains at S        (Nemhauser, Wolsey and Fisher 1978),
+
+and S is the greedy choice itself, or nothing, whichever tells more. Greedy reaches 1 - 1/e of the best in any case;
+this says how much it is in the case at hand. A landmark that is hidden adds nothing to the views it is hidden from, and
+as more landmarks never lower f, hiding only does: the bound holds with hiding, too.
+
+It is one for poses of the grid and for f, not for the objective that f stands for.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lmd.core.checks import FloatArray
+from lmd.optimisers.selection import add_each, select
+from lmd.problem import Problem
+from lmd.sight.poses import candidate_poses
+
+# The share of the best that the greedy choice reaches in any case, where every pose is free to take.
+GUARANTEE = 1.0 - np.exp(-1.0)
+
+
+@dataclass(frozen=True)
+class SelectionBound:
+    """A bound on what an objective's selection can reach, above the value with none but the fixed landmarks chosen.
+
+    Args:
+        label: what is bounded.
+        greedy: what the greedy choice reaches.
+        grid: no choice of poses of the grid is better.
+    """
+
+    label: str
+    greedy: float
+    grid: float
+
+    @property
+    def share(self) -> float:
+        """The share of the best that the greedy choice reaches at the least."""
+        return self.greedy / self.grid if self.grid > 0.0 else 1.0
+
+
+def selection_upper_bound(problem: Problem, count: int, spacing: float) -> SelectionBound:
+    """Bounds what `count` landmarks, fixed ones among them, reach on a grid of poses at most `spacing` metres apart.
+
+    Views are those of the problem's fitness. The greedy choice keeps plates apart, the bound is also for those that
+    overlap. The result does not depend on the number of threads.
+
+    Raises:
+        InputError: the objective has no selection, or the spacing is not positive.
+    """
+    plates, objective = problem.scene.plates, problem.objective
+    evaluator, relevance = problem.fitness_evaluator, problem.fitness_relevance
+    poses = candidate_poses(plates.hanging, spacing)
+    free = count - problem.fixed_count
+    chosen, _ = select(objective.selection(evaluator, relevance), poses, free, plates, fixed=problem.fixed)
+    selection, greedy = objective.selection(evaluator, relevance), 0.0
+    add_each(selection, problem.fixed)
+    at_first = _largest(selection.gains(poses), free)
+    for j in chosen:
+        greedy += float(selection.gains(poses[j : j + 1])[0])
+        selection.add(poses[j : j + 1])
+    gains = selection.gains(poses)
+    gains[chosen] = 0.0  # each pose once
+    return SelectionBound(selection.label, greedy, min(at_first, greedy + _largest(gains, free)))
+
+
+def _largest(gains: FloatArray, count: int) -> float:
+    """The sum of the largest `count` gains."""
+    return float(np.sort(gains)[-count:].sum())

@@ -1,0 +1,232 @@
+"""How much the figures of a deployment hang on what was assumed: on the noise, on the tags, on every tag being found.
+
+All figures are off the grid and differ by what is varied alone: every variant is measured at the same random positions
+and orientations (`lmd.evaluation.validation`). Two are given, whatever the deployment was made for: the mean of L, the
+probability of localising to the tolerance, and of P_n, that of covering n landmarks.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import combinations
+
+import numpy as np
+import pandas as pd
+from scipy.stats import binom
+
+from lmd.core.bits import packed
+from lmd.core.checks import FloatArray, InputError, IntArray
+from lmd.core.threads import at_once
+from lmd.evaluation.accuracy import as_localisation
+from lmd.evaluation.validation import Sample, sampled_evaluators
+from lmd.incremental.field import in_order
+from lmd.incremental.move import counts_of, overlook
+from lmd.objectives.localisation import Localisation
+from lmd.objectives.localisation.field import LocalisationField
+from lmd.objectives.localisation.kernels import localised_views
+from lmd.objectives.localisation.move import localisation_state
+from lmd.objectives.localisation.objective import Mean
+from lmd.objectives.without import without_landmarks
+from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
+from lmd.scene.scene import Scene
+from lmd.sight.evaluator import Evaluator, averaged
+from lmd.sight.kernels import PROBABILITY_ONE
+
+FACTORS = (0.5, 0.7, 1.0, 1.4, 2.0)  # of what was assumed
+MISSED = (0.0, 0.05, 0.1, 0.2)  # probability that a landmark that is covered is not found; ascending
+SAMPLE = Sample(groups=48, positions=128, divisions=12)
+SHARES = ["localised_share", "covered_share"]
+STREAM = 0x6D697373  # keeps the draws of what is missed apart from every other use of the same seed
+
+
+@dataclass(frozen=True)
+class Variant:
+    """Another assumption.
+
+    Args:
+        assumption: its name.
+        factor: of what was assumed.
+        value: what comes of it, in the units of the setting.
+        scene: with this value.
+        objective: with this value.
+        note: why there is no figure, empty where there is one.
+    """
+
+    assumption: str
+    factor: float
+    value: float
+    scene: Scene
+    objective: Localisation
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """What came out, shares as fractions in [0, 1].
+
+    Args:
+        assumptions: `assumption,factor,value,localised_share,covered_share,note`; shares are NaN where a note says why.
+        misses: `missed,localised_share,covered_share`: each covered landmark is missed with this probability, in every
+            view anew.
+        tags: `id,localised_loss,covered_loss`: what the shares lose without each landmark.
+        lost: `lost,share,mean,worst,worst_ids`: what they lose without one landmark, or any two.
+    """
+
+    assumptions: pd.DataFrame
+    misses: pd.DataFrame
+    tags: pd.DataFrame
+    lost: pd.DataFrame
+
+    @property
+    def tables(self) -> dict[str, pd.DataFrame]:
+        """All of them, by name."""
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+
+    def metrics(self) -> dict[str, float]:
+        """The finite figures by names such as `pixel_noise_1.4/localised_share`."""
+        named = {f"{row['assumption']}_{row['factor']:g}": row for row in self.assumptions.to_dict("records")}
+        named |= {f"missed_{row['missed']:g}": row for row in self.misses.to_dict("records")}
+        figures = {f"{name}/{share}": row[share] for name, row in named.items() for share in SHARES}
+        for row in self.lost.to_dict("records"):
+            figures |= {f"lost_{row['lost']}/{row['share']}_{kind}": row[kind] for kind in ("mean", "worst")}
+        return {name: float(value) for name, value in figures.items() if np.isfinite(value)}
+
+    def to_text(self) -> str:
+        """What a terminal shows, per cent."""
+
+        def text(table: pd.DataFrame) -> str:
+            return table.to_string(float_format=lambda value: f"{100.0 * value:.2f}", na_rep="-")
+
+        by_factor = self.assumptions.groupby("factor")
+        varied = pd.DataFrame({f"x {x:g}": rows.set_index("assumption")[SHARES].stack() for x, rows in by_factor})
+        missed = self.misses.set_index("missed").T
+        missed.columns = pd.Index([f"missed {share:g}" for share in missed.columns])
+        notes = [
+            f"edge x {row['factor']:g}: {row['note']}" for row in self.assumptions.to_dict("records") if row["note"]
+        ]
+        lost = self.lost.set_index(["lost", "share"])
+        return "\n\n".join(["sensitivity, per cent", text(varied), *notes, text(missed), text(lost)])
+
+
+def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sample = SAMPLE) -> Sensitivity:
+    """Measure how much the figures of a deployment hang on what was assumed.
+
+    Args:
+        problem: the scene and the objective. Where that is not one of localisation, the default one with its n says
+            what is assumed.
+        deployment: what is judged, its landmarks with their surfaces.
+        seed: of the sample and of what is missed.
+        sample: its size.
+
+    Returns:
+        the same for any number of threads.
+    """
+    variants = _variants(problem, deployment)
+    groups = enumerate(sampled_evaluators(problem.scene, seed, sample, threads=1))
+    measure = partial(_measure, deployment, as_localisation(problem.objective), variants, seed)
+    parts = at_once(problem.evaluator.threads, measure, groups)
+    assumed, missed, without = (np.mean(part, axis=0) for part in zip(*parts, strict=True))
+    rows = [[v.assumption, v.factor, v.value, *shares, v.note] for v, shares in zip(variants, assumed, strict=True)]
+    losses = missed[0][:, None, None] - without
+    tags, many = np.diagonal(losses, axis1=1, axis2=2), range(1, min(2, len(deployment)) + 1)
+    return Sensitivity(
+        assumptions=pd.DataFrame(rows, columns=["assumption", "factor", "value", *SHARES, "note"]),
+        misses=pd.DataFrame(missed, columns=SHARES).assign(missed=MISSED)[["missed", *SHARES]],
+        tags=pd.DataFrame({"id": deployment.ids, "localised_loss": tags[0], "covered_loss": tags[1]}),
+        lost=pd.DataFrame(
+            [_worst(lost, share, losses[i], deployment.ids) for i, share in enumerate(SHARES) for lost in many]
+        ),
+    )
+
+
+def _variants(problem: Problem, deployment: Deployment) -> list[Variant]:
+    """All assumptions that are varied; the edge only where the tag has one."""
+    scene, objective = problem.scene, as_localisation(problem.objective)
+    variants = []
+    for name in ("pixel_noise", "tolerance"):
+        for factor in FACTORS:
+            value = factor * getattr(objective, name)
+            variants.append(Variant(name, factor, value, scene, replace(objective, **{name: value})))
+    for factor in FACTORS if not scene.tag.is_point else ():
+        tag = replace(scene.tag, edge=factor * scene.tag.size)
+        seen = replace(scene.visibility, tag=tag) if hasattr(scene.visibility, "tag") else scene.visibility  # type: ignore[type-var]
+        resized, note = replace(scene, tag=tag, visibility=seen), ""
+        try:
+            resized.plates.check(deployment)
+        except InputError as error:
+            note = str(error)
+        variants.append(Variant("edge", factor, tag.size, resized, objective, note))
+    return variants
+
+
+def _measure(
+    deployment: Deployment,
+    objective: Localisation,
+    variants: Sequence[Variant],
+    seed: int,
+    group: tuple[int, Evaluator],
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The shares of the variants, `(V, 2)`, with landmarks missed, `(M, 2)`, and lost, `(2, K, K)`, in one group."""
+    number, evaluator = group
+    assumed = np.array([_shares(variant, deployment, evaluator) for variant in variants])
+    field, rng = objective.field(evaluator), np.random.default_rng([seed, STREAM, number])
+    return assumed, missed_shares(field, deployment, rng)[:, :2], lost_shares(field, deployment)
+
+
+def _shares(variant: Variant, deployment: Deployment, evaluator: Evaluator) -> tuple[float, float]:
+    """The means of L and P_n at the positions and orientations of an evaluator."""
+    if variant.note:
+        return np.nan, np.nan
+    scene, objective = replace(variant.scene, pdf=evaluator.scene.pdf), variant.objective
+    varied = Evaluator(scene, evaluator.positions, evaluator.threads)
+    landmarks = deployment.positions[None], deployment.normals[None]
+    views = localised_views(varied, *landmarks, objective.n, objective.precision(scene))
+    return views.localised.mean() / PROBABILITY_ONE, views.covered.mean() / PROBABILITY_ONE
+
+
+def lost_shares(field: LocalisationField, deployment: Deployment) -> FloatArray:
+    """The means of L and P_n without landmarks i and j, `(2, K, K)`; without i alone for i = j."""
+    mean = Mean(in_order(field, np.ones(len(field.index_of))))
+    shares = field._replace(weight=0.0), field.coverage
+    return np.stack([without_landmarks(share, mean, deployment) for share in shares])
+
+
+def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.random.Generator) -> FloatArray:
+    """The means of L and P_n where each landmark that is covered is missed with the probabilities `MISSED`.
+
+    L is that of a draw: of every landmark in every view, the same draw for all probabilities, so that what is missed
+    with one is missed with all greater. P_n follows from how many landmarks the views cover, of which a binomial
+    number is left. A landmark that is missed is still there, and hides others.
+
+    Args:
+        field: the positions and the orientations.
+        deployment: K landmarks.
+        rng: draws what is missed.
+
+    Returns:
+        `(M, 3)`: the mean of L, the exact mean of P_n, and that of the draw.
+    """
+    cover, rows = field.coverage, []
+    known, places = cover.state(deployment), field.index_of
+    weights = (cover.weights[places] if len(cover.weights) > 1 else cover.weights) / PROBABILITY_ONE
+    axes = weights.shape[1]
+    counts = counts_of(known, axes)[places]
+    draws = (rng.random((field.size, axes), dtype=np.float32) for _ in range(len(deployment)))
+    sets = np.stack([[packed(draw < share) for share in MISSED] for draw in draws], axis=1)
+    for share, missed in zip(MISSED, sets, strict=True):
+        overlook(missed, cover, known)
+        state = localisation_state(field, known)
+        enough = binom.sf(cover.n - 1, np.arange(len(deployment) + 1), 1.0 - share)
+        drawn = (units[places].mean() / PROBABILITY_ONE for units in (state.located, known.units))
+        located, sampled = drawn
+        rows.append((located, averaged(enough[counts], weights).mean(), sampled))
+    return np.array(rows)
+
+
+def _worst(lost: int, share: str, losses: FloatArray, ids: IntArray) -> dict[str, object]:
+    """The row of `Sensitivity.lost` for so many landmarks, from the losses `(K, K)` of one share."""
+    chosen = list(combinations(range(len(losses)), lost))
+    values = np.array([losses[group[0], group[-1]] for group in chosen])
+    worst = " ".join(map(str, ids[[*chosen[int(values.argmax())]]]))
+    return {"lost": lost, "share": share, "mean": values.mean(), "worst": values.max(), "worst_ids": worst}

@@ -1,0 +1,135 @@
+"""As measured: where tags hang beside where they were planned, and what the difference is worth."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from lmd.core.checks import InputError
+from lmd.detection.frames import draw_poses
+from lmd.evaluation.maps import Hung, error_quantiles, errors_text, map_errors
+from lmd.evaluation.mounting import SAMPLE, off_grid_figures
+from lmd.evaluation.validation import Sample
+from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
+from lmd.scene.plates import as_they_are
+
+VIEWS = 2000  # random poses
+LISTED = 8  # tags that a terminal names
+STREAM = 0x737572766579  # keeps the noise apart from every other use of the same seed
+
+
+def read_measured(path: str | Path, problem: Problem, plan: Deployment) -> Deployment:
+    """The measured places of the tags of a plan, in its order and with its labels.
+
+    They are taken as they are: measured places need not be flush, and papers may seem to overlap. If those of the plan
+    are taken from anywhere (`FileDeployment.free`), so are these.
+
+    Args:
+        path: a CSV like those of plans.
+        problem: has the room.
+        plan: K landmarks.
+
+    Raises:
+        InputError: the file is no deployment, does not have the ids of the plan, or a tag is outside the room and
+            belongs to no surface.
+    """
+    measured = Deployment.from_csv(path, "measured")
+    for name, ids in (
+        ("lacks the", np.setdiff1d(plan.ids, measured.ids)),
+        ("has a", np.setdiff1d(measured.ids, plan.ids)),
+    ):
+        if len(ids):
+            other = "that is planned" if name == "lacks the" else "that is not planned"
+            raise InputError(f"measured: {path} {name} landmark {ids[0]} {other} ({len(ids)} in all).", "measured")
+    places = np.argsort(measured.ids)[np.searchsorted(np.sort(measured.ids), plan.ids)]
+    try:
+        hung = measured[places].hung(problem.scene.room, anywhere=as_they_are(problem.start))
+    except InputError as error:
+        raise InputError(f"measured: {path}: {error}", "measured") from None
+    return replace(hung, labels=plan.labels)
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What came out.
+
+    Args:
+        n: tags that a view must show for a pose.
+        moved: `id,moved,dx,dy,dz,tilted`, metres and rad: from where a tag was planned to where it hangs, the one that
+            is farthest off first.
+        figures: `planned` and `measured`, indexed by `figure`, on the grid, and off it as `grid_free_...`.
+        views: the errors of the pose with the map as `planned` and as `measured`, see `map_errors`.
+    """
+
+    n: int
+    moved: pd.DataFrame
+    figures: pd.DataFrame
+    views: pd.DataFrame
+
+    def metrics(self) -> dict[str, float]:
+        """All figures by names such as `fitness/planned`, `position_planned/50` (m) and `moved/greatest` (m)."""
+        named = {
+            f"{row}/{column}": value
+            for table in (self.figures, error_quantiles(self.views))
+            for row, values in table.to_dict("index").items()
+            for column, value in values.items()
+        }
+        named |= {"moved/median": self.moved.moved.median(), "moved/greatest": self.moved.moved.max()}
+        named |= {"tilted/median": self.moved.tilted.median(), "tilted/greatest": self.moved.tilted.max()}
+        return {name.replace(" %", ""): float(value) for name, value in named.items() if np.isfinite(value)}
+
+    def to_text(self) -> str:
+        """What a terminal shows."""
+        far, most = self.moved.head(LISTED), self.moved.tilted.max()
+        listed = ", ".join(f"{i} ({1e3 * away:.1f})" for i, away in zip(far["id"], far.moved, strict=True))
+        head = (
+            f"as measured: tags hang {1e3 * self.moved.moved.median():.1f} mm off (median), at most "
+            f"{1e3 * self.moved.moved.max():.1f} mm, and tilted by at most {1e3 * most:.1f} mrad\n"
+            f"farthest off, mm: {listed}"
+        )
+        figures = self.figures.rename_axis(None).to_string(float_format=lambda value: f"{100.0 * value:.2f}")
+        return f"{head}\n\nfigures, per cent\n{figures}\n\n{errors_text(self.views, self.n)}"
+
+
+def survey(
+    problem: Problem, plan: Deployment, measured: Deployment, seed: int, sample: Sample = SAMPLE, views: int = VIEWS
+) -> Survey:
+    """Set a deployment as it hangs beside the plan.
+
+    Args:
+        problem: what both are scored for.
+        plan: K landmarks.
+        measured: the same, where they hang.
+        seed: of the random positions and views.
+        sample: the random positions off the grid.
+        views: random poses.
+
+    Returns:
+        the same for any number of threads.
+    """
+    both = {"planned": plan, "measured": measured}
+    on_grid = pd.DataFrame([problem.metrics(each) for each in both.values()])
+    figures = pd.concat([on_grid, off_grid_figures(problem, list(both.values()), seed, sample)], axis=1)
+    maps, poses = {name: Hung.of(each) for name, each in both.items()}, draw_poses(problem.scene, views, seed)
+    noise = np.random.default_rng([seed, STREAM])
+    return Survey(
+        problem.objective.n,
+        _moved(plan, measured),
+        figures.set_axis(list(both)).T.rename_axis("figure"),
+        map_errors(problem, maps["measured"], maps, poses, noise),
+    )
+
+
+def _moved(plan: Deployment, measured: Deployment) -> pd.DataFrame:
+    """`Survey.moved`."""
+    way = measured.places - plan.places
+    chord = np.linalg.norm(measured.normals - plan.normals, axis=1)  # more accurate than the cosine
+    rows = {
+        "id": plan.ids,
+        "moved": np.linalg.norm(way, axis=1),
+        **dict(zip(("dx", "dy", "dz"), way.T, strict=True)),
+        "tilted": 2.0 * np.arcsin(np.clip(chord / 2.0, 0.0, 1.0)),
+    }
+    return pd.DataFrame(rows).sort_values("moved", ascending=False, kind="stable", ignore_index=True)

@@ -1,0 +1,136 @@
+"""Which criterion of a visibility model leaves landmarks out: in single poses, and on average.
+
+A landmark is covered if it meets every criterion at the same time. So two figures tell what a criterion takes: how
+often it is met by itself, and how often a landmark would be covered if this criterion alone were dropped.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray, IntArray
+from lmd.geometry.se3 import axis_and_right, camera_pose
+from lmd.scene.camera import Camera
+from lmd.scene.deployment import Deployment
+from lmd.scene.scene import Scene
+from lmd.sight.obstacles import unobstructed
+
+# Keeps the poses apart from every other use of the same seed.
+STREAM = 0x7768790A
+POSITIONS, VIEWS = 256, 16  # random positions, and random orientations at each
+
+
+class Explained(Protocol):
+    """What a visibility model may have so that it can be told which of its criteria leaves a landmark out."""
+
+    def verdicts(
+        self, camera: Any, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
+    ) -> Mapping[str, BoolArray]:
+        """Whether landmarks meet each criterion taken by itself, `(A, K)` by its name; args as in `covered`."""
+
+    def limits_for(self, camera: Camera) -> Mapping[str, str]:
+        """What the criteria come to for a camera, in a few words each, by their names."""
+
+
+def verdicts(scene: Scene, deployment: Deployment, poses: FloatArray) -> dict[str, BoolArray]:
+    """What the scene's visibility model says of its criteria in N poses, `(N, K)` each; nothing if it cannot tell.
+
+    Raises:
+        InputError: the scene has a rig.
+    """
+    camera = scene.single_camera("the verdicts on single poses")
+    if not hasattr(scene.visibility, "verdicts"):
+        return {}
+    axes = axis_and_right(poses)
+    rows = [_told(scene, camera, deployment, pose[:3, 3], axes[i : i + 1]) for i, pose in enumerate(poses)]
+    return {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
+
+
+def _told(
+    scene: Scene, camera: Camera, deployment: Deployment, position: FloatArray, axes: FloatArray
+) -> dict[str, BoolArray]:
+    """The verdicts from a camera's position and axes `(A, 6)`, `(A, K)` each: the model's, and the room's if any."""
+    landmarks = deployment.positions, deployment.normals
+    told = dict(scene.visibility.verdicts(camera, position, axes, *landmarks))  # type: ignore[attr-defined]
+    if scene.room.blockers() is not None:
+        clear = unobstructed(scene.room, scene.visibility.sight(camera), position, *landmarks)
+        told["obstacles"] = np.broadcast_to(clear, (len(axes), len(deployment)))
+    return told
+
+
+@dataclass(frozen=True)
+class Causes:
+    """Why as much is covered as is: shares of all looks, a look being one landmark from one random pose.
+
+    Of a rig each camera has a look of its own.
+
+    Args:
+        looks: how many.
+        covered: of these, those that meet every criterion.
+        met: those that meet the criterion, by its name.
+        without: those that meet all others, by its name.
+        limits: what the criteria come to, in a few words each.
+    """
+
+    looks: int
+    covered: float
+    met: Mapping[str, float]
+    without: Mapping[str, float]
+    limits: Mapping[str, str]
+
+    def metrics(self) -> dict[str, float]:
+        """The figures by names such as `focus_met` and `covered_without_focus`."""
+        met = {f"{name}_met": share for name, share in self.met.items()}
+        return {"covered": self.covered} | met | {f"covered_without_{name}": x for name, x in self.without.items()}
+
+    def to_text(self) -> str:
+        """What a terminal shows: a row for each criterion, the one that takes most first."""
+        rows = [("criterion", "met by", "covered without it", "limit")]
+        for name in sorted(self.without, key=lambda name: -self.without[name]):
+            shares = f"{self.met[name]:.2%}", f"{self.without[name]:.2%}"
+            rows.append((name.replace("_", " "), *shares, self.limits.get(name, "")))
+        width = max(len(name) for name, *_ in rows)
+        lines = [f"{name:<{width}}  {met:>7}  {without:>18}  {limit}".rstrip() for name, met, without, limit in rows]
+        head = f"{self.covered:.2%} of {self.looks:,} looks at single landmarks, from random poses, cover them"
+        return "\n".join([head, *lines])
+
+
+def causes(scene: Scene, deployment: Deployment, seed: int) -> Causes | None:
+    """Measure what each criterion takes from a deployment.
+
+    Args:
+        scene: the visibility model must have `verdicts`, see `Explained`.
+        deployment: K landmarks.
+        seed: of the poses: positions uniform where the camera may be, orientations from the PDF.
+
+    Returns:
+        None if the model cannot tell.
+    """
+    if not hasattr(scene.visibility, "verdicts"):
+        return None
+    rng = np.random.default_rng([seed, STREAM])
+    positions = np.repeat(scene.room.sample(POSITIONS, rng), VIEWS, axis=0)
+    poses = camera_pose(positions, *scene.pdf.draw_at(positions, rng)).reshape(POSITIONS, VIEWS, 4, 4)
+    names: list[str] = []
+    met, without, covered = [], [], 0
+    for here in poses:  # one after the other: all looks at once would be large
+        for camera, offset, _, axes in scene.stations(axis_and_right(here)):
+            told = _told(scene, camera, deployment, here[0, :3, 3] + offset, axes)
+            names, passed = list(told), np.stack(list(told.values()))
+            failed = (~passed).sum(axis=0)
+            met.append(passed.sum(axis=(1, 2)))
+            without.append((failed == ~passed).sum(axis=(1, 2)))  # it fails no criterion, or this one alone
+            covered += int((failed == 0).sum())
+    looks = len(positions) * len(deployment) * len(scene.cameras)
+
+    def shares(counts: list[IntArray]) -> dict[str, float]:
+        return dict(zip(names, (np.sum(counts, axis=0) / looks).tolist(), strict=True))
+
+    describe = getattr(scene.visibility, "limits_for", None)
+    told_of = [describe(camera) for camera in dict.fromkeys(scene.cameras)] if describe else []
+    limits = {name: " | ".join(dict.fromkeys(each[name] for each in told_of)) for name in (told_of or [{}])[0]}
+    if "obstacles" in names:
+        limits["obstacles"] = "nothing of the room in the way"
+    return Causes(looks, covered / looks, shares(met), shares(without), limits)

@@ -1,0 +1,68 @@
+"""Squares in space: their corners, and how those hang that hang upright."""
+
+import math
+
+import numpy as np
+
+from lmd.core.checks import FloatArray
+from lmd.core.compiled import inlined
+
+# Units along (right, up) from a tag's centre to its corners, in half edges: top-left, top-right, bottom-right,
+# bottom-left as seen from the front, which is the order of cv2.aruco.
+CORNERS = np.array([[-1.0, 1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]])
+
+# A normal whose horizontal part is at most this long counts as vertical: the tag lies on a floor or a ceiling.
+LEVEL = 0.1
+
+
+def corners(centres: FloatArray, normals: FloatArray, ups: FloatArray, edge: float) -> FloatArray:
+    """The corners of squares, in the order of `CORNERS`: top-left, top-right, bottom-right, bottom-left from the front.
+
+    Args:
+        centres: `(..., 3)`, world frame, metres.
+        normals: unit normals of the front faces, `(..., 3)`.
+        ups: unit vectors in the squares' planes that point to their upper edges, `(..., 3)`; right is up x normal.
+        edge: metres.
+
+    Returns:
+        `(..., 4, 3)`, world frame, metres.
+    """
+    axes = np.stack([np.cross(ups, normals), np.broadcast_to(ups, np.shape(normals))], axis=-2)
+    return np.asarray(centres[..., None, :] + edge / 2.0 * (CORNERS @ axes))
+
+
+def upright(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Right and up of tags that hang upright, seen from the front: unit vectors `(..., 3)`, world frame.
+
+    Up is as near to +z as the tag's plane allows, and as near to +y for normals within `LEVEL` of vertical, so on floor
+    and ceiling. All tags here hang so: a square looks alike after a quarter turn, so other turns would gain next to
+    nothing, and plates that are parallel to the edges of their wall can be mounted with a level.
+
+    Args:
+        normals: unit normals of the front faces, `(..., 3)`.
+    """
+    nx, ny, nz = np.moveaxis(np.asarray(normals, dtype=np.float64), -1, 0)
+    across, zero = nx * nx + ny * ny, np.zeros(nx.shape)
+    on_wall = across > LEVEL * LEVEL
+    square = np.where(on_wall, across, nx * nx + nz * nz)
+    length = np.sqrt(square)
+    right = np.where(on_wall, [-ny, nx, zero], [nz, zero, -nx]) / length
+    up = np.where(on_wall, [-(nx * nz), -(ny * nz), square], [-(nx * ny), square, -(ny * nz)]) / length
+    return np.moveaxis(right, 0, -1), np.moveaxis(up, 0, -1)
+
+
+@inlined
+def upright_axes(nx, ny, nz, level):  # type: ignore[no-untyped-def]
+    """`upright` of one unit normal (nx, ny, nz), as a scalar function for kernels; `level`: see `LEVEL`."""
+    across = nx * nx + ny * ny
+    on_wall = across > level * level
+    square = across if on_wall else nx * nx + nz * nz
+    length = math.sqrt(square)
+    tx, ty, tz = (
+        (-ny if on_wall else nz) / length,
+        (nx if on_wall else 0.0) / length,
+        (0.0 if on_wall else -nx) / length,
+    )
+    ux, uy = -(nx * (nz if on_wall else ny)) / length, (-(ny * nz) if on_wall else square) / length
+    uz = (square if on_wall else -(ny * nz)) / length
+    return tx, ty, tz, ux, uy, uz

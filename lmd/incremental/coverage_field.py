@@ -1,0 +1,93 @@
+"""The incremental field of coverage: P_n at every position as single landmarks move (`lmd.incremental`)."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lmd.core.bits import BITS, packed
+from lmd.incremental.field import accept, bound, settle, undo
+from lmd.incremental.move import carry_out, counts_of, state_of, take_back
+from lmd.incremental.state import Scratch, State, scratch_of
+from lmd.incremental.trial import bound_move, finish_move
+from lmd.scene.criteria import horizon_of
+from lmd.scene.deployment import Deployment
+from lmd.sight.blocks import boxes_around
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.obstacles import obstacles_at
+
+
+class CoverageField(NamedTuple):
+    """What does not change while landmarks move; a `lmd.incremental.field.Field`.
+
+    positions `(3, Q)` in blocks of `BLOCK` neighbours, the last block filled up with copies; index_of `(P,)` where each
+    position of the evaluator is among them; centres and halves `(3, Q / BLOCK)` of the sides of boxes around the
+    blocks; horizon see `criteria.horizon_of`; obstacles what of the room stands in their way, or None;
+    axes `(3, 64 W)` filled up with zeros to whole words; certain, possible
+    the tables of `directions.tables`; given `(Q, W)` axes at which one landmark is covered beside those of a state; the
+    rest as in `kernels.evaluate_range`.
+    """
+
+    positions: np.ndarray
+    index_of: np.ndarray
+    centres: np.ndarray
+    halves: np.ndarray
+    horizon: float
+    sight: Any
+    obstacles: Any
+    axes: np.ndarray
+    certain: np.ndarray
+    possible: np.ndarray
+    given: np.ndarray
+    weights: np.ndarray
+    n: int
+
+    @property
+    def size(self) -> int:
+        """See `Field.size`."""
+        return int(self.positions.shape[1])
+
+    def state(self, deployment: Deployment) -> State:
+        """See `Field.state`."""
+        return state_of(self, deployment)
+
+    def scratch(self, state: State) -> Scratch:
+        """See `Field.scratch`."""
+        return scratch_of(state)
+
+    @property
+    def stack(self) -> int:
+        """See `Field.stack`."""
+        return self.n
+
+    def stacked(self, fixed: Deployment | None) -> "CoverageField":
+        """See `Field.stacked`: a stack of n that nothing hides is seen whenever one landmark in its place is.
+
+        Where n fixed landmarks are covered, it is as if one stack were.
+        """
+        sight, given = self.sight.unhidden(), self.given
+        if fixed is not None:
+            given = packed(counts_of(self.state(fixed), given.shape[1] * BITS) >= self.n)
+        return self._replace(n=1, sight=sight, horizon=horizon_of(sight), given=given)
+
+    def shrunk(self, size: float) -> "CoverageField":
+        """See `Field.shrunk`."""
+        return self._replace(sight=self.sight.shrunk(size))
+
+
+bound.register(CoverageField)(bound_move)
+settle.register(CoverageField)(finish_move)
+accept.register(CoverageField)(carry_out)
+undo.register(CoverageField)(take_back)
+
+
+def coverage_field(evaluator: Evaluator, n: int) -> CoverageField:
+    """The field of P_n at the positions of an evaluator."""
+    e, (order, index_of) = evaluator, evaluator.blocks
+    centres, halves = boxes_around(e.positions[order])
+    positions = np.ascontiguousarray(e.positions[order].T)
+    horizon, given = horizon_of(e.sight), np.zeros((len(order), e.tables[0].shape[1]), dtype=np.uint64)
+    obstacles = obstacles_at(e.scene.room.blockers(), e.positions[order])
+    weights = e.weights[order] if len(e.weights) > 1 else e.weights
+    return CoverageField(
+        positions, index_of, centres, halves, horizon, e.sight, obstacles, e.axes, *e.tables, given, weights, n
+    )

@@ -1,0 +1,195 @@
+"""Incremental fields: values of positions that are updated as single landmarks move, and what they are worth.
+
+`annealing` climbs any objective with a field. A field is a named tuple of arrays that does not change while landmarks
+move; what does is in its state, and a move that is only tried leaves its traces in a scratch. A move goes through
+
+    bound -> settle -> accept (-> undo),
+
+and may be dropped after each of the first two. The value of each position is a probability in whole units, of which
+`PROBABILITY_ONE` are 1: sums of integers are exact, so updating ends at the same values as computing anew.
+"""
+
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, IntArray
+from lmd.core.compiled import inner, kernel
+from lmd.core.dispatch import dispatched, dispatched_call
+from lmd.core.layers import layer
+from lmd.scene.deployment import Deployment
+
+
+class Field(Protocol):
+    """The fields and methods of such a named tuple; its class registers `bound`, `settle`, `accept` and `undo`.
+
+    A state has `landmarks`, `normals` `(3, K)`, `surfaces` `(K,)` and `units` `(Q,)` int64, the values. A scratch has
+    `units`, those of the move tried last.
+    """
+
+    @property
+    def size(self) -> int:
+        """Q, at least P: some positions may be there twice."""
+
+    @property
+    def index_of(self) -> Any:
+        """Where each position of the evaluator is among the Q of the field, `(P,)`."""
+
+    def state(self, deployment: Deployment) -> Any:
+        """The values of a deployment, ready for moves."""
+
+    def scratch(self, state: Any) -> Any:
+        """Working memory for moves of a state."""
+
+    @property
+    def stack(self) -> int:
+        """How many landmarks on one point, none hiding another, serve as one; 0 where such stacks make no sense."""
+
+    def stacked(self, fixed: Deployment | None) -> "Field":
+        """The field of such stacks, moved as if they were single landmarks, beside those that are fixed."""
+
+    def shrunk(self, size: float) -> "Field":
+        """The field of landmarks whose bodies are `size` times as large."""
+
+
+BOUND, SETTLE, ACCEPT, UNDO = range(4)  # the steps of a move
+NO_UNITS = np.empty((0, 0), dtype=np.int64)
+
+
+class Places(NamedTuple):
+    """Where landmarks are: positions and normals `(3, K)`, surfaces `(K,)`."""
+
+    landmarks: np.ndarray
+    normals: np.ndarray
+    surfaces: np.ndarray
+
+
+def places_of(deployment: Deployment) -> Places:
+    """The places of its landmarks."""
+    positions, normals = (of.T.copy(order="C") for of in (deployment.positions, deployment.normals))
+    return Places(positions, normals, deployment.surfaces.copy())
+
+
+class Target(Protocol):
+    """The fields of a named tuple that says what values are worth; its class registers `smoothed` and `worth`."""
+
+    @property
+    def relevance(self) -> FloatArray:
+        """The weight of each position of the field, `(Q,)`, with sum 1."""
+
+
+@dispatched_call
+def bound(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-def]
+    """Find values no lower than those with landmark k at `pose` `(6,)`, position and normal, on a surface.
+
+    They go to `scratch.units`. Cheap, so that most moves can be dropped before they are settled.
+    """
+
+
+@dispatched_call
+def settle(field, k, state, scratch):  # type: ignore[no-untyped-def]
+    """Make the values in `scratch.units` exact."""
+
+
+@dispatched_call
+def accept(field, k, state, scratch):  # type: ignore[no-untyped-def]
+    """Carry out the settled move; no other may have been tried or carried out since."""
+
+
+@dispatched_call
+def undo(field, k, state, scratch):  # type: ignore[no-untyped-def]
+    """Take back the last accepted move with this scratch, all later ones being taken back."""
+
+
+@dispatched
+def smoothed(target, p, units, margin, width, share):  # type: ignore[no-untyped-def]
+    """What `units` at position p are worth, smoothed over `width` in value, plus `share` of the value itself.
+
+    It never falls as the units rise, and is at most (1 + share) times the position's relevance.
+    """
+
+
+@dispatched
+def worth(target, p, units):  # type: ignore[no-untyped-def]
+    """What `units` at position p are worth: summed over the positions, the fitness."""
+
+
+@kernel
+def total_worth(target, units):  # type: ignore[no-untyped-def]
+    """The fitness of a deployment with the values `units`."""
+    total = 0.0
+    for p in range(len(units)):
+        total += worth(target, p, units[p])
+    return total
+
+
+@inner
+def move(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-def]
+    """Move landmark k, whatever that is worth: `bound`, `settle` and `accept`."""
+    bound(field, k, pose, surface, state, scratch)
+    settle(field, k, state, scratch)
+    accept(field, k, state, scratch)
+
+
+@inner
+def lead(places, field, state, scratches, pose):  # type: ignore[no-untyped-def]
+    """Move the landmarks of `state` that are elsewhere than at `places`, with the first of the `scratches`.
+
+    `pose` `(6,)` is working memory.
+    """
+    scratch = layer(scratches, 0)
+    for k in range(len(places.surfaces)):
+        elsewhere = state.surfaces[k] != places.surfaces[k]
+        for i in range(3):
+            pose[i], pose[3 + i] = places.landmarks[i, k], places.normals[i, k]
+            elsewhere |= pose[i] != state.landmarks[i, k] or pose[3 + i] != state.normals[i, k]
+        if elsewhere:
+            move(field, k, pose, places.surfaces[k], state, scratch)
+
+
+@kernel
+def perform(steps, poses, field, state, scratches, units):  # type: ignore[no-untyped-def]
+    """Do the steps of moves one after the other.
+
+    All that Python asks of a field goes through this kernel, as one is compiled for each kind of field, and for long.
+
+    Args:
+        steps: `(S, 4)` int64: which of `BOUND`, `SETTLE`, `ACCEPT`, `UNDO`; landmark; surface; which of the scratches.
+        poses: `(S, 6)`, position and normal to be bounded.
+        field, state: whose landmarks move.
+        scratches: `layers` of one.
+        units: `(S, Q)` int64, receives after each step the values tried or, once they are accepted or undone, of the
+            state; or `(0, 0)`.
+    """
+    for s in range(len(steps)):
+        which, k, surface, scratch = steps[s, 0], steps[s, 1], steps[s, 2], layer(scratches, steps[s, 3])
+        tried = which <= SETTLE
+        if which == BOUND:
+            bound(field, k, poses[s], surface, state, scratch)
+        elif which == SETTLE:
+            settle(field, k, state, scratch)
+        elif which == ACCEPT:
+            accept(field, k, state, scratch)
+        else:
+            undo(field, k, state, scratch)
+        if len(units):
+            for p in range(len(state.units)):
+                units[s, p] = scratch.units[p] if tried else state.units[p]
+
+
+def moved(places: Places, state: Any) -> tuple[IntArray, FloatArray]:
+    """The steps, and their poses, for `perform` to move what in `state` is elsewhere than at `places`."""
+    there = np.vstack([places.landmarks, places.normals])
+    elsewhere = (there != np.vstack([state.landmarks, state.normals])).any(axis=0) | (places.surfaces != state.surfaces)
+    which = np.flatnonzero(elsewhere)
+    steps = np.zeros((len(which), 3, 4), dtype=np.int64)
+    steps[:, :, 0] = BOUND, SETTLE, ACCEPT
+    steps[:, :, 1], steps[:, :, 2] = which[:, None], places.surfaces[which][:, None]
+    return steps.reshape(-1, 4), np.repeat(there.T[which], 3, axis=0)
+
+
+def in_order(field: Field, relevance: FloatArray) -> FloatArray:
+    """The weights `(P,)` of an evaluator's positions, normalised, in the order of the field, `(Q,)`."""
+    ordered = np.zeros(field.size)
+    ordered[field.index_of] = relevance / relevance.sum()
+    return ordered

@@ -1,0 +1,232 @@
+"""Moving one landmark at a time: exact counts and probabilities, updated instead of recomputed.
+
+`trial` (the module) finds what a move would lead to; `carry_out` makes the last trial true, and it alone needs the new
+cap with all its axes. It exchanges what `state` and `scratch` know of the two places, P_n included, so that `take_back`
+only has to exchange them again. The decisions are those of `kernels`, operation by operation, so after any sequence of
+moves the counts equal a full evaluation's, bit for bit.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from lmd.core.bits import ALL, BITS, ONE, ZERO, add_digit, at_least_so_far, equal_so_far, lowest, unpacked
+from lmd.core.compiled import inlined, inner, kernel
+from lmd.core.memory import check_views
+from lmd.incremental.hiding import exchange_hiding, find_new, flips_with, swap
+from lmd.incremental.nearby import look_around
+from lmd.incremental.state import State, scratch_of
+from lmd.scene.criteria import covering, frame_of
+from lmd.scene.deployment import Deployment
+from lmd.sight.blocks import BLOCK
+from lmd.sight.directions import NOWHERE
+from lmd.sight.kernels import weights_row
+
+# What is kept of a landmark in a view: a bit whether it is covered, and as much again of what hides it.
+LANDMARK_BYTES = 0.25
+
+# Signs of a move that is carried out, and of one that is taken back. Of Python's numbers each is a type of its own for
+# numba, which would compile what it is handed to twice.
+FORTH, BACK = np.int64(1), np.int64(-1)
+
+# Indices are unsigned where it counts: signed ones cost extra instructions, as they might be negative.
+
+
+@inner
+def _find_cap(positions, field, scratch):
+    """Find the axes that cover the place tried at `positions`, nobody hiding it."""
+    sight, axes, certain, possible = field.sight, field.axes, field.certain, field.possible
+    x, y, z, low, high, sure, cell, reached = scratch.new
+    target, caps = scratch.target, scratch.cap
+    frame = frame_of(sight, target[3], target[4], target[5])
+    for p in positions:
+        row = np.uint64(cell[p] if reached[p] else NOWHERE)
+        given = row if sure[p] == np.inf else np.uint64(NOWHERE)
+        px, py, pz, least, most, deep = x[p], y[p], z[p], low[p], high[p], sure[p]
+        for w in range(np.uint64(caps.shape[1])):
+            cap, well = certain[given, w], certain[row, w]
+            left = possible[row, w] & ~cap
+            if left:
+                cap |= covering(sight, left, w, px, py, pz, frame, least, most, deep, well, axes)
+            caps[p, w] = cap
+
+
+@inlined
+def ripple(p, w, changed, goes, n, counts, short, just):
+    """Count a landmark less at those axes `changed` that are in `goes`, one more at the others, digit by digit."""
+    one, two = ALL, ALL
+    for j in range(np.uint64(counts.shape[2])):
+        digit, changed = add_digit(counts[p, w, j], changed, goes)
+        counts[p, w, j] = digit
+        one, two = equal_so_far(one, digit, n - 1, j), equal_so_far(two, digit, n, j)
+    short[p, w], just[p, w] = one, two
+
+
+@inner
+def _recount(k, positions, sign, field, state, scratch):
+    """Exchange the cap of landmark k for the other in `scratch` at `positions`, and update the counts.
+
+    `sign` says whether other landmarks turn as in `turns`, or, with -1, back.
+    """
+    n, caps, other = field.n, state.caps, scratch.cap
+    reachable, hidden, counts, short, just = state.reachable, state.hidden, state.counts, state.short, state.just
+    reached, count_hidden, flips = scratch.new.reached, scratch.after.count_hidden, scratch.flips
+    found, who, change = scratch.turns
+    words = np.uint64(counts.shape[1])
+    for p in positions:
+        shown = ALL if reachable[k, p] & (hidden[k, p] == 0) else ZERO
+        seen = ALL if reached[p] & (count_hidden[p] == 0) else ZERO
+        for w in range(words):
+            old, new = caps[k, p, w], other[p, w]
+            caps[k, p, w], other[p, w] = new, old
+            changed = (old & shown) ^ (new & seen)
+            if changed:
+                ripple(p, w, changed, old & shown, n, counts, short, just)
+        if not flips[p]:
+            continue
+        b, q = p // np.uint64(BLOCK), p % np.uint64(BLOCK)
+        for m in range(found[b]):
+            i = np.uint64(who[b, m])
+            was, now = hidden[i, p], hidden[i, p] + sign * change[b, m, q]
+            if flips_with(reachable[i, p], was, now):
+                for w in range(words):
+                    ripple(p, w, caps[i, p, w], ALL if was == 0 else ZERO, n, counts, short, just)
+
+
+@inner
+def list_touched(k, state, scratch):
+    """List the positions at which a move of landmark k may change anything in `scratch.listed`; returns how many."""
+    reachable, reached, flips, listed = state.reachable, scratch.new.reached, scratch.flips, scratch.listed
+    count = ZERO
+    for s in range(scratch.near[1]):
+        for p in range(scratch.spans[s, 0], scratch.spans[s, 1]):
+            listed[count] = p
+            count += np.uint64(reachable[k, p] | reached[p] | flips[p])
+    return count
+
+
+@inner
+def exchange_place(k, state, scratch):
+    """Exchange where landmark k is for the other place in `scratch`."""
+    landmarks, normals, target = state.landmarks, state.normals, scratch.target
+    for i in range(3):
+        landmarks[i, k], target[i] = target[i], landmarks[i, k]
+        normals[i, k], target[3 + i] = target[3 + i], normals[i, k]
+    state.surfaces[k], scratch.surface[0] = scratch.surface[0], state.surfaces[k]
+
+
+@inner
+def _exchange(k, sign, field, state, scratch):
+    """Exchange landmark k for what `scratch` has of its other place."""
+    _recount(np.uint64(k), scratch.listed[: list_touched(k, state, scratch)], sign, field, state, scratch)
+    exchange_hiding(k, sign, field.sight, state, scratch)
+    for s in range(scratch.near[1]):
+        swap(state.units, scratch.units, scratch.spans[s, 0], scratch.spans[s, 1])
+    exchange_place(k, state, scratch)
+
+
+@inner
+def carry_out(field, k, state, scratch):
+    """Move landmark k to where it was tried last; no other move may have been tried or carried out since."""
+    _find_cap(scratch.listed[: list_touched(k, state, scratch)], field, scratch)
+    _exchange(k, FORTH, field, state, scratch)
+
+
+@inner
+def take_back(field, k, state, scratch):
+    """Undo the last `carry_out` with this `scratch`, all later ones being undone."""
+    _exchange(k, BACK, field, state, scratch)
+
+
+@inner
+def sum_up(field, state):
+    """Find P_n from the counts."""
+    counts, units = state.counts, state.units
+    for p in range(np.uint64(len(units))):
+        units[p], row = 0, weights_row(field.weights, p)
+        for w in range(np.uint64(counts.shape[1])):
+            has = ALL
+            for j in range(np.uint64(counts.shape[2])):
+                has = at_least_so_far(has, counts[p, w, j], field.n, j)
+            while has:
+                units[p] += field.weights[row, w * np.uint64(BITS) + lowest(has)]
+                has &= has - ONE
+
+
+@kernel
+def overlook(missed, field, state):
+    """Take the sets of axes `missed` `(K, Q, W)` out of the caps; landmarks hide each other as before."""
+    caps, counts, short, just = state.caps, state.counts, state.short, state.just
+    for k in range(np.uint64(caps.shape[0])):
+        for p in range(np.uint64(caps.shape[1])):
+            shown = state.reachable[k, p] & (state.hidden[k, p] == 0)
+            for w in range(np.uint64(caps.shape[2])):
+                gone = caps[k, p, w] & missed[k, p, w]
+                caps[k, p, w] ^= gone
+                if shown and gone:
+                    ripple(p, w, gone, ALL, field.n, counts, short, just)
+    sum_up(field, state)
+
+
+@kernel
+def _fill(field, state, scratch):
+    """Let the landmarks of `state` come, one after the other."""
+    landmarks, normals, after = state.landmarks, state.normals, scratch.after
+    for k in range(landmarks.shape[1]):
+        for i in range(3):
+            scratch.target[i], scratch.target[3 + i] = landmarks[i, k], normals[i, k]
+        look_around(k, field, state, scratch)
+        if field.sight.reach >= 0.0:
+            find_new(k, field, state, scratch)
+        positions = scratch.listed[: list_touched(k, state, scratch)]
+        _find_cap(positions, field, scratch)
+        _recount(np.uint64(k), positions, FORTH, field, state, scratch)
+        for p in range(np.uint64(len(scratch.new.reached))):
+            state.reachable[k, p] = scratch.new.reached[p]
+            state.hidden[k, p], state.hiding[k, p] = after.count_hidden[p], after.count_hides[p]
+    sum_up(field, state)
+
+
+def state_of(field: Any, deployment: Deployment) -> State:
+    """The coverage of `deployment`, ready for moves; `field` a `lmd.incremental.coverage_field.CoverageField`."""
+    positions, count, words = field.positions.shape[1], len(deployment), field.given.shape[1]
+    check_views(LANDMARK_BYTES, positions, BITS * words, count)
+    state = State(
+        landmarks=deployment.positions.T.copy(order="C"),
+        normals=deployment.normals.T.copy(order="C"),
+        surfaces=deployment.surfaces.copy(),
+        caps=np.zeros((count, positions, words), dtype=np.uint64),
+        reachable=np.zeros((count, positions), dtype=np.bool_),
+        hidden=np.zeros((count, positions), dtype=np.int16),
+        hiding=np.zeros((count, positions), dtype=np.int16),
+        **given_counts(field.given, count, field.n),
+    )
+    _fill(field, state, scratch_of(state))
+    return state
+
+
+def given_counts(given: np.ndarray, count: int, n: int) -> dict[str, np.ndarray]:
+    """counts, short, just and units of a `State` with room for `count` landmarks, of which none has come yet.
+
+    Args:
+        given: sets of axes `(Q, W)` at which one landmark is covered all the same.
+        count: K.
+        n: landmarks that must be covered.
+    """
+    counts = np.zeros((*given.shape, max(count + bool(given.any()), n).bit_length()), dtype=np.uint64)
+    counts[:, :, 0] = given
+    return {
+        "counts": counts,
+        "short": {1: ~given, 2: given.copy()}.get(n, np.zeros_like(given)),
+        "just": given.copy() if n == 1 else np.zeros_like(given),
+        "units": np.zeros(len(given), dtype=np.int64),
+    }
+
+
+def counts_of(state: Any, axes: int) -> np.ndarray:
+    """Landmarks covered at each position and each of so many `axes`, `(Q, axes)`."""
+    digits = unpacked(state.counts.transpose(2, 0, 1), axes)
+    counts = np.zeros(digits.shape[1:], dtype=np.int16)
+    for digit in digits[::-1]:
+        counts = 2 * counts + digit
+    return counts

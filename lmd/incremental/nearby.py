@@ -1,0 +1,94 @@
+"""What a move can matter to: blocks of positions within the horizon of the place that it leaves or of that it tries.
+
+Whatever a trial notes down, it notes in these blocks. Elsewhere nothing is reached, hidden or hides: so the next trial
+clears what the last one left, and no loop need look at the whole room.
+"""
+
+import numpy as np
+
+from lmd.core.bits import ONE
+from lmd.core.compiled import allocating, inlined, inner
+from lmd.scene.criteria import from_position
+from lmd.sight.blocks import BLOCK
+from lmd.sight.directions import cell_of
+from lmd.sight.obstacles import find_ends, is_blocked, is_clear, no_ends
+
+
+@inlined
+def is_near(field, b, x, y, z):  # type: ignore[no-untyped-def]
+    """Whether block b is within the horizon of (x, y, z): alike whenever it is asked, so that who hides whom is."""
+    dx = max(abs(x - field.centres[0, b]) - field.halves[0, b], 0.0)
+    dy = max(abs(y - field.centres[1, b]) - field.halves[1, b], 0.0)
+    dz = max(abs(z - field.centres[2, b]) - field.halves[2, b], 0.0)
+    return dx * dx + dy * dy + dz * dz <= field.horizon * field.horizon
+
+
+@inner
+def _forget(scratch):  # type: ignore[no-untyped-def]
+    """Clear what the last trial left."""
+    blocks, spans, near = scratch.blocks, scratch.spans, scratch.near
+    one, two, three = scratch.before.found, scratch.after.found, scratch.turns.found
+    reached, flips = scratch.new.reached, scratch.flips
+    hides, hidden = scratch.after.count_hides, scratch.after.count_hidden
+    for m in range(near[0]):
+        b = blocks[m]
+        one[b] = two[b] = three[b] = 0
+    for s in range(near[1]):
+        for p in range(spans[s, 0], spans[s, 1]):
+            reached[p] = flips[p] = False
+            hides[p] = hidden[p] = 0
+
+
+@inner
+def list_blocks(k, field, state, scratch):  # type: ignore[no-untyped-def]
+    """Forget the last trial, and list the blocks near landmark k or its target."""
+    target, landmarks = scratch.target, state.landmarks
+    ax, ay, az = target[0], target[1], target[2]
+    mx, my, mz = landmarks[0, k], landmarks[1, k], landmarks[2, k]
+    blocks, spans, near, aimed, wanted = scratch.blocks, scratch.spans, scratch.near, scratch.aimed, scratch.wanted
+    _forget(scratch)
+    for b in range(len(aimed)):  # without a branch, so that it vectorises
+        aimed[b] = is_near(field, b, ax, ay, az)
+        wanted[b] = aimed[b] | is_near(field, b, mx, my, mz)
+    count = number = 0
+    for b in range(len(wanted)):
+        blocks[count] = b
+        count += wanted[b]
+    for m in range(count):
+        b = blocks[m]
+        if m == 0 or b != blocks[m - 1] + ONE:
+            spans[number, 0] = b * np.uint64(BLOCK)
+            number += 1
+        spans[number - 1, 1] = (b + ONE) * np.uint64(BLOCK)
+    near[0], near[1] = count, number
+
+
+@inner
+def look_around(k, field, state, scratch):  # type: ignore[no-untyped-def]
+    """`list_blocks`, and find what they see of the target."""
+    list_blocks(k, field, state, scratch)
+    target, positions, sight, spans, number = (
+        scratch.target, field.positions, field.sight, scratch.spans, scratch.near[1]
+    )  # fmt: skip
+    x, y, z, low, high, sure, cell, reached = scratch.new
+    ax, ay, az, nx, ny, nz = target[0], target[1], target[2], target[3], target[4], target[5]
+    for s in range(number):
+        for p in range(spans[s, 0], spans[s, 1]):
+            x[p], y[p], z[p] = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
+            reached[p], low[p], high[p], sure[p] = from_position(sight, x[p], y[p], z[p], nx, ny, nz, 0.0)
+            cell[p] = cell_of(x[p], y[p], z[p])
+    if not is_clear(field.obstacles):
+        _block(field, scratch)
+
+
+@allocating
+def _block(field, scratch):  # type: ignore[no-untyped-def]
+    """Do not reach the target where something of the room stands in the way."""
+    target, reached, spans = scratch.target, scratch.new.reached, scratch.spans
+    ends = no_ends(field.obstacles, 1)
+    find_ends(
+        field.obstacles, field.sight, target[0], target[1], target[2], target[3], target[4], target[5], ends, 0
+    )  # fmt: skip
+    for s in range(scratch.near[1]):
+        for p in range(spans[s, 0], spans[s, 1]):
+            reached[p] = reached[p] and not is_blocked(field.obstacles, field.sight, p, ends, 0)

@@ -1,0 +1,197 @@
+"""Trying to move one landmark: P_n if it stood elsewhere, first bounded, then exact.
+
+A moved landmark changes the counts at a position in at most four ways: its old cap goes, caps it used to hide come
+back, caps it now hides go, its new cap comes. Everything else at that position, and every position where none of
+the four happens, stays as it is. The decisions are those of `kernels`, operation by operation.
+
+Sets of axes are bits. The caps of all landmarks where they are, and at each position the axes one landmark short of n
+and those with just n, are known beforehand. So a trial tests few axes.
+
+`bound_move` leaves out what the new place hides and what hides it. Both only take caps away, and P_n never falls with
+another cap, so what it finds is never below P_n:
+
+1. `look_around`: what is seen of the new place from all positions in sight, without a branch, so that the loop
+   vectorises.
+2. `find_old`, `find_flips`: what the old place hides comes back, at a few positions.
+3. `_try_caps`, at the other positions that see the old or the new place: P_n changes only at an axis that is one short
+   and not in the old cap, or has just n and is in it. The tables of `cones` settle most of these.
+4. `_try_flips`, at the positions of step 2: counts, as binary digits of whole sets, with the caps added or taken away.
+
+`finish_move` makes it exact:
+
+5. `find_new`, `find_flips`: who hides whom now.
+6. `_try_flips` again, where another landmark may appear or disappear or the new place is hidden.
+"""
+
+import numpy as np
+
+from lmd.core.bits import ALL, BITS, HALF, LOWER, ONE, ZERO, add_digit, at_least_so_far, equal_so_far, lowest
+from lmd.core.compiled import inner
+from lmd.incremental.hiding import find_flips, find_new, find_old, flips_with
+from lmd.incremental.nearby import look_around
+from lmd.scene.criteria import covers_one, frame_of
+from lmd.sight.blocks import BLOCK
+from lmd.sight.directions import NOWHERE
+from lmd.sight.kernels import weights_row
+
+# Indices are unsigned where it counts: signed ones cost extra instructions, as they might be negative.
+
+
+@inner
+def _try_caps(k, field, state, scratch):
+    """Bound P_n where landmark k comes or goes and no other appears; copy it elsewhere."""
+    sight, axes, weights, certain, possible = field.sight, field.axes, field.weights, field.certain, field.possible
+    target = scratch.target
+    frame = frame_of(sight, target[3], target[4], target[5])
+    caps, reachable, hidden, short, just, before = (
+        state.caps, state.reachable, state.hidden, state.short, state.just, state.units
+    )  # fmt: skip
+    x, y, z, low, high, sure, cell, reached = scratch.new
+    flips, units = scratch.flips, scratch.units
+    old, inner, outer = scratch.mask, scratch.inner, scratch.outer
+    listed, unsure, places = scratch.listed, scratch.unsure, scratch.places
+    spans, near = scratch.spans, scratch.near
+    count, found, size = ZERO, ZERO, np.uint64(caps.shape[2])
+    for p in range(np.uint64(len(units))):
+        units[p] = before[p]
+    for s in range(near[1]):
+        first, last = spans[s, 0], spans[s, 1]
+        for p in range(first, last):
+            seen = reached[p] & (not flips[p])
+            outer[p] = cell[p] if seen else NOWHERE
+            inner[p] = cell[p] if seen & (sure[p] == np.inf) else NOWHERE
+            old[p] = ALL if reachable[k, p] & (hidden[k, p] == 0) & (not flips[p]) else ZERO
+        for p in range(first, last):
+            listed[count] = p
+            count += np.uint64((old[p] != ZERO) | (outer[p] != NOWHERE))
+    for m in range(count):
+        p = listed[m]
+        i, o = np.uint64(inner[p]), np.uint64(outer[p])
+        for w in range(size):
+            was = caps[k, p, w] & old[p]
+            unsure[found] = (short[p, w] & ~was & possible[o, w]) | (just[p, w] & was & ~certain[i, w])
+            places[found] = p << HALF | w
+            found += np.uint64(unsure[found] != ZERO)
+    for m in range(found):
+        left, p, w = unsure[m], places[m] >> HALF, places[m] & LOWER
+        px, py, pz, least = x[p], y[p], z[p], low[p] if outer[p] != NOWHERE else np.inf
+        well = certain[np.uint64(outer[p]), w]
+        was, change, row = caps[k, p, w] & old[p], np.int64(0), weights_row(weights, p)
+        while left:
+            bit = lowest(left)
+            a = w * np.uint64(BITS) + bit
+            central = (well >> bit & ONE) != ZERO
+            inside = covers_one(sight, px, py, pz, frame, least, high[p], sure[p], central, axes, a)
+            change += weights[row, a] * (np.int64(inside) - np.int64(was >> bit & ONE))
+            left &= left - ONE
+        units[p] += change
+
+
+@inner
+def _try_flips(k, positions, field, state, scratch):
+    """Find P_n at `positions`, where other landmarks may appear or disappear."""
+    sight, axes, weights, n = field.sight, field.axes, field.weights, field.n
+    certain, possible = field.certain, field.possible
+    target = scratch.target
+    frame = frame_of(sight, target[3], target[4], target[5])
+    caps, reachable, hidden, counts, before = state.caps, state.reachable, state.hidden, state.counts, state.units
+    x, y, z, low, high, sure, cell, reached = scratch.new
+    count_hidden, units, digits = scratch.after.count_hidden, scratch.units, scratch.digits
+    names, goes = scratch.names, scratch.goes
+    found, who, change = scratch.turns
+    size = np.uint64(counts.shape[2])
+    for p in positions:
+        b, q = p // np.uint64(BLOCK), p % np.uint64(BLOCK)
+        flipped = ZERO
+        for m in range(np.uint64(found[b])):
+            i = np.uint64(who[b, m])
+            was, now = hidden[i, p], hidden[i, p] + change[b, m, q]
+            names[flipped], goes[flipped] = i, ALL if was == 0 else ZERO
+            flipped += np.uint64(flips_with(reachable[i, p], was, now))
+        names[flipped], goes[flipped] = k, ALL
+        flipped += np.uint64(reachable[k, p] & (hidden[k, p] == 0))
+        row = np.uint64(cell[p] if reached[p] & (count_hidden[p] == 0) else NOWHERE)
+        px, py, pz, least = x[p], y[p], z[p], low[p]
+        units[p], row_of = before[p], weights_row(weights, p)
+        for w in range(np.uint64(counts.shape[1])):
+            had, has, almost = ALL, ALL, ALL
+            for j in range(size):
+                digits[j] = counts[p, w, j]
+                had = at_least_so_far(had, digits[j], n, j)
+            for m in range(flipped):
+                carry = caps[names[m], p, w]
+                for j in range(size):
+                    digits[j], carry = add_digit(digits[j], carry, goes[m])
+            for j in range(size):
+                has = at_least_so_far(has, digits[j], n, j)
+                almost = equal_so_far(almost, digits[j], n - 1, j)
+            left = almost & possible[row, w]
+            while left:
+                bit = lowest(left)
+                a = w * np.uint64(BITS) + bit
+                central = (certain[row, w] >> bit & ONE) != ZERO
+                inside = covers_one(sight, px, py, pz, frame, least, high[p], sure[p], central, axes, a)
+                has |= np.uint64(inside) << bit
+                left &= left - ONE
+            left = had ^ has
+            while left:
+                bit = lowest(left)
+                weight = weights[row_of, w * np.uint64(BITS) + bit]
+                units[p] += weight if has >> bit & ONE else -weight
+                left &= left - ONE
+
+
+@inner
+def begin_move(k, pose, surface, field, state, scratch):
+    """Look at landmark k at `pose` `(6,)`, position and normal, on a surface, as if nothing hid or were hidden there.
+
+    Fills `scratch.new`, and `scratch.flips` with what appears as k leaves its place.
+    """
+    scratch.surface[0] = surface
+    for i in range(6):
+        scratch.target[i] = pose[i]
+    look_around(k, field, state, scratch)
+    if field.sight.reach >= 0.0:
+        find_old(k, field, state, scratch)
+        find_flips(state, scratch)
+
+
+@inner
+def complete_move(k, field, state, scratch):
+    """Find who hides whom with landmark k at its new place; lists where that changes anything.
+
+    Returns:
+        how many positions are in `scratch.listed`.
+    """
+    flips, listed = scratch.flips, scratch.listed
+    reached, count_hidden = scratch.new.reached, scratch.after.count_hidden
+    find_new(k, field, state, scratch)
+    find_flips(state, scratch)
+    count = ZERO
+    for s in range(scratch.near[1]):
+        for p in range(scratch.spans[s, 0], scratch.spans[s, 1]):
+            listed[count] = p
+            count += np.uint64(flips[p] | (reached[p] & (count_hidden[p] != 0)))
+    return count
+
+
+@inner
+def bound_move(field, k, pose, surface, state, scratch):
+    """Find what P_n is at most with landmark k at `pose` `(6,)`, position and normal, on a surface: `scratch.units`."""
+    flips, listed = scratch.flips, scratch.listed
+    begin_move(k, pose, surface, field, state, scratch)
+    _try_caps(np.uint64(k), field, state, scratch)
+    count = ZERO
+    for s in range(scratch.near[1]):
+        for p in range(scratch.spans[s, 0], scratch.spans[s, 1]):
+            listed[count] = p
+            count += np.uint64(flips[p])
+    _try_flips(np.uint64(k), listed[:count], field, state, scratch)
+
+
+@inner
+def finish_move(field, k, state, scratch):
+    """Make what `bound_move` found exact."""
+    if field.sight.reach >= 0.0:
+        count = complete_move(k, field, state, scratch)
+        _try_flips(np.uint64(k), scratch.listed[:count], field, state, scratch)

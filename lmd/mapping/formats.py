@@ -1,0 +1,134 @@
+"""The formats by name, and the choice of some of them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from lmd.core.checks import ONE_TURN, InputError, choice, real
+from lmd.core.optional import optional
+from lmd.mapping.apriltag_ros import write_apriltag_ros, write_apriltag_ros2
+from lmd.mapping.aruco import write_aruco
+from lmd.mapping.paper import PAPERS
+from lmd.mapping.plan import write_plan
+from lmd.mapping.sheets import check_sheets, write_sheets
+from lmd.mapping.tables import write_csv, write_json
+from lmd.mapping.tag_map import TagMap
+from lmd.mapping.tagslam import write_tagslam
+from lmd.mapping.wpilib import write_wpilib
+from lmd.scene.deployment import Deployment
+from lmd.scene.tag import FAMILIES, Tag
+from lmd.space.space import Space
+
+
+class Format(NamedTuple):
+    """A file that is written of a map.
+
+    Args:
+        file: its name.
+        write: a function of the path, the map as `tags` and, if it is printed, the size of the paper as `paper`; of the
+            plan, where north is as `north` too.
+        only_apriltag: whether its readers know the families of AprilTag only.
+        on_paper: whether it is printed.
+    """
+
+    file: str
+    write: Callable[..., None]
+    only_apriltag: bool = False
+    on_paper: bool = False
+
+
+FORMATS = {
+    "wpilib": Format("tags.wpilib.json", write_wpilib, only_apriltag=True),
+    "apriltag_ros": Format("tags.apriltag_ros.yaml", write_apriltag_ros, only_apriltag=True),
+    "apriltag_ros2": Format("tags.apriltag_ros2.yaml", write_apriltag_ros2, only_apriltag=True),
+    "tagslam": Format("tags.tagslam.yaml", write_tagslam, only_apriltag=True),
+    "aruco": Format("tags.aruco.yaml", write_aruco),
+    "csv": Format("tags.csv", write_csv),
+    "json": Format("tags.json", write_json),
+    "plan": Format("plan.pdf", write_plan, on_paper=True),
+    "sheets": Format("sheets.pdf", write_sheets, on_paper=True),
+}
+
+
+def formats_of(tag: Tag) -> tuple[str, ...]:
+    """The formats whose readers know the family of a tag."""
+    known = FAMILIES[tag.family].apriltag is not None
+    return tuple(name for name, form in FORMATS.items() if known or not form.only_apriltag)
+
+
+def check_printing(name: str, tag: Tag, paper: str) -> None:
+    """Raise `InputError` if a format that is printed cannot be written of tags like this one."""
+    optional("reportlab", "export")
+    if name == "sheets":
+        check_sheets(tag, paper)
+
+
+def not_printed(tag: Tag, paper: str) -> dict[str, str]:
+    """The formats that cannot be printed of tags like this one, and why."""
+    reasons = {}
+    for name, form in FORMATS.items():
+        if form.on_paper:
+            try:
+                check_printing(name, tag, paper)
+            except InputError as error:
+                reasons[name] = str(error)
+    return reasons
+
+
+@dataclass(frozen=True)
+class Export:
+    """What is to be written of a deployment.
+
+    Args:
+        formats: names of `FORMATS`.
+        paper: what is printed is printed on, one of `lmd.mapping.paper.PAPERS`.
+        north: where north is on the plan, rad from x towards y; None if that is not known.
+
+    Raises:
+        InputError: a format or the paper is not known, or north is not in radians.
+    """
+
+    formats: tuple[str, ...]
+    paper: str
+    north: float | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.formats, list | tuple):
+            raise InputError(f"formats must be a list of {', '.join(FORMATS)}, got {self.formats!r}.", "formats")
+        for name in self.formats:
+            choice("formats", name, tuple(FORMATS))
+        object.__setattr__(self, "formats", tuple(self.formats))
+        choice("paper", self.paper, tuple(PAPERS))
+        if self.north is not None:
+            object.__setattr__(self, "north", real("north", self.north, low=-ONE_TURN, high=ONE_TURN))
+
+    def check(self, tag: Tag) -> None:
+        """Raise `InputError` if tags like this one cannot be written in each of the formats here."""
+        if self.formats:
+            tag.check_edge()
+        for name in self.formats:
+            if name not in formats_of(tag):
+                known = ", ".join(name for name, family in FAMILIES.items() if family.apriltag)
+                raise InputError(f"formats has {name}, which knows the families {known}, not {tag.family}.", "formats")
+            if FORMATS[name].on_paper:
+                check_printing(name, tag, self.paper)
+
+    def writers(self, room: Space, tag: Tag, deployment: Deployment) -> dict[str, Callable[[Path], None]]:
+        """What writes each file of these tags, by its name.
+
+        Raises:
+            InputError: there is a format, and the tag is a point, or the family lacks an id.
+        """
+        if not self.formats:
+            return {}
+        tags = TagMap(room, tag, deployment)
+        writers: dict[str, Callable[[Path], None]] = {}
+        for name in self.formats:
+            form = FORMATS[name]
+            options: dict[str, Any] = {"paper": self.paper} if form.on_paper else {}
+            if name == "plan":
+                options["north"] = self.north
+            writers[form.file] = partial(form.write, tags=tags, **options)
+        return writers

@@ -1,0 +1,285 @@
+"""The mounting plan: the floor plan of the room, then a page for each surface with tags, to scale, with a table.
+
+Tags come in the order of hanging (`TagMap.order`), with a box to tick and room for what was measured.
+"""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, IntArray
+from lmd.mapping.overview import draw_floor_plan, numbers_of, scale_of
+from lmd.mapping.paper import (
+    GREY,
+    LINE,
+    PAPERS,
+    begin_page,
+    document,
+    fill_polygon,
+    shortened,
+    up_arrow,
+    write_on_white,
+    write_text,
+)
+from lmd.mapping.symbols import draw_fixture
+from lmd.mapping.tag_map import TagMap
+from lmd.scene.camera import MM_PER_M
+from lmd.space.heights import lower_edge
+from lmd.space.surface import FLAT, Surface
+
+# On the page, all in mm.
+MARGIN = 12.0
+HEAD = 18.0  # for the title
+DIMENSION = 6.0  # from the surface to the lines that say how long it is
+TICK = 1.5
+TITLE, TEXT, SMALL = 5.0, 3.0, 2.4  # letters
+ROW = 4.8  # height of the rows of tables
+SCALES = (1, 2, 5, 10, 15, 20, 25, 30, 40, 50, 75, 100, 150, 200, 250, 300, 400, 500, 1000, 2000, 5000)
+LIGHT = 0.85  # grey of black squares, and of lines below rows
+FORBIDDEN = 0.94  # grey of where nothing may hang
+
+
+class Table(NamedTuple):
+    """A table on the right of a page: the widths of its columns, mm, the lines of its head, which columns are boxes."""
+
+    widths: tuple[float, ...]
+    head: tuple[tuple[str, ...], ...]
+    boxes: tuple[int, ...] = ()
+
+    @property
+    def width(self) -> float:
+        """Of all columns, mm."""
+        return sum(self.widths)
+
+    def fitting(self, height: float) -> int:
+        """How many rows a page of this height takes."""
+        return int((height - 2.0 * MARGIN - HEAD) // ROW) - len(self.head)
+
+    def pages(self, rows: int, height: float) -> int:
+        """How many pages so many rows take."""
+        return max(1, math.ceil(rows / self.fitting(height)))
+
+
+HUNG = Table((20.0, 38.0, 10.0, 12.0), (("order of hanging", "", "", ""), ("no.", "surface", "tags", "page")))
+ON_SURFACE = Table(
+    (5.0, 8.0, 10.0, 14.0, 15.0, 14.0, 15.0, 16.0, 16.0),
+    (
+        ("", "", "", "", "centre, mm", "", "lower left of paper", "", "measured, mm"),
+        ("", "no.", "id", *3 * ("from left", "from {edge}")),
+    ),
+    (0, 7, 8),
+)
+FREE = Table(
+    (5.0, 8.0, 11.0, 18.0, 18.0, 18.0, 16.0, 16.0, 16.0),
+    (("", "", "", "", "", "centre, mm", "", "", "measured, mm"), ("", "no.", "id", *2 * ("x", "y", "z"))),
+    (0, 6, 7, 8),
+)
+
+
+@dataclass(frozen=True)
+class View:
+    """A surface as it looks to whoever stands before it, x to the right from its left edge, y up, metres."""
+
+    surface: Surface
+
+    @property
+    def allowed(self) -> list[FloatArray]:
+        """Polygons `(4, 2)` that together are where tags may hang."""
+        return list(self.place(self.surface.point(*np.moveaxis(self.surface.parts, -1, 0))))
+
+    @property
+    def seen(self) -> str:
+        """From where, in words."""
+        up = self.surface.normal[2]
+        return "seen from above" if up > FLAT else "seen from below" if up < -FLAT else "seen from the front"
+
+    def place(self, points: FloatArray) -> FloatArray:
+        """Where world points `(..., 3)` are in this view, `(..., 2)`."""
+        return self.surface.seen(np.stack(self.surface.coordinates(points), axis=-1))
+
+    def corner(self, right: bool, top: bool) -> FloatArray:
+        """A corner of the surface in the world, `(3,)`."""
+        width, height = self.surface.extent
+        return self.surface.point(*self.surface.seen(np.array([width * right, height * top])))
+
+
+def write_plan(path: Path, tags: TagMap, paper: str, north: float | None = None) -> None:
+    """Write `plan.pdf`; tags that stand free in the room are a table at the end.
+
+    Args:
+        path: the file.
+        tags: what is mounted.
+        paper: one of `lmd.mapping.paper.PAPERS`, laid on its side.
+        north: where north is on the floor plan, rad from x towards y; None for no arrow.
+    """
+    size = PAPERS[paper][::-1]
+    first, pages = HUNG.pages(len(tags.hung), size[1]) + 1, {}
+    for index, own in tags.hung.items():
+        pages[index] = first
+        first += (FREE if index < 0 else ON_SURFACE).pages(len(own), size[1])
+    with document(path, f"{len(tags.ids)} tags in a {tags.room.describe()}") as canvas:
+        _draw_overview(canvas, size, tags, pages, north)
+        for index, own in tags.hung.items():
+            if index < 0:
+                _draw_free(canvas, size, tags, own)
+            else:
+                _draw_surface(canvas, size, tags, View(tags.room.surfaces()[index]), own)
+
+
+def _draw_overview(
+    canvas: Any, size: tuple[float, float], tags: TagMap, pages: dict[int, int], north: float | None
+) -> None:
+    """The floor plan with the surfaces in the order of hanging; `pages` says where each of them is."""
+    rows = [
+        [numbers_of(own), shortened(tags.place_of(int(tags.order[own[0]]))), str(len(own)), str(pages[index])]
+        for index, own in tags.hung.items()
+    ]
+    room = size[0] - 3.0 * MARGIN - HUNG.width, size[1] - 2.0 * MARGIN - HEAD
+    scale = scale_of(tags.room, *room, SCALES)
+    title = f"{len(tags.ids)} tags of {tags.tag.family}, {MM_PER_M * tags.tag.size:.4g} mm"
+    facts = f"seen from above, scale 1 : {scale}; {tags.room.describe()}; triangles are tags on walls"
+    if (np.abs(tags.deployment.normals[:, 2]) > FLAT).any():
+        facts += ", squares those on floors (black) and ceilings (white)"
+    _begin(canvas, size, title, facts)
+    draw_floor_plan(canvas, tags, MARGIN, size[1] - MARGIN - HEAD, scale, north)
+    _draw_tables(canvas, size, HUNG, rows, title, facts)
+
+
+def _draw_surface(canvas: Any, size: tuple[float, float], tags: TagMap, view: View, places: IntArray) -> None:
+    own = tags.order[places]
+    width, height = (MM_PER_M * length for length in view.surface.extent)
+    room_x = size[0] - 3.0 * MARGIN - ON_SURFACE.width - DIMENSION - TEXT
+    room_y = size[1] - 2.0 * MARGIN - HEAD - DIMENSION - TEXT
+    scale = next((one for one in SCALES if width <= one * room_x and height <= one * room_y), SCALES[-1])
+    title = f"{view.surface.name}, {view.seen}"
+    facts = f"{width:.0f} x {height:.0f} mm, tags: {len(own)}, scale 1 : {scale}; {tags.room.describe()}"
+    facts += "" if view.surface.allowed is None else "; nothing hangs where it is grey"
+    at, paper = MM_PER_M * tags.at[own], MM_PER_M * tags.tag.paper_edge
+    floor = MM_PER_M * lower_edge(tags.room, view.surface)
+    rows = [
+        ["", str(place + 1), str(tags.ids[k]), *(f"{x:.0f}" for x in (*centre, *(centre - paper / 2.0))), "", ""]
+        for place, k, centre in zip(places, own, at + np.array([0.0, floor]), strict=True)
+    ]
+    edge = "floor" if view.surface.is_upright else "below"
+    table = ON_SURFACE._replace(head=tuple(tuple(text.format(edge=edge) for text in line) for line in ON_SURFACE.head))
+    _begin(canvas, size, title, facts)
+    origin = MARGIN + DIMENSION + TEXT, size[1] - MARGIN - HEAD - height / scale
+    _draw_outline(canvas, origin, tags, view, scale)
+    for k, centre in zip(own, at, strict=True):
+        _draw_tag(canvas, origin, tags, int(k), centre, scale, at)
+    _draw_tables(canvas, size, table, rows, title, facts)
+
+
+def _draw_free(canvas: Any, size: tuple[float, float], tags: TagMap, places: IntArray) -> None:
+    own = tags.order[places]
+    positions = MM_PER_M * tags.deployment.positions[own]
+    rows = [
+        ["", str(place + 1), str(tags.ids[k]), *(f"{value:.0f}" for value in at), "", "", ""]
+        for place, k, at in zip(places, own, positions, strict=True)
+    ]
+    title, facts = "free in the room", f"on no surface, tags: {len(own)}; {tags.room.describe()}"
+    _begin(canvas, size, title, facts)
+    _draw_tables(canvas, size, FREE, rows, title, facts)
+
+
+def _begin(canvas: Any, size: tuple[float, float], title: str, facts: str) -> None:
+    begin_page(canvas, *size)
+    write_text(canvas, MARGIN, size[1] - MARGIN - TITLE, title, size=TITLE, bold=True)
+    write_text(canvas, MARGIN, size[1] - MARGIN - TITLE - 1.5 * TEXT, facts, size=TEXT)
+    write_text(canvas, size[0] - MARGIN, MARGIN / 2.0, f"page {canvas.getPageNumber()}", size=SMALL, align="right")
+
+
+def _draw_outline(canvas: Any, origin: tuple[float, float], tags: TagMap, view: View, scale: int) -> None:
+    """The surface, where on it tags may hang, what is on it, its size, and where its corners are in the world."""
+    left, below = origin
+    width, height = (MM_PER_M * length / scale for length in view.surface.extent)
+    canvas.setFillGray(FORBIDDEN)
+    canvas.rect(left, below, width, height, stroke=0, fill=1)
+    canvas.setFillGray(1.0)
+    for ring in view.allowed:
+        fill_polygon(canvas, [(left + x, below + y) for x, y in MM_PER_M * ring / scale])
+    canvas.setFillGray(0.0)
+    for fixture in tags.fixtures:
+        region = fixture.on(view.surface)
+        if not region.is_empty and fixture.name != view.surface.name:
+            ring = np.array(region.exterior.coords[:-1])
+            draw_fixture(canvas, fixture.kind, origin + MM_PER_M * ring / scale, fixture.name)
+    canvas.setLineWidth(2.0 * LINE)
+    canvas.rect(left, below, width, height)
+    canvas.setLineWidth(LINE)
+    _draw_dimension(canvas, left, below - DIMENSION, width, f"{view.surface.extent[0]:.3f} m")
+    canvas.saveState()
+    canvas.translate(left - DIMENSION, below + height)
+    canvas.rotate(-90.0)
+    _draw_dimension(canvas, 0.0, 0.0, height, f"{view.surface.extent[1]:.3f} m")
+    canvas.restoreState()
+    canvas.setFillGray(GREY)
+    for right in (False, True):
+        for top in (False, True):
+            x, y, z = view.corner(right, top) + 0.0
+            place = left + width * right, below + (height + SMALL / 3.0 if top else -SMALL)
+            text = f"({x:.4g}, {y:.4g}, {z:.4g})"
+            write_text(canvas, *place, text, size=SMALL, align="right" if right else "left")
+    canvas.setFillGray(0.0)
+
+
+def _draw_dimension(canvas: Any, x: float, y: float, length: float, text: str) -> None:
+    """A line of this length with its ends marked, its text below the middle."""
+    canvas.line(x, y, x + length, y)
+    for end in (x, x + length):
+        canvas.line(end, y - TICK, end, y + TICK)
+    write_text(canvas, x + length / 2.0, y - TEXT, text, size=TEXT, align="centre")
+
+
+def _draw_tag(
+    canvas: Any, origin: tuple[float, float], tags: TagMap, k: int, centre: FloatArray, scale: int, at: FloatArray
+) -> None:
+    """Paper and black square, with a triangle that points up and the number, beside it where no other tag hides it."""
+    x, y = origin + centre / scale
+    plate, edge = (MM_PER_M * length / scale for length in (tags.tag.paper_edge, tags.tag.size))
+    canvas.rect(x - plate / 2.0, y - plate / 2.0, plate, plate)
+    canvas.setFillGray(LIGHT)
+    canvas.rect(x - edge / 2.0, y - edge / 2.0, edge, edge, stroke=0, fill=1)
+    canvas.setFillGray(0.0)
+    if edge >= 2.0 * TEXT:
+        up_arrow(canvas, x, y + 0.1 * edge, 0.3 * edge)
+        write_text(canvas, x, y - 0.4 * edge, str(tags.ids[k]), size=TEXT, align="centre")
+        return
+    up_arrow(canvas, x, y - 0.3 * edge, 0.6 * edge)
+    away = plate / 2.0 + SMALL  # from the tag's centre to the middle of its number
+    places = np.array([(away, 0.0), (-away, 0.0), (0.0, away), (0.0, -away)])
+    distance = np.abs(((at - centre) / scale)[:, None] - places).max(axis=2).min(axis=0)
+    free = np.flatnonzero(distance > (plate + SMALL) / 2.0)
+    right, up = places[free[0] if free.size else 0]
+    write_on_white(canvas, x + right, y + up, str(tags.ids[k]), size=SMALL)
+
+
+def _draw_tables(
+    canvas: Any, size: tuple[float, float], table: Table, rows: list[list[str]], title: str, facts: str
+) -> None:
+    """Draw the rows on the right of the page, and those that do not fit on further ones; ends the last."""
+    fitting = table.fitting(size[1])
+    for first in range(0, len(rows), fitting):
+        if first:
+            canvas.showPage()
+            _begin(canvas, size, title, facts)
+        _draw_table(canvas, size, table, rows[first : first + fitting])
+    canvas.showPage()
+
+
+def _draw_table(canvas: Any, size: tuple[float, float], table: Table, rows: list[list[str]]) -> None:
+    left, top = size[0] - MARGIN - table.width, size[1] - MARGIN - HEAD
+    for line, row in enumerate((*table.head, *rows)):
+        y, x = top - (line + 1) * ROW, left
+        for column, (width, text) in enumerate(zip(table.widths, row, strict=True)):
+            if line >= len(table.head) and column in table.boxes:
+                side = min(width, 0.65 * ROW) if width < 2.0 * ROW else width - 2.0  # to tick, or to write in
+                canvas.rect(x + width - side, y - 0.17 * ROW, side, 0.65 * ROW)
+            write_text(canvas, x + width, y, text, size=SMALL, align="right", bold=line < len(table.head))
+            x += width
+        canvas.setStrokeGray(LIGHT)
+        canvas.line(left, y - ROW / 4.0, left + table.width, y - ROW / 4.0)
+        canvas.setStrokeGray(0.0)

@@ -1,0 +1,46 @@
+"""Plain tables of the tags, for whoever writes the reader: poses, and corners."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lmd.core.tables import write_table
+from lmd.mapping.tag_map import QUATERNION, TagMap
+from lmd.scene.deployment import COLUMNS, UP_COLUMNS
+from lmd.scene.labels import ID
+
+CORNER_NAMES = ("top_left", "top_right", "bottom_right", "bottom_left")
+FRAME = "metres; z up; of a tag x is right, y up, z out of it; its quaternion turns this frame to the world"
+
+
+def write_csv(path: Path, tags: TagMap) -> None:
+    """Write `tags.csv`: what `Deployment.to_csv` writes, then the quaternion and the corners."""
+    deployment = tags.deployment
+    vectors = [deployment.places, deployment.normals, deployment.ups, tags.quaternions, tags.corners.reshape(-1, 12)]
+    corners = [f"{corner}_{axis}" for corner in CORNER_NAMES for axis in "xyz"]
+    names = (*COLUMNS, *UP_COLUMNS, *QUATERNION, *corners)
+    columns: dict[str, Any] = {ID: tags.ids, **dict(zip(names, np.hstack(vectors).T, strict=True))}
+    labels = {} if deployment.labels is None else deployment.labels.columns
+    write_table(path, columns | {name: texts for name, texts in labels.items() if name not in columns})
+
+
+def write_json(path: Path, tags: TagMap) -> None:
+    """Write `tags.json`."""
+    rows = zip(tags.ids, tags.positions, tags.quaternions, tags.corners, strict=True)
+    document = {
+        "family": tags.tag.family,
+        "edge": tags.tag.size,
+        "frame": FRAME,
+        "tags": [
+            {
+                ID: number,
+                "position": position.tolist(),
+                "quaternion": dict(zip("wxyz", quaternion.tolist(), strict=True)),
+                "corners": dict(zip(CORNER_NAMES, corners.tolist(), strict=True)),
+            }
+            for number, position, quaternion, corners in rows
+        ],
+    }
+    path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")

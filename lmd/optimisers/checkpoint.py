@@ -1,0 +1,157 @@
+"""Checkpoints: a stopped run goes on where it was.
+
+A checkpoint holds data and no code: the optimiser is made by who resumes, and takes over the state that is read. The
+file is an archive of NumPy's, with the arrays and a document in JSON, and nothing in it is unpickled.
+"""
+
+import io
+import json
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lmd.core.checks import InputError, file_path
+from lmd.core.files import write_whole
+from lmd.core.memory import check_memory
+from lmd.optimisers.base import Optimiser
+from lmd.problem import Problem
+
+FILE = "checkpoint.npz"
+PICKLE = "checkpoint.pkl"  # that of earlier versions
+FORMAT = "lmd checkpoint 3"  # a number for each way of writing it
+DOCUMENT = "document"  # the JSON, UTF-8, among the arrays
+ARRAY = "$array"  # in the document: here belongs the array of that name
+MOST_TEXT = 200  # characters of another's message
+
+
+@dataclass
+class Checkpoint:
+    """A run that can be resumed.
+
+    Args:
+        optimiser: the optimiser with everything it needs to go on.
+        settings: flat settings that must be the same when the run goes on.
+        run_id: the tracked run to continue, if any.
+    """
+
+    optimiser: Optimiser
+    settings: Mapping[str, Any]
+    run_id: str | None = None
+
+    def check(self) -> None:
+        """Raise `InputError` if the optimiser cannot be checkpointed."""
+        self._content()
+
+    def save(self, directory: Path) -> None:
+        """Replace the checkpoint in `directory`; a crash leaves the old one or the new one, never half of one.
+
+        Raises:
+            InputError: the optimiser cannot be checkpointed.
+        """
+        write_whole(directory / FILE, self._content())
+
+    def resume(self, directory: str | Path, problem: Problem) -> None:
+        """Take over the state and the run of the checkpoint in `directory`.
+
+        Args:
+            directory: of the run that goes on.
+            problem: what it maximises.
+
+        Raises:
+            InputError: there is none, it is damaged, or it was made with other settings.
+        """
+        path = file_path("resume", directory) / FILE
+        if not path.is_file():
+            if (old := path.with_name(PICKLE)).is_file():
+                raise InputError(
+                    f"{old} is of an earlier version and could run code, so it is not read; a new run with "
+                    f"run={old.parent} begins at its landmarks."
+                )
+            raise InputError(f"resume = {str(directory)!r} holds no {FILE}.")
+        check_memory(path.stat().st_size, f"resume = {str(directory)!r}", "resume")
+        state, then, run_id = _read(path)
+        now = json.loads(json.dumps(dict(self.settings)))
+        for key in sorted({*now, *then}):
+            if then.get(key) != now.get(key):
+                raise InputError(
+                    f"{path} was made with {key} = {then.get(key)!r}, not {now.get(key)!r}; resume with the same "
+                    "settings."
+                )
+        try:
+            self.optimiser.restore(state, problem)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
+        except Exception as error:  # what was written on purpose can raise anything
+            raise InputError(f"{path} cannot be gone on from ({_described(error)}).") from error
+        self.run_id = run_id
+
+    def _content(self) -> bytes:
+        arrays: dict[str, Any] = {}
+        try:
+            state = _without_arrays("", self.optimiser.state(), arrays)
+        except InputError as error:
+            raise InputError(f"{type(self.optimiser).__name__} cannot be checkpointed: {error}") from error
+        document = {"format": FORMAT, "run": self.run_id, "settings": dict(self.settings), "state": state}
+        arrays[DOCUMENT] = np.frombuffer(json.dumps(document).encode(), np.uint8)
+        content = io.BytesIO()
+        np.savez(content, **arrays)
+        return content.getvalue()
+
+
+def _without_arrays(name: str, value: Any, arrays: dict[str, Any]) -> Any:
+    """`value` as JSON has it, with the names of its arrays in their place; they go to `arrays`."""
+    if value is None or isinstance(value, str | bool | int | float):
+        return value
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray) and not value.dtype.hasobject:
+        arrays[f"state{name}"] = value
+        return {ARRAY: f"state{name}"}
+    if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
+        return {key: _without_arrays(f"{name}.{key}", inner, arrays) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_arrays(f"{name}.{i}", inner, arrays) for i, inner in enumerate(value)]
+    kinds = "number, text, array of numbers, nor a list of these or a mapping from texts to them"
+    raise InputError(f"its state{name} is a {type(value).__name__}, which is no {kinds}")
+
+
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any], str | None]:
+    """State, settings and run of a checkpoint."""
+    try:
+        document = _document(path)
+        state, run_id = document["state"], document["run"]
+        settings = json.loads(json.dumps(document["settings"]))  # in which there are no arrays
+        if document["format"] != FORMAT or not isinstance(state, dict) or not isinstance(settings, dict):
+            raise ValueError("it is of another kind")
+        if not all(map(str.isprintable, settings)):
+            raise ValueError("a setting has no such name")
+        if run_id is not None and not (isinstance(run_id, str) and run_id.isalnum()):
+            raise ValueError("the tracked run has no such name")
+    except Exception as error:  # what is damaged, or was written on purpose, can raise anything
+        raise InputError(f"{path} is damaged, or no checkpoint of this version ({_described(error)}).") from error
+    return state, settings, run_id
+
+
+def _document(path: Path) -> Any:
+    size = path.stat().st_size
+    with zipfile.ZipFile(path) as archive:
+        members = archive.infolist()
+        # Or a small file could ask for all the memory there is.
+        if any(m.compress_type != zipfile.ZIP_STORED for m in members) or sum(m.file_size for m in members) > size:
+            raise ValueError("it is compressed")
+    with np.load(path, allow_pickle=False) as archive:
+        arrays = dict(archive)
+
+    def with_arrays(mapping: dict[str, Any]) -> Any:
+        return arrays[mapping[ARRAY]] if ARRAY in mapping else mapping
+
+    return json.loads(bytes(arrays.pop(DOCUMENT)), object_hook=with_arrays)
+
+
+def _described(error: Exception) -> str:
+    """An error in words, of which a file may have made some."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:MOST_TEXT]}"

@@ -1,0 +1,205 @@
+"""Cameras from calibration files: those of ROS and of Kalibr, and what OpenCV's `FileStorage` writes.
+
+All of them count pixels from the centre of the first one. `lmd` counts from the image's border, 0.5 more: of what they
+say only the principal point changes.
+
+Sources: `camera_calibration_parsers` of ROS, the page "YAML formats" of Kalibr, the calibration samples of OpenCV.
+"""
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from lmd.core.checks import InputError, choice, integer, real, vector
+from lmd.core.files import read_keys
+from lmd.geometry.equidistant import nearest_radial
+from lmd.scene.camera import Camera
+
+PIXEL_CENTRE = 0.5  # of the first pixel, from the image's border
+# OpenCV's coefficients begin with those that `lmd.geometry.distortion` has: k1, k2, p1, p2, k3.
+KNOWN_COEFFICIENTS = 5
+FISHEYE = "equidistant"
+ROS_MODELS = ("plumb_bob", "rational_polynomial", FISHEYE)
+KALIBR_MODELS = ("radtan", "none", FISHEYE)
+FARTHEST_OFF = 1.0  # pixels, by which a fisheye's image may differ from what is taken for it
+KALIBR_CAMERA = re.compile(r"cam\d+")
+OPTICS = ("focal_length", "aperture", "focus_distance")  # what no calibration says
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What was measured of a camera, in pixels.
+
+    Args:
+        image_width, image_height: w and h.
+        focal_pixels: (f / s_u, f / s_v).
+        principal_point: (c_x, c_y), from the centre of the first pixel, as OpenCV counts.
+        distortion: OpenCV's coefficients k1, k2, p1, p2, k3, ...; those beyond the fifth must be zero.
+
+    Raises:
+        InputError: a value is out of range, or the lens needs coefficients that `lmd.geometry.distortion` has not.
+    """
+
+    image_width: int
+    image_height: int
+    focal_pixels: tuple[float, ...]
+    principal_point: tuple[float, ...]
+    distortion: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("image_width", "image_height"):
+            object.__setattr__(self, name, integer(name, getattr(self, name), low=1))
+        object.__setattr__(self, "focal_pixels", vector("focal_pixels", self.focal_pixels, 2, above=0.0))
+        object.__setattr__(self, "principal_point", vector("principal_point", self.principal_point, 2))
+        if any(self.distortion[KNOWN_COEFFICIENTS:]):
+            raise InputError(
+                f"distortion can have the coefficients k1, k2, p1, p2 and k3 only, got {list(self.distortion)}.",
+                "distortion",
+            )
+        object.__setattr__(self, "distortion", self.distortion[:KNOWN_COEFFICIENTS])
+
+    def behind_fisheye(self, lens: tuple[float, ...]) -> "Calibration":
+        """This camera with a lens of the equidistant model, as near as `lmd.geometry.distortion` comes to it.
+
+        Args:
+            lens: k1 to k4, see `lmd.geometry.equidistant`.
+
+        Raises:
+            InputError: somewhere in the image that is not near enough.
+        """
+        size, centre, focal = (
+            np.array(pair, dtype=np.float64)
+            for pair in ((self.image_width, self.image_height), self.principal_point, self.focal_pixels)
+        )
+        corner = np.maximum(centre + PIXEL_CENTRE, size - centre - PIXEL_CENTRE) / focal
+        scale, distortion, off = nearest_radial(lens, float(np.hypot(*corner)))
+        if (pixels := off * focal.max()) > FARTHEST_OFF:
+            raise InputError(
+                f"distortion {list(lens)} is that of a fisheye too wide for the lenses known here: the nearest one "
+                f"would be {pixels:.3g} pixels off, and at most {FARTHEST_OFF:g} is taken.",
+                "distortion",
+            )
+        return replace(self, focal_pixels=tuple(scale * focal), distortion=distortion)
+
+    def camera(
+        self, focal_length: float | None = None, aperture: float | None = None, focus_distance: float = math.inf
+    ) -> Camera:
+        """The camera; without an aperture a pinhole, whose images are sharp at any depth.
+
+        Args:
+            focal_length: f, mm; says how large a pixel is, which only the focus depends on.
+            aperture: effective diameter d_a, mm.
+            focus_distance: d_s, mm.
+
+        Raises:
+            InputError: an aperture or a focus distance comes without what it needs, or `Camera` refuses a value.
+        """
+        if aperture is not None and focal_length is None:
+            raise InputError("focal_length must be given, in mm, where an aperture is.", "focal_length")
+        if aperture is None and focus_distance != math.inf:
+            raise InputError("aperture must be given, in mm, where a focus distance is.", "aperture")
+        length = 1.0 if focal_length is None else real("focal_length", focal_length, above=0.0)
+        width, height = (length / pixels for pixels in self.focal_pixels)
+        u, v = (centre + PIXEL_CENTRE for centre in self.principal_point)
+        return Camera(
+            focal_length=length,
+            pixel_width=width,
+            pixel_height=height,
+            principal_point=(u, v),
+            image_width=self.image_width,
+            image_height=self.image_height,
+            aperture=0.0 if aperture is None else aperture,
+            focus_distance=focus_distance,
+            distortion=self.distortion,
+        )
+
+
+def calibrated_camera(path: str | None, name: str | None = None, **optics: Any) -> Camera:
+    """The camera of a calibration file.
+
+    Args:
+        path, name: see `read_calibration`.
+        optics: see `Calibration.camera`.
+
+    Raises:
+        InputError: see there.
+    """
+    calibration = read_calibration(path, name)
+    try:
+        return calibration.camera(**optics)
+    except InputError as error:
+        raise error if error.argument in OPTICS else InputError(f"{path}: {error}") from None
+
+
+def read_calibration(path: str | None, name: str | None = None) -> Calibration:
+    """Read a file of ROS (`camera_info`), of Kalibr (`camchain`) or of OpenCV (`FileStorage`), in YAML or JSON.
+
+    Args:
+        path: the file.
+        name: the camera in a file of Kalibr, such as `cam1`; not needed where there is only one.
+
+    Raises:
+        InputError: the file cannot be read, a key is missing or wrong, or the lens is of another model.
+    """
+    if path is None:
+        raise InputError("path is missing: a calibration file is needed.", "path")
+    keys = read_keys(path, "path")
+    cameras = [key for key in keys if KALIBR_CAMERA.fullmatch(key)]
+    if name is None and len(cameras) > 1:
+        raise InputError(f"name must be given: {path} has the cameras {', '.join(cameras)}.", "name")
+    if name is not None and name not in cameras:
+        raise InputError(f"name = {name!r} is no camera of {path}, which has {', '.join(cameras) or 'one'}.", "name")
+    try:
+        return _kalibr(keys, name or cameras[0]) if cameras else _opencv(keys)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _opencv(keys: Mapping[str, Any]) -> Calibration:
+    """What ROS and OpenCV call by the same names; only ROS names the model."""
+    model = choice("distortion_model", keys.get("distortion_model", ROS_MODELS[0]), ROS_MODELS)
+    matrix = vector("camera_matrix.data", _entry(keys, "camera_matrix", "data"), 9)
+    focal_u, skew, centre_u, below, focal_v, centre_v, *last = matrix
+    if (skew, below, *last) != (0.0, 0.0, 0.0, 0.0, 1.0):
+        raise InputError(f"camera_matrix.data must be [fx, 0, cx, 0, fy, cy, 0, 0, 1], got {list(matrix)}.")
+    lens = _numbers("distortion_coefficients.data", _entry(keys, "distortion_coefficients", "data"))
+    width, height = (_entry(keys, name) for name in ("image_width", "image_height"))
+    pinhole = Calibration(width, height, (focal_u, focal_v), (centre_u, centre_v))
+    # OpenCV's own sample says by a flag of its own that it is a fisheye.
+    is_fisheye = model == FISHEYE or bool(keys.get("fisheye_model", 0))
+    return pinhole.behind_fisheye(lens) if is_fisheye else replace(pinhole, distortion=lens)
+
+
+def _kalibr(keys: Mapping[str, Any], name: str) -> Calibration:
+    """One camera of a chain."""
+    choice(f"{name}.camera_model", _entry(keys, name, "camera_model"), ("pinhole",))
+    choice(f"{name}.distortion_model", _entry(keys, name, "distortion_model"), KALIBR_MODELS)
+    intrinsics = vector(f"{name}.intrinsics", _entry(keys, name, "intrinsics"), 4)
+    model = keys[name]["distortion_model"]
+    distorted = model != "none"
+    lens = _numbers(f"{name}.distortion_coeffs", _entry(keys, name, "distortion_coeffs")) if distorted else ()
+    width, height = vector(f"{name}.resolution", _entry(keys, name, "resolution"), 2)
+    pinhole = Calibration(width, height, intrinsics[:2], intrinsics[2:])  # type: ignore[arg-type] # whole, or refused
+    return pinhole.behind_fisheye(lens) if model == FISHEYE else replace(pinhole, distortion=lens)
+
+
+def _entry(keys: Any, *path: str) -> Any:
+    """The value of a key within keys.
+
+    Raises:
+        InputError: there is none.
+    """
+    for depth, key in enumerate(path):
+        if not isinstance(keys, Mapping) or key not in keys:
+            raise InputError(f"the key {'.'.join(path[: depth + 1])} is missing.")
+        keys = keys[key]
+    return keys
+
+
+def _numbers(name: str, value: Any) -> tuple[float, ...]:
+    """A list of numbers of any length."""
+    return vector(name, value, len(value) if isinstance(value, list) else KNOWN_COEFFICIENTS)

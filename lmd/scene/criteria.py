@@ -1,0 +1,231 @@
+"""What a model of sight must answer: whether a camera covers a landmark, in two stages, and who hides whom.
+
+Most of what decides depends on the camera's position alone, little on its orientation. So each criterion is told twice:
+once for all orientations from a position (`from_position`), once for one orientation (`in_image`): the optical axis and
+the image's right, which a model that asks for a round cone ignores. Whether another landmark is in the way is a third
+question (`hide`). These functions are scalar, without a branch where it can be helped, and every kernel calls these and
+no others.
+
+A model has two sides:
+
+- the thresholds that a user sets, a `Criteria`; its `covered` is the reference, NumPy, formula by formula;
+- the same compiled for one camera, a named tuple of numbers with the fields and methods of `Sight`, which registers its
+  functions with those below. Both must decide alike, bit for bit.
+
+What prunes goes by less: bands of axes by a cone that holds every axis that covers a landmark (`low`), tables of
+directions by what is in view at all (`in_view`).
+"""
+
+import math
+from typing import Any, Protocol
+
+import numpy as np
+
+from lmd.core.bits import BITS, LANES, ONE, ZERO, lowest
+from lmd.core.checks import BoolArray, FloatArray
+from lmd.core.compiled import inlined
+from lmd.core.dispatch import dispatched, overridable
+from lmd.scene.camera import Camera
+
+# One tolerance for every closed inequality, so that a landmark exactly on a boundary is on it whichever way the
+# number was rounded. Relative for lengths, absolute for cosines and probabilities.
+TOLERANCE = 1e-9
+
+
+class Sight(Protocol):
+    """The fields and methods of a compiled model of sight, a named tuple."""
+
+    @property
+    def outer_cosine(self) -> float:
+        """No axis farther than the angle with this cosine from a landmark's direction covers it."""
+
+    @property
+    def inset(self) -> float:
+        """Every axis with the landmark's direction `in_view` by this angle, rad, does if its depth is `sure`."""
+
+    @property
+    def reach(self) -> float:
+        """Squared distance from a line of sight beyond which a landmark hides nothing, m^2; negative: none does."""
+
+    @property
+    def horizon(self) -> float:
+        """See `horizon_of`; a model that does not say sees infinitely far."""
+
+    @property
+    def tabulated(self) -> bool:
+        """Whether `in_image` is so long that evaluations had better look up what they can (`lmd.sight.directions`)."""
+
+    def unhidden(self) -> "Sight":
+        """The same where no landmark hides another."""
+
+    def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "Sight":
+        """The same for these landmarks: `unhidden` if that is easily known to make no difference.
+
+        Args:
+            low, high: corners of a box around all positions of the camera, `(3,)`, metres.
+            landmarks, normals: of B deployments, `(B, 3, K)`.
+        """
+
+    def shrunk(self, size: float) -> "Sight":
+        """The same with landmarks whose body, which hides others, is `size` times as large."""
+
+
+class Criteria(Protocol):
+    """When a landmark counts as covered: what `visibility` of a scene must be."""
+
+    @property
+    def needs_roll(self) -> bool:
+        """Whether the camera's roll about its optical axis matters."""
+
+    @property
+    def spacing(self) -> float:
+        """How far apart neighbouring landmarks had better be, so that none hides the other, metres."""
+
+    def sight(self, camera: Camera) -> Any:
+        """These criteria compiled for a camera, a `Sight`."""
+
+    def covered(
+        self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
+    ) -> BoolArray:
+        """Which landmarks the camera covers, `(A, K)`: the reference.
+
+        Args:
+            camera: the camera.
+            position: p, `(3,)`, world frame, metres.
+            axes: its optical axes and the image's right, `(A, 6)`: two unit vectors.
+            landmarks, normals: `(K, 3)` positions, metres, and unit normals.
+        """
+
+
+def horizon_of(sight: Sight) -> float:
+    """The distance beyond which landmarks cannot matter, metres; infinite if there is none.
+
+    A landmark farther than this from the camera is not covered and hides none that is; nor does one that is farther
+    than this from the one it would hide.
+    """
+    return float(getattr(sight, "horizon", math.inf))
+
+
+@dispatched
+def from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped-def]
+    """What a landmark is like from a position, whatever the camera's orientation.
+
+    Args:
+        sight: the compiled model.
+        x, y, z: offset of the landmark from the camera, world frame, metres.
+        nx, ny, nz: its unit normal.
+        slack: metres; the answer shall hold for every landmark that far away in the same plane (see `poses`).
+
+    Returns:
+        reached: False only if no orientation covers it; low, high: the least and the greatest depth along the optical
+        axis, metres, with which one may; sure: up to which depth, from `low` on, all do that have it well in view
+        (`Sight.inset`), infinite if that is all such orientations. Without slack in `high` and `sure`.
+    """
+
+
+@dispatched
+def in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
+    """Whether a landmark that is `reached` is covered with the optical axis (ax, ay, az), nobody hiding it.
+
+    (rx, ry, rz) points to the right of the image, axis x right down.
+    The other arguments are those and the answers of `from_position`; an infinite `low` is never covered.
+    """
+
+
+@dispatched
+def in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
+    """Whether every direction within an angle of the unit vector (x, y, z) is in view with an orientation.
+
+    `sine` and `cosine` are those of the angle, less than a right one. With a negative sine: whether any direction may
+    be that is so near. The directions in view are those of all landmarks that the model may cover.
+    """
+
+
+@inlined
+def in_cone(least, x, y, z, sine, cosine, ax, ay, az):  # type: ignore[no-untyped-def]
+    """`in_view` where that is a cone around the axis, `least` the cosine of its half-angle theta."""
+    # Made narrower by the angle delta: cos(theta - delta), unless nothing or all is left.
+    edge = least * cosine + math.sqrt(max(0.0, 1.0 - least * least)) * sine
+    nothing, everything = (sine > 0.0) & (least > cosine), (sine < 0.0) & (least < -cosine)
+    return ((ax * x + ay * y + az * z >= edge) | everything) & (not nothing)
+
+
+@dispatched
+def hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
+    """Whether landmark A hides B, and B hides A, from where the camera is.
+
+    Args:
+        sight: the compiled model.
+        ax, ay, az, bx, by, bz: offsets of the two from the camera, metres.
+        a, b: their squared lengths.
+        ux, uy, uz, vx, vy, vz: unit normals of A and of B.
+    """
+
+
+@inlined
+def covers(sight, x, y, z, nx, ny, nz, low, slack, axes, a):  # type: ignore[no-untyped-def]
+    """`in_image` with orientation a of `axes` `(6, D)`: axis and right."""
+    ax, ay, az, rx, ry, rz = axes[0, a], axes[1, a], axes[2, a], axes[3, a], axes[4, a], axes[5, a]
+    return in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz)
+
+
+@overridable
+def frame_of(sight, nx, ny, nz):  # type: ignore[no-untyped-def]
+    """What `covers_one` needs of a landmark with a normal, the same for all positions and orientations."""
+    return nx, ny, nz
+
+
+@overridable
+def covers_one(sight, x, y, z, frame, low, high, sure, well, axes, a):  # type: ignore[no-untyped-def]
+    """`covers` without slack, for single orientations: where much is to be tested, a model may do it in stages.
+
+    Args:
+        sight: the compiled model.
+        x, y, z, low, high, sure: as in `from_position`.
+        frame: of `frame_of`.
+        well: whether orientation a has it well in view, see `sure`.
+        axes, a: as in `covers`.
+    """
+    nx, ny, nz = frame
+    return covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a)
+
+
+@overridable
+def covering(sight, left, w, x, y, z, frame, low, high, sure, well, axes):  # type: ignore[no-untyped-def]
+    """The axes of word w that are in the set `left` and cover the landmark; arguments as in `covers_one`, `well` a set.
+
+    To test half a word at once is faster than to pick axes out, where a test is short.
+    """
+    nx, ny, nz = frame
+    cap = ZERO
+    for first in range(np.uint64(0), np.uint64(BITS), np.uint64(LANES)):
+        if left >> first << np.uint64(BITS - LANES):
+            half = np.uint32(0)
+            for lane in range(np.uint64(LANES)):
+                a = w * np.uint64(BITS) + first + lane
+                half |= np.uint32(covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a)) << np.uint32(lane)
+            cap |= np.uint64(half) << first
+    return cap & left
+
+
+def depth_first(sight, left, w, x, y, z, frame, low, high, sure, well, axes):  # type: ignore[no-untyped-def]
+    """What a model whose tests are long registers for `covering`: the depth decides most, and is found for all axes."""
+    within, shallow = ZERO, ZERO
+    for first in range(np.uint64(0), np.uint64(BITS), np.uint64(LANES)):
+        if left >> first << np.uint64(BITS - LANES):
+            one, two = np.uint32(0), np.uint32(0)
+            for lane in range(np.uint64(LANES)):
+                a = w * np.uint64(BITS) + first + lane
+                depth = axes[0, a] * x + axes[1, a] * y + axes[2, a] * z
+                one |= np.uint32((depth >= low) & (depth <= high)) << np.uint32(lane)
+                two |= np.uint32(depth <= sure) << np.uint32(lane)
+            within, shallow = within | np.uint64(one) << first, shallow | np.uint64(two) << first
+    left &= within
+    cap = left & well & shallow
+    left &= ~cap
+    while left:
+        bit: Any = lowest(left)  # type: ignore[call-arg]
+        a, central = w * np.uint64(BITS) + bit, (well >> bit & ONE) != ZERO
+        cap |= np.uint64(covers_one(sight, x, y, z, frame, low, high, sure, central, axes, a)) << bit
+        left &= left - ONE
+    return cap

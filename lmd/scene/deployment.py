@@ -1,0 +1,401 @@
+"""Deployments: where the landmarks are, and the ways to come by one."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol, TextIO
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, boolean, choice, integer
+from lmd.core.memory import check_memory
+from lmd.core.tables import read_table, write_table
+from lmd.geometry.squares import upright
+from lmd.scene.labels import ID, Labels
+from lmd.scene.surveyed import Surveyed
+from lmd.space.space import Space
+from lmd.space.surface import MISPLACED, PLACEMENT_TOLERANCE, SurfaceArrays
+
+COLUMNS = ("x", "y", "z", "nx", "ny", "nz")
+UP_COLUMNS = ("ux", "uy", "uz")
+# An up printed with a few decimals is still upright, and in the plane of its tag.
+UP_TOLERANCE, IN_PLANE = 1e-3, 1e-2
+# A normal printed with a few decimals is still a unit normal.
+NORMAL_TOLERANCE = 1e-3
+# A normal this close to that of its surface is flush with it.
+FLUSH = 1e-6
+# What a landmark takes while a deployment is made, bytes: a dozen vectors.
+LANDMARK_BYTES = 400
+
+
+@dataclass(frozen=True)
+class Deployment:
+    """K landmarks.
+
+    Args:
+        positions: `(K, 3)`, world frame, metres.
+        normals: `(K, 3)` unit normals of the front faces, world frame.
+        surfaces: `(K,)`, index of the surface of its room that each hangs on, -1 where none is known, the default: see
+            `hung`.
+        labels: what the landmarks are called; None where they are numbered from 0.
+        surveyed: places and ups to the last digit, where landmarks were measured behind their surface, or turned in
+            their plane; None where `positions` are the places and all hang upright.
+
+    Raises:
+        InputError: wrong shapes, no landmark, a value that is not finite, or a normal that is not unit.
+    """
+
+    positions: FloatArray
+    normals: FloatArray
+    surfaces: IntArray = None  # type: ignore[assignment] # always an array once made
+    labels: Labels | None = None
+    surveyed: Surveyed | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("positions", "normals"):
+            array = np.array(getattr(self, name), dtype=np.float64, order="C")  # kernels are compiled for that
+            if array.ndim != 2 or array.shape[1] != 3 or not len(array):
+                raise InputError(f"deployment {name} must have the shape (K, 3) with K >= 1, got {array.shape}.")
+            if not np.isfinite(array).all():
+                raise InputError(f"deployment {name} have a value that is not finite.")
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+        if len(self.positions) != len(self.normals):
+            raise InputError(f"a deployment has {len(self.positions)} positions but {len(self.normals)} normals.")
+        count = len(self.positions)
+        surfaces = np.full(count, -1) if self.surfaces is None else np.array(self.surfaces, dtype=np.int64)
+        if surfaces.shape != (count,):
+            raise InputError(f"deployment surfaces must have the shape (K,), got {surfaces.shape}.")
+        surfaces.flags.writeable = False
+        object.__setattr__(self, "surfaces", surfaces)
+        if len(self.ids) != count:
+            raise InputError(f"a deployment has {count} positions but {len(self.ids)} ids.")
+        length = np.linalg.norm(self.normals, axis=1)
+        worst = int(np.argmax(np.abs(length - 1.0)))
+        if abs(length[worst] - 1.0) > NORMAL_TOLERANCE:
+            raise InputError(f"landmark {self.ids[worst]}: the normal must have length 1, it has {length[worst]:g}.")
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def __getitem__(self, chosen: slice | IntArray | BoolArray) -> "Deployment":
+        """The landmarks that `chosen` selects."""
+        labels = None if self.labels is None else self.labels[chosen]
+        surveyed = None if self.surveyed is None else self.surveyed[chosen]
+        return Deployment(self.positions[chosen], self.normals[chosen], self.surfaces[chosen], labels, surveyed)
+
+    @property
+    def ids(self) -> IntArray:
+        """The number of each landmark, `(K,)`, all different."""
+        return np.arange(len(self)) if self.labels is None else self.labels.ids
+
+    def __add__(self, other: "Deployment") -> "Deployment":
+        """The landmarks of both, numbered from 0."""
+        parts = ((getattr(self, name), getattr(other, name)) for name in ("positions", "normals", "surfaces"))
+        both = Deployment(*(np.concatenate(part) for part in parts))
+        if self.surveyed is None and other.surveyed is None:
+            return both
+        places, ups = (np.concatenate([getattr(each, name) for each in (self, other)]) for name in ("places", "ups"))
+        return replace(both, surveyed=Surveyed(both.positions, places, ups))
+
+    def hung(self, room: Space, anywhere: bool = False) -> "Deployment":
+        """The same landmarks with the surfaces of `room` that they hang on.
+
+        What belongs to a surface (`Space.surface_near`) and was measured behind it counts as if it hung on it: nothing
+        is seen through a wall. Its `places` stay what they were.
+
+        Args:
+            room: has the surfaces.
+            anywhere: whether landmarks may lie outside the room.
+
+        Raises:
+            InputError: a landmark lies outside the room and belongs to no surface of it.
+        """
+        own, surfaces = room.surface_near(self.positions, self.normals), room.surfaces()
+        outside = np.flatnonzero((own < 0) & ~room.contains(self.positions))
+        if outside.size and not anywhere:
+            first = outside[0]
+            raise InputError(
+                f"landmark {self._place(first)} lies outside the {room.describe()}, "
+                f"{self._distance(room)[:, first].min():.4g} m from the nearest surface; only with free=true is it "
+                "taken there."
+            )
+        depth = np.take_along_axis(SurfaceArrays.of(surfaces).depth(self.positions), own[:, None], axis=1)
+        behind = (own[:, None] >= 0) & (depth < -PLACEMENT_TOLERANCE)
+        hung = self
+        if behind.any():
+            normals = np.array([surface.normal for surface in surfaces])[own]
+            positions = np.where(behind, self.positions - depth * normals, self.positions)
+            hung = replace(self, positions=positions, surveyed=Surveyed(positions, self.places, self.ups))
+        return replace(hung, surfaces=room.surfaces_of(hung.positions, hung.normals))
+
+    def fault(self, room: Space, near: bool = False) -> str | None:
+        """What is wrong with how the landmarks hang, in a clause about the first that hangs on no surface, faces into
+        its own, or hangs where none may; None if all hang properly. They know their surfaces (`hung`), which are those
+        of `room`.
+
+        Args:
+            room: has the surfaces.
+            near: whether landmarks may stand a little before a surface, see `Space.surface_near`.
+        """
+        surfaces, some = room.surfaces(), f"of {len(self)} landmarks do"
+        distance = self._distance(room)
+        touching = np.where(distance.min(axis=0) > 0.0, -1, distance.argmin(axis=0))
+        own = self.belonging(room) if near else np.where(self.surfaces < 0, touching, self.surfaces)
+        if (floating := np.flatnonzero(own < 0)).size:
+            first = int(floating[0])
+            nearest = int(np.argmin(distance[:, first]))
+            return (
+                f"landmark {self._place(first)} hangs in mid-air, {distance[nearest, first]:.4g} m from the nearest "
+                f"surface that may carry it, {surfaces[nearest].name} ({len(floating)} {some})"
+            )
+        normals = np.array([surface.normal for surface in surfaces])[own]
+        if (inwards := np.flatnonzero((self.normals * normals).sum(axis=1) < 0.0)).size:
+            first = int(inwards[0])
+            name = surfaces[own[first]].name
+            return f"landmark {self._place(first)} faces into {name}, the surface it hangs on ({len(inwards)} {some})"
+        hanging = SurfaceArrays.of(surfaces)
+        at = hanging.coordinates(own, self.positions)
+        everywhere = np.array([surface.allowed is None for surface in surfaces])[own]
+        if (kept_out := np.flatnonzero(~everywhere & ~hanging.allow(own, at, MISPLACED))).size:
+            first = int(kept_out[0])
+            return (
+                f"landmark {self._place(first)} hangs on {surfaces[own[first]].name} where none may hang "
+                f"({len(kept_out)} {some})"
+            )
+        return None
+
+    def belonging(self, room: Space) -> IntArray:
+        """The surface of `room` that each hangs on, or else belongs to (`Space.surface_near`), -1 for none, `(K,)`."""
+        return np.where(self.surfaces < 0, room.surface_near(self.positions, self.normals), self.surfaces)
+
+    def before(self, room: Space) -> "Deployment":
+        """The same landmarks, those that belong to no surface of `room` with the one they are nearest to."""
+        own = self.belonging(room)
+        return replace(self, surfaces=np.where(own < 0, self._distance(room).argmin(axis=0), own))
+
+    def _distance(self, room: Space) -> FloatArray:
+        """From each surface of `room` to each landmark, `(W, K)`, metres."""
+        return np.array([surface.distance(self.positions) for surface in room.surfaces()])
+
+    def movable(self, room: Space, flush: bool = True) -> "Deployment":
+        """`hung`, for an optimiser that moves landmarks along surfaces.
+
+        Args:
+            room: has the surfaces.
+            flush: whether landmarks must lie flat.
+
+        Raises:
+            InputError: a landmark hangs on no surface or where none may, faces into its surface, or does not lie flat
+                on it.
+        """
+        hung = self.hung(room)
+        if fault := hung.fault(room):
+            raise InputError(f"{fault}, so it cannot be a start.")
+        hung = hung.before(room)
+        normals = np.array([surface.normal for surface in room.surfaces()])[hung.surfaces]
+        deviation = np.linalg.norm(self.normals - normals, axis=1)
+        if flush and deviation.max() > FLUSH:
+            raise InputError(
+                f"landmark {self.ids[np.argmax(deviation)]} is not flush with its wall; only an encoding "
+                "that is not flush can start from it."
+            )
+        return hung
+
+    def _place(self, k: int) -> str:
+        x, y, z = self.positions[k]
+        return f"{self.ids[k]} at ({x:.9g}, {y:.9g}, {z:.9g})"
+
+    @property
+    def places(self) -> FloatArray:
+        """Where the landmarks hang to the last digit, `(K, 3)`, world frame, metres."""
+        return self.positions if self.surveyed is None else self.surveyed.places_of(self.positions)
+
+    @property
+    def ups(self) -> FloatArray:
+        """Unit vectors to the upper edges of tags there, `(K, 3)`, world frame: upright unless they were `surveyed`."""
+        ups = upright(self.normals)[1] + 0.0  # no -0
+        return ups if self.surveyed is None else self.surveyed.ups_of(self.positions, ups)
+
+    def to_csv(self, file: str | Path | TextIO, ups: bool = False) -> None:
+        """Write `id,x,y,z,nx,ny,nz` with every digit, so that reading it back gives the same numbers and labels.
+
+        Args:
+            file: its path, or an open text file.
+            ups: whether to add `ux,uy,uz`, for landmarks that are tags with an upper edge.
+        """
+        columns = dict(zip(COLUMNS, np.hstack([self.places, self.normals]).T, strict=True))
+        if ups:
+            columns |= zip(UP_COLUMNS, self.ups.T, strict=True)
+        further = {} if self.labels is None else self.labels.columns
+        write_table(file, {ID: self.ids, **columns, **further})
+
+    @classmethod
+    def from_csv(cls, path: str | Path, name: str = "path") -> "Deployment":
+        """Read a CSV with the columns x,y,z,nx,ny,nz (and id, and ux,uy,uz for how tags are turned in their plane).
+
+        Normals are scaled to length 1 if they are printed with few decimals. Further columns are kept as labels.
+
+        Args:
+            path: the file.
+            name: the argument the path came from, for messages.
+
+        Raises:
+            InputError: the file cannot be read, or what it holds is no deployment, or an up is not in its tag's plane.
+        """
+        table = read_table(path, name=name)
+        columns = COLUMNS + UP_COLUMNS if any(name in table for name in UP_COLUMNS) else COLUMNS
+        rows, labels = table.numbers(columns, None), Labels.of(table, columns)
+        try:
+            deployment = cls(rows[:, :3], rows[:, 3:6], labels=labels)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+        length = np.linalg.norm(deployment.normals, axis=1, keepdims=True)
+        exact = np.abs(length - 1.0) < 1e-12  # dividing these would only move the last bit
+        deployment = replace(deployment, normals=np.where(exact, deployment.normals, deployment.normals / length))
+        return deployment if rows.shape[1] == len(COLUMNS) else deployment._turned(path, rows[:, 6:])
+
+    def _turned(self, path: str | Path, ups: FloatArray) -> "Deployment":
+        """The same landmarks with the ups `(K, 3)` of a file, if one of them is not upright."""
+        leaning = (ups * self.normals).sum(axis=1, keepdims=True)
+        off = np.maximum(np.abs(leaning[:, 0]), np.abs(np.linalg.norm(ups, axis=1) - 1.0))
+        if (wrong := np.flatnonzero(off > IN_PLANE)).size:
+            up, normal = (", ".join(f"{value:.4g}" for value in v[wrong[0]]) for v in (ups, self.normals))
+            raise InputError(
+                f"{path}: the up of landmark {self.ids[wrong[0]]}, ({up}), is no unit vector in the plane of its tag, "
+                f"whose normal is ({normal})."
+            )
+        level = np.linalg.norm(ups - self.ups, axis=1, keepdims=True) <= UP_TOLERANCE
+        if level.all():
+            return self
+        flat = ups - leaning * self.normals
+        turned = np.where(level, self.ups, flat / np.linalg.norm(flat, axis=1, keepdims=True))
+        return replace(self, surveyed=Surveyed(self.positions, self.positions, turned))
+
+
+class DeploymentSource(Protocol):
+    """Something that provides deployments: a start for optimisers, or what `evaluate` scores."""
+
+    @property
+    def varies(self) -> bool:
+        """Whether two draws differ."""
+
+    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
+        """A deployment inside `room`, its landmarks with their surfaces."""
+
+
+def landmark_count(value: int) -> int:
+    """K, the `count` of a source.
+
+    Raises:
+        InputError: it is no positive whole number, or so many landmarks would not fit into memory.
+    """
+    count = integer("count", value, low=1)
+    check_memory(count * LANDMARK_BYTES, f"count = {count} landmarks", "count")
+    return count
+
+
+@dataclass(frozen=True)
+class RandomDeployment:
+    """Landmarks flush on the walls, each wall with a probability proportional to its area."""
+
+    count: int
+    varies = True
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "count", landmark_count(self.count))
+
+    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
+        """See `DeploymentSource.draw`."""
+        surfaces = SurfaceArrays.of(room.surfaces())
+        area = surfaces.area
+        picked = rng.choice(len(area), size=self.count, p=area / area.sum())
+        return _flush(surfaces, surfaces.of_piece[picked], surfaces.spread(picked, rng.random((self.count, 2))))
+
+
+@dataclass(frozen=True)
+class UniformDeployment:
+    """Landmarks at the centres of a regular grid on each wall, flush.
+
+    Args:
+        count: K.
+        layout: `per_wall` gives every wall the same number (what is left over goes to the largest walls), as in
+            the paper's 15 per wall; `by_area` shares them in proportion to area.
+    """
+
+    count: int
+    layout: str = "per_wall"
+    varies = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "count", landmark_count(self.count))
+        choice("layout", self.layout, ("per_wall", "by_area"))
+
+    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
+        """See `DeploymentSource.draw`; nothing here is random."""
+        surfaces = room.surfaces()
+        area = np.array([surface.area for surface in surfaces])
+        share = area / area.sum() if self.layout == "by_area" else np.full(len(area), 1.0 / len(area))
+        quota = share * self.count
+        counts = np.floor(quota + 1e-9).astype(int)
+        # Largest remainder first; the larger surface wins a tie.
+        order = np.lexsort((-area, -np.round(quota - counts, 9)))
+        counts[order[: self.count - counts.sum()]] += 1
+        grids = [surface.grid(n) for surface, n in zip(surfaces, counts, strict=True)]
+        at = np.array([point for grid in grids for point in grid])
+        return _flush(SurfaceArrays.of(surfaces), np.repeat(np.arange(len(surfaces)), counts), at)
+
+
+@dataclass(frozen=True)
+class FileDeployment:
+    """A deployment from a CSV written by `Deployment.to_csv` or by anyone.
+
+    Args:
+        path: the CSV.
+        count: K; if given, the file must have that many rows.
+        free: whether landmarks are taken as they are: they may stand free in the room or outside, face into the surface
+            they hang on or hang where none may, and papers may overlap.
+    """
+
+    path: str | None
+    count: int | None = None
+    free: bool = False
+    varies = False
+
+    def __post_init__(self) -> None:
+        boolean("free", self.free)
+
+    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
+        """See `DeploymentSource.draw`."""
+        if self.path is None:
+            raise InputError("path is missing: a CSV of landmarks is needed.", "path")
+        deployment = Deployment.from_csv(self.path)
+        if self.count is not None and self.count != len(deployment):
+            raise InputError(f"count = {self.count}, but {self.path} has {len(deployment)} landmarks.", "count")
+        try:
+            hung = deployment.hung(room, anywhere=self.free)
+        except InputError as error:
+            raise InputError(f"{self.path}: {error}") from None
+        if not self.free and (fault := hung.fault(room, near=True)):
+            raise InputError(f"free = false, but in {self.path} {fault}.", "free")
+        return hung
+
+
+@dataclass(frozen=True)
+class GivenDeployment:
+    """A deployment that is there already.
+
+    Args:
+        deployment: with its surfaces.
+    """
+
+    deployment: Deployment
+    varies = False
+
+    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
+        """See `DeploymentSource.draw`; nothing here is random."""
+        return self.deployment
+
+
+def _flush(surfaces: SurfaceArrays, surface: IntArray, at: FloatArray) -> Deployment:
+    """Landmarks flush on their surfaces `(K,)` at surface coordinates `(K, 2)`."""
+    return Deployment(surfaces.points(surface, at), surfaces.normal[surface], surface)

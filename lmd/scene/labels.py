@@ -1,0 +1,75 @@
+"""What the landmarks of a file are called, and what else it says of them: kept from input to output."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, InputError, IntArray
+from lmd.core.tables import Table
+
+ID = "id"
+LARGEST = 2**53  # above, not every whole number is a float
+
+
+@dataclass(frozen=True)
+class Labels:
+    """The names of K landmarks.
+
+    Args:
+        ids: `(K,)` different whole numbers, not negative; of a tag, its number in the family.
+        columns: further columns of the file by name, K texts each.
+
+    Raises:
+        InputError: an id is negative, or occurs twice.
+    """
+
+    ids: IntArray
+    columns: Mapping[str, Sequence[str]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        ids = np.array(self.ids, dtype=np.int64)
+        ids.flags.writeable = False
+        object.__setattr__(self, "ids", ids)
+        found, counts = np.unique(ids, return_counts=True)
+        if (twice := found[counts > 1]).size:
+            raise InputError(f"id {twice[0]} belongs to {counts.max()} landmarks; ids must be different.")
+        if ids.min() < 0:
+            raise InputError(f"id {ids.min()} is negative.")
+
+    @classmethod
+    def of(cls, table: Table, known: Sequence[str]) -> "Labels":
+        """The labels in a file with landmarks; without a column `id` they are numbered from 0.
+
+        Args:
+            table: the file, with at least one row.
+            known: columns that are read elsewhere.
+
+        Raises:
+            InputError: an id is no whole number, negative, or occurs twice.
+        """
+        count = len(table.lines)
+        columns = {name: texts for name, texts in table.texts.items() if name not in (ID, *known)}
+        if ID not in table:
+            return cls(np.arange(count), columns)
+        (given,) = table.numbers((ID,), None).T
+        for line, value in zip(table.lines, given.tolist(), strict=True):
+            if not (0 <= value <= LARGEST and value.is_integer()):
+                place = f"{table.path} line {line}: {ID}"
+                raise InputError(f"{place} must be a whole number from 0 to {LARGEST:.4g}, got {value:.9g}.")
+        try:
+            return cls(given.astype(np.int64), columns)
+        except InputError as error:
+            raise InputError(f"{table.path}: {error}") from None
+
+    def __add__(self, other: "Labels") -> "Labels":
+        """The labels of both; a column that one of them lacks is empty there."""
+        names = {**self.columns, **other.columns}
+        parts = ((part.columns.get(name, [""] * len(part.ids)) for part in (self, other)) for name in names)
+        columns = {name: [*mine, *theirs] for name, (mine, theirs) in zip(names, parts, strict=True)}
+        return Labels(np.concatenate([self.ids, other.ids]), columns)
+
+    def __getitem__(self, chosen: slice | IntArray | BoolArray) -> "Labels":
+        """The labels of the landmarks that `chosen` selects."""
+        columns = {name: np.array(texts, dtype=object)[chosen].tolist() for name, texts in self.columns.items()}
+        return Labels(self.ids[chosen], columns)

@@ -1,0 +1,311 @@
+"""Orientation PDFs: the probability of each camera orientation (yaw, pitch) on a discrete grid."""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, InputError, integer, radians, real
+from lmd.core.memory import check_memory
+from lmd.core.tables import read_table, write_table
+from lmd.geometry.frames import optical_axis, rotation
+
+# Two axes are the same direction when every coordinate agrees to this many decimals.
+SAME_AXIS_DECIMALS = 12
+# Each weight may be off by this much: weights printed with six decimals are accepted, and normalised.
+PRINTED_WEIGHT = 0.5e-6
+# What an orientation takes until the distinct ones are found, bytes: its rotation, axes and sorting keys.
+ORIENTATION_BYTES = 600
+
+# Yaw and pitch (radians, `(S,)` each) from points `(S, 2)`: uniform points of the unit square become angles that
+# follow a continuous distribution.
+Angles = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+# The probability of each orientation at positions `(Q, 3)`, `(Q, A)`.
+ByPosition = Callable[[FloatArray], FloatArray]
+# One roll, or several as (angle, probability), radians.
+Roll = float | Sequence[Sequence[float]]
+
+
+class Orientations(NamedTuple):
+    """Distinct orientations of the camera, ordered by the height of the optical axis.
+
+    axes `(D, 6)` the optical axis and the image's right as unit vectors in the world frame (down is axis x right);
+    index_of `(A,)` which of them each orientation of the PDF is; weight `(D,)` probability of each.
+    """
+
+    axes: FloatArray
+    index_of: np.ndarray
+    weight: FloatArray
+
+
+@dataclass(frozen=True)
+class OrientationPdf:
+    """A discrete orientation PDF D(alpha, beta).
+
+    Args:
+        yaw, pitch: angles of each orientation, radians, `(A,)`; pitch in [-pi/2, pi/2].
+        weight: probability of each orientation, `(A,)`, not negative, sum 1 (what rounding misses is made up).
+        name: where it came from, for messages.
+        refine: builds the same PDF at half the step; None for a PDF that is known only at its orientations.
+        continuous: the continuous distribution that the orientations stand for; None if they stand for themselves.
+        roll: of the camera about its optical axis, radians, one for all or `(A,)`; independent of yaw and pitch where
+            there is a `continuous` distribution of these.
+        by_position: the probabilities where they depend on the position, `weight` being those of all; None where they
+            do not.
+
+    Raises:
+        InputError: shapes differ, an angle or weight is not finite or out of range, or the sum is not 1.
+    """
+
+    yaw: FloatArray
+    pitch: FloatArray
+    weight: FloatArray
+    name: str = "pdf"
+    refine: "Callable[[], OrientationPdf] | None" = None
+    continuous: Angles | None = None
+    roll: FloatArray | float = 0.0
+    by_position: ByPosition | None = None
+
+    def __post_init__(self) -> None:
+        yaw, roll = (np.asarray(v, dtype=np.float64) for v in (self.yaw, self.roll))
+        rolls = np.full(yaw.shape, roll) if roll.ndim == 0 else roll
+        arrays = [yaw, *(np.asarray(v, dtype=np.float64) for v in (self.pitch, self.weight)), rolls]
+        if not yaw.size or any(a.shape != (yaw.size,) for a in arrays):
+            raise InputError(f"{self.name}: yaw, pitch, weight and roll must be non-empty lists of equal length.")
+        if not all(np.isfinite(a).all() for a in arrays):
+            raise InputError(f"{self.name} has a value that is not finite.")
+        _, pitch, weight, _ = arrays
+        if (worst := np.abs(pitch).max()) > np.pi / 2 + 1e-9:
+            raise InputError(f"{self.name}: pitch must be in [-pi/2, pi/2], got {worst:g} in magnitude.")
+        if weight.min() < 0.0:
+            raise InputError(f"{self.name} has a negative weight, {weight.min():g}.")
+        if abs(weight.sum() - 1.0) > PRINTED_WEIGHT * len(weight) + 1e-9:
+            raise InputError(f"{self.name}: the weights must sum to 1, they sum to {weight.sum():.9g}.")
+        arrays[2] = weight / math.fsum(weight)
+        for field, array in zip(("yaw", "pitch", "weight", "roll"), arrays, strict=True):
+            array = array.copy()
+            array.flags.writeable = False
+            object.__setattr__(self, field, array)
+
+    @cached_property
+    def by_axis(self) -> "Orientations":
+        """The distinct optical axes, whatever the roll; poles and the +-pi seam appear once; `grid_325` has 266."""
+        return self._distinct(3)
+
+    @cached_property
+    def by_axis_and_roll(self) -> "Orientations":
+        """The distinct orientations: at the poles, each yaw is one."""
+        return self._distinct(6)
+
+    def _distinct(self, size: int) -> "Orientations":
+        """The orientations that differ in the first `size` coordinates of axis and right."""
+        # The axis by its own formula: the same bits as ever, which its rows of the rotation need not have.
+        right = rotation(self.yaw, self.pitch, self.roll)[:, 0]
+        axes = np.hstack([optical_axis(self.yaw, self.pitch), right])
+        rounded = np.round(axes[:, :size], SAME_AXIS_DECIMALS) + 0.0  # + 0.0 turns -0 into 0
+        # Ordered by height first: the fast path looks only at a band of heights.
+        keys = np.hstack([rounded[:, 2::-1], rounded[:, 3:]])
+        _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+        inverse = inverse.reshape(-1)
+        weight = np.bincount(inverse, weights=self.weight)
+        return Orientations(axes[first], inverse, np.asarray(weight, dtype=np.float64))
+
+    @property
+    def axes(self) -> FloatArray:
+        """Distinct optical axes, `(D, 3)` unit vectors ordered by their z coordinate."""
+        return self.by_axis.axes[:, :3]
+
+    @property
+    def axis_of(self) -> np.ndarray:
+        """Index into `axes` of each orientation, `(A,)`."""
+        return self.by_axis.index_of
+
+    @property
+    def axis_weight(self) -> FloatArray:
+        """Probability of each distinct axis, `(D,)`: the sum over its orientations."""
+        return self.by_axis.weight
+
+    def finer(self) -> "OrientationPdf":
+        """The same PDF at half the step, or itself where nothing is known between its orientations."""
+        return self if self.refine is None else self.refine()
+
+    def stratified(self, divisions: int, rng: np.random.Generator) -> "OrientationPdf":
+        """Orientations drawn from the continuous distribution, equally likely, or itself where there is none.
+
+        One is drawn in each of 2 divisions x divisions cells of equal probability: unbiased like independent draws, but
+        the P_n of a union of caps errs by divisions^-1.5 instead of divisions^-1, times a number well below 1.
+        """
+        if self.continuous is None:
+            return self
+        cells = np.stack(np.meshgrid(np.arange(2 * divisions), np.arange(divisions), indexing="ij"), axis=-1)
+        points = (cells + rng.random(cells.shape)) / (2 * divisions, divisions)
+        yaw, pitch = self.continuous(points.reshape(-1, 2))
+        weight = np.full(len(yaw), 1.0 / len(yaw))
+        return OrientationPdf(yaw, pitch, weight, f"{self.name}, stratified", roll=self._draw_roll(len(yaw), rng))
+
+    def at(self, positions: FloatArray) -> FloatArray:
+        """The probability of each orientation at positions `(Q, 3)`: `(Q, A)`, or `(1, A)` where all have the same."""
+        return self.weight[None] if self.by_position is None else self.by_position(positions)
+
+    def draw_at(self, positions: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Yaw, pitch and roll, `(Q,)` each, one orientation at each of the positions `(Q, 3)`; see `draw`."""
+        if self.by_position is None:
+            return self.draw(len(positions), rng)
+        places, place = np.unique(positions, axis=0, return_inverse=True)
+        below = np.cumsum(self.at(places), axis=1)[place.reshape(-1)]
+        drawn = (below < rng.random((len(positions), 1)) * below[:, -1:]).sum(axis=1)
+        return self.yaw[drawn], self.pitch[drawn], np.asarray(self.roll)[drawn]
+
+    def draw(self, size: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Yaw, pitch and roll, `(size,)` each, from the continuous distribution, or the PDF where there is none."""
+        if self.continuous is not None:
+            return *self.continuous(rng.random((size, 2))), self._draw_roll(size, rng)
+        drawn = rng.choice(len(self.weight), size, p=self.weight)
+        return self.yaw[drawn], self.pitch[drawn], np.asarray(self.roll)[drawn]
+
+    def _draw_roll(self, size: int, rng: np.random.Generator) -> FloatArray:
+        """Rolls `(size,)` alone."""
+        roll = np.asarray(self.roll)
+        return rng.choice(roll, size, p=self.weight) if np.ptp(roll) > 0.0 else np.full(size, roll[0])
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write `yaw,pitch,weight` with every digit, as `from_csv` reads it, and `roll` where there is any."""
+        columns = {"yaw": self.yaw, "pitch": self.pitch, "weight": self.weight}
+        write_table(path, columns | ({"roll": np.broadcast_to(self.roll, len(self.yaw))} if np.any(self.roll) else {}))
+
+
+def divisions_of(value: int, pitches: int | None = None) -> int:
+    """The number of pitches of a grid, and half that of its yaws.
+
+    Args:
+        value: what a user says.
+        pitches: how many there are if others.
+
+    Raises:
+        InputError: it is no positive whole number, or there is not enough memory for so many orientations.
+    """
+    count = integer("divisions", value, low=1)
+    made = 2 * count * (pitches or count)
+    check_memory(made * ORIENTATION_BYTES, f"divisions = {count} makes {made:.4g} orientations, which", "divisions")
+    return count
+
+
+def _rolls(roll: Roll) -> Sequence[tuple[float, float]]:
+    """The angles and their probabilities."""
+    if not isinstance(roll, Iterable):
+        return [(real("roll", roll), 1.0)]
+    rows = list(roll)
+    if not rows or not all(isinstance(row, Iterable) and len(list(row)) == 2 for row in rows):
+        raise InputError(f"roll must be a number or a list of [angle, probability], got {roll!r}.", "roll")
+    rolls = [(real("roll", angle), real("roll", share, low=0.0, high=1.0)) for angle, share in rows]
+    if abs((total := math.fsum(share for _, share in rolls)) - 1.0) > PRINTED_WEIGHT * len(rolls):
+        raise InputError(f"roll: the probabilities must sum to 1, they sum to {total:.9g}.", "roll")
+    return rolls
+
+
+def _product(
+    yaw: FloatArray,
+    pitch: FloatArray,
+    weight: FloatArray,
+    name: str,
+    refine: Callable[[], OrientationPdf],
+    continuous: Angles,
+    rolls: Sequence[tuple[float, float]],
+) -> OrientationPdf:
+    """Each yaw with each pitch and each roll; `weight` `(len(pitch),)` is that of one yaw with each pitch."""
+    roll, share = np.array(rolls).T
+    grid = (angles.reshape(-1) for angles in np.meshgrid(yaw, pitch, roll, indexing="ij"))
+    grid_yaw, grid_pitch, grid_roll = grid
+    weights = np.tile(np.outer(weight, share).reshape(-1), len(yaw))
+    return OrientationPdf(grid_yaw, grid_pitch, weights, name, refine, continuous, grid_roll)
+
+
+def _uniform_angles(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return (2.0 * points[:, 0] - 1.0) * np.pi, (points[:, 1] - 0.5) * np.pi
+
+
+def _uniform_directions(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return (2.0 * points[:, 0] - 1.0) * np.pi, np.arcsin(2.0 * points[:, 1] - 1.0)
+
+
+def _uniform_yaw(points: FloatArray, pitch: float) -> tuple[FloatArray, FloatArray]:
+    return (2.0 * points[:, 0] - 1.0) * np.pi, np.full(len(points), pitch)
+
+
+def _cell_pitches(divisions: int) -> FloatArray:
+    """Pitch at the middle of each of `divisions` bands between -pi/2 and pi/2."""
+    return np.asarray((np.arange(divisions) + 0.5) * (np.pi / divisions) - np.pi / 2)
+
+
+def _open_yaws(divisions: int) -> FloatArray:
+    """Yaw from -pi in steps of pi / divisions, pi excluded."""
+    return np.asarray(np.arange(2 * divisions) * (np.pi / divisions) - np.pi)
+
+
+def grid_with_ends(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
+    """Uniform over the angles on a grid that includes both ends (`grid_325` for 12 divisions).
+
+    The grid of the paper's tables: every printed maximum is a multiple of 1/325. It is a probability over angles,
+    not over the sphere: the poles count 25 times, the seam at +-pi twice.
+
+    Args:
+        divisions: the step is pi / divisions in yaw and pitch.
+        roll: of the camera about its optical axis, radians: one angle, or several with their probabilities.
+    """
+    n, roll = divisions_of(divisions), _rolls(roll)
+    yaw, pitch = np.linspace(-np.pi, np.pi, 2 * n + 1), np.linspace(-np.pi / 2, np.pi / 2, n + 1)
+    total = len(yaw) * len(pitch)
+    refine = partial(grid_with_ends, 2 * n, roll)
+    return _product(yaw, pitch, np.full(len(pitch), 1.0 / total), f"pdf grid_{total}", refine, _uniform_angles, roll)
+
+
+def grid_of_cells(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
+    """Uniform over the angles on the grid of the paper's text (`grid_288` for 12 divisions).
+
+    Yaw -pi, ..., pi - step; pitch at the middle of each step. Args as in `grid_with_ends`.
+    """
+    n, roll = divisions_of(divisions), _rolls(roll)
+    weight, refine = np.full(n, 1.0 / (2 * n * n)), partial(grid_of_cells, 2 * n, roll)
+    return _product(_open_yaws(n), _cell_pitches(n), weight, f"pdf grid_{2 * n * n}", refine, _uniform_angles, roll)
+
+
+def solid_angle(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
+    """Uniform over the sphere: each cell of `grid_of_cells` weighs its solid angle over 4 pi."""
+    n, roll = divisions_of(divisions), _rolls(roll)
+    weight = np.diff(np.sin(np.linspace(-np.pi / 2, np.pi / 2, n + 1))) / (4 * n)
+    refine = partial(solid_angle, 2 * n, roll)
+    return _product(_open_yaws(n), _cell_pitches(n), weight, "pdf sphere", refine, _uniform_directions, roll)
+
+
+def level_flight(divisions: int = 12, pitch: float = 0.0, roll: Roll = 0.0) -> OrientationPdf:
+    """Uniform in yaw at a fixed pitch (Eq. D_DJI, the UAV of the experiment).
+
+    Args:
+        divisions: the yaw step is pi / divisions.
+        pitch: radians.
+        roll: as in `grid_with_ends`.
+    """
+    n, roll = divisions_of(divisions, pitches=1), _rolls(roll)
+    fixed = real("pitch", pitch, low=-np.pi / 2, high=np.pi / 2)
+    weight, refine = np.array([1.0 / (2 * n)]), partial(level_flight, 2 * n, fixed, roll)
+    return _product(
+        _open_yaws(n), np.array([fixed]), weight, "pdf yaw", refine, partial(_uniform_yaw, pitch=fixed), roll
+    )
+
+
+def from_csv(path: str | None) -> OrientationPdf:
+    """A PDF from a CSV with the columns yaw, pitch (radians) and weight (sum 1), and if you like roll (radians).
+
+    Raises:
+        InputError: no path, an unreadable file, or weights that are no probabilities.
+    """
+    if path is None:
+        raise InputError("path is missing: a CSV with the columns yaw,pitch,weight is needed.", "path")
+    table = read_table(path, name="path")
+    yaw, pitch, weight, *roll = table.numbers(["yaw", "pitch", "weight"] + ["roll"] * ("roll" in table)).T
+    radians(table.path, yaw=yaw, pitch=pitch)
+    return OrientationPdf(yaw, pitch, weight, str(path), roll=roll[0] if roll else 0.0)

@@ -1,0 +1,277 @@
+"""Plates: the papers that tags are printed on. They hang wholly on their surface, and never overlap.
+
+Tags hang upright (`lmd.geometry.squares.upright`), so their papers are squares along the u and v of their surface: two
+do not overlap exactly if their centres are at least an edge apart along u or along v. Landmarks that are points have no
+plates, and nothing here changes them. Tags that are tilted or hang on no surface are not looked at: only a file has
+such.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.core.compiled import inner, kernel
+from lmd.scene.deployment import FLUSH, Deployment, DeploymentSource, FileDeployment
+from lmd.scene.fixed import beside
+from lmd.space.allowed import allows, nearest
+from lmd.space.inset import Inset
+from lmd.space.space import Space
+from lmd.space.surface import MISPLACED, SurfaceArrays
+
+# Relative: papers that share an edge do not overlap, however their distance is rounded.
+TOUCHING = 1e-9
+# Plates within so many edges are looked at first when one is pushed away.
+NEAR = 3.0
+
+
+@dataclass(frozen=True)
+class Plates:
+    """The plates of the tags in a room.
+
+    Args:
+        room: the room.
+        edge: of the paper, metres; 0 for landmarks that are points.
+    """
+
+    room: Space
+    edge: float
+
+    @cached_property
+    def hanging(self) -> Space:
+        """The room with what the centres of tags may use of its surfaces.
+
+        Raises:
+            InputError: a surface is narrower than a plate.
+        """
+        if not self.edge:
+            return self.room
+        try:
+            return Inset(self.room, self.edge / 2.0)
+        except InputError as error:
+            raise InputError(f"edge is too large: {error}", "edge") from None
+
+    @cached_property
+    def _surfaces(self) -> SurfaceArrays:
+        return SurfaceArrays.of(self.hanging.surfaces())
+
+    @cached_property
+    def capacity(self) -> float:
+        """How many fit at most: in rows and columns no fewer than in any other way."""
+        if not self.edge:
+            return np.inf
+        return float(np.floor(self._surfaces.extent / self.edge * (1.0 + TOUCHING) + 1.0).prod(axis=1).sum())
+
+    def hung(self, fixed: Deployment, beside: DeploymentSource) -> Deployment:
+        """Landmarks that hang already, with their surfaces.
+
+        They were measured by hand: what stands a little before or behind a surface has that one, and its plate is in
+        the way there.
+
+        Args:
+            fixed: those landmarks.
+            beside: where the others come from. If these are taken as they are (`FileDeployment.free`), so are those.
+
+        Raises:
+            InputError: one lies outside the room, hangs on no surface or faces into its own, or plates overlap or are
+                not wholly on their surface.
+        """
+        try:
+            hung = fixed.hung(self.hanging, anywhere=as_they_are(beside))
+            if as_they_are(beside):
+                return hung.before(self.hanging)
+            if fault := hung.fault(self.hanging, near=True):
+                raise InputError(f"{fault}.")
+            hung = hung.before(self.hanging)
+            self.check(hung)
+        except InputError as error:
+            raise InputError(f"fixed: {error}", "fixed") from None
+        return hung
+
+    def draw(self, source: DeploymentSource, rng: np.random.Generator, fixed: Deployment | None = None) -> Deployment:
+        """A deployment from `source` whose plates hang properly; a random one is pushed apart.
+
+        What a file has is taken as it is if it says so, see `FileDeployment.free`.
+
+        Args:
+            source: what is drawn from.
+            rng: draws it.
+            fixed: landmarks that hang already (`hung`). They come first, and whatever is not from a file is pushed out
+                of their way.
+
+        Raises:
+            InputError: the source cannot be drawn from, or plates overlap, are not wholly on their surface or too many.
+        """
+        drawn = source.draw(self.hanging, rng)
+        if fixed is not None:
+            drawn = beside(fixed, drawn)
+        if not self.edge or as_they_are(source):
+            return drawn
+        if len(drawn) > self.capacity:
+            raise InputError(
+                f"count = {len(drawn)} tags do not fit: {self.capacity:g} papers of {self.edge:.4g} m are all that the "
+                "surfaces hold.",
+                "count",
+            )
+        if source.varies or (fixed is not None and not isinstance(source, FileDeployment)):
+            apart = self.apart(drawn, fixed=0 if fixed is None else len(fixed))
+            if apart is None:
+                raise InputError(
+                    f"count = {len(drawn)} tags with papers of {self.edge:.4g} m are too many to be hung at random.",
+                    "count",
+                )
+            return apart
+        try:
+            self.check(drawn)
+        except InputError as error:
+            raise InputError(f"{source.path}: {error}" if isinstance(source, FileDeployment) else str(error)) from None
+        return drawn
+
+    def check(self, deployment: Deployment) -> None:
+        """Raise `InputError` if plates overlap or are not wholly on their surface; landmarks know their surfaces."""
+        if not self.edge:
+            return
+        flat = np.flatnonzero(self._lies_flat(deployment.normals, deployment.surfaces))
+        surface = deployment.surfaces[flat]
+        at = self._surfaces.coordinates(surface, deployment.positions[flat])
+        names = [surface.name for surface in self.room.surfaces()]
+        ids = deployment.ids[flat]
+        if (over := np.flatnonzero(~self._surfaces.allow(surface, at, MISPLACED))).size:
+            raise InputError(
+                f"landmark {ids[over[0]]} hangs over the edge of {names[surface[over[0]]]}, or of where tags may hang "
+                f"there: its paper is {self.edge:.4g} m wide."
+            )
+        distance = np.abs(at[:, None] - at[None]).max(axis=-1)
+        close = (distance < self.edge - MISPLACED) & (surface[:, None] == surface)
+        if (pairs := np.argwhere(np.triu(close, 1))).size:
+            i, j = pairs[0]
+            raise InputError(
+                f"landmarks {ids[i]} and {ids[j]} on {names[surface[i]]} overlap: their papers are {self.edge:.4g} m "
+                f"wide, their centres {distance[i, j]:.4g} m apart along the edges."
+            )
+
+    def apart(self, deployment: Deployment, size: float = 1.0, fixed: int = 0) -> Deployment | None:
+        """The deployment with plates pushed apart, None where there is no room for all; see `pushed`."""
+        parts = deployment.positions[None], deployment.normals[None], deployment.surfaces[None]
+        positions, normals, surfaces, fits = self.pushed(*parts, size, fixed)
+        apart = replace(deployment, positions=positions[0], normals=normals[0], surfaces=surfaces[0])
+        return apart if fits[0] else None
+
+    def pushed(
+        self, positions: FloatArray, normals: FloatArray, surfaces: IntArray, size: float = 1.0, fixed: int = 0
+    ) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
+        """Deployments whose plates are pushed apart, one after the other; what hangs properly stays as it is.
+
+        A plate that overlaps one before it goes to the nearest free place on its surface, and if there is none to one
+        on the next surface that has. Deterministic, so that a search may work with the places before the push.
+
+        Landmarks that are points only go to the nearest place where they may hang.
+
+        Args:
+            positions, normals: `(B, K, 3)`, flush.
+            surfaces: `(B, K)`.
+            size: of the plates, as a share of their true size.
+            fixed: so many at the beginning stay where they are.
+
+        Returns:
+            positions, normals, surfaces, and whether there was room for all, `(B,)`.
+        """
+        fits = np.ones(len(positions), dtype=np.bool_)
+        s = self._surfaces
+        if not self.edge:
+            at = s.coordinates(surfaces, positions)
+            moved = ~s.allow(surfaces, at)[..., None]
+            moved[:, :fixed] = False
+            return np.where(moved, s.points(surfaces, at), positions), normals, surfaces, fits
+        positions, normals, surfaces = positions.copy(), normals.copy(), surfaces.copy()
+        for b in range(len(positions)):
+            at, moved = s.coordinates(surfaces[b], positions[b]), np.zeros(surfaces.shape[1], dtype=np.bool_)
+            least, edge = size * self.edge * (1.0 - TOUCHING), size * self.edge
+            fits[b] = _push(fixed, surfaces[b], at, s.pieces, s.first, least, edge, moved)
+            positions[b, moved] = s.points(surfaces[b, moved], at[moved])
+            normals[b, moved] = s.normal[surfaces[b, moved]]
+        return positions, normals, surfaces, fits
+
+    def touched(self, poses: Deployment, pose: Deployment) -> BoolArray:
+        """Which of the poses a plate at the one `pose` leaves no room for, `(N,)`; all know their surfaces."""
+        s, surface = self._surfaces, poses.surfaces
+        away = s.coordinates(surface, poses.positions) - s.coordinates(surface, pose.positions)
+        near = np.abs(away).max(axis=1) < self.edge * (1.0 - TOUCHING)
+        return np.asarray(near & (surface == pose.surfaces))
+
+    def _lies_flat(self, normals: FloatArray, surfaces: IntArray) -> BoolArray:
+        """Which tags `(K,)` lie flat on a surface."""
+        deviation = np.linalg.norm(normals - self._surfaces.normal[surfaces], axis=1)
+        return np.asarray((surfaces >= 0) & (deviation <= FLUSH))
+
+
+def as_they_are(source: DeploymentSource) -> bool:
+    """Whether landmarks from `source` hang wherever they do."""
+    return isinstance(source, FileDeployment) and source.free
+
+
+@inner
+def _is_free(a, b, s, others, surface, at, least):  # type: ignore[no-untyped-def]
+    """Whether a plate at (a, b) on surface s is at least `least` away from the first `others` plates."""
+    free = True
+    for j in range(others):
+        free = free and (surface[j] != s or max(abs(at[j, 0] - a), abs(at[j, 1] - b)) >= least)
+    return free
+
+
+@inner
+def _nearest_free(k, s, a, b, within, surface, at, pieces, first, least, edge, lines, found):  # type: ignore
+    """Write the free place for plate k nearest to (a, b) on surface s to `found`; whether there is one.
+
+    A nearest place has each coordinate either unchanged or on a line: a border along u or v, or one that touches
+    another plate. Only plates at most `within` away make lines.
+    """
+    start, stop = first[s], first[s + 1]
+    lines[0, 0], lines[1, 0] = a, b
+    across, up = 1, 1
+    for t in range(start, stop):
+        for i in range(2):
+            lines[0, across + i] = pieces[t, i]
+        for i in range(4):
+            lines[1, up + i] = pieces[t, 2 + i]
+        across, up = across + 2, up + 4
+    for j in range(k):
+        if surface[j] == s and max(abs(at[j, 0] - a), abs(at[j, 1] - b)) <= within:
+            lines[0, across], lines[0, across + 1] = at[j, 0] - edge, at[j, 0] + edge
+            lines[1, up], lines[1, up + 1] = at[j, 1] - edge, at[j, 1] + edge
+            across, up = across + 2, up + 2
+    shortest = np.inf
+    for i in range(across):
+        for j in range(up):
+            p, q = lines[0, i], lines[1, j]
+            away = (p - a) ** 2 + (q - b) ** 2
+            if away < shortest and allows(pieces, start, stop, p, q) and _is_free(p, q, s, k, surface, at, least):
+                shortest, found[0], found[1] = away, p, q
+    return shortest < np.inf
+
+
+@kernel
+def _push(fixed, surface, at, pieces, first, least, edge, moved):  # type: ignore[no-untyped-def]
+    """Push plates at `at` `(K, 2)` on `surface` `(K,)` apart, in place, but for so many `fixed` at the beginning.
+
+    Marks those `moved`; whether all found room.
+    """
+    lines, found, count = np.empty((2, 2 * len(at) + 4 * len(pieces) + 1)), np.empty(2), len(first) - 1
+    for k in range(fixed, len(at)):
+        _, a, b = nearest(pieces, first[surface[k]], first[surface[k] + 1], at[k, 0], at[k, 1])
+        # What is off by a rounding error is not moved.
+        if abs(a - at[k, 0]) + abs(b - at[k, 1]) < edge - least and _is_free(a, b, surface[k], k, surface, at, least):
+            continue
+        has_room, moved[k], s = False, True, surface[k]
+        for turn in range(count + 1):
+            within = NEAR * edge if turn == 0 else np.inf
+            s = (surface[k] + max(turn - 1, 0)) % count
+            _, p, q = nearest(pieces, first[s], first[s + 1], a, b)
+            if _nearest_free(k, s, p, q, within, surface, at, pieces, first, least, edge, lines, found):
+                has_room = True
+                break
+        if not has_room:
+            return False
+        surface[k], at[k, 0], at[k, 1] = s, found[0], found[1]
+    return True

@@ -1,0 +1,138 @@
+"""How the camera really moved: a recording of poses in place of a grid of positions and one orientation PDF.
+
+The recording is cut into blocks of time. Every so many-th block is held out: nothing is optimised on it, and
+`lmd.evaluation.validation` scores a deployment there, at the poses exactly as recorded. The others say where the camera
+is (`lmd.space.visited`) and how it looks there (`lmd.scene.by_position`).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, integer, real
+from lmd.geometry.trajectory import Trajectory
+from lmd.scene.by_position import pdf_by_position
+from lmd.scene.pdf import OrientationPdf
+from lmd.space.inside import check_positions
+from lmd.space.space import Space
+from lmd.space.visited import Visited
+
+
+@dataclass(frozen=True)
+class Records:
+    """Poses as recorded, each of which lasts until the next; R of them.
+
+    Args:
+        poses: X, camera to world, `(R, 4, 4)`.
+        seconds: that each lasted, `(R,)`.
+        block: of time that each is in, `(R,)`.
+    """
+
+    poses: FloatArray
+    seconds: FloatArray
+    block: IntArray
+
+    def __len__(self) -> int:
+        return len(self.seconds)
+
+    def __getitem__(self, chosen: slice | BoolArray) -> "Records":
+        return Records(self.poses[chosen], self.seconds[chosen], self.block[chosen])
+
+
+@dataclass(frozen=True)
+class RecordedPoses:
+    """A recording, and what is made of it.
+
+    Args:
+        path: the file, see `lmd.geometry.trajectory.Trajectory.from_file`.
+        spacing: edge of the cells that become positions, metres: one number or one per axis.
+        bandwidth: of the kernel in position, metres.
+        direction_bandwidth: of the kernel in direction, degrees.
+        divisions: orientations lie on a grid with the step 180 degrees / divisions.
+        held_out: every so many-th block is held out, at least 2; None for no block.
+        block: length of a block, seconds.
+        frame: that quaternions are about, `optical` or `body`, see `Trajectory.from_file`.
+
+    Raises:
+        InputError: a value is out of range, the file is no trajectory, or it is too short for a block to be held out.
+    """
+
+    path: str | None
+    spacing: float | Sequence[float]
+    bandwidth: float
+    direction_bandwidth: float
+    divisions: int
+    held_out: int | None
+    block: float
+    frame: str = "optical"
+
+    def __post_init__(self) -> None:
+        if self.path is None:
+            raise InputError("path is missing: a file of recorded poses is needed.", "path")
+        for name in ("bandwidth", "direction_bandwidth", "block"):
+            object.__setattr__(self, name, real(name, getattr(self, name), above=0.0))
+        object.__setattr__(self, "divisions", integer("divisions", self.divisions, low=1))
+        if self.held_out is not None:
+            every = integer("held_out", self.held_out, low=2)
+            object.__setattr__(self, "held_out", every)
+            if not len(self.kept_back):
+                raise InputError(
+                    f"held_out = {every}: no pose of {self.path} lies in a block to be held out, the first of which "
+                    f"begins after {(every - 1) * self.block:g} s.",
+                    "held_out",
+                )
+
+    @cached_property
+    def trajectory(self) -> Trajectory:
+        """All of the recording."""
+        return Trajectory.from_file(str(self.path), self.frame)
+
+    @cached_property
+    def _records(self) -> Records:
+        """All of them; the last pose only says how long the one before it lasted."""
+        time = self.trajectory.time
+        block = np.floor((time[:-1] - time[0]) / self.block).astype(np.int64)
+        return Records(self.trajectory.poses[:-1], np.diff(time), block)
+
+    @cached_property
+    def _is_kept_back(self) -> BoolArray:
+        every = self.held_out or math.inf
+        return np.asarray(self._records.block % every == every - 1)
+
+    @property
+    def seen(self) -> Records:
+        """What a deployment is optimised on."""
+        return self._records[~self._is_kept_back]
+
+    @property
+    def kept_back(self) -> Records:
+        """What is held out."""
+        return self._records[self._is_kept_back]
+
+    def visited(self, room: Space) -> Visited:
+        """The room with the positions of the recording.
+
+        Raises:
+            InputError: a pose, held out or not, is outside the room or in something that stands there; or the spacing
+                is refused.
+        """
+        trajectory = self.trajectory
+        try:
+            check_positions(trajectory, room)
+        except InputError as error:
+            raise InputError(f"path: {self.path}: {error}", "path") from None
+        seen = self.seen
+        return Visited(room, seen.poses[:, :3, 3], seen.seconds, self.spacing)
+
+    @cached_property
+    def pdf(self) -> OrientationPdf:
+        """The orientation PDF, which depends on the position.
+
+        Raises:
+            InputError: there is not enough memory for so many records and orientations.
+        """
+        seen, width = self.seen, math.radians(self.direction_bandwidth)
+        return pdf_by_position(seen.poses, seen.seconds, self.bandwidth, width, self.divisions)

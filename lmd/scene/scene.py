@@ -1,0 +1,131 @@
+"""A scene: everything that stays fixed while landmarks move."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, InputError
+from lmd.core.memory import check_views
+from lmd.scene.camera import Camera
+from lmd.scene.pdf import OrientationPdf, Orientations
+from lmd.scene.plates import Plates
+from lmd.scene.rig import Rig, Station
+from lmd.scene.tag import Tag
+from lmd.space.space import Space
+
+if TYPE_CHECKING:
+    from lmd.scene.criteria import Criteria
+    from lmd.scene.recorded_poses import RecordedPoses
+
+PROBABILITY_BYTES = 24  # of an orientation at a position: its probability, which one it is, and its whole units
+ANYWHERE = 512  # random positions of a rig that are looked at
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Room, camera, orientation PDF, visibility model and tag.
+
+    Args:
+        room: where landmarks and camera are.
+        camera: what looks for them; a `Rig` for several cameras on one body, whose poses then are the room's and the
+            PDF's.
+        pdf: where it looks.
+        visibility: when it sees one.
+        tag: what hangs at each landmark; by default what the visibility model is about, or a point.
+        recorded: what room and PDF were recorded by, with the poses kept back to validate on; None if they were not.
+
+    Raises:
+        InputError: the visibility model is about another tag.
+    """
+
+    room: Space
+    camera: Camera | Rig
+    pdf: OrientationPdf
+    visibility: "Criteria"
+    tag: Tag = None  # type: ignore[assignment] # always a tag once made
+    recorded: "RecordedPoses | None" = None
+
+    def __post_init__(self) -> None:
+        seen = getattr(self.visibility, "tag", None)
+        object.__setattr__(self, "tag", self.tag or seen or Tag())
+        if seen is not None and seen != self.tag:
+            raise InputError(f"tag is {self.tag}, but visibility is about {seen}.", "tag")
+
+    @cached_property
+    def plates(self) -> Plates:
+        """The papers of the tags, and where they may hang."""
+        return Plates(self.room, 0.0 if self.tag.is_point else self.tag.paper_edge)
+
+    @property
+    def spacing(self) -> float:
+        """How far apart neighbouring landmarks had better be, metres."""
+        return max(self.visibility.spacing, self.plates.edge)
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """The camera, or those of the rig."""
+        return self.camera.cameras if isinstance(self.camera, Rig) else (self.camera,)
+
+    def single_camera(self, what: str) -> Camera:
+        """The only camera, for what does not know of rigs.
+
+        Args:
+            what: needs it, the subject of the sentence.
+
+        Raises:
+            InputError: there is a rig.
+        """
+        if isinstance(self.camera, Rig):
+            raise InputError(f"{what} works with a single camera, not with a rig of {len(self.camera.mounts)}.")
+        return self.camera
+
+    def stations(self, axes: FloatArray) -> Iterator[Station]:
+        """Where the cameras are for orientations of the camera, or of the body of a rig, `(A, 6)`."""
+        if isinstance(self.camera, Rig):
+            yield from self.camera.stations(axes)
+        else:
+            yield Station(self.camera, np.zeros(3), np.arange(len(axes)), axes)
+
+    def check_inside(self, positions: FloatArray) -> None:
+        """Raise `InputError` if a camera of a rig is outside the room with its body at a position where it may be.
+
+        Asked are `positions` `(P, 3)` and random ones, each with the orientations that occur there.
+        """
+        if not isinstance(self.camera, Rig):
+            return
+        positions = np.vstack([positions, self.room.sample(ANYWHERE, np.random.default_rng(0))])
+        offsets = self.camera.views(self.orientations.axes)[0]
+        occurs = self.probability(positions) > 0.0
+        for position, turns in zip(positions, np.broadcast_to(occurs, (len(positions), occurs.shape[1])), strict=True):
+            cameras = position + np.unique(offsets[:, turns].reshape(-1, 3), axis=0)
+            outside = ~self.room.contains(cameras)
+            if outside.any():
+                place, body = (
+                    ", ".join(f"{value:.3g}" for value in at) for at in (cameras[np.argmax(outside)], position)
+                )
+                raise InputError(
+                    f"rig has a camera at [{place}], outside the room, when the body is at [{body}].", "rig"
+                )
+
+    @property
+    def orientations(self) -> Orientations:
+        """The distinct orientations of the PDF, as far as the visibility model and a rig tell them apart."""
+        by_rig = isinstance(self.camera, Rig) and self.camera.needs_roll
+        return self.pdf.by_axis_and_roll if by_rig or self.visibility.needs_roll else self.pdf.by_axis
+
+    def probability(self, positions: FloatArray) -> FloatArray:
+        """Of each of these orientations at positions `(Q, 3)`: `(Q, D)`, or `(1, D)` where all have the same."""
+        axes, index_of, _ = self.orientations
+        check_views(PROBABILITY_BYTES, 1 if self.pdf.by_position is None else len(positions), len(index_of))
+        rows = self.pdf.at(positions)
+        index = len(axes) * np.arange(len(rows))[:, None] + index_of
+        total = np.bincount(index.reshape(-1), weights=rows.reshape(-1), minlength=len(rows) * len(axes))
+        return np.asarray(total.reshape(len(rows), len(axes)), dtype=np.float64)
+
+    @cached_property
+    def sight(self) -> Any:
+        """The visibility model compiled for the single camera, a `lmd.scene.criteria.Sight`."""
+        return self.visibility.sight(self.single_camera("this"))

@@ -1,0 +1,137 @@
+"""Fiducial tags: the families, the size of a tag, and its picture.
+
+A tag is a square of N x N modules, the outer ring of them black, on paper with a white margin (the quiet zone). Its
+up is that of the picture its makers publish. For the ArUco families that is `cv2.aruco.generateImageMarker`; for the
+AprilTag families it is AprilTag's own picture, of which OpenCV's is the same turned by half a turn.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, InputError, IntArray, choice, integer, real
+from lmd.core.optional import optional
+
+
+@dataclass(frozen=True)
+class Family:
+    """A set of tags of one size.
+
+    Args:
+        modules: N along an edge, the black border included.
+        ids: number of tags.
+        dictionary: name of the dictionary in `cv2.aruco`.
+        apriltag: name in the AprilTag library, None where it does not know the family.
+    """
+
+    modules: int
+    ids: int
+    dictionary: str
+    apriltag: str | None = None
+
+
+FAMILIES = {
+    "36h11": Family(8, 587, "DICT_APRILTAG_36h11", "tag36h11"),
+    "25h9": Family(7, 35, "DICT_APRILTAG_25h9", "tag25h9"),
+    "16h5": Family(6, 30, "DICT_APRILTAG_16h5", "tag16h5"),
+} | {
+    f"{bits}x{bits}_{ids}": Family(bits + 2, ids, f"DICT_{bits}X{bits}_{ids}")
+    for bits in (4, 5, 6, 7)
+    for ids in (50, 100, 250, 1000)
+}
+
+
+@dataclass(frozen=True)
+class Tag:
+    """What hangs at every landmark of a deployment.
+
+    Args:
+        edge: of the outer black square, metres; None or 0 for landmarks that are points, as in the paper.
+        family: one of `FAMILIES`.
+        quiet_zone: q, width of the white margin on each side, modules.
+
+    Raises:
+        InputError: the edge is negative, the family unknown, or the quiet zone negative.
+    """
+
+    edge: float | None = None
+    family: str = "36h11"
+    quiet_zone: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.edge is not None and real("edge", self.edge) < 0.0:
+            raise InputError(
+                f"edge must be positive, in metres, or null for landmarks that are points, got {self.edge!r}.",
+                "edge",
+            )
+        object.__setattr__(self, "edge", float(self.edge) if self.edge else None)
+        choice("family", self.family, tuple(FAMILIES))
+        object.__setattr__(self, "quiet_zone", real("quiet_zone", self.quiet_zone, low=0.0))
+
+    @property
+    def is_point(self) -> bool:
+        """Whether the landmarks have no size."""
+        return self.edge is None
+
+    def check_edge(self) -> None:
+        """Raise `InputError` if the tag is a point."""
+        if self.is_point:
+            raise InputError("edge must be given, in metres: a detector cannot read a point.", "edge").within("tag")
+
+    @property
+    def modules(self) -> int:
+        """N, modules along the edge."""
+        return FAMILIES[self.family].modules
+
+    @property
+    def ids(self) -> int:
+        """Number of different tags in the family."""
+        return FAMILIES[self.family].ids
+
+    @property
+    def size(self) -> float:
+        """The edge, metres.
+
+        Raises:
+            InputError: the tag is a point.
+        """
+        if self.edge is None:
+            raise InputError("edge must be given, in metres: a point has no size.")
+        return self.edge
+
+    @property
+    def module(self) -> float:
+        """Edge of one module, metres."""
+        return self.size / self.modules
+
+    @property
+    def paper_edge(self) -> float:
+        """Edge of the paper with its quiet zone, s (1 + 2 q / N), metres."""
+        return self.size * (1.0 + 2.0 * self.quiet_zone / self.modules)
+
+    def check_ids(self, ids: IntArray) -> None:
+        """Raise `InputError` if the family has fewer tags than there are `ids` `(K,)`, all different, or lacks one."""
+        if len(ids) > self.ids:
+            raise InputError(f"family {self.family} has {self.ids} different tags, too few for {len(ids)}.", "family")
+        if ids.max() >= self.ids:
+            message = f"family {self.family} has the tags 0 to {self.ids - 1}, but a landmark has the id {ids.max()}."
+            raise InputError(message, "family")
+
+    def picture(self, number: int) -> BoolArray:
+        """The modules of tag `number`, row 0 at the top, True where white, `(N, N)`.
+
+        Raises:
+            InputError: the family has no such tag.
+        """
+        integer("tag id", number, low=0, high=self.ids - 1)
+        family = FAMILIES[self.family]
+        aruco = optional("cv2", "detection").aruco
+        picture = aruco.generateImageMarker(dictionary(self.family), int(number), family.modules) > 0
+        return np.asarray(picture[::-1, ::-1] if family.apriltag else picture)
+
+
+def dictionary(family: str) -> Any:
+    """The dictionary of `cv2.aruco` of a family."""
+    aruco = optional("cv2", "detection").aruco
+    return aruco.getPredefinedDictionary(getattr(aruco, FAMILIES[family].dictionary))

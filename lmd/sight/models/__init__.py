@@ -1,0 +1,1 @@
+"""The criteria: what counts as seen, by the paper and by a detector that was measured."""

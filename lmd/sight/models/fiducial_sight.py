@@ -1,0 +1,272 @@
+"""What a detector sees of fiducial tags as scalar functions: `lmd.sight.models.fiducial` compiled for a camera.
+
+The same operations in the same order as the reference there, hence the same bits.
+"""
+
+import math
+from typing import NamedTuple
+
+from lmd.core.checks import FloatArray
+from lmd.core.compiled import inlined, inner, kernel
+from lmd.geometry.squares import upright_axes
+from lmd.scene.criteria import (
+    TOLERANCE,
+    covering,
+    covers_one,
+    depth_first,
+    frame_of,
+    from_position,
+    hide,
+    in_image,
+    in_view,
+)
+from lmd.scene.deployment import NORMAL_TOLERANCE
+from lmd.sight.obstacles import half_edge
+
+# Of Newton's method, from the distance down to the greatest depth at which the pitch may suffice.
+NEWTON_STEPS = 3
+# Bounds of depths are wider by this, far more than they are rounded.
+MARGIN = 1e-6
+
+
+class FiducialSight(NamedTuple):
+    """The criteria as numbers, tolerance included; a `lmd.scene.criteria.Sight`.
+
+    outer_cosine, inset, reach: see there; facing cosine of the greatest incidence; half, plate half the edge of
+    the black square and of the paper, metres; level: see `lmd.geometry.squares.upright`; left, right, top, bottom
+    tangents of the angles to the borders, less the margin; focal_u, focal_v pixels; area least |det J|, pixels^2 /
+    metre^2. The least eigenvalue of J^T J, pixels^2 / metre^2, is least(depth) = sharp + blurred (defocus - focus /
+    depth)^2 with `focus` in metres; in_focus the depth at which nothing is blurred, 0 if that is infinite.
+    """
+
+    outer_cosine: float
+    inset: float
+    reach: float
+    facing: float
+    half: float
+    plate: float
+    level: float
+    left: float
+    right: float
+    top: float
+    bottom: float
+    focal_u: float
+    focal_v: float
+    area: float
+    sharp: float
+    blurred: float
+    defocus: float
+    focus: float
+    in_focus: float
+
+    @property
+    def horizon(self) -> float:
+        """See `Sight.horizon`: where a tag in the corner of the image that faces the camera is `resolved`."""
+        least = self.outer_cosine**3 * max(self.area, self.sharp)
+        seen = math.sqrt(self.focal_u * self.focal_v / least) if least else math.inf
+        return (seen + math.sqrt(max(self.reach, 0.0))) * (1.0 + NORMAL_TOLERANCE)
+
+    @property
+    def tabulated(self) -> bool:
+        """See `Sight.tabulated`."""
+        return True
+
+    def unhidden(self) -> "FiducialSight":
+        """See `Sight.unhidden`."""
+        return self._replace(reach=-1.0)
+
+    def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "FiducialSight":
+        """See `Sight.among`: flush plates of a convex room never hide each other."""
+        return self if may_hide(self, self.horizon, low, high, landmarks, normals) else self.unhidden()
+
+    def shrunk(self, size: float) -> "FiducialSight":
+        """See `Sight.shrunk`."""
+        return self._replace(plate=self.plate * size)
+
+
+@from_position.register(FiducialSight)
+def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped-def]
+    # Project the tag onto the sphere around the camera, where its pitch is c / d with the cosine c of the incidence,
+    # then from there onto the image plane, which stretches by d / w one way and (d / w)^2 the other. So the smaller
+    # singular value of J is between f c / w and f c d / w^2, and least(w) as in `lmd.sight.models.fiducial` bounds w.
+    distance = math.sqrt(x * x + y * y + z * z)
+    nearest = distance - slack
+    along = -(nx * x + ny * y + nz * z)
+    least = nearest * sight.outer_cosine
+    product = sight.focal_u * sight.focal_v * along  # |det J| w^3
+    most, fewest = max(sight.focal_u, sight.focal_v) * along, min(sight.focal_u, sight.focal_v) * along
+    resolved = least * least * least * max(sight.area, sight.sharp) <= product * (1.0 + TOLERANCE)
+    # w^4 least(w) <= most^2: beyond the depth in focus the left side is convex, and Newton's steps stay above the root.
+    high = distance
+    for _ in range(NEWTON_STEPS):
+        out = sight.defocus * high - sight.focus
+        excess = high * high * (sight.sharp * high * high + sight.blurred * out * out) - most * most
+        slope = 4.0 * sight.sharp * high * high + 2.0 * sight.blurred * out * (out + sight.defocus * high)
+        high = max(high - max(excess, 0.0) / (high * slope), min(sight.in_focus, high))
+    high = min(high, math.sqrt(max(product, 0.0) / (sight.area * least))) * (1.0 + MARGIN)
+    # w^2 least(w) <= (fewest / d)^2, a parabola in w; |det J| >= area follows from w^2 d area <= product.
+    square = sight.sharp + sight.blurred * sight.defocus * sight.defocus
+    middle = sight.blurred * sight.defocus * sight.focus
+    right = fewest / distance
+    inside = middle * middle - square * (sight.blurred * sight.focus * sight.focus - right * right)
+    root = math.sqrt(max(inside, 0.0))
+    near = (middle - root) / square * (1.0 + MARGIN)
+    far = min((middle + root) / square, math.sqrt(max(product, 0.0) / (sight.area * distance))) * (1.0 - MARGIN)
+    steady = distance * math.sin(sight.inset) >= 1.5 * sight.half  # more than half the diagonal
+    sure = far if steady & (inside > 0.0) & (near <= least) else -math.inf
+    reached = (along >= sight.facing * nearest) & (along >= 0.0) & resolved & ((slack > 0.0) | (high >= least))
+    return reached, least - slack, high, math.inf if sure >= distance else sure
+
+
+@half_edge.register(FiducialSight)
+def _half_edge(sight):  # type: ignore[no-untyped-def]
+    return sight.half
+
+
+@frame_of.register(FiducialSight)
+def _frame_of(sight, nx, ny, nz):  # type: ignore[no-untyped-def]
+    return nx, ny, nz, *upright_axes(nx, ny, nz, sight.level)
+
+
+@inlined
+def _inside(sight, u, v, w, tu, tv, tw, uu, uv, uw):  # type: ignore[no-untyped-def]
+    """Whether the corners are in the image: centre, right and up of the tag in the camera's frame."""
+    half, left, right, top, bottom = sight.half, sight.left, sight.right, sight.top, sight.bottom
+    inside = half * (abs(tw) + abs(uw)) < w
+    inside &= u + half * (abs(tu - right * tw) + abs(uu - right * uw)) <= right * w
+    inside &= half * (abs(tu + left * tw) + abs(uu + left * uw)) - u <= left * w
+    inside &= v + half * (abs(tv - bottom * tw) + abs(uv - bottom * uw)) <= bottom * w
+    return inside & (half * (abs(tv + top * tw) + abs(uv + top * uw)) - v <= top * w)
+
+
+@inlined
+def _clear(sight, u, v, w, tu, tv, tw, uu, uv, uw, along):  # type: ignore[no-untyped-def]
+    """Whether pitch and area suffice; `along` is n . d."""
+    per = 1.0 / w
+    fu, fv, at_u, at_v = sight.focal_u * per, sight.focal_v * per, u * per, v * per
+    one, two, three, four = tu - at_u * tw, uu - at_u * uw, tv - at_v * tw, uv - at_v * uw
+    square = fu * fu * (one * one + two * two) + fv * fv * (three * three + four * four)
+    determinant = fu * fv * per * abs(along)
+    blur = sight.defocus - sight.focus * per
+    least = sight.sharp + sight.blurred * (blur * blur)
+    clear = (2.0 * least <= square) & (determinant >= sight.area)
+    return clear & (least * least + determinant * determinant >= square * least)
+
+
+@in_image.register(FiducialSight)
+def _in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
+    tx, ty, tz, ux, uy, uz = upright_axes(nx, ny, nz, sight.level)
+    dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
+    # The centre, and the tag's right and up, in the camera's frame.
+    u, v, w = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z, ax * x + ay * y + az * z
+    tu, tv, tw = rx * tx + ry * ty + rz * tz, dx * tx + dy * ty + dz * tz, ax * tx + ay * ty + az * tz
+    uu, uv, uw = rx * ux + ry * uy + rz * uz, dx * ux + dy * uy + dz * uz, ax * ux + ay * uy + az * uz
+    clear = _clear(sight, u, v, w, tu, tv, tw, uu, uv, uw, nx * x + ny * y + nz * z)
+    return (_inside(sight, u, v, w, tu, tv, tw, uu, uv, uw) & clear & (w >= low)) | ((slack > 0.0) & (w >= low))
+
+
+@covers_one.register(FiducialSight)
+def _covers_one(sight, x, y, z, frame, low, high, sure, well, axes, a):  # type: ignore[no-untyped-def]
+    nx, ny, nz, tx, ty, tz, ux, uy, uz = frame
+    ax, ay, az, rx, ry, rz = axes[0, a], axes[1, a], axes[2, a], axes[3, a], axes[4, a], axes[5, a]
+    w = ax * x + ay * y + az * z
+    if (w < low) | (w > high):
+        return False
+    if well & (w <= sure):
+        return True
+    dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
+    u, v = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z
+    # The centre must be in the image, too.
+    if (u > sight.right * w) | (-u > sight.left * w) | (v > sight.bottom * w) | (-v > sight.top * w):
+        return False
+    tu, tv, tw = rx * tx + ry * ty + rz * tz, dx * tx + dy * ty + dz * tz, ax * tx + ay * ty + az * tz
+    uu, uv, uw = rx * ux + ry * uy + rz * uz, dx * ux + dy * uy + dz * uz, ax * ux + ay * uy + az * uz
+    if not (well & (sure > -math.inf) or _inside(sight, u, v, w, tu, tv, tw, uu, uv, uw)):
+        return False
+    return w <= sure or _clear(sight, u, v, w, tu, tv, tw, uu, uv, uw, nx * x + ny * y + nz * z)
+
+
+covering.register(FiducialSight)(depth_first)
+
+
+@in_view.register(FiducialSight)
+def _in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
+    dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
+    u, v, w = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z, ax * x + ay * y + az * z
+    left, right, top, bottom = sight.left, sight.right, sight.top, sight.bottom
+    # How far it is from the four planes through the camera and a border of the image.
+    seen = right * w - u >= sine * math.sqrt(1.0 + right * right)
+    seen &= left * w + u >= sine * math.sqrt(1.0 + left * left)
+    seen &= bottom * w - v >= sine * math.sqrt(1.0 + bottom * bottom)
+    return seen & (top * w + v >= sine * math.sqrt(1.0 + top * top))
+
+
+@inner
+def _hides(sight, ax, ay, az, nx, ny, nz, bx, by, bz, mx, my, mz):  # type: ignore[no-untyped-def]
+    """Whether plate A with normal n hides the centre or a corner of B with normal m."""
+    height = -(nx * ax + ny * ay + nz * az)
+    tx, ty, tz, ux, uy, uz = upright_axes(nx, ny, nz, sight.level)
+    rx, ry, rz, sx, sy, sz = upright_axes(mx, my, mz, sight.level)
+    rx, ry, rz = sight.half * rx, sight.half * ry, sight.half * rz
+    sx, sy, sz = sight.half * sx, sight.half * sy, sight.half * sz
+    for i in range(5):
+        # The centre, then r + s, -(r + s), r - s and -(r - s) from it.
+        way, up = (0.0 if i == 0 else 1.0 if i % 2 == 1 else -1.0), (1.0 if i < 3 else -1.0)
+        cx, cy, cz = bx + way * (rx + up * sx), by + way * (ry + up * sy), bz + way * (rz + up * sz)
+        side = nx * cx + ny * cy + nz * cz + height
+        if (height > 0.0 and side < -TOLERANCE) or (height < 0.0 and side > TOLERANCE):
+            share = height / (height - side)
+            qx, qy, qz = share * cx - ax, share * cy - ay, share * cz - az
+            along, across = abs(tx * qx + ty * qy + tz * qz), abs(ux * qx + uy * qy + uz * qz)
+            if along <= sight.plate and across <= sight.plate:
+                return True
+    return False
+
+
+@hide.register(FiducialSight)
+def _hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
+    # Mostly the camera is in front of both planes, and no corner behind the other's: half the diagonal times the sine
+    # of the angle between the planes is how far a corner may be below the centre.
+    cx, cy, cz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    reach = 1.5 * sight.half * math.sqrt(cx * cx + cy * cy + cz * cz) - 0.5 * TOLERANCE
+    above_a, above_b = -(ux * ax + uy * ay + uz * az), -(vx * bx + vy * by + vz * bz)
+    b_above_a, a_above_b = ux * bx + uy * by + uz * bz + above_a, vx * ax + vy * ay + vz * az + above_b
+    one, two = not (above_a > 0.0 and b_above_a >= reach), not (above_b > 0.0 and a_above_b >= reach)
+    if one:
+        one = _hides(sight, ax, ay, az, ux, uy, uz, bx, by, bz, vx, vy, vz)
+    if two:
+        two = _hides(sight, bx, by, bz, vx, vy, vz, ax, ay, az, ux, uy, uz)
+    return one, two
+
+
+def may_hide(
+    sight: FiducialSight, horizon: float, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray
+) -> bool:
+    """False only if all cameras are in front of all plates, and no corner is behind a plate within the `horizon`.
+
+    The other arguments are those of `Sight.among`.
+    """
+    return sight.reach >= 0.0 and _some_behind(low, high, landmarks, normals, sight.half, sight.level, horizon)
+
+
+@kernel
+def _some_behind(low, high, landmarks, normals, half, level, horizon):  # type: ignore[no-untyped-def]
+    count = landmarks.shape[2]
+    for b in range(len(landmarks)):
+        for j in range(count):
+            x, y, z = landmarks[b, 0, j], landmarks[b, 1, j], landmarks[b, 2, j]
+            nx, ny, nz = normals[b, 0, j], normals[b, 1, j], normals[b, 2, j]
+            height = min(nx * (low[0] - x), nx * (high[0] - x))
+            height += min(ny * (low[1] - y), ny * (high[1] - y)) + min(nz * (low[2] - z), nz * (high[2] - z))
+            if not height >= TOLERANCE:
+                return True
+            for k in range(count):
+                dx, dy, dz = landmarks[b, 0, k] - x, landmarks[b, 1, k] - y, landmarks[b, 2, k] - z
+                if dx * dx + dy * dy + dz * dz > horizon * horizon:
+                    continue
+                tx, ty, tz, ux, uy, uz = upright_axes(normals[b, 0, k], normals[b, 1, k], normals[b, 2, k], level)
+                side = nx * dx + ny * dy + nz * dz
+                side -= half * (abs(nx * tx + ny * ty + nz * tz) + abs(nx * ux + ny * uy + nz * uz))
+                if side < -0.1 * TOLERANCE:
+                    return True
+    return False

@@ -1,0 +1,310 @@
+"""The paper's four criteria: resolution, field of view, focus and occlusion (Sec. III).
+
+First each equation in NumPy, the reference. Decisions use closed inequalities with the shared `TOLERANCE`, and the few
+sums behind them are written out term by term: compiled code that repeats the same operations in the same order reaches
+the same bits, hence identical counts, even for a landmark exactly on a boundary. Then the same as scalar functions.
+
+A landmark at distance d that is not occluded is covered iff its depth z along the optical axis satisfies
+
+    max(min_cosine d, min_depth) <= z <= max_depth,
+
+where the field of view gives the cosine, focus the least depth, focus and resolution the greatest.
+
+Shapes: A orientations, K landmarks. Lengths are metres, angles radians, frames world.
+Source: Lei et al., "Optimization of Directional Landmark Deployment for Visual Observer on SE(3)".
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray, choice, real
+from lmd.scene.camera import Camera
+from lmd.scene.criteria import TOLERANCE, from_position, hide, in_cone, in_image, in_view
+
+OCCLUSION_MODES = ("paper", "line_of_sight", "none")
+
+
+@dataclass(frozen=True)
+class Visibility:
+    """Thresholds of the paper's criteria; a `lmd.scene.criteria.Criteria`.
+
+    Args:
+        thold: coverage-strength threshold, pixel/mm.
+        nu: virtual diameter nu_k of a landmark, metres; another landmark closer than this to the line of sight
+            hides it. 0 switches that test off (and lets an optimiser stack landmarks on one point).
+        occlusion: `paper` tests the distance to the whole line through camera and landmark, as printed;
+            `line_of_sight` only counts landmarks in front of the camera and not farther than the one looked at;
+            `none` ignores other landmarks. All modes require the landmark to face the camera.
+        circle_of_confusion: permissible diameter delta, pixels.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    thold: float
+    nu: float = 0.05
+    occlusion: str = "paper"
+    circle_of_confusion: float = 4.0
+
+    needs_roll = False  # see `Criteria.needs_roll`: the cone of view is round
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "thold", real("thold", self.thold, above=0.0))
+        object.__setattr__(self, "nu", real("nu", self.nu, low=0.0))
+        choice("occlusion", self.occlusion, OCCLUSION_MODES)
+        confusion = real("circle_of_confusion", self.circle_of_confusion, above=0.0)
+        object.__setattr__(self, "circle_of_confusion", confusion)
+
+    @property
+    def tests_other_landmarks(self) -> bool:
+        """Whether one landmark can hide another."""
+        return self.occlusion != "none" and self.nu > 0.0
+
+    @property
+    def spacing(self) -> float:
+        """See `Criteria.spacing`: the virtual diameter."""
+        return self.nu
+
+    def covered(
+        self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
+    ) -> BoolArray:
+        """See `Criteria.covered`: Cs_k >= thold, the coverage spherical caps S_k^C(p) (Definition 1)."""
+        strength = coverage_strength(camera, self, position, axes, landmarks, normals)
+        return np.asarray(strength >= self.thold * (1.0 - TOLERANCE))
+
+    def verdicts(
+        self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
+    ) -> dict[str, BoolArray]:
+        """Whether landmarks meet each criterion taken by itself, `(A, K)` by its name; args as in `covered`."""
+        offset = landmarks - position
+        distance = np.sqrt(dot(offset, offset))
+        depth = dot(axes[:, None, :], offset[None, :, :])
+        everywhere = np.ones_like(depth, dtype=np.bool_)
+        return {
+            "resolution": resolution(camera, depth) >= self.thold * (1.0 - TOLERANCE),
+            "field_of_view": field_of_view(camera, depth, distance[None, :]),
+            "focus": focus(camera, self.circle_of_confusion, depth),
+            "facing": everywhere & ~faces_away(offset, distance, normals),
+            "hiding": everywhere & ~hidden_by_others(offset, self),
+        }
+
+    def limits_for(self, camera: Camera) -> dict[str, str]:
+        """See `lmd.evaluation.verdicts.Explained.limits_for`."""
+        near, far = camera.depth_of_field(self.circle_of_confusion)
+        in_focus = "any depth ahead: no aperture" if camera.is_pinhole else f"depth from {near:.3g} to {far:.3g} m"
+        half_angle = math.degrees(camera.cone_half_angle)
+        hiding = f"no other landmark within nu = {self.nu:g} m of the line of sight"
+        return {
+            "resolution": f"depth up to {camera.resolution_depth(self.thold):.3g} m (thold = {self.thold:g} pixel/mm)",
+            "field_of_view": f"within {half_angle:.3g} degrees of the optical axis",
+            "focus": in_focus,
+            "facing": "incidence below 90 degrees",
+            "hiding": hiding if self.tests_other_landmarks else "other landmarks hide nothing",
+        }
+
+    def sight(self, camera: Camera) -> "PaperSight":
+        """See `Criteria.sight`; `max_depth` is the largest double that passes both focus and resolution."""
+        near, far = camera.depth_of_field(self.circle_of_confusion)
+        at_one_metre, thold = camera.resolution_at_one_metre, self.thold * (1.0 - TOLERANCE)
+        depth = at_one_metre / thold
+        # The division above may round to either side of the last depth whose strength still reaches the
+        # threshold; stepping there makes the bound agree bit for bit with `strength >= threshold`.
+        while at_one_metre / depth < thold:
+            depth = math.nextafter(depth, 0.0)
+        while at_one_metre / (further := math.nextafter(depth, math.inf)) >= thold:
+            depth = further
+        return PaperSight(
+            min_cosine=math.cos(camera.cone_half_angle) - TOLERANCE,
+            min_depth=near * (1.0 - TOLERANCE),
+            max_depth=min(depth, far * (1.0 + TOLERANCE)),
+            reach=(self.nu * (1.0 + TOLERANCE)) ** 2 if self.tests_other_landmarks else -1.0,
+            whole_line=self.occlusion == "paper",
+        )
+
+
+def dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Inner product over the last axis, summed from left to right."""
+    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
+
+
+def resolution(camera: Camera, depth: FloatArray) -> FloatArray:
+    """C^R = f d_s / ((d_s - f) z max(s_u, s_v)), pixel/mm (Eq. C_k^R).
+
+    Args:
+        camera: the camera.
+        depth: z^c, any shape, metres; what lies behind the camera has resolution 0.
+    """
+    positive = np.where(depth > 0.0, depth, np.inf)
+    with np.errstate(over="ignore"):  # a depth too small to divide by has infinite resolution
+        return np.asarray(camera.resolution_at_one_metre / positive)
+
+
+def field_of_view(camera: Camera, depth: FloatArray, distance: FloatArray) -> BoolArray:
+    """C^FOV: z > 0 and sqrt(x^2 + y^2) / z <= tan(min(phi)), as z >= |s| cos(min(phi)) (Eq. C_k^FOV).
+
+    Both forms describe the same cone; this one needs no division and no roll.
+
+    Args:
+        camera: the camera.
+        depth: z^c, metres.
+        distance: |s^c|, metres, same shape.
+    """
+    return np.asarray(depth >= distance * (math.cos(camera.cone_half_angle) - TOLERANCE)) & (depth > 0.0)
+
+
+def focus(camera: Camera, circle_of_confusion: float, depth: FloatArray) -> BoolArray:
+    """C^F: d_n <= z <= d_f (Eq. C_k^F)."""
+    near, far = camera.depth_of_field(circle_of_confusion)
+    return np.asarray((depth >= near * (1.0 - TOLERANCE)) & (depth <= far * (1.0 + TOLERANCE)))
+
+
+def faces_away(offset: FloatArray, distance: FloatArray, normals: FloatArray) -> BoolArray:
+    """zeta >= pi/2: the camera cannot see the front face (Eq. occlusion1).
+
+    cos(zeta) = n . (p - s) / |p - s| is compared with 0.
+
+    Args:
+        offset: s_k - p, `(K, 3)`.
+        distance: |s_k - p|, `(K,)`.
+        normals: n_k, `(K, 3)`.
+    """
+    return np.asarray(-dot(normals, offset) <= TOLERANCE * distance)
+
+
+def hidden_by_others(offset: FloatArray, visibility: Visibility) -> BoolArray:
+    """Another landmark lies within nu of the line of sight (Eq. occlusion2), `(K,)`.
+
+    The paper's |s_j - p| sqrt(1 - cos^2) is the distance from s_j to the line through p and s_k, that is
+    |d_j x d_k| / |d_k|, which stays accurate for nearly collinear landmarks.
+
+    Args:
+        offset: d = s - p, `(K, 3)`.
+        visibility: the virtual diameter nu, and which part of the line counts.
+    """
+    count = len(offset)
+    if not visibility.tests_other_landmarks:
+        return np.zeros(count, dtype=bool)
+    looked_at, other = offset[:, None, :], offset[None, :, :]
+    cx = other[..., 1] * looked_at[..., 2] - other[..., 2] * looked_at[..., 1]
+    cy = other[..., 2] * looked_at[..., 0] - other[..., 0] * looked_at[..., 2]
+    cz = other[..., 0] * looked_at[..., 1] - other[..., 1] * looked_at[..., 0]
+    squared = dot(offset, offset)
+    reach = (visibility.nu * (1.0 + TOLERANCE)) ** 2
+    hides = cx * cx + cy * cy + cz * cz <= reach * squared[:, None]
+    if visibility.occlusion == "line_of_sight":
+        hides &= dot(looked_at, other) > 0.0
+        hides &= squared[None, :] <= squared[:, None] * (1.0 + TOLERANCE)
+    hides[np.arange(count), np.arange(count)] = False
+    return np.asarray(hides.any(axis=1))
+
+
+def occlusion(offset: FloatArray, distance: FloatArray, normals: FloatArray, visibility: Visibility) -> BoolArray:
+    """C^O: False where a landmark is occluded (Eq. C_k^O), `(K,)`. Args as in the two tests it joins."""
+    return ~(faces_away(offset, distance, normals) | hidden_by_others(offset, visibility))
+
+
+def coverage_strength(
+    camera: Camera,
+    visibility: Visibility,
+    position: FloatArray,
+    axes: FloatArray,
+    landmarks: FloatArray,
+    normals: FloatArray,
+) -> FloatArray:
+    """Cs = C^R C^FOV C^F C^O (Eq. Cs_k), pixel/mm, `(A, K)`. Args as in `Criteria.covered`; `(A, 3)` axes suffice."""
+    offset = landmarks - position
+    distance = np.sqrt(dot(offset, offset))
+    depth = dot(axes[:, None, :], offset[None, :, :])
+    seen = field_of_view(camera, depth, distance[None, :])
+    seen &= focus(camera, visibility.circle_of_confusion, depth)
+    seen &= occlusion(offset, distance, normals, visibility)[None, :]
+    return np.where(seen, resolution(camera, depth), 0.0)
+
+
+class PaperSight(NamedTuple):
+    """The criteria as bounds on the depth, tolerance included; a `lmd.scene.criteria.Sight`.
+
+    min_cosine of the cone of view; min_depth, max_depth metres; reach squared nu, m^2; whole_line: a landmark hides
+    another from behind the camera, too, and from beyond it.
+    """
+
+    min_cosine: float
+    min_depth: float
+    max_depth: float
+    reach: float
+    whole_line: bool
+
+    @property
+    def outer_cosine(self) -> float:
+        """See `Sight.outer_cosine`."""
+        return self.min_cosine - TOLERANCE
+
+    @property
+    def inset(self) -> float:
+        """See `Sight.inset`: a landmark is a point."""
+        return 0.0
+
+    @property
+    def horizon(self) -> float:
+        """See `Sight.horizon`: a landmark on the whole line hides others from however far away."""
+        if self.min_cosine <= 0.0 or (self.whole_line and self.reach >= 0.0):
+            return math.inf
+        return (self.max_depth / self.min_cosine + math.sqrt(max(self.reach, 0.0))) * (1.0 + 2.0 * TOLERANCE)
+
+    @property
+    def tabulated(self) -> bool:
+        """See `Sight.tabulated`: a depth and two comparisons."""
+        return False
+
+    def unhidden(self) -> "PaperSight":
+        """See `Sight.unhidden`."""
+        return self._replace(reach=-1.0)
+
+    def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "PaperSight":
+        """See `Sight.among`: a landmark may hide any other."""
+        return self
+
+    def shrunk(self, size: float) -> "PaperSight":
+        """See `Sight.shrunk`."""
+        return self._replace(reach=self.reach * size**2)
+
+
+@from_position.register(PaperSight)
+def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped-def]
+    distance = math.sqrt(x * x + y * y + z * z)
+    nearest = distance - slack
+    low = max(nearest * sight.min_cosine, sight.min_depth) - slack
+    in_depth = (nearest * sight.min_cosine <= sight.max_depth) & (
+        (distance + slack) * (1.0 + TOLERANCE) >= sight.min_depth
+    )
+    facing = -(nx * x + ny * y + nz * z) > TOLERANCE * nearest
+    limited = (distance * sight.min_cosine < sight.min_depth) | (distance * (1.0 + TOLERANCE) > sight.max_depth)
+    return in_depth & facing, low, sight.max_depth, sight.max_depth if limited else math.inf
+
+
+@in_image.register(PaperSight)
+def _in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
+    depth = ax * x + ay * y + az * z
+    return (depth >= low) & (depth <= sight.max_depth + slack)
+
+
+@in_view.register(PaperSight)
+def _in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
+    return in_cone(sight.min_cosine + (TOLERANCE if sine > 0.0 else -TOLERANCE), x, y, z, sine, cosine, ax, ay, az)
+
+
+@hide.register(PaperSight)
+def _hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
+    cx = ay * bz - az * by
+    cy = az * bx - ax * bz
+    cz = ax * by - ay * bx
+    cross = cx * cx + cy * cy + cz * cz
+    one, two = cross <= sight.reach * b, cross <= sight.reach * a
+    if not sight.whole_line:
+        in_front = bx * ax + by * ay + bz * az > 0.0
+        one = one & in_front & (a <= b * (1.0 + TOLERANCE))
+        two = two & in_front & (b <= a * (1.0 + TOLERANCE))
+    return one, two

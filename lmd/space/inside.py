@@ -1,0 +1,32 @@
+"""Whether a camera that moves stays inside a room."""
+
+import numpy as np
+
+from lmd.core.checks import InputError
+from lmd.geometry.trajectory import Trajectory
+from lmd.space.space import Space
+
+
+def check_positions(trajectory: Trajectory, room: Space) -> None:
+    """Raise `InputError` if the camera leaves the closed room, or is inside something that stands in it."""
+    positions = trajectory.poses[:, :3, 3]
+    outside = np.flatnonzero(~room.contains(positions))
+    if outside.size:
+        x, y, z = positions[outside[0]]
+        raise InputError(
+            f"the camera at {trajectory.time[outside[0]]:.16g} s, ({x:.9g}, {y:.9g}, {z:.9g}), is outside the "
+            f"{room.describe()}."
+        )
+
+
+def check_inside(trajectory: Trajectory, room: Space) -> None:
+    """Raise `InputError` as `check_positions`, or if it goes through something that stands in the room."""
+    check_positions(trajectory, room)
+    positions = trajectory.poses[:, :3, 3]
+    through = np.flatnonzero(~room.clear(positions[:-1], positions[1:]))
+    if through.size:
+        x, y, z = positions[through[0]]
+        raise InputError(
+            f"the camera goes straight on from ({x:.9g}, {y:.9g}, {z:.9g}) at {trajectory.time[through[0]]:.16g} s, "
+            f"through something that stands in the {room.describe()}."
+        )

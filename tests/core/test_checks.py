@@ -1,0 +1,79 @@
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lmd.core.checks import InputError, boolean, file_path, integer, radians, real, seconds, seed_number
+
+
+@pytest.mark.parametrize("value", [1000, 1e3, np.int64(1000), np.float64(1000.0)])
+def test_a_float_that_is_whole_is_a_whole_number(value):
+    number = integer("evaluations", value, low=1)
+    assert number == 1000
+    assert type(number) is int
+
+
+def test_a_large_whole_number_keeps_every_digit():
+    assert seed_number(2**60 + 1) == 2**60 + 1
+
+
+def test_a_number_that_can_only_be_a_slip_is_refused():
+    assert real("edge", -1e12) == -1e12
+    assert real("far", float("inf"), infinite=True) == float("inf")
+    with pytest.raises(InputError, match=r"^edge must be at most 1e\+12 in size, got -1e\+300\."):
+        real("edge", -1e300)
+    with pytest.raises(InputError, match=r"^seed must be in \[0, 3\.40282e\+38\], got 1e\+300\."):
+        seed_number(1e300)
+
+
+@pytest.mark.parametrize("value", [2.5, math.inf, math.nan, "3", True, None, [1]])
+def test_what_is_no_whole_number_is_refused(value):
+    with pytest.raises(InputError, match=r"^count must be a whole number, got "):
+        integer("count", value, low=0)
+
+
+def test_a_number_too_large_for_a_float_is_refused():
+    with pytest.raises(InputError, match=r"^edge must be finite, got 10000"):
+        real("edge", 10**400)
+
+
+@pytest.mark.parametrize("value", [1, 0, "true", None, np.True_])
+def test_only_true_and_false_are_boolean(value):
+    assert boolean("page", True) is True
+    with pytest.raises(InputError, match=r"^page must be true or false, got "):
+        boolean("page", value)
+
+
+@pytest.mark.parametrize("value", [5, None, ["a.csv"], True])
+def test_a_path_is_text(value):
+    assert file_path("resume", "runs/first") == Path("runs/first")
+    with pytest.raises(InputError, match=r"^resume must be the path of a file or a folder, got "):
+        file_path("resume", value)
+
+
+@pytest.mark.parametrize("unit", [1e3, 1e6, 1e9])
+def test_stamps_of_a_clock_in_other_units_than_seconds_are_refused(unit):
+    now = np.array([1.75e9, 1.76e9])
+    seconds("flight.csv", now)
+    with pytest.raises(
+        InputError, match=r"^flight\.csv: time = 1\.?76.* looks like milliseconds or nanoseconds; times"
+    ):
+        seconds("flight.csv", unit * now)
+
+
+@pytest.mark.parametrize("rate", [30.0, 200.0])
+def test_milliseconds_since_the_start_are_refused_where_the_camera_would_creep(rate):
+    time = np.arange(100) / rate
+    walk = np.stack([0.8 * time, np.zeros(100), np.ones(100)], axis=1)
+    rare = np.arange(100) * 10.0
+    for true, way in ((time, walk), (rare, 0.8 * rare[:, None] * [1.0, 0.0, 0.0]), (rare, np.ones((100, 3)))):
+        seconds("flight.csv", true, way)
+    with pytest.raises(InputError, match=r"^flight\.csv: frames [\d.]+ s apart, .* at 0\.8 mm/s, look like milli"):
+        seconds("flight.csv", 1e3 * time, walk)
+
+
+def test_angles_beyond_one_turn_look_like_degrees():
+    radians("flight.csv", yaw=np.array([-6.2832, 6.2832]), pitch=np.array([1.57]))
+    with pytest.raises(InputError, match=r"^flight\.csv: yaw = -90 looks like degrees; angles are in radians"):
+        radians("flight.csv", yaw=np.array([45.0, -90.0]), pitch=np.zeros(2))

@@ -1,0 +1,136 @@
+"""What would not fit into memory is refused before it is taken."""
+
+import numpy as np
+import pytest
+from paper import paper_room, paper_scene
+
+from lmd.core import memory
+from lmd.core.checks import InputError
+from lmd.core.memory import check_memory, free_memory
+from lmd.estimation.flights import Pace, RandomMotion
+from lmd.incremental.coverage_field import coverage_field
+from lmd.incremental.move import state_of
+from lmd.objectives.coverage import CappedCount, Coverage
+from lmd.objectives.localisation import Localisation
+from lmd.objectives.localisation.kernels import localised_views
+from lmd.optimisers.base import Budget
+from lmd.optimisers.ega import EGA
+from lmd.problem import Problem
+from lmd.scene import pdf
+from lmd.scene.deployment import RandomDeployment, UniformDeployment
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.poses import candidate_poses
+
+MIB = 2**20
+SCENE = paper_scene()
+
+
+@pytest.fixture
+def machine(tmp_path, monkeypatch):
+    """A machine that has so many bytes."""
+
+    def with_bytes(free, limit="max"):
+        for name, text in (("meminfo", f"MemTotal: 9 kB\nMemAvailable: {free // 1024} kB\n"), ("limit", f"{limit}\n")):
+            (tmp_path / name).write_text(text)
+        monkeypatch.setattr(memory, "MEMINFO", tmp_path / "meminfo")
+        monkeypatch.setattr(memory, "LIMITS", (tmp_path / "limit", tmp_path / "none"))
+
+    return with_bytes
+
+
+def test_the_smaller_of_what_is_free_and_what_a_container_may_take(machine):
+    machine(64 * MIB)
+    assert free_memory() == 64 * MIB
+    machine(64 * MIB, limit=16 * MIB)
+    assert free_memory() == 16 * MIB
+    machine(8 * MIB, limit=16 * MIB)
+    assert free_memory() == 8 * MIB
+
+
+def test_without_linux_it_is_what_the_machine_has(monkeypatch, tmp_path):
+    there = free_memory()
+    monkeypatch.setattr(memory, "MEMINFO", tmp_path / "none")
+    assert free_memory() >= there > 0
+
+
+def test_both_figures_are_named(machine):
+    machine(2**30)
+    check_memory(2**30, "count = 5 landmarks", "count")
+    with pytest.raises(
+        InputError, match=r"^count = 5 landmarks would take 2 GiB of memory, and 1 GiB are free\.$"
+    ) as told:
+        check_memory(2**31, "count = 5 landmarks", "count")
+    assert told.value.argument == "count"
+
+
+@pytest.mark.parametrize("spacing", [1e-3, 1e-300, [0.5, 1e-12, 0.5]])
+def test_a_room_with_too_many_positions_is_refused(spacing):
+    with pytest.raises(InputError, match=r"^spacing = .* positions, which would take \S+ GiB of memory"):
+        paper_room(spacing=spacing)
+
+
+@pytest.mark.parametrize("source", [RandomDeployment, UniformDeployment])
+def test_too_many_landmarks_are_refused_before_they_are_drawn(source):
+    with pytest.raises(InputError, match=r"^count = 1000000000000 landmarks would take 3\.725e\+05 GiB"):
+        source(10**12)
+
+
+@pytest.mark.parametrize("make", [pdf.grid_with_ends, pdf.grid_of_cells, pdf.solid_angle])
+def test_too_many_orientations_are_refused(make):
+    with pytest.raises(InputError, match=r"^divisions = 1000000 makes 2e\+12 orientations, which would take"):
+        make(10**6)
+
+
+def test_a_flight_that_takes_years_is_refused():
+    with pytest.raises(InputError, match=r"^duration = 1e\+12 s makes 2e\+13 frames, which would take"):
+        RandomMotion(1e12, Pace(1.0, 1.0, 20.0))
+
+
+def test_a_flight_that_nobody_could_film_is_refused():
+    motion = RandomMotion(30.0, Pace(1e9, 1e9, 20.0))
+    with pytest.raises(InputError, match=r"^pace\.speed = 1e\+09 m/s .* is 100 waypoints and more between two frames"):
+        motion.draw(SCENE, np.random.default_rng(0))
+
+
+def test_a_population_that_does_not_fit_is_refused_before_it_is_drawn():
+    problem = Problem(SCENE, Coverage(2, 0.5), RandomDeployment(90))
+    with pytest.raises(InputError, match=r"^optimiser: 1000000000 deployments of 180 genes at a time would take"):
+        EGA(population=10**9).run(problem, Budget(10))
+
+
+def test_a_grid_of_too_many_poses_is_refused():
+    with pytest.raises(InputError, match=r"^spacing = 1e-06 makes 3e\+13 poses, which would take"):
+        candidate_poses(paper_room(), 1e-6)
+
+
+def test_what_the_evaluator_keeps_of_every_view_is_estimated_before(machine):
+    evaluator, deployment = Evaluator(SCENE), RandomDeployment(90).draw(SCENE.room, np.random.default_rng(0))
+    landmarks = deployment.positions[None], deployment.normals[None]
+    asked = Localisation().precision(SCENE)
+    views = r"^756 positions x 320 orientations"
+    machine(MIB // 4)
+    for keep in (
+        lambda: evaluator.counts(deployment),
+        lambda: localised_views(evaluator, *landmarks, 2, asked, keep=True),
+        lambda: CappedCount(evaluator, np.ones(756), 2),
+    ):
+        with pytest.raises(InputError, match=f"{views} would take"):
+            keep()
+    with pytest.raises(InputError, match=r"x 320 orientations x 90 landmarks would take"):
+        state_of(coverage_field(evaluator, 2), deployment)
+    machine(2**30)
+    assert evaluator.counts(deployment).shape == (756, 325)
+
+
+def test_the_estimate_of_a_state_is_near_what_it_takes(machine):
+    evaluator, deployment = Evaluator(SCENE), RandomDeployment(90).draw(SCENE.room, np.random.default_rng(0))
+    field = coverage_field(evaluator, 2)
+    state = state_of(field, deployment)
+    taken = sum(array.nbytes for array in state)
+    for free, fits in ((taken // 2, False), (3 * taken, True)):
+        machine(free)
+        if fits:
+            state_of(field, deployment)
+        else:
+            with pytest.raises(InputError, match="would take"):
+                state_of(field, deployment)

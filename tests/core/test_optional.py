@@ -1,0 +1,97 @@
+"""Packages that only some commands need: what is missing is said at once, with the command that installs it."""
+
+import re
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+from processes import call
+
+from lmd.core.checks import InputError
+from lmd.core.optional import EXTRAS, missing_of, optional
+from pipelines.app import CONF
+from pipelines.building import instantiate
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+# Names of packages that are not those of their modules.
+NAMES = {"cv2": "opencv-python-headless", "hydra_plugins": "hydra-joblib-launcher"}
+
+
+def extras_asked_for():
+    """The packages and extras that the code names."""
+    code = "\n".join(path.read_text() for folder in ("lmd", "pipelines") for path in (ROOT / folder).rglob("*.py"))
+    return {*re.findall(r'optional\("([\w.]+)", "(\w+)"\)', code), *EXTRAS.items()}
+
+
+def test_every_extra_that_is_named_brings_the_package():
+    asked = extras_asked_for()
+    assert len(asked) > 10
+    for package, extra in asked:
+        top = package.split(".")[0]
+        if package == "hydra_plugins.hydra_submitit_launcher":
+            top = "hydra-submitit-launcher"
+        brought = [re.match(r"[\w-]+", line)[0] for line in PROJECT["optional-dependencies"][extra]]
+        assert NAMES.get(top, top) in brought, (package, extra)
+
+
+def test_the_main_job_needs_no_package_of_an_extra():
+    core = {re.match(r"[\w-]+", line)[0] for line in PROJECT["dependencies"]}
+    assert not core & {NAMES.get(package.split(".")[0], package) for package, _ in extras_asked_for()}
+
+
+@pytest.fixture
+def hidden(monkeypatch):
+    """Hides a package as if it were not installed."""
+    return lambda name: monkeypatch.setitem(sys.modules, name, None)
+
+
+def test_a_package_that_is_missing_is_named_with_the_command_that_installs_it(hidden, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    hidden("plotly")
+    with pytest.raises(InputError) as told:
+        optional("plotly", "page")
+    assert str(told.value).startswith("this needs the package plotly: ")
+    assert str(told.value).endswith(" -m pip install --constraint constraints.txt --editable '.[page]'.")
+
+
+@pytest.mark.parametrize(
+    ("package", "optimiser"), [("pymoo", "pymoo_ga"), ("nevergrad", "nevergrad"), ("cma", "cma_es")]
+)
+def test_an_optimiser_of_a_library_that_is_missing_says_so(hidden, package, optimiser):
+    for name in [name for name in sys.modules if name.partition(".")[0] == package]:
+        hidden(name)
+    hidden(package)
+    with initialize_config_dir(CONF, version_base="1.3"):
+        node = compose("optimise", [f"optimiser={optimiser}"]).optimiser
+    with pytest.raises(InputError, match=rf"^this needs the package {package}: .*\[optimisers\]'\.$"):
+        instantiate(node, seed=0)
+
+
+def test_another_error_is_no_missing_package():
+    assert missing_of(ValueError("no")) is None
+    assert missing_of(ModuleNotFoundError("no", name="numpyro")) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("pipeline", "override", "package", "extra"),
+    [
+        ("optimise", "page=true", "plotly", "page"),
+        ("detect", "frames=1", "cv2", "detection"),
+        ("view", "port=0", "viser", "view"),
+        ("optimise", "hydra/launcher=joblib", "hydra_plugins", "sweeps"),
+    ],
+)
+def test_a_command_that_lacks_a_package_says_so_before_anything_is_computed(
+    pipeline, override, package, extra, tmp_path
+):
+    (tmp_path / "without").mkdir()
+    (tmp_path / "without" / f"{package}.py").write_text(f"raise ModuleNotFoundError('hidden', name={package!r})\n")
+    settings = (override, "tracking=none", "hydra.run.dir=run")
+    done = call(pipeline, *settings, cwd=tmp_path, settings=(), folders=[tmp_path / "without"], fresh=True)
+    assert done.returncode == 1
+    assert re.fullmatch(rf"error: this needs the package {package}\S*: .*\[{extra}\]'\.\n", done.stderr), done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["without"]

@@ -1,0 +1,336 @@
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from examples import examples
+from hypothesis import given
+from hypothesis import strategies as st
+from paper import paper_room, paper_scene
+from processes import call
+from scipy.optimize import linprog
+from scipy.sparse import block_array, csr_array, eye_array, kron
+from small import make
+from strategies import scenes, scenes_with_boundary_landmarks, scenes_with_deployments, seeds
+
+from lmd.core.checks import InputError
+from lmd.evaluation.bounds import (
+    Relaxation,
+    Search,
+    average_upper_bound,
+    fewest_landmarks,
+    fitness_upper_bound,
+    largest_gain,
+    smoothed_min,
+)
+from lmd.evaluation.selection_bound import GUARANTEE, selection_upper_bound
+from lmd.objectives.coverage import Coverage
+from lmd.objectives.localisation import Localisation
+from lmd.objectives.sampling import Sampling
+from lmd.optimisers.base import Budget
+from lmd.optimisers.greedy import GreedyDeployment
+from lmd.problem import Problem
+from lmd.scene import pdf
+from lmd.scene.deployment import Deployment, RandomDeployment, UniformDeployment
+from lmd.scene.tag import Tag
+from lmd.sight import reference
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.poses import candidate_poses, covered_amounts, gains, wall_cells
+from lmd.space.relevance import Relevance
+from pipelines.reproduction.paper import TABLE_3
+
+COARSE = Search(spacing=1.0, iterations=150, tolerance=1e-4)
+
+
+def small_problem(count=12, n=2, thold_p=0.3, threads=None, relevance=None, **visibility):
+    room = paper_room(spacing=2.0, relevance=relevance or Relevance())
+    scene = paper_scene(room, orientations=pdf.grid_with_ends(6), **visibility)
+    return Problem(scene, Coverage(n, thold_p), RandomDeployment(count), threads=threads)
+
+
+def cover_matrix(scene, poses):
+    """Which pose covers which position and distinct axis, `(N, P * D)`, by the reference, each pose on its own."""
+    first = np.unique(scene.pdf.axis_of, return_index=True)[1]
+    return np.stack(
+        [reference.counts(scene, Deployment(poses.positions[[j]], poses.normals[[j]]))[:, first].ravel()
+         for j in range(len(poses))]
+    )  # fmt: skip
+
+
+def exact_bound(problem, poses, count, threshold, shares):
+    """max F over the grid by HiGHS: variables x (poses), m (position, axis), q (positions)."""
+    cover, weights = cover_matrix(problem.scene, poses), problem.scene.pdf.axis_weight
+    size, axes = len(shares), len(weights)
+    rows = block_array(
+        [
+            [csr_array(-cover.T / problem.objective.n), eye_array(size * axes), None],
+            [None, csr_array(-kron(eye_array(size), weights[None]) / threshold), eye_array(size)],
+        ]
+    )
+    cost = np.concatenate([np.zeros(len(poses) + size * axes), -shares])
+    total = np.concatenate([np.ones(len(poses)), np.zeros(size * axes + size)])[None]
+    bounds = [(0, None)] * len(poses) + [(None, 1)] * (size * axes + size)
+    solved = linprog(cost, rows, np.zeros(rows.shape[0]), total, [count], bounds, method="highs")
+    assert solved.success
+    return -solved.fun
+
+
+def test_candidates_are_the_centres_of_cells_on_every_wall():
+    room = paper_room()
+    poses = candidate_poses(room, 0.25)
+    assert len(poses) == 2 * (30 * 20 + 30 * 24 + 20 * 24)
+    assert (poses.hung(room).surfaces >= 0).all()
+    for wall in room.surfaces():
+        mine = (poses.normals == wall.normal).all(axis=1)
+        a, b = wall.coordinates(poses.positions[mine])
+        np.testing.assert_allclose(wall.point(a, b), poses.positions[mine], atol=1e-12)
+        np.testing.assert_allclose(np.unique(a.round(9)), np.arange(0.125, wall.extent[0], 0.25))
+        np.testing.assert_allclose(np.unique(b.round(9)), np.arange(0.125, wall.extent[1], 0.25))
+    assert len(candidate_poses(room, 100.0)) == 6
+
+
+@examples(40)
+@given(st.one_of(scenes_with_deployments(), scenes_with_boundary_landmarks()), seeds)
+def test_gains_and_amounts_follow_the_reference(drawn, seed):
+    scene, poses = drawn
+    scene = replace(scene, visibility=replace(scene.visibility, occlusion="none"))
+    rng, evaluator = np.random.default_rng(seed), Evaluator(scene, threads=2)
+    cover = cover_matrix(scene, poses)
+    prices, amounts = np.zeros((len(evaluator.positions), evaluator.axes.shape[1])), rng.random(len(poses))
+    size = len(scene.pdf.axes)
+    # Powers of two add up exactly, so that a single wrong decision shows.
+    prices[:, :size] = 2.0 ** rng.integers(0, 20, (len(prices), size))
+    np.testing.assert_array_equal(gains(evaluator, poses, prices), cover @ prices[:, :size].ravel())
+    covered = covered_amounts(evaluator, poses, amounts)
+    np.testing.assert_allclose(covered[:, :size].ravel(), amounts @ cover, rtol=1e-12, atol=1e-12)
+    assert not covered[:, size:].any()
+
+
+@examples(40)
+@given(scenes(), seeds, st.sampled_from([0.1, 0.5, 2.0]))
+def test_a_cell_earns_at_least_what_any_landmark_in_it_does(scene, seed, spacing):
+    evaluator, rng = Evaluator(scene, threads=1), np.random.default_rng(seed)
+    prices = rng.random((len(evaluator.positions), evaluator.axes.shape[1]))
+    cells = wall_cells(scene.room, spacing)
+    cells = cells.picked(rng.integers(len(cells.poses), size=20))
+    most = gains(evaluator, cells.poses, prices, cells.radius)
+    for corner in (False, True):
+        a, b = rng.uniform(-1.0, 1.0, (2, 20, 1))
+        a, b = (np.sign(a), np.sign(b)) if corner else (a, b)
+        inside = Deployment(cells.poses.positions + a * cells.half_u + b * cells.half_v, cells.poses.normals)
+        assert (gains(evaluator, inside, prices) <= most * (1.0 + 1e-12)).all()
+
+
+def test_the_largest_gain_is_certified():
+    evaluator = small_problem().evaluator
+    prices = np.random.default_rng(0).random((len(evaluator.positions), evaluator.axes.shape[1]))
+    coarse = largest_gain(evaluator, wall_cells(paper_room(), 0.5), prices, 2.0)
+    fine = gains(evaluator, candidate_poses(paper_room(), 0.05), prices).max()
+    assert coarse - 4.0 <= fine <= coarse
+
+
+def test_the_smoothed_min_has_the_slope_it_says():
+    v, step = np.linspace(-1.0, 3.0, 4001), 1e-6
+    value, slope = smoothed_min(v, 0.3)
+    assert (value <= np.minimum(v, 1.0) + 1e-12).all()
+    assert (value >= np.minimum(v, 1.0) - 0.3 / 4.0 - 1e-12).all()
+    np.testing.assert_allclose(slope, (smoothed_min(v + step, 0.3)[0] - smoothed_min(v - step, 0.3)[0]) / (2 * step),
+                               atol=1e-5)  # fmt: skip
+
+
+@examples(30)
+@given(seeds, st.floats(0.05, 1.0), st.integers(1, 3), st.integers(1, 30))
+def test_every_dual_bounds_every_distribution_of_landmarks(seed, threshold, n, count):
+    problem, rng = small_problem(threads=1), np.random.default_rng(seed)
+    poses = candidate_poses(problem.scene.room, 1.0)
+    shares = rng.dirichlet(np.ones(len(problem.evaluator.positions)))
+    relaxation = Relaxation(problem.evaluator, shares, n, threshold)
+    _, dual = relaxation.smoothed(covered_amounts(problem.evaluator, poses, rng.random(len(poses))), 0.3)
+    x = count * rng.dirichlet(np.full(len(poses), 0.1))
+    bound = dual.bound(count, gains(problem.evaluator, poses, dual.prices).max())
+    assert relaxation.value(covered_amounts(problem.evaluator, poses, x)) <= bound + 1e-12
+
+
+@pytest.mark.parametrize("occlusion", ["none", "paper", "line_of_sight"])
+@pytest.mark.parametrize(("n", "thold_p"), [(1, 0.4), (2, 0.3), (3, 1.0), (2, 0.0)])
+def test_no_deployment_exceeds_the_bounds(n, thold_p, occlusion):
+    problem = small_problem(20, n, thold_p, occlusion=occlusion, relevance=Relevance(
+        regions=[{"low": [0, 0, 0], "high": [3, 5, 6], "weight": 3.0}]))  # fmt: skip
+    search = Search(spacing=0.7, iterations=40)
+    average, qualified = average_upper_bound(problem, 20, search), fitness_upper_bound(problem, 20, search)
+    rng = np.random.default_rng(0)
+    tried = [problem.start.draw(problem.scene.room, rng) for _ in range(30)]
+    tried.append(make("annealing").run(problem, Budget(100)).deployment)
+    for deployment in tried:
+        metrics = problem.metrics(deployment)
+        assert metrics["average_coverage_probability"] <= average.walls + 1e-12
+        assert metrics["fitness"] <= qualified.walls + 1e-12
+    for bound in (average, qualified):
+        assert 0.0 <= bound.fractional <= bound.grid + 1e-12 <= bound.walls + 2e-12 <= 1.0 + 2e-12
+
+
+def test_what_hangs_already_counts_and_lowers_the_bounds():
+    free = small_problem()
+    fixed = UniformDeployment(8).draw(free.scene.room, np.random.default_rng())
+    problem = Problem(free.scene, free.objective, RandomDeployment(4), fixed=fixed)
+    found = make("annealing").run(problem, Budget(200)).deployment
+    deployments = [found, *(problem.draw(np.random.default_rng(seed)) for seed in range(10))]
+    for method, key in ((average_upper_bound, "average_coverage_probability"), (fitness_upper_bound, "fitness")):
+        bound = method(problem, 12, COARSE)
+        assert max(problem.metrics(deployment)[key] for deployment in deployments) <= bound.walls + 1e-12
+        assert bound.walls < 0.95 * method(free, 12, COARSE).walls
+    choice, of_all = selection_upper_bound(problem, 12, 1.0), selection_upper_bound(free, 12, 1.0)
+    assert choice.greedy <= choice.grid < of_all.grid
+    assert fewest_landmarks(problem, 0.0, COARSE) == 9
+
+
+@pytest.mark.parametrize("climbs", ["mean", "qualified"])
+def test_nothing_localises_more_often_than_the_bounds_allow(climbs):
+    scene = replace(small_problem().scene, tag=Tag(0.2))
+    objective = Localisation(tolerance=0.1, thold_p=0.1, climbs=climbs, sampling=Sampling(2, 4))
+    problem = Problem(scene, objective, UniformDeployment(20))
+    search = Search(spacing=0.7, iterations=40)
+    average, fitness = average_upper_bound(problem, 20, search), fitness_upper_bound(problem, 20, search)
+    for source in (UniformDeployment(20), GreedyDeployment(20, scene, objective, spacing=0.7)):
+        metrics = problem.metrics(source.draw(scene.room, np.random.default_rng(0)))
+        assert 0.0 < metrics["localised_share"] <= average.walls < 1.0
+        assert metrics["fitness"] <= fitness.walls
+
+
+@pytest.mark.parametrize(("n", "count"), [(1, 6), (2, 12), (3, 12)])
+def test_both_bounds_agree_with_a_linear_program(n, count):
+    problem = small_problem(count, n, 0.3)
+    poses, size = candidate_poses(problem.scene.room, COARSE.spacing), len(problem.relevance)
+    shares = np.full(size, 1.0 / size)
+    for method, threshold in ((average_upper_bound, 1.0), (fitness_upper_bound, 0.3)):
+        bound, exact = method(problem, count, COARSE), exact_bound(problem, poses, count, threshold, shares)
+        assert bound.fractional <= exact + 1e-9
+        assert exact - 1e-9 <= bound.grid <= exact + 1e-3
+
+
+def test_more_iterations_close_the_gap():
+    problem = small_problem()
+    gaps = []
+    for iterations in (1, 20, 150):
+        bound = average_upper_bound(problem, 12, replace(COARSE, iterations=iterations))
+        gaps.append(bound.grid - bound.fractional)
+    assert gaps[0] > gaps[1] > gaps[2]
+    assert gaps[2] < 1e-3
+
+
+def test_more_landmarks_have_a_higher_bound_and_one_dual_bounds_every_number():
+    problem = small_problem()
+    bounds = {count: average_upper_bound(problem, count, COARSE) for count in (4, 8, 16, 32)}
+    walls = [bound.walls for bound in bounds.values()]
+    assert walls == sorted(walls)
+    for bound in bounds.values():
+        for count, other in bounds.items():
+            assert bound.dual.bound(count, bound.gain) >= other.fractional - 1e-12
+
+
+def test_the_fewest_landmarks_are_where_the_bound_reaches_the_target():
+    problem = small_problem(thold_p=0.5)
+    fewest = fewest_landmarks(problem, 0.6, COARSE)
+    assert fewest > 3
+    assert fitness_upper_bound(problem, fewest, COARSE).walls >= 0.6 - 1e-9
+    assert fitness_upper_bound(problem, fewest - 2, COARSE).fractional < 0.6
+    assert fewest_landmarks(problem, 0.0, COARSE) == 2
+
+
+def test_a_target_out_of_reach_is_refused():
+    problem = small_problem(n=1, thold_p=1.0, thold=5.0)
+    with pytest.raises(InputError, match=r"^target = 1 is out of reach of 10000 landmarks\."):
+        fewest_landmarks(problem, 1.0, COARSE)
+
+
+def test_where_nothing_can_be_seen_the_bound_says_so():
+    problem = small_problem(thold=5.0)
+    bound = average_upper_bound(problem, 12, COARSE)
+    assert bound.walls <= COARSE.tolerance
+    assert bound.fractional == 0.0
+
+
+def test_the_result_does_not_depend_on_threads():
+    one, two = (average_upper_bound(small_problem(threads=threads), 12, COARSE) for threads in (1, 3))
+    assert (one.walls, one.grid, one.fractional) == (two.walls, two.grid, two.fractional)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"spacing": 0.0}, r"^spacing must be greater than 0, got 0.0"),
+        ({"spacing": math.nan}, r"^spacing must be finite, got nan"),
+        ({"iterations": 0}, r"^iterations must be at least 1, got 0"),
+        ({"iterations": 1.5}, r"^iterations must be a whole number, got 1.5"),
+        ({"tolerance": -1}, r"^tolerance must be greater than 0, got -1"),
+    ],
+)
+def test_a_bad_search_is_refused(changes, message):
+    with pytest.raises(InputError, match=message):
+        Search(**changes)
+
+
+SMALL_BOUND = ["room.spacing=2.0", "pdf.divisions=6", "bound.spacing=1.0", "bound.iterations=40", "tracking=none"]
+
+
+@pytest.mark.slow
+def test_the_command_prints_and_writes_the_bounds(tmp_path):
+    done = call("bound", *SMALL_BOUND, "deployment.count=12", "bound.target=0.5", "hydra.run.dir=run", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    document = json.loads((tmp_path / "run" / "bound.json").read_text())
+    assert f"<= {document['average_coverage_probability']['walls']:.2%} for any 12 landmarks" in done.stdout
+    assert f">= {document['target']['fewest_landmarks']} for a fitness of 50.00%" in done.stdout
+    assert document["settings"]["landmarks"] == 12
+    assert set(document["fitness"]) == {"walls", "grid", "fractional"}
+    assert f">= {document['selection']['share']:.2%} of the best 12 poses of the grid" in done.stdout
+
+
+@pytest.mark.slow
+def test_the_command_bounds_what_localises(tmp_path):
+    settings = [*SMALL_BOUND, "objective=localisation", "tag.edge=0.2", "deployment.count=12", "hydra.run.dir=run"]
+    done = call("bound", cwd=tmp_path, settings=settings)
+    assert done.returncode == 0, done.stderr
+    document = json.loads((tmp_path / "run" / "bound.json").read_text())
+    assert 0.0 < document["selection"]["greedy"] <= document["selection"]["grid"]
+    assert GUARANTEE < document["selection"]["share"] <= 1.0
+    assert (
+        f">= {document['selection']['share']:.2%} of the best 12 poses of the grid, by the mean log det" in done.stdout
+    )
+    assert document["settings"]["objective"] == "Localisation"
+    assert 0.0 < document["fitness"]["grid"] <= document["fitness"]["walls"] < 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("bound.spacing=-1", "bound.spacing must be greater than 0, got -1"),
+        ("bound.target=1.5", "bound.target must be in [0, 1], got 1.5"),
+        ("deployment.count=1", "objective.n = 2 exceeds the number of landmarks, 1"),
+    ],
+)
+def test_bad_input_gets_one_sentence_and_leaves_nothing(override, message, tmp_path):
+    done = call("bound", *SMALL_BOUND, override, "hydra.run.dir=run", cwd=tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"error: {message}")
+    assert not list(tmp_path.iterdir())
+
+
+@examples(20)
+@given(count=st.integers(4, 12), n=st.integers(1, 4), seed=seeds)
+def test_the_relaxed_average_is_the_mean_of_the_probabilities_of_at_least_one_to_n(count, n, seed):
+    """E[min(count, n)] / n = (P_1 + ... + P_n) / n: what `bound objective.n=4` bounds, with nothing hidden."""
+    problem = small_problem(count, max(n, 2), nu=0.0)
+    deployment = problem.start.draw(problem.scene.room, np.random.default_rng(seed))
+    evaluator, size = problem.evaluator, len(problem.evaluator.positions)
+    covered = covered_amounts(evaluator, deployment, np.ones(count))
+    relaxed = Relaxation(evaluator, np.full(size, 1.0 / size), n, 1.0).value(covered)
+    means = [evaluator.probabilities(deployment, m).mean() for m in range(1, n + 1)]
+    assert relaxed == pytest.approx(np.mean(means), abs=1e-12)
+
+
+def test_the_papers_row_of_ega_exceeds_what_any_deployment_reaches():
+    """Its printed P_2, P_3 and P_4 with P_1 >= P_2, at the low end of their rounding, against the proven 64.1082 %."""
+    p2, p3, p4 = (TABLE_3[n, 0.65].average_coverage_probability - 0.5e-4 for n in (2, 3, 4))
+    assert (p2 + p2 + p3 + p4) / 4.0 > 0.641082

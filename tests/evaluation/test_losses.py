@@ -1,0 +1,62 @@
+"""What is left without tags, against evaluations of what is left."""
+
+from dataclasses import replace
+from itertools import combinations_with_replacement
+
+import numpy as np
+import pytest
+from examples import examples
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from paper import X
+from small import problem
+from strategies import deployments, scenes
+
+from lmd.evaluation.losses import losses
+from lmd.objectives.coverage import Coverage
+from lmd.objectives.localisation import Localisation
+from lmd.objectives.sampling import Sampling
+from lmd.problem import Problem
+from lmd.scene.deployment import Deployment, RandomDeployment
+
+
+def check(p, deployment):
+    found = losses(p, deployment)
+    assert found.fitness == pytest.approx(p.fitness_of(deployment), abs=1e-12)
+    np.testing.assert_array_equal(found.without, found.without.T)
+    for i, j in combinations_with_replacement(range(len(deployment)), 2):
+        rest = deployment[np.setdiff1d(np.arange(len(deployment)), [i, j])]
+        assert found.without[i, j] == pytest.approx(p.fitness_of(rest), abs=1e-12)
+
+
+@given(data=st.data(), scene=scenes(), n=st.integers(1, 2), thold_p=st.floats(0.0, 0.5))
+@examples(15)
+def test_the_fitness_without_tags_is_that_of_the_others(data, scene, n, thold_p):
+    deployment = data.draw(deployments(scene.room, 6))
+    assume(len(deployment) >= 3)
+    check(Problem(scene, Coverage(n, thold_p), RandomDeployment(3), threads=1), deployment)
+
+
+@pytest.mark.slow  # compiled for another objective
+def test_the_same_for_localisation_on_samples():
+    scene = problem().scene
+    p = Problem(scene, Localisation(tolerance=0.1, sampling=Sampling(2, 4)), RandomDeployment(8), threads=1)
+    check(p, p.draw(np.random.default_rng(0)))
+
+
+def test_of_two_doubles_each_is_idle_and_both_matter():
+    positions, normals = [[0.0, 2.0, 3.0], [0.0, 2.0, 3.0], [7.5, 2.5, 3.0]], [X, X, -X]
+    scene = problem().scene
+    scene = replace(scene, visibility=replace(scene.visibility, occlusion="none"))
+    p = Problem(scene, Coverage(1, 0.05), RandomDeployment(3), threads=1)
+    found = losses(p, Deployment(positions, normals))
+    assert found.idle.tolist() == [0, 1]
+    assert found.table["id"][0] == 2
+    assert found.table["fitness_loss"][0] > 0.0
+    assert found.without[0, 1] < found.fitness
+    figures = found.metrics()
+    assert figures["fitness_without_one_worst"] == found.without[2, 2]
+    assert figures["fitness_without_one_mean"] == pytest.approx((2.0 * found.fitness + found.without[2, 2]) / 3.0)
+    assert figures["fitness_without_two_worst"] <= figures["fitness_without_two_mean"] < found.fitness
+    assert f"lost without each: 2 ({100.0 * found.table['fitness_loss'][0]:.2f})" in found.to_text()
+    assert found.to_text().endswith("nothing is lost: 0, 1")

@@ -1,0 +1,202 @@
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from examples import examples
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from matplotlib.image import imread
+from paper import X, Y, paper_room, paper_scene
+from strategies import deployments, fiducial_scenes, scenes, seeds
+
+from lmd.evaluation.sensitivity import FACTORS, MISSED, SHARES, lost_shares, missed_shares, sensitivity
+from lmd.evaluation.validation import Sample, sampled_values
+from lmd.objectives.coverage import Coverage
+from lmd.objectives.localisation import Localisation
+from lmd.objectives.localisation.kernels import localised_views
+from lmd.plot.sensitivity import save_sensitivity_figure
+from lmd.problem import Problem
+from lmd.scene import pdf
+from lmd.scene.deployment import Deployment, UniformDeployment
+from lmd.scene.labels import Labels
+from lmd.scene.scene import Scene
+from lmd.scene.tag import Tag
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.kernels import PROBABILITY_ONE
+
+SAMPLE = Sample(groups=3, positions=20, divisions=4)
+TAG = Tag(0.1)
+
+
+class Given:
+    """A deployment of one's own as the start of a problem."""
+
+    varies = False
+
+    def __init__(self, deployment):
+        self.deployment = deployment
+
+    def draw(self, room, rng):
+        return self.deployment.hung(room)
+
+
+def problem_of(deployment=None, objective=None, tag=TAG, threads=1, **visibility):
+    scene = replace(
+        paper_scene(room=paper_room(spacing=1.5), orientations=pdf.grid_with_ends(6), **visibility), tag=tag
+    )
+    start = UniformDeployment(30) if deployment is None else Given(deployment)
+    return Problem(scene, objective or Localisation(), start, threads)
+
+
+def measured(problem, seed=0, sample=SAMPLE):
+    return sensitivity(problem, problem.draw(np.random.default_rng(0)), seed, sample)
+
+
+def tagged(scene, edge):
+    return Scene(scene.room, scene.camera, scene.pdf, scene.visibility, Tag(edge))
+
+
+@pytest.mark.slow  # compiled for three models of sight
+@examples(40)
+@given(
+    data=st.data(),
+    scene=st.one_of(st.builds(tagged, scenes(), st.sampled_from([None, 0.1])), fiducial_scenes()),
+    n=st.integers(1, 3),
+    tolerance=st.sampled_from([0.02, 0.2, np.inf]),
+)
+def test_what_is_left_without_landmarks_is_what_the_others_are_worth(data, scene, n, tolerance):
+    deployment, objective = data.draw(deployments(scene.room, 6)), Localisation(n, tolerance=tolerance)
+    assume(len(deployment) >= 3)
+    evaluator = Evaluator(scene, threads=1)
+    found = lost_shares(objective.field(evaluator), deployment)
+    for i in range(len(deployment)):
+        for j in range(len(deployment)):
+            rest = deployment[np.setdiff1d(np.arange(len(deployment)), [i, j])]
+            landmarks = rest.positions[None], rest.normals[None]
+            views = localised_views(evaluator, *landmarks, n, objective.precision(scene))
+            expected = [views.localised.mean(), views.covered.mean()]
+            np.testing.assert_allclose(found[:, i, j], np.array(expected) / PROBABILITY_ONE, rtol=1e-12)
+
+
+def test_a_landmark_with_a_double_is_no_loss():
+    positions = np.array([[0.0, 2.0, 3.0], [0.0, 2.0, 3.0], [7.5, 2.5, 3.0]])
+    deployment = Deployment(positions, np.array([X, X, -X]))
+    three, two = (
+        measured(problem_of(hung, Coverage(1, 0.5), Tag(), nu=0.0, occlusion="none"))
+        for hung in (deployment, deployment[1:])
+    )
+    np.testing.assert_allclose(three.tags.covered_loss, [0.0, 0.0, two.tags.covered_loss[1]], atol=1e-12)
+    assert (two.tags.covered_loss > 0.01).all()
+    # Two pairs are of the other and of a double, which is no loss; one is of both doubles.
+    pairs = three.lost.set_index(["lost", "share"]).loc[(2, "covered_share")]
+    assert pairs["mean"] == pytest.approx((two.tags.covered_loss[0] + 2.0 * two.tags.covered_loss[1]) / 3.0)
+
+
+@given(seed=seeds, n=st.integers(1, 3))
+@examples(10)
+def test_missed_landmarks_are_thinned_as_the_binomial_formula_says(seed, n):
+    problem = problem_of(objective=Localisation(n))
+    deployment = problem.draw(np.random.default_rng(seed))
+    field = problem.objective.field(problem.evaluator)
+    located, exact, drawn = missed_shares(field, deployment, np.random.default_rng(seed)).T
+    np.testing.assert_allclose(drawn[0], exact[0], rtol=1e-12)
+    views = len(problem.evaluator.positions) * len(problem.scene.orientations.axes)
+    assert (np.abs(drawn - exact) < 5.0 * 0.5 / np.sqrt(views)).all()
+    assert (np.diff(exact) < 0.0).all()
+    assert (np.diff(located) <= 0.0).all()  # what is missed with one probability is missed with all greater
+    assert (located <= drawn).all()
+
+
+def test_of_two_landmarks_both_must_be_found():
+    positions = np.array([[0.0, 2.0, 3.0], [0.0, 2.0, 3.0]])  # on one point, so that all who see one see two
+    problem = problem_of(Deployment(positions, np.array([X, X])), Coverage(2, 0.5), Tag(), nu=0.0, occlusion="none")
+    covered = measured(problem).misses.covered_share
+    np.testing.assert_allclose(covered, covered[0] * (1.0 - np.array(MISSED)) ** 2, rtol=1e-12)
+
+
+def test_without_a_tolerance_localised_is_covered():
+    found = measured(problem_of(objective=Localisation(tolerance=np.inf)))
+    shown = found.assumptions
+    np.testing.assert_array_equal(shown.localised_share, shown.covered_share)
+    np.testing.assert_array_equal(found.tags.localised_loss, found.tags.covered_loss)
+    # Here one is drawn and the other is exact.
+    np.testing.assert_allclose(found.misses.localised_share, found.misses.covered_share, atol=0.02)
+
+
+def test_what_was_assumed_gives_the_figure_of_the_validation():
+    problem = problem_of()
+    found = measured(problem, seed=3)
+    expected = sampled_values(problem, problem.draw(np.random.default_rng(0)), 3, SAMPLE).mean()
+    assumed = found.assumptions[found.assumptions.factor == 1.0]
+    assert assumed.assumption.tolist() == ["pixel_noise", "tolerance", "edge"]
+    assert assumed["value"].tolist() == [0.5, 0.02, 0.1]
+    for shares in (assumed.localised_share, found.misses.localised_share[:1]):
+        np.testing.assert_allclose(shares, expected, rtol=1e-12)
+    np.testing.assert_allclose(found.misses.covered_share[0], assumed.covered_share, rtol=1e-12)
+
+
+def test_half_the_noise_is_twice_the_tolerance():
+    shares = measured(problem_of()).assumptions.set_index(["assumption", "factor"]).localised_share
+    assert shares.pixel_noise[0.5] == shares.tolerance[2.0]
+    assert (np.diff(shares.tolerance) > 0.0).all()
+    assert (np.diff(shares.edge) > 0.0).all()  # larger tags tell more, and these criteria see them as before
+
+
+def test_an_objective_of_coverage_is_judged_with_the_default_assumptions():
+    problem = problem_of(objective=Coverage(3, 0.65))
+    pd.testing.assert_frame_equal(
+        measured(problem).assumptions, measured(problem_of(objective=Localisation(3))).assumptions
+    )
+
+
+def test_points_have_no_edge_to_vary():
+    assert set(measured(problem_of(tag=Tag())).assumptions.assumption) == {"pixel_noise", "tolerance"}
+
+
+def test_papers_that_would_overlap_have_a_sentence_instead_of_a_figure():
+    positions = np.array([[0.0, 2.0, 3.0], [0.0, 2.15, 3.0], [1.0, 0.0, 3.0]])
+    found = measured(problem_of(Deployment(positions, np.array([X, X, Y]))))
+    edge = found.assumptions[found.assumptions.assumption == "edge"].set_index("factor")
+    assert (edge.note.loc[:1.0] == "").all()
+    assert "landmarks 0 and 1 on x_min overlap" in edge.note[2.0]
+    assert edge.loc[2.0, SHARES].isna().all()
+    assert edge.loc[:1.0, SHARES].notna().all(axis=None)
+    assert "edge_2/localised_share" not in found.metrics()
+    assert "edge x 2: landmarks 0 and 1" in found.to_text()
+
+
+def test_the_number_of_threads_does_not_matter():
+    one, three = (measured(problem_of(threads=threads)) for threads in (1, 3))
+    for name in one.tables:
+        pd.testing.assert_frame_equal(one.tables[name], three.tables[name], check_exact=True)
+    assert one.metrics() != measured(problem_of(), seed=1).metrics()
+
+
+def test_all_figures_have_a_name_and_are_shown(tmp_path):
+    found = measured(problem_of())
+    metrics = found.metrics()
+    assert len(metrics) == 2 * (3 * len(FACTORS) + len(MISSED) + 2 * 2)
+    assert metrics["missed_0.1/localised_share"] == found.misses.localised_share[MISSED.index(0.1)]
+    assert metrics["lost_1/localised_share_worst"] == found.tags.localised_loss.max()
+    assert metrics["lost_1/covered_share_mean"] == pytest.approx(found.tags.covered_loss.mean())
+    assert metrics["lost_2/localised_share_worst"] >= metrics["lost_1/localised_share_worst"]
+    path = tmp_path / "sensitivity.png"
+    save_sensitivity_figure(path, found, "T")
+    assert imread(path).shape[:2] == (500, 1500)
+
+
+def test_the_worst_to_lose_are_named_by_their_ids():
+    ids = np.arange(50, 80)
+    deployment = replace(UniformDeployment(30).draw(paper_room(), np.random.default_rng()), labels=Labels(ids))
+    found = measured(problem_of(deployment))
+    dearest = found.tags.id[found.tags.covered_loss.argmax()]
+    assert found.lost.set_index(["lost", "share"]).worst_ids[(1, "covered_share")] == str(dearest)
+
+
+@pytest.mark.slow  # compiled anew for arrays of one landmark
+def test_a_single_landmark_has_no_pair_to_lose():
+    problem = problem_of(Deployment(np.array([[0.0, 2.0, 3.0]]), np.array([X])), Coverage(1, 0.5))
+    found = measured(problem)
+    assert found.lost.lost.tolist() == [1, 1]
+    assert found.tags.covered_loss[0] == pytest.approx(found.misses.covered_share[0])

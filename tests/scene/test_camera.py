@@ -1,0 +1,196 @@
+import dataclasses
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from paper import PAPER_CAMERA, paper_camera, printed_experiment_camera
+from strategies import cameras, visibilities
+
+from lmd.core.checks import InputError
+from lmd.render.optics import blur_disc
+from lmd.scene.criteria import TOLERANCE
+from lmd.sight.models.paper import Visibility
+
+
+def test_simulation_camera_is_sharp_from_0_9755_to_10_03_metres():
+    near, far = paper_camera().depth_of_field(4.0)
+    assert near == pytest.approx(0.9755, abs=5e-5)
+    assert far == pytest.approx(10.03, abs=5e-3)
+
+
+def test_simulation_camera_has_a_half_angle_of_34_84_degrees():
+    assert math.degrees(paper_camera().cone_half_angle) == pytest.approx(34.84, abs=5e-3)
+    assert math.tan(paper_camera().cone_half_angle) == pytest.approx(0.696)
+
+
+def test_simulation_camera_resolves_0_28_pixel_per_mm_to_3_09_metres():
+    assert paper_camera().resolution_depth(0.28) == pytest.approx(3.09, abs=5e-3)
+
+
+def test_resolution_at_one_metre_is_the_printed_formula():
+    assert paper_camera().resolution_at_one_metre == pytest.approx(5 * 1778 / ((1778 - 5) * 1000 * 0.0058))
+
+
+def test_off_centre_principal_point_gives_four_angles():
+    view = paper_camera(principal_point=(300.0, 1000.0)).field_of_view
+    assert [math.tan(angle) for angle in view] == pytest.approx([0.348, 1.508, 1.16, 0.232])
+
+
+@pytest.mark.parametrize(
+    ("point", "border"), [((100, 600), "left"), ((1500, 600), "right"), ((800, 90), "top"), ((800, 1110), "bottom")]
+)
+def test_the_nearest_border_bounds_the_cone(point, border):
+    camera = paper_camera(principal_point=point)
+    assert camera.cone_half_angle == getattr(camera.field_of_view, border)
+    assert camera.cone_half_angle < paper_camera().cone_half_angle
+
+
+def test_square_pixels_are_not_assumed():
+    camera = paper_camera(pixel_width=0.004, pixel_height=0.008)
+    assert math.tan(camera.field_of_view.left) == pytest.approx(0.64)
+    assert math.tan(camera.field_of_view.top) == pytest.approx(0.96)
+    assert camera.resolution_at_one_metre == pytest.approx(camera.image_distance / 8.0)
+    near, _ = camera.depth_of_field(4.0)
+    assert near == pytest.approx(10 * 1.778 * 5 / (50 + 0.016 * 1773))
+
+
+@pytest.mark.parametrize("beyond", [0.0, 1e-6, 1000.0])
+def test_far_limit_is_infinite_from_the_hyperfocal_distance_on(beyond):
+    camera = paper_camera(pixel_width=0.0625, pixel_height=0.0625, focus_distance=205.0 + beyond)
+    near, far = camera.depth_of_field(4.0)
+    assert far == math.inf
+    assert near > 0.0
+
+
+def test_far_limit_is_finite_just_before_the_hyperfocal_distance():
+    camera = paper_camera(pixel_width=0.0625, pixel_height=0.0625, focus_distance=204.999)
+    assert 0.0 < camera.depth_of_field(4.0)[1] < math.inf
+
+
+def test_focus_at_infinity_is_the_limit_of_far_focus():
+    at_infinity, far_away = paper_camera(focus_distance=math.inf), paper_camera(focus_distance=1e12)
+    assert at_infinity.depth_of_field(4.0) == (pytest.approx(10 * 5 / (4 * 0.0058) / 1000), math.inf)
+    assert at_infinity.depth_of_field(4.0)[0] == pytest.approx(far_away.depth_of_field(4.0)[0])
+    assert at_infinity.resolution_at_one_metre == pytest.approx(5 / 5.8)
+    assert at_infinity.resolution_at_one_metre == pytest.approx(far_away.resolution_at_one_metre)
+
+
+def test_printed_experiment_camera_has_4_25_degrees_and_a_near_limit_of_15_6_metres():
+    camera = printed_experiment_camera()
+    assert math.degrees(camera.cone_half_angle) == pytest.approx(4.25, abs=5e-3)
+    assert camera.depth_of_field(4.0) == (pytest.approx(15.6, abs=0.05), math.inf)
+
+
+def test_true_experiment_camera_has_23_9_degrees_and_a_near_limit_of_0_44_metres():
+    camera = printed_experiment_camera(focal_length=4.03, aperture=1.44)
+    assert math.degrees(camera.cone_half_angle) == pytest.approx(23.9, abs=0.06)
+    assert camera.depth_of_field(4.0)[0] == pytest.approx(0.44, abs=5e-3)
+
+
+@given(cameras(), visibilities())
+def test_max_depth_is_the_last_double_that_passes(camera, visibility):
+    limit, far = visibility.sight(camera).max_depth, camera.depth_of_field(visibility.circle_of_confusion)[1]
+
+    def passes(depth):
+        resolved = camera.resolution_at_one_metre / depth >= visibility.thold * (1.0 - TOLERANCE)
+        return resolved and depth <= far * (1.0 + TOLERANCE)
+
+    assert passes(limit)
+    assert not passes(math.nextafter(limit, math.inf))
+
+
+@given(cameras(), visibilities())
+def test_limits_hold_the_nominal_bounds_with_one_tolerance(camera, visibility):
+    limits = visibility.sight(camera)
+    near, far = camera.depth_of_field(visibility.circle_of_confusion)
+    assert limits.min_depth == near * (1.0 - TOLERANCE)
+    assert limits.min_cosine == math.cos(camera.cone_half_angle) - TOLERANCE
+    assert limits.max_depth == pytest.approx(min(camera.resolution_depth(visibility.thold), far), rel=3e-9)
+
+
+@given(cameras(), st.floats(0.1, 20.0))
+def test_near_limit_lies_before_the_focus_and_far_limit_behind_it(camera, confusion):
+    near, far = camera.depth_of_field(confusion)
+    assert near * 1000.0 <= camera.focus_distance * (1 + 1e-12)
+    assert far * 1000.0 >= camera.focus_distance * (1 - 1e-12)
+
+
+POSITIVE = [name for name in PAPER_CAMERA if name not in ("principal_point", "focus_distance", "aperture")]
+
+
+@pytest.mark.parametrize("name", POSITIVE)
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf, "5", None, True])
+def test_a_camera_length_must_be_a_positive_number(name, value):
+    with pytest.raises(InputError, match=rf"^{name} .*{value!r}\.$"):
+        paper_camera(**{name: value})
+
+
+@pytest.mark.parametrize("focus", [1778.0, math.inf])
+def test_a_pinhole_is_sharp_at_any_depth(focus):
+    camera = paper_camera(aperture=0, focus_distance=focus)
+    assert camera.is_pinhole
+    assert camera.depth_of_field(4.0) == (0.0, math.inf)
+    assert blur_disc(camera, [0.01, 1.0, 100.0]).tolist() == [0.0, 0.0, 0.0]
+    assert Visibility(thold=0.28).limits_for(camera)["focus"] == "any depth ahead: no aperture"
+    with pytest.raises(InputError, match=r"^aperture must be at least 0, got -1.0\.$"):
+        paper_camera(aperture=-1.0)
+
+
+@pytest.mark.parametrize("value", [5.0, 4.0, 0.0, -1.0, math.nan, -math.inf, "far"])
+def test_focus_must_lie_beyond_the_focal_length(value):
+    with pytest.raises(InputError, match=r"^focus_distance .*got"):
+        paper_camera(focus_distance=value)
+
+
+@pytest.mark.parametrize(
+    "value", [(0, 600), (1600, 600), (800, 0), (800, 1200), (-1, 600), (math.nan, 600), (800,), (1, 2, 3), "ab", 800]
+)
+def test_principal_point_must_lie_inside_the_image(value):
+    with pytest.raises(InputError, match=r"^principal_point.*got"):
+        paper_camera(principal_point=value)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("thold", 0.0),
+        ("thold", math.nan),
+        ("nu", -0.01),
+        ("nu", math.inf),
+        ("occlusion", "full"),
+        ("occlusion", None),
+        ("circle_of_confusion", 0.0),
+        ("circle_of_confusion", "4"),
+    ],
+)
+def test_a_visibility_value_out_of_range_is_named(name, value):
+    with pytest.raises(InputError, match=rf"^{name} .*{value!r}\.$"):
+        Visibility(**({"thold": 0.28} | {name: value}))
+
+
+def test_numbers_may_be_integers():
+    assert paper_camera(focal_length=5, focus_distance=1778) == paper_camera()
+    assert all(isinstance(value, float | tuple) for value in dataclasses.asdict(paper_camera(aperture=10)).values())
+
+
+@pytest.mark.parametrize("name", ["image_width", "image_height"])
+@pytest.mark.parametrize("value", [1640.5, 0, "1600", None])
+def test_an_image_has_whole_pixels(name, value):
+    with pytest.raises(InputError, match=rf"^{name} must be .*{value!r}\.$"):
+        paper_camera(**{name: value})
+
+
+def test_a_lens_that_distorts_shows_more_or_less():
+    plain = paper_camera()
+    assert plain.widest_ray == pytest.approx(1.16)  # 1000 pixels at 862.07 a unit
+    assert plain == paper_camera(distortion=[0.0] * 5)
+    assert paper_camera(distortion=(-0.1, 0.01, 0.0, 0.0)).widest_ray > 1.16
+    assert paper_camera(distortion=(0.1, 0.01, 0.0, 0.0)).widest_ray < 1.16
+
+
+@pytest.mark.parametrize("distortion", [(-0.3, 0.0, 0.0, 0.0), (0.0, 0.0, 0.2, 0.0), (0.4, -0.4, 0.0, 0.0, 0.0)])
+def test_a_distortion_that_folds_the_image_is_refused(distortion):
+    message = r"^distortion must show what is farther .* turns back [\d.]+ degrees off the axis, before the corners\.$"
+    with pytest.raises(InputError, match=message):
+        paper_camera(distortion=distortion)

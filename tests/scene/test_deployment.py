@@ -1,0 +1,284 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from paper import X, Y, Z, experiment_room, paper_room
+from scipy.stats import chisquare, kstest
+from strategies import deployments, rooms, seeds
+
+from lmd.core.checks import InputError
+from lmd.scene.deployment import Deployment, FileDeployment, GivenDeployment, RandomDeployment, UniformDeployment
+
+HEADER = "id,x,y,z,nx,ny,nz\n"
+
+
+def uniform(count, room=None, **layout):
+    return UniformDeployment(count, **layout).draw(room or paper_room(), np.random.default_rng(0))
+
+
+def random(count, room=None, seed=0):
+    return RandomDeployment(count).draw(room or paper_room(), np.random.default_rng(seed))
+
+
+def per_wall(deployment, room):
+    return [int((wall.normal == deployment.normals).all(axis=1).sum()) for wall in room.surfaces()]
+
+
+def is_flush(deployment, room):
+    walls = room.surfaces()
+    return all(
+        any((n == w.normal).all() and abs((s - w.origin) @ w.normal) < 1e-12 for w in walls)
+        for s, n in zip(deployment.positions, deployment.normals, strict=True)
+    )
+
+
+@pytest.mark.parametrize(
+    ("normal", "grid"),
+    [(X, (1, 3, 5)), (-X, (1, 3, 5)), (Y, (5, 1, 3)), (-Y, (5, 1, 3)), (Z, (5, 3, 1)), (-Z, (5, 3, 1))],
+)
+def test_ninety_uniform_landmarks_make_a_3_by_5_grid_of_cell_centres_on_each_wall(normal, grid):
+    deployment, size = uniform(90), paper_room().size
+    on_wall = deployment.positions[(deployment.normals == normal).all(axis=1)]
+    assert len(on_wall) == 15
+    for axis, n in enumerate(grid):
+        wall_side = [0.0 if normal[axis] > 0 else size[axis]]
+        expected = wall_side if n == 1 else size[axis] * (np.arange(n) + 0.5) / n
+        assert_allclose(np.unique(np.round(on_wall[:, axis], 9)), expected)
+    assert len(np.unique(on_wall, axis=0)) == 15
+
+
+@given(rooms(), st.integers(1, 100), st.sampled_from(["per_wall", "by_area"]))
+def test_uniform_landmarks_are_as_many_as_asked_flush_inside_and_apart(room, count, layout):
+    deployment = uniform(count, room, layout=layout)
+    assert len(deployment) == count
+    assert is_flush(deployment, room)
+    assert (deployment.hung(room).surfaces >= 0).all()
+    assert len(np.unique(np.hstack([deployment.positions, deployment.normals]), axis=0)) == count
+
+
+@given(rooms(), st.integers(1, 100))
+def test_per_wall_counts_differ_by_at_most_one(room, count):
+    counts = per_wall(uniform(count, room), room)
+    assert max(counts) - min(counts) <= 1
+
+
+@given(rooms(), st.integers(1, 100))
+def test_by_area_counts_are_the_shares_rounded(room, count):
+    area = np.array([wall.area for wall in room.surfaces()])
+    counts = per_wall(uniform(count, room, layout="by_area"), room)
+    assert (np.abs(counts - count * area / area.sum()) < 1.0).all()
+
+
+def test_by_area_shares_ninety_as_the_walls_of_the_paper_do():
+    # 30, 45 and 37.5 m2 twice: 12, 18 and 15.
+    assert per_wall(uniform(90, layout="by_area"), paper_room()) == [12, 12, 18, 18, 15, 15]
+
+
+@pytest.mark.parametrize(
+    ("count", "expected"),
+    [
+        (1, [0, 0, 1, 0, 0, 0]),
+        (2, [0, 0, 1, 1, 0, 0]),
+        (4, [0, 0, 1, 1, 1, 1]),
+        (7, [1, 1, 2, 1, 1, 1]),
+        (94, [15, 15, 16, 16, 16, 16]),
+    ],
+)
+def test_what_is_left_over_goes_to_the_largest_walls(count, expected):
+    assert per_wall(uniform(count), paper_room()) == expected
+
+
+def test_a_single_landmark_sits_in_the_middle_of_its_wall():
+    assert uniform(1).positions.tolist() == [[3.75, 0.0, 3.0]]
+
+
+def test_only_the_walls_of_the_room_carry_landmarks():
+    room = experiment_room()
+    for deployment in (uniform(80, room), random(80, room)):
+        assert is_flush(deployment, room)
+        assert (deployment.normals[:, 2] == 0.0).all()
+
+
+def test_a_prime_count_still_covers_the_wall():
+    room = paper_room(walls=("floor",))
+    positions = uniform(13, room).positions
+    assert len(np.unique(positions[:, 1])) > 1
+    assert len(np.unique(positions, axis=0)) == 13
+
+
+def test_random_landmarks_are_shared_in_proportion_to_area():
+    room = paper_room()
+    area = np.array([wall.area for wall in room.surfaces()])
+    counts = per_wall(random(6000, room, seed=1), room)
+    assert chisquare(counts, 6000 * area / area.sum()).pvalue > 0.01
+
+
+def test_random_landmarks_are_uniform_along_a_wall():
+    deployment = random(3000, paper_room(walls=("y_max",)), seed=2)
+    assert kstest(deployment.positions[:, 0] / 7.5, "uniform").pvalue > 0.01
+    assert kstest(deployment.positions[:, 2] / 6.0, "uniform").pvalue > 0.01
+
+
+@given(rooms(), st.integers(1, 50), seeds)
+def test_random_landmarks_are_flush_inside_and_set_by_the_seed(room, count, seed):
+    deployment = random(count, room, seed)
+    assert len(deployment) == count
+    assert is_flush(deployment, room)
+    assert (deployment.hung(room).surfaces >= 0).all()
+    assert_array_equal(deployment.positions, random(count, room, seed).positions)
+
+
+def test_only_random_deployments_vary():
+    assert RandomDeployment(3).varies
+    assert not UniformDeployment(3).varies
+    assert not FileDeployment("a.csv").varies
+
+
+@given(st.data())
+def test_a_csv_round_trip_is_exact(tmp_path_factory, data):
+    room = data.draw(rooms())
+    deployment = data.draw(deployments(room))
+    path = tmp_path_factory.mktemp("csv") / "landmarks.csv"
+    deployment.to_csv(path)
+    again = FileDeployment(str(path), len(deployment), free=True).draw(room, np.random.default_rng(0))
+    assert_array_equal(again.positions, deployment.positions)
+    assert_array_equal(again.normals, deployment.normals)
+
+
+def test_the_csv_header_is_the_documented_one(tmp_path):
+    uniform(2).to_csv(tmp_path / "landmarks.csv")
+    assert (tmp_path / "landmarks.csv").read_text().splitlines()[:2] == [HEADER.strip(), "0,3.75,0.0,3.0,0.0,1.0,0.0"]
+
+
+def test_the_id_column_may_be_absent_and_columns_may_come_in_any_order(write):
+    deployment = Deployment.from_csv(write("nx,ny,nz,x,y,z\n0,0,1,1,2,0\n"))
+    assert deployment.positions.tolist() == [[1.0, 2.0, 0.0]]
+    assert deployment.normals.tolist() == [[0.0, 0.0, 1.0]]
+
+
+def test_a_normal_printed_with_few_decimals_is_made_unit(write):
+    deployment = Deployment.from_csv(write(HEADER + "0,1,1,0,0.577,0.577,0.577\n"))
+    assert_allclose(deployment.normals, math.sqrt(1 / 3), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        (HEADER + "0,8,1,1,1,0,0\n", r"landmark 0 at \(8, 1, 1\) lies outside the room of 7\.5 x 5 x 6 m"),
+        (HEADER + "0,1,1,0,0,0,1\n1,1,1,-0.1,0,0,1\n", r"landmark 1 at \(1, 1, -0\.1\) lies outside"),
+        (HEADER + "0,1,1,0,0,0,2\n", "landmark 0: the normal must have length 1, it has 2"),
+        (HEADER + "0,1,1,0,0,0,0\n", "landmark 0: the normal must have length 1, it has 0"),
+        (HEADER + "0,nan,1,0,0,0,1\n", "line 2: x is 'nan', not a finite number"),
+        (HEADER + "0,1,1,0,0,0,inf\n", "line 2: nz is 'inf', not a finite number"),
+        (HEADER + "0,1,1,0,0,0,up\n", "line 2: nz is 'up', not a number"),
+        (HEADER + "0,1,1,0,0,0\n", "line 2 has 6 values, but the header has 7 columns"),
+        ("", "is empty; expected the columns x,y,z,nx,ny,nz"),
+        (HEADER, "header but no rows"),
+        ("x,y,z,nx,ny,nz,x\n1,1,0,0,0,1,1\n", "names the column 'x' twice"),
+        (HEADER + "4,1,1,0,0,0,1\n4,2,1,0,0,0,1\n", "id 4 belongs to 2 landmarks; ids must be different"),
+        (HEADER + "-1,1,1,0,0,0,1\n", "line 2: id must be a whole number from 0 to .*, got -1"),
+        (HEADER + "1.5,1,1,0,0,0,1\n", "line 2: id must be a whole number from 0 to .*, got 1.5"),
+        (HEADER + "1e30,1,1,0,0,0,1\n", r"line 2: id must be a whole number from 0 to .*, got 1e\+30"),
+        (HEADER + "left,1,1,0,0,0,1\n", "line 2: id is 'left', not a number"),
+        ("x,y,z,nx,ny\n1,1,0,0,0\n", "lacks the column 'nz'"),
+    ],
+)
+def test_a_bad_csv_is_refused_with_its_name_and_the_value(write, text, named):
+    with pytest.raises(InputError, match=rf"landmarks\.csv.*{named}"):
+        FileDeployment(write(text, "landmarks.csv")).draw(paper_room(), np.random.default_rng(0))
+
+
+def test_a_row_longer_than_the_header_is_refused(write):
+    with pytest.raises(InputError, match=r"landmarks\.csv"):
+        Deployment.from_csv(write("x,y,z,nx,ny,nz\n0,1,2,0,1,0,0\n1,1,2,1,0,0,0\n", "landmarks.csv"))
+
+
+@pytest.mark.parametrize(
+    ("row", "fault"),
+    [
+        ("7,4,1,-1,0,0", r"1 at \(7, 4, 1\) hangs in mid-air, 0\.5 m from the nearest surface .*, x_max \(2 of 3 land"),
+        ("4,4,5,0,0,-1", r"1 at \(4, 4, 5\) hangs in mid-air, 1 m from the nearest surface .*, y_max \(2 of 3 land"),
+        ("7.49,4,1,1,0,0", r"1 at \(7\.49, 4, 1\) faces into x_max, the surface it hangs on \(2 of 3 landmarks do\)"),
+        ("7.5,4,1,1,0,0", r"1 at \(7\.5, 4, 1\) faces into x_max, the surface it hangs on \(2 of 3 landmarks do\)"),
+    ],
+)
+def test_landmarks_that_do_not_hang_are_refused_unless_they_may_be_free(write, row, fault):
+    path = write(f"{HEADER}0,1,1,0,0,0,1\n1,{row}\n2,{row}\n", "landmarks.csv")
+    rng = np.random.default_rng(0)
+    with pytest.raises(InputError, match=rf"^free = false, but in .*landmarks\.csv landmark {fault}"):
+        FileDeployment(path).draw(paper_room(), rng)
+    assert len(FileDeployment(path, free=True).draw(paper_room(), rng)) == 3
+    with pytest.raises(InputError, match=r"free must be true or false, got 1"):
+        FileDeployment(path, free=1)
+
+
+def test_landmarks_may_be_measured_by_hand(write):
+    path = write(f"{HEADER}0,7.48,4,1,-1,0,0\n1,7.5,3,1,-1,0,0\n", "landmarks.csv")
+    drawn = FileDeployment(path).draw(paper_room(), np.random.default_rng(0))
+    assert drawn.surfaces[0] == -1 != drawn.surfaces[1]
+    with pytest.raises(InputError, match=r"^landmark 0 .* 0\.02 m from .* cannot be a start"):
+        drawn.movable(paper_room())
+
+
+def test_a_tilted_landmark_hangs(write):
+    path = write(HEADER + "0,1,1,0,0.6,0,0.8\n", "landmarks.csv")
+    assert len(FileDeployment(path).draw(paper_room(), np.random.default_rng(0))) == 1
+
+
+def test_a_file_with_another_count_is_refused(write):
+    path = write(HEADER + "0,1,1,0,0,0,1\n", "landmarks.csv")
+    with pytest.raises(InputError, match=r"^count = 90, but .*landmarks\.csv has 1 landmarks"):
+        FileDeployment(path, 90).draw(paper_room(), np.random.default_rng(0))
+
+
+def test_a_deployment_from_a_file_needs_one(tmp_path):
+    with pytest.raises(InputError, match=r"path is missing"):
+        FileDeployment(None).draw(paper_room(), np.random.default_rng(0))
+    with pytest.raises(InputError, match=r"path: there is no file .*nowhere\.csv"):
+        FileDeployment(str(tmp_path / "nowhere.csv")).draw(paper_room(), np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(
+    ("positions", "normals", "named"),
+    [
+        (np.zeros((2, 3)), np.tile(X, (3, 1)), "2 positions but 3 normals"),
+        (np.zeros((0, 3)), np.zeros((0, 3)), r"K >= 1, got \(0, 3\)"),
+        (np.zeros(3), X, r"got \(3,\)"),
+        (np.full((1, 3), math.nan), X[None], "positions have a value that is not finite"),
+        (np.zeros((2, 3)), [X, 1.01 * X], "landmark 1: the normal must have length 1, it has 1.01"),
+    ],
+)
+def test_what_is_no_deployment_is_refused(positions, normals, named):
+    with pytest.raises(InputError, match=named):
+        Deployment(positions, normals)
+
+
+@pytest.mark.parametrize("source", [RandomDeployment, UniformDeployment])
+@pytest.mark.parametrize("count", [0, -1, 2.5, "90", None, True])
+def test_the_count_must_be_a_positive_whole_number(source, count):
+    with pytest.raises(InputError, match=rf"count .*{count!r}"):
+        source(count)
+
+
+def test_an_unknown_layout_is_refused():
+    with pytest.raises(InputError, match=r"layout must be one of per_wall, by_area, got 'spiral'"):
+        UniformDeployment(90, layout="spiral")
+
+
+def test_ups_are_written_for_tags_and_are_upright_where_nothing_else_was_read(tmp_path):
+    deployment = RandomDeployment(20).draw(paper_room(), np.random.default_rng(0))
+    deployment.to_csv(tmp_path / "tags.csv", ups=True)
+    assert (tmp_path / "tags.csv").read_text().startswith("id,x,y,z,nx,ny,nz,ux,uy,uz\n")
+    assert_array_equal(Deployment.from_csv(tmp_path / "tags.csv").normals, deployment.normals)
+    on_wall = abs(deployment.normals[:, 2]) < 0.5
+    assert_array_equal(deployment.ups, np.where(on_wall[:, None], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]))
+    assert Deployment.from_csv(tmp_path / "tags.csv").surveyed is None
+
+
+def test_a_given_deployment_is_drawn_as_it_is():
+    given_one = GivenDeployment(uniform(6))
+    assert given_one.draw(paper_room(), np.random.default_rng(1)) is given_one.deployment
+    assert not given_one.varies

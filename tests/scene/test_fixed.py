@@ -1,0 +1,178 @@
+"""Landmarks that hang already: they stay, they count, and nothing is put over them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from floor_plans import lab
+from hypothesis import given
+from hypothesis import strategies as st
+from moves import move
+from paper import paper_room
+from small import make, problem
+from strategies import deployments, scenes, seeds
+
+from lmd.core.checks import InputError
+from lmd.incremental.coverage_field import coverage_field
+from lmd.objectives.coverage import Coverage
+from lmd.objectives.localisation import Localisation
+from lmd.objectives.sampling import Sampling
+from lmd.optimisers.base import Budget
+from lmd.optimisers.greedy import GreedyDeployment
+from lmd.problem import Problem
+from lmd.scene.deployment import Deployment, FileDeployment, RandomDeployment, UniformDeployment
+from lmd.scene.fixed import beside
+from lmd.scene.labels import Labels
+from lmd.scene.tag import Tag
+from lmd.sight.evaluator import Evaluator
+
+ROOM = paper_room(spacing=1.5)
+TAG = Tag(edge=0.3)
+
+
+def drawn(source, seed=0):
+    return source.draw(ROOM, np.random.default_rng(seed))
+
+
+def numbered(deployment, *ids, **columns):
+    return replace(deployment, labels=Labels(np.array(ids), columns))
+
+
+def test_new_landmarks_get_the_least_ids_that_are_free():
+    fixed = numbered(drawn(RandomDeployment(3)), 5, 0, 2, note=["a", "b", "c"])
+    both = beside(fixed, drawn(RandomDeployment(4), 1))
+    assert both.ids.tolist() == [5, 0, 2, 1, 3, 4, 6]
+    assert both.labels.columns == {"note": ["a", "b", "c", "", "", "", ""], "fixed": list("1110000")}
+    np.testing.assert_array_equal(both.positions[:3], fixed.positions)
+
+
+def test_the_fixed_ones_may_be_in_the_file_of_all(tmp_path):
+    everything = drawn(RandomDeployment(6))
+    everything.to_csv(tmp_path / "all.csv")
+    measured = everything.positions[[4, 1]] + 0.01 * everything.normals[[4, 1]]
+    fixed = numbered(Deployment(measured, everything.normals[[4, 1]]), 4, 1)
+    p = problem(FileDeployment(tmp_path / "all.csv"), fixed=fixed)
+    both = p.draw(np.random.default_rng(0))
+    assert both.ids.tolist() == [4, 1, 0, 2, 3, 5]
+    np.testing.assert_array_equal(both.positions, [*measured, *everything.positions[[0, 2, 3, 5]]])
+    assert (p.count, p.fixed_count, p.free_count) == (6, 2, 4)
+
+
+@pytest.mark.parametrize(
+    ("fixed", "start", "message"),
+    [
+        (
+            UniformDeployment(6),
+            "all.csv",
+            r"^fixed has a landmark 0, and so has the start, .* m away from it; ids",
+        ),
+        (RandomDeployment(6), "all.csv", r"^fixed has all 6 landmarks, which leaves none to place"),
+        (
+            ([3.0, 2.0, 3.0], [0, 0, 1]),
+            None,
+            r"^fixed: landmark 0 at \(3, 2, 3\) hangs in mid-air, 2 m from",
+        ),
+        (([3.0, 2.0, 9.0], [0, 0, 1]), None, r"^fixed: landmark 0 at \(3, 2, 9\) lies outside the room of"),
+        (([0.0, 2.0, 3.0], [-1, 0, 0]), None, r"^fixed: landmark 0 at \(0, 2, 3\) faces into x_min"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_a_sentence(tmp_path, fixed, start, message):
+    drawn(RandomDeployment(6)).to_csv(tmp_path / "all.csv")
+    hangs = Deployment([fixed[0]], [fixed[1]]) if isinstance(fixed, tuple) else drawn(fixed)
+    with pytest.raises(InputError, match=message):
+        problem(FileDeployment(tmp_path / start) if start else None, fixed=hangs)
+
+
+def test_papers_that_overlap_already_are_refused():
+    hangs = Deployment([[0.0, 2.0, 3.0], [0.0, 2.2, 3.0]], [[1.0, 0.0, 0.0]] * 2)
+    with pytest.raises(InputError, match=r"^fixed: landmarks 0 and 1 on x_min overlap"):
+        problem(fixed=hangs, tag=TAG)
+
+
+@pytest.mark.parametrize(("tag", "optimiser"), [(None, "ega"), (Tag(0.1), "ega"), (None, "greedy")])
+def test_on_a_floor_plan_they_stay_where_they_are_and_out_of_doors(tag, optimiser):
+    scene = replace(problem().scene, room=lab(), tag=tag)
+    hangs = Deployment([[2.0, 0.03, 1.0], [0.0, 1.5, 1.0]], [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    p = Problem(scene, Coverage(1, 0.3), RandomDeployment(8), 1, hangs)
+    np.testing.assert_array_equal(make(optimiser).run(p, Budget(30)).deployment.positions[:2], hangs.positions)
+    door = Deployment([[5.0, 0.0, 1.0]], [[0.0, 1.0, 0.0]])
+    with pytest.raises(InputError, match=r"^fixed: landmark 0 at \(5, 0, 1\) hangs on wall_0 where none may hang"):
+        Problem(scene, Coverage(1, 0.3), RandomDeployment(8), 1, door)
+
+
+# One flush, one that a board holds off the wall, one that was measured to a micrometre and touches the first.
+HANGS = Deployment([[0.0, 2.0, 3.0], [0.03, 4.0, 3.0], [0.0, 2.0, 3.0 + TAG.paper_edge - 1e-6]], [[1.0, 0.0, 0.0]] * 3)
+
+
+@pytest.mark.parametrize("source", ["random", "uniform", "greedy"])
+@pytest.mark.parametrize("optimiser", [None, "annealing", "greedy", "ega"])
+def test_no_paper_covers_one_that_hangs_already(source, optimiser):
+    options = {"fixed": HANGS, "tag": TAG, "walls": ("x_min",)}
+    p = problem(RandomDeployment(80), **options)
+    if source == "greedy":
+        p = problem(GreedyDeployment(80, p.scene, p.objective, threads=1, fixed=p.fixed), **options)
+    elif source == "uniform":
+        p = problem(UniformDeployment(80), **options)
+    found = p.draw(np.random.default_rng(1)) if optimiser is None else make(optimiser).run(p, Budget(60)).deployment
+    np.testing.assert_array_equal(found.positions[:3], HANGS.positions)
+    at = found.positions[:, 1:]
+    apart = np.abs(at[:, None] - at[None]).max(axis=-1) + np.eye(len(at))
+    assert apart.min() > TAG.paper_edge - 2e-6
+    assert np.delete(apart, 2, axis=0)[:, 3:].min() > TAG.paper_edge * (1.0 - 1e-8)
+
+
+@given(st.data(), scenes(), st.integers(1, 3), seeds)
+def test_stacks_beside_fixed_landmarks_are_as_many_landmarks_on_one_point(data, scene, n, seed):
+    """Hidden by nothing, each stack is n landmarks; the fixed ones are what they are."""
+    scene = replace(scene, visibility=replace(scene.visibility, occlusion="none"))
+    fixed, stacks, targets = (data.draw(deployments(scene.room, most=7)) for _ in range(3))
+    evaluator, rng = Evaluator(scene, threads=1), np.random.default_rng(seed)
+    field = coverage_field(evaluator, n).stacked(fixed)
+    state = field.state(stacks)
+    scratch = field.scratch(state)
+    for target in np.hstack([targets.positions, targets.normals]):
+        move(field, int(rng.integers(len(stacks))), target, -1, state, scratch)
+        positions = np.vstack([fixed.positions, *[state.landmarks.T] * n])
+        normals = np.vstack([fixed.normals, *[state.normals.T] * n])
+        units = evaluator.units(positions[None], normals[None], n)[0]
+        np.testing.assert_array_equal(state.units[field.index_of], units)
+
+
+@pytest.mark.parametrize("optimiser", ["annealing", "greedy"])
+def test_half_of_a_good_deployment_is_built_upon(optimiser):
+    good = make("annealing").run(problem(), Budget(400)).deployment
+    half = good[:15]
+    alone = problem().fitness_of(half)
+    built = make(optimiser).run(problem(RandomDeployment(15), fixed=half), Budget(200))
+    assert built.fitness > alone
+
+
+SAMPLED = [
+    Coverage(2, 0.5, Sampling(2, 4)),
+    pytest.param(Localisation(tolerance=0.1, sampling=Sampling(2, 4)), marks=pytest.mark.slow),
+]
+
+
+@pytest.mark.parametrize("objective", SAMPLED)
+@pytest.mark.parametrize("optimiser", ["annealing", "greedy"])
+def test_a_walk_on_samples_leaves_alone_what_hangs_already(optimiser, objective):
+    scene, hangs = replace(problem().scene, tag=TAG), drawn(UniformDeployment(10))
+    p = Problem(scene, objective, RandomDeployment(15), 1, hangs)
+    result = make(optimiser).run(p, Budget(200))
+    np.testing.assert_array_equal(result.deployment.positions[:10], hangs.positions)
+    assert result.fitness == p.fitness_of(result.deployment) > p.fitness_of(p.draw(np.random.default_rng(0)))
+    scene.plates.check(result.deployment.hung(scene.room))
+
+
+def test_a_good_deployment_with_half_of_it_fixed_gets_no_worse(tmp_path):
+    found = make("annealing").run(problem(), Budget(400))
+    found.deployment.to_csv(tmp_path / "good.csv")
+    p = problem(FileDeployment(tmp_path / "good.csv"), fixed=found.deployment[:15])
+    assert make("annealing").run(p, Budget(60)).fitness >= found.fitness
+
+
+def test_the_greedy_choice_goes_on_from_what_hangs():
+    first = GreedyDeployment(12, problem().scene, problem().objective, 0.8, 1)
+    whole = drawn(first)
+    rest = drawn(replace(first, count=7, fixed=whole[:5]))
+    np.testing.assert_array_equal(rest.positions, whole.positions[5:])

@@ -1,0 +1,224 @@
+"""Rigs: what is refused, where the cameras are, and scenes whose score a hand calculation gives."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from floor_plans import L_SHAPE
+from numpy.testing import assert_allclose, assert_array_equal
+from paper import facing, one_position_room, paper_camera, paper_scene
+
+from lmd.core.checks import InputError
+from lmd.evaluation.bounds import Search, fitness_upper_bound
+from lmd.evaluation.validation import Sample, validation_metrics
+from lmd.evaluation.verdicts import causes, verdicts
+from lmd.geometry.frames import rotation
+from lmd.objectives.coverage import Coverage
+from lmd.objectives.localisation import Localisation
+from lmd.problem import Problem
+from lmd.scene import pdf
+from lmd.scene.deployment import Deployment, RandomDeployment, UniformDeployment
+from lmd.scene.pdf import OrientationPdf
+from lmd.scene.rig import Mount, Rig, rig_of
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.poses import candidate_poses, covered_amounts, gains
+from lmd.sight.reference import counts, coverage_caps
+from lmd.space.cuboid import Cuboid
+from lmd.space.floor_plan import FloorPlan
+from lmd.space.parts import Reachable
+from lmd.space.prism import Prism
+
+CAMERA = paper_camera()  # sees 34.84 degrees around its axis
+HERE = np.array([2.0, 2.0, 2.0])
+AHEAD = facing(HERE, [3.9, 2.0, 2.0])  # one landmark, 1.9 m away
+YAWS = 72
+SEEN = 13  # of 72 yaws: -30 to 30 degrees in steps of 5
+
+
+def scene_with(*mounts, camera=None, **changes):
+    parts = {"room": one_position_room(), "orientations": pdf.level_flight(YAWS // 2), **changes}
+    return replace(paper_scene(**parts), camera=Rig(mounts) if mounts else camera or CAMERA)
+
+
+def around(count):
+    return [Mount(CAMERA, yaw=2.0 * math.pi * i / count) for i in range(count)]
+
+
+def probability(scene, deployment, n):
+    found = Evaluator(scene, threads=1).probabilities(deployment, n)
+    by_hand = (counts(scene, deployment) >= n) @ scene.pdf.weight
+    assert_allclose(found, by_hand, atol=1e-12)
+    return float(found[0])
+
+
+def test_back_to_back_each_camera_adds_its_share():
+    alone, rig = scene_with(), scene_with(*around(2))
+    assert probability(alone, AHEAD, 1) == pytest.approx(SEEN / YAWS, abs=1e-12)
+    assert probability(rig, AHEAD, 1) == pytest.approx(2 * SEEN / YAWS, abs=1e-12)
+
+
+def test_three_cameras_add_three_shares_and_six_see_all_around():
+    assert probability(scene_with(*around(3)), AHEAD, 1) == pytest.approx(3 * SEEN / YAWS, abs=1e-12)
+    assert probability(scene_with(*around(6)), AHEAD, 1) == 1.0  # 60 degrees apart, each 69.7 wide
+
+
+def test_a_landmark_that_two_cameras_see_counts_once():
+    twice = scene_with(Mount(CAMERA), Mount(CAMERA))
+    assert probability(twice, AHEAD, 1) == pytest.approx(SEEN / YAWS, abs=1e-12)
+    assert probability(twice, AHEAD, 2) == 0.0
+
+
+def test_two_landmarks_may_be_seen_by_one_camera_each():
+    opposite = facing(HERE, [3.9, 2.0, 2.0], [0.1, 2.0, 2.0])
+    ahead_only = {"occlusion": "line_of_sight"}  # to the paper's test, what is behind the camera hides, too
+    assert probability(scene_with(**ahead_only), opposite, 2) == 0.0
+    assert probability(scene_with(*around(2), **ahead_only), opposite, 2) == pytest.approx(2 * SEEN / YAWS, abs=1e-12)
+
+
+def test_a_camera_beside_the_body_sees_past_a_pillar():
+    pillar = {"low": [2.0, 0.9, 0.0], "high": [2.2, 1.1, 2.5]}
+    room = Prism(FloorPlan(L_SHAPE, 2.5, obstacles=[pillar]), Reachable((1.0, 1.0), 0.3), 0.25)
+    mark = Deployment([[3.0, 1.0, 1.0]], [[-1.0, 0.0, 0.0]])
+    body, forward = np.array([1.5, 1.0, 1.0]), np.array([[1.0, 0.0, 0.0, 0.0, -1.0, 0.0]])
+    for aside, seen in ((0.0, False), (0.1, False), (0.3, True), (-0.3, True)):
+        scene = scene_with(Mount(CAMERA, (0.0, aside, 0.0)), room=room, thold=0.1)
+        assert coverage_caps(scene, mark, body, forward)[0, 0] == seen
+    # To the left of a body that looks along +x is +y: from there a landmark hides behind the pillar's other side.
+    left = scene_with(Mount(CAMERA, (0.0, 0.3, 0.0)), room=room, thold=0.1)
+    behind = Deployment([[3.0, 0.7, 1.0]], [[-1.0, 0.0, 0.0]])
+    assert not coverage_caps(left, behind, body, forward)[0, 0]
+    assert_array_equal(Evaluator(left, threads=1).counts(mark), counts(left, mark))
+
+
+@pytest.mark.parametrize(
+    ("mount", "axis"),
+    [
+        ({"yaw": math.pi / 2}, [0.0, 1.0, 0.0]),  # the body looks along +x: to its left is +y
+        ({"pitch": math.pi / 2}, [0.0, 0.0, -1.0]),  # as in URDF, down
+        ({"roll": 1.0}, [1.0, 0.0, 0.0]),
+        ({"quaternion": (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))}, [0.0, 1.0, 0.0]),
+        ({"quaternion": (0.0, 0.0, 1.0, 0.0)}, [-1.0, 0.0, 0.0]),
+    ],
+)
+def test_the_angles_are_those_of_ros(mount, axis):
+    offsets, turned = Rig((Mount(CAMERA, (0.1, 0.2, 0.3), **mount),)).views(np.array([[1.0, 0, 0, 0, -1.0, 0]]))
+    assert_allclose(turned[0, 0, :3], axis, atol=1e-12)
+    assert_allclose(offsets[0, 0], [0.1, 0.2, 0.3], atol=1e-12)
+
+
+def test_the_body_turns_its_cameras_around():
+    # An independent way: rotations as matrices, whose rows are the body's right, down and forward.
+    angles = np.random.default_rng(0).uniform(-1.5, 1.5, (20, 3))
+    turns = rotation(*angles.T)
+    mount = Mount(CAMERA, (0.3, -0.1, 0.2), yaw=0.4, pitch=-0.3, roll=1.1)
+    offsets, turned = Rig((mount,)).views(np.hstack([turns[:, 2], turns[:, 0]]))
+    body = np.stack([turns[:, 2], -turns[:, 0], -turns[:, 1]], axis=-1)  # its columns: forward, left, up
+    assert_allclose(offsets[0], body @ mount.translation, atol=1e-11)
+    assert_allclose(turned[0, :, :3], body @ mount.rotation[:, 0], atol=1e-12)
+    assert_allclose(turned[0, :, 3:], -body @ mount.rotation[:, 1], atol=1e-12)
+
+
+def test_the_roll_of_the_body_matters_to_what_is_off_its_axis():
+    assert not Rig((Mount(CAMERA, (0.2, 0.0, 0.0), roll=0.5),)).needs_roll
+    assert Rig((Mount(CAMERA, (0.0, 0.0, 0.1)),)).needs_roll
+    assert Rig((Mount(CAMERA, yaw=0.5),)).needs_roll
+    rolled = OrientationPdf([math.pi / 2] * 2, [0.0, 0.0], [0.5, 0.5], roll=[0.0, math.pi / 2])
+    left = scene_with(Mount(CAMERA, yaw=math.pi / 2), orientations=rolled)
+    # Forward is +x. Upright, left is +y; a roll by a quarter turn brings right up, hence left down.
+    assert probability(left, facing(HERE, [2.0, 3.9, 2.0]), 1) == pytest.approx(0.5)
+    assert probability(left, facing(HERE, [2.0, 2.0, 0.1]), 1) == pytest.approx(0.5)
+    assert probability(left, facing(HERE, [2.0, 2.0, 3.9]), 1) == 0.0
+
+
+def test_a_rig_of_one_camera_in_the_origin_is_that_camera():
+    scene = paper_scene()
+    rig = replace(scene, camera=Rig((Mount(CAMERA),)))
+    deployment = UniformDeployment(60).draw(scene.room, np.random.default_rng(0))
+    one, other = Evaluator(scene, threads=1), Evaluator(rig, threads=1)
+    assert_array_equal(one.counts(deployment), other.counts(deployment))
+    landmarks = deployment.positions[None], deployment.normals[None]
+    assert_array_equal(one.units(*landmarks, 2), other.units(*landmarks, 2))
+    poses, prices = candidate_poses(scene.room, 1.5), np.random.default_rng(1).random((756, one.axes.shape[1]))
+    assert_array_equal(gains(one, poses, prices), gains(other, poses, prices))
+    amounts = np.random.default_rng(2).random(len(poses))
+    assert_array_equal(covered_amounts(one, poses, amounts), covered_amounts(other, poses, amounts))
+
+
+def test_what_single_poses_gain_is_what_some_camera_covers():
+    scene = scene_with(Mount(CAMERA, (0.2, 0.1, 0.0)), Mount(paper_camera(focal_length=4.0), yaw=2.0), occlusion="none")
+    evaluator = Evaluator(scene, threads=1)
+    poses = RandomDeployment(20).draw(scene.room, np.random.default_rng(0))
+    covered = coverage_caps(scene, poses, scene.room.grid()[0], scene.orientations.axes)  # (D, K)
+    prices = np.random.default_rng(1).random((1, evaluator.axes.shape[1]))
+    assert_allclose(gains(evaluator, poses, prices), prices[0, : len(covered)] @ covered)
+    amounts = np.random.default_rng(2).random(20)
+    assert_allclose(covered_amounts(evaluator, poses, amounts)[0, : len(covered)], covered @ amounts)
+    along = np.where(poses.normals == 0.0, np.random.default_rng(3).uniform(-0.05, 0.05, (20, 3)), 0.0)
+    moved = replace(poses, positions=np.clip(poses.positions + along, 0.0, scene.room.size))
+    assert (gains(evaluator, poses, prices, np.full(20, 0.1)) >= gains(evaluator, moved, prices)).all()
+
+
+def test_threads_do_not_change_what_a_rig_scores():
+    scene = replace(paper_scene(orientations=pdf.level_flight(6)), camera=Rig(tuple(around(2))))
+    deployment = RandomDeployment(30).draw(scene.room, np.random.default_rng(0))
+    one, four = (Evaluator(scene, threads=threads).probabilities(deployment, 2) for threads in (1, 4))
+    assert_array_equal(one, four)
+
+
+def test_off_the_grid_bounds_and_causes_know_rigs():
+    scene = scene_with(*around(2))
+    problem = Problem(scene, Coverage(1, 0.3), RandomDeployment(6), threads=1)
+    deployment = problem.draw(np.random.default_rng(0))
+    figures = validation_metrics(problem, deployment, 0, Sample(2, 4, 6))
+    assert 0.0 <= figures["grid_free_qualified_ratio"] <= 1.0
+    bound = fitness_upper_bound(problem, 6, Search(spacing=1.0, iterations=20)).walls
+    assert bound >= problem.fitness_of(deployment)
+    found = causes(scene, deployment, 0)
+    assert found.looks == 2 * 256 * 16 * 6
+    assert found.limits["field_of_view"] == "within 34.8 degrees of the optical axis"
+
+
+def test_what_knows_no_rig_says_so():
+    scene = scene_with(*around(2))
+    deployment = AHEAD
+    with pytest.raises(InputError, match="works with a single camera, not with a rig of 2"):
+        verdicts(scene, deployment, np.eye(4)[None])
+    with pytest.raises(InputError, match="the objective Localisation works with a single camera"):
+        Localisation(2).field(Evaluator(scene, threads=1))
+
+
+@pytest.mark.parametrize(
+    ("mounts", "message"),
+    [
+        ([], "rig must have at least one camera, got an empty list"),
+        ({"yaw": 0.0}, "rig must be a list of cameras"),
+        ([3], r"rig\[0\] must have keys such as translation and yaw, got 3"),
+        ([{}, {"jaw": 0.0}], r"rig\[1\] has no key 'jaw', only translation, yaw"),
+        ([{"translation": [0.0, math.nan, 0.0]}], r"rig\[0\]\.translation\[1\] must be finite, got nan"),
+        ([{"translation": [0.0, 0.0]}], r"rig\[0\]\.translation must be a list of 3 numbers"),
+        ([{"yaw": "left"}], r"rig\[0\]\.yaw must be a number, got 'left'"),
+        ([{"yaw": 180.0}], r"rig\[0\]\.yaw must be in radians, at most one turn from zero, got 180"),
+        ([{"quaternion": [0, 0, 0, 2]}], r"rig\[0\]\.quaternion must have length 1, .* has 2"),
+        ([{"quaternion": [0, 0, 0, 1], "yaw": 1.0}], r"rig\[0\]\.quaternion must not come with yaw"),
+        ([{"camera": "missing.yaml"}], r"rig\[0\]\.camera\.path: there is no file 'missing.yaml'"),
+        ([{"camera": {"file": "a.yaml"}}], r"rig\[0\]\.camera has no key 'file', only path"),
+        ([{"camera": 3}], r"rig\[0\]\.camera must be a calibration file"),
+    ],
+)
+def test_bad_rigs_are_refused_in_a_sentence(mounts, message):
+    with pytest.raises(InputError, match=message):
+        rig_of(mounts, CAMERA)
+
+
+def test_a_camera_that_leaves_the_room_between_the_positions_of_the_grid_is_refused():
+    room = Cuboid((4.0, 4.0, 4.0), (3.6, 3.6, 3.6), 0.9)  # the grid keeps 0.65 m from the walls, the body 0.2 m
+    scene = scene_with(Mount(CAMERA, (0.5, 0.0, 0.0)), room=room)
+    with pytest.raises(InputError, match=r"rig has a camera at .*, outside the room"):
+        Problem(scene, Coverage(1, 0.3), RandomDeployment(6), threads=1)
+
+
+def test_a_camera_outside_the_room_is_refused():
+    scene = scene_with(Mount(CAMERA, (2.5, 0.0, 0.0)))
+    with pytest.raises(InputError, match=r"rig has a camera at .*, outside the room, when the body is at \[2, 2, 2\]"):
+        Problem(scene, Coverage(1, 0.3), RandomDeployment(6), threads=1)

@@ -1,0 +1,188 @@
+"""Tags as somebody surveyed them: a little behind their wall, turned in their plane, outside the room."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from floor_plans import L_SHAPE, PILLAR, RACK, lab
+from meshes import mesh_room
+from numpy.testing import assert_allclose, assert_array_equal
+from paper import paper_camera, paper_room
+from scipy.spatial.transform import Rotation
+
+from lmd.core.checks import InputError
+from lmd.detection.frames import tagged_room
+from lmd.estimation.tags import corners_of
+from lmd.evaluation.survey import read_measured, survey
+from lmd.evaluation.validation import Sample
+from lmd.mapping.tag_map import TagMap
+from lmd.objectives.coverage import Coverage
+from lmd.optimisers.base import Budget
+from lmd.optimisers.random_search import RandomSearch
+from lmd.optimisers.stored import points
+from lmd.problem import Problem
+from lmd.scene import pdf
+from lmd.scene.deployment import Deployment, FileDeployment, RandomDeployment
+from lmd.scene.labels import Labels
+from lmd.scene.plates import Plates
+from lmd.scene.scene import Scene
+from lmd.scene.tag import Tag
+from lmd.sight.models.paper import Visibility
+from lmd.space.floor_plan import FloorPlan
+from lmd.space.inset import Inset
+
+SEEN = Visibility(thold=0.05, nu=0.0, occlusion="none")
+TAG = Tag(0.1)
+
+
+@pytest.fixture(scope="module", params=["cuboid", "floor plan", "mesh"])
+def room(request, tmp_path_factory):
+    if request.param == "mesh":
+        plan = FloorPlan(L_SHAPE, 2.5, holes=[PILLAR], obstacles=[RACK])
+        return mesh_room(tmp_path_factory.mktemp("mesh") / "lab.glb", plan)
+    return paper_room(spacing=1.5) if request.param == "cuboid" else lab()
+
+
+def hanging(room, count=12):
+    """Tags that hang flush, away from all edges."""
+    return RandomDeployment(count).draw(Inset(room, 0.15), np.random.default_rng(3))
+
+
+def moved(deployment, by):
+    """The same tags so far before their surfaces, or behind, metres, as a file has them."""
+    return Deployment(deployment.positions + by * deployment.normals, deployment.normals, labels=deployment.labels)
+
+
+def saved(path, deployment, ups=None):
+    deployment.to_csv(path)
+    if ups is not None:
+        lines = path.read_text().splitlines()
+        turned = ["ux,uy,uz", *(",".join(map(repr, up)) for up in ups.tolist())]
+        path.write_text("".join(f"{line},{more}\n" for line, more in zip(lines, turned, strict=True)))
+    return str(path)
+
+
+@pytest.mark.parametrize("by", [-0.049, -1e-4, 0.0, 1e-4, 0.049])
+def test_a_tag_within_5_cm_belongs_to_its_surface_on_either_side(room, by):
+    tags = hanging(room)
+    there = moved(tags, by)
+    assert_array_equal(room.surface_near(there.positions, there.normals), tags.surfaces)
+    hung = there.hung(room)
+    assert_array_equal(hung.belonging(room), tags.surfaces)
+    assert_array_equal(hung.places, there.positions)
+    assert_allclose(hung.positions, tags.positions if by < 0 else there.positions, atol=1e-12)
+
+
+@pytest.mark.parametrize("by", [-0.06, 0.06])
+def test_a_tag_farther_away_belongs_to_none(room, by):
+    there = moved(hanging(room), by)
+    assert (room.surface_near(there.positions, there.normals) == -1).all()
+
+
+def test_in_a_corner_a_tag_belongs_to_the_surface_that_it_faces_away_from(room):
+    surface = next(s for s in room.surfaces() if s.normal[2] == 0.0)
+    low = surface.point(surface.extent[0] / 2.0, 0.02) - 0.03 * surface.normal  # nearer to the floor, and behind
+    own = room.surface_near(low[None], surface.normal[None])[0]
+    assert room.surfaces()[own].name == surface.name
+
+
+@pytest.mark.parametrize("by", [-0.03, -1e-4])
+def test_all_three_inputs_take_it_and_it_is_seen_as_on_its_surface(room, by, tmp_path):
+    scene = Scene(room, paper_camera(), pdf.grid_with_ends(4), SEEN)
+    problem = Problem(scene, Coverage(1, 0.5), RandomDeployment(12))
+    tags = hanging(room)
+    path = saved(tmp_path / "tags.csv", moved(tags, by))
+    plates, rng, seen = Plates(room, 0.0), np.random.default_rng(0), problem.evaluator.counts(tags)
+    assert seen.any()
+    for taken in (
+        FileDeployment(path).draw(room, rng),
+        FileDeployment(path, free=True).draw(room, rng),
+        plates.hung(Deployment.from_csv(path), RandomDeployment(3)),
+        read_measured(path, problem, tags),
+    ):
+        assert_array_equal(problem.evaluator.counts(taken), seen)
+        taken.to_csv(tmp_path / "again.csv")
+        assert (tmp_path / "again.csv").read_text() == (tmp_path / "tags.csv").read_text()
+
+
+def test_outside_is_told_with_what_takes_it_there(room, tmp_path):
+    low, _ = room.bounds()
+    path = saved(tmp_path / "tags.csv", Deployment(np.array([low - [1.0, -1.0, -1.0]]), np.array([[1.0, 0.0, 0.0]])))
+    rng, message = np.random.default_rng(0), r"landmark 0 at .* lies outside the room .*, 1 m from the nearest surface;"
+    with pytest.raises(InputError, match=message):
+        FileDeployment(path).draw(room, rng)
+    with pytest.raises(InputError, match=rf"^fixed: {message}"):
+        Plates(room, 0.0).hung(Deployment.from_csv(path), RandomDeployment(3))
+    free = FileDeployment(path, free=True)
+    assert_array_equal(free.draw(room, rng).places, Deployment.from_csv(path).positions)
+    assert_array_equal(Plates(room, 0.0).hung(Deployment.from_csv(path), free).places, free.draw(room, rng).places)
+    scene = Scene(room, paper_camera(), pdf.grid_with_ends(4), SEEN)
+    problem = Problem(scene, Coverage(1, 0.5), free)
+    assert len(read_measured(path, problem, problem.draw(rng))) == 1
+
+
+def turned_by(tags, angle):
+    return Rotation.from_rotvec(angle * tags.normals).apply(tags.ups)
+
+
+@pytest.mark.parametrize("angle", [0.02, 1.0, np.pi])
+def test_a_turn_in_the_plane_is_kept_wherever_the_tag_goes(angle, tmp_path):
+    room = paper_room(spacing=1.5)
+    tags = hanging(room)
+    ups = turned_by(tags, angle)
+    path = saved(tmp_path / "tags.csv", moved(tags, -1e-3), ups)
+    fixed = Plates(room, TAG.paper_edge).hung(Deployment.from_csv(path), RandomDeployment(3))
+    for taken in (FileDeployment(path).draw(room, np.random.default_rng(0)), fixed):
+        assert_allclose(taken.ups, ups, atol=1e-12)
+        assert_allclose(TagMap(room, TAG, taken).turns.as_matrix()[:, :, 1], ups, atol=1e-12)
+        assert_allclose(TagMap(room, TAG, taken).positions, moved(tags, -1e-3).positions, atol=1e-12)
+        assert_allclose(tagged_room(room, taken, TAG).ups, ups, atol=1e-12)
+        top = corners_of(taken, TAG)[:, :2].mean(axis=1) - taken.positions
+        assert_allclose(top, 0.05 * ups, atol=1e-12)
+        taken.to_csv(tmp_path / "again.csv", ups=True)
+        assert_allclose(Deployment.from_csv(tmp_path / "again.csv").ups, ups, atol=1e-12)
+    assert_allclose(fixed[1:3].ups, ups[1:3], atol=1e-12)
+    other = tags[np.arange(2)]
+    assert_allclose((fixed + other).ups, np.vstack([ups, other.ups]), atol=1e-12)
+
+
+@pytest.mark.parametrize("up", ["1,0,0", "0,0,0", "0,0,2"])
+def test_an_up_that_is_none_of_its_tag_is_refused(up, tmp_path):
+    (tmp_path / "tags.csv").write_text(f"x,y,z,nx,ny,nz,ux,uy,uz\n0,1,1,1,0,0,0,1,0\n0,2,1,1,0,0,{up}\n")
+    message = rf"tags.csv: the up of landmark 1, \({', '.join(up.split(','))}\), is no unit vector in the plane of its"
+    with pytest.raises(InputError, match=message):
+        Deployment.from_csv(tmp_path / "tags.csv")
+
+
+def test_fixed_tags_keep_what_was_measured_of_them_through_a_search(tmp_path):
+    room = paper_room(spacing=1.5)
+    tags = hanging(room, 4)
+    ups = turned_by(tags, 0.1)
+    path = saved(tmp_path / "tags.csv", moved(tags, -0.02), ups)
+    scene = Scene(room, paper_camera(), pdf.grid_with_ends(4), SEEN, TAG)
+    problem = Problem(scene, Coverage(1, 0.5), RandomDeployment(3), fixed=Deployment.from_csv(path))
+    found = RandomSearch(seed=0).run(problem, Budget(20)).deployment
+    assert_array_equal(found.places[:4], Deployment.from_csv(path).positions)
+    assert_allclose(found.ups[:4], ups, atol=1e-12)
+    assert_array_equal(found.places[4:], found.positions[4:])
+
+
+def test_a_checkpoint_may_hold_fixed_tags_outside_the_room(tmp_path):
+    room = paper_room(spacing=1.5)
+    there = Deployment(np.array([[-1.0, 2.0, 1.0]]), np.array([[1.0, 0.0, 0.0]]))
+    free = FileDeployment(
+        saved(tmp_path / "tags.csv", replace(hanging(room), labels=Labels(np.arange(5, 17)))), free=True
+    )
+    problem = Problem(Scene(room, paper_camera(), pdf.grid_with_ends(4), SEEN), Coverage(1, 0.5), free, fixed=there)
+    assert_array_equal(points("positions", problem.fixed.positions, problem, 1), there.positions)
+    with pytest.raises(InputError):
+        points("positions", there.positions - 1.0, problem, 1)
+
+
+def test_how_far_a_tag_hangs_from_its_plan_counts_what_is_behind_the_wall(tmp_path):
+    scene = Scene(paper_room(spacing=1.5), paper_camera(), pdf.grid_with_ends(4), SEEN, TAG)
+    problem = Problem(scene, Coverage(1, 0.5), RandomDeployment(12))
+    plan = replace(hanging(scene.room), labels=problem.labels)
+    measured = read_measured(saved(tmp_path / "tags.csv", moved(plan, -0.02)), problem, plan)
+    found = survey(problem, plan, measured, 0, Sample(2, 20, 4), views=5)
+    assert_allclose(found.moved.moved, 0.02, atol=1e-12)

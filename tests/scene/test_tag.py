@@ -1,0 +1,72 @@
+import numpy as np
+import pytest
+
+from lmd.core.checks import InputError
+from lmd.geometry.squares import corners
+from lmd.scene.tag import FAMILIES, Tag, dictionary
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_the_table_of_families_is_that_of_opencv(name):
+    assert dictionary(name).markerSize + 2 == FAMILIES[name].modules
+    assert len(dictionary(name).bytesList) == FAMILIES[name].ids
+
+
+@pytest.mark.parametrize("name", ["36h11", "16h5", "4x4_50"])
+def test_a_picture_has_a_black_border_and_something_inside(name):
+    picture = Tag(0.1, name).picture(3)
+    border = np.ones_like(picture)
+    border[1:-1, 1:-1] = False
+    assert picture.shape == (Tag(0.1, name).modules,) * 2
+    assert not picture[border].any()
+    assert picture.any()
+
+
+def test_an_apriltag_hangs_as_in_apriltags_own_picture():
+    # The first row inside the border of its tag 0; OpenCV has it, backwards, as the last.
+    assert "".join(".#"[not white] for white in Tag(0.1, "36h11").picture(0)[1]) == "#..#.#.#"
+
+
+def test_sizes():
+    tag = Tag(0.16, "36h11", quiet_zone=2.0)
+    assert (tag.modules, tag.ids, tag.is_point) == (8, 587, False)
+    assert tag.module == pytest.approx(0.02)
+    assert tag.paper_edge == pytest.approx(0.24)
+
+
+@pytest.mark.parametrize("edge", [None, 0, 0.0])
+def test_a_point_has_no_size(edge):
+    tag = Tag(edge)
+    assert tag.is_point
+    assert tag == Tag()
+    with pytest.raises(InputError, match="a point has no size"):
+        _ = tag.paper_edge
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ({"edge": -0.1}, "edge must be positive, in metres, or null for landmarks that are points, got -0.1"),
+        ({"edge": float("nan")}, "edge must be finite"),
+        ({"edge": 0.1, "family": "36h12"}, "family must be one of 36h11, 25h9"),
+        ({"edge": 0.1, "quiet_zone": -1.0}, "quiet_zone must be at least 0, got -1.0"),
+    ],
+)
+def test_bad_input_gets_a_sentence(arguments, sentence):
+    with pytest.raises(InputError, match=sentence):
+        Tag(**arguments)
+
+
+def test_a_family_may_have_too_few_tags():
+    Tag(0.1, "25h9").check_ids(np.arange(35))
+    with pytest.raises(InputError, match="family 25h9 has 35 different tags, too few for 36"):
+        Tag(0.1, "25h9").check_ids(np.arange(36))
+    with pytest.raises(InputError, match=r"tag id must be in \[0, 34\], got 35"):
+        Tag(0.1, "25h9").picture(35)
+
+
+def test_corners_go_round_from_the_top_left_as_seen_from_the_front():
+    # On the wall y = 0 of a room with y > 0, the viewer looks along -y: right is -x.
+    found = corners(np.array([[1.0, 0.0, 1.0]]), np.array([[0.0, 1.0, 0.0]]), np.array([[0.0, 0.0, 1.0]]), 0.2)
+    expected = [[[1.1, 0.0, 1.1], [0.9, 0.0, 1.1], [0.9, 0.0, 0.9], [1.1, 0.0, 0.9]]]
+    np.testing.assert_allclose(found, expected, atol=1e-15)

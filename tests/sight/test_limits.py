@@ -1,0 +1,64 @@
+import math
+
+import numpy as np
+import pytest
+
+from lmd.core.checks import InputError
+from lmd.scene.tag import FAMILIES
+from lmd.sight.models.limits import Limits, Preset, limits_of, measured
+
+MINE = Limits(1.1, 1.9, 12.0, 82.0, 2.0)
+
+
+def test_what_is_found_by_hand():
+    limits = Limits(pitch=3.0, blur=2.0, edge=20.0, incidence=60.0, margin=0.0)
+    pitch, edge = np.array([5.0, 4.99, 5.0, 5.0, math.nan]), np.array([20.0, 20.0, 19.9, 20.0, 20.0])
+    incidence = np.radians([60.0, 60.0, 60.0, 60.1, 0.0])
+    assert limits.found(pitch, incidence, edge, np.full(5, 2.0)).tolist() == [True, False, False, False, False]
+
+
+def test_every_preset_is_of_a_family_and_serves_all_of_its_kind():
+    assert {detector for detector, _ in measured()} == {"apriltag", "apriltag_decimate2", "aruco", "wpilib"}
+    for (detector, family), preset in measured().items():
+        served = [name for name in FAMILIES if name.partition("_")[0] == family]
+        assert served
+        assert all(limits_of(detector, name, {}) == preset.limits for name in served)
+
+
+@pytest.fixture
+def preset(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text(Preset("mine", "7x7_50", MINE).to_yaml(["Measured on a Sunday."]))
+    return path
+
+
+def test_a_file_is_a_detector(preset):
+    assert preset.read_text().startswith("# Measured on a Sunday.\ndetector: mine\n")
+    assert Preset.from_yaml(preset) == Preset("mine", "7x7_50", MINE)
+    assert limits_of(str(preset), "7x7_50", {}) == MINE
+    assert limits_of(str(preset), "7x7_50", {"margin": 9}).margin == 9.0
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (None, r"^detector: there is no file '.*mine\.yaml'\.$"),
+        ("a: [", r"^detector: '.*mine\.yaml' cannot be read as YAML or JSON \(.*\)\.$"),
+        ("pitch: 2", r"^detector: '.*mine\.yaml' must have the keys detector, family, pitch, .* and no others\.$"),
+        ("text", r"^detector: '.*mine\.yaml' has no keys"),
+        ("edge: much", r"^detector: '.*mine\.yaml': edge must be a number, got 'much'\.$"),
+        ("incidence: 95", r"^detector: '.*mine\.yaml': incidence must be at most 89, got 95\.$"),
+        ("family: 36h11", r"^detector: '.*mine\.yaml' is about tags of the family 36h11, not 7x7_50\.$"),
+    ],
+)
+def test_a_file_that_is_no_preset_is_refused_in_one_sentence(preset, text, message):
+    lines = preset.read_text().splitlines()
+    key = str(text).partition(":")[0]
+    if text is None:
+        preset.unlink()
+    elif key in ("edge", "incidence", "family"):
+        preset.write_text("\n".join(text if line.startswith(f"{key}:") else line for line in lines))
+    else:
+        preset.write_text(text)
+    with pytest.raises(InputError, match=message):
+        limits_of(str(preset), "7x7_50", {})
