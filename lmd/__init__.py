@@ -85,7 +85,7 @@ __all__ = [*_HOMES, "pdf"]
 
 def __getattr__(name: str) -> Any:
     if name == "pdf":
-        return importlib.import_module("lmd.pdf")
+        return importlib.import_module("lmd.scene.pdf")
     if name in _HOMES:
         return getattr(importlib.import_module(_HOMES[name]), name)
     raise AttributeError(f"module 'lmd' has no attribute {name!r}")

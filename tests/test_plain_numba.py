@@ -14,7 +14,7 @@ CODE = """
 import json, sys
 from small import problem
 import lmd
-from lmd import compiled
+from lmd.core import compiled
 from lmd.optimisers.random_search import RandomSearch
 optimiser = {} if sys.argv[1] == "walk" else {"optimiser": RandomSearch()}
 found = lmd.optimise(problem(), evaluations=60, **optimiser)

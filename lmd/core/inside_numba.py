@@ -4,6 +4,7 @@ Only `lmd.core.compiled` uses this, and only with versions of numba for which it
 """
 
 import hashlib
+import pickle
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any
@@ -133,7 +134,15 @@ class _Cache(FunctionCache):
 
 
 class _Index(IndexDataCacheFile):
-    """numba's, but written by one process at a time."""
+    """numba's, but written by one process at a time, and empty where it cannot be read."""
+
+    def _load_index(self) -> Any:
+        try:
+            return super()._load_index()
+        except (AttributeError, ImportError):  # it names classes that lay elsewhere in an earlier version
+            return {}
+        except (EOFError, pickle.UnpicklingError):  # the disk was full, or went
+            return {}
 
     def save(self, key: Any, data: Any) -> None:
         """Keep a compiled kernel, in a folder that exists."""

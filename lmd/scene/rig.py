@@ -106,7 +106,7 @@ class Rig:
 
         Args:
             axes: the body's x axis, and right (-y), `(A, 6)`: two unit vectors in the world frame, see
-                `lmd.pdf.Orientations`.
+                `lmd.scene.pdf.Orientations`.
 
         Returns:
             offsets from the body's origin, `(C, A, 3)`, world frame, metres; optical axes and the image's right,

@@ -1,5 +1,6 @@
 import ast
 import math
+import pickle
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -118,6 +119,20 @@ def test_where_nothing_can_be_written_kernels_are_compiled_all_the_same(monkeypa
     assert double(1.5) == 3.0
     compiled._compiling.on_start(SimpleNamespace(data={"dispatcher": double}))
     assert "it cannot be kept, as no folder can be written to; NUMBA_CACHE_DIR=DIR" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("damage", [b"", b"cgone.module\nClass\n.", b"cmath\ngone\n.", b"\x80"])
+def test_what_was_kept_and_cannot_be_read_is_compiled_anew(tmp_path, damage):
+    index = inside_numba._Index(str(tmp_path), "kernel", "stamp")
+    index.save("key", "machine code")
+    assert index.load("key") == "machine code"
+    path = tmp_path / "kernel.nbi"
+    version = pickle.dumps(index._version, protocol=-1)
+    assert path.read_bytes().startswith(version)
+    path.write_bytes(version + damage)
+    assert index.load("key") is None
+    index.save("key", "machine code")
+    assert index.load("key") == "machine code"
 
 
 def test_without_the_compiler_there_is_a_sentence(tmp_path, monkeypatch):
