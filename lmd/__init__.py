@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from lmd.scene.rig import Mount as Mount
     from lmd.scene.rig import Rig as Rig
     from lmd.scene.scene import Scene as Scene
+    from lmd.scene.tag import Tag as Tag
+    from lmd.sight.models.fiducial import Fiducial as Fiducial
     from lmd.sight.models.paper import Visibility as Visibility
     from lmd.space.cuboid import Cuboid as Cuboid
     from lmd.space.floor_plan import FloorPlan as FloorPlan
@@ -59,6 +61,7 @@ _HOMES = {
     "Localisation": "lmd.objectives.localisation",
     "Cuboid": "lmd.space.cuboid",
     "Deployment": "lmd.scene.deployment",
+    "Fiducial": "lmd.sight.models.fiducial",
     "FileDeployment": "lmd.scene.deployment",
     "FloorPlan": "lmd.space.floor_plan",
     "InputError": "lmd.core.checks",
@@ -73,6 +76,7 @@ _HOMES = {
     "Sampling": "lmd.objectives.sampling",
     "Scan": "lmd.space.scan",
     "Scene": "lmd.scene.scene",
+    "Tag": "lmd.scene.tag",
     "UniformDeployment": "lmd.scene.deployment",
     "Visibility": "lmd.sight.models.paper",
     "evaluate": "lmd.run",

@@ -17,6 +17,7 @@ import numpy as np
 from lmd.core.checks import InputError, file_path
 from lmd.core.files import write_whole
 from lmd.core.memory import check_memory
+from lmd.core.renamed import renamed
 from lmd.optimisers.base import Optimiser
 from lmd.problem import Problem
 
@@ -74,6 +75,7 @@ class Checkpoint:
             raise InputError(f"resume = {str(directory)!r} holds no {FILE}.")
         check_memory(path.stat().st_size, f"resume = {str(directory)!r}", "resume")
         state, then, run_id = _read(path)
+        then = {key: renamed(value) if isinstance(value, str) else value for key, value in then.items()}
         now = json.loads(json.dumps(dict(self.settings)))
         for key in sorted({*now, *then}):
             if then.get(key) != now.get(key):
