@@ -1,1 +1,11 @@
 """Rooms: the surfaces that carry landmarks, and where the camera may be."""
+
+from lmd.space.cuboid import Cuboid
+from lmd.space.floor_plan import FloorPlan
+from lmd.space.mesh_room import MeshRoom
+from lmd.space.parts import Reachable
+from lmd.space.prism import Prism
+from lmd.space.scan import Scan
+from lmd.space.space import Space
+
+__all__ = ["Cuboid", "FloorPlan", "MeshRoom", "Prism", "Reachable", "Scan", "Space"]
