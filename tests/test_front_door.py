@@ -1,4 +1,4 @@
-"""`import lmd` is enough: what it exports, its example, and the one in the README."""
+"""`import lmd` is enough: what it exports, its example, and the one of the page "From Python"."""
 
 import doctest
 import re
@@ -14,7 +14,7 @@ from small import problem
 import lmd
 from lmd.optimisers.ega import EGA
 
-README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+FROM_PYTHON = (Path(__file__).parents[1] / "docs" / "api" / "index.md").read_text(encoding="utf-8")
 
 
 def test_every_exported_name_is_there():
@@ -61,9 +61,8 @@ def test_any_deployment_in_the_room_is_scored_and_one_outside_is_not():
 
 
 @pytest.mark.slow
-def test_the_readmes_example_runs_as_printed(tmp_path):
-    section = README.split("## From Python")[1].split("\n## ")[0]
-    (code,) = re.findall(r"```python\n(.*?)```", section, flags=re.DOTALL)
+def test_the_example_of_the_page_runs_as_printed(tmp_path):
+    (code,) = re.findall(r"```python\n(.*?)```", FROM_PYTHON, flags=re.DOTALL)
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True, capture_output=True, text=True)
     assert "'grid_free_qualified_ratio'" in done.stdout
     assert len(pd.read_csv(tmp_path / "landmarks.csv")) == 90

@@ -274,7 +274,7 @@ def test_a_configuration_that_is_none_gets_one_sentence(earlier, monkeypatch, ca
 
 @pytest.mark.slow
 def test_a_run_is_scored_flown_and_improved_where_it_was(earlier):
-    """As in the README; elsewhere its landmarks float."""
+    """As in docs/running.md; elsewhere its landmarks float."""
     cwd, run = earlier.parent, f"run='{earlier}'"
     file = ("deployment=file", f"deployment.path='{earlier}/landmarks.csv'")
     message = "landmark 1 at (6, 2, 1) hangs in mid-air, 1 m from the nearest surface that may carry it, floor (1 of 2"
