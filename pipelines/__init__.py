@@ -8,6 +8,6 @@ from pathlib import Path
 if sys.argv[:1] == ["-m"] or Path(*sys.argv[:1]).name.startswith("lmd-"):
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # no traceback while what hears it is imported
 
-    from .signals import stop
+    from .operations.signals import stop
 
     stop.listen()

@@ -9,7 +9,7 @@ from omegaconf import DictConfig
 from .app import application, run_directory
 from .building import build_problem
 from .deployments import composed_deployments, read_deployment_as_a_list
-from .sweeps.supervisor import run
+from .operations.sweeps.supervisor import run
 
 HEADLINE = "localised_share_20mm"
 

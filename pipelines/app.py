@@ -21,7 +21,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from .fixed import quoted
-from .signals import Stopped, stop
+from .operations.signals import Stopped, stop
 from .spelling import ask_what_was_meant
 
 PACKAGE = str(__package__)  # `pipelines` in a checkout, `lmd.pipelines` where lmd is installed

@@ -8,7 +8,7 @@ from .app import application, run_directory
 from .building import build_problem, keyed, settings_of
 from .documents import write_document
 from .earlier_run import read_earlier_run
-from .sweeps.supervisor import run
+from .operations.sweeps.supervisor import run
 
 
 def main() -> None:

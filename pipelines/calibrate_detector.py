@@ -6,7 +6,7 @@ from .app import application, choices, run_directory
 from .building import instantiate, keyed
 from .documents import write_document
 from .earlier_run import read_earlier_run
-from .sweeps.supervisor import run
+from .operations.sweeps.supervisor import run
 
 
 def main() -> None:

@@ -9,14 +9,14 @@ from omegaconf import DictConfig, ListConfig
 from .app import application, recompose, run_directory, save_path, search_path, task_overrides
 from .building import budget_of, build_optimiser, build_problem, instantiate, seeds_of
 from .earlier_run import read_earlier_run
-from .sweeps.supervisor import run
+from .operations.sweeps.supervisor import run
 from .workers import in_processes
 
 if TYPE_CHECKING:
     from lmd.evaluation.comparison import OptimiserRun
     from lmd.optimisers.base import Budget
 
-    from .tracking import Tracker
+    from .operations.tracking import Tracker
 
 # Settings of the comparison itself; every other override is passed on to its runs.
 OWN_KEYS = ("optimisers", "seeds", "workers", "save_as", "budget", "seed", "tracking")
@@ -98,8 +98,8 @@ def _run(job: "tuple[str, DictConfig, int, Budget]") -> "OptimiserRun":
 
 def _log_child(cfg: DictConfig, run: "OptimiserRun", ups: bool, parent: str | None, directory: Path) -> None:
     """Record one run below the comparison's own, its landmarks in a folder of `directory`; `ups` as for `to_csv`."""
+    from .operations.tracking import PARENT_TAG, RunStart
     from .progress import thinned
-    from .tracking import PARENT_TAG, RunStart
 
     tracker: Tracker = instantiate(cfg.tracking)
     tags = {"choice.optimiser": run.optimiser.split()[0]}

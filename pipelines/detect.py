@@ -16,7 +16,7 @@ from .app import application, run_directory
 from .building import build_problem, instantiate, keyed, settings_of
 from .deployments import any_deployment, composed_deployments, read_deployment_as_a_list
 from .documents import write_document
-from .sweeps.supervisor import run
+from .operations.sweeps.supervisor import run
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -12,7 +12,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from .app import choices, search_path
-from .sweeps.names import quoted
+from .operations.sweeps.names import quoted
 from .trust import Trust, read_yaml
 
 KEY = "run="

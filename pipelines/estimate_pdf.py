@@ -8,7 +8,7 @@ from omegaconf import DictConfig
 from .app import application, choices, flat_settings, run_directory
 from .building import instantiate, keyed, settings_of
 from .documents import write_document
-from .sweeps.supervisor import run
+from .operations.sweeps.supervisor import run
 
 if TYPE_CHECKING:
     from lmd.orientation.estimate import Marginal, PdfEstimate

@@ -9,7 +9,7 @@ from omegaconf import DictConfig
 from .app import application, choices, run_directory
 from .building import build_problem, instantiate, keyed, settings_of
 from .earlier_run import read_earlier_run
-from .sweeps.supervisor import run
+from .operations.sweeps.supervisor import run
 
 if TYPE_CHECKING:
     from lmd.evaluation.losses import Losses
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from lmd.problem import Problem
     from lmd.scene.deployment import Deployment
 
-    from .tracking import Tracker
+    from .operations.tracking import Tracker
 
 MEASURED, MOUNTING = "deployment.measured", "deployment.mounting_error"
 

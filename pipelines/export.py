@@ -12,8 +12,8 @@ from omegaconf import DictConfig, OmegaConf
 from .app import application, run_directory
 from .building import build_problem, keyed
 from .earlier_run import read_earlier_run
+from .operations.sweeps.supervisor import run
 from .outputs import all_or_none
-from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
     from lmd.mapping.formats import Export

@@ -16,7 +16,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 
 from .app import CONF, PACKAGE, command_of, config_dir, search_path, task_overrides
-from .sweeps.names import at
+from .operations.sweeps.names import at
 from .trust import PAGE, SHOWN, TARGET, Trust, listed, read_yaml
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def going_on(run: "pd.Series", trust: Trust) -> GoingOn | None:
     from lmd.core.checks import InputError, printable
     from lmd.optimisers.checkpoint import FILE
 
-    from .tracking import PARENT_TAG
+    from .operations.tracking import PARENT_TAG
 
     told, folder = run.get("tags.command"), Path(str(run.get("tags.folder")))
     is_sweep, is_job = (isinstance(run.get(f"tags.{tag}"), str) for tag in ("sweep", PARENT_TAG))

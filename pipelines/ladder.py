@@ -13,8 +13,8 @@ from omegaconf import DictConfig
 from .app import flat_settings
 from .building import budget_of, build_optimiser, build_problem
 from .documents import read_document, write_document
+from .operations.sweeps.names import digest
 from .optimise import SAME_WHEN_RESUMED
-from .sweeps.names import digest
 
 if TYPE_CHECKING:
     from lmd.evaluation.tradeoff import Found

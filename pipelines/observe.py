@@ -14,7 +14,7 @@ from .app import application, choices, run_directory
 from .building import build_problem, instantiate, keyed, seeds_of, settings_of
 from .deployments import any_deployment, composed_deployments, read_deployment_as_a_list
 from .documents import write_document
-from .sweeps.supervisor import run
+from .operations.sweeps.supervisor import run
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from lmd.estimation.study import Flights
     from lmd.problem import Problem
 
-    from .tracking import Tracker
+    from .operations.tracking import Tracker
 
 FILM_RATE = 8.0  # frames a second of an animated picture
 

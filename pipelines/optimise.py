@@ -12,10 +12,10 @@ from .building import budget_of, build_optimiser, build_problem
 from .earlier_run import read_earlier_run
 from .export import build_export
 from .input_files import contents_of
+from .operations.signals import Stopped, stop
+from .operations.sweeps.supervisor import run
 from .outputs import space_reserved
 from .provenance import resuming
-from .signals import Stopped, stop
-from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
     from lmd.optimisers.base import Budget, Result
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from lmd.problem import Problem
     from lmd.scene.deployment import Deployment
 
-    from .tracking import Tracker
+    from .operations.tracking import Tracker
 
 # What a resumed run must share with the run it continues, and with it the contents of the files that are named there.
 SAME_WHEN_RESUMED = (

@@ -14,8 +14,8 @@ from lmd.core.checks import InputError
 from lmd.optimisers.base import Budget, Optimiser, Record
 from lmd.optimisers.checkpoint import Checkpoint
 
-from .signals import stop
-from .tracking import Tracker
+from .operations.signals import stop
+from .operations.tracking import Tracker
 
 CURVE_POINTS = 500  # points of a whole run kept in the tracked curve
 

@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from .app import CONF, IN_CHECKOUT, command_of
-from .sweeps.names import at
+from .operations.sweeps.names import at
 
 
 def command_line(pipeline: str, overrides: Sequence[str]) -> str:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from lmd.problem import Problem
     from lmd.scene.deployment import Deployment
 
-    from .tracking import MlflowReader
+    from .operations.tracking import MlflowReader
 
 TITLE = "The paper's tables and figures, reproduced"
 MARK = "<!-- What follows is written by python -m pipelines.report and overwritten by it. -->"
@@ -36,9 +36,9 @@ def report(cfg: DictConfig) -> None:
     """Write report.html, report.md and its pictures to the run directory."""
     from lmd.core.checks import InputError
 
+    from .operations.tracking import MlflowReader
     from .reproduction.document import to_html, to_markdown
     from .reproduction.sections import Source, sections
-    from .tracking import MlflowReader
 
     if "uri" not in cfg.tracking:
         raise InputError("A report reads what was tracked: it needs tracking=mlflow.")
@@ -91,7 +91,7 @@ def _chosen(runs: "pd.DataFrame", sweeps: ListConfig | None) -> "pd.DataFrame":
     """
     from lmd.core.checks import InputError
 
-    from .tracking import PARENT_TAG
+    from .operations.tracking import PARENT_TAG
 
     if sweeps is None:
         return runs

@@ -38,9 +38,9 @@ def runs(cfg: DictConfig) -> None:
     """List the newest runs of the configured store."""
     from lmd.core.checks import InputError, integer, printable
 
-    from .tracking import MlflowReader, MlflowTracker
-    from .tracking.experiment import link
-    from .tracking.hand_in import end_those_gone
+    from .operations.tracking import MlflowReader, MlflowTracker
+    from .operations.tracking.experiment import link
+    from .operations.tracking.hand_in import end_those_gone
 
     tracker, last = instantiate(cfg.tracking), integer("last", cfg.last, low=1)
     if not isinstance(tracker, MlflowTracker):

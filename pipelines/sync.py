@@ -35,8 +35,8 @@ def sync(cfg: DictConfig) -> bool:
     """
     from lmd.core.checks import InputError, boolean, printable
 
-    from .tracking.hand_in import hand_in
-    from .tracking.journal import FILE, Journal
+    from .operations.tracking.hand_in import hand_in
+    from .operations.tracking.journal import FILE, Journal
 
     folder, yes = Path(str(cfg.folder)), boolean("yes", cfg.yes)
     if not folder.is_dir():

@@ -19,18 +19,18 @@ from lmd.scene.deployment import Deployment
 
 from .app import choices, flat_settings, run_directory
 from .building import instantiate
+from .operations.signals import stop
+from .operations.sweeps.folder import current_job
+from .operations.sweeps.jobs import reason_of
+from .operations.sweeps.names import override_tags, short_name
+from .operations.tracking import RunStart
 from .outputs import write_figures, write_history, write_pictures
 from .provenance import command_line, source_tags
-from .signals import stop
-from .sweeps.folder import current_job
-from .sweeps.jobs import reason_of
-from .sweeps.names import override_tags, short_name
-from .tracking import RunStart
 
 if TYPE_CHECKING:
     from lmd.mapping.formats import Export
 
-    from .tracking import Tracker
+    from .operations.tracking import Tracker
 
 # What a run is about is a parameter; what only says how it is done, where it goes on and where it is kept is none.
 NO_PARAMETERS = (

@@ -18,8 +18,8 @@ from .building import budget_of, build_optimiser, instantiate, keyed, seeds_of
 from .documents import write_document
 from .earlier_run import read_earlier_run
 from .ladder import Ladder, figures_of, shares_among
-from .sweeps.names import slug
-from .sweeps.supervisor import run
+from .operations.sweeps.names import slug
+from .operations.sweeps.supervisor import run
 from .workers import in_processes
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from lmd.evaluation.tradeoff import Found
     from lmd.problem import Problem
 
-    from .tracking import Tracker
+    from .operations.tracking import Tracker
 
 Key = TypeVar("Key", bound=tuple[int, ...])
 Result = TypeVar("Result")
@@ -225,7 +225,7 @@ def _told(reached: "pd.DataFrame") -> str:
 
 def _log_children(cfg: DictConfig, points: Points, parent: str | None) -> None:
     """Record a run for each point below the pipeline's own, its landmarks in a folder of the run."""
-    from .tracking import PARENT_TAG, RunStart
+    from .operations.tracking import PARENT_TAG, RunStart
 
     for n, count, found, figures in points:
         ladder, name = points.ladders[n], points.name(n, count)

@@ -14,9 +14,9 @@ from .app import application, run_directory
 from .building import budget_of, build_optimiser, build_problem
 from .earlier_run import read_earlier_run
 from .export import build_export
+from .operations.signals import CODES, stop
+from .operations.sweeps.supervisor import run
 from .outputs import all_or_none
-from .signals import CODES, stop
-from .sweeps.supervisor import run
 
 if TYPE_CHECKING:
     from lmd.mapping.formats import Export

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from pipelines.signals import stop
-from pipelines.sweeps.forks import Descriptor, context, run_module
+from pipelines.operations.signals import stop
+from pipelines.operations.sweeps.forks import Descriptor, context, run_module
 
 ROOT = Path(__file__).parents[1]
 SMALL = ("room.spacing=1.5", "objective.thold_p=0.5", "validate=false")

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from mlflow import MlflowClient
 
-from pipelines.tracking import MlflowTracker, RunStart
-from pipelines.tracking.processes import this_process
+from pipelines.operations.tracking import MlflowTracker, RunStart
+from pipelines.operations.tracking.processes import this_process
 
 ANOTHER = this_process()["process"].replace(" ", " 1", 1)  # a process that had the same number as this one
 

@@ -10,7 +10,7 @@ from omegaconf import OmegaConf
 import pipelines.report
 from pipelines.app import CONF
 from pipelines.building import build_problem
-from pipelines.tracking import PARENT_TAG, MlflowTracker, RunStart
+from pipelines.operations.tracking import PARENT_TAG, MlflowTracker, RunStart
 
 SMALL = ("room.spacing=1.5", "deployment.count=6", "objective.thold_p=0.5", "threads=1")
 AVERAGE, MAXIMUM = 0.6, 0.9  # of every run

@@ -13,7 +13,7 @@ from hydra._internal.hydra import Hydra
 from mlflow.store.db import utils
 
 from pipelines.app import CONF
-from pipelines.sweeps.forks import READY, TRACKED
+from pipelines.operations.sweeps.forks import READY, TRACKED
 
 PIPELINES = (
     *("accuracy", "bound", "calibrate_detector", "compare", "detect", "estimate_pdf", "evaluate", "export"),

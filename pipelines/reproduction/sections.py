@@ -19,7 +19,7 @@ from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 
 from ..app import command_of
-from ..tracking import PARENT_TAG, MlflowReader
+from ..operations.tracking import PARENT_TAG, MlflowReader
 from .comparison import as_text
 from .document import Picture, Section, Table, Text
 from .paper import TABLE_2, TABLE_3, Printed

@@ -7,8 +7,8 @@ import pytest
 
 from pipelines import documents
 from pipelines.documents import read_document, write_document
-from pipelines.sweeps.folder import JobFolder, SweepFolder
-from pipelines.sweeps.jobs import Job, Sweep
+from pipelines.operations.sweeps.folder import JobFolder, SweepFolder
+from pipelines.operations.sweeps.jobs import Job, Sweep
 
 JOB = Job("table2", None, 3, ("seed=3",), {"seed": "3"}, "finished", 0.5)
 DAMAGES = {

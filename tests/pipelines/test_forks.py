@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from pipelines.sweeps import forks
+from pipelines.operations.sweeps import forks
 from tests.processes import LIMIT, ensure_warm, environment, start
 
 pytestmark = pytest.mark.slow
@@ -84,7 +84,7 @@ def test_a_job_that_nobody_waits_for_any_more_ends_and_the_server_goes_on(begin,
 
 KILLS = """
 import json, os, signal, sys
-from pipelines.sweeps import forks
+from pipelines.operations.sweeps import forks
 
 forks.READY = "json"
 

@@ -11,11 +11,11 @@ from recorded_runs import ANOTHER, started, stored
 import pipelines.sync
 from lmd.core.checks import InputError
 from pipelines.app import CONF
+from pipelines.operations.tracking.hand_in import GONE, hand_in
+from pipelines.operations.tracking.journal import FILE, Journal
+from pipelines.operations.tracking.processes import this_process
+from pipelines.operations.tracking.store import Store
 from pipelines.sync import sync
-from pipelines.tracking.hand_in import GONE, hand_in
-from pipelines.tracking.journal import FILE, Journal
-from pipelines.tracking.processes import this_process
-from pipelines.tracking.store import Store
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("folder")]
 
@@ -138,7 +138,7 @@ def test_only_files_of_a_runs_own_folder_are_handed_in(uri, folder, tmp_path_fac
 
 def test_a_journal_goes_to_the_configured_store_or_asks(uri, folder, capsys, monkeypatch):
     asked = []
-    monkeypatch.setattr("pipelines.tracking.hand_in.hand_in", lambda _, to: asked.append(to) or "done")
+    monkeypatch.setattr("pipelines.operations.tracking.hand_in.hand_in", lambda _, to: asked.append(to) or "done")
     journal_of_a_stranger(folder, "http://127.0.0.1:9/\x1b[2J", "3f")
     assert not synced(f"tracking.uri={uri}")
     error = capsys.readouterr().err

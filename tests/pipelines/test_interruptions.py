@@ -136,7 +136,7 @@ def test_told_to_stop_within_a_library_that_fails_of_it_it_says_so_and_no_more(l
     code = f"""
 import signal, sys, hydra.core.utils, hydra._internal.config_loader_impl, pipelines.building
 from pipelines.optimise import main
-from pipelines.signals import stop
+from pipelines.operations.signals import stop
 def halved(*args, **kwargs):
     try:
         signal.raise_signal(signal.SIGTERM)

@@ -8,9 +8,9 @@ import pytest
 
 from lmd.core.checks import InputError
 from lmd.optimisers.checkpoint import FILE
-from pipelines.sweeps.folder import JobFolder, SweepFolder
-from pipelines.sweeps.jobs import Job, Sweep, reason_of
-from pipelines.sweeps.names import key_and_value, quoted, slug, varied_keys
+from pipelines.operations.sweeps.folder import JobFolder, SweepFolder
+from pipelines.operations.sweeps.jobs import Job, Sweep, reason_of
+from pipelines.operations.sweeps.names import key_and_value, quoted, slug, varied_keys
 
 
 def test_folder_names_need_no_quotes_in_an_override():

@@ -73,7 +73,7 @@ def _nothing_begins(monkeypatch, tmp_path):
     """What is checked runs; what computes, records or serves does not."""
     for name in (
         "pipelines.tracked_run.tracked",
-        "pipelines.tracking.MlflowReader",
+        "pipelines.operations.tracking.MlflowReader",
         "lmd.planner.app.Planner",
     ):
         monkeypatch.setattr(name, _begin)

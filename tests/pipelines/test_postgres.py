@@ -11,8 +11,8 @@ from mlflow import MlflowClient
 from processes import call, ensure_warm
 from services import free_port, mlflow_server, service
 
-from pipelines.sweeps.forks import context
-from pipelines.tracking import MlflowTracker, RunStart
+from pipelines.operations.sweeps.forks import context
+from pipelines.operations.tracking import MlflowTracker, RunStart
 
 PROCESSES, POINTS = 4, 1600
 

@@ -12,9 +12,9 @@ from lmd.optimisers.base import Budget, Optimiser
 from lmd.optimisers.checkpoint import FILE, Checkpoint
 from lmd.optimisers.ega import EGA
 from pipelines import outputs, tracked_run
+from pipelines.operations.signals import Stopped
+from pipelines.operations.tracking.tracker import NoTracker
 from pipelines.progress import Progress
-from pipelines.signals import Stopped
-from pipelines.tracking.tracker import NoTracker
 
 CFG = OmegaConf.create({"seed": 0, "validate": True, "page": False})
 

@@ -8,8 +8,8 @@ import pytest
 from mlflow import MlflowClient
 from processes import LIMIT, command, start
 
-from pipelines.signals import SIGNALS, Stop, Stopped
-from pipelines.tracking import MlflowTracker, RunStart
+from pipelines.operations.signals import SIGNALS, Stop, Stopped
+from pipelines.operations.tracking import MlflowTracker, RunStart
 
 
 @pytest.fixture(name="stop")
@@ -97,7 +97,7 @@ def test_postponed_they_act_at_its_end_as_they_would_have_done(stop, times):
 @pytest.mark.slow
 def test_a_database_is_never_left_locked(stop, tmp_path, monkeypatch):
     uri = f"sqlite:///{tmp_path}/mlflow.db"
-    monkeypatch.setattr("pipelines.tracking.store.stop", stop)
+    monkeypatch.setattr("pipelines.operations.tracking.store.stop", stop)
     tracker = MlflowTracker(uri, "tests")
     tracker.start(RunStart("a run", tmp_path))
     log_batch, told = tracker.store.client.log_batch, [signal.SIGINT, signal.SIGTERM]

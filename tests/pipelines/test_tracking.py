@@ -9,10 +9,10 @@ from processes import ensure_warm
 from recorded_runs import ANOTHER, started, stored
 
 from lmd.core.checks import InputError
-from pipelines.sweeps.forks import context
-from pipelines.tracking import MlflowReader, MlflowTracker, NoTracker, RunStart
-from pipelines.tracking.hand_in import GONE
-from pipelines.tracking.processes import is_gone, this_process
+from pipelines.operations.sweeps.forks import context
+from pipelines.operations.tracking import MlflowReader, MlflowTracker, NoTracker, RunStart
+from pipelines.operations.tracking.hand_in import GONE
+from pipelines.operations.tracking.processes import is_gone, this_process
 
 # mlflow makes its tables anew for each store
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("folder")]
@@ -123,9 +123,12 @@ def test_a_clock_that_is_set_ends_no_living_run(monkeypatch):
 def test_the_next_run_ends_those_whose_process_is_gone(uri, monkeypatch, capsys):
     alive = started(uri)
     gone = {"host": this_process()["host"], "process": ANOTHER}
-    monkeypatch.setattr("pipelines.tracking.mlflow_tracker.this_process", lambda: gone)
+    process = "pipelines.operations.tracking.mlflow_tracker.this_process"
+    monkeypatch.setattr(process, lambda: gone)
     lost = started(uri)  # of another process that had the same number
-    monkeypatch.setattr("pipelines.tracking.mlflow_tracker.this_process", lambda: gone | {"host": "elsewhere"})
+    monkeypatch.setattr(
+        "pipelines.operations.tracking.mlflow_tracker.this_process", lambda: gone | {"host": "elsewhere"}
+    )
     elsewhere = started(uri)
     monkeypatch.undo()
     started(uri).finish("FINISHED")

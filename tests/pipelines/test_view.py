@@ -23,8 +23,8 @@ from processes import SMALL, call, command, help_of, refused, start
 from lmd.planner.app import Planner
 from lmd.scene.deployment import Deployment
 from pipelines.app import CONF
+from pipelines.operations.signals import Stopped
 from pipelines.outputs import all_or_none
-from pipelines.signals import Stopped
 from pipelines.view import UNSAVED, _keep_unsaved, view
 
 pytestmark = pytest.mark.slow

@@ -17,9 +17,9 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from ..app import PACKAGE, config_dir, ends_reported, run_directory, search_path
-from ..building import instantiate
-from ..earlier_run import check_experiment
+from ...app import PACKAGE, config_dir, ends_reported, run_directory, search_path
+from ...building import instantiate
+from ...earlier_run import check_experiment
 from ..signals import CODES, Stopped, stop
 from . import forks
 from .folder import JOB_VARIABLE, JobFolder, SweepFolder, current_job

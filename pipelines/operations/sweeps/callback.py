@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
-from ..building import instantiate
-from ..provenance import source_tags
+from ...building import instantiate
+from ...provenance import source_tags
 from .folder import JobFolder, SweepFolder
 from .jobs import Job, Sweep, reason_of
 from .names import override_tags, pin_sweep_folder, sweep_name, swept, varied_keys

@@ -144,7 +144,7 @@ class MlflowTracker:
 
     def describe(self) -> str:
         """See `Tracker.describe`."""
-        from ..app import IN_CHECKOUT, command_of
+        from ...app import IN_CHECKOUT, command_of
 
         uri = self.store.uri
         if self._journal is not None and self._journal.path.exists():

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from ..documents import read_document, write_document
+from ...documents import read_document, write_document
 from .jobs import Job, Sweep
 
 JOB_VARIABLE = "LMD_JOB"  # tells a process which job folder it works for

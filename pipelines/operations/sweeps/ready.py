@@ -9,7 +9,7 @@ import signal
 
 from lmd.core.compiled import load_compiler
 
-from ..app import GARBAGE, PACKAGE
+from ...app import GARBAGE, PACKAGE
 from ..signals import SIGNALS
 
 # What reaches all processes of a SLURM job is for the one that started this.

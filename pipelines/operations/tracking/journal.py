@@ -8,7 +8,7 @@ from typing import Any
 
 from lmd.core.checks import InputError
 
-from ..trust import PAGE
+from ...trust import PAGE
 
 FILE = "tracking.jsonl"  # in the run's folder, until all of it is sent
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf, read_write
 
-from ..input_files import contents_of
+from ...input_files import contents_of
 from .folder import SweepFolder
 
 SLUG_LENGTH = 100
