@@ -5,6 +5,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from multiprocessing.reduction import DupFd
@@ -14,6 +15,8 @@ from ..signals import stop
 
 READY = f"{__package__}.ready"
 TRACKED = ("mlflow.store.tracking.sqlalchemy_store", "sqlalchemy.dialects.sqlite")  # what a store in a file needs
+ATTEMPTS = 20  # to start a process
+PAUSE = 0.05  # seconds between them
 SERVER_DIED = 255  # which Python says of a process of a server that is gone
 
 context = multiprocessing.get_context("forkserver")
@@ -54,8 +57,16 @@ class Process:
         context.set_forkserver_preload(self._preloaded)
         handed = {number: Descriptor(descriptor) for number, descriptor in streams.items()}
         also = [Descriptor(descriptor) for descriptor in kept]
-        begun = context.Process(target=_do, args=(pipeline, arguments, environment, handed, also))
-        begun.start()
+        for left in reversed(range(ATTEMPTS)):
+            begun = context.Process(target=_do, args=(pipeline, arguments, environment, handed, also))
+            try:
+                begun.start()
+            except (EOFError, ConnectionError):  # a server that was killed this moment counts as alive
+                if not left:
+                    raise
+                time.sleep(PAUSE)
+            else:
+                break
         self._process = begun
 
     def wait(self) -> int:
