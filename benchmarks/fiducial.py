@@ -15,7 +15,7 @@ from speed import N, best_of, move_all, paper_scene
 from lmd.incremental.coverage_field import coverage_field
 from lmd.incremental.move import state_of
 from lmd.incremental.state import scratch_of
-from lmd.scene.deployment import RandomDeployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator

@@ -24,7 +24,7 @@ from lmd.incremental.state import scratch_of
 from lmd.pipelines.app import CONF
 from lmd.pipelines.building import build_problem
 from lmd.problem import Problem
-from lmd.scene.deployment import RandomDeployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 

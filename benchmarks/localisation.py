@@ -18,7 +18,8 @@ from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.pipelines.app import CONF
 from lmd.pipelines.building import build_problem
-from lmd.scene.deployment import Deployment, RandomDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator

@@ -19,7 +19,7 @@ from lmd.incremental.field import bound, settle
 from lmd.scene import pdf
 from lmd.scene.camera import Camera
 from lmd.scene.criteria import Criteria
-from lmd.scene.deployment import RandomDeployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator

@@ -17,7 +17,7 @@ from lmd.incremental.field import accept, bound, settle, undo
 from lmd.objectives.coverage import Coverage
 from lmd.scene import pdf
 from lmd.scene.camera import Camera
-from lmd.scene.deployment import RandomDeployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.pdf import OrientationPdf
 from lmd.scene.rig import Mount, Rig
 from lmd.scene.scene import Scene

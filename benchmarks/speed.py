@@ -31,7 +31,7 @@ from lmd.incremental.trial import bound_move, finish_move
 from lmd.pipelines.app import CONF
 from lmd.pipelines.building import build_problem
 from lmd.scene.criteria import from_position
-from lmd.scene.deployment import RandomDeployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.pdf import grid_with_ends
 from lmd.scene.scene import Scene
 from lmd.sight import reference

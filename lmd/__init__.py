@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     from lmd.scene import pdf as pdf
     from lmd.scene.camera import Camera as Camera
     from lmd.scene.deployment import Deployment as Deployment
-    from lmd.scene.deployment import FileDeployment as FileDeployment
-    from lmd.scene.deployment import RandomDeployment as RandomDeployment
-    from lmd.scene.deployment import UniformDeployment as UniformDeployment
+    from lmd.scene.deployment_sources import FileDeployment as FileDeployment
+    from lmd.scene.deployment_sources import RandomDeployment as RandomDeployment
+    from lmd.scene.deployment_sources import UniformDeployment as UniformDeployment
     from lmd.scene.rig import Mount as Mount
     from lmd.scene.rig import Rig as Rig
     from lmd.scene.scene import Scene as Scene
@@ -62,14 +62,14 @@ _HOMES = {
     "Cuboid": "lmd.space.cuboid",
     "Deployment": "lmd.scene.deployment",
     "Fiducial": "lmd.sight.models.fiducial",
-    "FileDeployment": "lmd.scene.deployment",
+    "FileDeployment": "lmd.scene.deployment_sources",
     "FloorPlan": "lmd.space.floor_plan",
     "InputError": "lmd.core.checks",
     "MeshRoom": "lmd.space.mesh_room",
     "Mount": "lmd.scene.rig",
     "Prism": "lmd.space.prism",
     "Problem": "lmd.problem",
-    "RandomDeployment": "lmd.scene.deployment",
+    "RandomDeployment": "lmd.scene.deployment_sources",
     "Reachable": "lmd.space.parts",
     "Result": "lmd.optimisers.base",
     "Rig": "lmd.scene.rig",
@@ -77,7 +77,7 @@ _HOMES = {
     "Scan": "lmd.space.scan",
     "Scene": "lmd.scene.scene",
     "Tag": "lmd.scene.tag",
-    "UniformDeployment": "lmd.scene.deployment",
+    "UniformDeployment": "lmd.scene.deployment_sources",
     "Visibility": "lmd.sight.models.paper",
     "evaluate": "lmd.run",
     "optimise": "lmd.run",

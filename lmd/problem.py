@@ -10,7 +10,8 @@ import numpy as np
 from lmd.core.checks import FloatArray, integer
 from lmd.core.threads import MOST_THREADS
 from lmd.objectives.base import Objective
-from lmd.scene.deployment import Deployment, DeploymentSource
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import DeploymentSource
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 

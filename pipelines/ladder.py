@@ -78,7 +78,8 @@ class Ladder:
     def _search(self, problem: "Problem", way: str) -> "Found":
         """Climb from the start of a problem with a budget of its own."""
         from lmd.evaluation.tradeoff import Found
-        from lmd.scene.deployment import Deployment, GivenDeployment
+        from lmd.scene.deployment import Deployment
+        from lmd.scene.deployment_sources import GivenDeployment
 
         cfg = self.point(problem.count)
 

@@ -60,7 +60,7 @@ def tradeoff(cfg: DictConfig) -> None:
     from lmd.core.checks import choice, file_path, real
     from lmd.evaluation.tradeoff import between
     from lmd.evaluation.validation import headline_off_grid
-    from lmd.scene.deployment import landmark_count
+    from lmd.scene.deployment_sources import landmark_count
 
     from .tracked_run import title_of, tracked
 

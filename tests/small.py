@@ -8,7 +8,7 @@ from paper import paper_room, paper_scene
 from lmd.objectives.coverage import Coverage
 from lmd.problem import Problem
 from lmd.scene import pdf
-from lmd.scene.deployment import RandomDeployment
+from lmd.scene.deployment_sources import RandomDeployment
 from pipelines.app import CONF
 from pipelines.building import instantiate
 

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from lmd.geometry.frames import optical_axis
 from lmd.scene import pdf
 from lmd.scene.camera import Camera
-from lmd.scene.deployment import Deployment, RandomDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight.models.fiducial import Fiducial

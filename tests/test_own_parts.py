@@ -27,7 +27,7 @@ from lmd.problem import Problem
 from lmd.run import optimise
 from lmd.scene import pdf
 from lmd.scene.criteria import TOLERANCE, from_position, hide, in_image, in_view
-from lmd.scene.deployment import RandomDeployment, UniformDeployment
+from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import evaluate_range

@@ -14,7 +14,8 @@ import pandas as pd
 from lmd.evaluation.validation import Sample
 from lmd.optimisers.selection import SPACING, select
 from lmd.problem import Problem
-from lmd.scene.deployment import Deployment, GivenDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import GivenDeployment
 from lmd.sight.poses import candidate_poses
 
 SAMPLE = Sample(groups=16, positions=512, divisions=23)  # smaller than that of a single run: there are many points

@@ -13,7 +13,8 @@ from lmd.optimisers.annealing import Annealing, Stage
 from lmd.optimisers.annealing.stage import changed
 from lmd.optimisers.selection import SPACING, greedy_start, select
 from lmd.problem import Problem
-from lmd.scene.deployment import Deployment, landmark_count
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import landmark_count
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses

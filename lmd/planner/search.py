@@ -11,7 +11,8 @@ from lmd.core.checks import InputError
 from lmd.optimisers.base import Budget, Optimiser
 from lmd.planner.plan import Plan
 from lmd.problem import Problem
-from lmd.scene.deployment import Deployment, GivenDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import GivenDeployment
 
 
 class Progress(NamedTuple):

@@ -1,13 +1,12 @@
-"""Deployments: where the landmarks are, and the ways to come by one."""
+"""Deployments: where the landmarks are."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol, TextIO
+from typing import TextIO
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, boolean, choice, integer
-from lmd.core.memory import check_memory
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.core.tables import read_table, write_table
 from lmd.geometry.squares import upright
 from lmd.scene.labels import ID, Labels
@@ -23,8 +22,6 @@ UP_TOLERANCE, IN_PLANE = 1e-3, 1e-2
 NORMAL_TOLERANCE = 1e-3
 # A normal this close to that of its surface is flush with it.
 FLUSH = 1e-6
-# What a landmark takes while a deployment is made, bytes: a dozen vectors.
-LANDMARK_BYTES = 400
 
 
 @dataclass(frozen=True)
@@ -270,132 +267,3 @@ class Deployment:
         flat = ups - leaning * self.normals
         turned = np.where(level, self.ups, flat / np.linalg.norm(flat, axis=1, keepdims=True))
         return replace(self, surveyed=Surveyed(self.positions, self.positions, turned))
-
-
-class DeploymentSource(Protocol):
-    """Something that provides deployments: a start for optimisers, or what `evaluate` scores."""
-
-    @property
-    def varies(self) -> bool:
-        """Whether two draws differ."""
-
-    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
-        """A deployment inside `room`, its landmarks with their surfaces."""
-
-
-def landmark_count(value: int) -> int:
-    """K, the `count` of a source.
-
-    Raises:
-        InputError: it is no positive whole number, or so many landmarks would not fit into memory.
-    """
-    count = integer("count", value, low=1)
-    check_memory(count * LANDMARK_BYTES, f"count = {count} landmarks", "count")
-    return count
-
-
-@dataclass(frozen=True)
-class RandomDeployment:
-    """Landmarks flush on the walls, each wall with a probability proportional to its area."""
-
-    count: int
-    varies = True
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "count", landmark_count(self.count))
-
-    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
-        """See `DeploymentSource.draw`."""
-        surfaces = SurfaceArrays.of(room.surfaces())
-        area = surfaces.area
-        picked = rng.choice(len(area), size=self.count, p=area / area.sum())
-        return _flush(surfaces, surfaces.of_piece[picked], surfaces.spread(picked, rng.random((self.count, 2))))
-
-
-@dataclass(frozen=True)
-class UniformDeployment:
-    """Landmarks at the centres of a regular grid on each wall, flush.
-
-    Args:
-        count: K.
-        layout: `per_wall` gives every wall the same number (what is left over goes to the largest walls), as in
-            the paper's 15 per wall; `by_area` shares them in proportion to area.
-    """
-
-    count: int
-    layout: str = "per_wall"
-    varies = False
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "count", landmark_count(self.count))
-        choice("layout", self.layout, ("per_wall", "by_area"))
-
-    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
-        """See `DeploymentSource.draw`; nothing here is random."""
-        surfaces = room.surfaces()
-        area = np.array([surface.area for surface in surfaces])
-        share = area / area.sum() if self.layout == "by_area" else np.full(len(area), 1.0 / len(area))
-        quota = share * self.count
-        counts = np.floor(quota + 1e-9).astype(int)
-        # Largest remainder first; the larger surface wins a tie.
-        order = np.lexsort((-area, -np.round(quota - counts, 9)))
-        counts[order[: self.count - counts.sum()]] += 1
-        grids = [surface.grid(n) for surface, n in zip(surfaces, counts, strict=True)]
-        at = np.array([point for grid in grids for point in grid])
-        return _flush(SurfaceArrays.of(surfaces), np.repeat(np.arange(len(surfaces)), counts), at)
-
-
-@dataclass(frozen=True)
-class FileDeployment:
-    """A deployment from a CSV written by `Deployment.to_csv` or by anyone.
-
-    Args:
-        path: the CSV.
-        count: K; if given, the file must have that many rows.
-        free: whether landmarks are taken as they are: they may stand free in the room or outside, face into the surface
-            they hang on or hang where none may, and papers may overlap.
-    """
-
-    path: str | None
-    count: int | None = None
-    free: bool = False
-    varies = False
-
-    def __post_init__(self) -> None:
-        boolean("free", self.free)
-
-    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
-        """See `DeploymentSource.draw`."""
-        if self.path is None:
-            raise InputError("path is missing: a CSV of landmarks is needed.", "path")
-        deployment = Deployment.from_csv(self.path)
-        if self.count is not None and self.count != len(deployment):
-            raise InputError(f"count = {self.count}, but {self.path} has {len(deployment)} landmarks.", "count")
-        try:
-            hung = deployment.hung(room, anywhere=self.free)
-        except InputError as error:
-            raise InputError(f"{self.path}: {error}") from None
-        if not self.free and (fault := hung.fault(room, near=True)):
-            raise InputError(f"free = false, but in {self.path} {fault}.", "free")
-        return hung
-
-
-@dataclass(frozen=True)
-class GivenDeployment:
-    """A deployment that is there already.
-
-    Args:
-        deployment: with its surfaces.
-    """
-
-    deployment: Deployment
-    varies = False
-
-    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
-        """See `DeploymentSource.draw`; nothing here is random."""
-        return self.deployment
-
-
-def _flush(surfaces: SurfaceArrays, surface: IntArray, at: FloatArray) -> Deployment:
-    """Landmarks flush on their surfaces `(K,)` at surface coordinates `(K, 2)`."""
-    return Deployment(surfaces.points(surface, at), surfaces.normal[surface], surface)

@@ -13,7 +13,8 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.core.compiled import inner, kernel
-from lmd.scene.deployment import FLUSH, Deployment, DeploymentSource, FileDeployment
+from lmd.scene.deployment import FLUSH, Deployment
+from lmd.scene.deployment_sources import DeploymentSource, FileDeployment
 from lmd.scene.fixed import beside
 from lmd.space.allowed import allows, nearest
 from lmd.space.inset import Inset

@@ -17,7 +17,7 @@ from lmd.optimisers.base import Budget
 from lmd.optimisers.ega import EGA
 from lmd.problem import Problem
 from lmd.scene import pdf
-from lmd.scene.deployment import RandomDeployment, UniformDeployment
+from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses
 

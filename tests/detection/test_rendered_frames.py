@@ -30,7 +30,8 @@ from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
 from lmd.scene import pdf
 from lmd.scene.camera import Camera
-from lmd.scene.deployment import Deployment, UniformDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import UniformDeployment
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator

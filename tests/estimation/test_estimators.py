@@ -19,7 +19,7 @@ from lmd.estimation.pnp import PerspectiveNPoint
 from lmd.estimation.recording import Flight, Recording, record
 from lmd.geometry import se3
 from lmd.render.optics import project
-from lmd.scene.deployment import UniformDeployment
+from lmd.scene.deployment_sources import UniformDeployment
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.views import visible
 

@@ -21,7 +21,8 @@ from lmd.estimation.recording import Flight, record
 from lmd.estimation.tags import TagDetector, corners_of, observation
 from lmd.geometry import se3
 from lmd.render.optics import project
-from lmd.scene.deployment import Deployment, UniformDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import UniformDeployment
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
 

@@ -13,7 +13,7 @@ from lmd.estimation.study import Flights, InitialError, Outcome, Study, conduct,
 from lmd.geometry import se3
 from lmd.objectives.coverage import Coverage
 from lmd.problem import Problem
-from lmd.scene.deployment import RandomDeployment, UniformDeployment
+from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 
 SCENE = paper_scene(paper_room(spacing=3.0))
 MOTION = RandomMotion(4.0, Pace(1.0, 1.0, 10.0))

@@ -27,7 +27,7 @@ from lmd.geometry.squares import CORNERS
 from lmd.geometry.trajectory import Trajectory
 from lmd.render.imaging import Imaging
 from lmd.render.optics import project
-from lmd.scene.deployment import UniformDeployment
+from lmd.scene.deployment_sources import UniformDeployment
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
 from pipelines.workers import in_processes

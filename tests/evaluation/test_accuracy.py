@@ -14,7 +14,7 @@ from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.problem import Problem
 from lmd.scene import pdf
-from lmd.scene.deployment import RandomDeployment, UniformDeployment
+from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.tag import Tag
 
 SCENE = replace(paper_scene(paper_room(spacing=2.0), orientations=pdf.grid_with_ends(6)), tag=Tag(0.1))

@@ -32,7 +32,8 @@ from lmd.optimisers.base import Budget
 from lmd.optimisers.greedy import GreedyDeployment
 from lmd.problem import Problem
 from lmd.scene import pdf
-from lmd.scene.deployment import Deployment, RandomDeployment, UniformDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.tag import Tag
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator

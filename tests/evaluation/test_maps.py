@@ -12,7 +12,8 @@ from lmd.evaluation.maps import Hung, error_quantiles, errors_text, map_errors
 from lmd.geometry.se3 import camera_pose
 from lmd.objectives.localisation import Localisation
 from lmd.problem import Problem
-from lmd.scene.deployment import Deployment, UniformDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import UniformDeployment
 from lmd.scene.tag import Tag
 
 EXACT = 1e-9  # pixels of noise

@@ -15,7 +15,8 @@ from lmd.objectives.localisation import Localisation
 from lmd.plot.mounting import save_map_figure
 from lmd.problem import Problem
 from lmd.scene import pdf
-from lmd.scene.deployment import Deployment, UniformDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import UniformDeployment
 from lmd.scene.labels import Labels
 from lmd.scene.tag import Tag
 

@@ -18,7 +18,8 @@ from lmd.objectives.localisation.kernels import localised_views
 from lmd.plot.sensitivity import save_sensitivity_figure
 from lmd.problem import Problem
 from lmd.scene import pdf
-from lmd.scene.deployment import Deployment, UniformDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import UniformDeployment
 from lmd.scene.labels import Labels
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag

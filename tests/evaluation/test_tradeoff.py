@@ -7,7 +7,8 @@ from paper import X
 
 from lmd.evaluation.tradeoff import ANEW, FEWER, MORE, Found, between, fewest, front, grown, improved, shrunk, started
 from lmd.plot.tradeoff import Panel, save_tradeoff_figure
-from lmd.scene.deployment import Deployment, RandomDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.tag import Tag
 
 

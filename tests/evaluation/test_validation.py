@@ -10,7 +10,7 @@ from lmd.objectives.coverage import Coverage
 from lmd.objectives.sampling import Sampling
 from lmd.problem import Problem
 from lmd.scene import pdf
-from lmd.scene.deployment import RandomDeployment, UniformDeployment
+from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.sight import reference
 from lmd.space.cuboid import Cuboid
 from lmd.space.relevance import Relevance

@@ -10,7 +10,7 @@ from paper import paper_camera, paper_room, paper_scene
 from lmd.evaluation.verdicts import STREAM, VIEWS, causes, verdicts
 from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.scene import pdf
-from lmd.scene.deployment import UniformDeployment
+from lmd.scene.deployment_sources import UniformDeployment
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight.models.fiducial import Fiducial

@@ -15,7 +15,8 @@ from lmd.mapping.paper import PAPERS, begin_page, document
 from lmd.mapping.plan import View, write_plan
 from lmd.mapping.symbols import draw_fixture, draw_opening
 from lmd.mapping.tag_map import TagMap
-from lmd.scene.deployment import Deployment, UniformDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import UniformDeployment
 from lmd.scene.labels import Labels
 from lmd.scene.plates import Plates
 from lmd.scene.tag import Tag

@@ -19,7 +19,7 @@ from lmd.mapping.layout import FOOTER, MARGIN, STRIP, Whole, layout
 from lmd.mapping.paper import PAPERS
 from lmd.mapping.sheets import check_sheets, describe_sheets, write_sheets
 from lmd.mapping.tag_map import TagMap
-from lmd.scene.deployment import RandomDeployment, UniformDeployment
+from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.labels import Labels
 from lmd.scene.plates import Plates
 from lmd.scene.tag import Tag

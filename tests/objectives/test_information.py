@@ -12,7 +12,7 @@ from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.geometry.squares import corners, upright
 from lmd.objectives.localisation import reference
 from lmd.objectives.localisation.information import deviation_per_variance, log_det, precision, variance
-from lmd.scene.deployment import RandomDeployment, UniformDeployment
+from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.tag import Tag
 from lmd.sight.reference import coverage_caps
 

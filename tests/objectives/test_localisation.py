@@ -13,7 +13,8 @@ from lmd.core.checks import InputError
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation, localisation, reference
 from lmd.objectives.localisation.kernels import localised_views
-from lmd.scene.deployment import Deployment, RandomDeployment, UniformDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator

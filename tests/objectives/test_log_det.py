@@ -14,7 +14,7 @@ from lmd.objectives.localisation import Localisation
 from lmd.optimisers.selection import select
 from lmd.problem import Problem
 from lmd.scene import pdf
-from lmd.scene.deployment import RandomDeployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses

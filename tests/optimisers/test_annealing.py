@@ -13,7 +13,8 @@ from lmd.optimisers.annealing.walk import _reflect
 from lmd.optimisers.base import Budget
 from lmd.problem import Problem
 from lmd.scene import pdf
-from lmd.scene.deployment import Deployment, FileDeployment, RandomDeployment, UniformDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import FileDeployment, RandomDeployment, UniformDeployment
 
 PAIRS = {"temperature": [1e-3, 1e-4], "width": [0.1, 0.01], "step": [1.0, 0.1]}
 

@@ -10,7 +10,8 @@ from lmd.optimisers.annealing import ascent as room
 from lmd.optimisers.annealing.ascent import Ascent, _slopes
 from lmd.optimisers.base import Budget
 from lmd.problem import Problem
-from lmd.scene.deployment import Deployment, RandomDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.space.surface import SurfaceArrays
 

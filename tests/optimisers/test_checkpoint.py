@@ -24,7 +24,7 @@ from lmd.optimisers.checkpoint import ARRAY, DOCUMENT, FILE, PICKLE, Checkpoint
 from lmd.optimisers.ega import EGA
 from lmd.optimisers.stored import generator, generator_state
 from lmd.problem import Problem
-from lmd.scene.deployment import UniformDeployment
+from lmd.scene.deployment_sources import UniformDeployment
 
 REFUSED = r"checkpoint\.npz(:| is damaged, or no checkpoint of this version| cannot be gone on from| was made with)"
 # Optimisers and where they are stopped: what an annealing keeps depends on its stage.

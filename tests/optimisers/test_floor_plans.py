@@ -17,7 +17,7 @@ from lmd.optimisers.ega import EGA
 from lmd.optimisers.greedy import Greedy
 from lmd.problem import Problem
 from lmd.scene import pdf
-from lmd.scene.deployment import RandomDeployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.tag import Tag
 from lmd.sight import reference
 

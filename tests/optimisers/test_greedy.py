@@ -8,7 +8,8 @@ from lmd.objectives.coverage import CappedCount, Coverage
 from lmd.optimisers.base import Budget
 from lmd.optimisers.greedy import GreedyDeployment, select
 from lmd.scene import pdf
-from lmd.scene.deployment import Deployment, UniformDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import UniformDeployment
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses

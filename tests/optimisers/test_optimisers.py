@@ -12,7 +12,7 @@ from lmd.core.checks import InputError
 from lmd.optimisers.base import AskTell, Budget
 from lmd.optimisers.checkpoint import Checkpoint
 from lmd.problem import Problem
-from lmd.scene.deployment import RandomDeployment, UniformDeployment
+from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.labels import Labels
 from pipelines.app import CONF
 

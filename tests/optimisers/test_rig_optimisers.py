@@ -12,7 +12,7 @@ from lmd.objectives.sampling import Sampling
 from lmd.optimisers.base import Budget
 from lmd.problem import Problem
 from lmd.scene import pdf
-from lmd.scene.deployment import RandomDeployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.rig import Mount, Rig
 
 CAMERA = paper_camera()

@@ -9,7 +9,7 @@ from lmd.optimisers.annealing import walk as module
 from lmd.optimisers.annealing.surrogate import Surrogate
 from lmd.problem import Problem
 from lmd.scene import pdf
-from lmd.scene.deployment import RandomDeployment
+from lmd.scene.deployment_sources import RandomDeployment
 
 
 def walked(n, occlusion, stage):

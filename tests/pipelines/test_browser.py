@@ -13,7 +13,7 @@ from tracked import record_sweep, write_report
 from lmd.objectives.coverage import Coverage
 from lmd.plot.page import save_scene_page
 from lmd.problem import Problem
-from lmd.scene.deployment import UniformDeployment
+from lmd.scene.deployment_sources import UniformDeployment
 from lmd.space.cuboid import Cuboid
 
 pytestmark = [pytest.mark.slow, chromium.needs_chromium]

@@ -11,7 +11,8 @@ from lmd.plot.cap import hemisphere, save_cap_figure
 from lmd.plot.scene import save_deployments_figure
 from lmd.problem import Problem
 from lmd.scene import pdf
-from lmd.scene.deployment import Deployment, UniformDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import UniformDeployment
 from lmd.space.cuboid import Cuboid
 from pipelines.reproduction.plots import save_heat_map, save_landmark_count_figure
 

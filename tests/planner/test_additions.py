@@ -11,7 +11,7 @@ from lmd.objectives.localisation import Localisation
 from lmd.planner.additions import additions, candidate_cells
 from lmd.problem import Problem
 from lmd.scene import pdf
-from lmd.scene.deployment import RandomDeployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.tag import Tag
 
 TAG = Tag(edge=0.3)

@@ -18,7 +18,7 @@ from lmd.planner.panel import Panel
 from lmd.planner.picture import BALL, Picture
 from lmd.planner.session import Session
 from lmd.problem import Problem
-from lmd.scene.deployment import RandomDeployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.recorded_poses import RecordedPoses
 from lmd.space.floor_plan import FloorPlan
 

@@ -21,7 +21,8 @@ from lmd.planner.plan import Plan
 from lmd.planner.session import Session
 from lmd.problem import Problem
 from lmd.scene import pdf
-from lmd.scene.deployment import Deployment, FileDeployment, RandomDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import FileDeployment, RandomDeployment
 from lmd.scene.tag import Tag
 
 TAG = Tag(edge=0.2)

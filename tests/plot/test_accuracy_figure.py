@@ -7,7 +7,7 @@ from lmd.objectives.coverage import Coverage
 from lmd.plot.accuracy import save_accuracy_figure
 from lmd.problem import Problem
 from lmd.scene import pdf
-from lmd.scene.deployment import UniformDeployment
+from lmd.scene.deployment_sources import UniformDeployment
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 

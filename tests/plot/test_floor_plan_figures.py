@@ -11,7 +11,7 @@ from lmd.plot.page import save_scene_page
 from lmd.plot.scene import save_scene_figure
 from lmd.problem import Problem
 from lmd.scene import pdf
-from lmd.scene.deployment import RandomDeployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.space.cuboid import Cuboid
 
 

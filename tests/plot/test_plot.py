@@ -17,7 +17,8 @@ from lmd.plot.convergence import save_convergence_figure
 from lmd.plot.page import save_scene_page
 from lmd.plot.scene import save_scene_figure
 from lmd.problem import Problem
-from lmd.scene.deployment import Deployment, RandomDeployment, UniformDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.labels import Labels
 from lmd.sight.evaluator import Evaluator
 from lmd.space.cuboid import Cuboid, box_edges

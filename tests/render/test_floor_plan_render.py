@@ -7,7 +7,8 @@ from lmd.geometry.squares import corners, upright
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.scene.camera import Camera
-from lmd.scene.deployment import Deployment, RandomDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.plates import Plates
 from lmd.scene.tag import Tag
 

@@ -12,7 +12,7 @@ from paper import paper_camera, paper_room
 from lmd.core.checks import InputError
 from lmd.scene import pdf
 from lmd.scene.carried import carried
-from lmd.scene.deployment import UniformDeployment
+from lmd.scene.deployment_sources import UniformDeployment
 from lmd.scene.rig import Mount, Rig
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator

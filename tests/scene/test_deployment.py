@@ -10,7 +10,8 @@ from scipy.stats import chisquare, kstest
 from strategies import deployments, rooms, seeds
 
 from lmd.core.checks import InputError
-from lmd.scene.deployment import Deployment, FileDeployment, GivenDeployment, RandomDeployment, UniformDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import FileDeployment, GivenDeployment, RandomDeployment, UniformDeployment
 
 HEADER = "id,x,y,z,nx,ny,nz\n"
 

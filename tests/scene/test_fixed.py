@@ -20,7 +20,8 @@ from lmd.objectives.sampling import Sampling
 from lmd.optimisers.base import Budget
 from lmd.optimisers.greedy import GreedyDeployment
 from lmd.problem import Problem
-from lmd.scene.deployment import Deployment, FileDeployment, RandomDeployment, UniformDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import FileDeployment, RandomDeployment, UniformDeployment
 from lmd.scene.fixed import beside
 from lmd.scene.labels import Labels
 from lmd.scene.tag import Tag

@@ -18,7 +18,8 @@ from lmd.optimisers.random_search import RandomSearch
 from lmd.problem import Problem
 from lmd.run import evaluate, optimise
 from lmd.scene import pdf
-from lmd.scene.deployment import Deployment, FileDeployment, RandomDeployment, UniformDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import FileDeployment, RandomDeployment, UniformDeployment
 from lmd.scene.plates import Plates
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag

@@ -23,7 +23,8 @@ from lmd.objectives.localisation import Localisation
 from lmd.optimisers.annealing import Annealing
 from lmd.optimisers.base import Budget
 from lmd.problem import Problem
-from lmd.scene.deployment import Deployment, RandomDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.recorded_poses import RecordedPoses
 from lmd.scene.rig import Mount, Rig
 from lmd.scene.tag import Tag

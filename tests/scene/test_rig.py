@@ -18,7 +18,8 @@ from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.problem import Problem
 from lmd.scene import pdf
-from lmd.scene.deployment import Deployment, RandomDeployment, UniformDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.pdf import OrientationPdf
 from lmd.scene.rig import Mount, Rig, rig_of
 from lmd.sight.evaluator import Evaluator

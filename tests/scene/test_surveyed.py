@@ -22,7 +22,8 @@ from lmd.optimisers.random_search import RandomSearch
 from lmd.optimisers.stored import points
 from lmd.problem import Problem
 from lmd.scene import pdf
-from lmd.scene.deployment import Deployment, FileDeployment, RandomDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import FileDeployment, RandomDeployment
 from lmd.scene.labels import Labels
 from lmd.scene.plates import Plates
 from lmd.scene.scene import Scene

@@ -17,7 +17,7 @@ from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation import reference as localisation_reference
 from lmd.problem import Problem
 from lmd.scene import pdf
-from lmd.scene.deployment import UniformDeployment
+from lmd.scene.deployment_sources import UniformDeployment
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE

@@ -21,7 +21,8 @@ from strategies import (
 from lmd.geometry.frames import optical_axis
 from lmd.scene import pdf
 from lmd.scene.criteria import TOLERANCE
-from lmd.scene.deployment import Deployment, RandomDeployment, UniformDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.scene import Scene
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator

@@ -18,7 +18,8 @@ from lmd.geometry.squares import LEVEL, corners, upright
 from lmd.render.optics import blur_sigma, project, to_camera
 from lmd.scene import pdf
 from lmd.scene.camera import Camera
-from lmd.scene.deployment import Deployment, RandomDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight import reference

@@ -13,7 +13,7 @@ from lmd.incremental.coverage_field import coverage_field
 from lmd.incremental.hiding import flips_with
 from lmd.incremental.move import state_of
 from lmd.incremental.state import scratch_of
-from lmd.scene.deployment import RandomDeployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.sight.blocks import BLOCK
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.models.paper import hidden_by_others

@@ -14,7 +14,8 @@ from paths import check_every_path
 from strategies import cameras, distorted_cameras, fiducials, pdfs, rolled_pdfs, seeds, unit_vectors, visibilities
 
 from lmd.scene.criteria import from_position, horizon_of
-from lmd.scene.deployment import NORMAL_TOLERANCE, Deployment, RandomDeployment
+from lmd.scene.deployment import NORMAL_TOLERANCE, Deployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight import reference

@@ -10,7 +10,8 @@ from strategies import deployments, scenes_with_boundary_landmarks, scenes_with_
 from lmd.incremental.coverage_field import coverage_field
 from lmd.incremental.move import counts_of, state_of
 from lmd.incremental.state import scratch_of
-from lmd.scene.deployment import Deployment, RandomDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
 

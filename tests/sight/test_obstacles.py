@@ -19,7 +19,8 @@ from lmd.optimisers.annealing import Annealing
 from lmd.optimisers.base import Budget
 from lmd.problem import Problem
 from lmd.scene import pdf
-from lmd.scene.deployment import Deployment, RandomDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight import reference

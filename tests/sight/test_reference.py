@@ -21,7 +21,8 @@ from strategies import cameras, free_deployments, pitches, points, seeds, unit_v
 from lmd.geometry.frames import optical_axis, rotation, world_to_local
 from lmd.scene import pdf
 from lmd.scene.criteria import TOLERANCE
-from lmd.scene.deployment import Deployment, RandomDeployment, UniformDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.sight import reference
 from lmd.sight.models import paper
 from lmd.sight.models.paper import Visibility

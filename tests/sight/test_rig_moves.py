@@ -9,7 +9,8 @@ from strategies import deployments, seeds
 
 from lmd.incremental.move import counts_of
 from lmd.incremental.rig_field import rig_field
-from lmd.scene.deployment import Deployment, RandomDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.pdf import level_flight
 from lmd.scene.scene import Scene
 from lmd.sight import reference

@@ -7,7 +7,7 @@ from numpy.testing import assert_array_equal
 from paper import paper_scene
 from strategies import scenes_with_boundary_landmarks, scenes_with_deployments
 
-from lmd.scene.deployment import UniformDeployment
+from lmd.scene.deployment_sources import UniformDeployment
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.views import visible

@@ -11,7 +11,8 @@ from numpy.testing import assert_array_equal
 
 from lmd.core.checks import InputError
 from lmd.optimisers.encoding import make_encoding
-from lmd.scene.deployment import Deployment, RandomDeployment, UniformDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.plates import Plates
 from lmd.space.mesh_room import from_mesh
 from lmd.space.scan import Scan

@@ -11,7 +11,7 @@ from lmd.geometry.se3 import camera_pose
 from lmd.geometry.trajectory import Trajectory
 from lmd.optimisers.encoding import make_encoding
 from lmd.scene import pdf
-from lmd.scene.deployment import RandomDeployment, UniformDeployment
+from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.plates import Plates
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag

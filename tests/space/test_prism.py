@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lmd.core.checks import InputError
 from lmd.optimisers.encoding import make_encoding
-from lmd.scene.deployment import Deployment, RandomDeployment, UniformDeployment
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.plates import Plates
 from lmd.sight.poses import candidate_poses, wall_cells
 from lmd.space.floor_plan import FloorPlan
