@@ -124,11 +124,6 @@ class OrientationPdf:
         """Index into `axes` of each orientation, `(A,)`."""
         return self.by_axis.index_of
 
-    @property
-    def axis_weight(self) -> FloatArray:
-        """Probability of each distinct axis, `(D,)`: the sum over its orientations."""
-        return self.by_axis.weight
-
     def finer(self) -> "OrientationPdf":
         """The same PDF at half the step, or itself where nothing is known between its orientations."""
         return self if self.refine is None else self.refine()

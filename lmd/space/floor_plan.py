@@ -11,7 +11,8 @@ from lmd.core.checks import BoolArray, FloatArray, InputError, real
 from lmd.space.allowed import polygons
 from lmd.space.blockers import Blockers
 from lmd.space.fixture import Fixture
-from lmd.space.parts import FACES, Obstacle, all_keep_outs, all_made, check_metres, checked_band, checked_names
+from lmd.space.keep_out import all_keep_outs
+from lmd.space.parts import FACES, Obstacle, all_made, check_metres, checked_band, checked_names
 from lmd.space.polygon import checked_ring, edges, on_hull, planes, upright_bodies
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
 

@@ -13,8 +13,9 @@ from lmd.space.allowed import eroded, polygons, spread, trapezoids
 from lmd.space.fixture import Fixture
 from lmd.space.gravity import LEVEL, STOREY, doubt_of
 from lmd.space.interior import Interior
+from lmd.space.keep_out import KeepOut, all_keep_outs
 from lmd.space.mesh_file import Y_UP, Mesh, read_mesh
-from lmd.space.parts import KeepOut, all_keep_outs, checked_band, checked_names
+from lmd.space.parts import checked_band, checked_names
 from lmd.space.patches import UNEVEN, areas_of, flat_parts, plane_of, surface_of
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
 from lmd.space.triangles import Triangles, unit_normals

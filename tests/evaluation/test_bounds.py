@@ -61,7 +61,7 @@ def cover_matrix(scene, poses):
 
 def exact_bound(problem, poses, count, threshold, shares):
     """max F over the grid by HiGHS: variables x (poses), m (position, axis), q (positions)."""
-    cover, weights = cover_matrix(problem.scene, poses), problem.scene.pdf.axis_weight
+    cover, weights = cover_matrix(problem.scene, poses), problem.scene.pdf.by_axis.weight
     size, axes = len(shares), len(weights)
     rows = block_array(
         [

@@ -16,7 +16,7 @@ BUILDERS = [pdf.grid_with_ends, pdf.grid_of_cells, pdf.solid_angle, pdf.level_fl
 
 
 def second_moment(orientations):
-    return (orientations.axes.T * orientations.axis_weight) @ orientations.axes
+    return (orientations.axes.T * orientations.by_axis.weight) @ orientations.axes
 
 
 def test_the_grid_with_both_ends_has_325_orientations_and_266_axes():
@@ -33,7 +33,7 @@ def test_the_grid_of_cells_has_288_orientations_all_distinct(build):
 
 def test_the_grid_with_ends_counts_the_poles_25_times_and_the_seam_twice():
     orientations = pdf.grid_with_ends()
-    count = np.rint(orientations.axis_weight * 325).astype(int)
+    count = np.rint(orientations.by_axis.weight * 325).astype(int)
     assert count[0] == count[-1] == 25
     seam = np.abs(orientations.axes @ [0.0, -1.0, 0.0] - np.hypot(*orientations.axes[:, :2].T)) < 1e-9
     assert (count[1:-1] == np.where(seam, 2, 1)[1:-1]).all()
@@ -53,7 +53,7 @@ def test_every_pdf_sums_to_one(build, divisions):
     orientations = build(divisions)
     assert orientations.weight.min() > 0.0
     assert orientations.weight.sum() == pytest.approx(1.0, abs=1e-12)
-    assert orientations.axis_weight.sum() == pytest.approx(1.0, abs=1e-12)
+    assert orientations.by_axis.weight.sum() == pytest.approx(1.0, abs=1e-12)
 
 
 @given(pdfs)
@@ -69,13 +69,13 @@ def test_axes_are_unit_ordered_by_height_and_map_back_to_the_orientations(orient
 def test_distinct_axes_carry_the_weight_of_their_orientations(orientations):
     seen = orientations.axes[:, 0] > 0.1
     by_orientation = reference.coverage_probability(seen[orientations.axis_of], orientations, 1)
-    assert orientations.axis_weight[seen].sum() == pytest.approx(by_orientation, abs=1e-12)
+    assert orientations.by_axis.weight[seen].sum() == pytest.approx(by_orientation, abs=1e-12)
 
 
 @pytest.mark.parametrize(("divisions", "error"), [(6, 2e-2), (12, 5e-3), (24, 2e-3)])
 def test_solid_angle_is_uniform_on_the_sphere(divisions, error):
     sphere = pdf.solid_angle(divisions)
-    assert_allclose(sphere.axis_weight @ sphere.axes, 0.0, atol=1e-12)
+    assert_allclose(sphere.by_axis.weight @ sphere.axes, 0.0, atol=1e-12)
     assert_allclose(second_moment(sphere), np.eye(3) / 3.0, atol=error)
 
 
