@@ -46,7 +46,7 @@ def calibrate(cfg: DictConfig) -> None:
     with tracked(cfg, f"calibrate_detector {tag.family}") as tracker:
         fitted = {}
         for name, detector in subject.detectors.items():
-            rng = np.random.default_rng([seed, STREAM])  # the same views for every detector
+            rng = np.random.default_rng([seed, VIEWS_STREAM])  # the same views for every detector
             with keyed("views"):
                 views = source.views(renderer.camera, tag, detector, renderer.imaging, rng)
                 fitted[name] = views, fit(views, rng, margin)
@@ -79,7 +79,7 @@ def calibrate(cfg: DictConfig) -> None:
 
 
 # Keeps the views apart from every other use of the same seed.
-STREAM = 0x7669657773
+VIEWS_STREAM = 0x7669657773
 
 
 def to_markdown(figures: dict[str, dict[str, float]]) -> str:

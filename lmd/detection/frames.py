@@ -22,7 +22,7 @@ from lmd.scene.tag import Tag
 from lmd.space.space import Space
 
 # Keeps the poses and the noise apart from every other use of the same seed.
-STREAM = 0x646574656374
+FRAMES_STREAM = 0x646574656374
 
 
 def draw_poses(scene: Scene, count: int, seed: int) -> FloatArray:
@@ -30,7 +30,7 @@ def draw_poses(scene: Scene, count: int, seed: int) -> FloatArray:
 
     They do not depend on what hangs in the room.
     """
-    rng = np.random.default_rng([seed, STREAM])
+    rng = np.random.default_rng([seed, FRAMES_STREAM])
     positions = scene.room.sample(count, rng)
     return camera_pose(positions, *scene.pdf.draw_at(positions, rng))
 
@@ -43,7 +43,7 @@ def nudged(poses: FloatArray, position: float, attitude: float, seed: int) -> Fl
         position, attitude: standard deviations along and about each axis, metres and rad.
         seed: draws the moves.
     """
-    rng = np.random.default_rng([seed, STREAM, 1])
+    rng = np.random.default_rng([seed, FRAMES_STREAM, 1])
     turns, shifts = rng.normal(0.0, attitude, (len(poses), 3)), rng.normal(0.0, position, (len(poses), 3))
     return np.asarray(poses @ exp(np.hstack([turns, shifts])))
 
@@ -109,7 +109,7 @@ class Sightings:
 
 def picture(renderer: Renderer, pose: FloatArray, number: int, seed: int) -> UInt8Array:
     """Frame `number` of a run with this seed, the same wherever it is rendered, `(h, w)`."""
-    return renderer.frame(pose, np.random.default_rng([seed, STREAM, number]))
+    return renderer.frame(pose, np.random.default_rng([seed, FRAMES_STREAM, number]))
 
 
 def look(

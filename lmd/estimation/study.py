@@ -19,7 +19,7 @@ from lmd.geometry.trajectory import Trajectory
 from lmd.problem import Problem
 
 # Keeps the flights apart from every other use of the same seed.
-STREAM = 0x666C79
+FLIGHTS_STREAM = 0x666C79
 SHARES = (1, 2, 3, 4)  # landmarks in view for which the share of time is reported, beside the objective's n
 WITHIN = (0.01, 0.02, 0.05)  # position errors of which the share of frames is reported, metres
 SETTLED = 0.01  # of the initial Er
@@ -79,7 +79,7 @@ class Flights:
         """
         trajectories, start = [], []
         for seed in seeds:
-            motion, error = np.random.default_rng([seed, STREAM]).spawn(2)
+            motion, error = np.random.default_rng([seed, FLIGHTS_STREAM]).spawn(2)
             trajectories.append(source.draw(problem.scene, motion))
             to_come = (len(seeds) - len(trajectories)) * trajectories[-1].poses.nbytes
             check_memory(to_come, f"seeds: the poses of {len(seeds)} flights", "seeds")
@@ -93,7 +93,7 @@ class Flights:
                 problem.evaluator,
                 problem.draw(np.random.default_rng(seed)),
                 trajectory,
-                np.random.default_rng([seed, STREAM, 1]),
+                np.random.default_rng([seed, FLIGHTS_STREAM, 1]),
                 all_visible,
             )
             for seed, trajectory in zip(self.seeds, self.trajectories, strict=True)

@@ -11,7 +11,7 @@ from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 
 LISTED = 8  # tags that a terminal names
-NOTHING = 1e-12  # a difference in fitness that is one of rounding
+FITNESS_ROUNDING = 1e-12  # a difference in fitness that is one of rounding
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Losses:
     @property
     def idle(self) -> IntArray:
         """The ids of the landmarks without any of which the fitness is no lower."""
-        return np.sort(self.ids[np.diagonal(self.without) >= self.fitness - NOTHING])
+        return np.sort(self.ids[np.diagonal(self.without) >= self.fitness - FITNESS_ROUNDING])
 
     def metrics(self) -> dict[str, float]:
         """The least and the mean fitness over the loss of any one landmark, and of any two."""
@@ -53,7 +53,8 @@ class Losses:
 
     def to_text(self) -> str:
         """Which tags matter most and which are idle, for a terminal."""
-        dearest = [(number, lost) for number, _, lost in zip(*self.table.values(), strict=True) if lost > NOTHING]
+        rows = zip(*self.table.values(), strict=True)
+        dearest = [(number, lost) for number, _, lost in rows if lost > FITNESS_ROUNDING]
         most = ", ".join(f"{number} ({100.0 * lost:.2f})" for number, lost in dearest[:LISTED])
         idle = ", ".join(map(str, self.idle[:LISTED]))
         more = f" and {len(self.idle) - LISTED} more" if len(self.idle) > LISTED else ""

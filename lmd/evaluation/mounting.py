@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 SAMPLE = Sample(groups=8, positions=256, divisions=23)
 VIEWS = 40  # random poses of a draw
 POSE_BYTES = 4 * 4 * 8
-STREAM = 0x6D6F756E74  # keeps the draws apart from every other use of the same seed
+MOUNTING_STREAM = 0x6D6F756E74  # keeps the draws apart from every other use of the same seed
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int,
     import pandas as pd
 
     plan = replace(plan, surveyed=None)  # what is mounted are the places on the surfaces
-    streams = np.random.default_rng([seed, STREAM]).spawn(error.draws)
+    streams = np.random.default_rng([seed, MOUNTING_STREAM]).spawn(error.draws)
     hung = [error.hung(problem, plan, rng) for rng in streams]
     all_of_them = [plan, *(each.deployment for each in hung)]
     on_grid = pd.DataFrame([problem.metrics(deployment) for deployment in all_of_them])

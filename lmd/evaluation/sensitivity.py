@@ -37,7 +37,7 @@ FACTORS = (0.5, 0.7, 1.0, 1.4, 2.0)  # of what was assumed
 MISSED = (0.0, 0.05, 0.1, 0.2)  # probability that a landmark that is covered is not found; ascending
 SAMPLE = Sample(groups=48, positions=128, divisions=12)
 SHARES = ["localised_share", "covered_share"]
-STREAM = 0x6D697373  # keeps the draws of what is missed apart from every other use of the same seed
+MISSES_STREAM = 0x6D697373  # keeps the draws of what is missed apart from every other use of the same seed
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def _measure(
     """The shares of the variants, `(V, 2)`, with landmarks missed, `(M, 2)`, and lost, `(2, K, K)`, in one group."""
     number, evaluator = group
     assumed = np.array([_shares(variant, deployment, evaluator) for variant in variants])
-    field, rng = objective.field(evaluator), np.random.default_rng([seed, STREAM, number])
+    field, rng = objective.field(evaluator), np.random.default_rng([seed, MISSES_STREAM, number])
     return assumed, missed_shares(field, deployment, rng)[:, :2], lost_shares(field, deployment)
 
 

@@ -17,7 +17,7 @@ from lmd.scene.plates import as_they_are
 
 VIEWS = 2000  # random poses
 LISTED = 8  # tags that a terminal names
-STREAM = 0x737572766579  # keeps the noise apart from every other use of the same seed
+SURVEY_STREAM = 0x737572766579  # keeps the noise apart from every other use of the same seed
 
 
 def read_measured(path: str | Path, problem: Problem, plan: Deployment) -> Deployment:
@@ -113,7 +113,7 @@ def survey(
     on_grid = pd.DataFrame([problem.metrics(each) for each in both.values()])
     figures = pd.concat([on_grid, off_grid_figures(problem, list(both.values()), seed, sample)], axis=1)
     maps, poses = {name: Hung.of(each) for name, each in both.items()}, draw_poses(problem.scene, views, seed)
-    noise = np.random.default_rng([seed, STREAM])
+    noise = np.random.default_rng([seed, SURVEY_STREAM])
     return Survey(
         problem.objective.n,
         _moved(plan, measured),

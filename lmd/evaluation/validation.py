@@ -25,7 +25,7 @@ from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 
 # Keeps the sample apart from every other use of the same seed.
-STREAM = 0x76616C
+VALIDATION_STREAM = 0x76616C
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ def sampled_evaluators(scene: Scene, seed: int, sample: Sample, threads: int) ->
         sample: its size.
         threads: of each evaluator.
     """
-    rng = np.random.default_rng([seed, STREAM])
+    rng = np.random.default_rng([seed, VALIDATION_STREAM])
     for _ in range(sample.groups):
         positions = scene.room.sample_evenly(sample.positions, rng)
         yield Evaluator(replace(scene, pdf=scene.pdf.stratified(sample.divisions, rng)), positions, threads)

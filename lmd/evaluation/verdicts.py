@@ -18,7 +18,7 @@ from lmd.scene.scene import Scene
 from lmd.sight.obstacles import unobstructed
 
 # Keeps the poses apart from every other use of the same seed.
-STREAM = 0x7768790A
+CAUSES_STREAM = 0x7768790A
 POSITIONS, VIEWS = 256, 16  # random positions, and random orientations at each
 
 
@@ -110,7 +110,7 @@ def causes(scene: Scene, deployment: Deployment, seed: int) -> Causes | None:
     """
     if not hasattr(scene.visibility, "verdicts"):
         return None
-    rng = np.random.default_rng([seed, STREAM])
+    rng = np.random.default_rng([seed, CAUSES_STREAM])
     positions = np.repeat(scene.room.sample(POSITIONS, rng), VIEWS, axis=0)
     poses = camera_pose(positions, *scene.pdf.draw_at(positions, rng)).reshape(POSITIONS, VIEWS, 4, 4)
     names: list[str] = []

@@ -12,7 +12,7 @@ from lmd.core.compiled import inlined
 CORNERS = np.array([[-1.0, 1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]])
 
 # A normal whose horizontal part is at most this long counts as vertical: the tag lies on a floor or a ceiling.
-LEVEL = 0.1
+VERTICAL_TOLERANCE = 0.1
 
 
 def corners(centres: FloatArray, normals: FloatArray, ups: FloatArray, edge: float) -> FloatArray:
@@ -34,16 +34,16 @@ def corners(centres: FloatArray, normals: FloatArray, ups: FloatArray, edge: flo
 def upright(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Right and up of tags that hang upright, seen from the front: unit vectors `(..., 3)`, world frame.
 
-    Up is as near to +z as the tag's plane allows, and as near to +y for normals within `LEVEL` of vertical, so on floor
-    and ceiling. All tags here hang so: a square looks alike after a quarter turn, so other turns would gain next to
-    nothing, and plates that are parallel to the edges of their wall can be mounted with a level.
+    Up is as near to +z as the tag's plane allows, and as near to +y for normals within `VERTICAL_TOLERANCE` of
+    vertical, so on floor and ceiling. All tags here hang so: a square looks alike after a quarter turn, so other turns
+    would gain next to nothing, and plates that are parallel to the edges of their wall can be mounted with a level.
 
     Args:
         normals: unit normals of the front faces, `(..., 3)`.
     """
     nx, ny, nz = np.moveaxis(np.asarray(normals, dtype=np.float64), -1, 0)
     across, zero = nx * nx + ny * ny, np.zeros(nx.shape)
-    on_wall = across > LEVEL * LEVEL
+    on_wall = across > VERTICAL_TOLERANCE * VERTICAL_TOLERANCE
     square = np.where(on_wall, across, nx * nx + nz * nz)
     length = np.sqrt(square)
     right = np.where(on_wall, [-ny, nx, zero], [nz, zero, -nx]) / length
@@ -53,7 +53,7 @@ def upright(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @inlined
 def upright_axes(nx, ny, nz, level):  # type: ignore[no-untyped-def]
-    """`upright` of one unit normal (nx, ny, nz), as a scalar function for kernels; `level`: see `LEVEL`."""
+    """`upright` of one unit normal (nx, ny, nz), for kernels; `level`: see `VERTICAL_TOLERANCE`."""
     across = nx * nx + ny * ny
     on_wall = across > level * level
     square = across if on_wall else nx * nx + nz * nz

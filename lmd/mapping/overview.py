@@ -15,7 +15,7 @@ from lmd.space.surface import FLAT, Surface
 
 # On the page, mm.
 AROUND = 11.0  # around the room, for names
-NEAR, FAR = 3.0, 6.0  # from a wall to a name
+NAME_GAP, OUTER_NAME_GAP = 3.0, 6.0  # from a wall to a name
 SMALLEST = 1.5  # letters of a name
 TAG = 1.8  # height of the triangle of a tag
 MANY = 1000  # edges of a room, as a scan has them: they are drawn thinner
@@ -59,7 +59,7 @@ def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: i
         draw_opening(canvas, opening.kind, ends)
         wall = next((surface for surface in upright if opening.on(surface).area > 0.0), None)
         way = np.array([0.0, 1.0]) if wall is None else _outwards(tags.room, wall)
-        _write_along(canvas, shortened(opening.name), ends, way, NEAR)
+        _write_along(canvas, shortened(opening.name), ends, way, NAME_GAP)
     for body in bodies:
         x, y = place(body.corners).mean(axis=0).tolist()
         write_on_white(canvas, x, y, shortened(body.name), size=NAME)
@@ -73,7 +73,7 @@ def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: i
         text = shortened(surface.name) + (f": {hung[surface.name]}" if surface.name in hung else "")
         way = surface.normal[:2] if own else _outwards(tags.room, surface)
         beside = any(fixture.on(surface).area > 0.0 for fixture in openings if not fixture.has(surface))
-        _write_along(canvas, text, ends, way, FAR if beside and not own else NEAR, bold=True)
+        _write_along(canvas, text, ends, way, OUTER_NAME_GAP if beside and not own else NAME_GAP, bold=True)
     for k in range(len(tags.ids)):
         _draw_tag(canvas, place(tags.deployment.positions[k]), tags.deployment.normals[k])
     below = float(origin[1]) - AROUND

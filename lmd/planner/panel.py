@@ -15,7 +15,7 @@ from lmd.planner.plan import Measured
 from lmd.planner.search import Progress
 
 ADDITIONS = {"mean value": "value", "fitness": "fitness"}  # what surfaces may show, and where `Additions` has it
-NOTHING = "nothing"
+NO_ADDITION = "nothing"
 HINT = "drag a tag; click a tag, a position or a surface"
 UNDO, REDO, PIN, DELETE, SAVE = "Undo", "Redo", "Pin or unpin", "Delete", "Save"
 PLACE, FROM_FLOOR, FROM_BELOW = "Hang it there", "from floor, m", "from below, m"
@@ -68,7 +68,7 @@ class Panel:
             self.positions = gui.add_checkbox("positions", initial_value=True)
             self.names = gui.add_checkbox("names of surfaces", initial_value=True)
             self.ids = gui.add_checkbox("ids of tags", initial_value=ids)
-            self.additions = gui.add_dropdown("what a tag adds to", (*ADDITIONS, NOTHING))
+            self.additions = gui.add_dropdown("what a tag adds to", (*ADDITIONS, NO_ADDITION))
         colours = gui.add_panel()
         with colours.add_tab("Colours"):
             self._legend = gui.add_html("")

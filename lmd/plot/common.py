@@ -27,7 +27,8 @@ UNQUALIFIED = "#9e9e9e"
 COLOUR_MAP = "viridis"  # known by this name to both libraries, even in lightness, hence safe to print
 AXIS_LABELS = ("x [m]", "y [m]", "z [m]")
 LEAST_TICKS = 3  # on a logarithmic axis
-SOME = 256  # positions tell how far apart neighbours are; a tree of all would load scipy for the picture of every run
+# Positions tell how far apart neighbours are; a tree of all would load scipy for the picture of every run.
+SPACING_SAMPLE = 256
 ELEVATION, AZIMUTH = 16.0, -66.0  # of the viewer in static figures, degrees
 
 
@@ -46,7 +47,7 @@ def size_of(room: Space) -> FloatArray:
 
 def spacing_of(room: Space, positions: FloatArray) -> float:
     """How far one of the positions `(P, 3)` of a room typically is from the next, metres; the room's size if alone."""
-    some = positions[:: max(1, len(positions) // SOME)]
+    some = positions[:: max(1, len(positions) // SPACING_SAMPLE)]
     away = (np.linalg.norm(positions - one, axis=1) for one in some)
     nearest = [np.partition(distances, 1)[1] if len(positions) > 1 else np.inf for distances in away]
     return min(float(np.median(nearest)), float(np.linalg.norm(size_of(room))))

@@ -18,7 +18,7 @@ from lmd.render.imaging import Float32Array, Imaging, UInt8Array
 from lmd.scene.tag import Tag
 
 # What is nearer to the plane of the lens than this is not drawn, metres.
-NEAR = 0.02
+NEAR_PLANE = 0.02
 # A Gaussian is cut off at this many standard deviations.
 REACH = 3.5
 # Samples of one tag: one that fills the image gets fewer a pixel, it has pixels enough.
@@ -112,7 +112,7 @@ class Canvas:
         plane = np.stack([right, down, centre - len(picture) / 2.0 * (right + down)], axis=1)
         drawn = self._warp(picture, self.matrix @ plane, window, samples, self.cv2.BORDER_CONSTANT)
         drawn = self.cv2.resize(drawn.astype(np.float32), (width, height), interpolation=self.cv2.INTER_AREA)
-        if (paper[:, 2] < NEAR).any():  # the homography also maps what is behind the lens, upside down
+        if (paper[:, 2] < NEAR_PLANE).any():  # the homography also maps what is behind the lens, upside down
             front = np.zeros((height, width), dtype=np.float32)
             self._fill(front, outline - window[:2], 1)
             drawn *= front[..., None]
@@ -171,8 +171,8 @@ class Canvas:
 
 
 def clipped(polygon: FloatArray) -> FloatArray:
-    """The part of a convex polygon `(M, 3)` (camera frame) with z >= `NEAR`, `(m, 3)`; empty if there is none."""
-    depth = polygon[:, 2] - NEAR
+    """The part of a convex polygon `(M, 3)` (camera frame) with z >= `NEAR_PLANE`, `(m, 3)`; empty if there is none."""
+    depth = polygon[:, 2] - NEAR_PLANE
     if (depth >= 0.0).all():
         return polygon
     kept = []

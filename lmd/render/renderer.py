@@ -10,7 +10,7 @@ from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.optional import optional
 from lmd.geometry.distortion import jacobian
 from lmd.geometry.se3 import exp
-from lmd.render.canvas import NEAR, Canvas, covering
+from lmd.render.canvas import NEAR_PLANE, Canvas, covering
 from lmd.render.imaging import Float32Array, Imaging, UInt8Array
 from lmd.render.optics import blur_sigma, image_size, intrinsics, project, rectified, to_camera
 from lmd.render.room import Surface, TaggedRoom
@@ -89,7 +89,7 @@ class Renderer:
             canvas.blur(self.imaging.psf_sigma)
         squares = to_camera(pose, room.corners.reshape(-1, 3)).reshape(-1, 4, 3)
         offset = position - room.centres
-        front = ((offset * room.normals).sum(axis=1) > 0.0) & (squares[..., 2] > NEAR).any(axis=1)
+        front = ((offset * room.normals).sum(axis=1) > 0.0) & (squares[..., 2] > NEAR_PLANE).any(axis=1)
         for k in sorted(np.flatnonzero(front), key=lambda k: -float(np.linalg.norm(offset[k]))):
             depth = np.array([(room.centres[k] - s.origin) @ s.normal for s, _ in seen])
             hidden_by = [outlines[i] for i in np.flatnonzero(depth < -FLUSH)]
@@ -102,7 +102,7 @@ class Renderer:
         What the distortion shrinks it must blur more, so that it is blurred as said once it is distorted.
         """
         u, v, w = square.mean(axis=0)
-        depth, sigma, camera = max(float(w), NEAR), self.imaging.psf_sigma, self.camera
+        depth, sigma, camera = max(float(w), NEAR_PLANE), self.imaging.psf_sigma, self.camera
         if self.imaging.defocus:
             sigma = float(blur_sigma(camera, depth, sigma))
         if camera.distortion:

@@ -24,7 +24,7 @@ from lmd.space.surface import MISPLACED, SurfaceArrays
 # Relative: papers that share an edge do not overlap, however their distance is rounded.
 TOUCHING = 1e-9
 # Plates within so many edges are looked at first when one is pushed away.
-NEAR = 3.0
+NEARBY_EDGES = 3.0
 
 
 @dataclass(frozen=True)
@@ -266,7 +266,7 @@ def _push(fixed, surface, at, pieces, first, least, edge, moved):  # type: ignor
             continue
         has_room, moved[k], s = False, True, surface[k]
         for turn in range(count + 1):
-            within = NEAR * edge if turn == 0 else np.inf
+            within = NEARBY_EDGES * edge if turn == 0 else np.inf
             s = (surface[k] + max(turn - 1, 0)) % count
             _, p, q = nearest(pieces, first[s], first[s + 1], a, b)
             if _nearest_free(k, s, p, q, within, surface, at, pieces, first, least, edge, lines, found):

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from lmd.scene.recorded_poses import RecordedPoses
 
 PROBABILITY_BYTES = 24  # of an orientation at a position: its probability, which one it is, and its whole units
-ANYWHERE = 512  # random positions of a rig that are looked at
+SAMPLED_POSITIONS = 512  # random positions of a rig that are looked at
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class Scene:
         """
         if not isinstance(self.camera, Rig):
             return
-        positions = np.vstack([positions, self.room.sample(ANYWHERE, np.random.default_rng(0))])
+        positions = np.vstack([positions, self.room.sample(SAMPLED_POSITIONS, np.random.default_rng(0))])
         offsets = self.camera.views(self.orientations.axes)[0]
         occurs = self.probability(positions) > 0.0
         for position, turns in zip(positions, np.broadcast_to(occurs, (len(positions), occurs.shape[1])), strict=True):

@@ -19,7 +19,7 @@ from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.compiled import inlined
 from lmd.core.dispatch import dispatched, overridable
 from lmd.core.memory import check_memory
-from lmd.geometry.squares import LEVEL, upright, upright_axes
+from lmd.geometry.squares import VERTICAL_TOLERANCE, upright, upright_axes
 from lmd.space.blockers import Blockers
 from lmd.space.space import Space
 from lmd.space.triangles import Triangles, is_crossed
@@ -125,7 +125,7 @@ def find_ends(obstacles, sight, x, y, z, nx, ny, nz, ends, k):  # type: ignore[n
 @find_ends.register(Obstacles)
 def _find_ends(obstacles, sight, x, y, z, nx, ny, nz, ends, k):  # type: ignore[no-untyped-def]
     half, normals, offsets = half_edge(sight), obstacles.normals, obstacles.offsets
-    rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, LEVEL)
+    rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, VERTICAL_TOLERANCE)
     for i in range(POINTS if half > 0.0 else 1):
         px, py, pz = _point(i, half, x, y, z, rx, ry, rz, ux, uy, uz)
         for j in range(len(offsets)):
@@ -137,7 +137,7 @@ def _find_ends(obstacles, sight, x, y, z, nx, ny, nz, ends, k):  # type: ignore[
 @find_ends.register(Shadows)
 def _find_end_points(obstacles, sight, x, y, z, nx, ny, nz, ends, k):  # type: ignore[no-untyped-def]
     half = half_edge(sight)
-    rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, LEVEL)
+    rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, VERTICAL_TOLERANCE)
     for i in range(POINTS if half > 0.0 else 1):
         ends[k, i, 0], ends[k, i, 1], ends[k, i, 2] = _point(i, half, x, y, z, rx, ry, rz, ux, uy, uz)
 

@@ -16,7 +16,7 @@ from lmd.core.compiled import inlined, kernel
 # Regions are closed: a place so near is in them, metres.
 EDGE = 1e-9
 # Of a region so small nothing is left but rounding, square metres.
-NOTHING = 1e-9
+MIN_AREA = 1e-9
 SIZE = 6  # numbers of a trapezoid
 
 
@@ -74,7 +74,7 @@ def polygons(region: Any) -> Any:
     """What of a region has an area, in the same order whatever made it."""
     import shapely
 
-    parts = [part for part in shapely.get_parts(region) if part.area > NOTHING]
+    parts = [part for part in shapely.get_parts(region) if part.area > MIN_AREA]
     return shapely.normalize(shapely.union_all(parts))
 
 

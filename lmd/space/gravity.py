@@ -14,7 +14,7 @@ BUILT = 3.5e-3
 DECIDED = 0.8
 # What is level: the vertical part of its normal is greater. Floor and ceiling are so near to the lowest or the highest
 # point, metres.
-LEVEL, STOREY = 0.999, 0.1
+LEVEL_NORMAL_Z, STOREY = 0.999, 0.1
 
 
 def doubt_of(mesh: Mesh, undecided: bool) -> str | None:
@@ -49,5 +49,5 @@ def _built_along(corners: FloatArray, up: FloatArray) -> float:
 
 def _floor_area(corners: FloatArray, up: FloatArray) -> float:
     """What is level at the lowest point of triangles `(T, 3, 3)`, square metres."""
-    height, is_level = corners @ up, np.abs(unit_normals(corners) @ up) > LEVEL
+    height, is_level = corners @ up, np.abs(unit_normals(corners) @ up) > LEVEL_NORMAL_Z
     return float(areas_of(corners)[is_level & (height.max(axis=1) < height.min() + STOREY)].sum())

@@ -5,12 +5,12 @@ import numpy as np
 from lmd.space.space import Space
 from lmd.space.surface import Surface
 
-LEVEL = 0.99  # normals with a larger vertical part are those of what is level
+LEVEL_NORMAL_Z = 0.99  # normals with a larger vertical part are those of what is level
 
 
 def floor_of(room: Space) -> float:
     """Where the floor is, z, metres: the lowest of the large faces that look up, else the lowest point."""
-    level = [face for face in room.faces() if face.normal[2] > LEVEL]
+    level = [face for face in room.faces() if face.normal[2] > LEVEL_NORMAL_Z]
     sizes = np.array([face.extent[0] * face.extent[1] for face in level])
     heights = np.array([face.origin[2] for face in level])
     return float(heights[sizes > sizes.max() / 2.0].min() if level else room.bounds()[0][2])

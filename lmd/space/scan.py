@@ -11,7 +11,7 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, real
 from lmd.space.allowed import eroded, polygons, spread, trapezoids
 from lmd.space.fixture import Fixture
-from lmd.space.gravity import LEVEL, STOREY, doubt_of
+from lmd.space.gravity import LEVEL_NORMAL_Z, STOREY, doubt_of
 from lmd.space.interior import Interior
 from lmd.space.keep_out import KeepOut, all_keep_outs
 from lmd.space.mesh_file import Y_UP, Mesh, read_mesh
@@ -105,7 +105,7 @@ class Scan:
     def solids(self) -> Triangles | None:
         """Those from which the camera keeps its clearance: all but floor and ceiling, what is level at either end."""
         z, (low, high) = self._corners[..., 2], self.bounds
-        level = np.abs(unit_normals(self._corners)[:, 2]) > LEVEL
+        level = np.abs(unit_normals(self._corners)[:, 2]) > LEVEL_NORMAL_Z
         ends = (z.max(axis=1) < low[2] + STOREY) | (z.min(axis=1) > high[2] - STOREY)
         faces = self.mesh.faces[~(level & ends)]
         return Triangles.of(self.mesh.vertices, faces, self.triangles.tolerance) if len(faces) else None

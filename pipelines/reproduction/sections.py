@@ -54,7 +54,7 @@ PARENT = f"tags.{PARENT_TAG}"
 OVERRIDE = "tags.override."
 BUDGET = "params.budget.evaluations"
 COUNT = "params.deployment.count"
-NOTHING = "–"  # in a cell without runs
+NO_VALUE = "–"  # in a cell without runs
 
 # Everything a report looks at in a job's run; a store may lack some.
 COLUMNS = [
@@ -312,7 +312,7 @@ def _beside(printed: Printed, jobs: pd.DataFrame) -> list[str]:
     for index in INDICES:
         paper, values = getattr(printed, index), jobs[f"metrics.{index}"]
         here = _spread(values) if index == "qualified_ratio" else _percent(values.median())
-        cells += [f"{paper:.2%}", here, f"{100.0 * (values.median() - paper):+.2f}" if len(jobs) else NOTHING]
+        cells += [f"{paper:.2%}", here, f"{100.0 * (values.median() - paper):+.2f}" if len(jobs) else NO_VALUE]
     return [*cells, _percent(jobs[GRID_FREE].median())]
 
 
@@ -323,4 +323,4 @@ def _spread(ratios: "pd.Series[float]") -> str:
 
 
 def _percent(ratio: float) -> str:
-    return NOTHING if np.isnan(ratio) else f"{ratio:.2%}"
+    return NO_VALUE if np.isnan(ratio) else f"{ratio:.2%}"

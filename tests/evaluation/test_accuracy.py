@@ -9,7 +9,7 @@ from bearings import view_matrices
 from paper import paper_room, paper_scene
 
 from lmd.evaluation.accuracy import TOLERANCES, accuracy_metrics, predicted_errors, save_accuracy_map
-from lmd.evaluation.validation import STREAM, Sample
+from lmd.evaluation.validation import VALIDATION_STREAM, Sample
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.problem import Problem
@@ -57,7 +57,7 @@ def test_the_figures_are_those_of_all_views_of_the_sample():
     subject, sample, seed = problem(Localisation(pixel_noise=NOISE)), Sample(2, 12, 4), 3
     deployment = UniformDeployment(150).draw(SCENE.room, np.random.default_rng(0))
     figures = accuracy_metrics(subject, deployment, seed, sample)
-    rng, errors, weights = np.random.default_rng([seed, STREAM]), [], []
+    rng, errors, weights = np.random.default_rng([seed, VALIDATION_STREAM]), [], []
     for _ in range(sample.groups):
         positions = SCENE.room.sample_evenly(sample.positions, rng)
         drawn = replace(SCENE, pdf=SCENE.pdf.stratified(sample.divisions, rng))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from paper import paper_camera, paper_room, paper_scene
 
-from lmd.evaluation.verdicts import STREAM, VIEWS, causes, verdicts
+from lmd.evaluation.verdicts import CAUSES_STREAM, VIEWS, causes, verdicts
 from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import UniformDeployment
@@ -21,7 +21,7 @@ UNIFORM = UniformDeployment(30).draw(paper_room(), np.random.default_rng(0))
 
 def looks(scene, deployment, seed=0, positions=256):
     """The share of covered looks by the model's own `covered`, from the same poses."""
-    rng = np.random.default_rng([seed, STREAM])
+    rng = np.random.default_rng([seed, CAUSES_STREAM])
     places = np.repeat(scene.room.sample(positions, rng), VIEWS, axis=0)
     poses = camera_pose(places, *scene.pdf.draw(len(places), rng))
     landmarks = deployment.positions, deployment.normals

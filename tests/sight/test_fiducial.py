@@ -14,7 +14,7 @@ from strategies import deployments, fiducial_scenes, seeds, unit_vectors
 from lmd.core.checks import InputError
 from lmd.detection.quality import apparent_edge, incidence, pitch
 from lmd.geometry.se3 import axis_and_right, camera_pose
-from lmd.geometry.squares import LEVEL, corners, upright
+from lmd.geometry.squares import VERTICAL_TOLERANCE, corners, upright
 from lmd.render.optics import blur_sigma, project, to_camera
 from lmd.scene import pdf
 from lmd.scene.camera import Camera
@@ -48,7 +48,7 @@ def test_tags_hang_upright(normal):
     right, up = upright(normal)
     np.testing.assert_allclose(np.stack([right, up, normal]) @ np.stack([right, up, normal]).T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(np.cross(up, normal), right, atol=1e-12)
-    assert (up[2] > 0.0 and abs(right[2]) < 1e-15) if np.hypot(*normal[:2]) > LEVEL else up[1] > 0.9
+    assert (up[2] > 0.0 and abs(right[2]) < 1e-15) if np.hypot(*normal[:2]) > VERTICAL_TOLERANCE else up[1] > 0.9
 
 
 def by_the_detection_package(scene, deployment, poses):

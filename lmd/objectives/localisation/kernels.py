@@ -12,7 +12,7 @@ import numpy as np
 from lmd.core.bits import ALL, BITS, LANES, ONE, ZERO, add_digit, at_least_so_far, lowest
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import for_kernels, inlined, kernel
-from lmd.geometry.squares import LEVEL, upright_axes
+from lmd.geometry.squares import VERTICAL_TOLERANCE, upright_axes
 from lmd.objectives.localisation.information import WIDTH, meets, moments, share_of, variance
 from lmd.scene.criteria import covering, covers, frame_of, from_position
 from lmd.sight.bands import band_of
@@ -27,7 +27,7 @@ from lmd.sight.poses import shared
 @inlined
 def landmark_moments(x, y, z, nx, ny, nz, precision):
     """The `moments` of an upright landmark at offset (x, y, z) with the unit normal (nx, ny, nz)."""
-    rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, LEVEL)
+    rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, VERTICAL_TOLERANCE)
     half = precision.half
     return moments(x, y, z, half * rx, half * ry, half * rz, half * ux, half * uy, half * uz, precision.share)
 

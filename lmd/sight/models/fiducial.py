@@ -34,7 +34,7 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, real
 from lmd.geometry.distortion import bent, greatest_stretch, slopes
-from lmd.geometry.squares import LEVEL, upright
+from lmd.geometry.squares import VERTICAL_TOLERANCE, upright
 from lmd.scene.camera import MM_PER_M, Camera
 from lmd.scene.criteria import TOLERANCE
 from lmd.scene.tag import Tag
@@ -107,7 +107,7 @@ class Fiducial:
             facing=math.cos(math.radians(limits.incidence)) - TOLERANCE,
             half=tag.size / 2.0,
             plate=tag.paper_edge / 2.0 * (1.0 + TOLERANCE),
-            level=LEVEL,
+            level=VERTICAL_TOLERANCE,
             left=left + TOLERANCE,
             right=right + TOLERANCE,
             top=top + TOLERANCE,

@@ -16,7 +16,7 @@ SLUG_LENGTH = 100
 NAME_LENGTH = 80
 SHORT = 8  # characters of a digest in the name of a folder
 # How a run is done and where it is kept; it is the same run without.
-UNTOLD = ("hydra", "tracking", "trust", "page", "validate", "threads", "resume", "checkpoint_seconds")
+NOT_IN_NAME = ("hydra", "tracking", "trust", "page", "validate", "threads", "resume", "checkpoint_seconds")
 
 
 def key_and_value(override: str) -> tuple[str, str]:
@@ -42,7 +42,7 @@ def short_name(subject: str, overrides: Sequence[str]) -> str:
     told = [
         f"{key.split('.')[-1]}={Path(value).name if '/' in value else value}"
         for key, value in values
-        if key.split(".")[0] not in UNTOLD and value != subject
+        if key.split(".")[0] not in NOT_IN_NAME and value != subject
     ]
     return " ".join([*told, subject])[-NAME_LENGTH:]
 
