@@ -7,6 +7,7 @@ of PhotonVision, "Cameras" of COLMAP's output format, Basalt's `calibration.hpp`
 
 import ast
 import re
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -46,7 +47,7 @@ def read_cameras(path: Any) -> dict[str, Keys]:
             return _colmap(rows)
         if re.search(r"^[{\s]*['\"]lensmodel['\"]\s*:", text, re.MULTILINE):
             return {"": _mrcal(text)}
-        keys = read_keys(path, "path")
+        keys = _opencv_xml(text) if text.lstrip().startswith("<") else read_keys(path, "path")
         for marks, reader in READERS:
             if marks <= keys.keys():
                 return reader(keys)
@@ -67,6 +68,24 @@ def _ros(size: Any, matrix: Any, lens: Any, model: str = "plumb_bob") -> Keys:
         "distortion_model": model,
         "distortion_coefficients": {"data": lens},
     }
+
+
+def _opencv_xml(text: str) -> dict[str, Any]:
+    """The numbers and matrices of OpenCV's `FileStorage`; entities could stand for gigabytes, so none are taken."""
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise InputError("an XML file with a document type or entities is not taken.")
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise InputError(f"it cannot be read as XML ({error}).") from None
+    keys: dict[str, Any] = {}
+    for child in root:
+        data = child.find("data")
+        if data is not None and child.get("type_id") == "opencv-matrix":
+            keys[child.tag] = {"data": [float(number) for number in (data.text or "").split()]}
+        elif re.fullmatch(r"\s*\d{1,9}\s*", child.text or ""):
+            keys[child.tag] = int(child.text or "")
+    return keys
 
 
 def _named(size: Any, values: Keys, fisheye: bool) -> Keys:

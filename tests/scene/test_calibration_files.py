@@ -17,7 +17,14 @@ BASALT = {
     "intrinsics": NAMES | dict(zip(["k1", "k2", "p1", "p2", "k3"], LENS, strict=True)),
 }
 MRCAL = "{{ 'lensmodel': 'LENSMODEL_{}',\n 'intrinsics': [600, 610, 320, 240, {},],\n 'imagersize': [640, 480] }}"
+XML = """<?xml version="1.0"?>
+<opencv_storage><image_width>640</image_width><image_height>480</image_height>
+<camera_matrix type_id="opencv-matrix"><rows>3</rows><cols>3</cols><dt>d</dt>
+<data>600. 0. 320. 0. 610. 240. 0. 0. 1.</data></camera_matrix>
+<distortion_coefficients type_id="opencv-matrix"><data>-0.2 0.05 1e-3 -2e-3 0.01</data></distortion_coefficients>
+</opencv_storage>"""
 FILES = {
+    "OpenCV XML": XML,
     "message": json.dumps({"width": 640, "height": 480, "K": MATRIX, "D": LENS}),
     "message of ROS 2": json.dumps({"width": 640, "height": 480, "k": MATRIX, "d": [*LENS, 0.0, 0.0, 0.0]}),
     "PhotonVision": json.dumps(
@@ -49,6 +56,8 @@ def test_every_format_says_the_same_of_one_camera(kind, write):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        ("<!DOCTYPE a [<!ENTITY b 'c'>]><a>&b;</a>", "an XML file with a document type or entities is not taken."),
+        ("<a><b>", "it cannot be read as XML"),
         (FILES["Basalt"].replace("pinhole-radtan8", "ds"), "the lens model 'ds' is not known here"),
         (FILES["COLMAP"].replace("FULL_OPENCV", "FOV"), "the lens model 'FOV' is not known here"),
         (FILES["ORB-SLAM3"].replace("PinHole", "Rectified"), "the lens model 'Rectified' is not known here"),
