@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import InputError, choice, integer, real, vector
-from lmd.core.files import read_keys
 from lmd.geometry.equidistant import nearest_radial
+from lmd.scene.calibration_files import read_cameras
 from lmd.scene.camera import Camera
 
 PIXEL_CENTRE = 0.5  # of the first pixel, from the image's border
@@ -57,7 +57,8 @@ class Calibration:
         object.__setattr__(self, "principal_point", vector("principal_point", self.principal_point, 2))
         if any(self.distortion[KNOWN_COEFFICIENTS:]):
             raise InputError(
-                f"distortion can have the coefficients k1, k2, p1, p2 and k3 only, got {list(self.distortion)}.",
+                f"distortion can have the coefficients k1, k2, p1, p2 and k3 only, got {list(self.distortion)}: "
+                "calibrate without k4, k5, k6 (rational), s1 to s4 (thin prism) and tilt.",
                 "distortion",
             )
         object.__setattr__(self, "distortion", self.distortion[:KNOWN_COEFFICIENTS])
@@ -136,25 +137,28 @@ def calibrated_camera(path: str | None, name: str | None = None, **optics: Any) 
 
 
 def read_calibration(path: str | None, name: str | None = None) -> Calibration:
-    """Read a file of ROS (`camera_info`), of Kalibr (`camchain`) or of OpenCV (`FileStorage`), in YAML or JSON.
+    """Read a file of ROS, Kalibr (`camchain`), OpenCV (`FileStorage`) or another of `lmd.scene.calibration_files`.
 
     Args:
         path: the file.
-        name: the camera in a file of Kalibr, such as `cam1`; not needed where there is only one.
+        name: the camera in a file with several, such as `cam1` of Kalibr; not needed where there is only one.
 
     Raises:
         InputError: the file cannot be read, a key is missing or wrong, or the lens is of another model.
     """
     if path is None:
         raise InputError("path is missing: a calibration file is needed.", "path")
-    keys = read_keys(path, "path")
-    cameras = [key for key in keys if KALIBR_CAMERA.fullmatch(key)]
+    restated = read_cameras(path)
+    keys = restated.get("", {})
+    in_chain = [key for key in keys if KALIBR_CAMERA.fullmatch(key)]
+    cameras = in_chain or [key for key in restated if key]
     if name is None and len(cameras) > 1:
         raise InputError(f"name must be given: {path} has the cameras {', '.join(cameras)}.", "name")
     if name is not None and name not in cameras:
         raise InputError(f"name = {name!r} is no camera of {path}, which has {', '.join(cameras) or 'one'}.", "name")
+    chosen = name or (cameras[0] if cameras else "")
     try:
-        return _kalibr(keys, name or cameras[0]) if cameras else _opencv(keys)
+        return _kalibr(keys, chosen) if in_chain else _opencv(restated[chosen])
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 

@@ -1,0 +1,109 @@
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lmd.core.checks import InputError
+from lmd.scene.camera_calibration import read_calibration
+
+REAL = Path(__file__).parents[2] / ".." / "shared" / "real" / "calibration"
+MATRIX = [600.0, 0.0, 320.0, 0.0, 610.0, 240.0, 0.0, 0.0, 1.0]
+LENS = [-0.2, 0.05, 0.001, -0.002, 0.01]
+NAMES = dict(zip(["fx", "fy", "cx", "cy"], [600.0, 610.0, 320.0, 240.0], strict=True))
+BASALT = {
+    "camera_type": "pinhole-radtan8",
+    "intrinsics": NAMES | dict(zip(["k1", "k2", "p1", "p2", "k3"], LENS, strict=True)),
+}
+MRCAL = "{{ 'lensmodel': 'LENSMODEL_{}',\n 'intrinsics': [600, 610, 320, 240, {},],\n 'imagersize': [640, 480] }}"
+XML = """<?xml version="1.0"?>
+<opencv_storage><image_width>640</image_width><image_height>480</image_height>
+<camera_matrix type_id="opencv-matrix"><rows>3</rows><cols>3</cols><dt>d</dt>
+<data>600. 0. 320. 0. 610. 240. 0. 0. 1.</data></camera_matrix>
+<distortion_coefficients type_id="opencv-matrix"><data>-0.2 0.05 1e-3 -2e-3 0.01</data></distortion_coefficients>
+</opencv_storage>"""
+FILES = {
+    "OpenCV XML": XML,
+    "message": json.dumps({"width": 640, "height": 480, "K": MATRIX, "D": LENS}),
+    "message of ROS 2": json.dumps({"width": 640, "height": 480, "k": MATRIX, "d": [*LENS, 0.0, 0.0, 0.0]}),
+    "PhotonVision": json.dumps(
+        {
+            "resolution": {"width": 640.0, "height": 480.0},
+            "cameraIntrinsics": {"rows": 3, "cols": 3, "data": MATRIX},
+            "distCoeffs": {"rows": 1, "cols": 5, "data": LENS},
+        }
+    ),
+    "COLMAP": "# cameras\n1 FULL_OPENCV 640 480 600 610 320.5 240.5 -0.2 0.05 0.001 -0.002 0.01 0 0 0\n",
+    "Basalt": json.dumps({"value0": {"intrinsics": [BASALT], "resolution": [[640, 480]]}}),
+    "ORB-SLAM3": '%YAML:1.0\nCamera.type: "PinHole"\nCamera1.fx: 600.0\nCamera1.fy: 610.0\nCamera1.cx: 320.0\n'
+    "Camera1.cy: 240.0\nCamera1.k1: -0.2\nCamera1.k2: 0.05\nCamera1.p1: 0.001\nCamera1.p2: -0.002\nCamera1.k3: 0.01\n"
+    "Camera.width: 640\nCamera.height: 480\n",
+    "mrcal": MRCAL.format("OPENCV5", "-0.2, 0.05, 0.001, -0.002, 0.01"),
+    "frc971": json.dumps({"intrinsics": MATRIX, "dist_coeffs": LENS, "image_width": 640, "image_height": 480}),
+}
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_every_format_says_the_same_of_one_camera(kind, write):
+    found = read_calibration(write(FILES[kind]))
+    assert (found.image_width, found.image_height) == (640, 480)
+    np.testing.assert_allclose(found.focal_pixels, (600.0, 610.0))
+    np.testing.assert_allclose(found.principal_point, (320.0, 240.0))
+    np.testing.assert_allclose(found.distortion, LENS)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("<!DOCTYPE a [<!ENTITY b 'c'>]><a>&b;</a>", "an XML file with a document type or entities is not taken."),
+        ("<a><b>", "it cannot be read as XML"),
+        (FILES["Basalt"].replace("pinhole-radtan8", "ds"), "the lens model 'ds' is not known here"),
+        (FILES["COLMAP"].replace("FULL_OPENCV", "FOV"), "the lens model 'FOV' is not known here"),
+        (FILES["ORB-SLAM3"].replace("PinHole", "Rectified"), "the lens model 'Rectified' is not known here"),
+        (MRCAL.format("CAHVOR", "1"), "the lens model 'LENSMODEL_CAHVOR' is not known here"),
+        (
+            MRCAL.format("OPENCV8", "0, 0, 0, 0, 0, 0.1, 0, 0"),
+            "distortion can have the coefficients k1, k2, p1, p2 and",
+        ),
+        (MRCAL.format("OPENCV4", "1"), "intrinsics must be a list of 8 numbers"),
+        ("{'lensmodel': __import__('os')}", "it is no cameramodel of mrcal"),
+        (FILES["frc971"].replace("image_width", "w"), "a calibration of frc971 has no size of the image"),
+        (FILES["Basalt"].replace('"fx"', '"f"'), "the key or value 'fx' is missing or wrong"),
+        ("1 OPENCV 640 480 600 610\n", "the key or value"),
+    ],
+)
+def test_what_is_wrong_is_one_sentence(text, message, write):
+    with pytest.raises(InputError, match=re.escape(f": {message}")):
+        read_calibration(write(text))
+
+
+OUTCOMES = {
+    "basalt_euroc_ds.json": "the lens model 'ds'",
+    "basalt_t265_kb4.json": "name must be given",
+    "colmap_maupertuis_cameras.txt": None,
+    "frc971_calibration_2024.json": "no size of the image",
+    "isaac_ros_camera_info.json": None,
+    "kalibr_tumvi_equidistant_512.yaml": "name must be given",
+    "mrcal_cam0_opencv8.cameramodel": r"k4, k5, k6 \(rational\)",
+    "mrcal_cam0_splined.cameramodel": "the lens model 'LENSMODEL_SPLINED",
+    "opencv_left_intrinsics.yml": None,
+    "opencv_tutorial_camera_charuco.yml": None,
+    "ros_clover_fisheye_plumb_bob_14coeff.yaml": r"k4, k5, k6 \(rational\)",
+    "ros_clover_ov7251_rational.yaml": r"k4, k5, k6 \(rational\)",
+    "ros_image_common_test.yaml": None,
+    "ros_isaac_narrow_stereo.yaml": None,
+    "ros_tello_960x720.yaml": None,
+    "ros_zed_right.yaml": None,
+}
+
+
+@pytest.mark.parametrize("name", OUTCOMES)
+def test_a_real_file_is_read_or_refused_for_its_lens(name):
+    if not (path := REAL / name).exists():
+        pytest.skip(f"{path} is not here")
+    if (message := OUTCOMES[name]) is None:
+        read_calibration(path)
+    else:
+        with pytest.raises(InputError, match=message):
+            read_calibration(path)
