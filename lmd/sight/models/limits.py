@@ -1,7 +1,7 @@
 """What a detector needs of a tag: `Limits`, and the presets that hold those which were measured.
 
 A preset is a YAML file with the keys `detector`, `family` and those of `Limits`, and with its evidence as comments.
-`lmd/presets` has some; `pipelines.calibrate_detector` writes more of the same kind.
+`lmd/sight/models/presets` has some; `pipelines.calibrate_detector` writes more of the same kind.
 """
 
 import math
