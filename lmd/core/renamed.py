@@ -4,7 +4,7 @@
 MODULES = {
     "lmd.camera": "lmd.scene.camera",
     "lmd.camera_calibration": "lmd.scene.camera_calibration",
-    "lmd.deployment": "lmd.scene.deployment",
+    "lmd.deployment": "lmd.scene.deployment_sources",
     "lmd.localisation.trajectory": "lmd.estimation.flights",
     "lmd.localisation": "lmd.estimation",
     "lmd.mounting": "lmd.evaluation.mounting",
@@ -14,17 +14,6 @@ MODULES = {
     "lmd.sight.paper": "lmd.sight.models.paper",
     "lmd.tag": "lmd.scene.tag",
 }
-# Classes that have left the module their others are in.
-CLASSES = {
-    "lmd.deployment.FileDeployment": "lmd.scene.deployment_sources.FileDeployment",
-    "lmd.deployment.GivenDeployment": "lmd.scene.deployment_sources.GivenDeployment",
-    "lmd.deployment.RandomDeployment": "lmd.scene.deployment_sources.RandomDeployment",
-    "lmd.deployment.UniformDeployment": "lmd.scene.deployment_sources.UniformDeployment",
-    "lmd.scene.deployment.FileDeployment": "lmd.scene.deployment_sources.FileDeployment",
-    "lmd.scene.deployment.GivenDeployment": "lmd.scene.deployment_sources.GivenDeployment",
-    "lmd.scene.deployment.RandomDeployment": "lmd.scene.deployment_sources.RandomDeployment",
-    "lmd.scene.deployment.UniformDeployment": "lmd.scene.deployment_sources.UniformDeployment",
-}
 
 
 def renamed(target: str) -> str:
@@ -33,8 +22,6 @@ def renamed(target: str) -> str:
     >>> renamed("lmd.tag.Tag")
     'lmd.scene.tag.Tag'
     """
-    if target in CLASSES:
-        return CLASSES[target]
     for before, now in MODULES.items():
         if target.startswith(f"{before}."):
             return now + target.removeprefix(before)

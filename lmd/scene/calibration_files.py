@@ -26,10 +26,10 @@ COLMAP_MODELS = {
     "FULL_OPENCV": "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6",
     "OPENCV_FISHEYE": "fx fy cx cy k1 k2 k3 k4",
 }
-COLMAP_PIXEL_CENTRE = 0.5  # COLMAP counts from the image's border, ROS from the centre of the first pixel
+PIXEL_CENTRE = 0.5  # of the first pixel, from the image's border: ROS counts from the centre, COLMAP from the border
 MRCAL_LENSES = {"PINHOLE": 0, "OPENCV4": 4, "OPENCV5": 5, "OPENCV8": 8, "OPENCV12": 12}
 BROWN_CONRADY = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-FISHEYE = ("k1", "k2", "k3", "k4")
+FISHEYE_COEFFICIENTS = ("k1", "k2", "k3", "k4")
 
 
 def read_cameras(path: Any) -> dict[str, Keys]:
@@ -91,7 +91,7 @@ def _opencv_xml(text: str) -> dict[str, Any]:
 def _named(size: Any, values: Keys, fisheye: bool) -> Keys:
     """The keys of ROS from parameters by name: fx, fy, cx, cy, k1, ..."""
     matrix = [values["fx"], 0.0, values["cx"], 0.0, values["fy"], values["cy"], 0.0, 0.0, 1.0]
-    lens = [values.get(name, 0.0) for name in (FISHEYE if fisheye else BROWN_CONRADY)]
+    lens = [values.get(name, 0.0) for name in (FISHEYE_COEFFICIENTS if fisheye else BROWN_CONRADY)]
     return _ros(size, matrix, lens, "equidistant" if fisheye else "plumb_bob")
 
 
@@ -113,7 +113,7 @@ def _colmap(rows: list[str]) -> dict[str, Keys]:
         if "f" in values:
             values["fx"] = values["fy"] = values["f"]
         for centre in ("cx", "cy"):
-            values[centre] -= COLMAP_PIXEL_CENTRE
+            values[centre] -= PIXEL_CENTRE
         cameras[f"cam{name}"] = _named((int(width), int(height)), values, model == "OPENCV_FISHEYE")
     return cameras
 
@@ -122,7 +122,9 @@ def _mrcal(text: str) -> Keys:
     try:
         keys = ast.literal_eval(text.strip())
     except Exception as error:  # whatever a parser of a broken file runs into
-        raise InputError(f"it is no cameramodel of mrcal ({' '.join(str(error).split())}).") from None
+        raise InputError(
+            f"it is no cameramodel of mrcal ({' '.join(str(error).split()) or type(error).__name__})."
+        ) from None
     model = str(keys["lensmodel"]).removeprefix("LENSMODEL_")
     if model not in MRCAL_LENSES:
         raise _refuse(keys["lensmodel"], MRCAL_LENSES)

@@ -16,10 +16,9 @@ import numpy as np
 
 from lmd.core.checks import InputError, choice, integer, real, vector
 from lmd.geometry.equidistant import nearest_radial
-from lmd.scene.calibration_files import read_cameras
+from lmd.scene.calibration_files import PIXEL_CENTRE, read_cameras
 from lmd.scene.camera import Camera
 
-PIXEL_CENTRE = 0.5  # of the first pixel, from the image's border
 # OpenCV's coefficients begin with those that `lmd.geometry.distortion` has: k1, k2, p1, p2, k3.
 KNOWN_COEFFICIENTS = 5
 FISHEYE = "equidistant"

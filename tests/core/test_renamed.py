@@ -41,10 +41,6 @@ TARGETS = [
     "lmd.recorded_poses.RecordedPoses",
     "lmd.sight.fiducial.Fiducial",
     "lmd.sight.paper.Visibility",
-    "lmd.scene.deployment.FileDeployment",
-    "lmd.scene.deployment.GivenDeployment",
-    "lmd.scene.deployment.RandomDeployment",
-    "lmd.scene.deployment.UniformDeployment",
     "lmd.tag.Tag",
 ]
 
