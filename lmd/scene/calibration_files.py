@@ -26,7 +26,8 @@ COLMAP_MODELS = {
     "FULL_OPENCV": "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6",
     "OPENCV_FISHEYE": "fx fy cx cy k1 k2 k3 k4",
 }
-PIXEL_CENTRE = 0.5  # of the first pixel, from the image's border: ROS counts from the centre, COLMAP from the border
+# Of the first pixel, from the image's border: ROS and OpenCV count from the centre, COLMAP from the border.
+PIXEL_CENTRE = 0.5
 MRCAL_LENSES = {"PINHOLE": 0, "OPENCV4": 4, "OPENCV5": 5, "OPENCV8": 8, "OPENCV12": 12}
 BROWN_CONRADY = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 FISHEYE_COEFFICIENTS = ("k1", "k2", "k3", "k4")
