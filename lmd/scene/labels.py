@@ -5,10 +5,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, InputError, IntArray
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.core.tables import Table
 
 ID = "id"
+EDGE = "edge"  # the column with the edge of each tag, metres; empty where that is the edge of all
 LARGEST = 2**53  # above, not every whole number is a float
 
 
@@ -61,6 +62,24 @@ class Labels:
             return cls(given.astype(np.int64), columns)
         except InputError as error:
             raise InputError(f"{table.path}: {error}") from None
+
+    @property
+    def edges(self) -> FloatArray:
+        """The edge of each tag, metres, `(K,)`; NaN where the file does not say.
+
+        Raises:
+            InputError: one is no positive number.
+        """
+        texts = self.columns.get(EDGE, [""] * len(self.ids))
+        try:
+            edges = np.array([float(text or "nan") for text in texts])
+        except ValueError as error:
+            raise InputError(f"the column {EDGE} must be metres: {error}.") from None
+        if (wrong := np.flatnonzero((edges <= 0.0) | np.isinf(edges))).size:
+            raise InputError(
+                f"the column {EDGE} must be positive, landmark {self.ids[wrong[0]]} has {texts[wrong[0]]}."
+            )
+        return edges
 
     def __add__(self, other: "Labels") -> "Labels":
         """The labels of both; a column that one of them lacks is empty there."""

@@ -10,6 +10,7 @@ import numpy as np
 import pyapriltags
 import pytest
 import yaml
+from scipy.spatial.transform import Rotation
 
 from lmd.core.checks import InputError
 from lmd.geometry.se3 import camera_pose
@@ -24,6 +25,7 @@ from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
 from lmd.scene.tag import Tag
+from lmd.scene.tag_map_files import read_deployment
 from lmd.space.cuboid import Cuboid
 
 ROOM = Cuboid((6.0, 4.0, 2.8), (5.0, 3.0, 1.2), 0.5)
@@ -46,7 +48,8 @@ DEPLOYMENT = Deployment(
     np.array([normal for _, normal in PLACES.values()], dtype=float),
     labels=Labels(np.array(list(PLACES)), {"note": [f"note {number}" for number in PLACES]}),
 ).hung(ROOM)
-MAPS = tuple(name for name, form in FORMATS.items() if not form.on_paper)
+MAPS = tuple(name for name, form in FORMATS.items() if not form.on_paper and name != "duckietown")
+WITH_PLACES = tuple(name for name in MAPS if name != "apriltag_ros2")
 UNIT = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2.0  # AprilTag's own order: from the bottom left, to the right
 
 
@@ -95,6 +98,56 @@ def assert_camera_is_found(points, found):
     assert np.degrees(np.linalg.norm(cv2.Rodrigues(turn @ POSE[:3, :3])[0])) < 0.1
     back = cv2.projectPoints(objects, cv2.Rodrigues(turn)[0], shift, intrinsics(CAMERA), None)[0][:, 0]
     assert np.abs(back - corners).max() < 1.0  # with two corners exchanged, no pose fits
+
+
+def turned_anyhow(seed):
+    """Tags with random places and turns, two of them with edges of their own."""
+    rng = np.random.default_rng(seed)
+    axes = Rotation.random(9, rng).as_matrix()
+    edges = ["0.05", "", "0.4125", *[""] * 6]
+    places, labels = rng.uniform([0, 0, 0], [6, 4, 2.8], (9, 3)), Labels(rng.permutation(30)[:9], {"edge": edges})
+    return Deployment(places, axes[:, :, 2], labels=labels).turned("random", axes[:, :, 1])
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("family", ["36h11", "4x4_50"])
+@pytest.mark.parametrize("name", WITH_PLACES)
+def test_what_was_written_is_read_again(name, family, seed, tmp_path):
+    form, deployment = FORMATS[name], turned_anyhow(seed)
+    if form.check is TagMap.check_one_edge:
+        deployment = replace(deployment, labels=Labels(deployment.ids))
+    tags = TagMap(ROOM, Tag(EDGE, family), deployment)
+    form.write(tmp_path / "anything", tags=tags)
+    again = read_deployment(tmp_path / "anything", family=family)
+    np.testing.assert_array_equal(again.ids, deployment.ids)
+    for field in ("positions", "normals", "ups"):
+        np.testing.assert_allclose(getattr(again, field), getattr(deployment, field), atol=1e-7, err_msg=field)
+    if name not in ("wpilib", "frc971", "rtabmap"):  # which have no edge
+        np.testing.assert_allclose(TagMap(ROOM, Tag(EDGE, family), again).sizes, tags.sizes, rtol=1e-9)
+
+
+def test_duckietown_takes_tags_on_the_floor(tmp_path):
+    up = np.array([[0.0, 0.0, 1.0]] * 2)
+    lying = Deployment(np.array([[1.0, 2.0, 0.0], [3.0, 1.5, 0.0]]), up, labels=Labels(np.array([300, 17])))
+    turned = lying.turned("here", np.array([[0.0, 1.0, 0.0], [-np.sin(0.3), np.cos(0.3), 0.0]]))
+    Export(["duckietown"], "a4").writers(ROOM, Tag(0.065), turned)["tags.duckietown.yaml"](tmp_path / "map.yaml")
+    objects = yaml.safe_load((tmp_path / "map.yaml").read_text())["objects"]
+    assert objects["tag17"]["pose"]["~SE2Transform"] == {"p": [3.0, 1.5], "theta_deg": pytest.approx(np.degrees(0.3))}
+    assert objects["tag300"]["tag"]["~TagInstance"] == {"family": "36h11", "size": 0.065, "tag_id": 300}
+    again = read_deployment(tmp_path / "map.yaml")
+    np.testing.assert_allclose(again.ups, turned.ups, atol=1e-9)
+    np.testing.assert_allclose(again.positions, turned.positions)
+    with pytest.raises(InputError, match=r"^formats has duckietown: .* only, which tag 7 does not"):
+        Export(["duckietown"], "a4").writers(ROOM, Tag(EDGE), DEPLOYMENT)
+
+
+def test_what_has_one_edge_takes_no_tags_with_several():
+    several = turned_anyhow(0)
+    export = Export([*MAPS, "sheets"], "a4")
+    unfit = export.unfit(TagMap(ROOM, Tag(EDGE), several))
+    assert set(unfit) == {"fiducial_vlam", "rtabmap", "sheets"}
+    with pytest.raises(InputError, match=r"^formats has fiducial_vlam: .* 0\.05, 0\.3, 0\.4125 m"):
+        export.writers(ROOM, Tag(EDGE), several)
 
 
 def placed(pose, x, y):
@@ -219,6 +272,53 @@ def test_the_node_of_ros_2_is_told_what_to_look_for(files):
     assert parameters["tag"]["ids"] == list(PLACES)
     assert parameters["tag"]["frames"] == [f"tag_{number}" for number in PLACES]
     assert parameters["tag"]["sizes"] == [EDGE] * len(PLACES)
+
+
+@pytest.mark.parametrize("family", ["36h11", "4x4_50"])
+@pytest.mark.parametrize("name", ["clover", "rtabmap", "fiducial_vlam"])
+def test_those_who_detect_by_opencv_find_the_camera(name, family, tmp_path):
+    form = FORMATS[name]
+    form.write(tmp_path / form.file, tags=tag_map(family))
+    text = (tmp_path / form.file).read_text()
+    if name == "fiducial_vlam":
+        document = yaml.safe_load(text)
+        assert document["marker_length"] == EDGE
+        rows = [[tag["id"], *tag["xyz"], *tag["rpy"]] for tag in document["markers"]]
+    elif name == "rtabmap":
+        rows = [[float(value) for value in entry.split()] for entry in text.split("|")]
+    else:
+        lines = [line.split() for line in text.splitlines() if not line.startswith("#")]
+        assert {line[1] for line in lines} == {str(EDGE)}
+        rows = [[float(value) for value in (line[0], *line[2:5], *line[:4:-1])] for line in lines]
+    # Marker::corners_f_map, ArucoMap::addMarker and estimatePoseSingleMarkers: clockwise from the top left, y up.
+    points = {
+        int(number): placed(gtsam.Pose3(gtsam.Rot3.RzRyRx(*six[3:]), np.array(six[:3])), *(EDGE / 2.0 * CORNERS.T))
+        for number, *six in rows
+    }
+    assert_camera_is_found(
+        points, found_by_opencv(family, "DICT_APRILTAG_36h11" if family == "36h11" else "DICT_4X4_50")
+    )
+
+
+def test_limelight_counts_from_the_middle_of_the_field(files):
+    document = json.loads((files / "tags.fmap").read_text())
+    assert document["type"] == "frc"
+    points = {}
+    for tag in document["fiducials"]:
+        assert (tag["family"], tag["size"]) == ("apriltag3_36h11_classic", 1000.0 * EDGE)
+        pose = np.array(tag["transform"]).reshape(4, 4)
+        middle = pose[:3, 3] + [3.0, 2.0, 0.0]
+        points[tag["id"]] = np.array([middle + EDGE * (y * pose[:3, 1] + z * pose[:3, 2]) for y, z in UNIT])
+    assert_camera_is_found(points, found_by_apriltag())
+
+
+def test_frc971_looks_into_the_tag(files):
+    points = {}
+    for tag in json.loads((files / "tags.frc971.json").read_text())["target_poses"]:
+        turn = gtsam.Rot3.Quaternion(*(tag["orientation"][axis] for axis in "wxyz"))
+        pose = gtsam.Pose3(turn, np.array([tag["position"][axis] for axis in "xyz"]))
+        points[tag["id"]] = placed(pose, EDGE * UNIT[:, 0], -EDGE * UNIT[:, 1])  # y is down
+    assert_camera_is_found(points, found_by_apriltag())
 
 
 def test_by_hand():
