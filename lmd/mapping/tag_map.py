@@ -45,10 +45,6 @@ class TagMap:
 
     def __post_init__(self) -> None:
         self.tag.check_edge()
-        self.check_ids()
-
-    def check_ids(self) -> None:
-        """Raise `InputError` if the family lacks an id."""
         self.tag.check_ids(self.deployment.ids)
 
     @property

@@ -16,17 +16,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from lmd.core.checks import FloatArray, InputError, integer, real, vector
 from lmd.core.files import parse_keys, read_text
 from lmd.core.tables import COMMENT, read_table
+from lmd.geometry.se3 import exp
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import EDGE, Labels
 from lmd.scene.tag import FAMILIES
 
 Keys = Mapping[str, Any]
-LARGEST_MAP = 1 << 22  # bytes; a tag has some hundred
+LARGEST_MAP = 1 << 22  # characters of YAML or JSON; a tag has some hundred
 INCH = 0.0254  # metres
 MM = 1e-3  # metres
 UNIT_TOLERANCE = 0.01  # of a quaternion printed with two decimals
@@ -69,7 +69,7 @@ def read_deployment(path: Any, name: str = "path", family: str | None = None) ->
     Raises:
         InputError: the file cannot be read, or is no map with the places of tags.
     """
-    text = read_text(path, name, LARGEST_MAP)
+    text = read_text(path, name)
     try:
         tags, by_opencv = _tags_of(path, text, name)
         if tags is None:
@@ -101,6 +101,8 @@ def _tags_of(path: Any, text: str, name: str) -> tuple[list[PlacedTag] | None, b
     lines = [line for line in text.splitlines() if line.strip() and line.lstrip()[0] != COMMENT]
     first = lines[0] if lines else ""
     if IS_JSON.match(text) or re.match(r"%YAML|---|\s*['\"]?[\w/*]+['\"]?\s*:", first):
+        if len(text) > LARGEST_MAP:
+            raise InputError(f"a map has at most {LARGEST_MAP} characters, it has {len(text)}.")
         keys = parse_keys(path, text, name)
         for reader in READERS:
             if reader.marks <= keys.keys():
@@ -131,6 +133,8 @@ def _turn(x: float, y: float, z: float, w: float) -> FloatArray:
     Raises:
         InputError: its length is not 1.
     """
+    from scipy.spatial.transform import Rotation  # slow to load
+
     length = float(np.linalg.norm([x, y, z, w]))
     if abs(length - 1.0) > UNIT_TOLERANCE:
         raise InputError(
@@ -141,6 +145,8 @@ def _turn(x: float, y: float, z: float, w: float) -> FloatArray:
 
 def _roll_pitch_yaw(angles: Sequence[float] | FloatArray) -> FloatArray:
     """The matrix of ROS's `setRPY`, Rz(yaw) Ry(pitch) Rx(roll)."""
+    from scipy.spatial.transform import Rotation  # slow to load
+
     return np.asarray(Rotation.from_euler("xyz", angles).as_matrix())
 
 
@@ -155,11 +161,11 @@ def _wpilib_csv(path: Any, name: str) -> list[PlacedTag]:
     """Inches, and degrees about z and then about y, as the drawings of a field have them."""
     table = read_table(path, name=name)
     rows = table.numbers(tuple(table.texts)[:6])
-    turns = Rotation.from_euler("ZY", np.pad(rows, ((0, 0), (0, 6 - rows.shape[1])))[:, 4:], degrees=True).as_matrix()
-    return [
-        PlacedTag(_number(row[0]), INCH * row[1:4], turn @ OUT_RIGHT_UP.T)
-        for row, turn in zip(rows, turns, strict=True)
-    ]
+    found = []
+    for number, x, y, z, yaw, pitch in np.pad(rows, ((0, 0), (0, 6 - rows.shape[1]))).tolist():
+        turn = _roll_pitch_yaw(np.radians([0.0, pitch, yaw]))
+        found.append(PlacedTag(_number(number), INCH * np.array([x, y, z]), turn @ OUT_RIGHT_UP.T))
+    return found
 
 
 def _own_json(keys: Keys) -> Iterable[PlacedTag]:
@@ -185,6 +191,8 @@ def _orthonormal(matrix: FloatArray) -> FloatArray:
     Raises:
         InputError: it is none.
     """
+    from scipy.spatial.transform import Rotation  # slow to load
+
     off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
     if off > UNIT_TOLERANCE or np.linalg.det(matrix) < 0.0:
         raise InputError(f"the rotation {np.round(matrix, 4).tolist()} must be orthonormal and right-handed.")
@@ -244,7 +252,7 @@ def _tagslam_pose(pose: Keys) -> tuple[FloatArray, FloatArray]:
     position, rotation = (
         _numbers(pose.get(key) or dict.fromkeys("xyz", 0.0), "xyz") for key in ("position", "rotation")
     )
-    return position, np.asarray(Rotation.from_rotvec(rotation).as_matrix())
+    return position, exp(np.concatenate([rotation, np.zeros(3)]))[:3, :3]
 
 
 def _fiducial_vlam(keys: Keys) -> Iterable[PlacedTag]:
