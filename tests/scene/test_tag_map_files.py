@@ -200,6 +200,7 @@ objects:
         ('{"tags": []}', "it has no tags with places"),
         ('{"tags": [{"ID": -1, "pose": 3}]}', "is missing or wrong"),
         ('{"layout": []}', "no tag map that is known here .*: it has layout"),
+        ("tag_bundles: [3]", "a mapping was expected where there is none"),
         ("/**: {ros__parameters: {family: 36h11}}", r"no tag map that is known here .*: it has /\*\*"),
         ("1 0.3 a 2", "could not convert string to float"),
         ("1 0.3 1 2 3 4 5 6 7", "must be: id length x y z yaw pitch roll"),
