@@ -34,12 +34,6 @@ def test_importing_it_loads_neither_the_compiler_nor_a_library_that_only_some_ne
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_what_the_main_job_imports_loads_no_library_that_reading_a_tag_map_needs():
-    job = "lmd.problem, lmd.scene.deployment_sources, lmd.mapping.formats, lmd.optimisers.annealing"
-    code = f"import sys, {job}; assert 'scipy.spatial' not in sys.modules"
-    subprocess.run([sys.executable, "-c", code], check=True)
-
-
 def test_the_default_is_annealing_and_any_optimiser_can_take_its_place():
     p = problem()
     default, other = lmd.optimise(p, evaluations=100, seed=1), lmd.optimise(p, evaluations=100, optimiser=EGA(seed=1))
