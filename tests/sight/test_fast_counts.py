@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+from contracts.criterion import check_counts
 from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
@@ -33,19 +34,15 @@ RNG = np.random.default_rng(0)
 any_case = st.one_of(scenes_with_deployments(), scenes_with_boundary_landmarks())
 
 
-def assert_counts_are_the_references(scene, deployment, threads=1):
-    assert_array_equal(Evaluator(scene, threads=threads).counts(deployment), reference.counts(scene, deployment))
-
-
-@given(scenes_with_deployments())
-def test_counts_are_those_of_the_reference(case):
-    assert_counts_are_the_references(*case)
+@given(scenes_with_deployments(), st.integers(1, 4))
+def test_counts_are_those_of_the_reference(case, n):
+    check_counts(*case, n)
 
 
 @examples(300)
-@given(scenes_with_boundary_landmarks())
-def test_counts_on_a_boundary_are_those_of_the_reference(case):
-    assert_counts_are_the_references(*case)
+@given(scenes_with_boundary_landmarks(), st.integers(1, 3))
+def test_counts_on_a_boundary_are_those_of_the_reference(case, n):
+    check_counts(*case, n)
 
 
 @pytest.mark.parametrize("occlusion", ["paper", "line_of_sight", "none"])
@@ -53,7 +50,7 @@ def test_counts_on_a_boundary_are_those_of_the_reference(case):
 @pytest.mark.parametrize("build", [pdf.grid_with_ends, pdf.grid_of_cells, pdf.solid_angle])
 def test_counts_in_the_room_of_the_paper_are_those_of_the_reference(build, source, occlusion):
     scene = paper_scene(paper_room(spacing=1.0), orientations=build(), occlusion=occlusion)
-    assert_counts_are_the_references(scene, source.draw(scene.room, np.random.default_rng(5)), threads=2)
+    check_counts(scene, source.draw(scene.room, np.random.default_rng(5)), 2, threads=2)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0], ids=["upper", "lower"])
@@ -69,7 +66,7 @@ def test_an_axis_on_the_rim_of_a_cap_counts_at_whatever_height_it_is(rim, side):
     else:
         depth, away = 2.0, math.acos(scene.sight.min_cosine)
     landmarks = here + depth * optical_axis(np.zeros(len(pitch)), pitch - side * away)
-    assert_counts_are_the_references(scene, facing(here, *landmarks))
+    check_counts(scene, facing(here, *landmarks), 1)
 
 
 @pytest.mark.parametrize(
