@@ -5,7 +5,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import deepcopy
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 import hydra
@@ -223,7 +223,13 @@ def note_edges(tag: "Tag", deployment: "Deployment") -> None:
     other = [f"{number} ({edge:g} m)" for number, edge in own.items() if abs(edge - tag.size) > SAME_EDGE]
     if other:
         few = ", ".join(other[:MENTIONED]) + (f" and {len(other) - MENTIONED} more" * (len(other) > MENTIONED))
-        print(f"note: tag.edge = {tag.size:g} m counts for all tags; by their map others have {few}", file=sys.stderr)
+        _note(f"tag.edge = {tag.size:g} m counts for all tags; by their map others have {few}")
+
+
+@cache
+def _note(text: str) -> None:
+    """Say it once, however many problems a process builds."""
+    print(f"note: {text}", file=sys.stderr)
 
 
 def _poses(cfg: DictConfig) -> "tuple[Space, OrientationPdf, RecordedPoses | None]":

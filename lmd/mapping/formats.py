@@ -37,14 +37,15 @@ class Format(NamedTuple):
             plan, where north is as `north` too.
         only_apriltag: whether its readers know the families of AprilTag only.
         on_paper: whether it is printed.
-        check: raises `InputError`, a clause without its subject, if it cannot hold the tags of a map.
+        check: raises `InputError`, a clause without its subject, if it cannot hold the tags of a map; None where it
+            holds any.
     """
 
     file: str
     write: Callable[..., None]
     only_apriltag: bool = False
     on_paper: bool = False
-    check: Callable[[TagMap], None] = TagMap.check_ids
+    check: Callable[[TagMap], None] | None = None
 
 
 FORMATS = {
@@ -136,7 +137,8 @@ class Export:
         reasons = {}
         for name in self.formats:
             try:
-                FORMATS[name].check(tags)
+                if (check := FORMATS[name].check) is not None:
+                    check(tags)
             except InputError as error:
                 reasons[name] = str(error)
         return reasons

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 from lmd.mapping.tag_map import TagMap, axes, written
-from lmd.scene.tag_map_files import INTO
+from lmd.scene.tag_map_readers import INTO
 
 
 def write_frc971(path: Path, tags: TagMap) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from lmd.mapping.tag_map import TagMap, written
 from lmd.scene.camera import MM_PER_M
-from lmd.scene.tag_map_files import OUT_RIGHT_UP
+from lmd.scene.tag_map_readers import OUT_RIGHT_UP
 
 
 def write_limelight(path: Path, tags: TagMap) -> None:

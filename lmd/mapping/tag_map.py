@@ -13,7 +13,7 @@ from lmd.core.checks import FloatArray, InputError, IntArray
 from lmd.geometry.squares import corners
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import FAMILIES, Tag
-from lmd.scene.tag_map_files import HALF_TURN
+from lmd.scene.tag_map_readers import HALF_TURN
 from lmd.space.fixture import Fixture
 from lmd.space.space import Space
 from lmd.space.surface import FLAT
@@ -45,10 +45,6 @@ class TagMap:
 
     def __post_init__(self) -> None:
         self.tag.check_edge()
-        self.check_ids()
-
-    def check_ids(self) -> None:
-        """Raise `InputError` if the family lacks an id."""
         self.tag.check_ids(self.deployment.ids)
 
     @property

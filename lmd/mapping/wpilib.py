@@ -10,7 +10,7 @@ import json
 from pathlib import Path
 
 from lmd.mapping.tag_map import TagMap, axes, written
-from lmd.scene.tag_map_files import OUT_RIGHT_UP
+from lmd.scene.tag_map_readers import OUT_RIGHT_UP
 
 
 def write_wpilib(path: Path, tags: TagMap) -> None:

@@ -22,7 +22,7 @@ class Labels:
         columns: further columns of the file by name, K texts each.
 
     Raises:
-        InputError: an id is negative, or occurs twice.
+        InputError: an id is negative, or occurs twice; an edge is no positive number.
     """
 
     ids: IntArray
@@ -37,6 +37,9 @@ class Labels:
             raise InputError(f"id {twice[0]} belongs to {counts.max()} landmarks; ids must be different.")
         if ids.min() < 0:
             raise InputError(f"id {ids.min()} is negative.")
+        if EDGE in self.columns and (wrong := np.flatnonzero((self.edges <= 0.0) | np.isinf(self.edges))).size:
+            text = self.columns[EDGE][wrong[0]]
+            raise InputError(f"{EDGE} must be positive metres, landmark {ids[wrong[0]]} has {text}.")
 
     @classmethod
     def of(cls, table: Table, known: Sequence[str]) -> "Labels":
@@ -65,21 +68,12 @@ class Labels:
 
     @property
     def edges(self) -> FloatArray:
-        """The edge of each tag, metres, `(K,)`; NaN where the file does not say.
-
-        Raises:
-            InputError: one is no positive number.
-        """
+        """The edge of each tag, metres, `(K,)`; NaN where the file does not say."""
         texts = self.columns.get(EDGE, [""] * len(self.ids))
         try:
-            edges = np.array([float(text or "nan") for text in texts])
+            return np.array([float(text or "nan") for text in texts])
         except ValueError as error:
-            raise InputError(f"the column {EDGE} must be metres: {error}.") from None
-        if (wrong := np.flatnonzero((edges <= 0.0) | np.isinf(edges))).size:
-            raise InputError(
-                f"the column {EDGE} must be positive, landmark {self.ids[wrong[0]]} has {texts[wrong[0]]}."
-            )
-        return edges
+            raise InputError(f"{EDGE} must be positive metres: {error}.") from None
 
     def __add__(self, other: "Labels") -> "Labels":
         """The labels of both; a column that one of them lacks is empty there."""

@@ -1,59 +1,30 @@
 """Tag maps of several ecosystems, read as deployments; `lmd.mapping` writes them.
 
-Which format a file has follows from its content. Every reader gives the poses of tags in one frame: x to the right of
-the tag, y up, z out of it to whoever looks at it. A format is the same with axes named otherwise, or counted from
-another origin.
+Which format a file has follows from its content. `lmd.scene.tag_map_readers` has those in YAML and JSON; here are the
+texts.
 
-Sources: `AprilTagFieldLayout` and `convert_apriltag_layouts.py` of WPILib; `TagDetector` of AprilRobotics/apriltag_ros;
-`Board::parse` and `example/tagslam.yaml` of TagSLAM; `Marker::corners_f_map` of ptrmu/fiducial_vlam; `MarkerMap` of
-ArUco 3; `ArucoMap::addMarker` of CopterExpress/clover; `SE2Transform` of duckietown-world; `target_map.fbs` of frc971;
-"AprilTag Map Specification" of Limelight; `Marker/Priors` of RTAB-Map.
+Sources: `convert_apriltag_layouts.py` of WPILib; `ArucoMap::addMarker` of CopterExpress/clover; `Marker/Priors` of
+RTAB-Map.
 """
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from lmd.core.checks import FloatArray, InputError, integer, real, vector
+from lmd.core.checks import InputError, real
 from lmd.core.files import parse_keys, read_text
 from lmd.core.tables import COMMENT, read_table
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import EDGE, Labels
 from lmd.scene.tag import FAMILIES
+from lmd.scene.tag_map_readers import HALF_TURN, OUT_RIGHT_UP, READERS, PlacedTag, number_of, roll_pitch_yaw
 
-Keys = Mapping[str, Any]
-LARGEST_MAP = 1 << 22  # bytes; a tag has some hundred
+LARGEST_MAP = 1 << 22  # characters of YAML or JSON; a tag has some hundred
 INCH = 0.0254  # metres
-MM = 1e-3  # metres
-UNIT_TOLERANCE = 0.01  # of a quaternion printed with two decimals
-SQUARE_TOLERANCE = 0.05  # of the sides of a measured square, relative to the longest
 IS_JSON = re.compile(r"(\s|//[^\n]*\n|/\*.*?\*/)*{", re.DOTALL)  # comments may come first
-METRES = 1  # aruco_bc_mInfoType of a map in metres
-# The columns are a format's axes in the frame of a tag: x right, y up, z out.
-OUT_RIGHT_UP = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # WPILib: x out, y to the right, z up
-INTO = np.diag([1.0, -1.0, -1.0])  # frc971, as AprilTag 3: x right, y down, z into the tag
-# OpenCV has the pictures of AprilTag turned by half a turn: whoever detects with it means another up.
-HALF_TURN = np.diag([-1.0, -1.0, 1.0])
-
-
-class PlacedTag(NamedTuple):
-    """A tag of a map.
-
-    Args:
-        number: its id.
-        position: of its centre, `(3,)`, metres.
-        axes: from its frame (x right, y up, z out) to that of the map, `(3, 3)`.
-        edge: of the black square, metres; None where the map does not say.
-    """
-
-    number: int
-    position: FloatArray
-    axes: FloatArray
-    edge: float | None = None
 
 
 def read_deployment(path: Any, name: str = "path", family: str | None = None) -> Deployment:
@@ -69,7 +40,7 @@ def read_deployment(path: Any, name: str = "path", family: str | None = None) ->
     Raises:
         InputError: the file cannot be read, or is no map with the places of tags.
     """
-    text = read_text(path, name, LARGEST_MAP)
+    text = read_text(path, name)
     try:
         tags, by_opencv = _tags_of(path, text, name)
         if tags is None:
@@ -84,6 +55,8 @@ def read_deployment(path: Any, name: str = "path", family: str | None = None) ->
         raise error if known else InputError(f"{path}: {error}") from None
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise InputError(f"{path}: the key or value {error} is missing or wrong.") from None
+    except AttributeError:
+        raise InputError(f"{path}: a mapping was expected where there is none.") from None
 
 
 def _deployment(path: str | Path, tags: Sequence[PlacedTag]) -> Deployment:
@@ -101,6 +74,8 @@ def _tags_of(path: Any, text: str, name: str) -> tuple[list[PlacedTag] | None, b
     lines = [line for line in text.splitlines() if line.strip() and line.lstrip()[0] != COMMENT]
     first = lines[0] if lines else ""
     if IS_JSON.match(text) or re.match(r"%YAML|---|\s*['\"]?[\w/*]+['\"]?\s*:", first):
+        if len(text) > LARGEST_MAP:
+            raise InputError(f"a map has at most {LARGEST_MAP} characters, it has {len(text)}.")
         keys = parse_keys(path, text, name)
         for reader in READERS:
             if reader.marks <= keys.keys():
@@ -117,175 +92,15 @@ def _tags_of(path: Any, text: str, name: str) -> tuple[list[PlacedTag] | None, b
     return None, False
 
 
-def _numbers(keys: Keys, names: Iterable[str]) -> FloatArray:
-    return np.array([real(name, keys[name]) for name in names])
-
-
-def _number(value: Any) -> int:
-    return integer("id", value, low=0)
-
-
-def _turn(x: float, y: float, z: float, w: float) -> FloatArray:
-    """The matrix of a unit quaternion.
-
-    Raises:
-        InputError: its length is not 1.
-    """
-    length = float(np.linalg.norm([x, y, z, w]))
-    if abs(length - 1.0) > UNIT_TOLERANCE:
-        raise InputError(
-            f"the quaternion x, y, z, w = {x:g}, {y:g}, {z:g}, {w:g} must have length 1, it has {length:g}."
-        )
-    return np.asarray(Rotation.from_quat([x, y, z, w]).as_matrix())
-
-
-def _roll_pitch_yaw(angles: Sequence[float] | FloatArray) -> FloatArray:
-    """The matrix of ROS's `setRPY`, Rz(yaw) Ry(pitch) Rx(roll)."""
-    return np.asarray(Rotation.from_euler("xyz", angles).as_matrix())
-
-
-def _wpilib(keys: Keys) -> Iterable[PlacedTag]:
-    for tag in keys["tags"]:
-        pose = tag["pose"]
-        turn = _turn(*_numbers(pose["rotation"]["quaternion"], "XYZW"))
-        yield PlacedTag(_number(tag["ID"]), _numbers(pose["translation"], "xyz"), turn @ OUT_RIGHT_UP.T)
-
-
 def _wpilib_csv(path: Any, name: str) -> list[PlacedTag]:
     """Inches, and degrees about z and then about y, as the drawings of a field have them."""
     table = read_table(path, name=name)
     rows = table.numbers(tuple(table.texts)[:6])
-    turns = Rotation.from_euler("ZY", np.pad(rows, ((0, 0), (0, 6 - rows.shape[1])))[:, 4:], degrees=True).as_matrix()
-    return [
-        PlacedTag(_number(row[0]), INCH * row[1:4], turn @ OUT_RIGHT_UP.T)
-        for row, turn in zip(rows, turns, strict=True)
-    ]
-
-
-def _own_json(keys: Keys) -> Iterable[PlacedTag]:
-    for tag in keys["tags"]:
-        turn = _turn(*_numbers(tag["quaternion"], "xyzw"))
-        edge = real(EDGE, tag.get(EDGE, keys[EDGE]), above=0.0)
-        yield PlacedTag(_number(tag["id"]), np.array(vector("position", tag["position"], 3)), turn, edge)
-
-
-def _limelight(keys: Keys) -> Iterable[PlacedTag]:
-    """From the middle of the field, as the file counts; from its corner where the file says how large the field is."""
-    middle = np.array([real(name, keys.get(name, 0.0)) / 2.0 for name in ("fieldlength", "fieldwidth")])
-    for tag in keys["fiducials"]:
-        pose = np.array(vector("transform", tag["transform"], 16)).reshape(4, 4)
-        axes = _orthonormal(pose[:3, :3])
-        edge = MM * real("size", tag["size"], above=0.0) if "size" in tag else None
-        yield PlacedTag(_number(tag["id"]), pose[:3, 3] + [*middle, 0.0], axes @ OUT_RIGHT_UP.T, edge)
-
-
-def _orthonormal(matrix: FloatArray) -> FloatArray:
-    """The rotation nearest to a matrix printed with a few decimals.
-
-    Raises:
-        InputError: it is none.
-    """
-    off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
-    if off > UNIT_TOLERANCE or np.linalg.det(matrix) < 0.0:
-        raise InputError(f"the rotation {np.round(matrix, 4).tolist()} must be orthonormal and right-handed.")
-    return np.asarray(Rotation.from_matrix(matrix).as_matrix())
-
-
-def _frc971(keys: Keys) -> Iterable[PlacedTag]:
-    for tag in keys["target_poses"]:
-        turn = _turn(*_numbers(tag["orientation"], "xyzw"))
-        yield PlacedTag(_number(tag["id"]), _numbers(tag["position"], "xyz"), turn @ INTO)
-
-
-def _apriltag_ros(keys: Keys) -> Iterable[PlacedTag]:
-    bundles = [bundle for bundle in keys.get("tag_bundles") or () if bundle.get("layout")]
-    if not bundles:
-        raise InputError("its tags are standalone_tags, which have no places; a map is a bundle of tag_bundles.")
-    if len(bundles) > 1:
-        names = ", ".join(str(bundle.get("name", "without a name")) for bundle in bundles)
-        raise InputError(f"it has the bundles {names}, each in a frame of its own: leave one of them in the file.")
-    # What TagDetector takes for keys that are not there.
-    defaults = {"x": 0.0, "y": 0.0, "z": 0.0, "qx": 0.0, "qy": 0.0, "qz": 0.0, "qw": 1.0}
-    for tag in bundles[0]["layout"]:
-        values = _numbers({**defaults, **tag}, defaults)
-        yield PlacedTag(_number(tag["id"]), values[:3], _turn(*values[3:]), real("size", tag["size"], above=0.0))
-
-
-def _tagslam(keys: Keys) -> Iterable[PlacedTag]:
-    """Tags of the static bodies; the others are what TagSLAM looks for."""
-    for entry in keys["bodies"]:
-        for name, body in entry.items():
-            own = list(_on_body(body)) if body.get("is_static") else []
-            if own and not body.get("pose"):
-                raise InputError(f"the body {name!r} has no pose: give it one, such as that which TagSLAM found.")
-            if own:
-                position, turn = _tagslam_pose(body["pose"])
-                for tag in own:
-                    yield tag._replace(position=turn @ tag.position + position, axes=turn @ tag.axes)
-
-
-def _on_body(body: Keys) -> Iterable[PlacedTag]:
-    """The tags of a body in its frame: listed, or those of a board in rows from its corner on."""
-    for tag in body.get("tags") or ():
-        position, turn = _tagslam_pose(tag.get("pose") or {})
-        size = real("size", tag.get("size", body.get("default_tag_size")), above=0.0)
-        yield PlacedTag(_number(tag["id"]), position, turn, size)
-    if board := body.get("board"):
-        size = real("tag_size", board["tag_size"], above=0.0)
-        pitch = size * (1.0 + real("tag_spacing", board["tag_spacing"]))
-        rows, columns = (integer(name, board[name], low=1, high=1000) for name in ("tag_rows", "tag_columns"))
-        for k in range(rows * columns):
-            centre = pitch * np.array([k % columns, k // columns, 0.0])
-            yield PlacedTag(_number(board["tag_start_id"]) + k, centre, np.eye(3), size)
-
-
-def _tagslam_pose(pose: Keys) -> tuple[FloatArray, FloatArray]:
-    """Position and rotation; what is not there is zero."""
-    position, rotation = (
-        _numbers(pose.get(key) or dict.fromkeys("xyz", 0.0), "xyz") for key in ("position", "rotation")
-    )
-    return position, np.asarray(Rotation.from_rotvec(rotation).as_matrix())
-
-
-def _fiducial_vlam(keys: Keys) -> Iterable[PlacedTag]:
-    edge = real("marker_length", keys["marker_length"], above=0.0)
-    for tag in keys["markers"]:
-        if "q" in tag:  # of older files
-            position, turn = tag["t"], _turn(*vector("q", tag["q"], 4))
-        else:
-            position, turn = tag["xyz"], _roll_pitch_yaw(vector("rpy", tag["rpy"], 3))
-        yield PlacedTag(_number(tag["id"]), np.array(vector("xyz", position, 3)), turn, edge)
-
-
-def _aruco(keys: Keys) -> Iterable[PlacedTag]:
-    if keys.get("aruco_bc_mInfoType", METRES) != METRES:
-        raise InputError(f"aruco_bc_mInfoType must be {METRES}, metres, got {keys['aruco_bc_mInfoType']!r}.")
-    for tag in keys["aruco_bc_markers"]:
-        corners = np.array([vector("corners", corner, 3) for corner in tag["corners"]])
-        if corners.shape != (4, 3):
-            raise InputError(f"the marker {tag['id']} must have four corners, it has {len(corners)}.")
-        sides = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)
-        if np.ptp(sides) > SQUARE_TOLERANCE * sides.max():
-            raise InputError(f"the marker {tag['id']} must be a square, its sides are {np.round(sides, 6).tolist()} m.")
-        # From the left to the right and from the lower to the upper corners, clockwise from the top left.
-        right, up = corners[1] + corners[2] - corners[0] - corners[3], corners[0] + corners[1] - corners[2] - corners[3]
-        right /= np.linalg.norm(right)
-        up -= (up @ right) * right
-        up /= np.linalg.norm(up)
-        axes = np.stack([right, up, np.cross(right, up)], axis=-1)
-        yield PlacedTag(_number(tag["id"]), corners.mean(axis=0), axes, float(sides.mean()))
-
-
-def _duckietown(keys: Keys) -> Iterable[PlacedTag]:
-    """Tags that lie on the floor; those of traffic signs belong to signs, whose heights the map does not say."""
-    for thing in keys["objects"].values():
-        if thing.get("kind") != "floor_tag":
-            continue
-        tag, pose = thing["tag"]["~TagInstance"], thing["pose"]["~SE2Transform"]
-        x, y = vector("p", pose["p"], 2)
-        theta = real("theta", np.radians(pose["theta_deg"]) if "theta_deg" in pose else pose["theta"])
-        edge = real("size", tag["size"], above=0.0)
-        yield PlacedTag(_number(tag["tag_id"]), np.array([x, y, 0.0]), _roll_pitch_yaw([0.0, 0.0, theta]), edge)
+    found = []
+    for number, x, y, z, yaw, pitch in np.pad(rows, ((0, 0), (0, 6 - rows.shape[1]))).tolist():
+        turn = roll_pitch_yaw(np.radians([0.0, pitch, yaw]))
+        found.append(PlacedTag(number_of(number), INCH * np.array([x, y, z]), turn @ OUT_RIGHT_UP.T))
+    return found
 
 
 def _clover(line: str) -> PlacedTag:
@@ -294,8 +109,8 @@ def _clover(line: str) -> PlacedTag:
     if not 2 <= len(values) <= 6:
         raise InputError(f"{line.strip()!r} must be: id length x y z yaw pitch roll.")
     x, y, z, yaw, pitch, roll = np.pad([float(value) for value in values], (0, 6 - len(values)))
-    turn = _roll_pitch_yaw([roll, pitch, yaw])
-    return PlacedTag(_number(int(number)), np.array([x, y, z]), turn, real("length", float(edge), above=0.0))
+    turn = roll_pitch_yaw([roll, pitch, yaw])
+    return PlacedTag(number_of(int(number)), np.array([x, y, z]), turn, real("length", float(edge), above=0.0))
 
 
 def _rtabmap(text: str) -> list[PlacedTag]:
@@ -306,35 +121,5 @@ def _rtabmap(text: str) -> list[PlacedTag]:
         if len(values) != 6:
             raise InputError(f"{entry!r} must be: id x y z roll pitch yaw.")
         place = np.array([float(value) for value in values])
-        found.append(PlacedTag(_number(int(number)), place[:3], _roll_pitch_yaw(place[3:])))
+        found.append(PlacedTag(number_of(int(number)), place[:3], roll_pitch_yaw(place[3:])))
     return found
-
-
-class Reader(NamedTuple):
-    """A format in YAML or JSON.
-
-    Args:
-        format: what it is called.
-        marks: keys that only files of this format have.
-        read: gives the tags.
-        by_opencv: whether those who read such files detect by OpenCV.
-    """
-
-    format: str
-    marks: frozenset[str]
-    read: Callable[[Keys], Iterable[PlacedTag]]
-    by_opencv: bool = False
-
-
-READERS = (
-    Reader("lmd", frozenset({"tags", "family", EDGE}), _own_json),
-    Reader("WPILib", frozenset({"tags"}), _wpilib),
-    Reader("Limelight", frozenset({"fiducials"}), _limelight),
-    Reader("frc971", frozenset({"target_poses"}), _frc971),
-    Reader("apriltag_ros", frozenset({"tag_bundles"}), _apriltag_ros),
-    Reader("apriltag_ros", frozenset({"standalone_tags"}), _apriltag_ros),
-    Reader("TagSLAM", frozenset({"bodies"}), _tagslam),
-    Reader("fiducial_vlam", frozenset({"markers", "marker_length"}), _fiducial_vlam, by_opencv=True),
-    Reader("ArUco", frozenset({"aruco_bc_markers"}), _aruco),
-    Reader("Duckietown", frozenset({"objects"}), _duckietown),
-)

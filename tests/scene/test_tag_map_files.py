@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 from lmd.core.checks import InputError
 from lmd.scene.deployment_sources import FileDeployment
-from lmd.scene.tag_map_files import read_deployment
+from lmd.scene.tag_map_files import LARGEST_MAP, read_deployment
 from lmd.space.cuboid import Cuboid
 
 REAL = Path(__file__).parents[2] / "../shared/real/layouts"
@@ -200,6 +200,7 @@ objects:
         ('{"tags": []}', "it has no tags with places"),
         ('{"tags": [{"ID": -1, "pose": 3}]}', "is missing or wrong"),
         ('{"layout": []}', "no tag map that is known here .*: it has layout"),
+        ("tag_bundles: [3]", "a mapping was expected where there is none"),
         ("/**: {ros__parameters: {family: 36h11}}", r"no tag map that is known here .*: it has /\*\*"),
         ("1 0.3 a 2", "could not convert string to float"),
         ("1 0.3 1 2 3 4 5 6 7", "must be: id length x y z yaw pitch roll"),
@@ -207,6 +208,9 @@ objects:
         ("1 0.1 0 0\n1 0.1 1 0\n", "id 1 belongs to 2 landmarks"),
         (json.dumps(WPILIB).replace('"Z": 1.0', '"Z": 2.0'), "must have length 1, it has 2"),
         ("{", "cannot be read as YAML or JSON"),
+        ("{" + " " * LARGEST_MAP, "has at most 4194304 characters"),
+        ("x,y,z,nx,ny,nz,edge\n1,0,1,0,1,0,wide\n", "edge must be positive metres: .*'wide'"),
+        ("x,y,z,nx,ny,nz,edge\n1,0,1,0,1,0,\n2,0,1,0,1,0,-0.1\n", "edge must be positive metres, landmark 1 has -0.1"),
     ],
 )
 def test_what_is_no_map_is_refused_with_the_name_of_the_file(read, text, message, tmp_path):
