@@ -29,7 +29,7 @@ def check_criterion(criteria, camera, seed=0):
     rng = np.random.default_rng(seed)
     check_members(criteria, camera, rng)
     rolls = [(-0.4, 0.5), (0.3, 0.5)] if criteria.needs_roll else 0.0
-    orientations = pdf.grid_with_ends(6, rolls)
+    orientations = pdf.grid_with_ends(4, rolls)
     rig = Rig((Mount(camera, (0.1, 0.0, 0.0)), Mount(camera, yaw=2.0)))
     for room, eye in ((Cuboid((4.0, 3.0, 2.5), (3.2, 2.2, 1.5), 0.8), camera), (lab(spacing=1.0), rig)):
         scene = Scene(room, eye, orientations, criteria)
@@ -37,7 +37,7 @@ def check_criterion(criteria, camera, seed=0):
         seen = reference.counts(scene, deployment)
         assert 0 < seen.max() < len(deployment), "the camera sees no landmark, or all of them at once"
         check_every_path(scene, deployment, targets, 2, rng)
-        assert check_gains(scene, deployment[:6], rng), "none of six landmarks is covered on its own"
+        assert check_gains(scene, deployment[:4], rng), "none of four landmarks is covered on its own"
         check_slack(scene, 1.0, rng)
         check_shrunk(scene, deployment)
 

@@ -23,7 +23,7 @@ class NanProblem(Problem):
         return fitness
 
 
-def check_optimiser(make, problem, folder, evaluations=200):
+def check_optimiser(make, problem, folder, evaluations=150):
     """Check all that follows.
 
     Args:

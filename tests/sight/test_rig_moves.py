@@ -1,7 +1,7 @@
-"""Moves of single landmarks before a rig, and what poses gain before it, against the reference."""
+"""Moves of single landmarks before a rig, against the reference."""
 
 import numpy as np
-from contracts.criterion import check_every_path, check_gains, check_slack
+from contracts.criterion import check_every_path
 from examples import examples
 from floor_plans import lab
 from hypothesis import given
@@ -22,20 +22,11 @@ def test_after_any_moves_a_rig_counts_what_the_reference_counts(data, case, n, s
     check_every_path(scene, deployment, data.draw(deployments(scene.room, most=8)), n, np.random.default_rng(seed))
 
 
-@examples(40)
+@examples(30)
 @given(data=st.data(), case=rig_scenes_with_deployments(fiducial=True), n=st.integers(1, 3), seed=seeds)
 def test_after_any_moves_of_tags_a_rig_counts_what_the_reference_counts(data, case, n, seed):
     scene, deployment = case
     check_every_path(scene, deployment, data.draw(deployments(scene.room, most=8)), n, np.random.default_rng(seed))
-
-
-@examples(20)
-@given(case=st.one_of(rig_scenes_with_deployments(), rig_scenes_with_deployments(fiducial=True)), seed=seeds)
-def test_poses_gain_before_a_rig_what_the_reference_says(case, seed):
-    scene, deployment = case
-    rng = np.random.default_rng(seed)
-    check_gains(scene, deployment, rng)
-    check_slack(scene, 1.0, rng)
 
 
 @examples(20)
