@@ -29,7 +29,13 @@ def lmd_package() -> str:
     return PACKAGE
 
 
+def lmd_conf(name: str) -> str:
+    """A file beside the configuration that comes with it."""
+    return str(Path(CONF, name))
+
+
 OmegaConf.register_new_resolver("lmd.package", lmd_package, replace=True)
+OmegaConf.register_new_resolver("lmd.conf", lmd_conf, replace=True)
 
 
 def command_of(pipeline: str) -> str:
