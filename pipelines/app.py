@@ -16,6 +16,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from .fixed import quoted
+from .hyperparameters import over_defaults
 from .operations.signals import stop
 
 PACKAGE = str(__package__)  # `pipelines` in a checkout, `lmd.pipelines` where lmd is installed
@@ -94,7 +95,10 @@ def recompose(config_name: str, overrides: Sequence[str], setting: str, entry: s
     try:
         loader = GlobalHydra.instance().config_loader()
         composed = loader.load_configuration(
-            config_name, [*map(quoted, overrides)], RunMode.RUN, validate_sweep_overrides=False
+            config_name,
+            [over_defaults(quoted(override)) for override in overrides],
+            RunMode.RUN,
+            validate_sweep_overrides=False,
         )
     except HydraException as error:
         raise InputError(f"{setting}: {entry!r} is refused: {str(error).splitlines()[0]}") from error

@@ -13,6 +13,7 @@ from omegaconf import DictConfig
 
 from .app import CONF, GARBAGE, PACKAGE, ends_reported
 from .fixed import quoted
+from .hyperparameters import over_defaults
 from .operations.signals import Stopped, stop
 from .operations.sweeps.supervisor import run
 from .spelling import ask_what_was_meant
@@ -86,7 +87,7 @@ class Pipeline:
         for change in self.prepare:
             change()
         gc.set_threshold(GARBAGE)
-        sys.argv[1:] = map(quoted, sys.argv[1:])
+        sys.argv[1:] = [over_defaults(quoted(argument)) for argument in sys.argv[1:]]
         _refuse_launcher_that_is_missing()
         _refuse_run(self.name)
 

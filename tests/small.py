@@ -10,12 +10,17 @@ from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import RandomDeployment
 from pipelines.app import CONF
-from pipelines.building import instantiate
+from pipelines.building import build_optimiser
+
+
+def composed(pipeline, *overrides):
+    """The configuration of a pipeline."""
+    with initialize_config_dir(CONF, version_base="1.3"):
+        return compose(pipeline, list(overrides))
 
 
 def make(name, seed=0):
-    with initialize_config_dir(CONF, version_base="1.3"):
-        return instantiate(compose("optimise", [f"optimiser={name}"]).optimiser, seed=seed)
+    return build_optimiser(composed("optimise", f"optimiser={name}"), seed)
 
 
 def problem(start=None, threads=1, fixed=None, tag=None, **room):

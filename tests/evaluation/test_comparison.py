@@ -59,13 +59,13 @@ def test_curves_are_steps():
 @pytest.mark.slow
 def test_a_comparison_leaves_a_table_a_plot_and_nested_runs(tmp_path):
     done = call(
-        "compare", "optimisers=[ega,'ega +optimiser.population=12']", "seeds=2", "budget.evaluations=40",
+        "compare", "optimisers=[ega,'ega optimiser.population=12']", "seeds=2", "budget.evaluations=40",
         "deployment.count=20", "hydra.run.dir=run", "save_as=docs/table", "tracking.uri=sqlite:///store.db",
         cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     table = pd.read_csv(tmp_path / "run" / "comparison.csv")
-    assert set(table.optimiser) == {"ega", "ega +optimiser.population=12"}
+    assert set(table.optimiser) == {"ega", "ega optimiser.population=12"}
     assert (table.runs == 2).all()
     for kind in ("md", "png"):
         saved = (tmp_path / "docs" / f"table.{kind}").read_bytes()
