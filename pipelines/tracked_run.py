@@ -11,7 +11,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from lmd.core.checks import InputError
-from lmd.evaluation.validation import describe_validation, validation_metrics
+from lmd.evaluation.validation import describe_validation, headline_off_grid, validation_metrics
 from lmd.evaluation.verdicts import causes
 from lmd.optimisers.base import Record
 from lmd.problem import Problem
@@ -133,8 +133,11 @@ def record(
     export: "Export | None" = None,
     status: str = "FINISHED",
     in_haste: bool = False,
-) -> float:
-    """Write the outputs, log them, end the run with `status` and print a report; returns the fitness.
+) -> dict[str, float]:
+    """Write the outputs, log them, end the run with `status` and print a report; returns the figures.
+
+    Among the figures are the `fitness`, and as `off_grid` the one that says how good the deployment is where it was not
+    made (`headline_off_grid`), unless validation is left out.
 
     What cannot be had again comes first: landmarks, figures and history are written before anything else is computed,
     and whatever happens then they stay.
@@ -164,6 +167,8 @@ def record(
         figures |= further()
         why = causes(problem.scene, deployment, cfg.seed)
         validation = validation_metrics(problem, deployment, cfg.seed) if cfg.validate else {}
+    if validation:
+        figures["off_grid"] = validation[headline_off_grid(problem)]
     tracker.log_metrics(metrics | figures)
     document |= figures
     for group, values in (("validation", validation), ("criteria", why.metrics() if why else {})):
@@ -185,7 +190,7 @@ def record(
     files = sorted({*files, *curve, *pictures})
     keep(tracker, [file for file in files if file.suffix != ".html"], {}, status)
     off_grid = describe_validation(problem, validation) if validation else {}
-    lines = {key.replace("_", " "): f"{value:g}" for key, value in figures.items()}
+    lines = {key.replace("_", " "): f"{value:g}" for key, value in figures.items() if key != "off_grid"}
     if all(camera.is_pinhole for camera in problem.scene.cameras):
         lines["focus"] = "no criterion: the camera has no aperture"
     lines["files"] = f"{directory}: {', '.join(path.name for path in files)}"
@@ -198,7 +203,7 @@ def record(
         print(f"warning: {'; '.join(failed)}; with more space: {again}", file=sys.stderr)
     if why and problem.objective.qualified(problem.values(deployment)).mean() < LITTLE:
         print(f"\n{why.to_text()}")
-    return metrics["fitness"]
+    return metrics | figures
 
 
 def report(
