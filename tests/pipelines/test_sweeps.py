@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import time
@@ -260,20 +261,53 @@ def test_a_job_killed_under_submitit_does_not_lose_the_others(work):
     assert "threads 1 1 1\n" in output.read_text()
 
 
-def test_bad_input_in_one_job_is_a_failed_run_and_one_sentence(tmp_path):
-    done = call(
-        "evaluate",
-        "hydra.mode=MULTIRUN",
-        "objective.n=2,500",
-        "tracking.uri=sqlite:///store.db",
-        cwd=tmp_path,
-    )
+def sweep_n(cwd, values):
+    overrides = ("hydra.mode=MULTIRUN", f"objective.n={values}", "validate=true", "tracking.uri=sqlite:///store.db")
+    return call("evaluate", *overrides, cwd=cwd)
+
+
+@pytest.fixture(scope="module")
+def refused(tmp_path_factory):
+    """A sweep of two jobs, one of which is refused."""
+    cwd = tmp_path_factory.mktemp("refused")
+    return cwd, sweep_n(cwd, "2,500")
+
+
+def test_bad_input_in_one_job_is_a_failed_run_and_one_sentence(refused):
+    cwd, done = refused
     assert done.returncode == 1
     assert "objective.n = 500 exceeds the number of landmarks, 90" in done.stderr
-    found = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db").search_runs(["1"])
+    found = MlflowClient(tracking_uri=f"sqlite:///{cwd}/store.db").search_runs(["1"])
     (failed,) = [run for run in found if run.info.status == "FAILED" and PARENT in run.data.tags]
     assert failed.data.tags["reason"] == "objective.n = 500 exceeds the number of landmarks, 90."
     assert sum(run.info.status == "FINISHED" for run in found) == 1
+
+
+def test_a_sweep_grows_by_values_and_shows_the_figure_off_the_grid(refused):
+    cwd, _ = refused
+    grown = sweep_n(cwd, "3,4")
+    assert grown.returncode == 0, grown.stderr
+    assert "going on after 1 finished jobs" in grown.stdout
+    assert (
+        len(re.findall(r"^finished in \d+ s: objective.n=\d: [\d.]+% on the grid, [\d.]+% off it$", grown.stdout, re.M))
+        == 2
+    )
+    again = sweep_n(cwd, "3,2")
+    assert again.stdout.count("done already: objective.n=") == 2
+    (table,) = cwd.glob("outputs/evaluate_sweep/*/jobs.csv")
+    rows = pd.read_csv(table)
+    assert rows["objective.n"].tolist() == [3, 2, 4]  # those of the last command in its order; 500 is asked no more
+    figures = [json.loads((table.parent / name / "metrics.json").read_text()) for name in rows.folder]
+    off_grid = [metrics["validation"]["grid_free_qualified_ratio"] for metrics in figures]
+    assert rows.off_grid.tolist() == off_grid == [metrics["off_grid"] for metrics in figures]
+    (parent,) = [run for run in found_in(cwd) if PARENT not in run.data.tags]
+    assert (parent.info.status, parent.data.metrics["jobs"]) == ("FINISHED", 3.0)
+    assert parent.data.metrics["best/off_grid"] == max(off_grid)
+    assert {run.data.metrics.get("off_grid") for run in found_in(cwd) if PARENT in run.data.tags} == {None, *off_grid}
+
+
+def found_in(cwd):
+    return MlflowClient(tracking_uri=f"sqlite:///{cwd}/store.db").search_runs(["1"])
 
 
 def test_a_sweep_that_cannot_be_composed_leaves_nothing(tmp_path):

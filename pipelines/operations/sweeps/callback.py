@@ -22,7 +22,11 @@ from .supervisor import LOST, SWEEP_VARIABLE, end_runs
 if TYPE_CHECKING:
     from ..tracking import Tracker
 
-FIGURES = ("qualified_ratio", "average_coverage_probability", "maximum_coverage_probability")
+# Figures of a job that its row has, if any job of the sweep has them.
+FIGURES = (
+    *("fitness", "off_grid", "qualified_ratio", "average_coverage_probability", "maximum_coverage_probability"),
+    *("localised_share", "weighted_share"),
+)
 
 
 class SweepRecord(Callback):
@@ -37,7 +41,10 @@ class SweepRecord(Callback):
         folder = SweepFolder(pin_sweep_folder(config))
         before = folder.load()
         overrides = swept(config)
-        sweep = Sweep(sweep_name(config), varied_keys(overrides), before.run_id if before else None)
+        sweep = Sweep(sweep_name(config), varied_keys(overrides), None)
+        if before:
+            varied = tuple(dict.fromkeys([*before.varied, *sweep.varied]))
+            sweep = replace(sweep, varied=varied, run_id=before.run_id, round=before.round + 1)
         try:
             tracker: Tracker = instantiate(config.tracking)
             tags = {"sweep": sweep.name, "pipeline": config.hydra.job.name}
@@ -54,7 +61,7 @@ class SweepRecord(Callback):
             from .slurm import follow_the_queue
 
             follow_the_queue()
-        done = sum(job.status == "finished" for _, job in folder.jobs())
+        done = len(folder.jobs())
         going_on = f", going on after {done} finished jobs (delete the folder to start afresh)" if before else ""
         print(f"sweep {sweep.name} in {folder.path}{going_on}", flush=True)
 
@@ -75,10 +82,10 @@ def _cut_short(config: DictConfig) -> None:
     from ..tracking import RunStart
 
     folder = SweepFolder(config.hydra.sweep.dir)
-    if not folder.jobs():  # the first job was refused
-        sweep = folder.load()
+    sweep = folder.load()
+    if sweep is not None and sweep.round == 0 and not folder.jobs():  # the first job was refused
         tracker: Tracker = instantiate(config.tracking)
-        if sweep is not None and sweep.run_id is not None:
+        if sweep.run_id is not None:
             tracker.start(RunStart(sweep.name, folder.path), sweep.run_id)
             tracker.discard()
         folder.discard()
@@ -101,9 +108,11 @@ def _close(config: DictConfig, reason: str = "") -> bool:
                     its_folder.save(replace(job, status="killed", reason=LOST))
                     end_runs(config.tracking, its_folder, job, LOST)
     jobs = folder.jobs()
-    failed = [(its_folder, job) for its_folder, job in jobs if job.status != "finished"]
+    elsewhere = [its_folder for its_folder, job in jobs if job.status == "running"]  # by the same command once more
+    failed = [(its_folder, job) for its_folder, job in jobs if job.status not in ("finished", "running")]
     write_table(folder.table, sweep, jobs)
-    print(f"{len(jobs) - len(failed)} of {len(jobs)} jobs finished: {folder.table}", flush=True)
+    done = len(jobs) - len(failed) - len(elsewhere)
+    print(f"{done} of {len(jobs)} jobs finished: {folder.table}", flush=True)
     for its_folder, job in failed:
         print(f"{job.status}: {job.label}: {job.reason} ({its_folder.output})", file=sys.stderr)
     if failed:
@@ -120,7 +129,7 @@ def _best_and_median(jobs: list[tuple[JobFolder, Job]]) -> dict[str, float]:
     """The best and the median of what the finished jobs returned, and of their figures."""
     found = [folder.figures() for folder, job in jobs if job.status == "finished"]
     summary: dict[str, float] = {}
-    for key in ("fitness", *FIGURES):
+    for key in FIGURES:
         values = [figures[key] for figures in found if key in figures]
         if values:
             summary |= {f"best/{key}": max(values), f"median/{key}": median(values)}
@@ -129,15 +138,15 @@ def _best_and_median(jobs: list[tuple[JobFolder, Job]]) -> dict[str, float]:
 
 def write_table(path: Path, sweep: Sweep, jobs: list[tuple[JobFolder, Job]]) -> None:
     """A row for each job: its folder, what varies, its status, its figures, seconds, and why it failed."""
-    rows = []
-    for folder, job in jobs:
-        figures = folder.figures() if job.status == "finished" else {}
-        rows.append(
-            {"folder": folder.name, **job.varied, "status": job.status}
-            | {key: figures.get(key, "") for key in FIGURES}
-            | {"seconds": round(job.seconds, 1), "reason": job.reason}
-        )
+    found = {folder.name: folder.figures() if job.status == "finished" else {} for folder, job in jobs}
+    known = [key for key in FIGURES if any(key in figures for figures in found.values())]
+    rows = [
+        {"folder": folder.name, **job.varied, "status": job.status}
+        | {key: found[folder.name].get(key, "") for key in known}
+        | {"seconds": round(job.seconds, 1), "reason": job.reason}
+        for folder, job in jobs
+    ]
     with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, ["folder", *sweep.varied, "status", *FIGURES, "seconds", "reason"])
+        writer = csv.DictWriter(file, ["folder", *sweep.varied, "status", *known, "seconds", "reason"])
         writer.writeheader()
         writer.writerows(rows)

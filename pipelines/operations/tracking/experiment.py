@@ -12,8 +12,8 @@ DEFAULT = "0"  # the experiment that mlflow makes in every fresh database
 VIEW = "lmd"  # the shared view that links name
 # Of training runs, first what they found and what that cost, then what they were about.
 COLUMNS = (
-    *("metrics.`qualified_ratio`", "metrics.`localised_share`", "metrics.`validation/grid_free_qualified_ratio`"),
-    *("metrics.`best/fitness`", "metrics.`median/fitness`"),  # of sweeps
+    *("metrics.`qualified_ratio`", "metrics.`localised_share`", "metrics.`off_grid`"),
+    *("metrics.`best/fitness`", "metrics.`best/off_grid`", "metrics.`median/fitness`"),  # of sweeps
     *("metrics.`evaluations`", "metrics.`wall_time`", "params.`optimiser`", "params.`deployment`"),
     *("params.`objective.n`", "params.`objective.thold_p`", "params.`deployment.count`", "params.`seed`"),
 )
