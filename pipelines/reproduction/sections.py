@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from lmd.evaluation.comparison import OptimiserRun, comparison_table
+from lmd.evaluation.comparison import OptimiserRun, compared
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.base import Record
 from lmd.plot.cap import save_cap_figure
@@ -236,17 +236,15 @@ def _optimisers(source: Source) -> Blocks:
         return [_missing("optimisers")]
     runs = source.optimiser_runs(jobs)
     picture = _curves(source, "optimisers", runs, "Optimisers")
-    return [
-        *_origins(source, "optimisers"),
-        as_text(comparison_table(runs, Coverage.headline.key), Coverage.headline),
-        picture,
-    ]
+    found = compared(runs, Coverage.headline.key)
+    return [*_origins(source, "optimisers"), as_text(found, Coverage.headline), Text(found.test), picture]
 
 
 def _curves(source: Source, name: str, runs: list[OptimiserRun], title: str) -> Picture:
     return source.picture(
         name,
-        "Best fitness against evaluations: the median of the seeds, with a band from the worst to the best",
+        "Best fitness against evaluations, the median of the seeds with a band from the worst to the best, and the "
+        "share of seeds and targets that were reached",
         lambda path: save_comparison_figure(path, runs, "evaluations", Coverage.headline, title),
     )
 
