@@ -6,7 +6,7 @@ import shutil
 import signal
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -132,7 +132,11 @@ def run_directory() -> Path:
 
 def choices() -> dict[str, str]:
     """The option picked in each config group, e.g. `{"room": "paper_simulation"}`."""
-    picked = HydraConfig.get().runtime.choices
+    return chosen(HydraConfig.get().runtime.choices)
+
+
+def chosen(picked: Mapping[Any, Any]) -> dict[str, str]:
+    """The options among Hydra's `choices` that are not its own."""
     return {str(k): str(v) for k, v in picked.items() if not str(k).startswith("hydra/") and v is not None}
 
 

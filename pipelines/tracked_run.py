@@ -17,7 +17,7 @@ from lmd.optimisers.base import Record
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 
-from .app import choices, flat_settings, run_directory
+from .app import choices, run_directory
 from .building import instantiate
 from .operations.signals import stop
 from .operations.sweeps.folder import current_job
@@ -25,18 +25,12 @@ from .operations.sweeps.jobs import reason_of
 from .operations.sweeps.names import override_tags, short_name
 from .operations.tracking import RunStart
 from .outputs import write_figures, write_history, write_pictures
-from .provenance import command_line, source_tags
+from .provenance import command_line, parameters, source_tags
 
 if TYPE_CHECKING:
     from lmd.mapping.formats import Export
 
     from .operations.tracking import Tracker
-
-# What a run is about is a parameter; what only says how it is done, where it goes on and where it is kept is none.
-NO_PARAMETERS = (
-    "tracking", "trust", "run", "resume", "page", "threads", "checkpoint_seconds", "tracked_as", "export", "paper_size",
-    "north",
-)  # fmt: skip
 
 LITTLE = 0.1  # share of qualified positions below which a run says what takes the others
 
@@ -79,7 +73,7 @@ def tracked(cfg: DictConfig, subject: str, about: str = "", earlier: Earlier | N
     pipeline = HydraConfig.get().job.name
     tags |= {"pipeline": pipeline} | override_tags(overrides) | source_tags(pipeline)
     tags["mlflow.note.content"] = f"{about or subject}\n\n`{tags['command']}`\n\nfiles: {run_directory()}"
-    params, run_id = _parameters(cfg), None
+    params, run_id = parameters(cfg, choices()), None
     if earlier is not None and earlier.run_id is not None:
         if tracker.goes_on(earlier.run_id, earlier.folder, params):
             run_id = earlier.run_id
@@ -106,18 +100,6 @@ def keep(tracker: "Tracker", files: Iterable[Path], metrics: Mapping[str, float]
         tracker.log_metrics(metrics)
     tracker.log_artifacts([*files, *sorted((run_directory() / ".hydra").glob("*.yaml"))])
     tracker.finish(status)
-
-
-def _parameters(cfg: DictConfig) -> dict[str, Any]:
-    """The choices of groups, and the settings below them that are set to something."""
-    settings = {
-        key: value
-        for key, value in flat_settings(cfg).items()
-        if key.split(".")[0] not in NO_PARAMETERS
-        and key.split(".")[-1] not in ("_target_", "_partial_")
-        and value not in (None, [])
-    }
-    return {group: option for group, option in choices().items() if group not in NO_PARAMETERS} | settings
 
 
 def record(
@@ -171,12 +153,11 @@ def record(
         figures["off_grid"] = validation[headline_off_grid(problem)]
     tracker.log_metrics(metrics | figures)
     document |= figures
-    for group, values in (("validation", validation), ("criteria", why.metrics() if why else {})):
-        if values:
-            document[group] = values
-            # A standard error says how well a figure is known; as a curve of its own it would only be in the way.
-            kept = {key: value for key, value in values.items() if not key.endswith("standard_error")}
-            tracker.log_metrics({f"{group}/{key}": value for key, value in kept.items()})
+    groups = {"validation": validation, "criteria": why.metrics() if why else {}}
+    document |= {group: found for group, found in groups.items() if found}
+    # A standard error says how well a figure is known; as a chart of its own it would only be in the way.
+    told = {key: value for key, value in validation.items() if not key.endswith("standard_error")}
+    tracker.log_metrics({f"validation/{key}": value for key, value in told.items()})
     pictures: list[Path] = []
     if not in_haste:
         try:

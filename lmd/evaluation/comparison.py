@@ -7,10 +7,9 @@ import numpy as np
 import pandas as pd
 
 from lmd.core.checks import FloatArray
+from lmd.evaluation.significance import a12, friedman, holm, mean_ranks, median_interval, nemenyi, wilcoxon
 from lmd.optimisers.base import Record
 from lmd.scene.deployment import Deployment
-
-from .significance import a12, friedman, holm, mean_ranks, median_interval, nemenyi, wilcoxon
 
 TABLE_TARGETS = (0.25, 0.5, 0.75)  # quantiles of what all runs reached
 CURVE_TARGETS = 50

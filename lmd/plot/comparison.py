@@ -7,6 +7,7 @@ import numpy as np
 
 from lmd.evaluation.comparison import OptimiserRun, attained, best_at, by_optimiser, curve_targets
 from lmd.objectives.base import Headline
+from lmd.plot.common import logarithmic_ticks
 
 
 def save_comparison_figure(
@@ -26,7 +27,6 @@ def save_comparison_figure(
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure
-    from matplotlib.ticker import LogLocator, NullFormatter
 
     groups = by_optimiser(runs, headline.key)
     first = min(getattr(run.history[0], axis) for run in runs)
@@ -46,6 +46,7 @@ def save_comparison_figure(
         )
         convergence.plot(at[known], median, color=colour, lw=1.8, label=f"{name} {median[-1]:.1f}{headline.unit}")
         distribution.step(at, attained(group, axis, at, targets), color=colour, lw=1.8, where="post")
+    ticks = logarithmic_ticks(at[0], at[-1])
     low, high = headline.scale * targets[[0, -1]]
     if high > low:
         convergence.set_ylim(low, high + 0.03 * (high - low))
@@ -54,9 +55,8 @@ def save_comparison_figure(
     distribution.set_ylabel(f"share of seeds and of {len(targets)} targets, {low:.1f} to {high:.1f}{headline.unit}")
     for axes in (convergence, distribution):
         axes.set_xscale("log")
-        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axes.xaxis.set_major_formatter("{x:g}")
-        axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks], minor=False)
+        axes.set_xticks([], minor=True)
         axes.set_xlabel("wall time [s]" if axis == "wall_time" else axis)
         axes.grid(alpha=0.3)
     figure.suptitle(title)

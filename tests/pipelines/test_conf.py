@@ -307,6 +307,16 @@ def test_the_encoding_that_is_used_is_the_one_that_is_recorded(overrides, kind):
     assert build_optimiser(cfg, 0).encoding == cfg.encoding.kind == kind
 
 
+def test_mlflows_own_variables_name_the_store_and_the_experiment(monkeypatch):
+    assert instantiate(composed("optimise").tracking).store.experiment_name == "lmd"
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", "http://127.0.0.1:5000")
+    monkeypatch.setenv("MLFLOW_EXPERIMENT_NAME", "mine")
+    store = instantiate(composed("compare").tracking).store
+    assert (store.uri, store.experiment_name) == ("http://127.0.0.1:5000", "mine")
+    given = composed("optimise", "tracking.uri=sqlite:///s.db", "+tracking.tags.study=abc").tracking
+    assert (given.uri, given.tags.study) == ("sqlite:///s.db", "abc")
+
+
 def test_the_literal_ega_has_the_printed_chromosome():
     cfg = composed("optimise", "optimiser=ega")
     assert 90 * make_encoding(cfg.encoding.kind, build_problem(cfg).scene.room, True).genes_per_landmark == 450

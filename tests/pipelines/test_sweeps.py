@@ -136,7 +136,13 @@ def test_a_pipeline_without_threads_is_swept_in_parallel_too(tmp_path):
 def test_a_sweep_is_one_parent_run_with_a_child_for_each_job(faulty):
     cwd, _ = faulty
     parent, children = runs(cwd)
-    assert parent.info.run_name == f"sweep optimiser.fault #{parent.info.run_id[:4]}"
+    about = "n=2 thold_p=0.5 count=20 evaluations=400"
+    assert parent.info.run_name == f"sweep optimiser.fault {about} #{parent.info.run_id[:4]}"
+    assert (parent.data.params["optimiser"], parent.data.params["objective.n"]) == ("faulty", "2")
+    assert "optimiser.fault" not in parent.data.params
+    told = told_by(parent)
+    assert told.startswith("**FAILED**: 3 of 4 jobs failed\n\nvaries: `optimiser.fault` (4 values)\n")
+    assert re.search(r"\n\| none \| 1 of 1 \| [\d.]+% \| [\d.]+% \|\n\| raise \| 0 of 1 \|  \|  \|\n", told)
     assert parent.info.status == "FAILED"
     assert parent.data.tags["reason"] == "3 of 4 jobs failed"
     assert parent.data.tags["override.optimiser.fault"] == "none,raise,exit,kill"
@@ -302,8 +308,13 @@ def test_a_sweep_grows_by_values_and_shows_the_figure_off_the_grid(refused):
     assert rows.off_grid.tolist() == off_grid == [metrics["off_grid"] for metrics in figures]
     (parent,) = [run for run in found_in(cwd) if PARENT not in run.data.tags]
     assert (parent.info.status, parent.data.metrics["jobs"]) == ("FINISHED", 3.0)
-    assert parent.data.metrics["best/off_grid"] == max(off_grid)
+    assert "best/off_grid" not in parent.data.metrics  # each was of another problem
+    assert f"| 4 | 1 of 1 | {rows.fitness[2]:.2%} | {rows.fitness[2]:.2%} | {off_grid[2]:.2%}" in told_by(parent)
     assert {run.data.metrics.get("off_grid") for run in found_in(cwd) if PARENT in run.data.tags} == {None, *off_grid}
+
+
+def told_by(run):
+    return run.data.tags["mlflow.note.content"]
 
 
 def found_in(cwd):

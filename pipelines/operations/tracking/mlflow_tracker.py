@@ -5,6 +5,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from lmd.core.checks import InputError
+
 from .hand_in import GONE, end_those_gone, hand_in
 from .journal import Entry, Journal
 from .processes import this_process
@@ -21,13 +23,19 @@ class MlflowTracker:
     Args:
         uri: tracking store: `sqlite:///path` (relative to the working directory) or the address of a server.
         experiment_name: the mlflow experiment that holds the runs.
+        tags: what the user marks every run with, texts or numbers by their names.
 
     Raises:
-        InputError: the address is none.
+        InputError: the address is none, or the tags are.
     """
 
-    def __init__(self, uri: str, experiment_name: str) -> None:
+    def __init__(self, uri: str, experiment_name: str, tags: Mapping[str, str | float] | None = None) -> None:
         self.store = Store(uri, experiment_name)
+        if not isinstance(tags, Mapping | None) or not all(
+            isinstance(tag, str | float | int) for tag in (tags or {}).values()
+        ):
+            raise InputError(f"tags must be texts or numbers by their names, got {tags!r}.", "tags")
+        self._tags = {key: str(value) for key, value in (tags or {}).items()}
         self._run_id: str | None = None
         self._journal: Journal | None = None
         self._sent = 0  # entries of the journal
@@ -41,7 +49,7 @@ class MlflowTracker:
     def start(self, run: RunStart, run_id: str | None = None) -> None:
         """See `Tracker.start`."""
         first: Entry = {}
-        tags = {**run.tags, "folder": _absolute(run.folder), **this_process()}
+        tags = {**self._tags, **run.tags, "folder": _absolute(run.folder), **this_process()}
         if run_id is None:
             with self.store.errors_reported():
                 self._hand_in_left(run.folder)
