@@ -127,6 +127,8 @@ def _close(config: DictConfig, reason: str = "") -> bool:
         save_heat_map(pictures[0], tables, f"sweep {sweep.name}: medians over the seeds", "fitness")
     tracker.log_artifacts([folder.table, *pictures])
     tracker.finish("FAILED" if reason else "FINISHED", reason)
+    for line in tracker.views():
+        print(line, flush=True)
     return bool(reason)
 
 

@@ -7,11 +7,15 @@ from typing import Any
 
 from lmd.core.checks import InputError
 
+from .experiment import link, sweep_views
 from .hand_in import GONE, end_those_gone, hand_in
 from .journal import Entry, Journal
 from .processes import this_process
 from .store import PARAM_LENGTH, SQLITE, Store, first_line, is_of_store, now
 from .tracker import RunStart
+
+ADDRESS = "http://127.0.0.1:5000"  # of the server that `make ui` starts
+LABELS = {"TABLE": "table ", "CHART": "charts"}
 
 
 class MlflowTracker:
@@ -160,6 +164,20 @@ class MlflowTracker:
             return f"not in {uri} yet; when it answers again: {command_of('sync')} {given}"
         shown_by = "make ui" if IN_CHECKOUT else f"mlflow ui --backend-store-uri {uri}"
         return f"run {self._run_id} in {uri}" + (f" ({shown_by})" if uri.startswith(SQLITE) else "")
+
+    def views(self) -> list[str]:
+        """See `Tracker.views`."""
+        if self._run_id is None or self._lost:
+            return []
+        store = self.store
+        address = ADDRESS if store.uri.startswith(SQLITE) else store.uri.rstrip("/")
+        try:
+            experiment = store.experiment_id
+            made = sweep_views(store.client, experiment, self._run_id)
+        except Exception as error:
+            self._tell_once(error)
+            return []
+        return [f"{LABELS[mode]} {link(address, experiment, view, mode)}" for view, mode in made.items()]
 
 
 def _written(params: Mapping[str, Any]) -> dict[str, str]:

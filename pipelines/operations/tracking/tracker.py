@@ -77,6 +77,9 @@ class Tracker(Protocol):
     def describe(self) -> str:
         """One line that tells the user where the run is."""
 
+    def views(self) -> list[str]:
+        """Lines that tell the user where the runs below the run are seen side by side; none if the store is lost."""
+
 
 class NoTracker:
     """Records nothing (`tracking=none`)."""
@@ -112,3 +115,7 @@ class NoTracker:
     def describe(self) -> str:
         """See `Tracker.describe`."""
         return "not tracked (tracking=none)"
+
+    def views(self) -> list[str]:
+        """Nothing is seen."""
+        return []
