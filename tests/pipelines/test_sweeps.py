@@ -1,11 +1,13 @@
 """Sweeps as a user meets them: what they leave, what a failing job does to the others, and going on."""
 
+import base64
 import json
 import os
 import re
 import signal
 import subprocess
 import time
+import zlib
 
 import pandas as pd
 import pytest
@@ -134,7 +136,8 @@ def test_a_pipeline_without_threads_is_swept_in_parallel_too(tmp_path):
 
 
 def test_a_sweep_is_one_parent_run_with_a_child_for_each_job(faulty):
-    cwd, _ = faulty
+    cwd, done = faulty
+    out = done.stdout
     parent, children = runs(cwd)
     about = "n=2 thold_p=0.5 count=20 evaluations=400"
     assert parent.info.run_name == f"sweep optimiser.fault {about} #{parent.info.run_id[:4]}"
@@ -151,6 +154,13 @@ def test_a_sweep_is_one_parent_run_with_a_child_for_each_job(faulty):
     assert parent.data.metrics["best/qualified_ratio"] == parent.data.metrics["median/qualified_ratio"] == finished
     client = MlflowClient(tracking_uri=f"sqlite:///{cwd}/store.db")
     assert [file.path for file in client.list_artifacts(parent.info.run_id)] == ["jobs.csv"]
+    for mode in ("TABLE", "CHART"):  # views of the jobs, grouped by what varies
+        assert (
+            f"/runs?workflowType=machine_learning&compareRunsMode={mode}&viewStateShareKey={parent.info.run_id}" in out
+        )
+    shared = client.get_experiment("1").tags[f"mlflow.sharedViewState.{parent.info.run_id}"]
+    view = json.loads(zlib.decompress(base64.b64decode(shared.removeprefix("deflate;"))))
+    assert view["groupBy"]["groupByKeys"] == [{"mode": "param", "groupByData": "optimiser.fault"}]
     assert statuses(children) == {"none": ["FINISHED"], "raise": ["FAILED"], "exit": ["FAILED"], "kill": ["FAILED"]}
     reasons = {fault: found[0].data.tags.get("reason") for fault, found in children.items()}
     assert reasons == {

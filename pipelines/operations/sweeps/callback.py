@@ -15,7 +15,7 @@ from ...provenance import parameters, source_tags
 from .folder import SweepFolder
 from .jobs import Sweep, reason_of
 from .names import override_tags, pin_sweep_folder, sweep_name, swept, varied_keys
-from .summary import best_and_median, description, found_by, pivots, write_table
+from .summary import SEED, best_and_median, description, found_by, pivots, write_table
 from .supervisor import LOST, SWEEP_VARIABLE, end_runs
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ def _close(config: DictConfig, reason: str = "") -> bool:
         save_heat_map(pictures[0], tables, f"sweep {sweep.name}: medians over the seeds", "fitness")
     tracker.log_artifacts([folder.table, *pictures])
     tracker.finish("FAILED" if reason else "FINISHED", reason)
-    for line in tracker.views():
+    for line in tracker.views([key for key in sweep.varied if key != SEED]):
         print(line, flush=True)
     return bool(reason)
 

@@ -3,6 +3,7 @@
 import base64
 import json
 import zlib
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from .tracker import PARENT_TAG
@@ -13,10 +14,11 @@ if TYPE_CHECKING:
 DEFAULT = "0"  # the experiment that mlflow makes in every fresh database
 SHARED = "mlflow.sharedViewState."  # begins the tag of a view
 VIEW = "lmd"  # the shared view that links name
+OF_SWEEPS = ("metrics.`best/fitness`", "metrics.`best/off_grid`", "metrics.`median/fitness`")
 # Of training runs, first what they found and what that cost, then what they were about.
 COLUMNS = (
     *("metrics.`qualified_ratio`", "metrics.`localised_share`", "metrics.`off_grid`"),
-    *("metrics.`best/fitness`", "metrics.`best/off_grid`", "metrics.`median/fitness`"),  # of sweeps
+    *OF_SWEEPS,
     *("metrics.`evaluations`", "metrics.`wall_time`", "params.`optimiser`", "params.`deployment`"),
     *("params.`objective.n`", "params.`objective.thold_p`", "params.`deployment.count`", "params.`seed`"),
 )
@@ -64,26 +66,28 @@ def link(address: str, experiment_id: str, view: str = VIEW, mode: str = "TABLE"
     return f"{address}/#/experiments/{experiment_id}/runs?{query}"
 
 
-def sweep_views(client: "MlflowClient", experiment_id: str, run_id: str) -> dict[str, str]:
-    """Make two views of the jobs of a sweep; returns their modes by their names, for `link`.
+def sweep_view(client: "MlflowClient", experiment_id: str, run_id: str, params: Sequence[str]) -> str:
+    """Make a view of the jobs of a sweep; returns its name, for `link`.
 
-    One is the table. The other has charts grouped by optimiser, with bands from the worst to the best run of each.
+    Args:
+        client: of the store.
+        experiment_id: where they are.
+        run_id: the run of the sweep.
+        params: those by which jobs are grouped; charts have bands from the worst to the best job of each group.
     """
-    jobs: dict[str, Any] = {"searchFilter": f"tags.`{PARENT_TAG}` = '{run_id}'"}
-    grouped = {"aggregateFunction": "average", "groupByKeys": [{"mode": "param", "groupByData": "optimiser"}]}
-    section = {"uuid": "sweep", "name": "Sweep", "display": True, "isReordered": False}
-    charts = {
-        "groupBy": grouped,
-        "compareRunSections": [section],
-        "compareRunCharts": [_chart("LINE", "best_fitness"), _chart("BAR", "fitness"), _chart("BAR", "off_grid")],
-    }
-    views: dict[str, tuple[str, dict[str, Any]]] = {
-        "TABLE": (f"{run_id}_table", jobs),
-        "CHART": (f"{run_id}_charts", jobs | charts),
-    }
-    for name, state in views.values():
-        client.set_experiment_tag(experiment_id, f"{SHARED}{name}", _view(**state))
-    return {name: mode for mode, (name, _) in views.items()}
+    keys = [{"mode": "param", "groupByData": param} for param in params]
+    view = _view(
+        searchFilter=f"tags.`{PARENT_TAG}` = '{run_id}'",
+        groupBy={"aggregateFunction": "average", "groupByKeys": keys} if keys else None,
+        selectedColumns=[column for column in COLUMNS if column not in OF_SWEEPS],
+        compareRunSections=[{"uuid": "sweep", "name": "Sweep", "display": True, "isReordered": False}],
+        compareRunCharts=[_chart("LINE", "best_fitness"), _chart("BAR", "fitness"), _chart("BAR", "off_grid")],
+        isAccordionReordered=True,  # or mlflow sorts the sections by their names
+        runsHiddenMode="CUSTOM",
+        runsVisibilityMap={run_id: False},  # whose charts would come first
+    )
+    client.set_experiment_tag(experiment_id, f"{SHARED}{run_id}", view)
+    return run_id
 
 
 def _chart(kind: str, metric: str) -> dict[str, Any]:

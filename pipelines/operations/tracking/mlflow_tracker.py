@@ -1,13 +1,13 @@
 """Recording runs in mlflow."""
 
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from lmd.core.checks import InputError
 
-from .experiment import link, sweep_views
+from .experiment import link, sweep_view
 from .hand_in import GONE, end_those_gone, hand_in
 from .journal import Entry, Journal
 from .processes import this_process
@@ -165,7 +165,7 @@ class MlflowTracker:
         shown_by = "make ui" if IN_CHECKOUT else f"mlflow ui --backend-store-uri {uri}"
         return f"run {self._run_id} in {uri}" + (f" ({shown_by})" if uri.startswith(SQLITE) else "")
 
-    def views(self) -> list[str]:
+    def views(self, params: Sequence[str]) -> list[str]:
         """See `Tracker.views`."""
         if self._run_id is None or self._lost:
             return []
@@ -173,11 +173,11 @@ class MlflowTracker:
         address = ADDRESS if store.uri.startswith(SQLITE) else store.uri.rstrip("/")
         try:
             experiment = store.experiment_id
-            made = sweep_views(store.client, experiment, self._run_id)
+            view = sweep_view(store.client, experiment, self._run_id, params)
         except Exception as error:
             self._tell_once(error)
             return []
-        return [f"{LABELS[mode]} {link(address, experiment, view, mode)}" for view, mode in made.items()]
+        return [f"{label} {link(address, experiment, view, mode)}" for mode, label in LABELS.items()]
 
 
 def _written(params: Mapping[str, Any]) -> dict[str, str]:
