@@ -18,7 +18,7 @@ from hydra.plugins.config_source import ConfigResult
 from omegaconf import DictConfig, OmegaConf
 
 GROUP = "optimiser"
-SET_ELSEWHERE = ("seed", "encoding")  # by keys of these names at the top
+SET_ELSEWHERE = ("seed", "encoding", "rng", "x0")  # by keys at the top, and by who calls functions of SciPy
 HELP = {"--help", "-h"}
 
 
