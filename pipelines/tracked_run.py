@@ -19,7 +19,7 @@ from lmd.scene.deployment import Deployment
 
 from .app import choices, run_directory
 from .building import instantiate
-from .operations.signals import stop
+from .operations.signals import Stopped, stop
 from .operations.sweeps.folder import current_job
 from .operations.sweeps.jobs import reason_of
 from .operations.sweeps.names import override_tags, short_name
@@ -166,8 +166,14 @@ def record(
             failed.append(f"metrics.json has no validation ({error.strerror})")
         title = f"{title_of(problem, subject)}, {problem.scene.room.describe()}"
         exports = export.writers(problem.scene.room, problem.scene.tag, deployment) if export else {}
-        pictures, lost = write_pictures(directory, problem, deployment, history, title, cfg.page, exports)
-        failed += lost
+        try:
+            with stop.raising():
+                pictures, lost = write_pictures(directory, problem, deployment, history, title, cfg.page, exports)
+            failed += lost
+        except Stopped:
+            if status != "FINISHED":
+                raise
+            failed.append("told to stop, it has left out pictures")  # all that was looked for has been found
     files = sorted({*files, *curve, *pictures})
     keep(tracker, [file for file in files if file.suffix != ".html"], {}, status)
     off_grid = describe_validation(problem, validation) if validation else {}
@@ -181,7 +187,7 @@ def record(
     print(report(problem, metrics, off_grid, lines))
     if failed:
         again = command_line("evaluate", [f"run={directory}", f"page={cfg.page}".lower()])
-        print(f"warning: {'; '.join(failed)}; with more space: {again}", file=sys.stderr)
+        print(f"warning: {'; '.join(failed)}; to draw and write again: {again}", file=sys.stderr)
     if why and problem.objective.qualified(problem.values(deployment)).mean() < LITTLE:
         print(f"\n{why.to_text()}")
     return metrics | figures
