@@ -91,8 +91,12 @@ class Pipeline:
         _refuse_launcher_that_is_missing()
         _refuse_run(self.name)
 
+        is_composed = False
+
         @wraps(self.task)
         def run_composed(cfg: DictConfig) -> float | None:
+            nonlocal is_composed
+            is_composed = True
             return self.runner(cfg, self.task)
 
         run_composed.__module__ = f"{PACKAGE}.{self.name}"  # names Hydra's job, also where the module is __main__
@@ -104,6 +108,6 @@ class Pipeline:
         except Stopped as told:
             sys.exit(told.code)
         except SystemExit as ended:
-            if ended.code:
+            if ended.code and not is_composed:
                 ask_what_was_meant(CONF)
             raise
