@@ -45,7 +45,7 @@ SWEEPS = {  # the pipeline of each stored sweep, and its number of jobs
     "table3": ("evaluate", 9),
     "table3_reoptimised": ("optimise", 27),
     "landmark_count": ("optimise", 11),
-    "optimisers": ("optimise", 55),
+    "optimisers": ("optimise", 110),
     "localisation_front": ("optimise", 6),
 }
 # A file, or the edge of a tag.
