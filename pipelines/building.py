@@ -32,7 +32,7 @@ SAME_EDGE = 1e-6  # metres
 MENTIONED = 8  # tags in a note
 RUN_BYTES = 1000  # at the least, of each of several runs
 # Settings that are true or false.
-SWITCHES = ("validate", "page", "localisation", "losses", "sensitivity", "all_visible")
+SWITCHES = ("validate", "picture", "page", "localisation", "losses", "sensitivity", "all_visible")
 
 
 @contextmanager

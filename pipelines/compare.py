@@ -19,6 +19,7 @@ from .workers import in_processes
 if TYPE_CHECKING:
     from lmd.evaluation.comparison import OptimiserRun
     from lmd.objectives.base import Headline
+    from lmd.problem import Problem
 
     from .operations.tracking import Tracker
 
@@ -36,7 +37,7 @@ def compare(cfg: DictConfig) -> None:
     budget, seeds = budget_of(cfg), seeds_of(cfg)
     if not isinstance(cfg.optimisers, ListConfig) or not all(str(entry).split() for entry in cfg.optimisers):
         raise InputError(f"optimisers must be a list of names, got {cfg.optimisers!r}.")
-    configs = {str(entry): _compose(str(entry), cfg) for entry in cfg.optimisers}
+    configs = {str(entry): _compose(str(entry), cfg, problem) for entry in cfg.optimisers}
     if not configs:
         raise InputError("optimisers must name at least one optimiser.")
     reference = None if cfg.reference is None else choice("reference", cfg.reference, list(configs))
@@ -94,13 +95,13 @@ def _write(
     return files
 
 
-def _compose(entry: str, cfg: DictConfig) -> DictConfig:
+def _compose(entry: str, cfg: DictConfig, problem: "Problem") -> DictConfig:
     """The `optimise` configuration for one entry of `optimisers`: a name, then overrides of its own."""
     shared = [override for key, override in task_overrides() if key.split(".")[0] not in OWN_KEYS]
     name, *own = entry.split()
     composed = recompose("optimise", [*shared, *search_path(), f"optimiser={name}", *own], "optimisers", entry)
     composed.budget, composed.threads = cfg.budget, 1
-    build_optimiser(composed, cfg.seed)  # what cannot be built fails before anything has run
+    build_optimiser(composed, cfg.seed).check(problem)  # what cannot be built fails before anything has run
     return composed
 
 

@@ -52,6 +52,7 @@ def optimise(cfg: DictConfig) -> float:
     settings = as_now(flat_settings(cfg, *SAME_WHEN_RESUMED))
     settings |= contents_of(settings)
     export = build_export(cfg, "export", problem.scene.tag)
+    optimiser.check(problem)
     checkpoint, earlier = Checkpoint(optimiser, settings, settings_now=as_now), None
     if cfg.resume is not None:
         checkpoint.resume(cfg.resume, problem)

@@ -17,8 +17,8 @@ from .operations.sweeps.names import at
 
 # What a run is about is a parameter; what only says how it is done, where it goes on and where it is kept is none.
 NO_PARAMETERS = (
-    "tracking", "trust", "run", "resume", "page", "threads", "checkpoint_seconds", "tracked_as", "export", "paper_size",
-    "north",
+    "tracking", "trust", "run", "resume", "picture", "page", "threads", "checkpoint_seconds", "tracked_as", "export",
+    "paper_size", "north",
 )  # fmt: skip
 
 

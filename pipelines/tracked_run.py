@@ -168,7 +168,9 @@ def record(
         exports = export.writers(problem.scene.room, problem.scene.tag, deployment) if export else {}
         try:
             with stop.raising():
-                pictures, lost = write_pictures(directory, problem, deployment, history, title, cfg.page, exports)
+                pictures, lost = write_pictures(
+                    directory, problem, deployment, history, title, picture=cfg.picture, page=cfg.page, exports=exports
+                )
             failed += lost
         except Stopped:
             if status != "FINISHED":
