@@ -35,7 +35,7 @@ def record(found, **others):
     return tracked_run.record(CFG, p, NoTracker(), result.deployment, result.history, **(arguments | others))
 
 
-def told_to_stop(*_):
+def told_to_stop(*_, **__):
     raise Stopped(signal.SIGTERM)
 
 
