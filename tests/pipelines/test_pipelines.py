@@ -150,8 +150,6 @@ def test_where_nothing_is_covered_the_terminal_says_why(optimised, tmp_path):
     criteria = read_metrics(tmp_path / "run")["criteria"]
     assert criteria["covered"] == 0.0
     assert criteria["covered_without_resolution"] > 0.0
-    (run,) = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db").search_runs(["1"])
-    assert {key: run.data.metrics[f"criteria/{key}"] for key in criteria} == criteria
 
 
 def test_validation_can_be_left_out(optimised):
