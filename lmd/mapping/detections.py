@@ -1,0 +1,117 @@
+"""Detections that others made: the corners of tags in the frames of one or several cameras, from a CSV."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, InputError, IntArray
+from lmd.core.tables import Table, read_table
+
+# In OpenCV's pixels, clockwise from the top left of the tag as it was made.
+CORNER_COLUMNS = tuple(f"{axis}{corner}" for corner in range(4) for axis in "xy")
+TIMES, CAMERAS = ("time", "stamp"), ("camera", "topic")
+# OpenCV counts pixels from the centre of the first one.
+PIXEL_CENTRE = 0.5
+# A quadrilateral smaller than this, square pixels, has no corners to speak of.
+LEAST_AREA = 1.0
+
+
+@dataclass(frozen=True)
+class DetectedTags:
+    """N tags in the frames of C cameras.
+
+    Args:
+        times: of the F frames, as they were written, in ascending order, all different. What several cameras saw at
+            the same time is one frame.
+        cameras: what they are called, `(C,)`.
+        frame: of each detection, `(N,)`, from 0.
+        camera: likewise.
+        ids: numbers of the tags, `(N,)`.
+        corners: pixels from the border, top left, top right, bottom right, bottom left of the tag, `(N, 4, 2)`.
+
+    Raises:
+        InputError: shapes do not match, there is no detection, or corners do not go round clockwise.
+    """
+
+    times: tuple[str, ...]
+    cameras: tuple[str, ...]
+    frame: IntArray
+    camera: IntArray
+    ids: IntArray
+    corners: FloatArray
+
+    def __post_init__(self) -> None:
+        count = len(self.ids)
+        if not count:
+            raise InputError("detections has no tag.", "detections")
+        if self.corners.shape != (count, 4, 2) or self.frame.shape != (count,) or self.camera.shape != (count,):
+            raise InputError(f"detections must be as many as their corners, got {self.corners.shape} for {count}.")
+        wrong = np.flatnonzero(signed_area(self.corners) < LEAST_AREA)
+        if 2 * len(wrong) > count:
+            first = wrong[0]
+            raise InputError(
+                f"detections must have their corners clockwise from the top left, as x0,y0 to x3,y3; tag "
+                f"{self.ids[first]} at {self.times[self.frame[first]]} has not, nor have {len(wrong) - 1} others."
+            )
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def of(self, chosen: IntArray) -> "DetectedTags":
+        """Those that `chosen` selects, among the same frames and cameras."""
+        return DetectedTags(
+            self.times, self.cameras, self.frame[chosen], self.camera[chosen], self.ids[chosen], self.corners[chosen]
+        )
+
+
+def signed_area(corners: FloatArray) -> FloatArray:
+    """Of quadrilaterals `(..., 4, 2)`, positive where they go round clockwise as one looks at an image, `(...)`."""
+    x, y = corners[..., 0], corners[..., 1]
+    return np.asarray((x * np.roll(y, -1, axis=-1) - np.roll(x, -1, axis=-1) * y).sum(axis=-1) / 2.0)
+
+
+def read_detections(path: Any, name: str = "detections") -> DetectedTags:
+    """Read `id,x0,y0,...,x3,y3`, corners clockwise from the top left in OpenCV's pixels, with `time` or `stamp`.
+
+    `camera` or `topic` says which camera saw a tag; without it there is one. Further columns are ignored. Detections
+    whose corners do not go round clockwise are left out.
+
+    Args:
+        path: the CSV.
+        name: the argument the path came from, for messages.
+
+    Raises:
+        InputError: the file cannot be read, lacks a column, or a value is no number.
+    """
+    table = read_table(path, name=name)
+    time, camera = _either(table, TIMES, name), _either(table, CAMERAS, name, optional=True)
+    values = table.numbers(("id", *CORNER_COLUMNS, time), None)
+    ids = values[:, 0].astype(np.int64)
+    if (wrong := np.flatnonzero((ids != values[:, 0]) | (ids < 0))).size:
+        text = table.texts["id"][wrong[0]]
+        raise InputError(f"{path} line {table.lines[wrong[0]]}: id is {text!r}, not a whole number from 0.", name)
+    # Nanoseconds since 1970 have more digits than a float, so frames are told apart by what is written.
+    texts = sorted(set(zip(values[:, -1].tolist(), table.texts[time], strict=True)))
+    place = {text: index for index, (_, text) in enumerate(texts)}
+    names = sorted(set(table.texts[camera])) if camera else [""]
+    cameras = np.searchsorted(names, table.texts[camera]) if camera else np.zeros(len(ids), dtype=np.int64)
+    corners = values[:, 1:9].reshape(-1, 4, 2) + PIXEL_CENTRE
+    frames = np.array([place[text] for text in table.texts[time]])
+    try:
+        found = DetectedTags(tuple(place), tuple(names), frames, np.asarray(cameras, dtype=np.int64), ids, corners)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return found.of(np.flatnonzero(signed_area(corners) >= LEAST_AREA))
+
+
+def _either(table: Table, names: tuple[str, str], argument: str, optional: bool = False) -> str:
+    """Which of two columns a table has; an empty text where it has none and need not."""
+    for name in names:
+        if name in table:
+            return name
+    if optional:
+        return ""
+    raise InputError(
+        f"{table.path} lacks the column {' or '.join(names)}, which says what was seen together.", argument
+    )
