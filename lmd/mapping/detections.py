@@ -13,6 +13,7 @@ CORNER_COLUMNS = tuple(f"{axis}{corner}" for corner in range(4) for axis in "xy"
 TIMES, CAMERAS = ("time", "stamp"), ("camera", "topic")
 # OpenCV counts pixels from the centre of the first one.
 PIXEL_CENTRE = 0.5
+FROM_APRILTAG = [3, 2, 1, 0]
 # A quadrilateral smaller than this, square pixels, has no corners to speak of.
 LEAST_AREA = 1.0
 
@@ -31,7 +32,7 @@ class DetectedTags:
         corners: pixels from the border, top left, top right, bottom right, bottom left of the tag, `(N, 4, 2)`.
 
     Raises:
-        InputError: shapes do not match, there is no detection, or corners do not go round clockwise.
+        InputError: shapes do not match, or there is no detection.
     """
 
     times: tuple[str, ...]
@@ -47,13 +48,6 @@ class DetectedTags:
             raise InputError("detections has no tag.", "detections")
         if self.corners.shape != (count, 4, 2) or self.frame.shape != (count,) or self.camera.shape != (count,):
             raise InputError(f"detections must be as many as their corners, got {self.corners.shape} for {count}.")
-        wrong = np.flatnonzero(signed_area(self.corners) < LEAST_AREA)
-        if 2 * len(wrong) > count:
-            first = wrong[0]
-            raise InputError(
-                f"detections must have their corners clockwise from the top left, as x0,y0 to x3,y3; tag "
-                f"{self.ids[first]} at {self.times[self.frame[first]]} has not, nor have {len(wrong) - 1} others."
-            )
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -74,8 +68,9 @@ def signed_area(corners: FloatArray) -> FloatArray:
 def read_detections(path: Any, name: str = "detections") -> DetectedTags:
     """Read `id,x0,y0,...,x3,y3`, corners clockwise from the top left in OpenCV's pixels, with `time` or `stamp`.
 
-    `camera` or `topic` says which camera saw a tag; without it there is one. Further columns are ignored. Detections
-    whose corners do not go round clockwise are left out.
+    `camera` or `topic` says which camera saw a tag; without it there is one. Further columns are ignored. Where most
+    corners go round counter-clockwise they are taken for those of the AprilTag library, which begins at the bottom left.
+    Detections that go round the other way than most are left out.
 
     Args:
         path: the CSV.
@@ -97,12 +92,14 @@ def read_detections(path: Any, name: str = "detections") -> DetectedTags:
     names = sorted(set(table.texts[camera])) if camera else [""]
     cameras = np.searchsorted(names, table.texts[camera]) if camera else np.zeros(len(ids), dtype=np.int64)
     corners = values[:, 1:9].reshape(-1, 4, 2) + PIXEL_CENTRE
+    if 2 * (signed_area(corners) < 0.0).sum() > len(corners):
+        corners = corners[:, FROM_APRILTAG]
+    usable = signed_area(corners) >= LEAST_AREA
+    if not usable.any():
+        raise InputError(f"{path} has no detection with four corners around an area.", name)
     frames = np.array([place[text] for text in table.texts[time]])
-    try:
-        found = DetectedTags(tuple(place), tuple(names), frames, np.asarray(cameras, dtype=np.int64), ids, corners)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    return found.of(np.flatnonzero(signed_area(corners) >= LEAST_AREA))
+    found = DetectedTags(tuple(place), tuple(names), frames, np.asarray(cameras, dtype=np.int64), ids, corners)
+    return found.of(np.flatnonzero(usable))
 
 
 def _either(table: Table, names: tuple[str, str], argument: str, optional: bool = False) -> str:

@@ -42,6 +42,12 @@ def test_a_mirrored_detection_is_left_out(tmp_path):
     assert read_detections(written(tmp_path, "time,id,x0,y0,x1,y1,x2,y2,x3,y3\n" + body)).ids.tolist() == [3, 5]
 
 
+def test_corners_of_the_apriltag_library_are_put_in_order(tmp_path):
+    """It begins at the bottom left and goes round counter-clockwise."""
+    found = read_detections(written(tmp_path, f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,{TURNED}\n"))
+    np.testing.assert_array_equal(found.corners[0], [[10.5, 20.5], [30.5, 20.5], [30.5, 40.5], [10.5, 40.5]])
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -49,7 +55,7 @@ def test_a_mirrored_detection_is_left_out(tmp_path):
         (f"time,id,x0,y0,x1,y1,x2,y2,x3\n0,3,{SQUARE[:-3]}\n", "lacks the column 'y3'"),
         (f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3.5,{SQUARE}\n", "line 2: id is '3.5', not a whole number"),
         (f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\nnoon,3,{SQUARE}\n", "line 2: time is 'noon', not a number"),
-        (f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,{TURNED}\n", "clockwise from the top left"),
+        ("time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,1,1,1,1,1,1,1,1\n", "no detection with four corners"),
     ],
 )
 def test_a_wrong_file_is_refused_in_one_sentence(tmp_path, text, message):
