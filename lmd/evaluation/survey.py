@@ -68,6 +68,11 @@ class Survey:
     figures: pd.DataFrame
     views: pd.DataFrame
 
+    @property
+    def tables(self) -> dict[str, pd.DataFrame]:
+        """See `Study.tables`."""
+        return {"moved": self.moved, "survey": self.figures.reset_index()}
+
     def metrics(self) -> dict[str, float]:
         """All figures by names such as `fitness/planned`, `position_planned/50` (m) and `moved/greatest` (m)."""
         named = {
