@@ -69,8 +69,8 @@ def read_detections(path: Any, name: str = "detections") -> DetectedTags:
     """Read `id,x0,y0,...,x3,y3`, corners clockwise from the top left in OpenCV's pixels, with `time` or `stamp`.
 
     `camera` or `topic` says which camera saw a tag; without it there is one. Further columns are ignored. Where most
-    corners go round counter-clockwise they are taken for those of the AprilTag library, which begins at the bottom left.
-    Detections that go round the other way than most are left out.
+    corners go round counter-clockwise they are taken for those of the AprilTag library, which begins at the bottom
+    left. Detections that go round the other way than most are left out.
 
     Args:
         path: the CSV.

@@ -4,7 +4,7 @@ A sighting has eight residuals e in pixels, see `lmd.survey.sightings`, and the 
 where sigma^2 is the detector's own variance and a floor: lenses and bodies are not quite what their calibration says.
 The errors are taken for those of Student's distribution with nu degrees of freedom, so what is minimised is the sum of
 (nu + 8) / 2 log(1 + chi^2 / nu). Each step is one of Levenberg and Marquardt with the weights (nu + 8) / (nu + chi^2):
-a sighting that does not fit counts next to nothing. The floor is the one with which the weighted mean of chi^2 / 8 is 1.
+a sighting that does not fit counts next to nothing. The floor is that with which the weighted mean of chi^2 / 8 is 1.
 
 A sighting connects one frame with one tag, so frames are eliminated (Schur complement): with the blocks H_ff of the
 frames, H_kk of what is kept (tags, and cameras on the body but the first) and H_kf, the step of what is kept solves
@@ -16,6 +16,7 @@ Distribution".
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,9 +26,11 @@ from lmd.survey.sightings import Sightings
 
 FREEDOM = 4.0  # nu
 RESIDUALS = 8
+LEAST_SHARE = 0.1
 CHUNK = 128  # frames that are eliminated at once
 # A corner that is hardly in front of the camera, or behind it, fits nowhere: metres, and pixels.
 NEAREST, NOWHERE = 1e-3, 1e4
+RESECTIONS = 10  # steps of Gauss and Newton for frames alone
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-9, 1e6
 # What remains to be gained, relative to the number of sightings, when a step is the last.
 CONVERGED = 1e-7
@@ -137,6 +140,11 @@ def summed(values: FloatArray, owner: IntArray, count: int) -> FloatArray:
     return np.asarray((matrix @ values.reshape(len(owner), -1)).reshape(count, *values.shape[1:]))
 
 
+def solved(matrices: FloatArray, right: FloatArray) -> FloatArray:
+    """The solutions `(n, m)` of n systems `(n, m, m)`."""
+    return np.asarray(np.linalg.solve(matrices, right[..., None])[..., 0], dtype=np.float64)
+
+
 def weight_of(square: FloatArray, residuals: int = RESIDUALS) -> FloatArray:
     """(nu + d) / (nu + chi^2) for d residuals."""
     return np.asarray((FREEDOM + residuals) / (FREEDOM + square))
@@ -161,6 +169,23 @@ class Adjusted:
     squares: FloatArray
 
 
+class Eliminated(NamedTuple):
+    """Some frames that were eliminated.
+
+    some: their sightings; seen, of: the frames, and which of these each sighting is of; block: H_ff, `(f, 6, 6)`;
+    gradient: g_f, `(f, 6)`; cross, cross_mount: what each sighting adds to H_kf by its tag, and by its camera, if there
+    are several, `(n, 6, 6)`.
+    """
+
+    some: Sightings
+    seen: IntArray
+    of: IntArray
+    block: FloatArray
+    gradient: FloatArray
+    cross: FloatArray
+    cross_mount: FloatArray | None
+
+
 class Adjustment:
     """The system of equations of some sightings, all of whose tags and frames have a pose."""
 
@@ -168,7 +193,8 @@ class Adjustment:
         self.sightings, self.prior = sightings, prior
         self.kept = len(sightings.ids) + sightings.cameras - 1
         seen, first = np.unique(sightings.frame, return_index=True)
-        self.unknowns = 6 * (len(seen) + len(np.unique(sightings.tag)) + sightings.cameras - 1)
+        unknowns = 6 * (len(seen) + len(np.unique(sightings.tag)) + sightings.cameras - 1)
+        self.share = max(1.0 - unknowns / (RESIDUALS * len(sightings)), LEAST_SHARE)  # of squares that a fit leaves
         self.first = np.append(first, len(sightings))
 
     def chunks(self) -> Iterator[slice]:
@@ -187,16 +213,32 @@ class Adjustment:
     def floor(self, poses: Poses, most: float) -> float:
         """The floor that the residuals speak of, pixels, at most `most`."""
         error = errors_at(self.sightings, poses)
-        share = max(1.0 - self.unknowns / (RESIDUALS * len(self.sightings)), 0.1)  # of the residuals left by a fit
         low, high = 0.0, most
         for _ in range(40):
             middle = (low + high) / 2.0
-            square = error / share / (self.sightings.noise**2 + middle**2)
+            square = error / self.share / (self.sightings.noise**2 + middle**2)
             if (weight_of(square) * square).mean() > RESIDUALS:
                 low = middle
             else:
                 high = middle
         return high
+
+    def covariances(self, poses: Poses, floor: float) -> FloatArray:
+        """Of the twist of each kept pose, in its own frame, `(kept, 6, 6)`; NaN for tags that were not seen.
+
+        The weights of Student's distribution neither waste nor invent information: with w(chi^2) the mean of
+        (w + 2 w' chi^2 / 8) is what the slope of the equations loses, that of w^2 chi^2 / 8 is the variance of their
+        right side, and the covariance is that of least squares times the second over the first squared.
+        """
+        square = self.squares(poses, floor)
+        weight = weight_of(square)
+        slope = (weight - 2.0 / RESIDUALS * square * weight / (FREEDOM + square)).mean()
+        spread = (weight**2 * square).mean() / RESIDUALS / self.share
+        matrix, *_ = self.reduced(poses, floor, 0.0, float(slope**2 / spread))
+        spoken = np.flatnonzero(np.diag(matrix) > 0.0)
+        whole = np.full_like(matrix, np.nan)
+        whole[np.ix_(spoken, spoken)] = np.linalg.inv(matrix[np.ix_(spoken, spoken)])
+        return np.stack([whole[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] for k in range(self.kept)])
 
     def step(self, poses: Poses, floor: float, damping: float) -> Poses:
         """The poses after one step."""
@@ -204,27 +246,27 @@ class Adjustment:
         kept = _solve(reduced, right).reshape(self.kept, 6)
         frames = poses.frames.copy()
         count = len(self.sightings.ids)
-        for own, block, gradient, cross, cross_mount in blocks:
-            some = self.sightings.of(own)
-            seen, of = np.unique(some.frame, return_inverse=True)
-            pull = np.einsum("nij,ni->nj", cross, kept[some.tag])
-            if cross_mount is not None:
-                moved = np.vstack([np.zeros((1, 6)), kept[count:]])
-                pull += np.einsum("nij,ni->nj", cross_mount, moved[some.camera])
-            way = np.linalg.solve(block, (gradient - summed(pull, of, len(seen)))[..., None])[..., 0]
-            frames[seen] = frames[seen] @ exp(way)
+        moved = np.vstack([np.zeros((1, 6)), kept[count:]])
+        for part in blocks:
+            pull = np.einsum("nij,ni->nj", part.cross, kept[part.some.tag])
+            if part.cross_mount is not None:
+                pull += np.einsum("nij,ni->nj", part.cross_mount, moved[part.some.camera])
+            rest = part.gradient - summed(pull, part.of, len(part.seen))
+            frames[part.seen] = frames[part.seen] @ exp(solved(part.block, rest))
         tags = poses.tags @ exp(kept[:count])
         mounts = np.concatenate([poses.mounts[:1], poses.mounts[1:] @ exp(kept[count:])])
         return Poses(tags, frames, mounts)
 
-    def reduced(self, poses: Poses, floor: float, damping: float, robust: bool = True) -> tuple[FloatArray, ...]:
-        """The matrix and the right side of what is kept, and of each chunk what its frames need.
+    def reduced(
+        self, poses: Poses, floor: float, damping: float, weight: float | None = None
+    ) -> tuple[FloatArray, FloatArray, list[Eliminated]]:
+        """The matrix and the right side of what is kept, and what was eliminated.
 
         Args:
             poses: where to.
             floor: see `Adjusted`.
             damping: by which diagonals grow, relative.
-            robust: whether sightings have the weights of Student's distribution, or all count the same.
+            weight: of every sighting; None for those of Student's distribution, of priors too.
         """
         sightings, count = self.sightings, len(self.sightings.ids)
         matrix = np.zeros((6 * self.kept, 6 * self.kept))
@@ -235,11 +277,12 @@ class Adjustment:
             some = sightings.of(np.arange(own.start, own.stop))
             at = linearise(some, *_gathered(some, poses))
             variance = some.noise**2 + floor**2
-            weight = (weight_of((at.error**2).sum(axis=1) / variance) if robust else 1.0) / variance
+            trust = weight_of((at.error**2).sum(axis=1) / variance) if weight is None else weight
+            inverse_variance = trust / variance
             seen, of = np.unique(some.frame, return_inverse=True)
 
-            def product(one: FloatArray, other: FloatArray, weight: FloatArray = weight) -> FloatArray:
-                return np.asarray((np.swapaxes(one, 1, 2) * weight[:, None, None]) @ other)
+            def product(one: FloatArray, other: FloatArray, scale: FloatArray = inverse_variance) -> FloatArray:
+                return np.asarray((np.swapaxes(one, 1, 2) * scale[:, None, None]) @ other)
 
             error = -at.error[..., None]
             block = summed(product(at.by_frame, at.by_frame), of, len(seen))
@@ -265,23 +308,25 @@ class Adjustment:
                 matrix[: 6 * count, 6 * count :] += wide
                 matrix[6 * count :, : 6 * count] += wide.T
             rows = np.append(rows, np.arange(count, self.kept))
-            lower = np.linalg.cholesky(block)
+            lower: FloatArray = np.linalg.cholesky(block)
             # H_kf L^-T, whose product with itself is H_kf H_ff^-1 H_fk.
             half = np.swapaxes(np.linalg.solve(lower[None], np.swapaxes(panel, 2, 3)), 2, 3)
             wide = half.transpose(0, 2, 1, 3).reshape(6 * len(rows), 6 * len(seen))
             index = (6 * rows[:, None] + np.arange(6)).ravel()
             matrix[np.ix_(index, index)] -= wide @ wide.T
-            reduced = np.linalg.solve(lower, gradient[..., None])[..., 0]
+            reduced = solved(lower, gradient)
             right[rows] -= (wide @ reduced.ravel()).reshape(-1, 6)
-            blocks.append((np.arange(own.start, own.stop), block, gradient, cross, cross_mount))
+            blocks.append(Eliminated(some, seen, of, block, gradient, cross, cross_mount))
         off = self.prior.off(poses.tags)
-        known = self.prior.information * (weight_of(self.prior.squares(poses.tags), 6)[:, None] if robust else 1.0)
+        known = self.prior.information
+        if weight is None:
+            known = known * weight_of(self.prior.squares(poses.tags), 6)[:, None]
         diagonal[:count] += known[..., None] * np.eye(6)
         right[:count] -= known * off
         diagonal += damping * diagonal * np.eye(6)
         for k in range(self.kept):
             matrix[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] += diagonal[k]
-        return matrix, right, blocks  # type: ignore[return-value]
+        return matrix, right, blocks
 
     def run(self, poses: Poses, floor: float, steps: int) -> Adjusted:
         """The best poses near `poses`.
@@ -307,6 +352,22 @@ class Adjustment:
             if gained < CONVERGED * len(self.sightings) and abs(floor - before) < 1e-3 * before + 1e-6:
                 break
         return Adjusted(_orthonormal(poses), floor, self.squares(poses, floor))
+
+
+def resected(sightings: Sightings, poses: Poses, floor: float, steps: int = RESECTIONS) -> FloatArray:
+    """The frames with everything else fixed, `(F, 4, 4)`, from where `poses` has them."""
+    frames = poses.frames
+    seen, of = np.unique(sightings.frame, return_inverse=True)
+    for _ in range(steps):
+        at = linearise(sightings, *_gathered(sightings, replace(poses, frames=frames)))
+        variance = sightings.noise**2 + floor**2
+        weight = weight_of((at.error**2).sum(axis=1) / variance) / variance
+        turned = np.swapaxes(at.by_frame, 1, 2) * weight[:, None, None]
+        matrix = summed(turned @ at.by_frame, of, len(seen)) + LEAST_DAMPING * np.eye(6)
+        right = summed((turned @ at.error[..., None])[..., 0], of, len(seen))
+        frames = frames.copy()
+        frames[seen] = frames[seen] @ exp(-solved(matrix, right))
+    return frames
 
 
 def _orthonormal(poses: Poses) -> Poses:

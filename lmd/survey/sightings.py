@@ -7,7 +7,7 @@ order in e, and needs nothing of the lens but its inverse, once.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -59,6 +59,13 @@ class Sightings:
         names = ("frame", "camera", "tag", "directions", "tangents", "sizes", "noise")
         rest = (getattr(self, name)[chosen] for name in names)
         return Sightings(self.ids, self.edges, self.frames, self.cameras, *rest)
+
+    def apart(self) -> "Sightings":
+        """The same as if every camera were a body of its own: of C F frames, those of the first camera first."""
+        order = np.argsort(self.frame + self.camera * self.frames, kind="stable")
+        some = self.of(order)
+        frames = some.frame + some.camera * self.frames
+        return replace(some, frame=frames, frames=self.frames * self.cameras, cameras=1, camera=0 * some.camera)
 
     @cached_property
     def corners(self) -> FloatArray:
@@ -131,4 +138,4 @@ def sightings_of(
         sizes=sides,
         noise=errors.sigma(sides / modules),
     )
-    return every.of(np.isfinite(tangents).all(axis=(1, 2, 3)))
+    return every.of(np.flatnonzero(np.isfinite(tangents).all(axis=(1, 2, 3))))

@@ -14,7 +14,7 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.core.optional import optional
 from lmd.geometry.se3 import exp, inverse, pose_of
-from lmd.survey.adjustment import Adjustment, Poses, Prior, in_cameras, linearise, residuals, summed
+from lmd.survey.adjustment import Adjustment, Poses, Prior, in_cameras, linearise, residuals, solved, summed
 from lmd.survey.sightings import Sightings
 
 # What corners are off by, pixels, when a pose is judged on its own.
@@ -223,7 +223,7 @@ class _Trial:
         return pairs, pose, (residuals(some, seen) ** 2).sum(axis=(1, 2))
 
     def cost(self, poses: FloatArray, owner: IntArray) -> FloatArray:
-        """How badly poses `(P, 4, 4)` of these owners fit, `(P,)`; what is far off counts little more than what is off."""
+        """How badly poses `(P, 4, 4)` of these owners fit, `(P,)`; far off is little worse than off."""
         _, pose, error = self._errors(poses, owner)
         return np.asarray(np.bincount(pose, np.log1p(error / (4.0 * NARROW**2)), minlength=len(poses)))
 
@@ -243,7 +243,7 @@ class _Trial:
             turned = np.swapaxes(slope, 1, 2) * weight[:, None, None]
             matrix = summed(turned @ slope, pose, len(poses)) + 1e-6 * np.eye(6)
             right = summed((turned @ linear.error[..., None])[..., 0], pose, len(poses))
-            poses = poses @ exp(-np.linalg.solve(matrix, right[..., None])[..., 0])
+            poses = np.asarray(poses @ exp(-solved(matrix, right)))
         return poses
 
 
