@@ -4,7 +4,8 @@ A sighting has eight residuals e in pixels, see `lmd.survey.sightings`, and the 
 where sigma^2 is the detector's own variance and a floor: lenses and bodies are not quite what their calibration says.
 The errors are taken for those of Student's distribution with nu degrees of freedom, so what is minimised is the sum of
 (nu + 8) / 2 log(1 + chi^2 / nu). Each step is one of Levenberg and Marquardt with the weights (nu + 8) / (nu + chi^2):
-a sighting that does not fit counts next to nothing. The floor is that with which the weighted mean of chi^2 / 8 is 1.
+a sighting that does not fit counts next to nothing. The floor is that with which the weighted mean of chi^2 is the one
+that normal errors have.
 
 A sighting connects one frame with one tag, so frames are eliminated (Schur complement): with the blocks H_ff of the
 frames, H_kk of what is kept (tags, and cameras on the body but the first) and H_kf, the step of what is kept solves
@@ -26,6 +27,8 @@ from lmd.survey.sightings import Sightings
 
 FREEDOM = 4.0  # nu
 RESIDUALS = 8
+# The mean of (nu + 8) chi^2 / (nu + chi^2) where chi^2 has its own distribution with 8 degrees of freedom.
+NORMAL_MEAN = 7.5625
 LEAST_SHARE = 0.1
 CHUNK = 128  # frames that are eliminated at once
 # A corner that is hardly in front of the camera, or behind it, fits nowhere: metres, and pixels.
@@ -85,7 +88,7 @@ def residuals(sightings: Sightings, seen: FloatArray) -> FloatArray:
     """e of corners at `seen` `(N, 4, 3)` in their cameras, `(N, 4, 2)`, pixels."""
     depth = (sightings.directions * seen).sum(axis=-1)[..., None]
     error = (sightings.tangents @ seen[..., None])[..., 0] / np.maximum(depth, NEAREST)
-    return np.asarray(np.where(depth > NEAREST, error, NOWHERE))
+    return np.asarray(np.where(depth <= NEAREST, NOWHERE, error))
 
 
 def errors_at(sightings: Sightings, poses: Poses) -> FloatArray:
@@ -217,7 +220,7 @@ class Adjustment:
         for _ in range(40):
             middle = (low + high) / 2.0
             square = error / self.share / (self.sightings.noise**2 + middle**2)
-            if (weight_of(square) * square).mean() > RESIDUALS:
+            if (weight_of(square) * square).mean() > NORMAL_MEAN:
                 low = middle
             else:
                 high = middle
@@ -308,7 +311,7 @@ class Adjustment:
                 matrix[: 6 * count, 6 * count :] += wide
                 matrix[6 * count :, : 6 * count] += wide.T
             rows = np.append(rows, np.arange(count, self.kept))
-            lower: FloatArray = np.linalg.cholesky(block)
+            lower = np.asarray(np.linalg.cholesky(block), dtype=np.float64)
             # H_kf L^-T, whose product with itself is H_kf H_ff^-1 H_fk.
             half = np.swapaxes(np.linalg.solve(lower[None], np.swapaxes(panel, 2, 3)), 2, 3)
             wide = half.transpose(0, 2, 1, 3).reshape(6 * len(rows), 6 * len(seen))

@@ -86,7 +86,8 @@ def estimate(sightings: Sightings, prior: Prior, origin: int | None = None) -> E
 def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, floor: float) -> Estimate:
     """The estimate near some poses; arguments as of `Estimate`."""
     of_map = (group[sightings.tag] == 0) & np.isfinite(poses.frames[sightings.frame, 0, 0])
-    used, misfits = of_map, np.zeros(len(sightings), dtype=bool)
+    of_map = used = _twice_in_frame(sightings, of_map)
+    misfits = np.zeros(len(sightings), dtype=bool)
     prior = Prior(prior.tags, np.where((group == 0)[:, None], prior.information, 0.0))
     for steps in (STEPS, FINAL_STEPS):
         used = _twice_in_frame(sightings, used)

