@@ -82,3 +82,12 @@ def sightings(detected, ids, edges=EDGE, sigma=0.2, camera=CAMERA) -> Sightings:
     cameras = [camera] * len(detected.cameras)
     edge: FloatArray = np.broadcast_to(np.asarray(edges, dtype=np.float64), len(ids)).copy()
     return sightings_of(detected, cameras, np.asarray(ids), edge, 8, constant_errors(sigma))
+
+
+def one_after_the_other(one: DetectedTags, two: DetectedTags) -> DetectedTags:
+    """Two walks of the same cameras as one."""
+    frames = len(one.times) + len(two.times)
+    both = ((getattr(one, name), getattr(two, name)) for name in ("camera", "ids", "corners"))
+    camera, ids, corners = (np.concatenate(pair) for pair in both)
+    frame = np.concatenate([one.frame, two.frame + len(one.times)])
+    return DetectedTags(tuple(map(str, range(frames))), one.cameras, frame, camera, ids, corners)

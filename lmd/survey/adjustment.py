@@ -233,10 +233,10 @@ class Adjustment:
         (w + 2 w' chi^2 / 8) is what the slope of the equations loses, that of w^2 chi^2 / 8 is the variance of their
         right side, and the covariance is that of least squares times the second over the first squared.
         """
-        square = self.squares(poses, floor)
+        square = self.squares(poses, floor) / self.share
         weight = weight_of(square)
         slope = (weight - 2.0 / RESIDUALS * square * weight / (FREEDOM + square)).mean()
-        spread = (weight**2 * square).mean() / RESIDUALS / self.share
+        spread = (weight**2 * square).mean() / RESIDUALS
         matrix, *_ = self.reduced(poses, floor, 0.0, float(slope**2 / spread))
         spoken = np.flatnonzero(np.diag(matrix) > 0.0)
         whole = np.full_like(matrix, np.nan)

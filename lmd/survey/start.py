@@ -23,11 +23,11 @@ ASSUMED = 0.3
 # A pose is beyond doubt, or likely, if the likelihood of the other one is less by so many powers of e.
 BEYOND_DOUBT, LIKELY = 6.0, 1.5
 # A sighting agrees with a pose if it is not farther off, root mean square, than this share of its size and some pixels.
-AGREES, AGREES_PIXELS = 0.08, 2.0
+AGREES, AGREES_PIXELS = 0.15, 2.0
 # At least so many sightings, and so much of all, must agree.
 FEWEST, LEAST_SHARE = 2, 0.3
-# Frames and tags of which more disagree try again at last.
-DISPUTED = 0.2
+# Frames and tags try again at last where so many sightings are off by so much more than the median, squared.
+DISPUTED, MUCH_WORSE = 0.2, 25.0
 # Of a frame or tag, the proposals come from so many of its sightings, the largest; the best are improved.
 PROPOSING, IMPROVED = 8, 3
 # It is judged by so many, the largest.
@@ -131,8 +131,8 @@ class Placing:
     def grow(self) -> bool:
         """Place what several sightings agree on; whether anything was placed."""
         before = self.count()
-        self._place(self._waiting(by_frame=True), by_frame=True, fewest=FEWEST)
-        self._place(self._waiting(by_frame=False), by_frame=False, fewest=FEWEST)
+        self.settle(self._waiting(by_frame=True), by_frame=True, fewest=FEWEST)
+        self.settle(self._waiting(by_frame=False), by_frame=False, fewest=FEWEST)
         return self.count() > before
 
     def risk(self) -> bool:
@@ -142,7 +142,7 @@ class Placing:
             waiting = waiting[self.proposed.odds[waiting] > LIKELY]
             if waiting.size:
                 before = self.count()
-                self._place(waiting[[np.argmax(self.proposed.odds[waiting])]], by_frame, fewest=1)
+                self.settle(waiting[[np.argmax(self.proposed.odds[waiting])]], by_frame, fewest=1)
                 if self.count() > before:
                     return True
         return False
@@ -157,14 +157,14 @@ class Placing:
         return np.flatnonzero(tag & ~frame if by_frame else frame & ~tag)
 
     def reseat(self) -> None:
-        """Let tags, then frames, with sightings that disagree try again, and take a pose that fits better."""
+        """Let tags, then frames, whose sightings fit badly try again, and take a pose that fits better."""
         for by_frame in (False, True):
             owner = self.sightings.frame if by_frame else self.sightings.tag
             error = errors_at(self.sightings, self.poses)
             known = np.isfinite(error)
-            disagree = known & ~agreeing(self.sightings, error)
+            disagree = known & (error > MUCH_WORSE * np.median(error[known]))
             share = np.bincount(owner, disagree) / np.maximum(np.bincount(owner, known), 1)
-            self._place(np.flatnonzero(known & (share[owner] > DISPUTED)), by_frame, fewest=FEWEST)
+            self.settle(np.flatnonzero(known & (share[owner] > DISPUTED)), by_frame, fewest=FEWEST)
 
     def adjust(self, steps: int) -> None:
         """Adjust all that is placed; the first tag of each group stays."""
@@ -176,8 +176,15 @@ class Placing:
         adjusted = adjustment.run(self.poses, FLOOR, steps)
         self.tags, self.frames = adjusted.poses.tags, adjusted.poses.frames
 
-    def _place(self, index: IntArray, by_frame: bool, fewest: int) -> None:
-        """Place the frames, or the tags, of the sightings `index`, whose tags, or frames, are placed."""
+    def settle(self, index: IntArray, by_frame: bool, fewest: int, share: float = LEAST_SHARE) -> None:
+        """Place the frames, or the tags, of the sightings `index`, whose tags, or frames, are placed.
+
+        Args:
+            index: the sightings.
+            by_frame: whether it is the frames that are to be placed.
+            fewest: how many sightings must agree.
+            share: how many of all must.
+        """
         index = index[_rank(self.sightings, index, by_frame) < JUDGING]
         if not index.size:
             return
@@ -195,7 +202,7 @@ class Placing:
         order = np.lexsort((trial.cost(poses, owner), owner))
         poses = poses[order[_rank_within(owner[order]) == 0]]
         agreed = trial.agreed(poses)
-        enough = (agreed >= fewest) & (agreed >= LEAST_SHARE * trial.sizes)
+        enough = (agreed >= fewest) & (agreed >= share * trial.sizes)
         target[trial.owners[enough]] = poses[enough]
         if not by_frame:
             fresh = trial.owners[enough]
