@@ -3,6 +3,7 @@
 import re
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -125,23 +126,23 @@ def studies(
         from lmd.plot.sensitivity import save_sensitivity_figure
 
         varied = sensitivity(problem, deployment, seed)
-        title = title_of(problem, "sensitivity,")
-        yield "sensitivity", varied, lambda path: save_sensitivity_figure(path, varied, title)
+        about = title_of(problem, "sensitivity,")
+        yield "sensitivity", varied, partial(save_sensitivity_figure, found=varied, title=about)
     if deployment is not plan:
         from lmd.evaluation.survey import survey
         from lmd.plot.mounting import save_map_figure
 
         surveyed = survey(problem, plan, deployment, seed)
-        title = title_of(problem, "maps as planned and as measured,")
-        yield "survey", surveyed, lambda path: save_map_figure(path, surveyed.views, title)
+        about = title_of(problem, "maps as planned and as measured,")
+        yield "survey", surveyed, partial(save_map_figure, views=surveyed.views, title=about)
     if not error.is_none:
         from lmd.evaluation.mounting import mounted
         from lmd.plot.mounting import save_map_figure
 
         with keyed(MOUNTING):
             hung = mounted(problem, deployment, error, seed)
-        title = title_of(problem, f"{error.draws} mountings,")
-        yield "mounting", hung, lambda path: save_map_figure(path, hung.views, title)
+        about = title_of(problem, f"{error.draws} mountings,")
+        yield "mounting", hung, partial(save_map_figure, views=hung.views, title=about)
 
 
 def lose(problem: "Problem", deployment: "Deployment") -> "Losses | None":
@@ -161,8 +162,8 @@ def write_study(directory: Path, name: str, study: "Study", draw: "Callable[[Pat
     from lmd.core.tables import write_table
 
     files = []
-    for title, table in study.tables.items():
-        files.append(directory / f"{title}.csv")
+    for stem, table in study.tables.items():
+        files.append(directory / f"{stem}.csv")
         write_table(files[-1], {str(column): values for column, values in table.items()})
     if draw is not None:
         files.append(directory / f"{name}.png")

@@ -34,7 +34,7 @@ def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
         settings = OmegaConf.to_container(cfg, resolve=True)
         assert isinstance(settings, dict)
         paper, names = settings["paper_size"], settings[key]
-        chosen = Export(formats_of(tag) if names is None else names, paper, settings["north"])
+        chosen = Export(formats_of(tag) if names is None else names, paper, settings["north"], names is None)
         if names is None and not tag.is_point:
             left_out = not_printed(tag, paper)
             chosen = replace(chosen, formats=tuple(name for name in chosen.formats if name not in left_out))
@@ -49,7 +49,9 @@ def export(cfg: DictConfig) -> None:
     import numpy as np
 
     from lmd.core.checks import InputError
+    from lmd.mapping.formats import FORMATS
     from lmd.mapping.sheets import describe_sheets
+    from lmd.mapping.tag_map import TagMap
 
     from .tracked_run import keep, title_of, tracked
 
@@ -58,7 +60,10 @@ def export(cfg: DictConfig) -> None:
     chosen = build_export(cfg, "formats", scene.tag)
     if not chosen.formats:
         raise InputError("formats lists none, so there is nothing to write.")
-    writers = chosen.writers(scene.room, scene.tag, problem.draw(np.random.default_rng(cfg.seed)))
+    deployment = problem.draw(np.random.default_rng(cfg.seed))
+    writers = chosen.writers(scene.room, scene.tag, deployment)
+    for name, reason in chosen.unfit(TagMap(scene.room, scene.tag, deployment)).items():
+        print(f"note: {FORMATS[name].file} is not written: {reason}", file=sys.stderr)
     with tracked(cfg, "export", title_of(problem, "export")) as tracker:
         files = all_or_none(run_directory(), partial(_write_all, writers))
         keep(tracker, files, {})
