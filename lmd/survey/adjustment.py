@@ -388,12 +388,10 @@ def _orthonormal(poses: Poses) -> Poses:
 
 def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """The solution for a symmetric matrix; unknowns that nothing speaks of stay where they are."""
-    from scipy.linalg import cho_factor, cho_solve
-
     spoken = np.diag(matrix) > 0.0
     result = np.zeros(right.size)
     index = np.flatnonzero(spoken)
     some = matrix[np.ix_(index, index)]
     some[np.diag_indices_from(some)] *= 1.0 + LEAST_DAMPING
-    result[index] = cho_solve(cho_factor(some, overwrite_a=True), right.ravel()[index])
+    result[index] = np.linalg.solve(some, right.ravel()[index])
     return result

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.geometry.se3 import exp, inverse, log
@@ -14,6 +15,8 @@ from lmd.survey.start import FLOOR, place
 # A sighting whose chi^2 is larger, with eight degrees of freedom, does not show the tag where it hangs.
 MISFIT = 60.0
 STEPS, FINAL_STEPS = 40, 15
+# Threads that share matrices of some hundred rows wait for each other longer than they work.
+ONE_THREAD = 1
 MEDIAN_STEPS = 10  # of the mean pose of a mount
 
 
@@ -76,11 +79,12 @@ def estimate(sightings: Sightings, prior: Prior, origin: int | None = None) -> E
     Raises:
         InputError: no two tags were seen together, or `origin` could not be placed.
     """
-    rough, group = place(sightings.apart())
-    if group.max(initial=-1) < 0:
-        raise InputError("detections never show two tags at once, of which one leaves no doubt.", "detections")
-    poses, group, prior = _in_one_world(sightings, joined(sightings, rough), group, prior, origin)
-    return adjusted(sightings, prior, poses, group, FLOOR)
+    with threadpool_limits(limits=ONE_THREAD):
+        rough, group = place(sightings.apart())
+        if group.max(initial=-1) < 0:
+            raise InputError("detections never show two tags at once, of which one leaves no doubt.", "detections")
+        poses, group, prior = _in_one_world(sightings, joined(sightings, rough), group, prior, origin)
+        return adjusted(sightings, prior, poses, group, FLOOR)
 
 
 def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, floor: float) -> Estimate:

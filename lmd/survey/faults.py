@@ -8,11 +8,12 @@ than was told if its sightings, with all frames fixed, agree on that.
 from dataclasses import dataclass, replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import angle_between, exp
 from lmd.survey.adjustment import RESIDUALS, Poses, errors_at, linearise, solved, summed, weight_of
-from lmd.survey.estimate import MISFIT, Estimate, adjusted
+from lmd.survey.estimate import MISFIT, ONE_THREAD, Estimate, adjusted
 from lmd.survey.start import Placing, agreeing
 
 # So many sightings, and so much of all that do not fit, make a second place.
@@ -66,6 +67,11 @@ def settled(found: Estimate) -> tuple[Estimate, Faults]:
 
     A tag with another size gets that size, and one that was moved hangs where it was seen last.
     """
+    with threadpool_limits(limits=ONE_THREAD):
+        return _settled(found)
+
+
+def _settled(found: Estimate) -> tuple[Estimate, Faults]:
     sizes, poses = _sizes(found)
     if sizes:
         edges, group = found.sightings.edges.copy(), found.group.copy()
