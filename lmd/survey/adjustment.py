@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.core.checks import FloatArray, IntArray
-from lmd.geometry.se3 import exp, inverse, log, pose_of
+from lmd.geometry.se3 import adjoint, exp, inverse, log, pose_of
 from lmd.survey.sightings import Sightings
 
 FREEDOM = 4.0  # nu
@@ -226,8 +226,8 @@ class Adjustment:
                 high = middle
         return high
 
-    def covariances(self, poses: Poses, floor: float) -> FloatArray:
-        """Of the twist of each kept pose, in its own frame, `(kept, 6, 6)`; NaN for tags that were not seen.
+    def covariance(self, poses: Poses, floor: float) -> FloatArray:
+        """Of the twists of what is kept, each in its own frame, `(6 kept, 6 kept)`; NaN for tags that were not seen.
 
         The weights of Student's distribution neither waste nor invent information: with w(chi^2) the mean of
         (w + 2 w' chi^2 / 8) is what the slope of the equations loses, that of w^2 chi^2 / 8 is the variance of their
@@ -241,7 +241,7 @@ class Adjustment:
         spoken = np.flatnonzero(np.diag(matrix) > 0.0)
         whole = np.full_like(matrix, np.nan)
         whole[np.ix_(spoken, spoken)] = np.linalg.inv(matrix[np.ix_(spoken, spoken)])
-        return np.stack([whole[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] for k in range(self.kept)])
+        return whole
 
     def step(self, poses: Poses, floor: float, damping: float) -> Poses:
         """The poses after one step."""
@@ -355,6 +355,31 @@ class Adjustment:
             if gained < CONVERGED * len(self.sightings) and abs(floor - before) < 1e-3 * before + 1e-6:
                 break
         return Adjusted(_orthonormal(poses), floor, self.squares(poses, floor))
+
+
+def blocks_of(covariance: FloatArray, count: int) -> FloatArray:
+    """Those of each of `count` poses by themselves, `(count, 6, 6)`."""
+    return np.stack([covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] for k in range(count)])
+
+
+def without_gauge(covariance: FloatArray, tags: FloatArray) -> FloatArray:
+    """The covariance of tags once the map is laid over the true one: what each is off by beside the others.
+
+    With T the twists of all tags that one motion of the world leads to, `(6 n, 6)`, and T_p the rows of it that move
+    their centres, the motion that fits best is g = T_p^+ x_p, and what is left of x is x - T g.
+
+    Args:
+        covariance: of the twists of n tags, each in its own frame, `(6 n, 6 n)`.
+        tags: their poses, `(n, 4, 4)`.
+    """
+    back = inverse(tags)
+    motion = np.stack([adjoint(back, np.broadcast_to(axis, (len(tags), 6))) for axis in np.eye(6)], axis=-1)
+    centres = np.tile(np.arange(6) >= 3, len(tags))
+    motion = motion.reshape(-1, 6)
+    fit = np.zeros((6, len(motion)))
+    fit[:, centres] = np.linalg.pinv(motion[centres])
+    left = np.eye(len(motion)) - motion @ fit
+    return np.asarray(left @ covariance @ left.T)
 
 
 def resected(sightings: Sightings, poses: Poses, floor: float, steps: int = RESECTIONS) -> FloatArray:

@@ -7,7 +7,7 @@ from threadpoolctl import threadpool_limits
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.geometry.se3 import exp, inverse, log
-from lmd.survey.adjustment import Adjustment, Poses, Prior, errors_at
+from lmd.survey.adjustment import Adjustment, Poses, Prior, blocks_of, errors_at, without_gauge
 from lmd.survey.known import EXACT, aligned
 from lmd.survey.sightings import Sightings
 from lmd.survey.start import FLOOR, place
@@ -34,6 +34,7 @@ class Estimate:
         misfits: which are of such tags and frames but do not show the tag where it hangs, `(N,)`.
         floor: standard deviation of the corners that the detector does not account for, pixels.
         covariances: of the twist of each tag in its own frame, turn first, `(K, 6, 6)`; NaN for those not in the map.
+        precisions: the same once the map as a whole is laid where it belongs, see `without_gauge`.
     """
 
     sightings: Sightings
@@ -44,6 +45,7 @@ class Estimate:
     misfits: BoolArray
     floor: float
     covariances: FloatArray
+    precisions: FloatArray
 
     @property
     def mapped(self) -> IntArray:
@@ -90,27 +92,34 @@ def estimate(sightings: Sightings, prior: Prior, origin: int | None = None) -> E
 def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, floor: float) -> Estimate:
     """The estimate near some poses; arguments as of `Estimate`."""
     of_map = (group[sightings.tag] == 0) & np.isfinite(poses.frames[sightings.frame, 0, 0])
-    of_map = used = _twice_in_frame(sightings, of_map)
+    of_map = used = twice_in_frame(sightings, of_map)
     misfits = np.zeros(len(sightings), dtype=bool)
     prior = Prior(prior.tags, np.where((group == 0)[:, None], prior.information, 0.0))
     for steps in (STEPS, FINAL_STEPS):
-        used = _twice_in_frame(sightings, used)
+        used = twice_in_frame(sightings, used)
         adjustment = Adjustment(sightings.of(used), prior)
         found = adjustment.run(poses, floor, steps)
         poses, floor = found.poses, found.floor
         square = errors_at(sightings, poses) / (sightings.noise**2 + floor**2)
         misfits = of_map & (square > MISFIT)
         used = of_map & ~misfits
-    used = _twice_in_frame(sightings, used)
+    used = twice_in_frame(sightings, used)
     adjustment = Adjustment(sightings.of(used), prior)
-    covariances = np.full((len(group), 6, 6), np.nan)
-    covariances[group == 0] = adjustment.covariances(poses, floor)[: len(group)][group == 0]
+    whole = adjustment.covariance(poses, floor)[: 6 * len(group), : 6 * len(group)]
+    covariances, precisions = np.full((2, len(group), 6, 6), np.nan)
+    of_tag = blocks_of(whole, len(group))
+    known = (group == 0) & np.isfinite(of_tag).all(axis=(1, 2))
+    covariances[known] = of_tag[known]
+    rows = np.repeat(known, 6)
+    precisions[known] = blocks_of(without_gauge(whole[np.ix_(rows, rows)], poses.tags[known]), int(known.sum()))
     frames = np.full_like(poses.frames, np.nan)
     frames[np.unique(sightings.frame[used])] = poses.frames[np.unique(sightings.frame[used])]
-    return Estimate(sightings, prior, replace(poses, frames=frames), group, used, misfits, floor, covariances)
+    return Estimate(
+        sightings, prior, replace(poses, frames=frames), group, used, misfits, floor, covariances, precisions
+    )
 
 
-def _twice_in_frame(sightings: Sightings, used: BoolArray) -> BoolArray:
+def twice_in_frame(sightings: Sightings, used: BoolArray) -> BoolArray:
     """Those of the sightings `used` whose frames have at least two of them: one alone says nothing of the map."""
     counts = np.bincount(sightings.frame[used], minlength=sightings.frames)
     return np.asarray(used & (counts[sightings.frame] >= 2))
