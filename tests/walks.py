@@ -17,21 +17,28 @@ SMALLEST = 12.0  # pixels, of the shortest side that is found
 NEARLY_SIDEWAYS = 0.2  # cosine of the steepest incidence
 
 
-def wall_tags(count, rng, width=5.0, depth=4.0, height=2.5):
-    """Tags flat on the four walls of a room, `(K, 4, 4)`: x right, y up, z out."""
-    poses = []
-    for k in range(count):
-        z = rng.uniform(0.3, height - 0.3)
-        along = rng.uniform(0.3, (width if k % 2 == 0 else depth) - 0.3)
-        centre, normal = [
-            ((along, 0.0, z), (0.0, 1.0, 0.0)),
-            ((0.0, along, z), (1.0, 0.0, 0.0)),
-            ((along, depth, z), (0.0, -1.0, 0.0)),
-            ((width, along, z), (-1.0, 0.0, 0.0)),
-        ][k % 4]
-        up = np.array([0.0, 0.0, 1.0])
-        poses.append(pose_of(np.stack([np.cross(up, normal), up, normal], axis=-1), np.array(centre)))
-    return np.stack(poses)
+def on_wall(wall, along, height, width=5.0, depth=4.0):
+    """The pose of a tag flat on one of four walls, `(4, 4)`: x right, y up, z out; `along` of its length."""
+    up, x, y = np.array([0.0, 0.0, 1.0]), along * width, along * depth
+    centre, normal = [
+        ((x, 0.0, height), (0.0, 1.0, 0.0)),
+        ((0.0, y, height), (1.0, 0.0, 0.0)),
+        ((x, depth, height), (0.0, -1.0, 0.0)),
+        ((width, y, height), (-1.0, 0.0, 0.0)),
+    ][wall]
+    return pose_of(np.stack([np.cross(up, normal), up, normal], axis=-1), np.array(centre))
+
+
+def wall_tags(count, rng, height=2.5):
+    """Tags flat on the four walls of a room in turns, `(K, 4, 4)`, some of which may overlap."""
+    heights, along = rng.uniform(0.3, height - 0.3, count), rng.uniform(0.07, 0.93, count)
+    return np.stack([on_wall(k % 4, along[k], heights[k]) for k in range(count)])
+
+
+def spaced_tags(count, rng):
+    """The same without any that overlap."""
+    each = -(-count // 4)
+    return np.stack([on_wall(k % 4, (k // 4 + 0.5) / each, rng.uniform(0.8, 1.8)) for k in range(count)])
 
 
 def hung(poses, rng, place=0.010, turn=0.009):

@@ -52,7 +52,7 @@ def _draw_above(axes: Any, survey: Survey, room: Space | None) -> None:
     tags = survey.found.poses.tags
     axes.plot(*_edges(tags[placed], survey.found.sightings.edges[placed]), color=LANDMARK, linewidth=2.0, zorder=3)
     size = np.ptp(tags[placed][:, :2, 3], axis=0).max(initial=1.0)
-    covariances = survey.found.world_covariances()
+    covariances = survey.found.in_world(survey.found.precisions)
     sigma = 1e3 * np.nanmedian(np.sqrt(covariances[placed][:, 0, 0] + covariances[placed][:, 1, 1]))
     scale = ARROW_SHARE * size
     if planned is not None:
@@ -75,7 +75,7 @@ def _draw_above(axes: Any, survey: Survey, room: Space | None) -> None:
         axes.set_title(f"from above; arrows from the plan, {scale:.0f} times as long", fontsize=11)
     else:
         scale /= 1e-3 * sigma
-        axes.set_title(f"from above; ellipses ({SIGMAS:g} sigma) {scale:.0f} times as large", fontsize=11)
+        axes.set_title(f"against the z axis; ellipses of {SIGMAS:g} sigma, {scale:.0f} times as large", fontsize=11)
     for pose, covariance in zip(tags[placed], covariances[placed][:, :2, :2], strict=True):
         axes.plot(*(pose[:2, 3, None] + scale * _ellipse(covariance)), color="black", linewidth=0.6, zorder=4)
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")

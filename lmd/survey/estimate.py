@@ -57,12 +57,16 @@ class Estimate:
         """The frames that the map is made from."""
         return np.unique(self.sightings.frame[self.used])
 
-    def world_covariances(self) -> FloatArray:
-        """Of the position and of the turn of each tag, world frame, m^2 and rad^2, `(K, 6, 6)`."""
+    def in_world(self, covariances: FloatArray) -> FloatArray:
+        """Of the position and of the turn of each tag, world frame, m^2 and rad^2, `(K, 6, 6)`.
+
+        Args:
+            covariances: of their twists, in their own frames, `(K, 6, 6)`.
+        """
         turned = self.poses.tags[:, :3, :3]
         whole = np.zeros((len(turned), 6, 6))
         whole[:, :3, 3:] = whole[:, 3:, :3] = turned
-        return np.asarray(whole @ self.covariances @ np.swapaxes(whole, 1, 2))
+        return np.asarray(whole @ covariances @ np.swapaxes(whole, 1, 2))
 
     def errors(self) -> FloatArray:
         """Root mean square reprojection error of the sightings that count, pixels."""

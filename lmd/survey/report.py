@@ -56,7 +56,7 @@ def map_columns(survey: Survey) -> dict[str, ArrayLike]:
     """The columns of `map.csv`: tags, and covariances of their positions (m^2) and turns (rad^2) in the world frame."""
     tags = map_of(survey)
     vectors = np.hstack([tags.places, tags.normals, tags.ups])
-    covariances = survey.found.world_covariances()[survey.placed]
+    covariances = survey.found.in_world(survey.found.covariances)[survey.placed]
     upper = {f"cov_{AXES[i]}_{AXES[j]}": covariances[:, i, j] for i in range(len(AXES)) for j in range(i, len(AXES))}
     assert tags.labels is not None
     columns = dict(zip((*COLUMNS, *UP_COLUMNS), vectors.T, strict=True))
