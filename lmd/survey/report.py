@@ -19,6 +19,7 @@ POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 # A tag of the map needs another photograph if fewer sightings place it, or it is so many times worse known than most.
 FEW, LOOSE = 3, 3.0
+NOTICED = 0.01  # pixels
 LISTED = 12  # tags that a terminal names
 
 
@@ -213,7 +214,9 @@ def to_text(survey: Survey) -> str:
     }
     if "moved/50" in figures:
         lines["they hang"] = f"{both('moved', digits='.3g')} mm off their plan"
-    lines["corners"] = f"{both('error', 1.0)} pixels off; the detector alone does not account for {found.floor:.2g}"
+    lines["corners"] = f"{both('error', 1.0)} pixels off"
+    if found.floor > NOTICED:
+        lines["corners"] += f", of which a standard deviation of {found.floor:.2g} is not the detector's"
     if "measured" in survey.localised:
         lines["held out"] = (
             f"{len(survey.localised['measured'].shifts)} frames: corners {both('held_out_error_measured', 1.0)}"
