@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from omegaconf import DictConfig, OmegaConf
 
 from .app import run_directory
-from .building import camera_of, instantiate, keyed, settings_of
+from .building import build_problem, camera_of, instantiate, keyed, settings_of
+from .deployments import any_deployment
 from .documents import write_document
 from .earlier_run import read_earlier_run
 from .export import build_export
@@ -22,9 +23,11 @@ if TYPE_CHECKING:
     from lmd.detection.detectors import Detections, Detector
     from lmd.detection.images import Images
     from lmd.mapping.detections import DetectedTags
+    from lmd.problem import Problem
     from lmd.scene.camera import Camera
     from lmd.scene.tag import Tag
     from lmd.space.space import Space
+    from lmd.survey.audit import Audit
     from lmd.survey.survey import Known, Survey
 
 CHUNK = 8  # images that a worker reads at a time
@@ -32,9 +35,11 @@ CHUNK = 8  # images that a worker reads at a time
 
 def survey(cfg: DictConfig) -> None:
     """Find where the tags of the configured photographs or detections hang."""
-    from lmd.core.checks import InputError, seed_number
+    from lmd.core.checks import InputError, boolean, seed_number
     from lmd.detection.corner_errors import CORNER_ERRORS
+    from lmd.evaluation.verdicts import verdicts
     from lmd.scene.rig import Rig
+    from lmd.survey.audit import audited
     from lmd.survey.report import map_of, metrics, to_text
     from lmd.survey.survey import survey as find
 
@@ -48,6 +53,7 @@ def survey(cfg: DictConfig) -> None:
     cameras = given.cameras if isinstance(given, Rig) else (given,)
     name, detector = _detector(cfg)
     known, room = _known(cfg, tag), instantiate(cfg.room) if cfg.get("room") else None
+    problem = _problem(cfg) if boolean("audit", cfg.audit) else None
     exports = build_export(cfg, "export", tag)
     if exports.formats and room is None:
         raise InputError("export needs the room that the tags hang in: run=DIR, or room=... with its keys.")
@@ -55,14 +61,18 @@ def survey(cfg: DictConfig) -> None:
     errors = CORNER_ERRORS[name.removesuffix("_fine")]
     with keyed("survey", detections="detections" if cfg.detections is not None else "photographs", cameras="camera"):
         found = find(detected, cameras, tag, errors, known)
+    audit = None if problem is None else audited(found, problem, verdicts)
     about = f"survey of {found.placed.sum()} tags in {len(found.found.frames)} frames"
     with tracked(cfg, "survey", about) as tracker:
         writers = _writers(found, room, about, is_new=cfg.detections is None)
         if exports.formats and room is not None:
             writers |= exports.writers(room, tag, map_of(found))
+        if audit is not None:
+            writers |= _audit_writers(audit, name, about)
         files = all_or_none(run_directory(), partial(_write_all, writers))
-        keep(tracker, files, metrics(found))
-    print(f"{to_text(found)}\nfiles: {run_directory()}: {', '.join(file.name for file in files)}")
+        keep(tracker, files, metrics(found) | (audit.metrics() if audit else {}))
+    text = "\n".join([to_text(found), *([audit.to_text()] if audit else [])])
+    print(f"{text}\nfiles: {run_directory()}: {', '.join(file.name for file in files)}")
     print(f"mlflow: {tracker.describe()}")
 
 
@@ -78,6 +88,21 @@ def _detector(cfg: DictConfig) -> "tuple[str, Detector]":
     if len(named) != 1:
         raise InputError(f"detectors must name one detector, got {named}.")
     return named[0], instantiate(settings_of(cfg, f"detectors.{named[0]}"))
+
+
+def _problem(cfg: DictConfig) -> "Problem":
+    """What the frames are audited by.
+
+    Raises:
+        InputError: there is no room, or a rig.
+    """
+    from lmd.core.checks import InputError
+
+    if not cfg.get("room"):
+        raise InputError("audit needs the room and the visibility model of a run: run=DIR.")
+    problem = build_problem(any_deployment(cfg))
+    problem.scene.single_camera("audit")
+    return problem
 
 
 def _known(cfg: DictConfig, tag: "Tag") -> "Known":
@@ -194,6 +219,22 @@ def _writers(found: "Survey", room: "Space | None", title: str, is_new: bool) ->
     if is_new:
         writers["detections.csv"] = lambda path: write_detections(path, found.detected)
     return writers
+
+
+def _audit_writers(audit: "Audit", detector: str, title: str) -> dict[str, Callable[[Path], object]]:
+    """What writes each file of an audit, by its name."""
+    import pandas as pd
+
+    from lmd.detection.report import figures
+    from lmd.plot.detection import save_calibration_figure
+
+    named = {"deployment": "survey", "detector": detector}
+    row = pd.DataFrame([{**named, **figures(audit.prediction, audit.seen)}])
+    pitches = audit.tables["audit_pitches"].assign(**named)
+    writers: dict[str, Callable[[Path], object]] = {
+        f"{name}.csv": partial(table.to_csv, index=False) for name, table in audit.tables.items()
+    }
+    return {**writers, "audit.png": lambda path: save_calibration_figure(path, row, pitches, title)}
 
 
 def _write_all(writers: dict[str, Callable[[Path], object]], folder: Path) -> None:

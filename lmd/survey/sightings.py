@@ -33,7 +33,8 @@ class Sightings:
         frames: F; what several cameras saw at the same time is one frame.
         cameras: C.
         frame, camera, tag: which of them each is of, `(N,)`.
-        directions: b of the four corners, `(N, 4, 3)`.
+        image: the four corners as they were found, pixels from the border, `(N, 4, 2)`.
+        directions: b of them, `(N, 4, 3)`.
         tangents: J, `(N, 4, 2, 3)`, pixels.
         sizes: of the shortest side in the image, pixels, `(N,)`.
         noise: standard deviation of a coordinate of a corner that the detector alone accounts for, pixels, `(N,)`.
@@ -46,6 +47,7 @@ class Sightings:
     frame: IntArray
     camera: IntArray
     tag: IntArray
+    image: FloatArray
     directions: FloatArray
     tangents: FloatArray
     sizes: FloatArray
@@ -56,7 +58,7 @@ class Sightings:
 
     def of(self, chosen: IntArray | BoolArray) -> "Sightings":
         """Those that `chosen` selects, of the same tags in the same frames."""
-        names = ("frame", "camera", "tag", "directions", "tangents", "sizes", "noise")
+        names = ("frame", "camera", "tag", "image", "directions", "tangents", "sizes", "noise")
         rest = (getattr(self, name)[chosen] for name in names)
         return Sightings(self.ids, self.edges, self.frames, self.cameras, *rest)
 
@@ -133,6 +135,7 @@ def sightings_of(
         frame=chosen.frame,
         camera=chosen.camera,
         tag=np.searchsorted(ids, chosen.ids),
+        image=chosen.corners,
         directions=directions,
         tangents=tangents,
         sizes=sides,

@@ -21,6 +21,7 @@ UNSEEN, NEW = 15, 40  # a tag that is planned only, and one that hangs only
 ROOM = ["room=lab", "room.size=[5,4,2.5]", "room.reachable_size=[4,3,1.5]"]
 SETTINGS = ["photographs=photos", "camera.path=camera.yaml", f"tag.edge={EDGE}", "tracking=none", "workers=1",
             "hydra.run.dir=out"]  # fmt: skip
+READ = [setting for setting in SETTINGS if not setting.startswith(("photographs", "hydra"))]
 FILES = {"map.csv", "measured.csv", "frames.csv", "detections.csv", "survey.json", "survey.png"}
 pytestmark = pytest.mark.slow
 
@@ -98,9 +99,8 @@ def test_the_document_says_what_became_of_each_tag(surveyed):
 
 def test_the_same_comes_from_the_detections_it_leaves(surveyed, room):
     cwd, out = room[0], surveyed[0]
-    settings = [setting for setting in SETTINGS if not setting.startswith(("photographs", "hydra"))]
     done = call(
-        "deployment.path=plan.csv", "detections=out/detections.csv", "hydra.run.dir=again", cwd=cwd, settings=settings
+        "deployment.path=plan.csv", "detections=out/detections.csv", "hydra.run.dir=again", cwd=cwd, settings=READ
     )
     assert done.returncode == 0, done.stderr
     first, again = (pd.read_csv(folder / "map.csv") for folder in (out, cwd / "again"))
@@ -110,13 +110,34 @@ def test_the_same_comes_from_the_detections_it_leaves(surveyed, room):
 @pytest.mark.usefixtures("surveyed")
 def test_without_a_plan_the_world_is_the_frame_of_a_tag(room):
     cwd, _, true = room
-    settings = [setting for setting in SETTINGS if not setting.startswith(("photographs", "hydra"))]
-    done = call("detections=out/detections.csv", "survey.origin=3", "hydra.run.dir=alone", cwd=cwd, settings=settings)
+    done = call("detections=out/detections.csv", "survey.origin=3", "hydra.run.dir=alone", cwd=cwd, settings=READ)
     assert done.returncode == 0, done.stderr
     table = pd.read_csv(cwd / "alone" / "map.csv").set_index("id")
     np.testing.assert_allclose(table.loc[3, ["x", "y", "z", "nx", "ny", "nz"]], [0, 0, 0, 0, 0, 1], atol=1e-5)
     assert beside(table.sort_index(), true[:UNSEEN]).max() < 0.001
     assert not (cwd / "alone" / "measured.csv").exists()
+
+
+@pytest.mark.usefixtures("surveyed")
+def test_an_audit_names_the_tag_that_is_not_found_where_it_is_predicted(room):
+    cwd, _, _ = room
+    detections = pd.read_csv(cwd / "out" / "detections.csv", dtype=str)
+    dirty = detections.id.value_counts().index[0]
+    detections.drop(detections.index[detections.id == dirty][2:]).to_csv(cwd / "dirty.csv", index=False)
+    audit = ["audit=true", "visibility=fiducial", "visibility.detector=apriltag", *ROOM]
+    done = call("deployment.path=plan.csv", "detections=dirty.csv", *audit, "hydra.run.dir=audit", cwd=cwd,
+                settings=READ)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert f"\nstand out   {dirty} (in 2 of " in done.stdout
+    tags = pd.read_csv(cwd / "audit" / "audit_tags.csv").set_index("id")
+    assert tags.index[tags.stands_out].tolist() == [int(dirty)]
+    assert (tags.confirmed <= tags[["predicted", "detected"]].min(axis=1)).all()
+    assert tags.expected.sum() == pytest.approx(tags.confirmed.sum())
+    for name, last in (("pitches", "pitch_to"), ("incidences", "incidence_to")):
+        table = pd.read_csv(cwd / "audit" / f"audit_{name}.csv")
+        assert (table[last].diff().dropna() > 0).all()
+        assert table.tags.sum() >= tags.detected.sum()
+    assert cv2.imread(str(cwd / "audit" / "audit.png")) is not None
 
 
 @pytest.mark.parametrize(
@@ -128,6 +149,7 @@ def test_without_a_plan_the_world_is_the_frame_of_a_tag(room):
         (["survey.place=0"], "survey.place must"),
         (["export=[wpilib]"], "export needs the room that the tags hang in"),
         (["detectors=[apriltag,aruco]"], "detectors must name one detector, got ['apriltag', 'aruco']"),
+        (["audit=true"], "audit needs the room and the visibility model of a run"),
         (["deployment=random"], "deployment must be a file"),
         (["camera.path=plan.csv"], "plan.csv"),
     ],
