@@ -113,21 +113,27 @@ def _known(cfg: DictConfig, tag: "Tag") -> "Known":
     """
     from lmd.core.checks import InputError, integer
     from lmd.scene.tag_map_files import read_deployment
-    from lmd.survey.known import Hanging
+    from lmd.survey.known import Hanging, Points
     from lmd.survey.survey import Known
 
     settings = OmegaConf.to_container(settings_of(cfg, "survey"), resolve=True)
     assert isinstance(settings, dict)
-    origin = settings.pop("origin", None)
+    origin, points, floor = (settings.pop(key, None) for key in ("origin", "points", "floor"))
     with keyed("survey"):
         hanging = Hanging(**{str(key): value for key, value in settings.items()})
         origin = None if origin is None else integer("origin", origin, low=0)
+        points = None if points is None else Points.from_csv(points)
+        if not isinstance(floor, list):
+            raise InputError(f"floor must list the ids of tags, got {floor!r}.", "floor")
+        floor = tuple(integer("floor", number, low=0) for number in floor)
     node = settings_of(cfg, "deployment")
     if "path" not in node:
         raise InputError("deployment must be a file, deployment.path=plan.csv, or that of a run, run=DIR.")
     with keyed("deployment"):
         plan = None if node.path is None else read_deployment(node.path, "path", tag.family)
-        return Known(plan, hanging, fixed_of(node, tag.family), origin)
+        fixed = fixed_of(node, tag.family)
+    with keyed("survey"):
+        return Known(plan, hanging, fixed, points, origin, floor)
 
 
 def _detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector") -> "DetectedTags":

@@ -8,7 +8,7 @@ from threadpoolctl import threadpool_limits
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.geometry.se3 import exp, inverse, log
 from lmd.survey.adjustment import Adjustment, Poses, Prior, blocks_of, errors_at, without_gauge
-from lmd.survey.known import EXACT, aligned
+from lmd.survey.known import EXACT, aligned, turned_as
 from lmd.survey.sightings import Sightings
 from lmd.survey.start import FLOOR, place
 
@@ -68,6 +68,11 @@ class Estimate:
         whole[:, :3, 3:] = whole[:, 3:, :3] = turned
         return np.asarray(whole @ covariances @ np.swapaxes(whole, 1, 2))
 
+    def moved(self, motion: FloatArray) -> "Estimate":
+        """The same in another world, to which a motion `(4, 4)` leads."""
+        poses = replace(self.poses, tags=motion @ self.poses.tags, frames=motion @ self.poses.frames)
+        return replace(self, poses=poses, prior=Prior(motion @ self.prior.tags, self.prior.information))
+
     def errors(self) -> FloatArray:
         """Root mean square reprojection error of the sightings that count, pixels."""
         return np.asarray(np.sqrt(errors_at(self.sightings.of(self.used), self.poses) / 4.0))
@@ -83,7 +88,8 @@ def estimate(sightings: Sightings, prior: Prior, origin: int | None = None) -> E
             was seen most often.
 
     Raises:
-        InputError: no two tags were seen together, or `origin` could not be placed.
+        InputError: no two tags were seen together, `origin` could not be placed, or centres that are known are too few
+            for a world.
     """
     with threadpool_limits(limits=ONE_THREAD):
         rough, group = place(sightings.apart())
@@ -172,6 +178,10 @@ def _in_one_world(
     order = np.argsort(-np.bincount(group[group >= 0], counts[group >= 0]), kind="stable")
     motions = {g: aligned(np.where((group == g)[:, None, None], tags, np.nan), prior) for g in order.tolist()}
     if all(motion is None for motion in motions.values()):
+        if prior.information[group >= 0].any():
+            raise InputError(
+                "points has too few tags that photographs connect: three that are not in a line.", "points"
+            )
         first, prior = _origin(sightings, group, counts, order, prior, origin)
         motions[int(group[first])] = inverse(tags[first])
     number, others = np.full(len(order) + 1, -1), 1
@@ -184,7 +194,7 @@ def _in_one_world(
         tags[group == g] = motion @ tags[group == g]
         frames[owner == g] = motion @ frames[owner == g]
     frames[(owner < 0) | (number[owner] != 0)] = np.nan
-    return Poses(tags, frames, poses.mounts), number[group], prior
+    return Poses(tags, frames, poses.mounts), number[group], turned_as(prior, tags)
 
 
 def _origin(

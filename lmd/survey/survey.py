@@ -14,7 +14,7 @@ from lmd.scene.tag import Tag
 from lmd.survey.estimate import Estimate, estimate
 from lmd.survey.faults import Faults, settled
 from lmd.survey.held_out import Localised, held_out
-from lmd.survey.known import Hanging, poses_of, prior_of
+from lmd.survey.known import Hanging, Points, levelled, poses_of, prior_of
 from lmd.survey.sightings import sightings_of
 
 # A tag of which nothing is known is believed if so many sightings agree where it hangs: ids are misread.
@@ -29,18 +29,29 @@ class Known:
         plan: where tags should hang; None for none.
         hanging: how far from there they may.
         fixed: where some hang exactly; None for none.
-        origin: id of the tag whose frame is the world where neither says anything; None for the one seen most often.
+        points: where the centres of some are, as a tape measure says; None for none.
+        origin: id of the tag whose frame is the world where nothing else is known; None for the one seen most often.
+        floor: ids of tags that lie on the floor: then z is up in that world, and 0 on the floor; none for no such.
+
+    Raises:
+        InputError: the floor is named, and the world is that of a plan, of fixed tags or of points.
     """
 
     plan: Deployment | None = None
     hanging: Hanging = field(default_factory=Hanging)
     fixed: Deployment | None = None
+    points: Points | None = None
     origin: int | None = None
+    floor: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.floor and any(known is not None for known in (self.plan, self.fixed, self.points)):
+            raise InputError("floor says where z = 0 is, but the plan, or the tags that are known, do so too.", "floor")
 
     @property
     def ids(self) -> IntArray:
         """The tags that are named, ascending."""
-        named = [known.ids for known in (self.plan, self.fixed) if known is not None]
+        named = [known.ids for known in (self.plan, self.fixed, self.points) if known is not None]
         return np.unique(np.concatenate([np.empty(0, dtype=np.int64), *named]))
 
     def edges(self, ids: IntArray, tag: Tag) -> FloatArray:
@@ -117,8 +128,11 @@ def survey(detected: DetectedTags, cameras: Sequence[Camera], tag: Tag, errors: 
     if not np.isin(detected.ids, ids).any():
         raise InputError("detections has no tag of the plan, and no other one twice.", "detections")
     sightings = sightings_of(detected, cameras, ids, known.edges(ids, tag), tag.modules, errors)
-    prior = prior_of(ids, known.plan, known.hanging, known.fixed)
+    prior = prior_of(ids, known.plan, known.hanging, known.fixed, known.points)
     found, faults = settled(estimate(sightings, prior, known.origin))
+    if known.floor:
+        first = int(np.flatnonzero(found.prior.information.any(axis=1))[0])
+        found = found.moved(levelled(found.poses.tags, np.flatnonzero(np.isin(ids, known.floor)), first))
     used = np.bincount(sightings.tag[found.used], minlength=len(ids))
     placed = (found.group == 0) & (used >= np.where(np.isin(ids, known.ids), 1, FEWEST_BELIEVED))
     return Survey(detected, known, found, faults, placed, held_out(found, known.planned(ids)))

@@ -12,7 +12,7 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
 from lmd.scene.surveyed import Surveyed
 from lmd.scene.tag import Tag
-from lmd.survey.known import poses_of
+from lmd.survey.known import Points, poses_of
 from lmd.survey.report import document, map_columns, map_of, measured_of, metrics, to_text
 from lmd.survey.survey import Known, survey
 
@@ -102,6 +102,56 @@ def test_a_tag_whose_place_is_known_stays_there(room):
     np.testing.assert_allclose(pose, true[0], atol=1e-4)
     other = inverse(true[0]) @ true[4]
     np.testing.assert_allclose((inverse(pose) @ found.found.poses.tags[4])[:3, 3], other[:3, 3], atol=0.01)
+
+
+def test_three_centres_by_the_tape_measure_say_where_the_world_is(room):
+    true, _, detected = room
+    few = np.array([0, 5, 10])
+    points = Points(few, true[few, :3, 3] + np.random.default_rng(0).normal(0.0, 0.002, (3, 3)))
+    found = surveyed(detected, points=points)
+    off = np.linalg.norm(found.found.poses.tags[found.placed, :3, 3] - true[found.ids[found.placed], :3, 3], axis=1)
+    assert np.median(off) < 0.006
+    assert off.max() < 0.015
+
+
+def test_centres_that_were_not_seen_say_nothing(room):
+    true, _, detected = room
+    few = np.array([0, 5, UNSEEN])
+    with pytest.raises(InputError, match=r"^points has too few tags that photographs connect"):
+        surveyed(detected, points=Points(few, true[few, :3, 3]))
+
+
+@pytest.mark.parametrize(
+    ("ids", "places", "message"),
+    [
+        ([1, 2], np.eye(3)[:2], r"^points must have at least 3 tags, got 2\.$"),
+        ([1, 2, 1], np.eye(3), r"^points has a tag twice\.$"),
+        ([1, 2, 3], np.outer([0, 1, 2], [1, 1, 1]), r"^points must not lie in a line\.$"),
+    ],
+)
+def test_points_that_fix_no_world_are_refused(ids, places, message):
+    with pytest.raises(InputError, match=message):
+        Points(np.array(ids), np.asarray(places, dtype=np.float64))
+
+
+def test_tags_on_the_floor_say_what_is_up(room):
+    """Here one wall is taken for the floor: its tags are at z = 0, face along z, and the distances stay."""
+    true, _, detected = room
+    floor = [k for k in range(COUNT) if k % 4 == 0]  # all on one wall
+    found = surveyed(detected, floor=tuple(floor), origin=5)
+    poses = {number: found.found.poses.tags[k] for k, number in enumerate(found.ids.tolist())}
+    for number in floor:
+        assert abs(poses[number][2, 3]) < 0.005
+        assert poses[number][2, 2] > 0.999
+    np.testing.assert_allclose(poses[5][:2, 3], 0.0, atol=1e-9)
+    assert poses[5][2, 3] == pytest.approx(true[5][1, 3] - true[floor, 1, 3].mean(), abs=0.005)
+    assert metrics(found)["held_out_error_measured/50"] < 1.5 * SIGMA * np.sqrt(2.0)
+
+
+def test_a_floor_beside_a_plan_is_refused(room):
+    _, plan, _ = room
+    with pytest.raises(InputError, match=r"^floor says where z = 0 is, but the plan"):
+        Known(plan, floor=(1, 2, 3))
 
 
 def test_an_id_that_was_read_once_is_not_believed(room):
