@@ -79,7 +79,8 @@ def _settled(found: Estimate) -> tuple[Estimate, Faults]:
         found = adjusted(replace(found.sightings, edges=edges), found.prior, poses, group, found.floor)
     places = _second_places(found)
     last = [place for place in places if place.moved is not None and place.later]
-    gross = found.misfits & ~agreeing(found.sightings, errors_at(found.sightings, found.poses))
+    error = errors_at(found.sightings, found.poses)
+    gross = found.misfits & np.isfinite(error) & ~agreeing(found.sightings, error)
     misread = np.bincount(found.sightings.tag[gross], minlength=len(found.group))
     for place in places:
         misread[place.tag] = max(misread[place.tag] - place.sightings, 0)

@@ -103,7 +103,7 @@ def sightings_of(
 ) -> Sightings:
     """The sightings of the tags with these `ids`.
 
-    Detections of other tags, and those outside of what a lens images, are left out.
+    Detections of other tags, and those with a corner outside of the image or of what the lens images, are left out.
 
     Args:
         detected: as they were found.
@@ -122,8 +122,11 @@ def sightings_of(
     known = np.flatnonzero(np.isin(detected.ids, ids))
     chosen = detected.of(known[np.lexsort((detected.ids[known], detected.camera[known], detected.frame[known]))])
     directions, tangents = np.empty((len(chosen), 4, 3)), np.empty((len(chosen), 4, 2, 3))
+    whole = np.zeros(len(chosen), dtype=bool)
     for index, camera in enumerate(cameras):
         own = chosen.camera == index
+        size = np.array([camera.image_width, camera.image_height])
+        whole[own] = ((chosen.corners[own] >= 0.0) & (chosen.corners[own] <= size)).all(axis=(1, 2))
         directions[own] = directions_of(camera, chosen.corners[own])
         tangents[own] = tangents_of(camera, chosen.corners[own], directions[own])
     sides = np.linalg.norm(chosen.corners - np.roll(chosen.corners, 1, axis=1), axis=-1).min(axis=1)
@@ -141,4 +144,4 @@ def sightings_of(
         sizes=sides,
         noise=errors.sigma(sides / modules),
     )
-    return every.of(np.flatnonzero(np.isfinite(tangents).all(axis=(1, 2, 3))))
+    return every.of(np.flatnonzero(whole & np.isfinite(tangents).all(axis=(1, 2, 3))))
