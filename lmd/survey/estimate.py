@@ -92,7 +92,9 @@ def estimate(sightings: Sightings, prior: Prior, origin: int | None = None) -> E
             for a world.
     """
     with threadpool_limits(limits=ONE_THREAD):
-        rough, group = place(sightings.apart())
+        known = np.asarray(prior.information[:, :3].any(axis=1))
+        planned = np.where(known[:, None, None], prior.tags, np.nan)
+        rough, group = place(sightings.apart(), planned)
         if group.max(initial=-1) < 0:
             raise InputError("detections never show two tags at once, of which one leaves no doubt.", "detections")
         poses, group, prior = _in_one_world(sightings, joined(sightings, rough), group, prior, origin)

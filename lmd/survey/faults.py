@@ -14,7 +14,7 @@ from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import angle_between, exp
 from lmd.survey.adjustment import RESIDUALS, Poses, errors_at, linearise, solved, summed, weight_of
 from lmd.survey.estimate import MISFIT, ONE_THREAD, Estimate, adjusted
-from lmd.survey.start import Placing, agreeing
+from lmd.survey.start import Placing, agreeing, proposals
 
 # So many sightings, and so much of all that do not fit, make a second place.
 FEWEST, LEAST_SHARE = 3, 0.5
@@ -104,7 +104,7 @@ def _second_places(found: Estimate) -> list[SecondPlace]:
     some = found.sightings.of(np.flatnonzero(found.misfits & known & often)).apart()
     if not len(some):
         return []
-    placing = Placing(some)
+    placing = Placing(some, proposals(some))
     placing.frames = _views(found.poses)
     placing.settle(np.arange(len(some)), by_frame=False, fewest=FEWEST)
     agree = errors_at(some, placing.poses) / (some.noise**2 + found.floor**2) <= MISFIT
@@ -140,7 +140,8 @@ def _sizes(found: Estimate) -> tuple[dict[int, float], Poses]:
     astray = np.bincount(sightings.tag[found.used], minlength=count) == 0
     lost = np.flatnonzero(astray[some.tag])
     if lost.size:
-        placing = Placing(some.of(lost).apart())
+        unplaced = some.of(lost).apart()
+        placing = Placing(unplaced, proposals(unplaced))
         placing.frames = _views(found.poses)
         placing.settle(np.arange(lost.size), by_frame=False, fewest=0, share=0.0)
         tags[astray] = placing.tags[astray]

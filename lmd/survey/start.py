@@ -6,6 +6,9 @@ every tag that placed frames show; each of them tries the poses that its sightin
 is placed if enough sightings agree. Where that comes to an end, the likeliest of single sightings is taken at its word:
 at last all try again among all that is placed. After each turn what is placed is adjusted. What no frame connects with
 the group begins another one, in a world of its own.
+
+With a plan all begins with the tags where they were planned, and that is taken if most sightings agree with what comes
+of it.
 """
 
 from dataclasses import dataclass
@@ -34,6 +37,8 @@ PROPOSING, IMPROVED = 8, 3
 JUDGING = 60
 IMPROVING_STEPS, WIDE, NARROW = 12, 40.0, 3.0  # the scale of the weights goes from wide to narrow, pixels
 STEPS, FINAL_STEPS = 3, 8
+# A beginning with all tags where they were planned is good enough if so many sightings agree.
+AS_PLANNED = 0.8
 FLOOR = 3.0  # pixels; adjustments on the way take that much to be unexplained, at most
 ANCHORED = 1e-4  # metres and rad, by which the first tag of a group may move
 
@@ -93,8 +98,8 @@ def agreeing(sightings: Sightings, error: FloatArray) -> BoolArray:
 class Placing:
     """The frames and tags of some sightings that are placed one after the other."""
 
-    def __init__(self, sightings: Sightings) -> None:
-        self.sightings, self.proposed = sightings, proposals(sightings)
+    def __init__(self, sightings: Sightings, proposed: Proposals) -> None:
+        self.sightings, self.proposed = sightings, proposed
         nowhere = np.full((4, 4), np.nan)
         self.tags = np.tile(nowhere, (len(sightings.ids), 1, 1))
         self.frames = np.tile(nowhere, (sightings.frames, 1, 1))
@@ -108,6 +113,21 @@ class Placing:
     def placed(self, poses: FloatArray) -> BoolArray:
         """Which of some poses are known."""
         return np.asarray(np.isfinite(poses[:, 0, 0]))
+
+    def fill(self) -> None:
+        """Place all that can be, from what is placed already."""
+        begun = bool(self.count())
+        while begun or self.seed():
+            begun = False
+            while self.grow() or self.risk():
+                self.adjust(STEPS)
+            for _ in range(2):
+                self.reseat()
+                self.adjust(FINAL_STEPS)
+
+    def agreed(self) -> int:
+        """How many sightings agree with where their tags and frames are."""
+        return int(agreeing(self.sightings, errors_at(self.sightings, self.poses)).sum())
 
     def seed(self) -> bool:
         """Begin a group with the tags of the frame that shows most new ones beyond doubt; whether there is one."""
@@ -286,21 +306,26 @@ def _rank_within(owner: IntArray) -> IntArray:
     return np.asarray(np.arange(len(owner)) - np.searchsorted(owner, owner))
 
 
-def place(sightings: Sightings) -> tuple[Poses, IntArray]:
+def place(sightings: Sightings, planned: FloatArray) -> tuple[Poses, IntArray]:
     """Rough poses of all tags and frames that can be placed.
 
     Args:
         sightings: of cameras each of which is a body of its own (`mounts` are not asked for).
+        planned: where tags should hang, `(K, 4, 4)`; NaN where that is not known.
 
     Returns:
         the poses, NaN where nothing is known; and the group of each tag, -1 for none, `(K,)`. Each group has a world
         of its own.
     """
-    placing = Placing(sightings)
-    while placing.seed():
-        while placing.grow() or placing.risk():
-            placing.adjust(STEPS)
-        for _ in range(2):
-            placing.reseat()
-            placing.adjust(FINAL_STEPS)
-    return placing.poses, placing.group
+    proposed = proposals(sightings)
+    best = Placing(sightings, proposed)
+    seen = np.bincount(sightings.tag, minlength=len(planned)) > 0
+    if (known := seen & best.placed(planned)).any():
+        best.tags[known], best.group[known] = planned[known], 0
+        best.fill()
+        if best.agreed() >= AS_PLANNED * len(sightings):
+            return best.poses, best.group
+    alone = Placing(sightings, proposed)
+    alone.fill()
+    best = max(alone, best, key=Placing.agreed)
+    return best.poses, best.group
