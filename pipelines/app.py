@@ -160,6 +160,8 @@ def ends_reported() -> Iterator[None]:
 
 
 def discard_empty(directory: Path) -> None:
-    """Remove the directory of a run if nothing came of it."""
-    if directory.is_dir() and {path.name for path in directory.iterdir()} <= {".hydra"}:
+    """Remove the directory of a run if nothing came of it, but not where the user is, as with commands that talk."""
+    if not directory.is_dir() or directory.samefile(Path.cwd()):
+        return
+    if {path.name for path in directory.iterdir()} <= {".hydra"}:
         shutil.rmtree(directory)

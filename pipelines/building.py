@@ -32,7 +32,7 @@ SAME_EDGE = 1e-6  # metres
 MENTIONED = 8  # tags in a note
 RUN_BYTES = 1000  # at the least, of each of several runs
 # Settings that are true or false.
-SWITCHES = ("validate", "page", "localisation", "losses", "sensitivity", "all_visible")
+SWITCHES = ("validate", "picture", "page", "localisation", "losses", "sensitivity", "all_visible")
 
 
 @contextmanager
@@ -223,13 +223,14 @@ def note_edges(tag: "Tag", deployment: "Deployment") -> None:
     other = [f"{number} ({edge:g} m)" for number, edge in own.items() if abs(edge - tag.size) > SAME_EDGE]
     if other:
         few = ", ".join(other[:MENTIONED]) + (f" and {len(other) - MENTIONED} more" * (len(other) > MENTIONED))
-        _note(f"tag.edge = {tag.size:g} m counts for all tags; by their map others have {few}")
+        note(f"tag.edge = {tag.size:g} m counts for all tags; by their map others have {few}")
 
 
 @cache
-def _note(text: str) -> None:
-    """Say it once, however many problems a process builds."""
-    print(f"note: {text}", file=sys.stderr)
+def note(text: str) -> None:
+    """Say it, unless it is empty, once, however many problems a process builds."""
+    if text:
+        print(f"note: {text}", file=sys.stderr)
 
 
 def _poses(cfg: DictConfig) -> "tuple[Space, OrientationPdf, RecordedPoses | None]":
@@ -247,7 +248,9 @@ def _poses(cfg: DictConfig) -> "tuple[Space, OrientationPdf, RecordedPoses | Non
         return room, instantiate(cfg.pdf), None
     poses = instantiate(cfg.poses)
     with keyed("poses"):
-        return poses.visited(room), poses.pdf, poses
+        visited = poses.visited(room)
+    note(poses.note)
+    return visited, poses.pdf, poses
 
 
 def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":

@@ -15,6 +15,7 @@ from .workers import in_processes
 if TYPE_CHECKING:
     from lmd.evaluation.comparison import OptimiserRun
     from lmd.optimisers.base import Budget
+    from lmd.problem import Problem
 
     from .operations.tracking import Tracker
 
@@ -35,7 +36,7 @@ def compare(cfg: DictConfig) -> None:
     budget, seeds = budget_of(cfg), seeds_of(cfg)
     if not isinstance(cfg.optimisers, ListConfig) or not all(str(entry).split() for entry in cfg.optimisers):
         raise InputError(f"optimisers must be a list of names, got {cfg.optimisers!r}.")
-    configs = {str(entry): _compose(str(entry), cfg) for entry in cfg.optimisers}
+    configs = {str(entry): _compose(str(entry), cfg, problem) for entry in cfg.optimisers}
     if not configs:
         raise InputError("optimisers must name at least one optimiser.")
     jobs = [(name, configs[name], seed, budget) for seed in seeds for name in configs]
@@ -64,13 +65,13 @@ def compare(cfg: DictConfig) -> None:
             Path(f"{save_as}.{kind}").write_bytes((directory / f"comparison.{kind}").read_bytes())
 
 
-def _compose(entry: str, cfg: DictConfig) -> DictConfig:
+def _compose(entry: str, cfg: DictConfig, problem: "Problem") -> DictConfig:
     """The `optimise` configuration for one entry of `optimisers`: a name, then overrides of its own."""
     shared = [override for key, override in task_overrides() if key.split(".")[0] not in OWN_KEYS]
     name, *own = entry.split()
     composed = recompose("optimise", [*shared, *search_path(), f"optimiser={name}", *own], "optimisers", entry)
     composed.budget, composed.threads = cfg.budget, 1
-    build_optimiser(composed, cfg.seed)  # what cannot be built fails before anything has run
+    build_optimiser(composed, cfg.seed).check(problem)  # what cannot be built fails before anything has run
     return composed
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import DictConfig
 
 from .app import choices, run_directory
-from .building import build_problem, instantiate, keyed, seeds_of, settings_of
+from .building import build_problem, instantiate, keyed, note, seeds_of, settings_of
 from .deployments import any_deployment, composed_deployments, read_deployment_as_a_list
 from .documents import write_document
 from .pipeline import Pipeline
@@ -52,6 +52,7 @@ def observe(cfg: DictConfig) -> None:
         raise InputError("film needs rendered frames: detector=rendered.")
     with keyed("trajectory", seeds="seeds"):
         flights = Flights.draw(problem, trajectory, start, seeds)
+    note(getattr(trajectory, "note", ""))  # of a file
     directory, n = run_directory(), problem.objective.n
     with tracked(cfg, "observe", title_of(problem, "observe")) as tracker:
         with keyed(estimators="estimator", family="tag.family"):

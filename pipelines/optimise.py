@@ -44,7 +44,9 @@ def optimise(cfg: DictConfig) -> float:
     settings = flat_settings(cfg, *SAME_WHEN_RESUMED)
     settings |= contents_of(settings)
     export = build_export(cfg, "export", problem.scene.tag)
-    checkpoint, earlier = Checkpoint(build_optimiser(cfg, cfg.seed), settings), None
+    optimiser = build_optimiser(cfg, cfg.seed)
+    optimiser.check(problem)
+    checkpoint, earlier = Checkpoint(optimiser, settings), None
     if cfg.resume is not None:
         checkpoint.resume(cfg.resume, problem)
         earlier = Earlier(checkpoint.run_id, Path(cfg.resume))

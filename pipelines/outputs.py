@@ -99,6 +99,8 @@ def write_pictures(
     deployment: "Deployment",
     history: "Sequence[Record]",
     title: str,
+    *,
+    picture: bool,
     page: bool,
     exports: Mapping[str, Callable[[Path], object]],
 ) -> tuple[list[Path], list[str]]:
@@ -110,6 +112,7 @@ def write_pictures(
         deployment: what is shown.
         history: best fitness over the run; a single evaluation gets no curve.
         title: heads the pictures.
+        picture: whether to write the picture and the curve.
         page: whether to write the interactive page.
         exports: what writes further files, by their names.
 
@@ -121,10 +124,10 @@ def write_pictures(
     from lmd.plot.scene import save_scene_figure
 
     headline, table = problem.objective.headline, columns_of(history)
-    writers: dict[str, Callable[[Path], object]] = {
-        "scene.png": lambda path: save_scene_figure(path, problem, deployment, title)
-    }
-    if len(history) > 1:
+    writers: dict[str, Callable[[Path], object]] = {}
+    if picture:
+        writers["scene.png"] = lambda path: save_scene_figure(path, problem, deployment, title)
+    if picture and len(history) > 1:
         writers["convergence.png"] = lambda path: save_convergence_figure(path, table, headline, title)
     if page:
         writers["scene.html"] = lambda path: save_scene_page(path, problem, deployment, title)

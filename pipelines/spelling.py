@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ def meant(key: str, folder: str) -> str:
     """
     import difflib
 
-    known = {name for file in Path(folder).rglob("*.yaml") for name in _keys(file, Path(folder))}
+    known = _known(folder)
     close = [] if key in known else difflib.get_close_matches(key, sorted(known), 1, CLOSE)
     return f"did you mean {close[0]}?" if close else ""
 
@@ -30,12 +31,19 @@ def ask_what_was_meant(folder: str) -> None:
             print(f"{key}: {question}", file=sys.stderr)
 
 
+@cache
+def _known(folder: str) -> frozenset[str]:
+    """All keys of the configuration in a folder."""
+    return frozenset(name for file in Path(folder).rglob("*.yaml") for name in _keys(file, Path(folder)))
+
+
 def _keys(file: Path, folder: Path) -> Iterator[str]:
     """All keys of a file of the configuration, with the names of their groups."""
     import yaml
 
     groups = list(file.parent.relative_to(folder).parts)
-    yield from _within(yaml.safe_load(file.read_text(encoding="utf-8")), groups)
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast, where PyYAML was built with it
+    yield from _within(yaml.load(file.read_text(encoding="utf-8"), loader), groups)
 
 
 def _within(node: Any, above: list[str]) -> Iterator[str]:

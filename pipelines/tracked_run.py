@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
 # What a run is about is a parameter; what only says how it is done, where it goes on and where it is kept is none.
 NO_PARAMETERS = (
-    "tracking", "trust", "run", "resume", "page", "threads", "checkpoint_seconds", "tracked_as", "export", "paper_size",
-    "north",
+    "tracking", "trust", "run", "resume", "picture", "page", "threads", "checkpoint_seconds", "tracked_as", "export",
+    "paper_size", "north",
 )  # fmt: skip
 
 LITTLE = 0.1  # share of qualified positions below which a run says what takes the others
@@ -180,7 +180,9 @@ def record(
             failed.append(f"metrics.json has no validation ({error.strerror})")
         title = f"{title_of(problem, subject)}, {problem.scene.room.describe()}"
         exports = export.writers(problem.scene.room, problem.scene.tag, deployment) if export else {}
-        pictures, lost = write_pictures(directory, problem, deployment, history, title, cfg.page, exports)
+        pictures, lost = write_pictures(
+            directory, problem, deployment, history, title, picture=cfg.picture, page=cfg.page, exports=exports
+        )
         failed += lost
     files = sorted({*files, *curve, *pictures})
     keep(tracker, [file for file in files if file.suffix != ".html"], {}, status)

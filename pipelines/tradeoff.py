@@ -60,10 +60,11 @@ def tradeoff(cfg: DictConfig) -> None:
     wanted = None if cfg.wanted is None else real("wanted", cfg.wanted, low=0.0, high=1.0)
     file_path("kept", cfg.kept)
     budget_of(cfg)
-    build_optimiser(cfg, seeds[0])  # what cannot be built fails before anything has run
+    optimiser = build_optimiser(cfg, seeds[0])  # what cannot be built fails before anything has run
     ladders = [Ladder(cfg, edge, seed) for edge, seed in product(edges, seeds)]
     for ladder, count in product(ladders[:: len(seeds)], (counts[0], counts[-1])):  # and what does not fit together
         problem = ladder.problem(count)
+        optimiser.check(problem)
     if cfg.figure is not None:
         known = figures_of(problem, problem.draw(np.random.default_rng(seeds[0])), seeds[0])
         choice("figure", cfg.figure, shares_among(known))

@@ -38,7 +38,7 @@ def view(cfg: DictConfig) -> None:
     optional("viser", "view")
     problem = build_problem(cfg)
     budget = budget_of(cfg)
-    build_optimiser(cfg, cfg.seed)  # what is wrong with it shows now, not at the first search
+    build_optimiser(cfg, cfg.seed).check(problem)  # what is wrong with it shows now, not at the first search
     tag, directory = problem.scene.tag, run_directory()
     nothing = tag.is_point and cfg.export is None  # of a point there is no map
     export = None if nothing else build_export(cfg, "export", tag)

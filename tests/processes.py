@@ -19,7 +19,7 @@ from pipelines.operations.signals import stop
 from pipelines.operations.sweeps.forks import Descriptor, context, run_module
 
 ROOT = Path(__file__).parents[1]
-SMALL = ("room.spacing=1.5", "objective.thold_p=0.5", "validate=false")
+SMALL = ("room.spacing=1.5", "objective.thold_p=0.5", "validate=false", "picture=false")
 LIMIT = 120  # seconds that a test waits for a process
 
 

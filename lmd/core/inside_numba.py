@@ -6,7 +6,7 @@ Only `lmd.core.compiled` uses this, and only with versions of numba for which it
 import hashlib
 import pickle
 from collections.abc import Callable
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 from filelock import FileLock, Timeout
@@ -15,6 +15,7 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher, cpu_target
+from numba.core.targetconfig import TargetConfig
 
 PATIENCE = 60.0  # seconds to wait for another process that compiles the same kernel: longer than any takes
 
@@ -73,6 +74,22 @@ class _InnerCompiler(Compiler):
 
 
 OVERLOAD = {"pipeline_class": _InnerCompiler}  # for `numba.extending.overload`
+
+
+def _are_equal(one: Any, other: Any, compare: Any = TargetConfig.__eq__) -> Any:
+    """As `compare`, which reads each of forty options of both by its name."""
+    return (type(one) is type(other) and one._values == other._values) or compare(one, other)
+
+
+@cache
+def _hash_of(kind: type[TargetConfig]) -> int:
+    """As numba's, which sorts the names of the options for every look-up."""
+    return hash(tuple(sorted(kind.options)))
+
+
+# numba asks for both whenever it looks up a function for the types of its arguments: a fourteenth of compiling.
+TargetConfig.__eq__ = _are_equal  # type: ignore[method-assign]
+TargetConfig.__hash__ = lambda self: _hash_of(type(self))  # type: ignore[method-assign]
 
 
 def load_compiler() -> None:

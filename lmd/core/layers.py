@@ -44,17 +44,34 @@ def _made(kind: type, parts: Any) -> Any:
 def _layer(bundle, number):  # noqa: ARG001 # numba compares names and annotations
     # numba has no map over tuples of different types: what is taken of each array is written down.
     kinds: dict[str, Any] = {}
-    exec(f"def pick(bundle, number):\n    return {_written(bundle, 'bundle', kinds)}", kinds)
+    lines: list[str] = []
+    picked = _written(bundle, "bundle", kinds, lines)
+    exec("\n    ".join(["def pick(bundle, number):", *lines, f"return {picked}"]), kinds)
     return kinds["pick"]
 
 
-def _written(part: Any, path: str, kinds: dict[str, Any]) -> str:
-    """The layer of what stands at `path`, as Python; `kinds` gets the classes of named tuples that it names."""
+def _written(part: Any, name: str, kinds: dict[str, Any], lines: list[str]) -> str:
+    """The layer of what has this name, as Python.
+
+    A tuple within a tuple gets a name of its own, since LLVM takes half a minute over all paths through a large one.
+
+    Args:
+        part: its type.
+        name: of a variable.
+        kinds: gets the classes of named tuples that it names.
+        lines: gets the assignments that come before.
+    """
     if isinstance(part, types.Array):
-        return f"{path}[number]"
-    taken = ", ".join(_written(inner, f"{path}[{i}]", kinds) for i, inner in enumerate(part))
+        return f"{name}[number]"
+    taken = []
+    for i, inner in enumerate(part):
+        within = f"{name}[{i}]"
+        if not isinstance(inner, types.Array):
+            within, path = f"{name}_{i}", within
+            lines.append(f"{within} = {path}")
+        taken.append(_written(inner, within, kinds, lines))
     kind = getattr(part, "instance_class", None)
     if kind is None:
-        return f"({taken},)"
+        return f"({', '.join(taken)},)"
     kinds[kind.__name__] = kind
-    return f"{kind.__name__}({taken})"
+    return f"{kind.__name__}({', '.join(taken)})"

@@ -97,7 +97,7 @@ def read_table(path: Any, *, name: str) -> Table:
     Raises:
         InputError: the file is missing or no CSV, has too many columns or two of a name, or a row of another length.
     """
-    content = _lines(path, name)
+    content = _lines(read_text(path, name))
     try:
         reader = csv.reader((line for _, line in content), skipinitialspace=True, strict=True)
         rows = [(content[reader.line_num - 1][0], [text.strip() for text in row]) for row in reader]
@@ -118,28 +118,62 @@ def read_table(path: Any, *, name: str) -> Table:
     return Table(str(path), [line for line, _ in body], texts)
 
 
-def read_headless(path: Any, columns: Sequence[str], *, name: str) -> Table | None:
-    """Read a text of values with spaces between them and no header, such as a trajectory of TUM's tools.
+@dataclass(frozen=True)
+class Headless:
+    """The values of a text without a header: with spaces or commas between them, as many in each line.
+
+    Args:
+        comments: the lines before the first values, which begin with #, without it.
+        commas: whether commas stand between the values.
+        rows: where each row stands in the file, from 1, and its texts.
+    """
+
+    path: str
+    comments: Sequence[str]
+    commas: bool
+    rows: Sequence[tuple[int, list[str]]]
+
+    @property
+    def width(self) -> int:
+        """Values in each line."""
+        return len(self.rows[0][1])
+
+    def table(self, columns: Sequence[str]) -> Table:
+        """The values with names for their columns.
+
+        Raises:
+            InputError: a line has another number of values.
+        """
+        for line, row in self.rows:
+            if len(row) != len(columns):
+                raise InputError(
+                    f"{self.path} line {line} has {len(row)} values, not {len(columns)}: {' '.join(columns)}."
+                )
+        texts = {column: [row[j] for _, row in self.rows] for j, column in enumerate(columns)}
+        return Table(self.path, [line for line, _ in self.rows], texts)
+
+
+def read_headless(path: Any, *, name: str) -> Headless | None:
+    """Read a text of values without a header, such as a trajectory of TUM's tools.
 
     Args:
         path: the file; blank lines and lines that begin with # are left out.
-        columns: what the values of a line are called.
         name: the argument the path came from, for messages.
 
     Returns:
-        None if the first line is none of spaced numbers.
+        None if the first line does not begin with a number.
 
     Raises:
-        InputError: the file is missing or no text, or a line has another number of values.
+        InputError: the file is missing or no text.
     """
-    rows = [(number, line.split()) for number, line in _lines(path, name)]
-    if not rows or "," in rows[0][1][0] or not _is_number(rows[0][1][0]):
+    text = read_text(path, name)
+    lines = _lines(text)
+    commas = bool(lines) and "," in lines[0][1]
+    rows = [(i, [value.strip() for value in line.split(",")] if commas else line.split()) for i, line in lines]
+    if not rows or not _is_number(rows[0][1][0]):
         return None
-    for line, row in rows:
-        if len(row) != len(columns):
-            raise InputError(f"{path} line {line} has {len(row)} values, not {len(columns)}: {' '.join(columns)}.")
-    texts = {column: [row[j] for _, row in rows] for j, column in enumerate(columns)}
-    return Table(str(path), [line for line, _ in rows], texts)
+    before = [line.strip().lstrip(COMMENT).strip() for line in text.splitlines()[: rows[0][0] - 1]]
+    return Headless(str(path), [comment for comment in before if comment], commas, rows)
 
 
 def _is_number(text: str) -> bool:
@@ -150,9 +184,9 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _lines(path: Any, name: str) -> list[tuple[int, str]]:
+def _lines(text: str) -> list[tuple[int, str]]:
     """The lines of a text that are neither blank nor comments, with their numbers."""
-    lines = io.StringIO(read_text(path, name), newline="")
+    lines = io.StringIO(text, newline="")
     return [(i, line) for i, line in enumerate(lines, 1) if line.strip() and line.lstrip()[0] != COMMENT]
 
 

@@ -11,6 +11,7 @@ from lmd.core.memory import check_memory
 from lmd.geometry.se3 import camera_pose
 from lmd.geometry.trajectory import Trajectory
 from lmd.scene.scene import Scene
+from lmd.scene.trajectory_files import TrajectoryFile
 from lmd.space.inside import check_inside
 
 # Greatest slope of the minimum-jerk profile, at its middle.
@@ -184,18 +185,9 @@ class Waypoints:
 
 
 @dataclass(frozen=True)
-class FileTrajectory:
-    """A recorded or planned trajectory from a file, one row for each frame, see `Trajectory.from_file`."""
-
-    path: str | None
+class FileTrajectory(TrajectoryFile):
+    """A recorded or planned trajectory, one pose for each frame, see `TrajectoryFile`."""
 
     def draw(self, scene: Scene, rng: np.random.Generator) -> Trajectory:
         """See `TrajectorySource.draw`; nothing here is random."""
-        if self.path is None:
-            raise InputError("path is missing: a CSV of poses is needed.", "path")
-        trajectory = Trajectory.from_file(self.path)
-        try:
-            check_inside(trajectory, scene.room)
-        except InputError as error:
-            raise InputError(f"{self.path}: {error}") from None
-        return trajectory
+        return self.check_inside(scene.room, check_inside)

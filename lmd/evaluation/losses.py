@@ -6,6 +6,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, IntArray
 from lmd.incremental.field import in_order
+from lmd.objectives.base import incremental
 from lmd.objectives.without import without_landmarks
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
@@ -79,6 +80,7 @@ def losses(problem: Problem, deployment: Deployment) -> Losses:
     Raises:
         InputError: the objective has no field.
     """
-    field = problem.objective.field(problem.fitness_evaluator)
-    target = problem.objective.target(in_order(field, problem.fitness_relevance))
+    objective = incremental(problem.objective)
+    field = objective.field(problem.fitness_evaluator)
+    target = objective.target(in_order(field, problem.fitness_relevance))
     return Losses(deployment.ids, problem.fitness_of(deployment), without_landmarks(field, target, deployment))

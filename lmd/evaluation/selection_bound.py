@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lmd.core.checks import FloatArray
+from lmd.objectives.base import selectable
 from lmd.optimisers.selection import add_each, select
 from lmd.problem import Problem
 from lmd.sight.poses import candidate_poses
@@ -54,7 +55,7 @@ def selection_upper_bound(problem: Problem, count: int, spacing: float) -> Selec
     Raises:
         InputError: the objective has no selection, or the spacing is not positive.
     """
-    plates, objective = problem.scene.plates, problem.objective
+    plates, objective = problem.scene.plates, selectable(problem.objective)
     evaluator, relevance = problem.fitness_evaluator, problem.fitness_relevance
     poses = candidate_poses(plates.hanging, spacing)
     free = count - problem.fixed_count

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from lmd.evaluation.validation import Sample
+from lmd.objectives.base import selectable
 from lmd.optimisers.selection import SPACING, select
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
@@ -54,7 +55,7 @@ def grown(problem: Problem, deployment: Deployment) -> Deployment:
     """
     plates, start = problem.scene.plates, problem.draw(np.random.default_rng(0))
     poses = candidate_poses(plates.hanging, SPACING)
-    selection = problem.objective.selection(problem.evaluator, problem.relevance)
+    selection = selectable(problem.objective).selection(problem.evaluator, problem.relevance)
     chosen, _ = select(selection, poses, problem.count - len(deployment), plates, fixed=deployment)
     more = deployment + poses[chosen] if len(chosen) else deployment
     if len(more) == problem.count:

@@ -37,6 +37,13 @@ def rotation(yaw: ArrayLike, pitch: ArrayLike, roll: ArrayLike = 0.0) -> FloatAr
     return np.asarray(r_roll @ r_pitch @ r_yaw @ ZERO_ANGLES)
 
 
+def roll_pitch_yaw(angles: ArrayLike) -> FloatArray:
+    """The matrix of ROS's `setRPY` from roll, pitch and yaw, Rz(yaw) Ry(pitch) Rx(roll), right-handed, `(3, 3)`."""
+    from scipy.spatial.transform import Rotation  # slow to load
+
+    return np.asarray(Rotation.from_euler("xyz", angles).as_matrix())
+
+
 def angles_of(world_to_local_rotation: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Yaw in [-pi, pi], pitch in [-pi/2, pi/2] and roll in [-pi, pi]: the inverse of `rotation`.
 

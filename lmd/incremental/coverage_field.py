@@ -56,11 +56,11 @@ class CoverageField(NamedTuple):
 
     @property
     def stack(self) -> int:
-        """See `Field.stack`."""
+        """See `Stacking.stack`."""
         return self.n
 
     def stacked(self, fixed: Deployment | None) -> "CoverageField":
-        """See `Field.stacked`: a stack of n that nothing hides is seen whenever one landmark in its place is.
+        """See `Stacking.stacked`: a stack of n that nothing hides is seen whenever one landmark in its place is.
 
         Where n fixed landmarks are covered, it is as if one stack were.
         """
@@ -70,7 +70,7 @@ class CoverageField(NamedTuple):
         return self._replace(n=1, sight=sight, horizon=horizon_of(sight), given=given)
 
     def shrunk(self, size: float) -> "CoverageField":
-        """See `Field.shrunk`."""
+        """See `Stacking.shrunk`."""
         return self._replace(sight=self.sight.shrunk(size))
 
 

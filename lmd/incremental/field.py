@@ -9,7 +9,7 @@ and may be dropped after each of the first two. The value of each position is a 
 `PROBABILITY_ONE` are 1: sums of integers are exact, so updating ends at the same values as computing anew.
 """
 
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -41,15 +41,25 @@ class Field(Protocol):
     def scratch(self, state: Any) -> Any:
         """Working memory for moves of a state."""
 
+
+@runtime_checkable
+class Stacking(Protocol):
+    """What a field has beside that if landmarks on one point, none hiding another, serve as one: a stack."""
+
     @property
     def stack(self) -> int:
-        """How many landmarks on one point, none hiding another, serve as one; 0 where such stacks make no sense."""
+        """How many landmarks are in a stack."""
 
-    def stacked(self, fixed: Deployment | None) -> "Field":
-        """The field of such stacks, moved as if they were single landmarks, beside those that are fixed."""
+    def stacked(self, fixed: Deployment | None) -> Field:
+        """The field of stacks, moved as if they were single landmarks, beside those that are fixed."""
 
-    def shrunk(self, size: float) -> "Field":
-        """The field of landmarks whose bodies are `size` times as large."""
+    def shrunk(self, size: float) -> Field:
+        """The field of landmarks whose bodies are `size` times as large, for stacks that are pulled apart."""
+
+
+def stack_of(field: Field) -> int:
+    """How many landmarks are in a stack; 0 if the field has none."""
+    return field.stack if isinstance(field, Stacking) else 0
 
 
 BOUND, SETTLE, ACCEPT, UNDO = range(4)  # the steps of a move

@@ -44,11 +44,11 @@ class RigField(NamedTuple):
 
     @property
     def stack(self) -> int:
-        """See `Field.stack`."""
+        """See `Stacking.stack`."""
         return self.n
 
     def stacked(self, fixed: Deployment | None) -> "RigField":
-        """See `Field.stacked` and `CoverageField.stacked`."""
+        """See `Stacking.stacked` and `CoverageField.stacked`."""
         sights = [part.sight.unhidden() for part in self.parts]
         parts = [p._replace(sight=s, horizon=horizon_of(s)) for p, s in zip(self.parts, sights, strict=True)]
         given = self.given
@@ -57,7 +57,7 @@ class RigField(NamedTuple):
         return self._replace(n=1, parts=tuple(parts), given=given)
 
     def shrunk(self, size: float) -> "RigField":
-        """See `Field.shrunk`."""
+        """See `Stacking.shrunk`."""
         return self._replace(parts=tuple(part._replace(sight=part.sight.shrunk(size)) for part in self.parts))
 
 

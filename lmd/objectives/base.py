@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -61,8 +61,8 @@ class Selection(Protocol):
 class Objective(Protocol):
     """What a deployment is for.
 
-    An objective with no more than this is climbed by every black box. `field` and `selection` say in a sentence
-    (`InputError`) that there is none, or give what `annealing` and `greedy` climb.
+    An objective with no more than this is climbed by every black box. One that is `Incremental` too is climbed by
+    `annealing`, one that is also `Selectable` by `greedy`.
     """
 
     @property
@@ -117,14 +117,49 @@ class Objective(Protocol):
     def describe_validation(self, figures: Mapping[str, float]) -> dict[str, str]:
         """The same for the figures off the grid (`lmd.evaluation.validation`)."""
 
+
+@runtime_checkable
+class Incremental(Protocol):
+    """What an objective has whose values can be updated as single landmarks move."""
+
     def field(self, evaluator: Evaluator) -> "Field":
-        """The values at the positions of `evaluator`, ready to be updated as single landmarks move."""
+        """The values at the positions of `evaluator`, ready to be updated."""
 
     def target(self, relevance: FloatArray) -> "Target":
         """What the values of a field are worth, with weights `(Q,)` in the order of its positions."""
 
+
+@runtime_checkable
+class Selectable(Protocol):
+    """What an objective has for which landmarks can be selected one after the other."""
+
     def selection(self, evaluator: Evaluator, relevance: FloatArray) -> Selection:
         """A stand-in that greedy selection can climb, with nothing chosen."""
+
+
+def incremental(objective: Objective) -> Incremental:
+    """The objective, which must have a field.
+
+    Raises:
+        InputError: it has none.
+    """
+    if isinstance(objective, Incremental):
+        return objective
+    raise InputError(
+        f"{type(objective).__name__} has no field that single moves could update; use a black box such as ega.",
+        "objective",
+    )
+
+
+def selectable(objective: Objective) -> Selectable:
+    """The objective, which must have a selection.
+
+    Raises:
+        InputError: it has none.
+    """
+    if isinstance(objective, Selectable):
+        return objective
+    raise InputError(f"{type(objective).__name__} has no selection that landmarks could be chosen by.", "objective")
 
 
 @dataclass(frozen=True)

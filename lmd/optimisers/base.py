@@ -165,6 +165,9 @@ class Optimiser(ABC):
         """
         raise InputError(f"{type(self).__name__} cannot be checkpointed.")
 
+    def check(self, problem: Problem) -> None:  # noqa: B027 # most take any problem
+        """Raise `InputError` if the method cannot take a problem; asked before a run writes anything."""
+
     @abstractmethod
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
         """Maximise `problem` within `budget`; deterministic for a given seed and problem."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import InputError, real
-from lmd.objectives.base import Objective
+from lmd.objectives.base import Objective, selectable
 from lmd.optimisers.annealing import Annealing, Stage
 from lmd.optimisers.annealing.stage import changed
 from lmd.optimisers.selection import SPACING, greedy_start, select
@@ -44,6 +44,11 @@ class Greedy(Annealing):
         single = changed("single", REFINED, single)
         super().__init__(stacked=single, single=single, sampled=single, given=single, stacked_share=0.0, seed=seed)
         self.spacing = real("spacing", spacing, above=0.0)
+
+    def check(self, problem: Problem) -> None:
+        """See `Optimiser.check`."""
+        super().check(problem)
+        selectable(problem.objective)
 
     def _begin(self, problem: Problem, stack: int, limit: float) -> int:
         """Build the start greedily; what the budget cannot pay for stays where the problem's start has it."""
@@ -93,7 +98,7 @@ class GreedyDeployment:
             spacing /= 1.3
             poses = candidate_poses(room, spacing)
         relevance = room.relevance.weights(evaluator.positions)
-        selection = self.objective.selection(evaluator, relevance)
+        selection = selectable(self.objective).selection(evaluator, relevance)
         chosen, _ = select(selection, poses, self.count, plates, fixed=self.fixed)
         if len(chosen) < self.count:
             raise InputError(

@@ -7,7 +7,7 @@ the lazy variant (Minoux 1978) exact: a pose needs evaluating again only while i
 
 import numpy as np
 
-from lmd.objectives.base import Selection
+from lmd.objectives.base import Selection, selectable
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.plates import Plates
@@ -95,7 +95,7 @@ def greedy_start(problem: Problem, start: Deployment, spacing: float, allowance:
     """
     plates = problem.scene.plates
     poses = _poses_within(plates.hanging, spacing, allowance / 2)
-    selection = problem.objective.selection(problem.fitness_evaluator, problem.fitness_relevance)
+    selection = selectable(problem.objective).selection(problem.fitness_evaluator, problem.fitness_relevance)
     chosen, spent = select(selection, poses, problem.free_count, plates, allowance, problem.fixed)
     if not len(chosen):
         return start, spent

@@ -14,6 +14,7 @@ from lmd.core.checks import FloatArray
 from lmd.core.compiled import kernel
 from lmd.core.layers import layers
 from lmd.incremental.field import BOUND, SETTLE, in_order, perform, total_worth
+from lmd.objectives.base import incremental
 from lmd.objectives.without import AWAY
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
@@ -73,8 +74,9 @@ def additions(
     Raises:
         InputError: the objective has no field.
     """
-    field = problem.objective.field(problem.evaluator)
-    target = problem.objective.target(in_order(field, problem.relevance))
+    objective = incremental(problem.objective)
+    field = objective.field(problem.evaluator)
+    target = objective.target(in_order(field, problem.relevance))
     # Out of reach, it changes nothing of what the others are worth.
     state = field.state(deployment + Deployment(AWAY[None, :3], AWAY[None, 3:]))
     scratches, places = layers(field.scratch(state), 1), np.hstack([poses.positions, poses.normals])

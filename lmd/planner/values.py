@@ -7,6 +7,7 @@ import numpy as np
 from lmd.core.checks import FloatArray
 from lmd.core.layers import layers
 from lmd.incremental.field import NO_UNITS, moved, perform, places_of
+from lmd.objectives.base import incremental
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
@@ -58,7 +59,7 @@ class _Followed:
     """The values at the positions of one evaluator."""
 
     def __init__(self, problem: Problem, evaluator: Evaluator, deployment: Deployment) -> None:
-        self._field = problem.objective.field(evaluator)
+        self._field = incremental(problem.objective).field(evaluator)
         self._begin(deployment)
 
     def _begin(self, deployment: Deployment) -> None:

@@ -13,10 +13,9 @@ from functools import cached_property
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, integer, real
-from lmd.geometry.trajectory import Trajectory
 from lmd.scene.by_position import pdf_by_position
 from lmd.scene.pdf import OrientationPdf
-from lmd.space.inside import check_positions
+from lmd.scene.trajectory_files import TrajectoryFile
 from lmd.space.space import Space
 from lmd.space.visited import Visited
 
@@ -42,36 +41,32 @@ class Records:
         return Records(self.poses[chosen], self.seconds[chosen], self.block[chosen])
 
 
-@dataclass(frozen=True)
-class RecordedPoses:
+@dataclass(frozen=True, kw_only=True)
+class RecordedPoses(TrajectoryFile):
     """A recording, and what is made of it.
 
     Args:
-        path: the file, see `lmd.geometry.trajectory.Trajectory.from_file`.
+        path, frame, times, rate, align, mount: see `TrajectoryFile`.
         spacing: edge of the cells that become positions, metres: one number or one per axis.
         bandwidth: of the kernel in position, metres.
         direction_bandwidth: of the kernel in direction, degrees.
         divisions: orientations lie on a grid with the step 180 degrees / divisions.
         held_out: every so many-th block is held out, at least 2; None for no block.
         block: length of a block, seconds.
-        frame: that quaternions are about, `optical` or `body`, see `Trajectory.from_file`.
 
     Raises:
         InputError: a value is out of range, the file is no trajectory, or it is too short for a block to be held out.
     """
 
-    path: str | None
     spacing: float | Sequence[float]
     bandwidth: float
     direction_bandwidth: float
     divisions: int
     held_out: int | None
     block: float
-    frame: str = "optical"
 
     def __post_init__(self) -> None:
-        if self.path is None:
-            raise InputError("path is missing: a file of recorded poses is needed.", "path")
+        super().__post_init__()
         for name in ("bandwidth", "direction_bandwidth", "block"):
             object.__setattr__(self, name, real(name, getattr(self, name), above=0.0))
         object.__setattr__(self, "divisions", integer("divisions", self.divisions, low=1))
@@ -84,11 +79,6 @@ class RecordedPoses:
                     f"begins after {(every - 1) * self.block:g} s.",
                     "held_out",
                 )
-
-    @cached_property
-    def trajectory(self) -> Trajectory:
-        """All of the recording."""
-        return Trajectory.from_file(str(self.path), self.frame)
 
     @cached_property
     def _records(self) -> Records:
@@ -119,11 +109,7 @@ class RecordedPoses:
             InputError: a pose, held out or not, is outside the room or in something that stands there; or the spacing
                 is refused.
         """
-        trajectory = self.trajectory
-        try:
-            check_positions(trajectory, room)
-        except InputError as error:
-            raise InputError(f"path: {self.path}: {error}", "path") from None
+        self.check_inside(room)
         seen = self.seen
         return Visited(room, seen.poses[:, :3, 3], seen.seconds, self.spacing)
 

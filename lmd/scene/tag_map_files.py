@@ -17,10 +17,11 @@ import numpy as np
 from lmd.core.checks import InputError, real
 from lmd.core.files import parse_keys, read_text
 from lmd.core.tables import COMMENT, read_table
+from lmd.geometry.frames import roll_pitch_yaw
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import EDGE, Labels
 from lmd.scene.tag import FAMILIES
-from lmd.scene.tag_map_readers import HALF_TURN, OUT_RIGHT_UP, READERS, PlacedTag, number_of, roll_pitch_yaw
+from lmd.scene.tag_map_readers import HALF_TURN, OUT_RIGHT_UP, READERS, PlacedTag, number_of
 
 LARGEST_MAP = 1 << 22  # characters of YAML or JSON; a tag has some hundred
 INCH = 0.0254  # metres

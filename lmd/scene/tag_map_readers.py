@@ -8,12 +8,13 @@ Sources: `AprilTagFieldLayout` of WPILib; `TagDetector` of AprilRobotics/aprilta
 `SE2Transform` of duckietown-world; `target_map.fbs` of frc971; "AprilTag Map Specification" of Limelight.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, integer, real, vector
+from lmd.geometry.frames import roll_pitch_yaw
 from lmd.geometry.se3 import exp
 from lmd.scene.labels import EDGE
 
@@ -68,13 +69,6 @@ def _turn(x: float, y: float, z: float, w: float) -> FloatArray:
             f"the quaternion x, y, z, w = {x:g}, {y:g}, {z:g}, {w:g} must have length 1, it has {length:g}."
         )
     return np.asarray(Rotation.from_quat([x, y, z, w]).as_matrix())
-
-
-def roll_pitch_yaw(angles: Sequence[float] | FloatArray) -> FloatArray:
-    """The matrix of ROS's `setRPY`, Rz(yaw) Ry(pitch) Rx(roll)."""
-    from scipy.spatial.transform import Rotation  # slow to load
-
-    return np.asarray(Rotation.from_euler("xyz", angles).as_matrix())
 
 
 def _wpilib(keys: Keys) -> Iterable[PlacedTag]:

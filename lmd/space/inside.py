@@ -13,9 +13,13 @@ def check_positions(trajectory: Trajectory, room: Space) -> None:
     outside = np.flatnonzero(~room.contains(positions))
     if outside.size:
         x, y, z = positions[outside[0]]
+        low, high = room.bounds()
+        beyond = np.linalg.norm(np.maximum(np.maximum(low - positions, positions - high), 0.0), axis=1).max()
+        far = f", up to {beyond:.3g} m beyond it" if beyond > 0.0 else ""
+        more = f"; so are {outside.size} of {len(positions)} poses{far}" if outside.size > 1 or far else ""
         raise InputError(
             f"the camera at {trajectory.time[outside[0]]:.16g} s, ({x:.9g}, {y:.9g}, {z:.9g}), is outside the "
-            f"{room.describe()}."
+            f"{room.describe()}{more}."
         )
 
 

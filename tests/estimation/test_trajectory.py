@@ -103,7 +103,7 @@ def test_a_file_of_quaternions_gives_the_same_poses(write):
     ("text", "message"),
     [
         ("time,x,y,z,yaw,pitch\n0,1,1,1,0,0\n", "table.csv: a trajectory must have at least 2 frames, got 1"),
-        (ANGLES + "0.5,1,1,1,0,0\n", "csv: line 4: the times of a trajectory must increase, but 0.5 s follows 0.5 s"),
+        (ANGLES + "0.4,1,1,1,0,0\n", "csv: line 4: the times of a trajectory must increase, but 0.4 s follows 0.5 s"),
         (
             "time,x,y,z,yaw,pitch\n1311868164.3998,1,1,1,0,0\n1311868164.3997,1,1,1,0,0\n",
             r"csv: line 3: .*, but 1311868164.3997 s follows 1311868164.3998 s",

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from contracts.criterion import check_gains, check_slack, cover_matrix
 from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
@@ -12,7 +13,7 @@ from processes import call
 from scipy.optimize import linprog
 from scipy.sparse import block_array, csr_array, eye_array, kron
 from small import make
-from strategies import scenes, scenes_with_boundary_landmarks, scenes_with_deployments, seeds
+from strategies import fiducial_scenes, scenes, scenes_with_boundary_landmarks, scenes_with_deployments, seeds
 
 from lmd.core.checks import InputError
 from lmd.evaluation.bounds import (
@@ -32,11 +33,8 @@ from lmd.optimisers.base import Budget
 from lmd.optimisers.greedy import GreedyDeployment
 from lmd.problem import Problem
 from lmd.scene import pdf
-from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.tag import Tag
-from lmd.sight import reference
-from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses, covered_amounts, gains, wall_cells
 from lmd.space.relevance import Relevance
 from pipelines.reproduction.paper import TABLE_3
@@ -48,15 +46,6 @@ def small_problem(count=12, n=2, thold_p=0.3, threads=None, relevance=None, **vi
     room = paper_room(spacing=2.0, relevance=relevance or Relevance())
     scene = paper_scene(room, orientations=pdf.grid_with_ends(6), **visibility)
     return Problem(scene, Coverage(n, thold_p), RandomDeployment(count), threads=threads)
-
-
-def cover_matrix(scene, poses):
-    """Which pose covers which position and distinct axis, `(N, P * D)`, by the reference, each pose on its own."""
-    first = np.unique(scene.pdf.axis_of, return_index=True)[1]
-    return np.stack(
-        [reference.counts(scene, Deployment(poses.positions[[j]], poses.normals[[j]]))[:, first].ravel()
-         for j in range(len(poses))]
-    )  # fmt: skip
 
 
 def exact_bound(problem, poses, count, threshold, shares):
@@ -94,33 +83,13 @@ def test_candidates_are_the_centres_of_cells_on_every_wall():
 @examples(40)
 @given(st.one_of(scenes_with_deployments(), scenes_with_boundary_landmarks()), seeds)
 def test_gains_and_amounts_follow_the_reference(drawn, seed):
-    scene, poses = drawn
-    scene = replace(scene, visibility=replace(scene.visibility, occlusion="none"))
-    rng, evaluator = np.random.default_rng(seed), Evaluator(scene, threads=2)
-    cover = cover_matrix(scene, poses)
-    prices, amounts = np.zeros((len(evaluator.positions), evaluator.axes.shape[1])), rng.random(len(poses))
-    size = len(scene.pdf.axes)
-    # Powers of two add up exactly, so that a single wrong decision shows.
-    prices[:, :size] = 2.0 ** rng.integers(0, 20, (len(prices), size))
-    np.testing.assert_array_equal(gains(evaluator, poses, prices), cover @ prices[:, :size].ravel())
-    covered = covered_amounts(evaluator, poses, amounts)
-    np.testing.assert_allclose(covered[:, :size].ravel(), amounts @ cover, rtol=1e-12, atol=1e-12)
-    assert not covered[:, size:].any()
+    check_gains(*drawn, np.random.default_rng(seed))
 
 
 @examples(40)
-@given(scenes(), seeds, st.sampled_from([0.1, 0.5, 2.0]))
+@given(st.one_of(scenes(), fiducial_scenes()), seeds, st.sampled_from([0.1, 0.5, 2.0]))
 def test_a_cell_earns_at_least_what_any_landmark_in_it_does(scene, seed, spacing):
-    evaluator, rng = Evaluator(scene, threads=1), np.random.default_rng(seed)
-    prices = rng.random((len(evaluator.positions), evaluator.axes.shape[1]))
-    cells = wall_cells(scene.room, spacing)
-    cells = cells.picked(rng.integers(len(cells.poses), size=20))
-    most = gains(evaluator, cells.poses, prices, cells.radius)
-    for corner in (False, True):
-        a, b = rng.uniform(-1.0, 1.0, (2, 20, 1))
-        a, b = (np.sign(a), np.sign(b)) if corner else (a, b)
-        inside = Deployment(cells.poses.positions + a * cells.half_u + b * cells.half_v, cells.poses.normals)
-        assert (gains(evaluator, inside, prices) <= most * (1.0 + 1e-12)).all()
+    check_slack(scene, spacing, np.random.default_rng(seed))
 
 
 def test_the_largest_gain_is_certified():

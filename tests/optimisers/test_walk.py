@@ -1,6 +1,6 @@
-import moves
 import numpy as np
 import pytest
+from contracts import field as moves
 from paper import paper_room, paper_scene
 
 from lmd.objectives.coverage import Coverage

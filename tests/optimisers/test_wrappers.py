@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from contracts.optimiser import check_going_on
 from hydra import compose, initialize_config_dir
 from processes import environment
 from small import problem
@@ -165,14 +166,8 @@ def test_pycma_goes_on_after_it_has_converged():
         lambda: Stubborn(),
     ],
 )
-def test_what_was_told_again_goes_on_as_if_nothing_had_happened(make):
-    p, whole, interrupted, again = problem(), make(), make(), make()
-    expected = whole.run(p, Budget(60))
-    interrupted.run(p, Budget(60), lambda o: o.ledger.evaluations >= 25)
-    again.restore(interrupted.state(), p)
-    result = again.run(p, Budget(60))
-    np.testing.assert_array_equal(result.deployment.positions, expected.deployment.positions)
-    assert [r.best_fitness for r in result.history] == [r.best_fitness for r in expected.history]
+def test_what_was_told_again_goes_on_as_if_nothing_had_happened(make, tmp_path):
+    check_going_on(make, problem, make().run(problem(), Budget(60)), tmp_path)
 
 
 @pytest.mark.slow

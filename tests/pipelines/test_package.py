@@ -1,6 +1,7 @@
 """The package as it is installed: everything below lmd, and complete."""
 
 import os
+import re
 import subprocess
 import sys
 import sysconfig
@@ -24,6 +25,34 @@ def test_every_folder_of_code_is_in_the_list_of_packages():
     listed = PROJECT["tool"]["setuptools"]["packages"]
     assert len(listed) == len(set(listed))
     assert set(listed) == packages("lmd", "lmd") | packages("pipelines", "lmd.pipelines") | {"lmd.conf"}
+
+
+COMMANDS = {
+    path.stem
+    for path in (ROOT / "pipelines").glob("*.py")
+    if 'if __name__ == "__main__":' in path.read_text(encoding="utf-8")
+}
+PAGES = {path.relative_to(ROOT / "docs").as_posix(): path.read_text(encoding="utf-8")
+         for path in (ROOT / "docs").rglob("*.md")}  # fmt: skip
+
+
+def test_every_command_has_a_console_script():
+    scripts = {f"lmd-{name.replace('_', '-')}": f"lmd.pipelines.{name}:main" for name in COMMANDS}
+    assert PROJECT["project"]["scripts"] == scripts
+
+
+def test_every_command_with_a_configuration_is_in_the_table_of_commands_and_on_a_page():
+    configured = {name for name in COMMANDS if (ROOT / "conf" / f"{name}.yaml").exists()}
+    assert COMMANDS - configured == {"precompile"}
+    cells = re.findall(r"^\| (`[^|]*) \|", PAGES["running.md"].split("## ")[0], re.MULTILINE)
+    assert {name for cell in cells for name in re.findall(r"`(\w+)`", cell)} == configured
+    pages = "".join(PAGES.values())
+    assert not [name for name in configured if f"pipelines.{name}" not in pages]
+
+
+def test_every_page_is_in_the_navigation():
+    navigation = re.findall(r"([\w/]+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), re.MULTILINE)
+    assert sorted(navigation) == sorted(PAGES)
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from pipelines.operations.signals import Stopped
 from pipelines.operations.tracking.tracker import NoTracker
 from pipelines.progress import Progress
 
-CFG = OmegaConf.create({"seed": 0, "validate": True, "page": False})
+CFG = OmegaConf.create({"seed": 0, "validate": True, "picture": True, "page": False})
 
 
 @pytest.fixture(name="found")

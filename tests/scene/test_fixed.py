@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from contracts.field import move
 from floor_plans import lab
 from hypothesis import given
 from hypothesis import strategies as st
-from moves import move
 from paper import paper_room
 from small import make, problem
 from strategies import deployments, scenes, seeds

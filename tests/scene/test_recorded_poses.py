@@ -17,7 +17,6 @@ from lmd.evaluation.held_out import exact_values, held_out_metrics
 from lmd.evaluation.validation import describe_validation, validation_metrics
 from lmd.geometry import se3
 from lmd.geometry.frames import angles_of, rotation
-from lmd.geometry.trajectory import Trajectory
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.optimisers.annealing import Annealing
@@ -28,6 +27,7 @@ from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.recorded_poses import RecordedPoses
 from lmd.scene.rig import Mount, Rig
 from lmd.scene.tag import Tag
+from lmd.scene.trajectory_files import TrajectoryFile
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.views import visible
 
@@ -204,18 +204,18 @@ def test_annealing_climbs_recorded_poses_and_threads_change_nothing(write, objec
 def test_a_trajectory_reads_alike_from_angles_quaternions_and_tums_text(write):
     poses = se3.camera_pose([[1, 2, 3], [1.5, 2, 3]], [0.5, 0.6], [0.2, -0.2], [0.1, 0.3])
     angles = "time,x,y,z,yaw,pitch,roll\n0,1,2,3,0.5,0.2,0.1\n0.5,1.5,2,3,0.6,-0.2,0.3\n"
-    assert_allclose(Trajectory.from_file(write(angles)).poses, poses)
+    assert_allclose(TrajectoryFile(write(angles)).trajectory.poses, poses)
     for frame, turn in (("optical", np.eye(3)), ("body", np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0.0]]))):
         quaternions = Rotation.from_matrix(poses[:, :3, :3] @ turn.T).as_quat()
         lines = [[t, *pose[:3, 3], *q] for t, pose, q in zip([0.0, 0.5], poses, quaternions, strict=True)]
         tum = "# time tx ty tz qx qy qz qw\n" + "\n".join(" ".join(f"{v:.15g}" for v in line) for line in lines)
-        read = Trajectory.from_file(write(tum, "flight.tum"), frame)
+        read = TrajectoryFile(write(tum, "flight.tum"), frame).trajectory
         assert_allclose(read.poses, poses, atol=1e-12)
         assert_array_equal(read.time, [0.0, 0.5])
 
 
 def test_a_body_at_rest_looks_along_its_x_axis(write):
-    poses = Trajectory.from_file(write("0 1 1 1 0 0 0 1\n1 1 1 1 0 0 0 1\n"), "body").poses
+    poses = TrajectoryFile(write("0 1 1 1 0 0 0 1\n1 1 1 1 0 0 0 1\n"), "body").trajectory.poses
     assert_allclose(poses[0, :3, :3], np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0.0]]))  # right is -y, down is -z
 
 

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 from by_position import varied_scenes, with_probabilities
+from contracts.criterion import check_counts
+from contracts.field import check_field
 from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
-from moves import accept, bound, move, settle, undo
 from numpy.testing import assert_array_equal
 from paper import facing, paper_room, paper_scene
 from strategies import deployments, seeds
@@ -18,7 +19,6 @@ from lmd.objectives.localisation import reference as localisation_reference
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import UniformDeployment
-from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE
 
@@ -39,17 +39,9 @@ def units_by_the_reference(scene, good):
 
 
 @examples(60)
-@given(data=st.data(), scene=varied_scenes, n=st.integers(1, 4))
-def test_probabilities_are_those_of_the_reference(data, scene, n):
-    deployment = data.draw(deployments(scene.room))
-    expected = units_by_the_reference(
-        scene, lambda p, axes: reference.coverage_caps(scene, deployment, p, axes).sum(axis=1) >= n
-    )
-    landmarks = deployment.positions[None], deployment.normals[None]
-    for threads in (1, 3):
-        assert_array_equal(Evaluator(scene, threads=threads).units(*landmarks, n)[0], expected)
-    by_formula = reference.coverage_probability(reference.counts(scene, deployment), scene.pdf, n, scene.room.grid())
-    np.testing.assert_allclose(expected / PROBABILITY_ONE, by_formula, rtol=0.0, atol=1e-12)
+@given(data=st.data(), scene=varied_scenes, n=st.integers(1, 4), threads=st.sampled_from([1, 3]))
+def test_probabilities_are_those_of_the_reference(data, scene, n, threads):
+    check_counts(scene, data.draw(deployments(scene.room)), n, threads)
 
 
 @examples(40)
@@ -70,38 +62,13 @@ def test_localised_views_are_those_of_the_reference(data, scene, tolerance):
 @given(data=st.data(), scene=varied_scenes, objective=objectives, seed=seeds)
 def test_after_any_moves_the_values_are_those_of_a_full_evaluation(data, scene, objective, seed):
     deployment, targets = data.draw(deployments(scene.room)), data.draw(deployments(scene.room, most=6))
-    rng, evaluator = np.random.default_rng(seed), Evaluator(scene, threads=1)
-    field = objective.field(evaluator)
-    state = field.state(deployment)
-    scratch = field.scratch(state)
-    for pose in np.hstack([targets.positions, targets.normals]):
-        k, before = int(rng.integers(len(deployment))), state.units.copy()
-        bound(field, k, pose, -1, state, scratch)
-        most = scratch.units.copy()
-        settle(field, k, state, scratch)
-        assert (scratch.units <= most).all(), "not a bound"
-        end = rng.choice(["nothing", "accepted", "undone"])
-        if end != "nothing":
-            accept(field, k, state, scratch)
-        if end == "undone":
-            undo(field, k, state, scratch)
-        if end != "accepted":
-            assert_array_equal(state.units, before)
-    now = state.landmarks.T[None], state.normals.T[None]
-    assert_array_equal(state.units[field.index_of] / PROBABILITY_ONE, objective.values(evaluator, *now)[0])
+    check_field(objective, scene, deployment, targets, np.random.default_rng(seed))
 
 
 def test_moves_in_many_blocks_of_positions_are_exact():
     scene, rng = with_probabilities(paper_scene(paper_room()), 1), np.random.default_rng(0)
-    deployment, evaluator = UniformDeployment(60).draw(scene.room, rng), Evaluator(scene, threads=1)
-    field = Coverage(2, 0.5).field(evaluator)
-    state = field.state(deployment)
-    scratch = field.scratch(state)
-    for k in range(30):
-        at = deployment.positions[rng.integers(60)], deployment.normals[rng.integers(60)]
-        move(field, k, np.concatenate(at), -1, state, scratch)
-    now = state.landmarks.T[None], state.normals.T[None]
-    assert_array_equal(state.units[field.index_of], evaluator.units(*now, 2)[0])
+    deployment = UniformDeployment(60).draw(scene.room, rng)
+    check_field(Coverage(2, 0.5), scene, deployment, deployment[rng.integers(60, size=30)], rng)
 
 
 def test_the_same_probabilities_everywhere_give_what_one_row_gives():

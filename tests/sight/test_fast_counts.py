@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+from contracts.criterion import check_counts
 from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
@@ -33,19 +34,15 @@ RNG = np.random.default_rng(0)
 any_case = st.one_of(scenes_with_deployments(), scenes_with_boundary_landmarks())
 
 
-def assert_counts_are_the_references(scene, deployment, threads=1):
-    assert_array_equal(Evaluator(scene, threads=threads).counts(deployment), reference.counts(scene, deployment))
-
-
-@given(scenes_with_deployments())
-def test_counts_are_those_of_the_reference(case):
-    assert_counts_are_the_references(*case)
+@given(scenes_with_deployments(), st.integers(1, 4), st.integers(1, 3))
+def test_counts_are_those_of_the_reference(case, n, threads):
+    check_counts(*case, n, threads)
 
 
 @examples(300)
-@given(scenes_with_boundary_landmarks())
-def test_counts_on_a_boundary_are_those_of_the_reference(case):
-    assert_counts_are_the_references(*case)
+@given(scenes_with_boundary_landmarks(), st.integers(1, 4), st.integers(1, 3))
+def test_counts_on_a_boundary_are_those_of_the_reference(case, n, threads):
+    check_counts(*case, n, threads)
 
 
 @pytest.mark.parametrize("occlusion", ["paper", "line_of_sight", "none"])
@@ -53,7 +50,7 @@ def test_counts_on_a_boundary_are_those_of_the_reference(case):
 @pytest.mark.parametrize("build", [pdf.grid_with_ends, pdf.grid_of_cells, pdf.solid_angle])
 def test_counts_in_the_room_of_the_paper_are_those_of_the_reference(build, source, occlusion):
     scene = paper_scene(paper_room(spacing=1.0), orientations=build(), occlusion=occlusion)
-    assert_counts_are_the_references(scene, source.draw(scene.room, np.random.default_rng(5)), threads=2)
+    check_counts(scene, source.draw(scene.room, np.random.default_rng(5)), 2, threads=2)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0], ids=["upper", "lower"])
@@ -69,7 +66,7 @@ def test_an_axis_on_the_rim_of_a_cap_counts_at_whatever_height_it_is(rim, side):
     else:
         depth, away = 2.0, math.acos(scene.sight.min_cosine)
     landmarks = here + depth * optical_axis(np.zeros(len(pitch)), pitch - side * away)
-    assert_counts_are_the_references(scene, facing(here, *landmarks))
+    check_counts(scene, facing(here, *landmarks), 1)
 
 
 @pytest.mark.parametrize(
@@ -92,16 +89,6 @@ def test_the_last_place_from_which_a_landmark_hides_another(along, across, occlu
     counts = Evaluator(scene, threads=1).counts(deployment)
     assert counts[0, 0] == (not hides)
     assert_array_equal(counts, reference.counts(scene, deployment))
-
-
-@given(any_case, st.integers(1, 4))
-def test_threads_change_nothing(case, n):
-    scene, deployment = case
-    one = Evaluator(scene, threads=1)
-    for threads in (2, 3):
-        several = Evaluator(scene, threads=threads)
-        assert_array_equal(several.counts(deployment), one.counts(deployment))
-        assert_array_equal(several.probabilities(deployment, n), one.probabilities(deployment, n))
 
 
 @given(any_case, st.integers(1, 4), st.floats(0.0, 1.0))
@@ -149,15 +136,6 @@ def test_the_order_of_landmarks_does_not_matter(case, random):
     shuffled = Deployment(deployment.positions[order], deployment.normals[order])
     evaluator = Evaluator(scene, threads=1)
     assert_array_equal(evaluator.counts(shuffled), evaluator.counts(deployment))
-
-
-@given(scenes(), st.integers(1, 3))
-def test_a_batch_scores_each_deployment_as_if_alone(scene, n):
-    batch = [UniformDeployment(7).draw(scene.room, RNG), RandomDeployment(7).draw(scene.room, RNG)]
-    evaluator = Evaluator(scene, threads=2)
-    units = evaluator.units(np.stack([d.positions for d in batch]), np.stack([d.normals for d in batch]), n)
-    expected = np.stack([evaluator.probabilities(d, n) for d in batch])
-    assert_array_equal(units / 2.0**52, expected)
 
 
 @given(scenes_with_deployments())

@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from contracts.criterion import check_every_path, tilted
 from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from paper import paper_camera, paper_room
-from paths import check_every_path
 from strategies import deployments, fiducial_scenes, seeds, unit_vectors
 
 from lmd.core.checks import InputError
@@ -36,11 +36,6 @@ LENSES = {"none": (), "barrel": (-0.12, 0.01, 0.002, -0.003), "pincushion": (0.1
 def fiducial_scene(room=None, orientations=None, edge=0.1, lens="none", **fiducial):
     camera, orientations = paper_camera(distortion=LENSES[lens]), orientations or pdf.grid_with_ends()
     return Scene(room or paper_room(), camera, orientations, Fiducial(Tag(edge), **fiducial))
-
-
-def tilted(deployment, rng, scale=0.5):
-    normals = deployment.normals + rng.normal(scale=scale, size=deployment.normals.shape)
-    return Deployment(deployment.positions, normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
 
 @given(unit_vectors)

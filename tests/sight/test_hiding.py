@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from contracts.field import bound, settle
 from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
-from moves import bound, settle
 from paper import paper_room, paper_scene
 from strategies import scenes_with_deployments
 

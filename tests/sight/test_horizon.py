@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 from by_position import with_probabilities
+from contracts.criterion import check_every_path
 from examples import examples
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numba import njit
 from paper import paper_camera, paper_scene
-from paths import check_every_path
 from strategies import cameras, distorted_cameras, fiducials, pdfs, rolled_pdfs, seeds, unit_vectors, visibilities
 
 from lmd.scene.criteria import from_position, horizon_of

@@ -2,18 +2,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from contracts.criterion import check_counts, check_every_path, check_gains
 from examples import examples
 from floor_plans import L_SHAPE, lab, prisms
 from hypothesis import given
 from hypothesis import strategies as st
-from moves import move
 from numpy.testing import assert_array_equal
 from paper import paper_scene
 from strategies import cameras, fiducials, pdfs, rolled_pdfs, seeds, visibilities
 
 from lmd.geometry.se3 import axis_and_right, camera_pose
-from lmd.incremental.coverage_field import coverage_field
-from lmd.incremental.move import counts_of
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.annealing import Annealing
 from lmd.optimisers.base import Budget
@@ -27,7 +25,6 @@ from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.models.fiducial import Fiducial
 from lmd.sight.obstacles import obstacles_at
-from lmd.sight.poses import candidate_poses, covered_amounts, gains
 from lmd.sight.views import visible
 from lmd.space.cuboid import Cuboid
 from lmd.space.floor_plan import FloorPlan
@@ -58,8 +55,7 @@ def lab_scene(fiducial, room=None):
 @examples(60)
 @given(scenes, seeds)
 def test_counts_are_those_of_the_reference(scene, seed):
-    deployment = landmarks(scene.room, 8, seed)
-    assert_array_equal(Evaluator(scene, threads=1).counts(deployment), reference.counts(scene, deployment))
+    check_counts(scene, landmarks(scene.room, 8, seed), 2)
 
 
 @pytest.mark.parametrize("fiducial", [False, True])
@@ -77,17 +73,8 @@ def test_obstacles_take_some_landmarks_away(fiducial):
 @pytest.mark.parametrize("fiducial", [False, True])
 def test_moves_end_where_a_full_evaluation_does(fiducial):
     scene, rng = lab_scene(fiducial), np.random.default_rng(1)
-    start, other = (scene.plates.draw(RandomDeployment(12), rng) for _ in range(2))
-    evaluator = Evaluator(scene, threads=1)
-    field = coverage_field(evaluator, 2)
-    state = field.state(start)
-    scratch = field.scratch(state)
-    for k in range(8):
-        pose = np.concatenate([other.positions[k], other.normals[k]])
-        move(field, k, pose, other.surfaces[k], state, scratch)
-    moved = Deployment(state.landmarks.T, state.normals.T)
-    axes = len(scene.orientations.axes)
-    assert_array_equal(counts_of(state, axes)[field.index_of][:, evaluator.axis_of], reference.counts(scene, moved))
+    start, targets = (scene.plates.draw(RandomDeployment(count), rng) for count in (12, 8))
+    check_every_path(scene, start, targets, 2, rng)
 
 
 @pytest.mark.parametrize("fiducial", [False, True])
@@ -103,9 +90,7 @@ def test_what_a_flight_sees_and_what_poses_gain_is_what_is_counted(fiducial):
         for position, axis in zip(positions, axes, strict=True)
     ]
     assert_array_equal(visible(evaluator, deployment, positions, axes), caps)
-    poses, prices = candidate_poses(scene.room, 1.0), np.ones((len(evaluator.positions), evaluator.axes.shape[1]))
-    one_by_one = [covered_amounts(evaluator, poses[k : k + 1], np.ones(1)).sum() for k in range(0, len(poses), 7)]
-    assert_array_equal(gains(evaluator, poses, prices)[::7], one_by_one)
+    assert check_gains(scene, deployment[:4], rng)
 
 
 @pytest.mark.parametrize("fiducial", [False, True])

@@ -16,6 +16,8 @@ from lmd.scene.deployment import Deployment
 class LocalisationField(NamedTuple):
     """What does not change while landmarks move; a `lmd.incremental.field.Field`.
 
+    It has no stacks: landmarks on one point do not tell where the camera is.
+
     coverage: the field of P_n; precision, asks: see `kernels.localise_range`; weight: of P_n beside L.
     """
 
@@ -41,19 +43,6 @@ class LocalisationField(NamedTuple):
     def scratch(self, state: LocalisationState) -> LocalisationScratch:
         """See `Field.scratch`."""
         return localisation_scratch(state)
-
-    @property
-    def stack(self) -> int:
-        """See `Field.stack`: landmarks on one point do not tell where the camera is."""
-        return 0
-
-    def stacked(self, fixed: Deployment | None) -> "LocalisationField":
-        """See `Field.stacked`; never asked for, as `stack` is 0."""
-        return self
-
-    def shrunk(self, size: float) -> "LocalisationField":
-        """See `Field.shrunk`."""
-        return self._replace(coverage=self.coverage.shrunk(size))
 
 
 bound.register(LocalisationField)(bound_move)

@@ -22,6 +22,8 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, boolean, integer, real
 from lmd.core.compiled import clock
+from lmd.incremental.field import stack_of
+from lmd.objectives.base import Selectable, incremental
 from lmd.optimisers.annealing.ascent import TRIED, Ascent
 from lmd.optimisers.annealing.stage import Stage, changed
 from lmd.optimisers.annealing.surrogate import Surrogate
@@ -139,7 +141,7 @@ class Annealing(Optimiser):
         self.rng = generator("rng", state["rng"])
         self.in_stacks = boolean("in_stacks", state["in_stacks"])
         if self.in_stacks or state["angles"] is not None:
-            stacks = _stacks(problem, problem.objective.field(problem.fitness_evaluator).stack)
+            stacks = _stacks(problem, stack_of(incremental(problem.objective).field(problem.fitness_evaluator)))
             self.angles = array("angles", state["angles"], np.float64, stacks)
         self.start = deployment("start", state["start"], problem, count)
         self.here = deployment("here", state["here"], problem, stacks if self.in_stacks else count)
@@ -155,8 +157,13 @@ class Annealing(Optimiser):
             self.ascent = Ascent(count)
             self.ascent.restore(state["ascent"])
 
+    def check(self, problem: Problem) -> None:
+        """See `Optimiser.check`."""
+        incremental(problem.objective)
+
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
         """See `Optimiser.run`."""
+        self.check(problem)
         ledger, count = self.ledger, problem.count
         began = clock() - ledger.seconds
         limit = budget.limit * count
@@ -245,7 +252,7 @@ class Annealing(Optimiser):
         movable = problem.free(start).movable(plates.room, flush=plates.edge > 0.0)
         plates.check(start)  # a file may be taken as it is, with papers that overlap
         self.start = self.here = problem.complete(movable)
-        if not stack and problem.start.varies:
+        if not stack and problem.start.varies and isinstance(problem.objective, Selectable):
             self.start, spent = greedy_start(problem, self.start, SPACING, (limit - count) / 2)
             self.here = self.start
             return spent

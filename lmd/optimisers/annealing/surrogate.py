@@ -9,7 +9,8 @@ import numpy as np
 from lmd.core.checks import FloatArray, IntArray
 from lmd.core.layers import layer, layers
 from lmd.core.threads import at_once
-from lmd.incremental.field import Field, Places, in_order, places_of, total_worth
+from lmd.incremental.field import Field, Places, Stacking, in_order, places_of, stack_of, total_worth
+from lmd.objectives.base import incremental
 from lmd.optimisers.annealing.walk import Best, Settings, walk
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
@@ -67,14 +68,14 @@ class Surrogate:
 
     def _survey(self, evaluator: Evaluator, relevance: FloatArray) -> None:
         """Lay out positions, orientations and relevance for the walk."""
-        objective = self._problem.objective
+        objective = incremental(self._problem.objective)
         self._true = objective.field(evaluator)
         self._target = objective.target(in_order(self._true, relevance))
 
     @property
     def stack(self) -> int:
-        """See `Field.stack`."""
-        return self._true.stack
+        """Landmarks in a stack, see `stack_of`."""
+        return stack_of(self._true)
 
     def prepare(
         self, here: Deployment, best: Deployment, in_stacks: bool, size: float, done: float, rng: np.random.Generator
@@ -113,7 +114,9 @@ class Surrogate:
                 for walker, members in zip(self._walkers, slices, strict=True)
             ]
             return
-        self._field = self._true.stacked(self._problem.fixed) if in_stacks else self._true.shrunk(size)
+        self._field = self._true
+        if isinstance(self._true, Stacking):
+            self._field = self._true.stacked(self._problem.fixed) if in_stacks else self._true.shrunk(size)
         state = self._field.state(here)
         others = layers(state, number - 1)
         states = [state, *(layer(others, i) for i in range(number - 1))]

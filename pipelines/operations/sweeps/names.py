@@ -16,7 +16,7 @@ SLUG_LENGTH = 100
 NAME_LENGTH = 80
 SHORT = 8  # characters of a digest in the name of a folder
 # How a run is done and where it is kept; it is the same run without.
-NOT_IN_NAME = ("hydra", "tracking", "trust", "page", "validate", "threads", "resume", "checkpoint_seconds")
+NOT_IN_NAME = ("hydra", "tracking", "trust", "picture", "page", "validate", "threads", "resume", "checkpoint_seconds")
 
 
 def key_and_value(override: str) -> tuple[str, str]:

@@ -1,0 +1,100 @@
+"""How large a tag must be: `python -m pipelines.size camera=calibration camera.path=FILE tag.edge=0.15`.
+
+It prints how far away a tag is read at several incidence angles, how well that tag alone fixes the camera's pose, and
+the smallest tag that is read at several distances.
+"""
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from omegaconf import DictConfig
+
+from .building import instantiate, keyed, settings_of
+from .pipeline import Pipeline, alone
+
+if TYPE_CHECKING:
+    from lmd.scene.camera import Camera
+    from lmd.scene.tag import Tag
+    from lmd.sight.models.fiducial import Fiducial
+
+
+LINEAR = 0.35  # rad, 20 degrees
+
+
+def size(cfg: DictConfig) -> None:
+    """Print what the configured camera reads of the configured tag."""
+    from lmd.core.checks import InputError, real, vector
+    from lmd.sight.models.fiducial import Fiducial
+
+    camera, tag, criteria = (instantiate(settings_of(cfg, group)) for group in ("camera", "tag", "visibility"))
+    if not isinstance(criteria, Fiducial):
+        raise InputError("size is about what a detector reads: it needs visibility=fiducial.")
+    tag.check_edge()
+    angles = vector("incidence", cfg.incidence, len(cfg.incidence), low=0.0, high=90.0)
+    distances = vector("distance", cfg.distance, len(cfg.distance), above=0.0)
+    noise = real("pixel_noise", cfg.pixel_noise, above=0.0)
+    print(f"tag      {tag.family}, black square {tag.size:g} m, with its quiet zone {tag.paper_edge:.4g} m")
+    print(f"camera   {camera.image_width:g} x {camera.image_height:g} pixels")
+    print(f"detector {criteria.detector}\n")
+    with keyed("tag"):
+        _print(_reads(camera, tag, criteria, angles, distances, noise))
+        print("\nsmallest black square that is read, metres")
+        _print(_edges(camera, tag, criteria, angles, distances))
+
+
+def _reads(
+    camera: "Camera",
+    tag: "Tag",
+    criteria: "Fiducial",
+    angles: tuple[float, ...],
+    distances: tuple[float, ...],
+    noise: float,
+) -> list[list[str]]:
+    """How far a tag is read at each angle, and how well it fixes the pose at each distance at which it is."""
+    from lmd.evaluation.reach import pose_errors, reach
+
+    rows = [["incidence", "read from", "to", *(f"alone at {distance:g} m" for distance in distances)]]
+    for angle in angles:
+        found = reach(criteria, camera, math.radians(angle))
+        bounds = ["never", ""] if math.isnan(found.farthest) else [f"{found.nearest:.3g} m", f"{found.farthest:.3g} m"]
+        errors = zip(*pose_errors(camera, tag, distances, math.radians(angle), noise), strict=True)
+        fixed = [
+            _error(*error) if found.nearest <= distance <= found.farthest else "-"
+            for distance, error in zip(distances, errors, strict=True)
+        ]
+        rows.append([f"{angle:g} deg", *bounds, *fixed])
+    return rows
+
+
+def _error(position: float, attitude: float) -> str:
+    """Standard deviations, metres and rad, unless they are so large that the bound, which is linear, means nothing."""
+    return f"{1e3 * position:.3g} mm, {math.degrees(attitude):.2g} deg" if attitude < LINEAR else "not fixed"
+
+
+def _edges(
+    camera: "Camera", tag: "Tag", criteria: "Fiducial", angles: tuple[float, ...], distances: tuple[float, ...]
+) -> list[list[str]]:
+    """The smallest tag that is read at each angle and distance."""
+    from lmd.evaluation.reach import smallest_edge
+
+    def of(edge: float) -> "Fiducial":
+        return replace(criteria, tag=replace(tag, edge=edge))
+
+    rows = [["incidence", *(f"at {distance:g} m" for distance in distances)]]
+    for angle in angles:
+        edges = [smallest_edge(of, camera, distance, math.radians(angle)) for distance in distances]
+        rows.append([f"{angle:g} deg", *("none" if math.isnan(edge) else f"{edge:.3g}" for edge in edges)])
+    return rows
+
+
+def _print(rows: list[list[str]]) -> None:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        print("   ".join(f"{text:<{width}}" for text, width in zip(row, widths, strict=True)).rstrip())
+
+
+main = Pipeline("size", size, runner=alone)
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,64 @@
+"""The parts of the library keep their contracts; optimisers and formats do so beside their other tests."""
+
+from pathlib import Path
+
+import pytest
+from contracts.criterion import check_criterion
+from contracts.estimator import check_estimator
+from contracts.objective import check_objective
+from contracts.space import check_space
+from floor_plans import L_SHAPE, PILLAR, RACK, lab
+from hydra import compose, initialize_config_dir
+from meshes import mesh_room
+from paper import experiment_room, paper_camera
+
+from lmd.scene.tag import Tag
+from lmd.sight.models.fiducial import Fiducial
+from lmd.sight.models.paper import Visibility
+from lmd.space.floor_plan import FloorPlan
+from pipelines.app import CONF
+from pipelines.building import build_problem, instantiate
+
+BENT = paper_camera(distortion=(-0.15, 0.02, 0.002, -0.003))
+CRITERIA = {
+    "paper": (Visibility(thold=0.1), paper_camera()),
+    "line_of_sight": (Visibility(thold=0.1, occlusion="line_of_sight"), paper_camera()),
+    "fiducial": (Fiducial(Tag(0.2)), paper_camera()),
+    "distorted": (Fiducial(Tag(0.2)), BENT),
+}
+L = FloorPlan(L_SHAPE, 2.5, holes=[PILLAR], obstacles=[RACK])
+
+
+def options(group):
+    return sorted(path.stem for path in Path(CONF, group).glob("*.yaml"))
+
+
+def composed(app, *overrides):
+    with initialize_config_dir(CONF, version_base="1.3"):
+        return compose(app, list(overrides))
+
+
+@pytest.mark.parametrize(("criteria", "camera"), CRITERIA.values(), ids=CRITERIA)
+def test_every_criterion_keeps_its_contract(criteria, camera):
+    check_criterion(criteria, camera)
+
+
+@pytest.mark.parametrize("name", options("objective"))
+def test_every_objective_keeps_its_contract(name):
+    cfg = composed("optimise", f"objective={name}", "tag.edge=0.3", "room.spacing=2", "pdf.divisions=6", "threads=1")
+    problem = build_problem(cfg)
+    check_objective(problem.objective, problem.scene)
+
+
+@pytest.mark.parametrize("kind", ["cuboid", "floor_plan", "mesh"])
+def test_every_space_keeps_its_contract(kind, tmp_path):
+    if kind == "mesh":
+        check_space(mesh_room(tmp_path / "lab.glb", L, spacing=1.0))
+    else:
+        check_space(experiment_room(spacing=0.8) if kind == "cuboid" else lab(spacing=1.0))
+
+
+@pytest.mark.parametrize("name", options("estimator"))
+def test_every_estimator_keeps_its_contract(name):
+    (estimator,) = composed("observe", f"estimator=[{name}]").estimator.values()
+    check_estimator(instantiate(estimator))

@@ -1,0 +1,297 @@
+"""The examples of CONTRIBUTING.md: they are in style, have types, keep their contracts, and run."""
+
+import importlib.util
+import math
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+from shutil import copytree, ignore_patterns
+
+import numpy as np
+import pytest
+import yaml
+from contracts.criterion import check_slack, tilted
+from contracts.estimator import check_estimator
+from contracts.format import check_format
+from contracts.objective import check_objective
+from contracts.optimiser import check_optimiser
+from contracts.space import check_space
+from floor_plans import L_SHAPE, PILLAR
+from hydra import compose, initialize_config_dir
+from paper import paper_camera, paper_room, paper_scene
+from processes import call
+from small import problem
+
+from lmd.core.checks import InputError
+from lmd.evaluation.bounds import Search, average_upper_bound
+from lmd.evaluation.validation import Sample, validation_metrics
+from lmd.mapping.formats import Format
+from lmd.mapping.tag_map import TagMap
+from lmd.objectives.coverage import Coverage
+from lmd.objectives.localisation import Localisation
+from lmd.optimisers.annealing import Annealing
+from lmd.optimisers.base import Budget
+from lmd.optimisers.ega import EGA
+from lmd.optimisers.greedy import Greedy
+from lmd.problem import Problem
+from lmd.scene import pdf, tag_map_files
+from lmd.scene.criteria import from_position, hide, in_image, in_view
+from lmd.scene.deployment_sources import RandomDeployment
+from lmd.scene.scene import Scene
+from lmd.scene.tag import Tag
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.kernels import evaluate_range
+from lmd.space.floor_plan import FloorPlan
+from lmd.space.parts import Reachable
+from lmd.space.prism import Prism
+from pipelines.app import CONF
+from pipelines.building import build_optimiser, build_problem
+from pipelines.evaluate import lose
+
+pytestmark = pytest.mark.slow  # what is made for classes from elsewhere is compiled anew each time
+
+ROOT = Path(__file__).parents[1]
+GUIDES = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"```(?:python|yaml|toml)\n(.*?)```", GUIDES, re.DOTALL)
+FILES = {text[2 : text.index("\n")]: text for text in BLOCKS if text.startswith("# ")}
+
+
+def block(start):
+    (text,) = (text for text in BLOCKS if text.lstrip().startswith(start))
+    return text
+
+
+READERS = "lmd/scene/tag_map_readers.py"
+FILES[READERS] = (  # changed as the guide says
+    (ROOT / READERS).read_text(encoding="utf-8")
+    .replace("\nclass Reader(", f"\n{block('def _frames')}\n\nclass Reader(")
+    .replace("\nREADERS = (\n", "\nREADERS = (\n    " + re.search("`(Reader.*,)`", GUIDES)[1] + "\n")
+)  # fmt: skip
+MODULES = sorted(name for name in FILES if name.endswith(".py"))
+
+
+@pytest.fixture(scope="module")
+def guides(tmp_path_factory):
+    """The folder in which the examples lie, from which Python imports."""
+    folder = tmp_path_factory.mktemp("guides")
+    for name, text in FILES.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(folder)
+        yield folder
+
+
+def of(name):
+    return importlib.import_module(name)
+
+
+def test_the_guides_have_an_example_of_each_part():
+    assert {Path(name).stem for name in MODULES} == {
+        "near", "seen", "rotunda", "climbing", "theirs", "reckoning", "frames", "tag_map_readers", "sizes"
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("line", [["ruff", "check"], ["ruff", "format", "--check"]])
+def test_the_examples_are_in_style(guides, line):
+    config = ["--config", str(ROOT / "pyproject.toml"), "--config", 'lint.per-file-ignores={"*"=["ARG001"]}']
+    check([sys.executable, "-m", *line, *(config if line[1] == "check" else config[:2]), *MODULES], guides)
+
+
+def test_the_examples_have_types(guides):
+    # A module of the package is one only beside the others.
+    alone = [name for name in MODULES if not name.startswith("pipelines/")]
+    cache = ["--cache-dir", str(ROOT / ".mypy_cache"), "--config-file", str(ROOT / "pyproject.toml")]
+    check([sys.executable, "-m", "mypy", *cache, "--explicit-package-bases", *alone], guides)
+
+
+def check(line, folder):
+    path = os.pathsep.join(map(str, (folder, ROOT)))
+    environment = os.environ | {"PYTHONPATH": path, "MYPYPATH": str(ROOT)}
+    done = subprocess.run(line, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def composed(guides, *overrides, app="optimise"):
+    with initialize_config_dir(CONF, version_base="1.3"):
+        return compose(app, [f"hydra.searchpath=[file://{guides}/mine]", *overrides])
+
+
+def near_scene():
+    return Scene(paper_room(spacing=1.5), paper_camera(), pdf.grid_with_ends(6), of("near").Near(3.0))
+
+
+def test_the_criterion_keeps_its_contract(guides):
+    exec(block("from contracts.criterion"), {})
+
+
+def test_a_criterion_that_ignores_slack_is_found_out(guides):
+    near, scene = of("near"), near_scene()
+    cosine = near.COSINE
+
+    class CarelessSight(near.NearSight):
+        """Answers for the middle of a piece of wall only."""
+
+    class Careless(near.Near):
+        def sight(self, camera):
+            return CarelessSight(self.range)
+
+    @from_position.register(CarelessSight)
+    def _from_position(sight, x, y, z, nx, ny, nz, slack):
+        distance = math.sqrt(x * x + y * y + z * z)
+        facing = -(nx * x + ny * y + nz * z) > 0.0
+        return (distance <= sight.range) & facing, cosine * distance, math.inf, -math.inf
+
+    for function, body in ((in_image, near._in_image), (in_view, near._in_view), (hide, near._hide)):
+        function.register(CarelessSight)(body)
+    check_slack(scene, 1.0, np.random.default_rng(0))
+    with pytest.raises(AssertionError, match="a landmark gains more than its cell"):
+        check_slack(replace(scene, visibility=Careless(3.0)), 1.0, np.random.default_rng(0))
+
+
+def test_what_is_compiled_for_a_class_from_elsewhere_does_not_spoil_the_cache_for_others(guides):
+    scene = near_scene()
+    Evaluator(scene, threads=1).counts(RandomDeployment(3).draw(scene.room, np.random.default_rng(0)))
+    index = evaluate_range._cache._cache_file._load_index()
+    assert not [key for key in index if "NearSight" in str(key)]
+    assert any("NearSight" in str(signature) for signature in evaluate_range.signatures)
+
+
+def test_the_objective_keeps_its_contract(guides):
+    check_objective(
+        of("seen").MeanSeen(2, 0.5), paper_scene(paper_room(spacing=2.0), orientations=pdf.grid_with_ends(6))
+    )
+
+
+def test_the_space_keeps_its_contract(guides):
+    check_space(of("rotunda").Rotunda((6.0, 5.0, 3.0), (5.0, 4.0, 2.0), 1.0))
+
+
+@pytest.mark.parametrize("name", ["climbing.HillClimber", "theirs.Theirs"])
+def test_the_optimisers_keep_their_contract(guides, tmp_path, name):
+    module, kind = name.split(".")
+    check_optimiser(getattr(of(module), kind), problem, tmp_path)
+
+
+def test_the_estimator_keeps_its_contract(guides):
+    check_estimator(of("reckoning").DeadReckoning())
+
+
+def test_the_format_keeps_its_contract(guides, tmp_path, monkeypatch):
+    writer, reader = (of_path(guides / path) for path in ("lmd/mapping/frames.py", READERS))
+    form = eval("{" + block('"frames": Format(') + "}", {"Format": Format} | vars(writer))["frames"]
+    monkeypatch.setattr(tag_map_files, "READERS", reader.READERS)
+    room, rng = paper_room(), np.random.default_rng(0)
+    check_format(form, TagMap(room, Tag(0.2), tilted(RandomDeployment(5).draw(room, rng), rng)), tmp_path)
+
+
+def of_path(path):
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_pipeline_runs_beside_the_others(guides):
+    for folder in ("pipelines", "conf"):
+        copytree(ROOT / folder, guides / folder, ignore=ignore_patterns("__pycache__"), dirs_exist_ok=True)
+    line = [sys.executable, "-m", "pipelines.sizes", "room.spacing=1.5", "tracking=none"]
+    assert check(line, guides).startswith("room of 7.5 x 5 x 6 m: 36 positions, 225.0 m2 of walls")
+    assert tomllib.loads(block("lmd-sizes")) == {"lmd-sizes": "lmd.pipelines.sizes:main"}
+
+
+def test_the_parts_are_choices_on_the_command_line(guides):
+    chosen = ["visibility=near", "objective=seen", "room=rotunda", "room.spacing=2", "pdf.divisions=6", "threads=1"]
+    names = []
+    for optimiser in ("hill", "annealing"):
+        cfg = composed(guides, *chosen, f"optimiser={optimiser}", "deployment.count=10")
+        p, method = build_problem(cfg), build_optimiser(cfg, 0)
+        result = method.run(p, Budget(100))
+        assert result.fitness > result.history[0].best_fitness
+        names.append(type(method).__name__)
+    assert names == ["HillClimber", "Annealing"]
+    assert [type(part).__name__ for part in (p.scene.visibility, p.objective, p.scene.room)] == [
+        "Near", "MeanSeen", "Rotunda"
+    ]  # fmt: skip
+    text = yaml.safe_load(FILES["mine/estimator/reckoning.yaml"])
+    assert text["reckoning"]["_target_"] == "reckoning.DeadReckoning"
+    assert list(composed(guides, "estimator=[reckoning,iekf]", app="observe").estimator) == ["reckoning", "iekf"]
+
+
+class Unselected(Localisation):
+    """An objective whose field has no stacks, and without a selection."""
+
+    selection = None
+
+
+class Bare:
+    """An objective with no more than it must have: the values of another."""
+
+    def __init__(self, whole):
+        self._whole = whole
+
+    def __getattr__(self, name):
+        if name in ("field", "target", "selection"):
+            raise AttributeError(name)
+        return getattr(self._whole, name)
+
+
+def test_annealing_does_without_stacks_and_selection_and_greedy_says_what_it_lacks():
+    p = problem(tag=Tag(0.2))
+    p = Problem(p.scene, Unselected(tolerance=0.1), p.start, threads=1)
+    result = Annealing().run(p, Budget(100))
+    assert result.fitness > result.history[0].best_fitness
+    greedy = Greedy()
+    with pytest.raises(InputError, match=r"^Unselected has no selection that landmarks could be chosen by\.$"):
+        greedy.run(p, Budget(100))
+    assert not greedy.ledger.history
+
+
+def test_a_black_box_climbs_what_has_values_only_and_the_rest_says_what_it_lacks(capsys):
+    p = problem()
+    p = Problem(p.scene, Bare(p.objective), p.start, threads=1)
+    result = EGA().run(p, Budget(200))
+    assert result.fitness > result.history[0].best_fitness
+    for method in (Annealing(), Greedy()):
+        with pytest.raises(InputError, match=r"^Bare has no field"):
+            method.run(p, Budget(50))
+        assert not method.ledger.history
+    assert lose(p, result.deployment) is None
+    assert capsys.readouterr().out.startswith("no losses: Bare has no field")
+    with pytest.raises(InputError, match=r"no upper bound for the objective Bare"):
+        average_upper_bound(p, 20, Search(1.0, 10, 0.1))
+
+
+def test_a_command_refuses_what_does_not_fit_before_it_writes_anything(guides, tmp_path):
+    (tmp_path / "bare.py").write_text("from seen import MeanSeen\n\n\nclass Bare(MeanSeen):\n    field = None\n")
+    (tmp_path / "objective").mkdir()
+    (tmp_path / "objective/bare.yaml").write_text("_target_: bare.Bare\nn: 1\nthold_p: 0.5\n")
+    settings = [f"hydra.searchpath=[file://{tmp_path}]", "objective=bare", "hydra.run.dir=run"]
+    done = call("optimise", cwd=tmp_path, settings=settings, folders=[tmp_path, guides])
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.startswith("error: Bare has no field that single moves could update; use a black box")
+    assert not (tmp_path / "outputs").exists()
+    assert not list((tmp_path / "run").glob("*.*"))
+
+
+def test_a_room_elsewhere_gives_what_the_same_room_gives_at_the_origin():
+    found = []
+    for shift in (np.zeros(2), np.array([8.0, -16.0])):  # exact in binary, so that nothing rounds differently
+        plan = FloorPlan((np.array(L_SHAPE) + shift).tolist(), 2.5, holes=[(np.array(PILLAR) + shift).tolist()])
+        room = Prism(plan, Reachable((0.5, 1.5), 0.25), 0.5)
+        p = Problem(paper_scene(room, orientations=pdf.grid_with_ends(6), thold=0.4), Coverage(2, 0.3),
+                    RandomDeployment(16), threads=1)  # fmt: skip
+        result = EGA().run(p, Budget(100))
+        off_grid = validation_metrics(p, result.deployment, 0, Sample(4, 50, 8))
+        found.append(
+            (result.fitness, off_grid["grid_free_qualified_ratio"], result.deployment.positions[:, :2] - shift)
+        )
+    (here, near, _), (there, far, _) = found
+    assert here == pytest.approx(there, abs=0.1)
+    assert near == pytest.approx(far, abs=0.1)
+    np.testing.assert_allclose(found[0][2], found[1][2], atol=1e-9)
