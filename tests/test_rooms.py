@@ -13,7 +13,7 @@ ROOT = Path(lmd.__file__).parent
 # From the ground up: a package imports from those before it, and from itself.
 FLOORS = (
     *("core", "geometry", "space", "scene", "render", "orientation", "sight", "incremental", "objectives", "problem"),
-    *("optimisers", "detection", "estimation", "mapping", "evaluation", "run", "plot", "planner"),
+    *("optimisers", "detection", "estimation", "mapping", "survey", "evaluation", "run", "plot", "planner"),
 )
 MODULES = {
     ".".join(("lmd", *path.relative_to(ROOT).with_suffix("").parts)).removesuffix(".__init__"): path

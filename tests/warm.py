@@ -17,7 +17,7 @@ from pipelines.operations.sweeps.forks import READY, TRACKED
 
 PIPELINES = (
     *("accuracy", "bound", "calibrate_detector", "compare", "detect", "estimate_pdf", "evaluate", "export"),
-    *("observe", "optimise", "report", "runs", "size", "sync", "tradeoff", "view"),
+    *("observe", "optimise", "report", "runs", "size", "survey", "sync", "tradeoff", "view"),
 )
 # What they import when they need it, if it takes long.
 LIBRARIES = (

@@ -1,31 +1,27 @@
 """Views of tags in your own images of a printed board whose geometry is known."""
 
-import io
 from dataclasses import dataclass
-from pathlib import Path
+from functools import cached_property
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, file_path, real
-from lmd.core.files import read_bytes
-from lmd.core.optional import optional
+from lmd.core.checks import FloatArray, InputError, real
 from lmd.core.tables import read_numbers, read_table
 from lmd.detection.detectors import Detections, Detector
 from lmd.detection.evaluation import TOLERANCE, corner_error, match
 from lmd.detection.frames import qualities
+from lmd.detection.images import Photographs
 from lmd.detection.mosaic import Views
 from lmd.detection.pose import pose_from_corners
 from lmd.geometry.se3 import poses_from_rows
 from lmd.geometry.squares import upright
-from lmd.render.imaging import Imaging, UInt8Array
-from lmd.render.optics import image_size
+from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
 from lmd.scene.camera import Camera
 from lmd.scene.deployment import COLUMNS
 from lmd.scene.tag import Tag
 
-IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 
@@ -53,8 +49,7 @@ class BoardImages:
     def __post_init__(self) -> None:
         if self.folder is None:
             raise InputError("folder is missing: a folder of images is needed.", "folder")
-        if not file_path("folder", self.folder).is_dir():
-            raise InputError(f"folder: there is no folder {str(self.folder)!r}.", "folder")
+        _ = self.photographs  # which refuses a folder without any
         if self.tags is None:
             raise InputError("tags is missing: a CSV of the tags on the board is needed.", "tags")
         object.__setattr__(self, "tolerance", real("tolerance", self.tolerance, above=0.0))
@@ -64,10 +59,10 @@ class BoardImages:
         renderer = Renderer(camera, self.board(tag), imaging)
         known = None if self.poses is None else self._known_poses(self.poses)
         parts = []
-        for path in self.images():
-            image = _read(path, camera)
+        images = self.photographs.read(0, len(self.photographs.names), camera)
+        for name, image in zip(self.photographs.names, images, strict=True):
             found = detector.detect(image)
-            pose = _pose_by(renderer, found, self.tolerance) if known is None else known.get(path.name)
+            pose = _pose_by(renderer, found, self.tolerance) if known is None else known.get(name)
             if pose is None:
                 continue
             expected = renderer.corners(pose)
@@ -81,13 +76,11 @@ class BoardImages:
             )
         return Views(*(np.concatenate([getattr(part, name) for part in parts]) for name in Views.__dataclass_fields__))
 
-    def images(self) -> list[Path]:
-        """The images of the folder, by name."""
+    @cached_property
+    def photographs(self) -> Photographs:
+        """The images of the folder."""
         assert self.folder is not None
-        found = sorted(path for path in Path(self.folder).iterdir() if path.suffix.lower() in IMAGES)
-        if not found:
-            raise InputError(f"folder: {str(self.folder)!r} has no images ({', '.join(IMAGES)}).", "folder")
-        return found
+        return Photographs(self.folder)
 
     def board(self, tag: Tag) -> TaggedRoom:
         """The tags of the board in its frame."""
@@ -106,47 +99,13 @@ class BoardImages:
         if "image" not in table:
             raise InputError(f"{path} lacks the column 'image'; expected image,{','.join(POSE)}.")
         names = table.texts["image"]
-        missing = set(names) - {image.name for image in self.images()}
+        missing = set(names) - set(self.photographs.names)
         if missing:
             raise InputError(f"{path}: {str(self.folder)!r} has no image {min(missing)!r}.")
         try:
             return dict(zip(names, poses_from_rows(rows), strict=True))
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
-
-
-def _read(path: Path, camera: Camera) -> UInt8Array:
-    """A grey image, `(h, w)`.
-
-    Raises:
-        InputError: it cannot be read, or is not of the camera's size.
-    """
-    cv2 = optional("cv2", "detection")
-    content = read_bytes(path, "folder")
-    width, height = image_size(camera)
-    written = _pixels(content)
-    # A camera that was held upright says so in the image, which is turned when it is read.
-    if written in ((width, height), (height, width)):
-        image: UInt8Array | None = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE)
-        written = None if image is None else image.shape[::-1]
-        if image is not None and written == (width, height):
-            return image
-    if written is None:
-        raise InputError(f"folder: {str(path)!r} cannot be read as an image.", "folder")
-    raise InputError(
-        f"folder: {str(path)!r} has {written[0]} x {written[1]} pixels, the camera {width} x {height}.", "folder"
-    )
-
-
-def _pixels(content: bytes) -> tuple[int, ...] | None:
-    """Width and height that an image says it has: a small file may stand for gigabytes. None if it is no image."""
-    from PIL import Image
-
-    try:
-        with Image.open(io.BytesIO(content)) as header:
-            return header.size
-    except Exception:  # whatever a reader of a broken file runs into
-        return None
 
 
 def _pose_by(renderer: Renderer, found: Detections, tolerance: float) -> FloatArray | None:

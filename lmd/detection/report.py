@@ -11,11 +11,12 @@ from lmd.core.checks import BoolArray, FloatArray
 from lmd.detection.evaluation import NUMBERS, agreement, at_least, corner_error, precision_recall, quantiles_by
 from lmd.detection.frames import Sightings, overlapping
 from lmd.detection.pose import pose_error, pose_from_corners
-from lmd.detection.quality import pitch
+from lmd.detection.quality import incidence, pitch
 from lmd.render.renderer import Renderer
 
 # Classes of pitch, pixels a module.
 PITCHES = np.array([0.0, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 6.0, 9.0, np.inf])
+INCIDENCES = np.array([0.0, 15.0, 30.0, 45.0, 60.0, 75.0, 90.0])  # degrees
 QUANTILES = {"median": 0.5, "90": 0.9}
 
 
@@ -51,6 +52,12 @@ class Prediction:
         room = self.renderer.room
         values = pitch(self.renderer.camera, self.poses, room.centres, room.normals, room.tag)
         return np.where(self.whole, values, np.nan)
+
+    @cached_property
+    def incidence(self) -> FloatArray:
+        """From the tag's normal to the camera, degrees, `(N, K)`; NaN for what is not wholly in the image."""
+        room = self.renderer.room
+        return np.where(self.whole, np.degrees(incidence(self.poses, room.centres, room.normals)), np.nan)
 
     @cached_property
     def overlapping(self) -> BoolArray:
@@ -117,14 +124,26 @@ def by_pitch(prediction: Prediction, seen: Sightings) -> pd.DataFrame:
     Columns: `pitch_from`, `pitch_to` (pixels a module), `tags`, the shares `predicted` and `detected` of them, and
     `corner_median`, `corner_90` (pixels). Classes without a tag are left out.
     """
+    return _by_class(prediction, seen, "pitch", prediction.pitch, PITCHES)
+
+
+def by_incidence(prediction: Prediction, seen: Sightings) -> pd.DataFrame:
+    """The same by the angle from the tag's normal to the camera, `incidence_from` to `incidence_to` degrees."""
+    return _by_class(prediction, seen, "incidence", prediction.incidence, INCIDENCES)
+
+
+def _by_class(
+    prediction: Prediction, seen: Sightings, name: str, values: FloatArray, bounds: FloatArray
+) -> pd.DataFrame:
+    """Tags that are wholly in the image, by the class that their `values` `(N, K)` are in."""
     error = corner_error(seen.corners, prediction.corners)
-    place = np.searchsorted(PITCHES, prediction.pitch, side="right") - 1
-    quantiles, _ = quantiles_by(prediction.pitch, error, PITCHES, tuple(QUANTILES.values()))
+    place = np.searchsorted(bounds, values, side="right") - 1
+    quantiles, _ = quantiles_by(values, error, bounds, tuple(QUANTILES.values()))
     rows = []
     for b, corner in enumerate(quantiles):
         members = (place == b) & prediction.whole
         if members.any():
-            span = {"pitch_from": PITCHES[b], "pitch_to": PITCHES[b + 1], "tags": int(members.sum())}
+            span = {f"{name}_from": bounds[b], f"{name}_to": bounds[b + 1], "tags": int(members.sum())}
             shares = {"predicted": prediction.visible[members].mean(), "detected": seen.detected[members].mean()}
             rows.append(span | shares | {f"corner_{key}": q for key, q in zip(QUANTILES, corner, strict=True)})
     return pd.DataFrame(rows)

@@ -29,6 +29,7 @@ PIPELINES = {
     "detect": [*UNIFORM, "deployments=[uniform]", "detectors=[apriltag]", "frames=2"],
     "calibrate_detector": [*SMALL, "frames=2"],
     "estimate_pdf": ["recording=simulated"],
+    "survey": ["camera=lab", "detections=seen.csv"],
     "view": SMALL,
     "runs": [],
     "report": [],
@@ -75,11 +76,13 @@ def _nothing_begins(monkeypatch, tmp_path):
         "pipelines.tracked_run.tracked",
         "pipelines.operations.tracking.MlflowReader",
         "lmd.planner.app.Planner",
+        "lmd.survey.survey.survey",
     ):
         monkeypatch.setattr(name, _begin)
     monkeypatch.setattr("lmd.planner.session.Session.warm_up", lambda _: None)
     monkeypatch.setattr("pipelines.compare._compose", lambda _, cfg: cfg)
     (tmp_path / "outputs").mkdir()
+    (tmp_path / "seen.csv").write_text("time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,10,20,30,20,30,40,10,40\n")
     monkeypatch.chdir(tmp_path)
     yield
     HydraConfig.instance().cfg = None

@@ -1,0 +1,111 @@
+"""What a survey is worth where the truth is known; each prints or leaves what its name says.
+
+python benchmarks/survey.py photograph RUN FOLDER [--count 80]   # photographs of a run's tags, hung 10 mm off; true.csv
+python benchmarks/survey.py compare MAP.csv TRUE.csv             # how far the tags of a map are off, millimetres
+PYTHONPATH=tests python benchmarks/survey.py time FRAMES TAGS    # how long a walk takes, and how much memory
+"""
+
+import argparse
+import resource
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+from omegaconf import OmegaConf
+
+from lmd.geometry.se3 import camera_pose, exp
+from lmd.pipelines.building import camera_of, instantiate
+from lmd.render.imaging import Imaging
+from lmd.render.renderer import Renderer
+from lmd.render.room import TaggedRoom
+from lmd.scene.deployment import Deployment
+from lmd.scene.surveyed import Surveyed
+from lmd.survey.known import poses_of
+
+OFF = (
+    0.002,
+    0.002,
+    0.0087,
+    0.010,
+    0.010,
+    0.0,
+)  # standard deviations of how tags hang: tilts, turn, rad; places, metres
+EYE_LEVEL = (1.0, 1.7)  # metres
+IMAGING = Imaging(psf_sigma=0.5, noise=2.0, texture=4.0)
+
+
+def photograph(run: Path, folder: Path, count: int, seed: int) -> None:
+    """Render a walk: random places where the camera may be, at eye level, looking about."""
+    cfg, rng = OmegaConf.load(run / ".hydra" / "config.yaml"), np.random.default_rng(seed)
+    room, camera, tag = instantiate(cfg.room), camera_of(cfg.camera), instantiate(cfg.tag)
+    plan = Deployment.from_csv(run / "landmarks.csv")
+    hung = poses_of(plan) @ exp(rng.normal(size=(len(plan), 6)) * OFF)
+    places, normals, ups = hung[:, :3, 3], hung[:, :3, 2], hung[:, :3, 1]
+    where = room.sample(count, rng)
+    where[:, 2] = rng.uniform(*EYE_LEVEL, count)
+    yaw, pitch, roll = rng.uniform(-np.pi, np.pi, count), rng.normal(0.0, 0.15, count), rng.normal(0.0, 0.1, count)
+    renderer = Renderer(camera, TaggedRoom(tag, plan.ids, places, normals, ups, room.faces()), IMAGING)
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, pose in enumerate(camera_pose(where, yaw, pitch, roll)):
+        image = renderer.frame(pose, np.random.default_rng([seed, number]))
+        cv2.imwrite(str(folder / f"{number:04d}.png"), image)
+    true = Deployment(places, normals, labels=plan.labels, surveyed=Surveyed(places, places, ups))
+    true.to_csv(folder / "true.csv", ups=True)
+
+
+def compare(found: Path, true: Path) -> None:
+    """Median, 90 % and largest distance, once the maps are laid on each other and as they are."""
+    one, other = Deployment.from_csv(found), Deployment.from_csv(true)
+    _, of, among = np.intersect1d(one.ids, other.ids, return_indices=True)
+    here, there = one.places[of], other.places[among]
+    a, b = here - here.mean(axis=0), there - there.mean(axis=0)
+    left, _, right = np.linalg.svd(a.T @ b)
+    turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    for name, away in (("beside each other", a @ turn - b), ("in the world", here - there)):
+        figures = 1e3 * np.quantile(np.linalg.norm(away, axis=1), [0.5, 0.9, 1.0])
+        print(f"{len(of)} tags {name}: median {figures[0]:.2f}, 90 % {figures[1]:.2f}, largest {figures[2]:.2f} mm")
+
+
+def measure(frames: int, tags: int) -> None:
+    """Time of one processor and memory, from detections to figures."""
+    import walks  # of the tests
+
+    from lmd.scene.tag import Tag
+    from lmd.survey.survey import Known, survey
+
+    rng = np.random.default_rng(0)
+    hung = walks.hung(walks.wall_tags(tags, rng), rng)
+    detected = walks.photographed(hung, walks.walk(frames, rng), rng)
+    began = time.process_time()
+    found = survey(detected, [walks.CAMERA], Tag(walks.EDGE), walks.constant_errors(0.2), Known())
+    seconds, most = time.process_time() - began, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    print(f"{frames} frames, {found.placed.sum()} of {tags} tags: {seconds:.0f} s, {most:.2f} GiB")
+
+
+def main() -> None:
+    """See above."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(dest="command", required=True)
+    walk = commands.add_parser("photograph")
+    walk.add_argument("run", type=Path)
+    walk.add_argument("folder", type=Path)
+    walk.add_argument("--count", type=int, default=80)
+    walk.add_argument("--seed", type=int, default=0)
+    two = commands.add_parser("compare")
+    two.add_argument("found", type=Path)
+    two.add_argument("true", type=Path)
+    timed = commands.add_parser("time")
+    timed.add_argument("frames", type=int)
+    timed.add_argument("tags", type=int)
+    given = parser.parse_args()
+    if given.command == "photograph":
+        photograph(given.run, given.folder, given.count, given.seed)
+    elif given.command == "compare":
+        compare(given.found, given.true)
+    else:
+        measure(given.frames, given.tags)
+
+
+if __name__ == "__main__":
+    main()

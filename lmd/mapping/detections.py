@@ -1,0 +1,149 @@
+"""Detections that others made: the corners of tags in the frames of one or several cameras, from a CSV."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, InputError, IntArray
+from lmd.core.tables import Table, read_table, write_table
+from lmd.detection.detectors import Detections
+
+# In OpenCV's pixels, clockwise from the top left of the tag as it was made.
+CORNER_COLUMNS = tuple(f"{axis}{corner}" for corner in range(4) for axis in "xy")
+TIMES, CAMERAS = ("time", "stamp"), ("camera", "topic")
+# OpenCV counts pixels from the centre of the first one.
+PIXEL_CENTRE = 0.5
+FROM_APRILTAG = [3, 2, 1, 0]
+# A quadrilateral smaller than this, square pixels, has no corners to speak of.
+LEAST_AREA = 1.0
+
+
+@dataclass(frozen=True)
+class DetectedTags:
+    """N tags in the frames of C cameras.
+
+    Args:
+        times: of the F frames, or their names, as they were written, in ascending order, all different. What several
+            cameras saw at the same time is one frame.
+        cameras: what they are called, `(C,)`.
+        frame: of each detection, `(N,)`, from 0.
+        camera: likewise.
+        ids: numbers of the tags, `(N,)`.
+        corners: pixels from the border, top left, top right, bottom right, bottom left of the tag, `(N, 4, 2)`.
+
+    Raises:
+        InputError: shapes do not match, or there is no detection.
+    """
+
+    times: tuple[str, ...]
+    cameras: tuple[str, ...]
+    frame: IntArray
+    camera: IntArray
+    ids: IntArray
+    corners: FloatArray
+
+    def __post_init__(self) -> None:
+        count = len(self.ids)
+        if not count:
+            raise InputError("detections has no tag.", "detections")
+        if self.corners.shape != (count, 4, 2) or self.frame.shape != (count,) or self.camera.shape != (count,):
+            raise InputError(f"detections must be as many as their corners, got {self.corners.shape} for {count}.")
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @classmethod
+    def in_frames(cls, names: Sequence[str], found: Sequence[Detections]) -> "DetectedTags":
+        """What a detector found in frames of one camera, as many as were read, with their names in ascending order.
+
+        Raises:
+            InputError: there is no tag in any.
+        """
+        frame = np.repeat(np.arange(len(found)), [len(one) for one in found])
+        nothing = Detections(np.empty(0, dtype=np.int64), np.empty((0, 4, 2)))
+        ids = np.concatenate([one.ids for one in (nothing, *found)])
+        corners = np.concatenate([one.corners for one in (nothing, *found)])
+        return cls(tuple(names[: len(found)]), ("",), frame, np.zeros(len(ids), dtype=np.int64), ids, corners)
+
+    def of(self, chosen: IntArray) -> "DetectedTags":
+        """Those that `chosen` selects, among the same frames and cameras."""
+        return DetectedTags(
+            self.times, self.cameras, self.frame[chosen], self.camera[chosen], self.ids[chosen], self.corners[chosen]
+        )
+
+
+def signed_area(corners: FloatArray) -> FloatArray:
+    """Of quadrilaterals `(..., 4, 2)`, positive where they go round clockwise as one looks at an image, `(...)`."""
+    x, y = corners[..., 0], corners[..., 1]
+    return np.asarray((x * np.roll(y, -1, axis=-1) - np.roll(x, -1, axis=-1) * y).sum(axis=-1) / 2.0)
+
+
+def read_detections(path: Any, name: str = "detections") -> DetectedTags:
+    """Read `id,x0,y0,...,x3,y3`, corners clockwise from the top left in OpenCV's pixels, with `time` or `stamp`.
+
+    A time may be any text, such as the name of a photograph.
+
+    `camera` or `topic` says which camera saw a tag; without it there is one. Further columns are ignored. Where most
+    corners go round counter-clockwise they are taken for those of the AprilTag library, which begins at the bottom
+    left. Detections that go round the other way than most are left out.
+
+    Args:
+        path: the CSV.
+        name: the argument the path came from, for messages.
+
+    Raises:
+        InputError: the file cannot be read, lacks a column, or a value is no number.
+    """
+    table = read_table(path, name=name)
+    time, camera = _either(table, TIMES, name), _either(table, CAMERAS, name, optional=True)
+    values = table.numbers(("id", *CORNER_COLUMNS), None)
+    ids = values[:, 0].astype(np.int64)
+    if (wrong := np.flatnonzero((ids != values[:, 0]) | (ids < 0))).size:
+        text = table.texts["id"][wrong[0]]
+        raise InputError(f"{path} line {table.lines[wrong[0]]}: id is {text!r}, not a whole number from 0.", name)
+    # Nanoseconds since 1970 have more digits than a float, so frames are told apart by what is written.
+    place = {text: index for index, text in enumerate(sorted(set(table.texts[time]), key=_moment))}
+    names = sorted(set(table.texts[camera])) if camera else [""]
+    cameras = np.searchsorted(names, table.texts[camera]) if camera else np.zeros(len(ids), dtype=np.int64)
+    corners = values[:, 1:9].reshape(-1, 4, 2) + PIXEL_CENTRE
+    if 2 * (signed_area(corners) < 0.0).sum() > len(corners):
+        corners = corners[:, FROM_APRILTAG]
+    usable = signed_area(corners) >= LEAST_AREA
+    if not usable.any():
+        raise InputError(f"{path} has no detection with four corners around an area.", name)
+    frames = np.array([place[text] for text in table.texts[time]])
+    found = DetectedTags(tuple(place), tuple(names), frames, np.asarray(cameras, dtype=np.int64), ids, corners)
+    return found.of(np.flatnonzero(usable))
+
+
+def _moment(text: str) -> tuple[float, str]:
+    """What texts for times are sorted by: the number, or else, as for names of photographs, the text."""
+    try:
+        return float(text), text
+    except ValueError:
+        return math.inf, text
+
+
+def write_detections(path: Path, detected: DetectedTags) -> None:
+    """Write what `read_detections` reads."""
+    corners = (detected.corners - PIXEL_CENTRE).reshape(-1, 8)
+    columns: dict[str, Any] = {TIMES[0]: [detected.times[frame] for frame in detected.frame.tolist()]}
+    if len(detected.cameras) > 1:
+        columns[CAMERAS[0]] = [detected.cameras[camera] for camera in detected.camera.tolist()]
+    write_table(path, {**columns, "id": detected.ids, **dict(zip(CORNER_COLUMNS, corners.T, strict=True))})
+
+
+def _either(table: Table, names: tuple[str, str], argument: str, optional: bool = False) -> str:
+    """Which of two columns a table has; an empty text where it has none and need not."""
+    for name in names:
+        if name in table:
+            return name
+    if optional:
+        return ""
+    raise InputError(
+        f"{table.path} lacks the column {' or '.join(names)}, which says what was seen together.", argument
+    )

@@ -1,0 +1,422 @@
+"""Bundle adjustment: the poses of tags, frames and cameras that explain all sightings best.
+
+A sighting has eight residuals e in pixels, see `lmd.survey.sightings`, and the squared error chi^2 = |e|^2 / sigma^2,
+where sigma^2 is the detector's own variance and a floor: lenses and bodies are not quite what their calibration says.
+The errors are taken for those of Student's distribution with nu degrees of freedom, so what is minimised is the sum of
+(nu + 8) / 2 log(1 + chi^2 / nu). Each step is one of Levenberg and Marquardt with the weights (nu + 8) / (nu + chi^2):
+a sighting that does not fit counts next to nothing. The floor is that with which the weighted mean of chi^2 is the one
+that normal errors have.
+
+A sighting connects one frame with one tag, so frames are eliminated (Schur complement): with the blocks H_ff of the
+frames, H_kk of what is kept (tags, and cameras on the body but the first) and H_kf, the step of what is kept solves
+(H_kk - H_kf H_ff^-1 H_fk) d_k = g_k - H_kf H_ff^-1 g_f. The time is linear in the number of frames.
+
+Sources: Triggs et al., "Bundle Adjustment - A Modern Synthesis"; Lange et al., "Robust Statistical Modeling Using the t
+Distribution".
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, IntArray
+from lmd.geometry.se3 import adjoint, exp, inverse, log, pose_of
+from lmd.survey.sightings import Sightings
+
+FREEDOM = 4.0  # nu
+RESIDUALS = 8
+# The mean of (nu + 8) chi^2 / (nu + chi^2) where chi^2 has its own distribution with 8 degrees of freedom.
+NORMAL_MEAN = 7.5625
+LEAST_SHARE = 0.1
+CHUNK = 128  # frames that are eliminated at once
+# A corner that is hardly in front of the camera, or behind it, fits nowhere: metres, and pixels.
+NEAREST, NOWHERE = 1e-3, 1e4
+RESECTIONS = 10  # steps of Gauss and Newton for frames alone
+FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-9, 1e6
+# What remains to be gained, relative to the number of sightings, when a step is the last.
+CONVERGED = 1e-7
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Where everything is; each pose maps to what it is mounted in.
+
+    Args:
+        tags: to the world, `(K, 4, 4)`; NaN where it is not known.
+        frames: of the body, to the world, `(F, 4, 4)`; likewise.
+        mounts: of the cameras, to the body, `(C, 4, 4)`; the first is the body.
+    """
+
+    tags: FloatArray
+    frames: FloatArray
+    mounts: FloatArray
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of tags before they were seen.
+
+    Args:
+        tags: their poses, `(K, 4, 4)`; whatever it is where nothing is known.
+        information: one over the variance of the turn about each axis of the tag, and of the way along each, `(K, 6)`.
+    """
+
+    tags: FloatArray
+    information: FloatArray
+
+    def off(self, tags: FloatArray) -> FloatArray:
+        """The twists from what is known to `tags`, `(K, 6)`; 0 where nothing is known."""
+        known = self.information.any(axis=1)
+        twists = np.zeros((len(tags), 6))
+        twists[known] = log(inverse(self.tags[known]) @ tags[known])
+        return twists
+
+    def squares(self, tags: FloatArray) -> FloatArray:
+        """chi^2 of each, `(K,)`."""
+        return np.asarray((self.information * self.off(tags) ** 2).sum(axis=1))
+
+
+def in_cameras(sightings: Sightings, tags: FloatArray, frames: FloatArray, mounts: FloatArray) -> FloatArray:
+    """The corners in the frames of their cameras, `(N, 4, 3)`, for poses `(N, 4, 4)` of each sighting."""
+    motion = inverse(mounts) @ inverse(frames) @ tags
+    return np.asarray(sightings.corners @ np.swapaxes(motion[:, :3, :3], 1, 2) + motion[:, None, :3, 3])
+
+
+def residuals(sightings: Sightings, seen: FloatArray) -> FloatArray:
+    """e of corners at `seen` `(N, 4, 3)` in their cameras, `(N, 4, 2)`, pixels."""
+    depth = (sightings.directions * seen).sum(axis=-1)[..., None]
+    error = (sightings.tangents @ seen[..., None])[..., 0] / np.maximum(depth, NEAREST)
+    return np.asarray(np.where(depth <= NEAREST, NOWHERE, error))
+
+
+def errors_at(sightings: Sightings, poses: Poses) -> FloatArray:
+    """|e|^2 of each sighting, pixels^2, `(N,)`; NaN for those of tags or frames that are not placed."""
+    mounted = _gathered(sightings, poses)
+    return np.asarray((residuals(sightings, in_cameras(sightings, *mounted)) ** 2).sum(axis=(1, 2)))
+
+
+def _gathered(sightings: Sightings, poses: Poses) -> tuple[FloatArray, FloatArray, FloatArray]:
+    return poses.tags[sightings.tag], poses.frames[sightings.frame], poses.mounts[sightings.camera]
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """Residuals `(N, 8)` and how they change with right-hand twists of the poses, `(N, 8, 6)` each."""
+
+    error: FloatArray
+    by_tag: FloatArray
+    by_frame: FloatArray
+    by_mount: FloatArray
+
+
+def linearise(sightings: Sightings, tags: FloatArray, frames: FloatArray, mounts: FloatArray) -> Linearised:
+    """The residuals at poses `(N, 4, 4)` of each sighting: X becomes X exp(twist)."""
+    to_body = inverse(frames) @ tags
+    body = sightings.corners @ np.swapaxes(to_body[:, :3, :3], 1, 2) + to_body[:, None, :3, 3]
+    turned = mounts[:, :3, :3]
+    seen = (body - mounts[:, None, :3, 3]) @ turned
+    error = residuals(sightings, seen)
+    depth = (sightings.directions * seen).sum(axis=-1)[..., None, None]
+    slope = (sightings.tangents - error[..., None] * sightings.directions[..., None, :]) / np.maximum(depth, NEAREST)
+    slope *= depth > NEAREST
+    at_body = slope @ np.swapaxes(turned, 1, 2)[:, None]
+    at_tag = at_body @ to_body[:, None, :3, :3]
+
+    def rows(turn: FloatArray, way: FloatArray) -> FloatArray:
+        return np.concatenate([turn, way], axis=-1).reshape(len(sightings), RESIDUALS, 6)
+
+    return Linearised(
+        error.reshape(len(sightings), RESIDUALS),
+        rows(np.cross(sightings.corners[:, :, None], at_tag), at_tag),
+        rows(np.cross(at_body, body[:, :, None]), -at_body),
+        rows(np.cross(slope, seen[:, :, None]), -slope),
+    )
+
+
+def summed(values: FloatArray, owner: IntArray, count: int) -> FloatArray:
+    """The sums of values `(N, ...)` over what each of `count` owners has, `(count, ...)`."""
+    from scipy.sparse import csr_array
+
+    matrix = csr_array((np.ones(len(owner)), (owner, np.arange(len(owner)))), shape=(count, len(owner)))
+    return np.asarray((matrix @ values.reshape(len(owner), -1)).reshape(count, *values.shape[1:]))
+
+
+def solved(matrices: FloatArray, right: FloatArray) -> FloatArray:
+    """The solutions `(n, m)` of n systems `(n, m, m)`."""
+    return np.asarray(np.linalg.solve(matrices, right[..., None])[..., 0], dtype=np.float64)
+
+
+def weight_of(square: FloatArray, residuals: int = RESIDUALS) -> FloatArray:
+    """(nu + d) / (nu + chi^2) for d residuals."""
+    return np.asarray((FREEDOM + residuals) / (FREEDOM + square))
+
+
+def _cost(square: FloatArray, residuals: int = RESIDUALS) -> float:
+    return float((FREEDOM + residuals) / 2.0 * np.log1p(square / FREEDOM).sum())
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """What an adjustment found.
+
+    Args:
+        poses: the best ones.
+        floor: standard deviation that the detector does not account for, pixels.
+        squares: chi^2 of each sighting, `(N,)`.
+    """
+
+    poses: Poses
+    floor: float
+    squares: FloatArray
+
+
+class Eliminated(NamedTuple):
+    """Some frames that were eliminated.
+
+    some: their sightings; seen, of: the frames, and which of these each sighting is of; block: H_ff, `(f, 6, 6)`;
+    gradient: g_f, `(f, 6)`; cross, cross_mount: what each sighting adds to H_kf by its tag, and by its camera, if there
+    are several, `(n, 6, 6)`.
+    """
+
+    some: Sightings
+    seen: IntArray
+    of: IntArray
+    block: FloatArray
+    gradient: FloatArray
+    cross: FloatArray
+    cross_mount: FloatArray | None
+
+
+class Adjustment:
+    """The system of equations of some sightings, all of whose tags and frames have a pose."""
+
+    def __init__(self, sightings: Sightings, prior: Prior) -> None:
+        self.sightings, self.prior = sightings, prior
+        self.kept = len(sightings.ids) + sightings.cameras - 1
+        seen, first = np.unique(sightings.frame, return_index=True)
+        unknowns = 6 * (len(seen) + len(np.unique(sightings.tag)) + sightings.cameras - 1)
+        self.share = max(1.0 - unknowns / (RESIDUALS * len(sightings)), LEAST_SHARE)  # of squares that a fit leaves
+        self.first = np.append(first, len(sightings))
+
+    def chunks(self) -> Iterator[slice]:
+        """The sightings of some frames at a time."""
+        for start in range(0, len(self.first) - 1, CHUNK):
+            yield slice(self.first[start], self.first[min(start + CHUNK, len(self.first) - 1)])
+
+    def squares(self, poses: Poses, floor: float) -> FloatArray:
+        """chi^2 of each sighting, `(N,)`."""
+        return errors_at(self.sightings, poses) / (self.sightings.noise**2 + floor**2)
+
+    def cost(self, poses: Poses, floor: float) -> float:
+        """What is minimised."""
+        return _cost(self.squares(poses, floor)) + _cost(self.prior.squares(poses.tags), 6)
+
+    def floor(self, poses: Poses, most: float) -> float:
+        """The floor that the residuals speak of, pixels, at most `most`."""
+        error = errors_at(self.sightings, poses)
+        low, high = 0.0, most
+        for _ in range(40):
+            middle = (low + high) / 2.0
+            square = error / self.share / (self.sightings.noise**2 + middle**2)
+            if (weight_of(square) * square).mean() > NORMAL_MEAN:
+                low = middle
+            else:
+                high = middle
+        return high
+
+    def covariance(self, poses: Poses, floor: float) -> FloatArray:
+        """Of the twists of what is kept, each in its own frame, `(6 kept, 6 kept)`; NaN for tags that were not seen.
+
+        The weights of Student's distribution neither waste nor invent information: with w(chi^2) the mean of
+        (w + 2 w' chi^2 / 8) is what the slope of the equations loses, that of w^2 chi^2 / 8 is the variance of their
+        right side, and the covariance is that of least squares times the second over the first squared.
+        """
+        square = self.squares(poses, floor) / self.share
+        weight = weight_of(square)
+        slope = (weight - 2.0 / RESIDUALS * square * weight / (FREEDOM + square)).mean()
+        spread = (weight**2 * square).mean() / RESIDUALS
+        matrix, *_ = self.reduced(poses, floor, 0.0, float(slope**2 / spread))
+        spoken = np.flatnonzero(np.diag(matrix) > 0.0)
+        whole = np.full_like(matrix, np.nan)
+        whole[np.ix_(spoken, spoken)] = np.linalg.inv(matrix[np.ix_(spoken, spoken)])
+        return whole
+
+    def step(self, poses: Poses, floor: float, damping: float) -> Poses:
+        """The poses after one step."""
+        reduced, right, blocks = self.reduced(poses, floor, damping)
+        kept = _solve(reduced, right).reshape(self.kept, 6)
+        frames = poses.frames.copy()
+        count = len(self.sightings.ids)
+        moved = np.vstack([np.zeros((1, 6)), kept[count:]])
+        for part in blocks:
+            pull = np.einsum("nij,ni->nj", part.cross, kept[part.some.tag])
+            if part.cross_mount is not None:
+                pull += np.einsum("nij,ni->nj", part.cross_mount, moved[part.some.camera])
+            rest = part.gradient - summed(pull, part.of, len(part.seen))
+            frames[part.seen] = frames[part.seen] @ exp(solved(part.block, rest))
+        tags = poses.tags @ exp(kept[:count])
+        mounts = np.concatenate([poses.mounts[:1], poses.mounts[1:] @ exp(kept[count:])])
+        return Poses(tags, frames, mounts)
+
+    def reduced(
+        self, poses: Poses, floor: float, damping: float, weight: float | None = None
+    ) -> tuple[FloatArray, FloatArray, list[Eliminated]]:
+        """The matrix and the right side of what is kept, and what was eliminated.
+
+        Args:
+            poses: where to.
+            floor: see `Adjusted`.
+            damping: by which diagonals grow, relative.
+            weight: of every sighting; None for those of Student's distribution, of priors too.
+        """
+        sightings, count = self.sightings, len(self.sightings.ids)
+        matrix = np.zeros((6 * self.kept, 6 * self.kept))
+        right = np.zeros((self.kept, 6))
+        diagonal = np.zeros((self.kept, 6, 6))
+        blocks = []
+        for own in self.chunks():
+            some = sightings.of(np.arange(own.start, own.stop))
+            at = linearise(some, *_gathered(some, poses))
+            variance = some.noise**2 + floor**2
+            trust = weight_of((at.error**2).sum(axis=1) / variance) if weight is None else weight
+            inverse_variance = trust / variance
+            seen, of = np.unique(some.frame, return_inverse=True)
+
+            def product(one: FloatArray, other: FloatArray, scale: FloatArray = inverse_variance) -> FloatArray:
+                return np.asarray((np.swapaxes(one, 1, 2) * scale[:, None, None]) @ other)
+
+            error = -at.error[..., None]
+            block = summed(product(at.by_frame, at.by_frame), of, len(seen))
+            block += (damping + LEAST_DAMPING) * block * np.eye(6) + LEAST_DAMPING * np.eye(6)
+            gradient = summed(product(at.by_frame, error)[..., 0], of, len(seen))
+            cross, cross_mount = product(at.by_tag, at.by_frame), None
+            diagonal[:count] += summed(product(at.by_tag, at.by_tag), some.tag, count)
+            right[:count] += summed(product(at.by_tag, error)[..., 0], some.tag, count)
+            rows = np.unique(some.tag)
+            place = np.searchsorted(rows, some.tag)
+            panel = np.zeros((len(rows) + sightings.cameras - 1, len(seen), 6, 6))
+            np.add.at(panel, (place, of), cross)
+            if sightings.cameras > 1:
+                others = some.camera > 0
+                which = some.camera[others] - 1
+                cross_mount = product(at.by_mount, at.by_frame) * others[:, None, None]
+                np.add.at(panel, (len(rows) + which, of[others]), cross_mount[others])
+                diagonal[count:] += summed(product(at.by_mount, at.by_mount)[others], which, sightings.cameras - 1)
+                right[count:] += summed(product(at.by_mount, error)[others][..., 0], which, sightings.cameras - 1)
+                coupling = np.zeros((count, sightings.cameras - 1, 6, 6))
+                np.add.at(coupling, (some.tag[others], which), product(at.by_tag, at.by_mount)[others])
+                wide = coupling.transpose(0, 2, 1, 3).reshape(6 * count, -1)
+                matrix[: 6 * count, 6 * count :] += wide
+                matrix[6 * count :, : 6 * count] += wide.T
+            rows = np.append(rows, np.arange(count, self.kept))
+            lower = np.asarray(np.linalg.cholesky(block), dtype=np.float64)
+            # H_kf L^-T, whose product with itself is H_kf H_ff^-1 H_fk.
+            half = np.swapaxes(np.linalg.solve(lower[None], np.swapaxes(panel, 2, 3)), 2, 3)
+            wide = half.transpose(0, 2, 1, 3).reshape(6 * len(rows), 6 * len(seen))
+            index = (6 * rows[:, None] + np.arange(6)).ravel()
+            matrix[np.ix_(index, index)] -= wide @ wide.T
+            reduced = solved(lower, gradient)
+            right[rows] -= (wide @ reduced.ravel()).reshape(-1, 6)
+            blocks.append(Eliminated(some, seen, of, block, gradient, cross, cross_mount))
+        off = self.prior.off(poses.tags)
+        known = self.prior.information
+        if weight is None:
+            known = known * weight_of(self.prior.squares(poses.tags), 6)[:, None]
+        diagonal[:count] += known[..., None] * np.eye(6)
+        right[:count] -= known * off
+        diagonal += damping * diagonal * np.eye(6)
+        for k in range(self.kept):
+            matrix[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] += diagonal[k]
+        return matrix, right, blocks
+
+    def run(self, poses: Poses, floor: float, steps: int) -> Adjusted:
+        """The best poses near `poses`.
+
+        Args:
+            poses: where to begin.
+            floor: where to begin, pixels; it is found.
+            steps: at most.
+        """
+        damping, most = FIRST_DAMPING, floor
+        cost = self.cost(poses, floor)
+        for _ in range(steps):
+            tried = self.step(poses, floor, damping)
+            found = self.cost(tried, floor)
+            if found > cost or not np.isfinite(found):
+                damping *= 10.0
+                if damping > MOST_DAMPING:
+                    break
+                continue
+            gained, poses, damping = cost - found, tried, max(damping / 10.0, LEAST_DAMPING)
+            before, floor = floor, self.floor(poses, most)
+            cost = self.cost(poses, floor)
+            if gained < CONVERGED * len(self.sightings) and abs(floor - before) < 1e-3 * before + 1e-6:
+                break
+        return Adjusted(_orthonormal(poses), floor, self.squares(poses, floor))
+
+
+def blocks_of(covariance: FloatArray, count: int) -> FloatArray:
+    """Those of each of `count` poses by themselves, `(count, 6, 6)`."""
+    return np.stack([covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] for k in range(count)])
+
+
+def without_gauge(covariance: FloatArray, tags: FloatArray) -> FloatArray:
+    """The covariance of tags once the map is laid over the true one: what each is off by beside the others.
+
+    With T the twists of all tags that one motion of the world leads to, `(6 n, 6)`, and T_p the rows of it that move
+    their centres, the motion that fits best is g = T_p^+ x_p, and what is left of x is x - T g.
+
+    Args:
+        covariance: of the twists of n tags, each in its own frame, `(6 n, 6 n)`.
+        tags: their poses, `(n, 4, 4)`.
+    """
+    back = inverse(tags)
+    motion = np.stack([adjoint(back, np.broadcast_to(axis, (len(tags), 6))) for axis in np.eye(6)], axis=-1)
+    centres = np.tile(np.arange(6) >= 3, len(tags))
+    motion = motion.reshape(-1, 6)
+    fit = np.zeros((6, len(motion)))
+    fit[:, centres] = np.linalg.pinv(motion[centres])
+    left = np.eye(len(motion)) - motion @ fit
+    return np.asarray(left @ covariance @ left.T)
+
+
+def resected(sightings: Sightings, poses: Poses, floor: float, steps: int = RESECTIONS) -> FloatArray:
+    """The frames with everything else fixed, `(F, 4, 4)`, from where `poses` has them."""
+    frames = poses.frames
+    seen, of = np.unique(sightings.frame, return_inverse=True)
+    for _ in range(steps):
+        at = linearise(sightings, *_gathered(sightings, replace(poses, frames=frames)))
+        variance = sightings.noise**2 + floor**2
+        weight = weight_of((at.error**2).sum(axis=1) / variance) / variance
+        turned = np.swapaxes(at.by_frame, 1, 2) * weight[:, None, None]
+        matrix = summed(turned @ at.by_frame, of, len(seen)) + LEAST_DAMPING * np.eye(6)
+        right = summed((turned @ at.error[..., None])[..., 0], of, len(seen))
+        frames = frames.copy()
+        frames[seen] = frames[seen] @ exp(-solved(matrix, right))
+    return frames
+
+
+def _orthonormal(poses: Poses) -> Poses:
+    """The same with rotations that many products have left exact."""
+
+    def exact(pose: FloatArray) -> FloatArray:
+        result = pose.copy()
+        known = np.isfinite(pose).all(axis=(1, 2))
+        left, _, right = np.linalg.svd(pose[known, :3, :3])
+        result[known] = pose_of(left @ right, pose[known, :3, 3])
+        return result
+
+    return replace(poses, tags=exact(poses.tags), frames=exact(poses.frames), mounts=exact(poses.mounts))
+
+
+def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """The solution for a symmetric matrix; unknowns that nothing speaks of stay where they are."""
+    spoken = np.diag(matrix) > 0.0
+    result = np.zeros(right.size)
+    index = np.flatnonzero(spoken)
+    some = matrix[np.ix_(index, index)]
+    some[np.diag_indices_from(some)] *= 1.0 + LEAST_DAMPING
+    result[index] = np.linalg.solve(some, right.ravel()[index])
+    return result

@@ -1,0 +1,216 @@
+"""Where the tags hang: the best poses of all that was seen, how well they are known, and what did not fit."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.geometry.se3 import exp, inverse, log
+from lmd.survey.adjustment import Adjustment, Poses, Prior, blocks_of, errors_at, without_gauge
+from lmd.survey.known import EXACT, aligned, turned_as
+from lmd.survey.sightings import Sightings
+from lmd.survey.start import FLOOR, place
+
+# A sighting whose chi^2 is larger, with eight degrees of freedom, does not show the tag where it hangs.
+MISFIT = 60.0
+STEPS, FINAL_STEPS = 40, 15
+# Threads that share matrices of some hundred rows wait for each other longer than they work.
+ONE_THREAD = 1
+MEDIAN_STEPS = 10  # of the mean pose of a mount
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The tags of some sightings.
+
+    Args:
+        sightings: all that were given.
+        prior: what was known of the tags.
+        poses: of tags, frames and mounts; NaN for what is not placed.
+        group: of each tag: 0 for those of the map, further numbers for those that no frame connects with it, -1 for
+            those that are not placed, `(K,)`.
+        used: which sightings count, `(N,)`: of tags and frames of the map, and not far off.
+        misfits: which are of such tags and frames but do not show the tag where it hangs, `(N,)`.
+        floor: standard deviation of the corners that the detector does not account for, pixels.
+        covariances: of the twist of each tag in its own frame, turn first, `(K, 6, 6)`; NaN for those not in the map.
+        precisions: the same once the map as a whole is laid where it belongs, see `without_gauge`.
+    """
+
+    sightings: Sightings
+    prior: Prior
+    poses: Poses
+    group: IntArray
+    used: BoolArray
+    misfits: BoolArray
+    floor: float
+    covariances: FloatArray
+    precisions: FloatArray
+
+    @property
+    def mapped(self) -> IntArray:
+        """The tags of the map."""
+        return np.flatnonzero(self.group == 0)
+
+    @property
+    def frames(self) -> IntArray:
+        """The frames that the map is made from."""
+        return np.unique(self.sightings.frame[self.used])
+
+    def in_world(self, covariances: FloatArray) -> FloatArray:
+        """Of the position and of the turn of each tag, world frame, m^2 and rad^2, `(K, 6, 6)`.
+
+        Args:
+            covariances: of their twists, in their own frames, `(K, 6, 6)`.
+        """
+        turned = self.poses.tags[:, :3, :3]
+        whole = np.zeros((len(turned), 6, 6))
+        whole[:, :3, 3:] = whole[:, 3:, :3] = turned
+        return np.asarray(whole @ covariances @ np.swapaxes(whole, 1, 2))
+
+    def moved(self, motion: FloatArray) -> "Estimate":
+        """The same in another world, to which a motion `(4, 4)` leads."""
+        poses = replace(self.poses, tags=motion @ self.poses.tags, frames=motion @ self.poses.frames)
+        return replace(self, poses=poses, prior=Prior(motion @ self.prior.tags, self.prior.information))
+
+    def errors(self) -> FloatArray:
+        """Root mean square reprojection error of the sightings that count, pixels."""
+        return np.asarray(np.sqrt(errors_at(self.sightings.of(self.used), self.poses) / 4.0))
+
+
+def estimate(sightings: Sightings, prior: Prior, origin: int | None = None) -> Estimate:
+    """Estimate all poses together.
+
+    Args:
+        sightings: at least one frame must show two tags.
+        prior: what is known of the tags. What it knows nothing of hangs where the photographs say.
+        origin: id of the tag whose frame is the world where the prior knows none of the tags; None for the one that
+            was seen most often.
+
+    Raises:
+        InputError: no two tags were seen together, `origin` could not be placed, or centres that are known are too few
+            for a world.
+    """
+    with threadpool_limits(limits=ONE_THREAD):
+        known = np.asarray(prior.information[:, :3].any(axis=1))
+        planned = np.where(known[:, None, None], prior.tags, np.nan)
+        rough, group = place(sightings.apart(), planned)
+        if group.max(initial=-1) < 0:
+            raise InputError("detections never show two tags at once, of which one leaves no doubt.", "detections")
+        poses, group, prior = _in_one_world(sightings, joined(sightings, rough), group, prior, origin)
+        return adjusted(sightings, prior, poses, group, FLOOR)
+
+
+def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, floor: float) -> Estimate:
+    """The estimate near some poses; arguments as of `Estimate`."""
+    of_map = (group[sightings.tag] == 0) & np.isfinite(poses.frames[sightings.frame, 0, 0])
+    of_map = used = twice_in_frame(sightings, of_map)
+    misfits = np.zeros(len(sightings), dtype=bool)
+    prior = Prior(prior.tags, np.where((group == 0)[:, None], prior.information, 0.0))
+    for steps in (STEPS, FINAL_STEPS):
+        used = twice_in_frame(sightings, used)
+        adjustment = Adjustment(sightings.of(used), prior)
+        found = adjustment.run(poses, floor, steps)
+        poses, floor = found.poses, found.floor
+        square = errors_at(sightings, poses) / (sightings.noise**2 + floor**2)
+        misfits = of_map & (square > MISFIT)
+        used = of_map & ~misfits
+    used = twice_in_frame(sightings, used)
+    adjustment = Adjustment(sightings.of(used), prior)
+    whole = adjustment.covariance(poses, floor)[: 6 * len(group), : 6 * len(group)]
+    covariances, precisions = np.full((2, len(group), 6, 6), np.nan)
+    of_tag = blocks_of(whole, len(group))
+    known = (group == 0) & np.isfinite(of_tag).all(axis=(1, 2))
+    covariances[known] = of_tag[known]
+    rows = np.repeat(known, 6)
+    precisions[known] = blocks_of(without_gauge(whole[np.ix_(rows, rows)], poses.tags[known]), int(known.sum()))
+    frames = np.full_like(poses.frames, np.nan)
+    frames[np.unique(sightings.frame[used])] = poses.frames[np.unique(sightings.frame[used])]
+    return Estimate(
+        sightings, prior, replace(poses, frames=frames), group, used, misfits, floor, covariances, precisions
+    )
+
+
+def twice_in_frame(sightings: Sightings, used: BoolArray) -> BoolArray:
+    """Those of the sightings `used` whose frames have at least two of them: one alone says nothing of the map."""
+    counts = np.bincount(sightings.frame[used], minlength=sightings.frames)
+    return np.asarray(used & (counts[sightings.frame] >= 2))
+
+
+def joined(sightings: Sightings, apart: Poses) -> Poses:
+    """Poses of one body from those of its cameras by themselves.
+
+    Args:
+        sightings: of the body.
+        apart: of `sightings.apart()`.
+
+    Raises:
+        InputError: a camera was never placed together with the first one.
+    """
+    views = apart.frames.reshape(sightings.cameras, sightings.frames, 4, 4)
+    mounts, frames = np.tile(np.eye(4), (sightings.cameras, 1, 1)), views[0].copy()
+    for camera in range(1, sightings.cameras):
+        there = np.isfinite(views[camera, :, 0, 0])
+        both = there & np.isfinite(frames[:, 0, 0])
+        if not both.any():
+            raise InputError(f"detections have no frame that shows where camera {camera + 1} is mounted.", "detections")
+        mounts[camera] = _middle(inverse(frames[both]) @ views[camera, both])
+        fresh = there & ~both
+        frames[fresh] = views[camera, fresh] @ inverse(mounts[camera])
+    return Poses(apart.tags, frames, mounts)
+
+
+def _middle(poses: FloatArray) -> FloatArray:
+    """The pose that most of `poses` `(n, 4, 4)` are near to: the median of their twists, again and again."""
+    middle = poses[len(poses) // 2]
+    for _ in range(MEDIAN_STEPS):
+        middle = middle @ exp(np.median(log(inverse(middle) @ poses), axis=0))
+    return np.asarray(middle)
+
+
+def _in_one_world(
+    sightings: Sightings, poses: Poses, group: IntArray, prior: Prior, origin: int | None
+) -> tuple[Poses, IntArray, Prior]:
+    """Every group that the prior knows a tag of, in its world, as group 0; the others behind them."""
+    tags, frames = poses.tags.copy(), poses.frames.copy()
+    owner = np.full(sightings.frames, -1)
+    placed = group[sightings.tag] >= 0
+    owner[sightings.frame[placed]] = group[sightings.tag[placed]]
+    counts = np.bincount(sightings.tag, minlength=len(group))
+    order = np.argsort(-np.bincount(group[group >= 0], counts[group >= 0]), kind="stable")
+    motions = {g: aligned(np.where((group == g)[:, None, None], tags, np.nan), prior) for g in order.tolist()}
+    if all(motion is None for motion in motions.values()):
+        if prior.information[group >= 0].any():
+            raise InputError(
+                "points has too few tags that photographs connect: three that are not in a line.", "points"
+            )
+        first, prior = _origin(sightings, group, counts, order, prior, origin)
+        motions[int(group[first])] = inverse(tags[first])
+    number, others = np.full(len(order) + 1, -1), 1
+    for g in order.tolist():
+        motion = motions[g]
+        if motion is None:
+            number[g], others = others, others + 1
+            continue
+        number[g] = 0
+        tags[group == g] = motion @ tags[group == g]
+        frames[owner == g] = motion @ frames[owner == g]
+    frames[(owner < 0) | (number[owner] != 0)] = np.nan
+    return Poses(tags, frames, poses.mounts), number[group], turned_as(prior, tags)
+
+
+def _origin(
+    sightings: Sightings, group: IntArray, counts: IntArray, order: IntArray, prior: Prior, origin: int | None
+) -> tuple[int, Prior]:
+    """The tag whose frame is the world, and a prior that says so."""
+    first = int(np.argmax(np.where(group == order[0], counts, -1)))
+    if origin is not None:
+        among = np.flatnonzero((sightings.ids == origin) & (group >= 0))
+        if not among.size:
+            raise InputError(f"origin = {origin} is no tag that could be placed.", "origin")
+        first = int(among[0])
+    information = prior.information.copy()
+    information[first] = EXACT**-2.0
+    tags = prior.tags.copy()
+    tags[first] = np.eye(4)
+    return first, Prior(tags, information)

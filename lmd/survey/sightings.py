@@ -1,0 +1,147 @@
+"""What photographs say of tags: the directions in which their corners were seen, and how well these are known.
+
+A corner that was found at a pixel was seen in the direction b, a unit vector in the camera's frame. Around it the image
+moves by J (2, 3) pixels per unit of the plane that touches the sphere of directions at b. A corner that is at p in
+that frame would have been found e = J p / (b . p) pixels away. That is the reprojection error but for terms of second
+order in e, and needs nothing of the lens but its inverse, once.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.detection.corner_errors import CornerErrors
+from lmd.geometry.squares import CORNERS
+from lmd.mapping.detections import DetectedTags
+from lmd.render.optics import intrinsics, rectified
+from lmd.scene.camera import Camera
+
+# Pixels to either side by which J is found.
+HALF_STEP = 0.5
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """N sightings of K tags in F frames of C cameras on one body, in the order of their frames.
+
+    Args:
+        ids: numbers of the tags, `(K,)`, ascending.
+        edges: of their black squares, metres, `(K,)`.
+        frames: F; what several cameras saw at the same time is one frame.
+        cameras: C.
+        frame, camera, tag: which of them each is of, `(N,)`.
+        image: the four corners as they were found, pixels from the border, `(N, 4, 2)`.
+        directions: b of them, `(N, 4, 3)`.
+        tangents: J, `(N, 4, 2, 3)`, pixels.
+        sizes: of the shortest side in the image, pixels, `(N,)`.
+        noise: standard deviation of a coordinate of a corner that the detector alone accounts for, pixels, `(N,)`.
+    """
+
+    ids: IntArray
+    edges: FloatArray
+    frames: int
+    cameras: int
+    frame: IntArray
+    camera: IntArray
+    tag: IntArray
+    image: FloatArray
+    directions: FloatArray
+    tangents: FloatArray
+    sizes: FloatArray
+    noise: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def of(self, chosen: IntArray | BoolArray) -> "Sightings":
+        """Those that `chosen` selects, of the same tags in the same frames."""
+        names = ("frame", "camera", "tag", "image", "directions", "tangents", "sizes", "noise")
+        rest = (getattr(self, name)[chosen] for name in names)
+        return Sightings(self.ids, self.edges, self.frames, self.cameras, *rest)
+
+    def apart(self) -> "Sightings":
+        """The same as if every camera were a body of its own: of C F frames, those of the first camera first."""
+        order = np.argsort(self.frame + self.camera * self.frames, kind="stable")
+        some = self.of(order)
+        frames = some.frame + some.camera * self.frames
+        return replace(some, frame=frames, frames=self.frames * self.cameras, cameras=1, camera=0 * some.camera)
+
+    @cached_property
+    def corners(self) -> FloatArray:
+        """The corners in the frames of their tags (x right, y up, z out), `(N, 4, 3)`, metres."""
+        square = np.hstack([CORNERS, np.zeros((4, 1))])
+        return np.asarray(self.edges[self.tag, None, None] / 2.0 * square)
+
+
+def directions_of(camera: Camera, image: FloatArray) -> FloatArray:
+    """The unit vectors, camera's frame, that are imaged at `image` `(..., 2)`, pixels from the border; NaN for none."""
+    matrix = intrinsics(camera)
+    flat = (rectified(camera, image) - matrix[:2, 2]) / np.diag(matrix)[:2]
+    rays = np.concatenate([flat, np.ones((*flat.shape[:-1], 1))], axis=-1)
+    return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+
+
+def tangents_of(camera: Camera, image: FloatArray, directions: FloatArray) -> FloatArray:
+    """J at `image` `(..., 2)`, where the `directions` `(..., 3)` are imaged: `(..., 2, 3)`."""
+    steps = HALF_STEP * np.eye(2)
+    turned = np.stack([directions_of(camera, image + s) - directions_of(camera, image - s) for s in steps], axis=-1)
+    turned /= 2.0 * HALF_STEP
+    flat = turned - directions[..., None] * (directions[..., None, :] @ turned)
+    return np.asarray(np.linalg.pinv(flat))
+
+
+def sightings_of(
+    detected: DetectedTags,
+    cameras: Sequence[Camera],
+    ids: IntArray,
+    edges: FloatArray,
+    modules: int,
+    errors: CornerErrors,
+) -> Sightings:
+    """The sightings of the tags with these `ids`.
+
+    Detections of other tags, and those with a corner outside of the image or of what the lens images, are left out.
+
+    Args:
+        detected: as they were found.
+        cameras: in the order of `detected.cameras`.
+        ids, edges: see `Sightings`.
+        modules: N of the tags' family.
+        errors: what the detector's corners are off by.
+
+    Raises:
+        InputError: there is another number of cameras, or no sighting.
+    """
+    if len(cameras) != len(detected.cameras):
+        raise InputError(
+            f"cameras must be one for each of {', '.join(map(repr, detected.cameras))}, got {len(cameras)}.", "cameras"
+        )
+    known = np.flatnonzero(np.isin(detected.ids, ids))
+    chosen = detected.of(known[np.lexsort((detected.ids[known], detected.camera[known], detected.frame[known]))])
+    directions, tangents = np.empty((len(chosen), 4, 3)), np.empty((len(chosen), 4, 2, 3))
+    whole = np.zeros(len(chosen), dtype=bool)
+    for index, camera in enumerate(cameras):
+        own = chosen.camera == index
+        size = np.array([camera.image_width, camera.image_height])
+        whole[own] = ((chosen.corners[own] >= 0.0) & (chosen.corners[own] <= size)).all(axis=(1, 2))
+        directions[own] = directions_of(camera, chosen.corners[own])
+        tangents[own] = tangents_of(camera, chosen.corners[own], directions[own])
+    sides = np.linalg.norm(chosen.corners - np.roll(chosen.corners, 1, axis=1), axis=-1).min(axis=1)
+    every = Sightings(
+        ids=ids,
+        edges=edges,
+        frames=len(detected.times),
+        cameras=len(cameras),
+        frame=chosen.frame,
+        camera=chosen.camera,
+        tag=np.searchsorted(ids, chosen.ids),
+        image=chosen.corners,
+        directions=directions,
+        tangents=tangents,
+        sizes=sides,
+        noise=errors.sigma(sides / modules),
+    )
+    return every.of(np.flatnonzero(whole & np.isfinite(tangents).all(axis=(1, 2, 3))))

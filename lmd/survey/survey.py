@@ -1,0 +1,138 @@
+"""From detections to the map of the tags, all steps in order."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.detection.corner_errors import CornerErrors
+from lmd.mapping.detections import DetectedTags
+from lmd.scene.camera import Camera
+from lmd.scene.deployment import Deployment
+from lmd.scene.tag import Tag
+from lmd.survey.estimate import Estimate, estimate
+from lmd.survey.faults import Faults, settled
+from lmd.survey.held_out import Localised, held_out
+from lmd.survey.known import Hanging, Points, levelled, poses_of, prior_of
+from lmd.survey.sightings import sightings_of
+
+# A tag of which nothing is known is believed if so many sightings agree where it hangs: ids are misread.
+FEWEST_BELIEVED = 2
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known before anything is seen.
+
+    Args:
+        plan: where tags should hang; None for none.
+        hanging: how far from there they may.
+        fixed: where some hang exactly; None for none.
+        points: where the centres of some are, as a tape measure says; None for none.
+        origin: id of the tag whose frame is the world where nothing else is known; None for the one seen most often.
+        floor: ids of tags that lie on the floor: then z is up in that world, and 0 on the floor; none for no such.
+
+    Raises:
+        InputError: the floor is named, and the world is that of a plan, of fixed tags or of points.
+    """
+
+    plan: Deployment | None = None
+    hanging: Hanging = field(default_factory=Hanging)
+    fixed: Deployment | None = None
+    points: Points | None = None
+    origin: int | None = None
+    floor: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.floor and any(known is not None for known in (self.plan, self.fixed, self.points)):
+            raise InputError("floor says where z = 0 is, but the plan, or the tags that are known, do so too.", "floor")
+
+    @property
+    def ids(self) -> IntArray:
+        """The tags that are named, ascending."""
+        named = [known.ids for known in (self.plan, self.fixed, self.points) if known is not None]
+        return np.unique(np.concatenate([np.empty(0, dtype=np.int64), *named]))
+
+    def edges(self, ids: IntArray, tag: Tag) -> FloatArray:
+        """The edges of tags, metres: their own where a plan or a map says so, else that of all."""
+        edges = np.full(len(ids), tag.size)
+        for known in (self.plan, self.fixed):
+            if known is not None and known.labels is not None:
+                own = dict(zip(known.ids.tolist(), known.labels.edges.tolist(), strict=True))
+                told = np.array([own.get(number, np.nan) for number in ids.tolist()])
+                edges = np.where(np.isnan(told), edges, told)
+        return edges
+
+    def planned(self, ids: IntArray) -> FloatArray | None:
+        """Where tags should hang, `(K, 4, 4)`, NaN where none is planned; None without a plan."""
+        if self.plan is None:
+            return None
+        poses = np.full((len(ids), 4, 4), np.nan)
+        _, of, among = np.intersect1d(ids, self.plan.ids, return_indices=True)
+        poses[of] = poses_of(self.plan)[among]
+        return poses
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What came out, tags in the order of `found.sightings.ids`.
+
+    Args:
+        detected: what it was made from.
+        known: what was known.
+        found: the poses of all.
+        faults: what did not fit.
+        placed: which tags are in the map, `(K,)`.
+        localised: frames held out, see `lmd.survey.held_out`.
+    """
+
+    detected: DetectedTags
+    known: Known
+    found: Estimate
+    faults: Faults
+    placed: BoolArray
+    localised: dict[str, Localised]
+
+    @property
+    def ids(self) -> IntArray:
+        """The numbers of the tags."""
+        return self.found.sightings.ids
+
+    @property
+    def used(self) -> IntArray:
+        """How many sightings each tag is placed by, `(K,)`."""
+        return np.asarray(np.bincount(self.found.sightings.tag[self.found.used], minlength=len(self.ids)))
+
+    @property
+    def planned(self) -> FloatArray | None:
+        """See `Known.planned`."""
+        return self.known.planned(self.ids)
+
+
+def survey(detected: DetectedTags, cameras: Sequence[Camera], tag: Tag, errors: CornerErrors, known: Known) -> Survey:
+    """Find where tags hang.
+
+    Args:
+        detected: what was seen of them.
+        cameras: in the order of `detected.cameras`.
+        tag: their family, and the edge of those of which nothing else is known.
+        errors: what the detector's corners are off by.
+        known: what else is known.
+
+    Raises:
+        InputError: the detections do not connect two tags, or are of other tags or cameras.
+    """
+    often, counts = np.unique(detected.ids[detected.ids < tag.ids], return_counts=True)
+    ids = np.union1d(known.ids, often[counts >= FEWEST_BELIEVED])
+    if not np.isin(detected.ids, ids).any():
+        raise InputError("detections has no tag of the plan, and no other one twice.", "detections")
+    sightings = sightings_of(detected, cameras, ids, known.edges(ids, tag), tag.modules, errors)
+    prior = prior_of(ids, known.plan, known.hanging, known.fixed, known.points)
+    found, faults = settled(estimate(sightings, prior, known.origin))
+    if known.floor:
+        first = int(np.flatnonzero(found.prior.information.any(axis=1))[0])
+        found = found.moved(levelled(found.poses.tags, np.flatnonzero(np.isin(ids, known.floor)), first))
+    used = np.bincount(sightings.tag[found.used], minlength=len(ids))
+    placed = (found.group == 0) & (used >= np.where(np.isin(ids, known.ids), 1, FEWEST_BELIEVED))
+    return Survey(detected, known, found, faults, placed, held_out(found, known.planned(ids)))

@@ -1,0 +1,254 @@
+"""Where tags hang, from photographs of them: `python -m pipelines.survey run=DIR photographs=DIR camera.path=FILE`."""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from omegaconf import DictConfig, OmegaConf
+
+from .app import run_directory
+from .building import build_problem, camera_of, instantiate, keyed, settings_of
+from .deployments import any_deployment
+from .documents import write_document
+from .earlier_run import read_earlier_run
+from .export import build_export
+from .fixed import fixed_of
+from .outputs import all_or_none
+from .pipeline import Pipeline
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from lmd.detection.detectors import Detections, Detector
+    from lmd.detection.images import Images
+    from lmd.mapping.detections import DetectedTags
+    from lmd.problem import Problem
+    from lmd.scene.camera import Camera
+    from lmd.scene.tag import Tag
+    from lmd.space.space import Space
+    from lmd.survey.audit import Audit
+    from lmd.survey.survey import Known, Survey
+
+CHUNK = 8  # images that a worker reads at a time
+
+
+def survey(cfg: DictConfig) -> None:
+    """Find where the tags of the configured photographs or detections hang."""
+    from lmd.core.checks import InputError, boolean, seed_number
+    from lmd.detection.corner_errors import CORNER_ERRORS
+    from lmd.evaluation.verdicts import verdicts
+    from lmd.scene.rig import Rig
+    from lmd.survey.audit import audited
+    from lmd.survey.report import map_of, metrics, to_text
+    from lmd.survey.survey import survey as find
+
+    from .tracked_run import keep, tracked
+
+    seed_number(cfg.seed)
+    tag = instantiate(cfg.tag)
+    with keyed():
+        tag.check_edge()
+    given = camera_of(cfg.camera)
+    cameras = given.cameras if isinstance(given, Rig) else (given,)
+    name, detector = _detector(cfg)
+    known, room = _known(cfg, tag), instantiate(cfg.room) if cfg.get("room") else None
+    problem = _problem(cfg) if boolean("audit", cfg.audit) else None
+    exports = build_export(cfg, "export", tag)
+    if exports.formats and room is None:
+        raise InputError("export needs the room that the tags hang in: run=DIR, or room=... with its keys.")
+    detected = _detected(cfg, cameras, detector)
+    errors = CORNER_ERRORS[name.removesuffix("_fine")]
+    with keyed("survey", detections="detections" if cfg.detections is not None else "photographs", cameras="camera"):
+        found = find(detected, cameras, tag, errors, known)
+    audit = None if problem is None else audited(found, problem, verdicts)
+    about = f"survey of {found.placed.sum()} tags in {len(found.found.frames)} frames"
+    with tracked(cfg, "survey", about) as tracker:
+        writers = _writers(found, room, about, is_new=cfg.detections is None)
+        if exports.formats and room is not None:
+            writers |= exports.writers(room, tag, map_of(found))
+        if audit is not None:
+            writers |= _audit_writers(audit, name, about)
+        files = all_or_none(run_directory(), partial(_write_all, writers))
+        keep(tracker, files, metrics(found) | (audit.metrics() if audit else {}))
+    text = "\n".join([to_text(found), *([audit.to_text()] if audit else [])])
+    print(f"{text}\nfiles: {run_directory()}: {', '.join(file.name for file in files)}")
+    print(f"mlflow: {tracker.describe()}")
+
+
+def _detector(cfg: DictConfig) -> "tuple[str, Detector]":
+    """The detector and its name.
+
+    Raises:
+        InputError: there is not just one.
+    """
+    from lmd.core.checks import InputError
+
+    named = list(cfg.get("detectors") or {})
+    if len(named) != 1:
+        raise InputError(f"detectors must name one detector, got {named}.")
+    return named[0], instantiate(settings_of(cfg, f"detectors.{named[0]}"))
+
+
+def _problem(cfg: DictConfig) -> "Problem":
+    """What the frames are audited by.
+
+    Raises:
+        InputError: there is no room, or a rig.
+    """
+    from lmd.core.checks import InputError
+
+    if not cfg.get("room"):
+        raise InputError("audit needs the room and the visibility model of a run: run=DIR.")
+    problem = build_problem(any_deployment(cfg))
+    problem.scene.single_camera("audit")
+    return problem
+
+
+def _known(cfg: DictConfig, tag: "Tag") -> "Known":
+    """What is known of the tags.
+
+    Raises:
+        InputError: a file cannot be read, or a number is refused.
+    """
+    from lmd.core.checks import InputError, integer
+    from lmd.scene.tag_map_files import read_deployment
+    from lmd.survey.known import Hanging, Points
+    from lmd.survey.survey import Known
+
+    settings = OmegaConf.to_container(settings_of(cfg, "survey"), resolve=True)
+    assert isinstance(settings, dict)
+    origin, points, floor = (settings.pop(key, None) for key in ("origin", "points", "floor"))
+    with keyed("survey"):
+        hanging = Hanging(**{str(key): value for key, value in settings.items()})
+        origin = None if origin is None else integer("origin", origin, low=0)
+        points = None if points is None else Points.from_csv(points)
+        if not isinstance(floor, list):
+            raise InputError(f"floor must list the ids of tags, got {floor!r}.", "floor")
+        floor = tuple(integer("floor", number, low=0) for number in floor)
+    node = settings_of(cfg, "deployment")
+    if "path" not in node:
+        raise InputError("deployment must be a file, deployment.path=plan.csv, or that of a run, run=DIR.")
+    with keyed("deployment"):
+        plan = None if node.path is None else read_deployment(node.path, "path", tag.family)
+        fixed = fixed_of(node, tag.family)
+    with keyed("survey"):
+        return Known(plan, hanging, fixed, points, origin, floor)
+
+
+def _detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector") -> "DetectedTags":
+    """What was detected, by others or now.
+
+    Raises:
+        InputError: nothing, or both, is given, or a file cannot be read.
+    """
+    from lmd.core.checks import InputError
+    from lmd.detection.images import Photographs, Video
+    from lmd.mapping.detections import read_detections
+
+    if (cfg.photographs is None) == (cfg.detections is None):
+        raise InputError("photographs=DIR, a folder or a video, or detections=FILE.csv must be given, and not both.")
+    if cfg.detections is not None:
+        return read_detections(cfg.detections)
+    if len(cameras) != 1:
+        raise InputError("photographs are of one camera; what several saw together is told by detections=FILE.csv.")
+    with keyed():
+        is_folder = Path(str(cfg.photographs)).is_dir()
+        images: Images = (
+            Photographs(cfg.photographs, "photographs")
+            if is_folder
+            else Video(cfg.photographs, cfg.rate, "photographs")
+        )
+    return detected_in(images, cameras[0], detector, cfg.workers)
+
+
+class Job(NamedTuple):
+    """Some images, for a process of its own."""
+
+    images: "Images"
+    camera: "Camera"
+    detector: "Detector"
+    first: int
+    last: int
+
+
+def detected_in(images: "Images", camera: "Camera", detector: "Detector", workers: int | None) -> "DetectedTags":
+    """The tags that a detector finds in images.
+
+    Args:
+        images: all of one camera.
+        camera: has the size of the images.
+        detector: reads them.
+        workers: processes, None for every processor; the result is the same.
+
+    Raises:
+        InputError: an image cannot be read, or none shows a tag.
+    """
+    from lmd.mapping.detections import DetectedTags
+
+    from .progress import bar
+    from .workers import in_processes
+
+    count = len(images.names)
+    jobs = [Job(images, camera, detector, first, min(first + CHUNK, count)) for first in range(0, count, CHUNK)]
+    found: list[Detections] = []
+    with bar(count, "images") as progress:
+        for part in in_processes(_read, jobs, workers, lambda job: job.images.names[job.first], ordered=True):
+            found += part
+            progress.update(len(part))
+    return DetectedTags.in_frames(images.names, found)
+
+
+def _read(job: Job) -> "list[Detections]":
+    """One job, on one thread."""
+    from lmd.core.optional import optional
+
+    optional("cv2", "detection").setNumThreads(1)
+    return [job.detector.detect(image) for image in job.images.read(job.first, job.last, job.camera)]
+
+
+def _writers(found: "Survey", room: "Space | None", title: str, is_new: bool) -> dict[str, Callable[[Path], object]]:
+    """What writes each file, by its name."""
+    from lmd.core.tables import write_table
+    from lmd.mapping.detections import write_detections
+    from lmd.plot.survey import save_survey_figure
+    from lmd.survey.report import document, frame_columns, map_columns, measured_of
+
+    writers: dict[str, Callable[[Path], object]] = {
+        "map.csv": lambda path: write_table(path, map_columns(found)),
+        "frames.csv": lambda path: write_table(path, frame_columns(found)),
+        "survey.json": lambda path: write_document(path, document(found)),
+        "survey.png": lambda path: save_survey_figure(path, found, room, title),
+    }
+    if (measured := measured_of(found)) is not None:
+        writers["measured.csv"] = lambda path: measured.to_csv(path, ups=True)
+    if is_new:
+        writers["detections.csv"] = lambda path: write_detections(path, found.detected)
+    return writers
+
+
+def _audit_writers(audit: "Audit", detector: str, title: str) -> dict[str, Callable[[Path], object]]:
+    """What writes each file of an audit, by its name."""
+    import pandas as pd
+
+    from lmd.detection.report import figures
+    from lmd.plot.detection import save_calibration_figure
+
+    named = {"deployment": "survey", "detector": detector}
+    row = pd.DataFrame([{**named, **figures(audit.prediction, audit.seen)}])
+    pitches = audit.tables["audit_pitches"].assign(**named)
+    writers: dict[str, Callable[[Path], object]] = {
+        f"{name}.csv": partial(table.to_csv, index=False) for name, table in audit.tables.items()
+    }
+    return {**writers, "audit.png": lambda path: save_calibration_figure(path, row, pitches, title)}
+
+
+def _write_all(writers: dict[str, Callable[[Path], object]], folder: Path) -> None:
+    for name, write in writers.items():
+        write(folder / name)
+
+
+main = Pipeline("survey", survey, (read_earlier_run,))
+
+if __name__ == "__main__":
+    main()

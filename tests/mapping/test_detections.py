@@ -1,0 +1,86 @@
+import numpy as np
+import pytest
+
+from lmd.core.checks import InputError
+from lmd.detection.detectors import Detections
+from lmd.mapping.detections import DetectedTags, read_detections, write_detections
+
+HEADER = "topic,stamp,id,hamming,x0,y0,x1,y1,x2,y2,x3,y3\n"
+SQUARE = "10,20,30,20,30,40,10,40"
+TURNED = "10,40,30,40,30,20,10,20"
+
+
+def written(tmp_path, text):
+    path = tmp_path / "detections.csv"
+    path.write_text(text)
+    return path
+
+
+def test_frames_are_told_apart_by_what_is_written(tmp_path):
+    """The two stamps are the same number in double precision."""
+    rows = (
+        ("left", "1527206460.042570304", 7),
+        ("right", "1527206460.042570304", 8),
+        ("left", "1527206460.042570305", 7),
+    )
+    text = HEADER + "".join(f"{topic},{stamp},{number},0,{SQUARE}\n" for topic, stamp, number in rows)
+    found = read_detections(written(tmp_path, text))
+    assert found.cameras == ("left", "right")
+    assert len(found.times) == 2
+    assert found.frame.tolist() == [0, 0, 1]
+    assert found.camera.tolist() == [0, 1, 0]
+    assert found.ids.tolist() == [7, 8, 7]
+
+
+def test_pixels_are_counted_from_the_border(tmp_path):
+    found = read_detections(written(tmp_path, f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0.5,3,{SQUARE}\n"))
+    np.testing.assert_array_equal(found.corners[0], [[10.5, 20.5], [30.5, 20.5], [30.5, 40.5], [10.5, 40.5]])
+    assert found.cameras == ("",)
+
+
+def test_a_mirrored_detection_is_left_out(tmp_path):
+    body = f"0,3,{SQUARE}\n0,4,{TURNED}\n0,5,{SQUARE}\n"
+    assert read_detections(written(tmp_path, "time,id,x0,y0,x1,y1,x2,y2,x3,y3\n" + body)).ids.tolist() == [3, 5]
+
+
+def test_corners_of_the_apriltag_library_are_put_in_order(tmp_path):
+    """It begins at the bottom left and goes round counter-clockwise."""
+    found = read_detections(written(tmp_path, f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,{TURNED}\n"))
+    np.testing.assert_array_equal(found.corners[0], [[10.5, 20.5], [30.5, 20.5], [30.5, 40.5], [10.5, 40.5]])
+
+
+@pytest.mark.parametrize("cameras", [("",), ("left", "right")])
+def test_what_is_written_is_read_again(tmp_path, cameras):
+    corners = np.array([[10.0, 20.0], [30.5, 20.0], [30.0, 40.25], [10.0, 40.0]]) + np.arange(3)[:, None, None]
+    index = np.array([0, 0, 1]), np.array([0, len(cameras) - 1, 0])
+    detected = DetectedTags(("b.png", "c.png"), cameras, *index, np.array([7, 8, 7]), corners)
+    write_detections(tmp_path / "seen.csv", detected)
+    again = read_detections(tmp_path / "seen.csv")
+    assert (again.times, again.cameras) == (detected.times, detected.cameras)
+    for name in ("frame", "camera", "ids", "corners"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(detected, name))
+
+
+def test_frames_of_a_detector_keep_their_places():
+    """Also those in which it found nothing; a video may end before all that were named are read."""
+    some = Detections(np.array([3, 5]), np.zeros((2, 4, 2)))
+    nothing = Detections(np.empty(0, dtype=np.int64), np.empty((0, 4, 2)))
+    found = DetectedTags.in_frames(["a", "b", "c", "d"], [some, nothing, some])
+    assert found.times == ("a", "b", "c")
+    assert found.frame.tolist() == [0, 0, 2, 2]
+    assert found.ids.tolist() == [3, 5, 3, 5]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("id,x0,y0,x1,y1,x2,y2,x3,y3\n", "lacks the column time or stamp"),
+        (f"time,id,x0,y0,x1,y1,x2,y2,x3\n0,3,{SQUARE[:-3]}\n", "lacks the column 'y3'"),
+        (f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3.5,{SQUARE}\n", "line 2: id is '3.5', not a whole number"),
+        (f"time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,left{SQUARE[2:]}\n", "line 2: x0 is 'left', not a number"),
+        ("time,id,x0,y0,x1,y1,x2,y2,x3,y3\n0,3,1,1,1,1,1,1,1,1\n", "no detection with four corners"),
+    ],
+)
+def test_a_wrong_file_is_refused_in_one_sentence(tmp_path, text, message):
+    with pytest.raises(InputError, match=message):
+        read_detections(written(tmp_path, text))

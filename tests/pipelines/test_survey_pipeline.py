@@ -1,0 +1,160 @@
+"""`pipelines.survey` as a user meets it: a process, its messages, its exit code and the files it leaves."""
+
+import json
+
+import cv2
+import numpy as np
+import pandas as pd
+import photographs
+import processes
+import pytest
+import walks
+
+from lmd.geometry.se3 import exp
+from lmd.scene.camera import Camera
+from lmd.scene.deployment import Deployment
+from lmd.scene.labels import Labels
+
+CAMERA = Camera(2.2, 0.0075, 0.0075, (320.0, 240.0), 640, 480, 0.0)
+EDGE, COUNT, FRAMES = 0.25, 16, 20
+UNSEEN, NEW = 15, 40  # a tag that is planned only, and one that hangs only
+ROOM = ["room=lab", "room.size=[5,4,2.5]", "room.reachable_size=[4,3,1.5]"]
+SETTINGS = ["photographs=photos", "camera.path=camera.yaml", f"tag.edge={EDGE}", "tracking=none", "workers=1",
+            "hydra.run.dir=out"]  # fmt: skip
+READ = [setting for setting in SETTINGS if not setting.startswith(("photographs", "hydra"))]
+FILES = {"map.csv", "measured.csv", "frames.csv", "detections.csv", "survey.json", "survey.png"}
+pytestmark = pytest.mark.slow
+
+
+def call(*overrides, cwd, settings=SETTINGS):
+    return processes.call("survey", *overrides, cwd=cwd, settings=settings)
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory):
+    """Tags that hang off their plan, and photographs of them."""
+    cwd, rng = tmp_path_factory.mktemp("work"), np.random.default_rng(4)
+    plan = walks.spaced_tags(COUNT, rng)
+    true = plan @ exp(rng.normal(size=(COUNT, 6)) * [0.0, 0.0, 0.01, 0.01, 0.01, 0.0])
+    ids = np.where(np.arange(COUNT) == UNSEEN - 1, NEW, np.arange(COUNT))
+    frames = walks.walk(FRAMES, rng)
+    photographs.calibration(cwd / "camera.yaml", CAMERA)
+    photographs.photograph(cwd / "photos", true[:UNSEEN], ids[:UNSEEN], frames, CAMERA, EDGE)
+    planned = np.flatnonzero(np.arange(COUNT) != UNSEEN - 1)
+    Deployment(plan[planned, :3, 3], plan[planned, :3, 2], labels=Labels(planned)).to_csv(cwd / "plan.csv", ups=True)
+    return cwd, plan, true
+
+
+@pytest.fixture(scope="module")
+def surveyed(room):
+    cwd, _, _ = room
+    done = call("deployment.path=plan.csv", *ROOM, "export=[wpilib,apriltag_ros]", cwd=cwd)
+    assert done.returncode == 0, done.stderr
+    return cwd / "out", done.stdout
+
+
+def beside(table, true):
+    """How far tags are from where they hang, metres, once the maps are laid on each other."""
+    a, b = table[["x", "y", "z"]].to_numpy(), true[:, :3, 3]
+    left, _, right = np.linalg.svd((a - a.mean(0)).T @ (b - b.mean(0)))
+    turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    return np.linalg.norm((a - a.mean(0)) @ turn - (b - b.mean(0)), axis=1)
+
+
+def test_a_survey_leaves_its_files_and_nothing_else(surveyed):
+    out, text = surveyed
+    exported = {"tags.wpilib.json", "tags.apriltag_ros.yaml"}
+    assert {path.name for path in out.iterdir()} == {*FILES, *exported, ".hydra"}
+    assert cv2.imread(str(out / "survey.png")).shape == (700, 1500, 3)
+    assert f"tags        {UNSEEN} of {COUNT} placed" in text
+    assert f"not seen    {UNSEEN}\n" in text
+    assert f"not planned {NEW}\n" in text
+
+
+def test_the_map_is_where_the_tags_hang(surveyed, room):
+    _, _, true = room
+    table = pd.read_csv(surveyed[0] / "map.csv").sort_values("id")
+    assert table.id.tolist() == [*range(UNSEEN - 1), NEW]
+    assert beside(table, true[:UNSEEN]).max() < 0.001
+    assert (table.sigma < 0.002).all()
+    np.testing.assert_allclose(table.edge, EDGE)
+
+
+def test_measured_places_are_those_of_the_plan_where_a_tag_was_not_seen(surveyed, room):
+    out, plan = surveyed[0], room[1]
+    table = pd.read_csv(out / "measured.csv").set_index("id")
+    assert table.index.tolist() == [*range(UNSEEN - 1), UNSEEN]
+    np.testing.assert_allclose(table.loc[UNSEEN, ["x", "y", "z"]].astype(float), plan[UNSEEN, :3, 3])
+    assert table.sightings[UNSEEN] == 0
+    assert (np.linalg.norm(table[["x", "y", "z"]].to_numpy()[:-1] - plan[: UNSEEN - 1, :3, 3], axis=1) > 1e-3).any()
+
+
+def test_the_document_says_what_became_of_each_tag(surveyed):
+    document = json.loads((surveyed[0] / "survey.json").read_text())
+    states = {row["id"]: row["state"] for row in document["tags"]}
+    assert states == {**dict.fromkeys([*range(UNSEEN - 1), NEW], "placed"), UNSEEN: "not seen"}
+    assert document["figures"]["moved/50"] > 0.003
+    assert UNSEEN in document["another_photograph"]
+
+
+def test_the_same_comes_from_the_detections_it_leaves(surveyed, room):
+    cwd, out = room[0], surveyed[0]
+    done = call(
+        "deployment.path=plan.csv", "detections=out/detections.csv", "hydra.run.dir=again", cwd=cwd, settings=READ
+    )
+    assert done.returncode == 0, done.stderr
+    first, again = (pd.read_csv(folder / "map.csv") for folder in (out, cwd / "again"))
+    np.testing.assert_allclose(again.drop(columns="id"), first.drop(columns="id"), rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.usefixtures("surveyed")
+def test_without_a_plan_the_world_is_the_frame_of_a_tag(room):
+    cwd, _, true = room
+    done = call("detections=out/detections.csv", "survey.origin=3", "hydra.run.dir=alone", cwd=cwd, settings=READ)
+    assert done.returncode == 0, done.stderr
+    table = pd.read_csv(cwd / "alone" / "map.csv").set_index("id")
+    np.testing.assert_allclose(table.loc[3, ["x", "y", "z", "nx", "ny", "nz"]], [0, 0, 0, 0, 0, 1], atol=1e-5)
+    assert beside(table.sort_index(), true[:UNSEEN]).max() < 0.001
+    assert not (cwd / "alone" / "measured.csv").exists()
+
+
+@pytest.mark.usefixtures("surveyed")
+def test_an_audit_names_the_tag_that_is_not_found_where_it_is_predicted(room):
+    cwd, _, _ = room
+    detections = pd.read_csv(cwd / "out" / "detections.csv", dtype=str)
+    dirty = detections.id.value_counts().index[0]
+    detections.drop(detections.index[detections.id == dirty][2:]).to_csv(cwd / "dirty.csv", index=False)
+    audit = ["audit=true", "visibility=fiducial", "visibility.detector=apriltag", *ROOM]
+    done = call("deployment.path=plan.csv", "detections=dirty.csv", *audit, "hydra.run.dir=audit", cwd=cwd,
+                settings=READ)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert f"\nstand out   {dirty} (in 2 of " in done.stdout
+    tags = pd.read_csv(cwd / "audit" / "audit_tags.csv").set_index("id")
+    assert tags.index[tags.stands_out].tolist() == [int(dirty)]
+    assert (tags.confirmed <= tags[["predicted", "detected"]].min(axis=1)).all()
+    assert tags.expected.sum() == pytest.approx(tags.confirmed.sum())
+    for name, last in (("pitches", "pitch_to"), ("incidences", "incidence_to")):
+        table = pd.read_csv(cwd / "audit" / f"audit_{name}.csv")
+        assert (table[last].diff().dropna() > 0).all()
+        assert table.tags.sum() >= tags.detected.sum()
+    assert cv2.imread(str(cwd / "audit" / "audit.png")) is not None
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["photographs=null"], "photographs=DIR, a folder or a video, or detections=FILE.csv must be given"),
+        (["photographs=nowhere"], "photographs: there is no file 'nowhere'"),
+        (["photographs=plan.csv"], "photographs: 'plan.csv' cannot be read as a video"),
+        (["survey.place=0"], "survey.place must"),
+        (["export=[wpilib]"], "export needs the room that the tags hang in"),
+        (["detectors=[apriltag,aruco]"], "detectors must name one detector, got ['apriltag', 'aruco']"),
+        (["audit=true"], "audit needs the room and the visibility model of a run"),
+        (["deployment=random"], "deployment must be a file"),
+        (["camera.path=plan.csv"], "plan.csv"),
+    ],
+)
+def test_bad_input_gets_one_sentence(room, overrides, message):
+    processes.refused(
+        "survey", *overrides, message=message, cwd=room[0], settings=[*SETTINGS[:-1], "hydra.run.dir=bad"]
+    )

@@ -1,0 +1,55 @@
+"""Detections of a hand-held camera in UPenn's Aviary, by TagSLAM's author: 96 tags on printed boards of 2 x 3."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from lmd.detection.corner_errors import CORNER_ERRORS
+from lmd.mapping.detections import read_detections
+from lmd.scene.camera_calibration import Calibration
+from lmd.scene.tag import Tag
+from lmd.survey.survey import Known, survey
+
+REAL = Path(__file__).parents[2] / "../shared/real/detections/test_13"
+FIRST, EACH, COLUMNS, PITCH = 6, 6, 3, 0.15  # ids of a board, tags on it, tags in a row, metres from tag to tag
+STRIDE = 10  # frames; with all of them the spacing is a third as far off
+pytestmark = pytest.mark.skipif(not REAL.exists(), reason="the files of others are not here")
+
+
+@pytest.fixture(scope="module")
+def found():
+    camera = yaml.safe_load((REAL / "cameras.yaml").read_text())["cam0"]
+    (width, height), numbers = camera["resolution"], camera["intrinsics"]
+    calibration = Calibration(width, height, tuple(numbers[:2]), tuple(numbers[2:]), tuple(camera["distortion_coeffs"]))
+    detected = read_detections(REAL / "detections.csv")
+    some = detected.of(np.flatnonzero(detected.frame % STRIDE == 0))
+    return survey(some, [calibration.camera()], Tag(0.12), CORNER_ERRORS["apriltag"], Known())
+
+
+def test_all_tags_and_frames_are_placed(found):
+    assert found.placed.sum() == len(found.ids) == 96
+    assert len(found.found.frames) >= 500 // STRIDE
+    assert found.faults.second_places == ()
+    assert found.faults.sizes == {}
+
+
+def test_boards_that_nobody_told_of_have_their_spacing(found):
+    places = dict(zip(found.ids.tolist(), found.found.poses.tags[:, :3, 3], strict=True))
+    off = []
+    for number, place in places.items():
+        board, tag = divmod(number - FIRST, EACH)
+        row, column = divmod(tag, COLUMNS)
+        for other in ((row + 1, column), (row, column + 1)):
+            neighbour = FIRST + EACH * board + COLUMNS * other[0] + other[1]
+            if other[0] < EACH // COLUMNS and other[1] < COLUMNS and neighbour in places:
+                off.append(abs(np.linalg.norm(place - places[neighbour]) - PITCH))
+    assert len(off) > 100
+    assert np.median(off) < 0.0006
+    assert np.quantile(off, 0.9) < 0.0016
+
+
+def test_frames_held_out_agree_with_the_map(found):
+    assert np.median(found.localised["measured"].errors) < 0.4
+    assert np.median(found.localised["measured"].shifts) < 0.002
