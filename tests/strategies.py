@@ -7,6 +7,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from lmd.geometry.frames import optical_axis
+from lmd.geometry.lens import Lens
 from lmd.scene import pdf
 from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
@@ -40,6 +41,16 @@ def cameras(draw):
         aperture=draw(st.one_of(st.just(0.0), st.floats(0.5, 10.0))),
         focus_distance=draw(st.one_of(st.just(math.inf), st.floats(200.0, 1e4))),
     )
+
+
+@st.composite
+def lenses(draw):
+    """Of each model; some fold soon, some never."""
+    if draw(st.booleans()):
+        return Lens("equidistant", tuple(draw(st.floats(-0.1, 0.1)) for _ in range(4)))
+    radial, small = st.floats(-0.5, 0.5), st.floats(-0.02, 0.02)
+    kinds = (radial, radial, small, small, radial, radial, radial, radial, small, small, small, small)
+    return Lens("plumb_bob", tuple(draw(kind) for kind in kinds[: draw(st.sampled_from([4, 5, 8, 12]))]))
 
 
 @st.composite
