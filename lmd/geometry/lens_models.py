@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.dispatch import dispatched
+from lmd.core.dispatch import dispatched, overridable
 
 HALF_TURN = np.pi / 2.0
 # Instead of dividing by zero on the axis, where what is divided is zero, too.
@@ -81,6 +81,15 @@ def slope_of(lens: Any, u: Any, v: Any, w: Any) -> Any:
 @dispatched
 def depth_of(lens: Any, u: Any, v: Any, w: Any) -> Any:
     """How far a point is as focus and apparent size count: along the axis, for a fisheye its distance."""
+
+
+@overridable
+def density_of(lens: Any, u: Any, v: Any, w: Any) -> Any:
+    """The image of a small solid angle around a point, over the cube of its distance; 1 / w^3 for a plain pinhole."""
+    xu, xv, xw, yu, yv, yw = slope_of(lens, u, v, w)
+    # The rows' cross product points along the point itself.
+    along = (xv * yw - xw * yv) * u + (xw * yu - xu * yw) * v + (xu * yv - xv * yu) * w
+    return along / (u * u + v * v + w * w)
 
 
 @image_of.register(PlumbBob)

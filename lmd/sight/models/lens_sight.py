@@ -1,0 +1,242 @@
+"""What a detector sees through a lens that distorts: `lmd.sight.models.fiducial` as scalar functions for a camera.
+
+The criteria are those of `fiducial_sight`, with two differences: centre and corners are imaged one by one, must be in
+the rectangle and no farther from the axis than the camera's widest angle, which may be beyond a right one; and J is the
+slope of the lens.
+
+Bounds come from how the lens stretches small angles (`lmd.geometry.lens.Stretch`). A tag at the distance d with the
+incidence i has a pitch between `least` cos(i) / d and `most` cos(i) / d, and |det J| between `least_area` cos(i) / d^2
+and `most_area` cos(i) / d^2, wherever in the image it is.
+"""
+
+import math
+from typing import NamedTuple
+
+from lmd.core.checks import FloatArray
+from lmd.core.compiled import inlined
+from lmd.geometry.lens_models import (
+    Equidistant,
+    PlumbBob,
+    RationalPolynomial,
+    density_of,
+    depth_of,
+    image_of,
+    slope_of,
+)
+from lmd.geometry.squares import upright_axes
+from lmd.scene.criteria import (
+    TOLERANCE,
+    covering,
+    covers_one,
+    depth_first,
+    frame_of,
+    from_position,
+    hide,
+    in_cone,
+    in_image,
+    in_view,
+    pixel_density,
+)
+from lmd.sight.models.fiducial_sight import FiducialSight, may_hide
+from lmd.sight.obstacles import half_edge
+
+# Bounds of pitch and area are wider by this, relative: what the square of a normal may be off, and more.
+MARGIN = 1e-2
+# The image beyond a right angle is bounded for directions so near to those in view, rad.
+NEAR = 0.1
+# asin(s) <= s (1 + (pi / 2 - 1) s^2).
+ARC = math.pi / 2.0 - 1.0
+
+
+class LensSight(NamedTuple):
+    """The criteria as numbers, tolerance included; a `lmd.scene.criteria.Sight`.
+
+    flat: what does not depend on the lens, the borders in the distorted image; lens: its coefficients; reach, inset:
+    see `Sight`; cosine of the widest angle; shallowest: least `depth_of` in view at a distance of 1; least, most,
+    least_area, most_area: see above, pixels; stretch: how far the image of a direction moves at most with it, focal
+    lengths for a radian.
+    """
+
+    flat: FiducialSight
+    lens: PlumbBob | RationalPolynomial | Equidistant
+    reach: float
+    inset: float
+    cosine: float
+    shallowest: float
+    least: float
+    most: float
+    least_area: float
+    most_area: float
+    stretch: float
+
+    @property
+    def outer_cosine(self) -> float:
+        """See `Sight.outer_cosine`: negative where the lens sees what is behind it."""
+        return self.cosine - TOLERANCE
+
+    @property
+    def horizon(self) -> float:
+        """See `Sight.horizon`: a pitch is no greater than the root of |det J|."""
+        needed = max(self.flat.area, self.flat.sharp)
+        seen = math.sqrt(self.most_area / needed) if needed else math.inf
+        return (seen + math.sqrt(max(self.reach, 0.0))) * (1.0 + MARGIN)
+
+    @property
+    def tabulated(self) -> bool:
+        """See `Sight.tabulated`."""
+        return True
+
+    def unhidden(self) -> "LensSight":
+        """See `Sight.unhidden`."""
+        return self._of(self.flat.unhidden())
+
+    def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "LensSight":
+        """See `Sight.among`."""
+        return self if may_hide(self.flat, self.horizon, low, high, landmarks, normals) else self.unhidden()
+
+    def shrunk(self, size: float) -> "LensSight":
+        """See `Sight.shrunk`."""
+        return self._of(self.flat.shrunk(size))
+
+    def _of(self, flat: FiducialSight) -> "LensSight":
+        return self._replace(flat=flat, reach=flat.reach)
+
+
+@half_edge.register(LensSight)
+def _half_edge(sight):  # type: ignore[no-untyped-def]
+    return sight.flat.half
+
+
+@from_position.register(LensSight)
+def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped-def]
+    flat = sight.flat
+    distance = math.sqrt(x * x + y * y + z * z)
+    nearest = distance - slack
+    along = -(nx * x + ny * y + nz * z)
+    # The blur at the least and at the greatest depth.
+    per = 1.0 / distance
+    near, far = flat.defocus - flat.focus * per / sight.shallowest, flat.defocus - flat.focus * per
+    sharpest, softest = max(0.0, near, -far), max(abs(near), abs(far))
+    sharpest = 0.0 if slack > 0.0 else sharpest
+    fewest, needed = flat.sharp + flat.blurred * sharpest * sharpest, flat.sharp + flat.blurred * softest * softest
+    pitch, area = sight.most * along, sight.most_area * along
+    squared, cubed = nearest * nearest, nearest * nearest * nearest
+    resolved = cubed * max(flat.area, fewest) <= area * (1.0 + MARGIN)
+    resolved &= (fewest * squared * squared <= pitch * pitch * (1.0 + MARGIN)) | (nearest <= 0.0)
+    pitch, area = sight.least * along, sight.least_area * along
+    squared, cubed = distance * distance, distance * distance * distance
+    surely = (needed * squared * squared <= pitch * pitch * (1.0 - MARGIN)) & (
+        flat.area * cubed <= area * (1.0 - MARGIN)
+    )
+    reached = (along >= flat.facing * nearest) & (along >= 0.0) & resolved
+    outer = sight.cosine - TOLERANCE
+    low = min(outer * nearest, outer * (distance + slack)) - slack
+    # Far enough away, its corners are in the image wherever its direction is well in view; that no depth is sure is
+    # said by one that none has.
+    steady = distance * math.sin(sight.inset) >= 1.5 * flat.half
+    sure = math.inf if surely else low - distance
+    return reached, low, distance * (1.0 + MARGIN), sure if steady else -math.inf
+
+
+@frame_of.register(LensSight)
+def _frame_of(sight, nx, ny, nz):  # type: ignore[no-untyped-def]
+    return nx, ny, nz, *upright_axes(nx, ny, nz, sight.flat.level)
+
+
+@in_view.register(LensSight)
+def _in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
+    flat, least = sight.flat, sight.cosine + (TOLERANCE if sine > 0.0 else -TOLERANCE)
+    dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
+    u, v, w = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z, ax * x + ay * y + az * z
+    across, down = image_of(sight.lens, u, v, w)
+    room = sight.stretch * sine * (1.0 + ARC * sine * sine)
+    inside = (flat.right - across >= room) & (flat.left + across >= room)
+    inside &= (flat.bottom - down >= room) & (flat.top + down >= room)
+    # Nothing is known of images beyond the widest angle.
+    unknown = (sine < 0.0) & ((w < sight.cosine) | ((sight.cosine < 0.0) & (sine < -NEAR)))
+    return in_cone(least, x, y, z, sine, cosine, ax, ay, az) & (inside | unknown)
+
+
+@inlined
+def _in_rectangle(sight, u, v, w):  # type: ignore[no-untyped-def]
+    """Whether a point (u, v, w) in the camera's frame is in the image."""
+    flat = sight.flat
+    across, down = image_of(sight.lens, u, v, w)
+    inside = w >= sight.cosine * math.sqrt(u * u + v * v + w * w)
+    return inside & (-flat.left <= across) & (across <= flat.right) & (-flat.top <= down) & (down <= flat.bottom)
+
+
+@inlined
+def _corners_inside(sight, u, v, w, tu, tv, tw, uu, uv, uw):  # type: ignore[no-untyped-def]
+    """Whether the corners are in the image: centre, right and up of the tag in the camera's frame."""
+    half = sight.flat.half
+    pu, pv, pw = half * (tu + uu), half * (tv + uv), half * (tw + uw)  # to one corner, and to its neighbour
+    qu, qv, qw = half * (tu - uu), half * (tv - uv), half * (tw - uw)
+    inside = _in_rectangle(sight, u + pu, v + pv, w + pw) & _in_rectangle(sight, u - pu, v - pv, w - pw)
+    return inside & _in_rectangle(sight, u + qu, v + qv, w + qw) & _in_rectangle(sight, u - qu, v - qv, w - qw)
+
+
+@inlined
+def _clear(sight, u, v, w, tu, tv, tw, uu, uv, uw):  # type: ignore[no-untyped-def]
+    """Whether pitch and area suffice."""
+    flat = sight.flat
+    xu, xv, xw, yu, yv, yw = slope_of(sight.lens, u, v, w)
+    one, two = xu * tu + xv * tv + xw * tw, xu * uu + xv * uv + xw * uw
+    three, four = yu * tu + yv * tv + yw * tw, yu * uu + yv * uv + yw * uw
+    fu, fv = flat.focal_u, flat.focal_v
+    square = fu * fu * (one * one + two * two) + fv * fv * (three * three + four * four)
+    determinant = fu * fv * abs(one * four - two * three)
+    blur = flat.defocus - flat.focus * (1.0 / depth_of(sight.lens, u, v, w))
+    least = flat.sharp + flat.blurred * (blur * blur)
+    clear = (2.0 * least <= square) & (determinant >= flat.area)
+    return clear & (least * least + determinant * determinant >= square * least)
+
+
+@in_image.register(LensSight)
+def _in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
+    tx, ty, tz, ux, uy, uz = upright_axes(nx, ny, nz, sight.flat.level)
+    dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
+    # The centre, and the tag's right and up, in the camera's frame.
+    u, v, w = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z, ax * x + ay * y + az * z
+    tu, tv, tw = rx * tx + ry * ty + rz * tz, dx * tx + dy * ty + dz * tz, ax * tx + ay * ty + az * tz
+    uu, uv, uw = rx * ux + ry * uy + rz * uz, dx * ux + dy * uy + dz * uz, ax * ux + ay * uy + az * uz
+    covered = _in_rectangle(sight, u, v, w) & _clear(sight, u, v, w, tu, tv, tw, uu, uv, uw)
+    covered &= _corners_inside(sight, u, v, w, tu, tv, tw, uu, uv, uw)
+    return (covered | (slack > 0.0)) & (w >= low)
+
+
+@covers_one.register(LensSight)
+def _covers_one(sight, x, y, z, frame, low, high, sure, well, axes, a):  # type: ignore[no-untyped-def]
+    _, _, _, tx, ty, tz, ux, uy, uz = frame
+    ax, ay, az, rx, ry, rz = axes[0, a], axes[1, a], axes[2, a], axes[3, a], axes[4, a], axes[5, a]
+    w = ax * x + ay * y + az * z
+    if (w < low) | (w > high):
+        return False
+    if well & (w <= sure):
+        return True
+    dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
+    u, v = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z
+    within = well & (sure > -math.inf)
+    if not (within or _in_rectangle(sight, u, v, w)):
+        return False
+    tu, tv, tw = rx * tx + ry * ty + rz * tz, dx * tx + dy * ty + dz * tz, ax * tx + ay * ty + az * tz
+    uu, uv, uw = rx * ux + ry * uy + rz * uz, dx * ux + dy * uy + dz * uz, ax * ux + ay * uy + az * uz
+    if w > sure and not _clear(sight, u, v, w, tu, tv, tw, uu, uv, uw):
+        return False
+    return within or _corners_inside(sight, u, v, w, tu, tv, tw, uu, uv, uw)
+
+
+covering.register(LensSight)(depth_first)
+
+
+@hide.register(LensSight)
+def _hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
+    return hide(sight.flat, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz)
+
+
+@pixel_density.register(LensSight)
+def _pixel_density(sight, x, y, z, axes, a):  # type: ignore[no-untyped-def]
+    ax, ay, az, rx, ry, rz = axes[0, a], axes[1, a], axes[2, a], axes[3, a], axes[4, a], axes[5, a]
+    dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
+    u, v, w = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z, ax * x + ay * y + az * z
+    return density_of(sight.lens, u, v, w)
