@@ -8,7 +8,7 @@ from lmd.core.checks import InputError
 from lmd.detection.detectors import AprilTagDetector
 from lmd.geometry.se3 import camera_pose, exp
 from lmd.render.imaging import Imaging
-from lmd.render.optics import intrinsics, project, rectified
+from lmd.render.optics import bearings, intrinsics, project
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
 from lmd.scene.camera import Camera
@@ -45,14 +45,15 @@ def test_projection_by_hand():
 
 def test_distortion_is_that_of_opencv_half_a_pixel_away():
     points = np.random.default_rng(0).uniform([-0.4, -0.4, 1.0], [0.4, 0.4, 2.0], (50, 3))
-    matrix, far = intrinsics(BENT), np.hypot(*points.T[:2]) / points[:, 2] > BENT.widest_ray
+    matrix, far = intrinsics(BENT), np.arctan2(np.hypot(*points.T[:2]), points[:, 2]) > BENT.widest_angle
     expected = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, np.array(BARREL))[0][:, 0]
     image = project(BENT, np.eye(4), points)
     np.testing.assert_allclose(image[~far], expected[~far], atol=1e-9)
     assert np.isnan(image[far]).all()
     assert 0 < far.sum() < 10
-    np.testing.assert_allclose(rectified(BENT, image[~far]), project(CAMERA, np.eye(4), points[~far]), atol=1e-9)
-    assert rectified(CAMERA, image) is image
+    ahead = points / np.linalg.norm(points, axis=-1, keepdims=True)
+    np.testing.assert_allclose(bearings(BENT, image[~far]), ahead[~far], atol=1e-9)
+    np.testing.assert_allclose(bearings(CAMERA, project(CAMERA, np.eye(4), points)), ahead, atol=1e-12)
 
 
 def test_a_sharp_tag_is_its_picture():

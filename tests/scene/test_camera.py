@@ -183,10 +183,10 @@ def test_an_image_has_whole_pixels(name, value):
 
 def test_a_lens_that_distorts_shows_more_or_less():
     plain = paper_camera()
-    assert plain.widest_ray == pytest.approx(1.16)  # 1000 pixels at 862.07 a unit
+    assert plain.widest_angle == pytest.approx(math.atan(1.16))  # 1000 pixels at 862.07 a unit
     assert plain == paper_camera(distortion=[0.0] * 5)
-    assert paper_camera(distortion=(-0.1, 0.01, 0.0, 0.0)).widest_ray > 1.16
-    assert paper_camera(distortion=(0.1, 0.01, 0.0, 0.0)).widest_ray < 1.16
+    assert paper_camera(distortion=(-0.1, 0.01, 0.0, 0.0)).widest_angle > plain.widest_angle
+    assert paper_camera(distortion=(0.1, 0.01, 0.0, 0.0)).widest_angle < plain.widest_angle
 
 
 @pytest.mark.parametrize("distortion", [(-0.3, 0.0, 0.0, 0.0), (0.0, 0.0, 0.2, 0.0), (0.4, -0.4, 0.0, 0.0, 0.0)])
