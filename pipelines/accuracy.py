@@ -6,24 +6,12 @@ it is read as `deployments=[a,b,c]`.
 
 from omegaconf import DictConfig
 
-from .app import application, run_directory
+from .app import run_directory
 from .building import build_problem
 from .deployments import composed_deployments, read_deployment_as_a_list
-from .operations.sweeps.supervisor import run
+from .pipeline import Pipeline
 
 HEADLINE = "localised_share_20mm"
-
-
-def main() -> None:
-    """Read `deployment=...` as the list of deployments, then hand over to Hydra."""
-    read_deployment_as_a_list()
-    _main()
-
-
-@application("accuracy")
-def _main(cfg: DictConfig) -> None:
-    """Predict, record and show."""
-    run(cfg, accuracy)
 
 
 def accuracy(cfg: DictConfig) -> None:
@@ -35,7 +23,7 @@ def accuracy(cfg: DictConfig) -> None:
     from lmd.evaluation.accuracy import accuracy_metrics
     from lmd.plot.accuracy import save_accuracy_figure
 
-    from .tracked_run import title_of, tracked
+    from .tracked_run import keep, title_of, tracked
 
     seed, directory = seed_number(cfg.seed), run_directory()
     problems = {name: build_problem(own) for name, own in composed_deployments(cfg, "accuracy").items()}
@@ -48,13 +36,14 @@ def accuracy(cfg: DictConfig) -> None:
         headed = {f"{name}: {table[HEADLINE][name]:.1%} to 20 mm off the grid": drawn[name] for name in drawn}
         title = title_of(problem, "median predicted error of one image,")
         save_accuracy_figure(directory / "accuracy.png", headed, title)
-        tracker.log_metrics({f"{key}/{name}": value for name, row in figures.items() for key, value in row.items()})
         files = [directory / "figures.csv", directory / "accuracy.png"]
-        tracker.log_artifacts([*files, *sorted((directory / ".hydra").glob("*.yaml"))])
-        tracker.finish("FINISHED")
+        metrics = {f"{key}/{name}": value for name, row in figures.items() for key, value in row.items()}
+        keep(tracker, files, metrics)
     print(f"{table.T.to_string(float_format='{:.4f}'.format, na_rep='-')}\nfiles: {directory}\n"
           f"mlflow: {tracker.describe()}")  # fmt: skip
 
+
+main = Pipeline("accuracy", accuracy, (read_deployment_as_a_list,))
 
 if __name__ == "__main__":
     main()

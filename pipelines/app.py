@@ -1,28 +1,22 @@
 """What the pipelines share: where the configuration is, what was asked for, and reporting bad input."""
 
-import atexit
 import errno
-import gc
-import importlib.util
 import os
 import shutil
 import signal
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import wraps
 from pathlib import Path
 from typing import Any
 
-import hydra
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from .fixed import quoted
-from .operations.signals import Stopped, stop
-from .spelling import ask_what_was_meant
+from .operations.signals import stop
 
 PACKAGE = str(__package__)  # `pipelines` in a checkout, `lmd.pipelines` where lmd is installed
 IN_CHECKOUT = PACKAGE == "pipelines"
@@ -36,77 +30,6 @@ def lmd_package() -> str:
 
 
 OmegaConf.register_new_resolver("lmd.package", lmd_package, replace=True)
-
-
-# Launchers of Hydra that others wrote, and the extra's package that has each.
-LAUNCHERS = {
-    "joblib": "hydra_plugins.hydra_joblib_launcher",
-    **dict.fromkeys(("slurm", "submitit_local", "submitit_slurm"), "hydra_plugins.hydra_submitit_launcher"),
-}
-
-
-# What commands that work on no run's problem take in place of `run=DIR`.
-INSTEAD = {
-    "estimate_pdf": "recording.path=FILE is the recording to estimate from",
-    "report": "sweeps=[ID,...] chooses among the sweeps of the tracking store",
-    "runs": "resume=ID goes on with one of the runs that it lists",
-    "sync": "folder=DIR hands in what runs below a folder have kept",
-}
-
-
-def _refuse_run(pipeline: str) -> None:
-    """Say what a command that takes no `run=DIR` takes instead."""
-    if pipeline in INSTEAD and any(argument.startswith("run=") for argument in sys.argv[1:]):
-        sys.exit(f"error: run is no key of {pipeline}: {INSTEAD[pipeline]}.")
-
-
-def _refuse_launcher_that_is_missing() -> None:
-    """Say what is missing before Hydra says only that it knows no such launcher."""
-    for argument in sys.argv[1:]:
-        name = argument.removeprefix("+").removeprefix("hydra/launcher=")
-        if name in LAUNCHERS and name != argument and not _is_installed(LAUNCHERS[name]):
-            from lmd.core.optional import missing
-
-            sys.exit(f"error: {missing(LAUNCHERS[name], 'sweeps')}")
-
-
-def _is_installed(package: str) -> bool:
-    try:
-        return importlib.util.find_spec(package) is not None
-    except ModuleNotFoundError:  # nor is what it is a part of
-        return False
-
-
-def application(config_name: str) -> Callable[[Callable[[DictConfig], object]], Callable[[], None]]:
-    """Make a function of a configuration a program that composes it from the command line and can be told to stop.
-
-    Args:
-        config_name: `optimise` and so on.
-    """
-
-    def decorate(function: Callable[[DictConfig], object]) -> Callable[[], None]:
-        composed = hydra.main(version_base="1.3", config_path=CONF, config_name=config_name)(function)
-
-        @wraps(function)
-        def main() -> None:
-            gc.set_threshold(GARBAGE)
-            sys.argv[1:] = map(quoted, sys.argv[1:])
-            _refuse_launcher_that_is_missing()
-            _refuse_run(config_name)
-            atexit.register(gc.freeze)  # Python looks for garbage once more when it ends: with mlflow, for a second
-            try:
-                with stop.raising():
-                    composed()
-            except Stopped as told:
-                sys.exit(told.code)
-            except SystemExit as ended:
-                if ended.code:
-                    ask_what_was_meant(CONF)
-                raise
-
-        return main
-
-    return decorate
 
 
 def command_of(pipeline: str) -> str:

@@ -4,23 +4,11 @@ from typing import Any
 
 from omegaconf import DictConfig
 
-from .app import application, run_directory
+from .app import run_directory
 from .building import build_problem, keyed, settings_of
 from .documents import write_document
-from .earlier_run import read_earlier_run
-from .operations.sweeps.supervisor import run
-
-
-def main() -> None:
-    """Read `run=DIR`, then hand over to Hydra."""
-    read_earlier_run("deployment=random")
-    _main()
-
-
-@application("bound")
-def _main(cfg: DictConfig) -> None:
-    """Compute, record and show the bounds."""
-    run(cfg, bound)
+from .earlier_run import read_earlier_problem
+from .pipeline import Pipeline
 
 
 def bound(cfg: DictConfig) -> None:
@@ -29,7 +17,7 @@ def bound(cfg: DictConfig) -> None:
     from lmd.evaluation.bounds import Search, average_upper_bound, fewest_landmarks, fitness_upper_bound
     from lmd.evaluation.selection_bound import GUARANTEE, selection_upper_bound
 
-    from .tracked_run import title_of, tracked
+    from .tracked_run import keep, title_of, tracked
 
     problem = build_problem(cfg)
     settings = settings_of(cfg, "bound")
@@ -67,9 +55,7 @@ def bound(cfg: DictConfig) -> None:
         document["settings"] = problem.settings()
         file = directory / "bound.json"
         write_document(file, document)
-        tracker.log_metrics(figures)
-        tracker.log_artifacts([file, *sorted((directory / ".hydra").glob("*.yaml"))])
-        tracker.finish("FINISHED")
+        keep(tracker, [file], figures)
     _show("files", str(file))
     _show("mlflow", tracker.describe())
 
@@ -77,6 +63,8 @@ def bound(cfg: DictConfig) -> None:
 def _show(label: str, text: str) -> None:
     print(f"{label:<20} {text}", flush=True)
 
+
+main = Pipeline("bound", bound, (read_earlier_problem,))
 
 if __name__ == "__main__":
     main()

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import deepcopy
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 import hydra
@@ -19,13 +19,17 @@ if TYPE_CHECKING:
     from lmd.optimisers.base import Budget, Optimiser
     from lmd.problem import Problem
     from lmd.scene.camera import Camera
+    from lmd.scene.deployment import Deployment
     from lmd.scene.pdf import OrientationPdf
     from lmd.scene.recorded_poses import RecordedPoses
     from lmd.scene.rig import Rig
+    from lmd.scene.tag import Tag
     from lmd.space.space import Space
 
 # What every problem has settings of.
 GROUPS = ("room", "camera", "visibility", "objective", "encoding", "deployment")
+SAME_EDGE = 1e-6  # metres
+MENTIONED = 8  # tags in a note
 RUN_BYTES = 1000  # at the least, of each of several runs
 # Settings that are true or false.
 SWITCHES = ("validate", "page", "localisation", "losses", "sensitivity", "all_visible")
@@ -189,7 +193,7 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
             scene = carried(scene)
         objective.precision(scene)  # refuses a rig before anything is compiled
     with keyed("deployment", count=count):
-        fixed = fixed_of(cfg.deployment)
+        fixed = fixed_of(cfg.deployment, tag.family)
         total = total_of(cfg.deployment, fixed)
     start = instantiate(others_of(cfg.deployment, fixed, total))
     with keyed("tag"):
@@ -201,14 +205,31 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
         hung = {} if fixed is None else {"fixed": scene.plates.hung(fixed, start)}
         if isinstance(start, partial):  # a source that depends on what the landmarks are for
             start = start(scene=scene, objective=objective, threads=threads, **hung)
-        ids = scene.plates.draw(start, np.random.default_rng(0), **hung).ids
+        drawn = scene.plates.draw(start, np.random.default_rng(0), **hung)
+        ids = drawn.ids
         if total not in (None, len(ids)):
             raise InputError(f"count = {total}, but with the fixed ones there are {len(ids)} landmarks.", "count")
     if not tag.is_point:
         with keyed("tag"):
             tag.check_ids(ids)
+        note_edges(tag, drawn)
     with keyed("objective", rig="camera.rig"):
         return Problem(scene, objective, start, threads, **hung)
+
+
+def note_edges(tag: "Tag", deployment: "Deployment") -> None:
+    """Say which tags have another edge by their map than that of all, which is what everything here counts with."""
+    own = {} if deployment.labels is None else dict(zip(deployment.ids.tolist(), deployment.labels.edges, strict=True))
+    other = [f"{number} ({edge:g} m)" for number, edge in own.items() if abs(edge - tag.size) > SAME_EDGE]
+    if other:
+        few = ", ".join(other[:MENTIONED]) + (f" and {len(other) - MENTIONED} more" * (len(other) > MENTIONED))
+        _note(f"tag.edge = {tag.size:g} m counts for all tags; by their map others have {few}")
+
+
+@cache
+def _note(text: str) -> None:
+    """Say it once, however many problems a process builds."""
+    print(f"note: {text}", file=sys.stderr)
 
 
 def _poses(cfg: DictConfig) -> "tuple[Space, OrientationPdf, RecordedPoses | None]":

@@ -2,26 +2,12 @@
 
 from omegaconf import DictConfig
 
-from .app import application, choices, run_directory
+from .app import choices, run_directory
 from .building import instantiate, keyed
+from .detect import read_number_of_poses, sightings, subject_of
 from .documents import write_document
 from .earlier_run import read_earlier_run
-from .operations.sweeps.supervisor import run
-
-
-def main() -> None:
-    """Read `poses=N` as a number and `run=DIR`, then hand over to Hydra."""
-    from .detect import read_number_of_poses
-
-    read_number_of_poses()
-    read_earlier_run()
-    _main()
-
-
-@application("calibrate_detector")
-def _main(cfg: DictConfig) -> None:
-    """Fit, judge, record and show."""
-    run(cfg, calibrate)
+from .pipeline import Pipeline
 
 
 def calibrate(cfg: DictConfig) -> None:
@@ -34,8 +20,7 @@ def calibrate(cfg: DictConfig) -> None:
     from lmd.detection.fit import fit
     from lmd.plot.detection import save_limits_figure
 
-    from .detect import sightings, subject_of
-    from .tracked_run import tracked
+    from .tracked_run import keep, tracked
 
     optional("cv2", "detection")
     seed, count = seed_number(cfg.seed), integer("poses", cfg.frames, low=0)
@@ -65,16 +50,8 @@ def calibrate(cfg: DictConfig) -> None:
         write_document(directory / "calibration.json", {"seed": seed, "figures": figures})
         save_limits_figure(directory / "calibration.png", calibrations, f"{tag.family}, {choices()['views']}")
         written += [directory / f"calibration.{kind}" for kind in ("md", "json", "png")]
-        tracker.log_metrics(
-            {
-                f"{key}/{name}": value
-                for name, row in figures.items()
-                for key, value in row.items()
-                if np.isfinite(value)
-            }
-        )
-        tracker.log_artifacts([*written, *sorted((directory / ".hydra").glob("*.yaml"))])
-        tracker.finish("FINISHED")
+        named = {f"{key}/{name}": value for name, row in figures.items() for key, value in row.items()}
+        keep(tracker, written, {key: value for key, value in named.items() if np.isfinite(value)})
     print(f"{markdown}\nfiles: {directory}\nmlflow: {tracker.describe()}")
 
 
@@ -100,6 +77,8 @@ def to_markdown(figures: dict[str, dict[str, float]]) -> str:
         lines.append(" | ".join(cells))
     return "\n".join(f"| {line} |" for line in lines) + "\n"
 
+
+main = Pipeline("calibrate_detector", calibrate, (read_number_of_poses, read_earlier_run))
 
 if __name__ == "__main__":
     main()

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig, ListConfig
 
-from .app import application, recompose, run_directory, save_path, search_path, task_overrides
+from .app import recompose, run_directory, save_path, search_path, task_overrides
 from .building import budget_of, build_optimiser, build_problem, instantiate, seeds_of
-from .earlier_run import read_earlier_run
-from .operations.sweeps.supervisor import run
+from .earlier_run import read_earlier_problem
+from .pipeline import Pipeline
 from .workers import in_processes
 
 if TYPE_CHECKING:
@@ -20,18 +20,6 @@ if TYPE_CHECKING:
 
 # Settings of the comparison itself; every other override is passed on to its runs.
 OWN_KEYS = ("optimisers", "seeds", "workers", "save_as", "budget", "seed", "tracking")
-
-
-def main() -> None:
-    """Read `run=DIR`, then hand over to Hydra."""
-    read_earlier_run("deployment=random")
-    _main()
-
-
-@application("compare")
-def _main(cfg: DictConfig) -> None:
-    """Run every optimiser with every seed, and write the table and the plot."""
-    run(cfg, compare)
 
 
 def compare(cfg: DictConfig) -> None:
@@ -116,6 +104,8 @@ def _log_child(cfg: DictConfig, run: "OptimiserRun", ups: bool, parent: str | No
     tracker.log_artifacts([landmarks])
     tracker.finish("FINISHED")
 
+
+main = Pipeline("compare", compare, (read_earlier_problem,))
 
 if __name__ == "__main__":
     main()

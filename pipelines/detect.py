@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from omegaconf import DictConfig
 
-from .app import application, run_directory
+from .app import run_directory
 from .building import build_problem, instantiate, keyed, settings_of
 from .deployments import any_deployment, composed_deployments, read_deployment_as_a_list
 from .documents import write_document
-from .operations.sweeps.supervisor import run
+from .pipeline import Pipeline
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -34,22 +34,9 @@ FRAME_BYTES = 100  # at the least, of what is predicted of a landmark in a frame
 CHUNK = 10  # frames that a worker renders and reads at a time
 
 
-def main() -> None:
-    """Read `deployment=...` as the list of deployments and `poses=N` as a number, then hand over to Hydra."""
-    read_number_of_poses()  # first: what is no option of the group `poses` does not choose one
-    read_deployment_as_a_list()
-    _main()
-
-
 def read_number_of_poses() -> None:
     """Take `poses=500` of the command line as `frames=500`: `poses=recorded` is an option of the group of that name."""
     sys.argv[1:] = [re.sub(r"^poses=(?=[-+.\d])", "frames=", argument) for argument in sys.argv[1:]]
-
-
-@application("detect")
-def _main(cfg: DictConfig) -> None:
-    """Render, detect, record and show."""
-    run(cfg, detect)
 
 
 @dataclass(frozen=True)
@@ -77,7 +64,7 @@ def detect(cfg: DictConfig) -> None:
     from lmd.detection.report import to_markdown
     from lmd.plot.detection import save_calibration_figure
 
-    from .tracked_run import title_of, tracked
+    from .tracked_run import keep, title_of, tracked
 
     optional("cv2", "detection")
     seed, count = seed_number(cfg.seed), integer("poses", cfg.frames, low=1)
@@ -100,11 +87,9 @@ def detect(cfg: DictConfig) -> None:
         title = title_of(problem, f"{count} poses,")
         save_calibration_figure(directory / "calibration.png", figures, pitches, title)
         frames = _save_frames(directory / "frames", subjects, seen, min(pictures, count), seed)
-        tracker.log_metrics(metrics)
         names = ("detect.md", "figures.csv", "pitches.csv", "tags.csv", "detect.json", "calibration.png")
         files = [*(directory / name for name in names), *frames]
-        tracker.log_artifacts([*files, *sorted((directory / ".hydra").glob("*.yaml"))])
-        tracker.finish("FINISHED")
+        keep(tracker, files, metrics)
     print(f"{markdown}\nfiles: {directory}\nmlflow: {tracker.describe()}")
 
 
@@ -259,6 +244,9 @@ def _save_frames(
             save_frame(files[-1], image, told.corners[i], told.visible[i], found.corners[i])
     return files
 
+
+# The number first: what is no option of the group `poses` does not choose one.
+main = Pipeline("detect", detect, (read_number_of_poses, read_deployment_as_a_list))
 
 if __name__ == "__main__":
     main()

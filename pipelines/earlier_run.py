@@ -69,6 +69,11 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}") -> None:
     sys.argv[place:place] = [override for override in chosen if override.partition("=")[0] not in named]
 
 
+def read_earlier_problem() -> None:
+    """As `read_earlier_run`, but of the landmarks take only how many there were."""
+    read_earlier_run("deployment=random")
+
+
 def count_of(run: str | Path) -> int:
     """How many landmarks the run in a directory has."""
     from lmd.core.checks import InputError

@@ -5,19 +5,13 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
-from .app import application, choices, flat_settings, run_directory
+from .app import choices, flat_settings, run_directory
 from .building import instantiate, keyed, settings_of
 from .documents import write_document
-from .operations.sweeps.supervisor import run
+from .pipeline import Pipeline
 
 if TYPE_CHECKING:
     from lmd.orientation.estimate import Marginal, PdfEstimate
-
-
-@application("estimate_pdf")
-def main(cfg: DictConfig) -> None:
-    """Estimate, record and show."""
-    run(cfg, estimate)
 
 
 def estimate(cfg: DictConfig) -> None:
@@ -29,7 +23,7 @@ def estimate(cfg: DictConfig) -> None:
     from lmd.plot.orientation import save_orientation_figure
 
     from .outputs import all_or_none
-    from .tracked_run import tracked
+    from .tracked_run import keep, tracked
 
     rng = np.random.default_rng(seed_number(cfg.seed))
     source = instantiate(settings_of(cfg, "recording"))
@@ -56,9 +50,7 @@ def estimate(cfg: DictConfig) -> None:
 
     with tracked(cfg, f"estimate_pdf {choices()['recording']}") as tracker:
         files = all_or_none(directory, write)
-        tracker.log_metrics(_figures(result))
-        tracker.log_artifacts([*files, *sorted((directory / ".hydra").glob("*.yaml"))])
-        tracker.finish("FINISHED")
+        keep(tracker, files, _figures(result))
     samples = result.samples
     _show("samples", f"{len(samples)}, {samples.mean_interval:.3g} s apart on average (the motion stays correlated for "
           f"{samples.correlation_time:.3g} s)")  # fmt: skip
@@ -110,6 +102,8 @@ def _verdict(result: "PdfEstimate") -> str:
 def _show(label: str, text: str) -> None:
     print(f"{label:<20} {text}", flush=True)
 
+
+main = Pipeline("estimate_pdf", estimate)
 
 if __name__ == "__main__":
     main()

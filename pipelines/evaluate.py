@@ -2,20 +2,22 @@
 
 import re
 import sys
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
-from .app import application, choices, run_directory
+from .app import choices, run_directory
 from .building import build_problem, instantiate, keyed, settings_of
 from .earlier_run import read_earlier_run
-from .operations.sweeps.supervisor import run
+from .pipeline import Pipeline
 
 if TYPE_CHECKING:
     from lmd.evaluation.losses import Losses
-    from lmd.evaluation.mounting import Mounted, MountingError
-    from lmd.evaluation.sensitivity import Sensitivity
-    from lmd.evaluation.survey import Survey
+    from lmd.evaluation.mounting import MountingError
+    from lmd.evaluation.study import Study
     from lmd.problem import Problem
     from lmd.scene.deployment import Deployment
 
@@ -24,22 +26,9 @@ if TYPE_CHECKING:
 MEASURED, MOUNTING = "deployment.measured", "deployment.mounting_error"
 
 
-def main() -> None:
-    """Read `run=DIR` and a mounting error that is one number, then hand over to Hydra."""
-    read_mounting_error()
-    read_earlier_run()
-    _main()
-
-
 def read_mounting_error() -> None:
     """Take a mounting error of the command line that is no mapping as its position."""
     sys.argv[1:] = [re.sub(rf"^{MOUNTING}=(?!\{{)", f"{MOUNTING}.position=", argument) for argument in sys.argv[1:]]
-
-
-@application("evaluate")
-def _main(cfg: DictConfig) -> float | None:
-    """Score, record and show; returns the fitness."""
-    return run(cfg, evaluate)
 
 
 def evaluate(cfg: DictConfig) -> float:
@@ -74,20 +63,18 @@ def evaluate(cfg: DictConfig) -> float:
         summary: dict[str, Any] = localise(problem, deployment, seed, tracker) if cfg.localisation and alone else {}
         if cfg.localisation and not alone:
             print("localisation: left out, a single frame of a rig of several cameras is not bounded yet")
-        fallen = lose(problem, deployment, tracker) if cfg.losses else None
-        summary |= fallen.metrics() if fallen else {}
-        studies: dict[str, Sensitivity | Survey | Mounted | None] = {
-            "sensitivity": vary(problem, deployment, seed, tracker) if cfg.sensitivity else None,
-            "survey": compare_measured(problem, plan, deployment, seed, tracker) if deployment is not plan else None,
-            "mounting": mount(problem, deployment, error, seed, tracker) if not error.is_none else None,
-        }
-        found = {name: study for name, study in studies.items() if study is not None}
-        for name, study in found.items():
-            summary[name] = figures = study.metrics()
-            tracker.log_metrics({f"{name}/{key}": value for key, value in figures.items()})
+        texts = []
+        for name, study, draw in studies(cfg, problem, plan, deployment, error, seed):
+            tracker.log_artifacts(write_study(run_directory(), name, study, draw))
+            figures = study.metrics()
+            if name == "losses":  # figures of the deployment like its fitness
+                summary |= figures
+            else:
+                summary[name] = figures
+                tracker.log_metrics({f"{name}/{key}": value for key, value in figures.items()})
+            texts.append(f"\n{study.to_text()}\n")
         fitness = record(cfg, problem, tracker, deployment, history, subject=subject, summary=summary)
-        texts = [study.to_text() for study in (fallen, *found.values()) if study is not None]
-        print("".join(f"\n{text}\n" for text in texts), end="")
+        print("".join(texts), end="")
         return fitness
 
 
@@ -109,77 +96,82 @@ def localise(problem: "Problem", deployment: "Deployment", seed: int, tracker: "
     return bounds.metrics() | accuracy_metrics(problem, deployment, seed)
 
 
-def lose(problem: "Problem", deployment: "Deployment", tracker: "Tracker") -> "Losses | None":
-    """Write and log what is lost without each landmark; None, and a line that says why, where that cannot be told."""
+def studies(
+    cfg: DictConfig,
+    problem: "Problem",
+    plan: "Deployment",
+    deployment: "Deployment",
+    error: "MountingError",
+    seed: int,
+) -> "Iterator[tuple[str, Study, Callable[[Path], None] | None]]":
+    """Conduct the studies that are asked for, one after the other.
+
+    Args:
+        cfg: says which.
+        problem: what the deployment is scored for.
+        plan: where the tags were planned.
+        deployment: the same, or where they were measured.
+        error: of mounting them.
+        seed: of all studies.
+
+    Yields:
+        the name of a study, the study, and what draws its picture, None for no picture.
+    """
+    from .tracked_run import title_of
+
+    if cfg.losses and (fallen := lose(problem, deployment)):
+        yield "losses", fallen, None
+    if cfg.sensitivity:
+        from lmd.evaluation.sensitivity import sensitivity
+        from lmd.plot.sensitivity import save_sensitivity_figure
+
+        varied = sensitivity(problem, deployment, seed)
+        about = title_of(problem, "sensitivity,")
+        yield "sensitivity", varied, partial(save_sensitivity_figure, found=varied, title=about)
+    if deployment is not plan:
+        from lmd.evaluation.survey import survey
+        from lmd.plot.mounting import save_map_figure
+
+        surveyed = survey(problem, plan, deployment, seed)
+        about = title_of(problem, "maps as planned and as measured,")
+        yield "survey", surveyed, partial(save_map_figure, views=surveyed.views, title=about)
+    if not error.is_none:
+        from lmd.evaluation.mounting import mounted
+        from lmd.plot.mounting import save_map_figure
+
+        with keyed(MOUNTING):
+            hung = mounted(problem, deployment, error, seed)
+        about = title_of(problem, f"{error.draws} mountings,")
+        yield "mounting", hung, partial(save_map_figure, views=hung.views, title=about)
+
+
+def lose(problem: "Problem", deployment: "Deployment") -> "Losses | None":
+    """What is lost without each landmark; None, and a line that says why, where that cannot be told."""
     from lmd.core.checks import InputError
-    from lmd.core.tables import write_table
     from lmd.evaluation.losses import losses
 
     try:
-        found = losses(problem, deployment)
+        return losses(problem, deployment)
     except InputError as error:
         print(f"no losses: {error}")
         return None
-    file = run_directory() / "losses.csv"
-    write_table(file, found.table)
-    tracker.log_artifacts([file])
-    return found
 
 
-def vary(problem: "Problem", deployment: "Deployment", seed: int, tracker: "Tracker") -> "Sensitivity":
-    """Write and log how much the figures hang on what was assumed."""
-    from lmd.evaluation.sensitivity import sensitivity
-    from lmd.plot.sensitivity import save_sensitivity_figure
+def write_study(directory: Path, name: str, study: "Study", draw: "Callable[[Path], None] | None") -> list[Path]:
+    """Write the tables of a study and its picture, which is called like the study; returns the files."""
+    from lmd.core.tables import write_table
 
-    from .tracked_run import title_of
-
-    found, directory = sensitivity(problem, deployment, seed), run_directory()
-    for name, table in found.tables.items():
-        table.to_csv(directory / f"{name}.csv", index=False)
-    picture = directory / "sensitivity.png"
-    save_sensitivity_figure(picture, found, title_of(problem, "sensitivity,"))
-    tracker.log_artifacts([*(directory / f"{name}.csv" for name in found.tables), picture])
-    return found
+    files = []
+    for stem, table in study.tables.items():
+        files.append(directory / f"{stem}.csv")
+        write_table(files[-1], {str(column): values for column, values in table.items()})
+    if draw is not None:
+        files.append(directory / f"{name}.png")
+        draw(files[-1])
+    return files
 
 
-def compare_measured(
-    problem: "Problem", plan: "Deployment", measured: "Deployment", seed: int, tracker: "Tracker"
-) -> "Survey":
-    """Write and log how far tags hang from where they were planned, and what that changes."""
-    from lmd.evaluation.survey import survey
-    from lmd.plot.mounting import save_map_figure
-
-    from .tracked_run import title_of
-
-    found, directory = survey(problem, plan, measured, seed), run_directory()
-    files = [directory / name for name in ("moved.csv", "survey.csv", "survey.png")]
-    found.moved.to_csv(files[0], index=False)
-    found.figures.to_csv(files[1])
-    save_map_figure(files[2], found.views, title_of(problem, "maps as planned and as measured,"))
-    tracker.log_artifacts(files)
-    return found
-
-
-def mount(
-    problem: "Problem", deployment: "Deployment", error: "MountingError", seed: int, tracker: "Tracker"
-) -> "Mounted":
-    """Write and log what becomes of the figures if tags do not hang quite where they should."""
-    from lmd.evaluation.mounting import mounted
-    from lmd.plot.mounting import save_map_figure
-
-    from .tracked_run import title_of
-
-    with keyed(MOUNTING):
-        found = mounted(problem, deployment, error, seed)
-    directory = run_directory()
-    files = [directory / name for name in ("mounting.csv", "mountings.csv", "mounting_views.csv", "mounting.png")]
-    found.table.to_csv(files[0])
-    found.draws.to_csv(files[1])
-    found.views.to_csv(files[2], index=False)
-    save_map_figure(files[3], found.views, title_of(problem, f"{error.draws} mountings,"))
-    tracker.log_artifacts(files)
-    return found
-
+main = Pipeline("evaluate", evaluate, (read_mounting_error, read_earlier_run))
 
 if __name__ == "__main__":
     main()

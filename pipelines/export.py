@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig, OmegaConf
 
-from .app import application, run_directory
+from .app import run_directory
 from .building import build_problem, keyed
 from .earlier_run import read_earlier_run
-from .operations.sweeps.supervisor import run
 from .outputs import all_or_none
+from .pipeline import Pipeline
 
 if TYPE_CHECKING:
     from lmd.mapping.formats import Export
@@ -34,7 +34,7 @@ def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
         settings = OmegaConf.to_container(cfg, resolve=True)
         assert isinstance(settings, dict)
         paper, names = settings["paper_size"], settings[key]
-        chosen = Export(formats_of(tag) if names is None else names, paper, settings["north"])
+        chosen = Export(formats_of(tag) if names is None else names, paper, settings["north"], names is None)
         if names is None and not tag.is_point:
             left_out = not_printed(tag, paper)
             chosen = replace(chosen, formats=tuple(name for name in chosen.formats if name not in left_out))
@@ -44,37 +44,29 @@ def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
     return chosen
 
 
-def main() -> None:
-    """Read `run=DIR`, then hand over to Hydra."""
-    read_earlier_run()
-    _main()
-
-
-@application("export")
-def _main(cfg: DictConfig) -> None:
-    """Write, record and show."""
-    run(cfg, export)
-
-
 def export(cfg: DictConfig) -> None:
     """Write the configured deployment in the configured formats, all files or none."""
     import numpy as np
 
     from lmd.core.checks import InputError
+    from lmd.mapping.formats import FORMATS
     from lmd.mapping.sheets import describe_sheets
+    from lmd.mapping.tag_map import TagMap
 
-    from .tracked_run import title_of, tracked
+    from .tracked_run import keep, title_of, tracked
 
     problem = build_problem(cfg)
     scene = problem.scene
     chosen = build_export(cfg, "formats", scene.tag)
     if not chosen.formats:
         raise InputError("formats lists none, so there is nothing to write.")
-    writers = chosen.writers(scene.room, scene.tag, problem.draw(np.random.default_rng(cfg.seed)))
+    deployment = problem.draw(np.random.default_rng(cfg.seed))
+    writers = chosen.writers(scene.room, scene.tag, deployment)
+    for name, reason in chosen.unfit(TagMap(scene.room, scene.tag, deployment)).items():
+        print(f"note: {FORMATS[name].file} is not written: {reason}", file=sys.stderr)
     with tracked(cfg, "export", title_of(problem, "export")) as tracker:
         files = all_or_none(run_directory(), partial(_write_all, writers))
-        tracker.log_artifacts(files)
-        tracker.finish("FINISHED")
+        keep(tracker, files, {})
     print(f"tags   {problem.count} of {scene.tag.family}, {1000.0 * scene.tag.size:g} mm")
     if "sheets" in chosen.formats:
         print(f"sheets {describe_sheets(scene.tag, chosen.paper, problem.count)}")
@@ -86,6 +78,8 @@ def _write_all(writers: Mapping[str, Callable[[Path], None]], folder: Path) -> N
     for name, write in writers.items():
         write(folder / name)
 
+
+main = Pipeline("export", export, (read_earlier_run,))
 
 if __name__ == "__main__":
     main()

@@ -20,23 +20,27 @@ def quoted(override: str) -> str:
     return re.sub(rf"(?<=[=,]){MORE.pattern}(?=,|$)", r"'+\1'", override) if override.startswith(COUNT) else override
 
 
-def fixed_of(node: DictConfig) -> "Deployment | None":
+def fixed_of(node: DictConfig, family: str) -> "Deployment | None":
     """The landmarks that a configured deployment keeps where they are; None for none.
 
     Of a file that holds the others too, as that of a run does, they are those it marks, if `marked` is true.
+
+    Args:
+        node: the group `deployment`.
+        family: of the tags.
 
     Raises:
         InputError: the file cannot be read, or what it holds is no deployment.
     """
     import numpy as np
 
-    from lmd.scene.deployment import Deployment
     from lmd.scene.fixed import COLUMN
+    from lmd.scene.tag_map_files import read_deployment
 
     path = node.get("fixed")  # runs of old have none
     if path is None:
         return None
-    found = Deployment.from_csv(path, "fixed")
+    found = read_deployment(path, "fixed", family)
     marks = found.labels.columns.get(COLUMN) if found.labels and node.get("marked") else None
     return found if marks is None else found[np.array(marks) == "1"]
 

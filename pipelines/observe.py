@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
-from .app import application, choices, run_directory
+from .app import choices, run_directory
 from .building import build_problem, instantiate, keyed, seeds_of, settings_of
 from .deployments import any_deployment, composed_deployments, read_deployment_as_a_list
 from .documents import write_document
-from .operations.sweeps.supervisor import run
+from .pipeline import Pipeline
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -30,18 +30,6 @@ if TYPE_CHECKING:
 FILM_RATE = 8.0  # frames a second of an animated picture
 
 
-def main() -> None:
-    """Read `deployment=...` as the list of deployments, then hand over to Hydra."""
-    read_deployment_as_a_list()
-    _main()
-
-
-@application("observe")
-def _main(cfg: DictConfig) -> None:
-    """Fly, record and show."""
-    run(cfg, observe)
-
-
 def observe(cfg: DictConfig) -> None:
     """Localise a camera over the configured deployments."""
     from lmd.core.checks import InputError, real
@@ -49,7 +37,7 @@ def observe(cfg: DictConfig) -> None:
     from lmd.estimation.study import Flights, conduct, to_markdown
     from lmd.plot.localisation import save_error_figure
 
-    from .tracked_run import title_of, tracked
+    from .tracked_run import keep, title_of, tracked
 
     seeds = seeds_of(cfg)
     composed = composed_deployments(cfg, "observe")
@@ -83,14 +71,12 @@ def observe(cfg: DictConfig) -> None:
         counts = {name: outcome.counts[0] for name, outcome in study.outcomes.items()}
         title = title_of(problem, f"{len(seeds)} flights: median, band from 10 to 90 %;")
         save_error_figure(directory / "errors.png", curves, study.time, counts, n, title)
-        tracker.log_metrics(medians)
         _log_curves(tracker, curves)
         films = [] if film is None else _save_films(directory, problems, flights, detectors, film)
         names = ["figures.csv", "curves.csv", "observe.md", "observe.json", "errors.png"]
         names += ["paired.csv"] if len(paired) else []
         files = [*(directory / name for name in names), *films]
-        tracker.log_artifacts([*files, *sorted((directory / ".hydra").glob("*.yaml"))])
-        tracker.finish("FINISHED")
+        keep(tracker, files, medians)
     made = " ".join(f"{group}={choices()[group]}" for group in ("trajectory", "detector", "odometry"))
     print(f"{markdown}\nflown with {made}\nfiles: {directory}\nmlflow: {tracker.describe()}")
 
@@ -160,6 +146,8 @@ def _log_curves(tracker: "Tracker", curves: "pd.DataFrame") -> None:
             points = [(round(1000 * time), float(value), float(time)) for time, value in values]
             tracker.log_curve(f"{quantity}_over_time/{name}/{estimator}", points)
 
+
+main = Pipeline("observe", observe, (read_deployment_as_a_list,))
 
 if __name__ == "__main__":
     main()

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
-from .app import application, choices, flat_settings, run_directory
+from .app import choices, flat_settings, run_directory
 from .building import budget_of, build_optimiser, build_problem
 from .earlier_run import read_earlier_run
 from .export import build_export
 from .input_files import contents_of
 from .operations.signals import Stopped, stop
-from .operations.sweeps.supervisor import run
 from .outputs import space_reserved
+from .pipeline import Pipeline
 from .provenance import resuming
 
 if TYPE_CHECKING:
@@ -29,18 +29,6 @@ if TYPE_CHECKING:
 SAME_WHEN_RESUMED = (
     "room", "camera", "pdf", "poses", "tag", "visibility", "objective", "encoding", "deployment", "optimiser", "seed"
 )  # fmt: skip
-
-
-def main() -> None:
-    """Read `run=DIR`, then hand over to Hydra."""
-    read_earlier_run()
-    _main()
-
-
-@application("optimise")
-def _main(cfg: DictConfig) -> float | None:
-    """Optimise, record and show; returns the best fitness, for sweepers."""
-    return run(cfg, optimise)
 
 
 def optimise(cfg: DictConfig) -> float:
@@ -127,6 +115,8 @@ def _run(
                 raise
             return optimiser.result(problem, "interrupted"), True
 
+
+main = Pipeline("optimise", optimise, (read_earlier_run,))
 
 if __name__ == "__main__":
     main()

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from .app import application, ends_reported, run_directory, save_path
+from .app import run_directory, save_path
 from .building import build_problem
 from .earlier_run import GROUPS
+from .pipeline import Pipeline, alone
 from .trust import Trust, read_yaml
 
 if TYPE_CHECKING:
@@ -23,13 +24,6 @@ if TYPE_CHECKING:
 
 TITLE = "The paper's tables and figures, reproduced"
 MARK = "<!-- What follows is written by python -m pipelines.report and overwritten by it. -->"
-
-
-@application("report")
-def main(cfg: DictConfig) -> None:
-    """Read the runs, write the report and say where it is."""
-    with ends_reported():
-        report(cfg)
 
 
 def report(cfg: DictConfig) -> None:
@@ -122,6 +116,8 @@ def _load(reader: "MlflowReader", run_id: str, trust: Trust) -> "tuple[Problem, 
         raise InputError(f"{source}: config.yaml: {str(error).splitlines()[0]}") from None
     return problem, problem.draw(np.random.default_rng(0))
 
+
+main = Pipeline("report", report, runner=alone)
 
 if __name__ == "__main__":
     main()

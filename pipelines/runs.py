@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
-from .app import application, ends_reported
 from .building import instantiate
 from .going_on import GoingOn, going_on
+from .pipeline import Pipeline, alone
 from .trust import Trust
 
 if TYPE_CHECKING:
@@ -25,13 +25,6 @@ COLUMNS = {
     "metrics.fitness": "fitness",
     "metrics.evaluations": "evaluations",
 }
-
-
-@application("runs")
-def main(cfg: DictConfig) -> None:
-    """List the newest runs."""
-    with ends_reported():
-        runs(cfg)
 
 
 def runs(cfg: DictConfig) -> None:
@@ -86,6 +79,8 @@ def _resume(unfinished: Mapping[str, GoingOn], wanted: str) -> None:
     print(f"\n{again.command}", flush=True)
     os.execv(again.process[0], again.process)
 
+
+main = Pipeline("runs", runs, runner=alone)
 
 if __name__ == "__main__":
     main()

@@ -9,22 +9,8 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from .app import application, ends_reported
+from .pipeline import Pipeline, alone
 from .trust import PAGE
-
-
-def main() -> None:
-    """Read `--yes`, then hand over to Hydra."""
-    sys.argv[1:] = ["yes=true" if argument == "--yes" else argument for argument in sys.argv[1:]]
-    _main()
-
-
-@application("sync")
-def _main(cfg: DictConfig) -> None:
-    """Hand in all journals below a folder; exits with 1 if one could not be."""
-    with ends_reported():
-        if not sync(cfg):
-            sys.exit(1)
 
 
 def sync(cfg: DictConfig) -> bool:
@@ -70,6 +56,18 @@ def _destination(given: str | None, cfg: DictConfig, yes: bool) -> str:
                          f"{shlex.quote(f'uri={given}')} or --yes ({PAGE}).")  # fmt: skip
     return str(given or configured)
 
+
+def read_yes() -> None:
+    """Take `--yes` of the command line as `yes=true`."""
+    sys.argv[1:] = ["yes=true" if argument == "--yes" else argument for argument in sys.argv[1:]]
+
+
+def _sync_or_fail(cfg: DictConfig) -> None:
+    if not sync(cfg):
+        sys.exit(1)
+
+
+main = Pipeline("sync", _sync_or_fail, (read_yes,), alone)
 
 if __name__ == "__main__":
     main()

@@ -1,7 +1,7 @@
 """Starting a tracked run, and recording what came out of it."""
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -100,6 +100,14 @@ def tracked(cfg: DictConfig, subject: str, about: str = "", earlier: Earlier | N
         raise
 
 
+def keep(tracker: "Tracker", files: Iterable[Path], metrics: Mapping[str, float], status: str = "FINISHED") -> None:
+    """Log the final figures, the files and the configuration of a run, and end it."""
+    if metrics:
+        tracker.log_metrics(metrics)
+    tracker.log_artifacts([*files, *sorted((run_directory() / ".hydra").glob("*.yaml"))])
+    tracker.finish(status)
+
+
 def _parameters(cfg: DictConfig) -> dict[str, Any]:
     """The choices of groups, and the settings below them that are set to something."""
     settings = {
@@ -175,10 +183,7 @@ def record(
         pictures, lost = write_pictures(directory, problem, deployment, history, title, cfg.page, exports)
         failed += lost
     files = sorted({*files, *curve, *pictures})
-    tracker.log_artifacts(
-        [*(file for file in files if file.suffix != ".html"), *sorted((directory / ".hydra").glob("*.yaml"))]
-    )
-    tracker.finish(status)
+    keep(tracker, [file for file in files if file.suffix != ".html"], {}, status)
     off_grid = describe_validation(problem, validation) if validation else {}
     lines = {key.replace("_", " "): f"{value:g}" for key, value in figures.items()}
     if all(camera.is_pinhole for camera in problem.scene.cameras):

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from omegaconf import DictConfig, OmegaConf
 
-from .app import application, run_directory
+from .app import run_directory
 from .building import budget_of, build_optimiser, instantiate, keyed, seeds_of
 from .documents import write_document
-from .earlier_run import read_earlier_run
+from .earlier_run import read_earlier_problem
 from .ladder import Ladder, figures_of, shares_among
 from .operations.sweeps.names import slug
-from .operations.sweeps.supervisor import run
+from .pipeline import Pipeline
 from .workers import in_processes
 
 if TYPE_CHECKING:
@@ -39,18 +39,6 @@ LABELS = {
     "held_out_share": "share of the held-out time",
     "recorded_share": "share of the recorded time",
 }
-
-
-def main() -> None:
-    """Read `run=DIR`, then hand over to Hydra."""
-    read_earlier_run("deployment=random")
-    _main()
-
-
-@application("tradeoff")
-def _main(cfg: DictConfig) -> None:
-    """Search, record and show."""
-    run(cfg, tradeoff)
 
 
 def tradeoff(cfg: DictConfig) -> None:
@@ -174,6 +162,8 @@ def _record(
     from lmd.objectives.localisation import Localisation
     from lmd.plot.tradeoff import Panel, save_tradeoff_figure
 
+    from .tracked_run import keep
+
     directory, table, headline = run_directory(), points.table, problem.objective.headline
     off_grid, beside = headline_off_grid(problem), COVERED if isinstance(problem.objective, Localisation) else LOCALISED
     if problem.scene.recorded is None:
@@ -193,23 +183,21 @@ def _record(
     text = f"medians over {cfg.seeds} seeds, least and greatest of the first, per cent\n" + curves.to_string(
         float_format=lambda value: f"{100.0 * value:.2f}"
     )
+    known: dict[str, float] = {}
     if wanted is not None:
         reached = fewest(table, figure, wanted)
         text += f"\n\nfewest landmarks with a {figure} of {wanted:g}\n{_told(reached)}"
         rows = reached.reset_index().to_dict("records")
         finite = [{key: value if isfinite(value) else None for key, value in row.items()} for row in rows]
         document |= {"wanted": wanted, "fewest": finite}
-        known = {edge: count for edge, count in reached["count"].items() if isfinite(count)}
-        tracker.log_metrics({f"fewest/edge_{edge:g}": count for edge, count in known.items()})
+        known = {f"fewest/edge_{edge:g}": count for edge, count in reached["count"].items() if isfinite(count)}
     write_document(directory / "tradeoff.json", document)
     for name, edge in product(panels, dict.fromkeys(ladder.edge for ladder in points.ladders)):
         curve = [(int(count), float(value), 0.0) for count, value in curves.loc[edge, name].items()]
         tracker.log_curve(f"{name}/edge_{edge:g}", curve)
     _log_children(cfg, points, tracker.run_id)
     names = ("points.csv", "front.csv", "tradeoff.json", "tradeoff.png")
-    files = [*(directory / name for name in names), *sorted((directory / ".hydra").glob("*.yaml"))]
-    tracker.log_artifacts(files)
-    tracker.finish("FINISHED")
+    keep(tracker, [directory / name for name in names], known)
     print(f"\n{text}\n\nfiles: {directory}\nmlflow: {tracker.describe()}")
 
 
@@ -240,6 +228,8 @@ def _log_children(cfg: DictConfig, points: Points, parent: str | None) -> None:
         tracker.log_artifacts([landmarks])
         tracker.finish("FINISHED")
 
+
+main = Pipeline("tradeoff", tradeoff, (read_earlier_problem,))
 
 if __name__ == "__main__":
     main()

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
-from .app import application, run_directory
+from .app import run_directory
 from .building import budget_of, build_optimiser, build_problem
 from .earlier_run import read_earlier_run
 from .export import build_export
 from .operations.signals import CODES, stop
-from .operations.sweeps.supervisor import run
 from .outputs import all_or_none
+from .pipeline import Pipeline
 
 if TYPE_CHECKING:
     from lmd.mapping.formats import Export
@@ -24,25 +24,6 @@ if TYPE_CHECKING:
     from lmd.scene.deployment import Deployment
 
 UNSAVED = "unsaved.csv"
-
-
-def main() -> None:
-    """Read `run=DIR`, then hand over to Hydra."""
-    read_earlier_run()
-    try:
-        _main()
-    except SystemExit as ended:
-        if ended.code in CODES:  # Python would wait for threads that compile
-            sys.stdout.flush()
-            sys.stderr.flush()
-            os._exit(int(ended.code))
-        raise
-
-
-@application("view")
-def _main(cfg: DictConfig) -> None:
-    """Serve until told to stop."""
-    run(cfg, view)
 
 
 def view(cfg: DictConfig) -> None:
@@ -114,6 +95,21 @@ def _keep_unsaved(directory: Path, deployment: "Deployment", ups: bool) -> None:
     print("the tags as they are now:", flush=True)
     deployment.to_csv(sys.stdout, ups)
     sys.stdout.flush()
+
+
+command = Pipeline("view", view, (read_earlier_run,))
+
+
+def main() -> None:
+    """Serve until told to stop."""
+    try:
+        command()
+    except SystemExit as ended:
+        if ended.code in CODES:  # Python would wait for threads that compile
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(int(ended.code))
+        raise
 
 
 if __name__ == "__main__":

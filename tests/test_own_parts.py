@@ -203,7 +203,7 @@ def test_a_black_box_climbs_an_objective_of_ones_own_and_the_rest_says_what_it_l
     for method in (Annealing(), Greedy()):
         with pytest.raises(InputError, match=r"^MeanSeen has no field"):
             method.run(problem, Budget(50))
-    assert lose(problem, problem.draw(np.random.default_rng(0)), tracker=None) is None
+    assert lose(problem, problem.draw(np.random.default_rng(0))) is None
     assert capsys.readouterr().out.startswith("no losses: MeanSeen has no field")
     with pytest.raises(InputError, match=r"no upper bound for the objective MeanSeen"):
         average_upper_bound(problem, 20, Search(1.0, 10, 0.1))

@@ -89,23 +89,50 @@ def read_text(path: Any, name: str, largest: float = math.inf) -> str:
         raise InputError(f"{name}: {str(path)!r} cannot be read as text ({error}).", name) from None
 
 
+# A comment of JSON as many programs write it, or a comma after the last entry; texts are left as they are.
+_TEXT, _COMMENT, _LAST_COMMA = r'"(?:\\.|[^"\\])*"', r"//[^\n]*|/\*.*?\*/", r",(?=\s*[}\]])"
+
+
 def read_keys(path: Any, name: str) -> dict[str, Any]:
-    """The keys and values of a file in YAML or JSON, see `read_bytes`; there may be matrices of OpenCV.
+    """The keys and values of a file in YAML or JSON, see `read_bytes` and `parse_keys`."""
+    return parse_keys(path, read_text(path, name, LARGEST_YAML), name)
+
+
+def parse_keys(path: Any, text: str, name: str) -> dict[str, Any]:
+    """The keys and values of a text in YAML or JSON; there may be matrices of OpenCV, and comments.
+
+    Args:
+        path: where the text is from, for messages.
+        text: at most `LARGEST_YAML` characters of YAML, which takes long to read.
+        name: the argument the path came from.
 
     Raises:
-        InputError: as there, or it is neither, or has no keys.
+        InputError: it is neither, or has no keys.
     """
-    text = read_text(path, name, LARGEST_YAML)
+    # YAML takes most of JSON, but no tabs.
+    plain = _without(_COMMENT, text) if text.lstrip()[:1] in ("{", "/") else text
+    is_json = plain.lstrip().startswith("{")
     try:
-        # YAML takes most of JSON, but no tabs. OpenCV up to version 3 begins a file with %YAML:1.0, which is no YAML.
-        is_json = text.lstrip().startswith("{")
-        keys = json.loads(text) if is_json else _yaml(re.sub(r"\A%YAML.*\n", "", text))
+        if not is_json and len(text) > LARGEST_YAML:
+            raise ValueError(f"it has {len(text):.4g} characters, and at most {LARGEST_YAML:.4g} are taken")
+        keys = json.loads(_without(_LAST_COMMA, plain)) if is_json else _yaml(_from_opencv(text))
     except Exception as error:  # whatever a parser of a broken file runs into
         reason = " ".join(str(error).split())
         raise InputError(f"{name}: {str(path)!r} cannot be read as YAML or JSON ({reason}).", name) from None
     if not isinstance(keys, dict):
         raise InputError(f"{name}: {str(path)!r} has no keys.", name)
     return {str(key): value for key, value in keys.items()}
+
+
+def _from_opencv(text: str) -> str:
+    """YAML of OpenCV as others read it: it may begin with %YAML:1.0, and then has no space in `{ id:9 }`."""
+    plain = re.sub(r"\A%YAML.*\n", "", text)
+    return plain if plain == text else re.sub(r"([{,]\s*\w+):(?=\S)", r"\1: ", plain)
+
+
+def _without(pattern: str, text: str) -> str:
+    """A text of JSON without what matches outside of its texts."""
+    return re.sub(f"({_TEXT})|{pattern}", lambda found: found[1] or "", text, flags=re.DOTALL)
 
 
 class _Loader(yaml.SafeLoader):  # type: ignore[misc] # yaml has no types

@@ -37,6 +37,11 @@ class Losses:
         return {"id": self.ids[order], "fitness_without": alone[order], "fitness_loss": lost[order]}
 
     @property
+    def tables(self) -> dict[str, dict[str, FloatArray | IntArray]]:
+        """See `Study.tables`."""
+        return {"losses": self.table}
+
+    @property
     def idle(self) -> IntArray:
         """The ids of the landmarks without any of which the fitness is no lower."""
         return np.sort(self.ids[np.diagonal(self.without) >= self.fitness - FITNESS_ROUNDING])

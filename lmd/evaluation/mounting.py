@@ -127,6 +127,15 @@ class Mounted:
         quantiles = {f"{100 * q:g} %": self.draws.quantile(q) for q in QUANTILES}
         return pd.DataFrame({"planned": self.planned, "mean": self.draws.mean(), **quantiles}).rename_axis("figure")
 
+    @property
+    def tables(self) -> "dict[str, pd.DataFrame]":
+        """See `Study.tables`."""
+        return {
+            "mounting": self.table.reset_index(),
+            "mountings": self.draws.reset_index(),
+            "mounting_views": self.views,
+        }
+
     def metrics(self) -> dict[str, float]:
         """All figures by names such as `fitness/5 %` and `position_planned/50 %`, metres and rad."""
         named = {

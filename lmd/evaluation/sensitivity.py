@@ -80,7 +80,7 @@ class Sensitivity:
 
     @property
     def tables(self) -> dict[str, pd.DataFrame]:
-        """All of them, by name."""
+        """See `Study.tables`."""
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
     def metrics(self) -> dict[str, float]:

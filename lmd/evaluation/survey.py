@@ -14,6 +14,7 @@ from lmd.evaluation.validation import Sample
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.plates import as_they_are
+from lmd.scene.tag_map_files import read_deployment
 
 VIEWS = 2000  # random poses
 LISTED = 8  # tags that a terminal names
@@ -27,7 +28,7 @@ def read_measured(path: str | Path, problem: Problem, plan: Deployment) -> Deplo
     are taken from anywhere (`FileDeployment.free`), so are these.
 
     Args:
-        path: a CSV like those of plans.
+        path: a CSV like those of plans, or a tag map.
         problem: has the room.
         plan: K landmarks.
 
@@ -35,7 +36,7 @@ def read_measured(path: str | Path, problem: Problem, plan: Deployment) -> Deplo
         InputError: the file is no deployment, does not have the ids of the plan, or a tag is outside the room and
             belongs to no surface.
     """
-    measured = Deployment.from_csv(path, "measured")
+    measured = read_deployment(path, "measured", problem.scene.tag.family)
     for name, ids in (
         ("lacks the", np.setdiff1d(plan.ids, measured.ids)),
         ("has a", np.setdiff1d(measured.ids, plan.ids)),
@@ -67,6 +68,11 @@ class Survey:
     moved: pd.DataFrame
     figures: pd.DataFrame
     views: pd.DataFrame
+
+    @property
+    def tables(self) -> dict[str, pd.DataFrame]:
+        """See `Study.tables`."""
+        return {"moved": self.moved, "survey": self.figures.reset_index()}
 
     def metrics(self) -> dict[str, float]:
         """All figures by names such as `fitness/planned`, `position_planned/50` (m) and `moved/greatest` (m)."""

@@ -15,20 +15,20 @@ CORNERS = np.array([[-1.0, 1.0], [1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]])
 VERTICAL_TOLERANCE = 0.1
 
 
-def corners(centres: FloatArray, normals: FloatArray, ups: FloatArray, edge: float) -> FloatArray:
+def corners(centres: FloatArray, normals: FloatArray, ups: FloatArray, edge: float | FloatArray) -> FloatArray:
     """The corners of squares, in the order of `CORNERS`: top-left, top-right, bottom-right, bottom-left from the front.
 
     Args:
         centres: `(..., 3)`, world frame, metres.
         normals: unit normals of the front faces, `(..., 3)`.
         ups: unit vectors in the squares' planes that point to their upper edges, `(..., 3)`; right is up x normal.
-        edge: metres.
+        edge: metres, one for all or `(...)`.
 
     Returns:
         `(..., 4, 3)`, world frame, metres.
     """
     axes = np.stack([np.cross(ups, normals), np.broadcast_to(ups, np.shape(normals))], axis=-2)
-    return np.asarray(centres[..., None, :] + edge / 2.0 * (CORNERS @ axes))
+    return np.asarray(centres[..., None, :] + np.asarray(edge)[..., None, None] / 2.0 * (CORNERS @ axes))
 
 
 def upright(normals: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -19,11 +19,13 @@ def write_apriltag_ros(path: Path, tags: TagMap) -> None:
     layout = [
         {
             "id": number,
-            "size": tags.tag.size,
+            "size": size,
             **axes(position),
             **dict(zip(QUATERNION, turn, strict=True)),
         }
-        for number, position, turn in zip(tags.ids, tags.positions, tags.quaternions.tolist(), strict=True)
+        for number, size, position, turn in zip(
+            tags.ids, tags.sizes.tolist(), tags.positions, tags.quaternions.tolist(), strict=True
+        )
     ]
     family = f"# Its settings.yaml must have tag_family: {FAMILIES[tags.tag.family].apriltag}"
     write_yaml(path, {"standalone_tags": [], "tag_bundles": [{"name": BUNDLE, "layout": layout}]}, family)
@@ -37,7 +39,7 @@ def write_apriltag_ros2(path: Path, tags: TagMap) -> None:
         "tag": {
             "ids": tags.ids,
             "frames": [f"tag_{number}" for number in tags.ids],
-            "sizes": [tags.tag.size] * len(tags.ids),
+            "sizes": tags.sizes.tolist(),
         },
     }
     write_yaml(path, {"/**": {"ros__parameters": parameters}})

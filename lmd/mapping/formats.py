@@ -10,8 +10,14 @@ from lmd.core.checks import ONE_TURN, InputError, choice, real
 from lmd.core.optional import optional
 from lmd.mapping.apriltag_ros import write_apriltag_ros, write_apriltag_ros2
 from lmd.mapping.aruco import write_aruco
+from lmd.mapping.clover import write_clover
+from lmd.mapping.duckietown import check_on_floor, write_duckietown
+from lmd.mapping.fiducial_vlam import write_fiducial_vlam
+from lmd.mapping.frc971 import write_frc971
+from lmd.mapping.limelight import write_limelight
 from lmd.mapping.paper import PAPERS
 from lmd.mapping.plan import write_plan
+from lmd.mapping.rtabmap import write_rtabmap
 from lmd.mapping.sheets import check_sheets, write_sheets
 from lmd.mapping.tables import write_csv, write_json
 from lmd.mapping.tag_map import TagMap
@@ -31,12 +37,15 @@ class Format(NamedTuple):
             plan, where north is as `north` too.
         only_apriltag: whether its readers know the families of AprilTag only.
         on_paper: whether it is printed.
+        check: raises `InputError`, a clause without its subject, if it cannot hold the tags of a map; None where it
+            holds any.
     """
 
     file: str
     write: Callable[..., None]
     only_apriltag: bool = False
     on_paper: bool = False
+    check: Callable[[TagMap], None] | None = None
 
 
 FORMATS = {
@@ -47,8 +56,14 @@ FORMATS = {
     "aruco": Format("tags.aruco.yaml", write_aruco),
     "csv": Format("tags.csv", write_csv),
     "json": Format("tags.json", write_json),
-    "plan": Format("plan.pdf", write_plan, on_paper=True),
-    "sheets": Format("sheets.pdf", write_sheets, on_paper=True),
+    "clover": Format("tags.clover.txt", write_clover),
+    "fiducial_vlam": Format("tags.fiducial_vlam.yaml", write_fiducial_vlam, check=TagMap.check_one_edge),
+    "rtabmap": Format("tags.rtabmap.txt", write_rtabmap, check=TagMap.check_one_edge),
+    "limelight": Format("tags.fmap", write_limelight, only_apriltag=True),
+    "frc971": Format("tags.frc971.json", write_frc971, only_apriltag=True),
+    "duckietown": Format("tags.duckietown.yaml", write_duckietown, only_apriltag=True, check=check_on_floor),
+    "plan": Format("plan.pdf", write_plan, on_paper=True, check=TagMap.check_one_edge),
+    "sheets": Format("sheets.pdf", write_sheets, on_paper=True, check=TagMap.check_one_edge),
 }
 
 
@@ -85,6 +100,7 @@ class Export:
         formats: names of `FORMATS`.
         paper: what is printed is printed on, one of `lmd.mapping.paper.PAPERS`.
         north: where north is on the plan, rad from x towards y; None if that is not known.
+        fitting: whether a format that cannot hold the tags is left out; else it is refused.
 
     Raises:
         InputError: a format or the paper is not known, or north is not in radians.
@@ -93,6 +109,7 @@ class Export:
     formats: tuple[str, ...]
     paper: str
     north: float | None = None
+    fitting: bool = False
 
     def __post_init__(self) -> None:
         if not isinstance(self.formats, list | tuple):
@@ -115,17 +132,34 @@ class Export:
             if FORMATS[name].on_paper:
                 check_printing(name, tag, self.paper)
 
+    def unfit(self, tags: TagMap) -> dict[str, str]:
+        """The formats that cannot hold these tags, and why."""
+        reasons = {}
+        for name in self.formats:
+            try:
+                if (check := FORMATS[name].check) is not None:
+                    check(tags)
+            except InputError as error:
+                reasons[name] = str(error)
+        return reasons
+
     def writers(self, room: Space, tag: Tag, deployment: Deployment) -> dict[str, Callable[[Path], None]]:
         """What writes each file of these tags, by its name.
 
         Raises:
-            InputError: there is a format, and the tag is a point, or the family lacks an id.
+            InputError: there is a format, and the tag is a point, the family lacks an id, or a format cannot hold them.
         """
         if not self.formats:
             return {}
         tags = TagMap(room, tag, deployment)
+        unfit = self.unfit(tags)
+        for name, reason in unfit.items():
+            if not self.fitting:
+                raise InputError(f"formats has {name}: {reason}.", "formats")
         writers: dict[str, Callable[[Path], None]] = {}
         for name in self.formats:
+            if name in unfit:
+                continue
             form = FORMATS[name]
             options: dict[str, Any] = {"paper": self.paper} if form.on_paper else {}
             if name == "plan":

@@ -9,7 +9,7 @@ import numpy as np
 from lmd.core.tables import write_table
 from lmd.mapping.tag_map import QUATERNION, TagMap
 from lmd.scene.deployment import COLUMNS, UP_COLUMNS
-from lmd.scene.labels import ID
+from lmd.scene.labels import EDGE, ID
 
 CORNER_NAMES = ("top_left", "top_right", "bottom_right", "bottom_left")
 FRAME = "metres; z up; of a tag x is right, y up, z out of it; its quaternion turns this frame to the world"
@@ -28,19 +28,20 @@ def write_csv(path: Path, tags: TagMap) -> None:
 
 def write_json(path: Path, tags: TagMap) -> None:
     """Write `tags.json`."""
-    rows = zip(tags.ids, tags.positions, tags.quaternions, tags.corners, strict=True)
+    rows = zip(tags.ids, tags.sizes.tolist(), tags.positions, tags.quaternions, tags.corners, strict=True)
     document = {
         "family": tags.tag.family,
-        "edge": tags.tag.size,
+        EDGE: tags.tag.size,
         "frame": FRAME,
         "tags": [
             {
                 ID: number,
+                EDGE: size,
                 "position": position.tolist(),
                 "quaternion": dict(zip("wxyz", quaternion.tolist(), strict=True)),
                 "corners": dict(zip(CORNER_NAMES, corners.tolist(), strict=True)),
             }
-            for number, position, quaternion, corners in rows
+            for number, size, position, quaternion, corners in rows
         ],
     }
     path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")

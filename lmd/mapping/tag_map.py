@@ -1,5 +1,6 @@
 """Where the tags of a deployment are, as every format is written from it."""
 
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -8,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 
-from lmd.core.checks import FloatArray, IntArray
+from lmd.core.checks import FloatArray, InputError, IntArray
 from lmd.geometry.squares import corners
 from lmd.scene.deployment import Deployment
-from lmd.scene.tag import Tag
+from lmd.scene.tag import FAMILIES, Tag
+from lmd.scene.tag_map_readers import HALF_TURN
 from lmd.space.fixture import Fixture
 from lmd.space.space import Space
 from lmd.space.surface import FLAT
@@ -107,6 +109,19 @@ class TagMap:
         surface = self.surfaces[k]
         return "free in the room" if surface < 0 else self.room.surfaces()[surface].name
 
+    @cached_property
+    def sizes(self) -> FloatArray:
+        """The edge of each, `(K,)`: that of the tag, or its own where a map has said so."""
+        labels = self.deployment.labels
+        own = np.full(len(self.ids), np.nan) if labels is None else labels.edges
+        return np.where(np.isnan(own), self.tag.size, own)
+
+    def check_one_edge(self) -> None:
+        """Raise `InputError` if the tags have several edges."""
+        if np.ptp(self.sizes):
+            edges = ", ".join(f"{edge:g}" for edge in np.unique(self.sizes))
+            raise InputError(f"it has one edge for all tags, and these have {edges} m")
+
     @property
     def positions(self) -> FloatArray:
         """Their centres, `(K, 3)`."""
@@ -121,6 +136,17 @@ class TagMap:
         return Rotation.from_matrix(np.stack([np.cross(up, normal), up, normal], axis=-1))
 
     @property
+    def roll_pitch_yaw(self) -> FloatArray:
+        """`turns` as ROS's `setRPY` takes them, `(K, 3)`, rad, with the up that OpenCV gives to a picture."""
+        from scipy.spatial.transform import Rotation
+
+        half = FAMILIES[self.tag.family].apriltag is not None
+        turns = self.turns * Rotation.from_matrix(HALF_TURN) if half else self.turns
+        with warnings.catch_warnings():  # where yaw and roll are about one axis, any split of their sum will do
+            warnings.filterwarnings("ignore", message="Gimbal lock")
+            return written(turns.as_euler("xyz"))
+
+    @property
     def quaternions(self) -> FloatArray:
         """`turns` as w, x, y, z with w >= 0, `(K, 4)`."""
         return written(self.turns.as_quat(canonical=True, scalar_first=True))
@@ -128,7 +154,7 @@ class TagMap:
     @property
     def corners(self) -> FloatArray:
         """Of the black squares, top-left, top-right, bottom-right, bottom-left seen from the front, `(K, 4, 3)`."""
-        return written(corners(self.deployment.places, self.deployment.normals, self.deployment.ups, self.tag.size))
+        return written(corners(self.deployment.places, self.deployment.normals, self.deployment.ups, self.sizes))
 
 
 def written(values: FloatArray) -> FloatArray:

@@ -20,15 +20,13 @@ FIXED = {"position_noise": 1e-4, "rotation_noise": 1e-5}
 
 def write_tagslam(path: Path, tags: TagMap) -> None:
     """Write `tags.tagslam.yaml`, to which the camera's body and the parameters of TagSLAM are added."""
-    poses = zip(tags.ids, tags.positions, written(tags.turns.as_rotvec()), strict=True)
+    poses = zip(tags.ids, tags.sizes.tolist(), tags.positions, written(tags.turns.as_rotvec()), strict=True)
     body = {
         "is_static": True,
         "type": "simple",
         "default_tag_size": tags.tag.size,
         "pose": _pose(np.zeros(3), np.zeros(3)),
-        "tags": [
-            {"id": number, "size": tags.tag.size, "pose": _pose(position, turn)} for number, position, turn in poses
-        ],
+        "tags": [{"id": number, "size": size, "pose": _pose(position, turn)} for number, size, position, turn in poses],
     }
     write_yaml(path, {"default_body": BODY, "bodies": [{BODY: body}]})
 

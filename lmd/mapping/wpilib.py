@@ -9,12 +9,8 @@ Source: WPILib's `AprilTagFieldLayout`.
 import json
 from pathlib import Path
 
-import numpy as np
-
 from lmd.mapping.tag_map import TagMap, axes, written
-
-# The columns are WPILib's axes in the frame of `TagMap.turns`: out of the tag (z), to the right (x), up (y).
-OUT_RIGHT_UP = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+from lmd.scene.tag_map_readers import OUT_RIGHT_UP
 
 
 def write_wpilib(path: Path, tags: TagMap) -> None:

@@ -249,10 +249,14 @@ class Deployment:
         length = np.linalg.norm(deployment.normals, axis=1, keepdims=True)
         exact = np.abs(length - 1.0) < 1e-12  # dividing these would only move the last bit
         deployment = replace(deployment, normals=np.where(exact, deployment.normals, deployment.normals / length))
-        return deployment if rows.shape[1] == len(COLUMNS) else deployment._turned(path, rows[:, 6:])
+        return deployment if rows.shape[1] == len(COLUMNS) else deployment.turned(path, rows[:, 6:])
 
-    def _turned(self, path: str | Path, ups: FloatArray) -> "Deployment":
-        """The same landmarks with the ups `(K, 3)` of a file, if one of them is not upright."""
+    def turned(self, path: str | Path, ups: FloatArray) -> "Deployment":
+        """The same landmarks with the ups `(K, 3)` of a file, if one of them is not upright.
+
+        Raises:
+            InputError: an up is no unit vector in the plane of its tag.
+        """
         leaning = (ups * self.normals).sum(axis=1, keepdims=True)
         off = np.maximum(np.abs(leaning[:, 0]), np.abs(np.linalg.norm(ups, axis=1) - 1.0))
         if (wrong := np.flatnonzero(off > IN_PLANE)).size:

@@ -8,6 +8,7 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, IntArray, boolean, choice, integer
 from lmd.core.memory import check_memory
 from lmd.scene.deployment import Deployment
+from lmd.scene.tag_map_files import read_deployment
 from lmd.space.space import Space
 from lmd.space.surface import SurfaceArrays
 
@@ -90,18 +91,20 @@ class UniformDeployment:
 
 @dataclass(frozen=True)
 class FileDeployment:
-    """A deployment from a CSV written by `Deployment.to_csv` or by anyone.
+    """A deployment from a CSV written by `Deployment.to_csv` or by anyone, or from a tag map.
 
     Args:
-        path: the CSV.
+        path: the file, see `lmd.scene.tag_map_files.read_deployment`.
         count: K; if given, the file must have that many rows.
         free: whether landmarks are taken as they are: they may stand free in the room or outside, face into the surface
             they hang on or hang where none may, and papers may overlap.
+        family: of the tags, which some maps need to say what is up.
     """
 
     path: str | None
     count: int | None = None
     free: bool = False
+    family: str | None = None
     varies = False
 
     def __post_init__(self) -> None:
@@ -110,8 +113,8 @@ class FileDeployment:
     def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
         """See `DeploymentSource.draw`."""
         if self.path is None:
-            raise InputError("path is missing: a CSV of landmarks is needed.", "path")
-        deployment = Deployment.from_csv(self.path)
+            raise InputError("path is missing: a CSV of landmarks or a tag map is needed.", "path")
+        deployment = read_deployment(self.path, family=self.family)
         if self.count is not None and self.count != len(deployment):
             raise InputError(f"count = {self.count}, but {self.path} has {len(deployment)} landmarks.", "count")
         try:

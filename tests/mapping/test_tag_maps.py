@@ -46,7 +46,7 @@ DEPLOYMENT = Deployment(
     np.array([normal for _, normal in PLACES.values()], dtype=float),
     labels=Labels(np.array(list(PLACES)), {"note": [f"note {number}" for number in PLACES]}),
 ).hung(ROOM)
-MAPS = tuple(name for name, form in FORMATS.items() if not form.on_paper)
+MAPS = tuple(name for name, form in FORMATS.items() if not form.on_paper and name != "duckietown")
 UNIT = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2.0  # AprilTag's own order: from the bottom left, to the right
 
 
@@ -219,6 +219,53 @@ def test_the_node_of_ros_2_is_told_what_to_look_for(files):
     assert parameters["tag"]["ids"] == list(PLACES)
     assert parameters["tag"]["frames"] == [f"tag_{number}" for number in PLACES]
     assert parameters["tag"]["sizes"] == [EDGE] * len(PLACES)
+
+
+@pytest.mark.parametrize("family", ["36h11", "4x4_50"])
+@pytest.mark.parametrize("name", ["clover", "rtabmap", "fiducial_vlam"])
+def test_those_who_detect_by_opencv_find_the_camera(name, family, tmp_path):
+    form = FORMATS[name]
+    form.write(tmp_path / form.file, tags=tag_map(family))
+    text = (tmp_path / form.file).read_text()
+    if name == "fiducial_vlam":
+        document = yaml.safe_load(text)
+        assert document["marker_length"] == EDGE
+        rows = [[tag["id"], *tag["xyz"], *tag["rpy"]] for tag in document["markers"]]
+    elif name == "rtabmap":
+        rows = [[float(value) for value in entry.split()] for entry in text.split("|")]
+    else:
+        lines = [line.split() for line in text.splitlines() if not line.startswith("#")]
+        assert {line[1] for line in lines} == {str(EDGE)}
+        rows = [[float(value) for value in (line[0], *line[2:5], *line[:4:-1])] for line in lines]
+    # Marker::corners_f_map, ArucoMap::addMarker and estimatePoseSingleMarkers: clockwise from the top left, y up.
+    points = {
+        int(number): placed(gtsam.Pose3(gtsam.Rot3.RzRyRx(*six[3:]), np.array(six[:3])), *(EDGE / 2.0 * CORNERS.T))
+        for number, *six in rows
+    }
+    assert_camera_is_found(
+        points, found_by_opencv(family, "DICT_APRILTAG_36h11" if family == "36h11" else "DICT_4X4_50")
+    )
+
+
+def test_limelight_counts_from_the_middle_of_the_field(files):
+    document = json.loads((files / "tags.fmap").read_text())
+    assert document["type"] == "frc"
+    points = {}
+    for tag in document["fiducials"]:
+        assert (tag["family"], tag["size"]) == ("apriltag3_36h11_classic", 1000.0 * EDGE)
+        pose = np.array(tag["transform"]).reshape(4, 4)
+        middle = pose[:3, 3] + [3.0, 2.0, 0.0]
+        points[tag["id"]] = np.array([middle + EDGE * (y * pose[:3, 1] + z * pose[:3, 2]) for y, z in UNIT])
+    assert_camera_is_found(points, found_by_apriltag())
+
+
+def test_frc971_looks_into_the_tag(files):
+    points = {}
+    for tag in json.loads((files / "tags.frc971.json").read_text())["target_poses"]:
+        turn = gtsam.Rot3.Quaternion(*(tag["orientation"][axis] for axis in "wxyz"))
+        pose = gtsam.Pose3(turn, np.array([tag["position"][axis] for axis in "xyz"]))
+        points[tag["id"]] = placed(pose, EDGE * UNIT[:, 0], -EDGE * UNIT[:, 1])  # y is down
+    assert_camera_is_found(points, found_by_apriltag())
 
 
 def test_by_hand():

@@ -3,6 +3,7 @@
 import importlib
 import json
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -64,9 +65,9 @@ OTHER = {"room": "hall", "camera": "hall", "pdf": "sphere", "poses": "recorded",
 def told(monkeypatch, command, *arguments):
     """What a command hands over to Hydra."""
     module = importlib.import_module(f"pipelines.{command}")
-    monkeypatch.setattr(module, "_main", lambda: None)
     monkeypatch.setattr(sys, "argv", [command, *arguments])
-    module.main()
+    for change in getattr(module, "command", module.main).prepare:
+        change()
     return sys.argv[1:]
 
 
@@ -229,7 +230,7 @@ def test_deployments_beside_a_run_have_as_many_landmarks_and_its_fixed_ones(earl
     def build(cfg):
         problems.update({name: build_problem(own) for name, own in composed_deployments(cfg, "accuracy").items()})
 
-    monkeypatch.setattr(accuracy, "accuracy", build)
+    monkeypatch.setattr(accuracy, "main", replace(accuracy.main, task=build))
     monkeypatch.setattr(sys, "argv", ["accuracy", f"run='{earlier}'", entries])
     accuracy.main()
     assert {name: problem.count for name, problem in problems.items()} == {"run": 3, "random": 3, "more": 4, "two": 3}

@@ -18,6 +18,11 @@ EVERY = {
     "tags.apriltag_ros2.yaml",
     "tags.tagslam.yaml",
     "tags.aruco.yaml",
+    "tags.clover.txt",
+    "tags.fiducial_vlam.yaml",
+    "tags.rtabmap.txt",
+    "tags.fmap",
+    "tags.frc971.json",
     "tags.csv",
     "tags.json",
     "plan.pdf",
@@ -81,10 +86,24 @@ def test_a_run_writes_its_own_maps_and_can_be_exported_later(work):
     assert ids(layouts[0]) == set(range(6))
 
 
+def test_a_map_of_one_stack_becomes_that_of_another(work):
+    (work / "map.txt").write_text("# Clover\n3 0.15 0 2 3 1.5707963267948966 0 1.5707963267948966\n9 0.05 1 2 0\n")
+    found = "deployment.path=map.txt", "tag.family=4x4_50"
+    done = call("export", *found, "formats=[aruco,json]", "tracking=none", "hydra.run.dir=out", cwd=work, settings=TAGS)
+    assert done.returncode == 0, done.stderr
+    assert "note: tag.edge = 0.15 m counts for all tags; by their map others have 9 (0.05 m)" in done.stderr
+    tags = json.loads((work / "out" / "tags.json").read_text())["tags"]
+    assert [(tag["id"], tag["edge"]) for tag in tags] == [(3, 0.15), (9, 0.05)]
+    assert tags[0]["corners"]["top_left"] == pytest.approx([0.0, 1.925, 3.075])
+    done = call("export", *found, "formats=[rtabmap]", cwd=work, settings=TAGS)
+    assert done.returncode == 1
+    assert "formats has rtabmap: it has one edge for all tags, and these have 0.05, 0.15 m" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("pipeline", "overrides", "message"),
     [
-        ("export", (), "deployment.path is missing: a CSV of landmarks is needed."),
+        ("export", (), "deployment.path is missing: a CSV of landmarks or a tag map is needed."),
         ("export", ("deployment.path=mine.csv", "tag.edge=null"), "tag.edge must be given, in metres"),
         ("export", ("deployment.path=mine.csv", "formats=[]"), "formats lists none, so there is nothing to write."),
         ("export", ("deployment.path=mine.csv", "formats=csv"), "formats must be a list of wpilib, "),

@@ -155,8 +155,7 @@ def test_a_journal_goes_to_the_configured_store_or_asks(uri, folder, capsys, mon
 
 def test_yes_is_an_option(monkeypatch):
     monkeypatch.setattr(sys, "argv", ["sync", "--yes", "folder=x"])
-    monkeypatch.setattr("pipelines.sync._main", lambda: None)
-    pipelines.sync.main()
+    pipelines.sync.read_yes()
     assert sys.argv == ["sync", "yes=true", "folder=x"]
 
 

@@ -35,7 +35,7 @@ def test_so_is_one_of_a_file_of_ones_own():
 
 def test_a_file_of_fixed_landmarks_is_named_by_its_key():
     with pytest.raises(InputError, match=r"^fixed: there is no file 'none\.csv'\.$"):
-        fixed_of(OmegaConf.create({"fixed": "none.csv"}))
+        fixed_of(OmegaConf.create({"fixed": "none.csv"}), "36h11")
 
 
 def test_the_axis_of_a_mesh_that_was_given_is_warned_of(tmp_path, capsys):

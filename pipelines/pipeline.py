@@ -1,0 +1,108 @@
+"""What makes a function of a configuration a command: composing, being told to stop, sweeps, bad input."""
+
+import atexit
+import gc
+import importlib.util
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import wraps
+
+import hydra
+from omegaconf import DictConfig
+
+from .app import CONF, GARBAGE, PACKAGE, ends_reported
+from .fixed import quoted
+from .operations.signals import Stopped, stop
+from .operations.sweeps.supervisor import run
+from .spelling import ask_what_was_meant
+
+# Launchers of Hydra that others wrote, and the extra's package that has each.
+LAUNCHERS = {
+    "joblib": "hydra_plugins.hydra_joblib_launcher",
+    **dict.fromkeys(("slurm", "submitit_local", "submitit_slurm"), "hydra_plugins.hydra_submitit_launcher"),
+}
+
+
+# What commands that work on no run's problem take in place of `run=DIR`.
+INSTEAD = {
+    "estimate_pdf": "recording.path=FILE is the recording to estimate from",
+    "report": "sweeps=[ID,...] chooses among the sweeps of the tracking store",
+    "runs": "resume=ID goes on with one of the runs that it lists",
+    "sync": "folder=DIR hands in what runs below a folder have kept",
+}
+
+
+def _refuse_run(pipeline: str) -> None:
+    """Say what a command that takes no `run=DIR` takes instead."""
+    if pipeline in INSTEAD and any(argument.startswith("run=") for argument in sys.argv[1:]):
+        sys.exit(f"error: run is no key of {pipeline}: {INSTEAD[pipeline]}.")
+
+
+def _refuse_launcher_that_is_missing() -> None:
+    """Say what is missing before Hydra says only that it knows no such launcher."""
+    for argument in sys.argv[1:]:
+        name = argument.removeprefix("+").removeprefix("hydra/launcher=")
+        if name in LAUNCHERS and name != argument and not _is_installed(LAUNCHERS[name]):
+            from lmd.core.optional import missing
+
+            sys.exit(f"error: {missing(LAUNCHERS[name], 'sweeps')}")
+
+
+def _is_installed(package: str) -> bool:
+    try:
+        return importlib.util.find_spec(package) is not None
+    except ModuleNotFoundError:  # nor is what it is a part of
+        return False
+
+
+Task = Callable[[DictConfig], float | None]
+
+
+def alone(cfg: DictConfig, task: Task) -> float | None:
+    """Call a task that is no job of a sweep, and report what it raises."""
+    with ends_reported():
+        return task(cfg)
+
+
+@dataclass(frozen=True)
+class Pipeline:
+    """A command: a task whose configuration is composed from the command line, and which can be told to stop.
+
+    Args:
+        name: of the command, of its module and of its configuration: `optimise` and so on.
+        task: called with the configuration.
+        prepare: called one after the other before Hydra reads the command line, which they may change.
+        runner: calls the task and reports what it raises. By default a sweep runs each job in a process of its own.
+    """
+
+    name: str
+    task: Task
+    prepare: tuple[Callable[[], None], ...] = ()
+    runner: Callable[[DictConfig, Task], float | None] = run
+
+    def __call__(self) -> None:
+        """Do what the command line says."""
+        for change in self.prepare:
+            change()
+        gc.set_threshold(GARBAGE)
+        sys.argv[1:] = map(quoted, sys.argv[1:])
+        _refuse_launcher_that_is_missing()
+        _refuse_run(self.name)
+
+        @wraps(self.task)
+        def run_composed(cfg: DictConfig) -> float | None:
+            return self.runner(cfg, self.task)
+
+        run_composed.__module__ = f"{PACKAGE}.{self.name}"  # names Hydra's job, also where the module is __main__
+        compose = hydra.main(version_base="1.3", config_path=CONF, config_name=self.name)
+        atexit.register(gc.freeze)  # Python looks for garbage once more when it ends: with mlflow, for a second
+        try:
+            with stop.raising():
+                compose(run_composed)()
+        except Stopped as told:
+            sys.exit(told.code)
+        except SystemExit as ended:
+            if ended.code:
+                ask_what_was_meant(CONF)
+            raise
