@@ -24,6 +24,8 @@ MODELS = ("plumb_bob", "rational_polynomial", EQUIDISTANT)
 # OpenCV takes so many coefficients: up to p2, k3, k6, s4, and the tilt of the sensor.
 SIZES = (4, 5, 8, 12, 14)
 TILT = 12  # where the tilt begins
+ORDER = "[] or [k1, k2, p1, p2], with k3, with k3 to k6, or with k3 to k6 and s1 to s4"
+TILTED = "is that of a tilted sensor, which is not known here: calibrate without CALIB_TILTED_MODEL."
 # Angles at which a lens is sampled. What lies between two differs from them by less than they differ.
 SAMPLES = 4096
 # A direction is found when its image is as near as this.
@@ -80,31 +82,17 @@ class Lens:
 
     def __post_init__(self) -> None:
         choice("distortion_model", self.model, MODELS)
+        fisheye = self.model == EQUIDISTANT
         given = list(self.coefficients) if np.ndim(self.coefficients) == 1 else []
-        if self.model == EQUIDISTANT:
-            if len(given) != len(Equidistant._fields):
-                raise InputError(
-                    f"distortion of an equidistant lens must be [k1, k2, k3, k4], got {self.coefficients!r}.",
-                    "distortion",
-                )
-            numbers = vector("distortion", given, len(given))
-        else:
-            if len(given) not in SIZES:
-                raise InputError(
-                    "distortion must be [] or [k1, k2, p1, p2], or with k3, with k3 to k6, or with k3 to k6 and s1 to "
-                    f"s4, got {self.coefficients!r}.",
-                    "distortion",
-                )
-            numbers = vector("distortion", given, len(given))
+        if len(given) not in ((len(Equidistant._fields),) if fisheye else SIZES):
+            known = "of an equidistant lens must be [k1, k2, k3, k4]" if fisheye else f"must be {ORDER}"
+            raise InputError(f"distortion {known}, got {self.coefficients!r}.", "distortion")
+        numbers = vector("distortion", given, len(given))
+        if not fisheye:
             if any(numbers[TILT:]):
-                raise InputError(
-                    f"distortion has a tilted sensor, {list(numbers[TILT:])}, which is not known here: calibrate "
-                    "without CALIB_TILTED_MODEL.",
-                    "distortion",
-                )
-            numbers = numbers[:TILT] + (0.0,) * (5 - len(numbers))
-            while len(numbers) > len(PlumbBob._fields) and not numbers[-1]:
-                numbers = numbers[:-1]
+                raise InputError(f"distortion {list(numbers)} {TILTED}", "distortion")
+            numbers = (*numbers[:TILT], *(0.0,) * (TILT - len(numbers)))
+            numbers = next(numbers[:size] for size in SIZES[1:] if not any(numbers[size:]))
         object.__setattr__(self, "coefficients", numbers)
 
     @cached_property

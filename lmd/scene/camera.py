@@ -77,7 +77,7 @@ class Camera:
                 "principal_point",
             )
         object.__setattr__(self, "principal_point", (u, v))
-        lens = lens_of(self.distortion_model, self.distortion)
+        lens = self.lens
         object.__setattr__(self, "distortion", () if lens is None else lens.coefficients)
         if lens is not None and lens.widest(nearest := min(self._borders)) >= lens.fold:
             raise InputError(

@@ -12,13 +12,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from lmd.core.checks import InputError, choice, integer, real, vector
-from lmd.geometry.lens import EQUIDISTANT, lens_of
-from lmd.scene.calibration_files import PIXEL_CENTRE, read_cameras
+from lmd.core.checks import InputError, integer, real, vector
+from lmd.geometry.lens import lens_of
+from lmd.scene.calibration_files import LENS_MODELS, PIXEL_CENTRE, known_lens, read_cameras
 from lmd.scene.camera import Camera
 
-# What Kalibr calls the models of `lmd.geometry.lens`.
-KALIBR_MODELS = {"radtan": "plumb_bob", "none": "plumb_bob", EQUIDISTANT: EQUIDISTANT}
 KALIBR_CAMERA = re.compile(r"cam\d+")
 OPTICS = ("focal_length", "aperture", "focus_distance")  # what no calibration says
 
@@ -131,7 +129,7 @@ def read_calibration(path: str | None, name: str | None = None) -> Calibration:
 
 
 def _opencv(keys: Mapping[str, Any]) -> Calibration:
-    """What ROS and OpenCV call by the same names; only ROS names the model, or calls it `fisheye` as OpenCV does."""
+    """What ROS and OpenCV call by the same names; only ROS names the model."""
     matrix = vector("camera_matrix.data", _entry(keys, "camera_matrix", "data"), 9)
     focal_u, skew, centre_u, below, focal_v, centre_v, *last = matrix
     if (skew, below, *last) != (0.0, 0.0, 0.0, 0.0, 1.0):
@@ -139,22 +137,21 @@ def _opencv(keys: Mapping[str, Any]) -> Calibration:
     lens = _numbers("distortion_coefficients.data", _entry(keys, "distortion_coefficients", "data"))
     width, height = (_entry(keys, name) for name in ("image_width", "image_height"))
     # OpenCV's own sample says by a flag of its own that it is a fisheye.
-    is_fisheye = bool(keys.get("fisheye_model", 0)) or keys.get("distortion_model") == "fisheye"
-    model = EQUIDISTANT if is_fisheye else keys.get("distortion_model", "plumb_bob")
+    name = "fisheye" if keys.get("fisheye_model", 0) else keys.get("distortion_model", "plumb_bob")
+    model = LENS_MODELS[known_lens(name, LENS_MODELS)]
     return Calibration(width, height, (focal_u, focal_v), (centre_u, centre_v), lens, model)
 
 
 def _kalibr(keys: Mapping[str, Any], name: str) -> Calibration:
     """One camera of a chain."""
-    choice(f"{name}.camera_model", _entry(keys, name, "camera_model"), ("pinhole",))
-    choice(f"{name}.distortion_model", _entry(keys, name, "distortion_model"), tuple(KALIBR_MODELS))
+    known_lens(_entry(keys, name, "camera_model"), ("pinhole",))
+    model = known_lens(_entry(keys, name, "distortion_model"), LENS_MODELS)
     intrinsics = vector(f"{name}.intrinsics", _entry(keys, name, "intrinsics"), 4)
-    model = keys[name]["distortion_model"]
     distorted = model != "none"
     lens = _numbers(f"{name}.distortion_coeffs", _entry(keys, name, "distortion_coeffs")) if distorted else ()
     width, height = vector(f"{name}.resolution", _entry(keys, name, "resolution"), 2)
     # The size is whole, or refused.
-    return Calibration(width, height, intrinsics[:2], intrinsics[2:], lens, KALIBR_MODELS[model])  # type: ignore[arg-type]
+    return Calibration(width, height, intrinsics[:2], intrinsics[2:], lens, LENS_MODELS[model])  # type: ignore[arg-type]
 
 
 def _entry(keys: Any, *path: str) -> Any:

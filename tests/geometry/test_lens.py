@@ -107,10 +107,12 @@ def test_coefficients():
     assert lens_of("plumb_bob", []) is lens_of("rational_polynomial", [0] * 14) is None
     assert lens_of("plumb_bob", [0.1, 0.2, 0.3, 0.4]).coefficients == (0.1, 0.2, 0.3, 0.4, 0.0)
     assert lens_of("plumb_bob", [1, 2, 3, 4, 5, 0, 0, 0]).coefficients == (1.0, 2.0, 3.0, 4.0, 5.0)
-    assert lens_of("plumb_bob", [1, 2, 3, 4, 5, 6, 0, 0, 0, 0, 0, 0, 0, 0]).coefficients == (1, 2, 3, 4, 5, 6)
+    assert lens_of("plumb_bob", [1, 2, 3, 4, 5, 6, 0, 0, 0, 0, 0, 0, 0, 0]).coefficients == (1, 2, 3, 4, 5, 6, 0, 0)
+    prism = lens_of("rational_polynomial", [0.0] * 8 + [0.1, 0.0, 0.0, 0.0])
+    assert lens_of(prism.model, prism.coefficients) == prism
     assert lens_of("equidistant", [0, 0, 0, 0]).coefficients == (0.0, 0.0, 0.0, 0.0)
     for wrong in ([0.1, 0.2], 0.1, "abcd", None):
-        with pytest.raises(InputError, match=r"^distortion must be \[\] or \[k1, k2, p1, p2\], or with k3, .*, got"):
+        with pytest.raises(InputError, match=r"^distortion must be \[\] or \[k1, k2, p1, p2\], with k3, .*, got"):
             lens_of("plumb_bob", wrong)
     for model, numbers, message in (
         ("plumb_bob", [0.1, math.nan, 0.0, 0.0], r"^distortion\[1\] must be finite"),
@@ -118,7 +120,7 @@ def test_coefficients():
         (
             "rational_polynomial",
             [0.1] * 14,
-            r"^distortion has a tilted sensor, \[0\.1, 0\.1\], which is not known here",
+            r"^distortion \[0\.1, .*\] is that of a tilted sensor, which is not known here",
         ),
         ("omni", [], r"^distortion_model must be one of plumb_bob, rational_polynomial, equidistant, got 'omni'"),
     ):
