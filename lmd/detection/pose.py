@@ -1,5 +1,6 @@
 """The camera's pose from the image of known points (PnP), by OpenCV."""
 
+from collections.abc import Iterator
 from itertools import combinations
 from typing import NamedTuple
 
@@ -51,26 +52,44 @@ def solutions(camera: Camera, points: FloatArray, image: FloatArray, noise: Arra
     """
     if len(points) < FEWEST:
         return []
-    cv2 = optional("cv2", "estimators")
     world, pixels = (np.ascontiguousarray(part, dtype=np.float64) for part in (points, image))
     if camera.lens is None:
-        given, turned = (world, pixels, intrinsics(camera), None), np.eye(3)
+        candidates = _without_lens(camera, world, pixels)
     else:
-        turned, within, rays = straightened(bearings(camera, pixels))
-        if np.count_nonzero(within) < FEWEST:
-            return []
-        given = np.ascontiguousarray(world[within]), np.ascontiguousarray(rays[within]), np.eye(3), None
+        candidates = _through_lens(camera, world, pixels, noise)
     found: list[Solution] = []
-    for turn, shift in _candidates(*given[:3]):
-        if camera.lens is None:
-            turn, shift = cv2.solvePnPRefineLM(*given, turn, shift)
-        back = np.eye(4)
-        back[:3, :3], back[:3, 3] = turned.T @ cv2.Rodrigues(turn)[0], turned.T @ np.ravel(shift)
-        pose = inverse(back) if camera.lens is None else _refined(camera, inverse(back), world, pixels, noise)
+    for pose in candidates:
         square = float((((project(camera, pose, world) - image) / np.reshape(noise, (-1, 1))) ** 2).sum())
         if np.isfinite(square) and all(np.abs(pose - other.pose).max() > SAME for other in found):
             found.append(Solution(pose, square))
     return sorted(found, key=lambda solution: solution.square)
+
+
+def _without_lens(camera: Camera, world: FloatArray, pixels: FloatArray) -> Iterator[FloatArray]:
+    """Poses of a camera that does not distort, each a local optimum; arguments as in `solutions`."""
+    cv2, matrix = optional("cv2", "estimators"), intrinsics(camera)
+    for turn, shift in _candidates(world, pixels, matrix):
+        turn, shift = cv2.solvePnPRefineLM(world, pixels, matrix, None, turn, shift)
+        yield inverse(_motion(cv2.Rodrigues(turn)[0], shift))
+
+
+def _through_lens(camera: Camera, world: FloatArray, pixels: FloatArray, noise: ArrayLike) -> Iterator[FloatArray]:
+    """The same behind a lens, from those of a pinhole that looks where the points are."""
+    cv2 = optional("cv2", "estimators")
+    turned, within, rays = straightened(bearings(camera, pixels))
+    if np.count_nonzero(within) < FEWEST:
+        return
+    near, seen = np.ascontiguousarray(world[within]), np.ascontiguousarray(rays[within])
+    for turn, shift in _candidates(near, seen, np.eye(3)):
+        start = _motion(turned.T @ cv2.Rodrigues(turn)[0], turned.T @ shift)
+        yield _refined(camera, inverse(start), world, pixels, noise)
+
+
+def _motion(turn: FloatArray, shift: FloatArray) -> FloatArray:
+    """The rigid motion y = turn x + shift, `(4, 4)`."""
+    motion = np.eye(4)
+    motion[:3, :3], motion[:3, 3] = turn, np.ravel(shift)
+    return motion
 
 
 def _candidates(world: FloatArray, pixels: FloatArray, matrix: FloatArray) -> list[tuple[FloatArray, FloatArray]]:

@@ -179,12 +179,17 @@ class Lens:
             return self.fold
         return _border(lambda angle: self._profile(angle).inner >= reach, 0.0, self.fold)
 
-    def stretch(self, widest: float) -> Stretch:
-        """Bounds for all directions up to the angle `widest`, rad."""
-        profile = self._profile(np.linspace(0.0, widest, SAMPLES))
-        low, high = profile.least, profile.most
-        small = (profile.along - profile.sway) * (profile.across - profile.sway)
-        large = (profile.along + profile.sway) * (profile.across + profile.sway)
+    def stretch(self, widest: float, power: int = 0) -> Stretch:
+        """Bounds for all directions up to the angle `widest`, rad.
+
+        With a power of 1 relative to those of a pinhole, which stretches an angle by 1 / cos(theta) at least and by
+        1 / cos(theta)^2 at most, and a solid angle by 1 / cos(theta)^3.
+        """
+        theta = np.linspace(0.0, widest, SAMPLES)
+        profile, cosine = self._profile(theta), np.cos(theta) ** power
+        low, high = cosine * profile.least, cosine**2 * profile.most
+        small = cosine**3 * (profile.along - profile.sway) * (profile.across - profile.sway)
+        large = cosine**3 * (profile.along + profile.sway) * (profile.across + profile.sway)
         return Stretch(-_above(-low), _above(high), -_above(-small), _above(large))
 
     def _profile(self, theta: Any) -> Profile:

@@ -31,6 +31,7 @@ CUBE = np.array(
     dtype=np.float64,
 )
 MARGIN = 2.0  # pixels around what is taken of a face, for the interpolation between them
+SMALLEST_SCALE = 0.2  # where a lens folds it shrinks one direction to nothing, and the blur would be without limit
 NEVER_FLATTER = 0.5  # cosine of the angle from a face's axis beyond which a tag is blurred no less
 
 
@@ -62,7 +63,7 @@ class Face(NamedTuple):
             ahead = np.array([around * ahead[0], around * ahead[1], math.cos(camera.widest_angle)])
         cosine = max(float(self.turn[2] @ ahead), NEVER_FLATTER)
         here = self.matrix[0, 0] * self.matrix[1, 1] / cosine**3
-        return math.sqrt(np.linalg.norm(np.cross(*slope(camera, ahead))) / here)
+        return max(SMALLEST_SCALE, math.sqrt(np.linalg.norm(np.cross(*slope(camera, ahead))) / here))
 
 
 @lru_cache(maxsize=2)

@@ -186,6 +186,23 @@ def _through(lens: Lens, widest: float, flat: FiducialSight) -> LensSight:
         least_area=max(bounds.least_area, 0.0) * area,
         most_area=bounds.most_area * area,
         stretch=most * (1.0 + TOLERANCE),
+        pinholes=() if lens.model == EQUIDISTANT else _pinholes(lens, widest, flat),
+    )
+
+
+def _pinholes(lens: Lens, widest: float, flat: FiducialSight) -> tuple[FiducialSight, FiducialSight]:
+    """Pinholes that resolve no more than the lens, and no less, at each depth."""
+    rates = lens.stretch(widest, power=1)
+    shorter = rates.least if min(rates.least, rates.least_area) > 0.0 else 0.0
+    longer = max(rates.most, math.sqrt(rates.most_area))  # a pitch is no greater than the root of an area
+    return tuple(
+        flat._replace(
+            outer_cosine=math.cos(widest) * (1.0 - TOLERANCE),
+            focal_u=rate * flat.focal_u,
+            focal_v=rate * flat.focal_v,
+            area=flat.area * rate * rate / area if rate else flat.area,
+        )
+        for rate, area in ((shorter, rates.least_area), (longer, rates.most_area))
     )
 
 

@@ -6,7 +6,8 @@ slope of the lens.
 
 Bounds come from how the lens stretches small angles (`lmd.geometry.lens.Stretch`). A tag at the distance d with the
 incidence i has a pitch between `least` cos(i) / d and `most` cos(i) / d, and |det J| between `least_area` cos(i) / d^2
-and `most_area` cos(i) / d^2, wherever in the image it is.
+and `most_area` cos(i) / d^2, wherever in the image it is. A lens that is no fisheye is also compared with pinholes of
+a shorter and of a longer focal length, between whose pitches and areas its own are at each depth.
 """
 
 import math
@@ -14,6 +15,7 @@ from typing import NamedTuple
 
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined
+from lmd.core.dispatch import overridable
 from lmd.geometry.lens_models import (
     Equidistant,
     PlumbBob,
@@ -46,6 +48,7 @@ MARGIN = 1e-2
 NEAR = 0.1
 # asin(s) <= s (1 + (pi / 2 - 1) s^2).
 ARC = math.pi / 2.0 - 1.0
+DIAGONAL = 1.4143  # half of a square's diagonal in halves of its edge, rounded up
 
 
 class LensSight(NamedTuple):
@@ -54,7 +57,7 @@ class LensSight(NamedTuple):
     flat: what does not depend on the lens, the borders in the distorted image; lens: its coefficients; reach, inset:
     see `Sight`; cosine of the widest angle; shallowest: least `depth_of` in view at a distance of 1; least, most,
     least_area, most_area: see above, pixels; stretch: how far the image of a direction moves at most with it, focal
-    lengths for a radian.
+    lengths for a radian; pinholes: who sees no more than the lens, and no less, empty for a fisheye.
     """
 
     flat: FiducialSight
@@ -68,6 +71,7 @@ class LensSight(NamedTuple):
     least_area: float
     most_area: float
     stretch: float
+    pinholes: tuple[FiducialSight, FiducialSight] | tuple[()]
 
     @property
     def outer_cosine(self) -> float:
@@ -134,8 +138,22 @@ def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untype
     # Far enough away, its corners are in the image wherever its direction is well in view; that no depth is sure is
     # said by one that none has.
     steady = distance * math.sin(sight.inset) >= 1.5 * flat.half
-    sure = math.inf if surely else low - distance
-    return reached, low, distance * (1.0 + MARGIN), sure if steady else -math.inf
+    among, high, sure = _by_depth(sight.lens, sight.pinholes, x, y, z, nx, ny, nz, slack)
+    sure = math.inf if surely else max(sure, low - distance)
+    return reached & among, low, min(high, distance * (1.0 + MARGIN)), sure if steady else -math.inf
+
+
+@overridable
+def _by_depth(lens, pinholes, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped-def]
+    """Whether it is reached, the greatest depth and the `sure` one, see `from_position`, as the pinholes say."""
+    _, _, _, sure = from_position(pinholes[0], x, y, z, nx, ny, nz, slack)
+    reached, _, high, _ = from_position(pinholes[1], x, y, z, nx, ny, nz, slack)
+    return reached, high, sure
+
+
+@_by_depth.register(Equidistant)
+def _by_distance(lens, pinholes, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped-def]
+    return True, math.inf, -math.inf
 
 
 @frame_of.register(LensSight)
@@ -216,14 +234,22 @@ def _covers_one(sight, x, y, z, frame, low, high, sure, well, axes, a):  # type:
         return True
     dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
     u, v = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z
-    within = well & (sure > -math.inf)
-    if not (within or _in_rectangle(sight, u, v, w)):
-        return False
+    inside = well & (sure > -math.inf)
+    if not inside:
+        flat, distance = sight.flat, math.sqrt(u * u + v * v + w * w)
+        across, down = image_of(sight.lens, u, v, w)
+        room = min(flat.right - across, flat.left + across, flat.bottom - down, flat.top + down)
+        if (w < sight.cosine * distance) | (room < 0.0):
+            return False
+        # The angle between the centre and a corner at most, and how far that is in the image.
+        sine = DIAGONAL * flat.half / distance
+        angle = sine * (1.0 + ARC * sine * sine)
+        inside = (sine <= 1.0) & (w >= (sight.cosine + angle) * distance) & (room >= sight.stretch * angle)
     tu, tv, tw = rx * tx + ry * ty + rz * tz, dx * tx + dy * ty + dz * tz, ax * tx + ay * ty + az * tz
     uu, uv, uw = rx * ux + ry * uy + rz * uz, dx * ux + dy * uy + dz * uz, ax * ux + ay * uy + az * uz
     if w > sure and not _clear(sight, u, v, w, tu, tv, tw, uu, uv, uw):
         return False
-    return within or _corners_inside(sight, u, v, w, tu, tv, tw, uu, uv, uw)
+    return inside or _corners_inside(sight, u, v, w, tu, tv, tw, uu, uv, uw)
 
 
 covering.register(LensSight)(depth_first)
