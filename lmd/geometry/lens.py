@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, choice, vector
-from lmd.geometry.lens_models import Equidistant, PlumbBob, RationalPolynomial, image_of, slope_of
+from lmd.geometry.lens_models import BrownConrady, Equidistant, image_of, slope_of
 
 EQUIDISTANT = "equidistant"
 MODELS = ("plumb_bob", "rational_polynomial", EQUIDISTANT)
@@ -31,6 +31,8 @@ SAMPLES = 4096
 # A direction is found when its image is as near as this.
 CONVERGED = 1e-12
 STEPS = 20  # of Newton's method, at most
+# Of the polynomials that tell roughly what a lens does; what they are rounded by, and far more.
+DEGREE, ROUNDED = 5, 1e-9
 
 
 class Profile(NamedTuple):
@@ -96,14 +98,11 @@ class Lens:
         object.__setattr__(self, "coefficients", numbers)
 
     @cached_property
-    def model_numbers(self) -> PlumbBob | RationalPolynomial | Equidistant:
+    def model_numbers(self) -> BrownConrady | Equidistant:
         """The named tuple that kernels know the lens by."""
-        numbers = self.coefficients
         if self.model == EQUIDISTANT:
-            return Equidistant(*numbers)
-        if len(numbers) == len(PlumbBob._fields):
-            return PlumbBob(*numbers)
-        return RationalPolynomial(*numbers, *(0.0,) * (TILT - len(numbers)))
+            return Equidistant(*self.coefficients)
+        return BrownConrady(*self.coefficients, *(0.0,) * (TILT - len(self.coefficients)))
 
     def image(self, points: FloatArray) -> FloatArray:
         """Where points are imaged, `(..., 2)`, whatever the fold says."""
@@ -192,13 +191,34 @@ class Lens:
         large = cosine**3 * (profile.along + profile.sway) * (profile.across + profile.sway)
         return Stretch(-_above(-low), _above(high), -_above(-small), _above(large))
 
+    def approximation(self, widest: float) -> tuple[tuple[float, ...], float]:
+        """A polynomial that tells roughly where directions up to the angle `widest` are imaged, rad.
+
+        Returns:
+            the coefficients of s with the image (s(h) x, s(h) y) of a unit vector (x, y, z), h = 1 - z; how far that is
+            off at most.
+        """
+        theta = np.linspace(0.0, widest, SAMPLES)
+        profile, height, around = self._profile(theta), 1.0 - np.cos(theta), np.sin(theta)
+        fit = np.polynomial.polynomial.polyfit(height, profile.across, DEGREE)
+        off = around * np.abs(np.polynomial.polynomial.polyval(height, fit) - profile.across)
+        return tuple(fit.tolist()), _above(off + around * profile.across - profile.inner) + ROUNDED
+
+    def ceiling(self, widest: float) -> tuple[float, ...]:
+        """A polynomial of h = 1 - cos(theta) that bounds how directions up to theta, at most `widest`, are stretched."""
+        theta = np.linspace(0.0, widest, SAMPLES)
+        height, most = 1.0 - np.cos(theta), np.maximum.accumulate(self._profile(theta).most)
+        fit = np.polynomial.polynomial.polyfit(height, most, DEGREE)
+        fit[0] += _above(most - np.polynomial.polynomial.polyval(height, fit)) + ROUNDED
+        return tuple(fit.tolist())
+
     def _profile(self, theta: Any) -> Profile:
         if self.model == EQUIDISTANT:
             powers = theta * theta
             scale = np.polynomial.polynomial.polyval(powers, [1.0, *self.coefficients])
             steep = np.polynomial.polynomial.polyval(powers, np.array([1.0, *self.coefficients]) * [1, 3, 5, 7, 9])
             return Profile(theta * scale, steep, scale / np.sinc(theta / np.pi), np.zeros_like(theta))
-        k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = (*self.coefficients, *(0.0,) * (12 - len(self.coefficients)))
+        k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = self.model_numbers
         r, cosine = np.tan(theta), np.cos(theta)
         s = r * r
         above, below = 1.0 + s * (k1 + s * (k2 + s * k3)), 1.0 + s * (k4 + s * (k5 + s * k6))

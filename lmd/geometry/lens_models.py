@@ -4,8 +4,7 @@ A model is a named tuple of its coefficients, as OpenCV names them. Its function
 alike: kernels compile what NumPy is given, so that both decide by the same bits. Points (u, v, w) are in the camera's
 frame: right, down, along the optical axis. Images are in focal lengths from the principal point.
 
-`PlumbBob` and `RationalPolynomial` are pinholes that distort, of what is in front of the camera: with x = u / w,
-y = v / w and s = x^2 + y^2 the image is
+`BrownConrady` images what is in front of the camera: with x = u / w, y = v / w and s = x^2 + y^2 at
 
     (x g + 2 p1 x y + p2 (s + 2 x^2) + s1 s + s2 s^2, y g + p1 (s + 2 y^2) + 2 p2 x y + s3 s + s4 s^2),
     g = (1 + k1 s + k2 s^2 + k3 s^3) / (1 + k4 s + k5 s^2 + k6 s^3).
@@ -32,18 +31,8 @@ A6, A7, A8 = 6.66107313738753120669e-02, -5.83357013379057348645e-02, 4.97687799
 A9, A10 = -3.65315727442169155270e-02, 1.62858201153657823623e-02
 
 
-class PlumbBob(NamedTuple):
-    """Brown and Conrady's distortion."""
-
-    k1: float
-    k2: float
-    p1: float
-    p2: float
-    k3: float
-
-
-class RationalPolynomial(NamedTuple):
-    """The same with a denominator, and a thin prism."""
+class BrownConrady(NamedTuple):
+    """A pinhole that distorts: radially, by a rational function, tangentially, and by a thin prism."""
 
     k1: float
     k2: float
@@ -92,55 +81,26 @@ def density_of(lens: Any, u: Any, v: Any, w: Any) -> Any:
     return along / (u * u + v * v + w * w)
 
 
-@image_of.register(PlumbBob)
-def _image_plumb_bob(lens, u, v, w):  # type: ignore[no-untyped-def]
-    x, y = u / w, v / w
-    s = x * x + y * y
-    factor = 1.0 + s * (lens.k1 + s * (lens.k2 + s * lens.k3)) + 2.0 * (lens.p2 * x + lens.p1 * y)
-    return factor * x + s * lens.p2, factor * y + s * lens.p1
-
-
-@slope_of.register(PlumbBob)
-def _slope_plumb_bob(lens, u, v, w):  # type: ignore[no-untyped-def]
+@image_of.register(BrownConrady)
+def _image_brown_conrady(lens, u, v, w):  # type: ignore[no-untyped-def]
     per = 1.0 / w
     x, y = u * per, v * per
     s = x * x + y * y
-    radial = 1.0 + s * (lens.k1 + s * (lens.k2 + s * lens.k3))
-    twice = 2.0 * (lens.k1 + s * (2.0 * lens.k2 + 3.0 * s * lens.k3))  # d(radial) / ds
-    xx = (radial + twice * x * x + 2.0 * lens.p1 * y + 6.0 * lens.p2 * x) * per
-    xy = (twice * x * y + 2.0 * lens.p1 * x + 2.0 * lens.p2 * y) * per
-    yy = (radial + twice * y * y + 6.0 * lens.p1 * y + 2.0 * lens.p2 * x) * per
-    return xx, xy, -(xx * x + xy * y), xy, yy, -(xy * x + yy * y)
-
-
-@depth_of.register(PlumbBob)
-def _depth_plumb_bob(lens, u, v, w):  # type: ignore[no-untyped-def]
-    return w
-
-
-@image_of.register(RationalPolynomial)
-def _image_rational(lens, u, v, w):  # type: ignore[no-untyped-def]
-    x, y = u / w, v / w
-    s = x * x + y * y
-    above, below = (
-        1.0 + s * (lens.k1 + s * (lens.k2 + s * lens.k3)),
-        1.0 + s * (lens.k4 + s * (lens.k5 + s * lens.k6)),
-    )
+    above = 1.0 + s * (lens.k1 + s * (lens.k2 + s * lens.k3))
+    below = 1.0 + s * (lens.k4 + s * (lens.k5 + s * lens.k6))
     factor = above / below + 2.0 * (lens.p2 * x + lens.p1 * y)
     return factor * x + s * (lens.p2 + lens.s1 + s * lens.s2), factor * y + s * (lens.p1 + lens.s3 + s * lens.s4)
 
 
-@slope_of.register(RationalPolynomial)
-def _slope_rational(lens, u, v, w):  # type: ignore[no-untyped-def]
+@slope_of.register(BrownConrady)
+def _slope_brown_conrady(lens, u, v, w):  # type: ignore[no-untyped-def]
     per = 1.0 / w
     x, y = u * per, v * per
     s = x * x + y * y
     under = 1.0 / (1.0 + s * (lens.k4 + s * (lens.k5 + s * lens.k6)))
     radial = (1.0 + s * (lens.k1 + s * (lens.k2 + s * lens.k3))) * under
-    above, below = (
-        lens.k1 + s * (2.0 * lens.k2 + 3.0 * s * lens.k3),
-        lens.k4 + s * (2.0 * lens.k5 + 3.0 * s * lens.k6),
-    )
+    above = lens.k1 + s * (2.0 * lens.k2 + 3.0 * s * lens.k3)
+    below = lens.k4 + s * (2.0 * lens.k5 + 3.0 * s * lens.k6)
     twice = 2.0 * (above - radial * below) * under
     right, down = 2.0 * (lens.s1 + 2.0 * s * lens.s2), 2.0 * (lens.s3 + 2.0 * s * lens.s4)
     both = twice * x * y + 2.0 * lens.p1 * x + 2.0 * lens.p2 * y
@@ -150,8 +110,8 @@ def _slope_rational(lens, u, v, w):  # type: ignore[no-untyped-def]
     return xx, xy, -(xx * x + xy * y), yx, yy, -(yx * x + yy * y)
 
 
-@depth_of.register(RationalPolynomial)
-def _depth_rational(lens, u, v, w):  # type: ignore[no-untyped-def]
+@depth_of.register(BrownConrady)
+def _depth_brown_conrady(lens, u, v, w):  # type: ignore[no-untyped-def]
     return w
 
 

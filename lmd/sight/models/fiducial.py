@@ -172,7 +172,8 @@ def _through(lens: Lens, widest: float, flat: FiducialSight) -> LensSight:
     """What is seen through a lens up to the angle `widest`, rad; `flat` as if it did not distort."""
     bounds = lens.stretch(widest)
     # From there to what is in view, a way may lead beyond the widest angle only if that is more than a right one.
-    most = bounds.most if widest <= math.pi / 2.0 else lens.stretch(min(widest + NEAR, math.pi)).most
+    around = widest if widest <= math.pi / 2.0 else min(widest + NEAR, math.pi)
+    rough, off = lens.approximation(widest)
     low, high, area = min(flat.focal_u, flat.focal_v), max(flat.focal_u, flat.focal_v), flat.focal_u * flat.focal_v
     return LensSight(
         flat=flat,
@@ -185,7 +186,10 @@ def _through(lens: Lens, widest: float, flat: FiducialSight) -> LensSight:
         most=bounds.most * high,
         least_area=max(bounds.least_area, 0.0) * area,
         most_area=bounds.most_area * area,
-        stretch=most * (1.0 + TOLERANCE),
+        stretch=lens.ceiling(around),
+        highest=1.0 - math.cos(around),
+        rough=rough,
+        off=off,
         pinholes=() if lens.model == EQUIDISTANT else _pinholes(lens, widest, flat),
     )
 

@@ -17,9 +17,8 @@ from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined
 from lmd.core.dispatch import overridable
 from lmd.geometry.lens_models import (
+    BrownConrady,
     Equidistant,
-    PlumbBob,
-    RationalPolynomial,
     density_of,
     depth_of,
     image_of,
@@ -56,12 +55,11 @@ class LensSight(NamedTuple):
 
     flat: what does not depend on the lens, the borders in the distorted image; lens: its coefficients; reach, inset:
     see `Sight`; cosine of the widest angle; shallowest: least `depth_of` in view at a distance of 1; least, most,
-    least_area, most_area: see above, pixels; stretch: how far the image of a direction moves at most with it, focal
-    lengths for a radian; pinholes: who sees no more than the lens, and no less, empty for a fisheye.
+    least_area, most_area: see above, pixels; stretch: see `Lens.ceiling`, up to the height `highest`; rough, off: see `Lens.approximation`; pinholes: who sees no more than the lens, and no less, empty for a fisheye.
     """
 
     flat: FiducialSight
-    lens: PlumbBob | RationalPolynomial | Equidistant
+    lens: BrownConrady | Equidistant
     reach: float
     inset: float
     cosine: float
@@ -70,7 +68,10 @@ class LensSight(NamedTuple):
     most: float
     least_area: float
     most_area: float
-    stretch: float
+    stretch: tuple[float, ...]
+    highest: float
+    rough: tuple[float, ...]
+    off: float
     pinholes: tuple[FiducialSight, FiducialSight] | tuple[()]
 
     @property
@@ -167,12 +168,37 @@ def _in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ign
     dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
     u, v, w = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z, ax * x + ay * y + az * z
     across, down = image_of(sight.lens, u, v, w)
-    room = sight.stretch * sine * (1.0 + ARC * sine * sine)
+    # The stretch halfway bounds the nearer half of the way, that at its end the farther one.
+    angle, end = sine * (1.0 + ARC * sine * sine), 1.0 - w * cosine + math.sqrt(max(0.0, 1.0 - w * w)) * abs(sine)
+    halfway = min(end, 1.0 - w + abs(angle) / 2.0)
+    room = angle * (_stretch(sight, halfway) + _stretch(sight, end)) / 2.0
     inside = (flat.right - across >= room) & (flat.left + across >= room)
     inside &= (flat.bottom - down >= room) & (flat.top + down >= room)
     # Nothing is known of images beyond the widest angle.
     unknown = (sine < 0.0) & ((w < sight.cosine) | ((sight.cosine < 0.0) & (sine < -NEAR)))
     return in_cone(least, x, y, z, sine, cosine, ax, ay, az) & (inside | unknown)
+
+
+@inlined
+def _polynomial(coefficients, h):  # type: ignore[no-untyped-def]
+    """The value at h of a polynomial of the fifth degree."""
+    a, b, c, d, e, f = coefficients
+    s = h * h
+    return a + b * h + s * (c + d * h + s * (e + f * h))
+
+
+@inlined
+def _stretch(sight, height):  # type: ignore[no-untyped-def]
+    """How far the image of a direction moves at most with it up to h = `height`, focal lengths for a radian."""
+    return _polynomial(sight.stretch, min(height, sight.highest))
+
+
+@inlined
+def _room(sight, u, v, w, per):  # type: ignore[no-untyped-def]
+    """How far within the borders a point at the distance 1 / `per` is imaged, to `off`; negative outside."""
+    flat, scale = sight.flat, per * _polynomial(sight.rough, 1.0 - w * per)
+    across, down = scale * u, scale * v
+    return min(flat.right - across, flat.left + across, flat.bottom - down, flat.top + down)
 
 
 @inlined
@@ -185,13 +211,23 @@ def _in_rectangle(sight, u, v, w):  # type: ignore[no-untyped-def]
 
 
 @inlined
+def _is_inside(sight, u, v, w):  # type: ignore[no-untyped-def]
+    """The same, exactly only where the rough image does not tell."""
+    per = 1.0 / math.sqrt(u * u + v * v + w * w)
+    room = _room(sight, u, v, w, per)
+    if (w * per > sight.cosine + TOLERANCE) & (abs(room) > sight.off):
+        return room > 0.0
+    return _in_rectangle(sight, u, v, w)
+
+
+@inlined
 def _corners_inside(sight, u, v, w, tu, tv, tw, uu, uv, uw):  # type: ignore[no-untyped-def]
     """Whether the corners are in the image: centre, right and up of the tag in the camera's frame."""
     half = sight.flat.half
     pu, pv, pw = half * (tu + uu), half * (tv + uv), half * (tw + uw)  # to one corner, and to its neighbour
     qu, qv, qw = half * (tu - uu), half * (tv - uv), half * (tw - uw)
-    inside = _in_rectangle(sight, u + pu, v + pv, w + pw) & _in_rectangle(sight, u - pu, v - pv, w - pw)
-    return inside & _in_rectangle(sight, u + qu, v + qv, w + qw) & _in_rectangle(sight, u - qu, v - qv, w - qw)
+    inside = _is_inside(sight, u + pu, v + pv, w + pw) and _is_inside(sight, u - pu, v - pv, w - pw)
+    return inside and _is_inside(sight, u + qu, v + qv, w + qw) and _is_inside(sight, u - qu, v - qv, w - qw)
 
 
 @inlined
@@ -236,15 +272,18 @@ def _covers_one(sight, x, y, z, frame, low, high, sure, well, axes, a):  # type:
     u, v = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z
     inside = well & (sure > -math.inf)
     if not inside:
-        flat, distance = sight.flat, math.sqrt(u * u + v * v + w * w)
-        across, down = image_of(sight.lens, u, v, w)
-        room = min(flat.right - across, flat.left + across, flat.bottom - down, flat.top + down)
-        if (w < sight.cosine * distance) | (room < 0.0):
+        # What depends on the landmark alone, the compiler moves out of the loop over axes.
+        per = 1.0 / math.sqrt(x * x + y * y + z * z)
+        height, room = 1.0 - w * per, _room(sight, u, v, w, per)
+        if room < -sight.off:
+            return False
+        if (room <= sight.off or w * per <= sight.cosine + TOLERANCE) and not _in_rectangle(sight, u, v, w):
             return False
         # The angle between the centre and a corner at most, and how far that is in the image.
-        sine = DIAGONAL * flat.half / distance
+        sine = DIAGONAL * sight.flat.half * per
         angle = sine * (1.0 + ARC * sine * sine)
-        inside = (sine <= 1.0) & (w >= (sight.cosine + angle) * distance) & (room >= sight.stretch * angle)
+        inside = (sine <= 1.0) & (w * per >= sight.cosine + angle)
+        inside &= room >= angle * _stretch(sight, height + angle) + sight.off
     tu, tv, tw = rx * tx + ry * ty + rz * tz, dx * tx + dy * ty + dz * tz, ax * tx + ay * ty + az * tz
     uu, uv, uw = rx * ux + ry * uy + rz * uz, dx * ux + dy * uy + dz * uz, ax * ux + ay * uy + az * uz
     if w > sure and not _clear(sight, u, v, w, tu, tv, tw, uu, uv, uw):
