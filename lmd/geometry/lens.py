@@ -205,7 +205,10 @@ class Lens:
         return tuple(fit.tolist()), _above(off + around * profile.across - profile.inner) + ROUNDED
 
     def ceiling(self, widest: float) -> tuple[float, ...]:
-        """A polynomial of h = 1 - cos(theta) that bounds how directions up to theta, at most `widest`, are stretched."""
+        """A polynomial of h = 1 - cos(theta), a bound of how directions up to theta are stretched.
+
+        It holds up to the angle `widest`, rad.
+        """
         theta = np.linspace(0.0, widest, SAMPLES)
         height, most = 1.0 - np.cos(theta), np.maximum.accumulate(self._profile(theta).most)
         fit = np.polynomial.polynomial.polyfit(height, most, DEGREE)
@@ -213,12 +216,13 @@ class Lens:
         return tuple(fit.tolist())
 
     def _profile(self, theta: Any) -> Profile:
-        if self.model == EQUIDISTANT:
+        lens = self.model_numbers
+        if isinstance(lens, Equidistant):
             powers = theta * theta
-            scale = np.polynomial.polynomial.polyval(powers, [1.0, *self.coefficients])
-            steep = np.polynomial.polynomial.polyval(powers, np.array([1.0, *self.coefficients]) * [1, 3, 5, 7, 9])
+            scale = np.polynomial.polynomial.polyval(powers, [1.0, *lens])
+            steep = np.polynomial.polynomial.polyval(powers, np.array([1.0, *lens]) * [1, 3, 5, 7, 9])
             return Profile(theta * scale, steep, scale / np.sinc(theta / np.pi), np.zeros_like(theta))
-        k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = self.model_numbers
+        k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = lens
         r, cosine = np.tan(theta), np.cos(theta)
         s = r * r
         above, below = 1.0 + s * (k1 + s * (k2 + s * k3)), 1.0 + s * (k4 + s * (k5 + s * k6))

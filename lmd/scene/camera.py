@@ -130,7 +130,7 @@ class Camera:
 
     @property
     def cone_half_angle(self) -> float:
-        """Half-angle of the cone tangent to the frustum, min(phi_l, phi_r, phi_t, phi_b), rad; at most `WIDEST_CONE`."""
+        """Half-angle of the cone tangent to the frustum, min(phi_l, phi_r, phi_t, phi_b), rad, or `WIDEST_CONE`."""
         return min(*self.field_of_view, WIDEST_CONE)
 
     @property

@@ -199,15 +199,16 @@ def _pinholes(lens: Lens, widest: float, flat: FiducialSight) -> tuple[FiducialS
     rates = lens.stretch(widest, power=1)
     shorter = rates.least if min(rates.least, rates.least_area) > 0.0 else 0.0
     longer = max(rates.most, math.sqrt(rates.most_area))  # a pitch is no greater than the root of an area
-    return tuple(
-        flat._replace(
+
+    def pinhole(rate: float, area: float) -> FiducialSight:
+        return flat._replace(
             outer_cosine=math.cos(widest) * (1.0 - TOLERANCE),
             focal_u=rate * flat.focal_u,
             focal_v=rate * flat.focal_v,
             area=flat.area * rate * rate / area if rate else flat.area,
         )
-        for rate, area in ((shorter, rates.least_area), (longer, rates.most_area))
-    )
+
+    return pinhole(shorter, rates.least_area), pinhole(longer, rates.most_area)
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:

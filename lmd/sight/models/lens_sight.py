@@ -51,28 +51,38 @@ DIAGONAL = 1.4143  # half of a square's diagonal in halves of its edge, rounded 
 
 
 class LensSight(NamedTuple):
-    """The criteria as numbers, tolerance included; a `lmd.scene.criteria.Sight`.
-
-    flat: what does not depend on the lens, the borders in the distorted image; lens: its coefficients; reach, inset:
-    see `Sight`; cosine of the widest angle; shallowest: least `depth_of` in view at a distance of 1; least, most,
-    least_area, most_area: see above, pixels; stretch: see `Lens.ceiling`, up to the height `highest`; rough, off: see `Lens.approximation`; pinholes: who sees no more than the lens, and no less, empty for a fisheye.
-    """
+    """The criteria as numbers, tolerance included; a `lmd.scene.criteria.Sight`."""
 
     flat: FiducialSight
+    """What does not depend on the lens, and the borders in the distorted image."""
     lens: BrownConrady | Equidistant
+    """Coefficients of the lens."""
     reach: float
+    """See `Sight.reach`."""
     inset: float
+    """See `Sight.inset`."""
     cosine: float
+    """Cosine of the widest angle."""
     shallowest: float
+    """Least `depth_of` in view at a distance of 1."""
     least: float
+    """Least pitch of a metre that faces the camera at a distance of 1 m, pixels."""
     most: float
+    """Greatest such pitch, pixels."""
     least_area: float
+    """Least |det J| there, pixels^2."""
     most_area: float
+    """Greatest |det J| there, pixels^2."""
     stretch: tuple[float, ...]
+    """See `Lens.ceiling`."""
     highest: float
+    """1 - cos(theta) of the angle up to which `stretch` holds."""
     rough: tuple[float, ...]
+    """See `Lens.approximation`."""
     off: float
+    """How far `rough` is off at most, focal lengths."""
     pinholes: tuple[FiducialSight, FiducialSight] | tuple[()]
+    """Pinholes that resolve no more than the lens, and no less; none for a fisheye."""
 
     @property
     def outer_cosine(self) -> float:
