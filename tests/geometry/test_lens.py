@@ -71,6 +71,30 @@ def test_what_is_imaged_in_a_circle_is_within_the_widest_angle_and_stretched_wit
 
 
 @given(lenses(), st.floats(0.05, 1.5))
+def test_a_lens_is_between_two_pinholes(lens, reach):
+    widest = min(lens.widest(reach), 1.4)
+    bounds, within = lens.stretch(widest, power=1), directions(widest)
+    stretches, cosine = np.linalg.svd(lens.jacobian(within), compute_uv=False), within[:, 2]
+    assert (bounds.least <= stretches[:, 1] * cosine * (1.0 + 1e-9) + 1e-9).all()
+    assert (stretches[:, 0] * cosine**2 <= bounds.most * (1.0 + 1e-9)).all()
+    areas = stretches.prod(axis=1) * cosine**3
+    assert (bounds.least_area <= areas * (1.0 + 1e-9) + 1e-9).all()
+    assert (areas <= bounds.most_area * (1.0 + 1e-9)).all()
+
+
+@given(lenses(), st.floats(0.05, 1.5))
+def test_the_rough_image_is_off_and_the_ceiling_above_as_said(lens, reach):
+    widest = lens.widest(reach)
+    within, (rough, off) = directions(widest), lens.approximation(widest)
+    scale = np.polynomial.polynomial.polyval(1.0 - within[:, 2], rough)
+    assert np.linalg.norm(scale[:, None] * within[:, :2] - lens.image(within), axis=1).max() <= off
+    theta, stretches = np.arccos(within[:, 2]), np.linalg.svd(lens.jacobian(within), compute_uv=False)[:, 0]
+    order = np.argsort(theta)
+    ceiling = np.polynomial.polynomial.polyval(1.0 - within[order, 2], lens.ceiling(widest))
+    assert (np.maximum.accumulate(stretches[order]) <= ceiling + 1e-9).all()
+
+
+@given(lenses(), st.floats(0.05, 1.5))
 def test_nothing_folds_within_the_widest_angle(lens, reach):
     widest = 0.999 * lens.widest(reach)
     inner, outer = lens.image(directions(0.9 * widest)), lens.image(directions(widest))
