@@ -160,9 +160,8 @@ def _photonvision(keys: Keys) -> dict[str, Keys]:
 
 
 def _frc971(keys: Keys) -> dict[str, Keys]:
-    if not {"image_width", "image_height"} <= keys.keys():
-        raise InputError("a calibration of frc971 has no size of the image: add the keys image_width and image_height.")
-    return {"": _ros((keys["image_width"], keys["image_height"]), keys["intrinsics"], keys["dist_coeffs"])}
+    restated = _ros((None, None), keys["intrinsics"], keys["dist_coeffs"])  # which says no size
+    return {"": {key: keys.get(key, value) for key, value in restated.items() if key in keys or value is not None}}
 
 
 def _basalt(keys: Keys) -> dict[str, Keys]:

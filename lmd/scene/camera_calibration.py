@@ -8,7 +8,7 @@ Sources: `camera_calibration_parsers` of ROS, the page "YAML formats" of Kalibr,
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +17,7 @@ from lmd.geometry.lens import lens_of
 from lmd.scene.calibration_files import LENS_MODELS, PIXEL_CENTRE, known_lens, read_cameras
 from lmd.scene.camera import Camera
 
+SIZE = ("image_width", "image_height")
 KALIBR_CAMERA = re.compile(r"cam\d+")
 OPTICS = ("focal_length", "aperture", "focus_distance")  # what no calibration says
 
@@ -84,32 +85,36 @@ class Calibration:
         )
 
 
-def calibrated_camera(path: str | None, name: str | None = None, **optics: Any) -> Camera:
+def calibrated_camera(
+    path: str | None, name: str | None = None, image_size: Iterable[int] | None = None, **optics: Any
+) -> Camera:
     """The camera of a calibration file.
 
     Args:
-        path, name: see `read_calibration`.
+        path, name, image_size: see `read_calibration`.
         optics: see `Calibration.camera`.
 
     Raises:
         InputError: see there.
     """
-    calibration = read_calibration(path, name)
+    calibration = read_calibration(path, name, image_size)
     try:
         return calibration.camera(**optics)
     except InputError as error:
         raise error if error.argument in OPTICS else InputError(f"{path}: {error}") from None
 
 
-def read_calibration(path: str | None, name: str | None = None) -> Calibration:
+def read_calibration(path: str | None, name: str | None = None, image_size: Iterable[int] | None = None) -> Calibration:
     """Read a file of ROS, Kalibr (`camchain`), OpenCV (`FileStorage`) or another of `lmd.scene.calibration_files`.
 
     Args:
         path: the file.
         name: the camera in a file with several, such as `cam1` of Kalibr; not needed where there is only one.
+        image_size: width and height, pixels; needed where the file has none.
 
     Raises:
-        InputError: the file cannot be read, a key is missing or wrong, or the lens is of another model.
+        InputError: the file cannot be read, a key is missing or wrong, the size is another than that of the file, or
+            the lens is of another model.
     """
     if path is None:
         raise InputError("path is missing: a calibration file is needed.", "path")
@@ -122,20 +127,26 @@ def read_calibration(path: str | None, name: str | None = None) -> Calibration:
     if name is not None and name not in cameras:
         raise InputError(f"name = {name!r} is no camera of {path}, which has {', '.join(cameras) or 'one'}.", "name")
     chosen = name or (cameras[0] if cameras else "")
+    size = None if image_size is None else vector("image_size", image_size, 2, above=0.0)
     try:
-        return _kalibr(keys, chosen) if in_chain else _opencv(restated[chosen])
+        found = _kalibr(keys, chosen) if in_chain else _opencv(restated[chosen], size)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+    if size not in (None, known := (found.image_width, found.image_height)):
+        raise InputError(f"image_size must be {list(known)}, as {path} has it, got {list(size)}.", "image_size")
+    return found
 
 
-def _opencv(keys: Mapping[str, Any]) -> Calibration:
+def _opencv(keys: Mapping[str, Any], size: tuple[float, ...] | None) -> Calibration:
     """What ROS and OpenCV call by the same names; only ROS names the model."""
     matrix = vector("camera_matrix.data", _entry(keys, "camera_matrix", "data"), 9)
     focal_u, skew, centre_u, below, focal_v, centre_v, *last = matrix
     if (skew, below, *last) != (0.0, 0.0, 0.0, 0.0, 1.0):
         raise InputError(f"camera_matrix.data must be [fx, 0, cx, 0, fy, cy, 0, 0, 1], got {list(matrix)}.")
     lens = _numbers("distortion_coefficients.data", _entry(keys, "distortion_coefficients", "data"))
-    width, height = (_entry(keys, name) for name in ("image_width", "image_height"))
+    width, height = (keys.get(name, None if size is None else size[i]) for i, name in enumerate(SIZE))
+    if width is None or height is None:
+        raise InputError(f"{' or '.join(SIZE)} is missing: give image_size, [width, height] in pixels.")
     # OpenCV's own sample says by a flag of its own that it is a fisheye.
     name = "fisheye" if keys.get("fisheye_model", 0) else keys.get("distortion_model", "plumb_bob")
     model = LENS_MODELS[known_lens(name, LENS_MODELS)]

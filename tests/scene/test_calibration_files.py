@@ -104,7 +104,7 @@ def test_rational_lenses_and_fisheyes_are_taken_as_they_are(text, lens, write):
         (MRCAL.format("CAHVOR", "1"), "the lens model 'CAHVOR' is not known here"),
         (MRCAL.format("OPENCV4", "1"), "intrinsics must be a list of 8 numbers"),
         ("{'lensmodel': __import__('os')}", "it is no cameramodel of mrcal"),
-        (FILES["frc971"].replace("image_width", "w"), "a calibration of frc971 has no size of the image"),
+        (FILES["frc971"].replace("image_width", "w"), "image_width or image_height is missing: give image_size, [wi"),
         (FILES["Basalt"].replace('"fx"', '"f"'), "the key or value 'fx' is missing or wrong"),
         ("1 OPENCV 640 480 600 610\n", "the key or value"),
     ],
@@ -118,7 +118,7 @@ OUTCOMES = {
     "basalt_euroc_ds.json": "the lens model 'ds'",
     "basalt_t265_kb4.json": None,
     "colmap_maupertuis_cameras.txt": None,
-    "frc971_calibration_2024.json": "no size of the image",
+    "frc971_calibration_2024.json": "give image_size",
     "isaac_ros_camera_info.json": None,
     "kalibr_tumvi_equidistant_512.yaml": None,
     "mrcal_cam0_opencv8.cameramodel": None,
@@ -145,3 +145,19 @@ def test_a_real_file_is_read_or_refused_for_its_lens(name):
     else:
         with pytest.raises(InputError, match=message):
             calibrated_camera(path, camera)
+
+
+def test_a_size_is_given_where_the_file_has_none_and_never_another(write):
+    path = write(FILES["frc971"].replace("image_width", "w").replace("image_height", "h"))
+    found = read_calibration(path, image_size=[640, 480])
+    assert (found.image_width, found.image_height) == (640, 480)
+    for size, message in (
+        ([640], r"^image_size must be a list of 2 numbers, got \[640\]\.$"),
+        ([640.5, 480], r": image_width must be a whole number, got 640\.5\.$"),
+    ):
+        with pytest.raises(InputError, match=message):
+            read_calibration(path, image_size=size)
+    whole = write(FILES["OpenCV XML"])
+    assert read_calibration(whole, image_size=[640, 480]) == read_calibration(whole)
+    with pytest.raises(InputError, match=r"^image_size must be \[640, 480\], as .* has it, got \[480\.0, 640\.0\]\.$"):
+        read_calibration(whole, image_size=[480, 640])

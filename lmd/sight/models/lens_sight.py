@@ -180,6 +180,7 @@ def _in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ign
     across, down = image_of(sight.lens, u, v, w)
     # The stretch halfway bounds the nearer half of the way, that at its end the farther one.
     angle, end = sine * (1.0 + ARC * sine * sine), 1.0 - w * cosine + math.sqrt(max(0.0, 1.0 - w * w)) * abs(sine)
+    end = sight.highest if w <= -cosine else end  # the way leads past the opposite of the axis
     halfway = min(end, 1.0 - w + abs(angle) / 2.0)
     room = angle * (_stretch(sight, halfway) + _stretch(sight, end)) / 2.0
     inside = (flat.right - across >= room) & (flat.left + across >= room)
