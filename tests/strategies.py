@@ -7,6 +7,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from lmd.geometry.frames import optical_axis
+from lmd.geometry.lens import Lens
 from lmd.scene import pdf
 from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
@@ -43,12 +44,35 @@ def cameras(draw):
 
 
 @st.composite
+def lenses(draw):
+    """Of each model; some fold soon, some never."""
+    if draw(st.booleans()):
+        return Lens("equidistant", tuple(draw(st.floats(-0.1, 0.1)) for _ in range(4)))
+    radial, small = st.floats(-0.5, 0.5), st.floats(-0.02, 0.02)
+    kinds = (radial, radial, small, small, radial, radial, radial, radial, small, small, small, small)
+    return Lens("plumb_bob", tuple(draw(kind) for kind in kinds[: draw(st.sampled_from([4, 5, 8, 12]))]))
+
+
+@st.composite
 def distorted_cameras(draw):
-    """Barrels, pincushions and moustaches; the strongest nearly fold in the corners."""
-    camera = draw(cameras())
-    lens, radius = [draw(st.floats(-1.0, 1.0)) for _ in range(5)], camera.widest_ray
-    sizes = 0.05 / radius**2, 0.025 / radius**4, 0.005 / radius, 0.005 / radius, 0.01 / radius**6
-    return replace(camera, distortion=tuple(c * size for c, size in zip(lens, sizes, strict=True)))
+    """Barrels, pincushions, moustaches and prisms, the strongest of which nearly fold in the corners; and fisheyes."""
+    camera, model = draw(cameras()), draw(st.sampled_from(["plumb_bob", "rational_polynomial", "equidistant"]))
+    lens, radius = [draw(st.floats(-1.0, 1.0)) for _ in range(12)], math.tan(camera.widest_angle)
+    if model == "equidistant":
+        # Corners up to 150 degrees from the axis.
+        angle = draw(st.floats(0.3, 2.6))
+        shorter, sizes = angle / radius, [0.2 / ((2 * n + 1) * angle ** (2 * n)) for n in (1, 2, 3, 4)]
+        sharper = {name: shorter * getattr(camera, name) for name in ("pixel_width", "pixel_height")}
+        return replace(camera, distortion=_scaled(lens, sizes), distortion_model=model, **sharper)
+    radial = 0.05 / radius**2, 0.025 / radius**4
+    sizes = [*radial, 0.005 / radius, 0.005 / radius, 0.01 / radius**6]
+    if model == "rational_polynomial":
+        sizes += [*radial, 0.01 / radius**6, *(0.005 / radius, 0.005 / radius**3) * 2]
+    return replace(camera, distortion=_scaled(lens, sizes), distortion_model=model)
+
+
+def _scaled(numbers, sizes):
+    return tuple(number * size for number, size in zip(numbers, sizes, strict=False))
 
 
 @st.composite

@@ -129,7 +129,8 @@ def sample_views(
         InputError: not one of the views fits a tile.
     """
     count = integer("count", count, low=1)
-    camera = replace(camera, distortion=())  # it moves a tag in the image, and hardly bends a single one
+    # A lens moves a tag in the image, and hardly bends a single one.
+    camera = replace(camera, distortion=(), distortion_model="plumb_bob")
     ranges = sampling or Sampling()
     pitches, tilts = (rng.uniform(*span, count) for span in (ranges.pitch, ranges.incidence))
     sigmas = np.exp(rng.uniform(math.log(ranges.sigma[0]), math.log(ranges.sigma[1]), count))

@@ -1,15 +1,16 @@
 """The camera's pose from the image of known points (PnP), by OpenCV."""
 
+from collections.abc import Iterator
 from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lmd.core.checks import FloatArray
+from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.optional import optional
-from lmd.geometry.se3 import angle_between, inverse
-from lmd.render.optics import intrinsics, project, rectified
+from lmd.geometry.se3 import angle_between, exp, inverse, skew
+from lmd.render.optics import bearings, intrinsics, project, slope, to_camera
 from lmd.scene.camera import Camera
 
 # The fewest points that fix a pose; four corners of one tag do.
@@ -18,6 +19,10 @@ FEWEST = 4
 FLAT = 1e-6
 # Poses nearer to each other than this in their matrices are the same.
 SAME = 1e-3
+# Behind a lens that distorts, what is seen farther than this from the middle of all, rad, only refines a pose.
+NEAR = np.radians(75.0)
+# Of Gauss and Newton: so many rounds at most, until the squared errors fall by less than this share.
+ROUNDS, GAIN = 10, 1e-9
 
 
 class Solution(NamedTuple):
@@ -37,47 +42,112 @@ def solutions(camera: Camera, points: FloatArray, image: FloatArray, noise: Arra
 
     SQPnP finds the best pose for five points or more that are not all in one plane. Points in a plane have two poses
     that look alike (IPPE). Four others may have several; every three of them give up to four (P3P). All are refined by
-    Levenberg-Marquardt.
+    Levenberg-Marquardt, or for a lens that distorts by Gauss and Newton with the errors in its own image.
 
     Args:
-        camera: intrinsics, and the lens's distortion.
+        camera: intrinsics, and the lens.
         points: world frame, metres, `(M, 3)`.
         image: pixels from the border, `(M, 2)`.
         noise: standard deviation of each image, pixels, `()` or `(M,)`.
     """
     if len(points) < FEWEST:
         return []
-    cv2, matrix = optional("cv2", "estimators"), intrinsics(camera)
-    world = np.ascontiguousarray(points, dtype=np.float64)
-    pixels = np.ascontiguousarray(rectified(camera, np.asarray(image, dtype=np.float64)))
-    given = world, pixels, matrix, None
-    extents = np.linalg.svd(world - world.mean(axis=0), compute_uv=False)
-    flat = extents[2] <= FLAT * extents[0]
-    candidates: list[tuple[FloatArray, FloatArray]] = []
-    for method in (cv2.SOLVEPNP_SQPNP, cv2.SOLVEPNP_IPPE) if flat else (cv2.SOLVEPNP_SQPNP,):
-        _, turns, shifts, _ = cv2.solvePnPGeneric(*given, flags=method)
-        candidates += zip(turns, shifts, strict=True)
-    if len(world) == FEWEST and not flat:
-        for three in map(list, combinations(range(FEWEST), 3)):
-            _, turns, shifts = cv2.solveP3P(world[three], pixels[three], matrix, None, cv2.SOLVEPNP_P3P)
-            candidates += zip(turns, shifts, strict=True)
+    world, pixels = (np.ascontiguousarray(part, dtype=np.float64) for part in (points, image))
+    if camera.lens is None:
+        candidates = _without_lens(camera, world, pixels)
+    else:
+        candidates = _through_lens(camera, world, pixels, noise)
     found: list[Solution] = []
-    for turn, shift in candidates:
-        turn, shift = cv2.solvePnPRefineLM(*given, turn, shift)
-        back = np.eye(4)
-        back[:3, :3], back[:3, 3] = cv2.Rodrigues(turn)[0], np.ravel(shift)
-        pose = inverse(back)
+    for pose in candidates:
         square = float((((project(camera, pose, world) - image) / np.reshape(noise, (-1, 1))) ** 2).sum())
         if np.isfinite(square) and all(np.abs(pose - other.pose).max() > SAME for other in found):
             found.append(Solution(pose, square))
     return sorted(found, key=lambda solution: solution.square)
 
 
+def _without_lens(camera: Camera, world: FloatArray, pixels: FloatArray) -> Iterator[FloatArray]:
+    """Poses of a camera that does not distort, each a local optimum; arguments as in `solutions`."""
+    cv2, matrix = optional("cv2", "estimators"), intrinsics(camera)
+    for turn, shift in _candidates(world, pixels, matrix):
+        turn, shift = cv2.solvePnPRefineLM(world, pixels, matrix, None, turn, shift)
+        yield inverse(_motion(cv2.Rodrigues(turn)[0], shift))
+
+
+def _through_lens(camera: Camera, world: FloatArray, pixels: FloatArray, noise: ArrayLike) -> Iterator[FloatArray]:
+    """The same behind a lens, from those of a pinhole that looks where the points are."""
+    cv2 = optional("cv2", "estimators")
+    turned, within, rays = straightened(bearings(camera, pixels))
+    if np.count_nonzero(within) < FEWEST:
+        return
+    near, seen = np.ascontiguousarray(world[within]), np.ascontiguousarray(rays[within])
+    for turn, shift in _candidates(near, seen, np.eye(3)):
+        start = _motion(turned.T @ cv2.Rodrigues(turn)[0], turned.T @ shift)
+        yield _refined(camera, inverse(start), world, pixels, noise)
+
+
+def _motion(turn: FloatArray, shift: FloatArray) -> FloatArray:
+    """The rigid motion y = turn x + shift, `(4, 4)`."""
+    motion = np.eye(4)
+    motion[:3, :3], motion[:3, 3] = turn, np.ravel(shift)
+    return motion
+
+
+def _candidates(world: FloatArray, pixels: FloatArray, matrix: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+    """Turns and shifts from the world to a pinhole camera that may have taken an image, see `solutions`."""
+    cv2 = optional("cv2", "estimators")
+    extents = np.linalg.svd(world - world.mean(axis=0), compute_uv=False)
+    flat = extents[2] <= FLAT * extents[0]
+    candidates: list[tuple[FloatArray, FloatArray]] = []
+    for method in (cv2.SOLVEPNP_SQPNP, cv2.SOLVEPNP_IPPE) if flat else (cv2.SOLVEPNP_SQPNP,):
+        _, turns, shifts, _ = cv2.solvePnPGeneric(world, pixels, matrix, None, flags=method)
+        candidates += zip(turns, shifts, strict=True)
+    if len(world) == FEWEST and not flat:
+        for three in map(list, combinations(range(FEWEST), 3)):
+            _, turns, shifts = cv2.solveP3P(world[three], pixels[three], matrix, None, cv2.SOLVEPNP_P3P)
+            candidates += zip(turns, shifts, strict=True)
+    return candidates
+
+
+def straightened(seen: FloatArray) -> tuple[FloatArray, BoolArray, FloatArray]:
+    """A pinhole's image of what is seen in directions, turned towards the middle of it.
+
+    Args:
+        seen: unit vectors in the camera's frame, `(M, 3)`; NaN where nothing is.
+
+    Returns:
+        the turn from the camera's frame to that of the pinhole, `(3, 3)`; which directions are near enough to its axis,
+        `(M,)`; where it images them, at a focal length of 1, `(M, 2)`.
+    """
+    middle = np.nansum(seen, axis=0)
+    axis = middle / max(float(np.linalg.norm(middle)), np.finfo(float).tiny)
+    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    right = across / np.linalg.norm(across)
+    turn = np.stack([right, np.cross(axis, right), axis])
+    ahead = seen @ turn.T
+    with np.errstate(all="ignore"):
+        return turn, ahead[:, 2] > np.cos(NEAR), ahead[:, :2] / ahead[:, 2:]
+
+
+def _refined(camera: Camera, pose: FloatArray, points: FloatArray, image: FloatArray, noise: ArrayLike) -> FloatArray:
+    """The pose near this one that fits the image best, by Gauss and Newton; arguments as in `solutions`."""
+    weight = 1.0 / np.broadcast_to(np.reshape(noise, (-1, 1)), image.shape)
+    least = np.inf
+    for _ in range(ROUNDS):
+        off = weight * (project(camera, pose, points) - image)
+        if not (square := float((off**2).sum())) < least * (1.0 - GAIN):  # NaN where a point has no image
+            break
+        y, best, least = to_camera(pose, points), pose, square
+        moved = np.concatenate([skew(y), np.broadcast_to(-np.eye(3), (len(y), 3, 3))], axis=-1)
+        jacobian = (weight[..., None] * (slope(camera, y) @ moved)).reshape(-1, 6)
+        pose = pose @ exp(np.linalg.lstsq(jacobian, -off.ravel())[0])
+    return best if np.isfinite(least) else pose
+
+
 def pose_from_corners(camera: Camera, points: FloatArray, image: FloatArray) -> FloatArray:
     """The pose that fits best.
 
     Args:
-        camera: intrinsics, and the lens's distortion.
+        camera: intrinsics, and the lens.
         points: of the tags' corners, world frame, metres, `(M, ..., 3)`.
         image: the corners found, pixels from the border, `(M, ..., 2)`; points with a NaN are left out.
 

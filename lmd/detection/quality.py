@@ -5,8 +5,7 @@ pinhole camera, P = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)]. Metres
 J = P E with E (3, 2) any orthonormal basis of the plane. Its singular values need no basis, only
 |J|_F^2 = |P|_F^2 - |P n|^2 and |det J| = f_u f_v |n . y| / z^3.
 
-A lens that distorts puts its Jacobian D between the focal lengths F = diag(f_u, f_v) and the rest of J, J = F D E' / z:
-then |J|_F^2 is the trace of F D E' E'^T D F / z^2, and |det J| grows by |det D|.
+For a lens that distorts P is the slope of its image, and |det J| = |(P_1 x P_2) . n| with the rows of P.
 
 Everything is a function of arrays: poses `(..., 4, 4)`, K centres and normals `(K, 3)`, results `(..., K)`.
 """
@@ -14,8 +13,7 @@ Everything is a function of arrays: poses `(..., 4, 4)`, K centres and normals `
 import numpy as np
 
 from lmd.core.checks import FloatArray
-from lmd.geometry.distortion import jacobian
-from lmd.render.optics import intrinsics, to_camera
+from lmd.render.optics import intrinsics, slope, to_camera
 from lmd.scene.camera import Camera
 from lmd.scene.tag import Tag
 
@@ -26,14 +24,15 @@ def pitch(camera: Camera, pose: FloatArray, centres: FloatArray, normals: FloatA
     With s = |J|_F^2 and d = |det J| it is d / sqrt((s + sqrt(s^2 - 4 d^2)) / 2).
 
     Args:
-        camera: its focal lengths and distortion.
+        camera: its focal lengths and its lens.
         pose: X, camera to world, `(..., 4, 4)`.
         centres: world frame, metres, `(K, 3)`.
         normals: unit normals of the front faces, `(K, 3)`.
         tag: its edge and modules.
 
     Returns:
-        `(..., K)`, pixels; NaN for tags that are not in front of the camera. It does not ask which side is seen.
+        `(..., K)`, pixels; NaN for tags that are not in front of the camera, or farther from its axis than its lens
+        images. It does not ask which side is seen.
     """
     square, determinant = _stretch(camera, pose, centres, normals)
     root = np.sqrt(np.maximum(square**2 - 4.0 * determinant**2, 0.0))
@@ -65,19 +64,18 @@ def incidence(pose: FloatArray, centres: FloatArray, normals: FloatArray) -> Flo
 def _stretch(
     camera: Camera, pose: FloatArray, centres: FloatArray, normals: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """|J|_F^2 and |det J|, pixels^2 / metre^2, `(..., K)`; NaN behind the camera."""
+    """|J|_F^2 and |det J|, pixels^2 / metre^2, `(..., K)`; NaN where nothing is imaged."""
+    y, n = to_camera(pose, centres), np.asarray(normals @ pose[..., :3, :3])
+    if camera.lens is not None:
+        angle = np.arctan2(np.hypot(y[..., 0], y[..., 1]), y[..., 2])
+        moves = slope(camera, np.where((angle <= camera.widest_angle)[..., None], y, np.nan))
+        along = (moves * n[..., None, :]).sum(axis=-1)
+        area = np.abs((np.cross(moves[..., 0, :], moves[..., 1, :]) * n).sum(axis=-1))
+        return np.asarray((moves**2).sum(axis=(-2, -1)) - (along**2).sum(axis=-1)), np.asarray(area)
     focal = np.diag(intrinsics(camera))[:2]
-    y = to_camera(pose, centres)
-    n = np.asarray(normals @ pose[..., :3, :3])
     depth = np.where(y[..., 2] > 0.0, y[..., 2], np.nan)
     ray = y[..., :2] / depth[..., None]
     scale = (focal / depth[..., None]) ** 2
     moved = n[..., :2] - ray * n[..., 2:]  # P n without its factors f / z
     determinant = focal.prod() * np.abs((n * y).sum(axis=-1)) / depth**3
-    if not camera.distortion:
-        return np.asarray((scale * (1.0 + ray**2 - moved**2)).sum(axis=-1)), np.asarray(determinant)
-    bend = jacobian(ray, camera.distortion)
-    stretch = bend[..., 0, 0] * bend[..., 1, 1] - bend[..., 0, 1] ** 2
-    gram = np.eye(2) + ray[..., None] * ray[..., None, :] - moved[..., None] * moved[..., None, :]
-    along = np.diagonal(bend @ gram @ bend, axis1=-2, axis2=-1)
-    return np.asarray((scale * along).sum(axis=-1)), np.asarray(determinant * np.abs(stretch))
+    return np.asarray((scale * (1.0 + ray**2 - moved**2)).sum(axis=-1)), np.asarray(determinant)

@@ -2,7 +2,7 @@
 
 A perturbation X exp(w, v) moves a landmark at y_i = (x, y, z) in the camera's frame by y_i x w - v, hence its image by
 J_i (w, v) with `J_i = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)] [[y_i]x  -I]`; a lens that distorts puts its
-Jacobian (`lmd.geometry.distortion`) after the focal lengths. With pixel noise sigma the information is
+Jacobian (`lmd.geometry.lens`) in place of what follows the focal lengths. With pixel noise sigma the information is
 sum J_i^T J_i / sigma^2, and no unbiased estimate from this one frame has a smaller covariance than its
 inverse. Fewer than three landmarks, or three in line, do not fix the pose: the bound is infinite.
 """

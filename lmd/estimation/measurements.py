@@ -7,8 +7,9 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, real
 from lmd.estimation.recording import Each, Flight, Observation, check_images
-from lmd.geometry.distortion import distort, undistort
+from lmd.geometry.lens import EQUIDISTANT
 from lmd.geometry.se3 import act, inverse
+from lmd.render.optics import bearings, depth_in_focus, project, slope
 from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 
@@ -58,11 +59,12 @@ class Detector:
         """Measurements of landmarks at y = (x, y, z) in the camera's frame.
 
         (x / z, y / z) carries the pixel noise over the focal length, z = f a / w that of the edge w >= 1 pixel. Where
-        the lens distorts, the noise is added to the distorted image, and the sum undistorted.
+        the lens distorts, the noise is added to the distorted image, and the landmark is where that is seen; behind a
+        fisheye the edge gives the distance in place of z.
 
         Args:
             points: `(..., 3)`, metres; meaningful where the depth z is positive.
-            camera: its focal length in pixels, and its distortion.
+            camera: its focal length in pixels, and its lens.
             rng: source of the noise.
 
         Returns:
@@ -71,13 +73,16 @@ class Detector:
         if self.pixel_noise == 0.0:
             return points
         focal, noise = camera.focal_pixels, rng.normal(scale=self.pixel_noise, size=points.shape)
-        depth = np.where(points[..., 2:] > 0.0, points[..., 2:], 1.0)
-        image = points[..., :2] / depth
-        if camera.distortion:
-            image = undistort(distort(image, camera.distortion) + noise[..., :2] / focal, camera.distortion)
+        if camera.lens is not None:
+            image = project(camera, np.eye(4), points) + noise[..., :2]
+            seen = bearings(camera, image)
+            seen = np.where(np.isfinite(seen), seen, points)  # as it is where the noise leaves what the lens images
+            ray = seen / depth_in_focus(camera, seen)[..., None]
+            depth = depth_in_focus(camera, points)[..., None]
         else:
-            image = image + noise[..., :2] / focal
-        ray = np.concatenate([image, np.ones_like(depth)], axis=-1)
+            depth = np.where(points[..., 2:] > 0.0, points[..., 2:], 1.0)
+            image = points[..., :2] / depth + noise[..., :2] / focal
+            ray = np.concatenate([image, np.ones_like(depth)], axis=-1)
         width = np.maximum(focal[0] * self.edge / depth + noise[..., 2:], 1.0)
         return np.asarray(focal[0] * self.edge / width * ray)
 
@@ -86,15 +91,21 @@ class Detector:
 
         Args:
             measured: `(M, 3)`, metres.
-            camera: its focal length in pixels; what a distortion changes of the noise is left out.
+            camera: its focal length in pixels, and its lens.
 
         Returns:
             `(M, 3, 3)`, m^2.
         """
-        focal, depth = camera.focal_pixels, measured[:, 2:]
-        moved = np.zeros((len(measured), 3, 3))
-        moved[:, [0, 1], [0, 1]] = depth / focal
-        moved[:, :, 2] = measured * depth / (focal[0] * self.edge)
+        focal, depth = camera.focal_pixels, depth_in_focus(camera, measured)[:, None]
+        if camera.lens is None:
+            moved = np.zeros((len(measured), 3, 3))
+            moved[:, [0, 1], [0, 1]] = depth / focal
+            moved[:, :, 2] = measured * depth / (focal[0] * self.edge)
+        else:
+            # How image and edge move with y; both depths grow with y, one along the axis and one along y itself.
+            away = measured / depth if camera.lens.model == EQUIDISTANT else np.array([0.0, 0.0, 1.0])
+            edge = np.broadcast_to(-focal[0] * self.edge / depth**2 * away, measured.shape)
+            moved = np.linalg.inv(np.concatenate([slope(camera, measured), edge[:, None]], axis=1))
         return np.asarray(moved @ np.swapaxes(moved, 1, 2))
 
 

@@ -9,12 +9,13 @@ from scipy.spatial.transform import Rotation
 from lmd.core.checks import BoolArray, FloatArray, choice, real
 from lmd.core.optional import optional
 from lmd.detection.corner_errors import CORNER_ERRORS
+from lmd.detection.pose import straightened
 from lmd.detection.quality import pitch
 from lmd.estimation.measurements import Detector, detected
 from lmd.estimation.recording import Each, Flight, Observation, Sensor, check_images
 from lmd.geometry.se3 import skew
 from lmd.geometry.squares import CORNERS, corners
-from lmd.render.optics import intrinsics, project, rectified, slope
+from lmd.render.optics import bearings, intrinsics, project, slope
 from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
@@ -103,11 +104,19 @@ def _places(camera: Camera, edge: float, found: FloatArray) -> tuple[FloatArray,
     """
     cv2 = optional("cv2", "detection")
     matrix, square = intrinsics(camera), np.pad(CORNERS * edge / 2.0, ((0, 0), (0, 1)))
-    turns, shifts = np.zeros((2, len(found), 3))
-    for i, image in enumerate(np.ascontiguousarray(rectified(camera, found))):
-        _, turn, shift = cv2.solvePnP(square, image, matrix, None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
+    turns, shifts, straight = (
+        np.zeros((len(found), 3)),
+        np.zeros((len(found), 3)),
+        np.tile(np.eye(3), (len(found), 1, 1)),
+    )
+    for i, image in enumerate(np.ascontiguousarray(found)):
+        if camera.lens is not None:
+            straight[i], _, image = straightened(bearings(camera, image))
+            matrix = np.eye(3)
+        _, turn, shift = cv2.solvePnP(square, np.ascontiguousarray(image), matrix, None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
         turns[i], shifts[i] = np.ravel(turn), np.ravel(shift)
-    return Rotation.from_rotvec(turns).as_matrix(), shifts
+    back = np.swapaxes(straight, 1, 2)
+    return back @ Rotation.from_rotvec(turns).as_matrix(), (back @ shifts[..., None])[..., 0]
 
 
 def _covariance(camera: Camera, edge: float, turns: FloatArray, centres: FloatArray) -> FloatArray:

@@ -1,1 +1,1 @@
-"""Frames, rotations, rigid motions and lens distortion."""
+"""Frames, rotations, rigid motions and lenses."""

@@ -27,6 +27,7 @@ POINT = 0.008  # half the edge of a landmark that is a point, in diagonals of th
 CELL = 0.97  # of a cell that is coloured
 LIGHT = 2.0  # with which colours come out as they are given, nearly
 FRUSTUM = 0.08  # size of the camera, in diagonals
+WIDEST_FRUSTUM = math.radians(150.0)  # that of a fisheye is drawn no wider
 
 
 class Picture:
@@ -139,11 +140,12 @@ class Picture:
             frustum.wxyz = _quaternions(right, np.asarray(np.cross(forward, right)), forward)[0]
 
     def _add_frustum(self, number: int, camera: Camera) -> Any:
-        tall = camera.image_height * camera.pixel_height
+        view = camera.field_of_view
+        tall, wide = (min(angle, WIDEST_FRUSTUM) for angle in (view.top + view.bottom, view.left + view.right))
         return self._scene.add_camera_frustum(
             f"/camera_{number}",
-            2.0 * math.atan(tall / (2.0 * camera.focal_length)),
-            camera.image_width * camera.pixel_width / tall,
+            tall,
+            math.tan(wide / 2.0) / math.tan(tall / 2.0),
             scale=FRUSTUM * self._diagonal,
             color=SEEN,
         )

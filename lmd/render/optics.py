@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lmd.core.checks import FloatArray
-from lmd.geometry.distortion import distort, jacobian, undistort
+from lmd.geometry.lens_models import depth_of
 from lmd.scene.camera import MM_PER_M, Camera
 
 
@@ -40,41 +40,54 @@ def project(camera: Camera, pose: FloatArray, points: FloatArray) -> FloatArray:
 
     Returns:
         `(..., K, 2)`, pixels, also of points outside the image; NaN for points that are not in front of the camera, and
-        where a lens distorts for points beyond the camera's `widest_ray`.
+        where a lens distorts for points beyond the camera's `widest_angle`.
     """
-    seen = to_camera(pose, points)
-    depth = np.where(seen[..., 2:] > 0.0, seen[..., 2:], np.nan)
-    rays = seen[..., :2] / depth
-    if camera.distortion:
-        within = (rays * rays).sum(axis=-1, keepdims=True) <= camera.widest_ray**2
-        rays = np.where(within, distort(rays, camera.distortion), np.nan)
-    matrix = intrinsics(camera)
+    seen, matrix = to_camera(pose, points), intrinsics(camera)
+    if camera.lens is None:
+        rays = seen[..., :2] / np.where(seen[..., 2:] > 0.0, seen[..., 2:], np.nan)
+    else:
+        angle = np.arctan2(np.hypot(seen[..., :1], seen[..., 1:2]), seen[..., 2:])
+        rays = np.where(angle <= camera.widest_angle, camera.lens.image(seen), np.nan)
     return np.asarray(rays * np.diag(matrix)[:2] + matrix[:2, 2])
 
 
 def slope(camera: Camera, points: FloatArray) -> FloatArray:
     """How the image of points y `(..., 3)` in the camera's frame moves with them, pixels/m, `(..., 2, 3)`.
 
-    d(u, v)/dy = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)]; a lens that distorts puts its Jacobian after the
-    focal lengths.
+    d(u, v)/dy = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)], or the focal lengths times the Jacobian of a lens
+    that distorts.
     """
+    if camera.lens is not None:
+        return np.asarray(camera.focal_pixels[:, None] * camera.lens.jacobian(points))
     depth = points[..., 2:, None]
     moved = np.zeros((*points.shape[:-1], 2, 3))
     moved[..., [0, 1], [0, 1]] = 1.0
     moved[..., 2] = -points[..., :2] / depth[..., 0]
-    if camera.distortion:
-        moved = jacobian(points[..., :2] / depth[..., 0], camera.distortion) @ moved
     moved *= camera.focal_pixels[:, None] / depth
     return moved
 
 
-def rectified(camera: Camera, image: FloatArray) -> FloatArray:
-    """Where a lens without distortion would have imaged what is at `image` `(..., 2)`, pixels from the border."""
-    if not camera.distortion:
-        return image
-    matrix = intrinsics(camera)
-    focal, centre = np.diag(matrix)[:2], matrix[:2, 2]
-    return np.asarray(undistort((image - centre) / focal, camera.distortion) * focal + centre)
+def bearings(camera: Camera, image: FloatArray) -> FloatArray:
+    """Where what is at `image` `(..., 2)`, pixels from the border, is seen: unit vectors in the camera's frame.
+
+    Returns:
+        `(..., 3)`; NaN where the lens images nothing.
+    """
+    rays = (image - np.array(camera.principal_point)) / camera.focal_pixels
+    if camera.lens is not None:
+        return camera.lens.directions(rays)
+    ahead = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1)
+    return np.asarray(ahead / np.linalg.norm(ahead, axis=-1, keepdims=True))
+
+
+def depth_in_focus(camera: Camera, points: FloatArray) -> FloatArray:
+    """How far points `(..., 3)` in the camera's frame are for focus and apparent size, metres, `(...)`.
+
+    The depth z, or behind a fisheye the distance: see `lmd.geometry.lens_models.depth_of`.
+    """
+    if camera.lens is None:
+        return points[..., 2]
+    return np.asarray(depth_of(camera.lens.model_numbers, *np.moveaxis(points, -1, 0)))
 
 
 def blur_disc(camera: Camera, depth: ArrayLike) -> FloatArray:

@@ -2,17 +2,15 @@
 
 import math
 from dataclasses import dataclass, field
-from functools import lru_cache
 
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray
-from lmd.core.optional import optional
-from lmd.geometry.distortion import jacobian
 from lmd.geometry.se3 import exp
 from lmd.render.canvas import NEAR_PLANE, Canvas, covering
+from lmd.render.faces import Face, assembled, faces_of
 from lmd.render.imaging import Float32Array, Imaging, UInt8Array
-from lmd.render.optics import blur_sigma, image_size, intrinsics, project, rectified, to_camera
+from lmd.render.optics import blur_sigma, depth_in_focus, image_size, project, to_camera
 from lmd.render.room import Surface, TaggedRoom
 from lmd.scene.camera import Camera
 
@@ -50,11 +48,8 @@ class Renderer:
         """
         if motion is None and self.imaging.motion_blur > 0.0:
             motion = self._turn(rng)
-        light = self._light(pose) if motion is None else self._moving(pose, np.asarray(motion, dtype=np.float64))
-        if self._map is not None:
-            cv2 = optional("cv2", "detection")
-            light = cv2.remap(light, *self._map, cv2.INTER_CUBIC)
-        return self.imaging.develop(light, rng)
+        lights = self._lights(pose) if motion is None else self._moving(pose, np.asarray(motion, dtype=np.float64))
+        return self.imaging.develop(assembled(faces_of(self.camera), lights), rng)
 
     def corners(self, pose: FloatArray) -> FloatArray:
         """Exact images of the tags' corners from poses `(..., 4, 4)`: `(..., K, 4, 2)`, pixels as in `optics`.
@@ -72,12 +67,15 @@ class Renderer:
         towards = pose[..., None, :3, 3] - room.centres
         return np.asarray(within & ((towards * room.normals).sum(axis=-1) > 0.0))
 
-    def _light(self, pose: FloatArray) -> Float32Array:
-        """What falls on the pinhole image from one pose."""
-        low, high = self._extent
-        matrix = intrinsics(self.camera)
-        matrix[:2, 2] -= low
-        canvas = Canvas(matrix, (int(high[0] - low[0]), int(high[1] - low[1])), self.imaging)
+    def _lights(self, pose: FloatArray) -> list[Float32Array]:
+        """What falls on the faces of the image from one pose."""
+        return [self._light(pose, face) for face in faces_of(self.camera)]
+
+    def _light(self, from_camera: FloatArray, face: Face) -> Float32Array:
+        """What falls on one face."""
+        pose = from_camera.copy()
+        pose[:3, :3] = from_camera[:3, :3] @ face.turn.T
+        canvas = Canvas(face.matrix, face.size, self.imaging)
         position, room = pose[:3, 3], self.room
         seen = [(s, part) for s in room.surfaces if (position - s.origin) @ s.normal > 0.0 for part in s.parts]
         seen.sort(key=lambda one: -float(np.linalg.norm(_middle(*one) - position)))
@@ -93,23 +91,18 @@ class Renderer:
         for k in sorted(np.flatnonzero(front), key=lambda k: -float(np.linalg.norm(offset[k]))):
             depth = np.array([(room.centres[k] - s.origin) @ s.normal for s, _ in seen])
             hidden_by = [outlines[i] for i in np.flatnonzero(depth < -FLUSH)]
-            canvas.tag(room.tag, int(room.ids[k]), squares[k], self._sigma(squares[k]), hidden_by)
+            canvas.tag(room.tag, int(room.ids[k]), squares[k], self._sigma(squares[k], face), hidden_by)
         return canvas.light
 
-    def _sigma(self, square: FloatArray) -> float:
-        """Blur of a tag in the pinhole image, by the depth of its centre, pixels.
+    def _sigma(self, square: FloatArray, face: Face) -> float:
+        """Blur of a tag in a face, by how far its centre is, pixels.
 
-        What the distortion shrinks it must blur more, so that it is blurred as said once it is distorted.
+        What the lens shrinks it must blur more, so that it is blurred as said once it is bent.
         """
-        u, v, w = square.mean(axis=0)
-        depth, sigma, camera = max(float(w), NEAR_PLANE), self.imaging.psf_sigma, self.camera
+        centre, sigma, camera = face.turn.T @ square.mean(axis=0), self.imaging.psf_sigma, self.camera
         if self.imaging.defocus:
-            sigma = float(blur_sigma(camera, depth, sigma))
-        if camera.distortion:
-            ray = np.array([u, v]) / depth
-            ray *= camera.widest_ray / max(math.hypot(*ray), camera.widest_ray)
-            sigma /= math.sqrt(np.linalg.det(jacobian(ray, camera.distortion)))
-        return sigma
+            sigma = float(blur_sigma(camera, max(float(depth_in_focus(camera, centre)), NEAR_PLANE), sigma))
+        return sigma / face.scale(camera, centre)
 
     def _turn(self, rng: np.random.Generator) -> FloatArray:
         """A turn in a random direction that moves the middle of the image by `Imaging.motion_blur`, as `motion`."""
@@ -118,16 +111,17 @@ class Renderer:
         right, down = shift / self.camera.focal_pixels
         return np.array([down, -right, 0.0, 0.0, 0.0, 0.0])
 
-    def _moving(self, pose: FloatArray, motion: FloatArray) -> Float32Array:
+    def _moving(self, pose: FloatArray, motion: FloatArray) -> list[Float32Array]:
         """The mean over the motion, in steps of about a pixel."""
         ends = [self.corners(pose @ exp(t * motion))[self.inside(pose)] for t in (-0.5, 0.5)]
         shift = np.linalg.norm(ends[1] - ends[0], axis=-1)
         longest = float(np.nanmax(shift)) if np.isfinite(shift).any() else 0.0
         steps = min(1 + math.ceil(longest), MOST_STEPS)
-        light = self._light(pose @ exp((0.5 / steps - 0.5) * motion))
+        lights = self._lights(pose @ exp((0.5 / steps - 0.5) * motion))
         for i in range(1, steps):
-            light += self._light(pose @ exp(((i + 0.5) / steps - 0.5) * motion))
-        return light / np.float32(steps)
+            for light, more in zip(lights, self._lights(pose @ exp(((i + 0.5) / steps - 0.5) * motion)), strict=True):
+                light += more
+        return [light / np.float32(steps) for light in lights]
 
     @property
     def _pattern(self) -> Float32Array | None:
@@ -137,35 +131,8 @@ class Renderer:
         longest = max((float(surface.parts.max()) for surface in self.room.surfaces), default=0.0)
         return covering(self.imaging.texture, self.imaging.texture_seed, longest)
 
-    @property
-    def _extent(self) -> tuple[FloatArray, FloatArray]:
-        """Low and high corner of the pinhole image, whole pixels from the camera's border."""
-        if not self.camera.distortion:
-            return np.zeros(2), np.array(image_size(self.camera), dtype=np.float64)
-        low, high, _ = _undistorted(self.camera)
-        return low, high
-
-    @property
-    def _map(self) -> tuple[Float32Array, Float32Array] | None:
-        """For `cv2.remap`: the pinhole image's pixel under each pixel of the distorted one."""
-        return _undistorted(self.camera)[2] if self.camera.distortion else None
-
 
 def _middle(surface: Surface, part: FloatArray) -> FloatArray:
     """The middle of the box around a part of a surface, world frame, metres, `(3,)`."""
     a, b = (part.min(axis=0) + part.max(axis=0)) / 2.0
     return np.asarray(surface.origin + a * surface.u + b * surface.v)
-
-
-@lru_cache(maxsize=2)
-def _undistorted(camera: Camera) -> tuple[FloatArray, FloatArray, tuple[Float32Array, Float32Array]]:
-    """Low and high corner of the pinhole image that a distorted one is made of, and the map for `cv2.remap`.
-
-    It is kept here and not in a `Renderer`, which so goes to another process without it.
-    """
-    width, height = image_size(camera)
-    pixels = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
-    pinhole = rectified(camera, pixels)
-    low, high = np.floor(pinhole.min(axis=(0, 1))) - 2.0, np.ceil(pinhole.max(axis=(0, 1))) + 2.0
-    at = (pinhole - low - 0.5).astype(np.float32)
-    return low, high, (np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1]))

@@ -8,11 +8,12 @@ of PhotonVision, "Cameras" of COLMAP's output format, Basalt's `calibration.hpp`
 import ast
 import re
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from lmd.core.checks import InputError, vector
 from lmd.core.files import LARGEST_YAML, read_keys, read_text
+from lmd.geometry.lens import EQUIDISTANT
 
 Keys = Mapping[str, Any]
 COLMAP_CAMERA = re.compile(r"^\d+[ \t]+[A-Z_]+[ \t]+\d+[ \t]+\d+[ \t]+\S.*$", re.MULTILINE)
@@ -25,6 +26,17 @@ COLMAP_MODELS = {
     "OPENCV": "fx fy cx cy k1 k2 p1 p2",
     "FULL_OPENCV": "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6",
     "OPENCV_FISHEYE": "fx fy cx cy k1 k2 k3 k4",
+    "SIMPLE_RADIAL_FISHEYE": "f cx cy k1",
+    "RADIAL_FISHEYE": "f cx cy k1 k2",
+}
+# What files call the models of `lmd.geometry.lens`: ROS, Kalibr and OpenCV.
+LENS_MODELS = {
+    "plumb_bob": "plumb_bob",
+    "radtan": "plumb_bob",
+    "none": "plumb_bob",
+    "rational_polynomial": "rational_polynomial",
+    "equidistant": EQUIDISTANT,
+    "fisheye": EQUIDISTANT,
 }
 # Of the first pixel, from the image's border: ROS and OpenCV count from the centre, COLMAP from the border.
 PIXEL_CENTRE = 0.5
@@ -93,29 +105,35 @@ def _named(size: Any, values: Keys, fisheye: bool) -> Keys:
     """The keys of ROS from parameters by name: fx, fy, cx, cy, k1, ..."""
     matrix = [values["fx"], 0.0, values["cx"], 0.0, values["fy"], values["cy"], 0.0, 0.0, 1.0]
     lens = [values.get(name, 0.0) for name in (FISHEYE_COEFFICIENTS if fisheye else BROWN_CONRADY)]
-    return _ros(size, matrix, lens, "equidistant" if fisheye else "plumb_bob")
+    return _ros(size, matrix, lens, EQUIDISTANT if fisheye else "plumb_bob")
 
 
-def _refuse(model: Any, known: Any) -> InputError:
-    return InputError(
-        f"the lens model {model!r} is not known here, only {', '.join(known)}: calibrate as pinhole with k1, k2, p1, "
-        "p2 and k3, such as by OpenCV's calibrateCamera, or convert it, such as by mrcal-convert-lensmodel."
-    )
+def known_lens(model: Any, known: Iterable[str]) -> str:
+    """The name of a lens model if it is one of those known.
+
+    Raises:
+        InputError: it is not.
+    """
+    if model not in (names := tuple(known)):
+        raise InputError(
+            f"the lens model {model!r} is not known here, only {', '.join(names)}: calibrate as pinhole with radial "
+            "and tangential distortion or as Kannala-Brandt fisheye, such as by Kalibr's pinhole-radtan and "
+            "pinhole-equi, or convert it, such as by mrcal-convert-lensmodel."
+        )
+    return str(model)
 
 
 def _colmap(rows: list[str]) -> dict[str, Keys]:
     cameras = {}
     for row in rows:
         name, model, width, height, *parameters = row.split()
-        if model not in COLMAP_MODELS:
-            raise _refuse(model, COLMAP_MODELS)
-        names = COLMAP_MODELS[model].split()
+        names = COLMAP_MODELS[known_lens(model, COLMAP_MODELS)].split()
         values = dict(zip(names, map(float, parameters), strict=True))
         if "f" in values:
             values["fx"] = values["fy"] = values["f"]
         for centre in ("cx", "cy"):
             values[centre] -= PIXEL_CENTRE
-        cameras[f"cam{name}"] = _named((int(width), int(height)), values, model == "OPENCV_FISHEYE")
+        cameras[f"cam{name}"] = _named((int(width), int(height)), values, model.endswith("FISHEYE"))
     return cameras
 
 
@@ -126,10 +144,8 @@ def _mrcal(text: str) -> Keys:
         raise InputError(
             f"it is no cameramodel of mrcal ({' '.join(str(error).split()) or type(error).__name__})."
         ) from None
-    model = str(keys["lensmodel"]).removeprefix("LENSMODEL_")
-    if model not in MRCAL_LENSES:
-        raise _refuse(keys["lensmodel"], MRCAL_LENSES)
-    fx, fy, cx, cy, *lens = vector("intrinsics", list(keys["intrinsics"]), 4 + MRCAL_LENSES[model])
+    size = MRCAL_LENSES[known_lens(str(keys["lensmodel"]).removeprefix("LENSMODEL_"), MRCAL_LENSES)]
+    fx, fy, cx, cy, *lens = vector("intrinsics", list(keys["intrinsics"]), 4 + size)
     return _ros(keys["imagersize"], [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0], lens or [0.0] * 4)
 
 
@@ -144,9 +160,8 @@ def _photonvision(keys: Keys) -> dict[str, Keys]:
 
 
 def _frc971(keys: Keys) -> dict[str, Keys]:
-    if not {"image_width", "image_height"} <= keys.keys():
-        raise InputError("a calibration of frc971 has no size of the image: add the keys image_width and image_height.")
-    return {"": _ros((keys["image_width"], keys["image_height"]), keys["intrinsics"], keys["dist_coeffs"])}
+    restated = _ros((None, None), keys["intrinsics"], keys["dist_coeffs"])  # which says no size
+    return {"": {key: keys.get(key, value) for key, value in restated.items() if key in keys or value is not None}}
 
 
 def _basalt(keys: Keys) -> dict[str, Keys]:
@@ -155,18 +170,16 @@ def _basalt(keys: Keys) -> dict[str, Keys]:
     for index, (camera, size) in enumerate(
         zip(keys["value0"]["intrinsics"], keys["value0"]["resolution"], strict=True)
     ):
-        if camera["camera_type"] not in known:
-            raise _refuse(camera["camera_type"], known)
-        cameras[f"cam{index}"] = _named(size, camera["intrinsics"], known[camera["camera_type"]])
+        fisheye = known[known_lens(camera["camera_type"], known)]
+        cameras[f"cam{index}"] = _named(size, camera["intrinsics"], fisheye)
     return cameras
 
 
 def _orb_slam(keys: Keys) -> dict[str, Keys]:
     known = {"PinHole": False, "KannalaBrandt8": True}
-    if keys["Camera.type"] not in known:
-        raise _refuse(keys["Camera.type"], known)
+    fisheye = known[known_lens(keys["Camera.type"], known)]
     values = {key.split(".", 1)[1]: value for key, value in keys.items() if re.match(r"Camera1?\.", key)}
-    return {"": _named((values["width"], values["height"]), values, known[keys["Camera.type"]])}
+    return {"": _named((values["width"], values["height"]), values, fisheye)}
 
 
 # By the keys that only files of this format have.

@@ -1,4 +1,4 @@
-"""The pinhole camera of the paper: intrinsics as on a data sheet, and what they imply; its lens may distort."""
+"""The camera of the paper: intrinsics as on a data sheet, and what they imply; its lens may distort."""
 
 import math
 from dataclasses import dataclass
@@ -8,9 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, integer, real, vector
-from lmd.geometry.distortion import coefficients, turning_point, widest_ray
+from lmd.geometry.lens import Lens, lens_of
 
 MM_PER_M = 1000.0
+# A cone of view that ends nearer to a right angle from the axis would show what is beside the camera.
+WIDEST_CONE = math.radians(89.0)
 
 
 class FieldOfView(NamedTuple):
@@ -34,13 +36,13 @@ class Camera:
         aperture: effective diameter d_a, mm; 0 for a pinhole, or a lens of which it is not known: whatever its depth is
             in focus.
         focus_distance: d_s, mm; infinity, the default, is allowed.
-        distortion: OpenCV's k1, k2, p1, p2 and, if you like, k3; none for a lens that does not distort, see
-            `lmd.geometry.distortion`.
+        distortion: coefficients of the lens as OpenCV orders them; none for a pinhole that does not distort.
+        distortion_model: `plumb_bob`, `rational_polynomial` or `equidistant`, see `lmd.geometry.lens.Lens`.
 
     Raises:
         InputError: a value is not positive, or for the aperture negative, the image has no whole number of pixels, the
-            principal point lies outside it, the focus distance is not beyond the focal length, or the distortion folds
-            the image.
+            principal point lies outside it, the focus distance is not beyond the focal length, the lens is none of
+            these models, or it folds before it reaches the nearest border of the image.
     """
 
     focal_length: float
@@ -52,6 +54,7 @@ class Camera:
     aperture: float
     focus_distance: float = math.inf
     distortion: tuple[float, ...] = ()
+    distortion_model: str = "plumb_bob"
 
     def __post_init__(self) -> None:
         for name in ("focal_length", "pixel_width", "pixel_height"):
@@ -74,12 +77,13 @@ class Camera:
                 "principal_point",
             )
         object.__setattr__(self, "principal_point", (u, v))
-        object.__setattr__(self, "distortion", coefficients(self.distortion))
-        if self.distortion and self.widest_ray >= (turn := turning_point(self.distortion)):
+        lens = self.lens
+        object.__setattr__(self, "distortion", () if lens is None else lens.coefficients)
+        if lens is not None and lens.widest(nearest := min(self._borders)) >= lens.fold:
             raise InputError(
-                f"distortion must show what is farther from the axis farther from the centre, all over the image, but "
-                f"{list(self.distortion)} turns back {math.degrees(math.atan(turn)):.3g} degrees off the axis, before "
-                "the corners.",
+                f"distortion must show what is farther from the axis farther from the centre, up to the nearest border "
+                f"of the image at {nearest:.3g} focal lengths, but {list(self.distortion)} turns back "
+                f"{math.degrees(lens.fold):.3g} degrees off the axis, before it.",
                 "distortion",
             )
 
@@ -88,28 +92,46 @@ class Camera:
         """Whether everything is in focus."""
         return self.aperture == 0.0
 
+    @cached_property
+    def lens(self) -> Lens | None:
+        """What distorts; None for a pinhole that does not."""
+        return lens_of(self.distortion_model, self.distortion)
+
     @property
-    def field_of_view(self) -> FieldOfView:
-        """The four angles phi_l, phi_r, phi_t, phi_b: atan(border distance on the sensor / f)."""
+    def _borders(self) -> FieldOfView:
+        """How far the four borders are from the principal point, focal lengths."""
         u, v = self.principal_point
+        width, height = self.pixel_width / self.focal_length, self.pixel_height / self.focal_length
         return FieldOfView(
-            left=math.atan(u * self.pixel_width / self.focal_length),
-            right=math.atan((self.image_width - u) * self.pixel_width / self.focal_length),
-            top=math.atan(v * self.pixel_height / self.focal_length),
-            bottom=math.atan((self.image_height - v) * self.pixel_height / self.focal_length),
+            left=u * width,
+            right=(self.image_width - u) * width,
+            top=v * height,
+            bottom=(self.image_height - v) * height,
         )
 
+    @property
+    def field_of_view(self) -> FieldOfView:
+        """The four angles phi_l, phi_r, phi_t, phi_b: atan(border distance on the sensor / f).
+
+        Behind a lens that distorts, the angles that it images at the borders, or at which it folds before them.
+        """
+        if self.lens is None:
+            return FieldOfView(*map(math.atan, self._borders))
+        (left, right, top, bottom), none = self._borders, 0.0
+        found = self.lens.directions(np.array([[-left, none], [right, none], [none, -top], [none, bottom]]))
+        return FieldOfView(*np.nan_to_num(np.arccos(found[:, 2]), nan=self.widest_angle).tolist())
+
     @cached_property
-    def widest_ray(self) -> float:
-        """The distance from the optical axis, at a depth of 1, that the image shows at most."""
-        (u, v), (focal_u, focal_v) = self.principal_point, self.focal_pixels
-        reach = math.hypot(max(u, self.image_width - u) / focal_u, max(v, self.image_height - v) / focal_v)
-        return widest_ray(self.distortion, reach) if self.distortion else reach
+    def widest_angle(self) -> float:
+        """The angle from the optical axis that the image shows at most, rad."""
+        left, right, top, bottom = self._borders
+        corner = math.hypot(max(left, right), max(top, bottom))
+        return math.atan(corner) if self.lens is None else self.lens.widest(corner)
 
     @property
     def cone_half_angle(self) -> float:
-        """Half-angle of the cone tangent to the frustum, min(phi_l, phi_r, phi_t, phi_b), radians."""
-        return min(self.field_of_view)
+        """Half-angle of the cone tangent to the frustum, min(phi_l, phi_r, phi_t, phi_b), rad, or `WIDEST_CONE`."""
+        return min(*self.field_of_view, WIDEST_CONE)
 
     @property
     def image_distance(self) -> float:

@@ -8,23 +8,16 @@ Sources: `camera_calibration_parsers` of ROS, the page "YAML formats" of Kalibr,
 
 import math
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from lmd.core.checks import InputError, choice, integer, real, vector
-from lmd.geometry.equidistant import nearest_radial
-from lmd.scene.calibration_files import PIXEL_CENTRE, read_cameras
+from lmd.core.checks import InputError, integer, real, vector
+from lmd.geometry.lens import lens_of
+from lmd.scene.calibration_files import LENS_MODELS, PIXEL_CENTRE, known_lens, read_cameras
 from lmd.scene.camera import Camera
 
-# OpenCV's coefficients begin with those that `lmd.geometry.distortion` has: k1, k2, p1, p2, k3.
-KNOWN_COEFFICIENTS = 5
-FISHEYE = "equidistant"
-ROS_MODELS = ("plumb_bob", "rational_polynomial", FISHEYE)
-KALIBR_MODELS = ("radtan", "none", FISHEYE)
-FARTHEST_OFF = 1.0  # pixels, by which a fisheye's image may differ from what is taken for it
+SIZE = ("image_width", "image_height")
 KALIBR_CAMERA = re.compile(r"cam\d+")
 OPTICS = ("focal_length", "aperture", "focus_distance")  # what no calibration says
 
@@ -37,10 +30,10 @@ class Calibration:
         image_width, image_height: w and h.
         focal_pixels: (f / s_u, f / s_v).
         principal_point: (c_x, c_y), from the centre of the first pixel, as OpenCV counts.
-        distortion: OpenCV's coefficients k1, k2, p1, p2, k3, ...; those beyond the fifth must be zero.
+        distortion, distortion_model: of the lens, see `lmd.geometry.lens.Lens`.
 
     Raises:
-        InputError: a value is out of range, or the lens needs coefficients that `lmd.geometry.distortion` has not.
+        InputError: a value is out of range, or the lens is none of these.
     """
 
     image_width: int
@@ -48,42 +41,15 @@ class Calibration:
     focal_pixels: tuple[float, ...]
     principal_point: tuple[float, ...]
     distortion: tuple[float, ...] = ()
+    distortion_model: str = "plumb_bob"
 
     def __post_init__(self) -> None:
         for name in ("image_width", "image_height"):
             object.__setattr__(self, name, integer(name, getattr(self, name), low=1))
         object.__setattr__(self, "focal_pixels", vector("focal_pixels", self.focal_pixels, 2, above=0.0))
         object.__setattr__(self, "principal_point", vector("principal_point", self.principal_point, 2))
-        if any(self.distortion[KNOWN_COEFFICIENTS:]):
-            raise InputError(
-                f"distortion can have the coefficients k1, k2, p1, p2 and k3 only, got {list(self.distortion)}: "
-                "calibrate without k4, k5, k6 (rational), s1 to s4 (thin prism) and tilt.",
-                "distortion",
-            )
-        object.__setattr__(self, "distortion", self.distortion[:KNOWN_COEFFICIENTS])
-
-    def behind_fisheye(self, lens: tuple[float, ...]) -> "Calibration":
-        """This camera with a lens of the equidistant model, as near as `lmd.geometry.distortion` comes to it.
-
-        Args:
-            lens: k1 to k4, see `lmd.geometry.equidistant`.
-
-        Raises:
-            InputError: somewhere in the image that is not near enough.
-        """
-        size, centre, focal = (
-            np.array(pair, dtype=np.float64)
-            for pair in ((self.image_width, self.image_height), self.principal_point, self.focal_pixels)
-        )
-        corner = np.maximum(centre + PIXEL_CENTRE, size - centre - PIXEL_CENTRE) / focal
-        scale, distortion, off = nearest_radial(lens, float(np.hypot(*corner)))
-        if (pixels := off * focal.max()) > FARTHEST_OFF:
-            raise InputError(
-                f"distortion {list(lens)} is that of a fisheye too wide for the lenses known here: the nearest one "
-                f"would be {pixels:.3g} pixels off, and at most {FARTHEST_OFF:g} is taken.",
-                "distortion",
-            )
-        return replace(self, focal_pixels=tuple(scale * focal), distortion=distortion)
+        lens = lens_of(self.distortion_model, self.distortion)
+        object.__setattr__(self, "distortion", () if lens is None else lens.coefficients)
 
     def camera(
         self, focal_length: float | None = None, aperture: float | None = None, focus_distance: float = math.inf
@@ -115,35 +81,40 @@ class Calibration:
             aperture=0.0 if aperture is None else aperture,
             focus_distance=focus_distance,
             distortion=self.distortion,
+            distortion_model=self.distortion_model,
         )
 
 
-def calibrated_camera(path: str | None, name: str | None = None, **optics: Any) -> Camera:
+def calibrated_camera(
+    path: str | None, name: str | None = None, image_size: Iterable[int] | None = None, **optics: Any
+) -> Camera:
     """The camera of a calibration file.
 
     Args:
-        path, name: see `read_calibration`.
+        path, name, image_size: see `read_calibration`.
         optics: see `Calibration.camera`.
 
     Raises:
         InputError: see there.
     """
-    calibration = read_calibration(path, name)
+    calibration = read_calibration(path, name, image_size)
     try:
         return calibration.camera(**optics)
     except InputError as error:
         raise error if error.argument in OPTICS else InputError(f"{path}: {error}") from None
 
 
-def read_calibration(path: str | None, name: str | None = None) -> Calibration:
+def read_calibration(path: str | None, name: str | None = None, image_size: Iterable[int] | None = None) -> Calibration:
     """Read a file of ROS, Kalibr (`camchain`), OpenCV (`FileStorage`) or another of `lmd.scene.calibration_files`.
 
     Args:
         path: the file.
         name: the camera in a file with several, such as `cam1` of Kalibr; not needed where there is only one.
+        image_size: width and height, pixels; needed where the file has none.
 
     Raises:
-        InputError: the file cannot be read, a key is missing or wrong, or the lens is of another model.
+        InputError: the file cannot be read, a key is missing or wrong, the size is another than that of the file, or
+            the lens is of another model.
     """
     if path is None:
         raise InputError("path is missing: a calibration file is needed.", "path")
@@ -156,38 +127,42 @@ def read_calibration(path: str | None, name: str | None = None) -> Calibration:
     if name is not None and name not in cameras:
         raise InputError(f"name = {name!r} is no camera of {path}, which has {', '.join(cameras) or 'one'}.", "name")
     chosen = name or (cameras[0] if cameras else "")
+    size = None if image_size is None else vector("image_size", image_size, 2, above=0.0)
     try:
-        return _kalibr(keys, chosen) if in_chain else _opencv(restated[chosen])
+        found = _kalibr(keys, chosen) if in_chain else _opencv(restated[chosen], size)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+    if size not in (None, known := (found.image_width, found.image_height)):
+        raise InputError(f"image_size must be {list(known)}, as {path} has it, got {list(size)}.", "image_size")
+    return found
 
 
-def _opencv(keys: Mapping[str, Any]) -> Calibration:
+def _opencv(keys: Mapping[str, Any], size: tuple[float, ...] | None) -> Calibration:
     """What ROS and OpenCV call by the same names; only ROS names the model."""
-    model = choice("distortion_model", keys.get("distortion_model", ROS_MODELS[0]), ROS_MODELS)
     matrix = vector("camera_matrix.data", _entry(keys, "camera_matrix", "data"), 9)
     focal_u, skew, centre_u, below, focal_v, centre_v, *last = matrix
     if (skew, below, *last) != (0.0, 0.0, 0.0, 0.0, 1.0):
         raise InputError(f"camera_matrix.data must be [fx, 0, cx, 0, fy, cy, 0, 0, 1], got {list(matrix)}.")
     lens = _numbers("distortion_coefficients.data", _entry(keys, "distortion_coefficients", "data"))
-    width, height = (_entry(keys, name) for name in ("image_width", "image_height"))
-    pinhole = Calibration(width, height, (focal_u, focal_v), (centre_u, centre_v))
+    width, height = (keys.get(name, None if size is None else size[i]) for i, name in enumerate(SIZE))
+    if width is None or height is None:
+        raise InputError(f"{' or '.join(SIZE)} is missing: give image_size, [width, height] in pixels.")
     # OpenCV's own sample says by a flag of its own that it is a fisheye.
-    is_fisheye = model == FISHEYE or bool(keys.get("fisheye_model", 0))
-    return pinhole.behind_fisheye(lens) if is_fisheye else replace(pinhole, distortion=lens)
+    name = "fisheye" if keys.get("fisheye_model", 0) else keys.get("distortion_model", "plumb_bob")
+    model = LENS_MODELS[known_lens(name, LENS_MODELS)]
+    return Calibration(width, height, (focal_u, focal_v), (centre_u, centre_v), lens, model)
 
 
 def _kalibr(keys: Mapping[str, Any], name: str) -> Calibration:
     """One camera of a chain."""
-    choice(f"{name}.camera_model", _entry(keys, name, "camera_model"), ("pinhole",))
-    choice(f"{name}.distortion_model", _entry(keys, name, "distortion_model"), KALIBR_MODELS)
+    known_lens(_entry(keys, name, "camera_model"), ("pinhole",))
+    model = known_lens(_entry(keys, name, "distortion_model"), LENS_MODELS)
     intrinsics = vector(f"{name}.intrinsics", _entry(keys, name, "intrinsics"), 4)
-    model = keys[name]["distortion_model"]
     distorted = model != "none"
     lens = _numbers(f"{name}.distortion_coeffs", _entry(keys, name, "distortion_coeffs")) if distorted else ()
     width, height = vector(f"{name}.resolution", _entry(keys, name, "resolution"), 2)
-    pinhole = Calibration(width, height, intrinsics[:2], intrinsics[2:])  # type: ignore[arg-type] # whole, or refused
-    return pinhole.behind_fisheye(lens) if model == FISHEYE else replace(pinhole, distortion=lens)
+    # The size is whole, or refused.
+    return Calibration(width, height, intrinsics[:2], intrinsics[2:], lens, LENS_MODELS[model])  # type: ignore[arg-type]
 
 
 def _entry(keys: Any, *path: str) -> Any:
@@ -205,4 +180,4 @@ def _entry(keys: Any, *path: str) -> Any:
 
 def _numbers(name: str, value: Any) -> tuple[float, ...]:
     """A list of numbers of any length."""
-    return vector(name, value, len(value) if isinstance(value, list) else KNOWN_COEFFICIENTS)
+    return vector(name, value, len(value) if isinstance(value, list) else 5)

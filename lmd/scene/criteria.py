@@ -191,6 +191,16 @@ def covers_one(sight, x, y, z, frame, low, high, sure, well, axes, a):  # type: 
 
 
 @overridable
+def pixel_density(sight, x, y, z, axes, a):  # type: ignore[no-untyped-def]
+    """Image of a small solid angle around a landmark that orientation a covers, focal lengths squared, over distance^3.
+
+    For a pinhole 1 / depth^3.
+    """
+    depth = axes[0, a] * x + axes[1, a] * y + axes[2, a] * z
+    return 1.0 / (depth * depth * depth)
+
+
+@overridable
 def covering(sight, left, w, x, y, z, frame, low, high, sure, well, axes):  # type: ignore[no-untyped-def]
     """The axes of word w that are in the set `left` and cover the landmark; arguments as in `covers_one`, `well` a set.
 

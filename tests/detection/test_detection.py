@@ -89,8 +89,15 @@ def test_bad_input_gets_a_sentence(make, sentence):
         make()
 
 
-def test_pose_by_exact_corners():
-    renderer = Renderer(replace(CAMERA, distortion=(-0.2, 0.05, 0.001, 0.002)), room("36h11"))
+@pytest.mark.parametrize(
+    "lens",
+    [
+        {"distortion": (-0.2, 0.05, 0.001, 0.002)},
+        {"distortion": (0.01, -0.02, 0.005, 0.0), "distortion_model": "equidistant"},
+    ],
+)
+def test_pose_by_exact_corners(lens):
+    renderer = Renderer(replace(CAMERA, **lens), room("36h11"))
     image = renderer.corners(POSE)
     found = pose_from_corners(renderer.camera, renderer.room.corners, image)
     np.testing.assert_allclose(found, POSE, atol=1e-5)

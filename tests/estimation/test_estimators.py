@@ -25,6 +25,9 @@ from lmd.sight.views import visible
 
 SCENE = paper_scene()
 BENT = paper_camera(distortion=(-0.15, 0.02, 0.002, -0.003))
+PRISM = paper_camera(distortion=(0.15, -0.04, 0.001, 0.0, 0.004, 0.5, -0.07, 0.006, 0.001, 0.0, -0.002, 0.001))
+FISHEYE = paper_camera(distortion=(0.01, -0.005, 0.002, -0.0005), distortion_model="equidistant")
+CAMERAS = {"pinhole": SCENE.camera, "plumb bob": BENT, "rational": PRISM, "fisheye": FISHEYE}
 EVALUATOR = Evaluator(SCENE, threads=1)
 UNIFORM = UniformDeployment(90).draw(SCENE.room, np.random.default_rng(0))
 FLIGHT = RandomMotion(20.0, Pace(1.0, 1.0, 20.0)).draw(SCENE, np.random.default_rng(3))
@@ -105,7 +108,7 @@ def test_missed_detections_are_as_many_as_said():
     assert detected(seen, 0.0, np.random.default_rng(0)).all()
 
 
-@pytest.mark.parametrize("camera", [SCENE.camera, BENT])
+@pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)
 def test_pixel_noise_is_as_large_as_said(camera):
     detector, focal = Detector(pixel_noise=0.8, edge=0.2), camera.focal_pixels
     points = np.tile([0.9, -0.8, 2.0], (20_000, 1))
@@ -113,15 +116,25 @@ def test_pixel_noise_is_as_large_as_said(camera):
     image, exact = (project(camera, np.eye(4), p) for p in (measured, points))
     assert_allclose((image - exact).std(axis=0), 0.8, rtol=0.03)
     assert_allclose((image - exact).mean(axis=0), 0.0, atol=0.03)
-    assert_allclose((focal[0] * 0.2 / measured[:, 2]).std(), 0.8, rtol=0.03)
+    depth = np.linalg.norm(measured, axis=-1) if camera is FISHEYE else measured[:, 2]
+    assert_allclose((focal[0] * 0.2 / depth).std(), 0.8, rtol=0.03)
     assert_array_equal(Detector().measured(points, SCENE.camera, np.random.default_rng(0)), points)
+
+
+@pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)
+def test_the_covariance_is_that_of_what_is_measured(camera):
+    detector, points = Detector(pixel_noise=0.2, edge=0.3), np.tile([0.9, -0.8, 2.0], (40_000, 1))
+    measured = detector.measured(points, camera, np.random.default_rng(0))
+    covariance = 0.2**2 * detector.covariance(points[:1], camera)[0]
+    whitened = np.linalg.solve(np.linalg.cholesky(covariance), (measured - points).T)
+    assert_allclose(np.cov(whitened), np.eye(3), atol=0.03)
 
 
 def test_the_focal_length_in_pixels_is_that_of_each_side():
     assert_allclose(paper_camera(pixel_height=0.01).focal_pixels, [5.0 / 0.0058, 5.0 / 0.01])
 
 
-@pytest.mark.parametrize("camera", [SCENE.camera, BENT])
+@pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)
 def test_the_information_is_that_of_the_images_slopes(camera):
     recording = spread_out(1, Detector())
     pose, landmarks = recording.poses[0, 0], recording.landmarks[0]

@@ -6,14 +6,15 @@ import cv2
 import numpy as np
 import pytest
 from bearings import view_matrices
-from paper import paper_room, paper_scene
+from paper import paper_camera, paper_room, paper_scene
 
-from lmd.geometry.se3 import axis_and_right, camera_pose
+from lmd.geometry.se3 import axis_and_right, camera_pose, exp
 from lmd.geometry.squares import corners, upright
 from lmd.objectives.localisation import reference
 from lmd.objectives.localisation.information import deviation_per_variance, log_det, precision, variance
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.tag import Tag
+from lmd.sight.models.fiducial import Fiducial
 from lmd.sight.reference import coverage_caps
 
 EDGE, NOISE = 0.1, 0.5
@@ -37,18 +38,31 @@ def pixel_covariance(pose, points):
     return by @ covariance @ by.T
 
 
-def views(count, rng, deployment, least):
+def lens_covariance(camera, pose, points):
+    """Of the pose times exp(w, v), for one pixel of noise, by differences of OpenCV's projection, `(6, 6)`."""
+    by_opencv = cv2.fisheye.projectPoints if camera.distortion_model == "equidistant" else cv2.projectPoints
+    matrix, numbers, step = np.diag([*camera.focal_pixels, 1.0]), np.array(camera.distortion), 1e-6
+
+    def image(at):
+        local = (points - at[:3, 3]) @ at[:3, :3]
+        return by_opencv(local[:, None], np.zeros(3), np.zeros(3), matrix, numbers)[0].ravel()
+
+    slopes = [(image(pose @ exp(step * way)) - image(pose @ exp(-step * way))) / (2.0 * step) for way in np.eye(6)]
+    return np.linalg.inv(np.array(slopes) @ np.array(slopes).T)
+
+
+def views(count, rng, deployment, least, scene=SCENE):
     """Poses, information and corners of random views that cover at least so many landmarks."""
-    asked = precision(SCENE.camera, SCENE.tag, NOISE, 0.02)
+    asked = precision(scene.camera, scene.tag, NOISE, 0.02)
     all_corners = corners(deployment.positions, deployment.normals, upright(deployment.normals)[1], EDGE)
     found = []
     while len(found) < count:
         yaw, pitch = rng.uniform(-np.pi, np.pi), rng.uniform(-np.pi / 2, np.pi / 2)
-        pose = camera_pose(SCENE.room.sample(1, rng)[0], np.array([yaw]), np.array([pitch]), np.zeros(1))[0]
+        pose = camera_pose(scene.room.sample(1, rng)[0], np.array([yaw]), np.array([pitch]), np.zeros(1))[0]
         axes = axis_and_right(pose[None])
-        caps = coverage_caps(SCENE, deployment, pose[:3, 3], axes)[0]
+        caps = coverage_caps(scene, deployment, pose[:3, 3], axes)[0]
         if caps.sum() >= least:
-            information = reference.view_information(SCENE, deployment, asked, pose[:3, 3], axes)[:, 0]
+            information = reference.view_information(scene, deployment, asked, pose[:3, 3], axes)[:, 0]
             found.append((pose, information, all_corners[caps].reshape(-1, 3)))
     return found
 
@@ -81,3 +95,31 @@ def test_it_stands_for_the_information_of_the_pixels():
     assert np.quantile(ratio, 0.95) < 1.06
     other_side = (np.array(predicted) <= 0.02) != (np.array(exact) <= 0.02)
     assert other_side.mean() < 0.01
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        {"distortion": (0.15, -0.04, 0.001, 0.0, 0.004, 0.5, -0.07, 0.006, 0.001, 0.0, -0.002, 0.001)},
+        # 69 degrees from the axis to the borders, 86 to the corners.
+        {
+            "distortion": (0.003, 0.001, -0.002, 0.0002),
+            "distortion_model": "equidistant",
+            "pixel_width": 0.0075,
+            "pixel_height": 0.0075,
+        },
+    ],
+    ids=["rational", "fisheye"],
+)
+def test_behind_a_lens_it_stands_for_the_information_of_its_pixels(lens):
+    rng, camera = np.random.default_rng(1), paper_camera(**lens)
+    scene = replace(SCENE, camera=camera, visibility=Fiducial(Tag(EDGE)))
+    deployment = UniformDeployment(90).draw(SCENE.room, rng)
+    scale, exact, predicted = deviation_per_variance(camera, NOISE), [], []
+    for pose, information, points in views(400, rng, deployment, 2, scene):
+        predicted.append(scale * np.sqrt(variance.py_func(*information)[0]))
+        exact.append(NOISE * np.sqrt(np.trace(lens_covariance(camera, pose, points)[3:, 3:])))
+    ratio = np.array(predicted) / np.array(exact)
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.02)
+    assert np.quantile(ratio, 0.05) > 0.94
+    assert np.quantile(ratio, 0.95) < 1.06

@@ -22,6 +22,7 @@ moderngl = pytest.importorskip("moderngl")
 CAMERA = Camera(5.0, 0.01, 0.01, (330.0, 235.0), 640.0, 480.0, 1.0, 1000.0)
 SHARP = Imaging(psf_sigma=0.0, defocus=False, noise=0.0, supersampling=8)
 SAMPLES = 8  # of OpenGL, along each axis of a pixel
+FISHEYE = (0.02, -0.03, 0.01, -0.002)
 PIECES = 24  # that each edge of a paper is cut into, so that straight ones show how the lens bends the whole
 VERTEX = """
 #version 330
@@ -85,8 +86,9 @@ def by_opengl(context, camera, room, pose, imaging):
         right = np.cross(up, normal)
         world = centre + room.tag.paper_edge * ((texels[:, :1] - 0.5) * right + (0.5 - texels[:, 1:]) * up)
         local = world @ back[:3, :3].T + back[:3, 3]
-        lens = np.array(camera.distortion or np.zeros(5))
-        image = cv2.projectPoints(local, np.zeros(3), np.zeros(3), intrinsics(camera), lens)[0][:, 0]
+        lens, still = np.array(camera.distortion or np.zeros(5)), np.zeros(3)
+        by_opencv = cv2.fisheye.projectPoints if camera.distortion_model == "equidistant" else cv2.projectPoints
+        image = by_opencv(local[:, None], still, still, intrinsics(camera), lens)[0][:, 0]
         depth = local[:, 2]
         place = np.stack([2.0 * image[:, 0] / width - 1.0, 1.0 - 2.0 * image[:, 1] / height, depth / 10.0], axis=-1)
         vertices = np.column_stack([place * depth[:, None], depth, texels])
@@ -97,10 +99,20 @@ def by_opengl(context, camera, room, pose, imaging):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("lens", [(), (-0.2, 0.03, 0.004, -0.005), (0.2, 0.05, -0.004, 0.003)])
+@pytest.mark.parametrize(
+    "lens",
+    [
+        (),
+        (-0.2, 0.03, 0.004, -0.005),
+        (0.2, 0.05, -0.004, 0.003),
+        (0.1, -0.04, 0.001, 0.0, 0.004, 0.3, -0.07, 0.006, 0.01, 0.0, -0.02, 0.01),
+        "fisheye",
+    ],
+)
 @pytest.mark.parametrize("roll", [0.0, 0.5])
 def test_frames_are_those_of_opengl(context, room, lens, roll):
-    camera, pose = replace(CAMERA, distortion=lens), camera_pose([0.0, 0.0, 0.0], np.pi / 2, 0.0, roll)
+    model = {"distortion": FISHEYE, "distortion_model": "equidistant"} if lens == "fisheye" else {"distortion": lens}
+    camera, pose = replace(CAMERA, **model), camera_pose([0.0, 0.0, 0.0], np.pi / 2, 0.0, roll)
     renderer, detector = Renderer(camera, room, SHARP), AprilTagDetector()
     ours = renderer.frame(pose, np.random.default_rng(0))
     theirs = by_opengl(context, camera, room, pose, SHARP)

@@ -6,12 +6,14 @@ import pytest
 
 from lmd.core.checks import InputError
 from lmd.detection.detectors import AprilTagDetector
+from lmd.detection.frames import tagged_room
 from lmd.geometry.se3 import camera_pose, exp
 from lmd.render.imaging import Imaging
-from lmd.render.optics import intrinsics, project, rectified
+from lmd.render.optics import bearings, intrinsics, project, to_camera
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
 from lmd.scene.camera import Camera
+from lmd.scene.deployment_sources import UniformDeployment
 from lmd.scene.tag import Tag
 from lmd.space.cuboid import Cuboid
 
@@ -45,14 +47,15 @@ def test_projection_by_hand():
 
 def test_distortion_is_that_of_opencv_half_a_pixel_away():
     points = np.random.default_rng(0).uniform([-0.4, -0.4, 1.0], [0.4, 0.4, 2.0], (50, 3))
-    matrix, far = intrinsics(BENT), np.hypot(*points.T[:2]) / points[:, 2] > BENT.widest_ray
+    matrix, far = intrinsics(BENT), np.arctan2(np.hypot(*points.T[:2]), points[:, 2]) > BENT.widest_angle
     expected = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, np.array(BARREL))[0][:, 0]
     image = project(BENT, np.eye(4), points)
     np.testing.assert_allclose(image[~far], expected[~far], atol=1e-9)
     assert np.isnan(image[far]).all()
     assert 0 < far.sum() < 10
-    np.testing.assert_allclose(rectified(BENT, image[~far]), project(CAMERA, np.eye(4), points[~far]), atol=1e-9)
-    assert rectified(CAMERA, image) is image
+    ahead = points / np.linalg.norm(points, axis=-1, keepdims=True)
+    np.testing.assert_allclose(bearings(BENT, image[~far]), ahead[~far], atol=1e-9)
+    np.testing.assert_allclose(bearings(CAMERA, project(CAMERA, np.eye(4), points)), ahead, atol=1e-12)
 
 
 def test_a_sharp_tag_is_its_picture():
@@ -184,6 +187,35 @@ def test_distorted_corners_are_where_the_picture_has_them():
     found = AprilTagDetector().detect(renderer.frame(ORIGIN, np.random.default_rng(0)))
     np.testing.assert_allclose(found.corners, renderer.corners(ORIGIN), atol=0.15)
     assert np.abs(renderer.corners(ORIGIN) - Renderer(CAMERA, room).corners(ORIGIN)).max() > 1.0
+
+
+def test_a_detector_finds_tags_through_a_fisheye_where_the_model_says():
+    room = Cuboid((4.0, 3.0, 3.0), (2.0, 1.0, 1.0), 0.5)
+    # 74 degrees to the borders, 109 to the corners: the picture is made of five faces of a cube.
+    fisheye = Camera(
+        focal_length=1.0,
+        pixel_width=1.0 / 400.0,
+        pixel_height=1.0 / 400.0,
+        principal_point=(510.0, 520.0),
+        image_width=1024,
+        image_height=1024,
+        aperture=0.0,
+        distortion=(0.0035, 0.0007, -0.002, 0.0002),
+        distortion_model="equidistant",
+    )
+    deployment = UniformDeployment(60).draw(room, np.random.default_rng(0))
+    pose = camera_pose(np.array([2.0, 1.4, 1.5]), 0.3, 0.1, 0.2)
+    renderer = Renderer(fisheye, tagged_room(room, deployment, Tag(0.2)), Imaging(texture=4.0))
+    found = AprilTagDetector().detect(renderer.frame(pose, np.random.default_rng(0)))
+    whole = np.flatnonzero(renderer.inside(pose))
+    assert set(whole) >= set(found.ids.tolist())
+    assert len(found) > 0.9 * len(whole) > 20
+    off = np.linalg.norm(found.corners - renderer.corners(pose)[found.ids], axis=-1)
+    assert np.median(off) < 0.3
+    assert off.max() < 1.0
+    ahead = to_camera(pose, deployment.positions[found.ids])
+    assert np.count_nonzero(ahead[:, 2] < 0.4 * np.linalg.norm(ahead, axis=-1)) >= 4  # beyond 66 degrees
+    assert (ahead[:, 2] < 0.0).any()
 
 
 def test_a_lens_that_distorts_blurs_as_much_as_any():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lmd.core.checks import InputError
-from lmd.scene.camera_calibration import read_calibration
+from lmd.scene.camera_calibration import calibrated_camera, read_calibration
 
 REAL = Path(__file__).parents[2] / ".." / "shared" / "real" / "calibration"
 MATRIX = [600.0, 0.0, 320.0, 0.0, 610.0, 240.0, 0.0, 0.0, 1.0]
@@ -53,6 +53,46 @@ def test_every_format_says_the_same_of_one_camera(kind, write):
     np.testing.assert_allclose(found.distortion, LENS)
 
 
+RATIONAL = [*LENS, 0.3, -0.1, 0.02]
+FISHEYE = [0.01, -0.02, 0.005, -0.001]
+
+
+def colmap(model, lens):
+    return f"1 {model} 640 480 600 610 320.5 240.5 {' '.join(map(str, lens))}\n"
+
+
+def basalt(kind, names, lens):
+    keys = {"camera_type": kind, "intrinsics": NAMES | dict(zip(names.split(), lens, strict=True))}
+    return json.dumps({"value0": {"intrinsics": [keys], "resolution": [[640, 480]]}})
+
+
+@pytest.mark.parametrize(
+    ("text", "lens"),
+    [
+        (FILES["message"].replace(str(LENS), str(RATIONAL)), RATIONAL),
+        (FILES["PhotonVision"].replace(str(LENS), str(RATIONAL)), RATIONAL),
+        (colmap("FULL_OPENCV", [*LENS[:4], *RATIONAL[4:]]), RATIONAL),
+        (basalt("pinhole-radtan8", "k1 k2 p1 p2 k3 k4 k5 k6", RATIONAL), RATIONAL),
+        (MRCAL.format("OPENCV8", str(RATIONAL)[1:-1]), RATIONAL),
+        (MRCAL.format("OPENCV12", str([*RATIONAL, *FISHEYE])[1:-1]), [*RATIONAL, *FISHEYE]),
+        (colmap("OPENCV_FISHEYE", FISHEYE), FISHEYE),
+        (colmap("RADIAL_FISHEYE", FISHEYE[:2]).replace("600 610", "600"), [*FISHEYE[:2], 0.0, 0.0]),
+        (basalt("kb4", "k1 k2 k3 k4", FISHEYE), FISHEYE),
+        (
+            '%YAML:1.0\nCamera.type: "KannalaBrandt8"\nCamera1.fx: 600.0\nCamera1.fy: 610.0\nCamera1.cx: 320.0\n'
+            "Camera1.cy: 240.0\nCamera1.k1: 0.01\nCamera1.k2: -0.02\nCamera1.k3: 0.005\nCamera1.k4: -0.001\n"
+            "Camera.width: 640\nCamera.height: 480\n",
+            FISHEYE,
+        ),
+    ],
+)
+def test_rational_lenses_and_fisheyes_are_taken_as_they_are(text, lens, write):
+    found = read_calibration(write(text))
+    assert (found.distortion_model == "equidistant") == (len(lens) == 4)
+    assert found.distortion == tuple(lens)
+    np.testing.assert_allclose(found.principal_point, (320.0, 240.0))
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -61,14 +101,10 @@ def test_every_format_says_the_same_of_one_camera(kind, write):
         (FILES["Basalt"].replace("pinhole-radtan8", "ds"), "the lens model 'ds' is not known here"),
         (FILES["COLMAP"].replace("FULL_OPENCV", "FOV"), "the lens model 'FOV' is not known here"),
         (FILES["ORB-SLAM3"].replace("PinHole", "Rectified"), "the lens model 'Rectified' is not known here"),
-        (MRCAL.format("CAHVOR", "1"), "the lens model 'LENSMODEL_CAHVOR' is not known here"),
-        (
-            MRCAL.format("OPENCV8", "0, 0, 0, 0, 0, 0.1, 0, 0"),
-            "distortion can have the coefficients k1, k2, p1, p2 and",
-        ),
+        (MRCAL.format("CAHVOR", "1"), "the lens model 'CAHVOR' is not known here"),
         (MRCAL.format("OPENCV4", "1"), "intrinsics must be a list of 8 numbers"),
         ("{'lensmodel': __import__('os')}", "it is no cameramodel of mrcal"),
-        (FILES["frc971"].replace("image_width", "w"), "a calibration of frc971 has no size of the image"),
+        (FILES["frc971"].replace("image_width", "w"), "image_width or image_height is missing: give image_size, [wi"),
         (FILES["Basalt"].replace('"fx"', '"f"'), "the key or value 'fx' is missing or wrong"),
         ("1 OPENCV 640 480 600 610\n", "the key or value"),
     ],
@@ -80,30 +116,48 @@ def test_what_is_wrong_is_one_sentence(text, message, write):
 
 OUTCOMES = {
     "basalt_euroc_ds.json": "the lens model 'ds'",
-    "basalt_t265_kb4.json": "name must be given",
+    "basalt_t265_kb4.json": None,
     "colmap_maupertuis_cameras.txt": None,
-    "frc971_calibration_2024.json": "no size of the image",
+    "frc971_calibration_2024.json": "give image_size",
     "isaac_ros_camera_info.json": None,
-    "kalibr_tumvi_equidistant_512.yaml": "name must be given",
-    "mrcal_cam0_opencv8.cameramodel": r"k4, k5, k6 \(rational\)",
-    "mrcal_cam0_splined.cameramodel": "the lens model 'LENSMODEL_SPLINED",
+    "kalibr_tumvi_equidistant_512.yaml": None,
+    "mrcal_cam0_opencv8.cameramodel": None,
+    "mrcal_cam0_splined.cameramodel": "the lens model 'SPLINED",
     "opencv_left_intrinsics.yml": None,
     "opencv_tutorial_camera_charuco.yml": None,
-    "ros_clover_fisheye_plumb_bob_14coeff.yaml": r"k4, k5, k6 \(rational\)",
-    "ros_clover_ov7251_rational.yaml": r"k4, k5, k6 \(rational\)",
+    "ros_clover_fisheye_plumb_bob_14coeff.yaml": None,
+    "ros_clover_ov7251_rational.yaml": None,
     "ros_image_common_test.yaml": None,
     "ros_isaac_narrow_stereo.yaml": None,
     "ros_tello_960x720.yaml": None,
     "ros_zed_right.yaml": None,
 }
+PAIRS = ("basalt_t265_kb4.json", "kalibr_tumvi_equidistant_512.yaml")
 
 
 @pytest.mark.parametrize("name", OUTCOMES)
 def test_a_real_file_is_read_or_refused_for_its_lens(name):
     if not (path := REAL / name).exists():
         pytest.skip(f"{path} is not here")
+    camera = "cam1" if name in PAIRS else None
     if (message := OUTCOMES[name]) is None:
-        read_calibration(path)
+        calibrated_camera(path, camera)
     else:
         with pytest.raises(InputError, match=message):
-            read_calibration(path)
+            calibrated_camera(path, camera)
+
+
+def test_a_size_is_given_where_the_file_has_none_and_never_another(write):
+    path = write(FILES["frc971"].replace("image_width", "w").replace("image_height", "h"))
+    found = read_calibration(path, image_size=[640, 480])
+    assert (found.image_width, found.image_height) == (640, 480)
+    for size, message in (
+        ([640], r"^image_size must be a list of 2 numbers, got \[640\]\.$"),
+        ([640.5, 480], r": image_width must be a whole number, got 640\.5\.$"),
+    ):
+        with pytest.raises(InputError, match=message):
+            read_calibration(path, image_size=size)
+    whole = write(FILES["OpenCV XML"])
+    assert read_calibration(whole, image_size=[640, 480]) == read_calibration(whole)
+    with pytest.raises(InputError, match=r"^image_size must be \[640, 480\], as .* has it, got \[480\.0, 640\.0\]\.$"):
+        read_calibration(whole, image_size=[480, 640])

@@ -1,6 +1,7 @@
 import dataclasses
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -171,7 +172,9 @@ def test_a_visibility_value_out_of_range_is_named(name, value):
 
 def test_numbers_may_be_integers():
     assert paper_camera(focal_length=5, focus_distance=1778) == paper_camera()
-    assert all(isinstance(value, float | tuple) for value in dataclasses.asdict(paper_camera(aperture=10)).values())
+    assert all(
+        isinstance(value, float | tuple | str) for value in dataclasses.asdict(paper_camera(aperture=10)).values()
+    )
 
 
 @pytest.mark.parametrize("name", ["image_width", "image_height"])
@@ -183,14 +186,33 @@ def test_an_image_has_whole_pixels(name, value):
 
 def test_a_lens_that_distorts_shows_more_or_less():
     plain = paper_camera()
-    assert plain.widest_ray == pytest.approx(1.16)  # 1000 pixels at 862.07 a unit
+    assert plain.widest_angle == pytest.approx(math.atan(1.16))  # 1000 pixels at 862.07 a unit
     assert plain == paper_camera(distortion=[0.0] * 5)
-    assert paper_camera(distortion=(-0.1, 0.01, 0.0, 0.0)).widest_ray > 1.16
-    assert paper_camera(distortion=(0.1, 0.01, 0.0, 0.0)).widest_ray < 1.16
+    assert paper_camera(distortion=(-0.1, 0.01, 0.0, 0.0)).widest_angle > plain.widest_angle
+    assert paper_camera(distortion=(0.1, 0.01, 0.0, 0.0)).widest_angle < plain.widest_angle
 
 
-@pytest.mark.parametrize("distortion", [(-0.3, 0.0, 0.0, 0.0), (0.0, 0.0, 0.2, 0.0), (0.4, -0.4, 0.0, 0.0, 0.0)])
-def test_a_distortion_that_folds_the_image_is_refused(distortion):
-    message = r"^distortion must show what is farther .* turns back [\d.]+ degrees off the axis, before the corners\.$"
+@pytest.mark.parametrize("distortion", [(-0.5, 0.0, 0.0, 0.0), (0.0, 0.0, 0.2, 0.0), (0.4, -1.0, 0.0, 0.0, 0.0)])
+def test_a_distortion_that_folds_before_the_nearest_border_is_refused(distortion):
+    message = r"^distortion must show what is farther .* turns back [\d.]+ degrees off the axis, before it\.$"
     with pytest.raises(InputError, match=message):
         paper_camera(distortion=distortion)
+
+
+def test_a_lens_that_folds_before_the_corners_shows_what_is_within():
+    # r (1 - 0.3 r^2) is largest at r = 1 / sqrt(0.9), where it is 0.703: beyond the upper and the lower border.
+    camera = paper_camera(distortion=(-0.3, 0.0, 0.0, 0.0))
+    fold = math.atan(1.0 / math.sqrt(0.9))
+    assert camera.widest_angle == pytest.approx(fold)
+    left, _, top, _ = camera.field_of_view
+    assert left == camera.widest_angle > top
+    assert math.tan(top) * (1.0 - 0.3 * math.tan(top) ** 2) == pytest.approx(600 / 862.07, abs=1e-6)
+
+
+def test_a_fisheye_sees_what_is_behind_it():
+    # 5 mm / 0.0058 mm make 862 pixels a radian; 0.0145 mm make 344.8, and 1000 pixels to the corner 166 degrees.
+    camera = paper_camera(pixel_width=0.0145, pixel_height=0.0145, distortion=[0.0] * 4, distortion_model="equidistant")
+    assert camera.distortion == (0.0,) * 4
+    assert camera.widest_angle == pytest.approx(2.9)
+    np.testing.assert_allclose(camera.field_of_view, [2.32, 2.32, 1.74, 1.74])
+    assert camera.cone_half_angle == pytest.approx(math.radians(89.0))

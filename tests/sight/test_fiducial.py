@@ -15,7 +15,7 @@ from lmd.core.checks import InputError
 from lmd.detection.quality import apparent_edge, incidence, pitch
 from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.geometry.squares import VERTICAL_TOLERANCE, corners, upright
-from lmd.render.optics import blur_sigma, project, to_camera
+from lmd.render.optics import blur_sigma, depth_in_focus, project, to_camera
 from lmd.scene import pdf
 from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
@@ -30,11 +30,23 @@ from lmd.sight.models.limits import measured
 pytestmark = pytest.mark.slow  # images, or kernels of a second model of sight
 
 
-LENSES = {"none": (), "barrel": (-0.12, 0.01, 0.002, -0.003), "pincushion": (0.1, 0.02, -0.003, 0.001, 0.01)}
+LENSES = {
+    "none": {},
+    "barrel": {"distortion": (-0.12, 0.01, 0.002, -0.003)},
+    "pincushion": {"distortion": (0.1, 0.02, -0.003, 0.001, 0.01)},
+    "rational": {"distortion": (0.15, -0.04, 0.001, 0.0, 0.004, 0.5, -0.07, 0.006, 0.001, 0.0, -0.002, 0.001)},
+    # 82 degrees from the axis to the borders, 103 to the corners.
+    "fisheye": {
+        "distortion": (0.003, 0.001, -0.002, 0.0002),
+        "distortion_model": "equidistant",
+        "pixel_width": 0.009,
+        "pixel_height": 0.009,
+    },
+}
 
 
 def fiducial_scene(room=None, orientations=None, edge=0.1, lens="none", **fiducial):
-    camera, orientations = paper_camera(distortion=LENSES[lens]), orientations or pdf.grid_with_ends()
+    camera, orientations = paper_camera(**LENSES[lens]), orientations or pdf.grid_with_ends()
     return Scene(room or paper_room(), camera, orientations, Fiducial(Tag(edge), **fiducial))
 
 
@@ -50,12 +62,14 @@ def by_the_detection_package(scene, deployment, poses):
     """Whether each pose sees each tag, nobody hiding it, by the functions that judge rendered tags; and how surely."""
     camera, fiducial, limits = scene.camera, scene.visibility, scene.visibility.limits
     centres, normals, tag = deployment.positions, deployment.normals, scene.visibility.tag
-    depth = to_camera(poses, centres)[..., 2]
+    depth = depth_in_focus(camera, to_camera(poses, centres))
     with np.errstate(all="ignore"):
         sigma = np.hypot(blur_sigma(camera, depth, fiducial.psf_sigma), fiducial.motion_blur / math.sqrt(12.0))
         least = np.hypot(limits.pitch, limits.blur * sigma)
         square = corners(centres, normals, upright(normals)[1], tag.size)
         points = project(camera, poses, square.reshape(-1, 3)).reshape(*depth.shape, 4, 2)
+        if camera.lens is not None:  # which need not show what is between the corners
+            points = np.concatenate([points, project(camera, poses, centres)[..., None, :]], axis=-2)
         size = np.array([camera.image_width, camera.image_height])
         inside = np.minimum(points, size - points).min(axis=(-1, -2)) - limits.margin
         ratios = [
@@ -105,6 +119,8 @@ def test_every_path_counts_what_the_reference_counts(data, scene, n, seed):
         *((detector, "none") for detector in sorted({d for d, _ in measured()})),
         ("aruco", "barrel"),
         ("apriltag", "pincushion"),
+        ("aruco", "rational"),
+        ("apriltag", "fisheye"),
     ],
 )
 @pytest.mark.parametrize("edge", [0.05, 0.1, 0.3])

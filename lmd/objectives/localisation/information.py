@@ -17,8 +17,9 @@ minors of S over det S. That of the rotation is the same with A and C exchanged.
 
 Pixels are not directions: at an angle with the cosine c = z / r from the optical axis a pixel is worth 1 / c^2 along
 the way to the image's centre, and 1 / c across. A landmark's 15 numbers are therefore weighed with (r / z)^3, r its
-distance and z its depth, which keeps the determinant of each corner's information. What that leaves is an error of some
-per cent of the standard deviation, see docs/accuracy.md; the exact information would have 21 numbers for each
+distance and z its depth, which keeps the determinant of each corner's information; behind a lens that distorts with how
+many pixels its model gives a solid angle there (`lmd.scene.criteria.pixel_density`). What that leaves is an error of
+some per cent of the standard deviation, see docs/accuracy.md; the exact information would have 21 numbers for each
 landmark, position *and* orientation. Pixels count as square with the geometric mean of the two focal lengths.
 
 A landmark that is a point counts as one corner. Two points leave a turn about the line through them open, and one tag
@@ -135,7 +136,7 @@ def moments(x, y, z, rx, ry, rz, ux, uy, uz, share):
 
 @inlined
 def share_of(moment, weight):
-    """What a landmark adds to one of the 15 numbers of a view: its moment times 1 / z^3, rounded to the quantum."""
+    """What a landmark adds to one of the 15 numbers of a view: its moment times `pixel_density`, rounded."""
     return (moment * weight + ROUNDER) - ROUNDER
 
 

@@ -14,7 +14,7 @@ from lmd.core.checks import FloatArray
 from lmd.core.compiled import for_kernels, inlined, kernel
 from lmd.geometry.squares import VERTICAL_TOLERANCE, upright_axes
 from lmd.objectives.localisation.information import WIDTH, meets, moments, share_of, variance
-from lmd.scene.criteria import covering, covers, frame_of, from_position
+from lmd.scene.criteria import covering, covers, frame_of, from_position, pixel_density
 from lmd.sight.bands import band_of
 from lmd.sight.blocks import BLOCK, SINGLE_ERROR
 from lmd.sight.directions import NOWHERE, cell_of
@@ -179,8 +179,7 @@ def localise_range(
                     while left:
                         a = i * np.uint64(BITS) + lowest(left)
                         left &= left - ONE
-                        depth = axes[0, a] * xk + axes[1, a] * yk + axes[2, a] * zk
-                        weight = 1.0 / (depth * depth * depth)
+                        weight = pixel_density(sight, xk, yk, zk, axes, a)
                         for j in range(terms):
                             sums[a, j] += share_of(moment[j], weight)
             if asks:

@@ -15,7 +15,7 @@ from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, kernel
 from lmd.objectives.localisation.information import WIDTH, log_det, share_of
 from lmd.objectives.localisation.kernels import landmark_moments
-from lmd.scene.criteria import covers, from_position
+from lmd.scene.criteria import covers, from_position, pixel_density
 from lmd.scene.deployment import Deployment
 from lmd.sight.bands import band_of
 from lmd.sight.evaluator import Evaluator
@@ -73,8 +73,7 @@ def _gains(start, stop, points, normals, prices, positions, sight, obstacles, ax
             bottom, top = band_of(x, y, z, low, 0.0)
             for a in range(np.uint64(bands[bottom]), np.uint64(bands[top])):
                 if covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a):
-                    depth = axes[0, a] * x + axes[1, a] * y + axes[2, a] * z
-                    more = _log_det_with(sums, p, a, moment, 1.0 / (depth * depth * depth))
+                    more = _log_det_with(sums, p, a, moment, pixel_density(sight, x, y, z, axes, a))
                     gain += prices[p, a] * (more - known[p, a])
         out[j] = gain
 
@@ -94,8 +93,7 @@ def _add(start, stop, point, normal, positions, sight, obstacles, axes, bands, p
         bottom, top = band_of(x, y, z, low, 0.0)
         for a in range(np.uint64(bands[bottom]), np.uint64(bands[top])):
             if covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a):
-                depth = axes[0, a] * x + axes[1, a] * y + axes[2, a] * z
-                weight = 1.0 / (depth * depth * depth)
+                weight = pixel_density(sight, x, y, z, axes, a)
                 known[p, a] = _log_det_with(sums, p, a, moment, weight)
                 for i in range(len(moment)):
                     sums[p, a, i] += share_of(moment[i], weight)

@@ -22,7 +22,8 @@ def change_sums(k, sign, field, state, scratch):
     if not field.asks:
         return
     sums, caps = state.sums, scratch.caps
-    axes, offsets, moments, goes = field.coverage.axes, scratch.offsets, scratch.moments, scratch.goes
+    sight, axes = field.coverage.sight, field.coverage.axes
+    offsets, moments, goes = scratch.offsets, scratch.moments, scratch.goes
     words = np.uint64(caps.shape[1])
     for p in scratch.coverage.listed[: list_touched(k, state.coverage, scratch.coverage)]:
         for e in range(list_changes(np.uint64(k), p, field, state, scratch)):
@@ -32,7 +33,7 @@ def change_sums(k, sign, field, state, scratch):
                     bit = lowest(left)
                     left &= left - ONE
                     view, a = (p * words + w) * VIEW + bit, w * VIEW + bit
-                    add_shares(sums, view, e, a, sign, axes, offsets, moments, goes)
+                    add_shares(sums, view, e, a, sign, sight, axes, offsets, moments, goes)
 
 
 @inner
@@ -50,7 +51,8 @@ def exchange(state, scratch):
 def _fill(field, state, scratch):
     """Sum up what all landmarks tell, and find the values."""
     known, weights, n, row, sums = state.coverage, field.coverage.weights, field.coverage.n, scratch.row, state.sums
-    axes, offsets, moments, goes = field.coverage.axes, scratch.offsets, scratch.moments, scratch.goes
+    sight, axes = field.coverage.sight, field.coverage.axes
+    offsets, moments, goes = scratch.offsets, scratch.moments, scratch.goes
     landmarks, normals, positions = state.landmarks, state.normals, field.coverage.positions
     words, size = np.uint64(state.localised.shape[1]), np.uint64(known.counts.shape[2])
     for p in range(np.uint64(len(state.units))):
@@ -69,7 +71,7 @@ def _fill(field, state, scratch):
                         bit = lowest(left)
                         left &= left - ONE
                         view, a = (p * words + w) * VIEW + bit, w * VIEW + bit
-                        add_shares(sums, view, ZERO, a, 1.0, axes, offsets, moments, goes)
+                        add_shares(sums, view, ZERO, a, 1.0, sight, axes, offsets, moments, goes)
         for w in range(words):
             has = ALL
             for j in range(size):

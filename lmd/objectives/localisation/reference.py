@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray
+from lmd.geometry.lens_models import density_of
 from lmd.geometry.squares import upright
 from lmd.objectives.localisation.information import PosePrecision, Precision, meets, moments, share_of
 from lmd.objectives.localisation.objective import Localisation
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
+from lmd.sight.models.fiducial import cross
 from lmd.sight.models.paper import dot
 from lmd.sight.reference import cap_count, coverage_caps, n_ple_cap
 
@@ -26,11 +28,19 @@ def view_information(
     right, up = upright(deployment.normals)
     sides = (asked.half * right, asked.half * up)
     with np.errstate(all="ignore"):  # of a landmark that is not covered the depth may be anything
-        depth = dot(axes[:, None, :3], offset)
         formulas: Any = moments.py_func
         moment = formulas(*offset.T, *sides[0].T, *sides[1].T, asked.share)
-        weight = 1.0 / (depth * depth * depth)
+        weight = _density(getattr(scene.sight, "lens", None), axes, offset)
         return np.stack([np.where(caps, share_of.py_func(each, weight), 0.0).sum(axis=1) for each in moment])
+
+
+def _density(lens: Any, axes: FloatArray, offset: FloatArray) -> FloatArray:
+    """See `lmd.scene.criteria.pixel_density`, `(A, K)`; `lens` is None for a pinhole."""
+    axis, right = axes[:, None, :3], axes[:, None, 3:]
+    if lens is None:
+        depth = dot(axis, offset)
+        return np.asarray(1.0 / (depth * depth * depth))
+    return np.asarray(density_of(lens, *(dot(side, offset) for side in (right, cross(axis, right), axis))))
 
 
 def localised(

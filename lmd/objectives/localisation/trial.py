@@ -21,7 +21,7 @@ from lmd.incremental.move import list_touched
 from lmd.incremental.trial import begin_move, complete_move
 from lmd.objectives.localisation.information import WIDTH, meets, share_of
 from lmd.objectives.localisation.kernels import landmark_moments, meets_row
-from lmd.scene.criteria import covering, frame_of
+from lmd.scene.criteria import covering, frame_of, pixel_density
 from lmd.sight.blocks import BLOCK
 from lmd.sight.directions import NOWHERE
 from lmd.sight.kernels import weights_row
@@ -80,13 +80,6 @@ def _look(k, field, state, scratch):
             cap[p, w] = found
 
 
-@inlined
-def _weight(axes, a, x, y, z):
-    """1 / z^3 for the depth z of a landmark at offset (x, y, z) along axis a."""
-    depth = axes[0, a] * x + axes[1, a] * y + axes[2, a] * z
-    return 1.0 / (depth * depth * depth)
-
-
 @inner
 def sum_weights(before, after, weights, p, w):
     """What the axes of word w weigh at position p that are in the set `after`, less those in `before`."""
@@ -106,7 +99,7 @@ def _list_views(k, field, state, scratch):
     Their sums are fetched into the cache meanwhile: they lie all over the memory, and waiting for them would take most
     of the time.
     """
-    asks, axes, positions = field.asks, field.coverage.axes, field.coverage.positions
+    asks, sight, axes, positions = field.asks, field.coverage.sight, field.coverage.axes, field.coverage.positions
     caps, short, just = state.coverage.caps, state.coverage.short, state.coverage.just
     reachable, hidden, flips = state.coverage.reachable, state.coverage.hidden, scratch.coverage.flips
     reached, cap = scratch.coverage.new.reached, scratch.coverage.cap
@@ -136,8 +129,8 @@ def _list_views(k, field, state, scratch):
                 a, v = w * VIEW + bit, (p * words + w) * VIEW + bit
                 prefetch(sums, v)
                 views[count] = v
-                leaving[count] = _weight(axes, a, ox, oy, oz) if was >> bit & ONE else 0.0
-                coming[count] = _weight(axes, a, px, py, pz) if now >> bit & ONE else 0.0
+                leaving[count] = pixel_density(sight, ox, oy, oz, axes, a) if was >> bit & ONE else 0.0
+                coming[count] = pixel_density(sight, px, py, pz, axes, a) if now >> bit & ONE else 0.0
                 count += ONE
         while count % np.uint64(GROUP):  # whole groups for each position
             views[count], leaving[count], coming[count] = views[first[p]], 0.0, 0.0
@@ -249,12 +242,12 @@ def list_changes(k, p, field, state, scratch):
 
 
 @inlined
-def add_shares(sums, v, e, a, sign, axes, offsets, moments, goes):
+def add_shares(sums, v, e, a, sign, sight, axes, offsets, moments, goes):
     """Add what change e of a position adds to axis a, or takes, to row v of `sums`; the arrays are those of a scratch.
 
     Inlined: to hand on field, state and scratch costs more than the work itself.
     """
-    weight = _weight(axes, a, offsets[e, 0], offsets[e, 1], offsets[e, 2])
+    weight = pixel_density(sight, offsets[e, 0], offsets[e, 1], offsets[e, 2], axes, a)
     factor = -sign if goes[e] else sign
     for j in range(np.uint64(sums.shape[1])):
         sums[v, j] += factor * share_of(moments[e, j], weight)
@@ -265,7 +258,8 @@ def _try_flips(k, places, field, state, scratch):
     """Find the values at the positions `places`, where other landmarks may appear or disappear."""
     counts, digits, n = state.coverage.counts, scratch.coverage.digits, field.coverage.n
     caps, row, localised, enough = scratch.caps, scratch.row, scratch.localised, scratch.enough
-    axes, offsets, moments, goes = field.coverage.axes, scratch.offsets, scratch.moments, scratch.goes
+    sight, axes = field.coverage.sight, field.coverage.axes
+    offsets, moments, goes = scratch.offsets, scratch.moments, scratch.goes
     words, size = np.uint64(localised.shape[1]), np.uint64(len(digits))
     for p in places:
         changes = list_changes(k, p, field, state, scratch)
@@ -290,7 +284,7 @@ def _try_flips(k, places, field, state, scratch):
                     row[ZERO, j] = state.sums[v, j]
                 for e in range(changes):
                     if caps[e, w] >> bit & ONE:
-                        add_shares(row, ZERO, e, w * VIEW + bit, 1.0, axes, offsets, moments, goes)
+                        add_shares(row, ZERO, e, w * VIEW + bit, 1.0, sight, axes, offsets, moments, goes)
                 good |= np.uint64(row_meets(field.precision, row)) << bit
             enough[p, w], localised[p, w] = has, good
     _sum_up(places, field, state, scratch)

@@ -17,8 +17,9 @@ smaller eigenvalue of J^T J is at least T if 2 T <= |J|^2 and T^2 - |J|^2 T + de
 |det J| = f_u f_v |n . d| / w^3.
 
 A corner is within a border if it is in a half-space, so the tag is if its farthest corner is. A lens that distorts
-bends these borders: then each corner is imaged by itself, must be no farther from the axis than `Camera.widest_ray`,
-and the Jacobian of the distortion comes between the focal lengths and the rest of J.
+bends these borders: then the centre and each corner are imaged by themselves, must be no farther from the axis than
+`Camera.widest_angle`, and J is the slope of the lens times t and s. Behind a fisheye, which has no depth at a right
+angle from its axis, the blur is that at the distance of the centre.
 
 All tags hang upright (`lmd.geometry.squares.upright`).
 
@@ -33,13 +34,14 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, real
-from lmd.geometry.distortion import bent, greatest_stretch, slopes
+from lmd.geometry.lens import EQUIDISTANT, Lens
+from lmd.geometry.lens_models import depth_of, image_of, slope_of
 from lmd.geometry.squares import VERTICAL_TOLERANCE, upright
 from lmd.scene.camera import MM_PER_M, Camera
 from lmd.scene.criteria import TOLERANCE
 from lmd.scene.tag import Tag
-from lmd.sight.models.distorted_sight import DistortedSight
 from lmd.sight.models.fiducial_sight import FiducialSight
+from lmd.sight.models.lens_sight import NEAR, LensSight
 from lmd.sight.models.limits import Limits, limits_of
 from lmd.sight.models.paper import dot
 
@@ -84,7 +86,7 @@ class Fiducial:
         """See `Criteria.spacing`: plates side by side."""
         return self.tag.paper_edge
 
-    def sight(self, camera: Camera) -> FiducialSight | DistortedSight:
+    def sight(self, camera: Camera) -> FiducialSight | LensSight:
         """See `Criteria.sight`."""
         limits, tag = self.limits, self.tag
         assert isinstance(limits, Limits)
@@ -99,7 +101,7 @@ class Fiducial:
             defocus = shape / (camera.focus_distance - camera.focal_length)
             focus = defocus * camera.focus_distance / MM_PER_M
         smooth = self.psf_sigma**2 + self.motion_blur**2 / 12.0
-        wide = camera.widest_ray if camera.distortion else math.hypot(max(left, right), max(top, bottom))
+        wide = math.hypot(max(left, right), max(top, bottom))
         flat = FiducialSight(
             outer_cosine=(1.0 - TOLERANCE) / math.hypot(1.0, wide),
             inset=math.asin(min(1.0, 1.5 * tag.size / 2.0 / FAR)),
@@ -121,12 +123,7 @@ class Fiducial:
             focus=focus,
             in_focus=focus / defocus if defocus else 0.0,
         )
-        if not camera.distortion:
-            return flat
-        k1, k2, p1, p2, k3 = camera.distortion
-        stretch = greatest_stretch(camera.distortion, wide)
-        bound = flat._replace(focal_u=stretch * flat.focal_u, focal_v=stretch * flat.focal_v)
-        return DistortedSight(flat, bound, flat.reach, k1, k2, p1, p2, k3, wide**2 * (1.0 + TOLERANCE))
+        return flat if camera.lens is None else _through(camera.lens, camera.widest_angle, flat)
 
     def covered(
         self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
@@ -140,17 +137,17 @@ class Fiducial:
     ) -> dict[str, BoolArray]:
         """Whether tags meet each criterion taken by itself, `(A, K)` by its name; args as in `covered`."""
         sight, offset = self.sight(camera), landmarks - position
-        flat = sight.flat if isinstance(sight, DistortedSight) else sight
+        flat = sight.flat if isinstance(sight, LensSight) else sight
         axis, right = axes[:, None, :3], axes[:, None, 3:]
-        frame = np.stack([right, _cross(axis, right), axis])  # (3, A, 1, 3)
+        frame = np.stack([right, cross(axis, right), axis])  # (3, A, 1, 3)
         centre, *sides = (dot(frame, vectors) for vectors in (offset, *upright(normals)))  # (3, A, K) each
-        if isinstance(sight, DistortedSight):
-            inside = in_distorted_rectangle(sight, camera.distortion, centre, sides)
+        if isinstance(sight, LensSight):
+            inside, clear = in_bent_rectangle(sight, centre, sides), resolved_by_lens(sight, centre, sides)
         else:
-            inside = in_rectangle(sight, centre, sides)
+            inside, clear = in_rectangle(sight, centre, sides), resolved(sight, centre, sides, offset, normals)
         everywhere = np.ones_like(inside)
         return {
-            "resolution": resolved(flat, camera.distortion, centre, sides, offset, normals),
+            "resolution": clear,
             "field_of_view": inside,
             "facing": everywhere & faces(flat, offset, normals),
             "hiding": everywhere & ~hidden_by_others(flat, offset, normals),
@@ -171,7 +168,50 @@ class Fiducial:
         }
 
 
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+def _through(lens: Lens, widest: float, flat: FiducialSight) -> LensSight:
+    """What is seen through a lens up to the angle `widest`, rad; `flat` as if it did not distort."""
+    bounds = lens.stretch(widest)
+    # From there to what is in view, a way may lead beyond the widest angle only if that is more than a right one.
+    around = widest if widest <= math.pi / 2.0 else min(widest + NEAR, math.pi)
+    rough, off = lens.approximation(widest)
+    low, high, area = min(flat.focal_u, flat.focal_v), max(flat.focal_u, flat.focal_v), flat.focal_u * flat.focal_v
+    return LensSight(
+        flat=flat,
+        lens=lens.model_numbers,
+        reach=flat.reach,
+        inset=flat.inset,
+        cosine=math.cos(widest) - TOLERANCE,
+        shallowest=1.0 if lens.model == EQUIDISTANT else math.cos(widest),
+        least=max(bounds.least, 0.0) * low,
+        most=bounds.most * high,
+        least_area=max(bounds.least_area, 0.0) * area,
+        most_area=bounds.most_area * area,
+        stretch=lens.ceiling(around),
+        highest=1.0 - math.cos(around),
+        rough=rough,
+        off=off,
+        pinholes=() if lens.model == EQUIDISTANT else _pinholes(lens, widest, flat),
+    )
+
+
+def _pinholes(lens: Lens, widest: float, flat: FiducialSight) -> tuple[FiducialSight, FiducialSight]:
+    """Pinholes that resolve no more than the lens, and no less, at each depth."""
+    rates = lens.stretch(widest, power=1)
+    shorter = rates.least if min(rates.least, rates.least_area) > 0.0 else 0.0
+    longer = max(rates.most, math.sqrt(rates.most_area))  # a pitch is no greater than the root of an area
+
+    def pinhole(rate: float, area: float) -> FiducialSight:
+        return flat._replace(
+            outer_cosine=math.cos(widest) * (1.0 - TOLERANCE),
+            focal_u=rate * flat.focal_u,
+            focal_v=rate * flat.focal_v,
+            area=flat.area * rate * rate / area if rate else flat.area,
+        )
+
+    return pinhole(shorter, rates.least_area), pinhole(longer, rates.most_area)
+
+
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """a x b over the last axis, term by term."""
     (ax, ay, az), (bx, by, bz) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
@@ -199,51 +239,51 @@ def in_rectangle(sight: FiducialSight, centre: FloatArray, sides: list[FloatArra
     return np.asarray(inside)
 
 
-def in_distorted_rectangle(
-    sight: DistortedSight, distortion: tuple[float, ...], centre: FloatArray, sides: list[FloatArray]
-) -> BoolArray:
-    """`in_rectangle` where the lens distorts: the corners are rays that are imaged, and that within the borders."""
+def in_bent_rectangle(sight: LensSight, centre: FloatArray, sides: list[FloatArray]) -> BoolArray:
+    """`in_rectangle` where the lens distorts: centre and corners are in directions that are imaged, and that within."""
     right, up = sides
     inside, flat = np.ones(centre.shape[1:], dtype=np.bool_), sight.flat
     one, two = flat.half * (right + up), flat.half * (right - up)
     with np.errstate(all="ignore"):  # a corner beside the camera is not in the image, whatever the numbers say
-        for u, v, w in (centre + one, centre - one, centre + two, centre - two):
-            x, y = u / w, v / w
-            inside &= (w > 0.0) & (x * x + y * y <= sight.widest)
-            across, down = bent(x, y, *distortion)
+        for u, v, w in (centre, centre + one, centre - one, centre + two, centre - two):
+            across, down = image_of(sight.lens, u, v, w)
+            inside &= w >= sight.cosine * np.sqrt(u * u + v * v + w * w)
             inside &= (-flat.left <= across) & (across <= flat.right) & (-flat.top <= down) & (down <= flat.bottom)
     return inside
 
 
 def resolved(
-    sight: FiducialSight,
-    distortion: tuple[float, ...],
-    centre: FloatArray,
-    sides: list[FloatArray],
-    offset: FloatArray,
-    normals: FloatArray,
+    sight: FiducialSight, centre: FloatArray, sides: list[FloatArray], offset: FloatArray, normals: FloatArray
 ) -> BoolArray:
-    """Whether pitch and area suffice, `(A, K)`; the arguments are the camera's and those of `in_rectangle`, `faces`."""
+    """Whether pitch and area suffice, `(A, K)`; the arguments are those of `in_rectangle` and `faces`."""
     (u, v, w), ((tu, tv, tw), (su, sv, sw)) = centre, sides
     with np.errstate(all="ignore"):  # a tag beside the camera is not resolved, whatever the numbers say
         per = 1.0 / w
         fu, fv, at_u, at_v = sight.focal_u * per, sight.focal_v * per, u * per, v * per
         one, two, three, four = tu - at_u * tw, su - at_u * sw, tv - at_v * tw, sv - at_v * sw
-        determinant = fu * fv * per * abs(dot(normals, offset))
-        if distortion:
-            xx, xy, yy = slopes(at_u, at_v, *distortion)
-            one, two, three, four = (
-                xx * one + xy * three,
-                xx * two + xy * four,
-                xy * one + yy * three,
-                xy * two + yy * four,
-            )
-            determinant = determinant * abs(xx * yy - xy * xy)
         square = fu * fu * (one * one + two * two) + fv * fv * (three * three + four * four)
-        blur = sight.defocus - sight.focus * per
-        least = sight.sharp + sight.blurred * (blur * blur)
-        enough = (2.0 * least <= square) & (determinant >= sight.area)
-        return np.asarray(enough & (least * least + determinant * determinant >= square * least))
+        return _suffices(sight, square, fu * fv * per * abs(dot(normals, offset)), per)
+
+
+def resolved_by_lens(sight: LensSight, centre: FloatArray, sides: list[FloatArray]) -> BoolArray:
+    """The same where the lens distorts."""
+    (u, v, w), ((tu, tv, tw), (su, sv, sw)), flat = centre, sides, sight.flat
+    with np.errstate(all="ignore"):
+        xu, xv, xw, yu, yv, yw = slope_of(sight.lens, u, v, w)
+        one, two = xu * tu + xv * tv + xw * tw, xu * su + xv * sv + xw * sw
+        three, four = yu * tu + yv * tv + yw * tw, yu * su + yv * sv + yw * sw
+        fu, fv = flat.focal_u, flat.focal_v
+        square = fu * fu * (one * one + two * two) + fv * fv * (three * three + four * four)
+        determinant = fu * fv * abs(one * four - two * three)
+        return _suffices(flat, square, determinant, 1.0 / depth_of(sight.lens, u, v, w))
+
+
+def _suffices(sight: FiducialSight, square: FloatArray, determinant: FloatArray, per: FloatArray) -> BoolArray:
+    """Whether |J|_F^2 and |det J| suffice at the depth 1 / `per`."""
+    blur = sight.defocus - sight.focus * per
+    least = sight.sharp + sight.blurred * (blur * blur)
+    enough = (2.0 * least <= square) & (determinant >= sight.area)
+    return np.asarray(enough & (least * least + determinant * determinant >= square * least))
 
 
 def hidden_by_others(sight: FiducialSight, offset: FloatArray, normals: FloatArray) -> BoolArray:

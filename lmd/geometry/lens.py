@@ -1,0 +1,259 @@
+"""Lenses that distort: what is imaged where, up to the angle at which the model folds, and how much that stretches.
+
+The image is in focal lengths from the principal point, points and directions `(..., 3)` are in the camera's frame. See
+`lmd.geometry.lens_models` for the formulas.
+
+Along a circle at the angle theta from the axis, a lens stretches directions by `along` the radius and by `across` it,
+but for tangential terms and a thin prism, which change either by at most `sway`. As long as both stay above the sway,
+the lens images different directions in different places: the angle at which that ends is called the `fold`. Beyond it a
+model says nothing about the lens.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, InputError, choice, vector
+from lmd.geometry.lens_models import BrownConrady, Equidistant, image_of, slope_of
+
+EQUIDISTANT = "equidistant"
+MODELS = ("plumb_bob", "rational_polynomial", EQUIDISTANT)
+# OpenCV takes so many coefficients: up to p2, k3, k6, s4, and the tilt of the sensor.
+SIZES = (4, 5, 8, 12, 14)
+TILT = 12  # where the tilt begins
+ORDER = "[] or [k1, k2, p1, p2], with k3, with k3 to k6, or with k3 to k6 and s1 to s4"
+TILTED = "is that of a tilted sensor, which is not known here: calibrate without CALIB_TILTED_MODEL."
+# Angles at which a lens is sampled. What lies between two differs from them by less than they differ.
+SAMPLES = 4096
+# A direction is found when its image is as near as this.
+CONVERGED = 1e-12
+STEPS = 20  # of Newton's method, at most
+# Of the polynomials that tell roughly what a lens does; what they are rounded by, and far more.
+DEGREE, ROUNDED = 5, 1e-9
+
+
+class Profile(NamedTuple):
+    """A lens at angles theta from the axis, arrays of one shape.
+
+    inner: the image is at least so far from the centre; along, across, sway: see above.
+    """
+
+    inner: FloatArray
+    along: FloatArray
+    across: FloatArray
+    sway: FloatArray
+
+    @property
+    def least(self) -> FloatArray:
+        """What any direction is stretched by at least."""
+        return np.asarray(np.minimum(self.along, self.across) - self.sway)
+
+    @property
+    def most(self) -> FloatArray:
+        """What any direction is stretched by at most."""
+        return np.asarray(np.maximum(self.along, self.across) + self.sway)
+
+
+class Stretch(NamedTuple):
+    """Bounds of how a lens stretches: of a small angle, and of a small solid angle."""
+
+    least: float
+    most: float
+    least_area: float
+    most_area: float
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A lens that distorts.
+
+    Args:
+        model: one of `MODELS`. The first two differ in the number of coefficients only.
+        coefficients: as OpenCV orders them: k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, of which 4, 5, 8 or 12 are
+            given, or 14 with a tilt of zero; k1, k2, k3, k4 for `equidistant`.
+
+    Raises:
+        InputError: the model is not known, or the coefficients are too many, too few or not finite.
+    """
+
+    model: str
+    coefficients: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        choice("distortion_model", self.model, MODELS)
+        fisheye = self.model == EQUIDISTANT
+        given = list(self.coefficients) if np.ndim(self.coefficients) == 1 else []
+        if len(given) not in ((len(Equidistant._fields),) if fisheye else SIZES):
+            known = "of an equidistant lens must be [k1, k2, k3, k4]" if fisheye else f"must be {ORDER}"
+            raise InputError(f"distortion {known}, got {self.coefficients!r}.", "distortion")
+        numbers = vector("distortion", given, len(given))
+        if not fisheye:
+            if any(numbers[TILT:]):
+                raise InputError(f"distortion {list(numbers)} {TILTED}", "distortion")
+            numbers = (*numbers[:TILT], *(0.0,) * (TILT - len(numbers)))
+            numbers = next(numbers[:size] for size in SIZES[1:] if not any(numbers[size:]))
+        object.__setattr__(self, "coefficients", numbers)
+
+    @cached_property
+    def model_numbers(self) -> BrownConrady | Equidistant:
+        """The named tuple that kernels know the lens by."""
+        if self.model == EQUIDISTANT:
+            return Equidistant(*self.coefficients)
+        return BrownConrady(*self.coefficients, *(0.0,) * (TILT - len(self.coefficients)))
+
+    def image(self, points: FloatArray) -> FloatArray:
+        """Where points are imaged, `(..., 2)`, whatever the fold says."""
+        with np.errstate(all="ignore"):
+            return np.stack(image_of(self.model_numbers, *np.moveaxis(points, -1, 0)), axis=-1)
+
+    def jacobian(self, points: FloatArray) -> FloatArray:
+        """How the images of points move with them, per metre, `(..., 2, 3)`."""
+        with np.errstate(all="ignore"):
+            slopes = slope_of(self.model_numbers, *np.moveaxis(points, -1, 0))
+        return np.stack(slopes, axis=-1).reshape(*points.shape[:-1], 2, 3)
+
+    def directions(self, image: FloatArray) -> FloatArray:
+        """The unit vectors whose image is at `image` `(..., 2)`: `(..., 3)`, NaN where there is none before the fold.
+
+        Newton's method, for the angle from the axis as if there were neither tangential terms nor a prism, and from
+        there for the direction.
+        """
+        length = np.hypot(image[..., 0], image[..., 1])
+        radii, angles = self._radii
+        with np.errstate(all="ignore"):
+            angle = np.interp(length, radii, angles)
+            for _ in range(STEPS):
+                here = self._profile(angle)
+                step = (length - here.across * np.sin(angle)) / here.along
+                angle = np.clip(angle + step, 0.0, self.fold)
+                if not (np.abs(step) > CONVERGED).any():
+                    break
+            around = np.sin(angle) / np.where(length > 0.0, length, 1.0)
+            found = np.concatenate([around[..., None] * image, np.cos(angle)[..., None]], axis=-1)
+            if here.sway.any():
+                found = self._refined(found, image)
+            off = np.abs(self.image(found) - image).max(axis=-1)
+            theta = np.arctan2(np.hypot(found[..., 0], found[..., 1]), found[..., 2])
+        return np.where(((off < 1e3 * CONVERGED) & (theta < self.fold))[..., None], found, np.nan)
+
+    @cached_property
+    def _radii(self) -> tuple[FloatArray, FloatArray]:
+        """How far from the centre angles up to the fold are imaged, but for the sway, and these angles."""
+        theta = np.linspace(0.0, self.fold, SAMPLES)
+        return self._profile(theta).across * np.sin(theta), theta
+
+    def _refined(self, start: FloatArray, image: FloatArray) -> FloatArray:
+        """Directions in front of the camera by Newton's method in the plane at depth 1, unit vectors."""
+        found = start / start[..., 2:]
+        for _ in range(STEPS):
+            slope, (a, b) = self.jacobian(found), np.moveaxis(image - self.image(found), -1, 0)
+            xx, xy, yx, yy = slope[..., 0, 0], slope[..., 0, 1], slope[..., 1, 0], slope[..., 1, 1]
+            step = np.stack([yy * a - xy * b, xx * b - yx * a], axis=-1) / (xx * yy - xy * yx)[..., None]
+            found[..., :2] += step
+            if not (np.abs(step) > CONVERGED).any():
+                break
+        return np.asarray(found / np.linalg.norm(found, axis=-1, keepdims=True))
+
+    @cached_property
+    def fold(self) -> float:
+        """The angle up to which directions are imaged, rad: below a right one, or half a turn for a fisheye."""
+        theta = np.linspace(0.0, np.pi if self.model == EQUIDISTANT else np.pi / 2.0, SAMPLES)[:-1]
+
+        def folds(angle: Any) -> Any:
+            with np.errstate(all="ignore"):
+                return ~(self._profile(angle).least > 0.0)
+
+        bad = np.flatnonzero(folds(theta))
+        return _border(folds, theta[bad[0] - 1], theta[bad[0]]) if bad.size else float(theta[-1])
+
+    def widest(self, reach: float) -> float:
+        """The angle from which on nothing before the fold is imaged nearer to the centre than `reach`, rad.
+
+        The fold where all is.
+        """
+        if not self._profile(np.float64(self.fold)).inner > reach:
+            return self.fold
+        return _border(lambda angle: self._profile(angle).inner >= reach, 0.0, self.fold)
+
+    def stretch(self, widest: float, power: int = 0) -> Stretch:
+        """Bounds for all directions up to the angle `widest`, rad.
+
+        With a power of 1 relative to those of a pinhole, which stretches an angle by 1 / cos(theta) at least and by
+        1 / cos(theta)^2 at most, and a solid angle by 1 / cos(theta)^3.
+        """
+        theta = np.linspace(0.0, widest, SAMPLES)
+        profile, cosine = self._profile(theta), np.cos(theta) ** power
+        low, high = cosine * profile.least, cosine**2 * profile.most
+        small = cosine**3 * (profile.along - profile.sway) * (profile.across - profile.sway)
+        large = cosine**3 * (profile.along + profile.sway) * (profile.across + profile.sway)
+        return Stretch(-_above(-low), _above(high), -_above(-small), _above(large))
+
+    def approximation(self, widest: float) -> tuple[tuple[float, ...], float]:
+        """A polynomial that tells roughly where directions up to the angle `widest` are imaged, rad.
+
+        Returns:
+            the coefficients of s with the image (s(h) x, s(h) y) of a unit vector (x, y, z), h = 1 - z; how far that is
+            off at most.
+        """
+        theta = np.linspace(0.0, widest, SAMPLES)
+        profile, height, around = self._profile(theta), 1.0 - np.cos(theta), np.sin(theta)
+        fit = np.polynomial.polynomial.polyfit(height, profile.across, DEGREE)
+        off = around * np.abs(np.polynomial.polynomial.polyval(height, fit) - profile.across)
+        return tuple(fit.tolist()), _above(off + around * profile.across - profile.inner) + ROUNDED
+
+    def ceiling(self, widest: float) -> tuple[float, ...]:
+        """A polynomial of h = 1 - cos(theta), a bound of how directions up to theta are stretched.
+
+        It holds up to the angle `widest`, rad.
+        """
+        theta = np.linspace(0.0, widest, SAMPLES)
+        height, most = 1.0 - np.cos(theta), np.maximum.accumulate(self._profile(theta).most)
+        fit = np.polynomial.polynomial.polyfit(height, most, DEGREE)
+        fit[0] += _above(most - np.polynomial.polynomial.polyval(height, fit)) + ROUNDED
+        return tuple(fit.tolist())
+
+    def _profile(self, theta: Any) -> Profile:
+        lens = self.model_numbers
+        if isinstance(lens, Equidistant):
+            powers = theta * theta
+            scale = np.polynomial.polynomial.polyval(powers, [1.0, *lens])
+            steep = np.polynomial.polynomial.polyval(powers, np.array([1.0, *lens]) * [1, 3, 5, 7, 9])
+            return Profile(theta * scale, steep, scale / np.sinc(theta / np.pi), np.zeros_like(theta))
+        k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = lens
+        r, cosine = np.tan(theta), np.cos(theta)
+        s = r * r
+        above, below = 1.0 + s * (k1 + s * (k2 + s * k3)), 1.0 + s * (k4 + s * (k5 + s * k6))
+        steep = (k1 + s * (2.0 * k2 + 3.0 * s * k3) - above / below * (k4 + s * (2.0 * k5 + 3.0 * s * k6))) / below
+        radial = np.where(below > 0.0, above / below, np.nan)  # the image is anywhere beyond a pole
+        shift, prism, wide = 3.0 * np.hypot(p1, p2), np.hypot(s1, s3), np.hypot(s2, s4)
+        sway = r * (2.0 * (shift + prism) + 4.0 * wide * s)
+        inner = r * radial - s * (shift + prism + wide * s)
+        return Profile(inner, (radial + 2.0 * s * steep) / cosine**2, radial / cosine, sway / cosine**2)
+
+
+def lens_of(model: str, distortion: Any) -> Lens | None:
+    """The lens with these coefficients; None for a pinhole that does not distort, with no coefficients or zeros.
+
+    Raises:
+        InputError: see `Lens`.
+    """
+    choice("distortion_model", model, MODELS)
+    if model != EQUIDISTANT and np.ndim(distortion) == 1 and len(distortion) == 0:
+        return None
+    lens = Lens(model, distortion)
+    return lens if model == EQUIDISTANT or any(lens.coefficients) else None
+
+
+def _border(reached: Callable[[Any], Any], low: float, high: float) -> float:
+    """The greatest number at which what is reached at `high` is not, from `low` on, by bisection."""
+    while low < (middle := (low + high) / 2.0) < high:
+        low, high = (low, middle) if reached(np.float64(middle)) else (middle, high)
+    return float(low)
+
+
+def _above(values: FloatArray) -> float:
+    """A bound of a function from samples: no value between two is above both by more than they differ."""
+    return float(values.max() + np.abs(np.diff(values)).max(initial=0.0))

@@ -1,0 +1,318 @@
+"""What a detector sees through a lens that distorts: `lmd.sight.models.fiducial` as scalar functions for a camera.
+
+The criteria are those of `fiducial_sight`, with two differences: centre and corners are imaged one by one, must be in
+the rectangle and no farther from the axis than the camera's widest angle, which may be beyond a right one; and J is the
+slope of the lens.
+
+Bounds come from how the lens stretches small angles (`lmd.geometry.lens.Stretch`). A tag at the distance d with the
+incidence i has a pitch between `least` cos(i) / d and `most` cos(i) / d, and |det J| between `least_area` cos(i) / d^2
+and `most_area` cos(i) / d^2, wherever in the image it is. A lens that is no fisheye is also compared with pinholes of
+a shorter and of a longer focal length, between whose pitches and areas its own are at each depth.
+"""
+
+import math
+from typing import NamedTuple
+
+from lmd.core.checks import FloatArray
+from lmd.core.compiled import inlined
+from lmd.core.dispatch import overridable
+from lmd.geometry.lens_models import (
+    BrownConrady,
+    Equidistant,
+    density_of,
+    depth_of,
+    image_of,
+    slope_of,
+)
+from lmd.geometry.squares import upright_axes
+from lmd.scene.criteria import (
+    TOLERANCE,
+    covering,
+    covers_one,
+    depth_first,
+    frame_of,
+    from_position,
+    hide,
+    in_cone,
+    in_image,
+    in_view,
+    pixel_density,
+)
+from lmd.sight.models.fiducial_sight import FiducialSight, may_hide
+from lmd.sight.obstacles import half_edge
+
+# Bounds of pitch and area are wider by this, relative: what the square of a normal may be off, and more.
+MARGIN = 1e-2
+# The image beyond a right angle is bounded for directions so near to those in view, rad.
+NEAR = 0.1
+# asin(s) <= s (1 + (pi / 2 - 1) s^2).
+ARC = math.pi / 2.0 - 1.0
+DIAGONAL = 1.4143  # half of a square's diagonal in halves of its edge, rounded up
+
+
+class LensSight(NamedTuple):
+    """The criteria as numbers, tolerance included; a `lmd.scene.criteria.Sight`."""
+
+    flat: FiducialSight
+    """What does not depend on the lens, and the borders in the distorted image."""
+    lens: BrownConrady | Equidistant
+    """Coefficients of the lens."""
+    reach: float
+    """See `Sight.reach`."""
+    inset: float
+    """See `Sight.inset`."""
+    cosine: float
+    """Cosine of the widest angle."""
+    shallowest: float
+    """Least `depth_of` in view at a distance of 1."""
+    least: float
+    """Least pitch of a metre that faces the camera at a distance of 1 m, pixels."""
+    most: float
+    """Greatest such pitch, pixels."""
+    least_area: float
+    """Least |det J| there, pixels^2."""
+    most_area: float
+    """Greatest |det J| there, pixels^2."""
+    stretch: tuple[float, ...]
+    """See `Lens.ceiling`."""
+    highest: float
+    """1 - cos(theta) of the angle up to which `stretch` holds."""
+    rough: tuple[float, ...]
+    """See `Lens.approximation`."""
+    off: float
+    """How far `rough` is off at most, focal lengths."""
+    pinholes: tuple[FiducialSight, FiducialSight] | tuple[()]
+    """Pinholes that resolve no more than the lens, and no less; none for a fisheye."""
+
+    @property
+    def outer_cosine(self) -> float:
+        """See `Sight.outer_cosine`: negative where the lens sees what is behind it."""
+        return self.cosine - TOLERANCE
+
+    @property
+    def horizon(self) -> float:
+        """See `Sight.horizon`: a pitch is no greater than the root of |det J|."""
+        needed = max(self.flat.area, self.flat.sharp)
+        seen = math.sqrt(self.most_area / needed) if needed else math.inf
+        return (seen + math.sqrt(max(self.reach, 0.0))) * (1.0 + MARGIN)
+
+    @property
+    def tabulated(self) -> bool:
+        """See `Sight.tabulated`."""
+        return True
+
+    def unhidden(self) -> "LensSight":
+        """See `Sight.unhidden`."""
+        return self._of(self.flat.unhidden())
+
+    def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "LensSight":
+        """See `Sight.among`."""
+        return self if may_hide(self.flat, self.horizon, low, high, landmarks, normals) else self.unhidden()
+
+    def shrunk(self, size: float) -> "LensSight":
+        """See `Sight.shrunk`."""
+        return self._of(self.flat.shrunk(size))
+
+    def _of(self, flat: FiducialSight) -> "LensSight":
+        return self._replace(flat=flat, reach=flat.reach)
+
+
+@half_edge.register(LensSight)
+def _half_edge(sight):  # type: ignore[no-untyped-def]
+    return sight.flat.half
+
+
+@from_position.register(LensSight)
+def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped-def]
+    flat = sight.flat
+    distance = math.sqrt(x * x + y * y + z * z)
+    nearest = distance - slack
+    along = -(nx * x + ny * y + nz * z)
+    # The blur at the least and at the greatest depth.
+    per = 1.0 / distance
+    near, far = flat.defocus - flat.focus * per / sight.shallowest, flat.defocus - flat.focus * per
+    sharpest, softest = max(0.0, near, -far), max(abs(near), abs(far))
+    sharpest = 0.0 if slack > 0.0 else sharpest
+    fewest, needed = flat.sharp + flat.blurred * sharpest * sharpest, flat.sharp + flat.blurred * softest * softest
+    pitch, area = sight.most * along, sight.most_area * along
+    squared, cubed = nearest * nearest, nearest * nearest * nearest
+    resolved = cubed * max(flat.area, fewest) <= area * (1.0 + MARGIN)
+    resolved &= (fewest * squared * squared <= pitch * pitch * (1.0 + MARGIN)) | (nearest <= 0.0)
+    pitch, area = sight.least * along, sight.least_area * along
+    squared, cubed = distance * distance, distance * distance * distance
+    surely = (needed * squared * squared <= pitch * pitch * (1.0 - MARGIN)) & (
+        flat.area * cubed <= area * (1.0 - MARGIN)
+    )
+    reached = (along >= flat.facing * nearest) & (along >= 0.0) & resolved
+    outer = sight.cosine - TOLERANCE
+    low = min(outer * nearest, outer * (distance + slack)) - slack
+    # Far enough away, its corners are in the image wherever its direction is well in view; that no depth is sure is
+    # said by one that none has.
+    steady = distance * math.sin(sight.inset) >= 1.5 * flat.half
+    among, high, sure = _by_depth(sight.lens, sight.pinholes, x, y, z, nx, ny, nz, slack)
+    sure = math.inf if surely else max(sure, low - distance)
+    return reached & among, low, min(high, distance * (1.0 + MARGIN)), sure if steady else -math.inf
+
+
+@overridable
+def _by_depth(lens, pinholes, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped-def]
+    """Whether it is reached, the greatest depth and the `sure` one, see `from_position`, as the pinholes say."""
+    _, _, _, sure = from_position(pinholes[0], x, y, z, nx, ny, nz, slack)
+    reached, _, high, _ = from_position(pinholes[1], x, y, z, nx, ny, nz, slack)
+    return reached, high, sure
+
+
+@_by_depth.register(Equidistant)
+def _by_distance(lens, pinholes, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped-def]
+    return True, math.inf, -math.inf
+
+
+@frame_of.register(LensSight)
+def _frame_of(sight, nx, ny, nz):  # type: ignore[no-untyped-def]
+    return nx, ny, nz, *upright_axes(nx, ny, nz, sight.flat.level)
+
+
+@in_view.register(LensSight)
+def _in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
+    flat, least = sight.flat, sight.cosine + (TOLERANCE if sine > 0.0 else -TOLERANCE)
+    dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
+    u, v, w = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z, ax * x + ay * y + az * z
+    across, down = image_of(sight.lens, u, v, w)
+    # The stretch halfway bounds the nearer half of the way, that at its end the farther one.
+    angle, end = sine * (1.0 + ARC * sine * sine), 1.0 - w * cosine + math.sqrt(max(0.0, 1.0 - w * w)) * abs(sine)
+    end = sight.highest if w <= -cosine else end  # the way leads past the opposite of the axis
+    halfway = min(end, 1.0 - w + abs(angle) / 2.0)
+    room = angle * (_stretch(sight, halfway) + _stretch(sight, end)) / 2.0
+    inside = (flat.right - across >= room) & (flat.left + across >= room)
+    inside &= (flat.bottom - down >= room) & (flat.top + down >= room)
+    # Nothing is known of images beyond the widest angle.
+    unknown = (sine < 0.0) & ((w < sight.cosine) | ((sight.cosine < 0.0) & (sine < -NEAR)))
+    return in_cone(least, x, y, z, sine, cosine, ax, ay, az) & (inside | unknown)
+
+
+@inlined
+def _polynomial(coefficients, h):  # type: ignore[no-untyped-def]
+    """The value at h of a polynomial of the fifth degree."""
+    a, b, c, d, e, f = coefficients
+    s = h * h
+    return a + b * h + s * (c + d * h + s * (e + f * h))
+
+
+@inlined
+def _stretch(sight, height):  # type: ignore[no-untyped-def]
+    """How far the image of a direction moves at most with it up to h = `height`, focal lengths for a radian."""
+    return _polynomial(sight.stretch, min(height, sight.highest))
+
+
+@inlined
+def _room(sight, u, v, w, per):  # type: ignore[no-untyped-def]
+    """How far within the borders a point at the distance 1 / `per` is imaged, to `off`; negative outside."""
+    flat, scale = sight.flat, per * _polynomial(sight.rough, 1.0 - w * per)
+    across, down = scale * u, scale * v
+    return min(flat.right - across, flat.left + across, flat.bottom - down, flat.top + down)
+
+
+@inlined
+def _in_rectangle(sight, u, v, w):  # type: ignore[no-untyped-def]
+    """Whether a point (u, v, w) in the camera's frame is in the image."""
+    flat = sight.flat
+    across, down = image_of(sight.lens, u, v, w)
+    inside = w >= sight.cosine * math.sqrt(u * u + v * v + w * w)
+    return inside & (-flat.left <= across) & (across <= flat.right) & (-flat.top <= down) & (down <= flat.bottom)
+
+
+@inlined
+def _is_inside(sight, u, v, w):  # type: ignore[no-untyped-def]
+    """The same, exactly only where the rough image does not tell."""
+    per = 1.0 / math.sqrt(u * u + v * v + w * w)
+    room = _room(sight, u, v, w, per)
+    if (w * per > sight.cosine + TOLERANCE) & (abs(room) > sight.off):
+        return room > 0.0
+    return _in_rectangle(sight, u, v, w)
+
+
+@inlined
+def _corners_inside(sight, u, v, w, tu, tv, tw, uu, uv, uw):  # type: ignore[no-untyped-def]
+    """Whether the corners are in the image: centre, right and up of the tag in the camera's frame."""
+    half = sight.flat.half
+    pu, pv, pw = half * (tu + uu), half * (tv + uv), half * (tw + uw)  # to one corner, and to its neighbour
+    qu, qv, qw = half * (tu - uu), half * (tv - uv), half * (tw - uw)
+    inside = _is_inside(sight, u + pu, v + pv, w + pw) and _is_inside(sight, u - pu, v - pv, w - pw)
+    return inside and _is_inside(sight, u + qu, v + qv, w + qw) and _is_inside(sight, u - qu, v - qv, w - qw)
+
+
+@inlined
+def _clear(sight, u, v, w, tu, tv, tw, uu, uv, uw):  # type: ignore[no-untyped-def]
+    """Whether pitch and area suffice."""
+    flat = sight.flat
+    xu, xv, xw, yu, yv, yw = slope_of(sight.lens, u, v, w)
+    one, two = xu * tu + xv * tv + xw * tw, xu * uu + xv * uv + xw * uw
+    three, four = yu * tu + yv * tv + yw * tw, yu * uu + yv * uv + yw * uw
+    fu, fv = flat.focal_u, flat.focal_v
+    square = fu * fu * (one * one + two * two) + fv * fv * (three * three + four * four)
+    determinant = fu * fv * abs(one * four - two * three)
+    blur = flat.defocus - flat.focus * (1.0 / depth_of(sight.lens, u, v, w))
+    least = flat.sharp + flat.blurred * (blur * blur)
+    clear = (2.0 * least <= square) & (determinant >= flat.area)
+    return clear & (least * least + determinant * determinant >= square * least)
+
+
+@in_image.register(LensSight)
+def _in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
+    tx, ty, tz, ux, uy, uz = upright_axes(nx, ny, nz, sight.flat.level)
+    dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
+    # The centre, and the tag's right and up, in the camera's frame.
+    u, v, w = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z, ax * x + ay * y + az * z
+    tu, tv, tw = rx * tx + ry * ty + rz * tz, dx * tx + dy * ty + dz * tz, ax * tx + ay * ty + az * tz
+    uu, uv, uw = rx * ux + ry * uy + rz * uz, dx * ux + dy * uy + dz * uz, ax * ux + ay * uy + az * uz
+    covered = _in_rectangle(sight, u, v, w) & _clear(sight, u, v, w, tu, tv, tw, uu, uv, uw)
+    covered &= _corners_inside(sight, u, v, w, tu, tv, tw, uu, uv, uw)
+    return (covered | (slack > 0.0)) & (w >= low)
+
+
+@covers_one.register(LensSight)
+def _covers_one(sight, x, y, z, frame, low, high, sure, well, axes, a):  # type: ignore[no-untyped-def]
+    _, _, _, tx, ty, tz, ux, uy, uz = frame
+    ax, ay, az, rx, ry, rz = axes[0, a], axes[1, a], axes[2, a], axes[3, a], axes[4, a], axes[5, a]
+    w = ax * x + ay * y + az * z
+    if (w < low) | (w > high):
+        return False
+    if well & (w <= sure):
+        return True
+    dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
+    u, v = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z
+    inside = well & (sure > -math.inf)
+    if not inside:
+        # What depends on the landmark alone, the compiler moves out of the loop over axes.
+        per = 1.0 / math.sqrt(x * x + y * y + z * z)
+        height, room = 1.0 - w * per, _room(sight, u, v, w, per)
+        if room < -sight.off:
+            return False
+        if (room <= sight.off or w * per <= sight.cosine + TOLERANCE) and not _in_rectangle(sight, u, v, w):
+            return False
+        # The angle between the centre and a corner at most, and how far that is in the image.
+        sine = DIAGONAL * sight.flat.half * per
+        angle = sine * (1.0 + ARC * sine * sine)
+        inside = (sine <= 1.0) & (w * per >= sight.cosine + angle)
+        inside &= room >= angle * _stretch(sight, height + angle) + sight.off
+    tu, tv, tw = rx * tx + ry * ty + rz * tz, dx * tx + dy * ty + dz * tz, ax * tx + ay * ty + az * tz
+    uu, uv, uw = rx * ux + ry * uy + rz * uz, dx * ux + dy * uy + dz * uz, ax * ux + ay * uy + az * uz
+    if w > sure and not _clear(sight, u, v, w, tu, tv, tw, uu, uv, uw):
+        return False
+    return inside or _corners_inside(sight, u, v, w, tu, tv, tw, uu, uv, uw)
+
+
+covering.register(LensSight)(depth_first)
+
+
+@hide.register(LensSight)
+def _hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
+    return hide(sight.flat, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz)
+
+
+@pixel_density.register(LensSight)
+def _pixel_density(sight, x, y, z, axes, a):  # type: ignore[no-untyped-def]
+    ax, ay, az, rx, ry, rz = axes[0, a], axes[1, a], axes[2, a], axes[3, a], axes[4, a], axes[5, a]
+    dx, dy, dz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
+    u, v, w = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z, ax * x + ay * y + az * z
+    return density_of(sight.lens, u, v, w)
