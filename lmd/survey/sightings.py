@@ -16,11 +16,8 @@ from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.detection.corner_errors import CornerErrors
 from lmd.geometry.squares import CORNERS
 from lmd.mapping.detections import DetectedTags
-from lmd.render.optics import intrinsics, rectified
+from lmd.render.optics import bearings, slope
 from lmd.scene.camera import Camera
-
-# Pixels to either side by which J is found.
-HALF_STEP = 0.5
 
 
 @dataclass(frozen=True)
@@ -76,23 +73,6 @@ class Sightings:
         return np.asarray(self.edges[self.tag, None, None] / 2.0 * square)
 
 
-def directions_of(camera: Camera, image: FloatArray) -> FloatArray:
-    """The unit vectors, camera's frame, that are imaged at `image` `(..., 2)`, pixels from the border; NaN for none."""
-    matrix = intrinsics(camera)
-    flat = (rectified(camera, image) - matrix[:2, 2]) / np.diag(matrix)[:2]
-    rays = np.concatenate([flat, np.ones((*flat.shape[:-1], 1))], axis=-1)
-    return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
-
-
-def tangents_of(camera: Camera, image: FloatArray, directions: FloatArray) -> FloatArray:
-    """J at `image` `(..., 2)`, where the `directions` `(..., 3)` are imaged: `(..., 2, 3)`."""
-    steps = HALF_STEP * np.eye(2)
-    turned = np.stack([directions_of(camera, image + s) - directions_of(camera, image - s) for s in steps], axis=-1)
-    turned /= 2.0 * HALF_STEP
-    flat = turned - directions[..., None] * (directions[..., None, :] @ turned)
-    return np.asarray(np.linalg.pinv(flat))
-
-
 def sightings_of(
     detected: DetectedTags,
     cameras: Sequence[Camera],
@@ -127,8 +107,8 @@ def sightings_of(
         own = chosen.camera == index
         size = np.array([camera.image_width, camera.image_height])
         whole[own] = ((chosen.corners[own] >= 0.0) & (chosen.corners[own] <= size)).all(axis=(1, 2))
-        directions[own] = directions_of(camera, chosen.corners[own])
-        tangents[own] = tangents_of(camera, chosen.corners[own], directions[own])
+        directions[own] = bearings(camera, chosen.corners[own])
+        tangents[own] = slope(camera, directions[own])
     sides = np.linalg.norm(chosen.corners - np.roll(chosen.corners, 1, axis=1), axis=-1).min(axis=1)
     every = Sightings(
         ids=ids,
