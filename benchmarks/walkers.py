@@ -41,11 +41,11 @@ def main() -> None:
     )
     print(f"{'| --- ' * 6}|")
     for name, (evaluations, overrides) in RUNS.items():
-        for more in ([], ["+optimiser.walkers=1"]):
+        for more in ([], ["optimiser.walkers=1"]):
             run(overrides, 60, 1, *more)  # compiles
         times = []
         for _ in range(repetitions):
-            single, _found = run(overrides, evaluations, 1, "+optimiser.walkers=1")
+            single, _found = run(overrides, evaluations, 1, "optimiser.walkers=1")
             alone, first = run(overrides, evaluations, 1)
             shared, second = run(overrides, evaluations, 2)
             np.testing.assert_array_equal(first.positions, second.positions)

@@ -6,7 +6,7 @@ import shutil
 import signal
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from .fixed import quoted
+from .hyperparameters import over_defaults
 from .operations.signals import stop
 
 PACKAGE = str(__package__)  # `pipelines` in a checkout, `lmd.pipelines` where lmd is installed
@@ -29,7 +30,13 @@ def lmd_package() -> str:
     return PACKAGE
 
 
+def lmd_conf(name: str) -> str:
+    """A file beside the configuration that comes with it."""
+    return str(Path(CONF, name))
+
+
 OmegaConf.register_new_resolver("lmd.package", lmd_package, replace=True)
+OmegaConf.register_new_resolver("lmd.conf", lmd_conf, replace=True)
 
 
 def command_of(pipeline: str) -> str:
@@ -94,7 +101,10 @@ def recompose(config_name: str, overrides: Sequence[str], setting: str, entry: s
     try:
         loader = GlobalHydra.instance().config_loader()
         composed = loader.load_configuration(
-            config_name, [*map(quoted, overrides)], RunMode.RUN, validate_sweep_overrides=False
+            config_name,
+            [over_defaults(quoted(override)) for override in overrides],
+            RunMode.RUN,
+            validate_sweep_overrides=False,
         )
     except HydraException as error:
         raise InputError(f"{setting}: {entry!r} is refused: {str(error).splitlines()[0]}") from error
@@ -128,7 +138,11 @@ def run_directory() -> Path:
 
 def choices() -> dict[str, str]:
     """The option picked in each config group, e.g. `{"room": "paper_simulation"}`."""
-    picked = HydraConfig.get().runtime.choices
+    return chosen(HydraConfig.get().runtime.choices)
+
+
+def chosen(picked: Mapping[Any, Any]) -> dict[str, str]:
+    """The options among Hydra's `choices` that are not its own."""
     return {str(k): str(v) for k, v in picked.items() if not str(k).startswith("hydra/") and v is not None}
 
 

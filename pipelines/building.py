@@ -269,5 +269,6 @@ def build_optimiser(cfg: DictConfig, seed: int) -> "Optimiser":
             "derived from lmd.optimisers.base.Optimiser."
         )
     if isinstance(optimiser, AskTell):
-        optimiser.encoding, optimiser.flush = optimiser.encoding or cfg.encoding.kind, cfg.encoding.flush
+        cfg.encoding.kind = optimiser.encoding = optimiser.encoding or cfg.encoding.kind  # what is used is recorded
+        optimiser.flush = cfg.encoding.flush
     return optimiser

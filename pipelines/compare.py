@@ -1,5 +1,7 @@
-"""Compare optimisers: `python -m pipelines.compare optimisers=[annealing,ega] seeds=5 [overrides]`."""
+"""Compare optimisers: `python -m pipelines.compare optimisers=[annealing,ega] seeds=10 [overrides]`."""
 
+import sys
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -8,29 +10,28 @@ from omegaconf import DictConfig, ListConfig
 
 from .app import recompose, run_directory, save_path, search_path, task_overrides
 from .building import budget_of, build_optimiser, build_problem, instantiate, seeds_of
+from .compared_runs import LANDMARKS, Job, Kept, kept_of
 from .earlier_run import read_earlier_problem
 from .pipeline import Pipeline
+from .provenance import resuming
 from .workers import in_processes
 
 if TYPE_CHECKING:
     from lmd.evaluation.comparison import OptimiserRun
-    from lmd.optimisers.base import Budget
+    from lmd.objectives.base import Headline
     from lmd.problem import Problem
 
     from .operations.tracking import Tracker
 
 # Settings of the comparison itself; every other override is passed on to its runs.
-OWN_KEYS = ("optimisers", "seeds", "workers", "save_as", "budget", "seed", "tracking")
+OWN_KEYS = ("optimisers", "reference", "seeds", "workers", "save_as", "resume", "budget", "seed", "tracking")
 
 
 def compare(cfg: DictConfig) -> None:
     """Run the configured comparison."""
-    from lmd.core.checks import InputError
-    from lmd.evaluation.comparison import comparison_table
-    from lmd.plot.comparison import save_comparison_figure
+    from lmd.core.checks import InputError, choice
 
-    from .reproduction.comparison import to_markdown
-    from .tracked_run import title_of, tracked
+    from .tracked_run import Earlier, title_of, tracked
 
     problem, save_as = build_problem(cfg), save_path(cfg.save_as)
     budget, seeds = budget_of(cfg), seeds_of(cfg)
@@ -39,30 +40,59 @@ def compare(cfg: DictConfig) -> None:
     configs = {str(entry): _compose(str(entry), cfg, problem) for entry in cfg.optimisers}
     if not configs:
         raise InputError("optimisers must name at least one optimiser.")
-    jobs = [(name, configs[name], seed, budget) for seed in seeds for name in configs]
-    finished = in_processes(_run, jobs, cfg.workers, lambda job: f"{job[0]} seed={job[2]}")
-    directory, headline, runs = run_directory(), problem.objective.headline, []
-    axis = "evaluations" if budget.evaluations else "wall_time"
-    with closing(finished), tracked(cfg, "compare", title_of(problem, "compare")) as tracker:
+    reference = None if cfg.reference is None else choice("reference", cfg.reference, list(configs))
+    jobs = {(name, seed): Job(name, configs[name], seed) for seed in seeds for name in configs}
+    directory, headline = run_directory(), problem.objective.headline
+    kept = Kept({}, None) if cfg.resume is None else kept_of(cfg.resume, jobs.values(), directory)
+    earlier = None if kept.parent is None else Earlier(kept.parent, Path(cfg.resume))
+    left = [job for job in jobs.values() if job not in kept.runs]
+    finished, runs = in_processes(_run, left, cfg.workers, lambda job: job.name), list(kept.runs.values())
+    axis, title = "evaluations" if budget.evaluations else "wall_time", title_of(problem, f"{len(seeds)} seeds,")
+    with closing(finished), tracked(cfg, "compare", title_of(problem, "compare"), earlier) as tracker:
+        if runs:
+            print(f"{len(runs)}/{len(jobs)} done already in {cfg.resume}", flush=True)
+        if tracker.run_id != kept.parent:
+            for job, run in kept.runs.items():
+                _log_child(cfg, job, run, tracker.run_id, directory)
         try:
             for done in finished:
                 runs.append(done)
-                _log_child(cfg, done, not problem.scene.tag.is_point, tracker.run_id, directory)
-                figure = headline.text(done.metrics[headline.key])
-                print(f"{len(runs)}/{len(jobs)} {done.optimiser} seed={done.seed}: {figure}", flush=True)
+                job = jobs[done.optimiser, done.seed]
+                job.save(directory, done, tracker.run_id, not problem.scene.tag.is_point)
+                _log_child(cfg, job, done, tracker.run_id, directory)
+                print(f"{len(runs)}/{len(jobs)} {job.name}: {headline.text(done.metrics[headline.key])}", flush=True)
+        except KeyboardInterrupt:
+            print(f"interrupted; go on with: {resuming('compare', directory)}", file=sys.stderr)
+            raise
         finally:  # interrupted, what is finished is still worth a table
             if runs:
-                table = comparison_table(runs, headline.key)
-                table.to_csv(directory / "comparison.csv", index=False)
-                (directory / "comparison.md").write_text(to_markdown(table, headline))
-                title = title_of(problem, f"{len(seeds)} seeds,")
-                save_comparison_figure(directory / "comparison.png", runs, axis, headline, title)
-                tracker.log_artifacts([directory / f"comparison.{kind}" for kind in ("csv", "md", "png")])
-                print(f"\n{to_markdown(table, headline)}\nfiles: {directory}")
+                tracker.log_artifacts(_write(directory, runs, reference, axis, headline, title))
         tracker.finish("FINISHED")
     if save_as is not None:
         for kind in ("md", "png"):
             Path(f"{save_as}.{kind}").write_bytes((directory / f"comparison.{kind}").read_bytes())
+
+
+def _write(
+    directory: Path, runs: "Sequence[OptimiserRun]", reference: str | None, axis: str, headline: "Headline", title: str
+) -> list[Path]:
+    """Write and print what the runs say; returns the files."""
+    from lmd.evaluation.comparison import compared
+    from lmd.plot.comparison import save_comparison_figure
+
+    from .reproduction.comparison import to_markdown
+
+    comparison = compared(runs, headline.key, reference)
+    table, text, picture = (directory / f"comparison.{kind}" for kind in ("csv", "md", "png"))
+    comparison.table.to_csv(table, index=False)
+    text.write_text(to_markdown(comparison, headline))
+    save_comparison_figure(picture, runs, axis, headline, title)
+    files = [table, text, picture]
+    if comparison.pairs is not None:
+        files.append(directory / "p_values.csv")
+        comparison.pairs.to_csv(files[-1], index_label="optimiser")
+    print(f"\n{text.read_text()}\nfiles: {directory}")
+    return files
 
 
 def _compose(entry: str, cfg: DictConfig, problem: "Problem") -> DictConfig:
@@ -75,18 +105,21 @@ def _compose(entry: str, cfg: DictConfig, problem: "Problem") -> DictConfig:
     return composed
 
 
-def _run(job: "tuple[str, DictConfig, int, Budget]") -> "OptimiserRun":
+def _run(job: Job) -> "OptimiserRun":
     """One run, on one thread."""
     from lmd.evaluation.comparison import OptimiserRun
+    from lmd.evaluation.validation import headline_off_grid, validation_metrics
 
-    name, cfg, seed, budget = job
-    problem = build_problem(cfg)
-    result = build_optimiser(cfg, seed).run(problem, budget)
-    return OptimiserRun(name, seed, problem.metrics(result.deployment), result.history, result.deployment)
+    problem = build_problem(job.cfg)
+    result = build_optimiser(job.cfg, job.seed).run(problem, budget_of(job.cfg))
+    metrics = dict(problem.metrics(result.deployment))
+    if job.cfg.validate:
+        metrics["off_grid"] = validation_metrics(problem, result.deployment, job.seed)[headline_off_grid(problem)]
+    return OptimiserRun(job.optimiser, job.seed, metrics, result.history, result.deployment)
 
 
-def _log_child(cfg: DictConfig, run: "OptimiserRun", ups: bool, parent: str | None, directory: Path) -> None:
-    """Record one run below the comparison's own, its landmarks in a folder of `directory`; `ups` as for `to_csv`."""
+def _log_child(cfg: DictConfig, job: Job, run: "OptimiserRun", parent: str | None, directory: Path) -> None:
+    """Record a run, whose files are below `directory`, as a child of the comparison's own."""
     from .operations.tracking import PARENT_TAG, RunStart
     from .progress import thinned
 
@@ -95,14 +128,11 @@ def _log_child(cfg: DictConfig, run: "OptimiserRun", ups: bool, parent: str | No
     if parent is not None:
         tags[PARENT_TAG] = parent
     params = {"optimiser": run.optimiser, "seed": run.seed}
-    name = f"{run.optimiser} seed={run.seed}"
-    landmarks = directory / "runs" / name.replace("/", "_") / "landmarks.csv"
-    landmarks.parent.mkdir(parents=True, exist_ok=True)  # a sweep may do a lost job again
-    run.deployment.to_csv(landmarks, ups)
-    tracker.start(RunStart(name, landmarks.parent, params, tags, ago=run.history[-1].wall_time))
+    folder = job.folder(directory)
+    tracker.start(RunStart(job.name, folder, params, tags, ago=run.history[-1].wall_time))
     tracker.log_curve("best_fitness", thinned(run.history))
     tracker.log_metrics(run.metrics)
-    tracker.log_artifacts([landmarks])
+    tracker.log_artifacts([folder / LANDMARKS])
     tracker.finish("FINISHED")
 
 

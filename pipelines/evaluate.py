@@ -73,9 +73,9 @@ def evaluate(cfg: DictConfig) -> float:
                 summary[name] = figures
                 tracker.log_metrics({f"{name}/{key}": value for key, value in figures.items()})
             texts.append(f"\n{study.to_text()}\n")
-        fitness = record(cfg, problem, tracker, deployment, history, subject=subject, summary=summary)
+        figures = record(cfg, problem, tracker, deployment, history, subject=subject, summary=summary)
         print("".join(texts), end="")
-        return fitness
+        return figures["fitness"]
 
 
 def localise(problem: "Problem", deployment: "Deployment", seed: int, tracker: "Tracker") -> dict[str, float]:

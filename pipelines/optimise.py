@@ -2,6 +2,7 @@
 
 import sys
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ from omegaconf import DictConfig
 from .app import choices, flat_settings, run_directory
 from .building import budget_of, build_optimiser, build_problem
 from .earlier_run import read_earlier_run
+from .earlier_settings import settings_now
 from .export import build_export
 from .input_files import contents_of
 from .operations.signals import Stopped, stop
@@ -29,11 +31,12 @@ if TYPE_CHECKING:
 SAME_WHEN_RESUMED = (
     "room", "camera", "pdf", "poses", "tag", "visibility", "objective", "encoding", "deployment", "optimiser", "seed"
 )  # fmt: skip
+RETURNS = {"fitness": "fitness", "grid_free": "off_grid"}  # figures of `record` that sweepers may go by
 
 
 def optimise(cfg: DictConfig) -> float:
-    """Run one optimisation as configured."""
-    from lmd.core.checks import real
+    """Run one optimisation as configured; returns the figure that sweepers are to go by."""
+    from lmd.core.checks import InputError, choice, real
     from lmd.optimisers.checkpoint import Checkpoint
 
     from .tracked_run import Earlier, record, title_of, tracked
@@ -41,12 +44,16 @@ def optimise(cfg: DictConfig) -> float:
     problem = build_problem(cfg)
     budget = budget_of(cfg)
     real("checkpoint_seconds", cfg.checkpoint_seconds, above=0.0)
-    settings = flat_settings(cfg, *SAME_WHEN_RESUMED)
+    returned = RETURNS[choice("returns", cfg.returns, list(RETURNS))]
+    if returned == "off_grid" and not cfg.validate:
+        raise InputError("returns = grid_free is a figure of the validation, which validate=false leaves out.")
+    optimiser = build_optimiser(cfg, cfg.seed)
+    as_now = partial(settings_now, optimiser=cfg.optimiser)
+    settings = as_now(flat_settings(cfg, *SAME_WHEN_RESUMED))
     settings |= contents_of(settings)
     export = build_export(cfg, "export", problem.scene.tag)
-    optimiser = build_optimiser(cfg, cfg.seed)
     optimiser.check(problem)
-    checkpoint, earlier = Checkpoint(optimiser, settings), None
+    checkpoint, earlier = Checkpoint(optimiser, settings, settings_now=as_now), None
     if cfg.resume is not None:
         checkpoint.resume(cfg.resume, problem)
         earlier = Earlier(checkpoint.run_id, Path(cfg.resume))
@@ -55,7 +62,7 @@ def optimise(cfg: DictConfig) -> float:
         with tracked(cfg, subject, title_of(problem, subject), earlier) as tracker:
             result, in_haste = _run(cfg, problem, budget, checkpoint, tracker)
             interrupted = result.stopped == "interrupted"
-            fitness = record(
+            figures = record(
                 cfg,
                 problem,
                 tracker,
@@ -74,7 +81,7 @@ def optimise(cfg: DictConfig) -> float:
     if interrupted:
         _tell_how_to_go_on()
         sys.exit(stop.code)
-    return fitness
+    return figures[returned]
 
 
 def _tell_how_to_go_on() -> None:

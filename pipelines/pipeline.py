@@ -13,6 +13,7 @@ from omegaconf import DictConfig
 
 from .app import CONF, GARBAGE, PACKAGE, ends_reported
 from .fixed import quoted
+from .hyperparameters import over_defaults
 from .operations.signals import Stopped, stop
 from .operations.sweeps.supervisor import run
 from .spelling import ask_what_was_meant
@@ -86,12 +87,16 @@ class Pipeline:
         for change in self.prepare:
             change()
         gc.set_threshold(GARBAGE)
-        sys.argv[1:] = map(quoted, sys.argv[1:])
+        sys.argv[1:] = [over_defaults(quoted(argument)) for argument in sys.argv[1:]]
         _refuse_launcher_that_is_missing()
         _refuse_run(self.name)
 
+        is_composed = False
+
         @wraps(self.task)
         def run_composed(cfg: DictConfig) -> float | None:
+            nonlocal is_composed
+            is_composed = True
             return self.runner(cfg, self.task)
 
         run_composed.__module__ = f"{PACKAGE}.{self.name}"  # names Hydra's job, also where the module is __main__
@@ -103,6 +108,6 @@ class Pipeline:
         except Stopped as told:
             sys.exit(told.code)
         except SystemExit as ended:
-            if ended.code:
+            if ended.code and not is_composed:
                 ask_what_was_meant(CONF)
             raise

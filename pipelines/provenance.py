@@ -1,16 +1,25 @@
-"""What a run was made with: the command, the version, the commit."""
+"""What a run was made with: its parameters, the command, the version, the commit."""
 
 import getpass
 import shlex
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
-from .app import CONF, IN_CHECKOUT, command_of
+from omegaconf import DictConfig
+
+from .app import CONF, IN_CHECKOUT, command_of, flat_settings
 from .operations.sweeps.names import at
+
+# What a run is about is a parameter; what only says how it is done, where it goes on and where it is kept is none.
+NO_PARAMETERS = (
+    "tracking", "trust", "run", "resume", "picture", "page", "threads", "checkpoint_seconds", "tracked_as", "export",
+    "paper_size", "north",
+)  # fmt: skip
 
 
 def command_line(pipeline: str, overrides: Sequence[str]) -> str:
@@ -57,3 +66,15 @@ def _git(*arguments: str) -> str:
     except (OSError, subprocess.TimeoutExpired):
         return ""
     return done.stdout.strip()
+
+
+def parameters(cfg: DictConfig, choices: Mapping[str, str]) -> dict[str, Any]:
+    """The choices of groups, and the settings below them that are set to something."""
+    settings = {
+        key: value
+        for key, value in flat_settings(cfg).items()
+        if key.split(".")[0] not in NO_PARAMETERS
+        and key.split(".")[-1] not in ("_target_", "_partial_")
+        and value not in (None, [])
+    }
+    return {group: option for group, option in choices.items() if group not in NO_PARAMETERS} | settings

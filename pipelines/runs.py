@@ -23,6 +23,7 @@ COLUMNS = {
     "status": "status",
     "started": "started (UTC)",
     "metrics.fitness": "fitness",
+    "metrics.off_grid": "off the grid",
     "metrics.evaluations": "evaluations",
 }
 

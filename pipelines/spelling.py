@@ -49,5 +49,7 @@ def _keys(file: Path, folder: Path) -> Iterator[str]:
 def _within(node: Any, above: list[str]) -> Iterator[str]:
     if isinstance(node, Mapping):
         for key, inner in node.items():
+            if key == "defaults":  # Hydra's
+                continue
             yield ".".join([*above, str(key)])
             yield from _within(inner, [*above, str(key)])

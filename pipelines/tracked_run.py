@@ -11,32 +11,26 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from lmd.core.checks import InputError
-from lmd.evaluation.validation import describe_validation, validation_metrics
+from lmd.evaluation.validation import describe_validation, headline_off_grid, validation_metrics
 from lmd.evaluation.verdicts import causes
 from lmd.optimisers.base import Record
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 
-from .app import choices, flat_settings, run_directory
+from .app import choices, run_directory
 from .building import instantiate
-from .operations.signals import stop
+from .operations.signals import Stopped, stop
 from .operations.sweeps.folder import current_job
 from .operations.sweeps.jobs import reason_of
 from .operations.sweeps.names import override_tags, short_name
 from .operations.tracking import RunStart
 from .outputs import write_figures, write_history, write_pictures
-from .provenance import command_line, source_tags
+from .provenance import command_line, parameters, source_tags
 
 if TYPE_CHECKING:
     from lmd.mapping.formats import Export
 
     from .operations.tracking import Tracker
-
-# What a run is about is a parameter; what only says how it is done, where it goes on and where it is kept is none.
-NO_PARAMETERS = (
-    "tracking", "trust", "run", "resume", "picture", "page", "threads", "checkpoint_seconds", "tracked_as", "export",
-    "paper_size", "north",
-)  # fmt: skip
 
 LITTLE = 0.1  # share of qualified positions below which a run says what takes the others
 
@@ -79,7 +73,7 @@ def tracked(cfg: DictConfig, subject: str, about: str = "", earlier: Earlier | N
     pipeline = HydraConfig.get().job.name
     tags |= {"pipeline": pipeline} | override_tags(overrides) | source_tags(pipeline)
     tags["mlflow.note.content"] = f"{about or subject}\n\n`{tags['command']}`\n\nfiles: {run_directory()}"
-    params, run_id = _parameters(cfg), None
+    params, run_id = parameters(cfg, choices()), None
     if earlier is not None and earlier.run_id is not None:
         if tracker.goes_on(earlier.run_id, earlier.folder, params):
             run_id = earlier.run_id
@@ -108,18 +102,6 @@ def keep(tracker: "Tracker", files: Iterable[Path], metrics: Mapping[str, float]
     tracker.finish(status)
 
 
-def _parameters(cfg: DictConfig) -> dict[str, Any]:
-    """The choices of groups, and the settings below them that are set to something."""
-    settings = {
-        key: value
-        for key, value in flat_settings(cfg).items()
-        if key.split(".")[0] not in NO_PARAMETERS
-        and key.split(".")[-1] not in ("_target_", "_partial_")
-        and value not in (None, [])
-    }
-    return {group: option for group, option in choices().items() if group not in NO_PARAMETERS} | settings
-
-
 def record(
     cfg: DictConfig,
     problem: Problem,
@@ -133,8 +115,11 @@ def record(
     export: "Export | None" = None,
     status: str = "FINISHED",
     in_haste: bool = False,
-) -> float:
-    """Write the outputs, log them, end the run with `status` and print a report; returns the fitness.
+) -> dict[str, float]:
+    """Write the outputs, log them, end the run with `status` and print a report; returns the figures.
+
+    Among the figures are the `fitness`, and as `off_grid` the one that says how good the deployment is where it was not
+    made (`headline_off_grid`), unless validation is left out.
 
     What cannot be had again comes first: landmarks, figures and history are written before anything else is computed,
     and whatever happens then they stay.
@@ -164,14 +149,15 @@ def record(
         figures |= further()
         why = causes(problem.scene, deployment, cfg.seed)
         validation = validation_metrics(problem, deployment, cfg.seed) if cfg.validate else {}
+    if validation:
+        figures["off_grid"] = validation[headline_off_grid(problem)]
     tracker.log_metrics(metrics | figures)
     document |= figures
-    for group, values in (("validation", validation), ("criteria", why.metrics() if why else {})):
-        if values:
-            document[group] = values
-            # A standard error says how well a figure is known; as a curve of its own it would only be in the way.
-            kept = {key: value for key, value in values.items() if not key.endswith("standard_error")}
-            tracker.log_metrics({f"{group}/{key}": value for key, value in kept.items()})
+    groups = {"validation": validation, "criteria": why.metrics() if why else {}}
+    document |= {group: found for group, found in groups.items() if found}
+    # A standard error says how well a figure is known; as a chart of its own it would only be in the way.
+    told = {key: value for key, value in validation.items() if not key.endswith("standard_error")}
+    tracker.log_metrics({f"validation/{key}": value for key, value in told.items()})
     pictures: list[Path] = []
     if not in_haste:
         try:
@@ -180,14 +166,20 @@ def record(
             failed.append(f"metrics.json has no validation ({error.strerror})")
         title = f"{title_of(problem, subject)}, {problem.scene.room.describe()}"
         exports = export.writers(problem.scene.room, problem.scene.tag, deployment) if export else {}
-        pictures, lost = write_pictures(
-            directory, problem, deployment, history, title, picture=cfg.picture, page=cfg.page, exports=exports
-        )
-        failed += lost
+        try:
+            with stop.raising():
+                pictures, lost = write_pictures(
+                    directory, problem, deployment, history, title, picture=cfg.picture, page=cfg.page, exports=exports
+                )
+            failed += lost
+        except Stopped:
+            if status != "FINISHED":
+                raise
+            failed.append("told to stop, it has left out pictures")  # all that was looked for has been found
     files = sorted({*files, *curve, *pictures})
     keep(tracker, [file for file in files if file.suffix != ".html"], {}, status)
     off_grid = describe_validation(problem, validation) if validation else {}
-    lines = {key.replace("_", " "): f"{value:g}" for key, value in figures.items()}
+    lines = {key.replace("_", " "): f"{value:g}" for key, value in figures.items() if key != "off_grid"}
     if all(camera.is_pinhole for camera in problem.scene.cameras):
         lines["focus"] = "no criterion: the camera has no aperture"
     lines["files"] = f"{directory}: {', '.join(path.name for path in files)}"
@@ -197,10 +189,10 @@ def record(
     print(report(problem, metrics, off_grid, lines))
     if failed:
         again = command_line("evaluate", [f"run={directory}", f"page={cfg.page}".lower()])
-        print(f"warning: {'; '.join(failed)}; with more space: {again}", file=sys.stderr)
+        print(f"warning: {'; '.join(failed)}; to draw and write again: {again}", file=sys.stderr)
     if why and problem.objective.qualified(problem.values(deployment)).mean() < LITTLE:
         print(f"\n{why.to_text()}")
-    return metrics["fitness"]
+    return metrics | figures
 
 
 def report(

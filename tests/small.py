@@ -11,18 +11,18 @@ from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import RandomDeployment
 from pipelines.app import CONF
-from pipelines.building import instantiate
+from pipelines.building import build_optimiser
 
 
 @cache
-def configured(name):
-    """The configuration of an optimiser; composing takes a tenth of a second."""
+def composed(pipeline, *overrides):
+    """The configuration of a pipeline; composing takes a tenth of a second."""
     with initialize_config_dir(CONF, version_base="1.3"):
-        return compose("optimise", [f"optimiser={name}"]).optimiser
+        return compose(pipeline, list(overrides))
 
 
 def make(name, seed=0):
-    return instantiate(configured(name), seed=seed)
+    return build_optimiser(composed("optimise", f"optimiser={name}"), seed)
 
 
 def problem(start=None, threads=1, fixed=None, tag=None, **room):

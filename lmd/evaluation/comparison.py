@@ -1,17 +1,18 @@
-"""Comparing optimisers over seeds: the figures of a table and of a convergence plot."""
+"""Comparing optimisers over seeds: the figures of a table and of its plots."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from scipy.stats import mannwhitneyu
 
 from lmd.core.checks import FloatArray
+from lmd.evaluation.significance import a12, friedman, holm, mean_ranks, median_interval, nemenyi, wilcoxon
 from lmd.optimisers.base import Record
 from lmd.scene.deployment import Deployment
 
-MILESTONES = (0.50, 0.65, 0.80)
+TABLE_TARGETS = (0.25, 0.5, 0.75)  # quantiles of what all runs reached
+CURVE_TARGETS = 50
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,25 @@ class OptimiserRun:
         return next((r.evaluations for r in self.history if r.best_fitness >= fitness), np.inf)
 
 
+@dataclass(frozen=True)
+class Comparison:
+    """What runs of several optimisers say about these.
+
+    Args:
+        table: one row per optimiser, the best first; `compared` names its columns.
+        targets: quartiles of the fitness that all runs reached; `evaluations_to_1` is about the first of them.
+        reference: the optimiser that effect sizes and p-values of the table are against.
+        test: what the p-values are of, in a sentence; empty where there is nothing to test.
+        pairs: p-values of every two optimisers; None where each was tested against the reference alone.
+    """
+
+    table: pd.DataFrame
+    targets: tuple[float, ...]
+    reference: str
+    test: str
+    pairs: pd.DataFrame | None
+
+
 def by_optimiser(runs: Sequence[OptimiserRun], key: str) -> dict[str, list[OptimiserRun]]:
     """Runs grouped by optimiser, the highest median of the figure `key` first."""
     groups: dict[str, list[OptimiserRun]] = {}
@@ -41,32 +61,76 @@ def by_optimiser(runs: Sequence[OptimiserRun], key: str) -> dict[str, list[Optim
     return {name: groups[name] for name in sorted(groups, key=median, reverse=True)}
 
 
-def comparison_table(runs: Sequence[OptimiserRun], key: str) -> pd.DataFrame:
-    """One row per optimiser, the best first.
+def compared(runs: Sequence[OptimiserRun], key: str, reference: str | None = None) -> Comparison:
+    """Compare optimisers by the figure `key`, where runs with the same seed are pairs.
 
-    Columns: optimiser, runs; the median, `<key>_min` and `<key>_max` of the objective's headline `key`; the medians of
-    all other figures; median evaluations to reach each milestone (infinite if most runs never do); median wall time in
-    seconds; and the two-sided Mann-Whitney p-value of the headline against that of the first row.
+    The columns of the table: optimiser, runs; of `key` the median, the bounds `<key>_low` and `<key>_high` of its
+    bootstrap interval, `<key>_min` and `<key>_max`; `rank`, the mean rank over the seeds that all have run; the medians
+    of all other figures; `evaluations_to_<i>`, the expected running time to each target; the median wall time in
+    `seconds`; `a12` and `p_value` against the reference.
+
+    Args:
+        runs: of all optimisers.
+        key: the figure, higher is better.
+        reference: every optimiser is tested against this one. None tests every two against each other, and the table is
+            then about the first row.
     """
     groups = by_optimiser(runs, key)
-
-    def values(name: str, figure: str) -> list[float]:
-        return [run.metrics[figure] for run in groups[name]]
-
-    best = values(next(iter(groups)), key)
+    figures = pd.DataFrame({name: {run.seed: run.metrics[key] for run in group} for name, group in groups.items()})
+    complete = figures.dropna()
+    pairs = None
+    if reference in groups or len(groups) <= 2:
+        reference = reference if reference in groups else next(iter(groups))
+        p_values, test = _against(figures, reference)
+    else:
+        reference = next(iter(groups))
+        pairs, test = _all_against_all(complete, reference)
+        p_values = pairs[reference]
+    ranks = dict(zip(groups, mean_ranks(complete.to_numpy()), strict=True)) if len(complete) else {}
+    ends = [run.history[-1].best_fitness for run in runs]
+    targets = tuple(np.unique(np.quantile(ends, TABLE_TARGETS, method="higher")).tolist())
     others = [figure for figure in runs[0].metrics if figure != key]
+    values = {name: figures[name].dropna().to_numpy() for name in groups}
     rows: list[dict[str, float | str]] = []
     for name, group in groups.items():
-        reached = values(name, key)
-        row: dict[str, float | str] = {"optimiser": name, "runs": len(group)}
-        row |= {key: float(np.median(reached)), f"{key}_min": min(reached), f"{key}_max": max(reached)}
-        row |= {figure: float(np.median(values(name, figure))) for figure in others}
-        for milestone in MILESTONES:
-            row[f"evaluations_to_{milestone:.0%}"] = float(np.median([run.evaluations_to(milestone) for run in group]))
+        reached = values[name]
+        low, high = median_interval(reached, seed=0)
+        row: dict[str, float | str] = {"optimiser": name, "runs": len(group), key: float(np.median(reached))}
+        row |= {f"{key}_low": low, f"{key}_high": high, f"{key}_min": reached.min(), f"{key}_max": reached.max()}
+        row["rank"] = ranks.get(name, np.nan)
+        row |= {figure: float(np.median([run.metrics[figure] for run in group])) for figure in others}
+        row |= {f"evaluations_to_{i}": expected_running_time(group, target) for i, target in enumerate(targets, 1)}
         row["seconds"] = float(np.median([run.history[-1].wall_time for run in group]))
-        row["p_value"] = float(mannwhitneyu(reached, best).pvalue) if rows else 1.0
+        row |= {"a12": a12(reached, values[reference]), "p_value": np.nan if name == reference else p_values[name]}
         rows.append(row)
-    return pd.DataFrame(rows)
+    return Comparison(pd.DataFrame(rows), targets, reference, test if len(groups) > 1 else "", pairs)
+
+
+def _against(figures: pd.DataFrame, reference: str) -> tuple[pd.Series, str]:
+    """P-values of every column against one of them, and what they are of."""
+    others = [name for name in figures if name != reference]
+    pairs = [figures[[name, reference]].dropna().to_numpy() for name in others]
+    p_values = holm(np.array([wilcoxon(pair[:, 0], pair[:, 1]) for pair in pairs]))
+    correction = f", with Holm's correction for {len(others)} comparisons" if len(others) > 1 else ""
+    test = f"p: two-sided Wilcoxon signed-rank test against `{reference}` on pairs of the same seed{correction}."
+    return pd.Series(p_values, others), test
+
+
+def _all_against_all(complete: pd.DataFrame, reference: str) -> tuple[pd.DataFrame, str]:
+    """P-values of every two columns, and what they are of."""
+    names, values = list(complete), complete.to_numpy()
+    test = (
+        f"p: Nemenyi's test against `{reference}` on the mean ranks over the {len(values)} seeds that all have run; "
+        f"Friedman's test that all {len(names)} are alike: p = {friedman(values):.2g}."
+    )
+    return pd.DataFrame(nemenyi(values), names, names), test
+
+
+def expected_running_time(runs: Sequence[OptimiserRun], fitness: float) -> float:
+    """Evaluations of all runs until they reached `fitness` or ended, over how many reached it (the ERT of COCO)."""
+    spent = [min(run.evaluations_to(fitness), run.history[-1].evaluations) for run in runs]
+    reached = sum(np.isfinite(run.evaluations_to(fitness)) for run in runs)
+    return sum(spent) / reached if reached else np.inf
 
 
 def best_at(runs: Sequence[OptimiserRun], axis: str, at: FloatArray) -> FloatArray:
@@ -77,3 +141,16 @@ def best_at(runs: Sequence[OptimiserRun], axis: str, at: FloatArray) -> FloatArr
         best = np.array([np.nan] + [record.best_fitness for record in run.history])
         curves.append(best[np.searchsorted(spent, at, side="right")])
     return np.array(curves)
+
+
+def curve_targets(runs: Sequence[OptimiserRun]) -> FloatArray:
+    """Targets for `attained` `(T,)`, evenly spaced above the worst start of a run, up to the best fitness reached."""
+    low = min(run.history[0].best_fitness for run in runs)
+    high = max(run.history[-1].best_fitness for run in runs)
+    return np.linspace(low, high, CURVE_TARGETS + 1)[1:]
+
+
+def attained(runs: Sequence[OptimiserRun], axis: str, at: FloatArray, targets: FloatArray) -> FloatArray:
+    """Share of all runs and targets `(T,)` that were reached at `at` `(N,)`, an empirical distribution function."""
+    share: FloatArray = (best_at(runs, axis, at)[:, :, None] >= targets).mean(axis=(0, 2))
+    return share

@@ -7,7 +7,7 @@ file is an archive of NumPy's, with the arrays and a document in JSON, and nothi
 import io
 import json
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,11 +37,13 @@ class Checkpoint:
         optimiser: the optimiser with everything it needs to go on.
         settings: flat settings that must be the same when the run goes on.
         run_id: the tracked run to continue, if any.
+        settings_now: turns the settings of a checkpoint, perhaps of an earlier version, into those that are compared.
     """
 
     optimiser: Optimiser
     settings: Mapping[str, Any]
     run_id: str | None = None
+    settings_now: Callable[[dict[str, Any]], dict[str, Any]] = dict
 
     def check(self) -> None:
         """Raise `InputError` if the optimiser cannot be checkpointed."""
@@ -75,7 +77,9 @@ class Checkpoint:
             raise InputError(f"resume = {str(directory)!r} holds no {FILE}.")
         check_memory(path.stat().st_size, f"resume = {str(directory)!r}", "resume")
         state, then, run_id = _read(path)
-        then = {key: renamed(value) if isinstance(value, str) else value for key, value in then.items()}
+        then = self.settings_now(
+            {key: renamed(value) if isinstance(value, str) else value for key, value in then.items()}
+        )
         now = json.loads(json.dumps(dict(self.settings)))
         for key in sorted({*now, *then}):
             if then.get(key) != now.get(key):

@@ -38,9 +38,7 @@ class Greedy(Annealing):
         InputError: the spacing is not positive.
     """
 
-    def __init__(
-        self, spacing: float = SPACING, single: Stage | Mapping[str, Any] | None = None, seed: int = 0
-    ) -> None:
+    def __init__(self, spacing: float = SPACING, single: Stage | Mapping[str, Any] = REFINED, seed: int = 0) -> None:
         single = changed("single", REFINED, single)
         super().__init__(stacked=single, single=single, sampled=single, given=single, stacked_share=0.0, seed=seed)
         self.spacing = real("spacing", spacing, above=0.0)

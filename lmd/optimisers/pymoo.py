@@ -46,8 +46,10 @@ class Pymoo(Wrapped):
 
 def _size(algorithm: Any) -> int:
     """How many genes the algorithm begins with; a local search goes on from the best of them."""
+    from pymoo.core.variable import get
+
     size = getattr(algorithm, "n_sample_points", None) or getattr(algorithm, "pop_size", None) or 1
-    return integer("algorithm.pop_size", size, low=1)
+    return integer("algorithm.pop_size", get(size), low=1)  # some keep it as a variable of pymoo
 
 
 class _Session:

@@ -53,7 +53,7 @@ def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Probl
         axes.plot(*deployment.positions[:, :2].T, "o", color=common.LANDMARK, ms=2.5, zorder=3)
         axes.set(xlabel=common.AXIS_LABELS[0], title=heading, aspect="equal")
     panels[0].set_ylabel(common.AXIS_LABELS[1])
-    label = "median predicted error of the position [mm]; grey where most views see too few landmarks"
+    label = "median predicted error of the position [mm];\ngrey where most views see too few landmarks"
     bar = figure.colorbar(mesh, ax=list(panels), label=label, extend="max", orientation="horizontal", aspect=60)
     ticks = common.logarithmic_ticks(low, high)
     bar.set_ticks(ticks.tolist(), labels=[f"{tick:g}" for tick in ticks])

@@ -52,14 +52,14 @@ class TrajectoryFile:
     mount: str | Mapping[str, Any] | Sequence[float] | None = None
 
     def __post_init__(self) -> None:
-        if self.path is None:
-            raise InputError("path is missing: a file of poses is needed.", "path")
         choice("frame", self.frame, list(FRAMES))
 
     @cached_property
     def _read(self) -> tuple[Trajectory, str]:
         """The poses of the camera in the room, and what was left out of the file."""
-        rows = read_rows(str(self.path), self.times, self.rate)
+        if self.path is None:
+            raise InputError("path is missing: a file of poses is needed.", "path")
+        rows = read_rows(self.path, self.times, self.rate)
         poses = rows.poses
         if self.mount is not None:
             if rows.angles:  # they speak of where x looks

@@ -88,7 +88,8 @@ class Gridded(ABC):
         low, high = self.box
         # From a first point that can be reached: the sequence comes back to what can be reached again and again, and
         # each time at a uniform point. From anywhere, it would more often come to where it has been away from for long.
-        return self._reached(size, kronecker((self.sample(1, rng)[0] - low) / (high - low)))
+        extent = np.where(high > low, high - low, 1.0)  # a robot on the ground may have one height
+        return self._reached(size, kronecker((self.sample(1, rng)[0] - low) / extent))
 
     def _reached(self, size: int, following: Callable[[int], FloatArray]) -> FloatArray:
         """The first `size` of the points of the unit cube `following`, laid over the box, that can be reached."""

@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from lmd.evaluation.comparison import OptimiserRun, comparison_table
+from lmd.evaluation.comparison import OptimiserRun, compared
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.base import Record
 from lmd.plot.cap import save_cap_figure
 from lmd.plot.common import shrink
 from lmd.plot.comparison import save_comparison_figure
+from lmd.plot.heat_map import save_heat_map
 from lmd.plot.scene import save_deployments_figure
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
@@ -23,7 +24,7 @@ from ..operations.tracking import PARENT_TAG, MlflowReader
 from .comparison import as_text
 from .document import Picture, Section, Table, Text
 from .paper import TABLE_2, TABLE_3, Printed
-from .plots import save_heat_map, save_landmark_count_figure
+from .plots import save_landmark_count_figure
 
 # The sweeps a report is made of, and the commands that run them.
 COMMANDS = {
@@ -191,12 +192,11 @@ def _each_for_itself(source: Source) -> Blocks:
         ]
         for (n, p), row in TABLE_3.items()
     ]
+    tables = {name: column.unstack().rename_axis(index="n", columns="thold_p") for name, column in columns.items()}
     picture = source.picture(
         "pairs",
         "Qualified ratio over n and thold_p",
-        lambda path: save_heat_map(
-            path, {name: column.unstack() for name, column in columns.items()}, "Qualified ratio"
-        ),
+        lambda path: save_heat_map(path, tables, "Qualified ratio", "qualified ratio"),
     )
     return [*_origins(source, "table3_reoptimised"), Table(["n", "thold_p", *columns], rows), picture]
 
@@ -236,17 +236,15 @@ def _optimisers(source: Source) -> Blocks:
         return [_missing("optimisers")]
     runs = source.optimiser_runs(jobs)
     picture = _curves(source, "optimisers", runs, "Optimisers")
-    return [
-        *_origins(source, "optimisers"),
-        as_text(comparison_table(runs, Coverage.headline.key), Coverage.headline),
-        picture,
-    ]
+    found = compared(runs, Coverage.headline.key)
+    return [*_origins(source, "optimisers"), as_text(found, Coverage.headline), Text(found.test), picture]
 
 
 def _curves(source: Source, name: str, runs: list[OptimiserRun], title: str) -> Picture:
     return source.picture(
         name,
-        "Best fitness against evaluations: the median of the seeds, with a band from the worst to the best",
+        "Best fitness against evaluations, the median of the seeds with a band from the worst to the best, and the "
+        "share of seeds and targets that were reached",
         lambda path: save_comparison_figure(path, runs, "evaluations", Coverage.headline, title),
     )
 

@@ -1,16 +1,21 @@
 """What earlier versions wrote still works."""
 
 import importlib
+from functools import partial
 
 import pytest
-from small import problem
+from small import composed, problem
 
+from lmd.core.checks import InputError
 from lmd.core.renamed import renamed
 from lmd.optimisers.base import Budget
 from lmd.optimisers.checkpoint import Checkpoint
 from lmd.optimisers.random_search import RandomSearch
+from pipelines.app import flat_settings
+from pipelines.earlier_settings import settings_now
 from pipelines.trust import read_yaml
 
+EGA, ANNEALING = "lmd.optimisers.ega.EGA", "lmd.optimisers.annealing.Annealing"
 # What the project's own configurations named before the packages were rearranged.
 TARGETS = [
     "lmd.camera.Camera",
@@ -74,3 +79,27 @@ def test_its_checkpoint_is_gone_on_from(tmp_path):
     again = RandomSearch(seed=0)
     Checkpoint(again, {"tag._target_": "lmd.scene.tag.Tag"}).resume(tmp_path, small)
     assert again.ledger.evaluations == 20
+
+
+@pytest.mark.parametrize(
+    ("then", "overrides"),
+    [
+        ({"optimiser._target_": EGA, "optimiser.encoding": "paper", "encoding.kind": "wall"}, ["optimiser=ega"]),
+        ({"optimiser._target_": EGA, "encoding.kind": "wall"}, ["optimiser=ega", "encoding=wall"]),
+        ({"optimiser._target_": ANNEALING, "optimiser.single.jump": 0.2}, ["optimiser.single.jump=0.2"]),
+    ],
+)
+def test_the_settings_of_an_earlier_run_had_the_defaults_of_the_optimisers_class(then, overrides):
+    cfg = composed("optimise", *overrides)
+    now = settings_now(flat_settings(cfg, "optimiser", "encoding"), cfg.optimiser)
+    assert settings_now({"encoding.flush": True, "encoding.kind": "wall"} | then, cfg.optimiser) == now
+
+
+def test_they_differ_where_one_is_no_longer_at_its_default(tmp_path):
+    small, search, cfg = problem(), RandomSearch(seed=0), composed("optimise", "optimiser=random_search")
+    search.run(small, Budget(20))
+    Checkpoint(search, {"encoding.kind": "wall"}).save(tmp_path)
+    as_now = partial(settings_now, optimiser=cfg.optimiser)
+    now = as_now({"optimiser.batch": 10, "encoding.kind": "wall"})
+    with pytest.raises(InputError, match=r"was made with optimiser\.batch = 30, not 10"):
+        Checkpoint(RandomSearch(seed=0), now, settings_now=as_now).resume(tmp_path, small)

@@ -9,7 +9,7 @@ import pytest
 from mlflow import MlflowClient
 from processes import call, command, start
 
-from lmd.evaluation.comparison import OptimiserRun, best_at, comparison_table
+from lmd.evaluation.comparison import OptimiserRun, attained, best_at, compared, curve_targets
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.base import Record
 from lmd.scene.deployment import Deployment
@@ -32,23 +32,72 @@ RUNS = [
 
 
 def test_the_best_median_comes_first():
-    table = comparison_table(RUNS, KEY)
+    table = compared(RUNS, KEY).table
     assert table.optimiser.tolist() == ["fast", "slow"]
     assert table.qualified_ratio.tolist() == pytest.approx([0.85, 0.45])
     assert table.qualified_ratio_min.tolist() == [0.8, 0.4]
+    assert table["rank"].tolist() == [1.0, 2.0]
 
 
-def test_milestones_count_evaluations_and_infinity_means_never():
-    table = comparison_table(RUNS, KEY)
-    assert table["evaluations_to_50%"].tolist() == [10.0, np.inf]
-    assert table["evaluations_to_65%"].tolist() == [15.0, np.inf]
+def test_targets_come_from_the_runs_and_the_running_time_counts_all_of_them():
+    found = compared(RUNS, KEY)
+    assert found.targets == (0.5, 0.8, 0.9)
+    assert found.table.evaluations_to_1.tolist() == [(10 + 10) / 2, (20 + 20) / 1]
+    assert found.table.evaluations_to_2.tolist() == [(20 + 20) / 2, np.inf]
 
 
-def test_the_markdown_table_has_a_row_for_each():
-    lines = to_markdown(comparison_table(RUNS, KEY), Coverage.headline).splitlines()
-    assert len(lines) == 4
+def runs_of(name, *figures):
+    return [run_of(name, seed, 0.0, figure) for seed, figure in enumerate(figures)]
+
+
+GOOD = runs_of("good", *np.linspace(0.8, 0.9, 8))
+POOR = runs_of("poor", *np.linspace(0.7, 0.79, 8))
+EQUAL = runs_of("equal", *np.linspace(0.8, 0.9, 8))
+
+
+def test_against_a_reference_runs_of_one_seed_are_pairs():
+    found = compared([*GOOD, *POOR, *EQUAL], KEY, "poor")
+    rows = found.table.set_index("optimiser")
+    assert rows.p_value[["good", "equal"]].tolist() == [4 / 2**8] * 2  # all signs alike, twice for Holm
+    assert np.isnan(rows.p_value["poor"])
+    assert rows.a12[["good", "poor"]].tolist() == [1.0, 0.5]
+    assert (found.reference, found.pairs) == ("poor", None)
+    assert "Wilcoxon signed-rank test against `poor`" in found.test
+    assert "Holm's correction for 2 comparisons" in found.test
+
+
+def test_without_one_all_are_tested_against_all():
+    found = compared([*GOOD, *POOR, *EQUAL], KEY)
+    assert found.pairs.loc["good", "equal"] == pytest.approx(1.0)
+    assert found.pairs.loc["good", "poor"] == found.pairs.loc["poor", "good"] < 0.05
+    assert found.table["rank"].tolist() == [1.5, 1.5, 3.0]
+    assert "Nemenyi's test against `good` on the mean ranks over the 8 seeds" in found.test
+
+
+def test_of_seeds_that_not_all_have_run_those_of_both_are_pairs():
+    found = compared([*GOOD, *POOR[:5], *EQUAL[:1]], KEY, "good")
+    rows = found.table.set_index("optimiser")
+    assert rows.p_value["poor"] == 2 / 2**5
+    assert np.isnan(rows.p_value["equal"])
+    assert compared(GOOD[:1], KEY).test == ""
+
+
+def test_the_markdown_table_has_a_row_for_each_and_says_what_was_tested():
+    lines = to_markdown(compared(RUNS, KEY), Coverage.headline).splitlines()
     assert "**85.00%** (80.00% to 90.00%)" in lines[2]
-    assert "–" in lines[3]
+    assert "| – |" in lines[3]
+    assert lines[4:] == ["", "p: two-sided Wilcoxon signed-rank test against `fast` on pairs of the same seed."]
+
+
+def test_the_share_of_targets_grows_to_what_was_reached():
+    targets = curve_targets(RUNS)
+    assert (targets[0], targets[-1]) == (pytest.approx(0.1 + 0.8 / 50), 0.9)
+    share = attained(RUNS, "evaluations", np.array([5.0, 10.0, 20.0]), targets)
+    counted = [
+        np.mean([best >= t for best in bests for t in targets])
+        for bests in ((0.2, 0.1, 0.5, 0.7), (0.4, 0.5, 0.9, 0.8))
+    ]
+    assert share.tolist() == pytest.approx([0.0, *counted])
 
 
 def test_curves_are_steps():
@@ -59,20 +108,22 @@ def test_curves_are_steps():
 @pytest.mark.slow
 def test_a_comparison_leaves_a_table_a_plot_and_nested_runs(tmp_path):
     done = call(
-        "compare", "optimisers=[ega,'ega +optimiser.population=12']", "seeds=2", "budget.evaluations=40",
-        "deployment.count=20", "hydra.run.dir=run", "save_as=docs/table", "tracking.uri=sqlite:///store.db",
+        "compare", "optimisers=[ega,'ega optimiser.population=12']", "seeds=2", "budget.evaluations=40",
+        "deployment.count=20", "hydra.run.dir=run", "save_as=docs/table", "validate=true", "tracking.uri=sqlite:///store.db",
         cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     table = pd.read_csv(tmp_path / "run" / "comparison.csv")
-    assert set(table.optimiser) == {"ega", "ega +optimiser.population=12"}
+    assert set(table.optimiser) == {"ega", "ega optimiser.population=12"}
     assert (table.runs == 2).all()
     for kind in ("md", "png"):
         saved = (tmp_path / "docs" / f"table.{kind}").read_bytes()
         assert saved == (tmp_path / "run" / f"comparison.{kind}").read_bytes()
-    runs = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db").search_runs(["1"])
-    parents = [r.data.tags.get("mlflow.parentRunId") for r in runs]
-    (parent,) = [r.info.run_id for r in runs if "mlflow.parentRunId" not in r.data.tags]
+    runs = recorded(tmp_path)
+    parents = [r.data.tags.get(PARENT) for r in runs]
+    (parent,) = [r.info.run_id for r in runs if PARENT not in r.data.tags]
+    found = [r.data.metrics["off_grid"] for r in runs if PARENT in r.data.tags and r.data.params["optimiser"] == "ega"]
+    assert table.set_index("optimiser").off_grid["ega"] == np.median(found)
     assert sorted(map(str, parents)) == sorted(["None"] + 4 * [parent])
     assert all(r.info.status == "FINISHED" for r in runs)
 
@@ -91,18 +142,39 @@ def test_a_comparison_gives_what_single_runs_give(tmp_path):
 
 
 @pytest.mark.slow
-def test_an_interrupted_comparison_keeps_a_table_of_what_is_finished(tmp_path):
-    overrides = ["optimisers=[ega]", "seeds=500", "workers=1", "budget.evaluations=20", "deployment.count=20"]
-    overrides += ["hydra.run.dir=run", "tracking.uri=sqlite:///store.db"]
-    process = start(command("compare", *overrides), cwd=tmp_path, stdout=subprocess.PIPE)
+def test_an_interrupted_comparison_keeps_a_table_of_what_is_finished_and_goes_on_from_there(tmp_path):
+    shared = ["optimisers=[ega]", "workers=1", "budget.evaluations=20", "deployment.count=20", "hydra.run.dir=run"]
+    shared += ["tracking.uri=sqlite:///store.db"]
+    process = start(
+        command("compare", *shared, "seeds=500"), cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
     assert process.stdout.readline().startswith("1/500 ega seed=0")
     process.send_signal(signal.SIGINT)
-    process.communicate()
+    _, err = process.communicate()
     assert process.returncode != 0
+    assert "interrupted; go on with: python -m pipelines.compare" in err
     (row,) = pd.read_csv(tmp_path / "run" / "comparison.csv").itertuples()
     assert 1 <= row.runs < 500
-    runs = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db").search_runs(["1"])
-    assert sorted({run.info.status for run in runs}) == ["FINISHED", "KILLED"]
+    assert sorted({run.info.status for run in recorded(tmp_path)}) == ["FINISHED", "KILLED"]
+
+    written = (tmp_path / "run/runs/ega seed=0/run.json").stat().st_mtime_ns
+    again = call("compare", *shared, f"seeds={row.runs + 1}", "resume=run", cwd=tmp_path)
+    assert f"{row.runs}/{row.runs + 1} done already in run" in again.stdout
+    (grown,) = pd.read_csv(tmp_path / "run" / "comparison.csv").itertuples()
+    assert grown.runs == row.runs + 1
+    assert (tmp_path / "run/runs/ega seed=0/run.json").stat().st_mtime_ns == written
+    newest = max(
+        (run for run in recorded(tmp_path) if PARENT not in run.data.tags), key=lambda run: run.info.start_time
+    )
+    children = [run for run in recorded(tmp_path) if run.data.tags.get(PARENT) == newest.info.run_id]
+    assert len(children) == grown.runs  # seeds is a parameter, so it is another run, which has all of them
+
+
+PARENT = "mlflow.parentRunId"
+
+
+def recorded(cwd):
+    return MlflowClient(tracking_uri=f"sqlite:///{cwd}/store.db").search_runs(["1"])
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ import pytest
 from contracts.optimiser import check_going_on
 from hydra import compose, initialize_config_dir
 from processes import environment
+from scipy.optimize import differential_evolution, direct, dual_annealing
 from small import problem
 
 from lmd.core.checks import InputError
@@ -19,6 +20,7 @@ from lmd.optimisers.nevergrad import Nevergrad
 from lmd.optimisers.pycma import PyCma
 from lmd.optimisers.pymoo import Pymoo
 from lmd.optimisers.random_search import RandomSearch
+from lmd.optimisers.scipy import Scipy
 from lmd.optimisers.wrapped import Wrapped
 from pipelines.app import CONF
 from pipelines.building import instantiate
@@ -45,7 +47,7 @@ def losses_told(optimiser, batches, fitness):
 
 
 def pymoo(name, **parameters):
-    from pymoo.algorithms.soo.nonconvex import cmaes, de, direct, ga, isres, pattern, pso
+    from pymoo.algorithms.soo.nonconvex import cmaes, de, direct, g3pcx, ga, isres, pattern, pso
 
     module = {
         "GA": ga,
@@ -54,6 +56,7 @@ def pymoo(name, **parameters):
         "CMAES": cmaes,
         "PatternSearch": pattern,
         "ISRES": isres,
+        "G3PCX": g3pcx,
         "DIRECT": direct,
     }
     return Pymoo(partial(getattr(module[name], name), **parameters))
@@ -80,7 +83,7 @@ class Stubborn(Wrapped):
         return Session()
 
 
-@pytest.mark.parametrize("name", ["GA", "DE", "PSO", "ISRES"])
+@pytest.mark.parametrize("name", ["GA", "DE", "PSO", "ISRES", "G3PCX"])
 def test_populations_of_pymoo_begin_with_the_start(name):
     first = run(pymoo(name, pop_size=8), 1)[0]
     np.testing.assert_array_equal(first[0], np.full(12, 0.6))
@@ -135,6 +138,28 @@ def test_every_variant_of_pycma_gets_better(variant):
     assert optimiser.ledger.best_fitness > -1.0
 
 
+@pytest.mark.parametrize(
+    "minimise", [partial(dual_annealing, no_local_search=True), partial(differential_evolution, popsize=1), direct]
+)
+def test_scipy_gets_better(minimise):
+    optimiser = Scipy(minimise)
+    run(optimiser, 400)
+    assert optimiser.ledger.best_fitness > -2.0
+
+
+def test_scipy_begins_with_the_start_and_once_more_with_the_best_when_it_ends():
+    optimiser = Scipy(partial(dual_annealing, no_local_search=True, maxfun=10))
+    asked = run(optimiser, 30)
+    np.testing.assert_array_equal(asked[0][0], np.full(12, 0.6))
+    losses = [np.abs(genes - 0.3).sum() for genes in asked]
+    assert any((later == asked[np.argmin(losses[:i])]).all() for i, later in enumerate(asked) if i > 1)
+
+
+def test_what_a_function_of_scipy_raises_is_told():
+    with pytest.raises(InputError, match=r"^minimise failed: Please select a valid mutation strategy"):
+        run(Scipy(partial(differential_evolution, strategy="best")), 1)
+
+
 def test_an_optimiser_that_ends_is_followed_by_one_that_starts_from_the_best():
     optimiser = Stubborn()
     asked = [float(genes[0, 0]) for genes in run(optimiser, 20, fitness=lambda genes: genes[:, 0])]
@@ -163,6 +188,7 @@ def test_pycma_goes_on_after_it_has_converged():
         lambda: Nevergrad("LognormalDiscreteOnePlusOne"),
         lambda: Nevergrad("Powell", budget=100),
         lambda: PyCma("vkd"),
+        lambda: Scipy(differential_evolution),
         lambda: Stubborn(),
     ],
 )
@@ -227,6 +253,8 @@ def test_random_search_does_not_depend_on_its_batch():
         (lambda: Nevergrad("DE", workers=0), r"^workers must be at least 1, got 0"),
         (lambda: Nevergrad("DE", step=0), r"^step must be greater than 0, got 0"),
         (lambda: Nevergrad("DE", budget=0.5), r"^budget must be a whole number, got 0\.5"),
+        (lambda: Scipy("DE"), r"^minimise must be a function of an objective and bounds, got 'DE'"),
+        (lambda: Scipy(np.linalg.norm), r"^minimise must be a function of an objective and bounds, got <function norm"),
         (lambda: PyCma("sparse"), r"^variant must be one of full, separable, vkd, got 'sparse'"),
         (lambda: PyCma(step=-1), r"^step must be greater than 0, got -1"),
         (lambda: PyCma(population=2), r"^population must be at least 4, got 2"),

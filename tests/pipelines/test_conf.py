@@ -1,5 +1,6 @@
 import inspect
 import re
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,8 @@ from paper import PAPER_CAMERA, PRINTED_EXPERIMENT_CAMERA
 
 from lmd.core.checks import InputError
 from lmd.objectives.localisation import Localisation
+from lmd.optimisers.annealing.annealing import SINGLE
+from lmd.optimisers.ega import EGA
 from lmd.optimisers.encoding import make_encoding
 from lmd.scene.camera import Camera
 from pipelines.app import CONF, flat_settings
@@ -42,7 +45,7 @@ SWEEPS = {  # the pipeline of each stored sweep, and its number of jobs
     "table3": ("evaluate", 9),
     "table3_reoptimised": ("optimise", 27),
     "landmark_count": ("optimise", 11),
-    "optimisers": ("optimise", 55),
+    "optimisers": ("optimise", 110),
     "localisation_front": ("optimise", 6),
 }
 # A file, or the edge of a tag.
@@ -177,8 +180,8 @@ def test_a_part_that_is_refused_names_the_whole_key(override):
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("+optimiser.single.temperature=[-1,1]", "optimiser.single.temperature[0] must be greater than 0, got -1."),
-        ("+optimiser.growth=2", "optimiser.growth must be in [0, 1], got 2."),
+        ("optimiser.single.temperature=[-1,1]", "optimiser.single.temperature[0] must be greater than 0, got -1."),
+        ("optimiser.growth=2", "optimiser.growth must be in [0, 1], got 2."),
         ("seed=-1", "seed must be in [0, 3.40282e+38], got -1."),
     ],
 )
@@ -258,13 +261,65 @@ def test_the_lab_is_one_word_and_localises_by_the_defaults_of_the_class():
 @pytest.mark.parametrize("path", sorted(Path(CONF, "optimiser").glob("*.yaml")), ids=lambda path: path.stem)
 def test_an_optimisers_file_repeats_no_default_of_its_class(path):
     given = OmegaConf.to_container(OmegaConf.load(path))
+    given.pop("defaults", None)
     defaults = inspect.signature(get_class(given.pop("_target_"))).parameters
     assert not [key for key, value in given.items() if defaults[key].default == value]
 
 
+def test_every_hyperparameter_is_a_key_whoever_states_it():
+    cfg = composed("optimise", "optimiser=ega_tuned", "optimiser.population=12")
+    given = OmegaConf.to_container(OmegaConf.load(Path(CONF, "optimiser", "ega_tuned.yaml")))
+    defaults = {
+        key: p.default for key, p in inspect.signature(EGA).parameters.items() if key not in ("encoding", "seed")
+    }
+    assert OmegaConf.to_container(cfg.optimiser) == defaults | given | {"population": 12}
+    assert build_optimiser(cfg, 0).population_size == 12
+    assert composed("optimise", "optimiser.single.step=[0.2,0.01]").optimiser.single == asdict(SINGLE) | {
+        "step": [0.2, 0.01]
+    }
+    assert (
+        composed("optimise", "optimiser=pymoo_ga", "optimiser.algorithm.n_offsprings=4").optimiser.algorithm.pop_size
+        == 30
+    )
+
+
+def test_the_defaults_of_a_class_do_not_hide_what_a_file_builds_on(tmp_path):
+    folder = tmp_path / "optimiser"
+    folder.mkdir()
+    (folder / "mine.yaml").write_text("defaults: [ega_tuned]\n_target_: lmd.optimisers.ega.EGA\n")
+    (folder / "none.yaml").write_text("_target_: no.such.Class\nstep: 1\n")
+    cfg = composed("optimise", f"hydra.searchpath=[file://{tmp_path}]", "optimiser=mine", "optimiser.mutation=gaussian")
+    assert (cfg.optimiser.eliminated, cfg.optimiser.mutation) == (1, "gaussian")
+    none = composed("optimise", f"hydra.searchpath=[file://{tmp_path}]", "optimiser=none")
+    assert none.optimiser == {"_target_": "no.such.Class", "step": 1}
+
+
+@pytest.mark.parametrize(
+    ("overrides", "kind"),
+    [
+        (["optimiser=ega"], "paper"),
+        (["optimiser=ega", "encoding=wall"], "wall"),
+        (["+optimiser.encoding=paper"], "paper"),
+    ],
+)
+def test_the_encoding_that_is_used_is_the_one_that_is_recorded(overrides, kind):
+    cfg = composed("optimise", "optimiser=random_search", *overrides)
+    assert build_optimiser(cfg, 0).encoding == cfg.encoding.kind == kind
+
+
+def test_mlflows_own_variables_name_the_store_and_the_experiment(monkeypatch):
+    assert instantiate(composed("optimise").tracking).store.experiment_name == "lmd"
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", "http://127.0.0.1:5000")
+    monkeypatch.setenv("MLFLOW_EXPERIMENT_NAME", "mine")
+    store = instantiate(composed("compare").tracking).store
+    assert (store.uri, store.experiment_name) == ("http://127.0.0.1:5000", "mine")
+    given = composed("optimise", "tracking.uri=sqlite:///s.db", "+tracking.tags.study=abc").tracking
+    assert (given.uri, given.tags.study) == ("sqlite:///s.db", "abc")
+
+
 def test_the_literal_ega_has_the_printed_chromosome():
     cfg = composed("optimise", "optimiser=ega")
-    assert 90 * make_encoding(cfg.optimiser.encoding, build_problem(cfg).scene.room, True).genes_per_landmark == 450
+    assert 90 * make_encoding(cfg.encoding.kind, build_problem(cfg).scene.room, True).genes_per_landmark == 450
 
 
 def test_settings_are_flattened_for_the_record():

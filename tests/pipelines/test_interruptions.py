@@ -156,7 +156,8 @@ main()
 
 def test_a_closed_terminal_is_no_reason_to_lose_the_result(begin, tmp_path):
     ours, theirs = os.openpty()
-    line, terminal = command("optimise", *SETTINGS, *ENDLESS), dict.fromkeys(("stdin", "stdout", "stderr"), theirs)
+    line = command("optimise", *SETTINGS, *ENDLESS, "picture=true")
+    terminal = dict.fromkeys(("stdin", "stdout", "stderr"), theirs)
     process = begin(line, tmp_path, start_new_session=True, **terminal)
     os.close(theirs)
     wait_for(tmp_path / "run" / "checkpoint.npz", process)
@@ -256,7 +257,7 @@ def small_disk(path, size):
 
 def test_on_a_disk_that_fills_up_landmarks_and_figures_are_kept(endless, tmp_path):
     with small_disk(tmp_path / "disk", "2m") as disk:
-        settings = (*SETTINGS[:2], "tracking.uri=sqlite:///../store.db")
+        settings = (*SETTINGS[:2], "picture=true", "tracking.uri=sqlite:///../store.db")
         process = endless(settings=settings, cwd=disk)
         with contextlib.suppress(OSError), (disk / "filler").open("wb", buffering=0) as filler:
             for size in (1 << 16, 1 << 10, 1):
@@ -291,7 +292,7 @@ def test_a_server_that_dies_costs_a_warning_and_gets_everything_later(endless, t
     (tmp_path / "server").mkdir()
     database = f"sqlite:///{tmp_path}/server.db"
     with mlflow_server(database, tmp_path / "server") as address:
-        run = endless(settings=(*SETTINGS[:2], f"tracking.uri={address}"))
+        run = endless(settings=(*SETTINGS[:2], "picture=true", f"tracking.uri={address}"))
     time.sleep(0.5)
     run.send_signal(signal.SIGINT)
     code, out, err = ended(run)

@@ -5,12 +5,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from omegaconf import OmegaConf
 
 from lmd.core.checks import InputError
 from lmd.optimisers.checkpoint import FILE
 from pipelines.operations.sweeps.folder import JobFolder, SweepFolder
 from pipelines.operations.sweeps.jobs import Job, Sweep, reason_of
-from pipelines.operations.sweeps.names import key_and_value, quoted, slug, varied_keys
+from pipelines.operations.sweeps.names import job_folder, key_and_value, quoted, slug, varied_keys
 
 
 def test_folder_names_need_no_quotes_in_an_override():
@@ -63,6 +64,34 @@ def test_a_sweep_lists_its_jobs_in_their_order(tmp_path):
     (folder.path / "notes").mkdir()
     assert folder.load() == sweep
     assert [(found.name, job.number) for found, job in folder.jobs()] == [("b", 0), ("a", 1)]
+
+
+def test_a_sweep_lists_what_was_asked_last_and_what_had_finished_before(tmp_path):
+    folder = SweepFolder(tmp_path / "seed")
+    folder.save(Sweep("seed", ("seed",), None, round=1))
+    asked = {
+        "old": ("finished", 0, 0),
+        "gave up": ("failed", 1, 0),
+        "new": ("failed", 1, 1),
+        "first": ("running", 0, 1),
+    }
+    for name, (status, number, round_) in asked.items():
+        (folder.path / name).mkdir()
+        JobFolder(folder.path / name).save(Job("seed", None, number, (), {}, status, round=round_))
+    assert [its_folder.name for its_folder, _ in folder.jobs()] == ["first", "new", "old"]
+
+
+def test_a_job_has_one_folder_whatever_varies_beside_it(tmp_path):
+    hydra = {"sweep": {"dir": str(tmp_path)}, "overrides": {"task": ["objective.n=2", "seed=0"]}}
+    root = OmegaConf.create({"objective": {"n": 2}, "seed": 0, "hydra": hydra})
+    SweepFolder(tmp_path).save(Sweep("n", ("objective.n",), None))
+    name = job_folder(_root_=root)
+    assert name.startswith("n-2_")
+    (tmp_path / name).mkdir()
+    SweepFolder(tmp_path).save(Sweep("n_seed", ("objective.n", "seed"), None))
+    assert job_folder(_root_=root) == name
+    root.seed = 1
+    assert job_folder(_root_=root) != name
 
 
 def test_a_job_knows_the_checkpoint_of_its_run(tmp_path):

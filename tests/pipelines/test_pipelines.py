@@ -26,6 +26,7 @@ def optimised(tmp_path_factory):
         "optimiser=ega",
         "budget.evaluations=90",
         "deployment.count=40",
+        "picture=true",
         "page=true",
         "hydra.run.dir=run",
         cwd=cwd,
@@ -49,7 +50,7 @@ def test_a_run_loads_nothing_that_only_others_need(pipeline, more, tmp_path):
     """Each of these takes a tenth of a second or more."""
     slow = [f"scipy.{part}" for part in ("optimize", "spatial", "sparse", "stats")]
     slow += ["pandas", "plotly", "mlflow", "pymoo", "nevergrad", "cv2"]
-    run = [*more, "tracking=none", "validate=true", "hydra.run.dir=run"]
+    run = [*more, "tracking=none", "validate=true", "picture=true", "hydra.run.dir=run"]
     assert loading(pipeline, *run, slow=slow, cwd=tmp_path).splitlines()[-1] == "[]"
     assert (tmp_path / "run" / "scene.png").stat().st_size > 0
 
@@ -149,8 +150,6 @@ def test_where_nothing_is_covered_the_terminal_says_why(optimised, tmp_path):
     criteria = read_metrics(tmp_path / "run")["criteria"]
     assert criteria["covered"] == 0.0
     assert criteria["covered_without_resolution"] > 0.0
-    (run,) = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db").search_runs(["1"])
-    assert {key: run.data.metrics[f"criteria/{key}"] for key in criteria} == criteria
 
 
 def test_validation_can_be_left_out(optimised):

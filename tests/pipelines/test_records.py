@@ -2,6 +2,7 @@
 
 import csv
 import errno
+import json
 import signal
 
 import pytest
@@ -34,7 +35,7 @@ def record(found, **others):
     return tracked_run.record(CFG, p, NoTracker(), result.deployment, result.history, **(arguments | others))
 
 
-def told_to_stop(*_):
+def told_to_stop(*_, **__):
     raise Stopped(signal.SIGTERM)
 
 
@@ -42,12 +43,25 @@ def told_to_stop(*_):
 def test_a_run_that_is_stopped_while_it_writes_keeps_all_that_cannot_be_had_again(found, where, tmp_path, monkeypatch):
     monkeypatch.setattr(tracked_run, where, told_to_stop, raising=False)
     with pytest.raises(Stopped):
-        record(found, **({"further": told_to_stop} if where == "further" else {}))
+        record(found, **({"further": told_to_stop} if where == "further" else {}), status="KILLED")
     assert {"landmarks.csv", "metrics.json", "history.csv", FILE} == {path.name for path in tmp_path.iterdir()}
     with (tmp_path / "history.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert float(rows[-1]["best_fitness"]) == found[1].fitness
     assert int(rows[-1]["evaluations"]) == 60
+
+
+def test_a_run_that_spent_its_budget_is_finished_though_it_is_stopped_while_it_draws(
+    found, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(tracked_run, "write_pictures", told_to_stop)
+    monkeypatch.setattr(tracked_run, "command_line", lambda *_: "again")
+    ended = []
+    monkeypatch.setattr(NoTracker, "finish", lambda _, status, *__: ended.append(status))
+    assert record(found)["fitness"] == found[1].fitness
+    assert ended == ["FINISHED"]
+    assert "warning: told to stop, it has left out pictures; to draw and write again: again" in capsys.readouterr().err
+    assert "validation" in json.loads((tmp_path / "metrics.json").read_text())
 
 
 def test_a_disk_that_is_full_by_then_takes_nothing_back(found, tmp_path, monkeypatch, capsys):

@@ -8,13 +8,14 @@ from lmd.geometry.frames import optical_axis
 from lmd.objectives.coverage import Coverage
 from lmd.plot import common
 from lmd.plot.cap import hemisphere, save_cap_figure
+from lmd.plot.heat_map import save_heat_map
 from lmd.plot.scene import save_deployments_figure
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import UniformDeployment
 from lmd.space.cuboid import Cuboid
-from pipelines.reproduction.plots import save_heat_map, save_landmark_count_figure
+from pipelines.reproduction.plots import save_landmark_count_figure
 
 ROOM = Cuboid(size=(3.0, 2.0, 2.5), reachable_size=(2.0, 1.0, 1.5), spacing=0.8)
 GREEN_BALL = (72, 171, 103)  # green at 80 % on white
@@ -97,10 +98,10 @@ def test_each_panel_shows_its_own_deployment_as_its_own_problem_scores_it(tmp_pa
 
 def test_the_heat_map_is_dark_where_the_ratio_is_high_and_empty_where_there_is_no_run(tmp_path):
     table = pd.DataFrame([[0.0, 1.0], [np.nan, 1.0]], index=[2, 3], columns=[0.5, 0.65])
-    save_heat_map(tmp_path / "heat.png", {"a": table, "b": table}, "T")
+    save_heat_map(tmp_path / "heat.png", {"a": table, "b": table}, "T", "ratio")
     picture = imread(tmp_path / "heat.png")
     assert share(picture, 0, 68, 27) > 0.2  # the end of matplotlib's Greens
-    save_heat_map(tmp_path / "heat.png", {"a": table * 0.0, "b": table * 0.0}, "T")
+    save_heat_map(tmp_path / "heat.png", {"a": table * 0.0, "b": table * 0.0}, "T", "ratio")
     assert share(imread(tmp_path / "heat.png"), 0, 68, 27) < 0.01
 
 

@@ -1,10 +1,13 @@
 """Sweeps as a user meets them: what they leave, what a failing job does to the others, and going on."""
 
+import base64
 import json
 import os
+import re
 import signal
 import subprocess
 import time
+import zlib
 
 import pandas as pd
 import pytest
@@ -133,9 +136,16 @@ def test_a_pipeline_without_threads_is_swept_in_parallel_too(tmp_path):
 
 
 def test_a_sweep_is_one_parent_run_with_a_child_for_each_job(faulty):
-    cwd, _ = faulty
+    cwd, done = faulty
+    out = done.stdout
     parent, children = runs(cwd)
-    assert parent.info.run_name == f"sweep optimiser.fault #{parent.info.run_id[:4]}"
+    about = "n=2 thold_p=0.5 count=20 evaluations=400"
+    assert parent.info.run_name == f"sweep optimiser.fault {about} #{parent.info.run_id[:4]}"
+    assert (parent.data.params["optimiser"], parent.data.params["objective.n"]) == ("faulty", "2")
+    assert "optimiser.fault" not in parent.data.params
+    told = told_by(parent)
+    assert told.startswith("**FAILED**: 3 of 4 jobs failed\n\nvaries: `optimiser.fault` (4 values)\n")
+    assert re.search(r"\n\| none \| 1 of 1 \| [\d.]+% \| [\d.]+% \|\n\| raise \| 0 of 1 \|  \|  \|\n", told)
     assert parent.info.status == "FAILED"
     assert parent.data.tags["reason"] == "3 of 4 jobs failed"
     assert parent.data.tags["override.optimiser.fault"] == "none,raise,exit,kill"
@@ -144,6 +154,13 @@ def test_a_sweep_is_one_parent_run_with_a_child_for_each_job(faulty):
     assert parent.data.metrics["best/qualified_ratio"] == parent.data.metrics["median/qualified_ratio"] == finished
     client = MlflowClient(tracking_uri=f"sqlite:///{cwd}/store.db")
     assert [file.path for file in client.list_artifacts(parent.info.run_id)] == ["jobs.csv"]
+    for mode in ("TABLE", "CHART"):  # views of the jobs, grouped by what varies
+        assert (
+            f"/runs?workflowType=machine_learning&compareRunsMode={mode}&viewStateShareKey={parent.info.run_id}" in out
+        )
+    shared = client.get_experiment("1").tags[f"mlflow.sharedViewState.{parent.info.run_id}"]
+    view = json.loads(zlib.decompress(base64.b64decode(shared.removeprefix("deflate;"))))
+    assert view["groupBy"]["groupByKeys"] == [{"mode": "param", "groupByData": "optimiser.fault"}]
     assert statuses(children) == {"none": ["FINISHED"], "raise": ["FAILED"], "exit": ["FAILED"], "kill": ["FAILED"]}
     reasons = {fault: found[0].data.tags.get("reason") for fault, found in children.items()}
     assert reasons == {
@@ -260,20 +277,58 @@ def test_a_job_killed_under_submitit_does_not_lose_the_others(work):
     assert "threads 1 1 1\n" in output.read_text()
 
 
-def test_bad_input_in_one_job_is_a_failed_run_and_one_sentence(tmp_path):
-    done = call(
-        "evaluate",
-        "hydra.mode=MULTIRUN",
-        "objective.n=2,500",
-        "tracking.uri=sqlite:///store.db",
-        cwd=tmp_path,
-    )
+def sweep_n(cwd, values):
+    overrides = ("hydra.mode=MULTIRUN", f"objective.n={values}", "validate=true", "tracking.uri=sqlite:///store.db")
+    return call("evaluate", *overrides, cwd=cwd)
+
+
+@pytest.fixture(scope="module")
+def refused(tmp_path_factory):
+    """A sweep of two jobs, one of which is refused."""
+    cwd = tmp_path_factory.mktemp("refused")
+    return cwd, sweep_n(cwd, "2,500")
+
+
+def test_bad_input_in_one_job_is_a_failed_run_and_one_sentence(refused):
+    cwd, done = refused
     assert done.returncode == 1
     assert "objective.n = 500 exceeds the number of landmarks, 90" in done.stderr
-    found = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db").search_runs(["1"])
+    found = MlflowClient(tracking_uri=f"sqlite:///{cwd}/store.db").search_runs(["1"])
     (failed,) = [run for run in found if run.info.status == "FAILED" and PARENT in run.data.tags]
     assert failed.data.tags["reason"] == "objective.n = 500 exceeds the number of landmarks, 90."
     assert sum(run.info.status == "FINISHED" for run in found) == 1
+
+
+def test_a_sweep_grows_by_values_and_shows_the_figure_off_the_grid(refused):
+    cwd, _ = refused
+    grown = sweep_n(cwd, "3,4")
+    assert grown.returncode == 0, grown.stderr
+    assert "going on after 1 finished jobs" in grown.stdout
+    assert (
+        len(re.findall(r"^finished in \d+ s: objective.n=\d: [\d.]+% on the grid, [\d.]+% off it$", grown.stdout, re.M))
+        == 2
+    )
+    again = sweep_n(cwd, "3,2")
+    assert again.stdout.count("done already: objective.n=") == 2
+    (table,) = cwd.glob("outputs/evaluate_sweep/*/jobs.csv")
+    rows = pd.read_csv(table)
+    assert rows["objective.n"].tolist() == [3, 2, 4]  # those of the last command in its order; 500 is asked no more
+    figures = [json.loads((table.parent / name / "metrics.json").read_text()) for name in rows.folder]
+    off_grid = [metrics["validation"]["grid_free_qualified_ratio"] for metrics in figures]
+    assert rows.off_grid.tolist() == off_grid == [metrics["off_grid"] for metrics in figures]
+    (parent,) = [run for run in found_in(cwd) if PARENT not in run.data.tags]
+    assert (parent.info.status, parent.data.metrics["jobs"]) == ("FINISHED", 3.0)
+    assert "best/off_grid" not in parent.data.metrics  # each was of another problem
+    assert f"| 4 | 1 of 1 | {rows.fitness[2]:.2%} | {rows.fitness[2]:.2%} | {off_grid[2]:.2%}" in told_by(parent)
+    assert {run.data.metrics.get("off_grid") for run in found_in(cwd) if PARENT in run.data.tags} == {None, *off_grid}
+
+
+def told_by(run):
+    return run.data.tags["mlflow.note.content"]
+
+
+def found_in(cwd):
+    return MlflowClient(tracking_uri=f"sqlite:///{cwd}/store.db").search_runs(["1"])
 
 
 def test_a_sweep_that_cannot_be_composed_leaves_nothing(tmp_path):

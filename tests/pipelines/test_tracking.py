@@ -13,6 +13,7 @@ from pipelines.operations.sweeps.forks import context
 from pipelines.operations.tracking import MlflowReader, MlflowTracker, NoTracker, RunStart
 from pipelines.operations.tracking.hand_in import GONE
 from pipelines.operations.tracking.processes import is_gone, this_process
+from pipelines.operations.tracking.store import DESCRIPTION
 
 # mlflow makes its tables anew for each store
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("folder")]
@@ -28,6 +29,14 @@ def test_a_run_keeps_its_params_tags_metrics_and_name(uri):
     assert run.data.metrics == {"qualified_ratio": 0.5}
     assert run.info.run_name == f"a run #{tracker.run_id[:4]}"
     assert run.info.status == "FINISHED"
+
+
+def test_a_run_has_the_tags_of_its_user(uri, folder):
+    tracker = MlflowTracker(uri, "tests", {"study": "first", "batch": 3})
+    tracker.start(RunStart("a run", folder, tags={"pipeline": "optimise"}))
+    assert {"study": "first", "batch": "3", "pipeline": "optimise"}.items() <= stored(tracker).data.tags.items()
+    with pytest.raises(InputError, match=r"tags must be texts or numbers by their names, got \{'study': \[1\]\}"):
+        MlflowTracker(uri, "tests", {"study": [1]})
 
 
 def test_a_long_curve_is_logged_whole(uri):
@@ -56,10 +65,13 @@ def test_a_run_can_be_continued(uri):
 
 
 def test_a_failed_run_says_why(uri):
-    tracker = started(uri)
+    tracker = started(uri, tags={DESCRIPTION: "about\n\nthis"})
     tracker.finish("FAILED", "ValueError: no")
     assert stored(tracker).info.status == "FAILED"
     assert stored(tracker).data.tags["reason"] == "ValueError: no"
+    assert stored(tracker).data.tags[DESCRIPTION] == "**FAILED**: ValueError: no\n\nabout\n\nthis"
+    again = started(uri, run_id=tracker.run_id)
+    assert stored(again).data.tags[DESCRIPTION] == "about\n\nthis"
 
 
 def test_a_run_that_never_started_can_be_finished(uri):

@@ -78,10 +78,10 @@ class Annealing(Optimiser):
 
     def __init__(
         self,
-        stacked: Stage | Mapping[str, Any] | None = None,
-        single: Stage | Mapping[str, Any] | None = None,
-        sampled: Stage | Mapping[str, Any] | None = None,
-        given: Stage | Mapping[str, Any] | None = None,
+        stacked: Stage | Mapping[str, Any] = STACKED,
+        single: Stage | Mapping[str, Any] = SINGLE,
+        sampled: Stage | Mapping[str, Any] = SAMPLED,
+        given: Stage | Mapping[str, Any] = GIVEN,
         stacked_share: float = 0.5,
         climb_share: float = 0.2,
         growth: float = 0.8,

@@ -64,14 +64,14 @@ class Stage:
         )
 
 
-def changed(name: str, default: Stage, given: Stage | Mapping[str, Any] | None) -> Stage:
+def changed(name: str, default: Stage, given: Stage | Mapping[str, Any]) -> Stage:
     """The stage `given`, or the default one with what differs from it.
 
     Raises:
         InputError: a value is out of range, or there is no such condition.
     """
-    if given is None or isinstance(given, Stage):
-        return given or default
+    if isinstance(given, Stage):
+        return given
     try:
         for key in given:
             choice("condition", key, [field.name for field in fields(Stage)])

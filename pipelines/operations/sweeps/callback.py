@@ -1,28 +1,28 @@
 """What Hydra calls when a sweep begins and ends: its tracked run, and its table."""
 
 import atexit
-import csv
 import os
 import sys
 from dataclasses import replace
-from pathlib import Path
-from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from hydra.experimental.callback import Callback
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
+from ...app import chosen
 from ...building import instantiate
-from ...provenance import source_tags
-from .folder import JobFolder, SweepFolder
-from .jobs import Job, Sweep, reason_of
+from ...provenance import parameters, source_tags
+from .folder import SweepFolder
+from .jobs import Sweep, reason_of
 from .names import override_tags, pin_sweep_folder, sweep_name, swept, varied_keys
+from .summary import SEED, best_and_median, description, found_by, pivots, write_table
 from .supervisor import LOST, SWEEP_VARIABLE, end_runs
 
 if TYPE_CHECKING:
     from ..tracking import Tracker
 
-FIGURES = ("qualified_ratio", "average_coverage_probability", "maximum_coverage_probability")
+# What the name of a sweep says, beside what varies.
+NAMED = ("objective.n", "objective.thold_p", "deployment.count", "budget.evaluations", "budget.seconds")
 
 
 class SweepRecord(Callback):
@@ -37,12 +37,16 @@ class SweepRecord(Callback):
         folder = SweepFolder(pin_sweep_folder(config))
         before = folder.load()
         overrides = swept(config)
-        sweep = Sweep(sweep_name(config), varied_keys(overrides), before.run_id if before else None)
+        sweep = Sweep(sweep_name(config), varied_keys(overrides), None)
+        if before:
+            varied = tuple(dict.fromkeys([*before.varied, *sweep.varied]))
+            sweep = replace(sweep, varied=varied, run_id=before.run_id, round=before.round + 1)
         try:
             tracker: Tracker = instantiate(config.tracking)
             tags = {"sweep": sweep.name, "pipeline": config.hydra.job.name}
             tags |= override_tags(overrides) | source_tags(config.hydra.job.name)
-            tracker.start(RunStart(f"sweep {sweep.name}", folder.path, tags=tags), sweep.run_id)
+            params = _params(config, sweep.varied)
+            tracker.start(RunStart(_called(sweep, params), folder.path, params, tags), sweep.run_id)
         except InputError as error:
             hint = f" (to start the sweep afresh, delete {folder.path})" if before else ""
             print(f"error: {error}{hint}", file=sys.stderr)
@@ -54,7 +58,7 @@ class SweepRecord(Callback):
             from .slurm import follow_the_queue
 
             follow_the_queue()
-        done = sum(job.status == "finished" for _, job in folder.jobs())
+        done = len(folder.jobs())
         going_on = f", going on after {done} finished jobs (delete the folder to start afresh)" if before else ""
         print(f"sweep {sweep.name} in {folder.path}{going_on}", flush=True)
 
@@ -75,10 +79,10 @@ def _cut_short(config: DictConfig) -> None:
     from ..tracking import RunStart
 
     folder = SweepFolder(config.hydra.sweep.dir)
-    if not folder.jobs():  # the first job was refused
-        sweep = folder.load()
+    sweep = folder.load()
+    if sweep is not None and sweep.round == 0 and not folder.jobs():  # the first job was refused
         tracker: Tracker = instantiate(config.tracking)
-        if sweep is not None and sweep.run_id is not None:
+        if sweep.run_id is not None:
             tracker.start(RunStart(sweep.name, folder.path), sweep.run_id)
             tracker.discard()
         folder.discard()
@@ -101,43 +105,45 @@ def _close(config: DictConfig, reason: str = "") -> bool:
                     its_folder.save(replace(job, status="killed", reason=LOST))
                     end_runs(config.tracking, its_folder, job, LOST)
     jobs = folder.jobs()
-    failed = [(its_folder, job) for its_folder, job in jobs if job.status != "finished"]
-    write_table(folder.table, sweep, jobs)
-    print(f"{len(jobs) - len(failed)} of {len(jobs)} jobs finished: {folder.table}", flush=True)
+    elsewhere = [its_folder for its_folder, job in jobs if job.status == "running"]  # by the same command once more
+    failed = [(its_folder, job) for its_folder, job in jobs if job.status not in ("finished", "running")]
+    found = found_by(jobs)
+    write_table(folder.table, sweep, found)
+    done = len(jobs) - len(failed) - len(elsewhere)
+    print(f"{done} of {len(jobs)} jobs finished: {folder.table}", flush=True)
     for its_folder, job in failed:
         print(f"{job.status}: {job.label}: {job.reason} ({its_folder.output})", file=sys.stderr)
     if failed:
         reason = reason or f"{len(failed)} of {len(jobs)} jobs failed"
     tracker: Tracker = instantiate(config.tracking)
-    tracker.start(RunStart(sweep.name, folder.path), sweep.run_id)
-    tracker.log_metrics({"jobs": len(jobs), "failed": len(failed)} | _best_and_median(jobs))
-    tracker.log_artifacts([folder.table])
+    about = f"{description(sweep, found)}\n\n`{source_tags(config.hydra.job.name)['command']}`\n\nfiles: {folder.path}"
+    tracker.start(RunStart(sweep.name, folder.path, tags={"mlflow.note.content": about}), sweep.run_id)
+    tracker.log_metrics({"jobs": len(jobs), "failed": len(failed)} | best_and_median(sweep, found))
+    pictures = []
+    if tables := pivots(sweep, found):
+        from lmd.plot.heat_map import save_heat_map
+
+        pictures.append(folder.path / "pivot.png")
+        save_heat_map(pictures[0], tables, f"sweep {sweep.name}: medians over the seeds", "fitness")
+    tracker.log_artifacts([folder.table, *pictures])
     tracker.finish("FAILED" if reason else "FINISHED", reason)
+    for line in tracker.views([key for key in sweep.varied if key != SEED]):
+        print(line, flush=True)
     return bool(reason)
 
 
-def _best_and_median(jobs: list[tuple[JobFolder, Job]]) -> dict[str, float]:
-    """The best and the median of what the finished jobs returned, and of their figures."""
-    found = [folder.figures() for folder, job in jobs if job.status == "finished"]
-    summary: dict[str, float] = {}
-    for key in ("fitness", *FIGURES):
-        values = [figures[key] for figures in found if key in figures]
-        if values:
-            summary |= {f"best/{key}": max(values), f"median/{key}": median(values)}
-    return summary
+def _params(config: DictConfig, varied: tuple[str, ...]) -> dict[str, Any]:
+    """The parameters that the jobs of a sweep share."""
+    settings = OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"])
+    shared = parameters(settings, chosen(config.hydra.runtime.choices))
+    return {
+        key: value
+        for key, value in shared.items()
+        if not any(key == vary or key.startswith(f"{vary}.") for vary in varied)
+    }
 
 
-def write_table(path: Path, sweep: Sweep, jobs: list[tuple[JobFolder, Job]]) -> None:
-    """A row for each job: its folder, what varies, its status, its figures, seconds, and why it failed."""
-    rows = []
-    for folder, job in jobs:
-        figures = folder.figures() if job.status == "finished" else {}
-        rows.append(
-            {"folder": folder.name, **job.varied, "status": job.status}
-            | {key: figures.get(key, "") for key in FIGURES}
-            | {"seconds": round(job.seconds, 1), "reason": job.reason}
-        )
-    with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, ["folder", *sweep.varied, "status", *FIGURES, "seconds", "reason"])
-        writer.writeheader()
-        writer.writerows(rows)
+def _called(sweep: Sweep, params: dict[str, Any]) -> str:
+    """What a sweep is called in lists: with the problem and the budget, as far as its jobs share them."""
+    told = [f"{key.split('.')[-1]}={params[key]}" for key in NAMED if key in params]
+    return " ".join(["sweep", sweep.name, *told])

@@ -93,11 +93,18 @@ class SweepFolder:
         self.path.mkdir(parents=True, exist_ok=True)
         write_document(self.record, asdict(sweep))
 
+    def job_of(self, digest: str) -> JobFolder | None:
+        """The folder of the job whose configuration has this digest, with which its name ends; None for no such job."""
+        return next((JobFolder(path) for path in self.path.glob(f"*{digest}")), None)
+
     def jobs(self) -> list[tuple[JobFolder, Job]]:
-        """The jobs and their folders, in the order of the sweep."""
+        """The jobs and their folders: those of the last command in its order, then those that earlier ones finished."""
         folders = [JobFolder(path) for path in self.path.iterdir()]
         found = [(folder, job) for folder in folders if (job := folder.load()) is not None]
-        return sorted(found, key=lambda entry: entry[1].number)
+        sweep = self.load()
+        last = 0 if sweep is None else sweep.round
+        kept = [(folder, job) for folder, job in found if job.round == last or job.status == "finished"]
+        return sorted(kept, key=lambda entry: (-entry[1].round, entry[1].number))
 
     def discard(self) -> None:
         """Forget the sweep: no job has begun. What the user keeps there stays."""

@@ -10,13 +10,15 @@ class Sweep:
 
     Args:
         name: the experiment it runs, or what it varies.
-        varied: the config keys that differ between its jobs.
+        varied: the config keys that differ between its jobs, those of earlier commands first.
         run_id: its tracked run, the parent of its jobs' runs; None where nothing is recorded.
+        round: how many commands have grown it before the last one.
     """
 
     name: str
     varied: tuple[str, ...]
     run_id: str | None
+    round: int = 0
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,7 @@ class Job:
         value: what the finished job returned.
         reason: why it did not finish.
         seconds: wall time it took.
+        round: of the sweep, when it was last asked for.
     """
 
     sweep: str
@@ -44,6 +47,7 @@ class Job:
     value: float | None = None
     reason: str = ""
     seconds: float = 0.0
+    round: int = 0
 
     @property
     def label(self) -> str:

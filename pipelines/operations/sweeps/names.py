@@ -87,16 +87,20 @@ def sweep_name(root: DictConfig) -> str:
 
 
 def sweep_folder(*, _root_: DictConfig) -> str:
-    """Name of a sweep's folder: the same for the same command on the same files, another for any other."""
-    return f"{slug(sweep_name(_root_))}-{digest(_settings(_root_), sorted(swept(_root_)))[:SHORT]}"
+    """Name of a sweep's folder: the same for what varies and all else that is set, whatever values it takes."""
+    varied = sorted(varied_keys(swept(_root_)))
+    return f"{slug(sweep_name(_root_))}-{digest(_settings(_root_), varied)[:SHORT]}"
 
 
 def job_folder(*, _root_: DictConfig) -> str:
     """Name of a job's folder below that of its sweep: the same for the same configuration and files."""
-    sweep = SweepFolder(_root_.hydra.sweep.dir).load()
+    folder, known = SweepFolder(_root_.hydra.sweep.dir), digest(_settings(_root_))[:SHORT]
+    if (before := folder.job_of(known)) is not None:
+        return before.name
+    sweep = folder.load()
     values = [key_and_value(override) for override in _root_.hydra.overrides.task]
     kept = [f"{key.split('.')[-1]}-{value}" for key, value in values if sweep and key in sweep.varied]
-    return "_".join([*filter(None, [slug("_".join(kept))]), digest(_settings(_root_))[:SHORT]])
+    return "_".join([*filter(None, [slug("_".join(kept))]), known])
 
 
 def at(key: str, path: Path) -> str:

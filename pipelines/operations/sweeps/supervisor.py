@@ -81,7 +81,8 @@ def _supervise(cfg: DictConfig) -> float | None:
         _end_with_the_sweep()
     with folder.held() as lock:
         if (done := folder.finished()) is not None:
-            print(f"done already: {job.label}", flush=True)
+            folder.save(replace(done, number=job.number, varied=job.varied, round=job.round))
+            print(f"done already: {job.label}{_told(folder)}", flush=True)
             return done.value
         before = folder.load()
         continued = before is not None and before.status != "failed" and folder.checkpoint.exists()
@@ -94,7 +95,7 @@ def _supervise(cfg: DictConfig) -> float | None:
         job = replace(job, seconds=time.monotonic() - began)
         folder.save(job)
         if job.status == "finished":
-            print(f"finished in {job.seconds:.0f} s: {job.label}", flush=True)
+            print(f"finished in {job.seconds:.0f} s: {job.label}{_told(folder)}", flush=True)
             return job.value
         print(f"{job.status}: {job.label}: {job.reason} ({folder.output})", flush=True)
         if job.status != "interrupted":
@@ -102,6 +103,14 @@ def _supervise(cfg: DictConfig) -> float | None:
         if interrupted:
             sys.exit(128 + signal.SIGINT)
         return float("nan")
+
+
+def _told(folder: JobFolder) -> str:
+    """What a job found, in the unit of the fitness; nothing of one that found no deployment."""
+    figures = folder.figures()
+    named = {"fitness": "on the grid", "off_grid": "off it"}
+    told = [f"{figures[key]:.2%} {label}" for key, label in named.items() if key in figures]
+    return f": {', '.join(told)}" if told else ""
 
 
 @cache
@@ -125,7 +134,7 @@ def job_of(context: HydraConf) -> Job:
     overrides = tuple(str(override) for override in context.overrides.task)
     values = dict(map(key_and_value, overrides))
     varied = {key: values[key] for key in sweep.varied if key in values}
-    return Job(sweep.name, sweep.run_id, int(context.job.num), overrides, varied)
+    return Job(sweep.name, sweep.run_id, int(context.job.num), overrides, varied, round=sweep.round)
 
 
 def _arguments(cfg: DictConfig, job: Job, folder: JobFolder, continued: bool) -> list[str]:

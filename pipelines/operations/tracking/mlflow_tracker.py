@@ -1,15 +1,21 @@
 """Recording runs in mlflow."""
 
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from lmd.core.checks import InputError
+
+from .experiment import link, sweep_view
 from .hand_in import GONE, end_those_gone, hand_in
 from .journal import Entry, Journal
 from .processes import this_process
 from .store import PARAM_LENGTH, SQLITE, Store, first_line, is_of_store, now
 from .tracker import RunStart
+
+ADDRESS = "http://127.0.0.1:5000"  # of the server that `make ui` starts
+LABELS = {"TABLE": "table ", "CHART": "charts"}
 
 
 class MlflowTracker:
@@ -21,13 +27,19 @@ class MlflowTracker:
     Args:
         uri: tracking store: `sqlite:///path` (relative to the working directory) or the address of a server.
         experiment_name: the mlflow experiment that holds the runs.
+        tags: what the user marks every run with, texts or numbers by their names.
 
     Raises:
-        InputError: the address is none.
+        InputError: the address is none, or the tags are.
     """
 
-    def __init__(self, uri: str, experiment_name: str) -> None:
+    def __init__(self, uri: str, experiment_name: str, tags: Mapping[str, str | float] | None = None) -> None:
         self.store = Store(uri, experiment_name)
+        if not isinstance(tags, Mapping | None) or not all(
+            isinstance(tag, str | float | int) for tag in (tags or {}).values()
+        ):
+            raise InputError(f"tags must be texts or numbers by their names, got {tags!r}.", "tags")
+        self._tags = {key: str(value) for key, value in (tags or {}).items()}
         self._run_id: str | None = None
         self._journal: Journal | None = None
         self._sent = 0  # entries of the journal
@@ -41,7 +53,7 @@ class MlflowTracker:
     def start(self, run: RunStart, run_id: str | None = None) -> None:
         """See `Tracker.start`."""
         first: Entry = {}
-        tags = {**run.tags, "folder": _absolute(run.folder), **this_process()}
+        tags = {**self._tags, **run.tags, "folder": _absolute(run.folder), **this_process()}
         if run_id is None:
             with self.store.errors_reported():
                 self._hand_in_left(run.folder)
@@ -152,6 +164,20 @@ class MlflowTracker:
             return f"not in {uri} yet; when it answers again: {command_of('sync')} {given}"
         shown_by = "make ui" if IN_CHECKOUT else f"mlflow ui --backend-store-uri {uri}"
         return f"run {self._run_id} in {uri}" + (f" ({shown_by})" if uri.startswith(SQLITE) else "")
+
+    def views(self, params: Sequence[str]) -> list[str]:
+        """See `Tracker.views`."""
+        if self._run_id is None or self._lost:
+            return []
+        store = self.store
+        address = ADDRESS if store.uri.startswith(SQLITE) else store.uri.rstrip("/")
+        try:
+            experiment = store.experiment_id
+            view = sweep_view(store.client, experiment, self._run_id, params)
+        except Exception as error:
+            self._tell_once(error)
+            return []
+        return [f"{label} {link(address, experiment, view, mode)}" for mode, label in LABELS.items()]
 
 
 def _written(params: Mapping[str, Any]) -> dict[str, str]:

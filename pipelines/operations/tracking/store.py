@@ -23,6 +23,8 @@ SQLITE = "sqlite:///"
 BATCH = 1000  # metrics mlflow takes in one call
 PARAM_LENGTH = 6000  # characters mlflow takes in one parameter
 TAG_LENGTH = 5000  # and in one tag
+DESCRIPTION = "mlflow.note.content"  # the tag that mlflow shows at the head of a run
+ENDED = {status: f"**{status}**" for status in ("FAILED", "KILLED", "FINISHED")}
 LOCK_SECONDS = 60.0  # for another process to make the tables of a database
 
 
@@ -127,10 +129,12 @@ class Store:
         client = self.client
         if "reopen" in entry:
             client.update_run(run_id, status="RUNNING")
-            if "reason" in client.get_run(run_id).data.tags:  # why it had ended
+            tags = {key: value[:TAG_LENGTH] for key, value in entry["reopen"].items()}
+            before = client.get_run(run_id).data.tags
+            if "reason" in before:  # why it had ended
                 client.delete_tag(run_id, "reason")
-            tags = [RunTag(key, value[:TAG_LENGTH]) for key, value in entry["reopen"].items()]
-            client.log_batch(run_id, tags=tags)
+                tags = {DESCRIPTION: _without_end(before.get(DESCRIPTION, ""))} | tags
+            client.log_batch(run_id, tags=[RunTag(key, value) for key, value in tags.items()])
         elif "curve" in entry:
             began, name = int(client.get_run(run_id).info.start_time), entry["metric"]
             curve = [Metric(name, value, began + int(1000 * at), step) for step, value, at in entry["curve"]]
@@ -144,8 +148,17 @@ class Store:
                 client.log_artifact(run_id, file)
         elif "end" in entry:
             if entry["reason"]:
-                client.set_tag(run_id, "reason", entry["reason"][:TAG_LENGTH])
+                about = _without_end(client.get_run(run_id).data.tags.get(DESCRIPTION, ""))
+                told = f"{ENDED[entry['end']]}: {entry['reason']}\n\n{about}"
+                tags = {"reason": entry["reason"], DESCRIPTION: told}
+                client.log_batch(run_id, tags=[RunTag(key, value[:TAG_LENGTH]) for key, value in tags.items()])
             client.set_terminated(run_id, entry["end"], entry["at"])
+
+
+def _without_end(description: str) -> str:
+    """A description without the paragraph that says why its run ended."""
+    is_told = description.startswith(tuple(ENDED.values()))
+    return description.partition("\n\n")[2] if is_told else description
 
 
 def is_of_store(error: Exception) -> bool:

@@ -1,6 +1,6 @@
 """What a run records, whatever keeps it."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -77,6 +77,9 @@ class Tracker(Protocol):
     def describe(self) -> str:
         """One line that tells the user where the run is."""
 
+    def views(self, params: Sequence[str]) -> list[str]:
+        """Lines that tell where the runs below this one are seen, grouped by params; none if the store is lost."""
+
 
 class NoTracker:
     """Records nothing (`tracking=none`)."""
@@ -112,3 +115,7 @@ class NoTracker:
     def describe(self) -> str:
         """See `Tracker.describe`."""
         return "not tracked (tracking=none)"
+
+    def views(self, params: Sequence[str]) -> list[str]:
+        """Nothing is seen."""
+        return []

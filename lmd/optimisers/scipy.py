@@ -1,0 +1,75 @@
+"""Global optimisers of SciPy behind `AskTell`: functions that call the objective, turned inside out."""
+
+import inspect
+import threading
+from collections.abc import Callable
+from queue import SimpleQueue
+from typing import Any
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, InputError
+from lmd.optimisers.wrapped import Session, Wrapped
+
+
+class Scipy(Wrapped):
+    """A function such as `scipy.optimize.dual_annealing` on the unit box.
+
+    It begins with the start where it has an argument `x0`. When it ends, by its own rules, it is called again.
+
+    Args:
+        minimise: called with the objective and `bounds`; in YAML a node with `_target_` (the function),
+            `_partial_: true` and its parameters.
+        encoding: see `AskTell`.
+        seed: see `Optimiser`.
+
+    Raises:
+        InputError: `minimise` is no function of an objective and bounds.
+    """
+
+    def __init__(self, minimise: Callable[..., Any], encoding: str | None = None, seed: int = 0) -> None:
+        super().__init__(seed, encoding)
+        self.minimise = minimise
+        if not callable(minimise) or "bounds" not in inspect.signature(minimise).parameters:
+            raise InputError(f"minimise must be a function of an objective and bounds, got {minimise!r}.", "minimise")
+
+    def _open(self, start: FloatArray, rng: np.random.Generator) -> Session:
+        return _Session(self.minimise, start[0], rng)
+
+
+class _Session:
+    """One call of the function, in a thread that works only while `ask` waits for it."""
+
+    def __init__(self, minimise: Callable[..., Any], start: FloatArray, rng: np.random.Generator) -> None:
+        taken = inspect.signature(minimise).parameters
+        given = {"x0": start, "rng": np.random.default_rng(rng.integers(2**63))}
+        arguments = {"bounds": [(0.0, 1.0)] * len(start)} | {key: given[key] for key in given if key in taken}
+        self.asked: SimpleQueue[FloatArray | None] = SimpleQueue()
+        self.told: SimpleQueue[float] = SimpleQueue()
+        self.loss = np.nan  # of what was asked for last
+        self.failure: Exception | None = None
+        self.thread = threading.Thread(target=self._minimise, args=(minimise, arguments), daemon=True)
+
+    def _minimise(self, minimise: Callable[..., Any], arguments: dict[str, Any]) -> None:
+        try:
+            minimise(self._objective, **arguments)
+        except Exception as error:
+            self.failure = error
+        self.asked.put(None)
+
+    def _objective(self, genes: FloatArray) -> float:
+        self.asked.put(np.array(genes, dtype=np.float64))
+        return self.told.get()
+
+    def ask(self) -> FloatArray | None:
+        if self.thread.ident is None:
+            self.thread.start()
+        else:
+            self.told.put(self.loss)
+        genes = self.asked.get()
+        if self.failure is not None:
+            raise InputError(f"minimise failed: {self.failure}", "minimise") from self.failure
+        return None if genes is None else genes[None]
+
+    def tell(self, genes: FloatArray, losses: FloatArray) -> None:
+        self.loss = float(losses[0])

@@ -1,0 +1,80 @@
+"""What an optimiser can be tuned by: the defaults of its class, as keys of its configuration.
+
+A file in `conf/optimiser` says only what differs from the class, and so does a file of a user's own. The other
+arguments of the class are added when Hydra loads the file, so that `--cfg job` shows them, a run records them, and
+`optimiser.population=12` overrides them.
+"""
+
+import inspect
+import sys
+from collections.abc import Mapping
+from dataclasses import asdict, is_dataclass
+from typing import Any
+
+from hydra._internal.core_plugins import file_config_source
+from hydra._internal.sources_registry import SourcesRegistry
+from hydra.core.plugins import Plugins
+from hydra.plugins.config_source import ConfigResult
+from omegaconf import DictConfig, OmegaConf
+
+GROUP = "optimiser"
+SET_ELSEWHERE = ("seed", "encoding", "rng", "x0")  # by keys at the top, and by who calls functions of SciPy
+HELP = {"--help", "-h"}
+
+
+class FileConfigSource(file_config_source.FileConfigSource):
+    """Hydra's loader of files, which completes those of optimisers.
+
+    It has the name of the one it replaces: by that, Hydra knows in another process that there is one already.
+    """
+
+    def load_config(self, config_path: str) -> ConfigResult:
+        """Load a file; see `hydra.plugins.config_source.ConfigSource`."""
+        loaded = super().load_config(config_path)
+        file = loaded.config
+        if config_path.split("/")[0] == GROUP and not HELP.intersection(sys.argv) and isinstance(file, DictConfig):
+            builds_on = [entry for entry in file.get("defaults", []) if not str(entry).startswith("{'override ")]
+            if not builds_on:  # where it does, those files are completed, and this one changes them
+                loaded.config = OmegaConf.merge(completed(file), file)
+        return loaded
+
+
+def completed(node: DictConfig) -> dict[str, Any]:
+    """The defaults of the class that a node names, and of those that the nodes in it name; nothing for no class."""
+    from hydra.utils import get_object
+
+    written = OmegaConf.to_container(node, resolve=False)
+    assert isinstance(written, dict)
+    try:
+        parameters = inspect.signature(get_object(str(written.get("_target_")))).parameters
+    except Exception:  # whatever importing it raises is reported when it is built
+        return {}
+    values = {name: _plain(parameter.default) for name, parameter in parameters.items() if name not in SET_ELSEWHERE}
+    inner = {str(name): completed(below) for name, below in node.items_ex(resolve=False) if _is_node(below)}
+    return {name: value for name, value in (values | inner).items() if value is not inspect.Parameter.empty}
+
+
+def _is_node(value: Any) -> bool:
+    return isinstance(value, DictConfig) and "_target_" in value
+
+
+def _plain(value: Any) -> Any:
+    """A default as a configuration has it; `Parameter.empty` where it cannot."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return _plain(asdict(value))
+    if isinstance(value, Mapping):
+        values = {str(key): _plain(inner) for key, inner in value.items()}
+        return inspect.Parameter.empty if inspect.Parameter.empty in values.values() else values
+    if isinstance(value, tuple | list):
+        listed = [_plain(inner) for inner in value]
+        return inspect.Parameter.empty if inspect.Parameter.empty in listed else listed
+    return value if value is None or isinstance(value, bool | int | float | str) else inspect.Parameter.empty
+
+
+def over_defaults(override: str) -> str:
+    """An override that may set what the class has added already: Hydra refuses a `+` before a key that is there."""
+    return f"+{override}" if override.startswith(f"+{GROUP}.") else override
+
+
+Plugins.instance()  # registers its own loader of files
+SourcesRegistry.instance().types[FileConfigSource.scheme()] = FileConfigSource

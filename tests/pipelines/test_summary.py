@@ -1,0 +1,57 @@
+"""What is said of the jobs of a sweep, group by group."""
+
+import numpy as np
+import pytest
+
+from pipelines.operations.sweeps.folder import JobFolder
+from pipelines.operations.sweeps.jobs import Job, Sweep
+from pipelines.operations.sweeps.summary import best_and_median, description, pivots
+
+
+def job(fitness=None, **varied):
+    varied = {key.replace("__", "."): value for key, value in varied.items()}
+    status = "failed" if fitness is None else "finished"
+    figures = {} if fitness is None else {"fitness": fitness}
+    return JobFolder("job"), Job("s", None, 0, (), varied, status), figures
+
+
+SEEDS = [job(0.5, optimiser="ega", seed="0"), job(0.7, optimiser="ega", seed="1"), job(0.6, optimiser="sga", seed="0"),
+         job(None, optimiser="sga", seed="1")]  # fmt: skip
+OVER_SEEDS = Sweep("s", ("optimiser", "seed"), None)
+PAIRS = [job(0.1 * i + 0.2 * j, objective__n=n, objective__thold_p=p, seed=seed)
+         for i, n in enumerate("23") for j, p in enumerate(("0.5", "0.65")) for seed in "01"]  # fmt: skip
+OVER_PAIRS = Sweep("s", ("objective.n", "objective.thold_p", "seed"), None)
+
+
+def test_jobs_that_differ_in_their_seed_are_one_group():
+    assert description(OVER_SEEDS, SEEDS).splitlines() == [
+        "varies: `optimiser` (2 values), `seed` (2 values)",
+        "",
+        "| optimiser | jobs finished | fitness: best | fitness: median |",
+        "| --- | --- | --- | --- |",
+        "| ega | 2 of 2 | 70.00% | 60.00% |",
+        "| sga | 1 of 2 | 60.00% | 60.00% |",
+    ]
+
+
+def test_the_best_of_all_is_said_where_all_had_one_problem():
+    assert best_and_median(OVER_SEEDS, SEEDS) == {"best/fitness": 0.7, "median/fitness": 0.6}
+    assert best_and_median(OVER_PAIRS, PAIRS) == {}
+    assert best_and_median(Sweep("s", ("room",), None), [job(0.5, room="lab")]) == {}
+    assert best_and_median(Sweep("s", ("deployment",), None), [job(0.5, deployment="uniform")]) != {}
+
+
+def test_two_keys_that_vary_make_a_table_of_medians():
+    (table,) = pivots(OVER_PAIRS, PAIRS[:-2]).values()
+    assert (table.index.name, table.columns.name) == ("objective.n", "objective.thold_p")
+    assert table.loc["3", "0.5"] == pytest.approx(0.1)
+    assert table.loc["2", "0.65"] == pytest.approx(0.2)
+    assert np.isnan(table.loc["3", "0.65"])
+    assert pivots(OVER_SEEDS, SEEDS) == {}
+
+
+def test_a_third_key_has_a_table_for_each_value_until_they_are_too_many():
+    sweep = Sweep("s", ("objective.n", "optimiser", "room"), None)
+    three = [job(0.5, objective__n=n, optimiser=o, room=r) for n in "23" for o in "ab" for r in "xyz"]
+    assert list(pivots(sweep, three)) == ["room=x", "room=y", "room=z"]
+    assert pivots(sweep, [job(0.5, objective__n="2", optimiser="a", room=r) for r in "tuvwxyz"]) == {}
