@@ -190,6 +190,7 @@ def detected_in(images: "Images", camera: "Camera", detector: "Detector", worker
     from .workers import in_processes
 
     count = len(images.names)
+    next(images.read(0, 1, camera), None)  # what is wrong with all of them is said before anything is shown
     jobs = [Job(images, camera, detector, first, min(first + CHUNK, count)) for first in range(0, count, CHUNK)]
     found: list[Detections] = []
     with bar(count, "images") as progress:

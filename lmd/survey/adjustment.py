@@ -22,135 +22,29 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.core.checks import FloatArray, IntArray
-from lmd.geometry.se3 import adjoint, exp, inverse, log, pose_of
+from lmd.geometry.se3 import adjoint, exp, inverse, pose_of
+from lmd.survey.residuals import (
+    FREEDOM,
+    RESIDUALS,
+    Poses,
+    Prior,
+    errors_at,
+    gathered,
+    linearise,
+    solved,
+    summed,
+    weight_of,
+)
 from lmd.survey.sightings import Sightings
 
-FREEDOM = 4.0  # nu
-RESIDUALS = 8
 # The mean of (nu + 8) chi^2 / (nu + chi^2) where chi^2 has its own distribution with 8 degrees of freedom.
 NORMAL_MEAN = 7.5625
 LEAST_SHARE = 0.1
 CHUNK = 128  # frames that are eliminated at once
-# A corner that is hardly in front of the camera, or behind it, fits nowhere: metres, and pixels.
-NEAREST, NOWHERE = 1e-3, 1e4
 RESECTIONS = 10  # steps of Gauss and Newton for frames alone
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-9, 1e6
 # What remains to be gained, relative to the number of sightings, when a step is the last.
 CONVERGED = 1e-7
-
-
-@dataclass(frozen=True)
-class Poses:
-    """Where everything is; each pose maps to what it is mounted in.
-
-    Args:
-        tags: to the world, `(K, 4, 4)`; NaN where it is not known.
-        frames: of the body, to the world, `(F, 4, 4)`; likewise.
-        mounts: of the cameras, to the body, `(C, 4, 4)`; the first is the body.
-    """
-
-    tags: FloatArray
-    frames: FloatArray
-    mounts: FloatArray
-
-
-@dataclass(frozen=True)
-class Prior:
-    """What is known of tags before they were seen.
-
-    Args:
-        tags: their poses, `(K, 4, 4)`; whatever it is where nothing is known.
-        information: one over the variance of the turn about each axis of the tag, and of the way along each, `(K, 6)`.
-    """
-
-    tags: FloatArray
-    information: FloatArray
-
-    def off(self, tags: FloatArray) -> FloatArray:
-        """The twists from what is known to `tags`, `(K, 6)`; 0 where nothing is known."""
-        known = self.information.any(axis=1)
-        twists = np.zeros((len(tags), 6))
-        twists[known] = log(inverse(self.tags[known]) @ tags[known])
-        return twists
-
-    def squares(self, tags: FloatArray) -> FloatArray:
-        """chi^2 of each, `(K,)`."""
-        return np.asarray((self.information * self.off(tags) ** 2).sum(axis=1))
-
-
-def in_cameras(sightings: Sightings, tags: FloatArray, frames: FloatArray, mounts: FloatArray) -> FloatArray:
-    """The corners in the frames of their cameras, `(N, 4, 3)`, for poses `(N, 4, 4)` of each sighting."""
-    motion = inverse(mounts) @ inverse(frames) @ tags
-    return np.asarray(sightings.corners @ np.swapaxes(motion[:, :3, :3], 1, 2) + motion[:, None, :3, 3])
-
-
-def residuals(sightings: Sightings, seen: FloatArray) -> FloatArray:
-    """e of corners at `seen` `(N, 4, 3)` in their cameras, `(N, 4, 2)`, pixels."""
-    depth = (sightings.directions * seen).sum(axis=-1)[..., None]
-    error = (sightings.tangents @ seen[..., None])[..., 0] / np.maximum(depth, NEAREST)
-    return np.asarray(np.where(depth <= NEAREST, NOWHERE, error))
-
-
-def errors_at(sightings: Sightings, poses: Poses) -> FloatArray:
-    """|e|^2 of each sighting, pixels^2, `(N,)`; NaN for those of tags or frames that are not placed."""
-    mounted = _gathered(sightings, poses)
-    return np.asarray((residuals(sightings, in_cameras(sightings, *mounted)) ** 2).sum(axis=(1, 2)))
-
-
-def _gathered(sightings: Sightings, poses: Poses) -> tuple[FloatArray, FloatArray, FloatArray]:
-    return poses.tags[sightings.tag], poses.frames[sightings.frame], poses.mounts[sightings.camera]
-
-
-@dataclass(frozen=True)
-class Linearised:
-    """Residuals `(N, 8)` and how they change with right-hand twists of the poses, `(N, 8, 6)` each."""
-
-    error: FloatArray
-    by_tag: FloatArray
-    by_frame: FloatArray
-    by_mount: FloatArray
-
-
-def linearise(sightings: Sightings, tags: FloatArray, frames: FloatArray, mounts: FloatArray) -> Linearised:
-    """The residuals at poses `(N, 4, 4)` of each sighting: X becomes X exp(twist)."""
-    to_body = inverse(frames) @ tags
-    body = sightings.corners @ np.swapaxes(to_body[:, :3, :3], 1, 2) + to_body[:, None, :3, 3]
-    turned = mounts[:, :3, :3]
-    seen = (body - mounts[:, None, :3, 3]) @ turned
-    error = residuals(sightings, seen)
-    depth = (sightings.directions * seen).sum(axis=-1)[..., None, None]
-    slope = (sightings.tangents - error[..., None] * sightings.directions[..., None, :]) / np.maximum(depth, NEAREST)
-    slope *= depth > NEAREST
-    at_body = slope @ np.swapaxes(turned, 1, 2)[:, None]
-    at_tag = at_body @ to_body[:, None, :3, :3]
-
-    def rows(turn: FloatArray, way: FloatArray) -> FloatArray:
-        return np.concatenate([turn, way], axis=-1).reshape(len(sightings), RESIDUALS, 6)
-
-    return Linearised(
-        error.reshape(len(sightings), RESIDUALS),
-        rows(np.cross(sightings.corners[:, :, None], at_tag), at_tag),
-        rows(np.cross(at_body, body[:, :, None]), -at_body),
-        rows(np.cross(slope, seen[:, :, None]), -slope),
-    )
-
-
-def summed(values: FloatArray, owner: IntArray, count: int) -> FloatArray:
-    """The sums of values `(N, ...)` over what each of `count` owners has, `(count, ...)`."""
-    from scipy.sparse import csr_array
-
-    matrix = csr_array((np.ones(len(owner)), (owner, np.arange(len(owner)))), shape=(count, len(owner)))
-    return np.asarray((matrix @ values.reshape(len(owner), -1)).reshape(count, *values.shape[1:]))
-
-
-def solved(matrices: FloatArray, right: FloatArray) -> FloatArray:
-    """The solutions `(n, m)` of n systems `(n, m, m)`."""
-    return np.asarray(np.linalg.solve(matrices, right[..., None])[..., 0], dtype=np.float64)
-
-
-def weight_of(square: FloatArray, residuals: int = RESIDUALS) -> FloatArray:
-    """(nu + d) / (nu + chi^2) for d residuals."""
-    return np.asarray((FREEDOM + residuals) / (FREEDOM + square))
 
 
 def _cost(square: FloatArray, residuals: int = RESIDUALS) -> float:
@@ -278,7 +172,7 @@ class Adjustment:
         blocks = []
         for own in self.chunks():
             some = sightings.of(np.arange(own.start, own.stop))
-            at = linearise(some, *_gathered(some, poses))
+            at = linearise(some, *gathered(some, poses))
             variance = some.noise**2 + floor**2
             trust = weight_of((at.error**2).sum(axis=1) / variance) if weight is None else weight
             inverse_variance = trust / variance
@@ -387,7 +281,7 @@ def resected(sightings: Sightings, poses: Poses, floor: float, steps: int = RESE
     frames = poses.frames
     seen, of = np.unique(sightings.frame, return_inverse=True)
     for _ in range(steps):
-        at = linearise(sightings, *_gathered(sightings, replace(poses, frames=frames)))
+        at = linearise(sightings, *gathered(sightings, replace(poses, frames=frames)))
         variance = sightings.noise**2 + floor**2
         weight = weight_of((at.error**2).sum(axis=1) / variance) / variance
         turned = np.swapaxes(at.by_frame, 1, 2) * weight[:, None, None]

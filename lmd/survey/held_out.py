@@ -6,8 +6,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from lmd.core.checks import FloatArray
-from lmd.survey.adjustment import errors_at, resected
+from lmd.survey.adjustment import resected
 from lmd.survey.estimate import ONE_THREAD, Estimate, adjusted, twice_in_frame
+from lmd.survey.residuals import errors_at
 
 EVERY = 5  # one frame of so many is held out
 FEWEST_FRAMES = 10  # of the map; with fewer, those that are left would say too little

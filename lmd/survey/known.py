@@ -9,7 +9,7 @@ from lmd.core.checks import FloatArray, InputError, IntArray, boolean, real
 from lmd.core.tables import read_table
 from lmd.geometry.se3 import inverse, pose_of
 from lmd.scene.deployment import Deployment
-from lmd.survey.adjustment import Prior
+from lmd.survey.residuals import Prior
 
 # Standard deviations of what is taken for exact, metres and rad.
 EXACT = 1e-6

@@ -11,7 +11,7 @@ from lmd.geometry.se3 import inverse, log
 from lmd.scene.deployment import COLUMNS, UP_COLUMNS, Deployment
 from lmd.scene.labels import EDGE, ID, Labels
 from lmd.scene.surveyed import Surveyed
-from lmd.survey.adjustment import errors_at
+from lmd.survey.residuals import errors_at
 from lmd.survey.survey import Survey
 
 SIGHTINGS = "sightings"  # the column that says how many place a tag

@@ -52,4 +52,4 @@ def test_boards_that_nobody_told_of_have_their_spacing(found):
 
 def test_frames_held_out_agree_with_the_map(found):
     assert np.median(found.localised["measured"].errors) < 0.4
-    assert np.median(found.localised["measured"].shifts) < 0.002
+    assert np.median(found.localised["measured"].shifts) < 0.005

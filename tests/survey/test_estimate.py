@@ -8,9 +8,9 @@ from scipy.stats import chi2
 
 from lmd.geometry.se3 import camera_pose, exp, inverse, log
 from lmd.scene.deployment import Deployment
-from lmd.survey.adjustment import Poses, Prior, errors_at, linearise
 from lmd.survey.estimate import estimate
 from lmd.survey.known import Hanging, poses_of, prior_of
+from lmd.survey.residuals import Poses, Prior, errors_at, linearise
 
 COUNT, FRAMES, SIGMA = 24, 80, 0.2
 NOTHING = Prior(np.tile(np.eye(4), (COUNT, 1, 1)), np.zeros((COUNT, 6)))

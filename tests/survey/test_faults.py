@@ -5,9 +5,9 @@ import pytest
 import walks
 
 from lmd.geometry.se3 import exp, inverse
-from lmd.survey.adjustment import Prior
 from lmd.survey.estimate import estimate
 from lmd.survey.faults import settled
+from lmd.survey.residuals import Prior
 
 COUNT, FRAMES, SIGMA = 24, 80, 0.2
 IDS = np.arange(COUNT)
