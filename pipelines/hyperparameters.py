@@ -41,12 +41,12 @@ class FileConfigSource(file_config_source.FileConfigSource):
 
 def completed(node: DictConfig) -> dict[str, Any]:
     """The defaults of the class that a node names, and of those that the nodes in it name; nothing for no class."""
-    from hydra.utils import get_object
+    from hydra._internal.utils import _locate  # which does not log what it raises
 
     written = OmegaConf.to_container(node, resolve=False)
     assert isinstance(written, dict)
     try:
-        parameters = inspect.signature(get_object(str(written.get("_target_")))).parameters
+        parameters = inspect.signature(_locate(str(written.get("_target_")))).parameters
     except Exception:  # whatever importing it raises is reported when it is built
         return {}
     values = {name: _plain(parameter.default) for name, parameter in parameters.items() if name not in SET_ELSEWHERE}
