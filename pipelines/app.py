@@ -106,7 +106,7 @@ def recompose(config_name: str, overrides: Sequence[str], setting: str, entry: s
             RunMode.RUN,
             validate_sweep_overrides=False,
         )
-    except HydraException as error:
+    except (HydraException, ValueError) as error:  # of an option that is a number, Hydra raises the latter
         raise InputError(f"{setting}: {entry!r} is refused: {str(error).splitlines()[0]}") from error
     with open_dict(composed):
         composed.pop("hydra")

@@ -162,6 +162,7 @@ BAD_INPUT = {
     "no list": (["deployments=null"], "deployments must list at least one option of conf/deployment"),
     "twice": (["deployment=uniform,uniform"], "deployments has 'uniform' twice: give them names"),
     "name": (["deployments=['a/b: uniform']"], "deployments: the name 'a/b' must be of letters"),
+    "number": (["deployments=['22 tags: file']"], "deployments: '22 tags: file' is refused: "),
     "unused": (["deployment=uniform", "deployment.path=a.csv"], "deployment.path=a.csv is for none of the deployments"),
     "no path": (["deployment=file"], "deployment.path is missing"),
     "seeds": (["seeds=0"], "seeds must be at least 1, got 0"),
