@@ -22,7 +22,7 @@ CONFIGURATIONS = {
     "annealing": ("budget.evaluations=600",),
     "annealing, n = 1": ("budget.evaluations=200", "objective.n=1"),
     "annealing, n = 4": ("budget.evaluations=200", "objective.n=4"),
-    "annealing, one walker": ("budget.evaluations=200", "optimiser.walkers=1"),
+    "annealing, one walker": ("budget.evaluations=200", "+optimiser.walkers=1"),
     "annealing, given start": ("budget.evaluations=200", "deployment=uniform"),
     "annealing, line of sight": ("budget.evaluations=200", "visibility.occlusion=line_of_sight"),
     "annealing, robust": ("budget.evaluations=150", "objective=robust"),
