@@ -1,10 +1,7 @@
 """Tag maps, mounting plan and print sheets: `python -m pipelines.export run=DIR formats=[wpilib,plan,sheets]`."""
 
 import sys
-from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig, OmegaConf
@@ -12,7 +9,7 @@ from omegaconf import DictConfig, OmegaConf
 from .app import run_directory
 from .building import build_problem, keyed
 from .earlier_run import read_earlier_run
-from .outputs import all_or_none
+from .outputs import write_all
 from .pipeline import Pipeline
 
 if TYPE_CHECKING:
@@ -65,18 +62,13 @@ def export(cfg: DictConfig) -> None:
     for name, reason in chosen.unfit(TagMap(scene.room, scene.tag, deployment)).items():
         print(f"note: {FORMATS[name].file} is not written: {reason}", file=sys.stderr)
     with tracked(cfg, "export", title_of(problem, "export")) as tracker:
-        files = all_or_none(run_directory(), partial(_write_all, writers))
+        files = write_all(run_directory(), writers)
         keep(tracker, files, {})
     print(f"tags   {problem.count} of {scene.tag.family}, {1000.0 * scene.tag.size:g} mm")
     if "sheets" in chosen.formats:
         print(f"sheets {describe_sheets(scene.tag, chosen.paper, problem.count)}")
     print(f"files  {run_directory()}: {', '.join(file.name for file in files)}")
     print(f"mlflow {tracker.describe()}")
-
-
-def _write_all(writers: Mapping[str, Callable[[Path], None]], folder: Path) -> None:
-    for name, write in writers.items():
-        write(folder / name)
 
 
 main = Pipeline("export", export, (read_earlier_run,))

@@ -169,6 +169,16 @@ def all_or_none(directory: Path, write: Callable[[Path], object]) -> list[Path]:
         return [path.replace(target) for path, target in moves]
 
 
+def write_all(directory: Path, writers: Mapping[str, Callable[[Path], object]]) -> list[Path]:
+    """Let each of `writers` write the file of its name, all or none; returns and raises as `all_or_none`."""
+
+    def fill(folder: Path) -> None:
+        for name, write in writers.items():
+            write(folder / name)
+
+    return all_or_none(directory, fill)
+
+
 @contextmanager
 def space_reserved(directory: Path) -> Iterator[None]:
     """While entered, hold disk space that is free afterwards: a disk that filled up meanwhile takes the result.

@@ -14,7 +14,7 @@ from .documents import write_document
 from .earlier_run import read_earlier_run
 from .export import build_export
 from .fixed import fixed_of
-from .outputs import all_or_none
+from .outputs import write_all
 from .pipeline import Pipeline
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def survey(cfg: DictConfig) -> None:
             writers |= exports.writers(room, tag, map_of(found))
         if audit is not None:
             writers |= _audit_writers(audit, name, about)
-        files = all_or_none(run_directory(), partial(_write_all, writers))
+        files = write_all(run_directory(), writers)
         keep(tracker, files, metrics(found) | (audit.metrics() if audit else {}))
     text = "\n".join([to_text(found), *([audit.to_text()] if audit else [])])
     print(f"{text}\nfiles: {run_directory()}: {', '.join(file.name for file in files)}")
@@ -242,11 +242,6 @@ def _audit_writers(audit: "Audit", detector: str, title: str) -> dict[str, Calla
         f"{name}.csv": partial(table.to_csv, index=False) for name, table in audit.tables.items()
     }
     return {**writers, "audit.png": lambda path: save_calibration_figure(path, row, pitches, title)}
-
-
-def _write_all(writers: dict[str, Callable[[Path], object]], folder: Path) -> None:
-    for name, write in writers.items():
-        write(folder / name)
 
 
 main = Pipeline("survey", survey, (read_earlier_run,))

@@ -9,13 +9,15 @@ of arrays with any leading shape `(...)`.
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lmd.core.checks import FloatArray, InputError
+from lmd.core.checks import BoolArray, FloatArray, InputError
 from lmd.geometry.frames import rotation
 
 # Below this angle (rad) the coefficients of the exponential come from their Taylor series.
 SMALL_ANGLE = 1e-4
 # A quaternion printed with a few decimals is still a unit quaternion.
 QUATERNION_TOLERANCE = 1e-3
+# And R^T R is as near to I for a rotation that was printed so.
+MATRIX_TOLERANCE = 1e-2
 
 
 def camera_pose(position: ArrayLike, yaw: ArrayLike, pitch: ArrayLike, roll: ArrayLike = 0.0) -> FloatArray:
@@ -47,6 +49,31 @@ def poses_from_rows(rows: FloatArray) -> FloatArray:
     if abs(length[worst] - 1.0) > QUATERNION_TOLERANCE:
         raise InputError(f"frame {worst}: the quaternion must have length 1, it has {length[worst]:g}.")
     return pose_of(Rotation.from_quat(rows[:, 3:]).as_matrix(), rows[:, :3])
+
+
+def are_rotations(matrices: FloatArray) -> BoolArray:
+    """Whether matrices `(..., 3, 3)`, which may have been printed with a few decimals, are rotations, `(...)`."""
+    error = np.abs(np.swapaxes(matrices, -1, -2) @ matrices - np.eye(3)).max(axis=(-1, -2))
+    return np.asarray((error <= MATRIX_TOLERANCE) & (np.linalg.det(matrices) > 0.0))
+
+
+def nearest_rotations(matrices: FloatArray) -> FloatArray:
+    """The rotations nearest to such matrices in the Frobenius norm, `(..., 3, 3)`."""
+    left, _, right = np.linalg.svd(matrices)
+    return np.asarray(left @ right)
+
+
+def laid_over(points: FloatArray, others: FloatArray) -> FloatArray:
+    """The motion that brings points `(N, 3)`, not all on a line, nearest to others in the sense of least squares.
+
+    Returns:
+        `(4, 4)`.
+    """
+    from scipy.spatial.transform import Rotation
+
+    here, there = points.mean(axis=0), others.mean(axis=0)
+    turn = Rotation.align_vectors(others - there, points - here)[0].as_matrix()
+    return pose_of(turn, there - turn @ here)
 
 
 def inverse(pose: FloatArray) -> FloatArray:

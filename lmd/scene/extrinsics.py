@@ -7,10 +7,9 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError
 from lmd.core.files import read_keys
-from lmd.geometry.se3 import inverse, poses_from_rows
+from lmd.geometry.se3 import are_rotations, inverse, nearest_rotations, pose_of, poses_from_rows
 
 Keys = Mapping[str, Any]
-RIGID_TOLERANCE = 1e-2  # of R^T R from I; matrices in such files have as few as four decimals
 
 
 def read_mount(path: Any, name: str | None = None) -> FloatArray:
@@ -53,12 +52,9 @@ def read_mount(path: Any, name: str | None = None) -> FloatArray:
 def _matrix(values: Any) -> FloatArray:
     matrix = np.array(values, dtype=np.float64).reshape(4, 4)
     turn = matrix[:3, :3]
-    rigid = np.abs(turn.T @ turn - np.eye(3)).max() <= RIGID_TOLERANCE and np.linalg.det(turn) > 0.0
-    if not (rigid and np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0])):
+    if not (are_rotations(turn) and np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0])):
         raise ValueError("its matrix is no rigid motion")
-    left, _, right = np.linalg.svd(turn)
-    matrix[:3, :3] = left @ right
-    return matrix
+    return pose_of(nearest_rotations(turn), matrix[:3, 3])
 
 
 def _pose(keys: Any) -> FloatArray:

@@ -15,7 +15,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, integer, real, vector
 from lmd.geometry.frames import roll_pitch_yaw
-from lmd.geometry.se3 import exp
+from lmd.geometry.se3 import are_rotations, exp, nearest_rotations
 from lmd.scene.labels import EDGE
 
 Keys = Mapping[str, Any]
@@ -101,12 +101,9 @@ def _orthonormal(matrix: FloatArray) -> FloatArray:
     Raises:
         InputError: it is none.
     """
-    from scipy.spatial.transform import Rotation  # slow to load
-
-    off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
-    if off > UNIT_TOLERANCE or np.linalg.det(matrix) < 0.0:
+    if not are_rotations(matrix):
         raise InputError(f"the rotation {np.round(matrix, 4).tolist()} must be orthonormal and right-handed.")
-    return np.asarray(Rotation.from_matrix(matrix).as_matrix())
+    return nearest_rotations(matrix)
 
 
 def _frc971(keys: Keys) -> Iterable[PlacedTag]:

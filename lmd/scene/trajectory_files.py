@@ -9,7 +9,7 @@ import numpy as np
 
 from lmd.core.checks import ONE_TURN, FloatArray, InputError, choice, real, vector
 from lmd.geometry.frames import roll_pitch_yaw
-from lmd.geometry.se3 import pose_of, poses_from_rows
+from lmd.geometry.se3 import act, laid_over, pose_of, poses_from_rows
 from lmd.geometry.trajectory import Trajectory
 from lmd.scene.extrinsics import read_mount
 from lmd.scene.trajectory_readers import read_rows
@@ -134,29 +134,24 @@ def alignment(align: Sequence[Any]) -> FloatArray:
 
 
 def _fitted(points: FloatArray) -> FloatArray:
-    """The rigid motion that brings points nearest to others `(N, 6)`, in the sense of least squares.
-
-    Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976.
-    """
+    """The motion from points to others, `(N, 6)` in pairs, where they say one and fit each other."""
     if len(points) < FEWEST:
         raise InputError(f"align must have at least {FEWEST} points, got {len(points)}.", "align")
-    centre = points.mean(axis=0)
-    own, room = (points - centre)[:, :3], (points - centre)[:, 3:]
+    own, room = points[:, :3], points[:, 3:]
     for name, side in (("the recording's frame", own), ("the room's frame", room)):
-        spread = np.linalg.svd(side, compute_uv=False)
+        spread = np.linalg.svd(side - side.mean(axis=0), compute_uv=False)
         if spread[1] <= THIN * spread[0]:
             raise InputError(f"align: its points lie on a line in {name}, about which it could turn.", "align")
-    left, _, right = np.linalg.svd(room.T @ own)
-    turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
-    missed = np.linalg.norm(own @ turn.T - room, axis=1)
-    worst, extent = int(np.argmax(missed)), float(np.linalg.norm(room, axis=1).max())
+    motion = laid_over(own, room)
+    missed = np.linalg.norm(act(motion, own) - room, axis=1)
+    worst, extent = int(np.argmax(missed)), float(np.linalg.norm(room - room.mean(axis=0), axis=1).max())
     if missed[worst] > MISS * extent:
         raise InputError(
             f"align: its points do not fit each other: at best, align[{worst}] is {missed[worst]:.3g} m from where it "
             "should be.",
             "align",
         )
-    return pose_of(turn, centre[3:] - turn @ centre[:3])
+    return motion
 
 
 def _mounted(mount: str | Mapping[str, Any] | Sequence[float]) -> FloatArray:

@@ -7,7 +7,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, radians, real, seconds
 from lmd.core.tables import Headless, Table, read_headless, read_table
-from lmd.geometry.se3 import camera_pose, pose_of, poses_from_rows
+from lmd.geometry.se3 import are_rotations, camera_pose, nearest_rotations, pose_of, poses_from_rows
 from lmd.geometry.trajectory import check_order
 
 POSITION = ("x", "y", "z")
@@ -18,7 +18,6 @@ KITTI = tuple(f"m{row}{column}" for row in range(3) for column in range(4))  # [
 # Numbers after a pose of TUM's: covariances of rotation and position, or of all six, as halves or in full.
 COVARIANCES = (12, 21, 36)
 NANOSECONDS = 1e16  # a time beyond it counts them: seconds would be 300 million years
-ORTHONORMAL = 1e-2  # how far R^T R of a file may be from I
 # The names of columns with units, prefixes and frames, as EuRoC's, TUM's and ROS's tools write them.
 _UNIT = re.compile(r"[\[(].*?[\])]")
 _TIME = re.compile(r"[%_]*(time(_?stamp)?s?|stamp|t)", re.IGNORECASE)
@@ -120,14 +119,12 @@ def _matrices(table: Table) -> FloatArray:
     """Poses whose rows are written one after the other, `(T, 4, 4)`, with the nearest rotations."""
     matrices = table.numbers(KITTI).reshape(-1, 3, 4)
     turns = matrices[:, :, :3]
-    error = np.abs(np.swapaxes(turns, 1, 2) @ turns - np.eye(3)).max(axis=(1, 2))
-    bad = np.flatnonzero((error > ORTHONORMAL) | (np.linalg.det(turns) < 0.0))
+    bad = np.flatnonzero(~are_rotations(turns))
     if bad.size:
         raise InputError(
             f"{table.path} line {table.lines[bad[0]]}: the first three columns of its 3 x 4 matrix are no rotation."
         )
-    left, _, right = np.linalg.svd(turns)
-    return pose_of(left @ right, matrices[:, :, 3])
+    return pose_of(nearest_rotations(turns), matrices[:, :, 3])
 
 
 def _given_times(count: int, times: str | None, rate: float | None) -> FloatArray:

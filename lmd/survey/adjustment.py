@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.core.checks import FloatArray, IntArray
-from lmd.geometry.se3 import adjoint, exp, inverse, pose_of
+from lmd.geometry.se3 import adjoint, exp, inverse, nearest_rotations, pose_of
 from lmd.survey.residuals import (
     FREEDOM,
     RESIDUALS,
@@ -298,8 +298,7 @@ def _orthonormal(poses: Poses) -> Poses:
     def exact(pose: FloatArray) -> FloatArray:
         result = pose.copy()
         known = np.isfinite(pose).all(axis=(1, 2))
-        left, _, right = np.linalg.svd(pose[known, :3, :3])
-        result[known] = pose_of(left @ right, pose[known, :3, 3])
+        result[known] = pose_of(nearest_rotations(pose[known, :3, :3]), pose[known, :3, 3])
         return result
 
     return replace(poses, tags=exact(poses.tags), frames=exact(poses.frames), mounts=exact(poses.mounts))

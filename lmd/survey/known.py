@@ -7,7 +7,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, IntArray, boolean, real
 from lmd.core.tables import read_table
-from lmd.geometry.se3 import inverse, pose_of
+from lmd.geometry.se3 import inverse, laid_over, pose_of
 from lmd.scene.deployment import Deployment
 from lmd.survey.residuals import Prior
 
@@ -143,13 +143,11 @@ def aligned(tags: FloatArray, prior: Prior) -> FloatArray | None:
 
 
 def _laid_over(tags: FloatArray, prior: Prior, known: IntArray) -> FloatArray | None:
-    """The motion that brings the centres of the tags `known` nearest to where the prior has them (Kabsch)."""
+    """The motion that brings the centres of the tags `known` nearest to where the prior has them."""
     here, there = tags[known, :3, 3], prior.tags[known, :3, 3]
     if len(known) < FEWEST_POINTS or np.linalg.svd(here - here.mean(axis=0), compute_uv=False)[1] < NO_LINE:
         return None
-    left, _, right = np.linalg.svd((there - there.mean(axis=0)).T @ (here - here.mean(axis=0)))
-    turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
-    return pose_of(turn, there.mean(axis=0) - turn @ here.mean(axis=0))
+    return laid_over(here, there)
 
 
 def turned_as(prior: Prior, tags: FloatArray) -> Prior:
