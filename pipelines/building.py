@@ -213,6 +213,8 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
         with keyed("tag"):
             tag.check_ids(ids)
         note_edges(tag, drawn)
+    if cfg.deployment.get("free"):
+        note_outside(scene.room, tag, drawn)
     with keyed("objective", rig="camera.rig"):
         return Problem(scene, objective, start, threads, **hung)
 
@@ -222,8 +224,23 @@ def note_edges(tag: "Tag", deployment: "Deployment") -> None:
     own = {} if deployment.labels is None else dict(zip(deployment.ids.tolist(), deployment.labels.edges, strict=True))
     other = [f"{number} ({edge:g} m)" for number, edge in own.items() if abs(edge - tag.size) > SAME_EDGE]
     if other:
-        few = ", ".join(other[:MENTIONED]) + (f" and {len(other) - MENTIONED} more" * (len(other) > MENTIONED))
-        note(f"tag.edge = {tag.size:g} m counts for all tags; by their map others have {few}")
+        note(f"tag.edge = {tag.size:g} m counts for all tags; by their map others have {_few(other)}")
+
+
+def note_outside(room: "Space", tag: "Tag", deployment: "Deployment") -> None:
+    """Say which landmarks have a corner behind a face of the room, be it by a rounding: nothing sees them."""
+    from lmd.geometry.squares import corners
+
+    points = corners(deployment.places, deployment.normals, deployment.ups, 0.0 if tag.is_point else tag.size)
+    behind = deployment.ids[~room.contains(points).all(axis=1)]
+    if len(behind):
+        said = _few(list(map(str, behind)))
+        note(f"behind a face of the {room.describe()}, where no camera sees them: {said}")
+
+
+def _few(names: list[str]) -> str:
+    """The first of some names, and how many more there are."""
+    return ", ".join(names[:MENTIONED]) + (f" and {len(names) - MENTIONED} more" * (len(names) > MENTIONED))
 
 
 @cache
