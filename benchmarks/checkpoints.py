@@ -12,8 +12,8 @@ from pathlib import Path
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
 
-from lmd.optimisers.base import Budget
 from lmd.optimisers.checkpoint import FILE, Checkpoint
+from lmd.optimisers.ledger import Budget
 from lmd.pipelines.app import CONF
 from lmd.pipelines.building import build_optimiser, build_problem
 

@@ -16,7 +16,7 @@ from lmd.incremental.move import state_of
 from lmd.incremental.state import scratch_of
 from lmd.incremental.trial import bound_move, finish_move
 from lmd.optimisers.annealing.walk import propose
-from lmd.optimisers.base import Budget
+from lmd.optimisers.ledger import Budget
 from lmd.pipelines.app import CONF
 from lmd.pipelines.building import build_optimiser, build_problem
 from lmd.sight.kernels import PROBABILITY_ONE

@@ -12,7 +12,7 @@ from hydra import compose, initialize_config_dir
 
 from lmd.core.compiled import clock
 from lmd.evaluation.validation import Sample, validation_metrics
-from lmd.optimisers.base import Budget
+from lmd.optimisers.ledger import Budget
 from lmd.pipelines.app import CONF
 from lmd.pipelines.building import build_optimiser, build_problem
 

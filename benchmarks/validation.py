@@ -17,7 +17,7 @@ from hydra import compose, initialize_config_dir
 
 from lmd.core.checks import FloatArray
 from lmd.evaluation.validation import Sample
-from lmd.optimisers.base import Budget
+from lmd.optimisers.ledger import Budget
 from lmd.pipelines.app import CONF
 from lmd.pipelines.building import build_optimiser, build_problem
 from lmd.problem import Problem

@@ -11,7 +11,7 @@ import time
 import numpy as np
 from hydra import compose, initialize_config_dir
 
-from lmd.optimisers.base import Budget
+from lmd.optimisers.ledger import Budget
 from lmd.pipelines.app import CONF
 from lmd.pipelines.building import build_optimiser, build_problem
 from lmd.scene.deployment import Deployment

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from lmd.objectives.localisation import Localisation as Localisation
     from lmd.objectives.sampling import Sampling as Sampling
     from lmd.optimisers.annealing import Annealing as Annealing
-    from lmd.optimisers.base import Budget as Budget
     from lmd.optimisers.base import Result as Result
+    from lmd.optimisers.ledger import Budget as Budget
     from lmd.plot.scene import save_scene_figure as save_scene_figure
     from lmd.problem import Problem as Problem
     from lmd.run import evaluate as evaluate
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 # Where each name lives. Imported when first asked for: the compiler alone takes a second to load.
 _HOMES = {
     "Annealing": "lmd.optimisers.annealing",
-    "Budget": "lmd.optimisers.base",
+    "Budget": "lmd.optimisers.ledger",
     "Camera": "lmd.scene.camera",
     "Coverage": "lmd.objectives.coverage",
     "Localisation": "lmd.objectives.localisation",

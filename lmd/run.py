@@ -2,7 +2,8 @@
 
 from lmd.evaluation.validation import validation_metrics
 from lmd.optimisers.annealing import Annealing
-from lmd.optimisers.base import Budget, Callback, Optimiser, Result
+from lmd.optimisers.base import Callback, Optimiser, Result
+from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 

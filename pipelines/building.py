@@ -16,7 +16,8 @@ from .fixed import fixed_of, others_of, total_of
 from .spelling import meant
 
 if TYPE_CHECKING:
-    from lmd.optimisers.base import Budget, Optimiser
+    from lmd.optimisers.base import Optimiser
+    from lmd.optimisers.ledger import Budget
     from lmd.problem import Problem
     from lmd.scene.camera import Camera
     from lmd.scene.deployment import Deployment
@@ -106,7 +107,7 @@ def budget_of(cfg: DictConfig) -> "Budget":
     Raises:
         InputError: it is none.
     """
-    from lmd.optimisers.base import Budget
+    from lmd.optimisers.ledger import Budget
 
     budget = settings_of(cfg, "budget")
     with keyed("budget"):

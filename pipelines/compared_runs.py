@@ -74,7 +74,7 @@ class Job:
         """
         from lmd.core.tables import read_numbers
         from lmd.evaluation.comparison import OptimiserRun
-        from lmd.optimisers.base import Record
+        from lmd.optimisers.ledger import Record
         from lmd.scene.deployment import Deployment
 
         folder = self.folder(comparison)

@@ -37,7 +37,7 @@ def evaluate(cfg: DictConfig) -> float:
 
     from lmd.core.checks import seed_number
     from lmd.core.compiled import clock
-    from lmd.optimisers.base import Record
+    from lmd.optimisers.ledger import Record
     from lmd.scene.rig import Rig
 
     from .tracked_run import record, title_of, tracked

@@ -20,8 +20,9 @@ from .pipeline import Pipeline
 from .provenance import resuming
 
 if TYPE_CHECKING:
-    from lmd.optimisers.base import Budget, Result
+    from lmd.optimisers.base import Result
     from lmd.optimisers.checkpoint import Checkpoint
+    from lmd.optimisers.ledger import Budget
     from lmd.problem import Problem
     from lmd.scene.deployment import Deployment
 

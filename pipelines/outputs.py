@@ -20,7 +20,7 @@ from .app import discard_empty
 from .documents import write_document
 
 if TYPE_CHECKING:
-    from lmd.optimisers.base import Record
+    from lmd.optimisers.ledger import Record
     from lmd.problem import Problem
     from lmd.scene.deployment import Deployment
 
@@ -88,7 +88,7 @@ def write_history(directory: Path, history: "Sequence[Record]") -> tuple[list[Pa
 
 def columns_of(history: "Sequence[Record]") -> dict[str, list[float]]:
     """The history of a run as columns of a table."""
-    from lmd.optimisers.base import Record
+    from lmd.optimisers.ledger import Record
 
     return {key.name: [getattr(row, key.name) for row in history] for key in fields(Record)}
 

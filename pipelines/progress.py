@@ -11,8 +11,9 @@ from typing import Any
 from tqdm import tqdm
 
 from lmd.core.checks import InputError
-from lmd.optimisers.base import Budget, Optimiser, Record
+from lmd.optimisers.base import Optimiser
 from lmd.optimisers.checkpoint import Checkpoint
+from lmd.optimisers.ledger import Budget, Record
 
 from .operations.signals import stop
 from .operations.tracking import Tracker

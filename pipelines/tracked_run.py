@@ -13,7 +13,7 @@ from omegaconf import DictConfig
 from lmd.core.checks import InputError
 from lmd.evaluation.validation import describe_validation, headline_off_grid, validation_metrics
 from lmd.evaluation.verdicts import causes
-from lmd.optimisers.base import Record
+from lmd.optimisers.ledger import Record
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 

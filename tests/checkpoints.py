@@ -2,9 +2,9 @@
 
 import math
 
-from lmd.optimisers.base import Budget
 from lmd.optimisers.checkpoint import Checkpoint
 from lmd.optimisers.ega import EGA
+from lmd.optimisers.ledger import Budget
 
 SETTINGS = {"seed": 0, "objective.n": 2, "camera.rig": [{"yaw": 0.5}], "tag": None, "room.height": math.inf}
 BUDGET = 100

@@ -34,9 +34,9 @@ from lmd.mapping.tag_map import TagMap
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.optimisers.annealing import Annealing
-from lmd.optimisers.base import Budget
 from lmd.optimisers.ega import EGA
 from lmd.optimisers.greedy import Greedy
+from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene import pdf, tag_map_files
 from lmd.scene.criteria import from_position, hide, in_image, in_view

@@ -8,7 +8,7 @@ import pandas as pd
 
 from lmd.core.checks import FloatArray
 from lmd.evaluation.significance import a12, friedman, holm, mean_ranks, median_interval, nemenyi, wilcoxon
-from lmd.optimisers.base import Record
+from lmd.optimisers.ledger import Record
 from lmd.scene.deployment import Deployment
 
 TABLE_TARGETS = (0.25, 0.5, 0.75)  # quantiles of what all runs reached

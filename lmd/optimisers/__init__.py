@@ -1,9 +1,10 @@
 """Optimisers: each maximises a `Problem` within an exact budget."""
 
 from lmd.optimisers.annealing import Annealing
-from lmd.optimisers.base import AskTell, Budget, Optimiser, Result
+from lmd.optimisers.base import AskTell, Optimiser, Result
 from lmd.optimisers.ega import EGA
 from lmd.optimisers.greedy import Greedy
+from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
 from lmd.optimisers.sga import SGA
 

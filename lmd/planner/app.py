@@ -17,7 +17,8 @@ import numpy as np
 
 from lmd.core.checks import InputError
 from lmd.core.optional import optional
-from lmd.optimisers.base import Budget, Optimiser
+from lmd.optimisers.base import Optimiser
+from lmd.optimisers.ledger import Budget
 from lmd.planner.access import HOST, Access
 from lmd.planner.acts import Acts, in_order
 from lmd.planner.additions import Additions, additions

@@ -8,7 +8,7 @@ from typing import Any
 
 from lmd.core.checks import IntArray
 from lmd.core.compiled import is_compiling
-from lmd.optimisers.base import Budget
+from lmd.optimisers.ledger import Budget
 from lmd.planner.additions import Additions
 from lmd.planner.legend import legend
 from lmd.planner.plan import Measured

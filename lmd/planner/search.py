@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.core.checks import InputError
-from lmd.optimisers.base import Budget, Optimiser
+from lmd.optimisers.base import Optimiser
+from lmd.optimisers.ledger import Budget
 from lmd.planner.plan import Plan
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment

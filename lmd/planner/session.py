@@ -11,7 +11,8 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError
 from lmd.geometry.se3 import axis_and_right, camera_pose
-from lmd.optimisers.base import Budget, Optimiser
+from lmd.optimisers.base import Optimiser
+from lmd.optimisers.ledger import Budget
 from lmd.planner.additions import additions
 from lmd.planner.plan import Plan
 from lmd.planner.search import Search

@@ -10,7 +10,7 @@ import pandas as pd
 
 from lmd.evaluation.comparison import OptimiserRun, compared
 from lmd.objectives.coverage import Coverage
-from lmd.optimisers.base import Record
+from lmd.optimisers.ledger import Record
 from lmd.plot.cap import save_cap_figure
 from lmd.plot.common import shrink
 from lmd.plot.comparison import save_comparison_figure

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from lmd.optimisers.base import Budget
 from lmd.optimisers.checkpoint import Checkpoint
+from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.labels import Labels

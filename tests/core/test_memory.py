@@ -13,8 +13,8 @@ from lmd.incremental.move import state_of
 from lmd.objectives.coverage import CappedCount, Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation.kernels import localised_views
-from lmd.optimisers.base import Budget
 from lmd.optimisers.ega import EGA
+from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment

@@ -8,8 +8,8 @@ from small import composed, problem
 
 from lmd.core.checks import InputError
 from lmd.core.renamed import renamed
-from lmd.optimisers.base import Budget
 from lmd.optimisers.checkpoint import Checkpoint
+from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
 from pipelines.app import flat_settings
 from pipelines.earlier_settings import settings_now

@@ -29,8 +29,8 @@ from lmd.evaluation.selection_bound import GUARANTEE, selection_upper_bound
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.sampling import Sampling
-from lmd.optimisers.base import Budget
 from lmd.optimisers.greedy import GreedyDeployment
+from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment

@@ -11,7 +11,7 @@ from processes import call, command, start
 
 from lmd.evaluation.comparison import OptimiserRun, attained, best_at, compared, curve_targets
 from lmd.objectives.coverage import Coverage
-from lmd.optimisers.base import Record
+from lmd.optimisers.ledger import Record
 from lmd.scene.deployment import Deployment
 from pipelines.reproduction.comparison import to_markdown
 

@@ -156,7 +156,7 @@ def test_a_sampling_generalises_better_than_the_grid():
     """On a coarse grid and few evaluations already."""
     from small import make
 
-    from lmd.optimisers.base import Budget
+    from lmd.optimisers.ledger import Budget
 
     def validated(sampling):
         scene = paper_scene(room=paper_room(spacing=1.5), orientations=pdf.grid_with_ends(6))

@@ -10,7 +10,7 @@ from lmd.optimisers.annealing import Annealing, Stage
 from lmd.optimisers.annealing.annealing import SINGLE
 from lmd.optimisers.annealing.surrogate import Surrogate
 from lmd.optimisers.annealing.walk import _reflect
-from lmd.optimisers.base import Budget
+from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment import Deployment

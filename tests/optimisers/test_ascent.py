@@ -8,7 +8,7 @@ from lmd.objectives.sampling import Sampling
 from lmd.optimisers.annealing import Annealing
 from lmd.optimisers.annealing import ascent as room
 from lmd.optimisers.annealing.ascent import Ascent, _slopes
-from lmd.optimisers.base import Budget
+from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment

@@ -5,8 +5,8 @@ from paper import paper_room, paper_scene
 from small import make, problem
 
 from lmd.objectives.coverage import CappedCount, Coverage
-from lmd.optimisers.base import Budget
 from lmd.optimisers.greedy import GreedyDeployment, select
+from lmd.optimisers.ledger import Budget
 from lmd.scene import pdf
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import UniformDeployment

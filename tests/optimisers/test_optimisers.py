@@ -9,7 +9,8 @@ from contracts.optimiser import check_optimiser
 from small import make, problem
 
 from lmd.core.checks import InputError
-from lmd.optimisers.base import AskTell, Budget
+from lmd.optimisers.base import AskTell
+from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from pipelines.app import CONF
 

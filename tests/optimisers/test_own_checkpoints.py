@@ -8,8 +8,9 @@ from checkpoints import BUDGET, SETTINGS, resumed, saved, stopped
 from small import problem
 
 from lmd.core.checks import InputError
-from lmd.optimisers.base import Budget, Optimiser
+from lmd.optimisers.base import Optimiser
 from lmd.optimisers.checkpoint import Checkpoint
+from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
 from lmd.problem import Problem
 

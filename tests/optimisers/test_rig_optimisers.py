@@ -9,7 +9,7 @@ from small import make
 from lmd.evaluation.losses import losses
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.sampling import Sampling
-from lmd.optimisers.base import Budget
+from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import RandomDeployment

@@ -15,7 +15,7 @@ from scipy.optimize import differential_evolution, direct, dual_annealing
 from small import problem
 
 from lmd.core.checks import InputError
-from lmd.optimisers.base import Budget
+from lmd.optimisers.ledger import Budget
 from lmd.optimisers.nevergrad import Nevergrad
 from lmd.optimisers.pycma import PyCma
 from lmd.optimisers.pymoo import Pymoo
@@ -201,7 +201,7 @@ def test_the_first_run_of_a_process_is_like_any_other():
     """Importing a library may draw random numbers."""
     code = """
 from small import make, problem
-from lmd.optimisers.base import Budget
+from lmd.optimisers.ledger import Budget
 first, second = (make("cma_es_separable").run(problem(), Budget(60)).deployment.positions for _ in range(2))
 assert (first == second).all()
 """

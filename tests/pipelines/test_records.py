@@ -9,9 +9,10 @@ import pytest
 from omegaconf import OmegaConf
 from small import problem
 
-from lmd.optimisers.base import Budget, Optimiser
+from lmd.optimisers.base import Optimiser
 from lmd.optimisers.checkpoint import FILE, Checkpoint
 from lmd.optimisers.ega import EGA
+from lmd.optimisers.ledger import Budget
 from pipelines import outputs, tracked_run
 from pipelines.operations.signals import Stopped
 from pipelines.operations.tracking.tracker import NoTracker

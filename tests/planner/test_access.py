@@ -10,7 +10,7 @@ import pytest
 from small import problem
 
 from lmd.core.checks import InputError
-from lmd.optimisers.base import Budget
+from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
 from lmd.planner.access import Access
 from lmd.planner.app import Planner

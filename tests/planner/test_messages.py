@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small import problem
 
-from lmd.optimisers.base import Budget
+from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
 from lmd.planner.app import Planner
 from lmd.planner.panel import Panel

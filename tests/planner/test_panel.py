@@ -5,7 +5,7 @@ import math
 import pytest
 
 from lmd.core.checks import InputError
-from lmd.optimisers.base import Budget
+from lmd.optimisers.ledger import Budget
 from lmd.planner.legend import TAGS, legend
 from lmd.planner.panel import Panel
 from lmd.planner.search import Progress

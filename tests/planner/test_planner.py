@@ -11,7 +11,7 @@ from small import problem
 
 from lmd.core.checks import InputError
 from lmd.objectives.coverage import Coverage
-from lmd.optimisers.base import Budget
+from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
 from lmd.planner.app import TO_COME, Planner
 from lmd.planner.panel import Panel

@@ -17,8 +17,8 @@ from lmd.incremental.coverage_field import coverage_field
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.sampling import Sampling
-from lmd.optimisers.base import Budget
 from lmd.optimisers.greedy import GreedyDeployment
+from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import FileDeployment, RandomDeployment, UniformDeployment

@@ -7,7 +7,7 @@ from small import make, problem
 
 from lmd.core.checks import InputError
 from lmd.detection.frames import tagged_room
-from lmd.optimisers.base import Budget
+from lmd.optimisers.ledger import Budget
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import FileDeployment, RandomDeployment
 from lmd.scene.labels import Labels

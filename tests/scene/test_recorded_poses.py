@@ -20,7 +20,7 @@ from lmd.geometry.frames import angles_of, rotation
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.optimisers.annealing import Annealing
-from lmd.optimisers.base import Budget
+from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment

@@ -17,7 +17,7 @@ from lmd.evaluation.survey import read_measured, survey
 from lmd.evaluation.validation import Sample
 from lmd.mapping.tag_map import TagMap
 from lmd.objectives.coverage import Coverage
-from lmd.optimisers.base import Budget
+from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
 from lmd.optimisers.stored import points
 from lmd.problem import Problem

@@ -14,7 +14,7 @@ from strategies import cameras, fiducials, pdfs, rolled_pdfs, seeds, visibilitie
 from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.annealing import Annealing
-from lmd.optimisers.base import Budget
+from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment import Deployment

@@ -29,7 +29,8 @@ from lmd.optimisers.annealing.stage import Stage, changed
 from lmd.optimisers.annealing.surrogate import Surrogate
 from lmd.optimisers.annealing.trail import Trail
 from lmd.optimisers.annealing.walk import Settings
-from lmd.optimisers.base import Budget, Callback, Ledger, Optimiser, Result
+from lmd.optimisers.base import Callback, Optimiser, Result
+from lmd.optimisers.ledger import Budget, Ledger
 from lmd.optimisers.selection import SPACING, greedy_start
 from lmd.optimisers.stored import array, deployment, deployment_state, generator, generator_state
 from lmd.problem import Problem
