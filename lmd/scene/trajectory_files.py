@@ -1,6 +1,6 @@
 """Recorded trajectories: from a file of somebody's recorder to poses of the camera in the frame of the room."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -88,7 +88,7 @@ class TrajectoryFile:
         """What was left out of the file, a sentence; empty if nothing."""
         return self._read[1]
 
-    def check_inside(self, room: Space, check: Any = check_positions) -> Trajectory:
+    def check_inside(self, room: Space, check: Callable[[Trajectory, Space], None] = check_positions) -> Trajectory:
         """The trajectory, which must lie inside a room.
 
         Args:
