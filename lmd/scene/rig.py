@@ -17,10 +17,12 @@ from lmd.core.checks import ONE_TURN, FloatArray, InputError, real, vector
 from lmd.geometry.se3 import QUATERNION_TOLERANCE
 from lmd.scene.camera import Camera
 from lmd.scene.camera_calibration import OPTICS, calibrated_camera
+from lmd.scene.extrinsics import LEVEL, read_chain
 
 ANGLES = ("yaw", "pitch", "roll")
 KEYS = ("translation", *ANGLES, "quaternion", "camera")
-CAMERA_KEYS = ("path", "name", *OPTICS)
+CAMERA_KEYS = ("path", "name", "image_size", *OPTICS)
+CHAIN_KEYS = ("path", *KEYS[:-1])
 # Cameras that are at the same place but for rounding are at the same place: offsets have this many decimals, metres.
 SAME_PLACE_DECIMALS = 12
 
@@ -149,12 +151,16 @@ def rig_of(mounts: Any, camera: Camera | None = None) -> Rig:
 
     Args:
         mounts: a list of mappings with the arguments of `Mount`; `camera` there is a calibration file, or a mapping
-            with the arguments of `calibrated_camera`.
+            with the arguments of `calibrated_camera`. Or a calibration file that says where its cameras are, see
+            `lmd.scene.extrinsics.read_chain`, or a mapping with it as `path` and where the first camera sits on the
+            body by the other arguments of `Mount`; by default in its origin, looking along its x axis.
         camera: of those mounts that do not say.
 
     Raises:
         InputError: it is no such list, or a value in it is refused.
     """
+    if is_chain(mounts):
+        return _chained({"path": mounts} if isinstance(mounts, str | Path) else mounts)
     if isinstance(mounts, str | Mapping) or not isinstance(mounts, Iterable):
         raise InputError(f"rig must be a list of cameras, got {mounts!r}.", "rig")
     entries = list(mounts)
@@ -163,9 +169,37 @@ def rig_of(mounts: Any, camera: Camera | None = None) -> Rig:
     return Rig(tuple(_mount(f"rig[{i}]", entry, camera) for i, entry in enumerate(entries)))
 
 
-def has_own_camera(mount: Any) -> bool:
-    """Whether an entry of `rig_of` says which camera it is."""
-    return isinstance(mount, Mapping) and mount.get("camera") is not None
+def is_chain(mounts: Any) -> bool:
+    """Whether a rig is given by a calibration file."""
+    return isinstance(mounts, str | Path) or (isinstance(mounts, Mapping) and "path" in mounts)
+
+
+def brings_cameras(mounts: Any) -> bool:
+    """Whether no mount of `rig_of` needs a camera from elsewhere."""
+    if is_chain(mounts):
+        return True
+    own = [isinstance(m, Mapping) and m.get("camera") is not None for m in (mounts if isinstance(mounts, list) else ())]
+    return bool(own) and all(own)
+
+
+def _chained(given: Mapping[str, Any]) -> Rig:
+    if unknown := [key for key in given if key not in CHAIN_KEYS]:
+        raise InputError(f"rig has no key {unknown[0]!r}, only {', '.join(CHAIN_KEYS)}.", "rig")
+    from scipy.spatial.transform import Rotation
+
+    where = {key: value for key, value in given.items() if key != "path" and value is not None}
+    try:
+        poses = read_chain(given["path"])
+        cameras = [calibrated_camera(given["path"], name) for name in poses]
+        first = Mount(cameras[0], **where)
+    except InputError as error:
+        raise error.within("rig") from None
+    mounts = [first]
+    for camera, pose in zip(cameras[1:], list(poses.values())[1:], strict=True):
+        place = np.array(first.translation) + first.rotation @ LEVEL @ pose[:3, 3]
+        turn = Rotation.from_matrix(first.rotation @ LEVEL @ pose[:3, :3] @ LEVEL.T)
+        mounts.append(Mount(camera, tuple(place.tolist()), quaternion=tuple(turn.as_quat().tolist())))
+    return Rig(tuple(mounts))
 
 
 def _mount(name: str, entry: Any, camera: Camera | None) -> Mount:
