@@ -36,6 +36,7 @@ class Estimate:
         floor: standard deviation of the corners that the detector does not account for, pixels.
         covariances: of the twist of each tag in its own frame, turn first, `(K, 6, 6)`; NaN for those not in the map.
         precisions: the same once the map as a whole is laid where it belongs, see `without_gauge`.
+        intrinsics: covariances of those of each camera, in the units of `Sightings.lens`, `(C, 6 L, 6 L)`.
     """
 
     sightings: Sightings
@@ -47,6 +48,7 @@ class Estimate:
     floor: float
     covariances: FloatArray
     precisions: FloatArray
+    intrinsics: FloatArray
 
     @property
     def mapped(self) -> IntArray:
@@ -117,8 +119,10 @@ def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, 
         misfits = of_map & (square > MISFIT)
         used = of_map & ~misfits
     used = twice_in_frame(sightings, used)
-    adjustment = Adjustment(sightings.of(used), prior)
-    whole = adjustment.covariance(poses, floor)[: 6 * len(group), : 6 * len(group)]
+    every = Adjustment(sightings.of(used), prior, lenses=True)
+    covariance = every.covariance(poses, floor)
+    whole = covariance[: 6 * len(group), : 6 * len(group)]
+    intrinsics = blocks_of(covariance[6 * every.placed :, 6 * every.placed :], sightings.cameras)
     covariances, precisions = np.full((2, len(group), 6, 6), np.nan)
     of_tag = blocks_of(whole, len(group))
     known = (group == 0) & np.isfinite(of_tag).all(axis=(1, 2))
@@ -127,9 +131,8 @@ def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, 
     precisions[known] = blocks_of(without_gauge(whole[np.ix_(rows, rows)], poses.tags[known]), int(known.sum()))
     frames = np.full_like(poses.frames, np.nan)
     frames[np.unique(sightings.frame[used])] = poses.frames[np.unique(sightings.frame[used])]
-    return Estimate(
-        sightings, prior, replace(poses, frames=frames), group, used, misfits, floor, covariances, precisions
-    )
+    poses = replace(poses, frames=frames)
+    return Estimate(sightings, prior, poses, group, used, misfits, floor, covariances, precisions, intrinsics)
 
 
 def twice_in_frame(sightings: Sightings, used: BoolArray) -> BoolArray:
