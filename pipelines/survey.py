@@ -113,17 +113,20 @@ def _known(cfg: DictConfig, tag: "Tag") -> "Known":
     """
     from lmd.core.checks import InputError, integer
     from lmd.scene.tag_map_files import read_deployment
+    from lmd.survey.boards import Boards
     from lmd.survey.known import Hanging, Points
     from lmd.survey.survey import Known
 
     settings = OmegaConf.to_container(settings_of(cfg, "survey"), resolve=True)
     assert isinstance(settings, dict)
     settings.pop("calibrate")  # says nothing of the tags
-    origin, points, floor = (settings.pop(key, None) for key in ("origin", "points", "floor"))
+    names = ("origin", "points", "floor", "boards", "printed")
+    origin, points, floor, boards, printed = (settings.pop(key, None) for key in names)
     with keyed("survey"):
         hanging = Hanging(**{str(key): value for key, value in settings.items()})
         origin = None if origin is None else integer("origin", origin, low=0)
         points = None if points is None else Points.from_csv(points)
+        boards = None if boards is None else Boards.from_csv(boards, printed)
         if not isinstance(floor, list):
             raise InputError(f"floor must list the ids of tags, got {floor!r}.", "floor")
         floor = tuple(integer("floor", number, low=0) for number in floor)
@@ -134,7 +137,7 @@ def _known(cfg: DictConfig, tag: "Tag") -> "Known":
         plan = None if node.path is None else read_deployment(node.path, "path", tag.family)
         fixed = fixed_of(node, tag.family)
     with keyed("survey"):
-        return Known(plan, hanging, fixed, points, origin, floor)
+        return Known(plan, hanging, fixed, points, boards, origin, floor)
 
 
 def _detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector") -> "DetectedTags":

@@ -111,7 +111,10 @@ class Adjustment:
 
     def cost(self, poses: Poses, floor: float) -> float:
         """What is minimised."""
-        return _cost(self.squares(poses, floor)) + _cost(self.prior.squares(poses.tags), 6)
+        cost = _cost(self.squares(poses, floor)) + _cost(self.prior.squares(poses.tags), 6)
+        if self.prior.sheets is not None:
+            cost += _cost(self.prior.sheets.fitted(poses.tags).squares, 6)
+        return cost
 
     def floor(self, poses: Poses, most: float) -> float:
         """The floor that the residuals speak of, pixels, at most `most`."""
@@ -239,6 +242,14 @@ class Adjustment:
             known = known * weight_of(self.prior.squares(poses.tags), 6)[:, None]
         diagonal[:count] += known[..., None] * np.eye(6)
         right[:count] -= known * off
+        if (sheets := self.prior.sheets) is not None:
+            fitted = sheets.fitted(poses.tags)
+            weights = fitted.weights if weight is None else np.ones(len(sheets.tag))
+            scaled = sheets.information * weights[:, None]
+            diagonal[sheets.tag] += scaled[..., None] * np.eye(6)
+            right[sheets.tag] -= scaled * fitted.off
+            one, other = sheets.pairs
+            np.subtract.at(cells, (sheets.tag[one], sheets.tag[other]), sheets.couplings(weights))
         diagonal[self.placed :] += np.eye(6)  # the unit of intrinsics is what they may be off
         diagonal += damping * diagonal * np.eye(6)
         for k in range(self.kept):

@@ -74,7 +74,7 @@ class Estimate:
     def moved(self, motion: FloatArray) -> "Estimate":
         """The same in another world, to which a motion `(4, 4)` leads."""
         poses = replace(self.poses, tags=motion @ self.poses.tags, frames=motion @ self.poses.frames)
-        return replace(self, poses=poses, prior=Prior(motion @ self.prior.tags, self.prior.information))
+        return replace(self, poses=poses, prior=replace(self.prior, tags=motion @ self.prior.tags))
 
     def errors(self) -> FloatArray:
         """Root mean square reprojection error of the sightings that count, pixels."""
@@ -109,7 +109,10 @@ def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, 
     of_map = (group[sightings.tag] == 0) & np.isfinite(poses.frames[sightings.frame, 0, 0])
     of_map = used = twice_in_frame(sightings, of_map)
     misfits = np.zeros(len(sightings), dtype=bool)
-    prior = Prior(prior.tags, np.where((group == 0)[:, None], prior.information, 0.0))
+    there = (group == 0) & (np.bincount(sightings.tag[of_map], minlength=len(group)) > 0)
+    sheets = None if prior.sheets is None else prior.sheets.of(there)
+    information = np.where((group == 0)[:, None], prior.information, 0.0)
+    prior = Prior(prior.tags, information, sheets if sheets is not None and len(sheets.tag) else None)
     for steps in (STEPS, FINAL_STEPS):
         used = twice_in_frame(sightings, used)
         adjustment = Adjustment(sightings.of(used), prior)
@@ -217,4 +220,4 @@ def _origin(
     information[first] = EXACT**-2.0
     tags = prior.tags.copy()
     tags[first] = np.eye(4)
-    return first, Prior(tags, information)
+    return first, replace(prior, tags=tags, information=information)

@@ -11,7 +11,6 @@ from lmd.geometry.se3 import inverse, log
 from lmd.scene.deployment import COLUMNS, UP_COLUMNS, Deployment
 from lmd.scene.labels import EDGE, ID, Labels
 from lmd.scene.surveyed import Surveyed
-from lmd.survey.intrinsics import Calibrated
 from lmd.survey.residuals import errors_at
 from lmd.survey.survey import Survey
 
@@ -176,7 +175,7 @@ def document(survey: Survey) -> dict[str, Any]:
         "frames": len(times),
         "used_frames": [times[frame] for frame in found.frames.tolist()],
         "cameras": dict(mounts),
-        "intrinsics": {name: camera.document() for name, camera in _calibrated(survey).items()},
+        "intrinsics": [camera.document() for camera in survey.calibrated],
         "groups": [survey.ids[found.group == g].tolist() for g in range(1, found.group.max(initial=0) + 1)],
         "another_photograph": survey.ids[again(survey)].tolist(),
         "second_places": [
@@ -193,11 +192,6 @@ def document(survey: Survey) -> dict[str, Any]:
         "misread": {str(survey.ids[k]): int(survey.faults.misread[k]) for k in np.flatnonzero(survey.faults.misread)},
         "tags": [dict(zip(columns, row, strict=True)) for row in zip(*map(_plain, columns.values()), strict=True)],
     }
-
-
-def _calibrated(survey: Survey) -> dict[str, Calibrated]:
-    """The cameras whose intrinsics were found, by name."""
-    return dict(zip(survey.detected.cameras, survey.calibrated, strict=bool(survey.calibrated)))
 
 
 def _plain(values: ArrayLike) -> list[Any]:
@@ -224,12 +218,11 @@ def to_text(survey: Survey) -> str:
     lines["corners"] = f"{both('error', 1.0)} pixels off"
     if found.floor > NOTICED:
         lines["corners"] += f", of which a standard deviation of {found.floor:.2g} is not the detector's"
-    for name, camera in _calibrated(survey).items():
-        lines[f"camera {name}".rstrip()] = camera.to_text()
+    for number, camera in enumerate(survey.calibrated, 1):
+        label = f" {number}" * (len(survey.calibrated) > 1)
+        lines[f"camera{label}"] = camera.to_text()
         if not camera.is_fixed:
-            lines[f"not fixed {name}".rstrip()] = (
-                "the camera: photograph tags on several walls at once, also held upright"
-            )
+            lines[f"not fixed{label}"] = "the camera: photograph tags on several walls at once, also held upright"
     if "measured" in survey.localised:
         lines["held out"] = (
             f"{len(survey.localised['measured'].shifts)} frames: corners {both('held_out_error_measured', 1.0)}"

@@ -11,6 +11,7 @@ from lmd.mapping.detections import DetectedTags
 from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
+from lmd.survey.boards import Boards
 from lmd.survey.estimate import Estimate, estimate
 from lmd.survey.faults import Faults, settled
 from lmd.survey.held_out import Localised, held_out
@@ -31,6 +32,7 @@ class Known:
         hanging: how far from there they may.
         fixed: where some hang exactly; None for none.
         points: where the centres of some are, as a tape measure says; None for none.
+        boards: how those are to each other that were printed on one sheet; None for none.
         origin: id of the tag whose frame is the world where nothing else is known; None for the one seen most often.
         floor: ids of tags that lie on the floor: then z is up in that world, and 0 on the floor; none for no such.
 
@@ -42,6 +44,7 @@ class Known:
     hanging: Hanging = field(default_factory=Hanging)
     fixed: Deployment | None = None
     points: Points | None = None
+    boards: Boards | None = None
     origin: int | None = None
     floor: tuple[int, ...] = ()
 
@@ -143,7 +146,7 @@ def survey(
         return sightings_of(detected, through, ids, known.edges(ids, tag), tag.modules, errors)
 
     sightings, refined = sighted(cameras), tuple(cameras)
-    prior = prior_of(ids, known.plan, known.hanging, known.fixed, known.points)
+    prior = prior_of(ids, known.plan, known.hanging, known.fixed, known.points, known.boards)
     found = estimate(sightings, prior, known.origin)
     if calibrate:
         found, refined = calibrated(found, cameras, sighted)

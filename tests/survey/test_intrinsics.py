@@ -57,7 +57,7 @@ def test_a_wrong_focal_length_is_found_together_with_the_map(room, found):
     assert (np.abs(off) < chi2.ppf(0.9999, 1) ** 0.5 * camera.sigma).all()
     assert camera.is_fixed
     assert "focal length" in to_text(found)
-    assert document(found)["intrinsics"][""]["fixed"]
+    assert document(found)["intrinsics"][0]["fixed"]
 
 
 def test_slopes_are_those_of_the_image():
