@@ -8,13 +8,11 @@ import numpy as np
 from lmd.cameras.mounts import MountSpace
 from lmd.cameras.views import CameraViews
 from lmd.core.checks import FloatArray, InputError
-from lmd.objectives.base import Objective
 from lmd.objectives.coverage import Coverage
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
-from lmd.scene.deployment_sources import GivenDeployment
+from lmd.scene.deployment_sources import DeploymentSource
 from lmd.scene.rig import Mount, Rig
-from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE
 
@@ -26,35 +24,34 @@ class CameraProblem(Problem):
     camera is looked at once and remembered; for others every rig is evaluated anew.
 
     Args:
-        scene: what stays fixed; its camera is not asked for.
-        objective: what the cameras are for.
+        problem: the scene, whose camera is not asked for, and the objective.
         tags: the landmarks, which stay.
         space: which cameras may be mounted.
-        threads: see `Problem`.
         start: cameras to begin with; random ones by default.
 
     Raises:
-        InputError: the body would leave the room, cameras of `start` are none of `space`, or see `Problem`.
+        InputError: the body would leave the room, cameras of `start` are none of `space`, or the objective does not
+            take a rig.
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        objective: Objective,
-        tags: Deployment,
-        space: MountSpace,
-        threads: int | None = None,
-        start: Rig | None = None,
-    ) -> None:
-        self.space, self.tags = space, tags
+    def __init__(self, problem: Problem, tags: Deployment, space: MountSpace, start: Rig | None = None) -> None:
+        self.tags, self.space = tags, space
         self.first = None if start is None else space.genes(start)
+        scene = replace(problem.scene, camera=self._body_as_rig())
         try:
-            super().__init__(replace(scene, camera=self._body_as_rig()), objective, GivenDeployment(tags), threads)
+            super().__init__(scene, problem.objective, problem.start, problem.evaluator.threads, problem.fixed)
         except InputError as error:
             if error.argument != "rig":
                 raise
-            raise InputError(f"boxes do not stay in the room: {error}", "boxes") from None
-        self.views = CameraViews(self.fitness_evaluator, self.tags)
+            raise InputError(f"boxes leave the room: {error}", "boxes") from None
+        self.views = CameraViews(self.fitness_evaluator, tags)
+        if not self.counts:  # what does not take a rig says so before anything is searched
+            self.values_of(space.mounts(space.draw(np.random.default_rng(0))) or ())
+
+    @property
+    def counts(self) -> bool:
+        """Whether the objective only asks how many landmarks are seen, so that cameras can be looked at one by one."""
+        return isinstance(self.objective, Coverage)
 
     def _body_as_rig(self) -> Rig:
         """Cameras at the corners of the faces: where these are in the room, the body is."""
@@ -66,14 +63,14 @@ class CameraProblem(Problem):
         ]
         return Rig(tuple(Mount(self.space.lenses[0], tuple(place.tolist())) for place in at))
 
-    def with_rig(self, rig: Rig) -> Problem:
-        """The problem of landmarks with a rig in place of the cameras; the landmarks are its start."""
+    def with_rig(self, rig: Rig, start: DeploymentSource | None = None) -> Problem:
+        """The problem of landmarks with a rig in place of the cameras, and another start if one is given."""
         scene = replace(self.scene, camera=rig)
-        return Problem(scene, self.objective, GivenDeployment(self.tags), self.evaluator.threads)
+        return Problem(scene, self.objective, start or self.start, self.evaluator.threads, self.fixed)
 
     def values_of(self, mounts: Sequence[Mount]) -> FloatArray | None:
         """The objective's value at every position the fitness is measured at, `(Q,)`; None if one leaves the room."""
-        if isinstance(self.objective, Coverage):
+        if self.counts:
             units = self.views.units(mounts, self.objective.n)
             return None if units is None else np.asarray(units / PROBABILITY_ONE)
         measured = self.fitness_evaluator

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lmd.core.checks import ONE_TURN, FloatArray, InputError, real, vector
+from lmd.core.files import read_keys
 from lmd.geometry.se3 import QUATERNION_TOLERANCE
 from lmd.scene.camera import Camera
 from lmd.scene.camera_calibration import OPTICS, calibrated_camera
@@ -161,6 +162,42 @@ def rig_of(mounts: Any, camera: Camera | None = None) -> Rig:
     if not entries:
         raise InputError("rig must have at least one camera, got an empty list.", "rig")
     return Rig(tuple(_mount(f"rig[{i}]", entry, camera) for i, entry in enumerate(entries)))
+
+
+def read_rig(path: Any) -> list[Any]:
+    """The list of mounts for `rig_of` in a rig file: YAML or JSON with the key `rig`.
+
+    Raises:
+        InputError: the file cannot be read, or has no such list.
+    """
+    keys = read_keys(path, "rig")
+    if not isinstance(mounts := keys.get("rig"), list):
+        raise InputError(f"rig: {path} has no list of cameras with the key rig.", "rig")
+    return mounts
+
+
+def write_rig(path: Path, rig: Rig, sources: Mapping[Camera, Any]) -> None:
+    """Write a rig file, see `read_rig`; numbers are those of the rig, to the bit.
+
+    Args:
+        path: of the file.
+        rig: what is written.
+        sources: which calibration each kind of camera has, as `rig_of` takes it; none for the camera of all.
+    """
+    import yaml
+
+    entries = []
+    for mount in rig.mounts:
+        turns: dict[str, Any] = {name: getattr(mount, name) for name in ANGLES}
+        if mount.quaternion is not None:
+            turns = {"quaternion": list(mount.quaternion)}
+        own = {"camera": source} if (source := sources.get(mount.camera)) is not None else {}
+        entries.append({"translation": list(mount.translation), **turns, **own})
+    path.write_text(
+        "# Cameras on one body: metres, radians; x forward, y left, z up; positive pitch looks down.\n"
+        + yaml.safe_dump({"rig": entries}, default_flow_style=None, sort_keys=False),
+        encoding="utf-8",
+    )
 
 
 def has_own_camera(mount: Any) -> bool:
