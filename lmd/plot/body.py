@@ -68,16 +68,14 @@ def _draw(axes: "Axes", view: str, onto: FloatArray, body: Body, rig: Rig) -> No
     axes.plot(0.0, 0.0, "+", color="black", markersize=12, zorder=4)
     for i, mount in enumerate(rig.mounts, 1):
         at = onto @ np.array(mount.translation) * MM
-        left, right, *_ = mount.camera.field_of_view
-        edges = [_direction(mount, angle) for angle in np.linspace(left, -right, 9)]
-        fan = [at, *(at + REACH * size * (onto @ edge) for edge in edges)]
+        fan = [at, *(at + REACH * size * (onto @ edge) for edge in _edges(mount, across=view == "from above"))]
         axes.add_patch(Polygon(fan, facecolor=FIXED, alpha=0.25, zorder=2))
         axes.plot(*at, "o", color=LANDMARK, zorder=5)
         text = f"{i} ({', '.join(f'{MM * mount.translation[axis]:.0f}' for axis in _shown(onto))})"
         axes.annotate(text, tuple(at), (5, 6), textcoords="offset points", fontsize=8, zorder=6)
     axes.set_title(view)
     if view == "from above":
-        axes.xaxis.set_major_formatter(lambda value, _: f"{-value:.0f}")
+        axes.xaxis.set_major_formatter(lambda value, _: f"{0.0 - value:.0f}")
     axes.set_xlabel(AXES[view][0])
     axes.set_ylabel(AXES[view][1])
     axes.set_aspect("equal")
@@ -90,9 +88,19 @@ def _shown(onto: FloatArray) -> list[int]:
     return [axis for axis in range(3) if onto[:, axis].any()]
 
 
-def _direction(mount: Mount, angle: float) -> FloatArray:
-    """What a camera looks at in its horizontal plane, `angle` to the left of its axis, body frame, `(3,)`."""
-    return np.asarray(mount.rotation @ np.array([math.cos(angle), math.sin(angle), 0.0]))
+def _edges(mount: Mount, across: bool) -> list[FloatArray]:
+    """Directions from one border of the image to the opposite one, body frame, `(3,)` each.
+
+    Args:
+        mount: of the camera.
+        across: from the left border to the right one; else from the top to the bottom.
+    """
+    left, right, top, bottom = mount.camera.field_of_view
+    found = []
+    for angle in np.linspace(left, -right, 9) if across else np.linspace(top, -bottom, 9):
+        aside = (math.sin(angle), 0.0) if across else (0.0, math.sin(angle))
+        found.append(np.asarray(mount.rotation @ np.array([math.cos(angle), *aside])))
+    return found
 
 
 def _dimension(axes: "Axes", start: tuple[float, float], stop: tuple[float, float]) -> None:
@@ -100,7 +108,7 @@ def _dimension(axes: "Axes", start: tuple[float, float], stop: tuple[float, floa
     axes.annotate("", start, stop, arrowprops={"arrowstyle": "<->", "lw": 0.8})
     middle = ((start[0] + stop[0]) / 2.0, (start[1] + stop[1]) / 2.0)
     upright = start[0] == stop[0]
-    axes.text(
-        *middle, f"{math.dist(start, stop):.0f} ", rotation=90.0 if upright else 0.0,
-        ha="right" if upright else "center", va="center" if upright else "top",
+    axes.annotate(
+        f"{math.dist(start, stop):.0f}", middle, (-4, 0) if upright else (0, -4), textcoords="offset points",
+        rotation=90.0 if upright else 0.0, ha="right" if upright else "center", va="center" if upright else "top",
     )  # fmt: skip
