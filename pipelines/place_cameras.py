@@ -104,7 +104,8 @@ def build_camera_problem(cfg: DictConfig) -> "tuple[CameraProblem, dict[Camera, 
 
     from lmd.cameras.mounts import MountSpace
     from lmd.cameras.problem import CameraProblem
-    from lmd.scene.rig import Rig
+    from lmd.core.checks import InputError
+    from lmd.scene.rig import Rig, camera_from
     from lmd.space.parts import made
 
     alone = cfg.camera.copy()
@@ -115,8 +116,10 @@ def build_camera_problem(cfg: DictConfig) -> "tuple[CameraProblem, dict[Camera, 
     sources: dict[Camera, Any] = {}
     if given["lenses"]:
         for i, source in enumerate(given["lenses"]):
-            with keyed(rig=f"cameras.lenses[{i}]"):
-                (camera,) = camera_of(OmegaConf.create({"rig": [{"camera": source}]})).cameras  # type: ignore[union-attr]
+            with keyed(camera=f"cameras.lenses[{i}]"):
+                camera = camera_from(source)
+            if camera is None:
+                raise InputError(f"cameras.lenses[{i}] must be a calibration file, got null.")
             sources[camera] = source
         lenses = list(sources)
     else:

@@ -21,7 +21,7 @@ DECIMALS = 3  # of metres and radians
 SAMPLES = (17, 13)  # of an image, along its width and its height, for what it shows of the body
 TURNS = 8  # steps in which a camera that sees its body is turned away from it
 NEAR = 0.0016  # metres: how far a mount that is given may be from its place as genes have it, and rad
-DRAWS = 500  # random mounts for each camera, at most
+DRAWS = 200  # random mounts for each camera, at most
 QUARTER = math.pi / 2.0
 
 

@@ -212,7 +212,7 @@ def _mount(name: str, entry: Any, camera: Camera | None) -> Mount:
         raise InputError(f"{name} has no key {unknown[0]!r}, only {', '.join(KEYS)}.", name)
     values = {key: value for key, value in entry.items() if value is not None}
     try:
-        own = _own_camera(values.pop("camera", None)) or camera
+        own = camera_from(values.pop("camera", None)) or camera
         if own is None:
             raise InputError("camera is missing: there is no other one to take.", "camera")
         return Mount(own, **values)
@@ -220,7 +220,12 @@ def _mount(name: str, entry: Any, camera: Camera | None) -> Mount:
         raise error.within(name) from None
 
 
-def _own_camera(source: Any) -> Camera | None:
+def camera_from(source: Any) -> Camera | None:
+    """The camera of a mount: of a calibration file, or of the arguments of `calibrated_camera`; None for none.
+
+    Raises:
+        InputError: it is neither, or the file is refused.
+    """
     if source is None:
         return None
     given: Any = {"path": source} if isinstance(source, str | Path) else source
