@@ -38,7 +38,6 @@ def evaluate(cfg: DictConfig) -> float:
     from lmd.core.checks import seed_number
     from lmd.core.compiled import clock
     from lmd.optimisers.ledger import Record
-    from lmd.scene.rig import Rig
 
     from .tracked_run import record, title_of, tracked
 
@@ -59,10 +58,7 @@ def evaluate(cfg: DictConfig) -> float:
     history = [Record(1, problem.metrics(deployment)["fitness"], clock() - began)]
     subject = choices()["deployment"]
     with tracked(cfg, subject, title_of(problem, subject)) as tracker:
-        alone = not isinstance(problem.scene.camera, Rig)
-        summary: dict[str, Any] = localise(problem, deployment, seed, tracker) if cfg.localisation and alone else {}
-        if cfg.localisation and not alone:
-            print("localisation: left out, a single frame of a rig of several cameras is not bounded yet")
+        summary: dict[str, Any] = localise(problem, deployment, seed, tracker) if cfg.localisation else {}
         texts = []
         for name, study, draw in studies(cfg, problem, plan, deployment, error, seed):
             tracker.log_artifacts(write_study(run_directory(), name, study, draw))

@@ -23,9 +23,9 @@ from lmd.incremental.field import in_order
 from lmd.incremental.move import counts_of, overlook
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation.field import LocalisationField
-from lmd.objectives.localisation.kernels import localised_views
 from lmd.objectives.localisation.move import localisation_state
 from lmd.objectives.localisation.objective import Mean
+from lmd.objectives.localisation.views import localised_views
 from lmd.objectives.without import without_landmarks
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment

@@ -13,12 +13,14 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.core.checks import ONE_TURN, FloatArray, InputError, real, vector
-from lmd.geometry.se3 import QUATERNION_TOLERANCE
+from lmd.geometry.se3 import QUATERNION_TOLERANCE, pose_of
 from lmd.scene.camera import Camera
 
 ANGLES = ("yaw", "pitch", "roll")
 # Cameras that are at the same place but for rounding are at the same place: offsets have this many decimals, metres.
 SAME_PLACE_DECIMALS = 12
+# From x right, y down, z ahead to x forward, y left, z up.
+OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
 @dataclass(frozen=True)
@@ -91,6 +93,15 @@ class Rig:
     def cameras(self) -> tuple[Camera, ...]:
         """The camera of each mount."""
         return tuple(mount.camera for mount in self.mounts)
+
+    @cached_property
+    def extrinsics(self) -> FloatArray:
+        """From each camera's frame to the body's, both x right, y down, z ahead, `(C, 4, 4)`.
+
+        With the body's pose X in such a frame (`lmd.geometry.se3.camera_pose`), that of camera c is X extrinsics[c].
+        """
+        turns = OPTICAL.T @ np.stack([mount.rotation for mount in self.mounts]) @ OPTICAL
+        return pose_of(turns, np.stack([mount.translation for mount in self.mounts]) @ OPTICAL)
 
     @property
     def needs_roll(self) -> bool:

@@ -69,6 +69,11 @@ class Scene:
         """The camera, or those of the rig."""
         return self.camera.cameras if isinstance(self.camera, Rig) else (self.camera,)
 
+    @property
+    def extrinsics(self) -> FloatArray:
+        """From each camera's frame to that of the poses: the rig's body, or the only camera itself, `(C, 4, 4)`."""
+        return self.camera.extrinsics if isinstance(self.camera, Rig) else np.eye(4)[None]
+
     def single_camera(self, what: str) -> Camera:
         """The only camera, for what does not know of rigs.
 

@@ -14,9 +14,9 @@ from lmd.objectives.base import AtLeast, Headline
 from lmd.objectives.coverage import Threshold
 from lmd.objectives.localisation.field import LocalisationField
 from lmd.objectives.localisation.information import PosePrecision, Precision, deviation_per_variance, precision
-from lmd.objectives.localisation.kernels import localised_views
 from lmd.objectives.localisation.log_det import LogDeterminant
 from lmd.objectives.localisation.trial import mixed
+from lmd.objectives.localisation.views import localised_views
 from lmd.objectives.sampling import Sampling
 from lmd.scene.criteria import TOLERANCE
 from lmd.scene.scene import Scene
@@ -107,9 +107,8 @@ class Localisation(AtLeast):
         return f"{label}, and of seeing {self.n}, weighted" if self.coverage_weight else label
 
     def precision(self, scene: Scene) -> Precision | PosePrecision:
-        """What the tolerances ask of a view."""
-        camera = scene.single_camera("the objective Localisation")
-        return precision(camera, scene.tag, self.pixel_noise, self.tolerance, self.rotation_tolerance)
+        """What the tolerances ask of a view, in the units of the first camera."""
+        return precision(scene.cameras[0], scene.tag, self.pixel_noise, self.tolerance, self.rotation_tolerance)
 
     def values(self, evaluator: Evaluator, positions: FloatArray, normals: FloatArray) -> FloatArray:
         """See `Objective.values`."""
@@ -155,7 +154,12 @@ class Localisation(AtLeast):
         }
 
     def field(self, evaluator: Evaluator) -> LocalisationField:
-        """See `Objective.field`."""
+        """See `Objective.field`.
+
+        Raises:
+            InputError: the scene has a rig.
+        """
+        evaluator.scene.single_camera("moving single landmarks for localisation")
         asked = self.precision(evaluator.scene)
         return LocalisationField(coverage_field(evaluator, self.n), asked, asked.asks, self.coverage_weight)
 
@@ -166,9 +170,13 @@ class Localisation(AtLeast):
         return Threshold(math.ceil((self.thold_p - TOLERANCE) * PROBABILITY_ONE), relevance)
 
     def selection(self, evaluator: Evaluator, relevance: FloatArray) -> LogDeterminant:
-        """See `Objective.selection`: the log det of the information, from a prior of some tolerances."""
+        """See `Objective.selection`: the log det of the information, from a prior of some tolerances.
+
+        Raises:
+            InputError: the scene has a rig.
+        """
         scene = evaluator.scene
-        scale = deviation_per_variance(scene.single_camera("the objective Localisation"), self.pixel_noise)
+        scale = deviation_per_variance(scene.single_camera("choosing landmarks for localisation"), self.pixel_noise)
         prior = PRIOR_TOLERANCES * self.tolerance if math.isfinite(self.tolerance) else PRIOR_POSITION
         known = (scale / prior) ** 2, (scale / PRIOR_ROTATION) ** 2
         return LogDeterminant(evaluator, relevance, self.precision(scene), *known)
