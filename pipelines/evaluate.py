@@ -51,10 +51,6 @@ def evaluate(cfg: DictConfig) -> float:
 
             deployment = read_measured(cfg.deployment.measured, problem, plan)
         error: MountingError = instantiate(settings_of(cfg, MOUNTING))
-    asked = {"sensitivity": cfg.sensitivity, MEASURED: deployment is not plan, MOUNTING: not error.is_none}
-    for key, is_asked in asked.items():
-        if is_asked:
-            problem.scene.single_camera(key)
     history = [Record(1, problem.metrics(deployment)["fitness"], clock() - began)]
     subject = choices()["deployment"]
     with tracked(cfg, subject, title_of(problem, subject)) as tracker:

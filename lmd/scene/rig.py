@@ -138,6 +138,16 @@ class Rig:
                 yield Station(camera, offset, there, turned[there])
 
 
+def cameras_of(camera: Camera | Rig) -> tuple[Camera, ...]:
+    """The camera, or those of a rig."""
+    return camera.cameras if isinstance(camera, Rig) else (camera,)
+
+
+def extrinsics_of(camera: Camera | Rig) -> FloatArray:
+    """From each camera's frame to that of the poses: of the rig's body, or of the only camera itself, `(C, 4, 4)`."""
+    return camera.extrinsics if isinstance(camera, Rig) else np.eye(4)[None]
+
+
 class Station(NamedTuple):
     """A place of a camera: its offset from the body's origin, `(3,)`, world frame, metres.
 

@@ -12,7 +12,7 @@ from lmd.core.memory import check_views
 from lmd.scene.camera import Camera
 from lmd.scene.pdf import OrientationPdf, Orientations
 from lmd.scene.plates import Plates
-from lmd.scene.rig import Rig, Station
+from lmd.scene.rig import Rig, Station, cameras_of, extrinsics_of
 from lmd.scene.tag import Tag
 from lmd.space.space import Space
 
@@ -67,12 +67,12 @@ class Scene:
     @property
     def cameras(self) -> tuple[Camera, ...]:
         """The camera, or those of the rig."""
-        return self.camera.cameras if isinstance(self.camera, Rig) else (self.camera,)
+        return cameras_of(self.camera)
 
     @property
     def extrinsics(self) -> FloatArray:
-        """From each camera's frame to that of the poses: the rig's body, or the only camera itself, `(C, 4, 4)`."""
-        return self.camera.extrinsics if isinstance(self.camera, Rig) else np.eye(4)[None]
+        """See `extrinsics_of`."""
+        return extrinsics_of(self.camera)
 
     def single_camera(self, what: str) -> Camera:
         """The only camera, for what does not know of rigs.

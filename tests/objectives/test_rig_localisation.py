@@ -11,6 +11,7 @@ from lmd.core.checks import InputError
 from lmd.evaluation.accuracy import predicted_errors
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation.information import deviation_per_variance
+from lmd.objectives.localisation.rig import Moments, body_information
 from lmd.objectives.localisation.views import localised_views
 from lmd.problem import Problem
 from lmd.scene import pdf
@@ -84,12 +85,11 @@ def test_two_cameras_by_hand():
     scene = replace(paper_scene(one_position_room()), camera=rig)
     deployment = facing((2.0, 2.0, 2.0), (2.0, 3.9, 2.0), (2.0, 0.1, 2.0))
     evaluator, r = Evaluator(scene, np.array([[2.0, 2.0, 2.0]]), threads=1), 1.9
-    from lmd.objectives.localisation.rig import body_information
-
     axes = np.array([[0.0, 1.0, 0.0, 1.0, 0.0, 0.0]])  # forward along y
     seen = np.array([[[True, False]], [[False, True]]])
-    asked = LOCALISATION.precision(scene)
-    c, b, a = body_information(evaluator, deployment, np.full((1, 3), 2.0), axes, seen, asked)
+    asked, one = LOCALISATION.precision(scene), np.zeros(1, dtype=np.int64)
+    moments = Moments(one, one, one + 1, np.full((1, 3), 2.0), axes, seen)
+    c, b, a = body_information(evaluator, deployment, moments, asked)
     np.testing.assert_allclose(c[0], np.diag([2.0 / r**2, 0.0, 2.0 / r**2]), atol=1e-9)
     np.testing.assert_allclose(a[0], np.diag([2.0, 0.0, 2.0]), atol=1e-9)
     np.testing.assert_allclose(b[0], 0.0, atol=1e-9)

@@ -180,7 +180,7 @@ def test_what_knows_no_rig_says_so():
     deployment = AHEAD
     with pytest.raises(InputError, match="works with a single camera, not with a rig of 2"):
         verdicts(scene, deployment, np.eye(4)[None])
-    with pytest.raises(InputError, match="the objective Localisation works with a single camera"):
+    with pytest.raises(InputError, match="moving single landmarks for localisation works with a single camera"):
         Localisation(2).field(Evaluator(scene, threads=1))
 
 
@@ -227,7 +227,9 @@ BY_SENSOR = "camera_params: {}\ncameras:\n" + "".join(
 
 @pytest.mark.parametrize("text", [BY_IMU, BY_SENSOR], ids=["Kalibr", "OKVIS"])
 def test_cameras_on_an_imu_are_a_rig_too(text, write):
-    for chained, by_imu in zip(*(rig_of(read_mounts(write(*of))).mounts for of in ((CHAIN, "a"), (text, "b"))), strict=False):
+    for chained, by_imu in zip(
+        *(rig_of(read_mounts(write(*of))).mounts for of in ((CHAIN, "a"), (text, "b"))), strict=False
+    ):
         assert_allclose(by_imu.translation, chained.translation, atol=1e-12)
         assert_allclose(by_imu.rotation, chained.rotation, atol=1e-12)
 

@@ -12,10 +12,11 @@ figures of that camera alone.
 """
 
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import FloatArray
+from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.core.compiled import for_kernels, kernel
 from lmd.core.threads import at_once
 from lmd.geometry.se3 import skew
@@ -38,7 +39,7 @@ def rig_views(
     n: int,
     precision: Precision | PosePrecision,
     keep: bool,
-) -> tuple[np.ndarray, np.ndarray, FloatArray]:
+) -> tuple[IntArray, IntArray, FloatArray]:
     """See `views.localised_views`; the precision is in the units of the first camera."""
     size, orientations = len(evaluator.positions), len(evaluator.scene.orientations.axes)
     step = max(VIEWS_AT_ONCE // orientations, 1)
@@ -63,49 +64,91 @@ def _worth(
     n: int,
     precision: Precision | PosePrecision,
     kept: FloatArray | None,
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[IntArray, IntArray]:
     """P_n and L in units at some of the positions, `(p,)` each; `kept` `(p, D)` receives the variances."""
+    moments = moments_of(evaluator, deployment, here)
+    enough = covers(moments.seen, n)
+    moments = moments.some(enough)
+
+    def total(which: BoolArray) -> IntArray:
+        units = np.zeros(len(evaluator.positions[here]), dtype=np.int64)
+        np.add.at(units, moments.place[which], moments.weight[which])
+        return units
+
+    covered = localised = total(np.ones(len(moments.place), dtype=np.bool_))
+    if precision.asks or kept is not None:
+        position, rotation = variances(*body_information(evaluator, deployment, moments, precision))
+        if kept is not None:
+            kept[moments.place, moments.orientation] = position
+        if precision.asks:
+            localised = total(_is_enough(position, rotation, precision))
+    return covered, localised
+
+
+class Moments(NamedTuple):
+    """N views of a body that occur.
+
+    Args:
+        place, orientation: which of the positions and of the orientations, `(N,)` each.
+        weight: probability, in units, `(N,)`.
+        positions, axes: of the body, `(N, 3)` and `(N, 6)`.
+        seen: which landmarks each camera covers, `(C, N, K)`.
+    """
+
+    place: IntArray
+    orientation: IntArray
+    weight: IntArray
+    positions: FloatArray
+    axes: FloatArray
+    seen: BoolArray
+
+    def some(self, which: BoolArray) -> "Moments":
+        """Those that `which` `(N,)` selects."""
+        rows = {name: getattr(self, name)[which] for name in self._fields[:-1]}
+        return self._replace(**rows, seen=self.seen[:, which])
+
+
+def moments_of(evaluator: Evaluator, deployment: Deployment, here: slice = slice(None)) -> Moments:
+    """What a rig sees of a deployment at some of an evaluator's positions."""
     places, axes = evaluator.positions[here], evaluator.scene.orientations.axes
     weights = evaluator.weights if len(evaluator.weights) == 1 else evaluator.weights[here]
     weights = np.broadcast_to(weights[:, : len(axes)], (len(places), len(axes)))
     p, a = np.nonzero(weights)
-    seen = visible_to_each(evaluator, deployment, places[p], axes[a])
-    enough = seen.any(axis=0).sum(axis=1) >= n
-    p, a, seen = p[enough], a[enough], seen[:, enough]
+    return Moments(p, a, weights[p, a], places[p], axes[a], visible_to_each(evaluator, deployment, places[p], axes[a]))
 
-    def total(which: np.ndarray) -> np.ndarray:
-        units = np.zeros(len(places), dtype=np.int64)
-        np.add.at(units, p[which], weights[p[which], a[which]])
-        return units
 
-    covered = localised = total(np.ones(len(p), dtype=np.bool_))
-    if precision.asks or kept is not None:
-        position, rotation = variances(*body_information(evaluator, deployment, places[p], axes[a], seen, precision))
-        if kept is not None:
-            kept[p, a] = position
-        if precision.asks:
-            localised = total((position <= precision.position) & (rotation <= getattr(precision, "rotation", np.inf)))
-    return covered, localised
+def covers(seen: BoolArray, n: int) -> BoolArray:
+    """Whether at least n landmarks are covered by any camera, `(C, N, K)` -> `(N,)`."""
+    return np.asarray(seen.any(axis=0).sum(axis=1) >= n)
+
+
+def located(
+    evaluator: Evaluator, deployment: Deployment, moments: Moments, n: int, precision: Precision | PosePrecision
+) -> BoolArray:
+    """Whether the moments are localised, `(N,)`."""
+    found = covers(moments.seen, n)
+    if precision.asks:
+        told = variances(*body_information(evaluator, deployment, moments.some(found), precision))
+        found[found] = _is_enough(*told, precision)
+    return found
+
+
+def _is_enough(position: FloatArray, rotation: FloatArray, precision: Precision | PosePrecision) -> BoolArray:
+    return (position <= precision.position) & (rotation <= getattr(precision, "rotation", np.inf))
 
 
 def body_information(
-    evaluator: Evaluator,
-    deployment: Deployment,
-    positions: FloatArray,
-    axes: FloatArray,
-    seen: np.ndarray,
-    precision: Precision | PosePrecision,
+    evaluator: Evaluator, deployment: Deployment, moments: Moments, precision: Precision | PosePrecision
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The blocks C, B and A' of the sum over the cameras, `(N, 3, 3)` each, in the units of the first camera.
 
     Args:
         evaluator: the scene.
         deployment: K landmarks.
-        positions, axes: of the body in N views, `(N, 3)` and `(N, 6)`.
-        seen: which landmarks each camera covers, `(C, N, K)`.
+        moments: N of them.
         precision: has the edge of the tags.
     """
-    scene = evaluator.scene
+    scene, (positions, axes, seen) = evaluator.scene, moments[3:]
     assert isinstance(scene.camera, Rig)
     landmarks, normals = (for_kernels(v) for v in (deployment.positions, deployment.normals))
     blocks = np.zeros((3, len(positions), 3, 3))
