@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from lmd.mapping.detections import DetectedTags
     from lmd.problem import Problem
     from lmd.scene.camera import Camera
+    from lmd.scene.rig import Rig
     from lmd.scene.tag import Tag
     from lmd.space.space import Space
     from lmd.survey.audit import Audit
@@ -52,7 +53,7 @@ def survey(cfg: DictConfig) -> None:
     given = camera_of(cfg.camera)
     cameras = given.cameras if isinstance(given, Rig) else (given,)
     name, detector = _detector(cfg)
-    known, room = _known(cfg, tag), instantiate(cfg.room) if cfg.get("room") else None
+    known, room = _known(cfg, tag, given), instantiate(cfg.room) if cfg.get("room") else None
     problem = _problem(cfg) if boolean("audit", cfg.audit) else None
     exports = build_export(cfg, "export", tag)
     if exports.formats and room is None:
@@ -105,13 +106,14 @@ def _problem(cfg: DictConfig) -> "Problem":
     return problem
 
 
-def _known(cfg: DictConfig, tag: "Tag") -> "Known":
+def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "Known":
     """What is known of the tags.
 
     Raises:
         InputError: a file cannot be read, or a number is refused.
     """
-    from lmd.core.checks import InputError, integer
+    from lmd.core.checks import InputError, boolean, integer
+    from lmd.scene.rig import Rig
     from lmd.scene.tag_map_files import read_deployment
     from lmd.survey.boards import Boards
     from lmd.survey.known import Hanging, Points
@@ -120,12 +122,13 @@ def _known(cfg: DictConfig, tag: "Tag") -> "Known":
     settings = OmegaConf.to_container(settings_of(cfg, "survey"), resolve=True)
     assert isinstance(settings, dict)
     settings.pop("calibrate")  # says nothing of the tags
-    names = ("origin", "points", "floor", "boards", "printed")
-    origin, points, floor, boards, printed = (settings.pop(key, None) for key in names)
+    names = ("origin", "points", "floor", "boards", "printed", "mounted")
+    origin, points, floor, boards, printed, mounted = (settings.pop(key, None) for key in names)
     with keyed("survey"):
         hanging = Hanging(**{str(key): value for key, value in settings.items()})
         origin = None if origin is None else integer("origin", origin, low=0)
         points = None if points is None else Points.from_csv(points)
+        mounts = given.mounted if boolean("mounted", mounted) and isinstance(given, Rig) else None
         boards = None if boards is None else Boards.from_csv(boards, printed)
         if not isinstance(floor, list):
             raise InputError(f"floor must list the ids of tags, got {floor!r}.", "floor")
@@ -137,7 +140,7 @@ def _known(cfg: DictConfig, tag: "Tag") -> "Known":
         plan = None if node.path is None else read_deployment(node.path, "path", tag.family)
         fixed = fixed_of(node, tag.family)
     with keyed("survey"):
-        return Known(plan, hanging, fixed, points, boards, origin, floor)
+        return Known(plan, hanging, fixed, points, boards, mounts, origin, floor)
 
 
 def _detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector") -> "DetectedTags":
@@ -148,21 +151,25 @@ def _detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector"
     """
     from lmd.core.checks import InputError
     from lmd.detection.images import Photographs, Video
-    from lmd.mapping.detections import read_detections
+    from lmd.mapping.detections import DetectedTags, read_detections
 
     if (cfg.photographs is None) == (cfg.detections is None):
         raise InputError("photographs=DIR, a folder or a video, or detections=FILE.csv must be given, and not both.")
     if cfg.detections is not None:
         return read_detections(cfg.detections)
-    if len(cameras) != 1:
-        raise InputError("photographs are of one camera; what several saw together is told by detections=FILE.csv.")
+    given = Path(str(cfg.photographs))
     with keyed():
-        is_folder = Path(str(cfg.photographs)).is_dir()
-        images: Images = (
-            Photographs(cfg.photographs, "photographs")
-            if is_folder
-            else Video(cfg.photographs, cfg.rate, "photographs")
-        )
+        if len(cameras) > 1:
+            folders = sorted(folder for folder in given.glob("*") if folder.is_dir())
+            if len(folders) != len(cameras):
+                text = f"photographs must be a folder with one folder for each of {len(cameras)} cameras"
+                raise InputError(f"{text}, {str(given)!r} has {len(folders)}.")
+            views = {folder.name: Photographs(folder, "photographs") for folder in folders}
+            pairs = zip(views.items(), cameras, strict=True)
+            return DetectedTags.together(
+                {name: detected_in(images, camera, detector, cfg.workers) for (name, images), camera in pairs}
+            )
+        images: Images = Photographs(given, "photographs") if given.is_dir() else Video(given, cfg.rate, "photographs")
     return detected_in(images, cameras[0], detector, cfg.workers)
 
 

@@ -1,7 +1,7 @@
 """Detections that others made: the corners of tags in the frames of one or several cameras, from a CSV."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -68,6 +68,15 @@ class DetectedTags:
         ids = np.concatenate([one.ids for one in (nothing, *found)])
         corners = np.concatenate([one.corners for one in (nothing, *found)])
         return cls(tuple(names[: len(found)]), ("",), frame, np.zeros(len(ids), dtype=np.int64), ids, corners)
+
+    @classmethod
+    def together(cls, parts: Mapping[str, "DetectedTags"]) -> "DetectedTags":
+        """What several cameras, by their names in ascending order, saw in frames that have equal names."""
+        times = sorted({time for part in parts.values() for time in part.times})
+        places = [np.searchsorted(times, part.times)[part.frame] for part in parts.values()]
+        camera = np.repeat(np.arange(len(parts)), [len(part) for part in parts.values()])
+        ids, corners = (np.concatenate([getattr(part, name) for part in parts.values()]) for name in ("ids", "corners"))
+        return cls(tuple(times), tuple(parts), np.concatenate(places), camera, ids, corners)
 
     def of(self, chosen: IntArray) -> "DetectedTags":
         """Those that `chosen` selects, among the same frames and cameras."""

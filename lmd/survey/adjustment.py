@@ -92,11 +92,12 @@ class Adjustment:
 
     def __init__(self, sightings: Sightings, prior: Prior, lenses: bool = False) -> None:
         self.sightings, self.prior = sightings, prior
-        self.placed = len(sightings.ids) + sightings.cameras - 1
+        self.mounts = sightings.cameras - 1 if prior.mounts is None else 0  # that are to be found
+        self.placed = len(sightings.ids) + self.mounts
         self.lens_blocks = sightings.lens.shape[2] // 6 if lenses else 0
         self.kept = self.placed + sightings.cameras * self.lens_blocks
         seen, first = np.unique(sightings.frame, return_index=True)
-        unknowns = 6 * (len(seen) + len(np.unique(sightings.tag)) + sightings.cameras - 1)
+        unknowns = 6 * (len(seen) + len(np.unique(sightings.tag)) + self.mounts)
         self.share = max(1.0 - unknowns / (RESIDUALS * len(sightings)), LEAST_SHARE)  # of squares that a fit leaves
         self.first = np.append(first, len(sightings))
 
@@ -168,13 +169,14 @@ class Adjustment:
             rest = part.gradient - summed(np.asarray(pull), part.of, len(part.seen))
             frames[part.seen] = frames[part.seen] @ exp(solved(part.block, rest))
         tags = poses.tags @ exp(kept[:count])
-        mounts = np.concatenate([poses.mounts[:1], poses.mounts[1:] @ exp(kept[count : self.placed])])
+        mounts = poses.mounts.copy()
+        mounts[1 : 1 + self.mounts] = mounts[1 : 1 + self.mounts] @ exp(kept[count : self.placed])
         return Poses(tags, frames, mounts)
 
     def unknowns(self, some: Sightings, at: Linearised) -> list[tuple[IntArray, FloatArray]]:
         """For each kind of what is kept, which of it some sightings are of, `(n,)`, and its slope, `(n, 8, 6)`."""
         found = [(some.tag, at.by_tag)]
-        if some.cameras > 1:
+        if self.mounts:
             others = some.camera > 0
             index = len(some.ids) + np.where(others, some.camera - 1, 0)
             found.append((index, at.by_mount * others[:, None, None]))

@@ -1,6 +1,7 @@
 """`pipelines.survey` as a user meets it: a process, its messages, its exit code and the files it leaves."""
 
 import json
+import shutil
 
 import cv2
 import numpy as np
@@ -108,6 +109,28 @@ def test_the_same_comes_from_the_detections_it_leaves(surveyed, room):
 
 
 @pytest.mark.usefixtures("surveyed")
+@pytest.mark.parametrize("mounted", ["true", "false"])
+def test_a_rig_has_a_folder_for_each_camera(room, mounted):
+    """Two cameras that see the same, of which one begins later."""
+    cwd, _, true = room
+    for name, first in (("left", 0), ("right", 2)):
+        folder = cwd / "rig" / name
+        folder.mkdir(parents=True, exist_ok=True)
+        for path in sorted((cwd / "photos").iterdir())[first:]:
+            shutil.copy(path, folder)
+    rig = ["camera.rig=[{camera: camera.yaml}, {camera: camera.yaml}]", f"survey.mounted={mounted}"]
+    done = call("photographs=rig", *rig, f"hydra.run.dir=rig_{mounted}", cwd=cwd, settings=READ)
+    assert done.returncode == 0, done.stderr
+    out = cwd / f"rig_{mounted}"
+    assert beside(pd.read_csv(out / "map.csv").sort_values("id"), true[:UNSEEN]).max() < 0.001
+    cameras = json.loads((out / "survey.json").read_text())["cameras"]
+    assert list(cameras) == ["left", "right"]
+    np.testing.assert_allclose(cameras["right"], np.eye(4), atol=1e-9 if mounted == "true" else 1e-3)
+    seen = pd.read_csv(out / "detections.csv")
+    assert set(seen.camera) == {"left", "right"}
+
+
+@pytest.mark.usefixtures("surveyed")
 def test_without_a_plan_the_world_is_the_frame_of_a_tag(room):
     cwd, _, true = room
     done = call("detections=out/detections.csv", "survey.origin=3", "hydra.run.dir=alone", cwd=cwd, settings=READ)
@@ -152,6 +175,10 @@ def test_an_audit_names_the_tag_that_is_not_found_where_it_is_predicted(room):
         (["audit=true"], "audit needs the room and the visibility model of a run"),
         (["deployment=random"], "deployment must be a file"),
         (["camera.path=plan.csv"], "plan.csv"),
+        (
+            ["camera.rig=[{camera: camera.yaml}, {camera: camera.yaml}]"],
+            "for each of 2 cameras, 'photos' has 0",
+        ),
     ],
 )
 def test_bad_input_gets_one_sentence(room, overrides, message):
