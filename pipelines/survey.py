@@ -1,6 +1,7 @@
 """Where tags hang, from photographs of them: `python -m pipelines.survey run=DIR photographs=DIR camera.path=FILE`."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -41,7 +42,8 @@ def survey(cfg: DictConfig) -> None:
     from lmd.evaluation.verdicts import verdicts
     from lmd.scene.rig import Rig
     from lmd.survey.audit import audited
-    from lmd.survey.report import map_of, metrics, to_text
+    from lmd.survey.next_photographs import next_photographs
+    from lmd.survey.report import again, map_of, metrics, to_text
     from lmd.survey.survey import survey as find
 
     from .tracked_run import keep, tracked
@@ -62,6 +64,8 @@ def survey(cfg: DictConfig) -> None:
     errors = CORNER_ERRORS[name.removesuffix("_fine")]
     with keyed("survey", detections="detections" if cfg.detections is not None else "photographs", cameras="camera"):
         found = find(detected, cameras, tag, errors, known, boolean("calibrate", cfg.survey.calibrate))
+    camera = found.calibrated[0].found if found.calibrated else cameras[0]
+    found = replace(found, proposed=next_photographs(found, camera, tag.modules, errors, again(found), room))
     audit = None if problem is None else audited(found, problem, verdicts)
     about = f"survey of {found.placed.sum()} tags in {len(found.found.frames)} frames"
     with tracked(cfg, "survey", about) as tracker:

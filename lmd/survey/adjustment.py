@@ -293,11 +293,21 @@ def blocks_of(covariance: FloatArray, count: int) -> FloatArray:
 def without_gauge(covariance: FloatArray, tags: FloatArray) -> FloatArray:
     """The covariance of tags once the map is laid over the true one: what each is off by beside the others.
 
+    Args:
+        covariance: of the twists of n tags, each in its own frame, `(6 n, 6 n)`.
+        tags: their poses, `(n, 4, 4)`.
+    """
+    left = gauge_free(tags)
+    return np.asarray(left @ covariance @ left.T)
+
+
+def gauge_free(tags: FloatArray) -> FloatArray:
+    """What is left of the twists of tags once the map is laid over the true one, as a matrix `(6 n, 6 n)`.
+
     With T the twists of all tags that one motion of the world leads to, `(6 n, 6)`, and T_p the rows of it that move
     their centres, the motion that fits best is g = T_p^+ x_p, and what is left of x is x - T g.
 
     Args:
-        covariance: of the twists of n tags, each in its own frame, `(6 n, 6 n)`.
         tags: their poses, `(n, 4, 4)`.
     """
     back = inverse(tags)
@@ -306,8 +316,7 @@ def without_gauge(covariance: FloatArray, tags: FloatArray) -> FloatArray:
     motion = motion.reshape(-1, 6)
     fit = np.zeros((6, len(motion)))
     fit[:, centres] = np.linalg.pinv(motion[centres])
-    left = np.eye(len(motion)) - motion @ fit
-    return np.asarray(left @ covariance @ left.T)
+    return np.asarray(np.eye(len(motion)) - motion @ fit)
 
 
 def resected(sightings: Sightings, poses: Poses, floor: float, steps: int = RESECTIONS) -> FloatArray:

@@ -81,6 +81,21 @@ class Known:
 
 
 @dataclass(frozen=True)
+class Photograph:
+    """A photograph that would help.
+
+    Args:
+        pose: of the (first) camera, to the world, `(4, 4)`.
+        tags: that it shows, by their index.
+        left: the root mean square standard deviation of the places of tags once it is taken, metres.
+    """
+
+    pose: FloatArray
+    tags: IntArray
+    left: float
+
+
+@dataclass(frozen=True)
 class Survey:
     """What came out, tags in the order of `found.sightings.ids`.
 
@@ -92,6 +107,7 @@ class Survey:
         placed: which tags are in the map, `(K,)`.
         localised: frames held out, see `lmd.survey.held_out`.
         calibrated: the cameras as the photographs say, if that was asked for; else none.
+        proposed: what to photograph next, see `lmd.survey.next_photographs`.
     """
 
     detected: DetectedTags
@@ -101,6 +117,7 @@ class Survey:
     placed: BoolArray
     localised: dict[str, Localised]
     calibrated: tuple[Calibrated, ...] = ()
+    proposed: tuple[Photograph, ...] = ()
 
     @property
     def ids(self) -> IntArray:
