@@ -38,13 +38,16 @@ CHUNK = 8  # images that a worker reads at a time
 def survey(cfg: DictConfig) -> None:
     """Find where the tags of the configured photographs or detections hang."""
     from lmd.core.checks import InputError, boolean, seed_number
+    from lmd.core.tables import write_table
     from lmd.detection.corner_errors import CORNER_ERRORS
+    from lmd.detection.surveyed import FILE as VIEWS
     from lmd.evaluation.verdicts import verdicts
     from lmd.scene.rig import Rig
     from lmd.survey.audit import audited
     from lmd.survey.next_photographs import next_photographs
     from lmd.survey.report import again, map_of, metrics, to_text
     from lmd.survey.survey import survey as find
+    from lmd.survey.views import view_columns
 
     from .tracked_run import keep, tracked
 
@@ -70,6 +73,8 @@ def survey(cfg: DictConfig) -> None:
     about = f"survey of {found.placed.sum()} tags in {len(found.found.frames)} frames"
     with tracked(cfg, "survey", about) as tracker:
         writers = _writers(found, room, about, is_new=cfg.detections is None)
+        if len(cameras) == 1:
+            writers[VIEWS] = lambda path: write_table(path, view_columns(found, camera, tag, room))
         if exports.formats and room is not None:
             writers |= exports.writers(room, tag, map_of(found))
         if audit is not None:
@@ -253,7 +258,7 @@ def _audit_writers(audit: "Audit", detector: str, title: str) -> dict[str, Calla
     import pandas as pd
 
     from lmd.detection.report import figures
-    from lmd.plot.detection import save_calibration_figure
+    from lmd.plot.detection import save_calibration_figure, save_places_figure
 
     named = {"deployment": "survey", "detector": detector}
     row = pd.DataFrame([{**named, **figures(audit.prediction, audit.seen)}])
@@ -261,7 +266,11 @@ def _audit_writers(audit: "Audit", detector: str, title: str) -> dict[str, Calla
     writers: dict[str, Callable[[Path], object]] = {
         f"{name}.csv": partial(table.to_csv, index=False) for name, table in audit.tables.items()
     }
-    return {**writers, "audit.png": lambda path: save_calibration_figure(path, row, pitches, title)}
+    return {
+        **writers,
+        "audit.png": lambda path: save_calibration_figure(path, row, pitches, title),
+        "audit_places.png": lambda path: save_places_figure(path, audit.tables["audit_places"], title),
+    }
 
 
 main = Pipeline("survey", survey, (read_earlier_run,))

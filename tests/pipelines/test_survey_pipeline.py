@@ -23,7 +23,7 @@ ROOM = ["room=lab", "room.size=[5,4,2.5]", "room.reachable_size=[4,3,1.5]"]
 SETTINGS = ["photographs=photos", "camera.path=camera.yaml", f"tag.edge={EDGE}", "tracking=none", "workers=1",
             "hydra.run.dir=out"]  # fmt: skip
 READ = [setting for setting in SETTINGS if not setting.startswith(("photographs", "hydra"))]
-FILES = {"map.csv", "measured.csv", "frames.csv", "detections.csv", "survey.json", "survey.png"}
+FILES = {"map.csv", "measured.csv", "frames.csv", "detections.csv", "survey.json", "survey.png", "in_view.csv"}
 pytestmark = pytest.mark.slow
 
 
@@ -109,6 +109,20 @@ def test_the_same_comes_from_the_detections_it_leaves(surveyed, room):
 
 
 @pytest.mark.usefixtures("surveyed")
+def test_a_detector_is_calibrated_on_the_frames_of_a_survey(room):
+    cwd, _, _ = room
+    done = processes.call("calibrate_detector", "survey=out", cwd=cwd, settings=["tracking=none", "hydra.run.dir=fit"])
+    assert done.returncode == 0, done.stderr
+    text = (cwd / "fit" / "36h11_apriltag.yaml").read_text()
+    assert "views=survey" in text
+    assert "# Measured on " in text
+    assert " photographs.\n" in text
+    figures = json.loads((cwd / "fit" / "calibration.json").read_text())["figures"]["apriltag"]
+    assert figures["views"] == len(pd.read_csv(cwd / "out" / "in_view.csv"))
+    assert figures["pitch_low"] <= figures["pitch_high"]
+
+
+@pytest.mark.usefixtures("surveyed")
 @pytest.mark.parametrize("mounted", ["true", "false"])
 def test_a_rig_has_a_folder_for_each_camera(room, mounted):
     """Two cameras that see the same, of which one begins later."""
@@ -160,7 +174,12 @@ def test_an_audit_names_the_tag_that_is_not_found_where_it_is_predicted(room):
         table = pd.read_csv(cwd / "audit" / f"audit_{name}.csv")
         assert (table[last].diff().dropna() > 0).all()
         assert table.tags.sum() >= tags.detected.sum()
-    assert cv2.imread(str(cwd / "audit" / "audit.png")) is not None
+    places = pd.read_csv(cwd / "audit" / "audit_places.csv")
+    assert places.tags.sum() == table.tags.sum()
+    assert places.column.max() < 4
+    assert places.row.max() < 3
+    for name in ("audit", "audit_places"):
+        assert cv2.imread(str(cwd / "audit" / f"{name}.png")) is not None
 
 
 @pytest.mark.parametrize(
