@@ -63,7 +63,7 @@ def survey(cfg: DictConfig) -> None:
     exports = build_export(cfg, "export", tag)
     if exports.formats and room is None:
         raise InputError("export needs the room that the tags hang in: run=DIR, or room=... with its keys.")
-    detected = _detected(cfg, cameras, detector)
+    detected = _detected(cfg, cameras, detector, tag.modules)
     errors = CORNER_ERRORS[name.removesuffix("_fine")]
     with keyed("survey", detections="detections" if cfg.detections is not None else "photographs", cameras="camera"):
         found = find(detected, cameras, tag, errors, known, boolean("calibrate", cfg.survey.calibrate))
@@ -152,7 +152,7 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "Known":
         return Known(plan, hanging, fixed, points, boards, mounts, origin, floor)
 
 
-def _detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector") -> "DetectedTags":
+def _detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector", modules: int) -> "DetectedTags":
     """What was detected, by others or now.
 
     Raises:
@@ -176,10 +176,10 @@ def _detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector"
             views = {folder.name: Photographs(folder, "photographs") for folder in folders}
             pairs = zip(views.items(), cameras, strict=True)
             return DetectedTags.together(
-                {name: detected_in(images, camera, detector, cfg.workers) for (name, images), camera in pairs}
+                {name: detected_in(images, camera, detector, modules, cfg.workers) for (name, images), camera in pairs}
             )
         images: Images = Photographs(given, "photographs") if given.is_dir() else Video(given, cfg.rate, "photographs")
-    return detected_in(images, cameras[0], detector, cfg.workers)
+    return detected_in(images, cameras[0], detector, modules, cfg.workers)
 
 
 class Job(NamedTuple):
@@ -188,22 +188,29 @@ class Job(NamedTuple):
     images: "Images"
     camera: "Camera"
     detector: "Detector"
+    modules: int
     first: int
     last: int
 
 
-def detected_in(images: "Images", camera: "Camera", detector: "Detector", workers: int | None) -> "DetectedTags":
-    """The tags that a detector finds in images.
+def detected_in(
+    images: "Images", camera: "Camera", detector: "Detector", modules: int, workers: int | None
+) -> "DetectedTags":
+    """The tags that a detector finds in images, but for those in frames that are blurred beside the others.
 
     Args:
         images: all of one camera.
         camera: has the size of the images.
         detector: reads them.
+        modules: N of the tags' family.
         workers: processes, None for every processor; the result is the same.
 
     Raises:
         InputError: an image cannot be read, or none shows a tag.
     """
+    import numpy as np
+
+    from lmd.detection.sharpness import blurred
     from lmd.mapping.detections import DetectedTags
 
     from .progress import bar
@@ -211,21 +218,31 @@ def detected_in(images: "Images", camera: "Camera", detector: "Detector", worker
 
     count = len(images.names)
     next(images.read(0, 1, camera), None)  # what is wrong with all of them is said before anything is shown
-    jobs = [Job(images, camera, detector, first, min(first + CHUNK, count)) for first in range(0, count, CHUNK)]
+    jobs = [
+        Job(images, camera, detector, modules, first, min(first + CHUNK, count)) for first in range(0, count, CHUNK)
+    ]
     found: list[Detections] = []
+    blurs: list[float] = []
     with bar(count, "images") as progress:
         for part in in_processes(_read, jobs, workers, lambda job: job.images.names[job.first], ordered=True):
-            found += part
+            found += [detections for detections, _ in part]
+            blurs += [blur for _, blur in part]
             progress.update(len(part))
-    return DetectedTags.in_frames(images.names, found)
+    smeared = np.flatnonzero(blurred(np.array(blurs)))
+    return DetectedTags.in_frames(images.names, found).without({images.names[k]: blurs[k] for k in smeared})
 
 
-def _read(job: Job) -> "list[Detections]":
-    """One job, on one thread."""
+def _read(job: Job) -> "list[tuple[Detections, float]]":
+    """One job, on one thread: what was detected in each image, and its blur."""
     from lmd.core.optional import optional
+    from lmd.detection.sharpness import blur_of
 
     optional("cv2", "detection").setNumThreads(1)
-    return [job.detector.detect(image) for image in job.images.read(job.first, job.last, job.camera)]
+    found = []
+    for image in job.images.read(job.first, job.last, job.camera):
+        detections = job.detector.detect(image)
+        found.append((detections, blur_of(image, detections, job.modules)))
+    return found
 
 
 def _writers(found: "Survey", room: "Space | None", title: str, is_new: bool) -> dict[str, Callable[[Path], object]]:

@@ -173,6 +173,7 @@ def document(survey: Survey) -> dict[str, Any]:
     return {
         "figures": metrics(survey),
         "frames": len(times),
+        "blurred": dict(survey.detected.blurred),
         "used_frames": [times[frame] for frame in found.frames.tolist()],
         "cameras": dict(mounts),
         "intrinsics": [camera.document() for camera in survey.calibrated],
@@ -267,6 +268,7 @@ def _troubles(survey: Survey) -> dict[str, str]:
         "moved": _few(f"{ids[place.tag]} from {times[place.moved or 0]} on" for place in moved),
         "twice": _few(str(ids[place.tag]) for place in faults.second_places if place.moved is None),
         "other size": _few(f"{ids[tag]} ({1e3 * edge:.4g} mm)" for tag, edge in faults.sizes.items()),
+        "blurred": _few(f"{name} ({pixels:.2g} pixels)" for name, pixels in survey.detected.blurred.items()),
         "misread": _few(f"{ids[k]} ({faults.misread[k]} x)" for k in np.flatnonzero(faults.misread)),
         "photograph": _few(worst, "known worst"),
     }

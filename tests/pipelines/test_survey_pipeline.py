@@ -19,6 +19,7 @@ from lmd.scene.labels import Labels
 CAMERA = Camera(2.2, 0.0075, 0.0075, (320.0, 240.0), 640, 480, 0.0)
 EDGE, COUNT, FRAMES = 0.25, 16, 20
 UNSEEN, NEW = 15, 40  # a tag that is planned only, and one that hangs only
+BLURRED = "0020.png"  # a photograph that was taken while walking
 ROOM = ["room=lab", "room.size=[5,4,2.5]", "room.reachable_size=[4,3,1.5]"]
 SETTINGS = ["photographs=photos", "camera.path=camera.yaml", f"tag.edge={EDGE}", "tracking=none", "workers=1",
             "hydra.run.dir=out"]  # fmt: skip
@@ -41,6 +42,8 @@ def room(tmp_path_factory):
     frames = walks.walk(FRAMES, rng)
     photographs.calibration(cwd / "camera.yaml", CAMERA)
     photographs.photograph(cwd / "photos", true[:UNSEEN], ids[:UNSEEN], frames, CAMERA, EDGE)
+    sharp = cv2.imread(str(cwd / "photos" / "0003.png"), cv2.IMREAD_GRAYSCALE)
+    cv2.imwrite(str(cwd / "photos" / BLURRED), cv2.blur(sharp, (7, 1)))
     planned = np.flatnonzero(np.arange(COUNT) != UNSEEN - 1)
     Deployment(plan[planned, :3, 3], plan[planned, :3, 2], labels=Labels(planned)).to_csv(cwd / "plan.csv", ups=True)
     return cwd, plan, true
@@ -70,6 +73,7 @@ def test_a_survey_leaves_its_files_and_nothing_else(surveyed):
     assert f"tags        {UNSEEN} of {COUNT} placed" in text
     assert f"not seen    {UNSEEN}\n" in text
     assert f"not planned {NEW}\n" in text
+    assert f"blurred     {BLURRED} (" in text
 
 
 def test_the_map_is_where_the_tags_hang(surveyed, room):
