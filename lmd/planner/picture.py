@@ -1,6 +1,5 @@
 """The room in the browser: surfaces, positions, tags and the camera, as viser draws them."""
 
-import math
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from lmd.planner.framing import Framing
 from lmd.planner.plan import Plan
 from lmd.plot import common
 from lmd.problem import Problem
-from lmd.scene.camera import Camera
+from lmd.render.optics import view_edges
 
 SQUARE = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
 TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
@@ -26,8 +25,7 @@ BALL = 0.12  # radius of a position, in distances to the next one
 POINT = 0.008  # half the edge of a landmark that is a point, in diagonals of the room
 CELL = 0.97  # of a cell that is coloured
 LIGHT = 2.0  # with which colours come out as they are given, nearly
-FRUSTUM = 0.08  # size of the camera, in diagonals
-WIDEST_FRUSTUM = math.radians(150.0)  # that of a fisheye is drawn no wider
+FRUSTUM = 0.08  # depth of the camera's view, in diagonals
 
 
 class Picture:
@@ -133,22 +131,12 @@ class Picture:
         body = axis_and_right(camera_pose(position[None], np.array([yaw]), np.array([pitch])))
         for number, station in enumerate(self._problem.scene.stations(body)):
             if number == len(self._frustums):
-                self._frustums.append(self._add_frustum(number, station.camera))
+                edges = view_edges(station.camera, FRUSTUM * self._diagonal)
+                self._frustums.append(self._scene.add_line_segments(f"/camera_{number}", edges, SEEN))
             forward, right = station.axes[:, :3], station.axes[:, 3:]
             frustum = self._frustums[number]
             frustum.position = position + station.offset
             frustum.wxyz = _quaternions(right, np.asarray(np.cross(forward, right)), forward)[0]
-
-    def _add_frustum(self, number: int, camera: Camera) -> Any:
-        view = camera.field_of_view
-        tall, wide = (min(angle, WIDEST_FRUSTUM) for angle in (view.top + view.bottom, view.left + view.right))
-        return self._scene.add_camera_frustum(
-            f"/camera_{number}",
-            tall,
-            math.tan(wide / 2.0) / math.tan(tall / 2.0),
-            scale=FRUSTUM * self._diagonal,
-            color=SEEN,
-        )
 
 
 def _quaternions(right: FloatArray, up: FloatArray, normal: FloatArray) -> FloatArray:
