@@ -60,7 +60,7 @@ def survey(cfg: DictConfig) -> None:
     detected = _detected(cfg, cameras, detector)
     errors = CORNER_ERRORS[name.removesuffix("_fine")]
     with keyed("survey", detections="detections" if cfg.detections is not None else "photographs", cameras="camera"):
-        found = find(detected, cameras, tag, errors, known)
+        found = find(detected, cameras, tag, errors, known, boolean("calibrate", cfg.survey.calibrate))
     audit = None if problem is None else audited(found, problem, verdicts)
     about = f"survey of {found.placed.sum()} tags in {len(found.found.frames)} frames"
     with tracked(cfg, "survey", about) as tracker:
@@ -113,16 +113,20 @@ def _known(cfg: DictConfig, tag: "Tag") -> "Known":
     """
     from lmd.core.checks import InputError, integer
     from lmd.scene.tag_map_files import read_deployment
+    from lmd.survey.boards import Boards
     from lmd.survey.known import Hanging, Points
     from lmd.survey.survey import Known
 
     settings = OmegaConf.to_container(settings_of(cfg, "survey"), resolve=True)
     assert isinstance(settings, dict)
-    origin, points, floor = (settings.pop(key, None) for key in ("origin", "points", "floor"))
+    settings.pop("calibrate")  # says nothing of the tags
+    names = ("origin", "points", "floor", "boards", "printed")
+    origin, points, floor, boards, printed = (settings.pop(key, None) for key in names)
     with keyed("survey"):
         hanging = Hanging(**{str(key): value for key, value in settings.items()})
         origin = None if origin is None else integer("origin", origin, low=0)
         points = None if points is None else Points.from_csv(points)
+        boards = None if boards is None else Boards.from_csv(boards, printed)
         if not isinstance(floor, list):
             raise InputError(f"floor must list the ids of tags, got {floor!r}.", "floor")
         floor = tuple(integer("floor", number, low=0) for number in floor)
@@ -133,7 +137,7 @@ def _known(cfg: DictConfig, tag: "Tag") -> "Known":
         plan = None if node.path is None else read_deployment(node.path, "path", tag.family)
         fixed = fixed_of(node, tag.family)
     with keyed("survey"):
-        return Known(plan, hanging, fixed, points, origin, floor)
+        return Known(plan, hanging, fixed, points, boards, origin, floor)
 
 
 def _detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector") -> "DetectedTags":
@@ -212,7 +216,9 @@ def _writers(found: "Survey", room: "Space | None", title: str, is_new: bool) ->
     """What writes each file, by its name."""
     from lmd.core.tables import write_table
     from lmd.mapping.detections import write_detections
+    from lmd.mapping.tag_map import write_yaml
     from lmd.plot.survey import save_survey_figure
+    from lmd.survey.intrinsics import camera_info
     from lmd.survey.report import document, frame_columns, map_columns, measured_of
 
     writers: dict[str, Callable[[Path], object]] = {
@@ -223,6 +229,9 @@ def _writers(found: "Survey", room: "Space | None", title: str, is_new: bool) ->
     }
     if (measured := measured_of(found)) is not None:
         writers["measured.csv"] = lambda path: measured.to_csv(path, ups=True)
+    for number, camera in enumerate(found.calibrated, 1):
+        file = f"camera_{number}.yaml" if len(found.calibrated) > 1 else "camera.yaml"
+        writers[file] = partial(write_yaml, keys=camera_info(camera.found))
     if is_new:
         writers["detections.csv"] = lambda path: write_detections(path, found.detected)
     return writers

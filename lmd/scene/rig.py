@@ -18,10 +18,12 @@ from lmd.core.files import read_keys
 from lmd.geometry.se3 import QUATERNION_TOLERANCE
 from lmd.scene.camera import Camera
 from lmd.scene.camera_calibration import OPTICS, calibrated_camera
+from lmd.scene.extrinsics import LEVEL, read_chain
 
 ANGLES = ("yaw", "pitch", "roll")
 KEYS = ("translation", *ANGLES, "quaternion", "camera")
-CAMERA_KEYS = ("path", "name", *OPTICS)
+CAMERA_KEYS = ("path", "name", "image_size", *OPTICS)
+CHAIN_KEYS = ("path", *KEYS[:-1])
 # Cameras that are at the same place but for rounding are at the same place: offsets have this many decimals, metres.
 SAME_PLACE_DECIMALS = 12
 
@@ -150,12 +152,18 @@ def rig_of(mounts: Any, camera: Camera | None = None) -> Rig:
 
     Args:
         mounts: a list of mappings with the arguments of `Mount`; `camera` there is a calibration file, or a mapping
-            with the arguments of `calibrated_camera`.
+            with the arguments of `calibrated_camera`. Or a calibration file that says where its cameras are, see
+            `lmd.scene.extrinsics.read_chain`, or a mapping with it as `path` and where the first camera sits on the
+            body by the other arguments of `Mount`; by default in its origin, looking along its x axis.
+            Or a rig file, see `write_rig`.
         camera: of those mounts that do not say.
 
     Raises:
         InputError: it is no such list, or a value in it is refused.
     """
+    mounts = unfolded(mounts)
+    if is_chain(mounts):
+        return _chained({"path": mounts} if isinstance(mounts, str | Path) else mounts)
     if isinstance(mounts, str | Mapping) or not isinstance(mounts, Iterable):
         raise InputError(f"rig must be a list of cameras, got {mounts!r}.", "rig")
     entries = list(mounts)
@@ -164,20 +172,19 @@ def rig_of(mounts: Any, camera: Camera | None = None) -> Rig:
     return Rig(tuple(_mount(f"rig[{i}]", entry, camera) for i, entry in enumerate(entries)))
 
 
-def read_rig(path: Any) -> list[Any]:
-    """The list of mounts for `rig_of` in a rig file: YAML or JSON with the key `rig`.
+def unfolded(mounts: Any) -> Any:
+    """The list of mounts in a rig file, YAML or JSON with the key `rig`; what is no such file stays what it is.
 
     Raises:
-        InputError: the file cannot be read, or has no such list.
+        InputError: there is no file, or it cannot be read.
     """
-    keys = read_keys(path, "rig")
-    if not isinstance(mounts := keys.get("rig"), list):
-        raise InputError(f"rig: {path} has no list of cameras with the key rig.", "rig")
+    if isinstance(mounts, str | Path) and isinstance(listed := read_keys(mounts, "rig.path").get("rig"), list):
+        return listed
     return mounts
 
 
 def write_rig(path: Path, rig: Rig, sources: Mapping[Camera, Any]) -> None:
-    """Write a rig file, see `read_rig`; numbers are those of the rig, to the bit.
+    """Write a rig file, see `unfolded`; numbers are those of the rig, to the bit.
 
     Args:
         path: of the file.
@@ -200,9 +207,37 @@ def write_rig(path: Path, rig: Rig, sources: Mapping[Camera, Any]) -> None:
     )
 
 
-def has_own_camera(mount: Any) -> bool:
-    """Whether an entry of `rig_of` says which camera it is."""
-    return isinstance(mount, Mapping) and mount.get("camera") is not None
+def is_chain(mounts: Any) -> bool:
+    """Whether a rig is given by a calibration file."""
+    return isinstance(mounts, str | Path) or (isinstance(mounts, Mapping) and "path" in mounts)
+
+
+def brings_cameras(mounts: Any) -> bool:
+    """Whether no mount of `rig_of` needs a camera from elsewhere."""
+    if is_chain(mounts):
+        return True
+    own = [isinstance(m, Mapping) and m.get("camera") is not None for m in (mounts if isinstance(mounts, list) else ())]
+    return bool(own) and all(own)
+
+
+def _chained(given: Mapping[str, Any]) -> Rig:
+    if unknown := [key for key in given if key not in CHAIN_KEYS]:
+        raise InputError(f"rig has no key {unknown[0]!r}, only {', '.join(CHAIN_KEYS)}.", "rig")
+    from scipy.spatial.transform import Rotation
+
+    where = {key: value for key, value in given.items() if key != "path" and value is not None}
+    try:
+        poses = read_chain(given["path"])
+        cameras = [calibrated_camera(given["path"], name) for name in poses]
+        first = Mount(cameras[0], **where)
+    except InputError as error:
+        raise error.within("rig") from None
+    mounts = [first]
+    for camera, pose in zip(cameras[1:], list(poses.values())[1:], strict=True):
+        place = np.array(first.translation) + first.rotation @ LEVEL @ pose[:3, 3]
+        turn = Rotation.from_matrix(first.rotation @ LEVEL @ pose[:3, :3] @ LEVEL.T)
+        mounts.append(Mount(camera, tuple(place.tolist()), quaternion=tuple(turn.as_quat().tolist())))
+    return Rig(tuple(mounts))
 
 
 def _mount(name: str, entry: Any, camera: Camera | None) -> Mount:

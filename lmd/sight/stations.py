@@ -19,8 +19,8 @@ from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.sight.blocks import BLOCK, SINGLE_ERROR
 from lmd.sight.directions import NOWHERE, cell_of, tables
-from lmd.sight.kernels import is_hidden
 from lmd.sight.obstacles import find_ends, is_blocked, no_ends, obstacles_at
+from lmd.sight.viewpoint import is_hidden
 from lmd.space.blockers import Blockers
 from lmd.space.triangles import Triangles
 

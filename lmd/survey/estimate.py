@@ -36,6 +36,7 @@ class Estimate:
         floor: standard deviation of the corners that the detector does not account for, pixels.
         covariances: of the twist of each tag in its own frame, turn first, `(K, 6, 6)`; NaN for those not in the map.
         precisions: the same once the map as a whole is laid where it belongs, see `without_gauge`.
+        intrinsics: covariances of those of each camera, in the units of `Sightings.lens`, `(C, 6 L, 6 L)`.
     """
 
     sightings: Sightings
@@ -47,6 +48,7 @@ class Estimate:
     floor: float
     covariances: FloatArray
     precisions: FloatArray
+    intrinsics: FloatArray
 
     @property
     def mapped(self) -> IntArray:
@@ -72,7 +74,7 @@ class Estimate:
     def moved(self, motion: FloatArray) -> "Estimate":
         """The same in another world, to which a motion `(4, 4)` leads."""
         poses = replace(self.poses, tags=motion @ self.poses.tags, frames=motion @ self.poses.frames)
-        return replace(self, poses=poses, prior=Prior(motion @ self.prior.tags, self.prior.information))
+        return replace(self, poses=poses, prior=replace(self.prior, tags=motion @ self.prior.tags))
 
     def errors(self) -> FloatArray:
         """Root mean square reprojection error of the sightings that count, pixels."""
@@ -107,7 +109,10 @@ def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, 
     of_map = (group[sightings.tag] == 0) & np.isfinite(poses.frames[sightings.frame, 0, 0])
     of_map = used = twice_in_frame(sightings, of_map)
     misfits = np.zeros(len(sightings), dtype=bool)
-    prior = Prior(prior.tags, np.where((group == 0)[:, None], prior.information, 0.0))
+    there = (group == 0) & (np.bincount(sightings.tag[of_map], minlength=len(group)) > 0)
+    sheets = None if prior.sheets is None else prior.sheets.of(there)
+    information = np.where((group == 0)[:, None], prior.information, 0.0)
+    prior = Prior(prior.tags, information, sheets if sheets is not None and len(sheets.tag) else None)
     for steps in (STEPS, FINAL_STEPS):
         used = twice_in_frame(sightings, used)
         adjustment = Adjustment(sightings.of(used), prior)
@@ -117,8 +122,10 @@ def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, 
         misfits = of_map & (square > MISFIT)
         used = of_map & ~misfits
     used = twice_in_frame(sightings, used)
-    adjustment = Adjustment(sightings.of(used), prior)
-    whole = adjustment.covariance(poses, floor)[: 6 * len(group), : 6 * len(group)]
+    every = Adjustment(sightings.of(used), prior, lenses=True)
+    covariance = every.covariance(poses, floor)
+    whole = covariance[: 6 * len(group), : 6 * len(group)]
+    intrinsics = blocks_of(covariance[6 * every.placed :, 6 * every.placed :], sightings.cameras)
     covariances, precisions = np.full((2, len(group), 6, 6), np.nan)
     of_tag = blocks_of(whole, len(group))
     known = (group == 0) & np.isfinite(of_tag).all(axis=(1, 2))
@@ -127,9 +134,8 @@ def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, 
     precisions[known] = blocks_of(without_gauge(whole[np.ix_(rows, rows)], poses.tags[known]), int(known.sum()))
     frames = np.full_like(poses.frames, np.nan)
     frames[np.unique(sightings.frame[used])] = poses.frames[np.unique(sightings.frame[used])]
-    return Estimate(
-        sightings, prior, replace(poses, frames=frames), group, used, misfits, floor, covariances, precisions
-    )
+    poses = replace(poses, frames=frames)
+    return Estimate(sightings, prior, poses, group, used, misfits, floor, covariances, precisions, intrinsics)
 
 
 def twice_in_frame(sightings: Sightings, used: BoolArray) -> BoolArray:
@@ -214,4 +220,4 @@ def _origin(
     information[first] = EXACT**-2.0
     tags = prior.tags.copy()
     tags[first] = np.eye(4)
-    return first, Prior(tags, information)
+    return first, replace(prior, tags=tags, information=information)

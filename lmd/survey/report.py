@@ -175,6 +175,7 @@ def document(survey: Survey) -> dict[str, Any]:
         "frames": len(times),
         "used_frames": [times[frame] for frame in found.frames.tolist()],
         "cameras": dict(mounts),
+        "intrinsics": [camera.document() for camera in survey.calibrated],
         "groups": [survey.ids[found.group == g].tolist() for g in range(1, found.group.max(initial=0) + 1)],
         "another_photograph": survey.ids[again(survey)].tolist(),
         "second_places": [
@@ -217,6 +218,11 @@ def to_text(survey: Survey) -> str:
     lines["corners"] = f"{both('error', 1.0)} pixels off"
     if found.floor > NOTICED:
         lines["corners"] += f", of which a standard deviation of {found.floor:.2g} is not the detector's"
+    for number, camera in enumerate(survey.calibrated, 1):
+        label = f" {number}" * (len(survey.calibrated) > 1)
+        lines[f"camera{label}"] = camera.to_text()
+        if not camera.is_fixed:
+            lines[f"not fixed{label}"] = "the camera: photograph tags on several walls at once, also held upright"
     if "measured" in survey.localised:
         lines["held out"] = (
             f"{len(survey.localised['measured'].shifts)} frames: corners {both('held_out_error_measured', 1.0)}"
