@@ -134,7 +134,7 @@ def camera_of(node: DictConfig) -> "Camera | Rig":
     Raises:
         InputError: the rig is none, or a camera is refused; that of the group is made only where a mount has none.
     """
-    from lmd.scene.rig import brings_cameras, rig_of, unfolded
+    from lmd.scene.rig_sources import brings_cameras, read_mounts, rig_of
 
     alone = deepcopy(node)
     with open_dict(alone):
@@ -143,7 +143,8 @@ def camera_of(node: DictConfig) -> "Camera | Rig":
         return instantiate(alone)  # type: ignore[no-any-return]
     plain = OmegaConf.to_container(mounts, resolve=True) if OmegaConf.is_config(mounts) else mounts
     with keyed("camera"):
-        plain = unfolded(plain)
+        if isinstance(plain, str):
+            plain = read_mounts(plain)
         return rig_of(plain, None if brings_cameras(plain) else instantiate(alone))
 
 

@@ -22,7 +22,8 @@ from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import RandomDeployment
-from lmd.scene.rig import Rig, rig_of, unfolded, write_rig
+from lmd.scene.rig import Rig
+from lmd.scene.rig_sources import read_mounts, rig_of, write_rig
 from pipelines.app import CONF
 
 CAMERA, OTHER = paper_camera(), paper_camera(focal_length=8.0)
@@ -155,9 +156,9 @@ def test_a_rig_file_has_the_rig_to_the_bit(tmp_path):
     rig = p.rig(p.draw_genes(np.random.default_rng(8)))
     turned = Rig((*rig.mounts, replace(rig.mounts[0], yaw=0.0, pitch=0.0, roll=0.0, quaternion=(0.6, 0.0, 0.0, 0.8))))
     write_rig(tmp_path / "rig.yaml", turned, {})
-    assert rig_of(tmp_path / "rig.yaml", CAMERA) == turned
+    assert rig_of(read_mounts(tmp_path / "rig.yaml"), CAMERA) == turned
     write_rig(tmp_path / "own.yaml", rig, {CAMERA: {"path": "chain.yaml", "name": "cam1"}})
-    assert [entry["camera"]["name"] for entry in unfolded(tmp_path / "own.yaml")] == ["cam1"] * 3
-    (tmp_path / "none.yaml").write_text("cameras: []")
-    with pytest.raises(InputError, match=r"does not say how they sit to each other"):
-        rig_of(tmp_path / "none.yaml")
+    assert [entry["camera"]["name"] for entry in read_mounts(tmp_path / "own.yaml")] == ["cam1"] * 3
+    (tmp_path / "none.yaml").write_text("rig: 1")
+    with pytest.raises(InputError, match=r"^rig: .* has no list of cameras with the key rig"):
+        read_mounts(tmp_path / "none.yaml")

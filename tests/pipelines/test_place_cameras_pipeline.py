@@ -45,7 +45,7 @@ def test_the_configuration_makes_the_problem(tmp_path):
         ("body.boxes=[{low: [0, 0, 0], high: [9, 1, 1]}]", r"^body\.boxes leave the room: "),
         ("camera.rig=[{translation: [0.1, 0, 0]},{}]", r"^camera\.rig.* is not where and how a camera may be mounted"),
         ("camera.rig=[{translation: [0.42, 0, 0.3]}]", r"^cameras\.count = 2, but 1 cameras are given"),
-        ("camera.rig=none.yaml", r"^camera\.rig\.path: there is no file 'none.yaml'"),
+        ("camera.rig=none.yaml", r"^camera\.rig: there is no file 'none.yaml'"),
     ],
 )
 def test_what_is_refused_is_named_by_its_key(override, message):

@@ -22,7 +22,8 @@ from lmd.scene import pdf
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.pdf import OrientationPdf
-from lmd.scene.rig import Mount, Rig, rig_of
+from lmd.scene.rig import Mount, Rig
+from lmd.scene.rig_sources import read_mounts, rig_of
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses, covered_amounts, gains
 from lmd.sight.reference import counts, coverage_caps
@@ -202,7 +203,7 @@ BY_IMU = "".join(
 
 
 def test_a_chain_of_kalibr_is_a_rig_whose_body_is_its_first_camera(write):
-    rig = rig_of(path := write(CHAIN, "chain.yaml"))
+    rig = rig_of(read_mounts(path := write(CHAIN, "chain.yaml")))
     assert [camera.focal_pixels[0] for camera in rig.cameras] == pytest.approx([400, 500, 600])
     assert_allclose([mount.translation for mount in rig.mounts], [[0, 0, 0], [0, -0.1, 0], [-0.05, -0.1, 0]])
     right = Mount(CAMERA, yaw=-math.pi / 2.0).rotation
@@ -226,7 +227,9 @@ BY_SENSOR = "camera_params: {}\ncameras:\n" + "".join(
 
 @pytest.mark.parametrize("text", [BY_IMU, BY_SENSOR], ids=["Kalibr", "OKVIS"])
 def test_cameras_on_an_imu_are_a_rig_too(text, write):
-    for chained, by_imu in zip(rig_of(write(CHAIN, "a")).mounts, rig_of(write(text, "b")).mounts, strict=False):
+    for chained, by_imu in zip(
+        *(rig_of(read_mounts(write(*of))).mounts for of in ((CHAIN, "a"), (text, "b"))), strict=False
+    ):
         assert_allclose(by_imu.translation, chained.translation, atol=1e-12)
         assert_allclose(by_imu.rotation, chained.rotation, atol=1e-12)
 
