@@ -31,7 +31,8 @@ class Result:
         evaluations: full evaluations spent.
         seconds: wall time spent, over all sittings of a resumed run, without that of the compiler.
         history: best fitness against evaluations and wall time.
-        stopped: `budget` when the budget is used up, `interrupted` when the callback asked to stop.
+        stopped: `budget` when the budget is used up, `interrupted` when the callback asked to stop, `proven` when
+            nothing better is left to be found.
     """
 
     deployment: Deployment
@@ -85,6 +86,10 @@ class Optimiser(ABC):
 
     def check(self, problem: Problem) -> None:  # noqa: B027 # most take any problem
         """Raise `InputError` if the method cannot take a problem; asked before a run writes anything."""
+
+    def figures(self) -> Mapping[str, float]:
+        """What the method can say of its result beside the fitness, for the record; nothing by default."""
+        return {}
 
     @abstractmethod
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
