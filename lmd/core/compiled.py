@@ -34,7 +34,7 @@ _CALLED: Any = _OPTIONS | {"nopython": True, "no_cpython_wrapper": True, "forcei
 # Arrays that are handed on need not be counted: the kernel holds them. Counting, by instructions that lock the memory,
 # would take a seventh of a move, and more where two threads count the same array.
 _INNER: Any = _CALLED | {"_nrt": False}
-_INLINED: Any = _CALLED | {"forceinline": True}
+_INLINED: Any = _INNER | {"forceinline": True}
 
 # Versions whose inside `lmd.core.inside_numba` knows. With others, everything works, compiles for longer, and nothing
 # that was compiled is kept. With this variable in the environment, any version is treated so.

@@ -31,6 +31,7 @@ from lmd.scene.criteria import (
     covers_one,
     depth_first,
     frame_of,
+    from_around,
     from_position,
     hide,
     in_cone,
@@ -38,7 +39,7 @@ from lmd.scene.criteria import (
     in_view,
     pixel_density,
 )
-from lmd.sight.models.fiducial_sight import FiducialSight, may_hide
+from lmd.sight.models.fiducial_sight import FiducialSight, around, may_hide
 from lmd.sight.obstacles import half_edge
 
 # Bounds of pitch and area are wider by this, relative: what the square of a normal may be off, and more.
@@ -115,6 +116,11 @@ class LensSight(NamedTuple):
 
     def _of(self, flat: FiducialSight) -> "LensSight":
         return self._replace(flat=flat, reach=flat.reach)
+
+
+@from_around.register(LensSight)
+def _from_around(sight, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-def]
+    return around(sight.flat, sight.cosine - TOLERANCE, x, y, z, nx, ny, nz, radius)
 
 
 @half_edge.register(LensSight)
