@@ -54,7 +54,7 @@ class StationScratch(NamedTuple):
     `(M, K, Q, W)` what changes in veiled of the others, of the pairs listed in `RigScratch`; rivals `(1,)` how many
     pairs there are of another landmark and a centre around a position, c Q + q, from where it may hide the place tried;
     who, where `(K C Q,)` the pairs. Working memory, `(Q,)` each, of the positions looked at last: what
-    `stations.look_from` says, and the offset.
+    `stations.bounds_from` and `row_from` say, and the offset.
     """
 
     cap: np.ndarray
@@ -66,11 +66,9 @@ class StationScratch(NamedTuple):
     x: np.ndarray
     y: np.ndarray
     z: np.ndarray
-    least: np.ndarray
     most: np.ndarray
     start: np.ndarray
     sure: np.ndarray
-    given: np.ndarray
     row: np.ndarray
     reached: np.ndarray
 
@@ -115,9 +113,8 @@ def rig_scratch_of(state: RigState, centres: tuple[int, ...]) -> RigScratch:
     for part, around in zip(state.parts, centres, strict=True):
         cap, veil = np.zeros((2, *part.caps[:, 0].shape), dtype=np.uint64)
         who, where = np.empty((2, count * around * size), dtype=np.uint32)
-        given, row = np.empty((2, size), dtype=np.int32)
-        rivals, reached = np.zeros(1, dtype=np.int64), np.empty(size, dtype=np.bool_)
-        seen = (*np.empty((7, size)), given, row, reached)
+        rivals, row, reached = np.zeros(1, np.int64), np.empty(size, np.uint64), np.empty(size, np.bool_)
+        seen = (*np.empty((6, size)), row, reached)
         parts.append(StationScratch(cap, veil, np.zeros_like(part.caps), rivals, who, where, *seen))
     fresh, asked = np.zeros((2, *state.shown.shape[1:]), dtype=np.uint64)
     who, where = np.empty((2, count * size), dtype=np.uint32)

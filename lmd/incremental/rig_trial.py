@@ -22,7 +22,7 @@ from lmd.scene.criteria import frame_of
 from lmd.sight.blocks import BLOCK
 from lmd.sight.kernels import weights_row
 from lmd.sight.obstacles import find_ends, is_blocked, is_clear, no_ends
-from lmd.sight.stations import covers_from, hides_from, look_from, may_hide_around, split
+from lmd.sight.stations import bounds_from, covers_from, hides_from, may_hide_around, row_from, split
 
 # What `_find_pairs` looks at: a place that is left, one that is come to, one where there was nothing yet.
 LEAVES, COMES, ARRIVES = np.int64(0), np.int64(1), np.int64(2)
@@ -35,9 +35,8 @@ def _find_caps(stations, positions, body, scratch, rig, whole):
     `body` are the positions of the body, `(3, Q)`, `positions` those of them to look at.
     """
     part, obstacles, asked, cap = stations.part, stations.obstacles, rig.asked, scratch.cap
-    x, y, z, least, most, start, sure, given, row, reached = (
-        scratch.x, scratch.y, scratch.z, scratch.least, scratch.most, scratch.start, scratch.sure, scratch.given,
-        scratch.row, scratch.reached,
+    x, y, z, most, start, sure, row, reached = (
+        scratch.x, scratch.y, scratch.z, scratch.most, scratch.start, scratch.sure, scratch.row, scratch.reached
     )  # fmt: skip
     target, words, size = rig.target, np.uint64(asked.shape[1]), len(part.places)
     tx, ty, tz, nx, ny, nz = target[0], target[1], target[2], target[3], target[4], target[5]
@@ -50,9 +49,10 @@ def _find_caps(stations, positions, body, scratch, rig, whole):
             q = positions[i]
             xq, yq, zq = tx - (body[0, q] + cx), ty - (body[1, q] + cy), tz - (body[2, q] + cz)
             x[i], y[i], z[i] = xq, yq, zq
-            reached[i], least[i], most[i], start[i], sure[i], given[i], row[i] = look_from(
-                part, c, xq, yq, zq, nx, ny, nz
-            )
+            reached[i], most[i], start[i], sure[i] = bounds_from(part, c, xq, yq, zq, nx, ny, nz)
+        for i in range(np.uint64(len(positions))):
+            if reached[i]:
+                row[i] = row_from(part, c, x[i], y[i], z[i])
         for i in range(np.uint64(len(positions))):
             q = positions[i]
             px, py, pz = body[0, q], body[1, q], body[2, q]
@@ -61,10 +61,8 @@ def _find_caps(stations, positions, body, scratch, rig, whole):
                     if not reached[i]:
                         cap[m, q, w] = ZERO
                         continue
-                    found, left = split(
-                        part, m, w, ALL if whole else asked[q, w], x[i], y[i], z[i], least[i], most[i], start[i],
-                        sure[i], given[i], row[i],
-                    )  # fmt: skip
+                    left = ALL if whole else asked[q, w]
+                    found, left = split(part, m, w, left, x[i], y[i], z[i], most[i], start[i], sure[i], row[i])
                     while left:
                         bit = lowest(left)
                         left &= left - ONE

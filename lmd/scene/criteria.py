@@ -134,13 +134,12 @@ def from_around(sight, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-
         radius: metres, more than 0.
 
     Returns:
-        reached: False only if none of the cameras covers it with any orientation; least, most: the depths along the
+        reached: False only if none of the cameras covers it with any orientation; most: the greatest depth along the
         optical axis, metres, with which one may; start, sure: from which depth on and up to which any camera does that
-        has it well in view (`Sight.inset`). To `sure` belongs -inf if none surely does, inf if no depth is too great.
+        has it well in view (`Sight.inset`); `sure` is -inf if none surely does, inf if no depth is too great, `start`
+        -inf if none is too small.
     """
-    nearest = max(math.sqrt(x * x + y * y + z * z) - radius, 0.0)
-    least = min(nearest * sight.outer_cosine, (nearest + 2.0 * radius) * sight.outer_cosine)
-    return True, least, math.inf, 0.0, -math.inf
+    return True, math.inf, 0.0, -math.inf
 
 
 @dispatched

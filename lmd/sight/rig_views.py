@@ -20,7 +20,7 @@ from lmd.space.blockers import Blockers
 from lmd.space.triangles import Triangles
 
 # Positions, or poses, that a thread works on at a time at most: what they see in all orientations is kept for so long.
-AT_A_TIME = 64
+AT_A_TIME = 256
 
 
 @kernel
@@ -33,6 +33,8 @@ def _count(seen, weights, n, units, counts):
         for k in range(seen.shape[1]):
             for w in range(words):
                 cap = seen[p, k, w]
+                if cap == ZERO:
+                    continue
                 for j in range(n - 1, 0, -1):
                     some[j, w] |= some[j - 1, w] & cap
                 some[0, w] |= cap

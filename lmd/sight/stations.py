@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.bits import ALL, BITS, LANES, ONE, ZERO, in_words, lowest
+from lmd.core.bits import ALL, BITS, LANES, ONE, ZERO, in_words, lowest, prefetch
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import for_kernels, inlined, inner, kernel
 from lmd.scene.criteria import (
@@ -38,7 +38,8 @@ from lmd.space.triangles import Triangles
 
 LEVELS = 6  # from 2 radii on, 4, 8, ...
 CELLS = SIDE * SIDE
-NONE, ANY, FIRST = 0, 1, 2  # rows of the tables: no orientation, all; the first of the first level
+CERTAIN, POSSIBLE = 0, 1
+ANY, FIRST = 0, 1  # rows of the tables: with all orientations possible; the first of the first level
 WIDER = 1.01  # radii, so that rounding and normals of a length not quite 1 do not matter
 MARGIN = 1e-6  # metres, far more than rounding moves a depth
 
@@ -66,10 +67,9 @@ class Part(NamedTuple):
     """`(G, 3)` all distinct offsets."""
     place: np.ndarray
     """`(M, 64 W)` which of them each is."""
-    certain: np.ndarray
-    """`(M, 2 + levels * cells, W)` orientations that have a direction from the centre in view, see `fill_tables`."""
-    possible: np.ndarray
-    """The same of those that may."""
+    tables: np.ndarray
+    """`(1 + levels * cells, M, 2, W)` orientations that have a direction from the centre in view for certain, and those
+    that may, see `fill_tables`: side by side, as they are looked up together."""
 
 
 def parts_of(scene: Scene) -> tuple[Part, ...]:
@@ -98,13 +98,14 @@ def _part(sight: Any, offsets: FloatArray, axes: FloatArray) -> Part:
     places, place = np.unique(offsets.reshape(-1, 3), axis=0, return_inverse=True)
     turned, levels = in_words(np.swapaxes(axes, 1, 2)), LEVELS if radius.any() else 1
     words = turned.shape[2] // BITS
-    certain, possible = np.zeros((2, len(axes), FIRST + levels * CELLS, words), dtype=np.uint64)
+    found = np.zeros((FIRST + levels * CELLS, len(axes), 2, words), dtype=np.uint64)
     for m, shift in enumerate(in_words(np.swapaxes(around, 1, 2))):
-        possible[m, ANY] = _all_of(offsets.shape[1], words)
+        found[ANY, m, POSSIBLE] = _all_of(offsets.shape[1], words)
         for level in range(levels):
             rows = slice(FIRST + level * CELLS, FIRST + (level + 1) * CELLS)
-            filled = {"certain": certain[m, rows], "possible": possible[m, rows]}
-            _fill_level(sight, turned[m], shift, radius[centre[m]], level, **filled)
+            certain, possible = np.zeros((2, CELLS, words), dtype=np.uint64)
+            _fill_level(sight, turned[m], shift, radius[centre[m]], level, certain=certain, possible=possible)
+            found[rows, m, CERTAIN], found[rows, m, POSSIBLE] = certain, possible
     return Part(
         sight=sight,
         horizon=_horizon(sight, offsets.reshape(-1, 3)),
@@ -116,8 +117,7 @@ def _part(sight: Any, offsets: FloatArray, axes: FloatArray) -> Part:
         depths=in_words((axes[:, :, :3] * around).sum(axis=2)),
         places=places,
         place=in_words(place.reshape(offsets.shape[:2])),
-        certain=certain,
-        possible=possible,
+        tables=found,
     )
 
 
@@ -148,35 +148,39 @@ def _fill_level(
 
 
 @inlined
-def look_from(part, c, x, y, z, nx, ny, nz):
+def bounds_from(part, c, x, y, z, nx, ny, nz):
     """What a landmark at the offset (x, y, z) from centre c is like for the cameras there.
 
     Returns:
-        reached, least, most, start, sure: see `criteria.from_around`; the rows of `certain` and `possible`.
+        reached, most, start, sure: see `criteria.from_around`.
     """
-    radius, levels, sight = part.radius[c], np.int32((part.certain.shape[1] - FIRST) // CELLS), part.sight
-    distance = math.sqrt(x * x + y * y + z * z)
-    level = np.int32(-1)
-    for i in range(LEVELS):
-        level += np.int32(distance >= radius * 2.0 ** (i + 1))
-    if radius > 0.0:
-        reached, least, most, start, sure = from_around(sight, x, y, z, nx, ny, nz, radius)
+    if part.radius[c] > 0.0:
+        reached, most, start, sure = from_around(part.sight, x, y, z, nx, ny, nz, part.radius[c])
     else:
-        reached, least, most, sure = from_position(sight, x, y, z, nx, ny, nz, 0.0)
-        start = -math.inf if sure == math.inf else least
-    row = np.int32(FIRST) + min(level, levels - np.int32(1)) * np.int32(CELLS) + cell_of(x, y, z)
-    row = row if level >= 0 else np.int32(ANY)
-    return reached, least, most, start, sure, row if (level >= 0) & (sure > -math.inf) else np.int32(NONE), row
+        reached, low, most, sure = from_position(part.sight, x, y, z, nx, ny, nz, 0.0)
+        start = -math.inf if sure == math.inf else low
+    return reached, most, start, sure
 
 
 @inlined
-def split(part, m, w, asked, x, y, z, least, most, start, sure, given, row):
+def row_from(part, c, x, y, z):
+    """The row of the tables for an offset from centre c; asks for it."""
+    levels, level, squared = (len(part.tables) - FIRST) // CELLS, -1, x * x + y * y + z * z
+    for i in range(LEVELS):
+        level += squared >= part.radius[c] * part.radius[c] * 4.0 ** (i + 1)
+    row = ANY if level < 0 else FIRST + min(level, levels - 1) * CELLS + cell_of(x, y, z)
+    prefetch(part.tables, row * part.tables.shape[1] * part.tables.shape[2] * part.tables.shape[3])
+    return np.uint64(row)
+
+
+@inlined
+def split(part, m, w, asked, x, y, z, most, start, sure, row):
     """Split the `asked` orientations of word w into those with which mount m surely covers a landmark, and undecided.
 
-    The rest is what `look_from` says.
+    The rest is what `bounds_from` and `row_from` say.
     """
-    certain = part.certain[m, given, w] & asked
-    left = part.possible[m, row, w] & asked
+    certain = part.tables[row, m, CERTAIN, w] & asked if sure > -math.inf else ZERO
+    left = part.tables[row, m, POSSIBLE, w] & asked
     if sure == math.inf and start == -math.inf:
         return certain, left & ~certain
     within, well = ZERO, ZERO
@@ -186,7 +190,7 @@ def split(part, m, w, asked, x, y, z, least, most, start, sure, given, row):
             for lane in range(np.uint64(LANES)):
                 a = w * np.uint64(BITS) + first + lane
                 depth = part.axes[m, 0, a] * x + part.axes[m, 1, a] * y + part.axes[m, 2, a] * z - part.depths[m, a]
-                one |= np.uint32((depth >= least - MARGIN) & (depth <= most + MARGIN)) << np.uint32(lane)
+                one |= np.uint32(depth <= most + MARGIN) << np.uint32(lane)
                 two |= np.uint32((depth >= start + MARGIN) & (depth <= sure - MARGIN)) << np.uint32(lane)
             within, well = within | np.uint64(one) << first, well | np.uint64(two) << first
     certain &= well & within
@@ -233,57 +237,68 @@ def may_hide_around(ax, ay, az, bx, by, bz, radius, width):
 
 
 @inlined
-def _look_around(part, c, view, count, px, py, pz, start, narrow):
+def _look_around(part, c, view, count, px, py, pz, start):
     """Find what the first `count` landmarks of `view` are like from centre c of a body at (px, py, pz)."""
-    near, x, y, z, squared, low, high, deep = (
-        view.near, view.x, view.y, view.z, view.squared, view.low, view.high, view.deep
+    near, x, y, z, squared, high, deep, reached = (
+        view.near, view.x, view.y, view.z, view.squared, view.high, view.deep, view.reached
     )  # fmt: skip
-    bottom, top, reached, u, v, w, close = view.bottom, view.top, view.reached, view.u, view.v, view.w, view.close
+    u, v, w, close = view.u, view.v, view.w, view.close
     cx, cy, cz, radius = px + part.centres[c, 0], py + part.centres[c, 1], pz + part.centres[c, 2], part.radius[c]
     for k in range(count):
         xk, yk, zk = near[0, k] - cx, near[1, k] - cy, near[2, k] - cz
-        in_reach, least, most, begin, sure, given, row = look_from(
-            part, c, xk, yk, zk, near[3, k], near[4, k], near[5, k]
-        )
+        in_reach, most, begin, sure = bounds_from(part, c, xk, yk, zk, near[3, k], near[4, k], near[5, k])
         x[k], y[k], z[k], squared[k] = xk, yk, zk, xk * xk + yk * yk + zk * zk
-        reached[k], low[k], high[k], start[k], deep[k], bottom[k], top[k] = (
-            in_reach, least, most, begin, sure, given, row
-        )  # fmt: skip
+        reached[k], high[k], start[k], deep[k] = in_reach, most, begin, sure
     if part.sight.reach >= 0.0:
         width = math.sqrt(part.sight.reach)
         for k in range(count):
-            here = squared[k] <= radius * radius
-            scale = 0.0 if here else 1.0 / math.sqrt(squared[k])
+            distance = math.sqrt(squared[k])
+            scale = 0.0 if distance == 0.0 else 1.0 / distance
             u[k], v[k], w[k] = scale * x[k], scale * y[k], scale * z[k]
-            # The sine of the angle between two directions is at most the sum of these, see `_list_suspects`.
-            narrow[k] = 1.0 if here else min(radius * scale, 1.0)
-            beyond = math.sqrt(squared[k]) - radius
-            close[k] = 2.0 if here or width >= beyond else width / beyond + narrow[k]
+            # The sine of the angle to a landmark that it may hide, see `_is_suspect`.
+            close[k] = width / (distance - radius) + radius * scale if distance > radius + width else 2.0
 
 
 @inlined
-def _list_suspects(k, view, count, narrow, suspects):
-    """List the landmarks that may hide landmark k from some camera; returns how many.
+def _is_suspect(j, k, mine, view):
+    """Whether landmark j may hide landmark k from some camera, in single precision; so k itself.
 
-    The direction of a landmark at the distance d turns by at most asin(radius / d), and it hides within
-    asin(width / (d - radius)).
+    Seen from elsewhere within the radius, the direction of a landmark at the distance d turns by at most
+    asin(radius / d), and it hides within asin(width / (d - radius)): the `sine` of the angle is at most the sum of both
+    for the landmark that hides, and of the first, `mine`, for the other.
     """
-    u, v, w, close = view.u, view.v, view.w, view.close
-    uk, vk, wk, mine, found = u[k], v[k], w[k], np.float32(narrow[k]), np.int32(0)
-    padded = (count + BLOCK - 1) & -BLOCK
+    u, v, w = view.u, view.v, view.w
+    cosine, sine = u[j] * u[k] + v[j] * v[k] + w[j] * w[k], view.close[j] + mine
+    return cosine * cosine + sine * sine >= np.float32(1.0 - 2.0 * SINGLE_ERROR)
+
+
+@inlined
+def _turn(k, view, radius):
+    """The sine of the angle by which the direction of landmark k may turn, single precision."""
+    return np.float32(min(radius / math.sqrt(view.squared[k]), 1.0) if view.squared[k] > 0.0 else 1.0)
+
+
+@inlined
+def _has_suspects(k, view, count, radius):
+    """Whether any landmark may hide landmark k."""
+    padded, mine, found = (count + BLOCK - 1) & -BLOCK, _turn(k, view, radius), np.int32(0)
     for j in range(np.uint64(padded)):
-        cosine = u[j] * uk + v[j] * vk + w[j] * wk
-        sine = close[j] + mine
-        found += np.int32(cosine * cosine + sine * sine >= np.float32(1.0 - 2.0 * SINGLE_ERROR))
-    if found <= 1 + padded - count:  # itself, and those that fill up
-        return 0
-    found = np.int32(0)
+        found += np.int32(_is_suspect(j, k, mine, view))
+    return found > 1 + padded - count  # itself, and those that fill up
+
+
+@inlined
+def _list_suspects(k, view, count, radius, width, suspects):
+    """List the landmarks that may hide landmark k; returns how many."""
+    x, y, z, mine, found, kept = view.x, view.y, view.z, _turn(k, view, radius), np.int32(0), 0
     for j in range(count):
-        cosine = u[j] * uk + v[j] * vk + w[j] * wk
-        sine = close[j] + mine
         suspects[found] = j
-        found += np.int32((cosine * cosine + sine * sine >= np.float32(1.0 - 2.0 * SINGLE_ERROR)) & (j != k))
-    return found
+        found += np.int32(_is_suspect(j, k, mine, view) & (j != k))
+    for i in range(found):
+        j = suspects[i]
+        suspects[kept] = j
+        kept += may_hide_around(x[j], y[j], z[j], x[k], y[k], z[k], radius, width)
+    return kept
 
 
 @inlined
@@ -314,8 +329,9 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
         if not clear:
             lx, ly, lz, nx, ny, nz = _pose(poses, k)
             find_ends(obstacles, sight, lx, ly, lz, nx, ny, nz, ends, k)
-    near, x, y, z, reached, who = view.near, view.x, view.y, view.z, view.reached, view.who
-    start, narrow, suspects, size = np.empty(total), np.empty(total), np.empty(total + 1, np.int64), len(part.places)
+    near, x, y, z, reached, who, shown = view.near, view.x, view.y, view.z, view.reached, view.who, view.shown
+    high, deep, size = view.high, view.deep, len(part.places)
+    start, row, suspects = np.empty(total), np.empty(total, np.uint64), np.empty(total + 1, np.int64)
     some, doubtful = np.empty((n, words), dtype=np.uint64), np.empty(total, dtype=np.bool_)
     mounts = len(part.axes)
     undecided, sure = np.empty((total, mounts, words), np.uint64), np.empty((total, mounts, words), np.uint64)
@@ -329,41 +345,41 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
             for k in range(count):
                 _see_loosely(part, px, py, pz, near, k, slack[who[k]], seen[p, who[k]])
         for c in range(len(part.centres)):
-            _look_around(part, c, view, count, px, py, pz, start, narrow)
+            _look_around(part, c, view, count, px, py, pz, start)
             radius = part.radius[c]
+            begin, end, listed = part.mounts[c], part.mounts[c + 1], 0
             for k in range(count):
-                name = who[k]
-                if slack[name] > 0.0:
-                    reached[k] = False
+                if reached[k] and not (loose and slack[who[k]] > 0.0):
+                    shown[listed], row[k] = k, row_from(part, c, x[k], y[k], z[k])
+                    listed += 1
+            found, listed = listed, 0
+            for e in range(found):
+                k = shown[e]
+                some_left, name = ZERO, who[k]
+                for m in range(begin, end):
+                    for w in range(words):
+                        sure[k, m, w], undecided[k, m, w] = split(
+                            part, m, w, ALL, x[k], y[k], z[k], high[k], start[k], deep[k], row[k]
+                        )
+                        some_left |= sure[k, m, w] | undecided[k, m, w]
+                if some_left == ZERO:
                     continue
-                found, any_left = ZERO, ZERO
-                doubtful[k] = not clear
-                if reached[k]:
-                    for m in range(part.mounts[c], part.mounts[c + 1]):
-                        for w in range(words):
-                            sure[k, m, w], undecided[k, m, w] = split(
-                                part, m, w, ALL, x[k], y[k], z[k], view.low[k], view.high[k], start[k], view.deep[k],
-                                view.bottom[k], view.top[k],
-                            )  # fmt: skip
-                            found |= sure[k, m, w]
-                            any_left |= undecided[k, m, w]
-                    reached[k] = (found | any_left) != ZERO
-                    if reached[k] and sight.reach >= 0.0:
-                        doubtful[k] |= _list_suspects(k, view, count, narrow, suspects) > 0
+                doubtful[k] = not clear or (sight.reach >= 0.0 and _has_suspects(k, view, count, radius))
+                shown[listed] = k
+                listed += 1
                 for w in range(words):
-                    if reached[k] and not doubtful[k]:
-                        for m in range(part.mounts[c], part.mounts[c + 1]):
-                            seen[p, name, w] |= sure[k, m, w]
+                    cap = seen[p, name, w]
+                    for m in range(begin, end if not doubtful[k] else begin):
+                        cap |= sure[k, m, w]
+                    seen[p, name, w] = cap
                     if not keep:
-                        _add_to(some, w, seen[p, name, w])
-            for k in range(count):
-                if not reached[k]:
-                    continue
-                name, first = who[k], True
-                listed = 0
+                        _add_to(some, w, cap)
+            for e in range(listed):
+                k = shown[e]
+                name, rivals = who[k], -1
                 lx, ly, lz, nx, ny, nz = _pose(near, k)
                 frame = frame_of(sight, nx, ny, nz)
-                for m in range(part.mounts[c], part.mounts[c + 1]):
+                for m in range(begin, end):
                     for w in range(words):
                         mine, left = seen[p, name, w], undecided[k, m, w]
                         if doubtful[k]:
@@ -371,12 +387,10 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
                         left &= ~mine
                         if not keep:
                             left &= ~some[n - 1, w]
-                        if left and first and doubtful[k] and sight.reach >= 0.0:
-                            first = False
-                            for i in range(_list_suspects(k, view, count, narrow, suspects)):
-                                j = suspects[i]
-                                suspects[listed] = j
-                                listed += may_hide_around(x[j], y[j], z[j], x[k], y[k], z[k], radius, width)
+                        if left and rivals < 0:
+                            rivals = 0
+                            if doubtful[k] and sight.reach >= 0.0:
+                                rivals = _list_suspects(k, view, count, radius, width, suspects)
                         cap = ZERO
                         while left:
                             bit = lowest(left)
@@ -389,7 +403,7 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
                             if not clear and is_blocked(obstacles, sight, p * size + part.place[m, a], ends, name):
                                 continue
                             hidden = False
-                            for i in range(listed):
+                            for i in range(rivals):
                                 one = _pose(near, suspects[i])
                                 if hides_from(part, m, a, px, py, pz, one, (lx, ly, lz, nx, ny, nz)):
                                     hidden = True
@@ -421,7 +435,7 @@ def _see_loosely(part, px, py, pz, near, k, slack, seen):
     for m in range(len(part.axes)):
         axes = part.axes[m]
         for w in range(np.uint64(len(seen))):
-            left = part.possible[m, ANY, w]
+            left = part.tables[ANY, m, POSSIBLE, w]
             while left:
                 bit = lowest(left)
                 a = w * np.uint64(BITS) + bit

@@ -119,18 +119,13 @@ def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untype
     return reached, least - slack, high, math.inf if sure >= distance else sure
 
 
-@inlined
-def around(sight, outer, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-def]
-    """See `from_around`, with `outer_cosine`: a tag that none of the cameras faces is not reached."""
-    distance, along = math.sqrt(x * x + y * y + z * z), -(nx * x + ny * y + nz * z)
-    nearest, farthest = max(distance - radius, 0.0), distance + radius
-    reached = (along + radius >= min(sight.facing * nearest, sight.facing * farthest)) & (along + radius >= 0.0)
-    return reached, min(outer * nearest, outer * farthest), math.inf, 0.0, -math.inf
-
-
 @from_around.register(FiducialSight)
 def _from_around(sight, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-def]
-    return around(sight, sight.outer_cosine, x, y, z, nx, ny, nz, radius)
+    """A tag that no camera faces is not reached."""
+    distance, along = math.sqrt(x * x + y * y + z * z), radius - (nx * x + ny * y + nz * z)
+    nearest, farthest = max(distance - radius, 0.0), distance + radius
+    reached = (along >= min(sight.facing * nearest, sight.facing * farthest)) & (along >= 0.0)
+    return reached, math.inf, 0.0, -math.inf
 
 
 @half_edge.register(FiducialSight)

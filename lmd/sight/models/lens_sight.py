@@ -39,7 +39,7 @@ from lmd.scene.criteria import (
     in_view,
     pixel_density,
 )
-from lmd.sight.models.fiducial_sight import FiducialSight, around, may_hide
+from lmd.sight.models.fiducial_sight import FiducialSight, may_hide
 from lmd.sight.obstacles import half_edge
 
 # Bounds of pitch and area are wider by this, relative: what the square of a normal may be off, and more.
@@ -120,7 +120,7 @@ class LensSight(NamedTuple):
 
 @from_around.register(LensSight)
 def _from_around(sight, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-def]
-    return around(sight.flat, sight.cosine - TOLERANCE, x, y, z, nx, ny, nz, radius)
+    return from_around(sight.flat, x, y, z, nx, ny, nz, radius)
 
 
 @half_edge.register(LensSight)

@@ -294,7 +294,7 @@ def _from_around(sight, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped
     start = sight.min_depth if least < sight.min_depth else -math.inf
     sure = sight.max_depth if farthest > sight.max_depth else math.inf
     facing = along - radius > TOLERANCE * farthest
-    return reached, max(least, sight.min_depth), sight.max_depth, start, sure if facing else -math.inf
+    return reached, sight.max_depth, start, sure if facing else -math.inf
 
 
 @in_image.register(PaperSight)
