@@ -7,7 +7,6 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined
 
 BITS = 64
@@ -62,7 +61,7 @@ def at_least_so_far(reached, digit, n, j):  # type: ignore[no-untyped-def]
     return reached & digit if n >> j & 1 else reached | digit
 
 
-def in_words(values: FloatArray) -> FloatArray:
+def in_words(values: np.ndarray) -> np.ndarray:
     """Fill the last axis of `values` `(..., D)` up with zeros to whole words."""
     missing = -values.shape[-1] % BITS
     return np.ascontiguousarray(np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, missing)]))

@@ -11,6 +11,8 @@ As in `trial`, `bound_rig_move` leaves out what the new place hides and what hid
 only where P_n depends on them, with n - 1 other landmarks in view. `rig_move.carry_out_rig` alone finds all.
 """
 
+import math
+
 import numpy as np
 from numba import literal_unroll
 
@@ -22,7 +24,7 @@ from lmd.scene.criteria import frame_of
 from lmd.sight.blocks import BLOCK
 from lmd.sight.kernels import weights_row
 from lmd.sight.obstacles import find_ends, is_blocked, is_clear, no_ends
-from lmd.sight.stations import bounds_from, covers_from, hides_from, may_hide_around, row_from, split
+from lmd.sight.stations import bounds_from, covers_from, hides_from, line_room, may_hide_around, row_from, split
 
 # What `_find_pairs` looks at: a place that is left, one that is come to, one where there was nothing yet.
 LEAVES, COMES, ARRIVES = np.int64(0), np.int64(1), np.int64(2)
@@ -62,7 +64,7 @@ def _find_caps(stations, positions, body, scratch, rig, whole):
                         cap[m, q, w] = ZERO
                         continue
                     left = ALL if whole else asked[q, w]
-                    found, left = split(part, m, w, left, x[i], y[i], z[i], most[i], start[i], sure[i], row[i])
+                    found, left = split(part, m, w, left, words, x[i], y[i], z[i], most[i], start[i], sure[i], row[i])
                     while left:
                         bit = lowest(left)
                         left &= left - ONE
@@ -114,7 +116,7 @@ def _without_hidden(part, c, m, w, bits, px, py, pz, i, k, state):
     return bits
 
 
-@inner
+@inlined
 def _touch(q, rig):
     """Note a position where others come into play."""
     if not rig.touched[q]:
@@ -122,7 +124,7 @@ def _touch(q, rig):
         rig.found[1] += 1
 
 
-@inner
+@inlined
 def _find_pair(part, c, i, k, q, px, py, pz, place, how, mine, other, state, rig):
     """Find what landmark k at a `place` hides of landmark i from position q, and note it down."""
     pose, changed = _pose(i, state), False
@@ -131,7 +133,8 @@ def _find_pair(part, c, i, k, q, px, py, pz, place, how, mine, other, state, rig
     for m in range(part.mounts[c], part.mounts[c + 1]):
         for w in range(np.uint64(mine.caps.shape[3])):
             cap, veiled, flips = mine.caps[m, i, q, w], mine.veiled[m, i, q, w], other.flipped[m, i, q, w]
-            found = _hidden_bits(part, m, w, cap if how == COMES else cap & veiled, px, py, pz, place, pose)
+            bits = cap if how == COMES else cap & veiled
+            found = _hidden_bits(part, m, w, bits, px, py, pz, place, pose) if bits else ZERO
             if found == ZERO:
                 continue
             if how == LEAVES:
@@ -172,12 +175,14 @@ def _find_pairs(k, how, stations, field, state, rig):
                     i = rig.others[start + lowest(np.uint64(close))]
                     close &= close - np.uint32(1)
                     lx, ly, lz = state.landmarks[0, i], state.landmarks[1, i], state.landmarks[2, i]
-                    lanes = np.uint32(0)
+                    ex, ey, ez, lanes = lx - ax, ly - ay, lz - az, np.uint32(0)
+                    apart, far = math.sqrt(ex * ex + ey * ey + ez * ez), math.sqrt(mx * mx + my * my + mz * mz)
+                    most = line_room(far + apart + math.sqrt(hx * hx + hy * hy + hz * hz), apart, radius, width)
                     for lane in range(np.uint64(BLOCK)):
                         q = b * np.uint64(BLOCK) + lane
-                        px, py, pz = body[0, q] + cx, body[1, q] + cy, body[2, q] + cz
-                        may = may_hide_around(ax - px, ay - py, az - pz, lx - px, ly - py, lz - pz, radius, width)
-                        lanes |= np.uint32(may) << np.uint32(lane)
+                        ux, uy, uz = ax - (body[0, q] + cx), ay - (body[1, q] + cy), az - (body[2, q] + cz)
+                        sx, sy, sz = uy * ez - uz * ey, uz * ex - ux * ez, ux * ey - uy * ex
+                        lanes |= np.uint32(sx * sx + sy * sy + sz * sz <= most) << np.uint32(lane)
                     while lanes and i != np.uint64(k):
                         q = b * np.uint64(BLOCK) + lowest(np.uint64(lanes))
                         lanes &= lanes - np.uint32(1)

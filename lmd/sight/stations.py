@@ -38,7 +38,6 @@ from lmd.space.triangles import Triangles
 
 LEVELS = 6  # from 2 radii on, 4, 8, ...
 CELLS = SIDE * SIDE
-CERTAIN, POSSIBLE = 0, 1
 ANY, FIRST = 0, 1  # rows of the tables: with all orientations possible; the first of the first level
 WIDER = 1.01  # radii, so that rounding and normals of a length not quite 1 do not matter
 MARGIN = 1e-6  # metres, far more than rounding moves a depth
@@ -68,8 +67,8 @@ class Part(NamedTuple):
     place: np.ndarray
     """`(M, 64 W)` which of them each is."""
     tables: np.ndarray
-    """`(1 + levels * cells, M, 2, W)` orientations that have a direction from the centre in view for certain, and those
-    that may, see `fill_tables`: side by side, as they are looked up together."""
+    """`(1 + levels * cells, 2 M W)` orientations that have a direction from the centre in view for certain, for each
+    mount, then those that may, see `fill_tables`: side by side, as they are looked up together."""
 
 
 def parts_of(scene: Scene) -> tuple[Part, ...]:
@@ -98,14 +97,14 @@ def _part(sight: Any, offsets: FloatArray, axes: FloatArray) -> Part:
     places, place = np.unique(offsets.reshape(-1, 3), axis=0, return_inverse=True)
     turned, levels = in_words(np.swapaxes(axes, 1, 2)), LEVELS if radius.any() else 1
     words = turned.shape[2] // BITS
-    found = np.zeros((FIRST + levels * CELLS, len(axes), 2, words), dtype=np.uint64)
+    found = np.zeros((FIRST + levels * CELLS, 2, len(axes), words), dtype=np.uint64)
     for m, shift in enumerate(in_words(np.swapaxes(around, 1, 2))):
-        found[ANY, m, POSSIBLE] = _all_of(offsets.shape[1], words)
+        found[ANY, 1, m] = _all_of(offsets.shape[1], words)
         for level in range(levels):
             rows = slice(FIRST + level * CELLS, FIRST + (level + 1) * CELLS)
             certain, possible = np.zeros((2, CELLS, words), dtype=np.uint64)
             _fill_level(sight, turned[m], shift, radius[centre[m]], level, certain=certain, possible=possible)
-            found[rows, m, CERTAIN], found[rows, m, POSSIBLE] = certain, possible
+            found[rows, 0, m], found[rows, 1, m] = certain, possible
     return Part(
         sight=sight,
         horizon=_horizon(sight, offsets.reshape(-1, 3)),
@@ -117,7 +116,7 @@ def _part(sight: Any, offsets: FloatArray, axes: FloatArray) -> Part:
         depths=in_words((axes[:, :, :3] * around).sum(axis=2)),
         places=places,
         place=in_words(place.reshape(offsets.shape[:2])),
-        tables=found,
+        tables=found.reshape(len(found), -1),
     )
 
 
@@ -169,18 +168,19 @@ def row_from(part, c, x, y, z):
     for i in range(LEVELS):
         level += squared >= part.radius[c] * part.radius[c] * 4.0 ** (i + 1)
     row = ANY if level < 0 else FIRST + min(level, levels - 1) * CELLS + cell_of(x, y, z)
-    prefetch(part.tables, row * part.tables.shape[1] * part.tables.shape[2] * part.tables.shape[3])
+    prefetch(part.tables, row * part.tables.shape[1])
     return np.uint64(row)
 
 
 @inlined
-def split(part, m, w, asked, x, y, z, most, start, sure, row):
+def split(part, m, w, asked, words, x, y, z, most, start, sure, row):
     """Split the `asked` orientations of word w into those with which mount m surely covers a landmark, and undecided.
 
-    The rest is what `bounds_from` and `row_from` say.
+    `words` is how many there are; the rest is what `bounds_from` and `row_from` say.
     """
-    certain = part.tables[row, m, CERTAIN, w] & asked if sure > -math.inf else ZERO
-    left = part.tables[row, m, POSSIBLE, w] & asked
+    at, half = np.uint64(m) * words + w, np.uint64(part.tables.shape[1] // 2)
+    certain = part.tables[row, at] & asked if sure > -math.inf else ZERO
+    left = part.tables[row, half + at] & asked
     if sure == math.inf and start == -math.inf:
         return certain, left & ~certain
     within, well = ZERO, ZERO
@@ -231,9 +231,15 @@ def may_hide_around(ax, ay, az, bx, by, bz, radius, width):
     ex, ey, ez = bx - ax, by - ay, bz - az
     cx, cy, cz = ay * ez - az * ey, az * ex - ax * ez, ax * ey - ay * ex
     longest = math.sqrt(max(ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz))
-    room = width * (longest + radius) + radius * math.sqrt(ex * ex + ey * ey + ez * ez)
-    room = room * (1.0 + SINGLE_ERROR) + SINGLE_ERROR
-    return cx * cx + cy * cy + cz * cz <= room * room
+    apart = math.sqrt(ex * ex + ey * ey + ez * ez)
+    return cx * cx + cy * cy + cz * cz <= line_room(longest, apart, radius, width)
+
+
+@inlined
+def line_room(longest, apart, radius, width):
+    """The square of |a x b| up to which `may_hide_around`, for the longer of the two offsets and |b - a|."""
+    room = (width * (longest + radius) + radius * apart) * (1.0 + SINGLE_ERROR) + SINGLE_ERROR
+    return room * room
 
 
 @inlined
@@ -279,25 +285,34 @@ def _turn(k, view, radius):
 
 
 @inlined
-def _has_suspects(k, view, count, radius):
-    """Whether any landmark may hide landmark k."""
-    padded, mine, found = (count + BLOCK - 1) & -BLOCK, _turn(k, view, radius), np.int32(0)
-    for j in range(np.uint64(padded)):
-        found += np.int32(_is_suspect(j, k, mine, view))
-    return found > 1 + padded - count  # itself, and those that fill up
+def _find_suspects(k, view, count, radius, close):
+    """Find the landmarks that may hide landmark k, as bits of `close` `(blocks, )`; returns whether there are any."""
+    mine, some = _turn(k, view, radius), np.uint32(0)
+    for b in range((count + BLOCK - 1) // BLOCK):
+        found = np.uint32(0)
+        for lane in range(np.uint64(BLOCK)):
+            j = np.uint64(b * BLOCK) + lane
+            found |= np.uint32(_is_suspect(j, k, mine, view)) << np.uint32(lane)
+        if b == k // BLOCK:
+            found &= ~(np.uint32(1) << np.uint32(k % BLOCK))
+        if b == count // BLOCK:  # what fills up is close to all
+            found &= (np.uint32(1) << np.uint32(count % BLOCK)) - np.uint32(1)
+        close[b] = found
+        some |= found
+    return some != 0
 
 
 @inlined
-def _list_suspects(k, view, count, radius, width, suspects):
-    """List the landmarks that may hide landmark k; returns how many."""
-    x, y, z, mine, found, kept = view.x, view.y, view.z, _turn(k, view, radius), np.int32(0), 0
-    for j in range(count):
-        suspects[found] = j
-        found += np.int32(_is_suspect(j, k, mine, view) & (j != k))
-    for i in range(found):
-        j = suspects[i]
-        suspects[kept] = j
-        kept += may_hide_around(x[j], y[j], z[j], x[k], y[k], z[k], radius, width)
+def _list_rivals(k, view, radius, width, close, blocks, rivals):
+    """List those of so many blocks of suspects that may indeed hide landmark k; returns how many."""
+    x, y, z, kept = view.x, view.y, view.z, 0
+    for b in range(blocks):
+        left = np.uint64(close[b])
+        while left:
+            j = b * BLOCK + np.int64(lowest(left))
+            left &= left - ONE
+            rivals[kept] = j
+            kept += may_hide_around(x[j], y[j], z[j], x[k], y[k], z[k], radius, width)
     return kept
 
 
@@ -332,6 +347,7 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
     near, x, y, z, reached, who, shown = view.near, view.x, view.y, view.z, view.reached, view.who, view.shown
     high, deep, size = view.high, view.deep, len(part.places)
     start, row, suspects = np.empty(total), np.empty(total, np.uint64), np.empty(total + 1, np.int64)
+    close = np.zeros((total, total // BLOCK + 1), np.uint32)
     some, doubtful = np.empty((n, words), dtype=np.uint64), np.empty(total, dtype=np.bool_)
     mounts = len(part.axes)
     undecided, sure = np.empty((total, mounts, words), np.uint64), np.empty((total, mounts, words), np.uint64)
@@ -347,7 +363,7 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
         for c in range(len(part.centres)):
             _look_around(part, c, view, count, px, py, pz, start)
             radius = part.radius[c]
-            begin, end, listed = part.mounts[c], part.mounts[c + 1], 0
+            begin, end, listed, blocks = part.mounts[c], part.mounts[c + 1], 0, (count + BLOCK - 1) // BLOCK
             for k in range(count):
                 if reached[k] and not (loose and slack[who[k]] > 0.0):
                     shown[listed], row[k] = k, row_from(part, c, x[k], y[k], z[k])
@@ -359,12 +375,13 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
                 for m in range(begin, end):
                     for w in range(words):
                         sure[k, m, w], undecided[k, m, w] = split(
-                            part, m, w, ALL, x[k], y[k], z[k], high[k], start[k], deep[k], row[k]
+                            part, m, w, ALL, words, x[k], y[k], z[k], high[k], start[k], deep[k], row[k]
                         )
                         some_left |= sure[k, m, w] | undecided[k, m, w]
                 if some_left == ZERO:
                     continue
-                doubtful[k] = not clear or (sight.reach >= 0.0 and _has_suspects(k, view, count, radius))
+                doubtful[k] = sight.reach >= 0.0 and _find_suspects(k, view, count, radius, close[k])
+                doubtful[k] |= not clear
                 shown[listed] = k
                 listed += 1
                 for w in range(words):
@@ -381,17 +398,17 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
                 frame = frame_of(sight, nx, ny, nz)
                 for m in range(begin, end):
                     for w in range(words):
-                        mine, left = seen[p, name, w], undecided[k, m, w]
+                        mine, left, cap = seen[p, name, w], undecided[k, m, w], ZERO
                         if doubtful[k]:
                             left |= sure[k, m, w]
-                        left &= ~mine
-                        if not keep:
-                            left &= ~some[n - 1, w]
+                        left &= ~mine if keep else ~(mine | some[n - 1, w])
                         if left and rivals < 0:
                             rivals = 0
                             if doubtful[k] and sight.reach >= 0.0:
-                                rivals = _list_suspects(k, view, count, radius, width, suspects)
-                        cap = ZERO
+                                rivals = _list_rivals(k, view, radius, width, close[k], blocks, suspects)
+                        if clear and rivals == 0:
+                            cap = left & sure[k, m, w]
+                            left &= ~cap
                         while left:
                             bit = lowest(left)
                             a = w * np.uint64(BITS) + bit
@@ -435,7 +452,7 @@ def _see_loosely(part, px, py, pz, near, k, slack, seen):
     for m in range(len(part.axes)):
         axes = part.axes[m]
         for w in range(np.uint64(len(seen))):
-            left = part.tables[ANY, m, POSSIBLE, w]
+            left = part.tables[ANY, (len(part.axes) + m) * len(seen) + np.int64(w)]
             while left:
                 bit = lowest(left)
                 a = w * np.uint64(BITS) + bit
@@ -477,4 +494,4 @@ def seen_by(
 
 def places_around(positions: FloatArray, part: Part) -> FloatArray:
     """Where cameras are: the places of a position one after the other, `(P G, 3)`, metres."""
-    return (positions[:, None] + part.places).reshape(-1, 3)
+    return np.asarray((positions[:, None] + part.places).reshape(-1, 3))
