@@ -30,15 +30,15 @@ def _show(i, q, w, now, n, state):
     return was
 
 
-@inner
+@inlined
 def _exchange_parts(k, q, state, scratch):
     """Exchange what the parts have of landmark k at position q."""
     for j in range(len(state.parts)):
         mine, other = state.parts[j], scratch.parts[j]
-        for m in range(len(mine.caps)):
+        for m in range(mine.caps.shape[2]):
             for w in range(other.cap.shape[2]):
-                mine.caps[m, k, q, w], other.cap[m, q, w] = other.cap[m, q, w], mine.caps[m, k, q, w]
-                mine.veiled[m, k, q, w], other.veil[m, q, w] = other.veil[m, q, w], mine.veiled[m, k, q, w]
+                mine.caps[k, q, m, w], other.cap[q, m, w] = other.cap[q, m, w], mine.caps[k, q, m, w]
+                mine.veiled[k, q, m, w], other.veil[q, m, w] = other.veil[q, m, w], mine.veiled[k, q, m, w]
 
 
 @inner
@@ -57,8 +57,8 @@ def _exchange(k, field, state, scratch):
             _show(i, q, w, shown_by(i, q, w, state, scratch), n, state)
             for j in range(len(state.parts)):
                 veiled, flipped = state.parts[j].veiled, scratch.parts[j].flipped
-                for m in range(len(veiled)):
-                    veiled[m, i, q, w] ^= flipped[m, i, q, w]
+                for m in range(veiled.shape[2]):
+                    veiled[i, q, m, w] ^= flipped[i, q, m, w]
     exchange_place(k, state, scratch)
 
 
@@ -98,7 +98,7 @@ def rig_state_of(field: Any, deployment: Deployment) -> RigState:
     count, (size, words), parts = len(deployment), field.given.shape, [stations.part for stations in field.parts]
     centres, mounts = tuple(len(part.centres) for part in parts), [len(part.axes) for part in parts]
     check_views(CENTRE_BYTES * sum(centres) + CAMERA_BYTES * sum(mounts) * BITS * words, size, 1, count)
-    caps = (np.zeros((2, each, count, size, words), dtype=np.uint64) for each in mounts)
+    caps = (np.zeros((2, count, size, each, words), dtype=np.uint64) for each in mounts)
     state = RigState(
         **places_of(deployment)._asdict(),
         parts=tuple(StationState(*both) for both in caps),

@@ -24,9 +24,9 @@ class StationState(NamedTuple):
     """What the M cameras of a part have in view of K landmarks."""
 
     caps: np.ndarray
-    """`(M, K, Q, W)` the orientations with which a camera covers a landmark nobody hides."""
+    """`(K, Q, M, W)` the orientations with which a camera covers a landmark nobody hides."""
     veiled: np.ndarray
-    """`(M, K, Q, W)` those of them with which another landmark hides it."""
+    """`(K, Q, M, W)` those of them with which another landmark hides it."""
 
 
 class RigState(NamedTuple):
@@ -50,8 +50,8 @@ class RigState(NamedTuple):
 class StationScratch(NamedTuple):
     """The move tried last as one part sees it.
 
-    cap, veil `(M, Q, W)` what caps and veiled would be of the landmark, of orientations that were asked for; flipped
-    `(M, K, Q, W)` what changes in veiled of the others, of the pairs listed in `RigScratch`; rivals `(1,)` how many
+    cap, veil `(Q, M, W)` what caps and veiled would be of the landmark, of orientations that were asked for; flipped
+    `(K, Q, M, W)` what changes in veiled of the others, of the pairs listed in `RigScratch`; rivals `(1,)` how many
     pairs there are of another landmark and a centre around a position, c Q + q, from where it may hide the place tried;
     who, where `(K C Q,)` the pairs. Working memory, `(Q,)` each, of the positions looked at last: what
     `stations.bounds_from` and `row_from` say, and the offset.
@@ -111,7 +111,7 @@ def rig_scratch_of(state: RigState, centres: tuple[int, ...]) -> RigScratch:
     count, size = state.shown.shape[:2]
     blocks, parts = size // BLOCK, []
     for part, around in zip(state.parts, centres, strict=True):
-        cap, veil = np.zeros((2, *part.caps[:, 0].shape), dtype=np.uint64)
+        cap, veil = np.zeros((2, *part.caps.shape[1:]), dtype=np.uint64)
         who, where = np.empty((2, count * around * size), dtype=np.uint32)
         rivals, row, reached = np.zeros(1, np.int64), np.empty(size, np.uint64), np.empty(size, np.bool_)
         seen = (*np.empty((6, size)), row, reached)

@@ -61,7 +61,7 @@ def _find_caps(stations, positions, body, scratch, rig, whole):
             for m in range(part.mounts[c], part.mounts[c + 1]):
                 for w in range(words):
                     if not reached[i]:
-                        cap[m, q, w] = ZERO
+                        cap[q, m, w] = ZERO
                         continue
                     left = ALL if whole else asked[q, w]
                     found, left = split(part, m, w, left, words, x[i], y[i], z[i], most[i], start[i], sure[i], row[i])
@@ -79,7 +79,7 @@ def _find_caps(stations, positions, body, scratch, rig, whole):
                             place = q * np.uint64(size) + np.uint64(part.place[m, w * np.uint64(BITS) + bit])
                             if is_blocked(obstacles, part.sight, place, ends, 0):
                                 found &= ~(ONE << bit)
-                    cap[m, q, w] = found
+                    cap[q, m, w] = found
 
 
 @inner
@@ -132,7 +132,7 @@ def _find_pair(part, c, i, k, q, px, py, pz, place, how, mine, other, state, rig
         _touch(q, rig)
     for m in range(part.mounts[c], part.mounts[c + 1]):
         for w in range(np.uint64(mine.caps.shape[3])):
-            cap, veiled, flips = mine.caps[m, i, q, w], mine.veiled[m, i, q, w], other.flipped[m, i, q, w]
+            cap, veiled, flips = mine.caps[i, q, m, w], mine.veiled[i, q, m, w], other.flipped[i, q, m, w]
             bits = cap if how == COMES else cap & veiled
             found = _hidden_bits(part, m, w, bits, px, py, pz, place, pose) if bits else ZERO
             if found == ZERO:
@@ -141,8 +141,8 @@ def _find_pair(part, c, i, k, q, px, py, pz, place, how, mine, other, state, rig
                 flips |= _without_hidden(part, c, m, w, found, px, py, pz, i, k, state)
             else:
                 flips = (flips & ~found) | (found & ~veiled)
-            changed |= flips != other.flipped[m, i, q, w]
-            other.flipped[m, i, q, w] = flips
+            changed |= flips != other.flipped[i, q, m, w]
+            other.flipped[i, q, m, w] = flips
     if changed:
         _touch(q, rig)
         if not rig.known[i, q]:
@@ -204,10 +204,10 @@ def _find_veils(stations, field, state, rig):
         i, c, q = np.uint64(other.who[e]), other.where[e] // size, other.where[e] % size
         for m in range(part.mounts[c], part.mounts[c + np.uint64(1)]):
             for w in range(np.uint64(other.cap.shape[2])):
-                bits = other.cap[m, q, w] & ~other.veil[m, q, w]
+                bits = other.cap[q, m, w] & ~other.veil[q, m, w]
                 if bits:
                     px, py, pz = body[0, q], body[1, q], body[2, q]
-                    other.veil[m, q, w] |= _hidden_bits(part, m, w, bits, px, py, pz, _pose(i, state), place)
+                    other.veil[q, m, w] |= _hidden_bits(part, m, w, bits, px, py, pz, _pose(i, state), place)
 
 
 @inner
@@ -218,20 +218,20 @@ def forget(scratch):
         scratch.known[i, q] = False
         for j in range(len(scratch.parts)):
             flipped = scratch.parts[j].flipped
-            for m in range(len(flipped)):
+            for m in range(flipped.shape[2]):
                 for w in range(flipped.shape[3]):
-                    flipped[m, i, q, w] = ZERO
+                    flipped[i, q, m, w] = ZERO
     for e in range(scratch.found[1]):
         scratch.touched[scratch.places[e]] = False
     scratch.found[0] = scratch.found[1] = 0
     for j in range(len(scratch.parts)):
         cap, veil = scratch.parts[j].cap, scratch.parts[j].veil
         scratch.parts[j].rivals[0] = 0
-        for m in range(len(cap)):
-            for s in range(scratch.near[1]):
-                for q in range(scratch.spans[s, 0], scratch.spans[s, 1]):
+        for s in range(scratch.near[1]):
+            for q in range(scratch.spans[s, 0], scratch.spans[s, 1]):
+                for m in range(cap.shape[1]):
                     for w in range(cap.shape[2]):
-                        cap[m, q, w] = veil[m, q, w] = ZERO
+                        cap[q, m, w] = veil[q, m, w] = ZERO
     for s in range(scratch.near[1]):
         for q in range(scratch.spans[s, 0], scratch.spans[s, 1]):
             for w in range(scratch.fresh.shape[1]):
@@ -244,8 +244,8 @@ def shown_by(i, q, w, state, scratch):
     shown = ZERO
     for j in range(len(state.parts)):
         caps, veiled, flipped = state.parts[j].caps, state.parts[j].veiled, scratch.parts[j].flipped
-        for m in range(len(caps)):
-            shown |= caps[m, i, q, w] & ~(veiled[m, i, q, w] ^ flipped[m, i, q, w])
+        for m in range(caps.shape[2]):
+            shown |= caps[i, q, m, w] & ~(veiled[i, q, m, w] ^ flipped[i, q, m, w])
     return shown
 
 
@@ -310,8 +310,8 @@ def join(positions, scratch):
             fresh = ZERO
             for j in range(len(scratch.parts)):
                 cap, veil = scratch.parts[j].cap, scratch.parts[j].veil
-                for m in range(len(cap)):
-                    fresh |= cap[m, q, w] & ~veil[m, q, w]
+                for m in range(cap.shape[1]):
+                    fresh |= cap[q, m, w] & ~veil[q, m, w]
             scratch.fresh[q, w] = fresh
 
 
