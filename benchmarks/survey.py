@@ -2,6 +2,7 @@
 
 python benchmarks/survey.py photograph RUN FOLDER [--count 80]   # photographs of a run's tags, hung 10 mm off; true.csv
 python benchmarks/survey.py compare MAP.csv TRUE.csv             # how far the tags of a map are off, millimetres
+python benchmarks/survey.py aviary test_13 [--boards 0.0002] [--calibrate]   # detections of berndpfrommer/tagslam_test
 PYTHONPATH=tests python benchmarks/survey.py time FRAMES TAGS    # how long a walk takes, and how much memory
 """
 
@@ -67,6 +68,32 @@ def compare(found: Path, true: Path) -> None:
         print(f"{len(of)} tags {name}: median {figures[0]:.2f}, 90 % {figures[1]:.2f}, largest {figures[2]:.2f} mm")
 
 
+def aviary(folder: Path, boards: float | None, calibrate: bool) -> None:
+    """Spacing of the tags on boards of 2 x 3, and the map beside TagSLAM's."""
+    from lmd.detection.corner_errors import CORNER_ERRORS
+    from lmd.mapping.detections import read_detections
+    from lmd.scene.camera_calibration import calibrated_camera
+    from lmd.scene.tag import Tag
+    from lmd.survey.boards import Boards
+    from lmd.survey.report import to_text
+    from lmd.survey.survey import Known, survey
+
+    ids = np.arange(6, 114)
+    row, column = np.divmod((ids - 6) % 6, 3)
+    places = 0.15 * np.stack([column, row], axis=1)
+    told = Boards(tuple(map(str, (ids - 6) // 6)), ids, places, boards) if boards else None
+    camera, detected = calibrated_camera(str(folder / "cameras.yaml")), read_detections(folder / "detections.csv")
+    began = time.process_time()
+    found = survey(detected, [camera], Tag(0.12), CORNER_ERRORS["apriltag"], Known(boards=told), calibrate)
+    print(f"{to_text(found)}\n{time.process_time() - began:.0f} s")
+    hung = np.full((114, 3), np.nan)
+    hung[found.ids[found.placed]] = found.found.poses.tags[found.placed, :3, 3]
+    away = [np.linalg.norm(hung[k] - hung[k + step], axis=-1) for step, k in ((1, ids[column < 2]), (3, ids[row < 1]))]
+    off = 1e3 * (np.concatenate(away) - 0.15)
+    figures = np.nanquantile(np.abs(off), [0.5, 0.9])
+    print(f"spacing off: median {figures[0]:.2f}, 90 % {figures[1]:.2f}, mean with its sign {np.nanmean(off):.2f} mm")
+
+
 def measure(frames: int, tags: int) -> None:
     """Time of one processor and memory, from detections to figures."""
     import walks  # of the tests
@@ -95,6 +122,10 @@ def main() -> None:
     two = commands.add_parser("compare")
     two.add_argument("found", type=Path)
     two.add_argument("true", type=Path)
+    real = commands.add_parser("aviary")
+    real.add_argument("folder", type=Path)
+    real.add_argument("--boards", type=float, help="how exact they were printed, metres")
+    real.add_argument("--calibrate", action="store_true")
     timed = commands.add_parser("time")
     timed.add_argument("frames", type=int)
     timed.add_argument("tags", type=int)
@@ -103,6 +134,8 @@ def main() -> None:
         photograph(given.run, given.folder, given.count, given.seed)
     elif given.command == "compare":
         compare(given.found, given.true)
+    elif given.command == "aviary":
+        aviary(given.folder, given.boards, given.calibrate)
     else:
         measure(given.frames, given.tags)
 

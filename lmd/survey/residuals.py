@@ -4,12 +4,16 @@ The residuals e are those of `lmd.survey.sightings`, pixels; `lmd.survey.adjustm
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import inverse, log
 from lmd.survey.sightings import Sightings
+
+if TYPE_CHECKING:
+    from lmd.survey.boards import Sheets
 
 FREEDOM = 4.0  # nu, of Student's distribution
 RESIDUALS = 8
@@ -39,10 +43,14 @@ class Prior:
     Args:
         tags: their poses, `(K, 4, 4)`; whatever it is where nothing is known.
         information: one over the variance of the turn about each axis of the tag, and of the way along each, `(K, 6)`.
+        sheets: tags that were printed together, all of them placed; None for none.
+        mounts: of the cameras, see `Poses`; None where these are to be found.
     """
 
     tags: FloatArray
     information: FloatArray
+    sheets: "Sheets | None" = None
+    mounts: FloatArray | None = None
 
     def off(self, tags: FloatArray) -> FloatArray:
         """The twists from what is known to `tags`, `(K, 6)`; 0 where nothing is known."""
