@@ -20,7 +20,6 @@ from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 
-
 GIVEN = 0.5  # share of the schedule that is left out where the start is given
 
 
