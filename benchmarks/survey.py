@@ -2,7 +2,7 @@
 
 python benchmarks/survey.py photograph RUN FOLDER [--count 80]   # photographs of a run's tags, hung 10 mm off; true.csv
 python benchmarks/survey.py compare MAP.csv TRUE.csv             # how far the tags of a map are off, millimetres
-python benchmarks/survey.py aviary FOLDER [--boards] [--calibrate]   # detections of berndpfrommer/tagslam_test, test_13
+python benchmarks/survey.py aviary test_13 [--boards 0.0002] [--calibrate]   # detections of berndpfrommer/tagslam_test
 PYTHONPATH=tests python benchmarks/survey.py time FRAMES TAGS    # how long a walk takes, and how much memory
 """
 
@@ -68,7 +68,7 @@ def compare(found: Path, true: Path) -> None:
         print(f"{len(of)} tags {name}: median {figures[0]:.2f}, 90 % {figures[1]:.2f}, largest {figures[2]:.2f} mm")
 
 
-def aviary(folder: Path, boards: bool, calibrate: bool) -> None:
+def aviary(folder: Path, boards: float | None, calibrate: bool) -> None:
     """Spacing of the tags on boards of 2 x 3, and the map beside TagSLAM's."""
     from lmd.detection.corner_errors import CORNER_ERRORS
     from lmd.mapping.detections import read_detections
@@ -81,7 +81,7 @@ def aviary(folder: Path, boards: bool, calibrate: bool) -> None:
     ids = np.arange(6, 114)
     row, column = np.divmod((ids - 6) % 6, 3)
     places = 0.15 * np.stack([column, row], axis=1)
-    told = Boards(tuple(map(str, (ids - 6) // 6)), ids, places, 0.0002) if boards else None
+    told = Boards(tuple(map(str, (ids - 6) // 6)), ids, places, boards) if boards else None
     camera, detected = calibrated_camera(str(folder / "cameras.yaml")), read_detections(folder / "detections.csv")
     began = time.process_time()
     found = survey(detected, [camera], Tag(0.12), CORNER_ERRORS["apriltag"], Known(boards=told), calibrate)
@@ -124,7 +124,7 @@ def main() -> None:
     two.add_argument("true", type=Path)
     real = commands.add_parser("aviary")
     real.add_argument("folder", type=Path)
-    real.add_argument("--boards", action="store_true")
+    real.add_argument("--boards", type=float, help="how exact they were printed, metres")
     real.add_argument("--calibrate", action="store_true")
     timed = commands.add_parser("time")
     timed.add_argument("frames", type=int)

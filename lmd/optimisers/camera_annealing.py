@@ -127,11 +127,10 @@ class CameraAnnealing(Optimiser):
     def _scored(self, problem: CameraProblem, genes: FloatArray) -> tuple[float, float]:
         """The fitness of cameras, and what the walk climbs; -inf where they cannot be."""
         mounts = problem.space.mounts(genes)
-        values = None if mounts is None else problem.values_of(mounts)
-        if values is None:
+        fitness = problem.fitness_of_cameras(mounts)
+        if mounts is None or not math.isfinite(fitness):
             return -math.inf, -math.inf
-        relevance = problem.fitness_relevance
-        fitness = float(problem.objective.fitness(values, relevance))
+        values, relevance = problem.values_of(mounts), problem.fitness_relevance
         return fitness, fitness + self.mean_share * float((values * relevance).sum() / relevance.sum())
 
 

@@ -1,5 +1,6 @@
 """The room in the browser: surfaces, positions, tags and the camera, as viser draws them."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -10,12 +11,27 @@ from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.geometry.squares import upright
 from lmd.planner.additions import candidate_cells
 from lmd.planner.captions import Captions
-from lmd.planner.colours import FREE, GAINS, PINNED, SEEN, SELECTED, UNKNOWN, VALUES, alike, mapped, rgb
+from lmd.planner.colours import (
+    ASKED,
+    FREE,
+    GAINS,
+    MEASURED,
+    PINNED,
+    SEEN,
+    SELECTED,
+    UNKNOWN,
+    VALUES,
+    alike,
+    mapped,
+    rgb,
+)
 from lmd.planner.framing import Framing
 from lmd.planner.plan import Plan
+from lmd.planner.surveyed import Found
 from lmd.plot import common
 from lmd.problem import Problem
 from lmd.render.optics import view_edges
+from lmd.scene.deployment import Deployment
 
 SQUARE = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
 TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
@@ -24,6 +40,7 @@ ABOVE = 0.01  # metres from a surface to the tags on it, so that they are drawn 
 BALL = 0.12  # radius of a position, in distances to the next one
 POINT = 0.008  # half the edge of a landmark that is a point, in diagonals of the room
 CELL = 0.97  # of a cell that is coloured
+MAGNIFIED = 20.0  # times that lines to where tags hang are as long
 LIGHT = 2.0  # with which colours come out as they are given, nearly
 FRUSTUM = 0.08  # depth of the camera's view, in diagonals
 
@@ -111,6 +128,32 @@ class Picture:
         above = places + half * upright(deployment.normals)[1]
         self.captions.show_ids(deployment.ids, above, selected, ids)
         return fresh
+
+    def show_survey(self, found: Found, plan: Deployment) -> None:
+        """Draw where tags hang, lines from where they are planned, and the photographs that a survey asks for."""
+        tags, half = found.tags, self._problem.scene.plates.edge / 2.0 or POINT * self._diagonal
+        self._scene.add_batched_meshes_simple(
+            "/survey/tags",
+            half * SQUARE,
+            TRIANGLES,
+            _quaternions(np.asarray(np.cross(tags.ups, tags.normals)), tags.ups, tags.normals),
+            tags.places + 2.0 * ABOVE * tags.normals,
+            batched_colors=alike(MEASURED, len(tags)),
+            side="double",
+            opacity=0.6,
+            **FLAT,
+        )
+        lines = found.offsets(plan, MAGNIFIED)
+        if len(lines):
+            self._scene.add_line_segments("/survey/offsets", lines, np.array(MEASURED, dtype=np.uint8))
+        for number, (place, ahead) in enumerate(found.photographs, 1):
+            right: FloatArray = np.cross(ahead, [0.0, 0.0, 1.0])
+            right = right / max(float(np.linalg.norm(right)), 1e-9)
+            turn = _quaternions(right[None], np.cross(ahead, right)[None], ahead[None])[0]
+            self._scene.add_camera_frustum(
+                f"/survey/next_{number}", math.radians(50.0), 4.0 / 3.0, color=ASKED,
+                scale=FRUSTUM * self._diagonal / 2.0, wxyz=turn, position=place,
+            )  # fmt: skip
 
     def show_values(self, values: FloatArray) -> None:
         """Colour the positions by the objective's values `(P,)`."""

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.core.checks import ONE_TURN, FloatArray, InputError, real, vector
-from lmd.geometry.se3 import QUATERNION_TOLERANCE
+from lmd.geometry.se3 import QUATERNION_TOLERANCE, inverse, pose_of
 from lmd.scene.camera import Camera
 
 ANGLES = ("yaw", "pitch", "roll")
@@ -96,6 +96,14 @@ class Rig:
     def needs_roll(self) -> bool:
         """Whether the body's roll moves a camera or its optical axis."""
         return any(np.any(mount.translation[1:]) or np.any(mount.rotation[1:, 0]) for mount in self.mounts)
+
+    @property
+    def mounted(self) -> FloatArray:
+        """The poses of the cameras (x right, y down, z the optical axis) in the frame of the first, `(C, 4, 4)`."""
+        optical = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # to forward, left, up
+        turns = np.stack([mount.rotation @ optical for mount in self.mounts])
+        poses = pose_of(turns, np.array([mount.translation for mount in self.mounts]))
+        return np.asarray(inverse(poses[0]) @ poses)
 
     def views(self, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Where the cameras are and what they look at, for orientations of the body.
