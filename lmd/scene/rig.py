@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.core.checks import ONE_TURN, FloatArray, InputError, real, vector
-from lmd.geometry.se3 import QUATERNION_TOLERANCE, pose_of
+from lmd.geometry.se3 import QUATERNION_TOLERANCE, inverse, pose_of
 from lmd.scene.camera import Camera
 
 ANGLES = ("yaw", "pitch", "roll")
@@ -107,6 +107,11 @@ class Rig:
     def needs_roll(self) -> bool:
         """Whether the body's roll moves a camera or its optical axis."""
         return any(np.any(mount.translation[1:]) or np.any(mount.rotation[1:, 0]) for mount in self.mounts)
+
+    @property
+    def mounted(self) -> FloatArray:
+        """The poses of the cameras (x right, y down, z the optical axis) in the frame of the first, `(C, 4, 4)`."""
+        return np.asarray(inverse(self.extrinsics[0]) @ self.extrinsics)
 
     def views(self, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Where the cameras are and what they look at, for orientations of the body.

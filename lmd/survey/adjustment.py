@@ -92,11 +92,12 @@ class Adjustment:
 
     def __init__(self, sightings: Sightings, prior: Prior, lenses: bool = False) -> None:
         self.sightings, self.prior = sightings, prior
-        self.placed = len(sightings.ids) + sightings.cameras - 1
+        self.mounts = sightings.cameras - 1 if prior.mounts is None else 0  # that are to be found
+        self.placed = len(sightings.ids) + self.mounts
         self.lens_blocks = sightings.lens.shape[2] // 6 if lenses else 0
         self.kept = self.placed + sightings.cameras * self.lens_blocks
         seen, first = np.unique(sightings.frame, return_index=True)
-        unknowns = 6 * (len(seen) + len(np.unique(sightings.tag)) + sightings.cameras - 1)
+        unknowns = 6 * (len(seen) + len(np.unique(sightings.tag)) + self.mounts)
         self.share = max(1.0 - unknowns / (RESIDUALS * len(sightings)), LEAST_SHARE)  # of squares that a fit leaves
         self.first = np.append(first, len(sightings))
 
@@ -168,13 +169,14 @@ class Adjustment:
             rest = part.gradient - summed(np.asarray(pull), part.of, len(part.seen))
             frames[part.seen] = frames[part.seen] @ exp(solved(part.block, rest))
         tags = poses.tags @ exp(kept[:count])
-        mounts = np.concatenate([poses.mounts[:1], poses.mounts[1:] @ exp(kept[count : self.placed])])
+        mounts = poses.mounts.copy()
+        mounts[1 : 1 + self.mounts] = mounts[1 : 1 + self.mounts] @ exp(kept[count : self.placed])
         return Poses(tags, frames, mounts)
 
     def unknowns(self, some: Sightings, at: Linearised) -> list[tuple[IntArray, FloatArray]]:
         """For each kind of what is kept, which of it some sightings are of, `(n,)`, and its slope, `(n, 8, 6)`."""
         found = [(some.tag, at.by_tag)]
-        if some.cameras > 1:
+        if self.mounts:
             others = some.camera > 0
             index = len(some.ids) + np.where(others, some.camera - 1, 0)
             found.append((index, at.by_mount * others[:, None, None]))
@@ -291,11 +293,21 @@ def blocks_of(covariance: FloatArray, count: int) -> FloatArray:
 def without_gauge(covariance: FloatArray, tags: FloatArray) -> FloatArray:
     """The covariance of tags once the map is laid over the true one: what each is off by beside the others.
 
+    Args:
+        covariance: of the twists of n tags, each in its own frame, `(6 n, 6 n)`.
+        tags: their poses, `(n, 4, 4)`.
+    """
+    left = gauge_free(tags)
+    return np.asarray(left @ covariance @ left.T)
+
+
+def gauge_free(tags: FloatArray) -> FloatArray:
+    """What is left of the twists of tags once the map is laid over the true one, as a matrix `(6 n, 6 n)`.
+
     With T the twists of all tags that one motion of the world leads to, `(6 n, 6)`, and T_p the rows of it that move
     their centres, the motion that fits best is g = T_p^+ x_p, and what is left of x is x - T g.
 
     Args:
-        covariance: of the twists of n tags, each in its own frame, `(6 n, 6 n)`.
         tags: their poses, `(n, 4, 4)`.
     """
     back = inverse(tags)
@@ -304,8 +316,7 @@ def without_gauge(covariance: FloatArray, tags: FloatArray) -> FloatArray:
     motion = motion.reshape(-1, 6)
     fit = np.zeros((6, len(motion)))
     fit[:, centres] = np.linalg.pinv(motion[centres])
-    left = np.eye(len(motion)) - motion @ fit
-    return np.asarray(left @ covariance @ left.T)
+    return np.asarray(np.eye(len(motion)) - motion @ fit)
 
 
 def resected(sightings: Sightings, poses: Poses, floor: float, steps: int = RESECTIONS) -> FloatArray:

@@ -100,7 +100,7 @@ def estimate(sightings: Sightings, prior: Prior, origin: int | None = None) -> E
         rough, group = place(sightings.apart(), planned)
         if group.max(initial=-1) < 0:
             raise InputError("detections never show two tags at once, of which one leaves no doubt.", "detections")
-        poses, group, prior = _in_one_world(sightings, joined(sightings, rough), group, prior, origin)
+        poses, group, prior = _in_one_world(sightings, joined(sightings, rough, prior.mounts), group, prior, origin)
         return adjusted(sightings, prior, poses, group, FLOOR)
 
 
@@ -112,7 +112,8 @@ def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, 
     there = (group == 0) & (np.bincount(sightings.tag[of_map], minlength=len(group)) > 0)
     sheets = None if prior.sheets is None else prior.sheets.of(there)
     information = np.where((group == 0)[:, None], prior.information, 0.0)
-    prior = Prior(prior.tags, information, sheets if sheets is not None and len(sheets.tag) else None)
+    sheets = None if sheets is None or not len(sheets.tag) else sheets
+    prior = replace(prior, information=information, sheets=sheets)
     for steps in (STEPS, FINAL_STEPS):
         used = twice_in_frame(sightings, used)
         adjustment = Adjustment(sightings.of(used), prior)
@@ -144,12 +145,13 @@ def twice_in_frame(sightings: Sightings, used: BoolArray) -> BoolArray:
     return np.asarray(used & (counts[sightings.frame] >= 2))
 
 
-def joined(sightings: Sightings, apart: Poses) -> Poses:
+def joined(sightings: Sightings, apart: Poses, known: FloatArray | None = None) -> Poses:
     """Poses of one body from those of its cameras by themselves.
 
     Args:
         sightings: of the body.
         apart: of `sightings.apart()`.
+        known: how the cameras are mounted, `(C, 4, 4)`; None where that is to be found.
 
     Raises:
         InputError: a camera was never placed together with the first one.
@@ -159,9 +161,12 @@ def joined(sightings: Sightings, apart: Poses) -> Poses:
     for camera in range(1, sightings.cameras):
         there = np.isfinite(views[camera, :, 0, 0])
         both = there & np.isfinite(frames[:, 0, 0])
-        if not both.any():
+        if known is not None:
+            mounts[camera] = known[camera]
+        elif both.any():
+            mounts[camera] = _middle(inverse(frames[both]) @ views[camera, both])
+        else:
             raise InputError(f"detections have no frame that shows where camera {camera + 1} is mounted.", "detections")
-        mounts[camera] = _middle(inverse(frames[both]) @ views[camera, both])
         fresh = there & ~both
         frames[fresh] = views[camera, fresh] @ inverse(mounts[camera])
     return Poses(apart.tags, frames, mounts)

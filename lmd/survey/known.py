@@ -103,6 +103,7 @@ def prior_of(
     fixed: Deployment | None,
     points: Points | None = None,
     boards: Boards | None = None,
+    mounts: FloatArray | None = None,
 ) -> Prior:
     """What a plan, tags whose places are exact, and measured centres say of the tags with these `ids` `(K,)`.
 
@@ -113,6 +114,7 @@ def prior_of(
         fixed: where some hang exactly; None for none.
         points: where the centres of some are; None for none.
         boards: how some are to each other; None for none.
+        mounts: of the cameras, see `Prior`; None where they are to be found.
     """
     tags, information = np.tile(np.eye(4), (len(ids), 1, 1)), np.zeros((len(ids), 6))
 
@@ -130,7 +132,7 @@ def prior_of(
     if fixed is not None:
         of, among = shared(fixed.ids)
         tags[of], information[of] = poses_of(fixed)[among], EXACT**-2.0
-    return Prior(tags, information, None if boards is None else boards.among(ids))
+    return Prior(tags, information, None if boards is None else boards.among(ids), mounts)
 
 
 def aligned(tags: FloatArray, prior: Prior) -> FloatArray | None:

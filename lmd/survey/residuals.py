@@ -44,11 +44,13 @@ class Prior:
         tags: their poses, `(K, 4, 4)`; whatever it is where nothing is known.
         information: one over the variance of the turn about each axis of the tag, and of the way along each, `(K, 6)`.
         sheets: tags that were printed together, all of them placed; None for none.
+        mounts: of the cameras, see `Poses`; None where these are to be found.
     """
 
     tags: FloatArray
     information: FloatArray
     sheets: "Sheets | None" = None
+    mounts: FloatArray | None = None
 
     def off(self, tags: FloatArray) -> FloatArray:
         """The twists from what is known to `tags`, `(K, 6)`; 0 where nothing is known."""

@@ -33,6 +33,7 @@ class Known:
         fixed: where some hang exactly; None for none.
         points: where the centres of some are, as a tape measure says; None for none.
         boards: how those are to each other that were printed on one sheet; None for none.
+        mounts: of the cameras to the body, which is the first of them, `(C, 4, 4)`; None where they are to be found.
         origin: id of the tag whose frame is the world where nothing else is known; None for the one seen most often.
         floor: ids of tags that lie on the floor: then z is up in that world, and 0 on the floor; none for no such.
 
@@ -45,6 +46,7 @@ class Known:
     fixed: Deployment | None = None
     points: Points | None = None
     boards: Boards | None = None
+    mounts: FloatArray | None = None
     origin: int | None = None
     floor: tuple[int, ...] = ()
 
@@ -79,6 +81,21 @@ class Known:
 
 
 @dataclass(frozen=True)
+class Photograph:
+    """A photograph that would help.
+
+    Args:
+        pose: of the (first) camera, to the world, `(4, 4)`.
+        tags: that it shows, by their index.
+        left: the root mean square standard deviation of the places of tags once it is taken, metres.
+    """
+
+    pose: FloatArray
+    tags: IntArray
+    left: float
+
+
+@dataclass(frozen=True)
 class Survey:
     """What came out, tags in the order of `found.sightings.ids`.
 
@@ -90,6 +107,7 @@ class Survey:
         placed: which tags are in the map, `(K,)`.
         localised: frames held out, see `lmd.survey.held_out`.
         calibrated: the cameras as the photographs say, if that was asked for; else none.
+        proposed: what to photograph next, see `lmd.survey.next_photographs`.
     """
 
     detected: DetectedTags
@@ -99,6 +117,7 @@ class Survey:
     placed: BoolArray
     localised: dict[str, Localised]
     calibrated: tuple[Calibrated, ...] = ()
+    proposed: tuple[Photograph, ...] = ()
 
     @property
     def ids(self) -> IntArray:
@@ -146,7 +165,7 @@ def survey(
         return sightings_of(detected, through, ids, known.edges(ids, tag), tag.modules, errors)
 
     sightings, refined = sighted(cameras), tuple(cameras)
-    prior = prior_of(ids, known.plan, known.hanging, known.fixed, known.points, known.boards)
+    prior = prior_of(ids, known.plan, known.hanging, known.fixed, known.points, known.boards, known.mounts)
     found = estimate(sightings, prior, known.origin)
     if calibrate:
         found, refined = calibrated(found, cameras, sighted)

@@ -55,6 +55,20 @@ def probability(scene, deployment, n):
     return float(found[0])
 
 
+def test_where_cameras_are_mounted_agrees_with_what_they_look_at():
+    rig = Rig(
+        (Mount(paper_camera(), (0.1, 0.2, 0.3), yaw=0.4, pitch=0.1), Mount(paper_camera(), (0.0, -0.1, 0.0), roll=0.3))
+    )
+    body = np.array([[1.0, 0.0, 0.0, 0.0, -1.0, 0.0]])
+    offsets, looking = rig.views(body)
+    first, second = (
+        np.column_stack([view[0, 3:], np.cross(view[0, :3], view[0, 3:]), view[0, :3]]) for view in looking
+    )
+    assert_allclose(rig.mounted[0], np.eye(4), atol=1e-12)
+    assert_allclose(rig.mounted[1, :3, :3], first.T @ second, atol=1e-12)
+    assert_allclose(rig.mounted[1, :3, 3], first.T @ (offsets[1] - offsets[0])[0], atol=1e-9)
+
+
 def test_back_to_back_each_camera_adds_its_share():
     alone, rig = scene_with(), scene_with(*around(2))
     assert probability(alone, AHEAD, 1) == pytest.approx(SEEN / YAWS, abs=1e-12)
@@ -227,9 +241,8 @@ BY_SENSOR = "camera_params: {}\ncameras:\n" + "".join(
 
 @pytest.mark.parametrize("text", [BY_IMU, BY_SENSOR], ids=["Kalibr", "OKVIS"])
 def test_cameras_on_an_imu_are_a_rig_too(text, write):
-    for chained, by_imu in zip(
-        *(rig_of(read_mounts(write(*of))).mounts for of in ((CHAIN, "a"), (text, "b"))), strict=False
-    ):
+    rigs = [rig_of(read_mounts(write(*of))).mounts for of in ((CHAIN, "a"), (text, "b"))]
+    for chained, by_imu in zip(*rigs, strict=False):
         assert_allclose(by_imu.translation, chained.translation, atol=1e-12)
         assert_allclose(by_imu.rotation, chained.rotation, atol=1e-12)
 
