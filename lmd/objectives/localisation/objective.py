@@ -153,13 +153,13 @@ class Localisation(AtLeast):
             "on a finer grid": f"{self.headline.label} {figures[f'finer_grid_{key}']:.2%}",
         }
 
-    def field(self, evaluator: Evaluator) -> LocalisationField:
-        """See `Objective.field`.
+    def check_moves(self, scene: Scene) -> None:
+        """See `Incremental`: a rig's landmarks cannot be moved one by one."""
+        scene.single_camera("moving single landmarks for localisation", "a black box such as ega")
 
-        Raises:
-            InputError: the scene has a rig.
-        """
-        evaluator.scene.single_camera("moving single landmarks for localisation")
+    def field(self, evaluator: Evaluator) -> LocalisationField:
+        """See `Objective.field`."""
+        self.check_moves(evaluator.scene)
         asked = self.precision(evaluator.scene)
         return LocalisationField(coverage_field(evaluator, self.n), asked, asked.asks, self.coverage_weight)
 
@@ -170,13 +170,10 @@ class Localisation(AtLeast):
         return Threshold(math.ceil((self.thold_p - TOLERANCE) * PROBABILITY_ONE), relevance)
 
     def selection(self, evaluator: Evaluator, relevance: FloatArray) -> LogDeterminant:
-        """See `Objective.selection`: the log det of the information, from a prior of some tolerances.
-
-        Raises:
-            InputError: the scene has a rig.
-        """
+        """See `Objective.selection`: the log det of the information, from a prior of some tolerances."""
         scene = evaluator.scene
-        scale = deviation_per_variance(scene.single_camera("choosing landmarks for localisation"), self.pixel_noise)
+        camera = scene.single_camera("choosing landmarks for localisation")
+        scale = deviation_per_variance(camera, self.pixel_noise)
         prior = PRIOR_TOLERANCES * self.tolerance if math.isfinite(self.tolerance) else PRIOR_POSITION
         known = (scale / prior) ** 2, (scale / PRIOR_ROTATION) ** 2
         return LogDeterminant(evaluator, relevance, self.precision(scene), *known)
