@@ -206,6 +206,8 @@ def main() -> None:
     parser.add_argument("wanted", nargs="*")
     parser.add_argument("--seconds", type=float, default=float("inf"))
     given = parser.parse_args()
+    sys.path.insert(0, str(ROOT))  # commands run in folders of their own, and start others
+    os.environ["PYTHONPATH"] = str(ROOT)
     run(given.wanted, given.seconds)
     PAGE.write_text("\n".join(page(kept())) + "\n")
 
