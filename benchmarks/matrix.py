@@ -61,7 +61,7 @@ SEARCH = "deployment.count=8", "validate=false", "picture=false"
 LISTED = "deployments=[uniform]", "deployment.count=8"
 COMMANDS: dict[str, tuple[str, ...]] = {
     "optimise": (*SEARCH, "budget.evaluations=20"),
-    "optimise: black box": (*SEARCH, "optimiser=ega", "optimiser.population=4", "budget.evaluations=4"),
+    "optimise: black box": (*SEARCH, "optimiser=random_search", "budget.evaluations=4"),
     "evaluate": (*PLAN, "validate=false", "picture=false"),
     "evaluate: sensitivity": (*PLAN, "validate=false", "picture=false", "localisation=false", "sensitivity=true"),
     "evaluate: mounting": (
