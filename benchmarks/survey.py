@@ -1,7 +1,7 @@
 """What a survey is worth where the truth is known; each prints or leaves what its name says.
 
 python benchmarks/survey.py photograph RUN FOLDER [--count 80]   # photographs of a run's tags, hung 10 mm off; true.csv
-python benchmarks/survey.py photograph RUN FOLDER --next survey.json   # likewise those that a survey wants to have taken
+python benchmarks/survey.py photograph RUN FOLDER --next survey.json   # likewise those that a survey asks for
 python benchmarks/survey.py compare MAP.csv TRUE.csv             # how far the tags of a map are off, millimetres
 python benchmarks/survey.py aviary test_13 [--boards 0.0002] [--calibrate]   # detections of berndpfrommer/tagslam_test
 python benchmarks/survey.py perch test_2 [--calibrate]   # likewise, two fisheye cameras, beside TagSLAM's own answer
@@ -58,9 +58,10 @@ def photograph(run: Path, folder: Path, count: int, seed: int, asked: Path | Non
     renderer = Renderer(camera, TaggedRoom(tag, plan.ids, places, normals, ups, room.faces()), IMAGING)
     folder.mkdir(parents=True, exist_ok=True)
     poses = camera_pose(where, yaw, pitch, roll) if asked is None else asked_for(asked)
+    first, before = (0, "") if asked is None else (count, "next_")
     for number, pose in enumerate(poses):
-        image = renderer.frame(pose, np.random.default_rng([seed, number, asked is not None]))
-        cv2.imwrite(str(folder / f"{'' if asked is None else 'next_'}{number:04d}.png"), image)
+        image = renderer.frame(pose, np.random.default_rng([seed, first + number]))
+        cv2.imwrite(str(folder / f"{before}{number:04d}.png"), image)
     true = Deployment(places, normals, labels=plan.labels, surveyed=Surveyed(places, places, ups))
     true.to_csv(folder / "true.csv", ups=True)
 
