@@ -1,6 +1,7 @@
 """Find where the cameras of a robot go: `python -m pipelines.place_cameras [overrides]`."""
 
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -21,9 +22,8 @@ from .pipeline import Pipeline
 if TYPE_CHECKING:
     from lmd.cameras.problem import CameraProblem
     from lmd.optimisers.base import Result
-    from lmd.optimisers.ledger import Record
+    from lmd.optimisers.ledger import Ledger, Record
     from lmd.scene.camera import Camera
-    from lmd.scene.deployment import Deployment
     from lmd.scene.rig import Rig
 
     from .operations.tracking import Tracker
@@ -85,6 +85,7 @@ def place_cameras(cfg: DictConfig) -> float:
                 status="KILLED" if interrupted else "FINISHED",
                 in_haste=in_haste,
             )
+            print(f"rig                 {run_directory() / RIG}")
     except (Stopped, OSError):
         tell_how_to_go_on("place_cameras")
         raise
@@ -151,40 +152,79 @@ def _write(
 
 
 def _in_turn(cfg: DictConfig, problem: "CameraProblem", rounds: int) -> "tuple[Result, dict[str, Any], bool]":
-    """Place cameras, then tags, and so on; each turn begins with the best so far, and is dropped if it is no better."""
+    """Place cameras, then tags, and so on; each turn begins with the best so far, and is dropped if it is no better.
+
+    Returns:
+        the best; the fitness after each turn; whether it was told to stop so urgently that it left a batch undone.
+    """
     from lmd.cameras.problem import CameraProblem
     from lmd.optimisers.annealing import Annealing
+    from lmd.optimisers.base import Optimiser
     from lmd.optimisers.ledger import Budget
+    from lmd.problem import Problem
     from lmd.scene.deployment_sources import GivenDeployment
 
-    tags: Deployment = problem.tags
     best: Result | None = None
     history: list[Record] = []
     told: dict[str, float] = {}
-
-    def better(found: "Result", turn: str) -> "Result":
-        spent, by_then = (history[-1].evaluations, history[-1].wall_time) if history else (0, 0.0)
-        least = best.fitness if best else -1.0
-        history.extend(
-            replace(r, evaluations=spent + r.evaluations, best_fitness=max(r.best_fitness, least),
-                    wall_time=by_then + r.wall_time)
-            for r in found.history
-        )  # fmt: skip
-        kept = found if best is None or found.fitness > best.fitness else best
-        told[turn] = kept.fitness
-        print(f"{turn.replace('_', ' ')}: fitness {kept.fitness:.4%}")
-        return replace(kept, evaluations=history[-1].evaluations, seconds=history[-1].wall_time)
-
-    for i in range(1, rounds + 1):
-        placing = CameraProblem(problem, tags, problem.space, best.rig if best else None) if best else problem
-        best = better(build_optimiser(cfg, cfg.seed + i - 1).run(placing, budget_of(cfg)), f"round_{i}_cameras")
-        assert best.rig is not None
-        hanging = problem.with_rig(best.rig, GivenDeployment(problem.free(tags)))
-        moved = Annealing(seed=cfg.seed + i - 1).run(hanging, Budget(cfg.tag_evaluations))
-        best = better(replace(moved, rig=best.rig), f"round_{i}_tags")
-        tags = best.deployment
+    for turn in range(2 * rounds):
+        seed, name = cfg.seed + turn // 2, f"round_{1 + turn // 2}_{'tags' if turn % 2 else 'cameras'}"
+        optimiser: Optimiser
+        posed: Problem
+        if turn % 2:
+            assert best is not None
+            assert best.rig is not None
+            optimiser, budget = Annealing(seed=seed), Budget(cfg.tag_evaluations)
+            posed = problem.with_rig(best.rig, GivenDeployment(problem.free(best.deployment)))
+        else:
+            optimiser, budget = build_optimiser(cfg, seed), budget_of(cfg)
+            posed = problem if best is None else CameraProblem(problem, best.deployment, problem.space, best.rig)
+        ledger, found, in_haste = optimiser.ledger, None, False
+        try:
+            with stop.deferred(partial(_is_worth_waiting, optimiser.ledger)):
+                found = optimiser.run(posed, budget, lambda _: stop.requested)
+        except Stopped:
+            if best is None and not ledger.evaluations:
+                raise
+            in_haste = True
+            found = optimiser.result(posed, "interrupted") if ledger.evaluations else None
+        if found is not None:
+            history += _after(history, found.history)
+            if best is None or found.fitness > best.fitness:
+                best = replace(found, rig=best.rig if turn % 2 and best else found.rig)
+            told[name] = best.fitness
+            print(f"{name.replace('_', ' ')}: fitness {best.fitness:.4%}")
+        if found is None or found.stopped == "interrupted":
+            break
     assert best is not None
-    return replace(best, history=tuple(history)), {"rounds": told}, False
+    last, stopped = history[-1], "interrupted" if stop.requested else "budget"
+    whole = replace(
+        best, evaluations=last.evaluations, seconds=last.wall_time, history=tuple(history), stopped=stopped
+    )  # fmt: skip
+    return whole, {"rounds": told}, in_haste
+
+
+def _is_worth_waiting(ledger: "Ledger") -> bool:
+    """Whether a turn that is told to stop should end its batch first."""
+    from lmd.core.compiled import is_compiling
+
+    return ledger.evaluations > 0 and not is_compiling()
+
+
+def _after(before: "list[Record]", then: "Sequence[Record]") -> "list[Record]":
+    """What comes after a history, as a part of it."""
+    if not before:
+        return list(then)
+    last = before[-1]
+    return [
+        replace(
+            record,
+            evaluations=last.evaluations + record.evaluations,
+            best_fitness=max(last.best_fitness, record.best_fitness),
+            wall_time=last.wall_time + record.wall_time,
+        )
+        for record in then
+    ]
 
 
 main = Pipeline("place_cameras", place_cameras, (read_earlier_run,))

@@ -45,6 +45,7 @@ class CameraProblem(Problem):
                 raise
             raise InputError(f"boxes leave the room: {error}", "boxes") from None
         self.views = CameraViews(self.fitness_evaluator, tags)
+        self._most = -np.inf  # the best fitness so far
         if not self.counts:  # what does not take a rig says so before anything is searched
             self.values_of(space.mounts(space.draw(np.random.default_rng(0))) or ())
 
@@ -68,20 +69,36 @@ class CameraProblem(Problem):
         scene = replace(self.scene, camera=rig)
         return Problem(scene, self.objective, start or self.start, self.evaluator.threads, self.fixed)
 
-    def values_of(self, mounts: Sequence[Mount]) -> FloatArray | None:
-        """The objective's value at every position the fitness is measured at, `(Q,)`; None if one leaves the room."""
+    def stay(self, mounts: Sequence[Mount]) -> bool:
+        """Whether the cameras are in the room wherever the body may be.
+
+        The corners of the body are, so they nearly always are, and asking takes as long as looking.
+        """
+        try:
+            replace(self.scene, camera=Rig(tuple(mounts))).check_inside(self.evaluator.positions)
+        except InputError:
+            return False
+        return True
+
+    def values_of(self, mounts: Sequence[Mount]) -> FloatArray:
+        """The objective's value at every position the fitness is measured at, `(Q,)`."""
         if self.counts:
-            units = self.views.units(mounts, self.objective.n)
-            return None if units is None else np.asarray(units / PROBABILITY_ONE)
+            return np.asarray(self.views.units(mounts, self.objective.n) / PROBABILITY_ONE)
         measured = self.fitness_evaluator
         evaluator = Evaluator(replace(measured.scene, camera=Rig(tuple(mounts))), measured.positions, measured.threads)
         landmarks = self.tags.positions[None], self.tags.normals[None]
         return np.asarray(self.objective.values(evaluator, *landmarks)[0])
 
     def fitness_of_cameras(self, mounts: Sequence[Mount] | None) -> float:
-        """The fitness of cameras, -inf where they cannot be."""
-        values = None if mounts is None else self.values_of(mounts)
-        return -np.inf if values is None else float(self.objective.fitness(values, self.fitness_relevance))
+        """The fitness of cameras, -inf where they cannot be; only what is better than all before is asked to `stay`."""
+        if mounts is None:
+            return -np.inf
+        fitness = float(self.objective.fitness(self.values_of(mounts), self.fitness_relevance))
+        if fitness > self._most:
+            if not self.stay(mounts):
+                return -np.inf
+            self._most = fitness
+        return fitness
 
     @property
     def dim(self) -> int:

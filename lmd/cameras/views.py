@@ -34,7 +34,7 @@ class CameraViews:
         self._weights = weights[self._position, self._orientation]
         self._axes = axes
         self._of_camera: dict[Camera, Evaluator] = {}
-        self._kept: OrderedDict[Mount, np.ndarray | None] = OrderedDict()
+        self._kept: OrderedDict[Mount, np.ndarray] = OrderedDict()
 
     def _alone(self, camera: Camera) -> Evaluator:
         """The scene with one camera, whose positions nobody asks for."""
@@ -47,8 +47,8 @@ class CameraViews:
         """Whether a camera has been looked at before and is remembered."""
         return mount in self._kept
 
-    def seen(self, mount: Mount) -> np.ndarray | None:
-        """The tags that a camera sees from the N poses of its body, sets `(N, W)`; None if it leaves the room."""
+    def seen(self, mount: Mount) -> np.ndarray:
+        """The tags that a camera sees from the N poses of its body, sets `(N, W)`."""
         if mount not in self._kept:
             self._kept[mount] = self._look(mount)
             size = 8 * (1 + (len(self._deployment) - 1) // 64) * len(self._position)
@@ -57,12 +57,10 @@ class CameraViews:
         self._kept.move_to_end(mount)
         return self._kept[mount]
 
-    def _look(self, mount: Mount) -> np.ndarray | None:
+    def _look(self, mount: Mount) -> np.ndarray:
         (offsets,), (turned,) = Rig((mount,)).views(self._axes)
         alone, n = self._alone(mount.camera), len(self._position)
         places = self._evaluator.positions[self._position] + offsets[self._orientation]
-        if not self._evaluator.scene.room.contains(places).all():
-            return None
         axes, found = turned[self._orientation], np.empty((n, len(self._deployment)), dtype=np.bool_)
 
         def look(first: int, last: int) -> None:
@@ -71,14 +69,11 @@ class CameraViews:
         in_parts(self._evaluator.threads, look, n, PARTS * self._evaluator.threads)
         return packed(found)
 
-    def units(self, mounts: Sequence[Mount], n: int) -> np.ndarray | None:
-        """P_n at each position in units of 1 / `PROBABILITY_ONE`, `(P,)`; None if a camera leaves the room."""
+    def units(self, mounts: Sequence[Mount], n: int) -> np.ndarray:
+        """P_n at each position in units of 1 / `PROBABILITY_ONE`, `(P,)`."""
         union = np.uint64(0)
         for mount in mounts:
-            seen = self.seen(mount)
-            if seen is None:
-                return None
-            union = union | seen  # type: ignore[assignment] # an array from the first on
+            union = union | self.seen(mount)  # type: ignore[assignment] # an array from the first on
         enough = np.bitwise_count(union).sum(axis=-1) >= n
         # Sums of whole numbers up to 2^52 are exact in doubles, too.
         summed = np.bincount(self._position, self._weights * enough, len(self._evaluator.positions))

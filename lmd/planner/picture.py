@@ -30,7 +30,7 @@ from lmd.planner.plan import Plan
 from lmd.planner.surveyed import Found
 from lmd.plot import common
 from lmd.problem import Problem
-from lmd.scene.camera import Camera
+from lmd.render.optics import view_edges
 from lmd.scene.deployment import Deployment
 
 SQUARE = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
@@ -42,8 +42,7 @@ POINT = 0.008  # half the edge of a landmark that is a point, in diagonals of th
 CELL = 0.97  # of a cell that is coloured
 MAGNIFIED = 20.0  # times that lines to where tags hang are as long
 LIGHT = 2.0  # with which colours come out as they are given, nearly
-FRUSTUM = 0.08  # size of the camera, in diagonals
-WIDEST_FRUSTUM = math.radians(150.0)  # that of a fisheye is drawn no wider
+FRUSTUM = 0.08  # depth of the camera's view, in diagonals
 
 
 class Picture:
@@ -175,22 +174,12 @@ class Picture:
         body = axis_and_right(camera_pose(position[None], np.array([yaw]), np.array([pitch])))
         for number, station in enumerate(self._problem.scene.stations(body)):
             if number == len(self._frustums):
-                self._frustums.append(self._add_frustum(number, station.camera))
+                edges = view_edges(station.camera, FRUSTUM * self._diagonal)
+                self._frustums.append(self._scene.add_line_segments(f"/camera_{number}", edges, SEEN))
             forward, right = station.axes[:, :3], station.axes[:, 3:]
             frustum = self._frustums[number]
             frustum.position = position + station.offset
             frustum.wxyz = _quaternions(right, np.asarray(np.cross(forward, right)), forward)[0]
-
-    def _add_frustum(self, number: int, camera: Camera) -> Any:
-        view = camera.field_of_view
-        tall, wide = (min(angle, WIDEST_FRUSTUM) for angle in (view.top + view.bottom, view.left + view.right))
-        return self._scene.add_camera_frustum(
-            f"/camera_{number}",
-            tall,
-            math.tan(wide / 2.0) / math.tan(tall / 2.0),
-            scale=FRUSTUM * self._diagonal,
-            color=SEEN,
-        )
 
 
 def _quaternions(right: FloatArray, up: FloatArray, normal: FloatArray) -> FloatArray:

@@ -70,7 +70,9 @@ def _draw(axes: "Axes", view: str, onto: FloatArray, body: Body, rig: Rig) -> No
         at = onto @ np.array(mount.translation) * MM
         fan = [at, *(at + REACH * size * (onto @ edge) for edge in _edges(mount, across=view == "from above"))]
         axes.add_patch(Polygon(fan, facecolor=FIXED, alpha=0.25, zorder=2))
-        axes.plot(*at, "o", color=LANDMARK, zorder=5)
+        behind = np.cross(*onto) @ (np.array(mount.translation) - (low.min(axis=0) + high.max(axis=0)) / 2.0) < 0.0
+        hidden = behind and bool(((at > first) & (at < last)).all())
+        axes.plot(*at, "o", color=LANDMARK, fillstyle="none" if hidden else "full", zorder=5)
         text = f"{i} ({', '.join(f'{MM * mount.translation[axis]:.0f}' for axis in _shown(onto))})"
         axes.annotate(text, tuple(at), (5, 6), textcoords="offset points", fontsize=8, zorder=6)
     axes.set_title(view)

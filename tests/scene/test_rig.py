@@ -241,9 +241,8 @@ BY_SENSOR = "camera_params: {}\ncameras:\n" + "".join(
 
 @pytest.mark.parametrize("text", [BY_IMU, BY_SENSOR], ids=["Kalibr", "OKVIS"])
 def test_cameras_on_an_imu_are_a_rig_too(text, write):
-    for chained, by_imu in zip(
-        *(rig_of(read_mounts(write(*of))).mounts for of in ((CHAIN, "a"), (text, "b"))), strict=False
-    ):
+    rigs = [rig_of(read_mounts(write(*of))).mounts for of in ((CHAIN, "a"), (text, "b"))]
+    for chained, by_imu in zip(*rigs, strict=False):
         assert_allclose(by_imu.translation, chained.translation, atol=1e-12)
         assert_allclose(by_imu.rotation, chained.rotation, atol=1e-12)
 
