@@ -85,6 +85,7 @@ def place_cameras(cfg: DictConfig) -> float:
                 status="KILLED" if interrupted else "FINISHED",
                 in_haste=in_haste,
             )
+            print(f"rig                 {run_directory() / RIG}")
     except (Stopped, OSError):
         tell_how_to_go_on("place_cameras")
         raise

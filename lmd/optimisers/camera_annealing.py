@@ -20,9 +20,13 @@ from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 
+GIVEN = 0.5  # share of the schedule that is left out where the start is given
+
 
 class CameraAnnealing(Optimiser):
     """Anneals mounts in the unit box of their genes.
+
+    Cameras that are given are improved from the middle of the schedule on, so that they are not thrown away first.
 
     Args:
         temperature: at the beginning and at the end, in units of what is climbed.
@@ -81,7 +85,8 @@ class CameraAnnealing(Optimiser):
             ledger.note(1, self._scored(cameras, self.here)[0])
         energy = self._scored(cameras, self.here)[1]
         while (used := budget.used(ledger.evaluations, ledger.seconds)) < 1.0:
-            energy, best = self._swept(cameras, used, energy)
+            skipped = 0.0 if cameras.varies else GIVEN
+            energy, best = self._swept(cameras, skipped + (1.0 - skipped) * used, energy)
             ledger.seconds = clock() - began
             ledger.note(ledger.evaluations + 1, best)
             if callback and callback(self):
