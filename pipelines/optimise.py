@@ -70,7 +70,12 @@ def optimise(cfg: DictConfig) -> float:
                 result.deployment,
                 result.history,
                 subject=subject,
-                summary={"evaluations": result.evaluations, "wall_time": result.seconds, "stopped": result.stopped},
+                summary={
+                    "evaluations": result.evaluations,
+                    "wall_time": result.seconds,
+                    "stopped": result.stopped,
+                    **optimiser.figures(),
+                },
                 further=lambda: _accuracy(cfg, problem, result.deployment),
                 export=export,
                 status="KILLED" if interrupted else "FINISHED",

@@ -15,6 +15,7 @@ from .app import CONF, GARBAGE, PACKAGE, ends_reported
 from .fixed import quoted
 from .hyperparameters import over_defaults
 from .operations.signals import Stopped, stop
+from .operations.sweeps import search  # noqa: F401 # from here on Hydra knows this sweeper
 from .operations.sweeps.supervisor import run
 from .spelling import ask_what_was_meant
 

@@ -33,7 +33,8 @@ class Result:
         evaluations: full evaluations spent.
         seconds: wall time spent, over all sittings of a resumed run, without that of the compiler.
         history: best fitness against evaluations and wall time.
-        stopped: `budget` when the budget is used up, `interrupted` when the callback asked to stop.
+        stopped: `budget` when the budget is used up, `interrupted` when the callback asked to stop, `proven` when
+            nothing better is left to be found.
         rig: the best cameras found, of a `CameraProblem`, whose deployment is given; None of others.
     """
 
@@ -91,6 +92,10 @@ class Optimiser(ABC):
         """Raise `InputError` if the method cannot take a problem; asked before a run writes anything."""
         if isinstance(problem, CameraProblem) and type(self).found_rig is Optimiser.found_rig:
             raise InputError(f"{type(self).__name__} places landmarks, not cameras; use a black box.")
+
+    def figures(self) -> Mapping[str, float]:
+        """What the method can say of its result beside the fitness, for the record; nothing by default."""
+        return {}
 
     @abstractmethod
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:

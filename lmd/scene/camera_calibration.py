@@ -82,35 +82,45 @@ class Calibration:
 
 
 def calibrated_camera(
-    path: str | None, name: str | None = None, image_size: Iterable[int] | None = None, **optics: Any
+    path: str | None,
+    name: str | None = None,
+    image_size: Iterable[int] | None = None,
+    distortion_model: str | None = None,
+    **optics: Any,
 ) -> Camera:
     """The camera of a calibration file.
 
     Args:
-        path, name, image_size: see `read_calibration`.
+        path, name, image_size, distortion_model: see `read_calibration`.
         optics: see `Calibration.camera`.
 
     Raises:
         InputError: see there.
     """
-    calibration = read_calibration(path, name, image_size)
+    calibration = read_calibration(path, name, image_size, distortion_model)
     try:
         return calibration.camera(**optics)
     except InputError as error:
         raise error if error.argument in OPTICS else InputError(f"{path}: {error}") from None
 
 
-def read_calibration(path: str | None, name: str | None = None, image_size: Iterable[int] | None = None) -> Calibration:
+def read_calibration(
+    path: str | None,
+    name: str | None = None,
+    image_size: Iterable[int] | None = None,
+    distortion_model: str | None = None,
+) -> Calibration:
     """Read a file of one of the formats of `lmd.scene.calibration_files`.
 
     Args:
         path: the file.
         name: the camera in a file with several, such as `cam1` of Kalibr; not needed where there is only one.
         image_size: width and height, pixels; needed where the file has none.
+        distortion_model: of the lens, where the file names none, as OpenCV's scripts do: `fisheye` for its fisheye.
 
     Raises:
-        InputError: the file cannot be read, a key is missing or wrong, the size is another than that of the file, or
-            the lens is of another model.
+        InputError: the file cannot be read, a key is missing or wrong, the size or the model is another than that of
+            the file, or the lens is of a model that is not known.
     """
     if path is None:
         raise InputError("path is missing: a calibration file is needed.", "path")
@@ -123,15 +133,15 @@ def read_calibration(path: str | None, name: str | None = None, image_size: Iter
     chosen = name or (cameras[0] if cameras else "")
     size = None if image_size is None else vector("image_size", image_size, 2, above=0.0)
     try:
-        found = _calibration(restated[chosen], size)
+        found = _calibration(restated[chosen], size, distortion_model)
     except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+        raise error if error.argument == "distortion_model" else InputError(f"{path}: {error}") from None
     if size not in (None, known := (found.image_width, found.image_height)):
         raise InputError(f"image_size must be {list(known)}, as {path} has it, got {list(size)}.", "image_size")
     return found
 
 
-def _calibration(keys: Mapping[str, Any], size: tuple[float, ...] | None) -> Calibration:
+def _calibration(keys: Mapping[str, Any], size: tuple[float, ...] | None, asked: str | None) -> Calibration:
     """From the keys of ROS; of those who use them, only ROS names the model."""
     matrix = vector("camera_matrix.data", _entry(keys, "camera_matrix", "data"), 9)
     focal_u, skew, centre_u, below, focal_v, centre_v, *last = matrix
@@ -142,8 +152,10 @@ def _calibration(keys: Mapping[str, Any], size: tuple[float, ...] | None) -> Cal
     if width is None or height is None:
         raise InputError(f"{' or '.join(SIZE)} is missing: give image_size, [width, height] in pixels.")
     # OpenCV's own sample says by a flag of its own that it is a fisheye.
-    name = "fisheye" if keys.get("fisheye_model", 0) else keys.get("distortion_model", "plumb_bob")
+    name = "fisheye" if keys.get("fisheye_model", 0) else keys.get("distortion_model", asked or "plumb_bob")
     model = LENS_MODELS[known_lens(name, LENS_MODELS)]
+    if asked is not None and LENS_MODELS[known_lens(asked, LENS_MODELS)] != model:
+        raise InputError(f"distortion_model must be {name}, as the file has it, got {asked}.", "distortion_model")
     return Calibration(width, height, (focal_u, focal_v), (centre_u, centre_v), lens, model)
 
 

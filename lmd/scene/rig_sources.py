@@ -14,7 +14,7 @@ from lmd.scene.extrinsics import LEVEL, read_chain
 from lmd.scene.rig import ANGLES, Mount, Rig
 
 KEYS = ("translation", *ANGLES, "quaternion", "camera")
-CAMERA_KEYS = ("path", "name", "image_size", *OPTICS)
+CAMERA_KEYS = ("path", "name", "image_size", "distortion_model", *OPTICS)
 CHAIN_KEYS = ("path", *KEYS[:-1])
 
 

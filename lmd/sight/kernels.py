@@ -56,8 +56,7 @@ def evaluate_range(
         units: `(B, P)` int64, receives P_n in integer units.
         counts: `(B, P, D)` int16 zeros, receives landmarks covered per axis if `keep` is set.
     """
-    # Functions that get arrays are inlined here: handing arrays on costs atomic reference counts, as much as the work
-    # itself. Which half of it is compiled depends on the type of `tables`.
+    # Which half of this is compiled depends on the type of `tables`.
     size, poses, names = axes.shape[1], np.empty((6, landmarks.shape[2])), np.arange(landmarks.shape[2])
     clear, ends, view = is_clear(obstacles), no_ends(obstacles, len(names)), viewpoint_for(len(names))
     near, x, y, z, low, high, deep = view.near, view.x, view.y, view.z, view.low, view.high, view.deep

@@ -24,19 +24,16 @@ import numpy as np
 from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import adjoint, exp, inverse, nearest_rotations, pose_of
 from lmd.survey.residuals import (
-    FREEDOM,
-    RESIDUALS,
     Linearised,
     Poses,
     Prior,
     errors_at,
     gathered,
     linearise,
-    solved,
     summed,
-    weight_of,
 )
 from lmd.survey.sightings import Sightings
+from lmd.survey.student import FREEDOM, RESIDUALS, solved, weight_of
 
 # The mean of (nu + 8) chi^2 / (nu + chi^2) where chi^2 has its own distribution with 8 degrees of freedom.
 NORMAL_MEAN = 7.5625

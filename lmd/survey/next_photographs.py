@@ -21,8 +21,9 @@ from lmd.scene.camera import Camera
 from lmd.space.space import Space
 from lmd.survey.adjustment import Adjustment, gauge_free
 from lmd.survey.estimate import ONE_THREAD
-from lmd.survey.residuals import RESIDUALS, linearise
+from lmd.survey.residuals import linearise
 from lmd.survey.sightings import Sightings
+from lmd.survey.student import RESIDUALS
 from lmd.survey.survey import Photograph, Survey
 
 MOST = 5  # photographs that are proposed

@@ -15,6 +15,7 @@ from scipy.optimize import differential_evolution, direct, dual_annealing
 from small import problem
 
 from lmd.core.checks import InputError
+from lmd.optimisers.ask_and_tell import AskAndTell
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.nevergrad import Nevergrad
 from lmd.optimisers.pycma import PyCma
@@ -81,6 +82,51 @@ class Stubborn(Wrapped):
                 print("chatter")
 
         return Session()
+
+
+class OneByOne:
+    """Proposes one set of genes at a time, is told pairs, and ends after five rounds, as the package cmaes does it."""
+
+    def __init__(self, mean, step, seed, bounds):
+        assert bounds.shape == (len(mean), 2)
+        self.best, self.step, self.rng, self.rounds = (np.inf, mean), step, np.random.default_rng(seed), 0
+
+    def ask(self):
+        return self.best[1] + self.rng.normal(0.0, self.step, len(self.best[1]))
+
+    def tell(self, pairs):
+        self.rounds += 1
+        assert len(pairs) == 4
+        self.best = min([self.best, *((loss, genes) for genes, loss in pairs)], key=lambda pair: pair[0])
+
+    def should_stop(self):
+        return self.rounds >= 5
+
+
+def one_by_one():
+    return AskAndTell(partial(OneByOne, step=0.05), start="mean", batch=4, told="pairs")
+
+
+def strategy(x0, step):
+    import cma
+
+    return cma.CMAEvolutionStrategy(x0, step, {"bounds": [0, 1], "verbose": -9})
+
+
+@pytest.mark.parametrize("make", [one_by_one, lambda: AskAndTell(partial(strategy, step=0.2))])
+def test_any_object_that_is_asked_and_told_gets_better(make):
+    optimiser = make()
+    run(optimiser, 60)
+    assert optimiser.ledger.best_fitness > -2.0  # the start is at -3.6
+
+
+def test_an_object_that_cannot_be_made_says_why():
+    with pytest.raises(InputError, match=r"^start must be one of mean, step, seed, bounds, got 'x0'"):
+        AskAndTell(OneByOne)
+    with pytest.raises(InputError, match=r"^make failed: .*step"):
+        run(AskAndTell(OneByOne, start="mean"), 1)
+    with pytest.raises(InputError, match=r"^make must be a class or a function, got 3"):
+        AskAndTell(3)
 
 
 @pytest.mark.parametrize("name", ["GA", "DE", "PSO", "ISRES", "G3PCX"])
@@ -189,6 +235,8 @@ def test_pycma_goes_on_after_it_has_converged():
         lambda: Nevergrad("Powell", budget=100),
         lambda: PyCma("vkd"),
         lambda: Scipy(differential_evolution),
+        lambda: pymoo("G3PCX", pop_size=10),
+        one_by_one,
         lambda: Stubborn(),
     ],
 )

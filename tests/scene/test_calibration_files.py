@@ -194,6 +194,16 @@ def test_a_size_is_given_beside(text, write):
     assert read_calibration(write(text), image_size=[640, 480]) == read_calibration(write(FILES["frc971"]))
 
 
+def test_a_fisheye_that_is_not_called_one_is_taken_as_what_it_is_said_to_be(write):
+    script = write(json.dumps(SCRIPT | {"distortion_coefficients": FISHEYE, "image_size": [640, 480]}))
+    assert read_calibration(script).distortion_model == "plumb_bob"
+    assert read_calibration(script, distortion_model="fisheye").distortion_model == "equidistant"
+    with pytest.raises(InputError, match=r"^distortion_model must be plumb_bob, as the file has it, got fisheye\.$"):
+        read_calibration(write(FILES["message"]), distortion_model="fisheye")
+    with pytest.raises(InputError, match=r"the lens model 'omni' is not known here"):
+        read_calibration(script, distortion_model="omni")
+
+
 def test_a_size_is_given_where_the_file_has_none_and_never_another(write):
     path = write(FILES["frc971"].replace("image_width", "w").replace("image_height", "h"))
     found = read_calibration(path, image_size=[640, 480])

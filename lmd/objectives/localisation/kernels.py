@@ -113,9 +113,10 @@ def localise_range(
                             cap |= covering(sight, left, i, xk, yk, zk, frame, least, high[k], deep[k], well, axes)
                         caps[k, i] = cap
                 for i in range(np.uint64(bottom[k]), np.uint64(top[k])):
-                    carry = caps[k, i]
-                    for j in range(np.uint64(places)):
+                    carry, j = caps[k, i], ZERO
+                    while carry:
                         digits[i, j], carry = add_digit(digits[i, j], carry, ZERO)
+                        j += ONE
             total, useful, row_of = np.int64(0), np.uint64(0), weights_row(weights, p)
             for i in range(words):
                 has = ALL

@@ -43,7 +43,7 @@ LOOK = 10  # evaluations' worth of moves between two looks, an evaluation each, 
 ON_SAMPLES = 2  # times as far is it from look to look on samples, which have to be drawn and laid out each time
 STEPS = 10  # of the ascent between two looks
 SMALLEST = 0.2  # of their virtual diameter: the size of plates when stacks are pulled apart
-
+SPREAD = 1.6  # virtual diameters between the landmarks of a stack pulled apart: they no longer hide each other
 
 STACKED = Stage(temperature=(2e-3, 1e-5), width=(0.06, 0.003), step=(1.0, 0.1), jump=0.1, join=0.0)
 SINGLE = Stage(temperature=(2e-5, 2e-6), width=(0.006, 0.002), step=(0.1, 0.01), jump=0.03, join=0.05, together=0.3)
@@ -86,7 +86,7 @@ class Annealing(Optimiser):
         stacked_share: float = 0.5,
         climb_share: float = 0.2,
         growth: float = 0.8,
-        spread: float = 1.6,
+        spread: float = SPREAD,
         largest: float = 0.35,
         walkers: int = 2,
         seed: int = 0,
@@ -304,16 +304,28 @@ class Annealing(Optimiser):
     def _apart(self, problem: Problem, stack: int, size: float) -> Deployment:
         """Each stack as so many plates of this size, pulled apart; landmarks in no stack stay where they began."""
         surfaces, surface = SurfaceArrays.of(problem.scene.plates.hanging.surfaces()), self.here.surfaces
-        # Neighbours on the circle are `spread` apart.
-        distance = self.spread * size * problem.scene.spacing
         assert self.angles is not None, "there are stacks"
-        radius = 0.0 if stack == 1 else distance / (2.0 * math.sin(math.pi / stack))
-        angle = self.angles[:, None] + 2.0 * np.pi * np.arange(stack) / stack
         centre = surfaces.coordinates(surface, self.here.positions)
-        at = centre[:, None] + radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        at = centre[:, None] + ring(self.angles, stack, self.spread * size * problem.scene.spacing)
         of = np.repeat(surface, stack)
         apart = problem.complete(Deployment(surfaces.points(of, at.reshape(-1, 2)), surfaces.normal[of], of))
         return apart if len(apart) == problem.count else apart + self.start[len(apart) :]
+
+
+def ring(angles: FloatArray, stack: int, distance: float) -> FloatArray:
+    """Where the landmarks of stacks are pulled to: each on a circle on which neighbours are `distance` apart.
+
+    Args:
+        angles: of the first of each stack, `(S,)`, radians.
+        stack: landmarks of each.
+        distance: metres.
+
+    Returns:
+        from the place of each stack along u and v of its surface, `(S, stack, 2)`, metres.
+    """
+    radius = 0.0 if stack == 1 else distance / (2.0 * math.sin(math.pi / stack))
+    angle = angles[:, None] + 2.0 * np.pi * np.arange(stack) / stack
+    return np.asarray(radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
 
 
 def _stacks(problem: Problem, stack: int) -> int:

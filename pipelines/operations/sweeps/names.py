@@ -81,9 +81,9 @@ def varied_keys(overrides: Sequence[str]) -> tuple[str, ...]:
 
 
 def sweep_name(root: DictConfig) -> str:
-    """The experiment a sweep runs, or else what it varies."""
-    experiment = root.hydra.runtime.choices.get("experiment")
-    return str(experiment or slug("_".join(varied_keys(swept(root)))) or "sweep")
+    """The experiment or the search a sweep runs, or else what it varies."""
+    stored = [root.hydra.runtime.choices.get(group) for group in ("experiment", "hparams_search")]
+    return slug("_".join(filter(None, stored)) or "_".join(varied_keys(swept(root)))) or "sweep"
 
 
 def sweep_folder(*, _root_: DictConfig) -> str:

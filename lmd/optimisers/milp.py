@@ -1,0 +1,266 @@
+"""The best choice of poses from a lattice, proven: an integer program, solved by HiGHS.
+
+Let `x_j` be how many landmarks hang at pose j of the lattice, `A_jpa` whether one there covers axis a from position p
+when no other landmark hides it, `w_a` the probability of an axis and `r_p` the relevance of a position. The program is
+
+    maximise   sum_p r_p z_p                                        z_p: position p is qualified
+    such that  n y_pa <= sum_j A_jpa x_j   for all p, a             y_pa: at least n landmarks are covered
+               thold_p z_p <= sum_a w_a y_pa   for all p
+               sum_j x_j = K,   y and z 0 or 1,
+               x_j 0 to n for points; 0 or 1 for papers, and x_i + x_j <= 1 where they overlap.
+
+Axes that the same poses cover from a position are one row, with the sum of their weights. Landmarks that hide each
+other only lower what is covered, so the bound holds with hiding, too. What was found is scored with it, the landmarks
+of a stack pulled apart.
+"""
+
+import operator
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, wait
+from dataclasses import dataclass
+from functools import partial, reduce
+from threading import Thread
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import Bounds, LinearConstraint, OptimizeResult, milp
+from scipy.sparse import block_array, block_diag, coo_array, csr_array, eye_array
+
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, real
+from lmd.core.compiled import clock
+from lmd.objectives.coverage import Coverage
+from lmd.optimisers.annealing.annealing import SPREAD, ring
+from lmd.optimisers.base import Callback, Optimiser, Result
+from lmd.optimisers.ledger import Budget, Ledger
+from lmd.optimisers.stored import deployment, deployment_state
+from lmd.problem import Problem
+from lmd.scene.criteria import TOLERANCE
+from lmd.scene.deployment import Deployment
+from lmd.scene.rig import Rig
+from lmd.sight.poses import candidate_poses, covered_amounts
+from lmd.space.surface import SurfaceArrays
+
+MOST_PAIRS = 20_000_000  # of a pose and a view; far more than HiGHS solves in an hour
+PROVEN, INFEASIBLE = 0, 2  # status of scipy.optimize.milp
+POLL = 0.2  # seconds between two looks at the keyboard while the solver works
+
+
+class Milp(Optimiser):
+    """The best deployment on a lattice of poses, with a bound that none there exceeds.
+
+    The start counts as found until the solver has something better. Finding what a pose covers costs as much of the
+    budget as moving one landmark; what the solver does costs time alone. It cannot go on where it was: a run that is
+    resumed begins anew.
+
+    Args:
+        spacing: of the lattice, metres.
+        seconds: that the solver may take; what it has by then is the result, and its bound holds.
+        seed: of the start, see `Optimiser`; the solver draws no random numbers.
+
+    Raises:
+        InputError: a parameter is out of range.
+    """
+
+    def __init__(self, spacing: float = 0.5, seconds: float = 600.0, seed: int = 0) -> None:
+        super().__init__(seed)
+        self.spacing = real("spacing", spacing, above=0.0)
+        self.seconds = real("seconds", seconds, above=0.0)
+        self.best: Deployment | None = None
+        self.proven: dict[str, float] = {}
+
+    def state(self) -> dict[str, Any]:
+        """See `Optimiser.state`."""
+        best = None if self.best is None else deployment_state(self.best)
+        return {**self.ledger.state(), "best": best}
+
+    def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
+        """See `Optimiser.restore`."""
+        self.ledger = Ledger.of(state)
+        if self.ledger.history:
+            self.best = deployment("best", state["best"], problem, problem.count)
+
+    def figures(self) -> dict[str, float]:
+        """The bound, what the solver's choice reaches where nobody hides anybody, and how far the result is below."""
+        return self.proven
+
+    def check(self, problem: Problem) -> None:
+        """See `Optimiser.check`."""
+        objective = problem.objective
+        if not isinstance(objective, Coverage) or objective.sampling is not None:
+            raise InputError("the integer program is that of plain coverage at the grid's own positions.")
+        if isinstance(problem.scene.camera, Rig):
+            raise InputError("the integer program is that of one camera, not of a rig.")
+        poses, views = len(self._poses(problem)), _views(problem).size
+        lattice = f"the lattice of the integer program has {poses} poses, {self.spacing:g} m apart"
+        if poses * views > MOST_PAIRS:
+            raise InputError(
+                f"{lattice}, and {views} views: no more than {MOST_PAIRS:.3g} pairs of a pose and a view make a "
+                "program that can be solved."
+            )
+        if poses * _copies(problem) < problem.free_count:
+            raise InputError(f"{lattice}: too few for {problem.free_count} landmarks.")
+
+    def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
+        """See `Optimiser.run`."""
+        self.check(problem)
+        ledger, poses = self.ledger, self._poses(problem)
+        began = clock() - ledger.seconds
+
+        def note(evaluations: float, found: Deployment) -> None:
+            fitness, ledger.seconds = problem.fitness_of(found), clock() - began
+            if ledger.note(ledger.evaluations + evaluations, fitness):
+                self.best = found
+
+        costs = len(poses) / problem.count
+        needed = (not ledger.evaluations) + costs + 1
+        if ledger.evaluations + needed > budget.limit:
+            raise InputError(
+                f"the lattice of the integer program has {len(poses)} poses: with what they cover it takes "
+                f"{needed:.4g} evaluations, more than the {budget.limit - ledger.evaluations:g} that are left."
+            )
+        if not ledger.evaluations:
+            note(1, problem.draw(np.random.default_rng(self.seed)))
+        program, most = _Program.of(problem, poses), problem.fitness_relevance.sum()
+        outcome: Future[OptimizeResult] = Future()
+        limit = min(self.seconds, (budget.seconds or np.inf) - (clock() - began))
+        Thread(target=_fulfil, args=(outcome, program.solver(max(limit, POLL))), daemon=True).start()
+        while not wait([outcome], POLL).done:
+            ledger.seconds = clock() - began
+            if callback and callback(self):
+                return self.result(problem, "interrupted")
+        solved = outcome.result()
+        if solved.status == INFEASIBLE:
+            raise InputError(
+                f"no {problem.free_count} poses of the lattice, {self.spacing:g} m apart, have papers that do not "
+                "overlap."
+            )
+        self.proven = {
+            "lattice_bound": 1.0 if solved.mip_dual_bound is None else min(-solved.mip_dual_bound / most, 1.0)
+        }
+        if solved.x is not None:
+            taken = np.rint(solved.x).astype(int)  # HiGHS is right to 1e-6
+            note(costs + 1, _apart(problem, poses, taken[: len(poses)]))
+            self.proven["lattice_found"] = found = float(problem.fitness_relevance @ taken[-program.positions :] / most)
+            if solved.status == PROVEN:
+                self.proven["lattice_bound"] = found
+        self.proven["lattice_gap"] = self.proven["lattice_bound"] - ledger.best_fitness
+        return self.result(problem, "proven" if solved.status == PROVEN else "budget")
+
+    def found(self, problem: Problem) -> Deployment | None:
+        """See `Optimiser.found`."""
+        return self.best
+
+    def _poses(self, problem: Problem) -> Deployment:
+        """The lattice, without the places that papers of fixed tags take."""
+        plates = problem.scene.plates
+        poses = candidate_poses(plates.hanging, self.spacing)
+        if problem.fixed is None or not plates.edge:
+            return poses
+        taken = [plates.touched(poses, problem.fixed[k : k + 1]) for k in range(problem.fixed_count)]
+        return poses[~np.any(taken, axis=0)]
+
+
+def _copies(problem: Problem) -> int:
+    """How many landmarks one pose can use: points hang in stacks as those of `Annealing`, papers side by side."""
+    return 1 if problem.scene.plates.edge else problem.objective.n
+
+
+def _apart(problem: Problem, poses: Deployment, copies: IntArray) -> Deployment:
+    """The deployment with so many landmarks at each pose, `(J,)`, the stacks pulled apart and the fixed ones before."""
+    surfaces = SurfaceArrays.of(problem.scene.plates.hanging.surfaces())
+    parts = []
+    for stack in np.unique(copies[copies > 0]).tolist():
+        chosen = poses[copies == stack]
+        of, offsets = chosen.surfaces.repeat(stack), ring(np.zeros(len(chosen)), stack, SPREAD * problem.scene.spacing)
+        at = surfaces.coordinates(chosen.surfaces, chosen.positions)[:, None] + offsets
+        parts.append(Deployment(surfaces.points(of, at.reshape(-1, 2)), surfaces.normal[of], of))
+    return problem.complete(reduce(operator.add, parts))
+
+
+def _views(problem: Problem) -> FloatArray:
+    """The probability of every axis that has one, at every position, `(P, A)`."""
+    evaluator = problem.evaluator
+    probability = evaluator.probability[:, _used(problem)]
+    return np.broadcast_to(probability, (len(evaluator.positions), probability.shape[1]))
+
+
+def _used(problem: Problem) -> BoolArray:
+    """The axes that have a probability; others are there to fill up words."""
+    return np.asarray(problem.evaluator.probability.max(axis=0) > 0.0)
+
+
+@dataclass(frozen=True)
+class _Program:
+    """The integer program: `x` of the J poses, `y` of the rows, `z` of the P positions.
+
+    Args:
+        covers: which poses cover the views of each row, `(R, J)`.
+        counted: landmarks that hang already and cover them, `(R,)`.
+        weights: of the rows at each position, `(P, R)`.
+        overlaps: pairs of poses of which only one may be taken, `(C, J)`.
+        problem: of plain coverage.
+    """
+
+    covers: csr_array
+    counted: IntArray
+    weights: csr_array
+    overlaps: coo_array
+    problem: Problem
+
+    @classmethod
+    def of(cls, problem: Problem, poses: Deployment) -> "_Program":
+        """The program for the poses of a lattice."""
+        used, plates, n = _used(problem), problem.scene.plates, problem.objective.n
+
+        def seen(landmarks: Deployment) -> NDArray[np.int8]:
+            counts = covered_amounts(problem.evaluator, landmarks, np.ones(len(landmarks)))
+            return np.minimum(counts[:, used], n).astype(np.int8)
+
+        views = _views(problem)
+        already = np.zeros(views.shape, np.int8) if problem.fixed is None else seen(problem.fixed)
+        cover = np.stack([already, *(seen(poses[j : j + 1]) for j in range(len(poses)))], axis=-1)  # (P, A, 1 + J)
+        kinds = [np.unique(views, axis=0, return_inverse=True) for views in cover]
+        rows = np.concatenate([distinct for distinct, _ in kinds])
+        weights = [np.bincount(kind, weight)[None] for (_, kind), weight in zip(kinds, views, strict=True)]
+        close = [plates.touched(poses, poses[j : j + 1]) for j in range(len(poses))] if plates.edge else []
+        pairs = np.argwhere(np.triu(close, 1)) if close else np.empty((0, 2), dtype=int)
+        overlaps = coo_array((np.ones(pairs.size), (np.arange(len(pairs)).repeat(2), pairs.reshape(-1))),
+                             shape=(len(pairs), len(poses)))  # fmt: skip
+        return cls(csr_array(rows[:, 1:], dtype=float), rows[:, 0], block_diag(weights), overlaps, problem)
+
+    @property
+    def positions(self) -> int:
+        """P, the last of the variables."""
+        return len(self.problem.fitness_relevance)
+
+    def solver(self, seconds: float) -> Callable[[], OptimizeResult]:
+        """What lets HiGHS solve it in so much time; the objective is minus the relevance of what is qualified."""
+        (rows, poses), n = self.covers.shape, self.problem.objective.n
+        threshold = max(self.problem.objective.threshold - TOLERANCE, 0.0)
+        left = block_array([
+            [csr_array(np.ones((1, poses))), None, None],
+            [self.covers, -n * eye_array(rows), None],
+            [None, self.weights, -threshold * eye_array(self.positions)],
+            [self.overlaps, None, None],
+        ])  # fmt: skip
+        count, overlaps = self.problem.free_count, self.overlaps.shape[0]
+        low = np.concatenate([[count], -self.counted, np.zeros(self.positions), np.full(overlaps, -np.inf)])
+        high = np.concatenate([[count], np.full(rows + self.positions, np.inf), np.ones(overlaps)])
+        return partial(
+            milp,
+            np.concatenate([np.zeros(poses + rows), -self.problem.fitness_relevance]),
+            constraints=LinearConstraint(left.tocsc(), low, high),
+            # For n = 1 the rows follow from the poses; for more, half of the landmarks are not half a view.
+            integrality=np.concatenate([np.ones(poses), np.full(rows, n > 1), np.ones(self.positions)]),
+            bounds=Bounds(0.0, np.concatenate([np.full(poses, _copies(self.problem)), np.ones(rows + self.positions)])),
+            options={"time_limit": seconds, "mip_rel_gap": 0.0},
+        )
+
+
+def _fulfil(future: "Future[OptimizeResult]", work: Callable[[], OptimizeResult]) -> None:
+    """Do the work, and let who waits for it have what it returns or raises."""
+    try:
+        future.set_result(work())
+    except BaseException as error:
+        future.set_exception(error)

@@ -1,0 +1,61 @@
+"""A search over the parameters of an optimiser: jobs of a sweep that nevergrad proposes."""
+
+import csv
+
+import pytest
+from processes import call
+
+pytestmark = pytest.mark.slow
+SEARCH = (
+    *("experiment=debug", "hparams_search=ega", "hydra/sweeper=search", "deployment.count=6", "budget.evaluations=31"),
+    # The first proposal is in the middle, the second above it: from 30 on nothing would survive.
+    *(
+        "optimiser.population=30",
+        "optimiser.eliminated=int(interval(0,58))",
+        "optimiser.mutation_probability=0.1",
+        "hydra.sweeper.seed=4",
+    ),
+)
+
+
+def search(cwd, *overrides):
+    return call("optimise", *SEARCH, *overrides, cwd=cwd, settings=())
+
+
+def jobs(cwd):
+    (table,) = cwd.glob("outputs/optimise_sweep/debug_ega-*/jobs.csv")
+    return list(csv.DictReader(table.open()))
+
+
+def test_a_search_survives_failed_trials_finds_its_finished_ones_and_grows(tmp_path):
+    """Nine short jobs, some ten seconds."""
+    first = search(tmp_path, "hydra.sweeper.trials=3", "seed=0,1")
+    before = jobs(tmp_path)
+    assert [row["seed"] for row in before] == ["0", "1"] * 3
+    assert {row["status"] for row in before} == {"finished", "failed"}
+    assert all((int(row["optimiser.eliminated"]) >= 30) == (row["status"] == "failed") for row in before)
+    assert first.returncode == 1  # as with any sweep of which a job failed
+    assert "best of 1 trials: " in first.stdout
+    assert "optimiser.eliminated = " in first.stderr
+    again = search(tmp_path, "hydra.sweeper.trials=4", "seed=0,1")
+    finished = [row for row in before if row["status"] == "finished"]
+    assert again.stdout.count("done already") == len(finished)
+    after = jobs(tmp_path)
+    assert len(after) == 8
+    assert all(row in after for row in finished)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["hydra.sweeper.trials=0", "seed=0,1"], "error: hydra.sweeper: trials must be at least 1"),
+        (["hydra.sweeper.method=GNOpt", "optimiser.eliminated=2,3"], "error: hydra.sweeper: method must be one of"),
+        (["seed=0,1"], "error: hydra.sweeper: a search needs keys that vary"),
+    ],
+)
+def test_a_search_that_cannot_begin_says_why_and_leaves_nothing(tmp_path, overrides, message):
+    start = ("experiment=debug", "optimiser=ega", "hydra/sweeper=search", "hydra.mode=MULTIRUN")
+    done = call("optimise", *start, *overrides, cwd=tmp_path, settings=())
+    assert done.returncode == 1
+    assert message in done.stderr
+    assert not list(tmp_path.glob("outputs/optimise_sweep/*"))
