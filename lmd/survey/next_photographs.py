@@ -19,8 +19,9 @@ from lmd.geometry.squares import CORNERS
 from lmd.render.optics import bearings, project, slope
 from lmd.scene.camera import Camera
 from lmd.space.space import Space
-from lmd.survey.adjustment import Adjustment, gauge_free
+from lmd.survey.adjustment import Adjustment
 from lmd.survey.estimate import ONE_THREAD
+from lmd.survey.gauge import gauge_free
 from lmd.survey.residuals import linearise
 from lmd.survey.sightings import Sightings
 from lmd.survey.student import RESIDUALS
