@@ -1,27 +1,25 @@
-"""Which files of others are read: `python benchmarks/files.py FOLDER`.
+"""Which files of others are read: `python benchmarks/files.py FOLDER`, with `--counts` only how many, and why not.
 
-The folder has the folders calibration, trajectories and layouts.
+The folder has the folders calibration, trajectories and layouts, and may have times with the times of trajectories that
+have none, `NAME_times.txt` for all whose names contain NAME.
 It prints a table in Markdown: each file, and what was read or the sentence that refused it.
 """
 
 import sys
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
 from lmd.core.checks import InputError
+from lmd.scene.calibration_files import read_cameras
 from lmd.scene.camera_calibration import calibrated_camera
 from lmd.scene.tag_map_files import read_deployment
 from lmd.scene.trajectory_files import TrajectoryFile
 
 
 def calibration(path: str) -> str:
-    """The cameras of a file: the only one, or those with the names that Kalibr gives."""
-    try:
-        return _camera(path, None)
-    except InputError as error:
-        if "cam0" not in str(error):
-            raise
-        return "; ".join(_camera(path, name) for name in ("cam0", "cam1"))
+    """The cameras of a file."""
+    return "; ".join(_camera(path, name or None) for name in list(read_cameras(path))[:MOST])
 
 
 def _camera(path: str, name: str | None) -> str:
@@ -32,10 +30,17 @@ def _camera(path: str, name: str | None) -> str:
 
 def trajectory(path: str) -> str:
     """The poses of a file."""
-    file = TrajectoryFile(path)
+    times = (Path(path).parents[1] / "times").glob("*_times.txt")
+    named = [file for file in times if file.name.removesuffix("_times.txt") in path and _is_matrices(path)]
+    file = TrajectoryFile(path, times=str(named[0]) if named else None)
     time = file.trajectory.time
     note = f"; {file.note.partition(' of ')[0]} left out" if file.note else ""
     return f"{len(time)} poses, {time[-1] - time[0]:.0f} s{note}"
+
+
+def _is_matrices(path: str) -> bool:
+    with Path(path).open() as file:
+        return len(file.readline().split()) == KITTI
 
 
 def layout(path: str) -> str:
@@ -43,22 +48,33 @@ def layout(path: str) -> str:
     return f"{len(read_deployment(path))} tags"
 
 
+KITTI = 12  # numbers in a line
+MOST = 2  # cameras of a file that are tried
 READERS: dict[str, Callable[[str], str]] = {"calibration": calibration, "trajectories": trajectory, "layouts": layout}
 
 
-def main(folder: str) -> None:
+def main(folder: str, counts: bool) -> None:
     """Try every file."""
-    print("| file | outcome |\n| --- | --- |")
+    rows, reasons = [], {}
     for kind, read in READERS.items():
-        for path in sorted(Path(folder, kind).iterdir()):
-            if path.suffix == ".md":
-                continue
+        paths = [path for path in sorted(Path(folder, kind).iterdir()) if path.suffix != ".md"]
+        reasons[kind] = (len(paths), refused := Counter[str]())
+        for path in paths:
             try:
                 outcome = read(str(path))
             except InputError as error:
-                outcome = f"refused: {str(error).replace(str(path), path.name)}"
-            print(f"| {kind}/{path.name} | {outcome} |")
+                reason = str(error).replace(str(path), path.name)
+                refused[reason.replace(f"{path.name}: ", "").replace(path.name, "FILE")] += 1
+                outcome = f"refused: {reason}"
+            rows.append(f"| {kind}/{path.name} | {outcome} |")
+    if not counts:
+        print("| file | outcome |\n| --- | --- |", *rows, sep="\n")
+        return
+    print("| kind | files | read | refused |\n| --- | --- | --- | --- |")
+    for kind, (count, refused) in reasons.items():
+        why = "; ".join(f"{times}: {reason}" for reason, times in refused.most_common())
+        print(f"| {kind} | {count} | {count - refused.total()} | {why} |")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(sys.argv[1], "--counts" in sys.argv)

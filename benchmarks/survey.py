@@ -2,6 +2,8 @@
 
 python benchmarks/survey.py photograph RUN FOLDER [--count 80]   # photographs of a run's tags, hung 10 mm off; true.csv
 python benchmarks/survey.py compare MAP.csv TRUE.csv             # how far the tags of a map are off, millimetres
+python benchmarks/survey.py aviary test_13 [--boards 0.0002] [--calibrate]   # detections of berndpfrommer/tagslam_test
+python benchmarks/survey.py perch test_2 [--calibrate]   # likewise, two fisheye cameras, beside TagSLAM's own answer
 PYTHONPATH=tests python benchmarks/survey.py time FRAMES TAGS    # how long a walk takes, and how much memory
 """
 
@@ -9,6 +11,7 @@ import argparse
 import resource
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -22,6 +25,10 @@ from lmd.render.room import TaggedRoom
 from lmd.scene.deployment import Deployment
 from lmd.scene.surveyed import Surveyed
 from lmd.survey.known import poses_of
+
+if TYPE_CHECKING:
+    from lmd.scene.camera import Camera
+    from lmd.survey.survey import Survey
 
 OFF = (
     0.002,
@@ -67,6 +74,93 @@ def compare(found: Path, true: Path) -> None:
         print(f"{len(of)} tags {name}: median {figures[0]:.2f}, 90 % {figures[1]:.2f}, largest {figures[2]:.2f} mm")
 
 
+def aviary(folder: Path, boards: float | None, calibrate: bool) -> None:
+    """Spacing of the tags on boards of 2 x 3, and the map beside TagSLAM's."""
+    from lmd.detection.corner_errors import CORNER_ERRORS
+    from lmd.mapping.detections import read_detections
+    from lmd.scene.camera_calibration import calibrated_camera
+    from lmd.scene.tag import Tag
+    from lmd.survey.boards import Boards
+    from lmd.survey.report import to_text
+    from lmd.survey.survey import Known, survey
+
+    ids = np.arange(6, 114)
+    row, column = np.divmod((ids - 6) % 6, 3)
+    places = 0.15 * np.stack([column, row], axis=1)
+    told = Boards(tuple(map(str, (ids - 6) // 6)), ids, places, boards) if boards else None
+    camera, detected = calibrated_camera(str(folder / "cameras.yaml")), read_detections(folder / "detections.csv")
+    began = time.process_time()
+    found = survey(detected, [camera], Tag(0.12), CORNER_ERRORS["apriltag"], Known(boards=told), calibrate)
+    print(f"{to_text(found)}\n{time.process_time() - began:.0f} s")
+    hung = np.full((114, 3), np.nan)
+    hung[found.ids[found.placed]] = found.found.poses.tags[found.placed, :3, 3]
+    away = [np.linalg.norm(hung[k] - hung[k + step], axis=-1) for step, k in ((1, ids[column < 2]), (3, ids[row < 1]))]
+    off = 1e3 * (np.concatenate(away) - 0.15)
+    figures = np.nanquantile(np.abs(off), [0.5, 0.9])
+    print(f"spacing off: median {figures[0]:.2f}, 90 % {figures[1]:.2f}, mean with its sign {np.nanmean(off):.2f} mm")
+    by_opencv(found, found.calibrated[0].found if calibrate else camera)
+
+
+def by_opencv(found: "Survey", camera: "Camera") -> None:
+    """Each frame by OpenCV's solvePnP with the map: how far from the survey's, and what corners are off by."""
+    from lmd.render.optics import intrinsics
+
+    some, poses, matrix = found.found.sightings.of(found.found.used), found.found.poses, intrinsics(camera)
+    corners = some.corners @ np.swapaxes(poses.tags[some.tag, :3, :3], 1, 2) + poses.tags[some.tag, None, :3, 3]
+    lens = np.array(camera.distortion)
+    away, errors = [], []
+    for frame in np.unique(some.frame):
+        own = some.frame == frame
+        points, image = corners[own].reshape(-1, 3), some.image[own].reshape(-1, 2)
+        _, turn, way = cv2.solvePnP(points, image, matrix, lens, flags=cv2.SOLVEPNP_SQPNP)
+        turn, way = cv2.solvePnPRefineLM(points, image, matrix, lens, turn, way)
+        place = -cv2.Rodrigues(turn)[0].T @ way[:, 0]
+        away.append(1e3 * np.linalg.norm(place - poses.frames[frame, :3, 3]))
+        seen = cv2.projectPoints(points, turn, way, matrix, lens)[0][:, 0]
+        errors.append(np.linalg.norm(seen - image, axis=1))
+    off = np.concatenate(errors)
+    text = f"median {np.median(away):.2f}, 90 % {np.quantile(away, 0.9):.2f} mm from the survey's places"
+    print(f"cv2.solvePnP, {len(away)} frames: {text}; corners {np.median(off):.3f} pixels off")
+
+
+def perch(folder: Path, calibrate: bool) -> None:
+    """Tags and the mount of the second camera beside TagSLAM's."""
+    from scipy.spatial.transform import Rotation
+
+    from lmd.core.tables import read_table
+    from lmd.detection.corner_errors import CORNER_ERRORS
+    from lmd.geometry.se3 import act, laid_over
+    from lmd.mapping.detections import read_detections
+    from lmd.scene.camera_calibration import calibrated_camera
+    from lmd.scene.tag import Tag
+    from lmd.survey.report import to_text
+    from lmd.survey.survey import Known, survey
+
+    cameras = [calibrated_camera(str(folder / "cameras.yaml"), name) for name in ("cam0", "cam1")]
+    began = time.process_time()
+    found = survey(
+        read_detections(folder / "detections.csv"), cameras, Tag(0.16), CORNER_ERRORS["apriltag"], Known(), calibrate
+    )
+    print(f"{to_text(found)}\n{time.process_time() - began:.0f} s")
+    table = read_table(folder / "reference_tf_last.csv", name="reference")
+    rows = {child: row for row, child in enumerate(table.texts["child"])}
+    told = {int(child.rpartition("_")[2]): row for child, row in rows.items() if "tag_" in child}
+
+    def place(row: int) -> list[float]:
+        return [float(table.texts[axis][row]) for axis in "xyz"]
+
+    both = [k for k in np.flatnonzero(found.placed) if int(found.ids[k]) in told]
+    theirs = np.array([place(told[int(found.ids[k])]) for k in both])
+    own = found.found.poses.tags[both, :3, 3]
+    off = 1e3 * np.linalg.norm(act(laid_over(own, theirs), own) - theirs, axis=1)
+    print(f"{len(both)} tags off TagSLAM's: median {np.median(off):.2f}, largest {off.max():.2f} mm")
+    if (row := rows.get("cam1")) is not None:
+        turn = Rotation.from_quat([float(table.texts[f"q{axis}"][row]) for axis in "xyzw"])
+        mount = found.found.poses.mounts[1]
+        angle = (turn.inv() * Rotation.from_matrix(mount[:3, :3])).magnitude()
+        print(f"the second camera {1e3 * np.linalg.norm(mount[:3, 3] - place(row)):.2f} mm, {1e3 * angle:.2f} mrad off")
+
+
 def measure(frames: int, tags: int) -> None:
     """Time of one processor and memory, from detections to figures."""
     import walks  # of the tests
@@ -95,6 +189,13 @@ def main() -> None:
     two = commands.add_parser("compare")
     two.add_argument("found", type=Path)
     two.add_argument("true", type=Path)
+    real = commands.add_parser("aviary")
+    real.add_argument("folder", type=Path)
+    real.add_argument("--boards", type=float, help="how exact they were printed, metres")
+    real.add_argument("--calibrate", action="store_true")
+    two_cameras = commands.add_parser("perch")
+    two_cameras.add_argument("folder", type=Path)
+    two_cameras.add_argument("--calibrate", action="store_true")
     timed = commands.add_parser("time")
     timed.add_argument("frames", type=int)
     timed.add_argument("tags", type=int)
@@ -103,6 +204,10 @@ def main() -> None:
         photograph(given.run, given.folder, given.count, given.seed)
     elif given.command == "compare":
         compare(given.found, given.true)
+    elif given.command == "aviary":
+        aviary(given.folder, given.boards, given.calibrate)
+    elif given.command == "perch":
+        perch(given.folder, given.calibrate)
     else:
         measure(given.frames, given.tags)
 

@@ -134,7 +134,7 @@ def camera_of(node: DictConfig) -> "Camera | Rig":
     Raises:
         InputError: the rig is none, or a camera is refused; that of the group is made only where a mount has none.
     """
-    from lmd.scene.rig import has_own_camera, rig_of
+    from lmd.scene.rig_sources import brings_cameras, read_mounts, rig_of
 
     alone = deepcopy(node)
     with open_dict(alone):
@@ -142,9 +142,10 @@ def camera_of(node: DictConfig) -> "Camera | Rig":
     if mounts is None:
         return instantiate(alone)  # type: ignore[no-any-return]
     plain = OmegaConf.to_container(mounts, resolve=True) if OmegaConf.is_config(mounts) else mounts
-    own = isinstance(plain, list) and bool(plain) and all(map(has_own_camera, plain))
     with keyed("camera"):
-        return rig_of(plain, None if own else instantiate(alone))
+        if isinstance(plain, str):
+            plain = read_mounts(plain)
+        return rig_of(plain, None if brings_cameras(plain) else instantiate(alone))
 
 
 def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem":

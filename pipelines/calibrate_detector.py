@@ -1,5 +1,8 @@
 """What a tag must be like for a detector to find it: `python -m pipelines.calibrate_detector detectors=[aruco]`."""
 
+import sys
+from pathlib import Path
+
 from omegaconf import DictConfig
 
 from .app import choices, run_directory
@@ -7,7 +10,11 @@ from .building import instantiate, keyed
 from .detect import read_number_of_poses, sightings, subject_of
 from .documents import write_document
 from .earlier_run import read_earlier_run
+from .operations.sweeps.names import quoted
 from .pipeline import Pipeline
+from .trust import read_yaml
+
+KEY = "survey="
 
 
 def calibrate(cfg: DictConfig) -> None:
@@ -17,7 +24,7 @@ def calibrate(cfg: DictConfig) -> None:
     from lmd.core.checks import integer, real, seed_number
     from lmd.core.optional import optional
     from lmd.detection.calibration import Calibration, foreseen, judged
-    from lmd.detection.fit import fit
+    from lmd.detection.fit import fit, intervals
     from lmd.plot.detection import save_limits_figure
 
     from .tracked_run import keep, tracked
@@ -29,18 +36,19 @@ def calibrate(cfg: DictConfig) -> None:
     told, directory, written = subject.prediction, run_directory(), []
     renderer, tag = told.renderer, told.renderer.room.tag
     with tracked(cfg, f"calibrate_detector {tag.family}") as tracker:
-        fitted = {}
+        fitted, spans = {}, {}
         for name, detector in subject.detectors.items():
             rng = np.random.default_rng([seed, VIEWS_STREAM])  # the same views for every detector
             with keyed("views"):
                 views = source.views(renderer.camera, tag, detector, renderer.imaging, rng)
                 fitted[name] = views, fit(views, rng, margin)
+            spans[name] = intervals(views, rng, margin) if source.photographs else {}
         seen = sightings({"room": subject}, seed, cfg.workers)["room"] if count else {}
         calibrations: dict[str, Calibration] = {}
         for name, (views, limits) in fitted.items():
             predicted = foreseen(limits.limits, renderer, told.poses)
             rooms = judged(predicted, seen[name]) if count else {}
-            calibrations[name] = Calibration(views, limits, rooms)
+            calibrations[name] = Calibration(views, limits, rooms, source.photographs, spans[name])
         for name, calibration in calibrations.items():
             written.append(directory / f"{tag.family}_{name}.yaml")
             written[-1].write_text(calibration.preset(name, tag.family, f"views={choices()['views']}, seed {seed}"))
@@ -78,7 +86,27 @@ def to_markdown(figures: dict[str, dict[str, float]]) -> str:
     return "\n".join(f"| {line} |" for line in lines) + "\n"
 
 
-main = Pipeline("calibrate_detector", calibrate, (read_number_of_poses, read_earlier_run))
+def read_survey() -> None:
+    """Make `survey=DIR` of the command line the views of that survey, with its run, tags and detector."""
+    given = [argument.removeprefix(KEY) for argument in sys.argv[1:] if argument.startswith(KEY)]
+    if not given or given[-1] == "null":
+        return
+    config = Path(given[-1]) / ".hydra" / "config.yaml"
+    if not config.is_file():
+        print(f"error: survey = {given[-1]!r} is no survey: it holds no .hydra/config.yaml.", file=sys.stderr)
+        sys.exit(1)
+    before = read_yaml(config, "survey")
+    chosen = {"views": "survey", "views.folder": quoted(Path(given[-1])), "frames": "0"}
+    chosen["detectors"] = f"[{','.join(before.get('detectors') or {})}]"
+    if before.get("run"):
+        chosen["run"] = quoted(Path(before["run"]))
+    else:
+        chosen |= {f"tag.{name}": before["tag"][name] for name in ("edge", "family")}
+    named = {argument.partition("=")[0] for argument in sys.argv[1:]}
+    sys.argv[1:] += [f"{key}={value}" for key, value in chosen.items() if key not in named]
+
+
+main = Pipeline("calibrate_detector", calibrate, (read_number_of_poses, read_survey, read_earlier_run))
 
 if __name__ == "__main__":
     main()

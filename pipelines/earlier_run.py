@@ -19,6 +19,7 @@ KEY = "run="
 GROUPS = ("room", "camera", "pdf", "poses", "tag", "visibility", "objective")  # what a run was about
 OPTION = "run"  # of these groups and of deployment
 COUNTED = {"random", "uniform", "greedy"}  # of deployment: those that ask how many landmarks there are
+RIG = "rig.yaml"  # of a run that placed cameras
 FILES = (".hydra/config.yaml", "landmarks.csv")  # what an earlier run must have left
 
 
@@ -48,6 +49,8 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}") -> None:
         parts = Trust.given().parts(before, f"run: '{config}'", GROUPS)  # runs of old lack some
     except InputError as error:
         _refuse(str(error))
+    if "camera" in parts and (rig := directory / RIG).is_file():
+        parts["camera"] = {**parts["camera"], "rig": str(rig)}
     for group, part in parts.items():
         store.store(OPTION, part, group)
     named = {argument.partition("=")[0].lstrip("+~").partition("@")[0] for argument in sys.argv[1:]}

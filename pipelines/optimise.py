@@ -61,7 +61,7 @@ def optimise(cfg: DictConfig) -> float:
     subject = choices()["optimiser"]
     try:
         with tracked(cfg, subject, title_of(problem, subject), earlier) as tracker:
-            result, in_haste = _run(cfg, problem, budget, checkpoint, tracker)
+            result, in_haste = run_optimiser(cfg, problem, budget, checkpoint, tracker)
             interrupted = result.stopped == "interrupted"
             figures = record(
                 cfg,
@@ -82,20 +82,21 @@ def optimise(cfg: DictConfig) -> float:
                 in_haste=in_haste,
             )
     except (Stopped, OSError):
-        _tell_how_to_go_on()
+        tell_how_to_go_on("optimise")
         raise
     if interrupted:
-        _tell_how_to_go_on()
+        tell_how_to_go_on("optimise")
         sys.exit(stop.code)
     return figures[returned]
 
 
-def _tell_how_to_go_on() -> None:
+def tell_how_to_go_on(pipeline: str) -> None:
+    """Say which command goes on with an interrupted run, if it left a checkpoint."""
     from lmd.optimisers.checkpoint import FILE
 
     directory = run_directory()
     if (directory / FILE).exists():
-        print(f"interrupted; go on with: {resuming('optimise', directory)}", file=sys.stderr)
+        print(f"interrupted; go on with: {resuming(pipeline, directory)}", file=sys.stderr)
 
 
 def _accuracy(cfg: DictConfig, problem: "Problem", deployment: "Deployment") -> dict[str, float]:
@@ -107,7 +108,7 @@ def _accuracy(cfg: DictConfig, problem: "Problem", deployment: "Deployment") -> 
     return accuracy_metrics(problem, deployment, cfg.seed) if wanted else {}
 
 
-def _run(
+def run_optimiser(
     cfg: DictConfig, problem: "Problem", budget: "Budget", checkpoint: "Checkpoint", tracker: "Tracker"
 ) -> "tuple[Result, bool]":
     """Optimise; returns what was found, and whether it was told to stop so urgently that it left a batch undone."""

@@ -1,6 +1,7 @@
 """Where tags hang, from photographs of them: `python -m pipelines.survey run=DIR photographs=DIR camera.path=FILE`."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from lmd.mapping.detections import DetectedTags
     from lmd.problem import Problem
     from lmd.scene.camera import Camera
+    from lmd.scene.rig import Rig
     from lmd.scene.tag import Tag
     from lmd.space.space import Space
     from lmd.survey.audit import Audit
@@ -36,12 +38,16 @@ CHUNK = 8  # images that a worker reads at a time
 def survey(cfg: DictConfig) -> None:
     """Find where the tags of the configured photographs or detections hang."""
     from lmd.core.checks import InputError, boolean, seed_number
+    from lmd.core.tables import write_table
     from lmd.detection.corner_errors import CORNER_ERRORS
+    from lmd.detection.surveyed import FILE as VIEWS
     from lmd.evaluation.verdicts import verdicts
     from lmd.scene.rig import Rig
     from lmd.survey.audit import audited
-    from lmd.survey.report import map_of, metrics, to_text
+    from lmd.survey.next_photographs import next_photographs
+    from lmd.survey.report import again, map_of, metrics, to_text
     from lmd.survey.survey import survey as find
+    from lmd.survey.views import view_columns
 
     from .tracked_run import keep, tracked
 
@@ -52,19 +58,23 @@ def survey(cfg: DictConfig) -> None:
     given = camera_of(cfg.camera)
     cameras = given.cameras if isinstance(given, Rig) else (given,)
     name, detector = _detector(cfg)
-    known, room = _known(cfg, tag), instantiate(cfg.room) if cfg.get("room") else None
+    known, room = _known(cfg, tag, given), instantiate(cfg.room) if cfg.get("room") else None
     problem = _problem(cfg) if boolean("audit", cfg.audit) else None
     exports = build_export(cfg, "export", tag)
     if exports.formats and room is None:
         raise InputError("export needs the room that the tags hang in: run=DIR, or room=... with its keys.")
-    detected = _detected(cfg, cameras, detector)
+    detected = _detected(cfg, cameras, detector, tag.modules)
     errors = CORNER_ERRORS[name.removesuffix("_fine")]
     with keyed("survey", detections="detections" if cfg.detections is not None else "photographs", cameras="camera"):
-        found = find(detected, cameras, tag, errors, known)
+        found = find(detected, cameras, tag, errors, known, boolean("calibrate", cfg.survey.calibrate))
+    camera = found.calibrated[0].found if found.calibrated else cameras[0]
+    found = replace(found, proposed=next_photographs(found, camera, tag.modules, errors, again(found), room))
     audit = None if problem is None else audited(found, problem, verdicts)
     about = f"survey of {found.placed.sum()} tags in {len(found.found.frames)} frames"
     with tracked(cfg, "survey", about) as tracker:
         writers = _writers(found, room, about, is_new=cfg.detections is None)
+        if len(cameras) == 1:
+            writers[VIEWS] = lambda path: write_table(path, view_columns(found, camera, tag, room))
         if exports.formats and room is not None:
             writers |= exports.writers(room, tag, map_of(found))
         if audit is not None:
@@ -105,24 +115,30 @@ def _problem(cfg: DictConfig) -> "Problem":
     return problem
 
 
-def _known(cfg: DictConfig, tag: "Tag") -> "Known":
+def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "Known":
     """What is known of the tags.
 
     Raises:
         InputError: a file cannot be read, or a number is refused.
     """
-    from lmd.core.checks import InputError, integer
+    from lmd.core.checks import InputError, boolean, integer
+    from lmd.scene.rig import Rig
     from lmd.scene.tag_map_files import read_deployment
+    from lmd.survey.boards import Boards
     from lmd.survey.known import Hanging, Points
     from lmd.survey.survey import Known
 
     settings = OmegaConf.to_container(settings_of(cfg, "survey"), resolve=True)
     assert isinstance(settings, dict)
-    origin, points, floor = (settings.pop(key, None) for key in ("origin", "points", "floor"))
+    settings.pop("calibrate")  # says nothing of the tags
+    names = ("origin", "points", "floor", "boards", "printed", "mounted")
+    origin, points, floor, boards, printed, mounted = (settings.pop(key, None) for key in names)
     with keyed("survey"):
         hanging = Hanging(**{str(key): value for key, value in settings.items()})
         origin = None if origin is None else integer("origin", origin, low=0)
         points = None if points is None else Points.from_csv(points)
+        mounts = given.mounted if boolean("mounted", mounted) and isinstance(given, Rig) else None
+        boards = None if boards is None else Boards.from_csv(boards, printed)
         if not isinstance(floor, list):
             raise InputError(f"floor must list the ids of tags, got {floor!r}.", "floor")
         floor = tuple(integer("floor", number, low=0) for number in floor)
@@ -133,10 +149,10 @@ def _known(cfg: DictConfig, tag: "Tag") -> "Known":
         plan = None if node.path is None else read_deployment(node.path, "path", tag.family)
         fixed = fixed_of(node, tag.family)
     with keyed("survey"):
-        return Known(plan, hanging, fixed, points, origin, floor)
+        return Known(plan, hanging, fixed, points, boards, mounts, origin, floor)
 
 
-def _detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector") -> "DetectedTags":
+def _detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector", modules: int) -> "DetectedTags":
     """What was detected, by others or now.
 
     Raises:
@@ -144,22 +160,26 @@ def _detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector"
     """
     from lmd.core.checks import InputError
     from lmd.detection.images import Photographs, Video
-    from lmd.mapping.detections import read_detections
+    from lmd.mapping.detections import DetectedTags, read_detections
 
     if (cfg.photographs is None) == (cfg.detections is None):
         raise InputError("photographs=DIR, a folder or a video, or detections=FILE.csv must be given, and not both.")
     if cfg.detections is not None:
         return read_detections(cfg.detections)
-    if len(cameras) != 1:
-        raise InputError("photographs are of one camera; what several saw together is told by detections=FILE.csv.")
+    given = Path(str(cfg.photographs))
     with keyed():
-        is_folder = Path(str(cfg.photographs)).is_dir()
-        images: Images = (
-            Photographs(cfg.photographs, "photographs")
-            if is_folder
-            else Video(cfg.photographs, cfg.rate, "photographs")
-        )
-    return detected_in(images, cameras[0], detector, cfg.workers)
+        if len(cameras) > 1:
+            folders = sorted(folder for folder in given.glob("*") if folder.is_dir())
+            if len(folders) != len(cameras):
+                text = f"photographs must be a folder with one folder for each of {len(cameras)} cameras"
+                raise InputError(f"{text}, {str(given)!r} has {len(folders)}.")
+            views = {folder.name: Photographs(folder, "photographs") for folder in folders}
+            pairs = zip(views.items(), cameras, strict=True)
+            return DetectedTags.together(
+                {name: detected_in(images, camera, detector, modules, cfg.workers) for (name, images), camera in pairs}
+            )
+        images: Images = Photographs(given, "photographs") if given.is_dir() else Video(given, cfg.rate, "photographs")
+    return detected_in(images, cameras[0], detector, modules, cfg.workers)
 
 
 class Job(NamedTuple):
@@ -168,22 +188,29 @@ class Job(NamedTuple):
     images: "Images"
     camera: "Camera"
     detector: "Detector"
+    modules: int
     first: int
     last: int
 
 
-def detected_in(images: "Images", camera: "Camera", detector: "Detector", workers: int | None) -> "DetectedTags":
-    """The tags that a detector finds in images.
+def detected_in(
+    images: "Images", camera: "Camera", detector: "Detector", modules: int, workers: int | None
+) -> "DetectedTags":
+    """The tags that a detector finds in images, but for those in frames that are blurred beside the others.
 
     Args:
         images: all of one camera.
         camera: has the size of the images.
         detector: reads them.
+        modules: N of the tags' family.
         workers: processes, None for every processor; the result is the same.
 
     Raises:
         InputError: an image cannot be read, or none shows a tag.
     """
+    import numpy as np
+
+    from lmd.detection.sharpness import blurred
     from lmd.mapping.detections import DetectedTags
 
     from .progress import bar
@@ -191,28 +218,40 @@ def detected_in(images: "Images", camera: "Camera", detector: "Detector", worker
 
     count = len(images.names)
     next(images.read(0, 1, camera), None)  # what is wrong with all of them is said before anything is shown
-    jobs = [Job(images, camera, detector, first, min(first + CHUNK, count)) for first in range(0, count, CHUNK)]
+    jobs = [
+        Job(images, camera, detector, modules, first, min(first + CHUNK, count)) for first in range(0, count, CHUNK)
+    ]
     found: list[Detections] = []
+    blurs: list[float] = []
     with bar(count, "images") as progress:
         for part in in_processes(_read, jobs, workers, lambda job: job.images.names[job.first], ordered=True):
-            found += part
+            found += [detections for detections, _ in part]
+            blurs += [blur for _, blur in part]
             progress.update(len(part))
-    return DetectedTags.in_frames(images.names, found)
+    smeared = np.flatnonzero(blurred(np.array(blurs)))
+    return DetectedTags.in_frames(images.names, found).without({images.names[k]: blurs[k] for k in smeared})
 
 
-def _read(job: Job) -> "list[Detections]":
-    """One job, on one thread."""
+def _read(job: Job) -> "list[tuple[Detections, float]]":
+    """One job, on one thread: what was detected in each image, and its blur."""
     from lmd.core.optional import optional
+    from lmd.detection.sharpness import blur_of
 
     optional("cv2", "detection").setNumThreads(1)
-    return [job.detector.detect(image) for image in job.images.read(job.first, job.last, job.camera)]
+    found = []
+    for image in job.images.read(job.first, job.last, job.camera):
+        detections = job.detector.detect(image)
+        found.append((detections, blur_of(image, detections, job.modules)))
+    return found
 
 
 def _writers(found: "Survey", room: "Space | None", title: str, is_new: bool) -> dict[str, Callable[[Path], object]]:
     """What writes each file, by its name."""
     from lmd.core.tables import write_table
     from lmd.mapping.detections import write_detections
+    from lmd.mapping.tag_map import write_yaml
     from lmd.plot.survey import save_survey_figure
+    from lmd.survey.intrinsics import camera_info
     from lmd.survey.report import document, frame_columns, map_columns, measured_of
 
     writers: dict[str, Callable[[Path], object]] = {
@@ -223,6 +262,9 @@ def _writers(found: "Survey", room: "Space | None", title: str, is_new: bool) ->
     }
     if (measured := measured_of(found)) is not None:
         writers["measured.csv"] = lambda path: measured.to_csv(path, ups=True)
+    for number, camera in enumerate(found.calibrated, 1):
+        file = f"camera_{number}.yaml" if len(found.calibrated) > 1 else "camera.yaml"
+        writers[file] = partial(write_yaml, keys=camera_info(camera.found))
     if is_new:
         writers["detections.csv"] = lambda path: write_detections(path, found.detected)
     return writers
@@ -233,7 +275,7 @@ def _audit_writers(audit: "Audit", detector: str, title: str) -> dict[str, Calla
     import pandas as pd
 
     from lmd.detection.report import figures
-    from lmd.plot.detection import save_calibration_figure
+    from lmd.plot.detection import save_calibration_figure, save_places_figure
 
     named = {"deployment": "survey", "detector": detector}
     row = pd.DataFrame([{**named, **figures(audit.prediction, audit.seen)}])
@@ -241,7 +283,11 @@ def _audit_writers(audit: "Audit", detector: str, title: str) -> dict[str, Calla
     writers: dict[str, Callable[[Path], object]] = {
         f"{name}.csv": partial(table.to_csv, index=False) for name, table in audit.tables.items()
     }
-    return {**writers, "audit.png": lambda path: save_calibration_figure(path, row, pitches, title)}
+    return {
+        **writers,
+        "audit.png": lambda path: save_calibration_figure(path, row, pitches, title),
+        "audit_places.png": lambda path: save_places_figure(path, audit.tables["audit_places"], title),
+    }
 
 
 main = Pipeline("survey", survey, (read_earlier_run,))

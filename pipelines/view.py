@@ -34,6 +34,7 @@ def view(cfg: DictConfig) -> None:
     from lmd.core.optional import optional
     from lmd.planner.app import Planner
     from lmd.planner.session import Session
+    from lmd.planner.surveyed import Found
 
     optional("viser", "view")
     problem = build_problem(cfg)
@@ -51,6 +52,7 @@ def view(cfg: DictConfig) -> None:
         optimiser=lambda: build_optimiser(cfg, cfg.seed),
         budget=budget,
         seed=cfg.seed if cfg.validate else None,
+        survey=None if cfg.survey is None else Found.read(cfg.survey),
     )
     try:
         print(f"planner {planner.address} (Ctrl-C ends it)", flush=True)

@@ -12,7 +12,19 @@ import lmd
 ROOT = Path(lmd.__file__).parent
 # From the ground up: a package imports from those before it, and from itself.
 FLOORS = (
-    *("core", "geometry", "space", "scene", "render", "orientation", "sight", "incremental", "objectives", "problem"),
+    *(
+        "core",
+        "geometry",
+        "space",
+        "scene",
+        "render",
+        "orientation",
+        "sight",
+        "incremental",
+        "objectives",
+        "problem",
+        "cameras",
+    ),
     *("optimisers", "detection", "estimation", "mapping", "survey", "evaluation", "run", "plot", "planner"),
 )
 MODULES = {

@@ -7,7 +7,6 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined
 
 BITS = 64
@@ -27,8 +26,8 @@ def lowest(_typing_context: Any, word: Any) -> Any:
 
 
 @intrinsic
-def prefetch(_typing_context: Any, rows: Any, row: Any) -> Any:
-    """Ask for a row `(16,)` of doubles, two lines of the cache, that will be needed soon."""
+def prefetch(_typing_context: Any, array: Any, index: Any) -> Any:
+    """Ask for two lines of the cache, 16 numbers of 64 bits from this one on of an array in C order, needed soon."""
 
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         array = context.make_array(signature.args[0])(context, builder, arguments[0])
@@ -36,14 +35,12 @@ def prefetch(_typing_context: Any, rows: Any, row: Any) -> Any:
         kind = ir.FunctionType(ir.VoidType(), [pointer, integer, integer, integer])
         function = builder.module.declare_intrinsic("llvm.prefetch", [pointer], kind)
         for item in (0, 8):
-            index = builder.add(
-                builder.mul(arguments[1], ir.Constant(ir.IntType(64), 16)), ir.Constant(ir.IntType(64), item)
-            )
+            index = builder.add(arguments[1], ir.Constant(ir.IntType(64), item))
             address = builder.bitcast(builder.gep(array.data, [index]), pointer)
             builder.call(function, [address, *(ir.Constant(integer, value) for value in (0, 3, 1))])
         return context.get_dummy_value()
 
-    return types.void(rows, row), codegen
+    return types.void(array, index), codegen
 
 
 @inlined
@@ -64,7 +61,7 @@ def at_least_so_far(reached, digit, n, j):  # type: ignore[no-untyped-def]
     return reached & digit if n >> j & 1 else reached | digit
 
 
-def in_words(values: FloatArray) -> FloatArray:
+def in_words(values: np.ndarray) -> np.ndarray:
     """Fill the last axis of `values` `(..., D)` up with zeros to whole words."""
     missing = -values.shape[-1] % BITS
     return np.ascontiguousarray(np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, missing)]))

@@ -34,7 +34,7 @@ _CALLED: Any = _OPTIONS | {"nopython": True, "no_cpython_wrapper": True, "forcei
 # Arrays that are handed on need not be counted: the kernel holds them. Counting, by instructions that lock the memory,
 # would take a seventh of a move, and more where two threads count the same array.
 _INNER: Any = _CALLED | {"_nrt": False}
-_INLINED: Any = _CALLED | {"forceinline": True}
+_INLINED: Any = _INNER | {"forceinline": True}
 
 # Versions whose inside `lmd.core.inside_numba` knows. With others, everything works, compiles for longer, and nothing
 # that was compiled is kept. With this variable in the environment, any version is treated so.
@@ -146,12 +146,21 @@ def inlined(function: Callable[..., Any]) -> Any:
     """The same, inlined by LLVM whatever its size.
 
     Only so do loops over it vectorise, and what stays the same moves out of them. For what is called at every position,
-    handing over a field, a state and a scratch, hundreds of numbers, would take longer than the work. It must not
-    return arrays either.
+    handing over a field, a state and a scratch, hundreds of numbers, would take longer than the work. Nor does it make
+    arrays or return them.
     """
+    return _made_inlined(function, _INLINED)
+
+
+def arithmetic(function: Callable[..., Any]) -> Any:
+    """The same for formulas on numbers that Python calls with arrays, too."""
+    return _made_inlined(function, _INLINED | {"_nrt": True})
+
+
+def _made_inlined(function: Callable[..., Any], options: Any) -> Any:
     if _inside is None:
         return numba.njit(**_OPTIONS, forceinline=True)(function)
-    return _inside.Inner(function, _INLINED, kernel)
+    return _inside.Inner(function, options, kernel)
 
 
 def for_kernels(array: Any) -> Any:

@@ -20,7 +20,7 @@ from lmd.core.memory import check_memory
 # What a byte of a file takes at most while its contents are made sense of, bytes: the texts of a table.
 EACH = 20.0
 # A calibration has a few kilobytes; so much is read in some seconds.
-LARGEST_YAML = 1 << 18
+LARGEST_YAML = 1 << 19
 
 _KINDS = {stat.S_IFDIR: "a directory", stat.S_IFIFO: "a pipe", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device"}
 
@@ -125,9 +125,9 @@ def parse_keys(path: Any, text: str, name: str) -> dict[str, Any]:
 
 
 def _from_opencv(text: str) -> str:
-    """YAML of OpenCV as others read it: it may begin with %YAML:1.0, and then has no space in `{ id:9 }`."""
+    """YAML of OpenCV as others read it: it may begin with %YAML:1.0, and then has no space in `{ id:9 }` or `id:9`."""
     plain = re.sub(r"\A%YAML.*\n", "", text)
-    return plain if plain == text else re.sub(r"([{,]\s*\w+):(?=\S)", r"\1: ", plain)
+    return plain if plain == text else re.sub(r"([{,]\s*\w+|^\s*[\w.]+):(?=\S)", r"\1: ", plain, flags=re.MULTILINE)
 
 
 def _without(pattern: str, text: str) -> str:
@@ -161,6 +161,7 @@ _Loader.add_constructor("tag:yaml.org,2002:int", _integer)
 
 
 def _yaml(text: str) -> Any:
+    text = re.sub(r"\n---\s*\Z", "\n", text)  # with which ROS's tools end a message
     check_aliases(text)
     return yaml.load(text, _Loader)
 

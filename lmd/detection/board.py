@@ -49,7 +49,7 @@ class BoardImages:
     def __post_init__(self) -> None:
         if self.folder is None:
             raise InputError("folder is missing: a folder of images is needed.", "folder")
-        _ = self.photographs  # which refuses a folder without any
+        _ = self.images  # which refuses a folder without any
         if self.tags is None:
             raise InputError("tags is missing: a CSV of the tags on the board is needed.", "tags")
         object.__setattr__(self, "tolerance", real("tolerance", self.tolerance, above=0.0))
@@ -59,8 +59,8 @@ class BoardImages:
         renderer = Renderer(camera, self.board(tag), imaging)
         known = None if self.poses is None else self._known_poses(self.poses)
         parts = []
-        images = self.photographs.read(0, len(self.photographs.names), camera)
-        for name, image in zip(self.photographs.names, images, strict=True):
+        read = self.images.read(0, len(self.images.names), camera)
+        for name, image in zip(self.images.names, read, strict=True):
             found = detector.detect(image)
             pose = _pose_by(renderer, found, self.tolerance) if known is None else known.get(name)
             if pose is None:
@@ -76,8 +76,13 @@ class BoardImages:
             )
         return Views(*(np.concatenate([getattr(part, name) for part in parts]) for name in Views.__dataclass_fields__))
 
+    @property
+    def photographs(self) -> int:
+        """See `Source.photographs`."""
+        return len(self.images.names)
+
     @cached_property
-    def photographs(self) -> Photographs:
+    def images(self) -> Photographs:
         """The images of the folder."""
         assert self.folder is not None
         return Photographs(self.folder)
@@ -99,7 +104,7 @@ class BoardImages:
         if "image" not in table:
             raise InputError(f"{path} lacks the column 'image'; expected image,{','.join(POSE)}.")
         names = table.texts["image"]
-        missing = set(names) - set(self.photographs.names)
+        missing = set(names) - set(self.images.names)
         if missing:
             raise InputError(f"{path}: {str(self.folder)!r} has no image {min(missing)!r}.")
         try:

@@ -1,6 +1,7 @@
 """Limits of a detector fitted to views of tags, and how well they predict what they were not fitted to."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -17,9 +18,15 @@ from lmd.scene.camera import Camera
 from lmd.scene.tag import Tag
 from lmd.sight.models.limits import NAMES, Limits, Preset
 
+ENDS = ("low", "high")
+
 
 class Source(Protocol):
     """Where views of tags come from whose outcome is known."""
+
+    @property
+    def photographs(self) -> int:
+        """How many photographs they are of; 0 where they are rendered."""
 
     def views(self, camera: Camera, tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator) -> Views:
         """Views and what the detector made of them.
@@ -54,11 +61,16 @@ class Calibration:
         fit: the limits, judged on the half of the views that they were not fitted to.
         rooms: judged on whole frames: `predicted_<n>` and `detected_<n>`, P(>= n), `agreement_2`, `precision`,
             `recall`; empty where there were none.
+        photographs: that the views are of; 0 where they were rendered.
+        intervals: in which nine of ten limits lie that are fitted to as many views drawn from these, by name; empty
+            where that was not asked for.
     """
 
     views: Views
     fit: Fit
     rooms: dict[str, float]
+    photographs: int = 0
+    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def figures(self) -> dict[str, float]:
         """Everything as one row."""
@@ -68,6 +80,12 @@ class Calibration:
             "seen": float(self.views.seen.mean()),
             **{name: getattr(limits, name) for name in NAMES},
             **{name: getattr(fit, name) for name in ("accuracy", "precision", "recall")},
+            **{
+                f"{name}_{end}": value
+                for name, ends in self.intervals.items()
+                for end, value in zip(ENDS, ends, strict=True)
+            },
+            "photographs": self.photographs,
             **{f"room_{name}": value for name, value in self.rooms.items()},
         }
 
@@ -81,10 +99,15 @@ class Calibration:
         """
         fit = self.fit
         lines = [f"Limits of {detector} for tags of the family {family}: {source}."]
+        origin = f"{self.photographs} photographs" if self.photographs else "renderings, not on photographs"
+        lines.append(f"Measured on {origin}.")
         lines.append(
             f"Fitted to half of {len(self.views)} views; on the other half accuracy {fit.accuracy:.3f}, "
             f"precision {fit.precision:.3f}, recall {fit.recall:.3f}."
         )
+        if self.intervals:
+            spans = (f"{name} {low:.3g} to {high:.3g}" for name, (low, high) in self.intervals.items())
+            lines.append(f"90 % intervals: {', '.join(spans)}.")
         if self.rooms:
             pairs = (f"{self.rooms[f'predicted_{n}']:.3f} / {self.rooms[f'detected_{n}']:.3f}" for n in NUMBERS)
             lines.append(

@@ -11,6 +11,8 @@ from lmd.detection.evaluation import precision_recall
 from lmd.detection.mosaic import Views
 from lmd.sight.models.limits import Limits
 
+RESAMPLES = 20  # for intervals
+
 
 @dataclass(frozen=True)
 class Grid:
@@ -56,6 +58,13 @@ def fit(views: Views, rng: np.random.Generator, margin: float, grid: Grid | None
     predicted = limits.found(held_out.pitch, held_out.incidence, held_out.edge, held_out.sigma)
     precision, recall = precision_recall(predicted, held_out.seen)
     return Fit(limits, float((predicted == held_out.seen).mean()), float(precision), float(recall))
+
+
+def intervals(views: Views, rng: np.random.Generator, margin: float) -> dict[str, tuple[float, float]]:
+    """In which nine of ten limits lie that are fitted to as many views, drawn from these with replacement, by name."""
+    drawn = [_best(views[rng.integers(0, len(views), len(views))], margin, Grid()) for _ in range(RESAMPLES)]
+    rows = {name: [getattr(limits, name) for limits in drawn] for name in ("pitch", "blur", "edge", "incidence")}
+    return {name: (float(np.quantile(row, 0.05)), float(np.quantile(row, 0.95))) for name, row in rows.items()}
 
 
 def _best(views: Views, margin: float, grid: Grid) -> Limits:

@@ -11,10 +11,11 @@ from lmd.detection.detectors import Detector
 from lmd.detection.evaluation import Matches, match
 from lmd.detection.quality import apparent_edge, incidence, pitch
 from lmd.geometry.se3 import camera_pose, exp
-from lmd.render.imaging import UInt8Array
+from lmd.render.imaging import Imaging, UInt8Array
 from lmd.render.optics import blur_sigma, to_camera
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
+from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.plates import TOUCHING
 from lmd.scene.scene import Scene
@@ -69,10 +70,14 @@ def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatA
     where = poses, room.centres, room.normals
     depth = to_camera(poses, room.centres)[..., 2]
     depth = np.where(depth > 0.0, depth, np.nan)
-    sigma = blur_sigma(camera, depth, imaging.psf_sigma) if imaging.defocus else np.full_like(depth, imaging.psf_sigma)
-    sigma = np.hypot(sigma, imaging.motion_blur / math.sqrt(12.0))  # of a smear with sharp ends
     edges = apparent_edge(camera, *where, room.tag)
-    return pitch(camera, *where, room.tag), incidence(*where), edges, sigma
+    return pitch(camera, *where, room.tag), incidence(*where), edges, blur(camera, depth, imaging)
+
+
+def blur(camera: Camera, depth: FloatArray, imaging: Imaging) -> FloatArray:
+    """Standard deviation of the whole blur of what is at `depth`, metres, pixels, as `depth`."""
+    sigma = blur_sigma(camera, depth, imaging.psf_sigma) if imaging.defocus else np.full_like(depth, imaging.psf_sigma)
+    return np.hypot(sigma, imaging.motion_blur / math.sqrt(12.0))  # of a smear with sharp ends
 
 
 def overlapping(room: TaggedRoom) -> BoolArray:

@@ -81,6 +81,11 @@ class Mosaics:
         object.__setattr__(self, "count", integer("count", self.count, low=2))
         check_memory(VIEW_BYTES * self.count, f"count = {self.count} views", "count")
 
+    @property
+    def photographs(self) -> int:
+        """See `Source.photographs`."""
+        return 0
+
     def views(
         self, camera: Camera, tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
     ) -> "Views":

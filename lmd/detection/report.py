@@ -17,6 +17,7 @@ from lmd.render.renderer import Renderer
 # Classes of pitch, pixels a module.
 PITCHES = np.array([0.0, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 6.0, 9.0, np.inf])
 INCIDENCES = np.array([0.0, 15.0, 30.0, 45.0, 60.0, 75.0, 90.0])  # degrees
+PLACES = np.array([4, 3])  # parts of an image, from left to right and from top to bottom
 QUANTILES = {"median": 0.5, "90": 0.9}
 
 
@@ -146,6 +147,24 @@ def _by_class(
             span = {f"{name}_from": bounds[b], f"{name}_to": bounds[b + 1], "tags": int(members.sum())}
             shares = {"predicted": prediction.visible[members].mean(), "detected": seen.detected[members].mean()}
             rows.append(span | shares | {f"corner_{key}": q for key, q in zip(QUANTILES, corner, strict=True)})
+    return pd.DataFrame(rows)
+
+
+def by_place(prediction: Prediction, seen: Sightings) -> pd.DataFrame:
+    """Tags that are wholly in the image, by where their centre is in it: a row for each part of the image that has any.
+
+    Columns: `column`, `row` of the part, of `PLACES`; `tags`, and the shares `predicted` and `detected` of them.
+    """
+    camera = prediction.renderer.camera
+    share = prediction.corners.mean(axis=2) / [camera.image_width, camera.image_height]
+    part = np.floor(np.nan_to_num(share, nan=-1.0) * PLACES).astype(int)
+    rows = []
+    for row in range(PLACES[1]):
+        for column in range(PLACES[0]):
+            members = (part == [column, row]).all(axis=-1) & prediction.whole
+            if members.any():
+                shares = {"predicted": prediction.visible[members].mean(), "detected": seen.detected[members].mean()}
+                rows.append({"column": column, "row": row, "tags": int(members.sum()), **shares})
     return pd.DataFrame(rows)
 
 

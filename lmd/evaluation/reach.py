@@ -19,6 +19,7 @@ from lmd.scene.tag import Tag
 
 NEAREST, FARTHEST = 0.01, 1000.0  # distances that are looked at, metres
 STEPS = 400  # between them, by equal factors: of 1.03
+COARSE = 8  # steps at once, of sizes
 EXACT = 1e-4  # relative
 
 
@@ -69,9 +70,15 @@ def smallest_edge(criteria_of: Callable[[float], Criteria], camera: Camera, dist
         incidence: angle, rad.
     """
     tried = distance * np.geomspace(1e-3, 1.0, STEPS)
-    for smaller, edge in zip([0.0, *tried], tried, strict=False):
-        if is_read(criteria_of(edge), camera, distance, incidence):
-            return _border(lambda e: e > 0.0 and is_read(criteria_of(e), camera, distance, incidence), edge, smaller)
+
+    def read(edge: float) -> bool:
+        return edge > 0.0 and is_read(criteria_of(edge), camera, distance, incidence)
+
+    # Sizes that are read have no gaps: those between two that are not read are tried only if none of these is.
+    for step in (COARSE, 1):
+        for index in range(0, STEPS, step):
+            if read(tried[index]):
+                return _border(read, tried[index], tried[index - step] if index else 0.0)
     return math.nan
 
 

@@ -11,7 +11,7 @@ model says nothing about the lens.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -126,7 +126,7 @@ class Lens:
         with np.errstate(all="ignore"):
             angle = np.interp(length, radii, angles)
             for _ in range(STEPS):
-                here = self._profile(angle)
+                here = self.profile(angle)
                 step = (length - here.across * np.sin(angle)) / here.along
                 angle = np.clip(angle + step, 0.0, self.fold)
                 if not (np.abs(step) > CONVERGED).any():
@@ -143,7 +143,7 @@ class Lens:
     def _radii(self) -> tuple[FloatArray, FloatArray]:
         """How far from the centre angles up to the fold are imaged, but for the sway, and these angles."""
         theta = np.linspace(0.0, self.fold, SAMPLES)
-        return self._profile(theta).across * np.sin(theta), theta
+        return self.profile(theta).across * np.sin(theta), theta
 
     def _refined(self, start: FloatArray, image: FloatArray) -> FloatArray:
         """Directions in front of the camera by Newton's method in the plane at depth 1, unit vectors."""
@@ -164,7 +164,7 @@ class Lens:
 
         def folds(angle: Any) -> Any:
             with np.errstate(all="ignore"):
-                return ~(self._profile(angle).least > 0.0)
+                return ~(self.profile(angle).least > 0.0)
 
         bad = np.flatnonzero(folds(theta))
         return _border(folds, theta[bad[0] - 1], theta[bad[0]]) if bad.size else float(theta[-1])
@@ -174,9 +174,9 @@ class Lens:
 
         The fold where all is.
         """
-        if not self._profile(np.float64(self.fold)).inner > reach:
+        if not self.profile(np.float64(self.fold)).inner > reach:
             return self.fold
-        return _border(lambda angle: self._profile(angle).inner >= reach, 0.0, self.fold)
+        return _border(lambda angle: self.profile(angle).inner >= reach, 0.0, self.fold)
 
     def stretch(self, widest: float, power: int = 0) -> Stretch:
         """Bounds for all directions up to the angle `widest`, rad.
@@ -185,7 +185,7 @@ class Lens:
         1 / cos(theta)^2 at most, and a solid angle by 1 / cos(theta)^3.
         """
         theta = np.linspace(0.0, widest, SAMPLES)
-        profile, cosine = self._profile(theta), np.cos(theta) ** power
+        profile, cosine = self.profile(theta), np.cos(theta) ** power
         low, high = cosine * profile.least, cosine**2 * profile.most
         small = cosine**3 * (profile.along - profile.sway) * (profile.across - profile.sway)
         large = cosine**3 * (profile.along + profile.sway) * (profile.across + profile.sway)
@@ -198,24 +198,17 @@ class Lens:
             the coefficients of s with the image (s(h) x, s(h) y) of a unit vector (x, y, z), h = 1 - z; how far that is
             off at most.
         """
-        theta = np.linspace(0.0, widest, SAMPLES)
-        profile, height, around = self._profile(theta), 1.0 - np.cos(theta), np.sin(theta)
-        fit = np.polynomial.polynomial.polyfit(height, profile.across, DEGREE)
-        off = around * np.abs(np.polynomial.polynomial.polyval(height, fit) - profile.across)
-        return tuple(fit.tolist()), _above(off + around * profile.across - profile.inner) + ROUNDED
+        return _approximation(self, widest)
 
     def ceiling(self, widest: float) -> tuple[float, ...]:
         """A polynomial of h = 1 - cos(theta), a bound of how directions up to theta are stretched.
 
         It holds up to the angle `widest`, rad.
         """
-        theta = np.linspace(0.0, widest, SAMPLES)
-        height, most = 1.0 - np.cos(theta), np.maximum.accumulate(self._profile(theta).most)
-        fit = np.polynomial.polynomial.polyfit(height, most, DEGREE)
-        fit[0] += _above(most - np.polynomial.polynomial.polyval(height, fit)) + ROUNDED
-        return tuple(fit.tolist())
+        return _ceiling(self, widest)
 
-    def _profile(self, theta: Any) -> Profile:
+    def profile(self, theta: Any) -> Profile:
+        """The lens at angles theta from the axis, rad."""
         lens = self.model_numbers
         if isinstance(lens, Equidistant):
             powers = theta * theta
@@ -232,6 +225,25 @@ class Lens:
         sway = r * (2.0 * (shift + prism) + 4.0 * wide * s)
         inner = r * radial - s * (shift + prism + wide * s)
         return Profile(inner, (radial + 2.0 * s * steep) / cosine**2, radial / cosine, sway / cosine**2)
+
+
+# Fits take milliseconds, and whoever tries tags of many sizes asks for the same ones again.
+@lru_cache(maxsize=64)
+def _approximation(lens: Lens, widest: float) -> tuple[tuple[float, ...], float]:
+    theta = np.linspace(0.0, widest, SAMPLES)
+    profile, height, around = lens.profile(theta), 1.0 - np.cos(theta), np.sin(theta)
+    fit = np.polynomial.polynomial.polyfit(height, profile.across, DEGREE)
+    off = around * np.abs(np.polynomial.polynomial.polyval(height, fit) - profile.across)
+    return tuple(fit.tolist()), _above(off + around * profile.across - profile.inner) + ROUNDED
+
+
+@lru_cache(maxsize=64)
+def _ceiling(lens: Lens, widest: float) -> tuple[float, ...]:
+    theta = np.linspace(0.0, widest, SAMPLES)
+    height, most = 1.0 - np.cos(theta), np.maximum.accumulate(lens.profile(theta).most)
+    fit = np.polynomial.polynomial.polyfit(height, most, DEGREE)
+    fit[0] += _above(most - np.polynomial.polynomial.polyval(height, fit)) + ROUNDED
+    return tuple(fit.tolist())
 
 
 def lens_of(model: str, distortion: Any) -> Lens | None:

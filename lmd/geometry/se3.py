@@ -15,7 +15,7 @@ from lmd.geometry.frames import rotation
 # Below this angle (rad) the coefficients of the exponential come from their Taylor series.
 SMALL_ANGLE = 1e-4
 # A quaternion printed with a few decimals is still a unit quaternion.
-QUATERNION_TOLERANCE = 1e-3
+QUATERNION_TOLERANCE = 1e-2
 # And R^T R is as near to I for a rotation that was printed so.
 MATRIX_TOLERANCE = 1e-2
 

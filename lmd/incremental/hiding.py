@@ -28,18 +28,20 @@ from lmd.scene.criteria import TOLERANCE, hide
 from lmd.sight.blocks import BLOCK, SINGLE_ERROR
 
 
-@inner
-def find_neighbours(
-    k, ax, ay, az, nx, ny, nz, field, landmarks, normals, blocks, wanted, others, ways, neighbours
-):  # fmt: skip
-    """Fill `neighbours` of a place (ax, ay, az) of landmark k, in the `wanted` ones of `blocks`.
+@inlined
+def line_radius(sight):
+    """How far from a line of sight a landmark may be that hides something, metres."""
+    return math.sqrt(sight.reach) * (1.0 + SINGLE_ERROR) + TOLERANCE
 
-    (nx, ny, nz) is its normal there; others, ways: see `state.Scratch`.
+
+@inner
+def find_ways(ax, ay, az, landmarks, horizon, others, ways):
+    """List the landmarks within the horizon of (ax, ay, az), and the ways to them; see `state.Scratch`.
+
+    Returns:
+        how many there are, filled up to whole words.
     """
-    positions, centres, halves, sight = field.positions, field.centres, field.halves, field.sight
-    found, who, hides, hidden_by, count_hides, count_hidden = neighbours
-    radius = math.sqrt(sight.reach) * (1.0 + SINGLE_ERROR) + TOLERANCE
-    count, most = landmarks.shape[1], np.float32(field.horizon * (1.0 + SINGLE_ERROR))
+    count, most = landmarks.shape[1], np.float32(horizon * (1.0 + SINGLE_ERROR))
     for i in range(count):
         dx, dy, dz = landmarks[0, i] - ax, landmarks[1, i] - ay, landmarks[2, i] - az
         ways[0, i], ways[1, i], ways[2, i], ways[3, i] = dx, dy, dz, math.sqrt(dx * dx + dy * dy + dz * dz)
@@ -54,6 +56,46 @@ def find_neighbours(
     filled = (count + LANES - 1) & -LANES
     for i in range(count, filled):
         ways[3, i] = -np.inf  # nothing comes close to those that fill up
+    return filled
+
+
+@inlined
+def near_line(start, mx, my, mz, hx, hy, hz, radius, ways):
+    """Which of the ways from `start` on, as bits, lead to landmarks of the first stage above.
+
+    Args:
+        start: the first of `LANES`.
+        mx, my, mz: offset of the place from the centre of the box.
+        hx, hy, hz: half its sides.
+        radius: of `line_radius`.
+        ways: of `find_ways`.
+    """
+    far = math.sqrt(mx * mx + my * my + mz * mz) + math.sqrt(hx * hx + hy * hy + hz * hz)
+    shift, slope = np.float32(radius * far), np.float32(radius + SINGLE_ERROR * far)
+    ux, uy, uz = np.float32(mx), np.float32(my), np.float32(mz)
+    close = np.uint32(0)
+    for lane in range(np.uint64(LANES)):
+        i = start + lane
+        ex, ey, ez = ways[0, i], ways[1, i], ways[2, i]
+        room = shift + slope * ways[3, i]
+        near = abs(uy * ez - uz * ey) <= hz * abs(ey) + hy * abs(ez) + room
+        near &= abs(uz * ex - ux * ez) <= hx * abs(ez) + hz * abs(ex) + room
+        near &= abs(ux * ey - uy * ex) <= hy * abs(ex) + hx * abs(ey) + room
+        close |= np.uint32(near) << np.uint32(lane)
+    return close
+
+
+@inner
+def find_neighbours(
+    k, ax, ay, az, nx, ny, nz, field, landmarks, normals, blocks, wanted, others, ways, neighbours
+):  # fmt: skip
+    """Fill `neighbours` of a place (ax, ay, az) of landmark k, in the `wanted` ones of `blocks`.
+
+    (nx, ny, nz) is its normal there; others, ways: see `state.Scratch`.
+    """
+    positions, centres, halves, sight = field.positions, field.centres, field.halves, field.sight
+    found, who, hides, hidden_by, count_hides, count_hidden = neighbours
+    radius, filled = line_radius(sight), find_ways(ax, ay, az, landmarks, field.horizon, others, ways)
     for b in blocks:
         found[b] = 0
         if not wanted[b]:
@@ -63,20 +105,9 @@ def find_neighbours(
             count_hides[p] = count_hidden[p] = 0
         mx, my, mz = ax - centres[0, b], ay - centres[1, b], az - centres[2, b]
         hx, hy, hz = halves[0, b], halves[1, b], halves[2, b]
-        far = math.sqrt(mx * mx + my * my + mz * mz) + math.sqrt(hx * hx + hy * hy + hz * hz)
-        shift, slope = np.float32(radius * far), np.float32(radius + SINGLE_ERROR * far)
-        ux, uy, uz = np.float32(mx), np.float32(my), np.float32(mz)
         kept = 0
         for start in range(np.uint64(0), np.uint64(filled), np.uint64(LANES)):
-            close = np.uint32(0)
-            for lane in range(np.uint64(LANES)):
-                i = start + lane
-                ex, ey, ez = ways[0, i], ways[1, i], ways[2, i]
-                room = shift + slope * ways[3, i]
-                near = abs(uy * ez - uz * ey) <= hz * abs(ey) + hy * abs(ez) + room
-                near &= abs(uz * ex - ux * ez) <= hx * abs(ez) + hz * abs(ex) + room
-                near &= abs(ux * ey - uy * ex) <= hy * abs(ex) + hx * abs(ey) + room
-                close |= np.uint32(near) << np.uint32(lane)
+            close = near_line(start, mx, my, mz, hx, hy, hz, radius, ways)
             while close:
                 i = others[start + lowest(np.uint64(close))]
                 close &= close - np.uint32(1)

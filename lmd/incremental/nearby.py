@@ -41,12 +41,11 @@ def _forget(scratch):  # type: ignore[no-untyped-def]
 
 @inner
 def list_blocks(k, field, state, scratch):  # type: ignore[no-untyped-def]
-    """Forget the last trial, and list the blocks near landmark k or its target."""
+    """List the blocks near landmark k or its target."""
     target, landmarks = scratch.target, state.landmarks
     ax, ay, az = target[0], target[1], target[2]
     mx, my, mz = landmarks[0, k], landmarks[1, k], landmarks[2, k]
     blocks, spans, near, aimed, wanted = scratch.blocks, scratch.spans, scratch.near, scratch.aimed, scratch.wanted
-    _forget(scratch)
     for b in range(len(aimed)):  # without a branch, so that it vectorises
         aimed[b] = is_near(field, b, ax, ay, az)
         wanted[b] = aimed[b] | is_near(field, b, mx, my, mz)
@@ -65,7 +64,8 @@ def list_blocks(k, field, state, scratch):  # type: ignore[no-untyped-def]
 
 @inner
 def look_around(k, field, state, scratch):  # type: ignore[no-untyped-def]
-    """`list_blocks`, and find what they see of the target."""
+    """Forget the last trial, `list_blocks`, and find what they see of the target."""
+    _forget(scratch)
     list_blocks(k, field, state, scratch)
     target, positions, sight, spans, number = (
         scratch.target, field.positions, field.sight, scratch.spans, scratch.near[1]

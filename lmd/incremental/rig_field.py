@@ -1,6 +1,7 @@
 """The incremental field of coverage by a rig: P_n at every position of its body as single landmarks move."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -10,20 +11,25 @@ from lmd.incremental.move import counts_of
 from lmd.incremental.rig_move import carry_out_rig, rig_state_of, take_back_rig
 from lmd.incremental.rig_state import RigScratch, RigState, Stations, rig_scratch_of
 from lmd.incremental.rig_trial import bound_rig_move, finish_rig_move
-from lmd.scene.criteria import horizon_of
 from lmd.scene.deployment import Deployment
 from lmd.sight.blocks import boxes_around
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.obstacles import obstacles_at
+from lmd.sight.stations import places_around, with_sight
 
 
 class RigField(NamedTuple):
     """What does not change while landmarks move; a `lmd.incremental.field.Field`.
 
-    index_of, given, weights, n: as in `CoverageField`, for Q positions and D orientations of the body; parts: the rig.
+    positions, index_of, centres, halves, given, weights, n: as in `CoverageField`, for Q positions and D orientations
+    of the body; horizon: from the body's origin, of all parts of the rig.
     """
 
+    positions: np.ndarray
     index_of: np.ndarray
+    centres: np.ndarray
+    halves: np.ndarray
+    horizon: float
     parts: tuple[Stations, ...]
     given: np.ndarray
     weights: np.ndarray
@@ -40,7 +46,7 @@ class RigField(NamedTuple):
 
     def scratch(self, state: RigState) -> RigScratch:
         """See `Field.scratch`."""
-        return rig_scratch_of(state)
+        return rig_scratch_of(state, tuple(len(stations.part.centres) for stations in self.parts))
 
     @property
     def stack(self) -> int:
@@ -49,16 +55,20 @@ class RigField(NamedTuple):
 
     def stacked(self, fixed: Deployment | None) -> "RigField":
         """See `Stacking.stacked` and `CoverageField.stacked`."""
-        sights = [part.sight.unhidden() for part in self.parts]
-        parts = [p._replace(sight=s, horizon=horizon_of(s)) for p, s in zip(self.parts, sights, strict=True)]
+        field = self._seen_by(lambda sight: sight.unhidden())
         given = self.given
         if fixed is not None:
             given = packed(counts_of(self.state(fixed), given.shape[1] * BITS) >= self.n)
-        return self._replace(n=1, parts=tuple(parts), given=given)
+        return field._replace(n=1, given=given)
 
     def shrunk(self, size: float) -> "RigField":
         """See `Stacking.shrunk`."""
-        return self._replace(parts=tuple(part._replace(sight=part.sight.shrunk(size)) for part in self.parts))
+        return self._seen_by(lambda sight: sight.shrunk(size))
+
+    def _seen_by(self, change: Callable[[Any], Any]) -> "RigField":
+        """The same with another model of sight in place of each."""
+        parts = tuple(each._replace(part=with_sight(each.part, change(each.part.sight))) for each in self.parts)
+        return self._replace(parts=parts, horizon=max(each.part.horizon for each in parts))
 
 
 bound.register(RigField)(bound_rig_move)
@@ -69,15 +79,13 @@ undo.register(RigField)(take_back_rig)
 
 def rig_field(evaluator: Evaluator, n: int) -> RigField:
     """The field of P_n at the positions of an evaluator whose scene has a rig."""
-    order, index_of = evaluator.blocks
-    blockers, parts = evaluator.scene.room.blockers(), []
-    for number, part in enumerate(evaluator.parts):
-        stations = (part.offsets[:, None] + evaluator.positions[order]).reshape(-1, 3)
-        centres, halves = boxes_around(stations)
-        points, obstacles = np.ascontiguousarray(stations.T), obstacles_at(blockers, stations)
-        parts.append(
-            Stations(number, points, centres, halves, horizon_of(part.sight), part.sight, obstacles, *part[2:])
-        )
-    given = np.zeros((len(order), evaluator.axes.shape[1] // BITS), dtype=np.uint64)
-    weights = evaluator.weights[order] if len(evaluator.weights) > 1 else evaluator.weights
-    return RigField(index_of, tuple(parts), given, weights, n)
+    e, (order, index_of), blockers = evaluator, evaluator.blocks, evaluator.scene.room.blockers()
+    ordered = e.positions[order]
+    parts = tuple(
+        Stations(number, part, obstacles_at(blockers, ordered if blockers is None else places_around(ordered, part)))
+        for number, part in enumerate(e.parts)
+    )
+    given = np.zeros((len(order), e.axes.shape[1] // BITS), dtype=np.uint64)
+    weights = e.weights[order] if len(e.weights) > 1 else e.weights
+    horizon, boxes = max(part.horizon for part in e.parts), boxes_around(ordered)
+    return RigField(np.ascontiguousarray(ordered.T), index_of, *boxes, horizon, parts, given, weights, n)

@@ -3,34 +3,21 @@
 from typing import Any
 
 import numpy as np
-from numba import literal_unroll
 
 from lmd.core.bits import BITS
 from lmd.core.compiled import inlined, inner, kernel
 from lmd.core.memory import check_views
-from lmd.incremental.hiding import exchange_hiding, find_new
-from lmd.incremental.move import BACK, FORTH, exchange_place, given_counts, ripple, sum_up
+from lmd.incremental.field import places_of
+from lmd.incremental.move import exchange_place, given_counts, ripple, sum_up
 from lmd.incremental.nearby import list_blocks
 from lmd.incremental.rig_state import RigState, StationState, rig_scratch_of
-from lmd.incremental.rig_trial import see_anew, shown_by
+from lmd.incremental.rig_trial import ARRIVES, find_pairs, forget, list_near, see_anew, shown_by
 from lmd.scene.deployment import Deployment
 
-# What is kept of a landmark seen from a station: who hides it, whom it hides, and whether there is a cap.
-STATION_BYTES = 5
+# Of a landmark and a centre around a position: whether it is a rival of the place tried.
+CENTRE_BYTES = 8
 # And of a landmark with a camera and an orientation: bits of caps, of what is veiled, and of what flips.
 CAMERA_BYTES = 3 / 8
-
-
-@inner
-def _exchange_parts(k, sign, parts, state, scratch):
-    for part in literal_unroll(parts):
-        mine, other = state.parts[part.number], scratch.parts[part.number]
-        for m in range(len(mine.caps)):
-            for q in range(other.cap.shape[1]):
-                for w in range(other.cap.shape[2]):
-                    mine.caps[m, k, q, w], other.cap[m, q, w] = other.cap[m, q, w], mine.caps[m, k, q, w]
-                    mine.veiled[m, k, q, w], other.veil[m, q, w] = other.veil[m, q, w], mine.veiled[m, k, q, w]
-        exchange_hiding(k, sign, part.sight, mine, other)
 
 
 @inlined
@@ -43,56 +30,49 @@ def _show(i, q, w, now, n, state):
     return was
 
 
+@inlined
+def _exchange_parts(k, q, state, scratch):
+    """Exchange what the parts have of landmark k at position q."""
+    for j in range(len(state.parts)):
+        mine, other = state.parts[j], scratch.parts[j]
+        for m in range(mine.caps.shape[2]):
+            for w in range(other.cap.shape[2]):
+                mine.caps[k, q, m, w], other.cap[q, m, w] = other.cap[q, m, w], mine.caps[k, q, m, w]
+                mine.veiled[k, q, m, w], other.veil[q, m, w] = other.veil[q, m, w], mine.veiled[k, q, m, w]
+
+
 @inner
-def _exchange(k, sign, field, state, scratch):
+def _exchange(k, field, state, scratch):
     """Exchange landmark k for what `scratch` has of its other place; to do so twice changes nothing."""
     n, words = field.n, np.uint64(scratch.fresh.shape[1])
-    for q in range(np.uint64(len(state.units))):
-        state.units[q], scratch.units[q] = scratch.units[q], state.units[q]
-        for w in range(words):
-            scratch.fresh[q, w] = _show(k, q, w, scratch.fresh[q, w], n, state)
+    for s in range(scratch.near[1]):
+        for q in range(scratch.spans[s, 0], scratch.spans[s, 1]):
+            state.units[q], scratch.units[q] = scratch.units[q], state.units[q]
+            for w in range(words):
+                scratch.fresh[q, w] = _show(k, q, w, scratch.fresh[q, w], n, state)
+            _exchange_parts(k, q, state, scratch)
     for e in range(scratch.found[0]):
         i, q = np.uint64(scratch.who[e]), np.uint64(scratch.where[e])
         for w in range(words):
             _show(i, q, w, shown_by(i, q, w, state, scratch), n, state)
             for j in range(len(state.parts)):
                 veiled, flipped = state.parts[j].veiled, scratch.parts[j].flipped
-                for m in range(len(veiled)):
-                    veiled[m, i, q, w] ^= flipped[m, i, q, w]
-    _exchange_parts(k, sign, field.parts, state, scratch)
+                for m in range(veiled.shape[2]):
+                    veiled[i, q, m, w] ^= flipped[i, q, m, w]
     exchange_place(k, state, scratch)
 
 
 @inner
 def carry_out_rig(field, k, state, scratch):
     """See `move.carry_out`."""
-    see_anew(field.parts, scratch, True)
-    _exchange(np.uint64(k), FORTH, field, state, scratch)
+    see_anew(field.parts, scratch.listed[: list_near(scratch, True)], True, field, state, scratch)
+    _exchange(np.uint64(k), field, state, scratch)
 
 
 @inner
 def take_back_rig(field, k, state, scratch):
     """See `move.take_back`."""
-    _exchange(np.uint64(k), BACK, field, state, scratch)
-
-
-@inner
-def _arrive(k, parts, state, scratch):
-    """Find what all parts see of landmark k at the place tried, and keep it."""
-    for part in literal_unroll(parts):
-        list_blocks(k, part, state.parts[part.number], scratch.parts[part.number])
-        if part.sight.reach >= 0.0:
-            find_new(k, part, state.parts[part.number], scratch.parts[part.number])
-    see_anew(parts, scratch, True)
-    for i in range(len(state.parts)):
-        mine, other = state.parts[i], scratch.parts[i]
-        for s in range(len(other.new.reached)):
-            mine.reachable[k, s] = other.new.reached[s]
-            mine.hidden[k, s], mine.hiding[k, s] = other.after.count_hidden[s], other.after.count_hides[s]
-        for m in range(len(mine.caps)):
-            for q in range(other.cap.shape[1]):
-                for w in range(other.cap.shape[2]):
-                    mine.caps[m, k, q, w], mine.veiled[m, k, q, w] = other.cap[m, q, w], other.veil[m, q, w]
+    _exchange(np.uint64(k), field, state, scratch)
 
 
 @kernel
@@ -101,34 +81,29 @@ def _fill(field, state, scratch):
     for k in range(np.uint64(state.landmarks.shape[1])):
         for i in range(3):
             scratch.target[i], scratch.target[3 + i] = state.landmarks[i, k], state.normals[i, k]
-        _arrive(k, field.parts, state, scratch)
-        for q in range(np.uint64(scratch.fresh.shape[0])):
+        forget(scratch)
+        list_blocks(k, field, state, scratch)
+        find_pairs(k, ARRIVES, field.parts, field, state, scratch)
+        positions = scratch.listed[: list_near(scratch, True)]
+        see_anew(field.parts, positions, True, field, state, scratch)
+        for q in positions:
             for w in range(np.uint64(scratch.fresh.shape[1])):
                 _show(k, q, w, scratch.fresh[q, w], field.n, state)
+            _exchange_parts(k, q, state, scratch)
     sum_up(field, state)
 
 
 def rig_state_of(field: Any, deployment: Deployment) -> RigState:
     """The coverage of `deployment`, ready for moves; `field` a `lmd.incremental.rig_field.RigField`."""
-    count, (size, words) = len(deployment), field.given.shape
-    stations, mounts = (
-        sum(sizes) for sizes in zip(*((p.positions.shape[1], len(p.axes)) for p in field.parts), strict=True)
-    )
-    check_views(STATION_BYTES * stations / size + CAMERA_BYTES * mounts * BITS * words, size, 1, count)
-    landmarks, normals = (np.ascontiguousarray(v.T).copy() for v in (deployment.positions, deployment.normals))
-    parts = []
-    for part in field.parts:
-        caps, veiled = np.zeros((2, len(part.axes), count, size, words), dtype=np.uint64)
-        hidden, hiding = np.zeros((2, count, part.positions.shape[1]), dtype=np.int16)
-        reachable = np.zeros(hidden.shape, dtype=np.bool_)
-        parts.append(StationState(landmarks, normals, caps, veiled, reachable, hidden, hiding))
+    count, (size, words), parts = len(deployment), field.given.shape, [stations.part for stations in field.parts]
+    centres, mounts = tuple(len(part.centres) for part in parts), [len(part.axes) for part in parts]
+    check_views(CENTRE_BYTES * sum(centres) + CAMERA_BYTES * sum(mounts) * BITS * words, size, 1, count)
+    caps = (np.zeros((2, count, size, each, words), dtype=np.uint64) for each in mounts)
     state = RigState(
-        landmarks=landmarks,
-        normals=normals,
-        surfaces=deployment.surfaces.copy(),
-        parts=tuple(parts),
+        **places_of(deployment)._asdict(),
+        parts=tuple(StationState(*both) for both in caps),
         shown=np.zeros((count, size, words), dtype=np.uint64),
         **given_counts(field.given, count, field.n),
     )
-    _fill(field, state, rig_scratch_of(state))
+    _fill(field, state, rig_scratch_of(state, centres))
     return state

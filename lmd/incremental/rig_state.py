@@ -4,46 +4,29 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.incremental.state import Neighbours, Sighting, Turns, surroundings
+from lmd.core.bits import LANES
+from lmd.sight.blocks import BLOCK
+from lmd.sight.stations import Part
 
 
 class Stations(NamedTuple):
-    """The stations of the cameras of a rig that are alike, around Q positions of its body.
-
-    number of the part; positions `(3, S)` with S = G Q, station g of position q at g Q + q; centres, halves, horizon,
-    sight, obstacles: as in `lmd.incremental.coverage_field.CoverageField`; the rest as in `lmd.sight.stations.Part`.
-    """
+    """The cameras of a rig that are alike, around Q positions of its body."""
 
     number: int
-    positions: np.ndarray
-    centres: np.ndarray
-    halves: np.ndarray
-    horizon: float
-    sight: Any
+    """Which part of the rig they are."""
+    part: Part
+    """The part."""
     obstacles: Any
-    mount: np.ndarray
-    members: np.ndarray
-    alone: np.ndarray
-    axes: np.ndarray
-    certain: np.ndarray
-    possible: np.ndarray
+    """What of the room stands in the way of their places, place g of position q at q G + g; see `obstacles`."""
 
 
 class StationState(NamedTuple):
-    """What the M cameras of a part have in view of K landmarks.
+    """What the M cameras of a part have in view of K landmarks."""
 
-    landmarks, normals `(3, K)` those of the `RigState`; caps `(M, K, Q, W)` the orientations with which a camera covers
-    a landmark nobody hides; veiled `(M, K, Q, W)` those of its stations from where another hides it;
-    reachable, hidden, hiding `(K, S)` as in `State`, reachable where there is a cap.
-    """
-
-    landmarks: np.ndarray
-    normals: np.ndarray
     caps: np.ndarray
+    """`(K, Q, M, W)` the orientations with which a camera covers a landmark nobody hides."""
     veiled: np.ndarray
-    reachable: np.ndarray
-    hidden: np.ndarray
-    hiding: np.ndarray
+    """`(K, Q, M, W)` those of them with which another landmark hides it."""
 
 
 class RigState(NamedTuple):
@@ -65,42 +48,39 @@ class RigState(NamedTuple):
 
 
 class StationScratch(NamedTuple):
-    """The move tried last as one part sees it; fields that are not here as in `Scratch`.
+    """The move tried last as one part sees it.
 
-    new: reached `(S,)` from which stations there is a cap; its other fields `(Q,)`, and may `(Q,)` whether a cap is
-    possible, of the station looked at last; cap, veil `(M, Q, W)` what caps and veiled would be of the landmark;
-    flipped `(M, K, Q, W)` what changes in veiled of the others, of the pairs listed in `RigScratch`.
+    cap, veil `(Q, M, W)` what caps and veiled would be of the landmark, of orientations that were asked for; flipped
+    `(K, Q, M, W)` what changes in veiled of the others, of the pairs listed in `RigScratch`; rivals `(1,)` how many
+    pairs there are of another landmark and a centre around a position, c Q + q, from where it may hide the place tried;
+    who, where `(K C Q,)` the pairs. Working memory, `(Q,)` each, of the positions looked at last: what
+    `stations.bounds_from` and `row_from` say, and the offset.
     """
 
-    target: np.ndarray
-    new: Sighting
-    before: Neighbours
-    after: Neighbours
-    turns: Turns
-    flips: np.ndarray
-    aimed: np.ndarray
-    blocks: np.ndarray
-    spans: np.ndarray
-    near: np.ndarray
-    wanted: np.ndarray
-    others: np.ndarray
-    ways: np.ndarray
-    slot: np.ndarray
-    listed: np.ndarray
-    may: np.ndarray
     cap: np.ndarray
     veil: np.ndarray
     flipped: np.ndarray
+    rivals: np.ndarray
+    who: np.ndarray
+    where: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    z: np.ndarray
+    most: np.ndarray
+    start: np.ndarray
+    sure: np.ndarray
+    row: np.ndarray
+    reached: np.ndarray
 
 
 class RigScratch(NamedTuple):
-    """The move tried last: target `(6,)`, surface `(1,)` and units `(Q,)` as in `Scratch`; parts.
+    """The move tried last; target, surface, units, and what `nearby` and `hiding` work on, as in `Scratch`.
 
     fresh `(Q, W)` the orientations with which some camera would see the landmark, as far as they are `asked` `(Q, W)`;
     found `(2,)` how many pairs of another landmark and a position there are where it appears or disappears, and how
-    many of these positions; who, where `(K Q,)` the pairs, known `(K, Q)` whether one is among them; places `(Q,)` the
-    positions, touched `(Q,)` whether one is among them; digits `(Q, W, J)` the counts there. Once the move is carried
-    out, target, surface, units, fresh, cap and veil are those of the place left.
+    many positions where that, or a rival, is; who, where `(K Q,)` the pairs, known `(K, Q)` whether one is among them;
+    places `(Q,)` the positions, touched `(Q,)` whether one is among them; digits `(Q, W, J)` the counts there. Once the
+    move is carried out, target, surface, units, fresh, cap and veil are those of the place left.
     """
 
     target: np.ndarray
@@ -116,24 +96,30 @@ class RigScratch(NamedTuple):
     places: np.ndarray
     touched: np.ndarray
     digits: np.ndarray
+    aimed: np.ndarray
+    blocks: np.ndarray
+    spans: np.ndarray
+    near: np.ndarray
+    wanted: np.ndarray
+    others: np.ndarray
+    ways: np.ndarray
+    listed: np.ndarray
 
 
-def rig_scratch_of(state: RigState) -> RigScratch:
-    """Working memory for moves of `state`."""
+def rig_scratch_of(state: RigState, centres: tuple[int, ...]) -> RigScratch:
+    """Working memory for moves of `state`, of parts with so many centres."""
     count, size = state.shown.shape[:2]
-    target = np.empty(6)
-    parts = []
-    for part in state.parts:
-        around = surroundings(*part.reachable.shape)
-        x, y, z, low, high, sure = np.empty((6, size))
-        around["new"] = Sighting(x, y, z, low, high, sure, np.empty(0, dtype=np.int32), around["new"].reached)
-        around["may"] = np.empty(size, dtype=np.bool_)
-        cap, veil = np.zeros((2, *part.caps[:, 0].shape), dtype=np.uint64)
-        parts.append(StationScratch(**around, target=target, cap=cap, veil=veil, flipped=np.zeros_like(part.caps)))
+    blocks, parts = size // BLOCK, []
+    for part, around in zip(state.parts, centres, strict=True):
+        cap, veil = np.zeros((2, *part.caps.shape[1:]), dtype=np.uint64)
+        who, where = np.empty((2, count * around * size), dtype=np.uint32)
+        rivals, row, reached = np.zeros(1, np.int64), np.empty(size, np.uint64), np.empty(size, np.bool_)
+        seen = (*np.empty((6, size)), row, reached)
+        parts.append(StationScratch(cap, veil, np.zeros_like(part.caps), rivals, who, where, *seen))
     fresh, asked = np.zeros((2, *state.shown.shape[1:]), dtype=np.uint64)
     who, where = np.empty((2, count * size), dtype=np.uint32)
     return RigScratch(
-        target=target,
+        target=np.empty(6),
         surface=np.empty(1, dtype=np.int64),
         units=state.units.copy(),
         parts=tuple(parts),
@@ -146,4 +132,12 @@ def rig_scratch_of(state: RigState) -> RigScratch:
         places=np.empty(size, dtype=np.uint64),
         touched=np.zeros(size, dtype=np.bool_),
         digits=np.empty_like(state.counts),
+        aimed=np.empty(blocks, dtype=np.bool_),
+        blocks=np.empty(blocks + 1, dtype=np.uint64),
+        spans=np.empty((blocks, 2), dtype=np.uint64),
+        near=np.zeros(2, dtype=np.int64),
+        wanted=np.empty(blocks, dtype=np.bool_),
+        others=np.empty(count + 1, dtype=np.uint64),
+        ways=np.zeros((4, (count // LANES + 1) * LANES), dtype=np.float32),
+        listed=np.empty(size + 1, dtype=np.uint64),
     )

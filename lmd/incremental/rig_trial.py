@@ -1,134 +1,241 @@
 """Trying to move one landmark where a rig looks for it.
 
-From every station, `hiding` finds who hides whom, as from any position of a camera. What is counted
-are orientations of the body: the caps of all cameras of a landmark become one set, `shown`, and that comes and goes. So
-a move changes the counts at a position by the set of the landmark that moves, and by those of others that appear or
-disappear for one of the cameras: the *pairs* of a landmark and a position, of which there are few.
+What is counted are orientations of the body: the caps of all cameras of a landmark become one set, `shown`, and that
+comes and goes. So a move changes the counts at a position by the set of the landmark that moves, and by those of others
+that appear or disappear for one of the cameras: the *pairs* of a landmark and a position, of which there are few.
+
+Who may hide whom is found for blocks of positions, as in `hiding`, then for each position from the centres of the
+cameras (`stations.may_hide_around`), and what is left is tested with each orientation that covers the landmark.
 
 As in `trial`, `bound_rig_move` leaves out what the new place hides and what hides it, and looks at those orientations
-only where P_n depends on them, with n - 1 other landmarks in view.
-`rig_move.carry_out_rig` alone finds all.
+only where P_n depends on them, with n - 1 other landmarks in view. `rig_move.carry_out_rig` alone finds all.
 """
+
+import math
 
 import numpy as np
 from numba import literal_unroll
 
-from lmd.core.bits import ALL, BITS, ONE, ZERO, add_digit, at_least_so_far, equal_so_far, lowest
+from lmd.core.bits import ALL, BITS, LANES, ONE, ZERO, add_digit, at_least_so_far, equal_so_far, lowest
 from lmd.core.compiled import allocating, inlined, inner
-from lmd.incremental.hiding import find_flips, find_new, find_old, flips_with
+from lmd.incremental.hiding import find_ways, line_radius, near_line
 from lmd.incremental.nearby import list_blocks
-from lmd.scene.criteria import covering, covers_one, frame_of, from_position
+from lmd.scene.criteria import frame_of
 from lmd.sight.blocks import BLOCK
-from lmd.sight.directions import NOWHERE, cell_of
 from lmd.sight.kernels import weights_row
-from lmd.sight.obstacles import find_ends, is_blocked, no_ends
-from lmd.sight.stations import SEVERAL
+from lmd.sight.obstacles import find_ends, is_blocked, is_clear, no_ends
+from lmd.sight.stations import bounds_from, covers_from, hides_from, line_room, may_hide_around, row_from, split
+
+# What `_find_pairs` looks at: a place that is left, one that is come to, one where there was nothing yet.
+LEAVES, COMES, ARRIVES = np.int64(0), np.int64(1), np.int64(2)
 
 
 @allocating
-def _find_caps(part, scratch, asked, whole, fresh):
-    """Add to `fresh` the `asked` orientations with which cameras of a part see the place tried.
+def _find_caps(stations, positions, body, scratch, rig, whole):
+    """Find in `cap` the orientations that are `asked`, or with `whole` all, with which cameras cover the place tried.
 
-    With `whole`, all of them are asked for and written to `cap`, `veil` and `reached`.
+    `body` are the positions of the body, `(3, Q)`, `positions` those of them to look at.
     """
-    sight, members, words, size = part.sight, part.members, np.uint64(asked.shape[1]), np.uint64(asked.shape[0])
-    positions, obstacles, may = part.positions, part.obstacles, scratch.may
-    x, y, z, low, high, sure, _, reached = scratch.new
-    target, hidden, listed, caps, veil = (
-        scratch.target, scratch.after.count_hidden, scratch.listed, scratch.cap, scratch.veil
+    part, obstacles, asked, cap = stations.part, stations.obstacles, rig.asked, scratch.cap
+    x, y, z, most, start, sure, row, reached = (
+        scratch.x, scratch.y, scratch.z, scratch.most, scratch.start, scratch.sure, scratch.row, scratch.reached
     )  # fmt: skip
+    target, words, size = rig.target, np.uint64(asked.shape[1]), len(part.places)
     tx, ty, tz, nx, ny, nz = target[0], target[1], target[2], target[3], target[4], target[5]
-    frame, ends = frame_of(sight, nx, ny, nz), no_ends(obstacles, 1)
-    find_ends(obstacles, sight, tx, ty, tz, nx, ny, nz, ends, 0)
-    if whole:
-        caps[:] = ZERO
-        veil[:] = ZERO
-        reached[:] = False
-    for g in range(np.uint64(len(members))):
-        m, only, first = part.mount[g], part.alone[g], g * size
-        axes, certain, possible = part.axes[m], part.certain[m], part.possible[m]
-        several, one = only == SEVERAL, np.uint64(max(only, 0))
-        ax, ay, az, count = axes[0, one], axes[1, one], axes[2, one], ZERO
-        only_word, only_bit = one // np.uint64(BITS), one % np.uint64(BITS)
-        everyone = whole | several
-        for q in range(size):
-            s = first + q
-            px, py, pz = tx - positions[0, s], ty - positions[1, s], tz - positions[2, s]
-            in_reach, least, most, deep = from_position(sight, px, py, pz, nx, ny, nz, 0.0)
-            depth = ax * px + ay * py + az * pz
-            x[q], y[q], z[q], low[q], high[q], sure[q] = px, py, pz, least, most, deep
-            may[q] = in_reach & (several | ((depth >= least) & (depth <= most)))
-        for q in range(size):
-            wanted = everyone | ((asked[q, only_word] >> only_bit & ONE) != ZERO)
-            listed[count] = q
-            count += np.uint64(may[q] & wanted & (whole | (hidden[first + q] == 0)))
-        for i in range(count):
-            q = listed[i]
-            s, some = first + q, ZERO
-            if is_blocked(obstacles, sight, s, ends, 0):
-                continue
-            px, py, pz, least, most, deep, shown = x[q], y[q], z[q], low[q], high[q], sure[q], hidden[s] == 0
-            if several:
-                row = np.uint64(cell_of(px, py, pz))
-                given = row if deep == np.inf else np.uint64(NOWHERE)
+    clear, frame, ends = is_clear(obstacles), frame_of(part.sight, nx, ny, nz), no_ends(obstacles, 1)
+    if not clear:
+        find_ends(obstacles, part.sight, tx, ty, tz, nx, ny, nz, ends, 0)
+    for c in range(len(part.centres)):
+        cx, cy, cz = part.centres[c, 0], part.centres[c, 1], part.centres[c, 2]
+        for i in range(np.uint64(len(positions))):
+            q = positions[i]
+            xq, yq, zq = tx - (body[0, q] + cx), ty - (body[1, q] + cy), tz - (body[2, q] + cz)
+            x[i], y[i], z[i] = xq, yq, zq
+            reached[i], most[i], start[i], sure[i] = bounds_from(part, c, xq, yq, zq, nx, ny, nz)
+        for i in range(np.uint64(len(positions))):
+            if reached[i]:
+                row[i] = row_from(part, c, x[i], y[i], z[i])
+        for i in range(np.uint64(len(positions))):
+            q = positions[i]
+            px, py, pz = body[0, q], body[1, q], body[2, q]
+            for m in range(part.mounts[c], part.mounts[c + 1]):
                 for w in range(words):
-                    left = members[g, w] if whole else members[g, w] & asked[q, w]
-                    cap, well = certain[given, w] & left, certain[row, w]
-                    left &= possible[row, w] & ~cap
-                    if left:
-                        cap |= covering(sight, left, w, px, py, pz, frame, least, most, deep, well, axes)
-                    some |= cap
-                    if shown:
-                        fresh[q, w] |= cap
-                    if whole:
-                        caps[m, q, w] |= cap
-            else:
-                some = np.uint64(covers_one(sight, px, py, pz, frame, least, most, deep, False, axes, one)) << only_bit
-                if shown:
-                    fresh[q, only_word] |= some
-                if whole:
-                    caps[m, q, only_word] |= some
-            if whole and some:
-                reached[s] = True
-                for w in range(words if not shown else ZERO):
-                    veil[m, q, w] |= members[g, w]
+                    if not reached[i]:
+                        cap[q, m, w] = ZERO
+                        continue
+                    left = ALL if whole else asked[q, w]
+                    found, left = split(part, m, w, left, words, x[i], y[i], z[i], most[i], start[i], sure[i], row[i])
+                    while left:
+                        bit = lowest(left)
+                        left &= left - ONE
+                        a = w * np.uint64(BITS) + bit
+                        covered = covers_from(part, m, a, px, py, pz, tx, ty, tz, nx, ny, nz, frame)
+                        found |= np.uint64(covered) << bit
+                    if not clear:
+                        left = found
+                        while left:
+                            bit = lowest(left)
+                            left &= left - ONE
+                            place = q * np.uint64(size) + np.uint64(part.place[m, w * np.uint64(BITS) + bit])
+                            if is_blocked(obstacles, part.sight, place, ends, 0):
+                                found &= ~(ONE << bit)
+                    cap[q, m, w] = found
 
 
 @inner
-def _forget_pairs(scratch):
+def _hidden_bits(part, m, w, bits, px, py, pz, one, other):
+    """Those orientations of a set of word w with which landmark `one` hides the `other` from mount m."""
+    found = ZERO
+    while bits:
+        bit = lowest(bits)
+        bits &= bits - ONE
+        found |= np.uint64(hides_from(part, m, w * np.uint64(BITS) + bit, px, py, pz, one, other)) << bit
+    return found
+
+
+@inlined
+def _pose(k, state):
+    """Position and normal of landmark k."""
+    landmarks, normals = state.landmarks, state.normals
+    return landmarks[0, k], landmarks[1, k], landmarks[2, k], normals[0, k], normals[1, k], normals[2, k]
+
+
+@inner
+def _without_hidden(part, c, m, w, bits, px, py, pz, i, k, state):
+    """The orientations of a set with which no landmark but k hides landmark i."""
+    other = _pose(i, state)
+    x, y, z = (
+        other[0] - (px + part.centres[c, 0]), other[1] - (py + part.centres[c, 1]), other[2] - (pz + part.centres[c, 2])
+    )  # fmt: skip
+    width = line_radius(part.sight)
+    for j in range(np.uint64(len(state.surfaces))):
+        one = _pose(j, state)
+        ax, ay, az = x + (one[0] - other[0]), y + (one[1] - other[1]), z + (one[2] - other[2])
+        if may_hide_around(ax, ay, az, x, y, z, part.radius[c], width) and j != i and j != k:
+            bits &= ~_hidden_bits(part, m, w, bits, px, py, pz, one, other)
+    return bits
+
+
+@inlined
+def _touch(q, rig):
+    """Note a position where others come into play."""
+    if not rig.touched[q]:
+        rig.touched[q], rig.places[rig.found[1]] = True, q
+        rig.found[1] += 1
+
+
+@inlined
+def _find_pair(part, c, i, k, q, px, py, pz, place, how, mine, other, state, rig):
+    """Find what landmark k at a `place` hides of landmark i from position q, and note it down."""
+    pose, changed = _pose(i, state), False
+    if how == COMES:
+        _touch(q, rig)
+    for m in range(part.mounts[c], part.mounts[c + 1]):
+        for w in range(np.uint64(mine.caps.shape[3])):
+            cap, veiled, flips = mine.caps[i, q, m, w], mine.veiled[i, q, m, w], other.flipped[i, q, m, w]
+            bits = cap if how == COMES else cap & veiled
+            found = _hidden_bits(part, m, w, bits, px, py, pz, place, pose) if bits else ZERO
+            if found == ZERO:
+                continue
+            if how == LEAVES:
+                flips |= _without_hidden(part, c, m, w, found, px, py, pz, i, k, state)
+            else:
+                flips = (flips & ~found) | (found & ~veiled)
+            changed |= flips != other.flipped[i, q, m, w]
+            other.flipped[i, q, m, w] = flips
+    if changed:
+        _touch(q, rig)
+        if not rig.known[i, q]:
+            rig.known[i, q], rig.who[rig.found[0]], rig.where[rig.found[0]] = True, i, q
+            rig.found[0] += 1
+
+
+@inner
+def _find_pairs(k, how, stations, field, state, rig):
+    """Find whom landmark k hides where it is, or where it is tried, and there who may hide it: see `LEAVES`."""
+    part, mine, other, size = stations.part, state.parts[stations.number], rig.parts[stations.number], len(rig.touched)
+    body, target, width = field.positions, rig.target, line_radius(part.sight)
+    place = _pose(k, state)
+    if how != LEAVES:
+        place = target[0], target[1], target[2], target[3], target[4], target[5]
+    ax, ay, az = place[0], place[1], place[2]
+    filled = find_ways(ax, ay, az, state.landmarks, part.horizon, rig.others, rig.ways)
+    for c in range(len(part.centres)):
+        cx, cy, cz, radius = part.centres[c, 0], part.centres[c, 1], part.centres[c, 2], part.radius[c]
+        for e in range(rig.near[0]):
+            b = rig.blocks[e]
+            mx, my, mz = ax - field.centres[0, b] - cx, ay - field.centres[1, b] - cy, az - field.centres[2, b] - cz
+            hx, hy, hz = (
+                np.float32(field.halves[0, b] + radius), np.float32(field.halves[1, b] + radius),
+                np.float32(field.halves[2, b] + radius),
+            )  # fmt: skip
+            for start in range(np.uint64(0), np.uint64(filled), np.uint64(LANES)):
+                close = near_line(start, mx, my, mz, hx, hy, hz, width, rig.ways)
+                while close:
+                    i = rig.others[start + lowest(np.uint64(close))]
+                    close &= close - np.uint32(1)
+                    lx, ly, lz = state.landmarks[0, i], state.landmarks[1, i], state.landmarks[2, i]
+                    ex, ey, ez, lanes = lx - ax, ly - ay, lz - az, np.uint32(0)
+                    apart, far = math.sqrt(ex * ex + ey * ey + ez * ez), math.sqrt(mx * mx + my * my + mz * mz)
+                    most = line_room(far + apart + math.sqrt(hx * hx + hy * hy + hz * hz), apart, radius, width)
+                    for lane in range(np.uint64(BLOCK)):
+                        q = b * np.uint64(BLOCK) + lane
+                        ux, uy, uz = ax - (body[0, q] + cx), ay - (body[1, q] + cy), az - (body[2, q] + cz)
+                        sx, sy, sz = uy * ez - uz * ey, uz * ex - ux * ez, ux * ey - uy * ex
+                        lanes |= np.uint32(sx * sx + sy * sy + sz * sz <= most) << np.uint32(lane)
+                    while lanes and i != np.uint64(k):
+                        q = b * np.uint64(BLOCK) + lowest(np.uint64(lanes))
+                        lanes &= lanes - np.uint32(1)
+                        if how != ARRIVES:
+                            px, py, pz = body[0, q], body[1, q], body[2, q]
+                            _find_pair(part, c, i, k, q, px, py, pz, place, how, mine, other, state, rig)
+                        if how != LEAVES:
+                            other.who[other.rivals[0]], other.where[other.rivals[0]] = i, np.uint64(c * size) + q
+                            other.rivals[0] += 1
+
+
+@inner
+def _find_veils(stations, field, state, rig):
+    """Find in `veil` with which orientations of `cap` the rivals hide the place tried."""
+    part, other, size, body = stations.part, rig.parts[stations.number], np.uint64(len(rig.touched)), field.positions
+    target = rig.target
+    place = target[0], target[1], target[2], target[3], target[4], target[5]
+    for e in range(other.rivals[0]):
+        i, c, q = np.uint64(other.who[e]), other.where[e] // size, other.where[e] % size
+        for m in range(part.mounts[c], part.mounts[c + np.uint64(1)]):
+            for w in range(np.uint64(other.cap.shape[2])):
+                bits = other.cap[q, m, w] & ~other.veil[q, m, w]
+                if bits:
+                    px, py, pz = body[0, q], body[1, q], body[2, q]
+                    other.veil[q, m, w] |= _hidden_bits(part, m, w, bits, px, py, pz, _pose(i, state), place)
+
+
+@inner
+def forget(scratch):
     """Clear what the last trial left."""
     for e in range(scratch.found[0]):
         i, q = scratch.who[e], scratch.where[e]
-        scratch.known[i, q] = scratch.touched[q] = False
+        scratch.known[i, q] = False
         for j in range(len(scratch.parts)):
             flipped = scratch.parts[j].flipped
-            for m in range(len(flipped)):
+            for m in range(flipped.shape[2]):
                 for w in range(flipped.shape[3]):
-                    flipped[m, i, q, w] = ZERO
-    scratch.found[:] = 0
-
-
-@inner
-def _find_pairs(part, state, scratch, rig):
-    """List the landmarks that appear or disappear for a camera of a part, and note down for which orientations."""
-    members, size, flipped = part.members, np.uint64(len(rig.touched)), scratch.flipped
-    found, who, change = scratch.turns
-    for b in scratch.blocks[: scratch.near[0]]:
-        for e in range(found[b]):
-            i = np.uint64(who[b, e])
-            for lane in range(np.uint64(BLOCK)):
-                s = b * np.uint64(BLOCK) + lane
-                was, now = state.hidden[i, s], state.hidden[i, s] + change[b, e, lane]
-                if flips_with(state.reachable[i, s], was, now):
-                    g, q = s // size, s % size
-                    for w in range(np.uint64(members.shape[1])):
-                        flipped[part.mount[g], i, q, w] ^= members[g, w]
-                    if not rig.known[i, q]:
-                        rig.known[i, q], rig.who[rig.found[0]], rig.where[rig.found[0]] = True, i, q
-                        rig.found[0] += 1
-                    if not rig.touched[q]:
-                        rig.touched[q], rig.places[rig.found[1]] = True, q
-                        rig.found[1] += 1
+                    flipped[i, q, m, w] = ZERO
+    for e in range(scratch.found[1]):
+        scratch.touched[scratch.places[e]] = False
+    scratch.found[0] = scratch.found[1] = 0
+    for j in range(len(scratch.parts)):
+        cap, veil = scratch.parts[j].cap, scratch.parts[j].veil
+        scratch.parts[j].rivals[0] = 0
+        for s in range(scratch.near[1]):
+            for q in range(scratch.spans[s, 0], scratch.spans[s, 1]):
+                for m in range(cap.shape[1]):
+                    for w in range(cap.shape[2]):
+                        cap[q, m, w] = veil[q, m, w] = ZERO
+    for s in range(scratch.near[1]):
+        for q in range(scratch.spans[s, 0], scratch.spans[s, 1]):
+            for w in range(scratch.fresh.shape[1]):
+                scratch.fresh[q, w] = scratch.asked[q, w] = ZERO
 
 
 @inlined
@@ -137,8 +244,8 @@ def shown_by(i, q, w, state, scratch):
     shown = ZERO
     for j in range(len(state.parts)):
         caps, veiled, flipped = state.parts[j].caps, state.parts[j].veiled, scratch.parts[j].flipped
-        for m in range(len(caps)):
-            shown |= caps[m, i, q, w] & ~(veiled[m, i, q, w] ^ flipped[m, i, q, w])
+        for m in range(caps.shape[2]):
+            shown |= caps[i, q, m, w] & ~(veiled[i, q, m, w] ^ flipped[i, q, m, w])
     return shown
 
 
@@ -160,18 +267,27 @@ def _weigh(left, w, weights, row):
 
 
 @inner
-def _ask(k, n, state, scratch):
-    """Find where P_n depends on landmark k, the pairs having turned: where n - 1 others are seen."""
+def _ask(k, state, scratch):
+    """Find where P_n depends on landmark k, no pair turning: where n - 1 others are seen."""
+    shown, asked, short, just = state.shown, scratch.asked, state.short, state.just
+    for s in range(scratch.near[1]):
+        for q in range(scratch.spans[s, 0], scratch.spans[s, 1]):
+            for w in range(np.uint64(asked.shape[1])):
+                mine = shown[k, q, w]
+                asked[q, w] = (short[q, w] & ~mine) | (just[q, w] & mine)
+
+
+@inner
+def _ask_again(k, n, state, scratch):
+    """The same at positions that are touched, the pairs having turned."""
     counts, shown, asked, digits = state.counts, state.shown, scratch.asked, scratch.digits
     words = np.uint64(asked.shape[1])
-    for q in range(np.uint64(len(asked))):
+    for e in range(scratch.found[1]):
+        q = scratch.places[e]
         for w in range(words):
-            mine = shown[k, q, w]
-            asked[q, w] = (state.short[q, w] & ~mine) | (state.just[q, w] & mine)
-            if scratch.touched[q]:
-                for j in range(np.uint64(digits.shape[2])):
-                    digits[q, w, j] = counts[q, w, j]
-                _add(q, w, mine, ALL, digits)
+            for j in range(np.uint64(digits.shape[2])):
+                digits[q, w, j] = counts[q, w, j]
+            _add(q, w, shown[k, q, w], ALL, digits)
     for e in range(scratch.found[0]):
         i, q = np.uint64(scratch.who[e]), np.uint64(scratch.where[e])
         for w in range(words):
@@ -187,10 +303,23 @@ def _ask(k, n, state, scratch):
 
 
 @inner
-def _find_units(k, n, weights, state, scratch):
-    """Find P_n with the sets in `fresh` for landmark k and the pairs as they turn."""
+def join(positions, scratch):
+    """Find in `fresh` what all cameras see of the place tried at `positions`."""
+    for q in positions:
+        for w in range(np.uint64(scratch.fresh.shape[1])):
+            fresh = ZERO
+            for j in range(len(scratch.parts)):
+                cap, veil = scratch.parts[j].cap, scratch.parts[j].veil
+                for m in range(cap.shape[1]):
+                    fresh |= cap[q, m, w] & ~veil[q, m, w]
+            scratch.fresh[q, w] = fresh
+
+
+@inner
+def _find_units(k, positions, n, weights, state, scratch):
+    """Find P_n at `positions` with the sets in `fresh` for landmark k and the pairs as they turn."""
     counts, shown, fresh, asked, digits = state.counts, state.shown, scratch.fresh, scratch.asked, scratch.digits
-    for q in range(np.uint64(len(fresh))):
+    for q in positions:
         change, row = np.int64(0), weights_row(weights, q)
         for w in range(np.uint64(fresh.shape[1])):
             seen = fresh[q, w] & asked[q, w]
@@ -206,57 +335,59 @@ def _find_units(k, n, weights, state, scratch):
 
 
 @inner
-def _look_again(k, parts, field, state, scratch):
-    """Find P_n from who hides whom, as far as that is known."""
-    _forget_pairs(scratch)
-    for part in literal_unroll(parts):
-        if part.sight.reach >= 0.0:
-            _find_pairs(part, state.parts[part.number], scratch.parts[part.number], scratch)
-    _ask(k, field.n, state, scratch)
-    see_anew(parts, scratch, False)
-    _find_units(k, field.n, field.weights, state, scratch)
+def find_pairs(k, how, parts, field, state, scratch):
+    """See `_find_pairs`, of all parts."""
+    for stations in literal_unroll(parts):
+        if stations.part.sight.reach >= 0.0:
+            _find_pairs(k, how, stations, field, state, scratch)
 
 
 @inner
-def see_anew(parts, scratch, whole):
-    """Find what all cameras see of the place tried, see `_find_caps`."""
-    scratch.fresh[:] = ZERO
-    for part in literal_unroll(parts):
-        _find_caps(part, scratch.parts[part.number], scratch.asked, whole, scratch.fresh)
+def see_anew(parts, positions, whole, field, state, scratch):
+    """Find what all cameras see of the place tried at `positions`, see `_find_caps`."""
+    for stations in literal_unroll(parts):
+        _find_caps(stations, positions, field.positions, scratch.parts[stations.number], scratch, whole)
+        _find_veils(stations, field, state, scratch)
+    join(positions, scratch)
 
 
 @inner
-def _begin(k, parts, state, scratch):
-    for part in literal_unroll(parts):
-        list_blocks(k, part, state.parts[part.number], scratch.parts[part.number])
-        if part.sight.reach >= 0.0:
-            find_old(k, part, state.parts[part.number], scratch.parts[part.number])
-            find_flips(state.parts[part.number], scratch.parts[part.number])
-
-
-@inner
-def _complete(k, parts, state, scratch):
-    hides = False
-    for part in literal_unroll(parts):
-        if part.sight.reach >= 0.0:
-            find_new(k, part, state.parts[part.number], scratch.parts[part.number])
-            find_flips(state.parts[part.number], scratch.parts[part.number])
-            hides = True
-    return hides
+def list_near(scratch, all_of_them):
+    """List the positions near the place left and the place tried, all or those that are asked or touched."""
+    listed, count = scratch.listed, ZERO
+    for s in range(scratch.near[1]):
+        for q in range(scratch.spans[s, 0], scratch.spans[s, 1]):
+            some = ZERO
+            for w in range(np.uint64(scratch.asked.shape[1])):
+                some |= scratch.asked[q, w]
+            listed[count] = q
+            count += np.uint64(all_of_them | (some != ZERO) | scratch.touched[q])
+    return count
 
 
 @inner
 def bound_rig_move(field, k, pose, surface, state, scratch):
     """See `trial.bound_move`."""
-    scratch.surface[0] = surface
+    scratch.surface[0], units, before = surface, scratch.units, state.units
     for i in range(6):
         scratch.target[i] = pose[i]
-    _begin(k, field.parts, state, scratch)
-    _look_again(np.uint64(k), field.parts, field, state, scratch)
+    forget(scratch)
+    list_blocks(k, field, state, scratch)
+    find_pairs(np.uint64(k), LEAVES, field.parts, field, state, scratch)
+    _ask(np.uint64(k), state, scratch)
+    _ask_again(np.uint64(k), field.n, state, scratch)
+    positions = scratch.listed[: list_near(scratch, False)]
+    see_anew(field.parts, positions, False, field, state, scratch)
+    for q in range(len(units)):
+        units[q] = before[q]
+    _find_units(np.uint64(k), positions, field.n, field.weights, state, scratch)
 
 
 @inner
 def finish_rig_move(field, k, state, scratch):
     """See `trial.finish_move`."""
-    if _complete(k, field.parts, state, scratch):
-        _look_again(np.uint64(k), field.parts, field, state, scratch)
+    find_pairs(np.uint64(k), COMES, field.parts, field, state, scratch)
+    _ask_again(np.uint64(k), field.n, state, scratch)
+    positions = scratch.places[: scratch.found[1]]
+    see_anew(field.parts, positions, False, field, state, scratch)
+    _find_units(np.uint64(k), positions, field.n, field.weights, state, scratch)

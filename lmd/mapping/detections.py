@@ -1,8 +1,8 @@
 """Detections that others made: the corners of tags in the frames of one or several cameras, from a CSV."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +34,7 @@ class DetectedTags:
         camera: likewise.
         ids: numbers of the tags, `(N,)`.
         corners: pixels from the border, top left, top right, bottom right, bottom left of the tag, `(N, 4, 2)`.
+        blurred: frames whose detections were left out, with their blur, pixels, by their name.
 
     Raises:
         InputError: shapes do not match, or there is no detection.
@@ -45,6 +46,7 @@ class DetectedTags:
     camera: IntArray
     ids: IntArray
     corners: FloatArray
+    blurred: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         count = len(self.ids)
@@ -69,11 +71,29 @@ class DetectedTags:
         corners = np.concatenate([one.corners for one in (nothing, *found)])
         return cls(tuple(names[: len(found)]), ("",), frame, np.zeros(len(ids), dtype=np.int64), ids, corners)
 
+    @classmethod
+    def together(cls, parts: Mapping[str, "DetectedTags"]) -> "DetectedTags":
+        """What several cameras, by their names in ascending order, saw in frames that have equal names."""
+        times = sorted({time for part in parts.values() for time in part.times})
+        places = [np.searchsorted(times, part.times)[part.frame] for part in parts.values()]
+        camera = np.repeat(np.arange(len(parts)), [len(part) for part in parts.values()])
+        ids, corners = (np.concatenate([getattr(part, name) for part in parts.values()]) for name in ("ids", "corners"))
+        blurs = {f"{name}/{time}": blur for name, part in parts.items() for time, blur in part.blurred.items()}
+        return cls(tuple(times), tuple(parts), np.concatenate(places), camera, ids, corners, blurs)
+
     def of(self, chosen: IntArray) -> "DetectedTags":
         """Those that `chosen` selects, among the same frames and cameras."""
-        return DetectedTags(
-            self.times, self.cameras, self.frame[chosen], self.camera[chosen], self.ids[chosen], self.corners[chosen]
-        )
+        names = ("frame", "camera", "ids", "corners")
+        return replace(self, **{name: getattr(self, name)[chosen] for name in names})
+
+    def without(self, blurs: Mapping[str, float]) -> "DetectedTags":
+        """Those of other frames than some that are blurred.
+
+        Raises:
+            InputError: there are none.
+        """
+        left_out = np.isin(self.times, list(blurs))
+        return replace(self.of(np.flatnonzero(~left_out[self.frame])), blurred={**self.blurred, **blurs})
 
 
 def signed_area(corners: FloatArray) -> FloatArray:

@@ -3,6 +3,7 @@
 from lmd.objectives.base import Objective
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
+from lmd.objectives.mean_coverage import MeanCoverage
 from lmd.objectives.sampling import Sampling
 
-__all__ = ["Coverage", "Localisation", "Objective", "Sampling"]
+__all__ = ["Coverage", "Localisation", "MeanCoverage", "Objective", "Sampling"]

@@ -40,6 +40,7 @@ class Coverage(AtLeast):
     sampling: Sampling | None = None
 
     headline = Headline("qualified_ratio", "qualified ratio")
+    counted = "positions qualified"  # what the headline is a share of, for readers
 
     @property
     def name(self) -> str:
@@ -95,7 +96,7 @@ class Coverage(AtLeast):
         return {
             "off the grid": f"{with_error('grid_free_qualified_ratio')} of random positions qualified, "
             f"average probability {with_error('grid_free_average_coverage_probability')}",
-            "on a finer grid": f"{figures['finer_grid_qualified_ratio']:.2%} of positions qualified",
+            "on a finer grid": f"{figures[f'finer_grid_{self.headline.key}']:.2%} of {self.counted}",
         }
 
     def field(self, evaluator: Evaluator) -> CoverageField | RigField:

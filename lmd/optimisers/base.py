@@ -9,14 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, seed_number
+from lmd.cameras.problem import CameraProblem
+from lmd.core.checks import FloatArray, InputError, seed_number
 from lmd.core.compiled import clock
 from lmd.core.memory import check_memory
-from lmd.optimisers.encoding import Encoding, make_encoding
+from lmd.optimisers.genome import Genome, LandmarkGenome
 from lmd.optimisers.ledger import Budget, Ledger, Record
 from lmd.optimisers.stored import array
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
+from lmd.scene.rig import Rig
 
 GENE_BYTES = 8
 
@@ -33,6 +35,7 @@ class Result:
         history: best fitness against evaluations and wall time.
         stopped: `budget` when the budget is used up, `interrupted` when the callback asked to stop, `proven` when
             nothing better is left to be found.
+        rig: the best cameras found, of a `CameraProblem`, whose deployment is given; None of others.
     """
 
     deployment: Deployment
@@ -41,6 +44,7 @@ class Result:
     seconds: float
     history: tuple[Record, ...]
     stopped: str
+    rig: Rig | None = None
 
 
 # Called after every batch; returning True stops the run.
@@ -84,8 +88,10 @@ class Optimiser(ABC):
         """
         raise InputError(f"{type(self).__name__} cannot be checkpointed.")
 
-    def check(self, problem: Problem) -> None:  # noqa: B027 # most take any problem
+    def check(self, problem: Problem) -> None:
         """Raise `InputError` if the method cannot take a problem; asked before a run writes anything."""
+        if isinstance(problem, CameraProblem) and type(self).found_rig is Optimiser.found_rig:
+            raise InputError(f"{type(self).__name__} places landmarks, not cameras; use a black box.")
 
     def figures(self) -> Mapping[str, float]:
         """What the method can say of its result beside the fitness, for the record; nothing by default."""
@@ -99,6 +105,10 @@ class Optimiser(ABC):
     def found(self, problem: Problem) -> Deployment | None:
         """The best deployment so far; None while there is none."""
 
+    def found_rig(self, problem: Problem) -> Rig | None:
+        """The best cameras so far of a `CameraProblem`; None while there are none, and of other problems."""
+        return None
+
     def result(self, problem: Problem, stopped: str) -> Result:
         """What `run` returns, from the ledger; also what is known by then if `run` was left in the middle.
 
@@ -108,8 +118,8 @@ class Optimiser(ABC):
         ledger, history, deployment = self.ledger, tuple(self.ledger.history), self.found(problem)
         if deployment is None:
             raise InputError(f"{type(self).__name__} found no deployment: every evaluation failed.")
-        labelled = problem.labelled(deployment)
-        return Result(labelled, ledger.best_fitness, ledger.evaluations, ledger.seconds, history, stopped)
+        labelled, rig = problem.labelled(deployment), self.found_rig(problem)
+        return Result(labelled, ledger.best_fitness, ledger.evaluations, ledger.seconds, history, stopped, rig)
 
 
 class AskTell(Optimiser):
@@ -214,21 +224,17 @@ class AskTell(Optimiser):
 
     def _draw_start(self, problem: Problem) -> None:
         """Set what a run begins with."""
-        encoding = self._encoding_of(problem)
-        self.dim = problem.free_count * encoding.genes_per_landmark
-        taken = f"optimiser: {self.start_size} deployments of {self.dim} genes at a time"
+        genome = self._genome(problem)
+        self.dim = genome.dim
+        taken = f"optimiser: {self.start_size} candidates of {self.dim} genes at a time"
         check_memory(GENE_BYTES * self.start_size * self.dim, taken)
         self.rng = np.random.default_rng(self.seed)
-        draws = self.start_size if problem.start.varies else 1
-        starts = [problem.draw(self.rng) for _ in range(draws)]
-        self.start = np.stack([encoding.encode(problem.free(start)) for start in starts])
+        draws = self.start_size if genome.varies else 1
+        self.start = np.stack([genome.draw_genes(self.rng) for _ in range(draws)])
 
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
         """See `Optimiser.run`. A batch that would exceed the budget is cut short."""
-        ledger = self.ledger
-        if problem.scene.plates.edge and not self.flush:
-            raise InputError("flush must be true where tags have a size: their papers lie flat on the wall.", "flush")
-        encoding = self._encoding_of(problem)
+        ledger, genome = self.ledger, self._genome(problem)
         if not ledger.evaluations:
             self._draw_start(problem)
         began = clock() - ledger.seconds
@@ -237,8 +243,7 @@ class AskTell(Optimiser):
             genes = self.ask()
             asked = len(genes)
             genes = genes[: int(min(asked, budget.limit - ledger.evaluations))]
-            positions, normals, _, fits = _placed(problem, encoding, genes)
-            fitness = np.where(fits, problem.fitness(positions, normals), -np.inf)
+            fitness = genome.fitness_of_genes(genes)
             ledger.seconds = clock() - began
             self._note_or_tell(genes, fitness, asked)
             if callback and callback(self):
@@ -248,31 +253,17 @@ class AskTell(Optimiser):
 
     def found(self, problem: Problem) -> Deployment | None:
         """See `Optimiser.found`."""
-        if self.best_genes is None:
-            return None
-        positions, normals, surfaces, _ = _placed(problem, self._encoding_of(problem), self.best_genes[None])
-        return Deployment(positions[0], normals[0], surfaces[0])
+        return None if self.best_genes is None else self._genome(problem).deployment(self.best_genes)
 
-    def _encoding_of(self, problem: Problem) -> Encoding:
-        return make_encoding(self.encoding or "wall", problem.scene.plates.hanging, self.flush)
+    def found_rig(self, problem: Problem) -> Rig | None:
+        """See `Optimiser.found_rig`."""
+        return None if self.best_genes is None else self._genome(problem).rig(self.best_genes)
+
+    def _genome(self, problem: Problem) -> Genome:
+        if isinstance(problem, CameraProblem):
+            return problem
+        return LandmarkGenome(problem, self.encoding or "wall", self.flush)
 
 
 def _checksum(genes: FloatArray) -> int:
     return zlib.crc32(genes.tobytes())
-
-
-def _placed(
-    problem: Problem, encoding: Encoding, genes: FloatArray
-) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
-    """The landmarks that genes `(B, dim)` mean, the fixed ones before them; see `Plates.pushed`."""
-    positions, normals, surfaces = encoding.decode(genes)
-    if (fixed := problem.fixed) is not None:
-        positions = _behind(fixed.positions, positions)
-        normals = _behind(fixed.normals, normals)
-        surfaces = _behind(fixed.surfaces, surfaces)
-    return problem.scene.plates.pushed(positions, normals, surfaces, fixed=problem.fixed_count)
-
-
-def _behind(fixed: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """The arrays `free` `(B, N, ...)`, each with `fixed` `(F, ...)` before it."""
-    return np.concatenate([np.broadcast_to(fixed, (len(free), *fixed.shape)), free], axis=1)

@@ -29,6 +29,7 @@ from lmd.planner.picture import Picture
 from lmd.planner.plan import Plan
 from lmd.planner.pointing import pointed_at
 from lmd.planner.session import Session
+from lmd.planner.surveyed import Found
 from lmd.planner.worker import Wanted, Worker
 from lmd.scene.deployment import Deployment
 from lmd.space.surface import SurfaceArrays
@@ -47,6 +48,7 @@ class Planner:
         optimiser: makes the method that moves the free tags.
         budget: of each search.
         seed: of the sample off the grid; None to leave that out.
+        survey: what a survey found of the tags, to be drawn beside them; None for none.
 
     Raises:
         InputError: viser is not installed or cannot be guarded, or the port is taken.
@@ -60,6 +62,7 @@ class Planner:
         optimiser: Callable[[], Optimiser],
         budget: Budget,
         seed: int | None,
+        survey: Found | None = None,
     ) -> None:
         viser = optional("viser", "view")
         self._session, self._problem = session, session.problem
@@ -79,6 +82,8 @@ class Planner:
             self._server.stop()
             raise InputError(f"port {port} is taken.", "port")
         self._picture, value = Picture(self._server, self._problem), self._problem.objective.value_label
+        if survey is not None:
+            self._picture.show_survey(survey, session.deployment)
         self._panel = Panel(self._server.gui, value, budget, ids=len(session.deployment) <= MANY)
         self._worker = Worker(self._work, lambda *failure: self._acts.put(partial(self._take_failure, *failure)))
         self._listen()

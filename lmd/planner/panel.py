@@ -9,6 +9,7 @@ from typing import Any
 from lmd.core.checks import IntArray
 from lmd.core.compiled import is_compiling
 from lmd.optimisers.ledger import Budget
+from lmd.planner.acts import in_order
 from lmd.planner.additions import Additions
 from lmd.planner.legend import legend
 from lmd.planner.plan import Measured
@@ -64,6 +65,9 @@ class Panel:
             self._seen = gui.add_html("")
             self.yaw = gui.add_slider("yaw, degrees", -180.0, 180.0, 1.0, 0.0)
             self.pitch = gui.add_slider("pitch, degrees", -90.0, 90.0, 1.0, 0.0)
+            for slider in (self.yaw, self.pitch):
+                # In viser's thread, or it may tell browsers of a value after it was put back.
+                in_order(slider.on_update, _put_back)
         with gui.add_folder("Show"):
             self.positions = gui.add_checkbox("positions", initial_value=True)
             self.names = gui.add_checkbox("names of surfaces", initial_value=True)
@@ -153,10 +157,14 @@ class Panel:
 
 
 def _within(slider: Any) -> float:
-    """The value of a slider, which is back at 0 if a browser has sent one that it cannot have."""
-    if not slider.min <= slider.value <= slider.max:
-        slider.value = 0.0
-    return float(slider.value)
+    """The value of a slider, 0 where a browser has just sent one that it cannot have."""
+    value = float(slider.value)
+    return value if slider.min <= value <= slider.max else 0.0
+
+
+def _put_back(event: Any) -> None:
+    """Put a slider back to 0 if a browser has sent a value that it cannot have."""
+    event.target.value = _within(event.target)
 
 
 def _table(name: str, rows: Mapping[str, str]) -> str:

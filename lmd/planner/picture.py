@@ -11,12 +11,27 @@ from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.geometry.squares import upright
 from lmd.planner.additions import candidate_cells
 from lmd.planner.captions import Captions
-from lmd.planner.colours import FREE, GAINS, PINNED, SEEN, SELECTED, UNKNOWN, VALUES, alike, mapped, rgb
+from lmd.planner.colours import (
+    ASKED,
+    FREE,
+    GAINS,
+    MEASURED,
+    PINNED,
+    SEEN,
+    SELECTED,
+    UNKNOWN,
+    VALUES,
+    alike,
+    mapped,
+    rgb,
+)
 from lmd.planner.framing import Framing
 from lmd.planner.plan import Plan
+from lmd.planner.surveyed import Found
 from lmd.plot import common
 from lmd.problem import Problem
-from lmd.scene.camera import Camera
+from lmd.render.optics import view_edges
+from lmd.scene.deployment import Deployment
 
 SQUARE = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
 TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
@@ -25,9 +40,9 @@ ABOVE = 0.01  # metres from a surface to the tags on it, so that they are drawn 
 BALL = 0.12  # radius of a position, in distances to the next one
 POINT = 0.008  # half the edge of a landmark that is a point, in diagonals of the room
 CELL = 0.97  # of a cell that is coloured
+MAGNIFIED = 20.0  # times that lines to where tags hang are as long
 LIGHT = 2.0  # with which colours come out as they are given, nearly
-FRUSTUM = 0.08  # size of the camera, in diagonals
-WIDEST_FRUSTUM = math.radians(150.0)  # that of a fisheye is drawn no wider
+FRUSTUM = 0.08  # depth of the camera's view, in diagonals
 
 
 class Picture:
@@ -114,6 +129,32 @@ class Picture:
         self.captions.show_ids(deployment.ids, above, selected, ids)
         return fresh
 
+    def show_survey(self, found: Found, plan: Deployment) -> None:
+        """Draw where tags hang, lines from where they are planned, and the photographs that a survey asks for."""
+        tags, half = found.tags, self._problem.scene.plates.edge / 2.0 or POINT * self._diagonal
+        self._scene.add_batched_meshes_simple(
+            "/survey/tags",
+            half * SQUARE,
+            TRIANGLES,
+            _quaternions(np.asarray(np.cross(tags.ups, tags.normals)), tags.ups, tags.normals),
+            tags.places + 2.0 * ABOVE * tags.normals,
+            batched_colors=alike(MEASURED, len(tags)),
+            side="double",
+            opacity=0.6,
+            **FLAT,
+        )
+        lines = found.offsets(plan, MAGNIFIED)
+        if len(lines):
+            self._scene.add_line_segments("/survey/offsets", lines, np.array(MEASURED, dtype=np.uint8))
+        for number, (place, ahead) in enumerate(found.photographs, 1):
+            right: FloatArray = np.cross(ahead, [0.0, 0.0, 1.0])
+            right = right / max(float(np.linalg.norm(right)), 1e-9)
+            turn = _quaternions(right[None], np.cross(ahead, right)[None], ahead[None])[0]
+            self._scene.add_camera_frustum(
+                f"/survey/next_{number}", math.radians(50.0), 4.0 / 3.0, color=ASKED,
+                scale=FRUSTUM * self._diagonal / 2.0, wxyz=turn, position=place,
+            )  # fmt: skip
+
     def show_values(self, values: FloatArray) -> None:
         """Colour the positions by the objective's values `(P,)`."""
         self.balls.batched_colors = mapped(VALUES, values)
@@ -133,22 +174,12 @@ class Picture:
         body = axis_and_right(camera_pose(position[None], np.array([yaw]), np.array([pitch])))
         for number, station in enumerate(self._problem.scene.stations(body)):
             if number == len(self._frustums):
-                self._frustums.append(self._add_frustum(number, station.camera))
+                edges = view_edges(station.camera, FRUSTUM * self._diagonal)
+                self._frustums.append(self._scene.add_line_segments(f"/camera_{number}", edges, SEEN))
             forward, right = station.axes[:, :3], station.axes[:, 3:]
             frustum = self._frustums[number]
             frustum.position = position + station.offset
             frustum.wxyz = _quaternions(right, np.asarray(np.cross(forward, right)), forward)[0]
-
-    def _add_frustum(self, number: int, camera: Camera) -> Any:
-        view = camera.field_of_view
-        tall, wide = (min(angle, WIDEST_FRUSTUM) for angle in (view.top + view.bottom, view.left + view.right))
-        return self._scene.add_camera_frustum(
-            f"/camera_{number}",
-            tall,
-            math.tan(wide / 2.0) / math.tan(tall / 2.0),
-            scale=FRUSTUM * self._diagonal,
-            color=SEEN,
-        )
 
 
 def _quaternions(right: FloatArray, up: FloatArray, normal: FloatArray) -> FloatArray:

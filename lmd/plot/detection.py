@@ -11,6 +11,7 @@ from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.optional import optional
 from lmd.detection.calibration import Calibration
 from lmd.detection.evaluation import NUMBERS
+from lmd.detection.report import PLACES
 from lmd.plot.common import shrink
 from lmd.render.imaging import UInt8Array
 
@@ -68,6 +69,31 @@ def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd
     panels[1][0].set_ylabel("share of tags")
     handles, labels = panels[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    figure.savefig(path)
+
+
+def save_places_figure(path: str | Path, places: pd.DataFrame, title: str) -> None:
+    """Write a PNG: the shares of tags that were predicted and detected, by where they are in the image.
+
+    Args:
+        path: the PNG.
+        places: of `lmd.detection.report.by_place`.
+        title: heads the picture.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12.0, 4.6), dpi=100, layout="constrained")
+    figure.suptitle(title)
+    panels: Any = figure.subplots(1, 2)
+    for axes, which in zip(panels, ("predicted", "detected"), strict=True):
+        shares = np.full(PLACES[::-1], np.nan)
+        shares[places.row, places.column] = places[which]
+        drawn = axes.imshow(shares, vmin=0.0, vmax=1.0, cmap="viridis")
+        for part in places.itertuples():
+            text = f"{getattr(part, which):.0%}\nof {part.tags}"
+            axes.annotate(text, (part.column, part.row), ha="center", va="center", color="white", fontsize=9)
+        axes.set(title=f"{which}, of tags wholly in the image", xticks=[], yticks=[])
+    figure.colorbar(drawn, ax=panels, label="share of tags")
     figure.savefig(path)
 
 

@@ -12,7 +12,7 @@ from lmd.estimation.rendered import Moment
 from lmd.geometry.se3 import act
 from lmd.plot import common
 from lmd.plot.detection import BOTH, LEGEND, outlined
-from lmd.render.optics import bearings, image_size
+from lmd.render.optics import view_edges
 from lmd.scene.camera import Camera
 from lmd.space.space import Space
 
@@ -21,8 +21,6 @@ DPI = 90
 WIDTH = 560  # of a frame, pixels
 QUALITY = 55  # of the animated picture, 0 to 100
 DEPTH = 0.6  # of the pyramid that stands for the camera, metres
-FLAT_BASE = np.radians(75.0)  # the edges of one that is wider are as long as that
-STEPS = 100  # from the middle of the image to a corner, to find where a lens folds
 
 
 def save_film(
@@ -90,25 +88,12 @@ def _draw_room(
     rays = np.stack([np.broadcast_to(position, landmarks[found].shape), landmarks[found]], axis=1)
     axes.add_collection(Line3DCollection(rays, colors=green, linewidths=0.7, alpha=0.7))
     axes.plot(*track.T, color=common.LANDMARK, lw=1.2)
-    axes.add_collection(Line3DCollection(_pyramid(camera, moment.pose), colors=common.LANDMARK, linewidths=1.2))
+    axes.add_collection(
+        Line3DCollection(act(moment.pose, view_edges(camera, DEPTH)), colors=common.LANDMARK, linewidths=1.2)
+    )
     low, high = room.bounds()
     for name, start, end in zip("xyz", low, high, strict=True):
         getattr(axes, f"set_{name}lim")(start, end)
     axes.set_box_aspect(high - low, zoom=1.08)
     seconds = f"{moment.time:.1f} s, tags detected: {found.sum()}"
     figure.text(0.98, 0.035, seconds, ha="right", fontsize=9)
-
-
-def _pyramid(camera: Camera, pose: FloatArray) -> FloatArray:
-    """Edges of what the camera sees up to `DEPTH`, world frame, metres, `(8, 2, 3)`."""
-    width, height = image_size(camera)
-    centre, corners = np.array(camera.principal_point), np.array([[0, 0], [width, 0], [width, height], [0, height]])
-    steps = np.linspace(0.0, 1.0, STEPS)[:, None, None]
-    ways = bearings(camera, centre + steps * (corners - centre))
-    shown = np.isfinite(ways[..., 0]).cumsum(axis=0).argmax(axis=0)  # the last place before the lens folds
-    ahead = ways[shown, np.arange(4)]
-    if camera.widest_angle < FLAT_BASE:
-        ahead /= ahead[:, 2:]
-    base = act(pose, DEPTH * ahead)
-    apex = np.broadcast_to(pose[:3, 3], base.shape)
-    return np.concatenate([np.stack([apex, base], axis=1), np.stack([base, np.roll(base, 1, axis=0)], axis=1)])

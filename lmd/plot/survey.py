@@ -11,9 +11,10 @@ from lmd.space.space import Space
 from lmd.survey.report import tag_columns
 from lmd.survey.survey import Survey
 
-PLANNED, UNSEEN = "#9e9e9e", "#ff7f0e"
+PLANNED, UNSEEN, PROPOSED = "#9e9e9e", "#ff7f0e", "#2ca02c"
 SIGMAS = 2.0  # of the ellipses
 ARROW_SHARE = 0.08  # of the room's length that the median arrow is long
+WEDGE_SHARE = 0.05  # of the room's length that the view of a photograph to take is drawn long
 ELLIPSE_POINTS = 40
 NAMED = 12  # tags that the right panel names, those farthest off
 
@@ -42,7 +43,7 @@ def save_survey_figure(path: str | Path, survey: Survey, room: Space | None, tit
 
 
 def _draw_above(axes: Any, survey: Survey, room: Space | None) -> None:
-    """The room from above: the tags, arrows from their plan, ellipses, the unseen ones by name."""
+    """The room from above: the tags, arrows from their plan, ellipses, the unseen ones by name, photographs to take."""
     if room is not None:
         for part, lines in room.outline().items():
             colour, dashed = PARTS[part]
@@ -78,6 +79,11 @@ def _draw_above(axes: Any, survey: Survey, room: Space | None) -> None:
         axes.set_title(f"against the z axis; ellipses of {SIGMAS:g} sigma, {scale:.0f} times as large", fontsize=11)
     for pose, covariance in zip(tags[placed], covariances[placed][:, :2, :2], strict=True):
         axes.plot(*(pose[:2, 3, None] + scale * _ellipse(covariance)), color="black", linewidth=0.6, zorder=4)
+    for number, photograph in enumerate(survey.proposed, 1):
+        stand, right, ahead = (photograph.pose[:2, column] for column in (3, 0, 2))
+        ends = WEDGE_SHARE * size * np.stack([ahead - 0.5 * right, np.zeros(2), ahead + 0.5 * right])
+        axes.plot(*(stand + ends).T, color=PROPOSED, linewidth=1.2, zorder=5)
+        axes.annotate(f"{number}", stand, color=PROPOSED, fontsize=10, ha="center", va="top")
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
 
 

@@ -12,6 +12,10 @@ from lmd.core.checks import FloatArray
 from lmd.geometry.lens_models import depth_of
 from lmd.scene.camera import MM_PER_M, Camera
 
+# A side of the image in parts, where a lens bends it; steps from the middle, to find where a lens folds.
+BEND, STEPS = 16, 100
+FLAT_BASE = np.radians(75.0)  # the edges of a view that is wider are as long as that
+
 
 def intrinsics(camera: Camera) -> FloatArray:
     """K, which maps camera coordinates to homogeneous image coordinates from the border, `(3, 3)`."""
@@ -78,6 +82,26 @@ def bearings(camera: Camera, image: FloatArray) -> FloatArray:
         return camera.lens.directions(rays)
     ahead = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1)
     return np.asarray(ahead / np.linalg.norm(ahead, axis=-1, keepdims=True))
+
+
+def view_edges(camera: Camera, depth: float) -> FloatArray:
+    """Edges of what a camera sees up to a depth, as a pyramid, `(N, 2, 3)`, camera's frame, metres.
+
+    Its base is the border of the image, or as far as the lens images anything; of a wide view, that at a distance.
+    """
+    width, height = image_size(camera)
+    corners = np.array([[0, 0], [width, 0], [width, height], [0, height]])
+    parts = 1 if camera.lens is None else BEND
+    along = np.arange(parts)[:, None] / parts
+    border = np.concatenate([a + along * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
+    centre, steps = np.array(camera.principal_point), np.linspace(0.0, 1.0, STEPS)[:, None, None]
+    ways = bearings(camera, centre + steps * (border - centre))
+    shown = np.isfinite(ways[..., 0]).cumsum(axis=0).argmax(axis=0)  # the last place before the lens folds
+    base = depth * ways[shown, np.arange(len(border))]
+    if camera.widest_angle < FLAT_BASE:
+        base *= depth / base[:, 2:]
+    sides = np.stack([np.zeros((len(corners), 3)), base[::parts]], axis=1)
+    return np.concatenate([sides, np.stack([base, np.roll(base, -1, axis=0)], axis=1)])
 
 
 def depth_in_focus(camera: Camera, points: FloatArray) -> FloatArray:

@@ -1,8 +1,9 @@
 """Calibration files of several ecosystems, restated in the keys of ROS's `camera_info`.
 
-Which format a file has follows from its content. Sources: `sensor_msgs/CameraInfo`, `CameraCalibrationCoefficients`
-of PhotonVision, "Cameras" of COLMAP's output format, Basalt's `calibration.hpp`, "lens models" of mrcal, ORB-SLAM3's
-"Calibration_Tutorial", `calibration.fbs` of frc971.
+Which format a file has follows from its content. Sources: `sensor_msgs/CameraInfo`, "YAML formats" of Kalibr, the
+calibration samples of OpenCV, `CameraCalibrationCoefficients` of PhotonVision, `cameracalibration.cpp` of WPIcal,
+"Cameras" of COLMAP's output format, Basalt's `calibration.hpp`, "lens models" of mrcal, ORB-SLAM3's
+"Calibration_Tutorial", `calibration.fbs` of frc971, `CameraFactory` of camodocal (VINS), `sensor.yaml` of EuRoC.
 """
 
 import ast
@@ -12,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from lmd.core.checks import InputError, vector
-from lmd.core.files import LARGEST_YAML, read_keys, read_text
+from lmd.core.files import parse_keys, read_text
 from lmd.geometry.lens import EQUIDISTANT
 
 Keys = Mapping[str, Any]
@@ -29,7 +30,7 @@ COLMAP_MODELS = {
     "SIMPLE_RADIAL_FISHEYE": "f cx cy k1",
     "RADIAL_FISHEYE": "f cx cy k1 k2",
 }
-# What files call the models of `lmd.geometry.lens`: ROS, Kalibr and OpenCV.
+# What files call the models of `lmd.geometry.lens`: ROS, Kalibr, EuRoC and OpenCV.
 LENS_MODELS = {
     "plumb_bob": "plumb_bob",
     "radtan": "plumb_bob",
@@ -37,34 +38,58 @@ LENS_MODELS = {
     "rational_polynomial": "rational_polynomial",
     "equidistant": EQUIDISTANT,
     "fisheye": EQUIDISTANT,
+    "radial-tangential": "plumb_bob",
 }
 # Of the first pixel, from the image's border: ROS and OpenCV count from the centre, COLMAP from the border.
 PIXEL_CENTRE = 0.5
 MRCAL_LENSES = {"PINHOLE": 0, "OPENCV4": 4, "OPENCV5": 5, "OPENCV8": 8, "OPENCV12": 12}
 BROWN_CONRADY = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 FISHEYE_COEFFICIENTS = ("k1", "k2", "k3", "k4")
+# Of camodocal's fisheye, by the names of the same parameters here.
+CAMODOCAL_FISHEYE = {"fx": "mu", "fy": "mv", "cx": "u0", "cy": "v0", "k1": "k2", "k2": "k3", "k3": "k4", "k4": "k5"}
+KALIBR_CAMERA = re.compile(r"cam\d+")
+# Some calibrations hold every point that was seen, or the images. A literal of Python takes more memory than JSON.
+LARGEST, LARGEST_LITERAL = 1 << 25, 1 << 20
+# What OpenCV's samples of other years and scripts of its users call the keys of ROS, in small letters.
+OPENCV_NAMES = {
+    "image_width": ("image_width",),
+    "image_height": ("image_height",),
+    "camera_matrix": ("camera_matrix", "cameramatrix", "mtx", "k"),
+    "distortion_coefficients": (
+        "distortion_coefficients",
+        "dist_coeffs",
+        "dist_coeff",
+        "distcoeffs",
+        "distortion",
+        "dist",
+        "d",
+    ),
+}
+OPENCV_SIZES = ("image_size", "img_size")
 
 
 def read_cameras(path: Any) -> dict[str, Keys]:
     """The cameras of a file by name, each in the keys of ROS; one without a name is called "".
 
     Args:
-        path: the file, at most `LARGEST_YAML` bytes.
+        path: the file, at most `LARGEST` bytes.
 
     Raises:
         InputError: the file cannot be read, a key is missing, or the lens is of a model that is not known here.
     """
-    text = read_text(path, "path", LARGEST_YAML)
+    text = read_text(path, "path", LARGEST)
     try:
         if rows := COLMAP_CAMERA.findall(text):
             return _colmap(rows)
         if re.search(r"^[{\s]*['\"]lensmodel['\"]\s*:", text, re.MULTILINE):
             return {"": _mrcal(text)}
-        keys = _opencv_xml(text) if text.lstrip().startswith("<") else read_keys(path, "path")
+        keys = _opencv_xml(text) if text.lstrip().startswith("<") else parse_keys(path, text, "path")
+        if chain := {name: keys[name] for name in keys if KALIBR_CAMERA.fullmatch(name)}:
+            return {name: _kalibr(f"{name}.", camera) for name, camera in chain.items()}
         for marks, reader in READERS:
             if marks <= keys.keys():
                 return reader(keys)
-        return {"": keys}
+        return {"": _opencv(keys)}
     except InputError as error:
         raise error if error.argument == "path" else InputError(f"{path}: {error}") from None
     except (KeyError, IndexError, TypeError, ValueError) as error:
@@ -72,15 +97,10 @@ def read_cameras(path: Any) -> dict[str, Keys]:
 
 
 def _ros(size: Any, matrix: Any, lens: Any, model: str = "plumb_bob") -> Keys:
-    """The keys of ROS; `size` is (width, height), `matrix` has nine numbers."""
-    width, height = size
-    return {
-        "image_width": width,
-        "image_height": height,
-        "camera_matrix": {"data": matrix},
-        "distortion_model": model,
-        "distortion_coefficients": {"data": lens},
-    }
+    """The keys of ROS; `size` is (width, height), of None where the file does not say; `matrix` has nine numbers."""
+    keys = {"camera_matrix": {"data": matrix}, "distortion_model": model, "distortion_coefficients": {"data": lens}}
+    sizes = zip(("image_width", "image_height"), size, strict=True)
+    return keys | {name: value for name, value in sizes if value is not None}
 
 
 def _opencv_xml(text: str) -> dict[str, Any]:
@@ -99,6 +119,74 @@ def _opencv_xml(text: str) -> dict[str, Any]:
         elif re.fullmatch(r"\s*\d{1,9}\s*", child.text or ""):
             keys[child.tag] = int(child.text or "")
     return keys
+
+
+def _opencv(keys: Keys) -> Keys:
+    """The keys of ROS from those of OpenCV's samples and scripts, where a matrix may be a list of rows."""
+    plain = {key.lower(): value for key, value in keys.items()}
+    found = dict(keys)
+    for name, others in OPENCV_NAMES.items():
+        values = [plain[other] for other in others if other in plain]
+        if values and name not in keys:
+            found[name] = values[0]
+    for name in ("camera_matrix", "distortion_coefficients"):
+        if isinstance(found.get(name), list):
+            found[name] = {"data": _flat(found[name])}
+    for name in OPENCV_SIZES:
+        if isinstance(size := keys.get(name), list) and len(size) == 2:
+            found = dict(zip(("image_width", "image_height"), size, strict=True)) | found
+    if "camera_matrix" not in found and "distortion_coefficients" not in found:
+        raise InputError(
+            f"it is no calibration that is known here, it has {', '.join(keys)[:200] or 'no keys'}: write it as ROS "
+            "does, with image_width, image_height, camera_matrix, distortion_model and distortion_coefficients."
+        )
+    return found
+
+
+def _flat(values: list[Any]) -> list[Any]:
+    """A list without the lists within it."""
+    return [value for row in values for value in (row if isinstance(row, list) else [row])]
+
+
+def _kalibr(prefix: str, camera: Any, lens: str = "distortion_coeffs") -> Keys:
+    """One camera of a chain; the prefix is for messages."""
+
+    def entry(key: str) -> Any:
+        if not isinstance(camera, Mapping) or key not in camera:
+            raise InputError(f"the key {prefix}{key} is missing.")
+        return camera[key]
+
+    known_lens(entry("camera_model"), ("pinhole",))
+    model = known_lens(entry("distortion_model"), LENS_MODELS)
+    fx, fy, cx, cy = vector(f"{prefix}intrinsics", entry("intrinsics"), 4)
+    coefficients = entry(lens) if model != "none" else []
+    size = vector(f"{prefix}resolution", entry("resolution"), 2)
+    return _ros(size, [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0], coefficients, model)
+
+
+def _euroc(keys: Keys) -> dict[str, Keys]:
+    return {"": _kalibr("", keys, "distortion_coefficients")}
+
+
+def _okvis(keys: Keys) -> dict[str, Keys]:
+    cameras = {}
+    for index, camera in enumerate(keys["cameras"]):
+        (fx, fy), (cx, cy) = camera["focal_length"], camera["principal_point"]
+        model = known_lens(camera["distortion_type"], ("radialtangential", EQUIDISTANT))
+        model, lens = "plumb_bob" if model != EQUIDISTANT else model, camera["distortion_coefficients"]
+        matrix = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
+        cameras[f"cam{index}"] = _ros(camera["image_dimension"], matrix, lens, model)
+    return cameras
+
+
+def _camodocal(keys: Keys) -> dict[str, Keys]:
+    """The settings of VINS, whose fisheye is Kannala-Brandt's with other names."""
+    known = {"PINHOLE": False, "KANNALA_BRANDT": True}
+    fisheye = known[known_lens(keys["model_type"], known)]
+    values = keys["projection_parameters"] | keys.get("distortion_parameters", {})
+    if fisheye:
+        values = {name: values[theirs] for name, theirs in CAMODOCAL_FISHEYE.items()}
+    return {"": _named((keys["image_width"], keys["image_height"]), values, fisheye)}
 
 
 def _named(size: Any, values: Keys, fisheye: bool) -> Keys:
@@ -138,6 +226,8 @@ def _colmap(rows: list[str]) -> dict[str, Keys]:
 
 
 def _mrcal(text: str) -> Keys:
+    if len(text) > LARGEST_LITERAL:
+        raise InputError(f"a cameramodel has at most {LARGEST_LITERAL} characters, it has {len(text)}.")
     try:
         keys = ast.literal_eval(text.strip())
     except Exception as error:  # whatever a parser of a broken file runs into
@@ -160,8 +250,8 @@ def _photonvision(keys: Keys) -> dict[str, Keys]:
 
 
 def _frc971(keys: Keys) -> dict[str, Keys]:
-    restated = _ros((None, None), keys["intrinsics"], keys["dist_coeffs"])  # which says no size
-    return {"": {key: keys.get(key, value) for key, value in restated.items() if key in keys or value is not None}}
+    size = keys.get("image_width"), keys.get("image_height")  # which it does not say
+    return {"": _ros(size, keys["intrinsics"], keys["dist_coeffs"])}
 
 
 def _basalt(keys: Keys) -> dict[str, Keys]:
@@ -176,10 +266,11 @@ def _basalt(keys: Keys) -> dict[str, Keys]:
 
 
 def _orb_slam(keys: Keys) -> dict[str, Keys]:
-    known = {"PinHole": False, "KannalaBrandt8": True}
-    fisheye = known[known_lens(keys["Camera.type"], known)]
+    """The first camera; that of ORB-SLAM2 has no type, and often no size. Of rectified images nothing is distorted."""
+    known = {"PinHole": False, "KannalaBrandt8": True, "Rectified": False}
+    fisheye = known[known_lens(keys.get("Camera.type", "PinHole"), known)]
     values = {key.split(".", 1)[1]: value for key, value in keys.items() if re.match(r"Camera1?\.", key)}
-    return {"": _named((values["width"], values["height"]), values, fisheye)}
+    return {"": _named((values.get("width"), values.get("height")), values, fisheye)}
 
 
 # By the keys that only files of this format have.
@@ -190,4 +281,9 @@ READERS: tuple[tuple[frozenset[str], Callable[[Keys], dict[str, Keys]]], ...] = 
     (frozenset({"intrinsics", "dist_coeffs"}), _frc971),
     (frozenset({"value0"}), _basalt),
     (frozenset({"Camera.type"}), _orb_slam),
+    (frozenset({"Camera.fx"}), _orb_slam),
+    (frozenset({"cameras", "camera_params"}), _okvis),
+    (frozenset({"model_type", "projection_parameters"}), _camodocal),
+    (frozenset({"model_type", "mirror_parameters"}), _camodocal),
+    (frozenset({"camera_model", "intrinsics", "distortion_model", "resolution"}), _euroc),
 )

@@ -1,13 +1,10 @@
-"""Cameras from calibration files: those of ROS and of Kalibr, and what OpenCV's `FileStorage` writes.
+"""Cameras from calibration files, see `lmd.scene.calibration_files`.
 
 All of them count pixels from the centre of the first one. `lmd` counts from the image's border, 0.5 more: of what they
 say only the principal point changes.
-
-Sources: `camera_calibration_parsers` of ROS, the page "YAML formats" of Kalibr, the calibration samples of OpenCV.
 """
 
 import math
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -18,7 +15,6 @@ from lmd.scene.calibration_files import LENS_MODELS, PIXEL_CENTRE, known_lens, r
 from lmd.scene.camera import Camera
 
 SIZE = ("image_width", "image_height")
-KALIBR_CAMERA = re.compile(r"cam\d+")
 OPTICS = ("focal_length", "aperture", "focus_distance")  # what no calibration says
 
 
@@ -86,42 +82,50 @@ class Calibration:
 
 
 def calibrated_camera(
-    path: str | None, name: str | None = None, image_size: Iterable[int] | None = None, **optics: Any
+    path: str | None,
+    name: str | None = None,
+    image_size: Iterable[int] | None = None,
+    distortion_model: str | None = None,
+    **optics: Any,
 ) -> Camera:
     """The camera of a calibration file.
 
     Args:
-        path, name, image_size: see `read_calibration`.
+        path, name, image_size, distortion_model: see `read_calibration`.
         optics: see `Calibration.camera`.
 
     Raises:
         InputError: see there.
     """
-    calibration = read_calibration(path, name, image_size)
+    calibration = read_calibration(path, name, image_size, distortion_model)
     try:
         return calibration.camera(**optics)
     except InputError as error:
         raise error if error.argument in OPTICS else InputError(f"{path}: {error}") from None
 
 
-def read_calibration(path: str | None, name: str | None = None, image_size: Iterable[int] | None = None) -> Calibration:
-    """Read a file of ROS, Kalibr (`camchain`), OpenCV (`FileStorage`) or another of `lmd.scene.calibration_files`.
+def read_calibration(
+    path: str | None,
+    name: str | None = None,
+    image_size: Iterable[int] | None = None,
+    distortion_model: str | None = None,
+) -> Calibration:
+    """Read a file of one of the formats of `lmd.scene.calibration_files`.
 
     Args:
         path: the file.
         name: the camera in a file with several, such as `cam1` of Kalibr; not needed where there is only one.
         image_size: width and height, pixels; needed where the file has none.
+        distortion_model: of the lens, where the file names none, as OpenCV's scripts do: `fisheye` for its fisheye.
 
     Raises:
-        InputError: the file cannot be read, a key is missing or wrong, the size is another than that of the file, or
-            the lens is of another model.
+        InputError: the file cannot be read, a key is missing or wrong, the size or the model is another than that of
+            the file, or the lens is of a model that is not known.
     """
     if path is None:
         raise InputError("path is missing: a calibration file is needed.", "path")
     restated = read_cameras(path)
-    keys = restated.get("", {})
-    in_chain = [key for key in keys if KALIBR_CAMERA.fullmatch(key)]
-    cameras = in_chain or [key for key in restated if key]
+    cameras = [key for key in restated if key]
     if name is None and len(cameras) > 1:
         raise InputError(f"name must be given: {path} has the cameras {', '.join(cameras)}.", "name")
     if name is not None and name not in cameras:
@@ -129,16 +133,16 @@ def read_calibration(path: str | None, name: str | None = None, image_size: Iter
     chosen = name or (cameras[0] if cameras else "")
     size = None if image_size is None else vector("image_size", image_size, 2, above=0.0)
     try:
-        found = _kalibr(keys, chosen) if in_chain else _opencv(restated[chosen], size)
+        found = _calibration(restated[chosen], size, distortion_model)
     except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+        raise error if error.argument == "distortion_model" else InputError(f"{path}: {error}") from None
     if size not in (None, known := (found.image_width, found.image_height)):
         raise InputError(f"image_size must be {list(known)}, as {path} has it, got {list(size)}.", "image_size")
     return found
 
 
-def _opencv(keys: Mapping[str, Any], size: tuple[float, ...] | None) -> Calibration:
-    """What ROS and OpenCV call by the same names; only ROS names the model."""
+def _calibration(keys: Mapping[str, Any], size: tuple[float, ...] | None, asked: str | None) -> Calibration:
+    """From the keys of ROS; of those who use them, only ROS names the model."""
     matrix = vector("camera_matrix.data", _entry(keys, "camera_matrix", "data"), 9)
     focal_u, skew, centre_u, below, focal_v, centre_v, *last = matrix
     if (skew, below, *last) != (0.0, 0.0, 0.0, 0.0, 1.0):
@@ -148,21 +152,11 @@ def _opencv(keys: Mapping[str, Any], size: tuple[float, ...] | None) -> Calibrat
     if width is None or height is None:
         raise InputError(f"{' or '.join(SIZE)} is missing: give image_size, [width, height] in pixels.")
     # OpenCV's own sample says by a flag of its own that it is a fisheye.
-    name = "fisheye" if keys.get("fisheye_model", 0) else keys.get("distortion_model", "plumb_bob")
+    name = "fisheye" if keys.get("fisheye_model", 0) else keys.get("distortion_model", asked or "plumb_bob")
     model = LENS_MODELS[known_lens(name, LENS_MODELS)]
+    if asked is not None and LENS_MODELS[known_lens(asked, LENS_MODELS)] != model:
+        raise InputError(f"distortion_model must be {name}, as the file has it, got {asked}.", "distortion_model")
     return Calibration(width, height, (focal_u, focal_v), (centre_u, centre_v), lens, model)
-
-
-def _kalibr(keys: Mapping[str, Any], name: str) -> Calibration:
-    """One camera of a chain."""
-    known_lens(_entry(keys, name, "camera_model"), ("pinhole",))
-    model = known_lens(_entry(keys, name, "distortion_model"), LENS_MODELS)
-    intrinsics = vector(f"{name}.intrinsics", _entry(keys, name, "intrinsics"), 4)
-    distorted = model != "none"
-    lens = _numbers(f"{name}.distortion_coeffs", _entry(keys, name, "distortion_coeffs")) if distorted else ()
-    width, height = vector(f"{name}.resolution", _entry(keys, name, "resolution"), 2)
-    # The size is whole, or refused.
-    return Calibration(width, height, intrinsics[:2], intrinsics[2:], lens, LENS_MODELS[model])  # type: ignore[arg-type]
 
 
 def _entry(keys: Any, *path: str) -> Any:

@@ -123,6 +123,25 @@ def from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped
     """
 
 
+@overridable
+def from_around(sight, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-def]
+    """What holds of `from_position` for all cameras that are less than `radius` metres from a point.
+
+    Args:
+        sight: the compiled model.
+        x, y, z: offset of the landmark from the point, world frame, metres.
+        nx, ny, nz: its normal.
+        radius: metres, more than 0.
+
+    Returns:
+        reached: False only if none of the cameras covers it with any orientation; most: the greatest depth along the
+        optical axis, metres, with which one may; start, sure: from which depth on and up to which any camera does that
+        has it well in view (`Sight.inset`); `sure` is -inf if none surely does, inf if no depth is too great, `start`
+        -inf if none is too small.
+    """
+    return True, math.inf, 0.0, -math.inf
+
+
 @dispatched
 def in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
     """Whether a landmark that is `reached` is covered with the optical axis (ax, ay, az), nobody hiding it.

@@ -1,5 +1,6 @@
-"""Where calibrations say that a camera sits: Kalibr's chain of cameras with an IMU, EuRoC's sensor file, Basalt's."""
+"""Where calibrations say that cameras sit: Kalibr's chain of cameras, EuRoC's sensor file, Basalt's, OKVIS's."""
 
+import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -10,31 +11,25 @@ from lmd.core.files import read_keys
 from lmd.geometry.se3 import are_rotations, inverse, nearest_rotations, pose_of, poses_from_rows
 
 Keys = Mapping[str, Any]
+CHAINED = re.compile(r"cam\d+")
+# From the camera's axes (x right, y down, z the optical axis) to x along the optical axis, y left and z up.
+LEVEL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
 def read_mount(path: Any, name: str | None = None) -> FloatArray:
     """The pose of a camera on the body that carries it, from its optical frame to the body's, `(4, 4)`.
 
     Args:
-        path: a file in YAML or JSON with `T_cam_imu` in each camera (Kalibr), with `T_BS` (EuRoC), or with `T_imu_cam`
-            (Basalt).
+        path: a file in YAML or JSON with `T_cam_imu` (Kalibr), `T_imu_cam` (OpenVINS) or `T_SC` (OKVIS) in each camera,
+            with `T_BS` (EuRoC), or with a list `T_imu_cam` (Basalt).
         name: which camera, such as `cam0`, if there are several.
 
     Raises:
         InputError: the file cannot be read, has no such entry, several cameras and no `name`, or not that one.
     """
-    keys = read_keys(path, "mount")
-    found: dict[str, Callable[[], FloatArray]] = {}
-    for camera, entry in keys.items():
-        if isinstance(entry, Mapping) and "T_cam_imu" in entry:
-            found[camera] = lambda entry=entry: inverse(_matrix(entry["T_cam_imu"]))  # type: ignore[misc]
-    if isinstance(body := keys.get("T_BS"), Mapping):
-        found["cam0"] = lambda: _matrix(body.get("data"))
-    basalt = keys.get("value0", keys)
-    if isinstance(basalt, Mapping) and isinstance(poses := basalt.get("T_imu_cam"), list):
-        found |= {f"cam{i}": lambda pose=pose: _pose(pose) for i, pose in enumerate(poses)}  # type: ignore[misc]
+    found = _on_body(read_keys(path, "mount"))
     if not found:
-        what = "no T_cam_imu (Kalibr), T_BS (EuRoC) or T_imu_cam (Basalt)"
+        what = "no T_cam_imu (Kalibr), T_BS (EuRoC), T_imu_cam (Basalt) or T_SC (OKVIS)"
         raise InputError(f"mount: {path} has {what}, so it does not say where a camera sits.", "mount")
     if name is None and len(found) > 1:
         raise InputError(
@@ -42,11 +37,76 @@ def read_mount(path: Any, name: str | None = None) -> FloatArray:
         )
     if name is not None and name not in found:
         raise InputError(f"mount: {path} has no camera {name!r}, only {', '.join(found)}.", "mount")
+    return _read("mount", path, found[name or next(iter(found))])
+
+
+def read_chain(path: Any) -> dict[str, FloatArray]:
+    """The poses of several cameras, each from its optical frame to that of the first, `(4, 4)`, by name.
+
+    Args:
+        path: a file as in `read_mount`, or one of Kalibr with `T_cn_cnm1` in each camera but the first.
+
+    Raises:
+        InputError: the file cannot be read, or does not say where each camera is.
+    """
+    keys = read_keys(path, "path")
+    if (chain := _chain(keys)) is None:
+        chain = _on_body(keys)
+    if len(chain) < 2:
+        what = "no T_cn_cnm1 or T_cam_imu (Kalibr), T_imu_cam (Basalt) or T_SC (OKVIS) of several cameras"
+        raise InputError(f"path: {path} has {what}, so it does not say how they sit to each other.", "path")
+    poses = {name: _read("path", path, pose) for name, pose in chain.items()}
+    first = inverse(next(iter(poses.values())))
+    return {name: first @ pose for name, pose in poses.items()}
+
+
+def _on_body(keys: Keys) -> dict[str, Callable[[], FloatArray]]:
+    """What reads the pose of each camera on the body, from its optical frame to the body's."""
+    found: dict[str, Callable[[], FloatArray]] = {}
+    for camera, entry in keys.items():
+        if not (isinstance(entry, Mapping) and CHAINED.fullmatch(camera)):
+            continue
+        if "T_cam_imu" in entry:
+            found[camera] = lambda entry=entry: inverse(_matrix(entry["T_cam_imu"]))  # type: ignore[misc]
+        elif "T_imu_cam" in entry:
+            found[camera] = lambda entry=entry: _matrix(entry["T_imu_cam"])  # type: ignore[misc]
+    if isinstance(body := keys.get("T_BS"), Mapping):
+        found["cam0"] = lambda: _matrix(body.get("data"))
+    basalt = keys.get("value0", keys)
+    if isinstance(basalt, Mapping) and isinstance(poses := basalt.get("T_imu_cam"), list):
+        found |= {f"cam{i}": lambda pose=pose: _pose(pose) for i, pose in enumerate(poses)}  # type: ignore[misc]
+    if isinstance(cameras := keys.get("cameras"), list):
+        found |= {
+            f"cam{i}": lambda pose=camera["T_SC"]: _matrix(pose)  # type: ignore[misc]
+            for i, camera in enumerate(cameras)
+            if isinstance(camera, Mapping) and "T_SC" in camera
+        }
+    return found
+
+
+def _chain(keys: Keys) -> dict[str, Callable[[], FloatArray]] | None:
+    """What reads the pose of each camera of Kalibr's chain in the first; None if they are not chained."""
+    names = sorted((name for name in keys if CHAINED.fullmatch(name)), key=lambda name: int(name[3:]))
+    entries = [keys[name] for name in names]
+    if not entries or not all(isinstance(entry, Mapping) and "T_cn_cnm1" in entry for entry in entries[1:]):
+        return None
+    steps = [entry["T_cn_cnm1"] for entry in entries[1:]]
+
+    def pose(index: int) -> FloatArray:
+        found = np.eye(4)
+        for step in steps[:index]:
+            found = found @ inverse(_matrix(step))
+        return found
+
+    return {name: lambda index=index: pose(index) for index, name in enumerate(names)}  # type: ignore[misc]
+
+
+def _read(name: str, path: Any, pose: Callable[[], FloatArray]) -> FloatArray:
     try:
-        return found[name or next(iter(found))]()
+        return pose()
     except (KeyError, TypeError, ValueError) as error:
         reason = " ".join(str(error).split())
-        raise InputError(f"mount: {path}: the pose of the camera cannot be read ({reason}).", "mount") from None
+        raise InputError(f"{name}: {path}: the pose of the camera cannot be read ({reason}).", name) from None
 
 
 def _matrix(values: Any) -> FloatArray:

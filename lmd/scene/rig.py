@@ -5,22 +5,18 @@ room's positions are. Yaw, pitch and roll of a camera are those of ROS and URDF:
 right-handed about an axis of the body. So a positive yaw turns to the left and a positive pitch looks *down*.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from lmd.core.checks import ONE_TURN, FloatArray, InputError, real, vector
-from lmd.geometry.se3 import QUATERNION_TOLERANCE
+from lmd.geometry.se3 import QUATERNION_TOLERANCE, inverse, pose_of
 from lmd.scene.camera import Camera
-from lmd.scene.camera_calibration import OPTICS, calibrated_camera
 
 ANGLES = ("yaw", "pitch", "roll")
-KEYS = ("translation", *ANGLES, "quaternion", "camera")
-CAMERA_KEYS = ("path", "name", *OPTICS)
 # Cameras that are at the same place but for rounding are at the same place: offsets have this many decimals, metres.
 SAME_PLACE_DECIMALS = 12
 
@@ -101,6 +97,14 @@ class Rig:
         """Whether the body's roll moves a camera or its optical axis."""
         return any(np.any(mount.translation[1:]) or np.any(mount.rotation[1:, 0]) for mount in self.mounts)
 
+    @property
+    def mounted(self) -> FloatArray:
+        """The poses of the cameras (x right, y down, z the optical axis) in the frame of the first, `(C, 4, 4)`."""
+        optical = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # to forward, left, up
+        turns = np.stack([mount.rotation @ optical for mount in self.mounts])
+        poses = pose_of(turns, np.array([mount.translation for mount in self.mounts]))
+        return np.asarray(inverse(poses[0]) @ poses)
+
     def views(self, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Where the cameras are and what they look at, for orientations of the body.
 
@@ -142,56 +146,3 @@ class Station(NamedTuple):
     offset: FloatArray
     there: np.ndarray
     axes: FloatArray
-
-
-def rig_of(mounts: Any, camera: Camera | None = None) -> Rig:
-    """A rig from plain values, as configurations have them.
-
-    Args:
-        mounts: a list of mappings with the arguments of `Mount`; `camera` there is a calibration file, or a mapping
-            with the arguments of `calibrated_camera`.
-        camera: of those mounts that do not say.
-
-    Raises:
-        InputError: it is no such list, or a value in it is refused.
-    """
-    if isinstance(mounts, str | Mapping) or not isinstance(mounts, Iterable):
-        raise InputError(f"rig must be a list of cameras, got {mounts!r}.", "rig")
-    entries = list(mounts)
-    if not entries:
-        raise InputError("rig must have at least one camera, got an empty list.", "rig")
-    return Rig(tuple(_mount(f"rig[{i}]", entry, camera) for i, entry in enumerate(entries)))
-
-
-def has_own_camera(mount: Any) -> bool:
-    """Whether an entry of `rig_of` says which camera it is."""
-    return isinstance(mount, Mapping) and mount.get("camera") is not None
-
-
-def _mount(name: str, entry: Any, camera: Camera | None) -> Mount:
-    if not isinstance(entry, Mapping):
-        raise InputError(f"{name} must have keys such as translation and yaw, got {entry!r}.", name)
-    if unknown := [key for key in entry if key not in KEYS]:
-        raise InputError(f"{name} has no key {unknown[0]!r}, only {', '.join(KEYS)}.", name)
-    values = {key: value for key, value in entry.items() if value is not None}
-    try:
-        own = _own_camera(values.pop("camera", None)) or camera
-        if own is None:
-            raise InputError("camera is missing: there is no other one to take.", "camera")
-        return Mount(own, **values)
-    except InputError as error:
-        raise error.within(name) from None
-
-
-def _own_camera(source: Any) -> Camera | None:
-    if source is None:
-        return None
-    given: Any = {"path": source} if isinstance(source, str | Path) else source
-    if not isinstance(given, Mapping):
-        raise InputError(f"camera must be a calibration file, or keys such as path and name, got {source!r}.", "camera")
-    if unknown := [key for key in given if key not in CAMERA_KEYS]:
-        raise InputError(f"camera has no key {unknown[0]!r}, only {', '.join(CAMERA_KEYS)}.", "camera")
-    try:
-        return calibrated_camera(**{"path": None, **{key: value for key, value in given.items() if value is not None}})
-    except InputError as error:
-        raise error.within("camera") from None

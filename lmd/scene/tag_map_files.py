@@ -81,7 +81,7 @@ def _tags_of(path: Any, text: str, name: str) -> tuple[list[PlacedTag] | None, b
         for reader in READERS:
             if reader.marks <= keys.keys():
                 return list(reader.read(keys)), reader.by_opencv
-        known = ", ".join(reader.format for reader in READERS)
+        known = ", ".join(dict.fromkeys(reader.format for reader in READERS))
         raise InputError(f"it is no tag map that is known here ({known}, and texts): it has {', '.join(keys)[:200]}.")
     if "|" in text or (len(lines) == 1 and len(first.split()) == 7 and "," not in first):
         return _rtabmap(text), True

@@ -15,17 +15,17 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, integer, real, vector
 from lmd.geometry.frames import roll_pitch_yaw
-from lmd.geometry.se3 import are_rotations, exp, nearest_rotations
+from lmd.geometry.se3 import QUATERNION_TOLERANCE, are_rotations, exp, nearest_rotations
 from lmd.scene.labels import EDGE
 
 Keys = Mapping[str, Any]
 MM = 1e-3  # metres
-UNIT_TOLERANCE = 0.01  # of a quaternion printed with two decimals
 SQUARE_TOLERANCE = 0.05  # of the sides of a measured square, relative to the longest
 METRES = 1  # aruco_bc_mInfoType of a map in metres
 # The columns are a format's axes in the frame of a tag: x right, y up, z out.
 OUT_RIGHT_UP = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # WPILib: x out, y to the right, z up
 INTO = np.diag([1.0, -1.0, -1.0])  # frc971, as AprilTag 3: x right, y down, z into the tag
+FACING_BACK = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # the axes of frc971 if it looks along -y
 # OpenCV has the pictures of AprilTag turned by half a turn: whoever detects with it means another up.
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 
@@ -64,7 +64,7 @@ def _turn(x: float, y: float, z: float, w: float) -> FloatArray:
     from scipy.spatial.transform import Rotation  # slow to load
 
     length = float(np.linalg.norm([x, y, z, w]))
-    if abs(length - 1.0) > UNIT_TOLERANCE:
+    if abs(length - 1.0) > QUATERNION_TOLERANCE:
         raise InputError(
             f"the quaternion x, y, z, w = {x:g}, {y:g}, {z:g}, {w:g} must have length 1, it has {length:g}."
         )
@@ -72,7 +72,7 @@ def _turn(x: float, y: float, z: float, w: float) -> FloatArray:
 
 
 def _wpilib(keys: Keys) -> Iterable[PlacedTag]:
-    for tag in keys["tags"]:
+    for tag in keys["tags"] if "tags" in keys else keys["field-tags"]:  # which it is from 2027 on
         pose = tag["pose"]
         turn = _turn(*_numbers(pose["rotation"]["quaternion"], "XYZW"))
         yield PlacedTag(number_of(tag["ID"]), _numbers(pose["translation"], "xyz"), turn @ OUT_RIGHT_UP.T)
@@ -107,8 +107,14 @@ def _orthonormal(matrix: FloatArray) -> FloatArray:
 
 
 def _frc971(keys: Keys) -> Iterable[PlacedTag]:
+    """By a quaternion, or by degrees about the turning axes of a tag that looks along -y, as in 2025."""
+    from scipy.spatial.transform import Rotation  # slow to load
+
     for tag in keys["target_poses"]:
-        turn = _turn(*_numbers(tag["orientation"], "xyzw"))
+        if "w" in (turned := tag["orientation"]):
+            turn = _turn(*_numbers(turned, "xyzw"))
+        else:
+            turn = FACING_BACK @ Rotation.from_euler("XYZ", _numbers(turned, "xyz"), degrees=True).as_matrix()
         yield PlacedTag(number_of(tag["id"]), _numbers(tag["position"], "xyz"), turn @ INTO)
 
 
@@ -128,6 +134,9 @@ def _apriltag_ros(keys: Keys) -> Iterable[PlacedTag]:
 
 def _tagslam(keys: Keys) -> Iterable[PlacedTag]:
     """Tags of the static bodies; the others are what TagSLAM looks for."""
+    bodies = [body for entry in keys["bodies"] for body in entry.values()]
+    if not any(body.get("is_static") for body in bodies if body.get("tags") or body.get("board")):
+        raise InputError("no body with tags is static: a map is of tags on bodies with is_static: true and a pose.")
     for entry in keys["bodies"]:
         for name, body in entry.items():
             own = list(_on_body(body)) if body.get("is_static") else []
@@ -198,7 +207,7 @@ def _duckietown(keys: Keys) -> Iterable[PlacedTag]:
             continue
         tag, pose = thing["tag"]["~TagInstance"], thing["pose"]["~SE2Transform"]
         x, y = vector("p", pose["p"], 2)
-        theta = real("theta", np.radians(pose["theta_deg"]) if "theta_deg" in pose else pose["theta"])
+        theta = real("theta", np.radians(pose["theta_deg"]) if "theta_deg" in pose else pose.get("theta", 0.0))
         edge = real("size", tag["size"], above=0.0)
         yield PlacedTag(number_of(tag["tag_id"]), np.array([x, y, 0.0]), roll_pitch_yaw([0.0, 0.0, theta]), edge)
 
@@ -222,6 +231,7 @@ class Reader(NamedTuple):
 READERS = (
     Reader("lmd", frozenset({"tags", "family", EDGE}), _own_json),
     Reader("WPILib", frozenset({"tags"}), _wpilib),
+    Reader("WPILib", frozenset({"field-tags"}), _wpilib),
     Reader("Limelight", frozenset({"fiducials"}), _limelight),
     Reader("frc971", frozenset({"target_poses"}), _frc971),
     Reader("apriltag_ros", frozenset({"tag_bundles"}), _apriltag_ros),

@@ -17,7 +17,7 @@ from functools import cache
 import numpy as np
 
 from lmd.core.bits import BITS, LANES, ZERO
-from lmd.core.checks import FloatArray
+from lmd.core.checks import FloatArray, IntArray
 from lmd.core.compiled import inner, kernel
 from lmd.scene.criteria import Sight, in_view
 
@@ -55,8 +55,11 @@ def _cells() -> tuple[FloatArray, FloatArray]:
 
 
 @kernel
-def _fill(sight, centres, angles, axes, table):
-    """Set in `table` `(NOWHERE + 1, W)` the axes that have the centre of a cell in view by its one of the `angles`."""
+def _fill(sight, centres, angles, axes, shifts, table):
+    """Set in `table` `(cells, W)` the axes that have the centre of a cell in view by its one of the `angles`.
+
+    `shifts` `(3, 64 W)` are subtracted from the centre for each axis, which gives the direction seen from elsewhere.
+    """
     for c in range(len(angles)):
         x, y, z, sine, cosine = centres[0, c], centres[1, c], centres[2, c], math.sin(angles[c]), math.cos(angles[c])
         for w in range(np.uint64(table.shape[1])):
@@ -67,7 +70,10 @@ def _fill(sight, centres, angles, axes, table):
                     a = w * np.uint64(BITS) + first + lane
                     ax, ay, az, rx, ry, rz = axes[0, a], axes[1, a], axes[2, a], axes[3, a], axes[4, a], axes[5, a]
                     there = ax * ax + ay * ay + az * az > 0.0
-                    seen = in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz) & there
+                    ux, uy, uz = x - shifts[0, a], y - shifts[1, a], z - shifts[2, a]
+                    scale = 1.0 / math.sqrt(ux * ux + uy * uy + uz * uz)
+                    ux, uy, uz = scale * ux, scale * uy, scale * uz
+                    seen = in_view(sight, ux, uy, uz, sine, cosine, ax, ay, az, rx, ry, rz) & there
                     half |= np.uint32(seen) << np.uint32(lane)
                 word |= np.uint64(half) << first
             table[c, w] = word
@@ -81,7 +87,38 @@ def tables(sight: Sight, axes: FloatArray) -> tuple[np.ndarray, np.ndarray]:
         axes: axis and right, `(6, 64 W)`, filled up with zeros to whole words.
     """
     certain, possible = np.zeros((2, NOWHERE + 1, axes.shape[1] // BITS), dtype=np.uint64)
-    centres, rho = _cells()
-    _fill(sight, centres, rho + sight.inset, axes, certain)
-    _fill(sight, centres, -rho, axes, possible)
+    fill_tables(sight, axes, np.zeros((3, axes.shape[1])), 0.0, 0.0, certain=certain, possible=possible)
     return certain, possible
+
+
+def fill_tables(
+    sight: Sight,
+    axes: FloatArray,
+    shifts: FloatArray,
+    most: float,
+    off: float,
+    *,
+    certain: IntArray,
+    possible: IntArray,
+) -> None:
+    """Fill the first rows of `certain` and `possible` `(>= SIDE * SIDE, W)` for cameras that are moved a little.
+
+    A direction u from the point that they are moved about is the direction of u - s from one that is moved by s times
+    the landmark's distance. If u is in a cell, and s differs from `shifts`, both differ from what the table is made for
+    by a chord of at most 2 sin(rho / 2) + `off` between vectors no shorter than 1 - `most`.
+
+    Args:
+        sight, axes: as in `tables`.
+        shifts: of each axis, `(3, 64 W)`.
+        most: the length of the longest s.
+        off: how far s may be from `shifts`.
+        certain, possible: what is filled.
+    """
+    centres, rho = _cells()
+    chord = (2.0 * np.sin(rho / 2.0) + off) / (2.0 * (1.0 - most))
+    angles = rho if off == most == 0.0 else _SLACK + 2.0 * np.arcsin(np.minimum(chord, 1.0))
+    wide = angles + sight.inset < np.pi / 2.0
+    fill = (sight, centres)
+    _fill(*fill, np.where(wide, angles + sight.inset, 0.0), axes, shifts, certain)
+    _fill(*fill, -angles, axes, shifts, possible)
+    certain[: len(rho)][~wide] = ZERO

@@ -120,30 +120,22 @@ class Evaluator:
                 kept = counts[b] if keep else counts[0:0].reshape(0, 0)
                 units[b] = self.rig_views.evaluate(landmarks, facing, self.weights, n, kept)
             return units, counts
-        order = self.blocks[0][:size]
-        scene: tuple[Any, ...] = (
-            order,
-            self.positions,
-            *(for_kernels(v.transpose(0, 2, 1)) for v in (positions, normals)),
-        )
-        sight = self.sight.among(self._low, self._high, *scene[2:])
-        rest: tuple[Any, ...] = (
-            sight,
-            horizon_of(sight),
-            self.obstacles,
-            self.axes,
-            self.bands,
-            self.tables if self.sight.tabulated else None,
-            self.weights,
-            n,
-            units,
-            counts,
-            keep,
-        )
-        kernel: Any = kernels.evaluate_range
-
-        def evaluate(first: int, last: int) -> None:
-            kernel(first * BLOCK, min(last * BLOCK, size), *scene, *rest)
-
-        in_parts(self.threads, evaluate, math.ceil(size / BLOCK), self.threads)
+        self.by_blocks(kernels.evaluate_range, (*self.batch(positions, normals), n, units, counts, keep))
         return units, counts
+
+    def batch(self, positions: FloatArray, normals: FloatArray) -> tuple[Any, ...]:
+        """What kernels take of the scene and of B deployments `(B, K, 3)`: `order` to `weights` of `evaluate_range`."""
+        landmarks = tuple(for_kernels(v.transpose(0, 2, 1)) for v in (positions, normals))
+        sight = self.sight.among(self._low, self._high, *landmarks)
+        tables = self.tables if self.sight.tabulated else None
+        seen = (sight, horizon_of(sight), self.obstacles, self.axes, self.bands, tables, self.weights)
+        return self.blocks[0][: len(self.positions)], self.positions, *landmarks, *seen
+
+    def by_blocks(self, kernel: Any, fixed: tuple[Any, ...], each: int = 1) -> None:
+        """Run `kernel(first, last, *fixed)` over blocks of positions, so many parts for each thread."""
+        size = len(self.positions)
+
+        def job(first: int, last: int) -> None:
+            kernel(first * BLOCK, min(last * BLOCK, size), *fixed)
+
+        in_parts(self.threads, job, math.ceil(size / BLOCK), self.threads * each)

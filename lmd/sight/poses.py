@@ -25,6 +25,7 @@ from lmd.sight.bands import band_of
 from lmd.sight.blocks import BLOCK
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.obstacles import find_ends, is_blocked, no_ends
+from lmd.sight.viewpoint import see_alone
 from lmd.space.space import Space
 from lmd.space.surface import SurfaceArrays
 
@@ -150,18 +151,14 @@ def _cover(start, stop, points, normals, amounts, positions, sight, obstacles, a
     for j in range(len(points)):
         if amounts[j] == 0.0:
             continue
-        px, py, pz = points[j, 0], points[j, 1], points[j, 2]
-        find_ends(obstacles, sight, px, py, pz, normals[j, 0], normals[j, 1], normals[j, 2], ends, 0)
+        px, py, pz, nx, ny, nz = points[j, 0], points[j, 1], points[j, 2], normals[j, 0], normals[j, 1], normals[j, 2]
+        find_ends(obstacles, sight, px, py, pz, nx, ny, nz, ends, 0)
         for p in range(start, stop):
-            x, y, z = points[j, 0] - positions[p, 0], points[j, 1] - positions[p, 1], points[j, 2] - positions[p, 2]
-            nx, ny, nz = normals[j, 0], normals[j, 1], normals[j, 2]
-            reached, low, _, _ = from_position(sight, x, y, z, nx, ny, nz, 0.0)
-            if reached and not is_blocked(obstacles, sight, p, ends, 0):
-                bottom, top = band_of(x, y, z, low, 0.0)
-                first, last = bands[bottom] & -BLOCK, (bands[top] + BLOCK - 1) & -BLOCK
-                for a in range(np.uint64(first), np.uint64(last)):
-                    covered = covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a)
-                    out[p, a] += amounts[j] if covered else 0.0
+            pose = px, py, pz, nx, ny, nz
+            x, y, z, low, first, last = see_alone(pose, positions, p, sight, obstacles, ends, bands)
+            for a in range(np.uint64(first & -BLOCK), np.uint64((last + BLOCK - 1) & -BLOCK)):
+                covered = covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a)
+                out[p, a] += amounts[j] if covered else 0.0
 
 
 def gains(evaluator: Evaluator, poses: Deployment, prices: FloatArray, slack: FloatArray | None = None) -> FloatArray:

@@ -13,13 +13,14 @@ from lmd.core.bits import BITS, ONE, ZERO, lowest
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import kernel
 from lmd.core.threads import in_parts
+from lmd.sight.blocks import in_blocks
 from lmd.sight.kernels import weights_row
-from lmd.sight.stations import Part, seen_by
+from lmd.sight.stations import Part, seen_by, with_sight
 from lmd.space.blockers import Blockers
 from lmd.space.triangles import Triangles
 
 # Positions, or poses, that a thread works on at a time at most: what they see in all orientations is kept for so long.
-AT_A_TIME = 64
+AT_A_TIME = 256
 
 
 @kernel
@@ -32,6 +33,8 @@ def _count(seen, weights, n, units, counts):
         for k in range(seen.shape[1]):
             for w in range(words):
                 cap = seen[p, k, w]
+                if cap == ZERO:
+                    continue
                 for j in range(n - 1, 0, -1):
                     some[j, w] |= some[j - 1, w] & cap
                 some[0, w] |= cap
@@ -90,11 +93,12 @@ class RigViews:
         self, parts: tuple[Part, ...], blockers: Blockers | Triangles | None, positions: FloatArray, threads: int
     ) -> None:
         self.parts, self.blockers, self.positions, self.threads = parts, blockers, positions, threads
+        self._order = in_blocks(positions)[0][: len(positions)]
 
     @property
     def _single(self) -> tuple[Part, ...]:
         """The rig where no landmark hides another."""
-        return tuple(part._replace(sight=part.sight.unhidden()) for part in self.parts)
+        return tuple(with_sight(part, part.sight.unhidden()) for part in self.parts)
 
     def _shared(self, size: int, job: Callable[[slice], None]) -> None:
         in_parts(self.threads, lambda first, last: job(slice(first, last)), size, math.ceil(size / AT_A_TIME))
@@ -114,14 +118,20 @@ class RigViews:
         low, high = self.positions.min(axis=0), self.positions.max(axis=0)
         batch = landmarks.T[None], normals.T[None]
         parts = tuple(
-            part._replace(sight=part.sight.among(low + offsets.min(axis=0), high + offsets.max(axis=0), *batch))
+            with_sight(part, part.sight.among(low + part.places.min(axis=0), high + part.places.max(axis=0), *batch))
             for part in self.parts
-            for offsets in [part.offsets]
         )
+        ordered, enough = self.positions[self._order], 0 if len(counts) else n
 
         def job(part: slice) -> None:
-            seen = seen_by(parts, self.blockers, self.positions[part], landmarks, normals, slack)
-            _count(seen, weights[part] if len(weights) > 1 else weights, n, units[part], counts[part])
+            here = self._order[part]
+            some = np.zeros((len(here) if len(counts) else 0, counts.shape[1]), dtype=np.int16)
+            seen = seen_by(parts, self.blockers, ordered[part], landmarks, normals, slack, enough)
+            found = np.empty(len(here), dtype=np.int64)
+            _count(seen, weights[here] if len(weights) > 1 else weights, n, found, some)
+            units[here] = found
+            if len(counts):
+                counts[here] = some
 
         self._shared(len(units), job)
         return units
@@ -141,7 +151,7 @@ class RigViews:
         """See `poses.covered_amounts`."""
         used = amounts != 0.0
         landmarks, normals, amounts, single = landmarks[used], normals[used], amounts[used], self._single
-        out = np.zeros((len(self.positions), BITS * self.parts[0].members.shape[1]))
+        out = np.zeros((len(self.positions), self.parts[0].axes.shape[2]))
 
         def job(part: slice) -> None:
             poses = landmarks, normals, np.zeros(len(landmarks))

@@ -10,35 +10,30 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.compiled import for_kernels, kernel
-from lmd.scene.criteria import covers, from_position
+from lmd.scene.criteria import covers
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.kernels import is_hidden
-from lmd.sight.obstacles import find_ends, is_blocked, no_ends, obstacles_at
+from lmd.sight.obstacles import is_clear, no_ends, obstacles_at
+from lmd.sight.viewpoint import is_shown, look, take, viewpoint_for
 
 
 @kernel
 def _see(positions, axes, landmarks, normals, sight, obstacles, seen):
     """Fill `seen` `(N, K)` of False; positions `(N, 3)`, axes `(6, N)`, the others as in `kernels.evaluate_range`."""
-    count = landmarks.shape[1]
-    x, y, z, squared = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
-    ends = no_ends(obstacles, count)
+    count, clear = landmarks.shape[2], is_clear(obstacles)
+    view, ends = viewpoint_for(count), no_ends(obstacles, count)
+    take(0, landmarks, normals, sight, obstacles, clear, view.near, ends)
+    x, y, z, low, reached, directions = view.x, view.y, view.z, view.low, view.reached, view.near[3:]
     for k in range(count):
-        mx, my, mz = landmarks[0, k], landmarks[1, k], landmarks[2, k]
-        find_ends(obstacles, sight, mx, my, mz, normals[0, k], normals[1, k], normals[2, k], ends, k)
+        view.who[k] = k
     for i in range(len(positions)):
-        px, py, pz = positions[i, 0], positions[i, 1], positions[i, 2]
+        look(view, count, positions[i, 0], positions[i, 1], positions[i, 2], sight, None)
         for k in range(count):
-            x[k], y[k], z[k] = landmarks[0, k] - px, landmarks[1, k] - py, landmarks[2, k] - pz
-            squared[k] = x[k] * x[k] + y[k] * y[k] + z[k] * z[k]
-        for k in range(count):
-            xk, yk, zk, nx, ny, nz = x[k], y[k], z[k], normals[0, k], normals[1, k], normals[2, k]
-            reached, low, _, _ = from_position(sight, xk, yk, zk, nx, ny, nz, 0.0)
-            if reached and covers(sight, xk, yk, zk, nx, ny, nz, low, 0.0, axes, i):
-                clear = not is_blocked(obstacles, sight, i, ends, k)
-                seen[i, k] = clear and (sight.reach < 0.0 or not is_hidden(k, count, x, y, z, squared, normals, sight))
+            nx, ny, nz = directions[0, k], directions[1, k], directions[2, k]
+            if reached[k] and covers(sight, x[k], y[k], z[k], nx, ny, nz, low[k], 0.0, axes, i):
+                seen[i, k] = is_shown(k, view, directions, count, i, sight, obstacles, clear, ends)
 
 
 def visible(evaluator: Evaluator, deployment: Deployment, positions: FloatArray, axes: FloatArray) -> BoolArray:
@@ -64,7 +59,7 @@ def visible(evaluator: Evaluator, deployment: Deployment, positions: FloatArray,
 def _visible(scene: Scene, sight: Any, deployment: Deployment, positions: FloatArray, axes: FloatArray) -> BoolArray:
     """`visible` for a camera with a compiled model of sight, axes `(N, 6)`."""
     seen = np.zeros((len(positions), len(deployment)), dtype=np.bool_)
-    landmarks, normals = (for_kernels(v.T) for v in (deployment.positions, deployment.normals))
+    landmarks, normals = (for_kernels(v.T[None]) for v in (deployment.positions, deployment.normals))
     positions, axes = for_kernels(positions), for_kernels(axes.T)
     _see(positions, axes, landmarks, normals, sight, obstacles_at(scene.room.blockers(), positions), seen)
     return seen

@@ -1,4 +1,4 @@
-"""Triangle meshes from files: glTF, OBJ, STL and PLY, by trimesh."""
+"""Triangle meshes from files: glTF, OBJ, STL and PLY, by trimesh; rooms of headsets and phones."""
 
 import io
 import json
@@ -11,12 +11,14 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, IntArray, choice, file_path, printable, real
 from lmd.core.files import read_bytes
 from lmd.core.optional import optional
+from lmd.space.captured_file import Captured, read_captured, triangles_of
 from lmd.space.parts import check_metres
 from lmd.space.triangles import THINNEST
 
 UPS = ("z", "y")
-Y_UP = (".gltf", ".glb")  # what their standard says
-FORMATS = (*Y_UP, ".obj", ".stl", ".ply")
+CAPTURED = ".json"
+Y_UP = (".gltf", ".glb", CAPTURED)  # what their standard says
+FORMATS = (".gltf", ".glb", ".obj", ".stl", ".ply", CAPTURED)
 # Corners that differ by less are the same, metres: files have 32 bits for a number.
 DIGITS = 6
 # Of more triangles, what has to be known of each would take gigabytes and minutes.
@@ -30,7 +32,8 @@ class Mesh(NamedTuple):
     """Triangles in the world frame, metres, and the objects of the file that they belong to.
 
     vertices `(V, 3)`; faces `(T, 3)`; of `(T,)`, the index of its object in `names`, which are those in the file; up,
-    the axis of the file that points up.
+    the axis of the file that points up; on_walls, what lies on walls where nothing hangs, a name and its corners
+    `(N, 3)`.
     """
 
     vertices: FloatArray
@@ -38,6 +41,7 @@ class Mesh(NamedTuple):
     of: IntArray
     names: tuple[str, ...]
     up: str
+    on_walls: tuple[tuple[str, FloatArray], ...] = ()
 
 
 def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None) -> Mesh:
@@ -46,7 +50,8 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
     Args:
         path: the file.
         scale: metres in a unit of the file.
-        up: which of its axes points up, `z` or `y`; None for what its format says, `y` for glTF and `z` for others.
+        up: which of its axes points up, `z` or `y`; None for what its format says, `y` for glTF and what headsets and
+            phones capture, `z` for others.
 
     Raises:
         InputError: the file is missing, holds no triangles or cannot be read, or its size is not that of a room.
@@ -59,7 +64,8 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
         raise InputError(f"path = {str(file)!r} must end in one of {', '.join(FORMATS)}.", "path")
     if up is None:
         up = "y" if file.suffix.lower() in Y_UP else "z"
-    parts = _parts(file, choice("up", up, UPS))
+    captured = _captured(file) if file.suffix.lower() == CAPTURED else None
+    parts = _parts(file, choice("up", up, UPS)) if captured is None else _triangulated(captured, up)
     if not parts:
         raise InputError(f"path: {str(file)!r} holds no triangles.", "path")
     trimesh = optional("trimesh", "mesh")
@@ -76,7 +82,42 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
         raise InputError(f"path: {str(file)!r} holds no triangles with an area.", "path")
     mesh.update_faces(kept)
     mesh.remove_unreferenced_vertices()
-    return Mesh(np.array(mesh.vertices), np.array(mesh.faces, dtype=np.int64), of[kept], names, up)
+    things = () if captured is None else captured.on_walls
+    on_walls = tuple((part.name, scale * _turned(face, up)) for part in things for face in part.faces)
+    return Mesh(np.array(mesh.vertices), np.array(mesh.faces, dtype=np.int64), of[kept], names, up, on_walls)
+
+
+def _turned(points: FloatArray, up: str) -> FloatArray:
+    """Points of a file with z up."""
+    return (points if up == "z" else points[:, [0, 2, 1]] * [1.0, -1.0, 1.0]) + 0.0
+
+
+def _captured(file: Path) -> Captured:
+    try:
+        keys = json.loads(read_bytes(file, "path"))
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"path: {str(file)!r} cannot be read as JSON ({error}).", "path") from None
+    if not isinstance(keys, dict):
+        raise InputError(f"path: {str(file)!r} has no keys.", "path")
+    try:
+        return read_captured(keys)
+    except InputError as error:
+        raise InputError(f"path: {str(file)!r}: {error}", "path") from None
+
+
+def _triangulated(captured: Captured, up: str) -> dict[str, Any]:
+    """The things of a captured room as meshes, by their names."""
+    trimesh = optional("trimesh", "mesh")
+    parts = {}
+    for part in captured.parts:
+        corners = np.concatenate([triangles_of(_turned(face, up)) for face in part.faces])
+        parts[part.name] = trimesh.Trimesh(
+            corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3), process=False
+        )
+        parts[part.name].merge_vertices(digits_vertex=DIGITS)
+    return parts
 
 
 def _parts(file: Path, up: str) -> dict[str, Any]:
@@ -100,8 +141,7 @@ def _parts(file: Path, up: str) -> dict[str, Any]:
                 with np.errstate(all="ignore"):
                     vertices = trimesh.transform_points(part.vertices, matrix)
                 _check_corners(file, name, vertices, part.faces)
-                vertices = vertices if up == "z" else vertices[:, [0, 2, 1]] * [1.0, -1.0, 1.0]
-                parts[name] = trimesh.Trimesh(vertices + 0.0, part.faces, process=False)
+                parts[name] = trimesh.Trimesh(_turned(vertices, up), part.faces, process=False)
     except InputError:
         raise
     except Exception as error:  # whatever a reader of a broken file runs into

@@ -26,6 +26,8 @@ WALL, GROUND = 0.9, 0.5
 ROUNDING = 1e-5
 # Nothing hangs where something stands so near before the surface, metres.
 BEFORE = 0.01
+# A door or a window as it was captured is so near to its wall, metres.
+ON_WALL = 0.15
 # Which side of a patch is the room's is asked at so many places, this far (m) before it, from so many positions.
 PLACES, AWAY, WITNESSES = 9, 1e-3, 300
 # Edges between faces that differ by more, rad, are drawn, the longest of them.
@@ -196,7 +198,8 @@ class Scan:
         return None if eroded(region, self._half_edge).is_empty else region
 
     def _kept_out(self, surface: Surface) -> list[KeepOut]:
-        return [part for part in self.keep_out if part.surface == surface.name]
+        given = [part for part in self.keep_out if part.surface == surface.name]
+        return given + [part for thing in self.mesh.on_walls if (part := _lying_on(surface, *thing)) is not None]
 
     def _standing(self, surface: Surface) -> list[Any]:
         """What other triangles cover of a patch, in its coordinates: they lie on it, or are less than `BEFORE` away.
@@ -284,6 +287,23 @@ class Scan:
         if self.solids is None or not clearance:
             return np.ones(points.shape[:-1], dtype=np.bool_)
         return self.solids.distance(points, clearance) >= clearance - PLACEMENT_TOLERANCE
+
+
+def _lying_on(surface: Surface, name: str, corners: FloatArray) -> KeepOut | None:
+    """What lies on a wall, `(N, 3)` corners, as a keep-out of a surface; None if it does not lie on that one."""
+    import shapely
+
+    if np.abs((corners - surface.origin) @ surface.normal).max() > ON_WALL:
+        return None
+    at = surface.seen(
+        np.stack([(corners - surface.origin) @ surface.u, (corners - surface.origin) @ surface.v], axis=-1)
+    )
+    whole = shapely.Polygon(at)
+    inside = whole.intersection(shapely.box(0.0, 0.0, *surface.extent))
+    if inside.geom_type != "Polygon" or inside.area < whole.area / 2.0:
+        return None
+    ring = shapely.get_coordinates(shapely.orient_polygons(inside))[:-1]
+    return KeepOut(surface.name, corners=[tuple(corner) for corner in ring.tolist()], name=name)
 
 
 def _grown(shapes: Any, width: float) -> Any:

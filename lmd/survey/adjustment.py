@@ -8,8 +8,8 @@ a sighting that does not fit counts next to nothing. The floor is that with whic
 that normal errors have.
 
 A sighting connects one frame with one tag, so frames are eliminated (Schur complement): with the blocks H_ff of the
-frames, H_kk of what is kept (tags, and cameras on the body but the first) and H_kf, the step of what is kept solves
-(H_kk - H_kf H_ff^-1 H_fk) d_k = g_k - H_kf H_ff^-1 g_f. The time is linear in the number of frames.
+frames, H_kk of what is kept (tags, cameras on the body but the first, and intrinsics) and H_kf, the step of what is
+kept solves (H_kk - H_kf H_ff^-1 H_fk) d_k = g_k - H_kf H_ff^-1 g_f. The time is linear in the number of frames.
 
 Sources: Triggs et al., "Bundle Adjustment - A Modern Synthesis"; Lange et al., "Robust Statistical Modeling Using the t
 Distribution".
@@ -24,18 +24,16 @@ import numpy as np
 from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import adjoint, exp, inverse, nearest_rotations, pose_of
 from lmd.survey.residuals import (
-    FREEDOM,
-    RESIDUALS,
+    Linearised,
     Poses,
     Prior,
     errors_at,
     gathered,
     linearise,
-    solved,
     summed,
-    weight_of,
 )
 from lmd.survey.sightings import Sightings
+from lmd.survey.student import FREEDOM, RESIDUALS, solved, weight_of
 
 # The mean of (nu + 8) chi^2 / (nu + chi^2) where chi^2 has its own distribution with 8 degrees of freedom.
 NORMAL_MEAN = 7.5625
@@ -69,28 +67,34 @@ class Adjusted:
 class Eliminated(NamedTuple):
     """Some frames that were eliminated.
 
-    some: their sightings; seen, of: the frames, and which of these each sighting is of; block: H_ff, `(f, 6, 6)`;
-    gradient: g_f, `(f, 6)`; cross, cross_mount: what each sighting adds to H_kf by its tag, and by its camera, if there
-    are several, `(n, 6, 6)`.
+    seen, of: the frames, and which of these each sighting is of; block: H_ff, `(f, 6, 6)`; gradient: g_f, `(f, 6)`;
+    crosses: for each kind of what is kept, which of it each sighting is of, and what that adds to H_kf, `(n, 6, 6)`.
     """
 
-    some: Sightings
     seen: IntArray
     of: IntArray
     block: FloatArray
     gradient: FloatArray
-    cross: FloatArray
-    cross_mount: FloatArray | None
+    crosses: list[tuple[IntArray, FloatArray]]
 
 
 class Adjustment:
-    """The system of equations of some sightings, all of whose tags and frames have a pose."""
+    """The system of equations of some sightings, all of whose tags and frames have a pose.
 
-    def __init__(self, sightings: Sightings, prior: Prior) -> None:
+    Args:
+        sightings: see there.
+        prior: what is known of the tags.
+        lenses: whether the intrinsics of the cameras are unknown, too; they follow the tags and the mounts.
+    """
+
+    def __init__(self, sightings: Sightings, prior: Prior, lenses: bool = False) -> None:
         self.sightings, self.prior = sightings, prior
-        self.kept = len(sightings.ids) + sightings.cameras - 1
+        self.mounts = sightings.cameras - 1 if prior.mounts is None else 0  # that are to be found
+        self.placed = len(sightings.ids) + self.mounts
+        self.lens_blocks = sightings.lens.shape[2] // 6 if lenses else 0
+        self.kept = self.placed + sightings.cameras * self.lens_blocks
         seen, first = np.unique(sightings.frame, return_index=True)
-        unknowns = 6 * (len(seen) + len(np.unique(sightings.tag)) + sightings.cameras - 1)
+        unknowns = 6 * (len(seen) + len(np.unique(sightings.tag)) + self.mounts)
         self.share = max(1.0 - unknowns / (RESIDUALS * len(sightings)), LEAST_SHARE)  # of squares that a fit leaves
         self.first = np.append(first, len(sightings))
 
@@ -105,7 +109,10 @@ class Adjustment:
 
     def cost(self, poses: Poses, floor: float) -> float:
         """What is minimised."""
-        return _cost(self.squares(poses, floor)) + _cost(self.prior.squares(poses.tags), 6)
+        cost = _cost(self.squares(poses, floor)) + _cost(self.prior.squares(poses.tags), 6)
+        if self.prior.sheets is not None:
+            cost += _cost(self.prior.sheets.fitted(poses.tags).squares, 6)
+        return cost
 
     def floor(self, poses: Poses, most: float) -> float:
         """The floor that the residuals speak of, pixels, at most `most`."""
@@ -137,22 +144,43 @@ class Adjustment:
         whole[np.ix_(spoken, spoken)] = np.linalg.inv(matrix[np.ix_(spoken, spoken)])
         return whole
 
+    def lens_step(self, poses: Poses, floor: float, off: FloatArray) -> FloatArray:
+        """How the intrinsics change in one step of all unknowns together, `(C, 6 L)`, in the units of their slopes.
+
+        Args:
+            poses, floor: the best ones with the intrinsics as they are.
+            off: what these are off what was known of them, `(C, 6 L)`.
+        """
+        reduced, right, _ = self.reduced(poses, floor, 0.0)
+        right[self.placed :] -= off.reshape(-1, 6)
+        return _solve(reduced, right)[6 * self.placed :].reshape(off.shape)
+
     def step(self, poses: Poses, floor: float, damping: float) -> Poses:
         """The poses after one step."""
         reduced, right, blocks = self.reduced(poses, floor, damping)
         kept = _solve(reduced, right).reshape(self.kept, 6)
         frames = poses.frames.copy()
         count = len(self.sightings.ids)
-        moved = np.vstack([np.zeros((1, 6)), kept[count:]])
         for part in blocks:
-            pull = np.einsum("nij,ni->nj", part.cross, kept[part.some.tag])
-            if part.cross_mount is not None:
-                pull += np.einsum("nij,ni->nj", part.cross_mount, moved[part.some.camera])
-            rest = part.gradient - summed(pull, part.of, len(part.seen))
+            pull = sum(np.einsum("nij,ni->nj", cross, kept[index]) for index, cross in part.crosses)
+            rest = part.gradient - summed(np.asarray(pull), part.of, len(part.seen))
             frames[part.seen] = frames[part.seen] @ exp(solved(part.block, rest))
         tags = poses.tags @ exp(kept[:count])
-        mounts = np.concatenate([poses.mounts[:1], poses.mounts[1:] @ exp(kept[count:])])
+        mounts = poses.mounts.copy()
+        mounts[1 : 1 + self.mounts] = mounts[1 : 1 + self.mounts] @ exp(kept[count : self.placed])
         return Poses(tags, frames, mounts)
+
+    def unknowns(self, some: Sightings, at: Linearised) -> list[tuple[IntArray, FloatArray]]:
+        """For each kind of what is kept, which of it some sightings are of, `(n,)`, and its slope, `(n, 8, 6)`."""
+        found = [(some.tag, at.by_tag)]
+        if self.mounts:
+            others = some.camera > 0
+            index = len(some.ids) + np.where(others, some.camera - 1, 0)
+            found.append((index, at.by_mount * others[:, None, None]))
+        for block in range(self.lens_blocks):
+            index = self.placed + self.lens_blocks * some.camera + block
+            found.append((index, some.lens[:, :, 6 * block : 6 * block + 6]))
+        return found
 
     def reduced(
         self, poses: Poses, floor: float, damping: float, weight: float | None = None
@@ -167,6 +195,7 @@ class Adjustment:
         """
         sightings, count = self.sightings, len(self.sightings.ids)
         matrix = np.zeros((6 * self.kept, 6 * self.kept))
+        cells = matrix.reshape(self.kept, 6, self.kept, 6).transpose(0, 2, 1, 3)
         right = np.zeros((self.kept, 6))
         diagonal = np.zeros((self.kept, 6, 6))
         blocks = []
@@ -185,26 +214,18 @@ class Adjustment:
             block = summed(product(at.by_frame, at.by_frame), of, len(seen))
             block += (damping + LEAST_DAMPING) * block * np.eye(6) + LEAST_DAMPING * np.eye(6)
             gradient = summed(product(at.by_frame, error)[..., 0], of, len(seen))
-            cross, cross_mount = product(at.by_tag, at.by_frame), None
-            diagonal[:count] += summed(product(at.by_tag, at.by_tag), some.tag, count)
-            right[:count] += summed(product(at.by_tag, error)[..., 0], some.tag, count)
-            rows = np.unique(some.tag)
-            place = np.searchsorted(rows, some.tag)
-            panel = np.zeros((len(rows) + sightings.cameras - 1, len(seen), 6, 6))
-            np.add.at(panel, (place, of), cross)
-            if sightings.cameras > 1:
-                others = some.camera > 0
-                which = some.camera[others] - 1
-                cross_mount = product(at.by_mount, at.by_frame) * others[:, None, None]
-                np.add.at(panel, (len(rows) + which, of[others]), cross_mount[others])
-                diagonal[count:] += summed(product(at.by_mount, at.by_mount)[others], which, sightings.cameras - 1)
-                right[count:] += summed(product(at.by_mount, error)[others][..., 0], which, sightings.cameras - 1)
-                coupling = np.zeros((count, sightings.cameras - 1, 6, 6))
-                np.add.at(coupling, (some.tag[others], which), product(at.by_tag, at.by_mount)[others])
-                wide = coupling.transpose(0, 2, 1, 3).reshape(6 * count, -1)
-                matrix[: 6 * count, 6 * count :] += wide
-                matrix[6 * count :, : 6 * count] += wide.T
-            rows = np.append(rows, np.arange(count, self.kept))
+            unknowns = self.unknowns(some, at)
+            crosses = [(index, product(slope, at.by_frame)) for index, slope in unknowns]
+            rows = np.unique(np.concatenate([index for index, _ in unknowns]))
+            panel = np.zeros((len(rows), len(seen), 6, 6))
+            for k, (index, slope) in enumerate(unknowns):
+                np.add.at(panel, (np.searchsorted(rows, index), of), crosses[k][1])
+                diagonal += summed(product(slope, slope), index, self.kept)
+                right += summed(product(slope, error)[..., 0], index, self.kept)
+                for other, beside in unknowns[:k]:
+                    both = product(slope, beside)
+                    np.add.at(cells, (index, other), both)
+                    np.add.at(cells, (other, index), np.swapaxes(both, 1, 2))
             lower = np.asarray(np.linalg.cholesky(block), dtype=np.float64)
             # H_kf L^-T, whose product with itself is H_kf H_ff^-1 H_fk.
             half = np.swapaxes(np.linalg.solve(lower[None], np.swapaxes(panel, 2, 3)), 2, 3)
@@ -213,13 +234,22 @@ class Adjustment:
             matrix[np.ix_(index, index)] -= wide @ wide.T
             reduced = solved(lower, gradient)
             right[rows] -= (wide @ reduced.ravel()).reshape(-1, 6)
-            blocks.append(Eliminated(some, seen, of, block, gradient, cross, cross_mount))
+            blocks.append(Eliminated(seen, of, block, gradient, crosses))
         off = self.prior.off(poses.tags)
         known = self.prior.information
         if weight is None:
             known = known * weight_of(self.prior.squares(poses.tags), 6)[:, None]
         diagonal[:count] += known[..., None] * np.eye(6)
         right[:count] -= known * off
+        if (sheets := self.prior.sheets) is not None:
+            fitted = sheets.fitted(poses.tags)
+            weights = fitted.weights if weight is None else np.ones(len(sheets.tag))
+            scaled = sheets.information * weights[:, None]
+            diagonal[sheets.tag] += scaled[..., None] * np.eye(6)
+            right[sheets.tag] -= scaled * fitted.off
+            one, other = sheets.pairs
+            np.subtract.at(cells, (sheets.tag[one], sheets.tag[other]), sheets.couplings(weights))
+        diagonal[self.placed :] += np.eye(6)  # the unit of intrinsics is what they may be off
         diagonal += damping * diagonal * np.eye(6)
         for k in range(self.kept):
             matrix[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] += diagonal[k]
@@ -252,18 +282,29 @@ class Adjustment:
 
 
 def blocks_of(covariance: FloatArray, count: int) -> FloatArray:
-    """Those of each of `count` poses by themselves, `(count, 6, 6)`."""
-    return np.stack([covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] for k in range(count)])
+    """Those of each of `count` parts of the unknowns by themselves, `(count, m, m)`."""
+    size = len(covariance) // count
+    return np.stack([covariance[size * k : size * (k + 1), size * k : size * (k + 1)] for k in range(count)])
 
 
 def without_gauge(covariance: FloatArray, tags: FloatArray) -> FloatArray:
     """The covariance of tags once the map is laid over the true one: what each is off by beside the others.
 
+    Args:
+        covariance: of the twists of n tags, each in its own frame, `(6 n, 6 n)`.
+        tags: their poses, `(n, 4, 4)`.
+    """
+    left = gauge_free(tags)
+    return np.asarray(left @ covariance @ left.T)
+
+
+def gauge_free(tags: FloatArray) -> FloatArray:
+    """What is left of the twists of tags once the map is laid over the true one, as a matrix `(6 n, 6 n)`.
+
     With T the twists of all tags that one motion of the world leads to, `(6 n, 6)`, and T_p the rows of it that move
     their centres, the motion that fits best is g = T_p^+ x_p, and what is left of x is x - T g.
 
     Args:
-        covariance: of the twists of n tags, each in its own frame, `(6 n, 6 n)`.
         tags: their poses, `(n, 4, 4)`.
     """
     back = inverse(tags)
@@ -272,8 +313,7 @@ def without_gauge(covariance: FloatArray, tags: FloatArray) -> FloatArray:
     motion = motion.reshape(-1, 6)
     fit = np.zeros((6, len(motion)))
     fit[:, centres] = np.linalg.pinv(motion[centres])
-    left = np.eye(len(motion)) - motion @ fit
-    return np.asarray(left @ covariance @ left.T)
+    return np.asarray(np.eye(len(motion)) - motion @ fit)
 
 
 def resected(sightings: Sightings, poses: Poses, floor: float, steps: int = RESECTIONS) -> FloatArray:

@@ -10,7 +10,7 @@ import pandas as pd
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.detection.evaluation import precision_recall
 from lmd.detection.frames import Sightings, tagged_room
-from lmd.detection.report import PITCHES, Prediction, by_incidence, by_pitch, by_tag
+from lmd.detection.report import PITCHES, Prediction, by_incidence, by_pitch, by_place, by_tag
 from lmd.geometry.se3 import axis_and_right
 from lmd.problem import Problem
 from lmd.render.renderer import Renderer
@@ -68,6 +68,7 @@ class Audit:
         return {
             "audit_pitches": by_pitch(self.prediction, self.seen),
             "audit_incidences": by_incidence(self.prediction, self.seen),
+            "audit_places": by_place(self.prediction, self.seen),
             "audit_tags": self.tags,
         }
 
@@ -114,10 +115,10 @@ def audited(survey: Survey, problem: Problem, verdicts: Verdicts) -> Audit:
     predicted = visible(problem.evaluator, tags, poses[:, :3, 3], axis_and_right(poses))
     renderer = Renderer(camera, tagged_room(scene.room, tags, scene.tag))
     prediction = Prediction(renderer, poses, predicted, verdicts(scene, tags, poses))
-    return Audit(prediction, _seen(survey))
+    return Audit(prediction, seen_of(survey))
 
 
-def _seen(survey: Survey) -> Sightings:
+def seen_of(survey: Survey) -> Sightings:
     """What was detected of the tags of the map in its frames."""
     found, some = survey.found, survey.found.sightings
     frame = np.full(some.frames, -1)

@@ -36,6 +36,7 @@ class Estimate:
         floor: standard deviation of the corners that the detector does not account for, pixels.
         covariances: of the twist of each tag in its own frame, turn first, `(K, 6, 6)`; NaN for those not in the map.
         precisions: the same once the map as a whole is laid where it belongs, see `without_gauge`.
+        intrinsics: covariances of those of each camera, in the units of `Sightings.lens`, `(C, 6 L, 6 L)`.
     """
 
     sightings: Sightings
@@ -47,6 +48,7 @@ class Estimate:
     floor: float
     covariances: FloatArray
     precisions: FloatArray
+    intrinsics: FloatArray
 
     @property
     def mapped(self) -> IntArray:
@@ -72,7 +74,7 @@ class Estimate:
     def moved(self, motion: FloatArray) -> "Estimate":
         """The same in another world, to which a motion `(4, 4)` leads."""
         poses = replace(self.poses, tags=motion @ self.poses.tags, frames=motion @ self.poses.frames)
-        return replace(self, poses=poses, prior=Prior(motion @ self.prior.tags, self.prior.information))
+        return replace(self, poses=poses, prior=replace(self.prior, tags=motion @ self.prior.tags))
 
     def errors(self) -> FloatArray:
         """Root mean square reprojection error of the sightings that count, pixels."""
@@ -98,7 +100,7 @@ def estimate(sightings: Sightings, prior: Prior, origin: int | None = None) -> E
         rough, group = place(sightings.apart(), planned)
         if group.max(initial=-1) < 0:
             raise InputError("detections never show two tags at once, of which one leaves no doubt.", "detections")
-        poses, group, prior = _in_one_world(sightings, joined(sightings, rough), group, prior, origin)
+        poses, group, prior = _in_one_world(sightings, joined(sightings, rough, prior.mounts), group, prior, origin)
         return adjusted(sightings, prior, poses, group, FLOOR)
 
 
@@ -107,7 +109,11 @@ def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, 
     of_map = (group[sightings.tag] == 0) & np.isfinite(poses.frames[sightings.frame, 0, 0])
     of_map = used = twice_in_frame(sightings, of_map)
     misfits = np.zeros(len(sightings), dtype=bool)
-    prior = Prior(prior.tags, np.where((group == 0)[:, None], prior.information, 0.0))
+    there = (group == 0) & (np.bincount(sightings.tag[of_map], minlength=len(group)) > 0)
+    sheets = None if prior.sheets is None else prior.sheets.of(there)
+    information = np.where((group == 0)[:, None], prior.information, 0.0)
+    sheets = None if sheets is None or not len(sheets.tag) else sheets
+    prior = replace(prior, information=information, sheets=sheets)
     for steps in (STEPS, FINAL_STEPS):
         used = twice_in_frame(sightings, used)
         adjustment = Adjustment(sightings.of(used), prior)
@@ -117,8 +123,10 @@ def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, 
         misfits = of_map & (square > MISFIT)
         used = of_map & ~misfits
     used = twice_in_frame(sightings, used)
-    adjustment = Adjustment(sightings.of(used), prior)
-    whole = adjustment.covariance(poses, floor)[: 6 * len(group), : 6 * len(group)]
+    every = Adjustment(sightings.of(used), prior, lenses=True)
+    covariance = every.covariance(poses, floor)
+    whole = covariance[: 6 * len(group), : 6 * len(group)]
+    intrinsics = blocks_of(covariance[6 * every.placed :, 6 * every.placed :], sightings.cameras)
     covariances, precisions = np.full((2, len(group), 6, 6), np.nan)
     of_tag = blocks_of(whole, len(group))
     known = (group == 0) & np.isfinite(of_tag).all(axis=(1, 2))
@@ -127,9 +135,8 @@ def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, 
     precisions[known] = blocks_of(without_gauge(whole[np.ix_(rows, rows)], poses.tags[known]), int(known.sum()))
     frames = np.full_like(poses.frames, np.nan)
     frames[np.unique(sightings.frame[used])] = poses.frames[np.unique(sightings.frame[used])]
-    return Estimate(
-        sightings, prior, replace(poses, frames=frames), group, used, misfits, floor, covariances, precisions
-    )
+    poses = replace(poses, frames=frames)
+    return Estimate(sightings, prior, poses, group, used, misfits, floor, covariances, precisions, intrinsics)
 
 
 def twice_in_frame(sightings: Sightings, used: BoolArray) -> BoolArray:
@@ -138,12 +145,13 @@ def twice_in_frame(sightings: Sightings, used: BoolArray) -> BoolArray:
     return np.asarray(used & (counts[sightings.frame] >= 2))
 
 
-def joined(sightings: Sightings, apart: Poses) -> Poses:
+def joined(sightings: Sightings, apart: Poses, known: FloatArray | None = None) -> Poses:
     """Poses of one body from those of its cameras by themselves.
 
     Args:
         sightings: of the body.
         apart: of `sightings.apart()`.
+        known: how the cameras are mounted, `(C, 4, 4)`; None where that is to be found.
 
     Raises:
         InputError: a camera was never placed together with the first one.
@@ -153,9 +161,12 @@ def joined(sightings: Sightings, apart: Poses) -> Poses:
     for camera in range(1, sightings.cameras):
         there = np.isfinite(views[camera, :, 0, 0])
         both = there & np.isfinite(frames[:, 0, 0])
-        if not both.any():
+        if known is not None:
+            mounts[camera] = known[camera]
+        elif both.any():
+            mounts[camera] = _middle(inverse(frames[both]) @ views[camera, both])
+        else:
             raise InputError(f"detections have no frame that shows where camera {camera + 1} is mounted.", "detections")
-        mounts[camera] = _middle(inverse(frames[both]) @ views[camera, both])
         fresh = there & ~both
         frames[fresh] = views[camera, fresh] @ inverse(mounts[camera])
     return Poses(apart.tags, frames, mounts)
@@ -214,4 +225,4 @@ def _origin(
     information[first] = EXACT**-2.0
     tags = prior.tags.copy()
     tags[first] = np.eye(4)
-    return first, Prior(tags, information)
+    return first, replace(prior, tags=tags, information=information)

@@ -1,6 +1,6 @@
 """What is known of tags before they are photographed: a plan, tags that were measured, or the frame of one tag."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +9,9 @@ from lmd.core.checks import FloatArray, InputError, IntArray, boolean, real
 from lmd.core.tables import read_table
 from lmd.geometry.se3 import inverse, laid_over, pose_of
 from lmd.scene.deployment import Deployment
+from lmd.survey.boards import Boards
 from lmd.survey.residuals import Prior
+from lmd.survey.student import FREEDOM
 
 # Standard deviations of what is taken for exact, metres and rad.
 EXACT = 1e-6
@@ -18,8 +20,6 @@ MEASURED = 0.005
 # Points fix a world if there are three, which extend so far beside a line, metres.
 FEWEST_POINTS, NO_LINE = 3, 0.05
 LEVEL = 1e-3
-# With which the likeliest of several worlds is told, see `aligned`.
-FREEDOM = 4.0
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,13 @@ class Points:
 
 
 def prior_of(
-    ids: IntArray, plan: Deployment | None, hanging: Hanging, fixed: Deployment | None, points: Points | None = None
+    ids: IntArray,
+    plan: Deployment | None,
+    hanging: Hanging,
+    fixed: Deployment | None,
+    points: Points | None = None,
+    boards: Boards | None = None,
+    mounts: FloatArray | None = None,
 ) -> Prior:
     """What a plan, tags whose places are exact, and measured centres say of the tags with these `ids` `(K,)`.
 
@@ -106,6 +112,8 @@ def prior_of(
         hanging: how far from there they may.
         fixed: where some hang exactly; None for none.
         points: where the centres of some are; None for none.
+        boards: how some are to each other; None for none.
+        mounts: of the cameras, see `Prior`; None where they are to be found.
     """
     tags, information = np.tile(np.eye(4), (len(ids), 1, 1)), np.zeros((len(ids), 6))
 
@@ -123,7 +131,7 @@ def prior_of(
     if fixed is not None:
         of, among = shared(fixed.ids)
         tags[of], information[of] = poses_of(fixed)[among], EXACT**-2.0
-    return Prior(tags, information)
+    return Prior(tags, information, None if boards is None else boards.among(ids), mounts)
 
 
 def aligned(tags: FloatArray, prior: Prior) -> FloatArray | None:
@@ -158,7 +166,7 @@ def turned_as(prior: Prior, tags: FloatArray) -> Prior:
     only = ~prior.information[:, :3].any(axis=1) & prior.information.any(axis=1) & np.isfinite(tags[:, 0, 0])
     poses = prior.tags.copy()
     poses[only, :3, :3] = tags[only, :3, :3]
-    return Prior(poses, prior.information)
+    return replace(prior, tags=poses)
 
 
 def levelled(tags: FloatArray, floor: IntArray, origin: int) -> FloatArray:

@@ -173,10 +173,21 @@ def document(survey: Survey) -> dict[str, Any]:
     return {
         "figures": metrics(survey),
         "frames": len(times),
+        "blurred": dict(survey.detected.blurred),
         "used_frames": [times[frame] for frame in found.frames.tolist()],
         "cameras": dict(mounts),
+        "intrinsics": [camera.document() for camera in survey.calibrated],
         "groups": [survey.ids[found.group == g].tolist() for g in range(1, found.group.max(initial=0) + 1)],
         "another_photograph": survey.ids[again(survey)].tolist(),
+        "next_photographs": [
+            {
+                "position": photograph.pose[:3, 3].tolist(),
+                "direction": photograph.pose[:3, 2].tolist(),
+                "tags": survey.ids[photograph.tags].tolist(),
+                "sigma": photograph.left,
+            }
+            for photograph in survey.proposed
+        ],
         "second_places": [
             {
                 ID: int(survey.ids[place.tag]),
@@ -217,6 +228,11 @@ def to_text(survey: Survey) -> str:
     lines["corners"] = f"{both('error', 1.0)} pixels off"
     if found.floor > NOTICED:
         lines["corners"] += f", of which a standard deviation of {found.floor:.2g} is not the detector's"
+    for number, camera in enumerate(survey.calibrated, 1):
+        label = f" {number}" * (len(survey.calibrated) > 1)
+        lines[f"camera{label}"] = camera.to_text()
+        if not camera.is_fixed:
+            lines[f"not fixed{label}"] = "the camera: photograph tags on several walls at once, also held upright"
     if "measured" in survey.localised:
         lines["held out"] = (
             f"{len(survey.localised['measured'].shifts)} frames: corners {both('held_out_error_measured', 1.0)}"
@@ -226,6 +242,10 @@ def to_text(survey: Survey) -> str:
         lines["planned"] = f"by the planned map {both('held_out_error_planned', 1.0)} pixels off, and the camera"
         lines["planned"] += f" {both('held_out_shift_planned', digits='.3g')} mm elsewhere"
     lines |= {label: text for label, text in _troubles(survey).items() if text}
+    for number, photograph in enumerate(survey.proposed, 1):
+        at, towards = (", ".join(f"{x:.2f}" for x in photograph.pose[:3, column]) for column in (3, 2))
+        shown = _few(map(str, survey.ids[photograph.tags]))
+        lines[f"next {number}"] = f"from ({at}) towards ({towards}): {shown}"
     width = max(map(len, lines))
     return "\n".join(f"{label:<{width}} {text}" for label, text in lines.items())
 
@@ -248,6 +268,7 @@ def _troubles(survey: Survey) -> dict[str, str]:
         "moved": _few(f"{ids[place.tag]} from {times[place.moved or 0]} on" for place in moved),
         "twice": _few(str(ids[place.tag]) for place in faults.second_places if place.moved is None),
         "other size": _few(f"{ids[tag]} ({1e3 * edge:.4g} mm)" for tag, edge in faults.sizes.items()),
+        "blurred": _few(f"{name} ({pixels:.2g} pixels)" for name, pixels in survey.detected.blurred.items()),
         "misread": _few(f"{ids[k]} ({faults.misread[k]} x)" for k in np.flatnonzero(faults.misread)),
         "photograph": _few(worst, "known worst"),
     }

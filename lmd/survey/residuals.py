@@ -4,15 +4,18 @@ The residuals e are those of `lmd.survey.sightings`, pixels; `lmd.survey.adjustm
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import inverse, log
 from lmd.survey.sightings import Sightings
+from lmd.survey.student import RESIDUALS
 
-FREEDOM = 4.0  # nu, of Student's distribution
-RESIDUALS = 8
+if TYPE_CHECKING:
+    from lmd.survey.boards import Sheets
+
 # A corner that is hardly in front of the camera, or behind it, fits nowhere: metres, and pixels.
 NEAREST, NOWHERE = 1e-3, 1e4
 
@@ -39,10 +42,14 @@ class Prior:
     Args:
         tags: their poses, `(K, 4, 4)`; whatever it is where nothing is known.
         information: one over the variance of the turn about each axis of the tag, and of the way along each, `(K, 6)`.
+        sheets: tags that were printed together, all of them placed; None for none.
+        mounts: of the cameras, see `Poses`; None where these are to be found.
     """
 
     tags: FloatArray
     information: FloatArray
+    sheets: "Sheets | None" = None
+    mounts: FloatArray | None = None
 
     def off(self, tags: FloatArray) -> FloatArray:
         """The twists from what is known to `tags`, `(K, 6)`; 0 where nothing is known."""
@@ -120,13 +127,3 @@ def summed(values: FloatArray, owner: IntArray, count: int) -> FloatArray:
 
     matrix = csr_array((np.ones(len(owner)), (owner, np.arange(len(owner)))), shape=(count, len(owner)))
     return np.asarray((matrix @ values.reshape(len(owner), -1)).reshape(count, *values.shape[1:]))
-
-
-def solved(matrices: FloatArray, right: FloatArray) -> FloatArray:
-    """The solutions `(n, m)` of n systems `(n, m, m)`."""
-    return np.asarray(np.linalg.solve(matrices, right[..., None])[..., 0], dtype=np.float64)
-
-
-def weight_of(square: FloatArray, residuals: int = RESIDUALS) -> FloatArray:
-    """(nu + d) / (nu + chi^2) for d residuals."""
-    return np.asarray((FREEDOM + residuals) / (FREEDOM + square))

@@ -35,6 +35,8 @@ class Sightings:
         tangents: J, `(N, 4, 2, 3)`, pixels.
         sizes: of the shortest side in the image, pixels, `(N,)`.
         noise: standard deviation of a coordinate of a corner that the detector alone accounts for, pixels, `(N,)`.
+        lens: how e changes with the intrinsics, each in units of what it may be off, `(N, 8, 6 L)`, see
+            `lmd.survey.intrinsics`; L is 0 where they are known.
     """
 
     ids: IntArray
@@ -49,13 +51,14 @@ class Sightings:
     tangents: FloatArray
     sizes: FloatArray
     noise: FloatArray
+    lens: FloatArray
 
     def __len__(self) -> int:
         return len(self.frame)
 
     def of(self, chosen: IntArray | BoolArray) -> "Sightings":
         """Those that `chosen` selects, of the same tags in the same frames."""
-        names = ("frame", "camera", "tag", "image", "directions", "tangents", "sizes", "noise")
+        names = ("frame", "camera", "tag", "image", "directions", "tangents", "sizes", "noise", "lens")
         rest = (getattr(self, name)[chosen] for name in names)
         return Sightings(self.ids, self.edges, self.frames, self.cameras, *rest)
 
@@ -123,5 +126,6 @@ def sightings_of(
         tangents=tangents,
         sizes=sides,
         noise=errors.sigma(sides / modules),
+        lens=np.empty((len(chosen), 8, 0)),
     )
     return every.of(np.flatnonzero(whole & np.isfinite(tangents).all(axis=(1, 2, 3))))

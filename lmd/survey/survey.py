@@ -11,11 +11,13 @@ from lmd.mapping.detections import DetectedTags
 from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
+from lmd.survey.boards import Boards
 from lmd.survey.estimate import Estimate, estimate
 from lmd.survey.faults import Faults, settled
 from lmd.survey.held_out import Localised, held_out
+from lmd.survey.intrinsics import Calibrated, calibrated, judged
 from lmd.survey.known import Hanging, Points, levelled, poses_of, prior_of
-from lmd.survey.sightings import sightings_of
+from lmd.survey.sightings import Sightings, sightings_of
 
 # A tag of which nothing is known is believed if so many sightings agree where it hangs: ids are misread.
 FEWEST_BELIEVED = 2
@@ -30,6 +32,8 @@ class Known:
         hanging: how far from there they may.
         fixed: where some hang exactly; None for none.
         points: where the centres of some are, as a tape measure says; None for none.
+        boards: how those are to each other that were printed on one sheet; None for none.
+        mounts: of the cameras to the body, which is the first of them, `(C, 4, 4)`; None where they are to be found.
         origin: id of the tag whose frame is the world where nothing else is known; None for the one seen most often.
         floor: ids of tags that lie on the floor: then z is up in that world, and 0 on the floor; none for no such.
 
@@ -41,6 +45,8 @@ class Known:
     hanging: Hanging = field(default_factory=Hanging)
     fixed: Deployment | None = None
     points: Points | None = None
+    boards: Boards | None = None
+    mounts: FloatArray | None = None
     origin: int | None = None
     floor: tuple[int, ...] = ()
 
@@ -75,6 +81,21 @@ class Known:
 
 
 @dataclass(frozen=True)
+class Photograph:
+    """A photograph that would help.
+
+    Args:
+        pose: of the (first) camera, to the world, `(4, 4)`.
+        tags: that it shows, by their index.
+        left: the root mean square standard deviation of the places of tags once it is taken, metres.
+    """
+
+    pose: FloatArray
+    tags: IntArray
+    left: float
+
+
+@dataclass(frozen=True)
 class Survey:
     """What came out, tags in the order of `found.sightings.ids`.
 
@@ -85,6 +106,8 @@ class Survey:
         faults: what did not fit.
         placed: which tags are in the map, `(K,)`.
         localised: frames held out, see `lmd.survey.held_out`.
+        calibrated: the cameras as the photographs say, if that was asked for; else none.
+        proposed: what to photograph next, see `lmd.survey.next_photographs`.
     """
 
     detected: DetectedTags
@@ -93,6 +116,8 @@ class Survey:
     faults: Faults
     placed: BoolArray
     localised: dict[str, Localised]
+    calibrated: tuple[Calibrated, ...] = ()
+    proposed: tuple[Photograph, ...] = ()
 
     @property
     def ids(self) -> IntArray:
@@ -110,7 +135,14 @@ class Survey:
         return self.known.planned(self.ids)
 
 
-def survey(detected: DetectedTags, cameras: Sequence[Camera], tag: Tag, errors: CornerErrors, known: Known) -> Survey:
+def survey(
+    detected: DetectedTags,
+    cameras: Sequence[Camera],
+    tag: Tag,
+    errors: CornerErrors,
+    known: Known,
+    calibrate: bool = False,
+) -> Survey:
     """Find where tags hang.
 
     Args:
@@ -119,6 +151,7 @@ def survey(detected: DetectedTags, cameras: Sequence[Camera], tag: Tag, errors: 
         tag: their family, and the edge of those of which nothing else is known.
         errors: what the detector's corners are off by.
         known: what else is known.
+        calibrate: whether the intrinsics of the cameras are found, too.
 
     Raises:
         InputError: the detections do not connect two tags, or are of other tags or cameras.
@@ -127,12 +160,23 @@ def survey(detected: DetectedTags, cameras: Sequence[Camera], tag: Tag, errors: 
     ids = np.union1d(known.ids, often[counts >= FEWEST_BELIEVED])
     if not np.isin(detected.ids, ids).any():
         raise InputError("detections has no tag of the plan, and no other one twice.", "detections")
-    sightings = sightings_of(detected, cameras, ids, known.edges(ids, tag), tag.modules, errors)
-    prior = prior_of(ids, known.plan, known.hanging, known.fixed, known.points)
-    found, faults = settled(estimate(sightings, prior, known.origin))
+
+    def sighted(through: Sequence[Camera]) -> Sightings:
+        return sightings_of(detected, through, ids, known.edges(ids, tag), tag.modules, errors)
+
+    sightings, refined = sighted(cameras), tuple(cameras)
+    prior = prior_of(ids, known.plan, known.hanging, known.fixed, known.points, known.boards, known.mounts)
+    found = estimate(sightings, prior, known.origin)
+    if calibrate:
+        found, refined = calibrated(found, cameras, sighted)
+        sightings = found.sightings
+    found, faults = settled(found)
     if known.floor:
         first = int(np.flatnonzero(found.prior.information.any(axis=1))[0])
         found = found.moved(levelled(found.poses.tags, np.flatnonzero(np.isin(ids, known.floor)), first))
     used = np.bincount(sightings.tag[found.used], minlength=len(ids))
     placed = (found.group == 0) & (used >= np.where(np.isin(ids, known.ids), 1, FEWEST_BELIEVED))
-    return Survey(detected, known, found, faults, placed, held_out(found, known.planned(ids)))
+    localised = held_out(found, known.planned(ids))
+    return Survey(
+        detected, known, found, faults, placed, localised, judged(found, cameras, refined) if calibrate else ()
+    )

@@ -6,7 +6,7 @@ from floor_plans import lab
 from contracts.field import check_field
 from lmd.objectives.coverage import Coverage
 from lmd.scene import pdf
-from lmd.scene.criteria import horizon_of
+from lmd.scene.criteria import from_around, horizon_of
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.rig import Mount, Rig
@@ -62,6 +62,14 @@ def check_members(criteria, camera, rng):
     assert sight.shrunk(1.0) == sight
     cosines = axes[:, :3] @ (-normals.T)
     assert (cosines[covered] >= sight.outer_cosine).all(), "covered beyond the outer cone"
+    radius = 0.3
+    nearby = radius * rng.uniform(-1.0, 1.0, 3) / np.sqrt(3.0)
+    bounds = [from_around(sight, *offset, *normal, radius) for offset, normal in zip(positions, normals, strict=True)]
+    reached, most = (np.array([each[i] for each in bounds]) for i in (0, 1))
+    moved = criteria.covered(camera, nearby, axes, positions, normals)
+    assert not moved[:, ~reached].any(), "covered from a place around a point from which it is not reached"
+    depths = axes[:, :3] @ (positions - nearby).T
+    assert (depths <= most + 1e-9)[moved].all(), "covered beyond the greatest depth from around a point"
     far = np.linalg.norm(positions, axis=1) > horizon_of(sight)
     assert not covered[:, far].any(), "covered beyond the horizon"
     if not criteria.needs_roll:

@@ -222,7 +222,7 @@ def test_a_preset_has_its_evidence(tmp_path):
     calibration = Calibration(views, Fit(limits, 0.95, 0.94, 0.93), {})
     text = calibration.preset("aruco", "36h11", "seed 0")
     assert text.startswith(
-        "# Limits of aruco for tags of the family 36h11: seed 0.\n"
+        "# Limits of aruco for tags of the family 36h11: seed 0.\n# Measured on renderings, not on photographs.\n"
         "# Fitted to half of 6 views; on the other half accuracy 0.950"
     )
     (tmp_path / "a.yaml").write_text(text)

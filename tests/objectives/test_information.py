@@ -57,13 +57,13 @@ def views(count, rng, deployment, least, scene=SCENE):
     all_corners = corners(deployment.positions, deployment.normals, upright(deployment.normals)[1], EDGE)
     found = []
     while len(found) < count:
-        yaw, pitch = rng.uniform(-np.pi, np.pi), rng.uniform(-np.pi / 2, np.pi / 2)
-        pose = camera_pose(scene.room.sample(1, rng)[0], np.array([yaw]), np.array([pitch]), np.zeros(1))[0]
-        axes = axis_and_right(pose[None])
-        caps = coverage_caps(scene, deployment, pose[:3, 3], axes)[0]
-        if caps.sum() >= least:
-            information = reference.view_information(scene, deployment, asked, pose[:3, 3], axes)[:, 0]
-            found.append((pose, information, all_corners[caps].reshape(-1, 3)))
+        yaw, pitch = rng.uniform(-np.pi, np.pi, 16), rng.uniform(-np.pi / 2, np.pi / 2, 16)
+        poses = camera_pose(scene.room.sample(1, rng)[0], yaw, pitch, np.zeros(16))
+        position, axes = poses[0, :3, 3], axis_and_right(poses)
+        caps = coverage_caps(scene, deployment, position, axes)
+        information = reference.view_information(scene, deployment, asked, position, axes)
+        for a in np.flatnonzero(caps.sum(axis=1) >= least)[: count - len(found)]:
+            found.append((poses[a], information[:, a], all_corners[caps[a]].reshape(-1, 3)))
     return found
 
 

@@ -20,6 +20,7 @@ UNIFORM = [*SMALL, "deployment=uniform"]
 PIPELINES = {
     "optimise": SMALL,
     "evaluate": SMALL,
+    "place_cameras": UNIFORM,
     "export": [*UNIFORM, "tag.edge=0.1"],
     "bound": SMALL,
     "tradeoff": [*SMALL, "counts=[6]"],
@@ -38,14 +39,18 @@ PIPELINES = {
 FUNCTIONS = {"calibrate_detector": "calibrate", "estimate_pdf": "estimate"}
 # Options of groups that no pipeline has by default: the pipeline, the group, overrides that choose and complete it.
 OPTIONS = [
-    *(("optimise", "optimiser", [f"optimiser={path.stem}"]) for path in sorted(Path(CONF, "optimiser").glob("*.yaml"))),
+    *(
+        ("optimise", "optimiser", [f"optimiser={path.stem}"])
+        for path in sorted(Path(CONF, "optimiser").glob("*.yaml"))
+        if path.stem != "camera_annealing"  # of place_cameras
+    ),
     *(("optimise", "room", [f"room={name}"]) for name in ("hall", "lab", "paper_experiment")),
     ("optimise", "room", ["room=floor_plan", "room.spacing=1"]),
     *(("optimise", "camera", [f"camera={name}"]) for name in ("hall", "lab", "paper_experiment")),
     *(("optimise", "pdf", [f"pdf={name}"]) for name in ("grid_288", "sphere", "yaw")),
     ("optimise", "visibility", ["visibility=fiducial", "tag=printed", "deployment.count=20"]),
     ("optimise", "tag", ["visibility=fiducial", "tag=printed", "deployment.count=20"]),
-    *(("optimise", "objective", [f"objective={name}"]) for name in ("localisation", "robust")),
+    *(("optimise", "objective", [f"objective={name}"]) for name in ("localisation", "mean", "robust")),
     ("optimise", "deployment", ["deployment=greedy", "deployment.count=2"]),
     *(
         ("observe", "estimator", [f"estimator=[{name}]"])

@@ -1,6 +1,7 @@
 """`pipelines.survey` as a user meets it: a process, its messages, its exit code and the files it leaves."""
 
 import json
+import shutil
 
 import cv2
 import numpy as np
@@ -18,11 +19,12 @@ from lmd.scene.labels import Labels
 CAMERA = Camera(2.2, 0.0075, 0.0075, (320.0, 240.0), 640, 480, 0.0)
 EDGE, COUNT, FRAMES = 0.25, 16, 20
 UNSEEN, NEW = 15, 40  # a tag that is planned only, and one that hangs only
+BLURRED = "0020.png"  # a photograph that was taken while walking
 ROOM = ["room=lab", "room.size=[5,4,2.5]", "room.reachable_size=[4,3,1.5]"]
 SETTINGS = ["photographs=photos", "camera.path=camera.yaml", f"tag.edge={EDGE}", "tracking=none", "workers=1",
             "hydra.run.dir=out"]  # fmt: skip
 READ = [setting for setting in SETTINGS if not setting.startswith(("photographs", "hydra"))]
-FILES = {"map.csv", "measured.csv", "frames.csv", "detections.csv", "survey.json", "survey.png"}
+FILES = {"map.csv", "measured.csv", "frames.csv", "detections.csv", "survey.json", "survey.png", "in_view.csv"}
 pytestmark = pytest.mark.slow
 
 
@@ -40,6 +42,8 @@ def room(tmp_path_factory):
     frames = walks.walk(FRAMES, rng)
     photographs.calibration(cwd / "camera.yaml", CAMERA)
     photographs.photograph(cwd / "photos", true[:UNSEEN], ids[:UNSEEN], frames, CAMERA, EDGE)
+    sharp = cv2.imread(str(cwd / "photos" / "0003.png"), cv2.IMREAD_GRAYSCALE)
+    cv2.imwrite(str(cwd / "photos" / BLURRED), cv2.blur(sharp, (7, 1)))
     planned = np.flatnonzero(np.arange(COUNT) != UNSEEN - 1)
     Deployment(plan[planned, :3, 3], plan[planned, :3, 2], labels=Labels(planned)).to_csv(cwd / "plan.csv", ups=True)
     return cwd, plan, true
@@ -69,6 +73,7 @@ def test_a_survey_leaves_its_files_and_nothing_else(surveyed):
     assert f"tags        {UNSEEN} of {COUNT} placed" in text
     assert f"not seen    {UNSEEN}\n" in text
     assert f"not planned {NEW}\n" in text
+    assert f"blurred     {BLURRED} (" in text
 
 
 def test_the_map_is_where_the_tags_hang(surveyed, room):
@@ -108,6 +113,42 @@ def test_the_same_comes_from_the_detections_it_leaves(surveyed, room):
 
 
 @pytest.mark.usefixtures("surveyed")
+def test_a_detector_is_calibrated_on_the_frames_of_a_survey(room):
+    cwd, _, _ = room
+    done = processes.call("calibrate_detector", "survey=out", cwd=cwd, settings=["tracking=none", "hydra.run.dir=fit"])
+    assert done.returncode == 0, done.stderr
+    text = (cwd / "fit" / "36h11_apriltag.yaml").read_text()
+    assert "views=survey" in text
+    assert "# Measured on " in text
+    assert " photographs.\n" in text
+    figures = json.loads((cwd / "fit" / "calibration.json").read_text())["figures"]["apriltag"]
+    assert figures["views"] == len(pd.read_csv(cwd / "out" / "in_view.csv"))
+    assert figures["pitch_low"] <= figures["pitch_high"]
+
+
+@pytest.mark.usefixtures("surveyed")
+@pytest.mark.parametrize("mounted", ["true", "false"])
+def test_a_rig_has_a_folder_for_each_camera(room, mounted):
+    """Two cameras that see the same, of which one begins later."""
+    cwd, _, true = room
+    for name, first in (("left", 0), ("right", 2)):
+        folder = cwd / "rig" / name
+        folder.mkdir(parents=True, exist_ok=True)
+        for path in sorted((cwd / "photos").iterdir())[first:]:
+            shutil.copy(path, folder)
+    rig = ["camera.rig=[{camera: camera.yaml}, {camera: camera.yaml}]", f"survey.mounted={mounted}"]
+    done = call("photographs=rig", *rig, f"hydra.run.dir=rig_{mounted}", cwd=cwd, settings=READ)
+    assert done.returncode == 0, done.stderr
+    out = cwd / f"rig_{mounted}"
+    assert beside(pd.read_csv(out / "map.csv").sort_values("id"), true[:UNSEEN]).max() < 0.001
+    cameras = json.loads((out / "survey.json").read_text())["cameras"]
+    assert list(cameras) == ["left", "right"]
+    np.testing.assert_allclose(cameras["right"], np.eye(4), atol=1e-9 if mounted == "true" else 1e-3)
+    seen = pd.read_csv(out / "detections.csv")
+    assert set(seen.camera) == {"left", "right"}
+
+
+@pytest.mark.usefixtures("surveyed")
 def test_without_a_plan_the_world_is_the_frame_of_a_tag(room):
     cwd, _, true = room
     done = call("detections=out/detections.csv", "survey.origin=3", "hydra.run.dir=alone", cwd=cwd, settings=READ)
@@ -137,7 +178,12 @@ def test_an_audit_names_the_tag_that_is_not_found_where_it_is_predicted(room):
         table = pd.read_csv(cwd / "audit" / f"audit_{name}.csv")
         assert (table[last].diff().dropna() > 0).all()
         assert table.tags.sum() >= tags.detected.sum()
-    assert cv2.imread(str(cwd / "audit" / "audit.png")) is not None
+    places = pd.read_csv(cwd / "audit" / "audit_places.csv")
+    assert places.tags.sum() == table.tags.sum()
+    assert places.column.max() < 4
+    assert places.row.max() < 3
+    for name in ("audit", "audit_places"):
+        assert cv2.imread(str(cwd / "audit" / f"{name}.png")) is not None
 
 
 @pytest.mark.parametrize(
@@ -152,6 +198,10 @@ def test_an_audit_names_the_tag_that_is_not_found_where_it_is_predicted(room):
         (["audit=true"], "audit needs the room and the visibility model of a run"),
         (["deployment=random"], "deployment must be a file"),
         (["camera.path=plan.csv"], "plan.csv"),
+        (
+            ["camera.rig=[{camera: camera.yaml}, {camera: camera.yaml}]"],
+            "for each of 2 cameras, 'photos' has 0",
+        ),
     ],
 )
 def test_bad_input_gets_one_sentence(room, overrides, message):

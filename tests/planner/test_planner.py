@@ -1,5 +1,6 @@
 """The planner without a browser."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from lmd.planner.app import TO_COME, Planner
 from lmd.planner.panel import Panel
 from lmd.planner.picture import BALL, Picture
 from lmd.planner.session import Session
+from lmd.planner.surveyed import Found
 from lmd.problem import Problem
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.recorded_poses import RecordedPoses
@@ -93,3 +95,32 @@ def test_positions_of_one_layer_are_balls_of_a_share_of_their_distance(tmp_path)
     finally:
         server.stop()
     assert np.linalg.norm(ball, axis=1) == pytest.approx(BALL * away)
+
+
+def survey_of(folder, deployment, photographs):
+    """Files of a survey that found all tags 5 mm above their plan."""
+    lifted = replace(deployment, positions=deployment.positions + np.array([0.0, 0.0, 0.005]))
+    lifted.to_csv(folder / "map.csv")
+    (folder / "survey.json").write_text(json.dumps({"next_photographs": photographs}))
+    return folder
+
+
+def test_a_survey_is_drawn_beside_the_plan(tmp_path):
+    planned = problem()
+    session = Session(planned, planned.draw(np.random.default_rng(0)))
+    asked = [{"position": [1.0, 2.0, 1.5], "direction": [0.0, 1.0, 0.0]}]
+    found = Found.read(survey_of(tmp_path, session.deployment, asked))
+    lines = found.offsets(session.deployment, 20.0)
+    np.testing.assert_allclose(np.diff(lines, axis=1)[:, 0], [[0.0, 0.0, 0.1]] * len(lines), atol=1e-6)
+    assert len(lines) == len(session.deployment)
+    planner = Planner(session, 0, lambda _: "", RandomSearch, Budget(1), None, found)
+    planner.close()
+
+
+def test_a_folder_that_is_no_survey_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"map\.csv"):
+        Found.read(tmp_path)
+    planned = problem()
+    folder = survey_of(tmp_path, planned.draw(np.random.default_rng(0)), [{"position": [1.0]}])
+    with pytest.raises(InputError, match=r"^survey: .* holds no survey\.json of a survey\.$"):
+        Found.read(folder)

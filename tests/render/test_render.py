@@ -9,7 +9,7 @@ from lmd.detection.detectors import AprilTagDetector
 from lmd.detection.frames import tagged_room
 from lmd.geometry.se3 import camera_pose, exp
 from lmd.render.imaging import Imaging
-from lmd.render.optics import bearings, intrinsics, project, to_camera
+from lmd.render.optics import BEND, bearings, intrinsics, project, to_camera, view_edges
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
 from lmd.scene.camera import Camera
@@ -187,6 +187,21 @@ def test_distorted_corners_are_where_the_picture_has_them():
     found = AprilTagDetector().detect(renderer.frame(ORIGIN, np.random.default_rng(0)))
     np.testing.assert_allclose(found.corners, renderer.corners(ORIGIN), atol=0.15)
     assert np.abs(renderer.corners(ORIGIN) - Renderer(CAMERA, room).corners(ORIGIN)).max() > 1.0
+
+
+def test_a_view_is_drawn_as_its_lens_bends_it():
+    straight = view_edges(CAMERA, 0.5)
+    width, height = CAMERA.image_width, CAMERA.image_height
+    assert straight.shape == (8, 2, 3)
+    np.testing.assert_allclose(straight[:, 1, 2], 0.5)
+    border = np.array([[0, 0], [width, 0], [width, height], [0, height]])
+    np.testing.assert_allclose(project(CAMERA, np.eye(4), straight[:4, 1]), border, atol=1e-9)
+    fisheye = replace(CAMERA, distortion=(0.01, -0.02, 0.005, -0.001), distortion_model="equidistant")
+    bent = view_edges(fisheye, 0.5)
+    assert len(bent) == 4 + 4 * BEND
+    seen = fisheye.lens.image(bent[4:, 0]) * fisheye.focal_pixels + fisheye.principal_point
+    along = np.minimum(np.abs(seen), np.abs(seen - [width, height])).min(axis=1)
+    np.testing.assert_allclose(along, 0.0, atol=1e-9)  # each on one of the four sides
 
 
 def test_a_detector_finds_tags_through_a_fisheye_where_the_model_says():

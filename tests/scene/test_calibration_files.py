@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lmd.core.checks import InputError
+from lmd.core.files import LARGEST_YAML
 from lmd.scene.camera_calibration import calibrated_camera, read_calibration
 
 REAL = Path(__file__).parents[2] / ".." / "shared" / "real" / "calibration"
@@ -23,8 +24,26 @@ XML = """<?xml version="1.0"?>
 <data>600. 0. 320. 0. 610. 240. 0. 0. 1.</data></camera_matrix>
 <distortion_coefficients type_id="opencv-matrix"><data>-0.2 0.05 1e-3 -2e-3 0.01</data></distortion_coefficients>
 </opencv_storage>"""
+SCRIPT = {
+    "camera_matrix": [MATRIX[:3], MATRIX[3:6], MATRIX[6:]],
+    "distortion_coefficients": LENS,
+    "avg_reprojection_error": 0.2,
+}
 FILES = {
     "OpenCV XML": XML,
+    "OpenCV 2": XML.replace("camera_matrix", "Camera_Matrix")
+    .replace("distortion_c", "Distortion_C")
+    .replace("_w", "_W"),
+    "script of OpenCV": json.dumps({"mtx": SCRIPT["camera_matrix"], "dist": [LENS], "img_size": [640, 480]}),
+    "ros topic echo": "width: 640\nheight: 480\ndistortion_model: plumb_bob\n" + f"d: {LENS}\nk: {MATRIX}\n---\n",
+    "EuRoC": "%YAML:1.0\nT_BS:\n  data: [1.0]\ncamera_model: pinhole\ndistortion_model: radial-tangential\n"
+    f"resolution: [640, 480]\nintrinsics: {list(NAMES.values())}\ndistortion_coefficients: {LENS}\n",
+    "OKVIS": "cameras:\n  - {T_SC: [1.0], image_dimension: [640, 480], distortion_type: radialtangential,\n"
+    f"     distortion_coefficients: {LENS}, focal_length: [600, 610],\n"
+    "     principal_point: [320, 240]}\ncamera_params: {}\n",
+    "VINS": "%YAML:1.0\n---\nmodel_type: PINHOLE\nimage_width:640\nimage_height: 480\ndistortion_parameters:\n"
+    "   k1: -0.2\n   k2: 0.05\n   p1: 0.001\n   p2: -0.002\n   k3: 0.01\n"
+    "projection_parameters:\n   fx:600.0\n   fy: 610.0\n   cx: 320.0\n   cy: 240.0\n",
     "message": json.dumps({"width": 640, "height": 480, "K": MATRIX, "D": LENS}),
     "message of ROS 2": json.dumps({"width": 640, "height": 480, "k": MATRIX, "d": [*LENS, 0.0, 0.0, 0.0]}),
     "PhotonVision": json.dumps(
@@ -84,6 +103,11 @@ def basalt(kind, names, lens):
             "Camera.width: 640\nCamera.height: 480\n",
             FISHEYE,
         ),
+        (
+            "model_type: KANNALA_BRANDT\nimage_width: 640\nimage_height: 480\nprojection_parameters:\n"
+            "  {k2: 0.01, k3: -0.02, k4: 0.005, k5: -0.001, mu: 600.0, mv: 610.0, u0: 320.0, v0: 240.0}\n",
+            FISHEYE,
+        ),
     ],
 )
 def test_rational_lenses_and_fisheyes_are_taken_as_they_are(text, lens, write):
@@ -100,7 +124,10 @@ def test_rational_lenses_and_fisheyes_are_taken_as_they_are(text, lens, write):
         ("<a><b>", "it cannot be read as XML"),
         (FILES["Basalt"].replace("pinhole-radtan8", "ds"), "the lens model 'ds' is not known here"),
         (FILES["COLMAP"].replace("FULL_OPENCV", "FOV"), "the lens model 'FOV' is not known here"),
-        (FILES["ORB-SLAM3"].replace("PinHole", "Rectified"), "the lens model 'Rectified' is not known here"),
+        (FILES["ORB-SLAM3"].replace("PinHole", "Stereo"), "the lens model 'Stereo' is not known here"),
+        (FILES["VINS"].replace("PINHOLE", "MEI"), "the lens model 'MEI' is not known here"),
+        ("cams: [{a: 1}]\n", "it is no calibration that is known here, it has cams: write it as ROS does, with"),
+        (f"{{'lensmodel': {'0' * (1 << 20)}}}", "a cameramodel has at most 1048576 characters"),
         (MRCAL.format("CAHVOR", "1"), "the lens model 'CAHVOR' is not known here"),
         (MRCAL.format("OPENCV4", "1"), "intrinsics must be a list of 8 numbers"),
         ("{'lensmodel': __import__('os')}", "it is no cameramodel of mrcal"),
@@ -145,6 +172,36 @@ def test_a_real_file_is_read_or_refused_for_its_lens(name):
     else:
         with pytest.raises(InputError, match=message):
             calibrated_camera(path, camera)
+
+
+def test_settings_of_rectified_images_have_no_distortion(write):
+    for kind in ('Camera.type: "Rectified"\n', ""):  # ORB-SLAM2 names no type
+        keys = "".join(f"Camera.{name}:{value}\n" for name, value in NAMES.items())
+        found = read_calibration(write(f"%YAML:1.0\n{kind}{keys}"), image_size=[640, 480])
+        assert (found.distortion, found.focal_pixels) == ((), (600.0, 610.0))
+
+
+def test_a_file_may_hold_every_point_that_was_seen(write):
+    many = json.dumps(json.loads(FILES["PhotonVision"]) | {"observations": [[0.1234567, 1.5]] * 40_000})
+    assert len(many) > LARGEST_YAML
+    assert read_calibration(write(many)) == read_calibration(write(FILES["PhotonVision"]))
+
+
+@pytest.mark.parametrize("text", [FILES["frc971"].replace("image_", ""), json.dumps(SCRIPT)], ids=["frc971", "WPIcal"])
+def test_a_size_is_given_beside(text, write):
+    with pytest.raises(InputError, match=r"give image_size, \[width, height\] in pixels\.$"):
+        read_calibration(write(text))
+    assert read_calibration(write(text), image_size=[640, 480]) == read_calibration(write(FILES["frc971"]))
+
+
+def test_a_fisheye_that_is_not_called_one_is_taken_as_what_it_is_said_to_be(write):
+    script = write(json.dumps(SCRIPT | {"distortion_coefficients": FISHEYE, "image_size": [640, 480]}))
+    assert read_calibration(script).distortion_model == "plumb_bob"
+    assert read_calibration(script, distortion_model="fisheye").distortion_model == "equidistant"
+    with pytest.raises(InputError, match=r"^distortion_model must be plumb_bob, as the file has it, got fisheye\.$"):
+        read_calibration(write(FILES["message"]), distortion_model="fisheye")
+    with pytest.raises(InputError, match=r"the lens model 'omni' is not known here"):
+        read_calibration(script, distortion_model="omni")
 
 
 def test_a_size_is_given_where_the_file_has_none_and_never_another(write):

@@ -22,7 +22,8 @@ from lmd.scene import pdf
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.pdf import OrientationPdf
-from lmd.scene.rig import Mount, Rig, rig_of
+from lmd.scene.rig import Mount, Rig
+from lmd.scene.rig_sources import read_mounts, rig_of
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses, covered_amounts, gains
 from lmd.sight.reference import counts, coverage_caps
@@ -52,6 +53,20 @@ def probability(scene, deployment, n):
     by_hand = (counts(scene, deployment) >= n) @ scene.pdf.weight
     assert_allclose(found, by_hand, atol=1e-12)
     return float(found[0])
+
+
+def test_where_cameras_are_mounted_agrees_with_what_they_look_at():
+    rig = Rig(
+        (Mount(paper_camera(), (0.1, 0.2, 0.3), yaw=0.4, pitch=0.1), Mount(paper_camera(), (0.0, -0.1, 0.0), roll=0.3))
+    )
+    body = np.array([[1.0, 0.0, 0.0, 0.0, -1.0, 0.0]])
+    offsets, looking = rig.views(body)
+    first, second = (
+        np.column_stack([view[0, 3:], np.cross(view[0, :3], view[0, 3:]), view[0, :3]]) for view in looking
+    )
+    assert_allclose(rig.mounted[0], np.eye(4), atol=1e-12)
+    assert_allclose(rig.mounted[1, :3, :3], first.T @ second, atol=1e-12)
+    assert_allclose(rig.mounted[1, :3, 3], first.T @ (offsets[1] - offsets[0])[0], atol=1e-9)
 
 
 def test_back_to_back_each_camera_adds_its_share():
@@ -181,6 +196,70 @@ def test_what_knows_no_rig_says_so():
         verdicts(scene, deployment, np.eye(4)[None])
     with pytest.raises(InputError, match="the objective Localisation works with a single camera"):
         Localisation(2).field(Evaluator(scene, threads=1))
+
+
+# cam1 is 0.1 m to the right of cam0; cam2 is 0.05 m behind cam1 and looks to the right.
+CHAIN = """
+cam0: {camera_model: pinhole, intrinsics: [400, 400, 320, 240], distortion_model: none, resolution: [640, 480]}
+cam1:
+  {camera_model: pinhole, intrinsics: [500, 500, 320, 240], distortion_model: none, resolution: [640, 480],
+   T_cn_cnm1: [[1, 0, 0, -0.1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}
+cam2:
+  {camera_model: pinhole, intrinsics: [600, 600, 320, 240], distortion_model: none, resolution: [640, 480],
+   T_cn_cnm1: [[0, 0, -1, -0.05], [0, 1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 1]]}
+"""
+# The same of cam0 and cam1, from an IMU that is turned like a body and has cam0 0.3 m above it.
+BY_IMU = "".join(
+    f"cam{i}: {{camera_model: pinhole, intrinsics: [{f}, {f}, 320, 240], distortion_model: none, resolution: [640, 480]"
+    f", T_cam_imu: [[0, -1, 0, {x}], [0, 0, -1, 0.3], [1, 0, 0, 0], [0, 0, 0, 1]]}}\n"
+    for i, f, x in ((0, 400, 0.0), (1, 500, -0.1))
+)
+
+
+def test_a_chain_of_kalibr_is_a_rig_whose_body_is_its_first_camera(write):
+    rig = rig_of(read_mounts(path := write(CHAIN, "chain.yaml")))
+    assert [camera.focal_pixels[0] for camera in rig.cameras] == pytest.approx([400, 500, 600])
+    assert_allclose([mount.translation for mount in rig.mounts], [[0, 0, 0], [0, -0.1, 0], [-0.05, -0.1, 0]])
+    right = Mount(CAMERA, yaw=-math.pi / 2.0).rotation
+    assert_allclose([mount.rotation for mount in rig.mounts], [np.eye(3), np.eye(3), right], atol=1e-12)
+    # On a body that has the first 0.2 m ahead and 0.5 m up, turned to the left.
+    turned = rig_of({"path": path, "translation": [0.2, 0.0, 0.5], "yaw": math.pi / 2.0})
+    places = [[0.2, 0, 0.5], [0.3, 0, 0.5], [0.3, -0.05, 0.5]]
+    assert_allclose([mount.translation for mount in turned.mounts], places, atol=1e-12)
+    left = Mount(CAMERA, yaw=math.pi / 2.0).rotation
+    assert_allclose([mount.rotation for mount in turned.mounts], [left, left, np.eye(3)], atol=1e-12)
+
+
+# And by OKVIS, from a sensor whose axes are those of cam0.
+BY_SENSOR = "camera_params: {}\ncameras:\n" + "".join(
+    f"  - {{T_SC: [1, 0, 0, {x}, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1], distortion_coefficients: [0, 0, 0, 0],\n"
+    f"     image_dimension: [640, 480], distortion_type: radialtangential, focal_length: [{f}, {f}],\n"
+    "     principal_point: [320, 240]}\n"
+    for f, x in ((400, 0.0), (500, 0.1))
+)
+
+
+@pytest.mark.parametrize("text", [BY_IMU, BY_SENSOR], ids=["Kalibr", "OKVIS"])
+def test_cameras_on_an_imu_are_a_rig_too(text, write):
+    rigs = [rig_of(read_mounts(write(*of))).mounts for of in ((CHAIN, "a"), (text, "b"))]
+    for chained, by_imu in zip(*rigs, strict=False):
+        assert_allclose(by_imu.translation, chained.translation, atol=1e-12)
+        assert_allclose(by_imu.rotation, chained.rotation, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "keys", "message"),
+    [
+        (CHAIN, {"jaw": 1.0}, "^rig has no key 'jaw', only path, translation, yaw"),
+        (CHAIN, {"yaw": "left"}, r"^rig\.yaw must be a number"),
+        (CHAIN.replace("T_cn_cnm1", "T"), {}, r"^rig\.path: .* has no T_cn_cnm1 or T_cam_imu .* how they sit to each"),
+        (CHAIN.replace("[1, 0, 0, 0], [0, 0, 0, 1]]}", "[3]]}"), {}, r"^rig\.path: .*: the pose of the camera cannot"),
+        (CHAIN.replace("[600, 600, 320", "[-1, 600, 320"), {}, r"focal_pixels\[0\] must be greater than 0"),
+    ],
+)
+def test_a_chain_that_is_none_is_refused(text, keys, message, write):
+    with pytest.raises(InputError, match=message):
+        rig_of({"path": write(text, "chain.yaml"), **keys})
 
 
 @pytest.mark.parametrize(

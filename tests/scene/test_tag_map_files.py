@@ -54,6 +54,7 @@ def test_wpilib_looks_along_x(read):
     assert_is(read(WPILIB), 4, [7.5, 1.0, 0.5], [-1, 0, 0])
     commented = json.dumps(WPILIB, indent=1).replace('"tags"', '/* all of them */ "tags"').replace("}\n ]", "},\n ]")
     assert_is(read(f"// mine: http://here\n{commented}"), 4, [7.5, 1.0, 0.5], [-1, 0, 0])
+    assert_is(read({"name": "of 2027", "field-tags": WPILIB["tags"]}), 4, [7.5, 1.0, 0.5], [-1, 0, 0])
 
 
 def test_wpilib_drawings_are_in_inches_and_degrees(read):
@@ -72,6 +73,10 @@ def test_frc971_looks_into_the_tag(read):
                         "orientation": {"w": -0.5, "x": 0.5, "y": -0.5, "z": 0.5}},],
     }"""
     assert_is(read(text), 1, [7.2, -2.9, 0.5], [-1, 0, 0])
+    # In degrees, as its map of 2025: that of 0, 0, 0 looks along -y, a positive turn about y, down, is clockwise.
+    degrees = text.replace('"w": -0.5, "x": 0.5, "y": -0.5, "z": 0.5', '"x": 0, "y": 90, "z": 0')
+    assert_is(read(degrees), 1, [7.2, -2.9, 0.5], [-1, 0, 0])
+    assert_is(read(degrees.replace("90", "0")), 1, [7.2, -2.9, 0.5], [0, -1, 0])
 
 
 def test_limelight_counts_from_the_middle(read):
@@ -135,6 +140,8 @@ bodies:
     assert_allclose(found.normals[0], [1, 0, 0], atol=1e-12)
     assert_allclose(found.positions[1:], [[0, 0, 0], [0.15, 0, 0], [0, 0.15, 0], [0.15, 0.15, 0]], atol=1e-12)
     assert found.labels.edges.tolist() == [0.2, 0.1, 0.1, 0.1, 0.1]
+    with pytest.raises(InputError, match="no body with tags is static: a map is of tags on bodies with is_static"):
+        read(text.replace("is_static: true", "is_static: false"))
     with pytest.raises(InputError, match="the body 'floor' has no pose: give it one"):
         read(text.replace("pose: {position: {x: 0, y: 0, z: 0}}\n", "type: board\n"))
 

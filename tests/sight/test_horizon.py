@@ -20,10 +20,10 @@ from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.kernels import REGION, box_around, gather
 from lmd.sight.models.fiducial import Fiducial
 from lmd.sight.models.limits import Limits
 from lmd.sight.models.paper import Visibility
+from lmd.sight.viewpoint import REGION, box_around, gather
 from lmd.space.cuboid import Cuboid
 
 

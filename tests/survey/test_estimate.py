@@ -114,6 +114,9 @@ def test_two_cameras_on_one_body_find_how_they_are_mounted():
     assert np.linalg.norm(moved) < 0.001
     assert np.linalg.norm(turned) < 0.0005
     assert np.median(off(found.poses.tags, true)) < 0.8
+    told = estimate(walks.sightings(detected, np.arange(COUNT)), replace(NOTHING, mounts=mounts))
+    np.testing.assert_allclose(told.poses.mounts, mounts, atol=1e-12)
+    assert np.median(off(told.poses.tags, true)) < 0.8
 
 
 def test_groups_that_no_photograph_connects_are_told_apart():

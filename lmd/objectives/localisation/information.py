@@ -34,7 +34,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.core.compiled import inlined
+from lmd.core.compiled import arithmetic
 from lmd.core.dispatch import dispatched
 from lmd.scene.camera import Camera
 from lmd.scene.criteria import TOLERANCE
@@ -105,7 +105,7 @@ def precision(
     return PosePrecision(half, share, most(tolerance), most(rotation))
 
 
-@inlined
+@arithmetic
 def moments(x, y, z, rx, ry, rz, ux, uy, uz, share):
     """A, g and C of a landmark's four corners times r^3, as 15 numbers.
 
@@ -134,13 +134,13 @@ def moments(x, y, z, rx, ry, rz, ux, uy, uz, share):
     )  # fmt: skip
 
 
-@inlined
+@arithmetic
 def share_of(moment, weight):
     """What a landmark adds to one of the 15 numbers of a view: its moment times `pixel_density`, rounded."""
     return (moment * weight + ROUNDER) - ROUNDER
 
 
-@inlined
+@arithmetic
 def schur(
     axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
 ):  # fmt: skip
@@ -156,7 +156,7 @@ def schur(
     return det, minors, sxx * nxx + sxy * nxy + sxz * nxz
 
 
-@inlined
+@arithmetic
 def variance(
     axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
 ):  # fmt: skip
@@ -167,7 +167,7 @@ def variance(
     return minors * det / rest, fixed
 
 
-@inlined
+@arithmetic
 def log_det(
     axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
 ):  # fmt: skip

@@ -4,24 +4,21 @@ Landmarks covered are counted as in `lmd.sight.kernels`, by the same operations.
 the landmarks' 15 numbers (`information`) are summed, and the sums decide. Threads share the positions.
 """
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from lmd.core.bits import ALL, BITS, LANES, ONE, ZERO, add_digit, at_least_so_far, lowest
 from lmd.core.checks import FloatArray
-from lmd.core.compiled import for_kernels, inlined, kernel
+from lmd.core.compiled import inlined, kernel
 from lmd.geometry.squares import VERTICAL_TOLERANCE, upright_axes
 from lmd.objectives.localisation.information import WIDTH, meets, moments, share_of, variance
-from lmd.scene.criteria import covering, covers, frame_of, from_position, pixel_density
-from lmd.sight.bands import band_of
-from lmd.sight.blocks import BLOCK, SINGLE_ERROR
-from lmd.sight.directions import NOWHERE, cell_of
+from lmd.scene.criteria import covering, covers, frame_of, pixel_density
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.kernels import is_hidden, weights_row
-from lmd.sight.obstacles import find_ends, is_blocked, no_ends
-from lmd.sight.poses import shared
+from lmd.sight.kernels import weights_row
+from lmd.sight.obstacles import is_clear, no_ends
+from lmd.sight.poses import CHUNKS_PER_THREAD
+from lmd.sight.viewpoint import gather_near, list_shown, look, take, viewpoint_for
 
 
 @inlined
@@ -53,74 +50,46 @@ def variance_of_row(sums, v):
 
 @kernel
 def localise_range(
-    first, last, positions, landmarks, normals, sight, obstacles, axes, bands, tables, weights, n, places, precision,
-    asks, covered, localised, variances, keep,
+    first, last, order, positions, landmarks, normals, sight, horizon, obstacles, axes, bands, tables, weights, n,
+    places, precision, asks, covered, localised, variances, keep,
 ):  # fmt: skip
-    """Evaluate deployments at the positions `first` to `last`.
+    """Evaluate deployments at the positions `order[first:last]`.
 
     Args:
-        first, last, positions, landmarks, normals, sight, obstacles, axes, bands, tables, weights, n: see
-            `kernels.evaluate_range`.
+        first, last, order, positions, landmarks, normals, sight, horizon, obstacles, axes, bands, tables, weights, n:
+            see `kernels.evaluate_range`.
         places: binary digits of a number of landmarks.
         precision: what is asked of a view, see `information`.
         asks: whether it asks anything.
         covered, localised: `(B, P)` int64, receive P_n and L in integer units.
         variances: `(B, P, D)`, receives `variance`, infinite where fewer than n are covered, if `keep` is set.
     """
-    count, words = landmarks.shape[2], np.uint64(axes.shape[1] // BITS)
-    reach = sight.reach
-    x, y, z, squared = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
-    low, high, deep = np.empty(count), np.empty(count), np.empty(count)
-    bottom, top = np.empty(count, dtype=np.int32), np.empty(count, dtype=np.int32)
-    reached = np.empty(count, dtype=np.bool_)
-    padded = (count + BLOCK - 1) & -BLOCK
-    u, v, w = np.zeros(padded, np.float32), np.zeros(padded, np.float32), np.zeros(padded, np.float32)
-    close = np.full(padded, 2.0, np.float32)
-    caps, digits = np.empty((count, words), dtype=np.uint64), np.empty((words, np.uint64(places)), dtype=np.uint64)
+    words, poses, names = (
+        np.uint64(axes.shape[1] // BITS),
+        np.empty((6, landmarks.shape[2])),
+        np.arange(landmarks.shape[2]),
+    )
+    clear, ends, view = is_clear(obstacles), no_ends(obstacles, len(names)), viewpoint_for(len(names))
+    near, x, y, z, low, high, deep = view.near, view.x, view.y, view.z, view.low, view.high, view.deep
+    bottom, top, shown, directions = view.bottom, view.top, view.shown, view.near[3:]
+    caps, digits = np.empty((len(names), words), dtype=np.uint64), np.empty((words, np.uint64(places)), dtype=np.uint64)
     enough, listed = np.empty(words, dtype=np.uint64), np.empty(axes.shape[1], dtype=np.uint64)
     moment, sums = np.zeros(WIDTH), np.empty((axes.shape[1], WIDTH))
     # A number that the compiler does not know, or it would unroll loops over it and not vectorise them.
     terms = np.uint64(WIDTH + landmarks.shape[1] - 3)
-    ends = no_ends(obstacles, count)
     for b in range(landmarks.shape[0]):
-        for k in range(count):
-            mx, my, mz = landmarks[b, 0, k], landmarks[b, 1, k], landmarks[b, 2, k]
-            find_ends(obstacles, sight, mx, my, mz, normals[b, 0, k], normals[b, 1, k], normals[b, 2, k], ends, k)
-        for p in range(first, last):
-            px, py, pz = positions[p, 0], positions[p, 1], positions[p, 2]
-            for k in range(count):
-                xk, yk, zk = landmarks[b, 0, k] - px, landmarks[b, 1, k] - py, landmarks[b, 2, k] - pz
-                nx, ny, nz = normals[b, 0, k], normals[b, 1, k], normals[b, 2, k]
-                in_reach, least, most, sure = from_position(sight, xk, yk, zk, nx, ny, nz, 0.0)
-                if tables is None:
-                    bottom[k], top[k] = band_of(xk, yk, zk, least, 0.0)
-                else:
-                    bottom[k] = cell_of(xk, yk, zk)
-                x[k], y[k], z[k], squared[k] = xk, yk, zk, xk * xk + yk * yk + zk * zk
-                reached[k], low[k], high[k], deep[k] = in_reach, least, most, sure
-            if reach >= 0.0:
-                for k in range(count):
-                    here = squared[k] == 0.0
-                    scale = 0.0 if here else 1.0 / math.sqrt(squared[k])
-                    u[k], v[k], w[k] = scale * x[k], scale * y[k], scale * z[k]
-                    close[k] = -1.0 if here else 1.0 - SINGLE_ERROR - reach / squared[k]
+        many = count = 0
+        take(b, landmarks, normals, sight, obstacles, clear, poses, ends)
+        for o in range(first, last):
+            p = order[o]
+            many, count = gather_near(o, first, last, order, positions, horizon, many, count, poses, names, view)
+            look(view, count, positions[p, 0], positions[p, 1], positions[p, 2], sight, tables)
+            found = list_shown(view, directions, count, p, sight, obstacles, clear, ends)
             digits[:] = ZERO
-            for k in range(count):
-                if not reached[k]:
-                    continue
-                if is_blocked(obstacles, sight, p, ends, k):
-                    reached[k] = False
-                    continue
-                if reach >= 0.0:
-                    uk, vk, wk, suspects = u[k], v[k], w[k], np.int32(0)
-                    for j in range(np.uint64(padded)):
-                        cosine = u[j] * uk + v[j] * vk + w[j] * wk
-                        suspects += np.int32(cosine * cosine >= close[j])
-                    if suspects > 1 and is_hidden(k, count, x, y, z, squared, normals[b], sight):
-                        reached[k] = False
-                        continue
+            for m in range(found):
+                k = shown[m]
                 xk, yk, zk, least = x[k], y[k], z[k], low[k]
-                nx, ny, nz = normals[b, 0, k], normals[b, 1, k], normals[b, 2, k]
+                nx, ny, nz = near[3, k], near[4, k], near[5, k]
                 if tables is None:
                     start, stop = bands[bottom[k]] // LANES, (bands[top[k]] + LANES - 1) // LANES
                     bottom[k], top[k] = start // 2, (stop + 1) // 2
@@ -135,8 +104,7 @@ def localise_range(
                         caps[k, i // np.uint64(2)] |= np.uint64(half) << (i % np.uint64(2) * np.uint64(LANES))
                 else:
                     certain, possible = tables
-                    cell, frame = np.uint64(bottom[k]), frame_of(sight, nx, ny, nz)
-                    given = cell if deep[k] == np.inf else np.uint64(NOWHERE)
+                    given, cell, frame = np.uint64(bottom[k]), np.uint64(top[k]), frame_of(sight, nx, ny, nz)
                     bottom[k], top[k] = 0, words
                     for i in range(words):
                         cap, left = certain[given, i], possible[cell, i] & ~certain[given, i]
@@ -145,9 +113,10 @@ def localise_range(
                             cap |= covering(sight, left, i, xk, yk, zk, frame, least, high[k], deep[k], well, axes)
                         caps[k, i] = cap
                 for i in range(np.uint64(bottom[k]), np.uint64(top[k])):
-                    carry = caps[k, i]
-                    for j in range(np.uint64(places)):
+                    carry, j = caps[k, i], ZERO
+                    while carry:
                         digits[i, j], carry = add_digit(digits[i, j], carry, ZERO)
+                        j += ONE
             total, useful, row_of = np.int64(0), np.uint64(0), weights_row(weights, p)
             for i in range(words):
                 has = ALL
@@ -165,11 +134,10 @@ def localise_range(
             covered[b, p] = localised[b, p] = total
             if not asks and not keep:
                 continue
-            for k in range(count):
-                if not reached[k]:
-                    continue
+            for m in range(found):
+                k = shown[m]
                 xk, yk, zk = x[k], y[k], z[k]
-                nx, ny, nz = normals[b, 0, k], normals[b, 1, k], normals[b, 2, k]
+                nx, ny, nz = near[3, k], near[4, k], near[5, k]
                 (
                     moment[0], moment[1], moment[2], moment[3], moment[4], moment[5], moment[6], moment[7],
                     moment[8], moment[9], moment[10], moment[11], moment[12], moment[13], moment[14],
@@ -219,11 +187,7 @@ def localised_views(
         e.check_memory(8 * batch)
     covered, localised = np.zeros((2, batch, size), dtype=np.int64)
     views = Views(covered, localised, np.empty((batch, size, e.axes.shape[1]) if keep else (0, 0, 0)))
-    landmarks = tuple(for_kernels(v.transpose(0, 2, 1)) for v in (positions, normals))
-    sight = e.sight.among(e.positions.min(axis=0), e.positions.max(axis=0), *landmarks)
-    tables = e.tables if e.sight.tabulated else None
-    places = max(positions.shape[1], n).bit_length()
-    scene = (e.positions, *landmarks, sight, e.obstacles, e.axes, e.bands, tables, e.weights)
-    fixed = (*scene, n, places, precision, precision.asks, *views, keep)
-    shared(localise_range, size, e.threads, fixed)
+    scene = e.batch(positions, normals)
+    fixed = (*scene, n, max(positions.shape[1], n).bit_length(), precision, precision.asks, *views, keep)
+    e.by_blocks(localise_range, fixed, CHUNKS_PER_THREAD)
     return views

@@ -15,12 +15,12 @@ from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, kernel
 from lmd.objectives.localisation.information import WIDTH, log_det, share_of
 from lmd.objectives.localisation.kernels import landmark_moments
-from lmd.scene.criteria import covers, from_position, pixel_density
+from lmd.scene.criteria import covers, pixel_density
 from lmd.scene.deployment import Deployment
-from lmd.sight.bands import band_of
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.obstacles import find_ends, is_blocked, no_ends
+from lmd.sight.obstacles import find_ends, no_ends
 from lmd.sight.poses import shared
+from lmd.sight.viewpoint import see_alone
 
 
 @inlined
@@ -63,15 +63,14 @@ def _gains(start, stop, points, normals, prices, positions, sight, obstacles, ax
     ends = no_ends(obstacles, 1)
     for j in range(start, stop):
         nx, ny, nz, gain = normals[j, 0], normals[j, 1], normals[j, 2], 0.0
+        pose = points[j, 0], points[j, 1], points[j, 2], nx, ny, nz
         find_ends(obstacles, sight, points[j, 0], points[j, 1], points[j, 2], nx, ny, nz, ends, 0)
         for p in range(len(positions)):
-            x, y, z = points[j, 0] - positions[p, 0], points[j, 1] - positions[p, 1], points[j, 2] - positions[p, 2]
-            reached, low, _, _ = from_position(sight, x, y, z, nx, ny, nz, 0.0)
-            if not reached or is_blocked(obstacles, sight, p, ends, 0):
+            x, y, z, low, first, last = see_alone(pose, positions, p, sight, obstacles, ends, bands)
+            if first == last:
                 continue
             moment = landmark_moments(x, y, z, nx, ny, nz, precision)
-            bottom, top = band_of(x, y, z, low, 0.0)
-            for a in range(np.uint64(bands[bottom]), np.uint64(bands[top])):
+            for a in range(np.uint64(first), np.uint64(last)):
                 if covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a):
                     more = _log_det_with(sums, p, a, moment, pixel_density(sight, x, y, z, axes, a))
                     gain += prices[p, a] * (more - known[p, a])
@@ -84,14 +83,13 @@ def _add(start, stop, point, normal, positions, sight, obstacles, axes, bands, p
     nx, ny, nz = normal[0], normal[1], normal[2]
     ends = no_ends(obstacles, 1)
     find_ends(obstacles, sight, point[0], point[1], point[2], nx, ny, nz, ends, 0)
+    pose = point[0], point[1], point[2], nx, ny, nz
     for p in range(start, stop):
-        x, y, z = point[0] - positions[p, 0], point[1] - positions[p, 1], point[2] - positions[p, 2]
-        reached, low, _, _ = from_position(sight, x, y, z, nx, ny, nz, 0.0)
-        if not reached or is_blocked(obstacles, sight, p, ends, 0):
+        x, y, z, low, first, last = see_alone(pose, positions, p, sight, obstacles, ends, bands)
+        if first == last:
             continue
         moment = landmark_moments(x, y, z, nx, ny, nz, precision)
-        bottom, top = band_of(x, y, z, low, 0.0)
-        for a in range(np.uint64(bands[bottom]), np.uint64(bands[top])):
+        for a in range(np.uint64(first), np.uint64(last)):
             if covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a):
                 weight = pixel_density(sight, x, y, z, axes, a)
                 known[p, a] = _log_det_with(sums, p, a, moment, weight)

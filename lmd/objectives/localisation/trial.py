@@ -127,7 +127,7 @@ def _list_views(k, field, state, scratch):
                 bit = lowest(left)
                 left &= left - ONE
                 a, v = w * VIEW + bit, (p * words + w) * VIEW + bit
-                prefetch(sums, v)
+                prefetch(sums, v * np.uint64(WIDTH))
                 views[count] = v
                 leaving[count] = pixel_density(sight, ox, oy, oz, axes, a) if was >> bit & ONE else 0.0
                 coming[count] = pixel_density(sight, px, py, pz, axes, a) if now >> bit & ONE else 0.0

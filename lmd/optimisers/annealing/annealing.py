@@ -160,6 +160,7 @@ class Annealing(Optimiser):
 
     def check(self, problem: Problem) -> None:
         """See `Optimiser.check`."""
+        super().check(problem)
         incremental(problem.objective)
 
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:

@@ -15,6 +15,7 @@ from lmd.scene.criteria import (
     covers_one,
     depth_first,
     frame_of,
+    from_around,
     from_position,
     hide,
     in_image,
@@ -116,6 +117,15 @@ def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untype
     sure = far if steady & (inside > 0.0) & (near <= least) else -math.inf
     reached = (along >= sight.facing * nearest) & (along >= 0.0) & resolved & ((slack > 0.0) | (high >= least))
     return reached, least - slack, high, math.inf if sure >= distance else sure
+
+
+@from_around.register(FiducialSight)
+def _from_around(sight, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-def]
+    """A tag that no camera faces is not reached."""
+    distance, along = math.sqrt(x * x + y * y + z * z), radius - (nx * x + ny * y + nz * z)
+    nearest, farthest = max(distance - radius, 0.0), distance + radius
+    reached = (along >= min(sight.facing * nearest, sight.facing * farthest)) & (along >= 0.0)
+    return reached, math.inf, 0.0, -math.inf
 
 
 @half_edge.register(FiducialSight)

@@ -31,6 +31,7 @@ from lmd.scene.criteria import (
     covers_one,
     depth_first,
     frame_of,
+    from_around,
     from_position,
     hide,
     in_cone,
@@ -115,6 +116,11 @@ class LensSight(NamedTuple):
 
     def _of(self, flat: FiducialSight) -> "LensSight":
         return self._replace(flat=flat, reach=flat.reach)
+
+
+@from_around.register(LensSight)
+def _from_around(sight, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-def]
+    return from_around(sight.flat, x, y, z, nx, ny, nz, radius)
 
 
 @half_edge.register(LensSight)

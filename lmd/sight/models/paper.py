@@ -22,7 +22,7 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, choice, real
 from lmd.scene.camera import Camera
-from lmd.scene.criteria import TOLERANCE, from_position, hide, in_cone, in_image, in_view
+from lmd.scene.criteria import TOLERANCE, from_around, from_position, hide, in_cone, in_image, in_view
 
 OCCLUSION_MODES = ("paper", "line_of_sight", "none")
 
@@ -283,6 +283,18 @@ def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untype
     facing = -(nx * x + ny * y + nz * z) > TOLERANCE * nearest
     limited = (distance * sight.min_cosine < sight.min_depth) | (distance * (1.0 + TOLERANCE) > sight.max_depth)
     return in_depth & facing, low, sight.max_depth, sight.max_depth if limited else math.inf
+
+
+@from_around.register(PaperSight)
+def _from_around(sight, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-def]
+    distance, along = math.sqrt(x * x + y * y + z * z), -(nx * x + ny * y + nz * z)
+    nearest, farthest = max(distance - radius, 0.0), (distance + radius) * (1.0 + TOLERANCE)
+    least = min(nearest * sight.min_cosine, farthest * sight.min_cosine)
+    reached = (least <= sight.max_depth) & (farthest >= sight.min_depth) & (along + radius > 0.0)
+    start = sight.min_depth if least < sight.min_depth else -math.inf
+    sure = sight.max_depth if farthest > sight.max_depth else math.inf
+    facing = along - radius > TOLERANCE * farthest
+    return reached, sight.max_depth, start, sure if facing else -math.inf
 
 
 @in_image.register(PaperSight)

@@ -1,0 +1,156 @@
+"""A robot's body: boxes whose faces may carry cameras, and which cameras should not see.
+
+The frame is that of rigs (`lmd.scene.rig`): x forward, y to the left, z up.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray, InputError, choice, real, vector
+from lmd.space.keep_out import KeepOut
+from lmd.space.parts import all_made, checked_names
+from lmd.space.surface import Surface, free_of
+
+FACES = ("front", "back", "left", "right", "top", "bottom")
+# Outward normals of the faces, in their order.
+NORMALS = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box of the body, its edges along the axes.
+
+    Args:
+        low, high: opposite corners, body frame, metres.
+        faces: those that may carry cameras, of `FACES`; none for a box that is only in the way.
+        name: goes before the names of its faces, as in `mast_front`, where there are several boxes.
+
+    Raises:
+        InputError: the box is empty, or there is no such face.
+    """
+
+    low: Sequence[float]
+    high: Sequence[float]
+    faces: Sequence[str] = ("front", "back", "left", "right", "top")
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        low, high = vector("low", self.low, 3), vector("high", self.high, 3)
+        if any(a >= b for a, b in zip(low, high, strict=True)):
+            raise InputError(f"low = {list(low)} must be below high = {list(high)}.", "low")
+        object.__setattr__(self, "low", low)
+        object.__setattr__(self, "high", high)
+        object.__setattr__(self, "faces", checked_names("faces", self.faces, FACES) if self.faces else ())
+
+    def surfaces(self) -> list[Surface]:
+        """The faces that may carry cameras, whole; for whoever stands before one, u runs to the right and v up.
+
+        On top and bottom v runs forward.
+        """
+        found = []
+        for face in self.faces:
+            normal = NORMALS[FACES.index(face)]
+            up = np.array([1.0, 0.0, 0.0]) if normal[2] else np.array([0.0, 0.0, 1.0])
+            right = np.cross(up, normal)
+            low, high = np.array(self.low), np.array(self.high)
+            origin = np.where(normal + up + right > 0.0, low, high)
+            origin = np.where(normal > 0.0, high, np.where(normal < 0.0, low, origin))
+            extent = tuple(abs(float(axis @ (high - low))) for axis in (right, up))
+            name = f"{self.name}_{face}" if self.name else face
+            found.append(Surface(name, origin, right, up, normal, extent))  # type: ignore[arg-type] # two numbers
+        return found
+
+
+@dataclass(frozen=True)
+class Body:
+    """The robot that carries cameras.
+
+    Args:
+        boxes: what it is made of, `Box` or mappings of its arguments.
+        keep_out: parts of faces where no camera may go, `KeepOut` or mappings of its arguments.
+        margin: of a camera's centre to the edges of a face, metres.
+        standoff: of a camera's centre before its face, metres.
+        own_share: greatest share of a camera's image that may show the body.
+
+    Raises:
+        InputError: a value is out of range, no face may carry a camera, or two have one name.
+    """
+
+    boxes: Sequence[Box | Mapping[str, Any]]
+    keep_out: Sequence[KeepOut | Mapping[str, Any]] = ()
+    margin: float = 0.02
+    standoff: float = 0.02
+    own_share: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "boxes", all_made("boxes", Box, self.boxes))
+        object.__setattr__(self, "keep_out", all_made("keep_out", KeepOut, self.keep_out))
+        object.__setattr__(self, "margin", real("margin", self.margin, low=0.0))
+        object.__setattr__(self, "standoff", real("standoff", self.standoff, above=0.0))
+        object.__setattr__(self, "own_share", real("own_share", self.own_share, low=0.0, high=1.0))
+        names = [face.name for box in self._boxes for face in box.surfaces()]
+        if not names:
+            raise InputError("boxes must have a face that may carry cameras.", "boxes")
+        if len(set(names)) < len(names):
+            raise InputError("boxes must have a name each, or two faces have the same one.", "boxes")
+        for i, part in enumerate(self._keep_outs):
+            choice(f"keep_out[{i}].surface", part.surface, names)
+        self.surfaces()
+
+    @property
+    def _boxes(self) -> tuple[Box, ...]:
+        return self.boxes  # type: ignore[return-value] # made so
+
+    @property
+    def _keep_outs(self) -> tuple[KeepOut, ...]:
+        return self.keep_out  # type: ignore[return-value] # made so
+
+    @cached_property
+    def corners(self) -> tuple[FloatArray, FloatArray]:
+        """The lowest and the highest corner of each box, `(B, 3)`."""
+        return np.array([box.low for box in self._boxes]), np.array([box.high for box in self._boxes])
+
+    def surfaces(self) -> tuple[Surface, ...]:
+        """The faces that may carry cameras, with where on them; a face with no such place is left out.
+
+        Raises:
+            InputError: none has.
+        """
+        return self._surfaces
+
+    @cached_property
+    def _surfaces(self) -> tuple[Surface, ...]:
+        import shapely
+
+        left = []
+        for face in (face for box in self._boxes for face in box.surfaces()):
+            for i, part in enumerate(self._keep_outs):
+                if part.surface == face.name:
+                    part.check_on(f"keep_out[{i}]", face.extent)
+            taken = [part.region(face) for part in self._keep_outs if part.surface == face.name]
+            free = free_of(face, shapely.box(0.0, 0.0, *face.extent), self.margin, None, taken)
+            if not free.is_empty:
+                left.append(face.where(free))
+        if not left:
+            raise InputError("boxes leave no place for a camera, with the margin and the keep-outs.", "boxes")
+        return tuple(left)
+
+    def own_part(self, centre: FloatArray, rays: FloatArray) -> float:
+        """The share of rays `(R, 3)` from a camera's centre `(3,)` that meet the body; 1 from inside of it."""
+        low, high = self.corners
+        if ((centre > low) & (centre < high)).all(axis=1).any():
+            return 1.0
+        return float(self._met(centre, rays).mean())
+
+    def _met(self, centre: FloatArray, rays: FloatArray) -> BoolArray:
+        """Which rays meet a box, `(R,)`."""
+        low, high = self.corners
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ends = np.stack([(low - centre) / rays[:, None], (high - centre) / rays[:, None]])
+        # A ray within the plane of a side, 0 / 0, only grazes it.
+        enters, leaves = (np.nan_to_num(of, nan=0.0) for of in (ends.min(axis=0), ends.max(axis=0)))
+        return np.asarray(((leaves.min(axis=-1) > enters.max(axis=-1)) & (leaves.min(axis=-1) > 0.0)).any(axis=1))

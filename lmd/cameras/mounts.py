@@ -1,0 +1,216 @@
+"""Where the cameras of a body may be and how they may be turned, and mounts as genes in the unit box.
+
+A mount has whole millimetres and milliradians, so that what is written down is what was evaluated.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from lmd.cameras.body import Body
+from lmd.core.checks import FloatArray, InputError, integer, real, vector
+from lmd.render.optics import bearings
+from lmd.scene.camera import Camera
+from lmd.scene.rig import Mount, Rig
+from lmd.space.surface import SurfaceArrays
+
+DECIMALS = 3  # of metres and radians
+SAMPLES = (17, 13)  # of an image, along its width and its height, for what it shows of the body
+TURNS = 8  # steps in which a camera that sees its body is turned away from it
+NEAR = 0.0016  # metres: how far a mount that is given may be from its place as genes have it, and rad
+DRAWS = 200  # random mounts for each camera, at most
+QUARTER = math.pi / 2.0
+
+
+@dataclass(frozen=True)
+class MountSpace:
+    """The cameras that may be mounted: so many, on the faces of a body, turned within limits.
+
+    A camera that would see more of its body than it may is turned towards the normal of its face, as far as it must.
+
+    Args:
+        body: carries them.
+        lenses: kinds of cameras to choose from; every camera may be any of them.
+        count: of the cameras.
+        yaw: lowest and highest turn from the normal of an upright face, to the left, rad; on others a camera may look
+            any way.
+        pitch: the same of the pitch, positive down, as for `Mount`.
+        roll: the same of the roll.
+        apart: least distance between the centres of two cameras, metres.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    body: Body
+    lenses: Sequence[Camera]
+    count: int = 2
+    yaw: Sequence[float] = (-QUARTER, QUARTER)
+    pitch: Sequence[float] = (-0.8, 0.8)
+    roll: Sequence[float] = (0.0, 0.0)
+    apart: float = 0.08
+    _rays: dict[Camera, FloatArray] = field(default_factory=dict, init=False, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "count", integer("count", self.count, low=1, high=64))
+        object.__setattr__(self, "apart", real("apart", self.apart, low=0.0))
+        for name, most in (("yaw", math.pi), ("pitch", QUARTER), ("roll", math.pi)):
+            low, high = vector(name, getattr(self, name), 2, low=-most - 0.01, high=most + 0.01)
+            if low > high:
+                raise InputError(f"{name} must go from the lower to the higher, got {[low, high]}.", name)
+            object.__setattr__(self, name, (low, high))
+        if not self.lenses:
+            raise InputError("lenses must have at least one camera, got none.", "lenses")
+
+    @cached_property
+    def _surfaces(self) -> SurfaceArrays:
+        return SurfaceArrays.of(self.body.surfaces())
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What each gene of a camera says."""
+        turns = tuple(name for name in ("yaw", "pitch", "roll") if np.ptp(getattr(self, name)) or name == "yaw")
+        return ("along", "up", *turns, *(("lens",) if len(self.lenses) > 1 else ()))
+
+    def mount(self, genes: FloatArray) -> Mount | None:
+        """The camera that genes `(G,)` in [0, 1] mean; None if it sees more of its body than it may any way."""
+        s, of = self._surfaces, dict(zip(self.names, genes.tolist(), strict=True))
+        edges = np.append(0.0, s.shares)
+        piece = int(np.clip(np.searchsorted(edges, of["along"], side="right") - 1, 0, len(s.shares) - 1))
+        along = (of["along"] - edges[piece]) / (edges[piece + 1] - edges[piece])
+        surface = s.of_piece[piece]
+        at = s.spread(np.array([piece]), np.array([[np.clip(along, 0.0, 1.0), of["up"]]]))
+        normal = s.normal[surface]
+        place = s.points(np.array([surface]), at)[0] + self.body.standoff * normal
+        camera = self.lenses[min(int(of.get("lens", 0.0) * len(self.lenses)), len(self.lenses) - 1)]
+        pitch, roll = (_within(getattr(self, name), of.get(name, 0.0)) for name in ("pitch", "roll"))
+        if abs(normal[2]) > 0.5:  # top or bottom
+            yaw, ahead = _within((-math.pi, math.pi), of["yaw"]), None
+            level = self.pitch[0] if normal[2] > 0.0 else self.pitch[1]
+        else:
+            ahead = math.atan2(normal[1], normal[0])
+            yaw = _within(self.yaw, of["yaw"])
+            level = _nearest(0.0, self.pitch)
+        for step in range(TURNS + 1):
+            left = 1.0 - step / TURNS
+            turn = yaw if ahead is None else ahead + _between(_nearest(0.0, self.yaw), yaw, left)
+            mount = _rounded(camera, place, turn, _between(level, pitch, left), roll)
+            if self.own_part(mount) <= self.body.own_share:
+                return mount
+        return None
+
+    def mounts(self, genes: FloatArray) -> tuple[Mount, ...] | None:
+        """The cameras that genes `(count, G)` mean; None if one cannot be, or two are too close."""
+        found = [self.mount(row) for row in genes]
+        mounts = tuple(mount for mount in found if mount is not None)
+        return mounts if len(mounts) == len(found) and self.are_apart(mounts) else None
+
+    def draw(self, rng: np.random.Generator) -> FloatArray:
+        """Genes `(count, G)` of random cameras that may be mounted together.
+
+        Raises:
+            InputError: none were found.
+        """
+        genes, mounts = [], list[Mount]()
+        for _ in range(DRAWS * self.count):
+            row = rng.random(len(self.names))
+            mount = self.mount(row)
+            if mount is not None and self.are_apart([*mounts, mount]):
+                genes.append(row)
+                mounts.append(mount)
+            if len(genes) == self.count:
+                return np.stack(genes)
+        raise InputError(
+            f"count = {self.count} cameras find no places on the body where they are {self.apart:g} m apart and do not "
+            "see it.",
+            "count",
+        )
+
+    def are_apart(self, mounts: Sequence[Mount]) -> bool:
+        """Whether no two of them are too close."""
+        at = np.array([mount.translation for mount in mounts])
+        distance = np.linalg.norm(at[:, None] - at, axis=-1)[np.triu_indices(len(at), 1)]
+        return bool((distance >= self.apart).all())
+
+    def own_part(self, mount: Mount) -> float:
+        """The share of a camera's image that shows its body, by a sample of its pixels."""
+        if mount.camera not in self._rays:
+            self._rays[mount.camera] = _rays_of(mount.camera)
+        return self.body.own_part(np.array(mount.translation), self._rays[mount.camera] @ mount.rotation.T)
+
+    def genes(self, rig: Rig) -> FloatArray:
+        """Genes `(count, G)` of cameras that are mounted already.
+
+        Raises:
+            InputError: they are not as many, or one is not where and how it may be.
+        """
+        if len(rig.mounts) != self.count:
+            raise InputError(f"count = {self.count}, but {len(rig.mounts)} cameras are given.", "count")
+        return np.stack([self._genes_of(f"rig[{i}]", mount) for i, mount in enumerate(rig.mounts)])
+
+    def _genes_of(self, name: str, mount: Mount) -> FloatArray:
+        s, place = self._surfaces, np.array(mount.translation)
+        foot = place - self.body.standoff * s.normal  # (W, 3)
+        every = np.arange(len(foot))
+        at = s.coordinates(every, foot)
+        distance = np.linalg.norm(s.points(every, at) - foot, axis=-1)
+        surface = int(distance.argmin())
+        at, piece = s.nearest(np.array([surface]), at[surface][None])
+        along, up = s.gathered(piece, at)[0]
+        edges = np.append(0.0, s.shares)
+        first = edges[piece[0]] + np.clip(along, 1e-9, 1.0 - 1e-9) * (edges[piece[0] + 1] - edges[piece[0]])
+        normal = s.normal[surface]
+        flat = abs(normal[2]) > 0.5
+        ahead, limits = (0.0, (-math.pi, math.pi)) if flat else (math.atan2(normal[1], normal[0]), self.yaw)
+        angles = {"yaw": _turned(mount.yaw - ahead), "pitch": mount.pitch, "roll": mount.roll}
+        of = {"along": first, "up": up, "lens": 0.0}
+        for angle, value in angles.items():
+            low, high = limits if angle == "yaw" else getattr(self, angle)
+            of[angle] = float(np.clip((value - low) / (high - low), 0.0, 1.0)) if high > low else 0.5
+        if mount.camera in self.lenses:
+            of["lens"] = (list(self.lenses).index(mount.camera) + 0.5) / len(self.lenses)
+        genes = np.array([of[gene] for gene in self.names])
+        found = self.mount(genes)
+        if found is None or not _alike(found, mount):
+            raise InputError(f"{name} is not where and how a camera may be mounted, so it cannot be a start.", "rig")
+        return genes
+
+
+def _rounded(camera: Camera, place: FloatArray, yaw: float, pitch: float, roll: float) -> Mount:
+    yaw, pitch, roll = (round(value, DECIMALS) + 0.0 for value in (_turned(yaw), pitch, roll))
+    return Mount(camera, tuple((np.round(place, DECIMALS) + 0.0).tolist()), yaw, pitch, roll)
+
+
+def _alike(one: Mount, other: Mount) -> bool:
+    """Whether two mounts are the same but for what rounding does."""
+    away = np.abs(np.array(one.translation) - other.translation).max()
+    return one.camera == other.camera and max(away, np.abs(one.rotation - other.rotation).max()) <= NEAR
+
+
+def _between(low: float, high: float, share: float) -> float:
+    return low + share * (high - low)
+
+
+def _nearest(value: float, limits: Sequence[float]) -> float:
+    return min(max(value, limits[0]), limits[1])
+
+
+def _within(limits: Sequence[float], gene: float) -> float:
+    return _between(limits[0], limits[1], gene)
+
+
+def _turned(angle: float) -> float:
+    """An angle in [-pi, pi]."""
+    return math.remainder(angle, 2.0 * math.pi)
+
+
+def _rays_of(camera: Camera) -> FloatArray:
+    """What a sample of the pixels of an image looks at, borders included: forward, left, up, `(R, 3)`."""
+    sizes = (camera.image_width, camera.image_height)
+    u, v = (np.linspace(0.0, size, samples) for size, samples in zip(sizes, SAMPLES, strict=True))
+    seen = bearings(camera, np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
+    seen = seen[np.isfinite(seen).all(axis=1)]
+    return np.stack([seen[:, 2], -seen[:, 0], -seen[:, 1]], axis=-1)

@@ -1,0 +1,132 @@
+"""Placing cameras as a problem that every optimiser of genes can take: the tags are given, the cameras vary."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from lmd.cameras.mounts import MountSpace
+from lmd.cameras.views import CameraViews
+from lmd.core.checks import FloatArray, InputError
+from lmd.objectives.coverage import Coverage
+from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import DeploymentSource
+from lmd.scene.rig import Mount, Rig
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.kernels import PROBABILITY_ONE
+
+
+class CameraProblem(Problem):
+    """Maximise the objective's fitness over the cameras of a rig.
+
+    The fitness of cameras is that of a `Problem` with their rig, to the bit. For objectives that count landmarks each
+    camera is looked at once and remembered; for others every rig is evaluated anew.
+
+    Args:
+        problem: the scene, whose camera is not asked for, and the objective.
+        tags: the landmarks, which stay.
+        space: which cameras may be mounted.
+        start: cameras to begin with; random ones by default.
+
+    Raises:
+        InputError: the body would leave the room, cameras of `start` are none of `space`, or the objective does not
+            take a rig.
+    """
+
+    def __init__(self, problem: Problem, tags: Deployment, space: MountSpace, start: Rig | None = None) -> None:
+        self.tags, self.space = tags, space
+        self.first = None if start is None else space.genes(start)
+        scene = replace(problem.scene, camera=self._body_as_rig())
+        try:
+            super().__init__(scene, problem.objective, problem.start, problem.evaluator.threads, problem.fixed)
+        except InputError as error:
+            if error.argument != "rig":
+                raise
+            raise InputError(f"boxes leave the room: {error}", "boxes") from None
+        self.views = CameraViews(self.fitness_evaluator, tags)
+        self._most = -np.inf  # the best fitness so far
+        if not self.counts:  # what does not take a rig says so before anything is searched
+            self.values_of(space.mounts(space.draw(np.random.default_rng(0))) or ())
+
+    @property
+    def counts(self) -> bool:
+        """Whether the objective only asks how many landmarks are seen, so that cameras can be looked at one by one."""
+        return isinstance(self.objective, Coverage)
+
+    def _body_as_rig(self) -> Rig:
+        """Cameras at the corners of the faces: where these are in the room, the body is."""
+        at = [
+            face.point(a, b) + self.space.body.standoff * face.normal
+            for face in self.space.body.surfaces()
+            for a in (0.0, face.extent[0])
+            for b in (0.0, face.extent[1])
+        ]
+        return Rig(tuple(Mount(self.space.lenses[0], tuple(place.tolist())) for place in at))
+
+    def with_rig(self, rig: Rig, start: DeploymentSource | None = None) -> Problem:
+        """The problem of landmarks with a rig in place of the cameras, and another start if one is given."""
+        scene = replace(self.scene, camera=rig)
+        return Problem(scene, self.objective, start or self.start, self.evaluator.threads, self.fixed)
+
+    def stay(self, mounts: Sequence[Mount]) -> bool:
+        """Whether the cameras are in the room wherever the body may be.
+
+        The corners of the body are, so they nearly always are, and asking takes as long as looking.
+        """
+        try:
+            replace(self.scene, camera=Rig(tuple(mounts))).check_inside(self.evaluator.positions)
+        except InputError:
+            return False
+        return True
+
+    def values_of(self, mounts: Sequence[Mount]) -> FloatArray:
+        """The objective's value at every position the fitness is measured at, `(Q,)`."""
+        if self.counts:
+            return np.asarray(self.views.units(mounts, self.objective.n) / PROBABILITY_ONE)
+        measured = self.fitness_evaluator
+        evaluator = Evaluator(replace(measured.scene, camera=Rig(tuple(mounts))), measured.positions, measured.threads)
+        landmarks = self.tags.positions[None], self.tags.normals[None]
+        return np.asarray(self.objective.values(evaluator, *landmarks)[0])
+
+    def fitness_of_cameras(self, mounts: Sequence[Mount] | None) -> float:
+        """The fitness of cameras, -inf where they cannot be; only what is better than all before is asked to `stay`."""
+        if mounts is None:
+            return -np.inf
+        fitness = float(self.objective.fitness(self.values_of(mounts), self.fitness_relevance))
+        if fitness > self._most:
+            if not self.stay(mounts):
+                return -np.inf
+            self._most = fitness
+        return fitness
+
+    @property
+    def dim(self) -> int:
+        """See `lmd.optimisers.genome.Genome`; genes come camera by camera."""
+        return self.space.count * len(self.space.names)
+
+    @property
+    def varies(self) -> bool:
+        """See `Genome.varies`."""
+        return self.first is None
+
+    def draw_genes(self, rng: np.random.Generator) -> FloatArray:
+        """See `Genome.draw_genes`."""
+        return (self.space.draw(rng) if self.first is None else self.first).reshape(-1)
+
+    def fitness_of_genes(self, genes: FloatArray) -> FloatArray:
+        """See `Genome.fitness_of_genes`."""
+        return np.array([self.fitness_of_cameras(self._mounts(row)) for row in genes])
+
+    def deployment(self, genes: FloatArray) -> Deployment:
+        """See `Genome.deployment`."""
+        return self.tags
+
+    def rig(self, genes: FloatArray) -> Rig:
+        """See `Genome.rig`."""
+        mounts = self._mounts(genes)
+        assert mounts is not None, "it has a fitness"
+        return Rig(mounts)
+
+    def _mounts(self, genes: FloatArray) -> tuple[Mount, ...] | None:
+        return self.space.mounts(genes.reshape(self.space.count, -1))

@@ -1,0 +1,34 @@
+"""How often at least n landmarks are in view, on average over the positions."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lmd.core.checks import FloatArray
+from lmd.objectives.base import Headline
+from lmd.objectives.coverage import Coverage
+from lmd.objectives.localisation.objective import Mean
+
+
+@dataclass(frozen=True)
+class MeanCoverage(Coverage):
+    """The relevance-weighted mean of P_n: every view counts, not only those beyond a threshold.
+
+    Arguments are those of `Coverage`; `thold_p` only says which positions the qualified ratio counts.
+    """
+
+    headline = Headline("average_coverage_probability", "average coverage probability")
+    counted = "views"
+
+    @property
+    def name(self) -> str:
+        """See `Objective.name`."""
+        return f"mean n={self.n}"
+
+    def fitness(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
+        """See `Objective.fitness`."""
+        return np.asarray((values * relevance).sum(axis=-1) / relevance.sum())
+
+    def target(self, relevance: FloatArray) -> Mean:  # type: ignore[override] # another target, as protocols allow
+        """See `Objective.target`."""
+        return Mean(relevance)

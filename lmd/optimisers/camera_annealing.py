@@ -1,0 +1,145 @@
+"""Simulated annealing of the cameras of a rig, one camera after the other: our own method for placing cameras.
+
+A camera that is tried is all that has to be looked at anew (`lmd.cameras.views`), so a sweep over all cameras costs one
+evaluation. A try changes some genes of a camera by a step that shrinks, or draws the whole camera anew.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from lmd.cameras.problem import CameraProblem
+from lmd.core.checks import FloatArray, InputError, real, vector
+from lmd.core.compiled import clock
+from lmd.optimisers.base import Callback, Optimiser, Result
+from lmd.optimisers.ledger import Budget, Ledger
+from lmd.optimisers.stored import array, generator, generator_state
+from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
+from lmd.scene.rig import Rig
+
+GIVEN = 0.5  # share of the schedule that is left out where the start is given
+
+
+class CameraAnnealing(Optimiser):
+    """Anneals mounts in the unit box of their genes.
+
+    Cameras that are given are improved from the middle of the schedule on, so that they are not thrown away first.
+
+    Args:
+        temperature: at the beginning and at the end, in units of what is climbed.
+        step: standard deviation of a changed gene, at the beginning and at the end.
+        jump: share of tries that draw a camera anew, at the beginning and at the end.
+        mean_share: of the mean value of all positions, in what is climbed beside the fitness: it leads over plateaus.
+        seed: see `Optimiser`.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+
+    def __init__(
+        self,
+        temperature: Sequence[float] = (0.02, 2e-4),
+        step: Sequence[float] = (0.3, 0.01),
+        jump: Sequence[float] = (0.5, 0.05),
+        mean_share: float = 0.2,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(seed)
+        self.temperature = vector("temperature", temperature, 2, above=0.0)
+        self.step = vector("step", step, 2, above=0.0)
+        self.jump = vector("jump", jump, 2, low=0.0, high=1.0)
+        self.mean_share = real("mean_share", mean_share, low=0.0)
+        self.rng = np.random.default_rng(self.seed)
+        self.here: FloatArray | None = None  # genes of the cameras where the walk is, (C, G)
+        self.best: FloatArray | None = None  # those with the best fitness
+
+    def state(self) -> dict[str, Any]:
+        """See `Optimiser.state`."""
+        places = {"here": self.here, "best": self.best}
+        return {**self.ledger.state(), **places, "rng": generator_state(self.rng)}
+
+    def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
+        """See `Optimiser.restore`."""
+        space = _cameras(problem).space
+        self.ledger = Ledger.of(state)
+        if self.ledger.history:
+            shape = (space.count, len(space.names))
+            self.here, self.best = (
+                array(name, state[name], np.float64, *shape, low=0.0, high=1.0) for name in ("here", "best")
+            )
+            self.rng = generator("rng", state["rng"])
+
+    def check(self, problem: Problem) -> None:
+        """See `Optimiser.check`."""
+        _cameras(problem)
+
+    def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
+        """See `Optimiser.run`; a sweep over all cameras is an evaluation."""
+        cameras, ledger, stopped = _cameras(problem), self.ledger, "budget"
+        began = clock() - ledger.seconds
+        if self.here is None:
+            self.here = self.best = cameras.draw_genes(self.rng).reshape(cameras.space.count, -1)
+            ledger.note(1, self._scored(cameras, self.here)[0])
+        energy = self._scored(cameras, self.here)[1]
+        while (used := budget.used(ledger.evaluations, ledger.seconds)) < 1.0:
+            skipped = 0.0 if cameras.varies else GIVEN
+            energy, best = self._swept(cameras, skipped + (1.0 - skipped) * used, energy)
+            ledger.seconds = clock() - began
+            ledger.note(ledger.evaluations + 1, best)
+            if callback and callback(self):
+                stopped = "interrupted"
+                break
+        return self.result(problem, stopped)
+
+    def found(self, problem: Problem) -> Deployment | None:
+        """See `Optimiser.found`."""
+        return None if self.best is None else _cameras(problem).tags
+
+    def found_rig(self, problem: Problem) -> Rig | None:
+        """See `Optimiser.found_rig`."""
+        return None if self.best is None else _cameras(problem).rig(self.best.reshape(-1))
+
+    def _swept(self, problem: CameraProblem, used: float, energy: float) -> tuple[float, float]:
+        """Try to move each camera once; returns what is climbed where the walk then is, and the best fitness."""
+        assert self.here is not None
+        best = self.ledger.best_fitness
+        temperature = self.temperature[0] * (self.temperature[1] / self.temperature[0]) ** used
+        for camera in range(len(self.here)):
+            tried = self.here.copy()
+            tried[camera] = self._changed(tried[camera], used)
+            fitness, there = self._scored(problem, tried)
+            if fitness > best:
+                best, self.best = fitness, tried
+            # The first is also true where both are -inf, and the walk is nowhere yet.
+            if there >= energy or self.rng.random() < math.exp((there - energy) / temperature):
+                self.here, energy = tried, there
+        return energy, best
+
+    def _changed(self, genes: FloatArray, used: float) -> FloatArray:
+        """The genes of a camera `(G,)`, changed."""
+        if self.rng.random() < self.jump[0] + used * (self.jump[1] - self.jump[0]):
+            return self.rng.random(len(genes))
+        step = self.step[0] * (self.step[1] / self.step[0]) ** used
+        chosen = self.rng.random(len(genes)) < 0.5
+        chosen[self.rng.integers(len(genes))] = True
+        moved = genes + chosen * self.rng.normal(0.0, step, len(genes))
+        moved[0] %= 1.0  # the faces one beside the other, around the body
+        return np.clip(moved, 0.0, 1.0)
+
+    def _scored(self, problem: CameraProblem, genes: FloatArray) -> tuple[float, float]:
+        """The fitness of cameras, and what the walk climbs; -inf where they cannot be."""
+        mounts = problem.space.mounts(genes)
+        fitness = problem.fitness_of_cameras(mounts)
+        if mounts is None or not math.isfinite(fitness):
+            return -math.inf, -math.inf
+        values, relevance = problem.values_of(mounts), problem.fitness_relevance
+        return fitness, fitness + self.mean_share * float((values * relevance).sum() / relevance.sum())
+
+
+def _cameras(problem: Problem) -> CameraProblem:
+    if not isinstance(problem, CameraProblem):
+        raise InputError("CameraAnnealing places cameras, not landmarks; use Annealing for these.")
+    return problem

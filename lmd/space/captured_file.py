@@ -1,0 +1,187 @@
+"""Rooms as headsets and phones capture them: rectangles, polygons and boxes with what they are.
+
+Sources: the scenes of Meta's Immersive Web Emulation Runtime (`spatialEntities`), the scenes that `MRUK` saves in Unity
+(`Rooms`, `Anchors`), `CapturedRoom` of Apple's RoomPlan. All of them have y up, and metres.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, InputError, vector
+from lmd.geometry.se3 import pose_of
+
+Keys = Mapping[str, Any]
+# Nothing hangs there, and they lie on a wall: its own triangles are enough.
+ON_WALLS = ("door", "door_frame", "window", "window_frame", "opening", "wall_art")
+# No thing, or the same once more.
+LEFT_OUT = ("global_mesh", "invisible_wall_face", "inner_wall_face")
+# The faces of a box by its corners, of which the bits are x, y and z.
+BOX = np.array([[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]])
+
+
+class Part(NamedTuple):
+    """A thing of a room: its flat faces, `(N, 3)` corners each, in the frame of the file."""
+
+    name: str
+    faces: tuple[FloatArray, ...]
+
+
+class Captured(NamedTuple):
+    """The things of a room, and what lies on its walls where nothing hangs."""
+
+    parts: tuple[Part, ...]
+    on_walls: tuple[Part, ...]
+
+
+def read_captured(keys: Keys) -> Captured:
+    """The room in the keys and values of a file.
+
+    Raises:
+        InputError: it is none of these formats, has several rooms, or a value in it is wrong.
+    """
+    for mark, reader in READERS.items():
+        if mark in keys:
+            try:
+                found = list(reader(keys))
+            except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+                if isinstance(error, InputError):
+                    raise
+                raise InputError(f"the key or value {' '.join(str(error).split())} is missing or wrong.") from None
+            break
+    else:
+        raise InputError(
+            f"it is no room of a headset or a phone that is known here ({', '.join(READERS)}): it has "
+            f"{', '.join(keys)[:200] or 'no keys'}."
+        )
+    counts: Counter[str] = Counter()
+    parts: list[Part] = []
+    for name, faces in found:
+        parts.append(Part(f"{name}_{counts[name]}", tuple(faces)))
+        counts[name] += 1
+    if "floor_0" not in (part.name for part in parts):
+        parts.append(_floor_below(parts))
+    on_walls = [part for part in parts if part.name.rpartition("_")[0] in ON_WALLS]
+    return Captured(tuple(part for part in parts if part not in on_walls), tuple(on_walls))
+
+
+def triangles_of(face: FloatArray) -> FloatArray:
+    """A flat polygon `(N, 3)` as triangles `(T, 3, 3)`; none where it crosses itself or has no area."""
+    import shapely
+
+    _, _, (right, up, _) = np.linalg.svd(face - face.mean(axis=0))
+    flat = shapely.Polygon((face - face.mean(axis=0)) @ np.stack([right, up], axis=1))
+    parts = shapely.get_parts(shapely.constrained_delaunay_triangles(flat)) if flat.is_valid else []
+    corners = [shapely.get_coordinates(part)[:3] @ np.stack([right, up]) + face.mean(axis=0) for part in parts]
+    return np.array(corners).reshape(-1, 3, 3)
+
+
+def _floor_below(parts: list[Part]) -> Part:
+    """A floor where nobody has seen one: what the lowest edges of all walls enclose."""
+    import shapely
+
+    corners = np.concatenate([face for part in parts for face in part.faces] or [np.zeros((0, 3))])
+    hull = shapely.MultiPoint(corners[:, [0, 2]]).convex_hull
+    if hull.geom_type != "Polygon":
+        raise InputError("it has neither a floor nor walls.")
+    ring = shapely.get_coordinates(hull)[:-1]
+    return Part("floor_0", (np.insert(ring, 1, corners[:, 1].min(), axis=1),))
+
+
+def _rectangle(low: Any, high: Any) -> FloatArray:
+    (a, b), (c, d) = vector("corner", low, 2), vector("corner", high, 2)
+    return np.array([[a, b, 0.0], [c, b, 0.0], [c, d, 0.0], [a, d, 0.0]])
+
+
+def _box(low: Any, high: Any) -> list[FloatArray]:
+    ends = np.array([vector("corner", low, 3), vector("corner", high, 3)])
+    corners = np.array([[ends[i >> axis & 1, axis] for axis in range(3)] for i in range(8)])
+    return [corners[face] for face in BOX]
+
+
+def _placed(pose: FloatArray, faces: list[FloatArray]) -> list[FloatArray]:
+    return [face @ pose[:3, :3].T + pose[:3, 3] for face in faces]
+
+
+def _xyz(keys: Keys, names: str = "xyz") -> list[Any]:
+    return [keys[name] for name in names]
+
+
+def _webxr(keys: Keys) -> Iterator[tuple[str, list[FloatArray]]]:
+    """By quaternions, boxes and rectangles by a corner and an extent; these lie in x and z."""
+    from scipy.spatial.transform import Rotation
+
+    for thing in keys["spatialEntities"]:
+        label = str(thing.get("semanticLabel_META", "other")).lower()
+        if label in LEFT_OUT or "locatable_META" not in thing:
+            continue
+        place = thing["locatable_META"]
+        turn = Rotation.from_quat(_xyz(place["orientation"], "xyzw")).as_matrix()
+        pose = pose_of(turn, np.array(vector("position", _xyz(place["position"]), 3)))
+        if "bounded3D_META" in thing:
+            bounds = thing["bounded3D_META"]
+            low, size = _xyz(bounds["offset"]), _xyz(bounds["extent"], ("width", "height", "depth"))  # type: ignore[arg-type]
+            yield label, _placed(pose, _box(low, np.add(low, size).tolist()))
+        elif "bounded2D_META" in thing:
+            bounds = thing["bounded2D_META"]
+            low = _xyz(bounds["offset"], "xy")
+            high = [low[0] + bounds["extent"]["width"], low[1] + bounds["extent"]["height"]]
+            yield label, _placed(pose, [_rectangle(low, high)[:, [0, 2, 1]]])
+
+
+def _mruk(keys: Keys) -> Iterator[tuple[str, list[FloatArray]]]:
+    """Of Unity: z ahead, to the left of what x is to others, so it is turned back; degrees about y, then x, then z."""
+    from scipy.spatial.transform import Rotation
+
+    system, rooms = keys.get("CoordinateSystem"), keys["Rooms"]
+    if system != "Unity":
+        raise InputError(f"CoordinateSystem must be Unity, got {system!r}: save the scene by MRUK in Unity.")
+    if len(rooms) != 1:
+        raise InputError(f"it has {len(rooms)} rooms: leave one of them in the file.")
+    for thing in rooms[0]["Anchors"]:
+        label = str([*thing.get("SemanticClassifications", ()), "OTHER"][0]).lower()
+        if label in LEFT_OUT:
+            continue
+        place = thing["Transform"]
+        x, y, z = vector("Rotation", place["Rotation"], 3)
+        turn = Rotation.from_euler("YXZ", [y, x, z], degrees=True).as_matrix()
+        pose = pose_of(turn, np.array(vector("Translation", place["Translation"], 3)))
+        if "VolumeBounds" in thing:
+            faces = _box(thing["VolumeBounds"]["Min"], thing["VolumeBounds"]["Max"])
+        elif "PlaneBoundary2D" in thing:
+            faces = [np.array([[*vector("PlaneBoundary2D", at, 2), 0.0] for at in thing["PlaneBoundary2D"]])]
+        elif "PlaneBounds" in thing:
+            faces = [_rectangle(thing["PlaneBounds"]["Min"], thing["PlaneBounds"]["Max"])]
+        else:
+            continue
+        yield label, [face * [1.0, 1.0, -1.0] for face in _placed(pose, faces)]
+
+
+def _roomplan(keys: Keys) -> Iterator[tuple[str, list[FloatArray]]]:
+    """Poses column by column, surfaces in their plane z = 0, boxes around their middle."""
+    for kind in ("walls", "doors", "windows", "openings", "floors", "objects"):
+        for thing in keys.get(kind) or ():
+            pose = np.array(vector("transform", _flat(thing["transform"]), 16)).reshape(4, 4).T
+            half = np.array(vector("dimensions", thing["dimensions"], 3)) / 2.0
+            if kind == "objects":
+                category = thing.get("category", "object")
+                label = next(iter(category)) if isinstance(category, Mapping) else str(category)
+                yield label.lower(), _placed(pose, _box((-half).tolist(), half.tolist()))
+            elif len(ring := thing.get("polygonCorners") or ()) > 2:
+                yield kind[:-1], _placed(pose, [np.array([vector("polygonCorners", at, 3) for at in ring])])
+            else:
+                yield kind[:-1], _placed(pose, [_rectangle((-half[:2]).tolist(), half[:2].tolist())])
+
+
+def _flat(values: Any) -> list[Any]:
+    return [number for row in values for number in (row if isinstance(row, list) else [row])]
+
+
+# By the key that only files of this format have.
+READERS: dict[str, Callable[[Keys], Iterator[tuple[str, list[FloatArray]]]]] = {
+    "spatialEntities": _webxr,
+    "Rooms": _mruk,
+    "walls": _roomplan,
+}

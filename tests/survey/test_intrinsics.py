@@ -1,0 +1,90 @@
+"""A survey that finds the intrinsics of its camera; some 6 seconds in all."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import walks
+from scipy.optimize import approx_fprime
+from scipy.spatial.distance import pdist
+from scipy.stats import chi2
+
+from lmd.geometry.se3 import camera_pose
+from lmd.mapping.tag_map import write_yaml
+from lmd.render.optics import bearings, project
+from lmd.scene.camera_calibration import calibrated_camera
+from lmd.scene.deployment import Deployment
+from lmd.scene.tag import Tag
+from lmd.survey.intrinsics import camera_info, parameters, slopes, with_parameters
+from lmd.survey.report import document, to_text
+from lmd.survey.survey import Known, survey
+
+COUNT, FRAMES, SIGMA = 24, 50, 0.2
+TRUE = replace(walks.CAMERA, distortion=(-0.1, 0.03, 0.0005, -0.0003, 0.0))
+# The focal length is 4 % off, and the lens is little known.
+GIVEN = with_parameters(TRUE, parameters(TRUE) * [1.04, 1.04, *[1.0] * 7] + [0, 0, 4, -3, 0.02, -0.01, 0, 0, 0])
+
+
+def surveyed(detected, calibrate, camera=GIVEN, plan=None):
+    return survey(detected, [camera], Tag(walks.EDGE), walks.constant_errors(SIGMA), Known(plan), calibrate)
+
+
+def relative(found, true):
+    """How far the distances between tags are off, relative, median."""
+    here, there = found.found.poses.tags[found.placed, :3, 3], true[found.ids[found.placed], :3, 3]
+    return np.median(np.abs(pdist(here) / pdist(there) - 1.0))
+
+
+@pytest.fixture(scope="module")
+def room():
+    rng = np.random.default_rng(3)
+    true = walks.wall_tags(COUNT, rng)
+    return true, walks.photographed(true, walks.walk(FRAMES, rng), rng, SIGMA, camera=TRUE)
+
+
+@pytest.fixture(scope="module")
+def found(room):
+    return surveyed(room[1], True)
+
+
+def test_a_wrong_focal_length_is_found_together_with_the_map(room, found):
+    true, detected = room
+    assert relative(surveyed(detected, False), true) > 3.0 * relative(found, true)
+    assert relative(found, true) < 0.001
+    (camera,) = found.calibrated
+    off = parameters(camera.found) - parameters(TRUE)
+    assert np.abs(off[:4]).max() < 4.0
+    assert (np.abs(off) < chi2.ppf(0.9999, 1) ** 0.5 * camera.sigma).all()
+    assert camera.is_fixed
+    assert "focal length" in to_text(found)
+    assert document(found)["intrinsics"][0]["fixed"]
+
+
+def test_slopes_are_those_of_the_image():
+    for camera in (TRUE, walks.CAMERA, replace(TRUE, distortion_model="equidistant", distortion=(0.01, 0.0, 0.0, 0.0))):
+        direction = bearings(camera, np.array([[1300.0, 250.0]]))
+        step = 1e-6 * np.maximum(np.abs(parameters(camera)), 1.0)
+
+        def seen(values, axis, camera=camera, direction=direction):
+            return project(with_parameters(camera, values), np.eye(4), direction)[0, axis]
+
+        expected = [approx_fprime(parameters(camera), seen, step, axis) for axis in range(2)]
+        np.testing.assert_allclose(slopes(camera, direction)[0], expected, rtol=1e-3, atol=1e-3)
+
+
+def test_photographs_that_do_not_fix_the_intrinsics_say_so():
+    """One wall, always from in front: a longer lens farther away sees the same."""
+    rng = np.random.default_rng(5)
+    true = np.stack([walks.on_wall(0, along, height) for along in (0.3, 0.5, 0.7) for height in (0.8, 1.6)])
+    place = rng.uniform([1.8, 2.4, 1.0], [3.2, 2.5, 1.4], (12, 3))
+    towards = camera_pose(place, np.full(12, np.pi), np.zeros(12))
+    detected = walks.photographed(true, towards, rng, SIGMA)
+    found = surveyed(detected, True, walks.CAMERA, Deployment(true[:, :3, 3], true[:, :3, 2]))
+    assert not found.calibrated[0].is_fixed
+    assert "\nnot fixed " in to_text(found)
+
+
+def test_the_file_it_leaves_is_the_camera(tmp_path):
+    write_yaml(tmp_path / "camera.yaml", camera_info(GIVEN))
+    again = calibrated_camera(str(tmp_path / "camera.yaml"))
+    np.testing.assert_allclose(parameters(again), parameters(GIVEN), rtol=1e-12)

@@ -1,0 +1,69 @@
+"""What a survey wants to have photographed next; some 5 seconds in all."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import walks
+
+from lmd.scene.deployment import Deployment
+from lmd.scene.labels import Labels
+from lmd.scene.tag import Tag
+from lmd.space.cuboid import Cuboid
+from lmd.survey.next_photographs import next_photographs
+from lmd.survey.report import again, document, to_text
+from lmd.survey.survey import Known, survey
+
+COUNT, UNSEEN, SIGMA = 20, 7, 0.2
+ERRORS, ROOM = walks.constant_errors(SIGMA), Cuboid((5.0, 4.0, 2.5), (4.0, 3.0, 1.5), 1.0)
+
+
+def surveyed(detected, plan):
+    found = survey(detected, [walks.CAMERA], Tag(walks.EDGE), ERRORS, Known(plan))
+    return replace(found, proposed=next_photographs(found, walks.CAMERA, 8, ERRORS, again(found), ROOM))
+
+
+@pytest.fixture(scope="module")
+def room():
+    rng = np.random.default_rng(31)
+    plan = walks.spaced_tags(COUNT, rng)
+    true = walks.hung(plan, rng)
+    detected = walks.photographed(true, walks.walk(50, rng), rng, SIGMA)
+    return true, Deployment(plan[:, :3, 3], plan[:, :3, 2], labels=Labels(np.arange(COUNT))), detected
+
+
+@pytest.fixture(scope="module")
+def found(room):
+    _, plan, detected = room
+    return surveyed(detected.of(np.flatnonzero(detected.ids != UNSEEN)), plan)
+
+
+def test_the_tag_that_was_not_seen_is_in_the_first_photograph(found):
+    first = found.proposed[0]
+    assert UNSEEN in found.ids[first.tags]
+    assert len(first.tags) >= 2
+    assert ROOM.contains(first.pose[:3, 3])
+    assert document(found)["next_photographs"][0]["tags"] == found.ids[first.tags].tolist()
+    assert "\nnext 1 " in to_text(found)
+
+
+def test_each_photograph_leaves_less_unknown(found):
+    left = [photograph.left for photograph in found.proposed]
+    assert left == sorted(left, reverse=True)
+
+
+def test_what_is_left_is_what_comes_out_once_it_is_taken(room, found):
+    """Where the photograph shows what was foreseen, the survey with it has the standard deviation that was told."""
+    true, plan, detected = room
+    first = found.proposed[0]
+    rng = np.random.default_rng(1)
+    extra = walks.photographed(true, first.pose[None], rng, SIGMA)
+    kept = detected.of(np.flatnonzero(detected.ids != UNSEEN))
+    taken = surveyed(walks.one_after_the_other(kept, extra), plan)
+    assert taken.placed[UNSEEN]
+    places = np.trace(taken.found.precisions[:, 3:, 3:], axis1=1, axis2=2)
+    assert np.sqrt(places.mean()) == pytest.approx(first.left, rel=0.25)
+
+
+def test_without_a_tag_in_need_there_is_nothing_to_take(found):
+    assert next_photographs(found, walks.CAMERA, 8, ERRORS, np.empty(0, dtype=np.int64), ROOM) == ()
