@@ -9,7 +9,7 @@ export DO_NOT_TRACK := true
 # Packages are installed without what Python compiles of them, which is kept when they are first imported.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: install install-all precompile run view test test-thorough quick lint docs ui figures paper-experiment clean
+.PHONY: install install-all precompile run view test test-thorough quick lint docs ui notebooks figures paper-experiment clean
 
 # uv where there is one, else pip; the same pins.
 UV := $(shell command -v uv 2>/dev/null)
@@ -74,6 +74,9 @@ ui: install  ## browse the runs at http://127.0.0.1:5000
 	@# Without the four processes of 240 MB that wait for mlflow's own jobs, and with one that answers.
 	MLFLOW_SERVER_ENABLE_JOB_EXECUTION=false $(BIN)/mlflow ui --backend-store-uri sqlite:///outputs/mlflow.db \
 	  --host 127.0.0.1 --port 5000 --workers 1
+
+notebooks: install-all  ## run the notebooks and keep what they show
+	$(BIN)/python notebooks/store.py
 
 figures: install  ## the picture in the README
 	$(BIN)/python -m pipelines.optimise seed=0 tracking=none hydra.run.dir=outputs/figures

@@ -35,6 +35,21 @@ def lmd_conf(name: str) -> str:
     return str(Path(CONF, name))
 
 
+def lmd_help(*, _root_: DictConfig) -> str:
+    """What `--help` shows: the groups that this command composes, a line for each with its options."""
+    from hydra.core.global_hydra import GlobalHydra
+
+    loader, hydra = GlobalHydra.instance().config_loader(), _root_.hydra
+    picked = {str(group).partition("@")[0] for group in hydra.runtime.choices}
+    # Of a group of which several options are picked, only the key is there.
+    groups = [group for group in sorted(loader.list_groups("")) if group in picked or group in _root_]
+    groups.remove("hydra")
+    lines = [f"{group}: {', '.join(loader.get_group_options(group))}" for group in groups]
+    told = f"{command_of(hydra.job.name)} [group=option] [key=value]"
+    return "\n".join([told, "", *lines, "", "--cfg job shows every key with its value, -m makes a sweep."])
+
+
+OmegaConf.register_new_resolver("lmd.help", lmd_help, replace=True)
 OmegaConf.register_new_resolver("lmd.package", lmd_package, replace=True)
 OmegaConf.register_new_resolver("lmd.conf", lmd_conf, replace=True)
 

@@ -3,17 +3,19 @@
 import atexit
 import gc
 import importlib.util
+import re
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
+from pathlib import Path
 
 import hydra
 from omegaconf import DictConfig
 
-from .app import CONF, GARBAGE, PACKAGE, ends_reported
+from .app import CONF, GARBAGE, PACKAGE, command_of, ends_reported
 from .fixed import quoted
-from .hyperparameters import over_defaults
+from .hyperparameters import HELP, over_defaults
 from .operations.signals import Stopped, stop
 from .operations.sweeps import search  # noqa: F401 # from here on Hydra knows this sweeper
 from .operations.sweeps.supervisor import run
@@ -58,6 +60,36 @@ def _is_installed(package: str) -> bool:
         return False
 
 
+@dataclass(frozen=True)
+class _Experiment:
+    """An experiment that its file does not name for the command it was given to.
+
+    Args:
+        name: of the experiment.
+        commands: which the file names.
+        is_sweep: whether it is a stored sweep.
+    """
+
+    name: str
+    commands: tuple[str, ...]
+    is_sweep: bool
+
+    def __str__(self) -> str:
+        given = " or ".join(f"{command_of(command)} experiment={self.name}" for command in self.commands)
+        return f"experiment={self.name} is for another command: {given}"
+
+
+def _experiment_of_another(pipeline: str) -> _Experiment | None:
+    """The experiment on the command line, if it comes with the project and its file names other commands alone."""
+    given = [argument.partition("=")[2] for argument in sys.argv[1:] if argument.startswith("experiment=")]
+    file = Path(CONF, "experiment", f"{given[-1]}.yaml") if given else None
+    if file is None or not file.is_file():
+        return None
+    text = file.read_text(encoding="utf-8")
+    commands = tuple(dict.fromkeys(re.findall(rf"-m pipelines\.(\w+) experiment={re.escape(file.stem)}\b", text)))
+    return _Experiment(file.stem, commands, "mode: MULTIRUN" in text) if commands and pipeline not in commands else None
+
+
 Task = Callable[[DictConfig], float | None]
 
 
@@ -89,8 +121,13 @@ class Pipeline:
             change()
         gc.set_threshold(GARBAGE)
         sys.argv[1:] = [over_defaults(quoted(argument)) for argument in sys.argv[1:]]
+        if HELP.intersection(sys.argv):
+            sys.argv.append("hydra.help.template=${lmd.help:}")
         _refuse_launcher_that_is_missing()
         _refuse_run(self.name)
+        experiment = _experiment_of_another(self.name)
+        if experiment is not None and experiment.is_sweep:  # of which each job would fail, or do something else
+            sys.exit(f"error: {experiment}.")
 
         is_composed = False
 
@@ -111,4 +148,6 @@ class Pipeline:
         except SystemExit as ended:
             if ended.code and not is_composed:
                 ask_what_was_meant(CONF)
+                if experiment is not None:
+                    print(experiment, file=sys.stderr)
             raise

@@ -90,8 +90,10 @@ def save_places_figure(path: str | Path, places: pd.DataFrame, title: str) -> No
         shares[places.row, places.column] = places[which]
         drawn = axes.imshow(shares, vmin=0.0, vmax=1.0, cmap="viridis")
         for part in places.itertuples():
-            text = f"{getattr(part, which):.0%}\nof {part.tags}"
-            axes.annotate(text, (part.column, part.row), ha="center", va="center", color="white", fontsize=9)
+            share = getattr(part, which)
+            ink = "black" if share > 0.6 else "white"
+            text = f"{share:.0%}\nof {part.tags}"
+            axes.annotate(text, (part.column, part.row), ha="center", va="center", color=ink, fontsize=9)
         axes.set(title=f"{which}, of tags wholly in the image", xticks=[], yticks=[])
     figure.colorbar(drawn, ax=panels, label="share of tags")
     figure.savefig(path)

@@ -126,7 +126,7 @@ def take(b, landmarks, normals, sight, obstacles, clear, poses, ends):
             find_ends(obstacles, sight, x, y, z, normals[b, 0, k], normals[b, 1, k], normals[b, 2, k], ends, k)
 
 
-@inner
+@inlined
 def gather_near(o, first, last, order, positions, horizon, many, count, poses, names, view):
     """Gather the landmarks near position `order[o]` where a region, or a block, of `order[first:last]` begins.
 

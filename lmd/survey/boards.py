@@ -15,7 +15,7 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, real
 from lmd.core.tables import read_table
 from lmd.geometry.se3 import adjoint, exp, inverse, log, pose_of
-from lmd.survey.residuals import FREEDOM, solved, weight_of
+from lmd.survey.student import FREEDOM, solved, weight_of
 
 # Standard deviations of how a sheet bends, off its plane (metres) and out of it (rad), and of turns in it, rad.
 BENT, TILTED, TURNED = 0.001, 0.005, 0.001

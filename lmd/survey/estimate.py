@@ -7,7 +7,8 @@ from threadpoolctl import threadpool_limits
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.geometry.se3 import exp, inverse, log
-from lmd.survey.adjustment import Adjustment, blocks_of, without_gauge
+from lmd.survey.adjustment import Adjustment
+from lmd.survey.gauge import blocks_of, without_gauge
 from lmd.survey.known import EXACT, aligned, turned_as
 from lmd.survey.residuals import Poses, Prior, errors_at
 from lmd.survey.sightings import Sightings

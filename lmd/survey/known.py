@@ -11,6 +11,7 @@ from lmd.geometry.se3 import inverse, laid_over, pose_of
 from lmd.scene.deployment import Deployment
 from lmd.survey.boards import Boards
 from lmd.survey.residuals import Prior
+from lmd.survey.student import FREEDOM
 
 # Standard deviations of what is taken for exact, metres and rad.
 EXACT = 1e-6
@@ -19,8 +20,6 @@ MEASURED = 0.005
 # Points fix a world if there are three, which extend so far beside a line, metres.
 FEWEST_POINTS, NO_LINE = 3, 0.05
 LEVEL = 1e-3
-# With which the likeliest of several worlds is told, see `aligned`.
-FREEDOM = 4.0
 
 
 @dataclass(frozen=True)

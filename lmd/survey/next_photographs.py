@@ -19,10 +19,12 @@ from lmd.geometry.squares import CORNERS
 from lmd.render.optics import bearings, project, slope
 from lmd.scene.camera import Camera
 from lmd.space.space import Space
-from lmd.survey.adjustment import Adjustment, gauge_free
+from lmd.survey.adjustment import Adjustment
 from lmd.survey.estimate import ONE_THREAD
-from lmd.survey.residuals import RESIDUALS, linearise
+from lmd.survey.gauge import gauge_free
+from lmd.survey.residuals import linearise
 from lmd.survey.sightings import Sightings
+from lmd.survey.student import RESIDUALS
 from lmd.survey.survey import Photograph, Survey
 
 MOST = 5  # photographs that are proposed

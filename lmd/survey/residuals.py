@@ -11,12 +11,11 @@ import numpy as np
 from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import inverse, log
 from lmd.survey.sightings import Sightings
+from lmd.survey.student import RESIDUALS
 
 if TYPE_CHECKING:
     from lmd.survey.boards import Sheets
 
-FREEDOM = 4.0  # nu, of Student's distribution
-RESIDUALS = 8
 # A corner that is hardly in front of the camera, or behind it, fits nowhere: metres, and pixels.
 NEAREST, NOWHERE = 1e-3, 1e4
 
@@ -128,13 +127,3 @@ def summed(values: FloatArray, owner: IntArray, count: int) -> FloatArray:
 
     matrix = csr_array((np.ones(len(owner)), (owner, np.arange(len(owner)))), shape=(count, len(owner)))
     return np.asarray((matrix @ values.reshape(len(owner), -1)).reshape(count, *values.shape[1:]))
-
-
-def solved(matrices: FloatArray, right: FloatArray) -> FloatArray:
-    """The solutions `(n, m)` of n systems `(n, m, m)`."""
-    return np.asarray(np.linalg.solve(matrices, right[..., None])[..., 0], dtype=np.float64)
-
-
-def weight_of(square: FloatArray, residuals: int = RESIDUALS) -> FloatArray:
-    """(nu + d) / (nu + chi^2) for d residuals."""
-    return np.asarray((FREEDOM + residuals) / (FREEDOM + square))

@@ -19,8 +19,9 @@ from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.core.optional import optional
 from lmd.geometry.se3 import exp, inverse, pose_of
 from lmd.survey.adjustment import Adjustment
-from lmd.survey.residuals import Poses, Prior, errors_at, in_cameras, linearise, residuals, solved, summed
+from lmd.survey.residuals import Poses, Prior, errors_at, in_cameras, linearise, residuals, summed
 from lmd.survey.sightings import Sightings
+from lmd.survey.student import solved
 
 # What corners are off by, pixels, besides what the detector accounts for, when a pose is judged on its own.
 ASSUMED = 0.3

@@ -56,6 +56,7 @@ NEEDS_MORE = {
     ("room", "mesh"),
     ("deployment", "file"),
     ("views", "images"),
+    ("views", "survey"),
     ("visibility", "fiducial"),
     ("camera", "calibration"),
 }

@@ -1,12 +1,17 @@
 """The two commands as a user meets them: a process, its messages, its exit code and the files it leaves."""
 
 import json
+import os
 import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
 
 import pandas as pd
 import pytest
 from mlflow import MlflowClient
-from processes import call, help_of, loading, refused
+from processes import ROOT, call, environment, help_of, loading, refused
 
 FILES = ["convergence.png", "history.csv", "landmarks.csv", "metrics.json", "scene.html", "scene.png"]
 pytestmark = pytest.mark.slow
@@ -277,6 +282,39 @@ def test_help_lists_the_groups_without_loading_the_model(pipeline, tmp_path):
     shown = help_of(pipeline, "numba", "mlflow", "matplotlib", "pandas", cwd=tmp_path)
     assert "deployment: file, greedy, random, uniform" in shown
     assert shown.rstrip().endswith("[]")
+    groups = [line.partition(":")[0] for line in shown.splitlines() if re.match(r"\w+: ", line)]
+    assert len(groups) == len(set(groups))
+    assert "trajectory" not in groups
+    assert ("hparams_search" in groups) == (pipeline == "optimise")
+
+
+@pytest.mark.parametrize(
+    ("pipeline", "name", "other"), [("evaluate", "table2", "optimise"), ("optimise", "table3", "evaluate")]
+)
+def test_a_stored_sweep_of_another_command_is_refused_with_that_command(pipeline, name, other, tmp_path):
+    message = f"experiment={name} is for another command: python -m pipelines.{other} experiment={name}."
+    refused(pipeline, f"experiment={name}", message=message, cwd=tmp_path)
+
+
+def test_an_experiment_that_another_command_cannot_compose_names_its_own(tmp_path):
+    done = call("export", "experiment=frc_2025", cwd=tmp_path, settings=())
+    assert done.returncode == 1
+    assert "experiment=frc_2025 is for another command: python -m pipelines.evaluate experiment=frc_2025" in done.stderr
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash")
+def test_the_completion_of_the_documentation_completes(tmp_path):
+    (function,) = re.findall(r"```sh\n(_lmd.*?)```", (ROOT / "docs/running.md").read_text(), re.DOTALL)
+    words = "python -m pipelines.optimise optimiser=eg"
+    script = f"""{function}
+COMP_LINE="{words}"; COMP_WORDS=({words}); COMP_CWORD=3
+_lmd; echo "${{COMPREPLY[@]}}"
+"""
+    folders = environment() | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    done = subprocess.run(
+        ["bash", "-c", script], cwd=tmp_path, env=folders, capture_output=True, text=True, check=False
+    )
+    assert done.stdout.split() == ["optimiser=ega", "optimiser=ega_tuned"], done.stderr
 
 
 def test_the_lab_is_optimised_by_one_word(tmp_path):

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from lmd.core.checks import InputError
+from lmd.core.checks import InputError, boolean
 
 from .experiment import link, sweep_view
 from .hand_in import GONE, end_those_gone, hand_in
@@ -28,13 +28,22 @@ class MlflowTracker:
         uri: tracking store: `sqlite:///path` (relative to the working directory) or the address of a server.
         experiment_name: the mlflow experiment that holds the runs.
         tags: what the user marks every run with, texts or numbers by their names.
+        system_metrics: whether mlflow also records what the machine does meanwhile, every ten seconds.
 
     Raises:
-        InputError: the address is none, or the tags are.
+        InputError: the address is none, the tags are, or `system_metrics` is neither true nor false.
     """
 
-    def __init__(self, uri: str, experiment_name: str, tags: Mapping[str, str | float] | None = None) -> None:
+    def __init__(
+        self,
+        uri: str,
+        experiment_name: str,
+        tags: Mapping[str, str | float] | None = None,
+        system_metrics: bool = False,
+    ) -> None:
         self.store = Store(uri, experiment_name)
+        self._is_monitored = boolean("system_metrics", system_metrics)
+        self._monitor: Any = None
         if not isinstance(tags, Mapping | None) or not all(
             isinstance(tag, str | float | int) for tag in (tags or {}).values()
         ):
@@ -67,6 +76,12 @@ class MlflowTracker:
             self._run_id, self._journal, self._sent = run_id, Journal.of(run.folder), 0
         store = {"uri": self.store.uri, "experiment": self.store.experiment_name, "run_id": run_id}
         self._record(store | {"folder": _absolute(run.folder)} | this_process() | first)
+        if self._is_monitored:
+            from mlflow.system_metrics import system_metrics_monitor
+
+            made: Any = system_metrics_monitor.SystemMetricsMonitor
+            self._monitor = made(run_id, resume_logging=True, tracking_uri=self.store.uri)
+            self._monitor.start()
 
     def goes_on(self, run_id: str, folder: Path, params: Mapping[str, Any]) -> bool:
         """See `Tracker.goes_on`."""
@@ -125,6 +140,7 @@ class MlflowTracker:
         """See `Tracker.finish`."""
         if self._journal is None:
             return
+        self._end_monitor()
         self._journal.add({"end": status, "reason": reason, "at": now()})
         try:
             self._send()
@@ -149,10 +165,16 @@ class MlflowTracker:
     def discard(self) -> None:
         """See `Tracker.discard`."""
         if self._run_id is not None and self._journal is not None:
+            self._end_monitor()
             with self.store.errors_reported():
                 self.store.client.delete_run(self._run_id)
             self._journal.remove()
             self._run_id = self._journal = None
+
+    def _end_monitor(self) -> None:
+        if self._monitor is not None:
+            self._monitor.finish()
+            self._monitor = None
 
     def describe(self) -> str:
         """See `Tracker.describe`."""
