@@ -94,7 +94,7 @@ def test_a_flight_that_nobody_could_film_is_refused():
 
 def test_a_population_that_does_not_fit_is_refused_before_it_is_drawn():
     problem = Problem(SCENE, Coverage(2, 0.5), RandomDeployment(90))
-    with pytest.raises(InputError, match=r"^optimiser: 1000000000 deployments of 180 genes at a time would take"):
+    with pytest.raises(InputError, match=r"^optimiser: 1000000000 candidates of 180 genes at a time would take"):
         EGA(population=10**9).run(problem, Budget(10))
 
 
