@@ -193,7 +193,6 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
     if isinstance(objective, Localisation):
         with keyed(rig="camera.rig"):
             scene = carried(scene)
-        objective.precision(scene)  # refuses a rig before anything is compiled
     with keyed("deployment", count=count):
         fixed = fixed_of(cfg.deployment, tag.family)
         total = total_of(cfg.deployment, fixed)

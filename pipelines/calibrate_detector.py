@@ -33,7 +33,8 @@ def calibrate(cfg: DictConfig) -> None:
     seed, count = seed_number(cfg.seed), integer("poses", cfg.frames, low=0)
     margin, source = real("margin", cfg.margin, low=0.0), instantiate(cfg.views)
     subject = subject_of(cfg, max(count, 1), seed)
-    told, directory, written = subject.prediction, run_directory(), []
+    subject.problem.scene.single_camera("calibrating a detector")
+    told, directory, written = subject.prediction.parts[0], run_directory(), []
     renderer, tag = told.renderer, told.renderer.room.tag
     with tracked(cfg, f"calibrate_detector {tag.family}") as tracker:
         fitted, spans = {}, {}

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from lmd.core.checks import FloatArray
     from lmd.detection.detectors import Detector
     from lmd.detection.frames import Sightings
-    from lmd.detection.report import Prediction
+    from lmd.detection.report import Predicted
     from lmd.problem import Problem
     from lmd.render.renderer import Renderer
 
@@ -44,7 +44,7 @@ class Subject:
     """A deployment that is looked at, and by whom."""
 
     problem: "Problem"
-    prediction: "Prediction"
+    prediction: "Predicted"
     detectors: Mapping[str, "Detector"]
 
     def nudged(self, sizes: object, seed: int) -> "Subject":
@@ -54,7 +54,7 @@ class Subject:
 
         position, attitude = vector("nudge", sizes, 2, low=0.0)
         poses = nudged(self.prediction.poses, position, attitude, seed)
-        return replace(self, prediction=replace(self.prediction, poses=poses))
+        return replace(self, prediction=self.prediction.moved(poses))
 
 
 def detect(cfg: DictConfig) -> None:
@@ -109,15 +109,16 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
     from lmd.core.checks import InputError
     from lmd.core.memory import check_memory
     from lmd.detection.frames import draw_poses, tagged_room
-    from lmd.detection.report import Prediction
+    from lmd.detection.report import Prediction, RigPrediction
     from lmd.evaluation.verdicts import verdicts
     from lmd.geometry.se3 import axis_and_right
     from lmd.render.renderer import Renderer
-    from lmd.sight.views import visible
+    from lmd.scene.rig import Rig
+    from lmd.sight.views import visible_to_each
 
     tag, imaging = instantiate(cfg.tag), instantiate(cfg.imaging)
     problem = build_problem(any_deployment(cfg))
-    scene, camera = problem.scene, problem.scene.single_camera("detect")
+    scene = problem.scene
     with keyed():
         tag.check_edge()
     detectors = {name: instantiate(settings_of(cfg, f"detectors.{name}")) for name in cfg.get("detectors") or {}}
@@ -131,15 +132,21 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
     taken = f"poses = {count} frames of {len(deployment)} landmarks"
     check_memory(FRAME_BYTES * count * len(deployment), taken, "poses")
     poses = draw_poses(scene, count, seed)
-    predicted = visible(problem.evaluator, deployment, poses[:, :3, 3], axis_and_right(poses))
-    renderer = Renderer(camera, room, imaging)
-    return Subject(problem, Prediction(renderer, poses, predicted, verdicts(scene, deployment, poses)), detectors)
+    seen = visible_to_each(problem.evaluator, deployment, poses[:, :3, 3], axis_and_right(poses))
+    parts = []
+    for camera, mounted, predicted in zip(scene.cameras, scene.extrinsics, seen, strict=True):
+        own = poses @ mounted
+        told = verdicts(scene, deployment, own, camera)
+        parts.append(Prediction(Renderer(camera, room, imaging), own, predicted, told))
+    is_rig = isinstance(scene.camera, Rig)
+    return Subject(problem, RigPrediction(tuple(parts), scene.extrinsics, poses) if is_rig else parts[0], detectors)
 
 
 class Job(NamedTuple):
-    """Some frames of one subject, for a process of its own."""
+    """Some frames of one camera of a subject, for a process of its own; the noise of a frame depends on its number."""
 
     name: str
+    camera: int
     renderer: "Renderer"
     detectors: Mapping[str, "Detector"]
     poses: "FloatArray"
@@ -161,30 +168,37 @@ def sightings(subjects: Mapping[str, Subject], seed: int, workers: int | None) -
     from .workers import in_processes
 
     jobs = [
-        Job(name, subject.prediction.renderer, subject.detectors, poses[first : first + CHUNK], first, seed)
+        Job(name, c, part.renderer, subject.detectors, poses[first : first + CHUNK], c * len(poses) + first, seed)
         for name, subject in subjects.items()
-        for poses in [subject.prediction.poses]
+        for c, part in enumerate(subject.prediction.parts)
+        for poses in [part.poses]
         for first in range(0, len(poses), CHUNK)
     ]
     found = {}
     with bar(sum(len(job.poses) for job in jobs), "frames") as progress:
-        for name, first, part in in_processes(_look, jobs, workers, lambda job: f"frames of {job.name}"):
-            found[name, first] = part
+        for name, camera, first, part in in_processes(_look, jobs, workers, lambda job: f"frames of {job.name}"):
+            found[name, camera, first] = part
             progress.update(len(next(iter(part.values())).false))
-    parts = {name: [found[key] for key in sorted(found) if key[0] == name] for name in subjects}
+
+    def of(name: str, camera: int, detector: str) -> Sightings:
+        return Sightings.joined([found[key][detector] for key in sorted(found) if key[:2] == (name, camera)])
+
     return {
-        name: {key: Sightings.joined([part[key] for part in parts[name]]) for key in subject.detectors}
+        name: {
+            key: Sightings.beside([of(name, c, key) for c in range(len(subject.prediction.parts))])
+            for key in subject.detectors
+        }
         for name, subject in subjects.items()
     }
 
 
-def _look(job: Job) -> tuple[str, int, dict[str, "Sightings"]]:
+def _look(job: Job) -> tuple[str, int, int, dict[str, "Sightings"]]:
     """One job, on one thread."""
     from lmd.core.optional import optional
     from lmd.detection.frames import look
 
     optional("cv2", "detection").setNumThreads(1)
-    return job.name, job.first, look(job.renderer, job.detectors, job.poses, job.first, job.seed)
+    return job.name, job.camera, job.first, look(job.renderer, job.detectors, job.poses, job.first, job.seed)
 
 
 def _tables(
@@ -201,7 +215,7 @@ def _tables(
     for name, subject in subjects.items():
         for detector, found in seen[name].items():
             names = {"deployment": name, "detector": detector}
-            looks = {} if again is None else repeated(found, again[name][detector])
+            looks = {} if again is None else repeated(found, again[name][detector], subject.prediction)
             rows.append({**names, **figures(subject.prediction, found), **looks})
             pitches.append(by_pitch(subject.prediction, found).assign(**names))
             tags.append(by_tag(subject.prediction, found).assign(**names))
@@ -230,18 +244,22 @@ def _save_frames(
     count: int,
     seed: int,
 ) -> "list[Path]":
-    """The first frames of each deployment as its first detector reads them."""
+    """The first frames of each deployment as its first detector reads them, of a rig those of every camera."""
+    import numpy as np
+
     from lmd.detection.frames import picture
     from lmd.plot.detection import save_frame
 
     files = []
     for name, subject in subjects.items():
-        found, told = next(iter(seen[name].values())), subject.prediction
-        for i in range(count):
-            folder.mkdir(exist_ok=True)
-            files.append(folder / f"{name}_{i}.png")
-            image = picture(told.renderer, told.poses[i], i, seed)
-            save_frame(files[-1], image, told.corners[i], told.visible[i], found.corners[i])
+        found, parts = next(iter(seen[name].values())), subject.prediction.parts
+        for c, told in enumerate(parts):
+            its = np.split(found.corners, len(parts), axis=1)[c]
+            for i in range(count):
+                folder.mkdir(exist_ok=True)
+                files.append(folder / (f"{name}_{i}_{c}.png" if len(parts) > 1 else f"{name}_{i}.png"))
+                image = picture(told.renderer, told.poses[i], c * len(told.poses) + i, seed)
+                save_frame(files[-1], image, told.corners[i], told.visible[i], its[i])
     return files
 
 

@@ -38,7 +38,6 @@ def evaluate(cfg: DictConfig) -> float:
     from lmd.core.checks import seed_number
     from lmd.core.compiled import clock
     from lmd.optimisers.ledger import Record
-    from lmd.scene.rig import Rig
 
     from .tracked_run import record, title_of, tracked
 
@@ -52,17 +51,10 @@ def evaluate(cfg: DictConfig) -> float:
 
             deployment = read_measured(cfg.deployment.measured, problem, plan)
         error: MountingError = instantiate(settings_of(cfg, MOUNTING))
-    asked = {"sensitivity": cfg.sensitivity, MEASURED: deployment is not plan, MOUNTING: not error.is_none}
-    for key, is_asked in asked.items():
-        if is_asked:
-            problem.scene.single_camera(key)
     history = [Record(1, problem.metrics(deployment)["fitness"], clock() - began)]
     subject = choices()["deployment"]
     with tracked(cfg, subject, title_of(problem, subject)) as tracker:
-        alone = not isinstance(problem.scene.camera, Rig)
-        summary: dict[str, Any] = localise(problem, deployment, seed, tracker) if cfg.localisation and alone else {}
-        if cfg.localisation and not alone:
-            print("localisation: left out, a single frame of a rig of several cameras is not bounded yet")
+        summary: dict[str, Any] = localise(problem, deployment, seed, tracker) if cfg.localisation else {}
         texts = []
         for name, study, draw in studies(cfg, problem, plan, deployment, error, seed):
             tracker.log_artifacts(write_study(run_directory(), name, study, draw))

@@ -120,17 +120,13 @@ class Ladder:
 
 
 def figures_of(problem: "Problem", deployment: "Deployment", seed: int) -> dict[str, float]:
-    """All figures of a deployment, on the grid and off it, where `seed` draws the sample.
-
-    Those of single images (`lmd.evaluation.accuracy`) are left out for a rig.
-    """
+    """All figures of a deployment, on the grid and off it, where `seed` draws the sample."""
     from lmd.evaluation.accuracy import accuracy_metrics
     from lmd.evaluation.tradeoff import SAMPLE
     from lmd.evaluation.validation import validation_metrics
-    from lmd.scene.rig import Rig
 
     figures = problem.metrics(deployment) | validation_metrics(problem, deployment, seed, SAMPLE)
-    return figures if isinstance(problem.scene.camera, Rig) else figures | accuracy_metrics(problem, deployment, seed)
+    return figures | accuracy_metrics(problem, deployment, seed)
 
 
 def shares_among(figures: Iterable[str]) -> list[str]:

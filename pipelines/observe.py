@@ -43,7 +43,6 @@ def observe(cfg: DictConfig) -> None:
     composed = composed_deployments(cfg, "observe")
     problems = {name: build_problem(any_deployment(own)) for name, own in composed.items()}
     problem = next(iter(problems.values()))
-    problem.scene.single_camera("observe")
     film = None if cfg.film is None else real("film", cfg.film, above=0.0)
     trajectory, start, odometry = (instantiate(settings_of(cfg, key)) for key in ("trajectory", "start", "odometry"))
     estimators = {name: instantiate(settings_of(cfg, f"estimator.{name}")) for name in cfg.get("estimator") or {}}
@@ -121,9 +120,12 @@ def _save_films(
         flight = flights.over(problem)[0]
         time = flight.trajectory.time - flight.trajectory.time[0]
         chosen = np.unique(np.searchsorted(time, np.arange(0.0, min(seconds, time[-1]), 1.0 / FILM_RATE)))
-        moments, scene = detectors[name].moments(flight, chosen.tolist()), problem.scene
-        files.append(directory / f"film_{name}.webp")
-        save_film(files[-1], moments, flight.camera, scene.room, flight.deployment.positions, name)
+        looks, tags = flight.looks(), flight.deployment.positions
+        for c, look in enumerate(looks):
+            stem, title = (f"{name}_{c}", f"{name}, camera {c}") if len(looks) > 1 else (name, name)
+            moments = detectors[name].moments(look, chosen.tolist())
+            files.append(directory / f"film_{stem}.webp")
+            save_film(files[-1], moments, look.camera, problem.scene.room, tags, title)
     return files
 
 

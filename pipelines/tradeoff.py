@@ -171,7 +171,7 @@ def _record(
         panels = {off_grid: Panel(f"{headline.label}, off the grid", off_grid, headline.key)}
     else:  # a share of time, which has no counterpart on the grid
         panels = {off_grid: Panel(LABELS[off_grid], off_grid)}
-    others = [name for name in (beside, figure) if name in table and name not in panels]  # a rig has no `LOCALISED`
+    others = [name for name in (beside, figure) if name in table and name not in panels]
     panels |= {name: Panel(LABELS.get(name, name), name) for name in others}
     panels[figure] = panels[figure]._replace(wanted=wanted)
     curves = front(table, list(dict.fromkeys([figure, headline.key, *panels])))

@@ -111,6 +111,13 @@ class Sightings:
         """Those of all the frames of several parts."""
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__))
 
+    @classmethod
+    def beside(cls, parts: "Sequence[Sightings]") -> "Sightings":
+        """Those of all cameras of a rig in the same N moments, each with K tags of its own, `(N, C K)`."""
+        detected = np.concatenate([part.detected for part in parts], axis=1)
+        corners = np.concatenate([part.corners for part in parts], axis=1)
+        return cls(detected, corners, np.sum([part.false for part in parts], axis=0))
+
 
 def picture(renderer: Renderer, pose: FloatArray, number: int, seed: int) -> UInt8Array:
     """Frame `number` of a run with this seed, the same wherever it is rendered, `(h, w)`."""

@@ -1,6 +1,6 @@
 """The camera's pose from the image of known points (PnP), by OpenCV."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import combinations
 from typing import NamedTuple
 
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.optional import optional
-from lmd.geometry.se3 import angle_between, exp, inverse, skew
+from lmd.geometry.se3 import adjoint, angle_between, exp, inverse, skew
 from lmd.render.optics import bearings, intrinsics, project, slope, to_camera
 from lmd.scene.camera import Camera
 
@@ -37,6 +37,57 @@ class Solution(NamedTuple):
     square: float
 
 
+class PointImage(NamedTuple):
+    """What one camera of a body has of known points at a moment.
+
+    Args:
+        camera: intrinsics, and the lens.
+        mounted: from the camera's frame to the body's, `(4, 4)`.
+        points: world frame, metres, `(M, 3)`.
+        pixels: where they are, from the border, `(M, 2)`.
+        noise: standard deviation of each, pixels, `(M,)`.
+    """
+
+    camera: Camera
+    mounted: FloatArray
+    points: FloatArray
+    pixels: FloatArray
+    noise: FloatArray
+
+    def off(self, pose: FloatArray) -> FloatArray:
+        """What the image is off for a pose X of the body, each in units of its standard deviation, `(M, 2)`."""
+        return np.asarray((project(self.camera, pose @ self.mounted, self.points) - self.pixels) / self.noise[:, None])
+
+    def slope(self, y: FloatArray) -> FloatArray:
+        """How the image of points y `(M, 3)`, camera's frame, moves with a body twist (w, v), pixels, `(M, 2, 6)`."""
+        moved = np.concatenate([skew(y), np.broadcast_to(-np.eye(3), (len(y), 3, 3))], axis=-1)
+        return np.asarray(slope(self.camera, y) @ moved @ adjoint(inverse(self.mounted), np.eye(6)).T)
+
+
+def body_solutions(images: Sequence[PointImage]) -> list[Solution]:
+    """The poses of a body that fit the images of all its cameras at a moment, best first.
+
+    Each camera with four points or more has `solutions` of its own; those are refined by Gauss and Newton on the images
+    of all. There is none where no camera has four.
+    """
+    images = [image for image in images if len(image.points)]
+    found: list[Solution] = []
+    for image in images:
+        camera, mounted, *seen = image
+        own = [one._replace(pose=one.pose @ inverse(mounted)) for one in solutions(camera, *seen)]
+        if len(images) == 1:
+            return own
+        for pose in (_refined(images, one.pose) for one in own):
+            _add(found, pose, float(sum((each.off(pose) ** 2).sum() for each in images)))
+    return sorted(found, key=lambda solution: solution.square)
+
+
+def _add(found: list[Solution], pose: FloatArray, square: float) -> None:
+    """Add a pose unless it does not fit at all, or is there already."""
+    if np.isfinite(square) and all(np.abs(pose - other.pose).max() > SAME for other in found):
+        found.append(Solution(pose, square))
+
+
 def solutions(camera: Camera, points: FloatArray, image: FloatArray, noise: ArrayLike = 1.0) -> list[Solution]:
     """The poses that fit the image of points, best first; none with fewer than four points.
 
@@ -59,9 +110,7 @@ def solutions(camera: Camera, points: FloatArray, image: FloatArray, noise: Arra
         candidates = _through_lens(camera, world, pixels, noise)
     found: list[Solution] = []
     for pose in candidates:
-        square = float((((project(camera, pose, world) - image) / np.reshape(noise, (-1, 1))) ** 2).sum())
-        if np.isfinite(square) and all(np.abs(pose - other.pose).max() > SAME for other in found):
-            found.append(Solution(pose, square))
+        _add(found, pose, float((((project(camera, pose, world) - image) / np.reshape(noise, (-1, 1))) ** 2).sum()))
     return sorted(found, key=lambda solution: solution.square)
 
 
@@ -79,10 +128,11 @@ def _through_lens(camera: Camera, world: FloatArray, pixels: FloatArray, noise: 
     turned, within, rays = straightened(bearings(camera, pixels))
     if np.count_nonzero(within) < FEWEST:
         return
+    whole = PointImage(camera, np.eye(4), world, pixels, np.broadcast_to(np.asarray(noise, dtype=float), len(world)))
     near, seen = np.ascontiguousarray(world[within]), np.ascontiguousarray(rays[within])
     for turn, shift in _candidates(near, seen, np.eye(3)):
         start = _motion(turned.T @ cv2.Rodrigues(turn)[0], turned.T @ shift)
-        yield _refined(camera, inverse(start), world, pixels, noise)
+        yield _refined([whole], inverse(start))
 
 
 def _motion(turn: FloatArray, shift: FloatArray) -> FloatArray:
@@ -128,19 +178,42 @@ def straightened(seen: FloatArray) -> tuple[FloatArray, BoolArray, FloatArray]:
         return turn, ahead[:, 2] > np.cos(NEAR), ahead[:, :2] / ahead[:, 2:]
 
 
-def _refined(camera: Camera, pose: FloatArray, points: FloatArray, image: FloatArray, noise: ArrayLike) -> FloatArray:
-    """The pose near this one that fits the image best, by Gauss and Newton; arguments as in `solutions`."""
-    weight = 1.0 / np.broadcast_to(np.reshape(noise, (-1, 1)), image.shape)
+def _refined(images: Sequence[PointImage], pose: FloatArray) -> FloatArray:
+    """The pose of the body near this one that fits the images best, by Gauss and Newton."""
     least = np.inf
     for _ in range(ROUNDS):
-        off = weight * (project(camera, pose, points) - image)
+        off = np.concatenate([image.off(pose) for image in images])
         if not (square := float((off**2).sum())) < least * (1.0 - GAIN):  # NaN where a point has no image
             break
-        y, best, least = to_camera(pose, points), pose, square
-        moved = np.concatenate([skew(y), np.broadcast_to(-np.eye(3), (len(y), 3, 3))], axis=-1)
-        jacobian = (weight[..., None] * (slope(camera, y) @ moved)).reshape(-1, 6)
-        pose = pose @ exp(np.linalg.lstsq(jacobian, -off.ravel())[0])
+        best, least = pose, square
+        slopes = [
+            image.slope(to_camera(pose @ image.mounted, image.points)) / image.noise[:, None, None] for image in images
+        ]
+        pose = pose @ exp(np.linalg.lstsq(np.concatenate(slopes).reshape(-1, 6), -off.ravel())[0])
     return best if np.isfinite(least) else pose
+
+
+def body_from_corners(
+    cameras: Sequence[Camera], mounted: FloatArray, points: FloatArray, images: Sequence[FloatArray]
+) -> FloatArray:
+    """The pose of a body that fits the corners in the images of all its cameras best.
+
+    Args:
+        cameras: C of them.
+        mounted: where they are on the body, `(C, 4, 4)`.
+        points: of the tags' corners, world frame, metres, `(M, ..., 3)`.
+        images: the corners each camera found, `(M, ..., 2)`; points with a NaN are left out.
+
+    Returns:
+        X of the body, `(4, 4)`; NaN where no camera has four points, or if there is no solution.
+    """
+    shots, world = [], np.reshape(points, (-1, 3))
+    for camera, at, image in zip(cameras, mounted, images, strict=True):
+        pixels = np.reshape(image, (-1, 2))
+        known = np.isfinite(pixels).all(axis=1)
+        shots.append(PointImage(camera, at, world[known], pixels[known], np.ones(np.count_nonzero(known))))
+    found = body_solutions(shots)
+    return found[0].pose if found else np.full((4, 4), np.nan)
 
 
 def pose_from_corners(camera: Camera, points: FloatArray, image: FloatArray) -> FloatArray:
@@ -154,10 +227,7 @@ def pose_from_corners(camera: Camera, points: FloatArray, image: FloatArray) -> 
     Returns:
         X, camera to world, `(4, 4)`; NaN with fewer than four points or if there is no solution.
     """
-    world, pixels = np.reshape(points, (-1, 3)), np.reshape(image, (-1, 2))
-    known = np.isfinite(pixels).all(axis=1)
-    found = solutions(camera, world[known], pixels[known])
-    return found[0].pose if found else np.full((4, 4), np.nan)
+    return body_from_corners([camera], np.eye(4)[None], points, [image])
 
 
 def pose_error(true: FloatArray, estimated: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,8 +1,9 @@
 """What was predicted of frames beside what detectors made of them: rows of tables."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -10,7 +11,7 @@ import pandas as pd
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.detection.evaluation import NUMBERS, agreement, at_least, corner_error, precision_recall, quantiles_by
 from lmd.detection.frames import Sightings, overlapping
-from lmd.detection.pose import pose_error, pose_from_corners
+from lmd.detection.pose import body_from_corners, pose_error
 from lmd.detection.quality import incidence, pitch
 from lmd.render.renderer import Renderer
 
@@ -36,6 +37,20 @@ class Prediction:
     poses: FloatArray
     visible: BoolArray
     met: Mapping[str, BoolArray]
+
+    @property
+    def parts(self) -> "tuple[Prediction, ...]":
+        """Of each camera: this one."""
+        return (self,)
+
+    @property
+    def mounted(self) -> FloatArray:
+        """From the frame of each camera to that of the poses, `(1, 4, 4)`."""
+        return np.eye(4)[None]
+
+    def moved(self, poses: FloatArray) -> "Prediction":
+        """The same of what is seen from other poses."""
+        return replace(self, poses=poses)
 
     @cached_property
     def corners(self) -> FloatArray:
@@ -66,8 +81,78 @@ class Prediction:
         return overlapping(self.renderer.room)
 
 
-def figures(prediction: Prediction, seen: Sightings) -> dict[str, float]:
+@dataclass(frozen=True)
+class RigPrediction:
+    """N moments of a rig: the predictions of its C cameras beside each other, as of C K tags.
+
+    Args:
+        parts: of each camera, with the poses of that camera.
+        mounted: where they are on the body (`lmd.scene.rig.Rig.extrinsics`), `(C, 4, 4)`.
+        poses: X of the body, `(N, 4, 4)`.
+    """
+
+    parts: tuple[Prediction, ...]
+    mounted: FloatArray
+    poses: FloatArray
+
+    def moved(self, poses: FloatArray) -> "RigPrediction":
+        """See `Prediction.moved`."""
+        parts = tuple(part.moved(poses @ at) for part, at in zip(self.parts, self.mounted, strict=True))
+        return replace(self, parts=parts, poses=poses)
+
+    def _beside(self, name: str) -> Any:
+        return np.concatenate([getattr(part, name) for part in self.parts], axis=1)
+
+    @cached_property
+    def visible(self) -> BoolArray:
+        """See `Prediction`, `(N, C K)`, as all that follow."""
+        return np.asarray(self._beside("visible"))
+
+    @cached_property
+    def met(self) -> Mapping[str, BoolArray]:
+        """See `Prediction`."""
+        names = self.parts[0].met
+        return {name: np.concatenate([part.met[name] for part in self.parts], axis=1) for name in names}
+
+    @cached_property
+    def corners(self) -> FloatArray:
+        """See `Prediction`."""
+        return np.asarray(self._beside("corners"))
+
+    @cached_property
+    def whole(self) -> BoolArray:
+        """See `Prediction`."""
+        return np.asarray(self._beside("whole"))
+
+    @cached_property
+    def pitch(self) -> FloatArray:
+        """See `Prediction`."""
+        return np.asarray(self._beside("pitch"))
+
+    @cached_property
+    def incidence(self) -> FloatArray:
+        """See `Prediction`."""
+        return np.asarray(self._beside("incidence"))
+
+    @cached_property
+    def overlapping(self) -> BoolArray:
+        """See `Prediction`."""
+        return np.tile(self.parts[0].overlapping, len(self.parts))
+
+
+Predicted = Prediction | RigPrediction
+
+
+def _by_any(which: BoolArray, prediction: Predicted) -> BoolArray:
+    """What any camera has, `(N, C K)` -> `(N, K)`."""
+    return np.asarray(which.reshape(len(which), len(prediction.parts), -1).any(axis=1))
+
+
+def figures(prediction: Predicted, seen: Sightings) -> dict[str, float]:
     """The figures of one deployment and one detector.
+
+    Of a rig a frame is a moment with the images of all its cameras: `predicted_<n>`, `detected_<n>` and `agreement_<n>`
+    count what any of them has, and the pose is of the body; single tags count once for each camera.
 
     `predicted_<n>`, `detected_<n>`: P(>= n), each with its standard error `_error`; `agreement_<n>`, the share of
     frames in which both agree on it; `precision`, `recall` over tags; `left_out`, the tags detected in a frame and not
@@ -76,14 +161,16 @@ def figures(prediction: Prediction, seen: Sightings) -> dict[str, float]:
     whole; `false_a_frame`; `corner_median`, `corner_90`, pixels; `pose_share`, the share of frames with a pose, and
     the quantiles of its errors, metres and rad.
     """
-    row: dict[str, float] = {"frames": len(prediction.poses), "tags": prediction.visible.shape[1]}
-    row["overlapping"] = int(prediction.overlapping.sum())
+    part = prediction.parts[0]
+    row: dict[str, float] = {"frames": len(prediction.poses), "tags": part.visible.shape[1]}
+    row["overlapping"] = int(part.overlapping.sum())
     visible, detected = prediction.visible, seen.detected
-    for name, which in (("predicted", visible), ("detected", detected)):
+    foreseen, found = _by_any(visible, prediction), _by_any(detected, prediction)
+    for name, which in (("predicted", foreseen), ("detected", found)):
         shares = at_least(which)
         for n, share, error in zip(NUMBERS, *shares, strict=True):
             row[f"{name}_{n}"], row[f"{name}_{n}_error"] = float(share), float(error)
-    row |= {f"agreement_{n}": agreement(visible, detected, int(n)) for n in NUMBERS}
+    row |= {f"agreement_{n}": agreement(foreseen, found, int(n)) for n in NUMBERS}
     precision, recall = precision_recall(visible, detected)
     row |= {"precision": float(precision), "recall": float(recall)}
     left_out, overrated = detected & ~visible, visible & ~detected
@@ -93,24 +180,29 @@ def figures(prediction: Prediction, seen: Sightings) -> dict[str, float]:
     row["overrated_overlapping"] = int((overrated & prediction.whole & prediction.overlapping).sum())
     row["false_a_frame"] = float(seen.false.mean())
     row |= _quantiles("corner", corner_error(seen.corners, prediction.corners))
-    renderer = prediction.renderer
-    poses = [pose_from_corners(renderer.camera, renderer.room.corners, found) for found in seen.corners]
-    position, attitude = pose_error(prediction.poses, np.stack(poses))
+    cameras = [part.renderer.camera for part in prediction.parts]
+    images = seen.corners.reshape(len(seen.corners), len(cameras), -1, 4, 2)
+    known = prediction.mounted, part.renderer.room.corners
+    poses = np.stack([body_from_corners(cameras, *known, list(moment)) for moment in images])
+    position, attitude = pose_error(prediction.poses, poses)
     row["pose_share"] = float(np.isfinite(position).mean())
     return row | _quantiles("position", position) | _quantiles("attitude", attitude)
 
 
-def repeated(seen: Sightings, again: Sightings) -> dict[str, float]:
+def repeated(seen: Sightings, again: Sightings, prediction: Predicted | None = None) -> dict[str, float]:
     """How much a detector agrees with itself on two looks: no prediction can agree with it much more.
 
     `repeated_<n>`, the share of frames in which both looks agree on at least n tags; `repeated_tags`, of the tags found
     at all the share that both found.
+
+    Args:
+        seen, again: the two looks.
+        prediction: of the cameras, if they are those of a rig.
     """
     both, either = seen.detected & again.detected, seen.detected | again.detected
     share = float(both.sum() / either.sum()) if either.any() else np.nan
-    return {f"repeated_{n}": agreement(seen.detected, again.detected, int(n)) for n in NUMBERS} | {
-        "repeated_tags": share
-    }
+    one, other = (s.detected if prediction is None else _by_any(s.detected, prediction) for s in (seen, again))
+    return {f"repeated_{n}": agreement(one, other, int(n)) for n in NUMBERS} | {"repeated_tags": share}
 
 
 def _quantiles(name: str, values: FloatArray) -> dict[str, float]:
@@ -119,7 +211,7 @@ def _quantiles(name: str, values: FloatArray) -> dict[str, float]:
     return {f"{name}_{key}": float(np.quantile(known, q)) if known.size else np.nan for key, q in QUANTILES.items()}
 
 
-def by_pitch(prediction: Prediction, seen: Sightings) -> pd.DataFrame:
+def by_pitch(prediction: Predicted, seen: Sightings) -> pd.DataFrame:
     """Tags that are wholly in the image, by their pitch.
 
     Columns: `pitch_from`, `pitch_to` (pixels a module), `tags`, the shares `predicted` and `detected` of them, and
@@ -128,13 +220,13 @@ def by_pitch(prediction: Prediction, seen: Sightings) -> pd.DataFrame:
     return _by_class(prediction, seen, "pitch", prediction.pitch, PITCHES)
 
 
-def by_incidence(prediction: Prediction, seen: Sightings) -> pd.DataFrame:
+def by_incidence(prediction: Predicted, seen: Sightings) -> pd.DataFrame:
     """The same by the angle from the tag's normal to the camera, `incidence_from` to `incidence_to` degrees."""
     return _by_class(prediction, seen, "incidence", prediction.incidence, INCIDENCES)
 
 
 def _by_class(
-    prediction: Prediction, seen: Sightings, name: str, values: FloatArray, bounds: FloatArray
+    prediction: Predicted, seen: Sightings, name: str, values: FloatArray, bounds: FloatArray
 ) -> pd.DataFrame:
     """Tags that are wholly in the image, by the class that their `values` `(N, K)` are in."""
     error = corner_error(seen.corners, prediction.corners)
@@ -168,14 +260,19 @@ def by_place(prediction: Prediction, seen: Sightings) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def by_tag(prediction: Prediction, seen: Sightings) -> pd.DataFrame:
-    """A row for each tag: `id`, `overlapping`, frames it was `predicted` and `detected` in, `precision`, `recall`."""
-    precision, recall = precision_recall(prediction.visible, seen.detected, axis=0)
+def by_tag(prediction: Predicted, seen: Sightings) -> pd.DataFrame:
+    """A row for each tag: `id`, `overlapping`, frames it was `predicted` and `detected` in, `precision`, `recall`.
+
+    Of a rig, by any of its cameras.
+    """
+    part = prediction.parts[0]
+    visible, detected = _by_any(prediction.visible, prediction), _by_any(seen.detected, prediction)
+    precision, recall = precision_recall(visible, detected, axis=0)
     return pd.DataFrame({
-        "id": prediction.renderer.room.ids,
-        "overlapping": prediction.overlapping,
-        "predicted": prediction.visible.sum(axis=0),
-        "detected": seen.detected.sum(axis=0),
+        "id": part.renderer.room.ids,
+        "overlapping": part.overlapping,
+        "predicted": visible.sum(axis=0),
+        "detected": detected.sum(axis=0),
         "precision": precision,
         "recall": recall,
     })  # fmt: skip

@@ -5,8 +5,12 @@ J_i (w, v) with `J_i = [(f_u / z) (1, 0, -x / z); (f_v / z) (0, 1, -y / z)] [[y_
 Jacobian (`lmd.geometry.lens`) in place of what follows the focal lengths. With pixel noise sigma the information is
 sum J_i^T J_i / sigma^2, and no unbiased estimate from this one frame has a smaller covariance than its
 inverse. Fewer than three landmarks, or three in line, do not fix the pose: the bound is infinite.
+
+The cameras of a rig move by Ad_{M^-1} (w, v) with their body, where M is where a camera is on it
+(`lmd.scene.rig.Rig.extrinsics`); the information of a moment is the sum of Ad^T I Ad over them.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,13 +18,13 @@ import numpy as np
 import pandas as pd
 
 from lmd.core.checks import BoolArray, FloatArray
-from lmd.geometry.se3 import axis_and_right, camera_pose, skew
+from lmd.geometry.se3 import adjoint, axis_and_right, camera_pose, inverse, skew
 from lmd.render.optics import slope
 from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator, averaged
-from lmd.sight.views import visible
+from lmd.sight.views import visible_to_each
 
 # A smaller eigenvalue of the scaled information is rounding: the pose is not fixed.
 SINGULAR = 1e-9
@@ -53,6 +57,32 @@ def pose_information(
         first = np.searchsorted(frame, np.flatnonzero(some))
         information[some] = np.add.reduceat(np.swapaxes(jacobian, 1, 2) @ jacobian, first, axis=0)
     return information
+
+
+def moment_information(
+    cameras: Sequence[Camera],
+    extrinsics: FloatArray,
+    poses: FloatArray,
+    landmarks: FloatArray,
+    seen: BoolArray,
+    noise: Sequence[FloatArray] | None = None,
+) -> FloatArray:
+    """`pose_information` of all cameras of a body on its pose, `(F, 6, 6)`.
+
+    Args:
+        cameras: C of them.
+        extrinsics: where they are on the body, `(C, 4, 4)`.
+        poses: X of the body, `(F, 4, 4)`.
+        landmarks: `(K, 3)`.
+        seen: which of them each camera sees in each frame, `(C, F, K)`.
+        noise: as there, of each camera.
+    """
+    total = np.zeros((len(poses), 6, 6))
+    for c, camera in enumerate(cameras):
+        moved = adjoint(inverse(extrinsics[c]), np.eye(6)).T
+        its = pose_information(poses @ extrinsics[c], landmarks, seen[c], camera, None if noise is None else noise[c])
+        total += moved.T @ its @ moved
+    return total
 
 
 def cramer_rao_bound(information: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -106,7 +136,6 @@ class CramerRaoMap:
 
 def cramer_rao_map(scene: Scene, evaluator: Evaluator, deployment: Deployment) -> CramerRaoMap:
     """The bound at every position of `evaluator` and every orientation of the PDF."""
-    camera = scene.single_camera("the Cramer-Rao bound")
     pdf, positions, weight = scene.pdf, evaluator.positions, scene.probability(evaluator.positions)
     _, first = np.unique(scene.orientations.index_of, return_index=True)
     turns = camera_pose(np.zeros(3), pdf.yaw[first], pdf.pitch[first], np.asarray(pdf.roll)[first])
@@ -115,8 +144,9 @@ def cramer_rao_map(scene: Scene, evaluator: Evaluator, deployment: Deployment) -
         here = positions[start : start + per_chunk]
         poses = np.tile(turns, (len(here), 1, 1))
         poses[:, :3, 3] = np.repeat(here, len(turns), axis=0)
-        seen = visible(evaluator, deployment, poses[:, :3, 3], axis_and_right(poses))
-        parts.append(cramer_rao_bound(pose_information(poses, deployment.positions, seen, camera)))
+        seen = visible_to_each(evaluator, deployment, poses[:, :3, 3], axis_and_right(poses))
+        told = moment_information(scene.cameras, scene.extrinsics, poses, deployment.positions, seen)
+        parts.append(cramer_rao_bound(told))
     position, attitude = (np.concatenate(part).reshape(len(positions), -1) for part in zip(*parts, strict=True))
     share = averaged(np.isfinite(position), weight)
     return CramerRaoMap(positions, share, _finite_median(position, weight), _finite_median(attitude, weight))

@@ -6,9 +6,10 @@ from typing import Protocol
 import numpy as np
 
 from lmd.core.checks import FloatArray
-from lmd.estimation.cramer_rao import cramer_rao_bound, pose_information
+from lmd.estimation.cramer_rao import cramer_rao_bound, moment_information
 from lmd.estimation.errors import Errors
 from lmd.estimation.recording import Recording
+from lmd.scene.rig import cameras_of, extrinsics_of
 
 
 class Estimator(Protocol):
@@ -39,11 +40,15 @@ class CramerRaoBound:
         largest = float(recording.noise.max(initial=0.0))
         relative = recording.noise / largest if largest > 0.0 else np.ones_like(recording.noise)
         runs, corners = [], 1 if recording.tags is None else 4
+        cameras, count = recording.seen_by.shape[2:]
+        body = cameras_of(recording.camera), extrinsics_of(recording.camera)
         for s, poses in enumerate(recording.poses):
-            points = recording.landmarks[s] if recording.tags is None else recording.tags[s].reshape(-1, 3)
-            seen = recording.seen[s].repeat(corners, axis=1)
-            noise = relative[recording.detections(s)].repeat(corners)
-            bounds = cramer_rao_bound(pose_information(poses, points, seen, recording.camera, noise))
+            points = (recording.landmarks if recording.tags is None else recording.tags)[s, :count].reshape(-1, 3)
+            seen = np.moveaxis(recording.seen_by[s], 1, 0).repeat(corners, axis=-1)
+            camera = np.nonzero(recording.seen[s])[1] // count  # that made each detection
+            its = relative[recording.detections(s)]
+            noise = [its[camera == c].repeat(corners) for c in range(cameras)]
+            bounds = cramer_rao_bound(moment_information(*body, poses, points, seen, noise))
             runs.append([np.where(np.isfinite(bound), bound, np.nan) for bound in bounds])
         position, attitude = largest * np.array(runs).transpose(1, 0, 2)
         return Errors(position**2 + 2.0 * attitude**2, position, attitude)

@@ -1,6 +1,6 @@
 """Estimators of GTSAM that know how uncertain landmarks and odometry are: a filter, and a smoother over a fixed lag."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
@@ -8,13 +8,12 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, real
 from lmd.core.optional import optional
-from lmd.detection.pose import solutions
+from lmd.detection.pose import PointImage, body_solutions
 from lmd.estimation.errors import Errors, pose_errors
-from lmd.estimation.pnp import image_of, likely
+from lmd.estimation.pnp import images_of, likely
 from lmd.estimation.recording import Recording
-from lmd.geometry.se3 import act, inverse, skew
-from lmd.render.optics import project, slope
-from lmd.scene.camera import Camera
+from lmd.geometry.se3 import skew
+from lmd.render.optics import project, to_camera
 
 
 @dataclass(frozen=True)
@@ -87,38 +86,36 @@ class Places(NamedTuple):
 
     def predicted(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
         """See `Measurement.predicted`."""
-        y, moved = _moved(pose, self.landmarks)
+        y = to_camera(pose, self.landmarks)
+        moved = np.concatenate([skew(y), np.broadcast_to(-np.eye(3), (len(y), 3, 3))], axis=-1)
         return y.reshape(-1), moved.reshape(-1, 6)
 
 
 class Corners(NamedTuple):
-    """The image of the m corners of tags, pixels: a `Measurement` of 2 m numbers."""
+    """The images of the m corners of tags, pixels: a `Measurement` of 2 m numbers."""
 
-    camera: Camera
-    points: FloatArray
+    images: Sequence[PointImage]
     value: FloatArray
     covariance: FloatArray
 
     @classmethod
     def of(cls, recording: Recording, s: int, t: int, uncertainty: Uncertainty) -> "Corners":
         """Those of frame t of run s."""
-        points, image, noise = image_of(recording, s, t)
-        noise = np.maximum(noise, uncertainty.least_pixel_noise).repeat(2)
-        return cls(recording.camera, points, image.reshape(-1), np.diag(noise**2))
+        images = images_of(recording, s, t)
+        noise = np.maximum(np.concatenate([image.noise for image in images]), uncertainty.least_pixel_noise).repeat(2)
+        return cls(images, np.concatenate([image.pixels for image in images]).reshape(-1), np.diag(noise**2))
 
     def predicted(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
         """See `Measurement.predicted`; what has no image counts as in the middle of it, and does not move."""
-        y, moved = _moved(pose, self.points)
-        image = project(self.camera, np.eye(4), y)
-        lost = np.isnan(image).any(axis=1)
-        image[lost], y[lost], moved[lost] = self.camera.principal_point, [0.0, 0.0, 1.0], 0.0
-        return image.reshape(-1), (slope(self.camera, y) @ moved).reshape(-1, 6)
-
-
-def _moved(pose: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """y = X^-1 C of points `(m, 3)`, and how it moves with a body twist (w, v), y x w - v, `(m, 3, 6)`."""
-    y = act(inverse(pose), points)
-    return y, np.concatenate([skew(y), np.broadcast_to(-np.eye(3), (len(y), 3, 3))], axis=-1)
+        pixels, slopes = [], []
+        for image in self.images:
+            y = to_camera(pose @ image.mounted, image.points)
+            there = project(image.camera, np.eye(4), y)
+            lost = np.asarray(np.isnan(there).any(axis=1))
+            there[lost], y[lost] = image.camera.principal_point, [0.0, 0.0, 1.0]
+            slopes.append(np.where(lost[:, None, None], 0.0, image.slope(y)))
+            pixels.append(there)
+        return np.concatenate(pixels).reshape(-1), np.concatenate(slopes).reshape(-1, 6)
 
 
 @dataclass(frozen=True)
@@ -202,7 +199,7 @@ def _beginning(recording: Recording, s: int, t: int, expected: FloatArray) -> Fl
     """The pose at which a smoother begins with frame t of run s; None if it does not yet."""
     if recording.corners is None:
         return expected
-    found = likely(solutions(recording.camera, *image_of(recording, s, t)))
+    found = likely(body_solutions(images_of(recording, s, t)))
     return found[0] if t > 0 and len(found) == 1 else None
 
 

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, real
-from lmd.estimation.recording import Each, Flight, Observation, check_images
+from lmd.estimation.recording import Each, Flight, Look, Observation, check_images, joined
 from lmd.geometry.lens import EQUIDISTANT
 from lmd.geometry.se3 import act, inverse
 from lmd.render.optics import bearings, depth_in_focus, project, slope
 from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
+from lmd.scene.rig import extrinsics_of
 
 
 @dataclass(frozen=True)
@@ -43,16 +44,17 @@ class Detector:
         """See `Sensor.observed`; a landmark is visible as the scene's visibility model says."""
         if self.pixel_noise > 0.0:
             check_images(flights)
-        return [self._observed(flight) for flight in flights]
+        return [joined(list(map(self._observed, f.looks())), extrinsics_of(f.camera)) for f in flights]
 
     def tags(self, deployment: Deployment) -> None:
         """See `Sensor.tags`."""
 
-    def _observed(self, flight: Flight) -> Observation:
-        seen = detected(flight.in_view(), self.missed, flight.rng)
-        exact = act(inverse(flight.poses), flight.deployment.positions)
-        points = self.measured(exact, flight.camera, flight.rng)
-        covariance = self.covariance(points[seen], flight.camera)
+    def _observed(self, look: Look) -> Observation:
+        flight = look.flight
+        seen = detected(look.in_view, self.missed, flight.rng)
+        exact = act(inverse(look.poses), flight.deployment.positions)
+        points = self.measured(exact, look.camera, flight.rng)
+        covariance = self.covariance(points[seen], look.camera)
         return Observation(seen, points, np.full(len(covariance), self.pixel_noise), covariance)
 
     def measured(self, points: FloatArray, camera: Camera, rng: np.random.Generator) -> FloatArray:

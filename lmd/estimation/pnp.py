@@ -7,11 +7,12 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, choice
 from lmd.core.optional import optional
-from lmd.detection.pose import Solution, solutions
+from lmd.detection.pose import PointImage, Solution, body_solutions
 from lmd.estimation.errors import Errors, pose_errors
 from lmd.estimation.recording import Recording
 from lmd.geometry.se3 import exp
 from lmd.render.optics import project
+from lmd.scene.rig import cameras_of, extrinsics_of
 
 AMBIGUOUS = ("odometry", "refuse")
 # Two poses are told apart by their image if one is a hundred times as likely as the other.
@@ -22,7 +23,7 @@ LEAST_NOISE = 0.01
 
 @dataclass(frozen=True)
 class PerspectiveNPoint:
-    """The pose of each frame on its own (PnP), see `lmd.detection.pose.solutions`.
+    """The pose of each frame on its own (PnP), see `lmd.detection.pose`: of a rig from the images of all its cameras.
 
     It takes the corners of all tags in view; of landmarks that are points their centres, of which it needs four, and
     not their apparent size. Of several poses that fit almost equally well, as with a single tag that is seen from
@@ -53,7 +54,7 @@ class PerspectiveNPoint:
         for t in range(len(estimates)):
             if expected is not None:
                 expected = expected @ motions[t - 1]
-            rivals = likely(solutions(recording.camera, *image_of(recording, s, t)))
+            rivals = likely(body_solutions(images_of(recording, s, t)))
             if len(rivals) == 1:
                 expected = estimates[t] = rivals[0]
             elif rivals and expected is not None and self.ambiguous == "odometry":
@@ -70,11 +71,19 @@ def _distance(one: FloatArray, other: FloatArray) -> float:
     return float(((one - other) ** 2).sum())
 
 
-def image_of(recording: Recording, s: int, t: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Known points `(m, 3)` that a frame has, their image `(m, 2)` in pixels from the border, and its noise `(m,)`."""
-    seen, these = recording.seen[s, t], recording.detections(s, t, t + 1)
-    noise = np.maximum(recording.noise[these], LEAST_NOISE)
-    if recording.tags is not None and recording.corners is not None:
-        return recording.tags[s, seen].reshape(-1, 3), recording.corners[these].reshape(-1, 2), noise.repeat(4)
-    image = project(recording.camera, np.eye(4), recording.points[s, t, seen])
-    return recording.landmarks[s, seen], image, noise
+def images_of(recording: Recording, s: int, t: int) -> list[PointImage]:
+    """What each camera has of known points in a frame."""
+    images, first, count = [], recording.detections(s, t).start, recording.seen_by.shape[-1]
+    for c, (camera, mounted) in enumerate(
+        zip(cameras_of(recording.camera), extrinsics_of(recording.camera), strict=True)
+    ):
+        seen = c * count + np.flatnonzero(recording.seen_by[s, t, c])
+        its = slice(first, first := first + len(seen))
+        noise = np.maximum(recording.noise[its], LEAST_NOISE)
+        if recording.tags is not None and recording.corners is not None:
+            points, pixels = recording.tags[s, seen].reshape(-1, 3), recording.corners[its].reshape(-1, 2)
+            images.append(PointImage(camera, mounted, points, pixels, noise.repeat(4)))
+        else:
+            pixels = project(camera, mounted, recording.points[s, t, seen])
+            images.append(PointImage(camera, mounted, recording.landmarks[s, seen], pixels, noise))
+    return images

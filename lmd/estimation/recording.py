@@ -1,4 +1,8 @@
-"""What a camera records along its trajectories: which landmarks, and where they are in its own frame."""
+"""What a camera records along its trajectories: which landmarks, and where they are in its own frame.
+
+A rig is recorded as if it saw C K landmarks: each of its C cameras has K of its own, camera after camera, in one frame,
+that of the body.
+"""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -9,12 +13,13 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.estimation.odometry import Odometry
-from lmd.geometry.se3 import axis_and_right
+from lmd.geometry.se3 import act, axis_and_right
 from lmd.geometry.trajectory import Trajectory
 from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
+from lmd.scene.rig import Rig, cameras_of
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.views import visible
+from lmd.sight.views import visible_to_each
 
 # Applies a function to jobs and gives the results in their order: the built-in `map`, or one with processes to share.
 Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
@@ -22,7 +27,7 @@ Each = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
 
 @dataclass(frozen=True)
 class Flight:
-    """A camera's flight over a deployment.
+    """A camera's flight over a deployment, or a rig's, whose poses are those of its body.
 
     Args:
         evaluator: the scene, whose visibility model decides what is in view.
@@ -39,20 +44,45 @@ class Flight:
     all_visible: bool = False
 
     @property
-    def camera(self) -> Camera:
+    def camera(self) -> Camera | Rig:
         """That takes the frames."""
-        return self.evaluator.scene.single_camera("a flight")
+        return self.evaluator.scene.camera
 
     @property
     def poses(self) -> FloatArray:
         """The true X, `(T, 4, 4)`."""
         return self.trajectory.poses
 
-    def in_view(self) -> BoolArray:
-        """Which landmarks each frame has in view, `(T, K)`."""
+    def looks(self) -> "list[Look]":
+        """The flight as each of its cameras sees it."""
+        scene = self.evaluator.scene
         if self.all_visible:
-            return np.ones((len(self.poses), len(self.deployment)), dtype=np.bool_)
-        return visible(self.evaluator, self.deployment, self.poses[:, :3, 3], axis_and_right(self.poses))
+            seen = np.ones((len(scene.cameras), len(self.poses), len(self.deployment)), dtype=np.bool_)
+        else:
+            axes = axis_and_right(self.poses)
+            seen = visible_to_each(self.evaluator, self.deployment, self.poses[:, :3, 3], axes)
+        return [Look(*look, self) for look in zip(scene.cameras, scene.extrinsics, seen, strict=True)]
+
+
+class Look(NamedTuple):
+    """A flight as one camera sees it.
+
+    Args:
+        camera: its intrinsics.
+        mounted: where it is on the body, see `lmd.scene.rig.extrinsics_of`, `(4, 4)`.
+        in_view: which landmarks each frame has in view, `(T, K)`.
+        flight: of the body.
+    """
+
+    camera: Camera
+    mounted: FloatArray
+    in_view: BoolArray
+    flight: Flight
+
+    @property
+    def poses(self) -> FloatArray:
+        """The true X of the camera, `(T, 4, 4)`."""
+        return self.flight.poses @ self.mounted
 
 
 class Observation(NamedTuple):
@@ -72,6 +102,29 @@ class Observation(NamedTuple):
     noise: FloatArray
     covariance: FloatArray
     corners: FloatArray | None = None
+
+
+def joined(parts: Sequence[Observation], mounted: FloatArray) -> Observation:
+    """What all cameras of a body observe as of one, in its frame: T frames of C K landmarks.
+
+    Args:
+        parts: of each camera, in its own frame.
+        mounted: where they are on the body, `(C, 4, 4)`.
+    """
+    order = np.argsort(np.concatenate([np.nonzero(part.seen)[0] for part in parts]), kind="stable")
+
+    def together(arrays: Iterable[FloatArray]) -> FloatArray:
+        return np.concatenate(list(arrays))[order]
+
+    turns = mounted[:, :3, :3]
+    corners = [part.corners for part in parts if part.corners is not None]
+    return Observation(
+        np.concatenate([part.seen for part in parts], axis=1),
+        np.concatenate([act(at, part.points) for at, part in zip(mounted, parts, strict=True)], axis=1),
+        together(part.noise for part in parts),
+        together(turn @ part.covariance @ turn.T for turn, part in zip(turns, parts, strict=True)),
+        together(corners) if corners else None,
+    )
 
 
 class Sensor(Protocol):
@@ -96,6 +149,8 @@ class Sensor(Protocol):
 class Recording:
     """S runs of T frames, each over K landmarks; M detections in all, in the order of `np.nonzero(seen)`.
 
+    Of a rig with C cameras K is C times as many, see above.
+
     Args:
         time: of the frames, seconds, `(T,)`.
         poses: the true X, `(S, T, 4, 4)`.
@@ -113,7 +168,7 @@ class Recording:
     twists: FloatArray
     odometry: Odometry
     landmarks: FloatArray
-    camera: Camera
+    camera: Camera | Rig
     seen: BoolArray
     points: FloatArray
     noise: FloatArray
@@ -122,14 +177,19 @@ class Recording:
     corners: FloatArray | None = None
 
     @property
+    def seen_by(self) -> BoolArray:
+        """Which of the landmarks each camera has in each frame, `(S, T, C, K / C)`."""
+        return self.seen.reshape(*self.seen.shape[:2], len(cameras_of(self.camera)), -1)
+
+    @property
     def visible_counts(self) -> IntArray:
-        """Landmarks in each frame, `(S, T)`."""
-        return np.asarray(self.seen.sum(axis=-1))
+        """Landmarks that any camera has in each frame, `(S, T)`."""
+        return np.asarray(self.seen_by.any(axis=2).sum(axis=-1))
 
     @cached_property
     def _first(self) -> IntArray:
         """The first detection of each frame of each run, and M, `(S T + 1,)`."""
-        return np.concatenate([[0], np.cumsum(self.visible_counts)])
+        return np.concatenate([[0], np.cumsum(self.seen.sum(axis=-1))])
 
     def detections(self, s: int, first: int = 0, last: int | None = None) -> slice:
         """Which of the M detections were made in frames `first` to `last` (left out; None for all) of run s."""
@@ -149,7 +209,7 @@ def record(
 
     Args:
         detector: noise and missed detections.
-        flights: S of them, with one camera.
+        flights: S of them, with one camera or rig.
         odometry: measures the twists; None for exact ones.
         each: does what takes long.
 
@@ -160,19 +220,20 @@ def record(
     observations = detector.observed(flights, each)
     twists = [odometry.measured(f.trajectory.twists, np.diff(time), f.rng.spawn(1)[0]) for f in flights]
     tags = [detector.tags(flight.deployment) for flight in flights]
+    cameras = len(cameras_of(flights[0].camera))
     corners = [observation.corners for observation in observations]
     return Recording(
         time,
         np.stack([flight.poses for flight in flights]),
         np.stack(twists),
         odometry,
-        np.stack([flight.deployment.positions for flight in flights]),
+        np.stack([np.tile(flight.deployment.positions, (cameras, 1)) for flight in flights]),
         flights[0].camera,
         np.stack([observation.seen for observation in observations]),
         np.stack([observation.points for observation in observations]),
         np.concatenate([observation.noise for observation in observations]),
         np.concatenate([observation.covariance for observation in observations]),
-        None if tags[0] is None else np.stack(tags),  # type: ignore[arg-type] # all of them or none
+        None if tags[0] is None else np.stack([np.tile(tag, (cameras, 1, 1)) for tag in tags]),  # type: ignore[arg-type] # all of them or none
         None if corners[0] is None else np.concatenate(corners),  # type: ignore[arg-type]
     )
 

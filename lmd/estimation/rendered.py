@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain, islice
 from typing import NamedTuple
 
 import numpy as np
@@ -9,11 +10,13 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, IntArray, real
 from lmd.detection.detectors import Detections, Detector
 from lmd.detection.frames import tagged_room
-from lmd.estimation.recording import Each, Flight, Observation, check_images
+from lmd.estimation.recording import Each, Flight, Look, Observation, check_images, joined
 from lmd.estimation.tags import corners_of, observation
+from lmd.geometry.se3 import adjoint, inverse
 from lmd.render.imaging import Imaging, UInt8Array
 from lmd.render.renderer import Renderer
 from lmd.scene.deployment import Deployment
+from lmd.scene.rig import extrinsics_of
 from lmd.scene.tag import Tag
 
 # Frames that are rendered and read in one go.
@@ -81,47 +84,55 @@ class RenderedDetector:
         """See `Sensor.tags`."""
         return corners_of(deployment, self.tag)
 
-    def batch(self, flight: Flight) -> "Batch":
-        """The frames of a flight; rendered from a flight with the same source of noise they are the same."""
+    def batch(self, look: Look) -> "Batch":
+        """The frames of a camera; rendered from a flight with the same source of noise they are the same."""
+        flight = look.flight
         room = tagged_room(flight.evaluator.scene.room, flight.deployment, self.tag)
-        twists = flight.trajectory.twists
+        twists = adjoint(inverse(look.mounted), flight.trajectory.twists)
         motions = self.shutter * np.concatenate([twists, twists[-1:]])  # at the end as in the step before
         moving = motions if self.shutter > 0.0 else [None] * len(motions)
-        frames = zip(flight.poses, moving, flight.rng.spawn(len(motions)), strict=True)
-        return Batch(Renderer(flight.camera, room, self.imaging), self.reader, [Frame(*frame) for frame in frames])
+        frames = zip(look.poses, moving, flight.rng.spawn(len(motions)), strict=True)
+        return Batch(Renderer(look.camera, room, self.imaging), self.reader, [Frame(*frame) for frame in frames])
 
     def observed(self, flights: Sequence[Flight], each: Each = map) -> list[Observation]:
         """See `Sensor.observed`; `each` gets batches of frames."""
         check_images(flights)
+        looks = [flight.looks() for flight in flights]
         jobs = [
             whole._replace(frames=whole.frames[first : first + BATCH])
-            for whole in map(self.batch, flights)
+            for whole in map(self.batch, chain.from_iterable(looks))
             for first in range(0, len(whole.frames), BATCH)
         ]
-        found = [detections for batch in each(read, jobs) for detections in batch]
-        frames = len(flights[0].poses)
-        return [self._observed(flight, found[s * frames : (s + 1) * frames]) for s, flight in enumerate(flights)]
+        found = iter([detections for batch in each(read, jobs) for detections in batch])
+        return [
+            joined(
+                [self._observed(look, list(islice(found, len(look.in_view)))) for look in those],
+                extrinsics_of(f.camera),
+            )
+            for f, those in zip(flights, looks, strict=True)
+        ]
 
-    def moments(self, flight: Flight, frames: Sequence[int]) -> list[Moment]:
-        """Some frames of a flight, to look at."""
-        whole, sight, times = self.batch(flight), flight.in_view(), flight.trajectory.time
+    def moments(self, look: Look, frames: Sequence[int]) -> list[Moment]:
+        """Some frames of a camera, to look at."""
+        flight, poses = look.flight, look.poses
+        whole, sight, times = self.batch(look), look.in_view, flight.trajectory.time
         chosen = whole._replace(frames=[whole.frames[t] for t in frames])
         pictures = list(images(chosen))
         found = believed([self.reader.detect(picture) for picture in pictures], flight.deployment.ids)
         return [
-            Moment(times[t], flight.poses[t], picture, whole.renderer.corners(flight.poses[t]), sight[t], corners)
+            Moment(times[t], poses[t], picture, whole.renderer.corners(poses[t]), sight[t], corners)
             for t, picture, corners in zip(frames, pictures, found, strict=True)
         ]
 
-    def _observed(self, flight: Flight, found: Sequence[Detections]) -> Observation:
-        corners = believed(found, flight.deployment.ids)
+    def _observed(self, look: Look, found: Sequence[Detections]) -> Observation:
+        corners = believed(found, look.flight.deployment.ids)
         seen = np.isfinite(corners[..., 0, 0])
         noise = np.full(int(seen.sum()), self.pixel_noise)
-        return observation(flight.camera, self.tag, seen, corners[seen], noise)
+        return observation(look.camera, self.tag, seen, corners[seen], noise)
 
 
 class Batch(NamedTuple):
-    """Frames of one flight, for a process of its own."""
+    """Frames of one camera, for a process of its own."""
 
     renderer: Renderer
     reader: Detector

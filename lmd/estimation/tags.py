@@ -12,12 +12,13 @@ from lmd.detection.corner_errors import CORNER_ERRORS
 from lmd.detection.pose import straightened
 from lmd.detection.quality import pitch
 from lmd.estimation.measurements import Detector, detected
-from lmd.estimation.recording import Each, Flight, Observation, Sensor, check_images
+from lmd.estimation.recording import Each, Flight, Look, Observation, Sensor, check_images, joined
 from lmd.geometry.se3 import skew
 from lmd.geometry.squares import CORNERS, corners
 from lmd.render.optics import bearings, intrinsics, project, slope
 from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
+from lmd.scene.rig import extrinsics_of
 from lmd.scene.tag import Tag
 
 
@@ -49,17 +50,18 @@ class TagDetector:
     def observed(self, flights: Sequence[Flight], each: Each = map) -> list[Observation]:
         """See `Sensor.observed`; a tag is visible as the scene's visibility model says."""
         check_images(flights)
-        return [self._observed(flight) for flight in flights]
+        return [joined(list(map(self._observed, f.looks())), extrinsics_of(f.camera)) for f in flights]
 
     def tags(self, deployment: Deployment) -> FloatArray:
         """See `Sensor.tags`."""
         return corners_of(deployment, self.tag)
 
-    def _observed(self, flight: Flight) -> Observation:
-        camera, poses, deployment = flight.camera, flight.poses, flight.deployment
+    def _observed(self, look: Look) -> Observation:
+        flight = look.flight
+        camera, poses, deployment = look.camera, look.poses, flight.deployment
         squares = project(camera, poses, self.tags(deployment).reshape(-1, 3)).reshape(len(poses), -1, 4, 2)
         in_front = np.isfinite(squares).all(axis=(-2, -1))
-        seen = detected(flight.in_view() & in_front, self.missed, flight.rng)
+        seen = detected(look.in_view & in_front, self.missed, flight.rng)
         pitches = pitch(camera, poses, deployment.positions, deployment.normals, self.tag)[seen]
         errors = CORNER_ERRORS[self.reader]
         found = squares[seen] + errors.draw(pitches, flight.rng)

@@ -15,7 +15,7 @@ from lmd.evaluation.validation import Sample, sampled_evaluators
 from lmd.objectives.base import Objective
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation.information import deviation_per_variance, precision
-from lmd.objectives.localisation.kernels import localised_views
+from lmd.objectives.localisation.views import localised_views
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator, averaged
@@ -40,7 +40,7 @@ def predicted_errors(problem: Problem, deployment: Deployment, evaluator: Evalua
     """
     objective, scene = problem.objective, problem.scene
     noise = as_localisation(objective).pixel_noise
-    camera = scene.single_camera("the predicted error")
+    camera = scene.cameras[0]
     asked: Any = precision(camera, scene.tag, noise, np.inf)
     landmarks = deployment.positions[None], deployment.normals[None]
     views = localised_views(evaluator, *landmarks, objective.n, asked, keep=True)

@@ -1,7 +1,8 @@
 """What a map that is wrong does to the pose: tags hang in one place, and the estimate takes them to be in another.
 
-The pose comes from one image by PnP (`lmd.detection.pose`). A map that is off as a whole, by a rigid motion T, gives a
-pose that is off by the same motion; tags that are off each in its own way partly cancel out.
+The pose comes from one image by PnP (`lmd.detection.pose`), of a rig from those of all its cameras. A map that is off
+as a whole, by a rigid motion T, gives a pose that is off by the same motion; tags that are off each in its own way
+partly cancel out.
 """
 
 from collections.abc import Mapping
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lmd.core.checks import FloatArray
-from lmd.detection.pose import pose_error, pose_from_corners
+from lmd.detection.pose import body_from_corners, pose_error
 from lmd.evaluation.accuracy import TOLERANCES, as_localisation
 from lmd.geometry.se3 import axis_and_right
 from lmd.geometry.squares import corners
@@ -19,7 +20,7 @@ from lmd.problem import Problem
 from lmd.render.optics import project
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
-from lmd.sight.views import visible
+from lmd.sight.views import visible_to_each
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -69,17 +70,21 @@ def map_errors(
     """
     import pandas as pd
 
-    camera, tag = problem.scene.single_camera("the error of the pose"), problem.scene.tag
-    points = truth.points(tag)
-    image = project(camera, poses, points.reshape(-1, 3)).reshape(len(poses), *points.shape[:2], 2)
-    image += rng.normal(0.0, as_localisation(problem.objective).pixel_noise, image.shape)
-    seen = visible(problem.evaluator, truth.deployment, poses[:, :3, 3], axis_and_right(poses))
-    seen &= np.isfinite(image).all(axis=(-2, -1))
-    enough = np.flatnonzero(seen.sum(axis=1) >= problem.objective.n)
-    columns: dict[str, FloatArray] = {"tags": seen[enough].sum(axis=1)}
+    scene, tag = problem.scene, problem.scene.tag
+    points, body = truth.points(tag), (scene.cameras, scene.extrinsics)
+    images = np.stack([
+        project(camera, poses @ mounted, points.reshape(-1, 3)).reshape(len(poses), *points.shape[:2], 2)
+        for camera, mounted in zip(*body, strict=True)
+    ])  # fmt: skip
+    images += rng.normal(0.0, as_localisation(problem.objective).pixel_noise, images.shape)
+    seen = visible_to_each(problem.evaluator, truth.deployment, poses[:, :3, 3], axis_and_right(poses))
+    seen &= np.isfinite(images).all(axis=(-2, -1))
+    images[~seen] = np.nan
+    counts = seen.any(axis=0).sum(axis=1)
+    enough = np.flatnonzero(counts >= problem.objective.n)
+    columns: dict[str, FloatArray] = {"tags": counts[enough]}
     for name, known in maps.items():
-        places = known.points(tag)
-        found = [pose_from_corners(camera, places[seen[v]], image[v, seen[v]]) for v in enough]
+        found = [body_from_corners(*body, known.points(tag), list(images[:, v])) for v in enough]
         errors = pose_error(poses[enough], np.array(found).reshape(-1, 4, 4))
         columns |= {f"{part}_{name}": error for part, error in zip(("position", "attitude"), errors, strict=True)}
     return pd.DataFrame(columns)

@@ -18,17 +18,19 @@ from lmd.core.bits import packed
 from lmd.core.checks import FloatArray, InputError, IntArray
 from lmd.core.threads import at_once
 from lmd.evaluation.accuracy import as_localisation
+from lmd.evaluation.rig_sensitivity import RigMoments
 from lmd.evaluation.validation import Sample, sampled_evaluators
 from lmd.incremental.field import in_order
 from lmd.incremental.move import counts_of, overlook
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation.field import LocalisationField
-from lmd.objectives.localisation.kernels import localised_views
 from lmd.objectives.localisation.move import localisation_state
 from lmd.objectives.localisation.objective import Mean
+from lmd.objectives.localisation.views import localised_views
 from lmd.objectives.without import without_landmarks
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
+from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator, averaged
 from lmd.sight.kernels import PROBABILITY_ONE
@@ -71,22 +73,28 @@ class Sensitivity:
             view anew.
         tags: `id,localised_loss,covered_loss`: what the shares lose without each landmark.
         lost: `lost,share,mean,worst,worst_ids`: what they lose without one landmark, or any two.
+        cameras: of a rig, `camera,localised_share,covered_share,localised_loss,covered_loss`: what is left, and what is
+            lost, where each camera fails; None for a single camera.
     """
 
     assumptions: pd.DataFrame
     misses: pd.DataFrame
     tags: pd.DataFrame
     lost: pd.DataFrame
+    cameras: pd.DataFrame | None = None
 
     @property
     def tables(self) -> dict[str, pd.DataFrame]:
         """See `Study.tables`."""
-        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+        tables = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return {name: table for name, table in tables.items() if table is not None}
 
     def metrics(self) -> dict[str, float]:
         """The finite figures by names such as `pixel_noise_1.4/localised_share`."""
         named = {f"{row['assumption']}_{row['factor']:g}": row for row in self.assumptions.to_dict("records")}
         named |= {f"missed_{row['missed']:g}": row for row in self.misses.to_dict("records")}
+        if self.cameras is not None:
+            named |= {f"camera_{row['camera']}_fails": row for row in self.cameras.to_dict("records")}
         figures = {f"{name}/{share}": row[share] for name, row in named.items() for share in SHARES}
         for row in self.lost.to_dict("records"):
             figures |= {f"lost_{row['lost']}/{row['share']}_{kind}": row[kind] for kind in ("mean", "worst")}
@@ -106,7 +114,8 @@ class Sensitivity:
             f"edge x {row['factor']:g}: {row['note']}" for row in self.assumptions.to_dict("records") if row["note"]
         ]
         lost = self.lost.set_index(["lost", "share"])
-        return "\n\n".join(["sensitivity, per cent", text(varied), *notes, text(missed), text(lost)])
+        failed = [] if self.cameras is None else [text(self.cameras.set_index("camera").rename_axis("camera fails"))]
+        return "\n\n".join(["sensitivity, per cent", text(varied), *notes, text(missed), text(lost), *failed])
 
 
 def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sample = SAMPLE) -> Sensitivity:
@@ -126,7 +135,7 @@ def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sam
     groups = enumerate(sampled_evaluators(problem.scene, seed, sample, threads=1))
     measure = partial(_measure, deployment, as_localisation(problem.objective), variants, seed)
     parts = at_once(problem.evaluator.threads, measure, groups)
-    assumed, missed, without = (np.mean(part, axis=0) for part in zip(*parts, strict=True))
+    assumed, missed, without, failed = (np.mean(part, axis=0) for part in zip(*parts, strict=True))
     rows = [[v.assumption, v.factor, v.value, *shares, v.note] for v, shares in zip(variants, assumed, strict=True)]
     losses = missed[0][:, None, None] - without
     tags, many = np.diagonal(losses, axis1=1, axis2=2), range(1, min(2, len(deployment)) + 1)
@@ -137,7 +146,15 @@ def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sam
         lost=pd.DataFrame(
             [_worst(lost, share, losses[i], deployment.ids) for i, share in enumerate(SHARES) for lost in many]
         ),
+        cameras=_cameras(failed, missed[0]) if len(failed) else None,
     )
+
+
+def _cameras(failed: FloatArray, whole: FloatArray) -> pd.DataFrame:
+    """`Sensitivity.cameras` from the shares without each, `(C, 2)`, and with all, `(2,)`."""
+    table = pd.DataFrame(failed, columns=SHARES)
+    table.insert(0, "camera", list(range(len(failed))))
+    return table.assign(localised_loss=whole[0] - failed[:, 0], covered_loss=whole[1] - failed[:, 1])
 
 
 def _variants(problem: Problem, deployment: Deployment) -> list[Variant]:
@@ -166,12 +183,21 @@ def _measure(
     variants: Sequence[Variant],
     seed: int,
     group: tuple[int, Evaluator],
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The shares of the variants, `(V, 2)`, with landmarks missed, `(M, 2)`, and lost, `(2, K, K)`, in one group."""
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """The shares in one group.
+
+    Returns:
+        those of the variants, `(V, 2)`; with landmarks missed, `(M, 2)`, and lost, `(2, K, K)`; without each camera of
+        a rig, `(C, 2)`, none for a single camera.
+    """
     number, evaluator = group
     assumed = np.array([_shares(variant, deployment, evaluator) for variant in variants])
-    field, rng = objective.field(evaluator), np.random.default_rng([seed, MISSES_STREAM, number])
-    return assumed, missed_shares(field, deployment, rng)[:, :2], lost_shares(field, deployment)
+    rng = np.random.default_rng([seed, MISSES_STREAM, number])
+    if isinstance(evaluator.scene.camera, Rig):
+        rig = RigMoments(evaluator, deployment, objective.n, objective.precision(evaluator.scene))
+        return assumed, rig.missed(MISSED, rng), rig.lost(), rig.without_cameras()
+    field = objective.field(evaluator)
+    return assumed, missed_shares(field, deployment, rng)[:, :2], lost_shares(field, deployment), np.empty((0, 2))
 
 
 def _shares(variant: Variant, deployment: Deployment, evaluator: Evaluator) -> tuple[float, float]:

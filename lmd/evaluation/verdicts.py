@@ -34,13 +34,21 @@ class Explained(Protocol):
         """What the criteria come to for a camera, in a few words each, by their names."""
 
 
-def verdicts(scene: Scene, deployment: Deployment, poses: FloatArray) -> dict[str, BoolArray]:
+def verdicts(
+    scene: Scene, deployment: Deployment, poses: FloatArray, camera: Camera | None = None
+) -> dict[str, BoolArray]:
     """What the scene's visibility model says of its criteria in N poses, `(N, K)` each; nothing if it cannot tell.
 
+    Args:
+        scene: has the model.
+        deployment: K landmarks.
+        poses: X of the camera.
+        camera: of the scene's rig; None for the only one.
+
     Raises:
-        InputError: the scene has a rig.
+        InputError: the scene has a rig, and no camera is given.
     """
-    camera = scene.single_camera("the verdicts on single poses")
+    camera = camera or scene.single_camera("the verdicts on single poses")
     if not hasattr(scene.visibility, "verdicts"):
         return {}
     axes = axis_and_right(poses)

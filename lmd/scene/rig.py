@@ -19,6 +19,8 @@ from lmd.scene.camera import Camera
 ANGLES = ("yaw", "pitch", "roll")
 # Cameras that are at the same place but for rounding are at the same place: offsets have this many decimals, metres.
 SAME_PLACE_DECIMALS = 12
+# From x right, y down, z ahead to x forward, y left, z up.
+OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,15 @@ class Rig:
         """The camera of each mount."""
         return tuple(mount.camera for mount in self.mounts)
 
+    @cached_property
+    def extrinsics(self) -> FloatArray:
+        """From each camera's frame to the body's, both x right, y down, z ahead, `(C, 4, 4)`.
+
+        With the body's pose X in such a frame (`lmd.geometry.se3.camera_pose`), that of camera c is X extrinsics[c].
+        """
+        turns = OPTICAL.T @ np.stack([mount.rotation for mount in self.mounts]) @ OPTICAL
+        return pose_of(turns, np.stack([mount.translation for mount in self.mounts]) @ OPTICAL)
+
     @property
     def needs_roll(self) -> bool:
         """Whether the body's roll moves a camera or its optical axis."""
@@ -100,10 +111,7 @@ class Rig:
     @property
     def mounted(self) -> FloatArray:
         """The poses of the cameras (x right, y down, z the optical axis) in the frame of the first, `(C, 4, 4)`."""
-        optical = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # to forward, left, up
-        turns = np.stack([mount.rotation @ optical for mount in self.mounts])
-        poses = pose_of(turns, np.array([mount.translation for mount in self.mounts]))
-        return np.asarray(inverse(poses[0]) @ poses)
+        return np.asarray(inverse(self.extrinsics[0]) @ self.extrinsics)
 
     def views(self, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Where the cameras are and what they look at, for orientations of the body.
@@ -133,6 +141,16 @@ class Rig:
             for g, offset in enumerate(places):
                 there = np.flatnonzero(place.reshape(-1) == g)
                 yield Station(camera, offset, there, turned[there])
+
+
+def cameras_of(camera: Camera | Rig) -> tuple[Camera, ...]:
+    """The camera, or those of a rig."""
+    return camera.cameras if isinstance(camera, Rig) else (camera,)
+
+
+def extrinsics_of(camera: Camera | Rig) -> FloatArray:
+    """From each camera's frame to that of the poses: of the rig's body, or of the only camera itself, `(C, 4, 4)`."""
+    return camera.extrinsics if isinstance(camera, Rig) else np.eye(4)[None]
 
 
 class Station(NamedTuple):

@@ -12,7 +12,7 @@ from lmd.core.memory import check_views
 from lmd.scene.camera import Camera
 from lmd.scene.pdf import OrientationPdf, Orientations
 from lmd.scene.plates import Plates
-from lmd.scene.rig import Rig, Station
+from lmd.scene.rig import Rig, Station, cameras_of, extrinsics_of
 from lmd.scene.tag import Tag
 from lmd.space.space import Space
 
@@ -67,19 +67,26 @@ class Scene:
     @property
     def cameras(self) -> tuple[Camera, ...]:
         """The camera, or those of the rig."""
-        return self.camera.cameras if isinstance(self.camera, Rig) else (self.camera,)
+        return cameras_of(self.camera)
 
-    def single_camera(self, what: str) -> Camera:
+    @property
+    def extrinsics(self) -> FloatArray:
+        """See `extrinsics_of`."""
+        return extrinsics_of(self.camera)
+
+    def single_camera(self, what: str, instead: str = "") -> Camera:
         """The only camera, for what does not know of rigs.
 
         Args:
             what: needs it, the subject of the sentence.
+            instead: what takes a rig, if something does.
 
         Raises:
             InputError: there is a rig.
         """
         if isinstance(self.camera, Rig):
-            raise InputError(f"{what} works with a single camera, not with a rig of {len(self.camera.mounts)}.")
+            cure = instead and f"; {instead} takes it"
+            raise InputError(f"{what} works with a single camera, not with a rig of {len(self.camera.mounts)}{cure}.")
         return self.camera
 
     def stations(self, axes: FloatArray) -> Iterator[Station]:

@@ -46,14 +46,19 @@ def visible(evaluator: Evaluator, deployment: Deployment, positions: FloatArray,
         axes: its optical axes and the image's right, `(N, 6)`: two unit vectors in the world frame
             (`lmd.geometry.se3.axis_and_right`). Without the right, `(N, 3)`, for criteria that need no roll.
     """
+    return np.asarray(visible_to_each(evaluator, deployment, positions, axes).any(axis=0))
+
+
+def visible_to_each(evaluator: Evaluator, deployment: Deployment, positions: FloatArray, axes: FloatArray) -> BoolArray:
+    """The same for each of the scene's cameras, `(C, N, K)`."""
     scene, axes = evaluator.scene, np.pad(axes, [(0, 0), (0, 6 - axes.shape[1])])
     if not isinstance(scene.camera, Rig):
-        return _visible(scene, evaluator.sight, deployment, positions, axes)
-    seen = [
+        return _visible(scene, evaluator.sight, deployment, positions, axes)[None]
+    views = zip(scene.camera.cameras, *scene.camera.views(axes), strict=True)
+    return np.stack([
         _visible(scene, scene.visibility.sight(camera), deployment, positions + offsets, turned)
-        for camera, offsets, turned in zip(scene.camera.cameras, *scene.camera.views(axes), strict=True)
-    ]
-    return np.asarray(np.logical_or.reduce(seen))
+        for camera, offsets, turned in views
+    ])  # fmt: skip
 
 
 def _visible(scene: Scene, sight: Any, deployment: Deployment, positions: FloatArray, axes: FloatArray) -> BoolArray:

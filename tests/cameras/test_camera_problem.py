@@ -43,6 +43,9 @@ def problem(objective=None, count=2, start=None, tags=None, lenses=(CAMERA,), bo
     return CameraProblem(given, tags, MountSpace(body, lenses, count, roll=(-0.3, 0.3)), start)
 
 
+LOCALISATION = Localisation(1, tolerance=1.0, sampling=None)
+
+
 class Squared(AtLeast):
     """An objective of somebody else's: no count of landmarks alone."""
 
@@ -57,8 +60,8 @@ class Squared(AtLeast):
 
 @pytest.mark.parametrize(
     "objective",
-    [Coverage(2, 0.5), MeanCoverage(1, 0.5), Coverage(2, 0.3, Sampling(2, 3)), Squared(2, 0.5)],
-    ids=["grid", "mean", "robust", "own"],
+    [Coverage(2, 0.5), MeanCoverage(1, 0.5), Coverage(2, 0.3, Sampling(2, 3)), Squared(2, 0.5), LOCALISATION],
+    ids=["grid", "mean", "robust", "own", "localisation"],
 )
 def test_the_fitness_is_that_of_the_rig_to_the_bit(objective):
     p, rng = problem(objective, count=3, lenses=(CAMERA, OTHER)), np.random.default_rng(4)
@@ -136,8 +139,6 @@ def test_methods_are_for_landmarks_or_for_cameras():
             make(name).check(problem())
     with pytest.raises(InputError, match=r"^CameraAnnealing places cameras, not landmarks"):
         make("camera_annealing").check(tagged())
-    with pytest.raises(InputError, match=r"Localisation works with a single camera"):
-        problem(Localisation(sampling=None))
 
 
 def test_a_body_that_leaves_the_room_is_refused():

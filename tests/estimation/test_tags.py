@@ -77,7 +77,7 @@ def test_corners_are_found_better_the_larger_the_tag(name):
 def test_noise_on_tags_is_that_of_their_pitch():
     recording = record(TagDetector(TAG, "apriltag"), [flight()])
     _, t, k = np.nonzero(recording.seen)
-    assert_array_equal(recording.seen[0], flight().in_view())
+    assert_array_equal(recording.seen[0], flight().looks()[0].in_view)
     exact = project(SCENE.camera, FLIGHT.poses, recording.tags[0].reshape(-1, 3)).reshape(len(FLIGHT.time), -1, 4, 2)
     off = corner_error(recording.corners, exact[t, k])
     pitches = pitch(SCENE.camera, FLIGHT.poses, UNIFORM.positions, UNIFORM.normals, TAG)[t, k]
@@ -110,7 +110,7 @@ def test_points_stay_points_where_tags_have_no_edge():
 def test_missed_tags_are_missed():
     assert record(TagDetector(TAG, missed=1.0), [flight()]).visible_counts.max() == 0
     seen = record(TagDetector(TAG, missed=0.3), [flight()]).seen
-    assert seen.sum() / flight().in_view().sum() == pytest.approx(0.7, abs=0.05)
+    assert seen.sum() / flight().looks()[0].in_view.sum() == pytest.approx(0.7, abs=0.05)
 
 
 @pytest.mark.slow

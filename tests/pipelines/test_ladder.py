@@ -45,12 +45,12 @@ def test_a_single_camera_has_figures_of_single_images():
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_rig_has_the_figures_of_its_objective():
+def test_a_rig_has_the_figures_of_its_objective_and_of_single_moments():
     problem = ladder_of(*YAW, "camera.rig=[{},{yaw: 3}]").problem(6)
     figures = figures_of(problem)
     assert headline_off_grid(problem) == "grid_free_qualified_ratio"
     assert 0.0 <= figures["grid_free_qualified_ratio"] <= 1.0
-    assert "covered_share" not in figures
+    assert 0.0 < figures["localised_share_20mm"] <= figures["covered_share"]
 
 
 @pytest.mark.parametrize(("held_out", "headline"), [(5, "held_out_share"), ("null", "recorded_share")])

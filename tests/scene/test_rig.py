@@ -194,7 +194,7 @@ def test_what_knows_no_rig_says_so():
     deployment = AHEAD
     with pytest.raises(InputError, match="works with a single camera, not with a rig of 2"):
         verdicts(scene, deployment, np.eye(4)[None])
-    with pytest.raises(InputError, match="the objective Localisation works with a single camera"):
+    with pytest.raises(InputError, match="moving single landmarks for localisation works with a single camera"):
         Localisation(2).field(Evaluator(scene, threads=1))
 
 

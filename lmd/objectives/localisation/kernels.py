@@ -4,20 +4,15 @@ Landmarks covered are counted as in `lmd.sight.kernels`, by the same operations.
 the landmarks' 15 numbers (`information`) are summed, and the sums decide. Threads share the positions.
 """
 
-from typing import Any, NamedTuple
-
 import numpy as np
 
 from lmd.core.bits import ALL, BITS, LANES, ONE, ZERO, add_digit, at_least_so_far, lowest
-from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, kernel
 from lmd.geometry.squares import VERTICAL_TOLERANCE, upright_axes
 from lmd.objectives.localisation.information import WIDTH, meets, moments, share_of, variance
 from lmd.scene.criteria import covering, covers, frame_of, pixel_density
-from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import weights_row
 from lmd.sight.obstacles import is_clear, no_ends
-from lmd.sight.poses import CHUNKS_PER_THREAD
 from lmd.sight.viewpoint import gather_near, list_shown, look, take, viewpoint_for
 
 
@@ -160,34 +155,3 @@ def localise_range(
                     variances[b, p, a] = np.inf
                 for m in range(useful):
                     variances[b, p, listed[m]] = variance_of_row(sums, listed[m])
-
-
-class Views(NamedTuple):
-    """What the views of B deployments are worth at P positions: see `localise_range`."""
-
-    covered: np.ndarray
-    localised: np.ndarray
-    variances: np.ndarray
-
-
-def localised_views(
-    evaluator: Evaluator, positions: FloatArray, normals: FloatArray, n: int, precision: Any, keep: bool = False
-) -> Views:
-    """Evaluate deployments; the same for any number of threads.
-
-    Args:
-        evaluator: the scene.
-        positions, normals: `(B, K, 3)` landmarks of B deployments.
-        n: landmarks that must be covered.
-        precision: what is asked of a view besides.
-        keep: whether to return the variances, `(B, P, D)`.
-    """
-    e, batch, size = evaluator, len(positions), len(evaluator.positions)
-    if keep:
-        e.check_memory(8 * batch)
-    covered, localised = np.zeros((2, batch, size), dtype=np.int64)
-    views = Views(covered, localised, np.empty((batch, size, e.axes.shape[1]) if keep else (0, 0, 0)))
-    scene = e.batch(positions, normals)
-    fixed = (*scene, n, max(positions.shape[1], n).bit_length(), precision, precision.asks, *views, keep)
-    e.by_blocks(localise_range, fixed, CHUNKS_PER_THREAD)
-    return views

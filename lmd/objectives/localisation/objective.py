@@ -14,9 +14,9 @@ from lmd.objectives.base import AtLeast, Headline
 from lmd.objectives.coverage import Threshold
 from lmd.objectives.localisation.field import LocalisationField
 from lmd.objectives.localisation.information import PosePrecision, Precision, deviation_per_variance, precision
-from lmd.objectives.localisation.kernels import localised_views
 from lmd.objectives.localisation.log_det import LogDeterminant
 from lmd.objectives.localisation.trial import mixed
+from lmd.objectives.localisation.views import localised_views
 from lmd.objectives.sampling import Sampling
 from lmd.scene.criteria import TOLERANCE
 from lmd.scene.scene import Scene
@@ -107,9 +107,8 @@ class Localisation(AtLeast):
         return f"{label}, and of seeing {self.n}, weighted" if self.coverage_weight else label
 
     def precision(self, scene: Scene) -> Precision | PosePrecision:
-        """What the tolerances ask of a view."""
-        camera = scene.single_camera("the objective Localisation")
-        return precision(camera, scene.tag, self.pixel_noise, self.tolerance, self.rotation_tolerance)
+        """What the tolerances ask of a view, in the units of the first camera."""
+        return precision(scene.cameras[0], scene.tag, self.pixel_noise, self.tolerance, self.rotation_tolerance)
 
     def values(self, evaluator: Evaluator, positions: FloatArray, normals: FloatArray) -> FloatArray:
         """See `Objective.values`."""
@@ -154,8 +153,13 @@ class Localisation(AtLeast):
             "on a finer grid": f"{self.headline.label} {figures[f'finer_grid_{key}']:.2%}",
         }
 
+    def check_moves(self, scene: Scene) -> None:
+        """See `Incremental`: a rig's landmarks cannot be moved one by one."""
+        scene.single_camera("moving single landmarks for localisation", "a black box such as ega")
+
     def field(self, evaluator: Evaluator) -> LocalisationField:
         """See `Objective.field`."""
+        self.check_moves(evaluator.scene)
         asked = self.precision(evaluator.scene)
         return LocalisationField(coverage_field(evaluator, self.n), asked, asked.asks, self.coverage_weight)
 
@@ -168,7 +172,8 @@ class Localisation(AtLeast):
     def selection(self, evaluator: Evaluator, relevance: FloatArray) -> LogDeterminant:
         """See `Objective.selection`: the log det of the information, from a prior of some tolerances."""
         scene = evaluator.scene
-        scale = deviation_per_variance(scene.single_camera("the objective Localisation"), self.pixel_noise)
+        camera = scene.single_camera("choosing landmarks for localisation")
+        scale = deviation_per_variance(camera, self.pixel_noise)
         prior = PRIOR_TOLERANCES * self.tolerance if math.isfinite(self.tolerance) else PRIOR_POSITION
         known = (scale / prior) ** 2, (scale / PRIOR_ROTATION) ** 2
         return LogDeterminant(evaluator, relevance, self.precision(scene), *known)
