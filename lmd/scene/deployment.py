@@ -94,15 +94,16 @@ class Deployment:
         places, ups = (np.concatenate([getattr(each, name) for each in (self, other)]) for name in ("places", "ups"))
         return replace(both, surveyed=Surveyed(both.positions, places, ups))
 
-    def hung(self, room: Space, anywhere: bool = False) -> "Deployment":
+    def hung(self, room: Space, anywhere: bool = False, edge: float = 0.0) -> "Deployment":
         """The same landmarks with the surfaces of `room` that they hang on.
 
-        What belongs to a surface (`Space.surface_near`) and was measured behind it counts as if it hung on it: nothing
-        is seen through a wall. Its `places` stay what they were.
+        What belongs to a surface (`Space.surface_near`) and was measured behind it, if only with a corner because it
+        leans, counts as if it just touched it: nothing is seen through a wall. Its `places` stay what they were.
 
         Args:
             room: has the surfaces.
             anywhere: whether landmarks may lie outside the room.
+            edge: of their papers, upright, metres; 0 for points.
 
         Raises:
             InputError: a landmark lies outside the room and belongs to no surface of it.
@@ -117,10 +118,14 @@ class Deployment:
                 "taken there."
             )
         depth = np.take_along_axis(SurfaceArrays.of(surfaces).depth(self.positions), own[:, None], axis=1)
+        normals = np.array([surface.normal for surface in surfaces])[own]
+        sides = np.stack(upright(self.normals))  # right and up
+        depth = (
+            depth - edge / 2.0 * np.abs((sides * normals).sum(axis=-1)).sum(axis=0)[:, None]
+        )  # of the deepest corner
         behind = (own[:, None] >= 0) & (depth < -PLACEMENT_TOLERANCE)
         hung = self
         if behind.any():
-            normals = np.array([surface.normal for surface in surfaces])[own]
             positions = np.where(behind, self.positions - depth * normals, self.positions)
             hung = replace(self, positions=positions, surveyed=Surveyed(positions, self.places, self.ups))
         return replace(hung, surfaces=room.surfaces_of(hung.positions, hung.normals))

@@ -79,7 +79,7 @@ class Plates:
                 not wholly on their surface.
         """
         try:
-            hung = fixed.hung(self.hanging, anywhere=as_they_are(beside))
+            hung = fixed.hung(self.hanging, as_they_are(beside), self.edge)
             if as_they_are(beside):
                 return hung.before(self.hanging)
             if fault := hung.fault(self.hanging, near=True):
@@ -105,6 +105,8 @@ class Plates:
             InputError: the source cannot be drawn from, or plates overlap, are not wholly on their surface or too many.
         """
         drawn = source.draw(self.hanging, rng)
+        if isinstance(source, FileDeployment):
+            drawn = drawn.hung(self.hanging, source.free, self.edge)
         if fixed is not None:
             drawn = beside(fixed, drawn)
         if not self.edge or as_they_are(source):

@@ -109,7 +109,7 @@ def audited(survey: Survey, problem: Problem, verdicts: Verdicts) -> Audit:
     """
     scene = problem.scene
     camera = scene.single_camera("audit")
-    tags = map_of(survey).hung(scene.room, anywhere=True)
+    tags = map_of(survey).hung(scene.room, anywhere=True, edge=scene.plates.edge)
     found = survey.found
     poses = found.poses.frames[found.frames]
     predicted = visible(problem.evaluator, tags, poses[:, :3, 3], axis_and_right(poses))

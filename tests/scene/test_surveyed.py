@@ -15,6 +15,7 @@ from lmd.detection.frames import tagged_room
 from lmd.estimation.tags import corners_of
 from lmd.evaluation.survey import read_measured, survey
 from lmd.evaluation.validation import Sample
+from lmd.geometry.squares import corners, upright
 from lmd.mapping.tag_map import TagMap
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.ledger import Budget
@@ -187,3 +188,18 @@ def test_how_far_a_tag_hangs_from_its_plan_counts_what_is_behind_the_wall(tmp_pa
     measured = read_measured(saved(tmp_path / "tags.csv", moved(plan, -0.02)), problem, plan)
     found = survey(problem, plan, measured, 0, Sample(2, 20, 4), views=5)
     assert_allclose(found.moved.moved, 0.02, atol=1e-12)
+
+
+def test_a_tag_that_leans_into_its_face_touches_it():
+    room, rng, plates = lab(), np.random.default_rng(0), Plates(lab(), 0.12)
+    tags = hanging(room, 60)
+    faces = np.array([surface.normal for surface in room.surfaces()])[tags.surfaces]
+    tipped = Rotation.from_rotvec(0.02 * rng.normal(size=(60, 3))).apply(np.array(tags.normals))
+    leaning = Deployment(tags.positions - 0.001 * faces, tipped)
+    for hung in (
+        plates.hung(leaning, FileDeployment("of others", free=True)),
+        leaning.hung(room, edge=0.12),
+    ):
+        papers = corners(hung.positions, hung.normals, upright(hung.normals)[1], 0.12)
+        assert_allclose(((papers - tags.positions[:, None]) * faces[:, None]).sum(axis=-1).min(axis=1), 0.0, atol=1e-9)
+        assert_array_equal(hung.places, leaning.positions)
