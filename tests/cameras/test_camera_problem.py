@@ -28,7 +28,7 @@ from pipelines.app import CONF
 
 CAMERA, OTHER = paper_camera(), paper_camera(focal_length=8.0)
 BODY = Body([{"low": [-0.2, -0.15, 0.0], "high": [0.2, 0.15, 0.2]}])
-NAMES = sorted({path.stem for path in Path(CONF, "optimiser").glob("*.yaml")} - {"annealing", "greedy"})
+NAMES = sorted({path.stem for path in Path(CONF, "optimiser").glob("*.yaml")} - {"annealing", "greedy", "milp"})
 QUICK = {"camera_annealing", "cma_es", "ega"}
 
 

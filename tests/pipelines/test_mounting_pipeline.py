@@ -62,7 +62,7 @@ def test_a_mounting_error_is_a_number_or_more(folder):
     figures, (metrics, artifacts) = written(folder)["mounting"], logged(folder)
     assert figures["fitness/50"] == pytest.approx(table.loc["fitness", "50 %"])
     assert {key: metrics[f"mounting/{key}"] for key in figures} == figures
-    assert {"mounting.csv", "mountings.csv", "mounting_in_view.csv", "mounting.png"} <= artifacts
+    assert {"mounting.csv", "mountings.csv", "mounting_views.csv", "mounting.png"} <= artifacts
 
 
 @pytest.mark.slow

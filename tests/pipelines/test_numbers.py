@@ -20,7 +20,7 @@ UNIFORM = [*SMALL, "deployment=uniform"]
 PIPELINES = {
     "optimise": SMALL,
     "evaluate": SMALL,
-    "place_cameras": UNIFORM,
+    "place_cameras": [*UNIFORM, "body.boxes=[{low: [-0.1, -0.1, 0], high: [0.1, 0.1, 0.1]}]"],
     "export": [*UNIFORM, "tag.edge=0.1"],
     "bound": SMALL,
     "tradeoff": [*SMALL, "counts=[6]"],
