@@ -51,13 +51,21 @@ def service(command, ready, log, **options):
 
 
 @contextmanager
-def mlflow_server(store, home, workers=1):
-    """The address of an mlflow server that keeps its runs in `store`, as docs/sweeps.md starts it."""
+def mlflow_server(store, home, workers=1, further=()):
+    """The address of an mlflow server that keeps its runs in `store`, as docs/sweeps.md starts it.
+
+    Args:
+        store: address of the database.
+        home: folder of the server.
+        workers: how many processes answer.
+        further: arguments of the command.
+    """
     port = free_port()
     command = [
         sys.executable, "-m", "mlflow", "server", "--backend-store-uri", store, "--artifacts-destination", home,
         "--host", "127.0.0.1", "--port", str(port), "--workers", str(workers),
         "--uvicorn-opts", "--timeout-worker-healthcheck 60",  # on a machine that is busy, five seconds are not enough
+        *further,
     ]  # fmt: skip
     address = f"http://127.0.0.1:{port}"
     health = f"{address}/health"

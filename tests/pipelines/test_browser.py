@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 from paper import paper_scene
+from services import mlflow_server, wait_until
 from tracked import record_sweep, write_report
 
 from lmd.objectives.coverage import Coverage
@@ -57,6 +58,18 @@ def test_the_report(browser, tmp_path):
     assert browser.title == "The paper's tables and figures, reproduced"
     assert browser.execute_script("return document.querySelectorAll('td').length") == 6
     assert browser.execute_script("return Array.from(document.images, image => image.naturalWidth)") == [800]
+
+
+def test_the_bare_address_of_the_ui_opens_the_training_runs(browser, tmp_path):
+    uri = f"sqlite:///{tmp_path}/mlflow.db"
+    record_sweep(uri, tmp_path, "landmark_count", [({"deployment.count": 30}, 0.3, "FINISHED")])
+    with mlflow_server(uri, tmp_path, further=["--app-name", "lmd"]) as address:
+        browser.get(address)
+        wait_until(lambda: "/runs?workflowType=machine_learning" in browser.current_url)
+        wait_until(lambda: "qualified_ratio" in browser.find_element("tag name", "body").text)
+        browser.get(f"{address}/?a#/models")
+        wait_until(lambda: "Models" in browser.find_element("tag name", "body").text)
+        assert browser.current_url.endswith("#/models")
 
 
 def test_errors_and_requests_are_noticed(browser, tmp_path):

@@ -1,0 +1,34 @@
+"""The mlflow server that `make ui` starts: mlflow's own, but for its bare address, which opens the training runs.
+
+The page of an address is chosen in the browser, by what follows its `#`, which no server gets: so a script goes along.
+"""
+
+import json
+import os
+from collections.abc import Awaitable, Callable
+
+from fastapi import Request, Response
+from mlflow import MlflowClient
+from mlflow.server.constants import BACKEND_STORE_URI_ENV_VAR
+from mlflow.server.fastapi_app import app
+
+from .experiment import SHARED, VIEW, link
+
+
+@app.middleware("http")  # type: ignore[untyped-decorator]
+async def open_runs(request: Request, call_next: Callable[[Request], Awaitable[Response]]) -> Response:
+    """Let the page at the bare address go on to the training runs."""
+    response = await call_next(request)
+    if request.url.path != "/" or response.status_code != 200 or (page := _page()) is None:
+        return response
+    body = b"".join([part async for part in response.body_iterator])  # type: ignore[attr-defined] # it is streamed
+    script = f"<script>location.hash.length > 2 || location.replace({json.dumps(page)})</script>"
+    return Response(body.replace(b"<head>", f"<head>{script}".encode(), 1), media_type="text/html")
+
+
+def _page() -> str | None:
+    """The page of those runs; None while there is no experiment that `prepare` made."""
+    client = MlflowClient(os.environ[BACKEND_STORE_URI_ENV_VAR])
+    found = [e for e in client.search_experiments() if f"{SHARED}{VIEW}" in e.tags]
+    # Those of other pipelines are named after that of training runs: lmd, lmd observe.
+    return link("", min(found, key=lambda e: len(e.name)).experiment_id) if found else None
