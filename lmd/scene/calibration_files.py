@@ -68,11 +68,12 @@ OPENCV_NAMES = {
 OPENCV_SIZES = ("image_size", "img_size")
 
 
-def read_cameras(path: Any) -> dict[str, Keys]:
+def read_cameras(path: Any, only: str | None = None) -> dict[str, Keys]:
     """The cameras of a file by name, each in the keys of ROS; one without a name is called "".
 
     Args:
         path: the file, at most `LARGEST` bytes.
+        only: the camera of a chain that is asked for: the lenses of others may be of any model.
 
     Raises:
         InputError: the file cannot be read, a key is missing, or the lens is of a model that is not known here.
@@ -85,7 +86,8 @@ def read_cameras(path: Any) -> dict[str, Keys]:
             return {"": _mrcal(text)}
         keys = _opencv_xml(text) if text.lstrip().startswith("<") else parse_keys(path, text, "path")
         if chain := {name: keys[name] for name in keys if KALIBR_CAMERA.fullmatch(name)}:
-            return {name: _kalibr(f"{name}.", camera) for name, camera in chain.items()}
+            asked = {only: chain[only]} if only in chain else chain
+            return {name: _kalibr(f"{name}.", camera) for name, camera in asked.items()}
         for marks, reader in READERS:
             if marks <= keys.keys():
                 return reader(keys)

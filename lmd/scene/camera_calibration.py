@@ -124,7 +124,7 @@ def read_calibration(
     """
     if path is None:
         raise InputError("path is missing: a calibration file is needed.", "path")
-    restated = read_cameras(path)
+    restated = read_cameras(path, name)
     cameras = [key for key in restated if key]
     if name is None and len(cameras) > 1:
         raise InputError(f"name must be given: {path} has the cameras {', '.join(cameras)}.", "name")

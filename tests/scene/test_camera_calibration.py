@@ -136,6 +136,14 @@ def test_one_camera_of_several_is_named(tmp_path):
         read_calibration(path, "cam2")
 
 
+def test_a_camera_of_a_chain_is_read_beside_one_of_a_lens_that_is_not(tmp_path):
+    path = tmp_path / "camchain.yaml"
+    path.write_text(yaml.safe_dump({"cam0": {**KALIBR, "camera_model": "omni"}, "cam1": KALIBR}))
+    assert read_calibration(path, "cam1").image_width == KALIBR["resolution"][0]
+    with pytest.raises(InputError, match="the lens model 'omni' is not known here"):
+        read_calibration(path, "cam0")
+
+
 def test_a_lens_that_does_not_distort_has_no_coefficients(tmp_path):
     path = tmp_path / "camchain.yaml"
     keys = KALIBR | {"distortion_model": "none", "distortion_coeffs": []}
