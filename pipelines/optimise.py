@@ -20,13 +20,14 @@ from .pipeline import Pipeline
 from .provenance import resuming
 
 if TYPE_CHECKING:
-    from lmd.optimisers.base import Result
+    from lmd.optimisers.base import Optimiser, Result
     from lmd.optimisers.checkpoint import Checkpoint
     from lmd.optimisers.ledger import Budget
     from lmd.problem import Problem
     from lmd.scene.deployment import Deployment
 
     from .operations.tracking import Tracker
+    from .tracked_run import Earlier
 
 # What a resumed run must share with the run it continues, and with it the contents of the files that are named there.
 SAME_WHEN_RESUMED = (
@@ -37,27 +38,15 @@ RETURNS = {"fitness": "fitness", "grid_free": "off_grid"}  # figures of `record`
 
 def optimise(cfg: DictConfig) -> float:
     """Run one optimisation as configured; returns the figure that sweepers are to go by."""
-    from lmd.core.checks import InputError, choice, real
-    from lmd.optimisers.checkpoint import Checkpoint
-
-    from .tracked_run import Earlier, record, title_of, tracked
+    from .tracked_run import record, title_of, tracked
 
     problem = build_problem(cfg)
     budget = budget_of(cfg)
-    real("checkpoint_seconds", cfg.checkpoint_seconds, above=0.0)
-    returned = RETURNS[choice("returns", cfg.returns, list(RETURNS))]
-    if returned == "off_grid" and not cfg.validate:
-        raise InputError("returns = grid_free is a figure of the validation, which validate=false leaves out.")
+    returned = figure_returned(cfg)
     optimiser = build_optimiser(cfg, cfg.seed)
-    as_now = partial(settings_now, optimiser=cfg.optimiser)
-    settings = as_now(flat_settings(cfg, *SAME_WHEN_RESUMED))
-    settings |= contents_of(settings)
     export = build_export(cfg, "export", problem.scene.tag)
     optimiser.check(problem)
-    checkpoint, earlier = Checkpoint(optimiser, settings, settings_now=as_now), None
-    if cfg.resume is not None:
-        checkpoint.resume(cfg.resume, problem)
-        earlier = Earlier(checkpoint.run_id, Path(cfg.resume))
+    checkpoint, earlier = checkpoint_of(cfg, optimiser, problem)
     subject = choices()["optimiser"]
     try:
         with tracked(cfg, subject, title_of(problem, subject), earlier) as tracker:
@@ -88,6 +77,49 @@ def optimise(cfg: DictConfig) -> float:
         tell_how_to_go_on("optimise")
         sys.exit(stop.code)
     return figures[returned]
+
+
+def figure_returned(cfg: DictConfig) -> str:
+    """The figure of `record` that sweepers are to go by.
+
+    Raises:
+        InputError: there is none of that name, or it will not be there.
+    """
+    from lmd.core.checks import InputError, choice
+
+    returned = RETURNS[choice("returns", cfg.returns, list(RETURNS))]
+    if returned == "off_grid" and not cfg.validate:
+        raise InputError("returns = grid_free is a figure of the validation, which validate=false leaves out.")
+    return returned
+
+
+def checkpoint_of(
+    cfg: DictConfig, optimiser: "Optimiser", problem: "Problem", *further: str
+) -> "tuple[Checkpoint, Earlier | None]":
+    """The checkpoint of a run, and the run that it goes on with if one is resumed.
+
+    Args:
+        cfg: the configuration.
+        optimiser: what is kept.
+        problem: what it works on.
+        further: groups that a resumed run must share beside `SAME_WHEN_RESUMED`.
+
+    Raises:
+        InputError: the run to resume has other settings, or cannot be read.
+    """
+    from lmd.core.checks import real
+    from lmd.optimisers.checkpoint import Checkpoint
+
+    from .tracked_run import Earlier
+
+    real("checkpoint_seconds", cfg.checkpoint_seconds, above=0.0)
+    as_now = partial(settings_now, optimiser=cfg.optimiser)
+    settings = as_now(flat_settings(cfg, *SAME_WHEN_RESUMED, *further))
+    checkpoint = Checkpoint(optimiser, settings | contents_of(settings), settings_now=as_now)
+    if cfg.resume is None:
+        return checkpoint, None
+    checkpoint.resume(cfg.resume, problem)
+    return checkpoint, Earlier(checkpoint.run_id, Path(cfg.resume))
 
 
 def tell_how_to_go_on(pipeline: str) -> None:

@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from .app import choices, flat_settings, run_directory
+from .app import choices, run_directory
 from .building import budget_of, build_optimiser, build_problem, camera_of, instantiate, keyed, settings_of
 from .earlier_run import RIG, read_earlier_run
-from .earlier_settings import settings_now
-from .input_files import contents_of
 from .operations.signals import Stopped, stop
-from .optimise import RETURNS, SAME_WHEN_RESUMED, run_optimiser, tell_how_to_go_on
+from .optimise import checkpoint_of, figure_returned, run_optimiser, tell_how_to_go_on
 from .outputs import all_or_none
 from .pipeline import Pipeline
 
@@ -33,30 +31,20 @@ DRAWING = "body.png"
 
 def place_cameras(cfg: DictConfig) -> float:
     """Place cameras as configured; returns the figure that sweepers are to go by."""
-    from lmd.core.checks import InputError, choice, integer, real
-    from lmd.optimisers.checkpoint import Checkpoint
+    from lmd.core.checks import InputError, integer
 
-    from .tracked_run import Earlier, record, title_of, tracked
+    from .tracked_run import record, title_of, tracked
 
     problem, sources = build_camera_problem(cfg)
     budget = budget_of(cfg)
-    real("checkpoint_seconds", cfg.checkpoint_seconds, above=0.0)
-    returned = RETURNS[choice("returns", cfg.returns, list(RETURNS))]
-    if returned == "off_grid" and not cfg.validate:
-        raise InputError("returns = grid_free is a figure of the validation, which validate=false leaves out.")
+    returned = figure_returned(cfg)
     rounds = 0 if cfg.rounds is None else integer("rounds", cfg.rounds, low=1)
     integer("tag_evaluations", cfg.tag_evaluations, low=1)
     if rounds and cfg.resume is not None:
         raise InputError("resume cannot go on within rounds; run=DIR begins with the cameras and tags of that run.")
     optimiser = build_optimiser(cfg, cfg.seed)
-    as_now = partial(settings_now, optimiser=cfg.optimiser)
-    settings = as_now(flat_settings(cfg, *SAME_WHEN_RESUMED, "body", "cameras"))
-    settings |= contents_of(settings)
     optimiser.check(problem)
-    checkpoint, earlier = Checkpoint(optimiser, settings, settings_now=as_now), None
-    if cfg.resume is not None:
-        checkpoint.resume(cfg.resume, problem)
-        earlier = Earlier(checkpoint.run_id, Path(cfg.resume))
+    checkpoint, earlier = checkpoint_of(cfg, optimiser, problem, "body", "cameras")
     subject = choices()["optimiser"]
     about = f"{problem.space.count} cameras, {title_of(problem, subject)}"
     try:
