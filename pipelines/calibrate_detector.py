@@ -14,7 +14,7 @@ from .operations.sweeps.names import quoted
 from .pipeline import Pipeline
 from .trust import read_yaml
 
-KEY = "survey="
+SURVEY_KEY = "survey="
 
 
 def calibrate(cfg: DictConfig) -> None:
@@ -89,7 +89,7 @@ def to_markdown(figures: dict[str, dict[str, float]]) -> str:
 
 def read_survey() -> None:
     """Make `survey=DIR` of the command line the views of that survey, with its run, tags and detector."""
-    given = [argument.removeprefix(KEY) for argument in sys.argv[1:] if argument.startswith(KEY)]
+    given = [argument.removeprefix(SURVEY_KEY) for argument in sys.argv[1:] if argument.startswith(SURVEY_KEY)]
     if not given or given[-1] == "null":
         return
     config = Path(given[-1]) / ".hydra" / "config.yaml"

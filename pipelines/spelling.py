@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-CLOSE = 0.8  # as `difflib` counts likeness: a letter or an underscore that is missing in a word
+LIKENESS = 0.8  # as `difflib` counts likeness: a letter or an underscore that is missing in a word
 
 
 def meant(key: str, folder: str) -> str:
@@ -19,7 +19,7 @@ def meant(key: str, folder: str) -> str:
     import difflib
 
     known = _known(folder)
-    close = [] if key in known else difflib.get_close_matches(key, sorted(known), 1, CLOSE)
+    close = [] if key in known else difflib.get_close_matches(key, sorted(known), 1, LIKENESS)
     return f"did you mean {close[0]}?" if close else ""
 
 

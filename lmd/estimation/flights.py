@@ -15,7 +15,7 @@ from lmd.scene.trajectory_files import TrajectoryFile
 from lmd.space.inside import check_inside
 
 # Greatest slope of the minimum-jerk profile, at its middle.
-PEAK = 1.875
+PEAK_SLOPE = 1.875
 MOST_WAYPOINTS = 100  # between two frames
 MOST_DRAWS = 1000  # of a waypoint, until a straight way leads there
 FRAME_BYTES = 1000  # what a frame of random motion takes at the least: its pose, and those of the way there
@@ -59,7 +59,7 @@ class Pace:
     def seconds(self, steps: FloatArray) -> FloatArray:
         """Time that each change (x, y, z, yaw, pitch) `(..., 5)` takes, `(...)`."""
         way, turn = np.linalg.norm(steps[..., :3], axis=-1), np.linalg.norm(steps[..., 3:], axis=-1)
-        return np.asarray(PEAK * np.maximum(way / self.speed, turn / self.turn_rate))
+        return np.asarray(PEAK_SLOPE * np.maximum(way / self.speed, turn / self.turn_rate))
 
     def through(self, waypoints: FloatArray, duration: float | None = None) -> Trajectory:
         """The trajectory through waypoints (x, y, z, yaw, pitch).

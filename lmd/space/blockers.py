@@ -18,7 +18,7 @@ from lmd.core.checks import BoolArray, FloatArray
 from lmd.space.surface import PLACEMENT_TOLERANCE
 
 # By which bodies that meet reach into each other, metres: more than rounding, and too little to stick out of a corner.
-OVERLAP = 1e-9
+OVERLAP_M = 1e-9
 
 
 class Body(NamedTuple):
@@ -44,7 +44,7 @@ class Blockers(NamedTuple):
     def of(cls, bodies: Sequence[Body]) -> "Blockers":
         """The arrays of at least one body, with the tolerance."""
         normals, offsets, solid = (np.concatenate(parts) for parts in zip(*bodies, strict=True))
-        offsets = offsets + np.where(solid, -PLACEMENT_TOLERANCE, OVERLAP)
+        offsets = offsets + np.where(solid, -PLACEMENT_TOLERANCE, OVERLAP_M)
         first = np.append(0, np.cumsum([len(body.offsets) for body in bodies]))
         return cls(np.ascontiguousarray(normals), offsets, solid, first)
 

@@ -13,7 +13,7 @@ from lmd.space.surface import Surface
 # are so near to it, metres.
 BENT, UNEVEN = 1e-3, 1e-3
 # Borders are straight where no more than this is cut off, metres.
-STRAIGHT = 1e-6
+STRAIGHT_M = 1e-6
 
 
 def flat_parts(mesh: Mesh) -> list[IntArray]:
@@ -55,7 +55,7 @@ def surface_of(name: str, corners: FloatArray, normal: FloatArray) -> Surface:
     depth = corners @ normal
     at = np.stack([corners @ u, corners @ v], axis=-1)
     low, high = at.min(axis=(0, 1)), at.max(axis=(0, 1))
-    shape = polygons(shapely.simplify(shapely.union_all(shapely.polygons(at - low)), STRAIGHT))
+    shape = polygons(shapely.simplify(shapely.union_all(shapely.polygons(at - low)), STRAIGHT_M))
     origin = (depth.min() + depth.max()) / 2.0 * normal + low[0] * u + low[1] * v
     length, width = (high - low).tolist()
     return Surface(name, origin + 0.0, u, v, normal, (length, width)).where(shape)

@@ -9,17 +9,27 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.space.allowed import EDGE, eroded, find_nearest, gathered, polygons, rectangle, sizes, spread, trapezoids
+from lmd.space.allowed import (
+    EDGE_TOLERANCE,
+    eroded,
+    find_nearest,
+    gathered,
+    polygons,
+    rectangle,
+    sizes,
+    spread,
+    trapezoids,
+)
 
 # Landmarks this far (m) outside still count as inside: a CSV rounded to micrometres is not an error.
 PLACEMENT_TOLERANCE = 1e-6
 # Landmarks of a file rounded to micrometres may be so far beside where they may hang, or overlap by so much, metres.
-MISPLACED = 2e-6
+FILE_TOLERANCE = 2e-6
 
 # Landmarks so far from a surface belong to it, metres: somebody measured them, or they have a board behind them.
 NEAR_SURFACE = 0.05
 # A landmark faces away from a surface if its normal is within 45 degrees of that of the surface.
-FACING = math.sqrt(0.5)
+FACING_COSINE = math.sqrt(0.5)
 # The normal of a wall has a smaller vertical part than this, that of a floor or a ceiling a larger one than that.
 UPRIGHT, FLAT = 1e-3, 0.5
 
@@ -173,7 +183,7 @@ def surface_near(surfaces: Sequence[Surface], positions: FloatArray, normals: Fl
     nearest that it faces away from, or else to the nearest.
     """
     distance = np.array([surface.distance(positions) for surface in surfaces])  # (W, K)
-    facing = np.array([surface.normal for surface in surfaces]) @ normals.T >= FACING
+    facing = np.array([surface.normal for surface in surfaces]) @ normals.T >= FACING_COSINE
     rank = np.where(facing, distance, distance + NEAR_SURFACE)
     nearest = np.where(distance <= NEAR_SURFACE, rank, np.inf).argmin(axis=0)
     return np.where(distance.min(axis=0) <= NEAR_SURFACE, nearest, -1)
@@ -251,7 +261,7 @@ class SurfaceArrays(NamedTuple):
         find_nearest(self.pieces, self.first, np.broadcast_to(surface, at.shape[:-1]).reshape(-1), flat, out, piece)
         return out.reshape(at.shape), piece.reshape(at.shape[:-1])
 
-    def allow(self, surface: IntArray, at: FloatArray, tolerance: float = EDGE) -> BoolArray:
+    def allow(self, surface: IntArray, at: FloatArray, tolerance: float = EDGE_TOLERANCE) -> BoolArray:
         """Whether landmarks may hang at `at` `(..., 2)` on surfaces `(...)`, or `tolerance` metres beside, `(...)`."""
         return np.asarray(np.abs(self.nearest(surface, at)[0] - at).max(axis=-1) <= tolerance)
 

@@ -22,9 +22,9 @@ from lmd.core.compiled import inner, kernel
 from lmd.space.box_tree import box_tree
 
 # By which boxes are larger than what they hold, relative to the largest coordinate: more than rounding.
-PADDING = 1e-12
+BOX_PADDING = 1e-12
 # A point so close to a plane, or a triangle so thin, metres, has no side; squared, that is an area.
-THINNEST = 1e-7
+THINNEST_M = 1e-7
 
 
 class Triangles(NamedTuple):
@@ -62,7 +62,7 @@ class Triangles(NamedTuple):
         inwards = np.cross(normals[:, None], way / np.linalg.norm(way, axis=-1, keepdims=True))
         borders = np.concatenate([inwards, (inwards * corners).sum(axis=-1, keepdims=True)], axis=-1)
         beyond = _beyond(faces, normals)
-        padding = tolerance + PADDING * np.abs(vertices).max()
+        padding = tolerance + BOX_PADDING * np.abs(vertices).max()
         order, *tree = box_tree(corners.min(axis=1) - padding, corners.max(axis=1) + padding)
         parts = (normals, (normals * corners[:, 0]).sum(axis=-1), corners, borders, beyond, faces)
         ends = np.concatenate([faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)])

@@ -15,7 +15,7 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, real
 from lmd.core.tables import read_table
 from lmd.geometry.se3 import adjoint, exp, inverse, log, pose_of
-from lmd.survey.student import FREEDOM, solved, weight_of
+from lmd.survey.student import DEGREES_OF_FREEDOM, solved, weight_of
 
 # Standard deviations of how a sheet bends, off its plane (metres) and out of it (rad), and of turns in it, rad.
 BENT, TILTED, TURNED = 0.001, 0.005, 0.001
@@ -134,7 +134,7 @@ class Sheets:
         one, other = self.pairs
         proposed = tags[self.tag] @ inverse(self.poses)
         squares = (self.information * self._off(proposed[one], other, tags) ** 2).sum(axis=1)
-        cost = np.bincount(one, np.log1p(squares / FREEDOM))
+        cost = np.bincount(one, np.log1p(squares / DEGREES_OF_FREEDOM))
         order = np.lexsort((cost, self.board))
         sheets = proposed[order[np.unique(self.board[order], return_index=True)[1]]]
         every = np.arange(len(self.tag))

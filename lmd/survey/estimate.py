@@ -9,13 +9,13 @@ from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.geometry.se3 import exp, inverse, log
 from lmd.survey.adjustment import Adjustment
 from lmd.survey.gauge import blocks_of, without_gauge
-from lmd.survey.known import EXACT, aligned, turned_as
+from lmd.survey.known import EXACT_SIGMA, aligned, turned_as
 from lmd.survey.residuals import Poses, Prior, errors_at
 from lmd.survey.sightings import Sightings
-from lmd.survey.start import FLOOR, place
+from lmd.survey.start import FLOOR_PIXELS, place
 
 # A sighting whose chi^2 is larger, with eight degrees of freedom, does not show the tag where it hangs.
-MISFIT = 60.0
+MISFIT_CHI_SQUARE = 60.0
 STEPS, FINAL_STEPS = 40, 15
 # Threads that share matrices of some hundred rows wait for each other longer than they work.
 ONE_THREAD = 1
@@ -102,7 +102,7 @@ def estimate(sightings: Sightings, prior: Prior, origin: int | None = None) -> E
         if group.max(initial=-1) < 0:
             raise InputError("detections never show two tags at once, of which one leaves no doubt.", "detections")
         poses, group, prior = _in_one_world(sightings, joined(sightings, rough, prior.mounts), group, prior, origin)
-        return adjusted(sightings, prior, poses, group, FLOOR)
+        return adjusted(sightings, prior, poses, group, FLOOR_PIXELS)
 
 
 def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, floor: float) -> Estimate:
@@ -121,7 +121,7 @@ def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, 
         found = adjustment.run(poses, floor, steps)
         poses, floor = found.poses, found.floor
         square = errors_at(sightings, poses) / (sightings.noise**2 + floor**2)
-        misfits = of_map & (square > MISFIT)
+        misfits = of_map & (square > MISFIT_CHI_SQUARE)
         used = of_map & ~misfits
     used = twice_in_frame(sightings, used)
     every = Adjustment(sightings.of(used), prior, lenses=True)
@@ -223,7 +223,7 @@ def _origin(
             raise InputError(f"origin = {origin} is no tag that could be placed.", "origin")
         first = int(among[0])
     information = prior.information.copy()
-    information[first] = EXACT**-2.0
+    information[first] = EXACT_SIGMA**-2.0
     tags = prior.tags.copy()
     tags[first] = np.eye(4)
     return first, replace(prior, tags=tags, information=information)

@@ -27,14 +27,14 @@ from lmd.survey.sightings import Sightings
 from lmd.survey.student import RESIDUALS
 from lmd.survey.survey import Photograph, Survey
 
-MOST = 5  # photographs that are proposed
+MOST_PHOTOGRAPHS = 5  # photographs that are proposed
 LEAST_GAIN = 0.03  # of the sum of variances; a photograph that lowers it by less is not proposed
 PLACES, TARGETS = 30, 8  # of earlier frames, and of tags that need a photograph: so many are tried
 DISTANCES, SIDEWAYS = (0.8, 1.5, 2.5), (-0.7, 0.0, 0.7)  # metres and rad, from which such a tag is tried
-TRIED = 200  # candidates that are weighed
+MOST_CANDIDATES = 200  # candidates that are weighed
 # A tag is counted on if its modules are so large, pixels, and it is not steeper, as a cosine.
-PITCH, STEEPEST = 3.0, 0.3
-MARGIN = 5.0  # pixels from the border of the image
+LEAST_PITCH, LEAST_COSINE = 3.0, 0.3
+MARGIN_PIXELS = 5.0  # pixels from the border of the image
 
 
 def next_photographs(
@@ -59,7 +59,7 @@ def next_photographs(
         shown, image = _shown(camera, poses, tags, survey.found.sightings.edges, modules, known, room)
         worth = np.flatnonzero((shown.sum(axis=1) >= 2) & shown[:, needy].any(axis=1))
         order = np.lexsort((-shown[worth].sum(axis=1), -shown[worth][:, needy].sum(axis=1)))
-        tried = worth[order[:TRIED]]
+        tried = worth[order[:MOST_CANDIDATES]]
         slopes = [
             _slopes(survey, camera, modules, errors, tags, poses[k], np.flatnonzero(shown[k]), image[k])
             for k in tried.tolist()
@@ -126,10 +126,10 @@ def _shown(
     image = project(camera, poses, points.reshape(-1, 3)).reshape(len(poses), len(tags), 4, 2)
     towards = poses[:, None, :3, 3] - tags[:, :3, 3]
     facing = (towards * tags[:, :3, 2]).sum(axis=-1) / np.linalg.norm(towards, axis=-1)
-    most = np.array([camera.image_width, camera.image_height]) - MARGIN
+    most = np.array([camera.image_width, camera.image_height]) - MARGIN_PIXELS
     sides = np.linalg.norm(image - np.roll(image, 1, axis=2), axis=-1).min(axis=-1)
-    inside = ((image > MARGIN) & (image < most)).all(axis=(2, 3))
-    shown = inside & (facing > STEEPEST) & (sides > PITCH * modules) & known
+    inside = ((image > MARGIN_PIXELS) & (image < most)).all(axis=(2, 3))
+    shown = inside & (facing > LEAST_COSINE) & (sides > LEAST_PITCH * modules) & known
     if room is not None:
         which, tag = np.nonzero(shown)
         before = tags[tag, :3, 3] + 1e-3 * tags[tag, :3, 2]
@@ -182,7 +182,7 @@ def _greedy(
     left = left[np.tile(np.arange(6) >= 3, int(known.sum()))]  # what is counted: places
     whole = covariance[np.ix_(rows, rows)]
     chosen: list[Photograph] = []
-    for _ in range(MOST):
+    for _ in range(MOST_PHOTOGRAPHS):
         seen = left @ whole
         total = float((seen * left).sum())
         gains = np.zeros(len(candidates))
