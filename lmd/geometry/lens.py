@@ -36,15 +36,16 @@ DEGREE, ROUNDED = 5, 1e-9
 
 
 class Profile(NamedTuple):
-    """A lens at angles theta from the axis, arrays of one shape.
-
-    inner: the image is at least so far from the centre; along, across, sway: see above.
-    """
+    """A lens at angles theta from the axis, arrays of one shape."""
 
     inner: FloatArray
+    """The image is at least so far from the centre."""
     along: FloatArray
+    """What a direction is stretched by away from the axis."""
     across: FloatArray
+    """What it is stretched by around the axis."""
     sway: FloatArray
+    """By which both may differ with the direction."""
 
     @property
     def least(self) -> FloatArray:

@@ -31,15 +31,14 @@ Roll = float | Sequence[Sequence[float]]
 
 
 class Orientations(NamedTuple):
-    """Distinct orientations of the camera, ordered by the height of the optical axis.
-
-    axes `(D, 6)` the optical axis and the image's right as unit vectors in the world frame (down is axis x right);
-    index_of `(A,)` which of them each orientation of the PDF is; weight `(D,)` probability of each.
-    """
+    """D distinct orientations of the camera, ordered by the height of the optical axis."""
 
     axes: FloatArray
+    """`(D, 6)` the optical axis and the image's right as unit vectors, world frame; down is axis x right."""
     index_of: np.ndarray
+    """`(A,)` which of them each orientation of the PDF is."""
     weight: FloatArray
+    """`(D,)` the probability of each."""
 
 
 @dataclass(frozen=True)

@@ -22,14 +22,14 @@ OVERLAP_M = 1e-9
 
 
 class Body(NamedTuple):
-    """A convex body: unit normals `(m, 3)` of its planes, outwards; offsets `(m,)`, n . x of the points x of a plane.
-
-    `solid` `(m,)` says which planes are faces; the others are where the body meets another one.
-    """
+    """A convex body with m planes."""
 
     normals: FloatArray
+    """`(m, 3)` unit, outwards."""
     offsets: FloatArray
+    """`(m,)` n . x of the points x of a plane, metres."""
     solid: BoolArray
+    """`(m,)` which planes are faces; the others are where the body meets another one."""
 
 
 class Blockers(NamedTuple):

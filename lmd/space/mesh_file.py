@@ -29,19 +29,20 @@ NUMBERS_OF_TYPE = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT
 
 
 class Mesh(NamedTuple):
-    """Triangles in the world frame, metres, and the objects of the file that they belong to.
-
-    vertices `(V, 3)`; faces `(T, 3)`; of `(T,)`, the index of its object in `names`, which are those in the file; up,
-    the axis of the file that points up; on_walls, what lies on walls where nothing hangs, a name and its corners
-    `(N, 3)`.
-    """
+    """Triangles in the world frame, metres, and the objects of the file that they belong to."""
 
     vertices: FloatArray
+    """`(V, 3)`."""
     faces: IntArray
+    """`(T, 3)` numbers of the corners."""
     of: IntArray
+    """`(T,)` the index of each triangle's object in `names`."""
     names: tuple[str, ...]
+    """The objects of the file."""
     up: str
+    """The axis of the file that points up."""
     on_walls: tuple[tuple[str, FloatArray], ...] = ()
+    """What lies on walls where nothing hangs: names, and corners `(N, 3)`."""
 
 
 def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None) -> Mesh:

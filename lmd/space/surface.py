@@ -209,22 +209,26 @@ def free_of(face: Surface, region: Any, margin: float, band: Sequence[float] | N
 
 
 class SurfaceArrays(NamedTuple):
-    """Surfaces as arrays, for many landmarks at once and for compiled code.
-
-    origin, u, v, normal `(W, 3)`; extent `(W, 2)`. Where landmarks may hang is cut into T trapezoids (`allowed`):
-    pieces `(T, 6)`; first `(W + 1,)`, from and to which they are those of a surface; of_piece `(T,)` the surface of
-    each; shares `(T,)`, the cumulative share of the area, for drawing one.
-    """
+    """W surfaces as arrays, for many landmarks at once and for compiled code."""
 
     origin: np.ndarray
+    """`(W, 3)` the corner from which u and v are measured, metres."""
     u: np.ndarray
+    """`(W, 3)` unit, along the surface."""
     v: np.ndarray
+    """`(W, 3)` unit, along the surface."""
     normal: np.ndarray
+    """`(W, 3)` unit."""
     extent: np.ndarray
+    """`(W, 2)` along u and v, metres."""
     pieces: np.ndarray
+    """`(T, 6)` trapezoids in which landmarks may hang, see `allowed`."""
     first: np.ndarray
+    """`(W + 1,)` those of surface w are from `first[w]` to `first[w + 1]`."""
     of_piece: np.ndarray
+    """`(T,)` the surface of each."""
     shares: np.ndarray
+    """`(T,)` the cumulative share of the area, for drawing one."""
 
     @classmethod
     def of(cls, surfaces: Sequence[Surface]) -> "SurfaceArrays":

@@ -28,30 +28,36 @@ THINNEST_M = 1e-7
 
 
 class Triangles(NamedTuple):
-    """T triangles and the N boxes of their tree, in the order in which a walk from the root meets them.
-
-    normals `(T, 3)` unit, offsets `(T,)`; corners `(T, 3, 3)`; borders `(T, 3, 4)`, of each edge the unit normal in the
-    plane, inwards, and its offset; beyond `(T, 3, 3)`, the normal of the triangle over each edge on the same side of
-    the surface, 0 if there is none; apex `(T, 3)`, numbers of the corners. Of corner v, the edges that end there are
-    rows `ending[v]` to `ending[v + 1]` of spokes `(S, 2, 3)`, the normals on either side. Of a box: centres, halves
-    `(N, 3)`; skip `(N,)`, the next one if nothing in it is wanted; first, stop `(N,)`, its triangles if it is not
-    divided. All in metres.
-    """
+    """T triangles and the N boxes of their tree, in the order in which a walk from the root meets them; metres."""
 
     normals: np.ndarray
+    """`(T, 3)` unit."""
     offsets: np.ndarray
+    """`(T,)` n . x of the points x of each plane."""
     corners: np.ndarray
+    """`(T, 3, 3)`."""
     borders: np.ndarray
+    """`(T, 3, 4)` of each edge the unit normal in the plane, inwards, and its offset."""
     beyond: np.ndarray
+    """`(T, 3, 3)` the normal of the triangle over each edge, on the same side of the surface; 0 if there is none."""
     apex: np.ndarray
+    """`(T, 3)` numbers of the corners."""
     ending: np.ndarray
+    """Edges that end at corner v are rows `ending[v]` to `ending[v + 1]` of `spokes`."""
     spokes: np.ndarray
+    """`(S, 2, 3)` the normals on either side of an edge."""
     centres: np.ndarray
+    """`(N, 3)` of the boxes."""
     halves: np.ndarray
+    """`(N, 3)` half the extent of each box."""
     skip: np.ndarray
+    """`(N,)` the next box if nothing in this one is wanted."""
     first: np.ndarray
+    """`(N,)` the first triangle of a box that is not divided."""
     stop: np.ndarray
+    """`(N,)` the one behind its last."""
     tolerance: float
+    """By which a line may come near the plane or the edges of a triangle."""
 
     @classmethod
     def of(cls, vertices: FloatArray, faces: IntArray, tolerance: float) -> "Triangles":

@@ -65,17 +65,18 @@ class Adjusted:
 
 
 class Eliminated(NamedTuple):
-    """Some frames that were eliminated.
-
-    seen, of: the frames, and which of these each sighting is of; block: H_ff, `(f, 6, 6)`; gradient: g_f, `(f, 6)`;
-    crosses: for each kind of what is kept, which of it each sighting is of, and what that adds to H_kf, `(n, 6, 6)`.
-    """
+    """Some frames that were eliminated: f of them, with n sightings."""
 
     seen: IntArray
+    """`(f,)` the frames."""
     of: IntArray
+    """`(n,)` which of these each sighting is of."""
     block: FloatArray
+    """`(f, 6, 6)` H_ff."""
     gradient: FloatArray
+    """`(f, 6)` g_f."""
     crosses: list[tuple[IntArray, FloatArray]]
+    """For each kind of what is kept: which of it each sighting is of, and what that adds to H_kf, `(n, 6, 6)`."""
 
 
 class Adjustment:
