@@ -68,7 +68,7 @@ def _reads(
 
 
 def _error(position: float, attitude: float) -> str:
-    """Standard deviations, metres and rad, unless they are so large that the bound, which is linear, means nothing."""
+    """Two standard deviations in words, or "not fixed": the bound is linear, and says nothing of large rotations."""
     return f"{1e3 * position:.3g} mm, {math.degrees(attitude):.2g} deg" if attitude < MOST_ATTITUDE_RAD else "not fixed"
 
 

@@ -10,7 +10,7 @@ LIKENESS = 0.8  # as `difflib` counts likeness: a letter or an underscore that i
 
 
 def meant(key: str, folder: str) -> str:
-    """A question after the key that is most like one that is not known; empty where it is known, or none is like it.
+    """Ask after the known key that is most like an unknown one; empty if the key is known, or no known one is like it.
 
     Args:
         key: with the names of its groups, such as `room.keepout`.

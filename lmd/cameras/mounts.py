@@ -208,7 +208,7 @@ def _turned(angle: float) -> float:
 
 
 def _rays_of(camera: Camera) -> FloatArray:
-    """What a sample of the pixels of an image looks at, borders included: forward, left, up, `(R, 3)`."""
+    """Viewing directions of a sample of an image's pixels, borders included: forward, left, up, `(R, 3)`."""
     sizes = (camera.image_width, camera.image_height)
     u, v = (np.linspace(0.0, size, samples) for size, samples in zip(sizes, IMAGE_SAMPLES, strict=True))
     seen = bearings(camera, np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))

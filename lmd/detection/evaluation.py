@@ -62,7 +62,7 @@ def match(
 def precision_recall(
     predicted: BoolArray, detected: BoolArray, axis: int | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Share of the predicted that is detected, and of the detected that was predicted; NaN where there are none.
+    """Precision and recall: the share of predicted tags that is detected, and the reverse; NaN where there are none.
 
     Args:
         predicted, detected: `(N, K)`.
@@ -96,7 +96,7 @@ def agreement(predicted: BoolArray, detected: BoolArray, n: int = 2) -> float:
 
 
 def corner_error(found: FloatArray, expected: FloatArray) -> FloatArray:
-    """Root mean square distance of four corners `(..., 4, 2)`, pixels, `(...)`; NaN where there is none."""
+    """Root mean square distance, pixels, `(...)`, of four corners `(..., 4, 2)` from the true ones; NaN for none."""
     return np.asarray(np.sqrt(((found - expected) ** 2).sum(axis=-1).mean(axis=-1)))
 
 

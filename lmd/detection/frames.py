@@ -27,7 +27,7 @@ FRAMES_STREAM = 0x646574656374
 
 
 def draw_poses(scene: Scene, count: int, seed: int) -> FloatArray:
-    """Random poses X: positions uniform where the camera may be, orientations from the PDF, `(count, 4, 4)`.
+    """Draw poses X, `(count, 4, 4)`: positions uniformly where the camera may be, orientations from the PDF.
 
     They do not depend on what hangs in the room.
     """

@@ -233,7 +233,7 @@ def _detect(
 
 
 def _errors(detections: Detections, ids: NDArray[np.int64], expected: FloatArray) -> FloatArray:
-    """Corner errors of the tags of a mosaic, pixels, `(M,)`; NaN where not found. Here an id may occur many times."""
+    """Corner errors of the tags of a mosaic, pixels, `(M,)`; NaN for a tag that was not found. Ids may repeat."""
     error = np.full(len(ids), np.nan)
     for number, found in zip(detections.ids, detections.corners, strict=True):
         near = np.linalg.norm(found - expected, axis=-1).max(axis=1) <= CORNER_TOLERANCE

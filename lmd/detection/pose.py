@@ -59,7 +59,7 @@ class PointImage(NamedTuple):
         return np.asarray((project(self.camera, pose @ self.mounted, self.points) - self.pixels) / self.noise[:, None])
 
     def slope(self, y: FloatArray) -> FloatArray:
-        """How the image of points y `(M, 3)`, camera's frame, moves with a body twist (w, v), pixels, `(M, 2, 6)`."""
+    """Derivatives by a body twist (w, v), pixels, `(M, 2, 6)`, of the images of points y `(M, 3)`, camera's frame."""
         moved = np.concatenate([skew(y), np.broadcast_to(-np.eye(3), (len(y), 3, 3))], axis=-1)
         return np.asarray(slope(self.camera, y) @ moved @ adjoint(inverse(self.mounted), np.eye(6)).T)
 
@@ -231,6 +231,6 @@ def pose_from_corners(camera: Camera, points: FloatArray, image: FloatArray) -> 
 
 
 def pose_error(true: FloatArray, estimated: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Distance (metres) and angle (rad) between poses `(..., 4, 4)`, `(...)` each; NaN where there is no estimate."""
+    """How far an estimated pose `(..., 4, 4)` is off: metres and rad, `(...)` each; NaN if there is no estimate."""
     distance = np.linalg.norm(true[..., :3, 3] - estimated[..., :3, 3], axis=-1)
     return np.asarray(distance), angle_between(true, estimated)

@@ -57,7 +57,7 @@ class Pace:
             object.__setattr__(self, name, real(name, getattr(self, name), above=0.0))
 
     def seconds(self, steps: FloatArray) -> FloatArray:
-        """Time that each change (x, y, z, yaw, pitch) `(..., 5)` takes, `(...)`."""
+        """The time in seconds, `(...)`, that each change (x, y, z, yaw, pitch) `(..., 5)` takes."""
         way, turn = np.linalg.norm(steps[..., :3], axis=-1), np.linalg.norm(steps[..., 3:], axis=-1)
         return np.asarray(PEAK_SLOPE * np.maximum(way / self.speed, turn / self.turn_rate))
 
@@ -142,7 +142,7 @@ def _next_waypoint(scene: Scene, before: FloatArray, rng: np.random.Generator) -
 
 
 def _shortest(step: FloatArray) -> FloatArray:
-    """A change of (x, y, z, yaw, pitch) `(5,)` with the yaw brought into [-pi, pi)."""
+    """The same change (x, y, z, yaw, pitch) `(5,)` by the shorter turn: its yaw is in [-pi, pi)."""
     yaw = (step[3] + np.pi) % (2.0 * np.pi) - np.pi
     return np.array([*step[:3], yaw, step[4]])
 

@@ -150,7 +150,7 @@ def read(batch: Batch) -> list[Detections]:
 
 
 def believed(found: Sequence[Detections], ids: IntArray) -> FloatArray:
-    """The corners of tags with `ids` `(K,)` as found in T frames, pixels, `(T, K, 4, 2)`; NaN where not found."""
+    """Corners found in T frames of the tags with `ids` `(K,)`, pixels, `(T, K, 4, 2)`; NaN for a tag not found."""
     corners, place = np.full((len(found), len(ids), 4, 2), np.nan), {number: k for k, number in enumerate(ids.tolist())}
     for t, detections in enumerate(found):
         edges = detections.corners - np.roll(detections.corners, 1, axis=1)

@@ -68,7 +68,7 @@ class RigMoments:
         return np.array([self.decided(self.moments, seen & (draw >= p)) @ self.share for p in probabilities])
 
     def lost(self) -> FloatArray:
-        """The same without landmarks i and j, `(2, K, K)`; without i alone for i = j. They still hide others."""
+        """The means of L and P_n without landmarks i and j, `(2, K, K)`. They still hide others; i = j is one alone."""
         seen, share = self.moments.seen, self.share
         shown = np.asarray(seen.any(axis=0))  # (N, K)
         whole, count = self.decided(self.moments, seen).astype(np.float64), seen.shape[2]

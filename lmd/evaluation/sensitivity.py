@@ -216,7 +216,7 @@ def _shares(variant: Variant, deployment: Deployment, evaluator: Evaluator) -> t
 
 
 def lost_shares(field: LocalisationField, deployment: Deployment) -> FloatArray:
-    """The means of L and P_n without landmarks i and j, `(2, K, K)`; without i alone for i = j."""
+    """The means of L and P_n without landmarks i and j, `(2, K, K)`. The diagonal, i = j, is without i alone."""
     mean = Mean(in_order(field, np.ones(len(field.index_of))))
     shares = field._replace(weight=0.0), field.coverage
     return np.stack([without_landmarks(share, mean, deployment) for share in shares])

@@ -81,7 +81,7 @@ class PaperEncoding:
         return np.clip(np.hstack([(points - self.low) / self.size, angles]), 0.0, 1.0).reshape(-1)
 
     def _distance(self, points: FloatArray) -> FloatArray:
-        """From points `(..., 3)` to each surface, `(..., W)`, metres; or to its plane, where that tells the nearest."""
+        """Distance from points `(..., 3)` to each surface, or to its plane if that suffices, `(..., W)`, metres."""
         s, depth = self.surfaces, np.abs(self.surfaces.depth(points))
         if self.planes_tell:
             return depth

@@ -172,7 +172,7 @@ class Picture:
         self.cells.batched_colors = painted
 
     def show_camera(self, position: FloatArray, yaw: float, pitch: float) -> None:
-        """Draw the camera, or all of a rig, with the body at `position` `(3,)`, metres, a yaw and a pitch in rad."""
+        """Draw the camera, or all of a rig. The body is at `position` `(3,)`, metres; yaw and pitch are in rad."""
         body = axis_and_right(camera_pose(position[None], np.array([yaw]), np.array([pitch])))
         for number, station in enumerate(self._problem.scene.stations(body)):
             if number == len(self._frustums):
@@ -185,5 +185,5 @@ class Picture:
 
 
 def _quaternions(right: FloatArray, up: FloatArray, normal: FloatArray) -> FloatArray:
-    """The turns that take x, y, z to these unit vectors `(N, 3)`, as w, x, y, z, `(N, 4)`."""
+    """Quaternions w, x, y, z, `(N, 4)`, of the rotations that take the axes x, y, z to these unit vectors `(N, 3)`."""
     return np.asarray(Rotation.from_matrix(np.stack([right, up, normal], axis=-1)).as_quat(scalar_first=True))

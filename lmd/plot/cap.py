@@ -95,7 +95,7 @@ def save_cap_figure(
 
 
 def _counts(scene: Scene, deployment: Deployment, position: FloatArray, axes: FloatArray) -> FloatArray:
-    """Num(S_k^C(p)) of optical axes `(N, N, 3)` of a level camera, `(N, N)`; NaN where the axis is."""
+    """How many landmarks each optical axis `(N, N, 3)` of a level camera covers, `(N, N)`; NaN for an axis of NaN."""
     inside = ~np.isnan(axes[..., 0])
     level = np.stack([axes[..., 1], -axes[..., 0], np.zeros(inside.shape)], axis=-1)  # axis x up
     with np.errstate(invalid="ignore"):

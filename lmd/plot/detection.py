@@ -144,7 +144,7 @@ def _middle(rows: pd.DataFrame) -> FloatArray:
 
 
 def outlined(image: UInt8Array, expected: FloatArray, predicted: BoolArray, found: FloatArray) -> UInt8Array:
-    """A frame with the tags outlined that were predicted or detected, red, green and blue, `(h, w, 3)`.
+    """A frame as an image `(h, w, 3)`, with outlines around the tags that were predicted or detected.
 
     Args:
         image: `(h, w)`.

@@ -142,11 +142,11 @@ class OrientationPdf:
         return OrientationPdf(yaw, pitch, weight, f"{self.name}, stratified", roll=self._draw_roll(len(yaw), rng))
 
     def at(self, positions: FloatArray) -> FloatArray:
-        """The probability of each orientation at positions `(Q, 3)`: `(Q, A)`, or `(1, A)` where all have the same."""
+        """The probability of each orientation at positions `(Q, 3)`: `(Q, A)`, or `(1, A)` if they share it."""
         return self.weight[None] if self.by_position is None else self.by_position(positions)
 
     def draw_at(self, positions: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Yaw, pitch and roll, `(Q,)` each, one orientation at each of the positions `(Q, 3)`; see `draw`."""
+        """Draw one orientation at each of the positions `(Q, 3)`, as `draw` does: yaw, pitch and roll, `(Q,)` each."""
         if self.by_position is None:
             return self.draw(len(positions), rng)
         places, place = np.unique(positions, axis=0, return_inverse=True)
@@ -155,7 +155,7 @@ class OrientationPdf:
         return self.yaw[drawn], self.pitch[drawn], np.asarray(self.roll)[drawn]
 
     def draw(self, size: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Yaw, pitch and roll, `(size,)` each, from the continuous distribution, or the PDF where there is none."""
+        """Draw yaw, pitch and roll, `(size,)` each, from the continuous distribution, or else from the PDF."""
         if self.continuous is not None:
             return *self.continuous(rng.random((size, 2))), self._draw_roll(size, rng)
         drawn = rng.choice(len(self.weight), size, p=self.weight)

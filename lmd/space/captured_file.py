@@ -68,7 +68,7 @@ def read_captured(keys: Keys) -> Captured:
 
 
 def triangles_of(face: FloatArray) -> FloatArray:
-    """A flat polygon `(N, 3)` as triangles `(T, 3, 3)`; none where it crosses itself or has no area."""
+    """Cut a flat polygon `(N, 3)` into triangles `(T, 3, 3)`; none if it crosses itself or has no area."""
     import shapely
 
     _, _, (right, up, _) = np.linalg.svd(face - face.mean(axis=0))

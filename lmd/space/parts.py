@@ -35,7 +35,7 @@ def check_metres(size: Iterable[float], makes: str, hint: str, argument: str) ->
 
 @dataclass(frozen=True)
 class Obstacle:
-    """A box with sides along x, y and z, such as a rack: it blocks the line of sight, and nobody can enter it.
+    """A box with sides along x, y and z, such as a rack. It blocks the line of sight, and no camera can be in it.
 
     Args:
         low, high: its corners, world frame, metres.

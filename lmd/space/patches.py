@@ -38,7 +38,7 @@ def areas_of(corners: FloatArray) -> FloatArray:
 
 
 def plane_of(corners: FloatArray) -> tuple[FloatArray, float]:
-    """The mean unit normal of triangles `(T, 3, 3)`, `(3,)`, and how far their corners are from its plane, metres."""
+    """The plane of triangles `(T, 3, 3)`: mean unit normal, `(3,)`, and how far corners are from it, metres."""
     total = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0)
     normal = total / np.linalg.norm(total) + 0.0
     return normal, float(np.ptp(corners @ normal)) / 2.0

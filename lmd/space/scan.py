@@ -290,7 +290,7 @@ class Scan:
 
 
 def _lying_on(surface: Surface, name: str, corners: FloatArray) -> KeepOut | None:
-    """What lies on a wall, `(N, 3)` corners, as a keep-out of a surface; None if it does not lie on that one."""
+    """The keep-out of a surface that a thing with corners `(N, 3)` makes; None if it does not lie on that surface."""
     import shapely
 
     if np.abs((corners - surface.origin) @ surface.normal).max() > ON_WALL:
@@ -327,7 +327,7 @@ def _shape(surface: Surface) -> Any:
 
 
 def _between(corners: FloatArray, height: FloatArray, low: float, high: float) -> FloatArray:
-    """Corners of the part of a triangle `(3, 3)` whose heights `(3,)` are from `low` to `high`, `(m, 3)`, any order."""
+    """Corners, `(m, 3)` in any order, of the part of a triangle `(3, 3)` between the heights `low` and `high`."""
     found = [corners[(height >= low) & (height <= high)]]
     for i, j in ((0, 1), (1, 2), (2, 0)):
         for limit in (low, high):

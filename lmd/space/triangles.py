@@ -109,7 +109,7 @@ STEP, AHEAD = 1e-3, 1.0
 
 
 def unit_normals(corners: FloatArray) -> FloatArray:
-    """Of triangles `(T, 3, 3)`, to the side from which they run counter-clockwise, `(T, 3)`."""
+    """Unit normals `(T, 3)` of triangles `(T, 3, 3)`, to the side from which they run counter-clockwise."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True) + 0.0)
 

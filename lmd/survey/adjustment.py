@@ -129,7 +129,7 @@ class Adjustment:
         return high
 
     def covariance(self, poses: Poses, floor: float) -> FloatArray:
-        """Of the twists of what is kept, each in its own frame, `(6 kept, 6 kept)`; NaN for tags that were not seen.
+        """Covariance of the twists that are kept, each in its own frame, `(6 kept, 6 kept)`; NaN for tags unseen.
 
         The weights of Student's distribution neither waste nor invent information: with w(chi^2) the mean of
         (w + 2 w' chi^2 / 8) is what the slope of the equations loses, that of w^2 chi^2 / 8 is the variance of their
@@ -172,7 +172,7 @@ class Adjustment:
         return Poses(tags, frames, mounts)
 
     def unknowns(self, some: Sightings, at: Linearised) -> list[tuple[IntArray, FloatArray]]:
-        """For each kind of what is kept, which of it some sightings are of, `(n,)`, and its slope, `(n, 8, 6)`."""
+        """For each kind of unknown that is kept: which one each sighting has, `(n,)`, and its slope, `(n, 8, 6)`."""
         found = [(some.tag, at.by_tag)]
         if self.mounts:
             others = some.camera > 0

@@ -158,7 +158,7 @@ class Sheets:
         return result
 
     def couplings(self, weights: FloatArray) -> FloatArray:
-        """D A (A' D A)^-1 A' D of all `pairs`, `(P, 6, 6)`, where tags count with `weights` `(M,)`."""
+        """What all `pairs` know of each other, D A (A' D A)^-1 A' D, `(P, 6, 6)`, for `weights` `(M,)` of tags."""
         one, other = self.pairs
         scaled = self.information * weights[:, None]
         wide = scaled[..., None] * self.turned

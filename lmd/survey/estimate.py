@@ -62,7 +62,7 @@ class Estimate:
         return np.unique(self.sightings.frame[self.used])
 
     def in_world(self, covariances: FloatArray) -> FloatArray:
-        """Of the position and of the turn of each tag, world frame, m^2 and rad^2, `(K, 6, 6)`.
+        """Covariances of the position and of the turn of each tag, world frame, m^2 and rad^2, `(K, 6, 6)`.
 
         Args:
             covariances: of their twists, in their own frames, `(K, 6, 6)`.

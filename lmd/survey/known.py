@@ -56,7 +56,7 @@ class Hanging:
 
 
 def poses_of(deployment: Deployment) -> FloatArray:
-    """The poses of tags, x to their right, y up and z out of them, to the world, `(K, 4, 4)`."""
+    """The poses of tags in the world, `(K, 4, 4)`. Of a tag x is right, y up and z out of it."""
     up, normal = deployment.ups, deployment.normals
     return pose_of(np.stack([np.cross(up, normal), up, normal], axis=-1), deployment.places)
 
@@ -135,7 +135,7 @@ def prior_of(
 
 
 def aligned(tags: FloatArray, prior: Prior) -> FloatArray | None:
-    """The motion from the world of `tags` `(K, 4, 4)` to that of the prior, `(4, 4)`; None if it does not say one.
+    """The motion, `(4, 4)`, from the world of `tags` `(K, 4, 4)` to the prior's; None if the prior does not fix it.
 
     Every tag whose pose is known proposes a motion; the one with which most of the others are where they are expected
     is taken. Without any, it is the one that brings centres best to where they are known to be, three or more.

@@ -70,7 +70,7 @@ def next_photographs(
 
 
 def _believed(survey: Survey) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Where tags hang or should, `(K, 4, 4)`, the covariance of their twists, `(6 K, 6 K)`, and which are known."""
+    """Poses of tags, found or planned, `(K, 4, 4)`; the covariance of their twists, `(6 K, 6 K)`; which are known."""
     found, size = survey.found, 6 * len(survey.ids)
     every = Adjustment(found.sightings.of(found.used), found.prior, lenses=True)
     covariance = every.covariance(found.poses, found.floor)[:size, :size]
@@ -85,7 +85,7 @@ def _believed(survey: Survey) -> tuple[FloatArray, FloatArray, BoolArray]:
 
 
 def _candidates(survey: Survey, tags: FloatArray, needy: IntArray, room: Space | None) -> FloatArray:
-    """Poses of level cameras, from where others were and from before tags, that look at tags, `(M, 4, 4)`."""
+    """Poses of level cameras that look at tags, `(M, 4, 4)`: where earlier frames were taken, and before tags."""
     frames = survey.found.poses.frames[survey.found.frames]
     up = -frames[:, :3, 1].mean(axis=0)
     up /= np.linalg.norm(up)
@@ -149,7 +149,7 @@ def _slopes(
     own: IntArray,
     image: FloatArray,
 ) -> FloatArray:
-    """J of a photograph: whitened, by the twists of the tags `own`, without what its pose takes, `(8 n, 6 n)`."""
+    """Derivatives J of a photograph by the twists of the tags `own`, whitened and freed from its pose, `(8 n, 6 n)`."""
     count, corners = len(own), image[own]
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1).min(axis=1)
     directions = bearings(camera, corners)
