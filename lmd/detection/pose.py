@@ -59,7 +59,7 @@ class PointImage(NamedTuple):
         return np.asarray((project(self.camera, pose @ self.mounted, self.points) - self.pixels) / self.noise[:, None])
 
     def slope(self, y: FloatArray) -> FloatArray:
-    """Derivatives by a body twist (w, v), pixels, `(M, 2, 6)`, of the images of points y `(M, 3)`, camera's frame."""
+        """Derivatives by a body twist (w, v), pixels, `(M, 2, 6)`, of the image of points y `(M, 3)` (camera frame)."""
         moved = np.concatenate([skew(y), np.broadcast_to(-np.eye(3), (len(y), 3, 3))], axis=-1)
         return np.asarray(slope(self.camera, y) @ moved @ adjoint(inverse(self.mounted), np.eye(6)).T)
 
