@@ -59,7 +59,7 @@ class _InnerLibrary(JITCodeLibrary):
 
     @property
     def codegen(self) -> "_InnerLibrary":
-        """Who is told of the environment, see `set_env`."""
+        """The object whose `set_env` numba calls: this one."""
         return self
 
     def set_env(self, name: str, environment: Any) -> None:

@@ -174,7 +174,7 @@ def sample_views(
 
 
 def _tile_centres(camera: Camera, tile: int, count: int) -> FloatArray:
-    """Of the first tiles, row by row, pixels, `(count, 2)`."""
+    """Centres of the first `count` tiles, row by row, pixels, `(count, 2)`."""
     row, column = np.divmod(np.arange(count), image_size(camera)[0] // tile)
     return (np.stack([column, row], axis=-1) + 0.5) * tile
 

@@ -94,7 +94,7 @@ def by_pitch(prediction: Predicted, seen: Sightings) -> pd.DataFrame:
 
 
 def by_incidence(prediction: Predicted, seen: Sightings) -> pd.DataFrame:
-    """The same by the angle from the tag's normal to the camera, `incidence_from` to `incidence_to` degrees."""
+    """As `by_pitch`, by the angle from the tag's normal to the camera, `incidence_from` to `incidence_to` degrees."""
     return _by_class(prediction, seen, "incidence", prediction.incidence, INCIDENCES)
 
 

@@ -112,5 +112,5 @@ class Detector:
 
 
 def detected(seen: BoolArray, missed: float, rng: np.random.Generator) -> BoolArray:
-    """Those of the visible landmarks that are detected, same shape as `seen`; `missed` is a probability."""
+    """Draw which of the visible landmarks are detected, the shape of `seen`; `missed` is a probability."""
     return seen & (rng.random(seen.shape) >= missed)

@@ -45,7 +45,7 @@ def paired(figures: pd.DataFrame) -> pd.DataFrame:
 
 
 def _p_value(differences: FloatArray) -> float:
-    """Of the Wilcoxon signed-rank test; 1 where nothing differs."""
+    """The p-value of the Wilcoxon signed-rank test; 1 if nothing differs."""
     if not differences.size:
         return np.nan
     return float(wilcoxon(differences).pvalue) if differences.any() else 1.0

@@ -40,7 +40,7 @@ class RigMoments:
 
     @property
     def share(self) -> FloatArray:
-        """Of each moment, of sum 1, `(N,)`."""
+        """The share of each moment, `(N,)`; the sum is 1."""
         weight = self.moments.weight
         return np.asarray(weight / weight.sum())
 
@@ -59,7 +59,7 @@ class RigMoments:
         return np.array(shares)
 
     def missed(self, probabilities: Sequence[float], rng: np.random.Generator) -> FloatArray:
-        """The same where each image misses each landmark that it shows with such a probability, `(M, 2)`.
+        """The means of L and P_n if each image misses a landmark that it shows with such a probability, `(M, 2)`.
 
         The draw is the same for all probabilities, so that what is missed with one is missed with all greater.
         """

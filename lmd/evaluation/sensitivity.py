@@ -255,7 +255,7 @@ def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.rand
 
 
 def _worst(lost: int, share: str, losses: FloatArray, ids: IntArray) -> dict[str, object]:
-    """The row of `Sensitivity.lost` for so many landmarks, from the losses `(K, K)` of one share."""
+    """The row of `Sensitivity.lost` without `lost` landmarks, one or two, from the losses `(K, K)` of one share."""
     chosen = list(combinations(range(len(losses)), lost))
     values = np.array([losses[group[0], group[-1]] for group in chosen])
     worst = " ".join(map(str, ids[[*chosen[int(values.argmax())]]]))

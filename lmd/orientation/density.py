@@ -42,7 +42,7 @@ class Axis:
 
     @property
     def width(self) -> float:
-        """Of a cell, radians."""
+        """The width of a cell, radians."""
         return (self.high - self.low) / self.cells
 
     @property

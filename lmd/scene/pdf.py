@@ -124,7 +124,7 @@ class OrientationPdf:
         return self.by_axis.index_of
 
     def finer(self) -> "OrientationPdf":
-        """The same PDF at half the step, or itself where nothing is known between its orientations."""
+        """The PDF at half the step; itself if nothing is known between its orientations."""
         return self if self.refine is None else self.refine()
 
     def stratified(self, divisions: int, rng: np.random.Generator) -> "OrientationPdf":

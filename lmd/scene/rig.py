@@ -135,7 +135,7 @@ class Rig:
         return np.round(offsets, SAME_PLACE_DECIMALS) + 0.0, np.stack(turned)  # + 0.0 turns -0 into 0
 
     def stations(self, axes: FloatArray) -> "Iterator[Station]":
-        """The same, camera by camera and place by place."""
+        """The stations of the cameras, camera by camera and place by place."""
         for camera, offsets, turned in zip(self.cameras, *self.views(axes), strict=True):
             places, place = np.unique(offsets, axis=0, return_inverse=True)
             for g, offset in enumerate(places):

@@ -49,7 +49,7 @@ class Blockers(NamedTuple):
         return cls(np.ascontiguousarray(normals), offsets, solid, first)
 
     def grown(self, by: float) -> "Blockers":
-        """The same with all faces moved outwards by so many metres."""
+        """The bodies with all faces moved outwards by so many metres."""
         return self._replace(offsets=self.offsets + by * self.solid)
 
     def heights(self, points: FloatArray) -> FloatArray:

@@ -132,7 +132,7 @@ def _webxr(keys: Keys) -> Iterator[tuple[str, list[FloatArray]]]:
 
 
 def _mruk(keys: Keys) -> Iterator[tuple[str, list[FloatArray]]]:
-    """Of Unity: z ahead, to the left of what x is to others, so it is turned back; degrees about y, then x, then z."""
+    """The pieces of a scene of Unity, whose frame is left-handed (z ahead); degrees about y, then x, then z."""
     from scipy.spatial.transform import Rotation
 
     system, rooms = keys.get("CoordinateSystem"), keys["Rooms"]

@@ -30,7 +30,7 @@ class Fixture:
 
     @cached_property
     def kind(self) -> str:
-        """One of `KINDS`: as its name says, else `furniture` for what stands on some ground."""
+        """One of `KINDS`: what its name says, or otherwise `furniture` if it stands on some ground."""
         named = NAMED_KIND.search(self.name.lower())
         if named:
             return named[0]
@@ -38,7 +38,7 @@ class Fixture:
 
     @cached_property
     def footprint(self) -> Any:
-        """What it covers of the floor, seen from above, a polygon of shapely, or a line."""
+        """The part of the floor that it covers, seen from above: a polygon of shapely, or a line."""
         import shapely
 
         return shapely.MultiPoint(self.corners[:, :2]).convex_hull
@@ -53,7 +53,7 @@ class Fixture:
         return bool(depth.max() < TOUCHING_M and within and self.footprint.covers(shapely.Point(inside[:2])))
 
     def on(self, surface: Surface) -> Any:
-        """What it covers of a surface, in metres from its left and lower edge, a polygon of shapely; empty if nothing.
+        """The part of a surface that it covers, metres from the left and lower edge: a polygon of shapely, maybe empty.
 
         Nothing of its own faces.
         """

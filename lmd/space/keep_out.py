@@ -78,7 +78,7 @@ class KeepOut:
         return _rectangle(*zip(self.from_left, self.from_below, strict=True))
 
     def region(self, face: Surface) -> Any:
-        """It in the coordinates of its surface, a polygon of shapely."""
+        """The keep-out in the coordinates of its surface, a polygon of shapely."""
         import shapely
 
         return shapely.Polygon(face.seen(self.ring))

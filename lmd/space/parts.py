@@ -66,7 +66,7 @@ class Obstacle:
 
     @property
     def body(self) -> Body:
-        """What it blocks."""
+        """The convex body that blocks the line of sight."""
         return Body(
             np.vstack([-np.eye(3), np.eye(3)]) + 0.0, np.append(-np.array(self.low), self.high), np.full(6, True)
         )

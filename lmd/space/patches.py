@@ -32,7 +32,7 @@ def flat_parts(mesh: Mesh) -> list[IntArray]:
 
 
 def areas_of(corners: FloatArray) -> FloatArray:
-    """Of triangles `(T, 3, 3)`, `(T,)`, square metres."""
+    """Areas of triangles `(T, 3, 3)`, square metres, `(T,)`."""
     one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     return np.asarray(np.linalg.norm(np.cross(one, other), axis=1) / 2.0)
 

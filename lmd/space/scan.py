@@ -105,7 +105,7 @@ class Scan:
 
     @cached_property
     def solids(self) -> Triangles | None:
-        """Those from which the camera keeps its clearance: all but floor and ceiling, what is level at either end."""
+        """The triangles from which the camera keeps its clearance: all but those of floor and ceiling."""
         z, (low, high) = self._corners[..., 2], self.bounds
         level = np.abs(unit_normals(self._corners)[:, 2]) > LEVEL_NORMAL_Z
         ends = (z.max(axis=1) < low[2] + STOREY) | (z.min(axis=1) > high[2] - STOREY)
@@ -132,7 +132,7 @@ class Scan:
 
     @property
     def _half_edge(self) -> float:
-        """Of the square of `least_area`, which has to hang on a patch, metres."""
+        """Half the edge, metres, of the square of `least_area` that has to fit on a patch."""
         return float(np.sqrt(self.least_area)) / 2.0 * (1.0 - FILE_ROUNDING)
 
     @cached_property

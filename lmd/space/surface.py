@@ -245,7 +245,7 @@ class SurfaceArrays(NamedTuple):
 
     @property
     def area(self) -> FloatArray:
-        """Of each trapezoid, `(T,)`, square metres."""
+        """The area of each trapezoid, square metres, `(T,)`."""
         return sizes(self.pieces)
 
     def depth(self, points: FloatArray) -> FloatArray:

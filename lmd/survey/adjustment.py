@@ -299,7 +299,7 @@ def resected(sightings: Sightings, poses: Poses, floor: float, steps: int = RESE
 
 
 def _orthonormal(poses: Poses) -> Poses:
-    """The same with rotations that many products have left exact."""
+    """The same poses, with the rotations made orthonormal after many products."""
 
     def exact(pose: FloatArray) -> FloatArray:
         result = pose.copy()

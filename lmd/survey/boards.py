@@ -105,7 +105,7 @@ class Sheets:
     information: FloatArray
 
     def of(self, placed: BoolArray) -> "Sheets":
-        """Those whose tags are placed, `(K,)`, on sheets that have two of these."""
+        """The sheets of the tags that are `placed`, `(K,)`; a sheet with fewer than two of these is left out."""
         own = placed[self.tag]
         own &= np.bincount(self.board[own], minlength=self.board.max(initial=0) + 1)[self.board] >= FEWEST
         board = np.unique(self.board[own], return_inverse=True)[1]

@@ -73,7 +73,7 @@ class Estimate:
         return np.asarray(whole @ covariances @ np.swapaxes(whole, 1, 2))
 
     def moved(self, motion: FloatArray) -> "Estimate":
-        """The same in another world, to which a motion `(4, 4)` leads."""
+        """The estimate in another world, to which a motion `(4, 4)` leads."""
         poses = replace(self.poses, tags=motion @ self.poses.tags, frames=motion @ self.poses.frames)
         return replace(self, poses=poses, prior=replace(self.prior, tags=motion @ self.prior.tags))
 
@@ -141,7 +141,7 @@ def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, 
 
 
 def twice_in_frame(sightings: Sightings, used: BoolArray) -> BoolArray:
-    """Those of the sightings `used` whose frames have at least two of them: one alone says nothing of the map."""
+    """The sightings among `used` whose frames have at least two of them: one alone says nothing of the map."""
     counts = np.bincount(sightings.frame[used], minlength=sightings.frames)
     return np.asarray(used & (counts[sightings.frame] >= 2))
 

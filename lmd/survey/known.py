@@ -50,7 +50,7 @@ class Hanging:
 
     @property
     def deviations(self) -> FloatArray:
-        """Of the turns about x, y and z of a tag, and of the ways along them, `(6,)`."""
+        """Standard deviations of a tag's rotations about its x, y and z, and of its shifts along them, `(6,)`."""
         tilt, depth = (self.tilt, self.depth) if self.flush else (self.turn, self.place)
         return np.array([tilt, tilt, self.turn, self.place, self.place, depth])
 

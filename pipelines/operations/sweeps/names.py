@@ -53,7 +53,7 @@ def slug(text: str) -> str:
 
 
 def digest(*parts: Any) -> str:
-    """The same for the same parts, as long as the files they name hold the same."""
+    """A digest that is equal for equal parts, as long as the files that they name hold the same."""
     text = json.dumps([*parts, contents_of(parts)], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()
 
