@@ -100,7 +100,7 @@ def observation(camera: Camera, tag: Tag, seen: BoolArray, found: FloatArray, no
 
 
 def _places(camera: Camera, edge: float, found: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rotation `(M, 3, 3)` from each tag's frame (right, up, normal) to the camera's, and its centre there `(M, 3)`.
+    """Each tag in the camera's frame: the rotation `(M, 3, 3)` of its axes right, up, normal; its centre `(M, 3)`.
 
     Of the two poses of a square that look alike, that which fits its corners better (IPPE).
     """

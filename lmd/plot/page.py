@@ -13,10 +13,10 @@ from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.space.space import Space
 
-BALL = 5.5  # diameter, pixels
+BALL_PIXELS = 5.5  # diameter, pixels
 CAMERA = {"eye": {"x": 0.82, "y": -1.84, "z": 0.58}, "center": {"x": 0.0, "y": 0.0, "z": -0.05}}
-BARE = {"showgrid": False, "zeroline": False, "showspikes": False}  # the box of the room suffices
-HEAD = 0.5  # part of an arrow that is its head
+PLAIN_AXIS = {"showgrid": False, "zeroline": False, "showspikes": False}  # the box of the room suffices
+HEAD_SHARE = 0.5  # part of an arrow that is its head
 
 PAGE = """<!DOCTYPE html>
 <html lang="en">
@@ -56,7 +56,7 @@ def save_scene_page(path: str | Path, problem: Problem, deployment: Deployment, 
             name=name,
             text=[hover[i] for i in chosen],
             hoverinfo="text",
-            marker={"size": BALL * common.ball_scale(room, positions), **marker},
+            marker={"size": BALL_PIXELS * common.ball_scale(room, positions), **marker},
         )
 
     by_probability = balls(
@@ -83,7 +83,7 @@ def save_scene_page(path: str | Path, problem: Problem, deployment: Deployment, 
         f"{axis}axis": {
             "title": {"text": text},
             "range": limits,
-            **BARE,
+            **PLAIN_AXIS,
         }
         for axis, text, *limits in zip("xyz", common.AXIS_LABELS, *room.bounds(), strict=True)
     }
@@ -126,7 +126,7 @@ def _landmark_traces(deployment: Deployment, label: str, colour: str) -> list[An
     import plotly.graph_objects as go
 
     tips = deployment.positions + common.ARROW_LENGTH * deployment.normals
-    heads = HEAD * common.ARROW_LENGTH * deployment.normals
+    heads = HEAD_SHARE * common.ARROW_LENGTH * deployment.normals
     hover = [
         f"landmark {number}<br>{_place(at)}<br>normal ({normal[0]:.4g}, {normal[1]:.4g}, {normal[2]:.4g})"
         for number, at, normal in zip(deployment.ids, deployment.positions, deployment.normals + 0.0, strict=True)

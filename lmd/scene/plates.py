@@ -19,7 +19,7 @@ from lmd.scene.fixed import beside
 from lmd.space.allowed import allows, nearest
 from lmd.space.inset import Inset
 from lmd.space.space import Space
-from lmd.space.surface import MISPLACED, SurfaceArrays
+from lmd.space.surface import FILE_TOLERANCE, SurfaceArrays
 
 # Relative: papers that share an edge do not overlap, however their distance is rounded.
 TOUCHING = 1e-9
@@ -140,13 +140,13 @@ class Plates:
         at = self._surfaces.coordinates(surface, deployment.positions[flat])
         names = [surface.name for surface in self.room.surfaces()]
         ids = deployment.ids[flat]
-        if (over := np.flatnonzero(~self._surfaces.allow(surface, at, MISPLACED))).size:
+        if (over := np.flatnonzero(~self._surfaces.allow(surface, at, FILE_TOLERANCE))).size:
             raise InputError(
                 f"landmark {ids[over[0]]} hangs over the edge of {names[surface[over[0]]]}, or of where tags may hang "
                 f"there: its paper is {self.edge:.4g} m wide."
             )
         distance = np.abs(at[:, None] - at[None]).max(axis=-1)
-        close = (distance < self.edge - MISPLACED) & (surface[:, None] == surface)
+        close = (distance < self.edge - FILE_TOLERANCE) & (surface[:, None] == surface)
         if (pairs := np.argwhere(np.triu(close, 1))).size:
             i, j = pairs[0]
             raise InputError(
