@@ -234,7 +234,7 @@ def note_outside(room: "Space", tag: "Tag", deployment: "Deployment") -> None:
     """Say which landmarks have a corner behind a face of the room, be it by a rounding: nothing sees them."""
     from lmd.geometry.squares import corners
 
-    points = corners(deployment.positions, deployment.normals, deployment.ups, 0.0 if tag.is_point else tag.size)
+    points = corners(deployment.positions, deployment.normals, deployment.ups, deployment.edges_of(tag))
     behind = deployment.ids[~room.contains(points).all(axis=1)]
     if len(behind):
         said = _few(list(map(str, behind)))

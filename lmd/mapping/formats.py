@@ -62,8 +62,8 @@ FORMATS = {
     "limelight": Format("tags.fmap", write_limelight, only_apriltag=True),
     "frc971": Format("tags.frc971.json", write_frc971, only_apriltag=True),
     "duckietown": Format("tags.duckietown.yaml", write_duckietown, only_apriltag=True, check=check_on_floor),
-    "plan": Format("plan.pdf", write_plan, on_paper=True, check=TagMap.check_one_edge),
-    "sheets": Format("sheets.pdf", write_sheets, on_paper=True, check=TagMap.check_one_edge),
+    "plan": Format("plan.pdf", write_plan, on_paper=True),
+    "sheets": Format("sheets.pdf", write_sheets, on_paper=True),
 }
 
 
@@ -77,7 +77,8 @@ def check_printing(name: str, tag: Tag, paper: str) -> None:
     """Raise `InputError` if a format that is printed cannot be written of tags like this one."""
     optional("reportlab", "export")
     if name == "sheets":
-        check_sheets(tag, paper)
+        for edge in tag.sizes:
+            check_sheets(tag.of_size(edge), paper)
 
 
 def not_printed(tag: Tag, paper: str) -> dict[str, str]:
@@ -139,8 +140,10 @@ class Export:
             try:
                 if (check := FORMATS[name].check) is not None:
                     check(tags)
+                for tag, _ in tags.by_size if FORMATS[name].on_paper else ():
+                    check_printing(name, tag, self.paper)
             except InputError as error:
-                reasons[name] = str(error)
+                reasons[name] = str(error).rstrip(".")
         return reasons
 
     def writers(self, room: Space, tag: Tag, deployment: Deployment) -> dict[str, Callable[[Path], None]]:
