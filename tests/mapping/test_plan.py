@@ -307,7 +307,7 @@ def test_the_plan_says_how_large_each_tag_is_where_they_differ(tmp_path):
     assert first.startswith("6 tags of 36h11, 60, 100, 300 mm")
     for number, edge in zip(deployment.ids.tolist(), deployment.edges.tolist(), strict=True):
         assert any(f" {number} {1000 * edge:.0f} " in text for text in others)
-    with_free = Deployment(deployment.positions + [0.0, 0.5, 0.5], deployment.normals, edges=deployment.edges)
+    with_free = Deployment(deployment.positions * 0.8 + 0.5, deployment.normals, edges=deployment.edges)
     write_plan(tmp_path / "free.pdf", TagMap(ROOM, tag, with_free), "a4")
     *_, last = pypdfium2.PdfDocument(tmp_path / "free.pdf")
     assert "edge," in words(last)
