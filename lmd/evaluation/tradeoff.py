@@ -5,7 +5,7 @@ from that of more, without those that are missed least; whichever is best after 
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
