@@ -62,6 +62,8 @@ def export(cfg: DictConfig) -> None:
     tags = TagMap(scene.room, scene.tag, deployment)
     for name, reason in chosen.unfit(tags).items():
         print(f"note: {FORMATS[name].file} is not written: {reason}", file=sys.stderr)
+    for name in chosen.silent(tags):
+        print(f"note: {FORMATS[name].file} does not say that tags have {tags.edges_in_words}", file=sys.stderr)
     with tracked(cfg, "export", title_of(problem, "export")) as tracker:
         files = write_all(run_directory(), writers)
         keep(tracker, files, {})

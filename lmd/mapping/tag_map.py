@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 
-from lmd.core.checks import FloatArray, InputError, IntArray
+from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.squares import corners
 from lmd.scene.camera import MM_PER_M
 from lmd.scene.deployment import Deployment
@@ -130,11 +130,6 @@ class TagMap:
     def edges_in_words(self) -> str:
         """The edges that occur, mm."""
         return f"{', '.join(f'{MM_PER_M * tag.size:.4g}' for tag, _ in self.by_size)} mm"
-
-    def check_one_edge(self) -> None:
-        """Raise `InputError` if the tags have several edges."""
-        if len(self.by_size) > 1:
-            raise InputError(f"it has one edge for all tags, and these have {self.edges_in_words}")
 
     @property
     def positions(self) -> FloatArray:
