@@ -13,6 +13,7 @@ from lmd.evaluation.mounting import SAMPLE, off_grid_figures
 from lmd.evaluation.validation import Sample
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
+from lmd.scene.edges import with_gaps
 from lmd.scene.plates import as_they_are
 from lmd.scene.tag_map_files import read_deployment
 
@@ -50,7 +51,8 @@ def read_measured(path: str | Path, problem: Problem, plan: Deployment) -> Deplo
         hung = measured.hung(scene.room, as_they_are(problem.start), scene.plates.papers(measured))
     except InputError as error:
         raise InputError(f"measured: {path}: {error}", "measured") from None
-    return replace(hung, labels=plan.labels)
+    told, planned = with_gaps(hung.edges, len(plan)), with_gaps(plan.edges, len(plan))
+    return replace(hung, labels=plan.labels, edges=np.where(np.isnan(told), planned, told))
 
 
 @dataclass(frozen=True)
