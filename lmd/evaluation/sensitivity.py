@@ -204,6 +204,7 @@ def _measure(
         rig = RigMoments(evaluator, deployment, objective.n, objective.precision(evaluator.scene))
         return assumed, rig.missed(MISS_PROBABILITIES, rng), rig.lost(), rig.without_cameras()
     field = objective.field(evaluator)
+    assert isinstance(field, LocalisationField)  # that of a single camera
     return assumed, missed_shares(field, deployment, rng)[:, :2], lost_shares(field, deployment), np.empty((0, 2))
 
 
