@@ -1,6 +1,6 @@
 """Limits of a detector fitted to views of tags, and how well they predict what they were not fitted to."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -28,15 +28,20 @@ class Source(Protocol):
     def photographs(self) -> int:
         """How many photographs they are of; 0 where they are rendered."""
 
-    def views(self, camera: Camera, tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator) -> Views:
+    def views(
+        self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
+    ) -> Views:
         """Views and what the detector made of them.
 
         Args:
-            camera: that takes the images.
+            cameras: that take the images; several where they are those of a rig.
             tag: its family, size and quiet zone.
             detector: for this family.
             imaging: lens and light, where images are rendered; blur, where they are read.
             rng: source of everything random.
+
+        Raises:
+            InputError: it makes views for one camera only, or of other cameras.
         """
 
 

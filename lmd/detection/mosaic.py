@@ -6,6 +6,7 @@ settings depend.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -87,10 +88,10 @@ class Mosaics:
         return 0
 
     def views(
-        self, camera: Camera, tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
+        self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
     ) -> "Views":
         """See `Source.views`; light and blur are drawn, not those of `imaging`."""
-        return sample_views(camera, tag, detector, self.count, rng, self.sampling)
+        return sample_views(only(cameras), tag, detector, self.count, rng, self.sampling)
 
 
 @dataclass(frozen=True)
@@ -115,6 +116,17 @@ class Views:
 
     def __getitem__(self, which: object) -> "Views":
         return Views(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
+
+
+def only(cameras: Sequence[Camera]) -> Camera:
+    """The camera, for views that are made for one.
+
+    Raises:
+        InputError: there are several.
+    """
+    if len(cameras) > 1:
+        raise InputError(f"views are those of a single camera, not of a rig of {len(cameras)}.")
+    return cameras[0]
 
 
 def sample_views(

@@ -10,8 +10,9 @@ from lmd.core.memory import check_views
 from lmd.incremental.field import places_of
 from lmd.incremental.move import exchange_place, given_counts, ripple, sum_up
 from lmd.incremental.nearby import list_blocks
+from lmd.incremental.rig_pairs import ARRIVES, find_pairs
 from lmd.incremental.rig_state import RigState, StationState, rig_scratch_of
-from lmd.incremental.rig_trial import ARRIVES, find_pairs, forget, list_near, see_anew, shown_by
+from lmd.incremental.rig_trial import forget, list_near, see_anew, shown_by
 from lmd.scene.deployment import Deployment
 
 # Of a landmark and a centre around a position: whether it is a rival of the place tried.

@@ -32,6 +32,8 @@ LEAST_GAIN = 0.03  # of the sum of variances; a photograph that lowers it by les
 PLACES, TARGETS = 30, 8  # of earlier frames, and of tags that need a photograph: so many are tried
 DISTANCES, SIDEWAYS = (0.8, 1.5, 2.5), (-0.7, 0.0, 0.7)  # metres and rad, from which such a tag is tried
 TRIED = 200  # candidates that are weighed
+# Photographs from so near, metres, that look the same way, as a cosine, have errors in common that no covariance knows.
+NEAR_ANOTHER, SAME_WAY = 0.3, 0.966
 # A tag is counted on if its modules are so large, pixels, and it is not steeper, as a cosine.
 PITCH, STEEPEST = 3.0, 0.3
 MARGIN = 5.0  # pixels from the border of the image
@@ -175,12 +177,14 @@ def _greedy(
     candidates: Sequence[tuple[FloatArray, IntArray]],
     slopes: Sequence[FloatArray],
 ) -> tuple[Photograph, ...]:
-    """The best candidate, again and again."""
+    """The best candidate that is not like those before it, again and again."""
     rows = np.flatnonzero(np.repeat(known, 6))
     place = np.cumsum(known) - 1
     left = gauge_free(tags[known])
     left = left[np.tile(np.arange(6) >= 3, int(known.sum()))]  # what is counted: places
     whole = covariance[np.ix_(rows, rows)]
+    poses = np.reshape([pose for pose, _ in candidates], (-1, 4, 4))
+    fresh = np.ones(len(candidates), dtype=bool)
     chosen: list[Photograph] = []
     for _ in range(MOST):
         seen = left @ whole
@@ -190,7 +194,7 @@ def _greedy(
             index = (6 * place[own][:, None] + np.arange(6)).ravel()
             inner = np.eye(len(slopes_of)) + slopes_of @ whole[np.ix_(index, index)] @ slopes_of.T
             half = slopes_of @ seen[:, index].T
-            gains[k] = (half * np.linalg.solve(inner, half)).sum()
+            gains[k] = fresh[k] * (half * np.linalg.solve(inner, half)).sum()
         if not len(candidates) or gains.max() < LEAST_GAIN * total:
             break
         best = int(np.argmax(gains))
@@ -199,5 +203,7 @@ def _greedy(
         inner = np.eye(len(slopes[best])) + slopes[best] @ whole[np.ix_(index, index)] @ slopes[best].T
         half = slopes[best] @ whole[index]
         whole = whole - half.T @ np.linalg.solve(inner, half)
+        near = np.linalg.norm(poses[:, :3, 3] - pose[:3, 3], axis=1) < NEAR_ANOTHER
+        fresh &= ~(near & (poses[:, :3, 2] @ pose[:3, 2] > SAME_WAY))
         chosen.append(Photograph(pose, own, float(np.sqrt(max(total - gains[best], 0.0) / known.sum()))))
     return tuple(chosen)
