@@ -42,7 +42,7 @@ from pipelines.building import build_problem
 
 EDGE, NOISE = 0.15, 0.5  # metres, pixels
 DISTANCES, INCIDENCES = (1.5, 2.5, 3.5, 5.0), (10, 25, 45, 60)
-SIMULATED, RENDERED, FRAMES = 1000, 200, 500
+SIMULATED, RENDERED, FRAMES, REPEATS = 1000, 200, 500, 5
 NORMAL, UP, RIGHT = np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 1.0, 0.0]])
 OFF = 15.0  # a tag is up to so many degrees from the middle of the image, along each axis
 DETECTORS: dict[str, Detector] = {"AprilTag": AprilTagDetector(), "ArUco": ArucoDetector(preset="fine")}
@@ -179,7 +179,9 @@ def localised(camera: Camera, rng: np.random.Generator) -> Iterator[str]:
                 ((one <= tolerance) & told, square(edge)),
                 (two <= tolerance, pair),
             ):
-                share = f"{simulated(camera, poses[which], points, rng):.4f}" if which.any() else ""
+                share = (
+                    f"{simulated(camera, poses[which].repeat(REPEATS, axis=0), points, rng):.4f}" if which.any() else ""
+                )
                 row += f" {which.mean():.3f} | {share} |"
             yield row
 
