@@ -4,7 +4,7 @@ Prints Markdown tables for a tag of 15 cm and the camera of `experiment=lab`:
 
 1. the closed form of `lmd.objectives.localisation.ambiguity` against the residual of IPPE's other pose, noise-free;
 2. the share of wrong poses by distance and incidence: predicted, simulated (noise on projected corners, OpenCV's IPPE),
-   and of rendered frames read by detectors, there with the noise measured;
+   and of rendered frames read by detectors, there with the noise measured of what tells the poses apart;
 3. the share of wrong poses among simulated views that localise, of one tag and of two side by side.
 
 With runs of `optimise`: what detectors and PnP make of rendered frames of their deployments.
@@ -146,7 +146,10 @@ def by_distance(camera: Camera, rng: np.random.Generator) -> Iterator[str]:
                     row += " |" * 4
                     continue
                 read = sighting.corners[found, 0]
-                sigma = float(np.sqrt(((read - exact[found]) ** 2).mean()))
+                off = (
+                    read - exact[found]
+                )  # of it, what looks like another pose: the ends of a diagonal against the others
+                sigma = float(np.sqrt(((off[:, ::2].sum(axis=1) - off[:, 1::2].sum(axis=1)) ** 2).mean()) / 2.0)
                 best = [solutions(camera, points, image)[0].pose[:3, :3].T for image in read]
                 wrong = np.mean([is_mirrored(poses[i], turn) for i, turn in zip(found, best, strict=True)])
                 told = share_wrong(camera, poses[found], EDGE, sigma).mean()
