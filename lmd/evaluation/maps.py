@@ -46,9 +46,9 @@ class Hung:
         return cls(deployment, deployment.ups)
 
     def points(self, tag: Tag) -> FloatArray:
-        """What an image shows of each landmark, metres, `(K, M, 3)`: the 4 corners of a tag, or the point itself."""
-        places = self.deployment.places
-        return places[:, None] if tag.is_point else corners(places, self.deployment.normals, self.ups, tag.size)
+        """What an image shows of each: the M = 4 corners of a tag, or the centre of a point, metres, `(K, M, 3)`."""
+        places, edges = self.deployment.places, self.deployment.edges_of(tag)
+        return places[:, None] if tag.is_point else corners(places, self.deployment.normals, self.ups, edges)
 
 
 def map_errors(

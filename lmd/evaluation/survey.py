@@ -13,6 +13,7 @@ from lmd.evaluation.mounting import SAMPLE, off_grid_figures
 from lmd.evaluation.validation import Sample
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
+from lmd.scene.edges import with_gaps
 from lmd.scene.plates import as_they_are
 from lmd.scene.tag_map_files import read_deployment
 
@@ -46,10 +47,12 @@ def read_measured(path: str | Path, problem: Problem, plan: Deployment) -> Deplo
             raise InputError(f"measured: {path} {name} landmark {ids[0]} {other} ({len(ids)} in all).", "measured")
     places = np.argsort(measured.ids)[np.searchsorted(np.sort(measured.ids), plan.ids)]
     try:
-        hung = measured[places].hung(problem.scene.room, as_they_are(problem.start), problem.scene.plates.edge)
+        measured, scene = measured[places], problem.scene
+        hung = measured.hung(scene.room, as_they_are(problem.start), scene.plates.papers(measured))
     except InputError as error:
         raise InputError(f"measured: {path}: {error}", "measured") from None
-    return replace(hung, labels=plan.labels)
+    told, planned = with_gaps(hung.edges, len(plan)), with_gaps(plan.edges, len(plan))
+    return replace(hung, labels=plan.labels, edges=np.where(np.isnan(told), planned, told))
 
 
 @dataclass(frozen=True)

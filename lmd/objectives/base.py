@@ -14,7 +14,6 @@ from lmd.sight.evaluator import Evaluator
 if TYPE_CHECKING:
     from lmd.incremental.field import Field, Target
     from lmd.objectives.sampling import Sampling
-    from lmd.scene.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -121,10 +120,7 @@ class Objective(Protocol):
 
 @runtime_checkable
 class Incremental(Protocol):
-    """What an objective has whose values can be updated as single landmarks move.
-
-    With a method `check_moves(scene)` it raises `InputError` for scenes where they cannot.
-    """
+    """What an objective has whose values can be updated as single landmarks move."""
 
     def field(self, evaluator: Evaluator) -> "Field":
         """The values at the positions of `evaluator`, ready to be updated."""
@@ -141,15 +137,13 @@ class Selectable(Protocol):
         """A stand-in that greedy selection can climb, with nothing chosen."""
 
 
-def incremental(objective: Objective, scene: "Scene | None" = None) -> Incremental:
+def incremental(objective: Objective) -> Incremental:
     """The objective, which must have a field.
 
     Raises:
-        InputError: it has none, or none in this scene.
+        InputError: it has none.
     """
     if isinstance(objective, Incremental):
-        if scene is not None and hasattr(objective, "check_moves"):
-            objective.check_moves(scene)
         return objective
     raise InputError(
         f"{type(objective).__name__} has no field that single moves could update; use a black box such as ega.",

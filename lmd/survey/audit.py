@@ -112,7 +112,8 @@ def audited(survey: Survey, scene: Scene, verdicts: Verdicts) -> Audit:
         InputError: the scene's tag is a point.
     """
     found = survey.found
-    tags = map_of(survey).hung(scene.room, anywhere=True, edge=scene.plates.edge)
+    tags = map_of(survey)
+    tags = tags.hung(scene.room, anywhere=True, papers=scene.plates.papers(tags))
     room, bodies, mounts = (
         tagged_room(scene.room, tags, scene.tag),
         found.poses.frames[found.frames],

@@ -35,27 +35,24 @@ def view_columns(survey: Survey, cameras: Sequence[Camera], tag: Tag, room: Spac
         room: None where it is not known.
     """
     tags, found = map_of(survey), survey.found
-    tagged, bodies = TaggedRoom(tag, tags.ids, tags.places, tags.normals, tags.ups), found.poses.frames[found.frames]
-    larger = found.sightings.edges[survey.placed] / tag.size
+    tagged = TaggedRoom(tag, tags.ids, tags.places, tags.normals, tags.ups, edges=tags.edges_of(tag))
+    bodies = found.poses.frames[found.frames]
     times = np.array([survey.detected.times[frame] for frame in found.frames.tolist()])
     names, rows = [], []
     for number, (camera, mount, seen) in enumerate(zip(cameras, found.poses.mounts, seen_of(survey), strict=True), 1):
-        frame, k, values = _in_images(Renderer(camera, tagged, Imaging()), bodies @ mount, larger, room)
+        frame, k, values = _in_images(Renderer(camera, tagged, Imaging()), bodies @ mount, room)
         names.append(times[frame])
         rows.append(np.column_stack([np.full(len(frame), number), tags.ids[k], values, seen.detected[frame, k]]))
     columns = dict(zip((CAMERA, *COLUMNS), np.concatenate(rows).T, strict=True))
     return {FRAME: np.concatenate(names), **columns, **{name: columns[name].astype(int) for name in WHOLE_NUMBERS}}
 
 
-def _in_images(
-    renderer: Renderer, poses: FloatArray, larger: FloatArray, room: Space | None
-) -> tuple[IntArray, IntArray, FloatArray]:
+def _in_images(renderer: Renderer, poses: FloatArray, room: Space | None) -> tuple[IntArray, IntArray, FloatArray]:
     """Which image shows which tag, `(M,)` each, and the columns from u to edge, `(M, 6)`.
 
     Args:
         renderer: one camera and the tags.
         poses: of its images, `(N, 4, 4)`.
-        larger: so many times larger than the renderer's is each tag, `(K,)`.
         room: None where it is not known.
     """
     tags = renderer.room
@@ -66,5 +63,5 @@ def _in_images(
         frame, k = frame[clear], k[clear]
     centres = renderer.corners(poses).mean(axis=2)[frame, k]
     depth = to_camera(poses, tags.centres)[frame, k, 2]
-    sizes = larger[k] * pitch[frame, k], np.degrees(incidence[frame, k]), larger[k] * edge[frame, k]
+    sizes = pitch[frame, k], np.degrees(incidence[frame, k]), edge[frame, k]
     return frame, k, np.column_stack([centres, depth, *sizes])

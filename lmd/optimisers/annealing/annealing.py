@@ -165,7 +165,7 @@ class Annealing(Optimiser):
     def check(self, problem: Problem) -> None:
         """See `Optimiser.check`."""
         super().check(problem)
-        incremental(problem.objective, problem.scene)
+        incremental(problem.objective)
 
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
         """See `Optimiser.run`."""
