@@ -15,7 +15,7 @@ from .operations.sweeps.names import quoted
 from .pipeline import Pipeline
 from .trust import Trust, read_yaml
 
-KEY, OPTION = "survey=", "survey"
+SURVEY_KEY, OPTION = "survey=", "survey"
 
 
 def calibrate(cfg: DictConfig) -> None:
@@ -91,7 +91,7 @@ def to_markdown(figures: dict[str, dict[str, float]]) -> str:
 
 def read_survey() -> None:
     """Make `survey=DIR` of the command line the views of that survey, with its run, cameras, tags and detector."""
-    given = [argument.removeprefix(KEY) for argument in sys.argv[1:] if argument.startswith(KEY)]
+    given = [argument.removeprefix(SURVEY_KEY) for argument in sys.argv[1:] if argument.startswith(SURVEY_KEY)]
     if not given or given[-1] == "null":
         return
     from lmd.core.checks import InputError

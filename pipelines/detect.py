@@ -48,7 +48,7 @@ class Subject:
     detectors: Mapping[str, "Detector"]
 
     def nudged(self, sizes: object, seed: int) -> "Subject":
-        """The same in poses that are moved by `sizes`, standard deviations in metres and rad."""
+        """The subject as seen from poses moved by `sizes`, standard deviations in metres and rad."""
         from lmd.core.checks import vector
         from lmd.detection.frames import nudged
 

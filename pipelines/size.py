@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from lmd.sight.models.fiducial import Fiducial
 
 
-LINEAR = 0.35  # rad, 20 degrees
+MOST_ATTITUDE_RAD = 0.35  # 20 degrees; beyond, a linear prediction says nothing
 
 
 def size(cfg: DictConfig) -> None:
@@ -74,8 +74,8 @@ def _reads(
 
 
 def _error(position: float, attitude: float) -> str:
-    """Standard deviations, metres and rad, unless they are so large that the bound, which is linear, means nothing."""
-    return f"{1e3 * position:.3g} mm, {math.degrees(attitude):.2g} deg" if attitude < LINEAR else "not fixed"
+    """Two standard deviations in words, or "not fixed": the bound is linear, and says nothing of large rotations."""
+    return f"{1e3 * position:.3g} mm, {math.degrees(attitude):.2g} deg" if attitude < MOST_ATTITUDE_RAD else "not fixed"
 
 
 def _edges(

@@ -9,7 +9,7 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, real
 from lmd.core.tables import read_numbers, read_table
 from lmd.detection.detectors import Detections, Detector
-from lmd.detection.evaluation import TOLERANCE, corner_error, match
+from lmd.detection.evaluation import CORNER_TOLERANCE, corner_error, match
 from lmd.detection.frames import qualities
 from lmd.detection.images import Photographs
 from lmd.detection.mosaic import Views, only
@@ -45,7 +45,7 @@ class BoardImages:
     folder: str | None
     tags: str | None
     poses: str | None = None
-    tolerance: float = TOLERANCE
+    tolerance: float = CORNER_TOLERANCE
 
     def __post_init__(self) -> None:
         if self.folder is None:

@@ -31,7 +31,7 @@ class Prediction:
 
     @property
     def parts(self) -> "tuple[Prediction, ...]":
-        """Of each camera: this one."""
+        """The predictions of each camera: this one alone."""
         return (self,)
 
     @property
@@ -40,7 +40,7 @@ class Prediction:
         return np.eye(4)[None]
 
     def moved(self, poses: FloatArray) -> "Prediction":
-        """The same of what is seen from other poses."""
+        """The prediction for other poses."""
         return replace(self, poses=poses)
 
     @cached_property

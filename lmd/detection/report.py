@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 from lmd.core.checks import BoolArray, FloatArray
-from lmd.detection.evaluation import NUMBERS, agreement, at_least, corner_error, precision_recall, quantiles_by
+from lmd.detection.evaluation import TAG_NUMBERS, agreement, at_least, corner_error, precision_recall, quantiles_by
 from lmd.detection.frames import Sightings
 from lmd.detection.pose import body_from_corners, pose_error
 from lmd.detection.prediction import Predicted
@@ -41,9 +41,9 @@ def figures(prediction: Predicted, seen: Sightings) -> dict[str, float]:
     foreseen, found = _by_any(visible, prediction), _by_any(detected, prediction)
     for name, which in (("predicted", foreseen), ("detected", found)):
         shares = at_least(which)
-        for n, share, error in zip(NUMBERS, *shares, strict=True):
+        for n, share, error in zip(TAG_NUMBERS, *shares, strict=True):
             row[f"{name}_{n}"], row[f"{name}_{n}_error"] = float(share), float(error)
-    row |= {f"agreement_{n}": agreement(foreseen, found, int(n)) for n in NUMBERS}
+    row |= {f"agreement_{n}": agreement(foreseen, found, int(n)) for n in TAG_NUMBERS}
     precision, recall = precision_recall(visible, detected)
     row |= {"precision": float(precision), "recall": float(recall)}
     left_out, overrated = detected & ~visible, visible & ~detected
@@ -75,7 +75,7 @@ def repeated(seen: Sightings, again: Sightings, prediction: Predicted | None = N
     both, either = seen.detected & again.detected, seen.detected | again.detected
     share = float(both.sum() / either.sum()) if either.any() else np.nan
     one, other = (s.detected if prediction is None else _by_any(s.detected, prediction) for s in (seen, again))
-    return {f"repeated_{n}": agreement(one, other, int(n)) for n in NUMBERS} | {"repeated_tags": share}
+    return {f"repeated_{n}": agreement(one, other, int(n)) for n in TAG_NUMBERS} | {"repeated_tags": share}
 
 
 def _quantiles(name: str, values: FloatArray) -> dict[str, float]:
@@ -94,7 +94,7 @@ def by_pitch(prediction: Predicted, seen: Sightings) -> pd.DataFrame:
 
 
 def by_incidence(prediction: Predicted, seen: Sightings) -> pd.DataFrame:
-    """The same by the angle from the tag's normal to the camera, `incidence_from` to `incidence_to` degrees."""
+    """As `by_pitch`, by the angle from the tag's normal to the camera, `incidence_from` to `incidence_to` degrees."""
     return _by_class(prediction, seen, "incidence", prediction.incidence, INCIDENCES)
 
 
@@ -160,7 +160,7 @@ def to_markdown(table: pd.DataFrame) -> str:
         table: with the columns `deployment` and `detector` before those of `figures`.
     """
     criteria = [c.removeprefix("left_out_") for c in table.columns if c.startswith("left_out_")]
-    head = ["deployment", "detector", *(f"P(>= {n}) predicted / detected" for n in NUMBERS), "frames agree on >= 2"]
+    head = ["deployment", "detector", *(f"P(>= {n}) predicted / detected" for n in TAG_NUMBERS), "frames agree on >= 2"]
     head += ["precision / recall of tags", "false a frame", "corners: median / 90 % [px]", "frames with a pose"]
     head += ["position: median / 90 % [mm]"]
     blame = [
@@ -175,7 +175,7 @@ def to_markdown(table: pd.DataFrame) -> str:
     for row in table.to_dict("records"):
         shares = [
             f"{row[f'predicted_{n}']:.3f} / {row[f'detected_{n}']:.3f} ± {row[f'detected_{n}_error']:.3f}"
-            for n in NUMBERS
+            for n in TAG_NUMBERS
         ]
         names = [str(row["deployment"]), str(row["detector"])]
         rows.append([

@@ -43,8 +43,15 @@ def _exchange_parts(k, q, state, scratch):
 
 
 @inner
-def _exchange(k, field, state, scratch):
+def see_whole(field, state, scratch):
+    """Find all that the cameras see of the place tried."""
+    see_anew(field.parts, scratch.listed[: list_near(scratch, True)], True, field, state, scratch)
+
+
+@inner
+def take_back_rig(field, k, state, scratch):
     """Exchange landmark k for what `scratch` has of its other place; to do so twice changes nothing."""
+    k = np.uint64(k)
     n, words = field.n, np.uint64(scratch.fresh.shape[1])
     for s in range(scratch.near[1]):
         for q in range(scratch.spans[s, 0], scratch.spans[s, 1]):
@@ -66,14 +73,8 @@ def _exchange(k, field, state, scratch):
 @inner
 def carry_out_rig(field, k, state, scratch):
     """See `move.carry_out`."""
-    see_anew(field.parts, scratch.listed[: list_near(scratch, True)], True, field, state, scratch)
-    _exchange(np.uint64(k), field, state, scratch)
-
-
-@inner
-def take_back_rig(field, k, state, scratch):
-    """See `move.take_back`."""
-    _exchange(np.uint64(k), field, state, scratch)
+    see_whole(field, state, scratch)
+    take_back_rig(field, k, state, scratch)
 
 
 @kernel

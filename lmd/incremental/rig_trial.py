@@ -142,10 +142,10 @@ def _ask(k, state, scratch):
 
 
 @inner
-def _ask_again(k, n, state, scratch):
-    """The same at positions that are touched, the pairs having turned."""
-    counts, shown, asked, digits = state.counts, state.shown, scratch.asked, scratch.digits
-    words = np.uint64(asked.shape[1])
+def count_others(k, state, scratch):
+    """Count in `digits` the landmarks but k at positions that are touched, the pairs having turned."""
+    counts, shown, digits = state.counts, state.shown, scratch.digits
+    words = np.uint64(shown.shape[2])
     for e in range(scratch.found[1]):
         q = scratch.places[e]
         for w in range(words):
@@ -158,9 +158,16 @@ def _ask_again(k, n, state, scratch):
             was, now = shown[i, q, w], shown_by(i, q, w, state, scratch)
             if was != now:
                 _add(q, w, was ^ now, was, digits)
+
+
+@inner
+def _ask_again(k, n, state, scratch):
+    """The same as `_ask` at positions that are touched."""
+    asked, digits = scratch.asked, scratch.digits
+    count_others(k, state, scratch)
     for e in range(scratch.found[1]):
         q = scratch.places[e]
-        for w in range(words):
+        for w in range(np.uint64(asked.shape[1])):
             asked[q, w] = ALL
             for j in range(np.uint64(digits.shape[2])):
                 asked[q, w] = equal_so_far(asked[q, w], digits[q, w, j], n - 1, j)
@@ -222,20 +229,26 @@ def list_near(scratch, all_of_them):
 
 
 @inner
-def bound_rig_move(field, k, pose, surface, state, scratch):
-    """See `trial.bound_move`."""
+def begin_rig_move(k, pose, surface, field, state, scratch):
+    """Find whom landmark k no longer hides, and copy all values: see `trial.begin_move`."""
     scratch.surface[0], units, before = surface, scratch.units, state.units
     for i in range(6):
         scratch.target[i] = pose[i]
     forget(scratch)
     list_blocks(k, field, state, scratch)
     find_pairs(np.uint64(k), LEAVES, field.parts, field, state, scratch)
+    for q in range(len(units)):
+        units[q] = before[q]
+
+
+@inner
+def bound_rig_move(field, k, pose, surface, state, scratch):
+    """See `trial.bound_move`."""
+    begin_rig_move(k, pose, surface, field, state, scratch)
     _ask(np.uint64(k), state, scratch)
     _ask_again(np.uint64(k), field.n, state, scratch)
     positions = scratch.listed[: list_near(scratch, False)]
     see_anew(field.parts, positions, False, field, state, scratch)
-    for q in range(len(units)):
-        units[q] = before[q]
     _find_units(np.uint64(k), positions, field.n, field.weights, state, scratch)
 
 

@@ -15,10 +15,10 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
 from lmd.space.space import Space
 
-BALL = 5.5  # diameter, pixels
+BALL_PIXELS = 5.5  # diameter, pixels
 CAMERA = {"eye": {"x": 0.82, "y": -1.84, "z": 0.58}, "center": {"x": 0.0, "y": 0.0, "z": -0.05}}
-BARE = {"showgrid": False, "zeroline": False, "showspikes": False}  # the box of the room suffices
-HEAD = 0.5  # part of an arrow that is its head
+PLAIN_AXIS = {"showgrid": False, "zeroline": False, "showspikes": False}  # the box of the room suffices
+HEAD_SHARE = 0.5  # part of an arrow that is its head
 
 PAGE = """<!DOCTYPE html>
 <html lang="en">
@@ -58,7 +58,7 @@ def save_scene_page(path: str | Path, problem: Problem, deployment: Deployment, 
             name=name,
             text=[hover[i] for i in chosen],
             hoverinfo="text",
-            marker={"size": BALL * common.ball_scale(room, positions), **marker},
+            marker={"size": BALL_PIXELS * common.ball_scale(room, positions), **marker},
         )
 
     by_probability = balls(
@@ -85,7 +85,7 @@ def save_scene_page(path: str | Path, problem: Problem, deployment: Deployment, 
         f"{axis}axis": {
             "title": {"text": text},
             "range": limits,
-            **BARE,
+            **PLAIN_AXIS,
         }
         for axis, text, *limits in zip("xyz", common.AXIS_LABELS, *room.bounds(), strict=True)
     }
@@ -128,7 +128,7 @@ def _landmark_traces(deployment: Deployment, tag: Tag, label: str, colour: str) 
     import plotly.graph_objects as go
 
     tips = deployment.positions + common.ARROW_LENGTH * deployment.normals
-    heads = HEAD * common.ARROW_LENGTH * deployment.normals
+    heads = HEAD_SHARE * common.ARROW_LENGTH * deployment.normals
     edges = deployment.edges_of(tag)
     hover = [
         f"landmark {number}<br>{_place(at)}<br>normal ({normal[0]:.4g}, {normal[1]:.4g}, {normal[2]:.4g})"

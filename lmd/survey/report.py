@@ -36,7 +36,7 @@ def map_of(survey: Survey) -> Deployment:
 
 
 def measured_of(survey: Survey) -> Deployment | None:
-    """The tags of the plan, in its order, those that were not placed where they were planned; None without a plan."""
+    """The tags of the plan, in its order, as measured, or as planned if not placed; None without a plan."""
     plan = survey.known.plan
     if plan is None:
         return None
