@@ -76,6 +76,6 @@ def localised(
         return enough
     if isinstance(scene.camera, Rig):
         sums = body_information(scene, deployment, asked, position, axes)
-        return np.asarray(enough & [body_meets(asked, sums, v) for v in range(len(sums))])
+        return np.asarray(enough & [body_meets(asked, row, 0, 1) for row in sums])
     with np.errstate(all="ignore"):
         return np.asarray(enough & meets(asked, *view_information(scene, deployment, asked, position, axes)))
