@@ -99,7 +99,7 @@ def localised(
         return enough
     if isinstance(scene.camera, Rig) and not isinstance(asked, ResolvedPrecision):  # which a rig is not asked
         sums = body_information(scene, deployment, asked, position, axes)
-        return np.asarray(enough & [body_meets(asked, sums, v) for v in range(len(sums))])
+        return np.asarray(enough & [body_meets(asked, row, 0, 1) for row in sums])
     with np.errstate(all="ignore"):
         found = enough & meets(asked, *view_information(scene, deployment, asked, position, axes))
         if isinstance(asked, ResolvedPrecision):
