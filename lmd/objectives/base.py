@@ -49,7 +49,7 @@ class Selection(Protocol):
 
     @property
     def label(self) -> str:
-        """What it measures, for readers."""
+        """The quantity in words, for readers."""
 
     def gains(self, poses: Deployment) -> FloatArray:
         """What each pose would add, `(N,)`; never more than it would have added before others were chosen."""
@@ -94,7 +94,7 @@ class Objective(Protocol):
         """The value from which on a position is qualified."""
 
     def check(self, count: int) -> None:
-        """Raise `InputError` if so many landmarks cannot serve it."""
+        """Raise `InputError` if `count` landmarks are too few for it."""
 
     def values(self, evaluator: Evaluator, positions: FloatArray, normals: FloatArray) -> FloatArray:
         """The value of each position of `evaluator`, in [0, 1], `(B, P)`, for B deployments `(B, K, 3)`."""
@@ -112,10 +112,10 @@ class Objective(Protocol):
         """All figures of a deployment from the values of the grid's positions and their relevance, `(P,)` each."""
 
     def describe(self, figures: Mapping[str, float], positions: int, count: int) -> dict[str, str]:
-        """The figures as labelled sentences for the terminal, for so many positions and landmarks."""
+        """The figures of a number of positions and landmarks, as labelled sentences for the terminal."""
 
     def describe_validation(self, figures: Mapping[str, float]) -> dict[str, str]:
-        """The same for the figures off the grid (`lmd.evaluation.validation`)."""
+        """The figures off the grid (`lmd.evaluation.validation`) as labelled sentences for the terminal."""
 
 
 @runtime_checkable

@@ -57,7 +57,7 @@ class Scene:
     @cached_property
     def plates(self) -> Plates:
         """The papers of the tags, and where they may hang."""
-        return Plates(self.room, 0.0 if self.tag.is_point else self.tag.paper_edge)
+        return Plates(self.room, self.tag)
 
     @property
     def spacing(self) -> float:
@@ -122,7 +122,7 @@ class Scene:
         return self.pdf.by_axis_and_roll if by_rig or self.visibility.needs_roll else self.pdf.by_axis
 
     def probability(self, positions: FloatArray) -> FloatArray:
-        """Of each of these orientations at positions `(Q, 3)`: `(Q, D)`, or `(1, D)` where all have the same."""
+        """The probability of each orientation at positions `(Q, 3)`: `(Q, D)`, or `(1, D)` if they share it."""
         axes, index_of, _ = self.orientations
         check_views(PROBABILITY_BYTES, 1 if self.pdf.by_position is None else len(positions), len(index_of))
         rows = self.pdf.at(positions)

@@ -10,6 +10,7 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.geometry.lens_models import density_of
 from lmd.geometry.squares import upright
+from lmd.objectives.localisation.ambiguity import ResolvedPrecision, telling, tells
 from lmd.objectives.localisation.body import BODY_WIDTH, about_body, body_meets, gain_of
 from lmd.objectives.localisation.information import PosePrecision, Precision, meets, moments, share_of
 from lmd.objectives.localisation.objective import Localisation
@@ -22,18 +23,40 @@ from lmd.sight.reference import cap_count, coverage_caps, n_ple_cap, station_cap
 
 
 def view_information(
-    scene: Scene, deployment: Deployment, asked: Precision | PosePrecision, position: FloatArray, axes: FloatArray
+    scene: Scene,
+    deployment: Deployment,
+    asked: Precision | PosePrecision | ResolvedPrecision,
+    position: FloatArray,
+    axes: FloatArray,
 ) -> FloatArray:
     """A, g and C of each view, `(15, A)`, of the landmarks that it covers."""
-    caps = coverage_caps(scene, deployment, position, axes)
-    offset = deployment.positions - position
-    right, up = upright(deployment.normals)
-    sides = (asked.half * right, asked.half * up)
+    caps, (*args, weight) = _seen(scene, deployment, asked.half, position, axes)
+    formulas: Any = moments.py_func
     with np.errstate(all="ignore"):  # of a landmark that is not covered the depth may be anything
-        formulas: Any = moments.py_func
-        moment = formulas(*offset.T, *sides[0].T, *sides[1].T, asked.share)
+        shares = [share_of.py_func(each, weight) for each in formulas(*args, asked.share)]
+    return np.stack([np.where(caps, share, 0.0).sum(axis=1) for share in shares])
+
+
+def told(
+    scene: Scene, deployment: Deployment, asked: ResolvedPrecision, position: FloatArray, axes: FloatArray
+) -> FloatArray:
+    """What each view has to tell two poses apart, `(A,)`: see `ambiguity.ENOUGH`."""
+    caps, (*args, weight) = _seen(scene, deployment, asked.half, position, axes)
+    formula: Any = telling.py_func
+    with np.errstate(all="ignore"):
+        share = share_of.py_func(formula(*args, asked.square), weight)
+    return np.asarray(np.where(caps, 1.0 + share, 0.0).sum(axis=1))
+
+
+def _seen(
+    scene: Scene, deployment: Deployment, half: float, position: FloatArray, axes: FloatArray
+) -> tuple[BoolArray, tuple[FloatArray, ...]]:
+    """Which landmarks each view covers, `(A, K)`; offsets and sides as `moments` takes them, and `pixel_density`."""
+    offset, (right, up) = deployment.positions - position, upright(deployment.normals)
+    with np.errstate(all="ignore"):
         weight = _density(getattr(scene.sight, "lens", None), axes, offset)
-        return np.stack([np.where(caps, share_of.py_func(each, weight), 0.0).sum(axis=1) for each in moment])
+    caps = coverage_caps(scene, deployment, position, axes)
+    return caps, (*offset.T, *(half * right).T, *(half * up).T, weight)
 
 
 def body_information(
@@ -74,8 +97,11 @@ def localised(
     enough = n_ple_cap(cap_count(coverage_caps(scene, deployment, position, axes)), objective.n)
     if not asked.asks:
         return enough
-    if isinstance(scene.camera, Rig):
+    if isinstance(scene.camera, Rig) and not isinstance(asked, ResolvedPrecision):  # which a rig is not asked
         sums = body_information(scene, deployment, asked, position, axes)
         return np.asarray(enough & [body_meets(asked, row, 0, 1) for row in sums])
     with np.errstate(all="ignore"):
-        return np.asarray(enough & meets(asked, *view_information(scene, deployment, asked, position, axes)))
+        found = enough & meets(asked, *view_information(scene, deployment, asked, position, axes))
+        if isinstance(asked, ResolvedPrecision):
+            found &= tells(asked, told(scene, deployment, asked, position, axes))
+        return np.asarray(found)
