@@ -65,7 +65,7 @@ def _exchange(k, field, state, scratch):
 @inner
 def carry_out_rig(field, k, state, scratch):
     """See `move.carry_out`."""
-    see_anew(field.parts, scratch.listed[: list_near(scratch, True)], True, field, state, scratch)
+    see_anew(np.uint64(k), field.parts, scratch.listed[: list_near(scratch, True)], True, field, state, scratch)
     _exchange(np.uint64(k), field, state, scratch)
 
 
@@ -85,7 +85,7 @@ def _fill(field, state, scratch):
         list_blocks(k, field, state, scratch)
         find_pairs(k, ARRIVES, field.parts, field, state, scratch)
         positions = scratch.listed[: list_near(scratch, True)]
-        see_anew(field.parts, positions, True, field, state, scratch)
+        see_anew(k, field.parts, positions, True, field, state, scratch)
         for q in positions:
             for w in range(np.uint64(scratch.fresh.shape[1])):
                 _show(k, q, w, scratch.fresh[q, w], field.n, state)

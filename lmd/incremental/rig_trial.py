@@ -20,7 +20,7 @@ from lmd.core.bits import ALL, BITS, LANES, ONE, ZERO, add_digit, at_least_so_fa
 from lmd.core.compiled import allocating, inlined, inner
 from lmd.incremental.hiding import find_ways, line_radius, near_line
 from lmd.incremental.nearby import list_blocks
-from lmd.scene.criteria import frame_of
+from lmd.scene.criteria import frame_of, sized
 from lmd.sight.blocks import BLOCK
 from lmd.sight.kernels import weights_row
 from lmd.sight.obstacles import find_ends, is_blocked, is_clear, no_ends
@@ -31,10 +31,10 @@ LEAVES, COMES, ARRIVES = np.int64(0), np.int64(1), np.int64(2)
 
 
 @allocating
-def _find_caps(stations, positions, body, scratch, rig, whole):
+def _find_caps(k, stations, positions, body, scratch, rig, whole):
     """Find in `cap` the orientations that are `asked`, or with `whole` all, with which cameras cover the place tried.
 
-    `body` are the positions of the body, `(3, Q)`, `positions` those of them to look at.
+    k is the landmark, `body` are the positions of the body, `(3, Q)`, `positions` those of them to look at.
     """
     part, obstacles, asked, cap = stations.part, stations.obstacles, rig.asked, scratch.cap
     x, y, z, most, start, sure, row, reached = (
@@ -42,16 +42,17 @@ def _find_caps(stations, positions, body, scratch, rig, whole):
     )  # fmt: skip
     target, words, size = rig.target, np.uint64(asked.shape[1]), len(part.places)
     tx, ty, tz, nx, ny, nz = target[0], target[1], target[2], target[3], target[4], target[5]
-    clear, frame, ends = is_clear(obstacles), frame_of(part.sight, nx, ny, nz), no_ends(obstacles, 1)
+    sight = sized(part.sight, k)
+    clear, frame, ends = is_clear(obstacles), frame_of(sight, nx, ny, nz), no_ends(obstacles, 1)
     if not clear:
-        find_ends(obstacles, part.sight, tx, ty, tz, nx, ny, nz, ends, 0)
+        find_ends(obstacles, sight, tx, ty, tz, nx, ny, nz, ends, 0)
     for c in range(len(part.centres)):
         cx, cy, cz = part.centres[c, 0], part.centres[c, 1], part.centres[c, 2]
         for i in range(np.uint64(len(positions))):
             q = positions[i]
             xq, yq, zq = tx - (body[0, q] + cx), ty - (body[1, q] + cy), tz - (body[2, q] + cz)
             x[i], y[i], z[i] = xq, yq, zq
-            reached[i], most[i], start[i], sure[i] = bounds_from(part, c, xq, yq, zq, nx, ny, nz)
+            reached[i], most[i], start[i], sure[i] = bounds_from(part, c, k, xq, yq, zq, nx, ny, nz)
         for i in range(np.uint64(len(positions))):
             if reached[i]:
                 row[i] = row_from(part, c, x[i], y[i], z[i])
@@ -69,7 +70,7 @@ def _find_caps(stations, positions, body, scratch, rig, whole):
                         bit = lowest(left)
                         left &= left - ONE
                         a = w * np.uint64(BITS) + bit
-                        covered = covers_from(part, m, a, px, py, pz, tx, ty, tz, nx, ny, nz, frame)
+                        covered = covers_from(part, m, a, k, px, py, pz, tx, ty, tz, nx, ny, nz, frame)
                         found |= np.uint64(covered) << bit
                     if not clear:
                         left = found
@@ -77,19 +78,19 @@ def _find_caps(stations, positions, body, scratch, rig, whole):
                             bit = lowest(left)
                             left &= left - ONE
                             place = q * np.uint64(size) + np.uint64(part.place[m, w * np.uint64(BITS) + bit])
-                            if is_blocked(obstacles, part.sight, place, ends, 0):
+                            if is_blocked(obstacles, sight, place, ends, 0):
                                 found &= ~(ONE << bit)
                     cap[q, m, w] = found
 
 
 @inner
-def _hidden_bits(part, m, w, bits, px, py, pz, one, other):
-    """Those orientations of a set of word w with which landmark `one` hides the `other` from mount m."""
+def _hidden_bits(part, m, w, bits, i, k, px, py, pz, one, other):
+    """Those orientations of a set of word w with which landmark i, `one`, hides k, the `other`, from mount m."""
     found = ZERO
     while bits:
         bit = lowest(bits)
         bits &= bits - ONE
-        found |= np.uint64(hides_from(part, m, w * np.uint64(BITS) + bit, px, py, pz, one, other)) << bit
+        found |= np.uint64(hides_from(part, m, w * np.uint64(BITS) + bit, i, k, px, py, pz, one, other)) << bit
     return found
 
 
@@ -112,7 +113,7 @@ def _without_hidden(part, c, m, w, bits, px, py, pz, i, k, state):
         one = _pose(j, state)
         ax, ay, az = x + (one[0] - other[0]), y + (one[1] - other[1]), z + (one[2] - other[2])
         if may_hide_around(ax, ay, az, x, y, z, part.radius[c], width) and j != i and j != k:
-            bits &= ~_hidden_bits(part, m, w, bits, px, py, pz, one, other)
+            bits &= ~_hidden_bits(part, m, w, bits, j, i, px, py, pz, one, other)
     return bits
 
 
@@ -134,7 +135,7 @@ def _find_pair(part, c, i, k, q, px, py, pz, place, how, mine, other, state, rig
         for w in range(np.uint64(mine.caps.shape[3])):
             cap, veiled, flips = mine.caps[i, q, m, w], mine.veiled[i, q, m, w], other.flipped[i, q, m, w]
             bits = cap if how == COMES else cap & veiled
-            found = _hidden_bits(part, m, w, bits, px, py, pz, place, pose) if bits else ZERO
+            found = _hidden_bits(part, m, w, bits, k, i, px, py, pz, place, pose) if bits else ZERO
             if found == ZERO:
                 continue
             if how == LEAVES:
@@ -195,8 +196,8 @@ def _find_pairs(k, how, stations, field, state, rig):
 
 
 @inner
-def _find_veils(stations, field, state, rig):
-    """Find in `veil` with which orientations of `cap` the rivals hide the place tried."""
+def _find_veils(k, stations, field, state, rig):
+    """Find in `veil` with which orientations of `cap` the rivals hide landmark k in the place tried."""
     part, other, size, body = stations.part, rig.parts[stations.number], np.uint64(len(rig.touched)), field.positions
     target = rig.target
     place = target[0], target[1], target[2], target[3], target[4], target[5]
@@ -207,7 +208,9 @@ def _find_veils(stations, field, state, rig):
                 bits = other.cap[q, m, w] & ~other.veil[q, m, w]
                 if bits:
                     px, py, pz = body[0, q], body[1, q], body[2, q]
-                    other.veil[q, m, w] |= _hidden_bits(part, m, w, bits, px, py, pz, _pose(i, state), place)
+                    other.veil[q, m, w] |= _hidden_bits(
+                        part, m, w, bits, i, k, px, py, pz, _pose(i, state), place
+                    )  # fmt: skip
 
 
 @inner
@@ -343,11 +346,11 @@ def find_pairs(k, how, parts, field, state, scratch):
 
 
 @inner
-def see_anew(parts, positions, whole, field, state, scratch):
-    """Find what all cameras see of the place tried at `positions`, see `_find_caps`."""
+def see_anew(k, parts, positions, whole, field, state, scratch):
+    """Find what all cameras see of landmark k in the place tried at `positions`, see `_find_caps`."""
     for stations in literal_unroll(parts):
-        _find_caps(stations, positions, field.positions, scratch.parts[stations.number], scratch, whole)
-        _find_veils(stations, field, state, scratch)
+        _find_caps(k, stations, positions, field.positions, scratch.parts[stations.number], scratch, whole)
+        _find_veils(k, stations, field, state, scratch)
     join(positions, scratch)
 
 
@@ -377,7 +380,7 @@ def bound_rig_move(field, k, pose, surface, state, scratch):
     _ask(np.uint64(k), state, scratch)
     _ask_again(np.uint64(k), field.n, state, scratch)
     positions = scratch.listed[: list_near(scratch, False)]
-    see_anew(field.parts, positions, False, field, state, scratch)
+    see_anew(np.uint64(k), field.parts, positions, False, field, state, scratch)
     for q in range(len(units)):
         units[q] = before[q]
     _find_units(np.uint64(k), positions, field.n, field.weights, state, scratch)
@@ -389,5 +392,5 @@ def finish_rig_move(field, k, state, scratch):
     find_pairs(np.uint64(k), COMES, field.parts, field, state, scratch)
     _ask_again(np.uint64(k), field.n, state, scratch)
     positions = scratch.places[: scratch.found[1]]
-    see_anew(field.parts, positions, False, field, state, scratch)
+    see_anew(np.uint64(k), field.parts, positions, False, field, state, scratch)
     _find_units(np.uint64(k), positions, field.n, field.weights, state, scratch)

@@ -26,6 +26,7 @@ from lmd.scene.criteria import (
     from_position,
     hide,
     horizon_of,
+    sized,
 )
 from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
@@ -147,16 +148,16 @@ def _fill_level(
 
 
 @inlined
-def bounds_from(part, c, x, y, z, nx, ny, nz):
-    """What a landmark at the offset (x, y, z) from centre c is like for the cameras there.
+def bounds_from(part, c, k, x, y, z, nx, ny, nz):
+    """What landmark k at the offset (x, y, z) from centre c is like for the cameras there.
 
     Returns:
         reached, most, start, sure: see `criteria.from_around`.
     """
     if part.radius[c] > 0.0:
-        reached, most, start, sure = from_around(part.sight, x, y, z, nx, ny, nz, part.radius[c])
+        reached, most, start, sure = from_around(sized(part.sight, k), x, y, z, nx, ny, nz, part.radius[c])
     else:
-        reached, low, most, sure = from_position(part.sight, x, y, z, nx, ny, nz, 0.0)
+        reached, low, most, sure = from_position(sized(part.sight, k), x, y, z, nx, ny, nz, 0.0)
         start = -math.inf if sure == math.inf else low
     return reached, most, start, sure
 
@@ -198,26 +199,28 @@ def split(part, m, w, asked, words, x, y, z, most, start, sure, row):
 
 
 @inlined
-def covers_from(part, m, a, px, py, pz, lx, ly, lz, nx, ny, nz, frame):
-    """Whether mount m covers the landmark at (lx, ly, lz) with orientation a of the body at (px, py, pz)."""
+def covers_from(part, m, a, k, px, py, pz, lx, ly, lz, nx, ny, nz, frame):
+    """Whether mount m covers landmark k at (lx, ly, lz) with orientation a of the body at (px, py, pz)."""
     offsets = part.offsets
     x = lx - (px + offsets[m, 0, a])
     y = ly - (py + offsets[m, 1, a])
     z = lz - (pz + offsets[m, 2, a])
-    reached, low, high, sure = from_position(part.sight, x, y, z, nx, ny, nz, 0.0)
-    return reached and covers_one(part.sight, x, y, z, frame, low, high, sure, False, part.axes[m], a)
+    sight = sized(part.sight, k)
+    reached, low, high, sure = from_position(sight, x, y, z, nx, ny, nz, 0.0)
+    return reached and covers_one(sight, x, y, z, frame, low, high, sure, False, part.axes[m], a)
 
 
 @inlined
-def hides_from(part, m, a, px, py, pz, one, other):
-    """Whether landmark `one` hides the `other`, six numbers each, from mount m with orientation a of the body."""
+def hides_from(part, m, a, i, k, px, py, pz, one, other):
+    """Whether landmark i, `one`, hides landmark k, the `other`, six numbers each, from mount m with orientation a of the body."""
     offsets = part.offsets
     sx, sy, sz = px + offsets[m, 0, a], py + offsets[m, 1, a], pz + offsets[m, 2, a]
     ax, ay, az, ux, uy, uz = one
     bx, by, bz, vx, vy, vz = other
     ax, ay, az, bx, by, bz = ax - sx, ay - sy, az - sz, bx - sx, by - sy, bz - sz
     first, second = ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz
-    hides, _ = hide(part.sight, ax, ay, az, first, bx, by, bz, second, ux, uy, uz, vx, vy, vz)
+    mine, theirs = sized(part.sight, i), sized(part.sight, k)
+    hides, _ = hide(mine, theirs, ax, ay, az, first, bx, by, bz, second, ux, uy, uz, vx, vy, vz)
     return hides
 
 
@@ -252,7 +255,9 @@ def _look_around(part, c, view, count, px, py, pz, start):
     cx, cy, cz, radius = px + part.centres[c, 0], py + part.centres[c, 1], pz + part.centres[c, 2], part.radius[c]
     for k in range(count):
         xk, yk, zk = near[0, k] - cx, near[1, k] - cy, near[2, k] - cz
-        in_reach, most, begin, sure = bounds_from(part, c, xk, yk, zk, near[3, k], near[4, k], near[5, k])
+        in_reach, most, begin, sure = bounds_from(
+            part, c, view.who[k], xk, yk, zk, near[3, k], near[4, k], near[5, k]
+        )  # fmt: skip
         x[k], y[k], z[k], squared[k] = xk, yk, zk, xk * xk + yk * yk + zk * zk
         reached[k], high[k], start[k], deep[k] = in_reach, most, begin, sure
     if part.sight.reach >= 0.0:
@@ -343,7 +348,7 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
             poses[i, k], poses[3 + i, k] = landmarks[0, i, k], normals[0, i, k]
         if not clear:
             lx, ly, lz, nx, ny, nz = _pose(poses, k)
-            find_ends(obstacles, sight, lx, ly, lz, nx, ny, nz, ends, k)
+            find_ends(obstacles, sized(sight, k), lx, ly, lz, nx, ny, nz, ends, k)
     near, x, y, z, reached, who, shown = view.near, view.x, view.y, view.z, view.reached, view.who, view.shown
     high, deep, size = view.high, view.deep, len(part.places)
     start, row, suspects = np.empty(total), np.empty(total, np.uint64), np.empty(total + 1, np.int64)
@@ -359,7 +364,7 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
         some[:] = ZERO
         if loose:
             for k in range(count):
-                _see_loosely(part, px, py, pz, near, k, slack[who[k]], seen[p, who[k]])
+                _see_loosely(part, px, py, pz, near, k, who[k], slack[who[k]], seen[p, who[k]])
         for c in range(len(part.centres)):
             _look_around(part, c, view, count, px, py, pz, start)
             radius = part.radius[c]
@@ -395,7 +400,7 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
                 k = shown[e]
                 name, rivals = who[k], -1
                 lx, ly, lz, nx, ny, nz = _pose(near, k)
-                frame = frame_of(sight, nx, ny, nz)
+                frame = frame_of(sized(sight, name), nx, ny, nz)
                 for m in range(begin, end):
                     for w in range(words):
                         mine, left, cap = seen[p, name, w], undecided[k, m, w], ZERO
@@ -414,15 +419,15 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
                             a = w * np.uint64(BITS) + bit
                             left &= left - ONE
                             if (undecided[k, m, w] >> bit & ONE) != ZERO and not covers_from(
-                                part, m, a, px, py, pz, lx, ly, lz, nx, ny, nz, frame
+                                part, m, a, name, px, py, pz, lx, ly, lz, nx, ny, nz, frame
                             ):
                                 continue
                             if not clear and is_blocked(obstacles, sight, p * size + part.place[m, a], ends, name):
                                 continue
                             hidden = False
                             for i in range(rivals):
-                                one = _pose(near, suspects[i])
-                                if hides_from(part, m, a, px, py, pz, one, (lx, ly, lz, nx, ny, nz)):
+                                one, other = _pose(near, suspects[i]), (lx, ly, lz, nx, ny, nz)
+                                if hides_from(part, m, a, who[suspects[i]], name, px, py, pz, one, other):
                                     hidden = True
                                     break
                             if not hidden:
@@ -444,8 +449,12 @@ def _add_to(some, w, cap):
 
 
 @inner
-def _see_loosely(part, px, py, pz, near, k, slack, seen):
-    """Add to `seen` `(W,)` the orientations that cover some landmark within `slack` metres of landmark k of `near`."""
+def _see_loosely(part, px, py, pz, near, k, name, slack, seen):
+    """Add to `seen` `(W,)` the orientations that cover some landmark within `slack` metres of landmark k of `near`.
+
+    `name` is which that is in the deployment.
+    """
+    sight = sized(part.sight, name)
     lx, ly, lz, nx, ny, nz = near[0, k], near[1, k], near[2, k], near[3, k], near[4, k], near[5, k]
     if slack == 0.0:
         return
@@ -460,8 +469,8 @@ def _see_loosely(part, px, py, pz, near, k, slack, seen):
                 x = lx - (px + part.offsets[m, 0, a])
                 y = ly - (py + part.offsets[m, 1, a])
                 z = lz - (pz + part.offsets[m, 2, a])
-                reached, low, _, _ = from_position(part.sight, x, y, z, nx, ny, nz, slack)
-                if reached and covers(part.sight, x, y, z, nx, ny, nz, low, slack, axes, a):
+                reached, low, _, _ = from_position(sight, x, y, z, nx, ny, nz, slack)
+                if reached and covers(sight, x, y, z, nx, ny, nz, low, slack, axes, a):
                     seen[w] |= ONE << bit
 
 

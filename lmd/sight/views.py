@@ -10,7 +10,7 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.compiled import for_kernels, kernel
-from lmd.scene.criteria import covers
+from lmd.scene.criteria import covers, sized
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
@@ -32,7 +32,8 @@ def _see(positions, axes, landmarks, normals, sight, obstacles, seen):
         look(view, count, positions[i, 0], positions[i, 1], positions[i, 2], sight, None)
         for k in range(count):
             nx, ny, nz = directions[0, k], directions[1, k], directions[2, k]
-            if reached[k] and covers(sight, x[k], y[k], z[k], nx, ny, nz, low[k], 0.0, axes, i):
+            mine = sized(sight, k)
+            if reached[k] and covers(mine, x[k], y[k], z[k], nx, ny, nz, low[k], 0.0, axes, i):
                 seen[i, k] = is_shown(k, view, directions, count, i, sight, obstacles, clear, ends)
 
 
@@ -51,6 +52,8 @@ def visible(evaluator: Evaluator, deployment: Deployment, positions: FloatArray,
 
 def visible_to_each(evaluator: Evaluator, deployment: Deployment, positions: FloatArray, axes: FloatArray) -> BoolArray:
     """The same for each of the scene's cameras, `(C, N, K)`."""
+    evaluator = evaluator.sized(deployment.edges)
+    evaluator.scene.check_count(len(deployment))
     scene, axes = evaluator.scene, np.pad(axes, [(0, 0), (0, 6 - axes.shape[1])])
     if not isinstance(scene.camera, Rig):
         return _visible(scene, evaluator.sight, deployment, positions, axes)[None]

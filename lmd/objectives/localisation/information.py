@@ -30,12 +30,13 @@ decide by the same bits. Each landmark's share of a view is rounded to a multipl
 in any order, so that landmarks may be added and taken away again.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from lmd.core.compiled import arithmetic
-from lmd.core.dispatch import dispatched
+from lmd.core.dispatch import dispatched, overridable
 from lmd.scene.camera import Camera
 from lmd.scene.criteria import TOLERANCE
 from lmd.scene.tag import Tag
@@ -80,6 +81,36 @@ class PosePrecision(NamedTuple):
         return True
 
 
+class SizedPrecision(NamedTuple):
+    """The same for tags of several sizes: what one of the two asks, and half the edge of each tag, `(K,)` metres."""
+
+    of: Precision | PosePrecision
+    halves: np.ndarray
+    share: float
+    position: float
+
+    @property
+    def rotation(self) -> float:
+        """The greatest variance of the rotation."""
+        return getattr(self.of, "rotation", np.inf)
+
+    @property
+    def asks(self) -> bool:
+        """See `Precision.asks`."""
+        return self.of.asks
+
+
+@overridable
+def half_of(precision, k):  # type: ignore[no-untyped-def]
+    """Half the edge of tag k of a deployment, metres."""
+    return precision.half
+
+
+@half_of.register(SizedPrecision)
+def _half_of(precision, k):  # type: ignore[no-untyped-def]
+    return precision.halves[k]
+
+
 def deviation_per_variance(camera: Camera, pixel_noise: float) -> float:
     """sigma / f: the standard deviation for a `variance` of 1, metres or rad.
 
@@ -91,18 +122,28 @@ def deviation_per_variance(camera: Camera, pixel_noise: float) -> float:
 
 
 def precision(
-    camera: Camera, tag: Tag, pixel_noise: float, tolerance: float, rotation: float | None = None
-) -> Precision | PosePrecision:
-    """What greatest standard deviations of position, metres, and if you like rotation, rad, ask of a view."""
+    camera: Camera,
+    tag: Tag,
+    pixel_noise: float,
+    tolerance: float,
+    rotation: float | None = None,
+    edges: Sequence[float] | None = None,
+) -> Precision | PosePrecision | SizedPrecision:
+    """What greatest standard deviations of position, metres, and if you like rotation, rad, ask of a view.
+
+    `edges` are those of each landmark, metres, or one that all have, if it is not that of the tag.
+    """
     scale = deviation_per_variance(camera, pixel_noise)
-    half, share = (0.0, 0.25) if tag.is_point else (tag.size / 2.0, 1.0)
+    half, share = (0.0, 0.25) if tag.is_point else ((edges or (tag.size,))[0] / 2.0, 1.0)
 
     def most(deviation: float) -> float:
         return (deviation / scale) ** 2 * (1.0 + TOLERANCE)
 
-    if rotation is None:
-        return Precision(half, share, most(tolerance))
-    return PosePrecision(half, share, most(tolerance), most(rotation))
+    asked: Precision | PosePrecision = Precision(half, share, most(tolerance))
+    if rotation is not None:
+        asked = PosePrecision(half, share, most(tolerance), most(rotation))
+    one = edges is None or len(edges) == 1
+    return asked if one else SizedPrecision(asked, np.array(edges) / 2.0, share, asked.position)
 
 
 @arithmetic
@@ -198,3 +239,10 @@ def _meets_both(
     position, fixed = variance(axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz)
     rotation, steady = variance(cxx, cxy, cxz, cyy, cyz, czz, gx, gy, gz, axx, axy, axz, ayy, ayz, azz)
     return fixed & steady & (position <= precision.position) & (rotation <= precision.rotation)
+
+
+@meets.register(SizedPrecision)
+def _meets_of(
+    precision, axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
+):  # fmt: skip
+    return meets(precision.of, axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz)

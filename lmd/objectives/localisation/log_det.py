@@ -69,7 +69,7 @@ def _gains(start, stop, points, normals, prices, positions, sight, obstacles, ax
             x, y, z, low, first, last = see_alone(pose, positions, p, sight, obstacles, ends, bands)
             if first == last:
                 continue
-            moment = landmark_moments(x, y, z, nx, ny, nz, precision)
+            moment = landmark_moments(x, y, z, nx, ny, nz, precision, 0)
             for a in range(np.uint64(first), np.uint64(last)):
                 if covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a):
                     more = _log_det_with(sums, p, a, moment, pixel_density(sight, x, y, z, axes, a))
@@ -88,7 +88,7 @@ def _add(start, stop, point, normal, positions, sight, obstacles, axes, bands, p
         x, y, z, low, first, last = see_alone(pose, positions, p, sight, obstacles, ends, bands)
         if first == last:
             continue
-        moment = landmark_moments(x, y, z, nx, ny, nz, precision)
+        moment = landmark_moments(x, y, z, nx, ny, nz, precision, 0)
         for a in range(np.uint64(first), np.uint64(last)):
             if covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a):
                 weight = pixel_density(sight, x, y, z, axes, a)

@@ -13,7 +13,13 @@ from lmd.incremental.field import smoothed, worth
 from lmd.objectives.base import AtLeast, Headline
 from lmd.objectives.coverage import Threshold
 from lmd.objectives.localisation.field import LocalisationField
-from lmd.objectives.localisation.information import PosePrecision, Precision, deviation_per_variance, precision
+from lmd.objectives.localisation.information import (
+    PosePrecision,
+    Precision,
+    SizedPrecision,
+    deviation_per_variance,
+    precision,
+)
 from lmd.objectives.localisation.log_det import LogDeterminant
 from lmd.objectives.localisation.trial import mixed
 from lmd.objectives.localisation.views import localised_views
@@ -106,9 +112,10 @@ class Localisation(AtLeast):
         label = f"probability of localising to {1e3 * self.tolerance:g} mm"
         return f"{label}, and of seeing {self.n}, weighted" if self.coverage_weight else label
 
-    def precision(self, scene: Scene) -> Precision | PosePrecision:
+    def precision(self, scene: Scene) -> Precision | PosePrecision | SizedPrecision:
         """What the tolerances ask of a view, in the units of the first camera."""
-        return precision(scene.cameras[0], scene.tag, self.pixel_noise, self.tolerance, self.rotation_tolerance)
+        tolerances = self.tolerance, self.rotation_tolerance
+        return precision(scene.cameras[0], scene.tag, self.pixel_noise, *tolerances, edges=scene.edges)
 
     def values(self, evaluator: Evaluator, positions: FloatArray, normals: FloatArray) -> FloatArray:
         """See `Objective.values`."""

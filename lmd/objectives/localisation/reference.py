@@ -10,8 +10,17 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.geometry.lens_models import density_of
 from lmd.geometry.squares import upright
-from lmd.objectives.localisation.information import PosePrecision, Precision, meets, moments, share_of
+from lmd.objectives.localisation.information import (
+    PosePrecision,
+    Precision,
+    SizedPrecision,
+    half_of,
+    meets,
+    moments,
+    share_of,
+)
 from lmd.objectives.localisation.objective import Localisation
+from lmd.scene.criteria import largest
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.models.fiducial import cross
@@ -20,17 +29,22 @@ from lmd.sight.reference import cap_count, coverage_caps, n_ple_cap
 
 
 def view_information(
-    scene: Scene, deployment: Deployment, asked: Precision | PosePrecision, position: FloatArray, axes: FloatArray
+    scene: Scene,
+    deployment: Deployment,
+    asked: Precision | PosePrecision | SizedPrecision,
+    position: FloatArray,
+    axes: FloatArray,
 ) -> FloatArray:
     """A, g and C of each view, `(15, A)`, of the landmarks that it covers."""
     caps = coverage_caps(scene, deployment, position, axes)
     offset = deployment.positions - position
     right, up = upright(deployment.normals)
-    sides = (asked.half * right, asked.half * up)
+    half = np.reshape(half_of(asked, slice(None)), (-1, 1))  # one, or each tag's
+    sides = (half * right, half * up)
     with np.errstate(all="ignore"):  # of a landmark that is not covered the depth may be anything
         formulas: Any = moments.py_func
         moment = formulas(*offset.T, *sides[0].T, *sides[1].T, asked.share)
-        weight = _density(getattr(scene.sight, "lens", None), axes, offset)
+        weight = _density(getattr(largest(scene.sight), "lens", None), axes, offset)
         return np.stack([np.where(caps, share_of.py_func(each, weight), 0.0).sum(axis=1) for each in moment])
 
 

@@ -221,7 +221,7 @@ def _sum_moments(positions, axes, landmarks, normals, sight, seen, precision, ga
                     moment[0], moment[1], moment[2], moment[3], moment[4], moment[5], moment[6], moment[7],
                     moment[8], moment[9], moment[10], moment[11], moment[12], moment[13], moment[14],
                 ) = landmark_moments(
-                    x, y, z, normals[k, 0], normals[k, 1], normals[k, 2], precision
+                    x, y, z, normals[k, 0], normals[k, 1], normals[k, 2], precision, k
                 )  # fmt: skip
                 weight = gain * pixel_density(sight, x, y, z, axes, i)
                 for j in range(WIDTH):
