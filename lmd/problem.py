@@ -52,6 +52,7 @@ class Problem:
         self.fixed = None if fixed is None else scene.plates.hung(fixed, start)
         first = self.draw(np.random.default_rng(0))
         self.count, self.labels, self.surveyed = len(first), first.labels, first.surveyed
+        self.edges = first.edges
         if not scene.tag.is_point:
             scene.tag.check_ids(first.ids)
         objective.check(self.count)
@@ -91,11 +92,11 @@ class Problem:
         return self.scene.plates.apart(deployment, size, self.fixed_count)
 
     def labelled(self, deployment: Deployment) -> Deployment:
-        """What an optimiser made of the start: its k-th landmark keeps the id and the columns of the k-th there.
+        """What an optimiser made of the start: its k-th landmark keeps what that of the start is called, and its edge.
 
         What stays where it was keeps what was measured of it, too.
         """
-        return replace(deployment, labels=self.labels, surveyed=self.surveyed)
+        return replace(deployment, labels=self.labels, surveyed=self.surveyed, edges=self.edges)
 
     def fitness(self, positions: FloatArray, normals: FloatArray) -> FloatArray:
         """Fitness in [0, 1], to maximise, of B deployments with landmarks `(B, K, 3)`, `(B,)`."""

@@ -221,11 +221,13 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
 
 
 def note_edges(tag: "Tag", deployment: "Deployment") -> None:
-    """Say which tags have another edge by their map than that of all, which is what everything here counts with."""
-    own = {} if deployment.labels is None else dict(zip(deployment.ids.tolist(), deployment.labels.edges, strict=True))
+    """Say which tags have another edge than `tag` by their file."""
+    own = dict(zip(deployment.ids.tolist(), deployment.edges_of(tag).tolist(), strict=True))
     other = [f"{number} ({edge:g} m)" for number, edge in own.items() if abs(edge - tag.size) > SAME_EDGE]
-    if other:
-        note(f"tag.edge = {tag.size:g} m counts for all tags; by their map others have {_few(other)}")
+    if other and tag.edges is None:
+        rest = len(own) - len(other)
+        said = f"for {rest} of {len(own)} tags" if rest else "for no tag"
+        note(f"tag.edge = {tag.size:g} m holds {said}; the edges of others are their own: {_few(other)}")
 
 
 def note_outside(room: "Space", tag: "Tag", deployment: "Deployment") -> None:

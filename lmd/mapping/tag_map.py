@@ -111,10 +111,8 @@ class TagMap:
 
     @cached_property
     def sizes(self) -> FloatArray:
-        """The edge of each, `(K,)`: that of the tag, or its own where a map has said so."""
-        labels = self.deployment.labels
-        own = np.full(len(self.ids), np.nan) if labels is None else labels.edges
-        return np.where(np.isnan(own), self.tag.size, own)
+        """The edge of each, `(K,)`: its own, or that of the tag."""
+        return self.deployment.edges_of(self.tag)
 
     def check_one_edge(self) -> None:
         """Raise `InputError` if the tags have several edges."""

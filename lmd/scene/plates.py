@@ -14,8 +14,9 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.core.compiled import inner, kernel
 from lmd.scene.deployment import FLUSH, Deployment
-from lmd.scene.deployment_sources import DeploymentSource, FileDeployment
+from lmd.scene.deployment_sources import DeploymentSource, FileDeployment, GivenDeployment
 from lmd.scene.fixed import beside
+from lmd.scene.tag import Tag
 from lmd.space.allowed import allows, nearest
 from lmd.space.inset import Inset
 from lmd.space.space import Space
@@ -33,11 +34,16 @@ class Plates:
 
     Args:
         room: the room.
-        edge: of the paper, metres; 0 for landmarks that are points.
+        tag: what hangs at each landmark.
     """
 
     room: Space
-    edge: float
+    tag: Tag
+
+    @property
+    def edge(self) -> float:
+        """Of the papers of tags without an edge of their own, metres; 0 for landmarks that are points."""
+        return 0.0 if self.tag.is_point else self.tag.paper_edge
 
     @cached_property
     def hanging(self) -> Space:
@@ -107,6 +113,8 @@ class Plates:
         drawn = source.draw(self.hanging, rng)
         if isinstance(source, FileDeployment):
             drawn = drawn.hung(self.hanging, source.free, self.edge)
+        if drawn.edges is None and not isinstance(source, FileDeployment | GivenDeployment):
+            drawn = replace(drawn, edges=self.tag.in_turn(len(drawn)))
         if fixed is not None:
             drawn = beside(fixed, drawn)
         if not self.edge or as_they_are(source):

@@ -86,7 +86,7 @@ class Scene:
     @cached_property
     def plates(self) -> Plates:
         """The papers of the tags, and where they may hang."""
-        return Plates(self.room, 0.0 if self.tag.is_point else self.tag.paper_edge)
+        return Plates(self.room, self.tag)
 
     @property
     def spacing(self) -> float:

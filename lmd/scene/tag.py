@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, InputError, IntArray, choice, integer, real
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, choice, integer, real, vector
 from lmd.core.optional import optional
 
 
@@ -50,14 +50,19 @@ class Tag:
         edge: of the outer black square, metres; None or 0 for landmarks that are points, as in the paper.
         family: one of `FAMILIES`.
         quiet_zone: q, width of the white margin on each side, modules.
+        edges: of tags of several sizes, metres: landmarks that are placed here have them in turn, the first landmark
+            the first. None for one size, that of `edge`, which always holds for landmarks of a file that does not say
+            how large they are.
 
     Raises:
-        InputError: the edge is negative, the family unknown, or the quiet zone negative.
+        InputError: the edge is negative, the family unknown, the quiet zone negative, or an edge of several is not
+            positive, is there twice, or comes without `edge`.
     """
 
     edge: float | None = None
     family: str = "36h11"
     quiet_zone: float = 1.0
+    edges: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         if self.edge is not None and real("edge", self.edge) < 0.0:
@@ -68,6 +73,17 @@ class Tag:
         object.__setattr__(self, "edge", float(self.edge) if self.edge else None)
         choice("family", self.family, tuple(FAMILIES))
         object.__setattr__(self, "quiet_zone", real("quiet_zone", self.quiet_zone, low=0.0))
+        if self.edges is not None:
+            edges = vector("edges", self.edges, None, above=0.0)
+            if len(set(edges)) < len(edges):
+                raise InputError(f"edges must be different, got {list(edges)}.", "edges")
+            if self.is_point:
+                raise InputError("edge must be given with edges: it holds where a file does not say one.", "edge")
+            object.__setattr__(self, "edges", edges)
+
+    def in_turn(self, count: int) -> FloatArray | None:
+        """The edges of so many landmarks that are placed, `(count,)`, metres; None where one holds for all."""
+        return None if self.edges is None else np.resize(self.edges, count)
 
     @property
     def is_point(self) -> bool:

@@ -190,7 +190,7 @@ def lab():
         surfaces=[f"wall_{i}" for i in range(6)],
     )
     source = UniformDeployment(16)
-    return TagMap(room, Tag(0.1), Plates(room, 0.125).draw(source, np.random.default_rng(0)))
+    return TagMap(room, Tag(0.1), Plates(room, Tag(0.1)).draw(source, np.random.default_rng(0)))
 
 
 def test_tags_are_hung_from_the_left_around_the_room():

@@ -239,7 +239,7 @@ def test_sheets_are_described_by_how_many_there_are():
 
 
 def test_the_same_sheets_are_the_same_bytes(tmp_path):
-    room = Plates(ROOM, 0.1)
+    room = Plates(ROOM, Tag(0.1, quiet_zone=0.0))
     deployment = room.draw(RandomDeployment(5), np.random.default_rng(0))
     for name in ("one", "two"):
         write_sheets(tmp_path / name, TagMap(ROOM, Tag(0.08), deployment), "a4")

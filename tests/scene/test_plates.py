@@ -60,7 +60,7 @@ def overlaps(deployment, room, edge):
 @examples(60)
 @given(room=rooms(), edge=st.floats(0.02, 0.5), count=st.integers(1, 30), seed=seeds)
 def test_plates_are_pushed_apart_or_there_is_no_room(room, edge, count, seed):
-    plates, rng = Plates(room, edge), np.random.default_rng(seed)
+    plates, rng = Plates(room, Tag(edge, quiet_zone=0.0)), np.random.default_rng(seed)
     drawn = RandomDeployment(count).draw(plates.hanging, rng)
     apart = plates.apart(drawn)
     if apart is None:
@@ -75,7 +75,7 @@ def test_plates_are_pushed_apart_or_there_is_no_room(room, edge, count, seed):
 
 def test_a_plate_goes_to_the_nearest_free_place():
     room = paper_room()
-    plates, wall = Plates(room, 0.3), room.surfaces()[0]
+    plates, wall = Plates(room, Tag(0.3, quiet_zone=0.0)), room.surfaces()[0]
     at = np.array([[2.0, 2.0], [2.1, 2.05], [2.2, 2.0], [1.0, 1.0]])
     start = Deployment(wall.point(*at.T), np.tile(wall.normal, (4, 1)), np.zeros(4, dtype=int))
     found = plates.apart(start)
