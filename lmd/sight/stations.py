@@ -212,7 +212,7 @@ def covers_from(part, m, a, k, px, py, pz, lx, ly, lz, nx, ny, nz, frame):
 
 @inlined
 def hides_from(part, m, a, i, k, px, py, pz, one, other):
-    """Whether landmark i, `one`, hides landmark k, the `other`, six numbers each, from mount m with orientation a of the body."""
+    """Whether landmark i, `one`, hides k, the `other`, six numbers each, from mount m, the body turned as in a."""
     offsets = part.offsets
     sx, sy, sz = px + offsets[m, 0, a], py + offsets[m, 1, a], pz + offsets[m, 2, a]
     ax, ay, az, ux, uy, uz = one

@@ -47,8 +47,8 @@ def test_the_sight_of_a_tag_has_the_numbers_of_a_scene_with_tags_of_its_size(len
     assert isinstance(scene.sight, SizedSight)
     for k, edge in enumerate(scene.edges):
         mine, alone = sized(scene.sight, k), plain.sized(np.array([edge])).sight
-        for one, other in ((mine, alone), *zip(getattr(mine, "pinholes", ()), getattr(alone, "pinholes", ()))):
-            one, other = (getattr(sight, "flat", sight) for sight in (one, other))
+        parts = ([getattr(each, "flat", each), *getattr(each, "pinholes", ())] for each in (mine, alone))
+        for one, other in zip(*parts, strict=True):
             assert one._replace(inset=0.0, reach=0.0) == other._replace(inset=0.0, reach=0.0)
 
 

@@ -101,13 +101,13 @@ class SizedPrecision(NamedTuple):
 
 
 @overridable
-def half_of(precision, k):  # type: ignore[no-untyped-def]
+def half_of(precision, k):
     """Half the edge of tag k of a deployment, metres."""
     return precision.half
 
 
 @half_of.register(SizedPrecision)
-def _half_of(precision, k):  # type: ignore[no-untyped-def]
+def _half_of(precision, k):
     return precision.halves[k]
 
 
