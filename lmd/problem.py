@@ -89,7 +89,7 @@ class Problem:
 
     def apart(self, deployment: Deployment, size: float = 1.0) -> Deployment | None:
         """The deployment with the free plates pushed out of the way, see `Plates.apart`."""
-        return self.scene.plates.apart(deployment, size, self.fixed_count)
+        return self.scene.plates.apart(replace(deployment, edges=self.edges), size, self.fixed_count)
 
     def labelled(self, deployment: Deployment) -> Deployment:
         """What an optimiser made of the start: its k-th landmark keeps what that of the start is called, and its edge.

@@ -46,7 +46,8 @@ def read_measured(path: str | Path, problem: Problem, plan: Deployment) -> Deplo
             raise InputError(f"measured: {path} {name} landmark {ids[0]} {other} ({len(ids)} in all).", "measured")
     places = np.argsort(measured.ids)[np.searchsorted(np.sort(measured.ids), plan.ids)]
     try:
-        hung = measured[places].hung(problem.scene.room, as_they_are(problem.start), problem.scene.plates.edge)
+        measured, scene = measured[places], problem.scene
+        hung = measured.hung(scene.room, as_they_are(problem.start), scene.plates.papers(measured))
     except InputError as error:
         raise InputError(f"measured: {path}: {error}", "measured") from None
     return replace(hung, labels=plan.labels)

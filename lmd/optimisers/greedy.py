@@ -1,7 +1,7 @@
 """Lazy greedy selection on a submodular stand-in (`selection`), then a local search on the true objective."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -14,8 +14,9 @@ from lmd.optimisers.annealing.stage import changed
 from lmd.optimisers.selection import SPACING, greedy_start, select
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
-from lmd.scene.deployment_sources import landmark_count
+from lmd.scene.deployment_sources import POINT, landmark_count
 from lmd.scene.scene import Scene
+from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses
 from lmd.space.space import Space
@@ -106,6 +107,6 @@ class GreedyDeployment:
             )
         return poses[chosen]
 
-    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
+    def draw(self, room: Space, rng: np.random.Generator, tag: Tag = POINT) -> Deployment:
         """See `DeploymentSource.draw`; nothing here is random."""
-        return self._deployment
+        return replace(self._deployment, edges=tag.in_turn(self.count))

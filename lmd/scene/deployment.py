@@ -9,7 +9,7 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.core.tables import read_table, write_table
 from lmd.geometry.squares import upright
-from lmd.scene.edges import EDGE, checked_edges, edge_column, joined
+from lmd.scene.edges import EDGE, checked_edges, edge_column, edges_or, joined
 from lmd.scene.labels import ID, Labels
 from lmd.scene.surveyed import Surveyed
 from lmd.scene.tag import Tag
@@ -103,7 +103,7 @@ class Deployment:
         places, ups = (np.concatenate([getattr(each, name) for each in (self, other)]) for name in ("places", "ups"))
         return replace(both, surveyed=Surveyed(both.positions, places, ups))
 
-    def hung(self, room: Space, anywhere: bool = False, edge: float = 0.0) -> "Deployment":
+    def hung(self, room: Space, anywhere: bool = False, papers: float | FloatArray = 0.0) -> "Deployment":
         """The same landmarks with the surfaces of `room` that they hang on.
 
         What belongs to a surface (`Space.surface_near`) and was measured behind it, if only with a corner because it
@@ -112,7 +112,7 @@ class Deployment:
         Args:
             room: has the surfaces.
             anywhere: whether landmarks may lie outside the room.
-            edge: of their papers, upright, metres; 0 for points.
+            papers: edges of their papers, upright, metres, one for all or `(K,)`; 0 for points.
 
         Raises:
             InputError: a landmark lies outside the room and belongs to no surface of it.
@@ -129,9 +129,8 @@ class Deployment:
         depth = np.take_along_axis(SurfaceArrays.of(surfaces).depth(self.positions), own[:, None], axis=1)
         normals = np.array([surface.normal for surface in surfaces])[own]
         sides = np.stack(upright(self.normals))  # right and up
-        depth = (
-            depth - edge / 2.0 * np.abs((sides * normals).sum(axis=-1)).sum(axis=0)[:, None]
-        )  # of the deepest corner
+        leaning = np.abs((sides * normals).sum(axis=-1)).sum(axis=0)
+        depth = depth - (papers / 2.0 * leaning)[:, None]  # of the deepest corner
         behind = (own[:, None] >= 0) & (depth < -PLACEMENT_TOLERANCE)
         hung = self
         if behind.any():
@@ -232,10 +231,7 @@ class Deployment:
 
         Landmarks that are points have none: 0.
         """
-        if tag.is_point:
-            return np.zeros(len(self))
-        own = np.full(len(self), np.nan) if self.edges is None else self.edges
-        return np.where(np.isnan(own), tag.size, own)
+        return edges_or(self.edges, len(self), tag)
 
     def to_csv(self, file: str | Path | TextIO, ups: bool = False) -> None:
         """Write `id,x,y,z,nx,ny,nz` with every digit, so that reading it back gives the same numbers and labels.

@@ -4,6 +4,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, IntArray
 from lmd.core.tables import Table
+from lmd.scene.tag import Tag
 
 EDGE = "edge"  # the column with the edge of each tag, metres; empty where the scene's tag says it
 
@@ -32,6 +33,14 @@ def joined(parts: list[tuple[int, FloatArray | None]]) -> FloatArray | None:
     if all(edges is None for _, edges in parts):
         return None
     return np.hstack([np.full(count, np.nan) if edges is None else edges for count, edges in parts])
+
+
+def edges_or(edges: FloatArray | None, count: int, tag: Tag) -> FloatArray:
+    """The edge of each of `count` tags, `(count,)`, metres: its own of `edges`, or else that of `tag`; 0 for points."""
+    if tag.is_point:
+        return np.zeros(count)
+    own = np.full(count, np.nan) if edges is None else edges
+    return np.where(np.isnan(own), tag.size, own)
 
 
 def edge_column(table: Table) -> FloatArray | None:

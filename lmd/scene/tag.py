@@ -124,7 +124,12 @@ class Tag:
     @property
     def paper_edge(self) -> float:
         """Edge of the paper with its quiet zone, s (1 + 2 q / N), metres."""
-        return self.size * (1.0 + 2.0 * self.quiet_zone / self.modules)
+        return self.size * self.paper_share
+
+    @property
+    def paper_share(self) -> float:
+        """Edge of the paper of a tag as a multiple of the tag's own, 1 + 2 q / N."""
+        return 1.0 + 2.0 * self.quiet_zone / self.modules
 
     def check_ids(self, ids: IntArray) -> None:
         """Raise `InputError` if the family has fewer tags than there are `ids` `(K,)`, all different, or lacks one."""

@@ -109,7 +109,8 @@ def audited(survey: Survey, problem: Problem, verdicts: Verdicts) -> Audit:
     """
     scene = problem.scene
     camera = scene.single_camera("audit")
-    tags = map_of(survey).hung(scene.room, anywhere=True, edge=scene.plates.edge)
+    tags = map_of(survey)
+    tags = tags.hung(scene.room, anywhere=True, papers=scene.plates.papers(tags))
     found = survey.found
     poses = found.poses.frames[found.frames]
     predicted = visible(problem.evaluator, tags, poses[:, :3, 3], axis_and_right(poses))

@@ -64,7 +64,7 @@ def test_plates_are_pushed_apart_or_there_is_no_room(room, edge, count, seed):
     drawn = RandomDeployment(count).draw(plates.hanging, rng)
     apart = plates.apart(drawn)
     if apart is None:
-        assert count > plates.capacity / 4  # squares anywhere block at most four places of a lattice
+        assert count > plates.capacity(edge) / 4  # squares anywhere block at most four places of a lattice
         return
     assert not overlaps(apart, room, edge)
     plates.check(apart)

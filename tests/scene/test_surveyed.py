@@ -198,7 +198,7 @@ def test_a_tag_that_leans_into_its_face_touches_it():
     leaning = Deployment(tags.positions - 0.001 * faces, tipped)
     for hung in (
         plates.hung(leaning, FileDeployment("of others", free=True)),
-        leaning.hung(room, edge=0.12),
+        leaning.hung(room, papers=0.12),
     ):
         papers = corners(hung.positions, hung.normals, upright(hung.normals)[1], 0.12)
         assert_allclose(((papers - tags.positions[:, None]) * faces[:, None]).sum(axis=-1).min(axis=1), 0.0, atol=1e-9)
