@@ -207,6 +207,7 @@ def _at_most_coverage(problem: Problem) -> Coverage | Localisation:
 
 def _bound(problem: Problem, relaxation: Relaxation, count: int, search: Search) -> UpperBound:
     """Multipliers found on the grid of poses, and what they prove for the whole walls."""
+    problem.scene.check_one_size("the upper bound")
     cells, free = wall_cells(problem.scene.plates.hanging, search.spacing), count - problem.fixed_count
     dual, grid, fractional = _solve(relaxation, cells.poses, free, search)
     gain = largest_gain(relaxation.evaluator, cells, dual.prices, search.tolerance / free)

@@ -78,10 +78,16 @@ class Scene:
         """Of all landmarks, metres; 0 where they are points."""
         return 0.0 if self.tag.is_point else max(self.edges or (self.tag.size,))
 
+    def check_one_size(self, what: str) -> None:
+        """Raise `InputError` if there are tags of several sizes, of which `what`, the subject, does not know."""
+        if self.edges is not None and len(self.edges) > 1:
+            sizes = ", ".join(f"{edge:g}" for edge in sorted(set(self.edges)))
+            raise InputError(f"{what} works with tags of one size, not with edges of {sizes} m.")
+
     def check_count(self, count: int) -> None:
         """Raise `InputError` if the edges are those of another number of landmarks."""
         if self.edges is not None and len(self.edges) not in (1, count):
-            raise InputError(f"{count} landmarks have no sizes: there are {len(self.edges)} edges.", "edges")
+            raise InputError(f"of {count} landmarks the sizes are not known: there are {len(self.edges)} edges.")
 
     @cached_property
     def plates(self) -> Plates:

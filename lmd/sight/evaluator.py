@@ -24,6 +24,7 @@ from lmd.sight.obstacles import obstacles_at
 from lmd.sight.rig_views import RigViews
 from lmd.sight.stations import parts_of, with_sight
 
+SIZES = 16  # sets of edges whose evaluators are kept
 COUNT_BYTES = 4  # of a view, twice two: the counts of axes, and of orientations of the PDF
 
 
@@ -73,9 +74,11 @@ class Evaluator:
         if scene is self.scene:
             return self
         key = scene.edges or ()
+        if len(self._sized) >= SIZES:
+            self._sized.clear()
         if key not in self._sized and scene.largest_edge > self.scene.largest_edge:
             # What is looked up is made for the largest.
-            self._sized = {key: Evaluator(scene, self.positions, self.threads)}
+            self._sized[key] = Evaluator(scene, self.positions, self.threads)
         elif key not in self._sized:
             other = copy.copy(self)
             other.scene, other._sized = scene, {}
@@ -87,7 +90,7 @@ class Evaluator:
                 other.rig_views = RigViews(other.parts, blockers, self.positions, self.threads)
             else:
                 other.sight = scene.sight
-            self._sized = {key: other}  # the last one: who asks for many in turn has few
+            self._sized[key] = other
         return self._sized[key]
 
     @property

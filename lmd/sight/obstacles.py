@@ -61,7 +61,7 @@ def half_edge(sight):  # type: ignore[no-untyped-def]
 
 
 def seen_points(half: float | FloatArray, landmarks: FloatArray, normals: FloatArray) -> FloatArray:
-    """The points of landmarks `(K, 3)` that must be seen, `(1, K, 3)` or, with half the edge of all or each, `(5, K, 3)`."""
+    """The points of landmarks `(K, 3)` that must be seen, `(1, K, 3)` or, given half an edge, `(5, K, 3)`."""
     if not np.any(half):
         return landmarks[None]
     right, up = (np.reshape(half, (-1, 1)) * side for side in upright(normals))

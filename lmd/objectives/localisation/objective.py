@@ -183,7 +183,7 @@ class Localisation(AtLeast):
         scale = deviation_per_variance(camera, self.pixel_noise)
         prior = PRIOR_TOLERANCES * self.tolerance if math.isfinite(self.tolerance) else PRIOR_POSITION
         known = (scale / prior) ** 2, (scale / PRIOR_ROTATION) ** 2
-        return LogDeterminant(evaluator, relevance, self.precision(scene), *known)
+        return LogDeterminant(evaluator, relevance, self.precision, *known)
 
 
 def localisation(fitness: str = "mean", **settings: Any) -> Localisation:
