@@ -56,7 +56,8 @@ def tagged_room(room: Space, deployment: Deployment, tag: Tag) -> TaggedRoom:
         InputError: the tag is a point, or its family is too small.
     """
     tag.check_ids(deployment.ids)
-    return TaggedRoom(tag, deployment.ids, deployment.positions, deployment.normals, deployment.ups, room.faces())
+    places = deployment.positions, deployment.normals, deployment.ups
+    return TaggedRoom(tag, deployment.ids, *places, room.faces(), deployment.edges_of(tag))
 
 
 def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -67,11 +68,11 @@ def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatA
         poses: X, `(N, 4, 4)`.
     """
     room, camera, imaging = renderer.room, renderer.camera, renderer.imaging
-    where = poses, room.centres, room.normals
+    where, size = (poses, room.centres, room.normals), (room.tag, room.edges)
     depth = to_camera(poses, room.centres)[..., 2]
     depth = np.where(depth > 0.0, depth, np.nan)
-    edges = apparent_edge(camera, *where, room.tag)
-    return pitch(camera, *where, room.tag), incidence(*where), edges, blur(camera, depth, imaging)
+    edges = apparent_edge(camera, *where, *size)
+    return pitch(camera, *where, *size), incidence(*where), edges, blur(camera, depth, imaging)
 
 
 def blur(camera: Camera, depth: FloatArray, imaging: Imaging) -> FloatArray:
@@ -86,8 +87,8 @@ def overlapping(room: TaggedRoom) -> BoolArray:
     offset = room.centres[None] - room.centres[:, None]  # from k to j, (K, K, 3)
     a, b, c = (np.abs((offset * axis[:, None]).sum(axis=-1)) for axis in (right, room.ups, room.normals))
     same_way = room.normals @ room.normals.T > 1.0 - 1e-6
-    edge = room.tag.paper_edge
-    over = same_way & (c < 1e-3) & (np.maximum(a, b) < edge * (1.0 - TOUCHING))
+    papers = room.tag.paper_share * room.edges
+    over = same_way & (c < 1e-3) & (np.maximum(a, b) < (papers[:, None] + papers) / 2.0 * (1.0 - TOUCHING))
     np.fill_diagonal(over, False)
     return np.asarray(over.any(axis=1))
 

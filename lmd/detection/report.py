@@ -66,7 +66,7 @@ class Prediction:
     def pitch(self) -> FloatArray:
         """Pixels a module, `(N, K)`; NaN for what is not wholly in the image."""
         room = self.renderer.room
-        values = pitch(self.renderer.camera, self.poses, room.centres, room.normals, room.tag)
+        values = pitch(self.renderer.camera, self.poses, room.centres, room.normals, room.tag, room.edges)
         return np.where(self.whole, values, np.nan)
 
     @cached_property

@@ -127,8 +127,8 @@ class RenderedDetector:
     def _observed(self, look: Look, found: Sequence[Detections]) -> Observation:
         corners = believed(found, look.flight.deployment.ids)
         seen = np.isfinite(corners[..., 0, 0])
-        noise = np.full(int(seen.sum()), self.pixel_noise)
-        return observation(look.camera, self.tag, seen, corners[seen], noise)
+        noise, edges = np.full(int(seen.sum()), self.pixel_noise), look.flight.deployment.edges_of(self.tag)
+        return observation(look.camera, edges, seen, corners[seen], noise)
 
 
 class Batch(NamedTuple):

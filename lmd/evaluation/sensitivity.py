@@ -52,6 +52,7 @@ class Variant:
         value: what comes of it, in the units of the setting.
         scene: with this value.
         objective: with this value.
+        deployment: with this value.
         note: why there is no figure, empty where there is one.
     """
 
@@ -60,6 +61,7 @@ class Variant:
     value: float
     scene: Scene
     objective: Localisation
+    deployment: Deployment
     note: str = ""
 
 
@@ -164,16 +166,17 @@ def _variants(problem: Problem, deployment: Deployment) -> list[Variant]:
     for name in ("pixel_noise", "tolerance"):
         for factor in FACTORS:
             value = factor * getattr(objective, name)
-            variants.append(Variant(name, factor, value, scene, replace(objective, **{name: value})))
+            variants.append(Variant(name, factor, value, scene, replace(objective, **{name: value}), deployment))
     for factor in FACTORS if not scene.tag.is_point else ():
         tag = replace(scene.tag, edge=factor * scene.tag.size)
         seen = replace(scene.visibility, tag=tag) if hasattr(scene.visibility, "tag") else scene.visibility  # type: ignore[type-var]
         resized, note = replace(scene, tag=tag, visibility=seen), ""
+        larger = replace(deployment, edges=factor * deployment.edges_of(scene.tag))
         try:
-            resized.plates.check(deployment)
+            resized.plates.check(larger)
         except InputError as error:
             note = str(error)
-        variants.append(Variant("edge", factor, tag.size, resized, objective, note))
+        variants.append(Variant("edge", factor, tag.size, resized, objective, larger, note))
     return variants
 
 
@@ -191,7 +194,7 @@ def _measure(
         a rig, `(C, 2)`, none for a single camera.
     """
     number, evaluator = group
-    assumed = np.array([_shares(variant, deployment, evaluator) for variant in variants])
+    assumed = np.array([_shares(variant, evaluator) for variant in variants])
     rng = np.random.default_rng([seed, MISSES_STREAM, number])
     if isinstance(evaluator.scene.camera, Rig):
         rig = RigMoments(evaluator, deployment, objective.n, objective.precision(evaluator.scene))
@@ -200,13 +203,13 @@ def _measure(
     return assumed, missed_shares(field, deployment, rng)[:, :2], lost_shares(field, deployment), np.empty((0, 2))
 
 
-def _shares(variant: Variant, deployment: Deployment, evaluator: Evaluator) -> tuple[float, float]:
+def _shares(variant: Variant, evaluator: Evaluator) -> tuple[float, float]:
     """The means of L and P_n at the positions and orientations of an evaluator."""
     if variant.note:
         return np.nan, np.nan
     scene, objective = replace(variant.scene, pdf=evaluator.scene.pdf), variant.objective
     varied = Evaluator(scene, evaluator.positions, evaluator.threads)
-    landmarks = deployment.positions[None], deployment.normals[None]
+    landmarks = variant.deployment.positions[None], variant.deployment.normals[None]
     views = localised_views(varied, *landmarks, objective.n, objective.precision(scene))
     return views.localised.mean() / PROBABILITY_ONE, views.covered.mean() / PROBABILITY_ONE
 

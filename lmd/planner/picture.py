@@ -118,26 +118,34 @@ class Picture:
         places = deployment.positions + ABOVE * deployment.normals
         turns = _quaternions(*upright(deployment.normals), deployment.normals)
         fresh = self.tags is None or len(self.tags.batched_positions) != len(deployment)
-        half = self._problem.scene.plates.edge / 2.0 or POINT * self._diagonal
+        halves = self._halves(deployment)
         if fresh:
             self.tags = self._scene.add_batched_meshes_simple(
-                "/tags", half * SQUARE, TRIANGLES, turns, places, batched_colors=painted, side="double", **FLAT
-            )
+                "/tags", SQUARE, TRIANGLES, turns, places, batched_scales=halves, batched_colors=painted,
+                side="double", **FLAT,
+            )  # fmt: skip
         else:
             self.tags.batched_positions, self.tags.batched_wxyzs, self.tags.batched_colors = places, turns, painted
-        above = places + half * upright(deployment.normals)[1]
+            self.tags.batched_scales = halves
+        above = places + halves[:, None] * upright(deployment.normals)[1]
         self.captions.show_ids(deployment.ids, above, selected, ids)
         return fresh
 
+    def _halves(self, deployment: Deployment) -> FloatArray:
+        """Half the edges of the papers of tags, `(K,)`, metres; of points, as large as they are drawn."""
+        papers = self._problem.scene.plates.papers(deployment)
+        return np.where(papers > 0.0, papers / 2.0, POINT * self._diagonal)
+
     def show_survey(self, found: Found, plan: Deployment) -> None:
         """Draw where tags hang, lines from where they are planned, and the photographs that a survey asks for."""
-        tags, half = found.tags, self._problem.scene.plates.edge / 2.0 or POINT * self._diagonal
+        tags = found.tags
         self._scene.add_batched_meshes_simple(
             "/survey/tags",
-            half * SQUARE,
+            SQUARE,
             TRIANGLES,
             _quaternions(np.asarray(np.cross(tags.ups, tags.normals)), tags.ups, tags.normals),
             tags.places + 2.0 * ABOVE * tags.normals,
+            batched_scales=self._halves(tags),
             batched_colors=alike(MEASURED, len(tags)),
             side="double",
             opacity=0.6,

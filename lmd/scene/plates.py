@@ -44,7 +44,7 @@ class Plates:
     @cached_property
     def edge(self) -> float:
         """Of the smallest papers that are placed here, metres; 0 for landmarks that are points."""
-        return 0.0 if self.tag.is_point else self.tag.paper_share * min(self.tag.edges or (self.tag.size,))
+        return 0.0 if self.tag.is_point else self.tag.paper_share * min(self.tag.sizes)
 
     @cached_property
     def hanging(self) -> Space:

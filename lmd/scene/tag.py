@@ -5,7 +5,7 @@ up is that of the picture its makers publish. For the ArUco families that is `cv
 AprilTag families it is AprilTag's own picture, of which OpenCV's is the same turned by half a turn.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -84,6 +84,15 @@ class Tag:
     def in_turn(self, count: int) -> FloatArray | None:
         """The edges of so many landmarks that are placed, `(count,)`, metres; None where one holds for all."""
         return None if self.edges is None else np.resize(self.edges, count)
+
+    def of_size(self, edge: float) -> "Tag":
+        """The same tag with another edge, metres, and no other size."""
+        return replace(self, edge=edge, edges=None)
+
+    @property
+    def sizes(self) -> tuple[float, ...]:
+        """The edges that tags have which are placed, metres; none of points."""
+        return self.edges or (() if self.edge is None else (self.edge,))
 
     @property
     def is_point(self) -> bool:

@@ -32,17 +32,17 @@ def view_columns(survey: Survey, camera: Camera, tag: Tag, room: Space | None) -
     """
     tags, found = map_of(survey), survey.found
     poses = found.poses.frames[found.frames]
-    renderer = Renderer(camera, TaggedRoom(tag, tags.ids, tags.places, tags.normals, tags.ups), Imaging())
+    hung = TaggedRoom(tag, tags.ids, tags.places, tags.normals, tags.ups, edges=tags.edges_of(tag))
+    renderer = Renderer(camera, hung, Imaging())
     pitch, incidence, edge, _ = qualities(renderer, poses)
     whole = renderer.inside(poses) & ~overlapping(renderer.room)
     frame, k = np.nonzero(whole)
     if room is not None:
         clear = room.clear(poses[frame, :3, 3], tags.places[k] + OFF_WALL * tags.normals[k])
         frame, k = frame[clear], k[clear]
-    larger = (found.sightings.edges[survey.placed] / tag.size)[k]
     centres = renderer.corners(poses).mean(axis=2)[frame, k]
     depth = to_camera(poses, tags.places)[frame, k, 2]
-    values = (centres[:, 0], centres[:, 1], depth, larger * pitch[frame, k], np.degrees(incidence[frame, k]))
+    values = (centres[:, 0], centres[:, 1], depth, pitch[frame, k], np.degrees(incidence[frame, k]))
     names = [survey.detected.times[found.frames[index]] for index in frame.tolist()]
-    rows = (tags.ids[k], *values, larger * edge[frame, k], seen_of(survey).detected[frame, k].astype(int))
+    rows = (tags.ids[k], *values, edge[frame, k], seen_of(survey).detected[frame, k].astype(int))
     return {FRAME: names, **dict(zip(COLUMNS, rows, strict=True))}
