@@ -196,7 +196,8 @@ def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
 
 
 def _at_most_coverage(problem: Problem) -> Coverage | Localisation:
-    """The objective, whose values are at most P_n."""
+    """The objective, whose values are at most P_n; tags have one size."""
+    problem.scene.check_one_size("the upper bound")
     if not isinstance(problem.objective, Coverage | Localisation):
         raise InputError(
             f"there is no upper bound for the objective {type(problem.objective).__name__}, only for Coverage and "
@@ -207,7 +208,6 @@ def _at_most_coverage(problem: Problem) -> Coverage | Localisation:
 
 def _bound(problem: Problem, relaxation: Relaxation, count: int, search: Search) -> UpperBound:
     """Multipliers found on the grid of poses, and what they prove for the whole walls."""
-    problem.scene.check_one_size("the upper bound")
     cells, free = wall_cells(problem.scene.plates.hanging, search.spacing), count - problem.fixed_count
     dual, grid, fractional = _solve(relaxation, cells.poses, free, search)
     gain = largest_gain(relaxation.evaluator, cells, dual.prices, search.tolerance / free)
