@@ -105,7 +105,7 @@ class Problem:
         return replace(deployment, labels=self.labels, surveyed=self.surveyed, edges=self.edges)
 
     def fitness(self, positions: FloatArray, normals: FloatArray) -> FloatArray:
-        """Fitness in [0, 1], to maximise, of B deployments with landmarks `(B, K, 3)`, `(B,)`."""
+        """The fitness in [0, 1] of B deployments, `(B,)`; landmarks are `(B, K, 3)`. Optimisers maximise it."""
         values = self.objective.values(self.fitness_evaluator, positions, normals)
         return self.objective.fitness(values, self.fitness_relevance)
 

@@ -12,7 +12,9 @@ if TYPE_CHECKING:
 
 
 def spell_counts(cfg: DictConfig) -> None:
-    """Take a list `deployment.count` as the counts of the sizes, and their sum as the count.
+    """Take a list `deployment.count` as the counts of the sizes that are placed, and their sum as the count.
+
+    Fixed landmarks come on top of it.
 
     Raises:
         InputError: there are no sizes, or it has more or fewer numbers.
@@ -27,7 +29,8 @@ def spell_counts(cfg: DictConfig) -> None:
         sizes = "is not given" if edges is None else f"has {len(edges)}"
         raise InputError(f"deployment.count = {counts} says how many tags have each of tag.edges, which {sizes}.")
     with open_dict(cfg):
-        cfg.tag.counts, cfg.deployment.count = counts, sum(counts)
+        cfg.tag.counts = counts
+        cfg.deployment.count = f"+{sum(counts)}" if cfg.deployment.get("fixed") else sum(counts)
 
 
 def divide_paper(

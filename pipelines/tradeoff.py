@@ -133,7 +133,7 @@ class Points:
         return [n for n, ladder in enumerate(self.ladders) if ladder.edge == edge]
 
     def __iter__(self) -> "Iterator[tuple[int, int, Found, dict[str, float]]]":
-        """The number of the ladder, the number of landmarks, what was found, and its figures, of each point."""
+        """For each point: which ladder it is on, how many landmarks it has, what was found, and its figures."""
         for n, count in sorted(self._figures):
             yield n, count, self._found[n][count], self._figures[n, count]
 

@@ -43,7 +43,7 @@ class InputError(ValueError):
         self.argument = argument
 
     def within(self, whole: str) -> "InputError":
-        """The same about an argument of `whole`, an argument itself; unchanged where it names none."""
+        """The same error about an argument of `whole`, itself an argument; unchanged if it names no argument."""
         if self.argument is None:
             return self
         return InputError(f"{whole}.{self}", f"{whole}.{self.argument}")

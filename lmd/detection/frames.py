@@ -27,7 +27,7 @@ FRAMES_STREAM = 0x646574656374
 
 
 def draw_poses(scene: Scene, count: int, seed: int) -> FloatArray:
-    """Random poses X: positions uniform where the camera may be, orientations from the PDF, `(count, 4, 4)`.
+    """Draw poses X, `(count, 4, 4)`: positions uniformly where the camera may be, orientations from the PDF.
 
     They do not depend on what hangs in the room.
     """
@@ -109,12 +109,12 @@ class Sightings:
 
     @classmethod
     def joined(cls, parts: "Sequence[Sightings]") -> "Sightings":
-        """Those of all the frames of several parts."""
+        """The sightings of several parts, one after the other."""
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__))
 
     @classmethod
     def beside(cls, parts: "Sequence[Sightings]") -> "Sightings":
-        """Those of all cameras of a rig in the same N moments, each with K tags of its own, `(N, C K)`."""
+        """The sightings of all cameras of a rig side by side, `(N, C K)`: N moments, K tags for each camera."""
         detected = np.concatenate([part.detected for part in parts], axis=1)
         corners = np.concatenate([part.corners for part in parts], axis=1)
         return cls(detected, corners, np.sum([part.false for part in parts], axis=0))

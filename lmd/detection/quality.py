@@ -80,7 +80,7 @@ def incidence(pose: FloatArray, centres: FloatArray, normals: FloatArray) -> Flo
 def _stretch(
     camera: Camera, pose: FloatArray, centres: FloatArray, normals: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """|J|_F^2 and |det J|, pixels^2 / metre^2, `(..., K)`; NaN where nothing is imaged."""
+    """Of the image of each tag |J|_F^2 and |det J|, pixels^2 / metre^2, `(..., K)`; NaN for what is not imaged."""
     y, n = to_camera(pose, centres), np.asarray(normals @ pose[..., :3, :3])
     if camera.lens is not None:
         angle = np.arctan2(np.hypot(y[..., 0], y[..., 1]), y[..., 2])

@@ -29,7 +29,7 @@ SAMPLE = Sample(groups=8, positions=512, divisions=23)
 
 
 def as_localisation(objective: Objective) -> Localisation:
-    """The objective itself where it is one of localisation, else the default one with its n."""
+    """The objective if it is `Localisation`; otherwise the default `Localisation` with its n."""
     return objective if isinstance(objective, Localisation) else Localisation(objective.n)
 
 

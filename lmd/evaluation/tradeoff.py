@@ -13,7 +13,7 @@ import pandas as pd
 
 from lmd.evaluation.validation import Sample
 from lmd.objectives.base import selectable
-from lmd.optimisers.selection import SPACING, select
+from lmd.optimisers.selection import GRID_SPACING, select
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import GivenDeployment
@@ -55,7 +55,7 @@ def grown(problem: Problem, deployment: Deployment) -> Deployment:
     """
     problem.scene.check_one_size("a trade-off that grows")
     plates, start = problem.scene.plates, problem.draw(np.random.default_rng(0))
-    poses = candidate_poses(plates.hanging, SPACING)
+    poses = candidate_poses(plates.hanging, GRID_SPACING)
     selection = selectable(problem.objective).selection(problem.evaluator, problem.relevance)
     chosen, _ = select(selection, poses, problem.count - len(deployment), plates, fixed=deployment)
     more = deployment + poses[chosen] if len(chosen) else deployment

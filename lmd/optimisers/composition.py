@@ -4,7 +4,7 @@ import numpy as np
 
 from lmd.core.checks import InputError
 from lmd.objectives.base import Objective, selectable
-from lmd.optimisers.selection import SPACING, Paper, candidates, select
+from lmd.optimisers.selection import GRID_SPACING, Paper, candidates, select
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
@@ -16,7 +16,7 @@ def composition(
     area: float,
     threads: int | None = None,
     fixed: Deployment | None = None,
-    spacing: float = SPACING,
+    spacing: float = GRID_SPACING,
 ) -> tuple[int, ...]:
     """How many tags of each of the edges of a scene's tag greedy selection by gain per square metre of paper takes.
 

@@ -14,7 +14,7 @@ from lmd.scene.labels import ID, Labels
 from lmd.scene.surveyed import Surveyed
 from lmd.scene.tag import Tag
 from lmd.space.space import Space
-from lmd.space.surface import MISPLACED, PLACEMENT_TOLERANCE, SurfaceArrays
+from lmd.space.surface import FILE_TOLERANCE, PLACEMENT_TOLERANCE, SurfaceArrays
 
 COLUMNS = ("x", "y", "z", "nx", "ny", "nz")
 UP_COLUMNS = ("ux", "uy", "uz")
@@ -166,7 +166,7 @@ class Deployment:
         hanging = SurfaceArrays.of(surfaces)
         at = hanging.coordinates(own, self.positions)
         everywhere = np.array([surface.allowed is None for surface in surfaces])[own]
-        if (kept_out := np.flatnonzero(~everywhere & ~hanging.allow(own, at, MISPLACED))).size:
+        if (kept_out := np.flatnonzero(~everywhere & ~hanging.allow(own, at, FILE_TOLERANCE))).size:
             first = int(kept_out[0])
             return (
                 f"landmark {self._place(first)} hangs on {surfaces[own[first]].name} where none may hang "

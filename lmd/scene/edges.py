@@ -32,14 +32,19 @@ def joined(parts: list[tuple[int, FloatArray | None]]) -> FloatArray | None:
     """The edges of several deployments, each with its number of tags, one after the other."""
     if all(edges is None for _, edges in parts):
         return None
-    return np.hstack([np.full(count, np.nan) if edges is None else edges for count, edges in parts])
+    return np.hstack([with_gaps(edges, count) for count, edges in parts])
+
+
+def with_gaps(edges: FloatArray | None, count: int) -> FloatArray:
+    """The edges of `count` tags, `(count,)`, metres, NaN for those that have none of their own."""
+    return np.full(count, np.nan) if edges is None else edges
 
 
 def edges_or(edges: FloatArray | None, count: int, tag: Tag) -> FloatArray:
     """The edge of each of `count` tags, `(count,)`, metres: its own of `edges`, or else that of `tag`; 0 for points."""
     if tag.is_point:
         return np.zeros(count)
-    own = np.full(count, np.nan) if edges is None else edges
+    own = with_gaps(edges, count)
     return np.where(np.isnan(own), tag.size, own)
 
 

@@ -21,7 +21,7 @@ from lmd.scene.tag import Tag
 from lmd.space.allowed import allows, nearest
 from lmd.space.inset import Inset
 from lmd.space.space import Space
-from lmd.space.surface import MISPLACED, SurfaceArrays
+from lmd.space.surface import FILE_TOLERANCE, SurfaceArrays
 
 # Relative: papers that share an edge do not overlap, however their distance is rounded.
 TOUCHING = 1e-9
@@ -188,7 +188,7 @@ class Plates:
         over = np.zeros(len(flat), dtype=np.bool_)
         for edge in np.unique(paper):
             own = paper == edge
-            over[own] = ~self.surfaces_of(edge).allow(surface[own], at[own], MISPLACED)
+            over[own] = ~self.surfaces_of(edge).allow(surface[own], at[own], FILE_TOLERANCE)
         if over.any():
             first = np.argmax(over)
             raise InputError(
@@ -196,7 +196,7 @@ class Plates:
                 f"there: its paper is {paper[first]:.4g} m wide."
             )
         distance = np.abs(at[:, None] - at[None]).max(axis=-1)
-        close = (distance < (paper[:, None] + paper) / 2.0 - MISPLACED) & (surface[:, None] == surface)
+        close = (distance < (paper[:, None] + paper) / 2.0 - FILE_TOLERANCE) & (surface[:, None] == surface)
         if (pairs := np.argwhere(np.triu(close, 1))).size:
             i, j = pairs[0]
             raise InputError(

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import inverse, log
 from lmd.scene.deployment import COLUMNS, UP_COLUMNS, Deployment
-from lmd.scene.edges import EDGE
+from lmd.scene.edges import EDGE, with_gaps
 from lmd.scene.labels import ID, Labels
 from lmd.scene.surveyed import Surveyed
 from lmd.survey.residuals import errors_at
@@ -36,7 +36,7 @@ def map_of(survey: Survey) -> Deployment:
 
 
 def measured_of(survey: Survey) -> Deployment | None:
-    """The tags of the plan, in its order, those that were not placed where they were planned; None without a plan."""
+    """The tags of the plan, in its order, as measured, or as planned if not placed; None without a plan."""
     plan = survey.known.plan
     if plan is None:
         return None
@@ -53,7 +53,7 @@ def measured_of(survey: Survey) -> Deployment | None:
     counts = survey.used[np.searchsorted(survey.ids, plan.ids)]
     labels = Labels(plan.ids, {SIGHTINGS: [str(count) for count in counts.tolist()]})
     normals = either(found.normals, plan.normals)
-    edges = either(found.edges, np.full(len(plan), np.nan) if plan.edges is None else plan.edges)
+    edges = either(found.edges, with_gaps(plan.edges, len(plan)))
     return Deployment(places, normals, labels=labels, surveyed=Surveyed(places, places, ups), edges=edges)
 
 

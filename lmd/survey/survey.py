@@ -71,7 +71,7 @@ class Known:
         return edges
 
     def planned(self, ids: IntArray) -> FloatArray | None:
-        """Where tags should hang, `(K, 4, 4)`, NaN where none is planned; None without a plan."""
+        """Planned poses, `(K, 4, 4)`; NaN for tags that are not in the plan, None without a plan."""
         if self.plan is None:
             return None
         poses = np.full((len(ids), 4, 4), np.nan)

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from paper import paper_camera, paper_scene
 
 from lmd.core.checks import InputError
-from lmd.detection.corner_errors import CORNER_ERRORS, MIDDLES, CornerErrors
+from lmd.detection.corner_errors import CORNER_ERRORS, PITCH_MIDDLES, CornerErrors
 from lmd.detection.detectors import ArucoDetector, Detections
 from lmd.detection.evaluation import corner_error
 from lmd.detection.quality import pitch
@@ -62,7 +62,7 @@ def test_corner_errors_have_the_quantiles_of_their_table():
 
 
 def test_the_classes_are_those_that_detect_measures():
-    assert_allclose(np.sqrt(PITCHES[3:-2] * PITCHES[4:-1]), MIDDLES)
+    assert_allclose(np.sqrt(PITCHES[3:-2] * PITCHES[4:-1]), PITCH_MIDDLES)
 
 
 @pytest.mark.parametrize("name", CORNER_ERRORS)

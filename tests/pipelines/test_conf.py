@@ -15,7 +15,7 @@ from paper import PAPER_CAMERA, PRINTED_EXPERIMENT_CAMERA
 
 from lmd.core.checks import InputError
 from lmd.objectives.localisation import Localisation
-from lmd.optimisers.annealing.annealing import SINGLE
+from lmd.optimisers.annealing.annealing import SINGLE_STAGE
 from lmd.optimisers.ega import EGA
 from lmd.optimisers.encoding import make_encoding
 from lmd.scene.camera import Camera
@@ -275,7 +275,7 @@ def test_every_hyperparameter_is_a_key_whoever_states_it():
     }
     assert OmegaConf.to_container(cfg.optimiser) == defaults | given | {"population": 12}
     assert build_optimiser(cfg, 0).population_size == 12
-    assert composed("optimise", "optimiser.single.step=[0.2,0.01]").optimiser.single == asdict(SINGLE) | {
+    assert composed("optimise", "optimiser.single.step=[0.2,0.01]").optimiser.single == asdict(SINGLE_STAGE) | {
         "step": [0.2, 0.01]
     }
     assert (

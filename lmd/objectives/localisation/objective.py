@@ -10,7 +10,7 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, choice, real
 from lmd.incremental.coverage_field import coverage_field
 from lmd.incremental.field import smoothed, worth
-from lmd.objectives.base import AtLeast, Headline
+from lmd.objectives.base import AtLeast, Headline, Selection
 from lmd.objectives.coverage import Threshold
 from lmd.objectives.localisation.field import LocalisationField
 from lmd.objectives.localisation.information import (
@@ -21,6 +21,8 @@ from lmd.objectives.localisation.information import (
     precision,
 )
 from lmd.objectives.localisation.log_det import LogDeterminant
+from lmd.objectives.localisation.rig_field import RigLocalisationField, rig_localisation_field
+from lmd.objectives.localisation.rig_log_det import RigLogDeterminant
 from lmd.objectives.localisation.trial import mixed
 from lmd.objectives.localisation.views import localised_views
 from lmd.objectives.sampling import Sampling
@@ -160,14 +162,11 @@ class Localisation(AtLeast):
             "on a finer grid": f"{self.headline.label} {figures[f'finer_grid_{key}']:.2%}",
         }
 
-    def check_moves(self, scene: Scene) -> None:
-        """See `Incremental`: a rig's landmarks cannot be moved one by one."""
-        scene.single_camera("moving single landmarks for localisation", "a black box such as ega")
-
-    def field(self, evaluator: Evaluator) -> LocalisationField:
+    def field(self, evaluator: Evaluator) -> LocalisationField | RigLocalisationField:
         """See `Objective.field`."""
-        self.check_moves(evaluator.scene)
         asked = self.precision(evaluator.scene)
+        if evaluator.parts:
+            return rig_localisation_field(evaluator, self.n, asked, self.coverage_weight)
         return LocalisationField(coverage_field(evaluator, self.n), asked, asked.asks, self.coverage_weight)
 
     def target(self, relevance: FloatArray) -> "Mean | Threshold":
@@ -176,14 +175,14 @@ class Localisation(AtLeast):
             return Mean(relevance)
         return Threshold(math.ceil((self.thold_p - TOLERANCE) * PROBABILITY_ONE), relevance)
 
-    def selection(self, evaluator: Evaluator, relevance: FloatArray) -> LogDeterminant:
+    def selection(self, evaluator: Evaluator, relevance: FloatArray) -> Selection:
         """See `Objective.selection`: the log det of the information, from a prior of some tolerances."""
         scene = evaluator.scene
-        camera = scene.single_camera("choosing landmarks for localisation")
-        scale = deviation_per_variance(camera, self.pixel_noise)
+        scale = deviation_per_variance(scene.cameras[0], self.pixel_noise)
         prior = PRIOR_TOLERANCES * self.tolerance if math.isfinite(self.tolerance) else PRIOR_POSITION
         known = (scale / prior) ** 2, (scale / PRIOR_ROTATION) ** 2
-        return LogDeterminant(evaluator, relevance, self.precision, *known)
+        made = RigLogDeterminant if evaluator.parts else LogDeterminant
+        return made(evaluator, relevance, self.precision, *known)
 
 
 def localisation(fitness: str = "mean", **settings: Any) -> Localisation:

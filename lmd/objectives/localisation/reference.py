@@ -10,6 +10,7 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.geometry.lens_models import density_of
 from lmd.geometry.squares import upright
+from lmd.objectives.localisation.body import BODY_WIDTH, about_body, body_meets, gain_of
 from lmd.objectives.localisation.information import (
     PosePrecision,
     Precision,
@@ -22,10 +23,11 @@ from lmd.objectives.localisation.information import (
 from lmd.objectives.localisation.objective import Localisation
 from lmd.scene.criteria import largest
 from lmd.scene.deployment import Deployment
+from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.sight.models.fiducial import cross
 from lmd.sight.models.paper import dot
-from lmd.sight.reference import cap_count, coverage_caps, n_ple_cap
+from lmd.sight.reference import cap_count, coverage_caps, n_ple_cap, station_caps
 
 
 def view_information(
@@ -48,6 +50,32 @@ def view_information(
         return np.stack([np.where(caps, share_of.py_func(each, weight), 0.0).sum(axis=1) for each in moment])
 
 
+def body_information(
+    scene: Scene,
+    deployment: Deployment,
+    asked: Precision | PosePrecision | SizedPrecision,
+    position: FloatArray,
+    axes: FloatArray,
+) -> FloatArray:
+    """What all cameras of a rig tell of its body in each of its orientations, `(A, BODY_WIDTH)`."""
+    sums = np.zeros((len(axes), BODY_WIDTH))
+    right, up = upright(deployment.normals)
+    half = np.reshape(half_of(asked, slice(None)), (-1, 1))
+    sides = (half * right, half * up)
+    formulas: tuple[Any, ...] = moments.py_func, about_body.py_func, share_of.py_func
+    for station in scene.stations(axes):
+        camera, arm, there, turned = station
+        caps = station_caps(scene, deployment, position, station)
+        offset = deployment.positions - (position + arm)
+        with np.errstate(all="ignore"):
+            moment = formulas[1](formulas[0](*offset.T, *sides[0].T, *sides[1].T, asked.share), *arm)
+            lens = getattr(largest(scene.visibility.sight(camera)), "lens", None)
+            weight = gain_of(camera, scene.cameras[0]) * _density(lens, turned, offset)
+            shares = [np.where(caps, formulas[2](each, weight), 0.0).sum(axis=1) for each in moment]
+        sums[there, : len(shares)] += np.stack(shares, axis=1)
+    return sums
+
+
 def _density(lens: Any, axes: FloatArray, offset: FloatArray) -> FloatArray:
     """See `lmd.scene.criteria.pixel_density`, `(A, K)`; `lens` is None for a pinhole."""
     axis, right = axes[:, None, :3], axes[:, None, 3:]
@@ -65,5 +93,8 @@ def localised(
     enough = n_ple_cap(cap_count(coverage_caps(scene, deployment, position, axes)), objective.n)
     if not asked.asks:
         return enough
+    if isinstance(scene.camera, Rig):
+        sums = body_information(scene, deployment, asked, position, axes)
+        return np.asarray(enough & [body_meets(asked, sums, v) for v in range(len(sums))])
     with np.errstate(all="ignore"):
         return np.asarray(enough & meets(asked, *view_information(scene, deployment, asked, position, axes)))

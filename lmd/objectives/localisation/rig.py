@@ -1,14 +1,6 @@
-"""How well a moment of a rig fixes its body: the information of its cameras' images, summed in the body's frame.
+"""The views of a rig that are localised: moments of all its cameras, whose information is summed (`body`).
 
-A camera at the offset o from the body's origin, world frame, moves by v - o x w when the body moves by v and turns by
-w. What `information` has of it, A, g and C, then tells of (v, w) of the body
-
-    [ C       B           ]      B = -C [o]x - [g]x
-    [ B^T     A'          ]      A' = A - [o]x C [o]x - [o]x [g]x - [g]x [o]x
-
-times the square of its focal length. Cameras measure independently, so their information adds up, of a landmark that
-two of them see, too; it counts once among the n that a view needs. A rig of one camera at the body's origin gets the
-figures of that camera alone.
+A rig of one camera at the body's origin gets the figures of that camera alone.
 """
 
 from itertools import pairwise
@@ -19,11 +11,8 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.core.compiled import for_kernels, kernel
 from lmd.core.threads import at_once
-from lmd.geometry.se3 import skew
-from lmd.objectives.localisation.information import SINGULAR, WIDTH, PosePrecision, Precision, share_of
-from lmd.objectives.localisation.kernels import landmark_moments
-from lmd.scene.camera import Camera
-from lmd.scene.criteria import pixel_density
+from lmd.objectives.localisation.body import BODY_WIDTH, add_share, body_meets, gain_of, position_variance
+from lmd.objectives.localisation.information import PosePrecision, Precision
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 from lmd.sight.evaluator import Evaluator
@@ -77,11 +66,11 @@ def _worth(
 
     covered = localised = total(np.ones(len(moments.place), dtype=np.bool_))
     if precision.asks or kept is not None:
-        position, rotation = variances(*body_information(evaluator, deployment, moments, precision))
+        sums = body_information(evaluator, deployment, moments, precision)
         if kept is not None:
-            kept[moments.place, moments.orientation] = position
+            kept[moments.place, moments.orientation] = _variances(sums)
         if precision.asks:
-            localised = total(_is_enough(position, rotation, precision))
+            localised = total(_meet(precision, sums))
     return covered, localised
 
 
@@ -128,101 +117,80 @@ def located(
     """Whether the moments are localised, `(N,)`."""
     found = covers(moments.seen, n)
     if precision.asks:
-        told = variances(*body_information(evaluator, deployment, moments.some(found), precision))
-        found[found] = _is_enough(*told, precision)
+        found[found] = _meet(precision, body_information(evaluator, deployment, moments.some(found), precision))
     return found
-
-
-def _is_enough(position: FloatArray, rotation: FloatArray, precision: Precision | PosePrecision) -> BoolArray:
-    return (position <= precision.position) & (rotation <= getattr(precision, "rotation", np.inf))
 
 
 def body_information(
     evaluator: Evaluator, deployment: Deployment, moments: Moments, precision: Precision | PosePrecision
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The blocks C, B and A' of the sum over the cameras, `(N, 3, 3)` each, in the units of the first camera.
+) -> FloatArray:
+    """What all cameras tell of the body in the units of the first one, `(N, BODY_WIDTH)`.
 
     Args:
         evaluator: the scene.
         deployment: K landmarks.
         moments: N of them.
-        precision: has the edge of the tags.
+        precision: has the size of the tags.
     """
     scene, (positions, axes, seen) = evaluator.scene, moments[3:]
     assert isinstance(scene.camera, Rig)
     landmarks, normals = (for_kernels(v) for v in (deployment.positions, deployment.normals))
-    blocks = np.zeros((3, len(positions), 3, 3))
+    sums = np.zeros((len(positions), BODY_WIDTH))
     for camera, offsets, turned, its in zip(scene.cameras, *scene.camera.views(axes), seen, strict=True):
-        sums = np.zeros((len(positions), WIDTH))
-        at, look, sight = for_kernels(positions + offsets), for_kernels(turned.T), scene.visibility.sight(camera)
-        gain = _worth_of_a_pixel(camera) / _worth_of_a_pixel(scene.cameras[0])
-        _sum_moments(at, look, landmarks, normals, sight, for_kernels(its), precision, gain, sums)
-        a, g, c, arm = _symmetric(sums[:, :6]), skew(sums[:, 6:9]), _symmetric(sums[:, 9:15]), skew(offsets)
-        blocks += np.stack([c, -c @ arm - g, a - arm @ c @ arm - arm @ g - g @ arm])
-    return blocks[0], blocks[1], blocks[2]
+        poses = for_kernels(positions), for_kernels(offsets), for_kernels(turned.T)
+        gain, sight = gain_of(camera, scene.cameras[0]), scene.visibility.sight(camera)
+        _add_up(*poses, landmarks, normals, sight, for_kernels(its), precision, gain, sums)
+    return sums
 
 
-def _worth_of_a_pixel(camera: Camera) -> float:
-    return float(np.prod(camera.focal_pixels))
+def _meet(precision: Precision | PosePrecision, sums: FloatArray) -> BoolArray:
+    """Whether moments with these sums `(N, BODY_WIDTH)` are what the precision asks for, `(N,)`."""
+    met = np.empty(len(sums), dtype=np.bool_)
+    _decide(precision, sums, met)
+    return met
 
 
-def _symmetric(entries: FloatArray) -> FloatArray:
-    """The matrices with the entries xx, xy, xz, yy, yz, zz, `(N, 6)` -> `(N, 3, 3)`."""
-    return entries[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
-
-
-def variances(c: FloatArray, b: FloatArray, a: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The traces of the covariances of position and rotation, `(N,)` each, infinite where something is open.
-
-    Args:
-        c, b, a: blocks of the information on (v, w), `(N, 3, 3)` each.
-    """
-    return _schur_trace(c, b, a), _schur_trace(a, np.swapaxes(b, 1, 2), c)
-
-
-def _schur_trace(c: FloatArray, b: FloatArray, a: FloatArray) -> FloatArray:
-    """tr (C - B A^-1 B^T)^-1."""
-    with np.errstate(all="ignore"):
-        around, det = _adjugate(a)
-        rest, least = _adjugate(c - b @ around @ np.swapaxes(b, 1, 2) / det[:, None, None])
-        value = np.trace(rest, axis1=1, axis2=2) / least
-        fixed = (det > SINGULAR * np.trace(a, axis1=1, axis2=2) ** 3) & (least > 0.0) & (value > 0.0)
-    return np.where(fixed, value, np.inf)
-
-
-def _adjugate(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """det M M^-1 of symmetric matrices and det M, `(N, 3, 3)` and `(N,)`."""
-    x, y, z = (matrix[:, i] for i in range(3))
-    around = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=1)
-    return around, (x * around[:, 0]).sum(axis=1)
+def _variances(sums: FloatArray) -> FloatArray:
+    """Of the positions, `(N,)`; infinite where something is open."""
+    found = np.empty(len(sums))
+    _find_variances(sums, found)
+    return found
 
 
 @kernel
-def _sum_moments(positions, axes, landmarks, normals, sight, seen, precision, gain, sums):  # type: ignore[no-untyped-def]
-    """Add the 15 numbers of the landmarks that a camera covers to `sums` `(N, WIDTH)`, times `gain`.
+def _decide(precision, sums, met):  # type: ignore[no-untyped-def]
+    for v in range(len(sums)):
+        met[v] = body_meets(precision, sums, v)
+
+
+@kernel
+def _find_variances(sums, found):  # type: ignore[no-untyped-def]
+    for v in range(len(sums)):
+        value, fixed = position_variance(sums, v)
+        found[v] = value if fixed else np.inf
+
+
+@kernel
+def _add_up(positions, offsets, axes, landmarks, normals, sight, seen, precision, gain, sums):  # type: ignore[no-untyped-def]
+    """Add what the landmarks tell that a camera covers to `sums` `(N, BODY_WIDTH)`.
 
     Args:
-        positions, axes: of the camera, `(N, 3)` and `(6, N)`.
+        positions: of the body, `(N, 3)`.
+        offsets, axes: of the camera, `(N, 3)` and `(6, N)`.
         landmarks, normals: `(K, 3)` each.
         sight: of the camera.
         seen: `(N, K)`.
-        precision, gain, sums: see `body_information`.
+        precision, gain: see `add_share`.
     """
-    moment = np.zeros(WIDTH)
+    row = np.zeros(BODY_WIDTH)
     for i in range(len(positions)):
+        ox, oy, oz = offsets[i, 0], offsets[i, 1], offsets[i, 2]
         for k in range(len(landmarks)):
             if seen[i, k]:
                 x, y, z = (
-                    landmarks[k, 0] - positions[i, 0],
-                    landmarks[k, 1] - positions[i, 1],
-                    landmarks[k, 2] - positions[i, 2],
+                    landmarks[k, 0] - (positions[i, 0] + ox),
+                    landmarks[k, 1] - (positions[i, 1] + oy),
+                    landmarks[k, 2] - (positions[i, 2] + oz),
                 )
-                (
-                    moment[0], moment[1], moment[2], moment[3], moment[4], moment[5], moment[6], moment[7],
-                    moment[8], moment[9], moment[10], moment[11], moment[12], moment[13], moment[14],
-                ) = landmark_moments(
-                    x, y, z, normals[k, 0], normals[k, 1], normals[k, 2], precision, k
-                )  # fmt: skip
-                weight = gain * pixel_density(sight, x, y, z, axes, i)
-                for j in range(WIDTH):
-                    sums[i, j] += share_of(moment[j], weight)
+                nx, ny, nz = normals[k, 0], normals[k, 1], normals[k, 2]
+                add_share(sight, axes, i, x, y, z, nx, ny, nz, ox, oy, oz, precision, k, gain, 1.0, sums, i, row)

@@ -1,21 +1,22 @@
 """What the moves of single landmarks work on: the views that one deployment localises, and working memory."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from lmd.core.bits import BITS
-from lmd.incremental.state import Scratch, State, scratch_of
+from lmd.core.memory import check_views
+from lmd.incremental.state import Scratch, scratch_of
 from lmd.objectives.localisation.information import WIDTH
 
 
 class LocalisationState(NamedTuple):
     """Views localised by one deployment, positions in the order of the field.
 
-    landmarks, normals `(3, K)` and surfaces `(K,)` are those of `coverage`, the state of coverage; units `(Q,)` the
-    values; located `(Q,)` L in units; enough, localised `(Q, W)` sets of axes from which at least n landmarks are
-    covered, and which are localised; sums `(64 Q W, WIDTH)` of all landmarks that cover a view, the views of a position
-    in the order of the axes.
+    landmarks, normals `(3, K)` and surfaces `(K,)` are those of `coverage`, the state of coverage, a `State` or of a
+    rig a `RigState`; units `(Q,)` the values; located `(Q,)` L in units; enough, localised `(Q, W)` sets of axes from
+    which at least n landmarks are covered, and which are localised; sums `(64 Q W, WIDTH)`, or of a rig `(64 Q W,
+    BODY_WIDTH)`, of all landmarks that cover a view, the views of a position in the order of the axes.
     """
 
     landmarks: np.ndarray
@@ -26,7 +27,7 @@ class LocalisationState(NamedTuple):
     enough: np.ndarray
     localised: np.ndarray
     sums: np.ndarray
-    coverage: State
+    coverage: Any
 
 
 class LocalisationScratch(NamedTuple):
@@ -58,6 +59,29 @@ class LocalisationScratch(NamedTuple):
     offsets: np.ndarray
     moments: np.ndarray
     row: np.ndarray
+
+
+def blank_state(known: Any, width: int, each: float) -> LocalisationState:
+    """A state with the coverage `known`, nothing summed up yet.
+
+    Args:
+        known: the coverage of the deployment, which becomes part of the state.
+        width: of the sums.
+        each: bytes that a view takes, sums and lists; 0 where nothing is asked of it, and no sums are kept.
+    """
+    size, words = known.short.shape
+    check_views(each, size, BITS * words)
+    return LocalisationState(
+        landmarks=known.landmarks,
+        normals=known.normals,
+        surfaces=known.surfaces,
+        units=np.zeros(size, dtype=np.int64),
+        located=np.zeros(size, dtype=np.int64),
+        enough=np.zeros((size, words), dtype=np.uint64),
+        localised=np.zeros((size, words), dtype=np.uint64),
+        sums=np.zeros((BITS * size * words if each else 1, width)),
+        coverage=known,
+    )
 
 
 def localisation_scratch(state: LocalisationState) -> LocalisationScratch:

@@ -29,39 +29,41 @@ _SLACK = 1e-12
 
 
 class Settings(NamedTuple):
-    """How the walk behaves while conditions last.
-
-    temperature: loss (in the smoothed objective) accepted with probability 1/e; width, margin and share shape the
-    smoothed objective; step: standard deviation of a local move, metres; jump: probability of a move to anywhere;
-    join: probability of a move next to another landmark, at a distance of about `near` metres; together: probability
-    that a landmark takes its n - 1 nearest neighbours along, unchanged among themselves; exchange: probability that,
-    where there are several sizes, it exchanges its place with one of another size.
-    """
+    """How the walk behaves while conditions last."""
 
     temperature: float
+    """Loss, in the smoothed objective, that is accepted with probability 1/e."""
     width: float
+    """In value, over which the objective is smoothed."""
     margin: float
+    """By which the smoothed threshold lies above the true one."""
     share: float
+    """Of the value itself that is added."""
     step: float
+    """Standard deviation of a local move, metres."""
     jump: float
+    """Probability of a move to anywhere."""
     join: float
+    """Probability of a move next to another landmark."""
     near: float
+    """About how far from the other that is, metres."""
     together: float
+    """Probability that a landmark takes its n - 1 nearest neighbours along, unchanged among themselves."""
     exchange: float
+    """Probability that, where there are several sizes, a landmark exchanges its place with one of another size."""
 
 
 class Papers(NamedTuple):
-    """The papers of K landmarks: moves that let two overlap, or lead where one may not hang, are not even tried.
-
-    edges: of the papers, `(K,)` metres, 0 for points; of: which of S sizes each is, `(K,)`; pieces, first: where
-    landmarks of each size may hang, as in `SurfaceArrays`, `(T, 6)` and `(S, W + 1)`, in the coordinates of the walk's
-    surfaces.
-    """
+    """The papers of K landmarks: moves that let two overlap, or lead where one may not hang, are not even tried."""
 
     edges: np.ndarray
+    """Of the papers, `(K,)`, metres; 0 for points."""
     of: np.ndarray
+    """Which of S sizes each has, `(K,)`."""
     pieces: np.ndarray
+    """Where landmarks of each size may hang, in the coordinates of the walk's surfaces, `(T, 6)`: `SurfaceArrays`."""
     first: np.ndarray
+    """From and to which piece that is on each surface, `(S, W + 1)`."""
 
 
 class Best(NamedTuple):
