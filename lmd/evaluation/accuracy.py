@@ -41,7 +41,7 @@ def predicted_errors(problem: Problem, deployment: Deployment, evaluator: Evalua
     objective, scene = problem.objective, problem.scene
     noise = as_localisation(objective).pixel_noise
     camera = scene.cameras[0]
-    asked: Any = precision(camera, scene.tag, noise, np.inf)
+    asked: Any = precision(camera, scene.tag, noise, np.inf, edges=scene.edges)
     landmarks = deployment.positions[None], deployment.normals[None]
     views = localised_views(evaluator, *landmarks, objective.n, asked, keep=True)
     scale = deviation_per_variance(camera, noise)

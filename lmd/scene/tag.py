@@ -96,7 +96,9 @@ class Tag:
                 )
             object.__setattr__(self, "counts", counts)
         if self.paper is not None and (real("paper", self.paper, above=0.0) and self.edges is None):
-            raise InputError(f"paper = {self.paper} square metres needs edges: the sizes that it may go into.", "paper")
+            raise InputError(
+                f"paper = {self.paper:g} square metres needs edges: the sizes that it may go into.", "paper"
+            )
 
     def in_turn(self, count: int) -> FloatArray | None:
         """The edges of so many landmarks that are placed, `(count,)`, metres; None where one holds for all.

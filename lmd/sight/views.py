@@ -55,7 +55,6 @@ def visible(evaluator: Evaluator, deployment: Deployment, positions: FloatArray,
 def visible_to_each(evaluator: Evaluator, deployment: Deployment, positions: FloatArray, axes: FloatArray) -> BoolArray:
     """The same for each of the scene's cameras, `(C, N, K)`."""
     evaluator = evaluator.sized(deployment.edges)
-    evaluator.scene.check_count(len(deployment))
     scene, axes = evaluator.scene, np.pad(axes, [(0, 0), (0, 6 - axes.shape[1])])
     if not isinstance(scene.camera, Rig):
         return _visible(scene, evaluator.sight, deployment, positions, axes)[None]
@@ -68,11 +67,13 @@ def visible_to_each(evaluator: Evaluator, deployment: Deployment, positions: Flo
 
 def visible_through(scene: Scene, camera: Camera, deployment: Deployment, poses: FloatArray) -> BoolArray:
     """The same for one of its cameras that is at `poses` `(N, 4, 4)`, see `lmd.geometry.se3.camera_pose`, `(N, K)`."""
+    scene = scene.sized(deployment.edges)
     return _visible(scene, scene.visibility.sight(camera), deployment, poses[:, :3, 3], axis_and_right(poses))
 
 
 def _visible(scene: Scene, sight: Any, deployment: Deployment, positions: FloatArray, axes: FloatArray) -> BoolArray:
     """`visible` for a camera with a compiled model of sight, axes `(N, 6)`."""
+    scene.check_count(len(deployment))
     seen = np.zeros((len(positions), len(deployment)), dtype=np.bool_)
     landmarks, normals = (for_kernels(v.T[None]) for v in (deployment.positions, deployment.normals))
     positions, axes = for_kernels(positions), for_kernels(axes.T)

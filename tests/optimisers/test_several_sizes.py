@@ -121,7 +121,7 @@ def test_what_knows_one_size_says_so(problem, ask):
         ({"counts": (1, -2, 3)}, r"^counts must be"),
         ({"edges": None}, r"^counts = \[10, 6, 2\] must say how many tags have each of edges = \[\]\."),
         ({"paper": 0.0}, r"^paper must be"),
-        ({"paper": 1.0, "edges": None, "counts": None}, r"^paper = 1\.0 square metres needs edges"),
+        ({"paper": 1.0, "edges": None, "counts": None}, r"^paper = 1 square metres needs edges"),
     ],
 )
 def test_a_bad_tag_is_refused(settings, message):

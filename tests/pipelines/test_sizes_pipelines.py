@@ -57,7 +57,7 @@ def test_paper_says_how_many_there_are(capsys):
         ([*SIZES, "deployment.count=[0,0]"], r"^tag.counts = \[0, 0\] must say"),
         ([*SIZES, "deployment.count=5", "tag.counts=[4,2]"], r"^tag.counts = \[4, 2\] are not 5 tags\.$"),
         ([*SIZES, "tag.paper=0.001"], r"^tag.paper = 0\.001 square metres is too little for a tag"),
-        (["tag=printed", "tag.paper=1"], r"^tag.paper = 1.0 square metres needs edges"),
+        (["tag=printed", "tag.paper=1"], r"^tag.paper = 1 square metres needs edges"),
     ],
 )
 def test_what_does_not_fit_is_refused(overrides, message):
