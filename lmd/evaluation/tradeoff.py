@@ -53,7 +53,6 @@ def grown(problem: Problem, deployment: Deployment) -> Deployment:
 
     Where the grid of poses has no room for all, the others hang as the start of the problem has them.
     """
-    problem.scene.check_one_size("a trade-off that grows")
     plates, start = problem.scene.plates, problem.draw(np.random.default_rng(0))
     poses = candidate_poses(plates.hanging, GRID_SPACING)
     selection = selectable(problem.objective).selection(problem.evaluator, problem.relevance)
