@@ -141,7 +141,7 @@ def vector(name: str, value: Any, size: int | None, **bounds: Any) -> tuple[floa
     if isinstance(value, str) or not isinstance(value, Iterable):
         raise InputError(f"{wanted}, got {value!r}.", name)
     entries = list(value)
-    if len(entries) != (size or max(1, len(entries))):
+    if (not entries) if size is None else len(entries) != size:
         raise InputError(f"{wanted}, got {entries!r}.", name)
     return tuple(real(f"{name}[{i}]", entry, **bounds) for i, entry in enumerate(entries))
 

@@ -101,6 +101,15 @@ class RigViews:
         """The rig where no landmark hides another."""
         return tuple(with_sight(part, part.sight.unhidden()) for part in self.parts)
 
+    def parts_among(self, landmarks: FloatArray, normals: FloatArray) -> tuple[Part, ...]:
+        """The rig with what its criteria make of the landmarks of a deployment, `(K, 3)`: see `Sight.among`."""
+        low, high = self.positions.min(axis=0), self.positions.max(axis=0)
+        batch = landmarks.T[None], normals.T[None]
+        return tuple(
+            with_sight(part, part.sight.among(low + part.places.min(axis=0), high + part.places.max(axis=0), *batch))
+            for part in self.parts
+        )
+
     def _shared(self, size: int, job: Callable[[slice], None]) -> None:
         in_parts(self.threads, lambda first, last: job(slice(first, last)), size, math.ceil(size / AT_A_TIME))
 
@@ -116,12 +125,7 @@ class RigViews:
             counts: `(P, 64 W)` zeros, receives the landmarks covered; empty if nobody asks.
         """
         units, slack = np.empty(len(self.positions), dtype=np.int64), np.zeros(len(landmarks))
-        low, high = self.positions.min(axis=0), self.positions.max(axis=0)
-        batch = landmarks.T[None], normals.T[None]
-        parts = tuple(
-            with_sight(part, part.sight.among(low + part.places.min(axis=0), high + part.places.max(axis=0), *batch))
-            for part in self.parts
-        )
+        parts = self.parts_among(landmarks, normals)
         ordered, enough = self.positions[self._order], 0 if len(counts) else n
 
         def job(part: slice) -> None:

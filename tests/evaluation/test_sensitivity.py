@@ -26,7 +26,7 @@ from lmd.plot.sensitivity import save_sensitivity_figure
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment import Deployment
-from lmd.scene.deployment_sources import UniformDeployment
+from lmd.scene.deployment_sources import GivenDeployment, UniformDeployment
 from lmd.scene.labels import Labels
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
@@ -37,23 +37,11 @@ SAMPLE = Sample(groups=3, positions=20, divisions=4)
 TAG = Tag(0.1)
 
 
-class Given:
-    """A deployment of one's own as the start of a problem."""
-
-    varies = False
-
-    def __init__(self, deployment):
-        self.deployment = deployment
-
-    def draw(self, room, rng):
-        return self.deployment.hung(room)
-
-
 def problem_of(deployment=None, objective=None, tag=TAG, threads=1, **visibility):
     scene = replace(
         paper_scene(room=paper_room(spacing=1.5), orientations=pdf.grid_with_ends(6), **visibility), tag=tag
     )
-    start = UniformDeployment(30) if deployment is None else Given(deployment)
+    start = UniformDeployment(30) if deployment is None else GivenDeployment(deployment.hung(scene.room))
     return Problem(scene, objective or Localisation(), start, threads)
 
 

@@ -13,8 +13,7 @@ rounded as for a single camera, which makes sums exact in any order.
 
 import numpy as np
 
-from lmd.core.bits import BITS, ONE, lowest
-from lmd.core.compiled import arithmetic, inlined, inner
+from lmd.core.compiled import arithmetic, inlined
 from lmd.core.dispatch import dispatched
 from lmd.objectives.localisation.information import SINGULAR, PosePrecision, Precision, SizedPrecision, share_of
 from lmd.objectives.localisation.kernels import landmark_moments
@@ -82,66 +81,68 @@ def _variance(det, minors, rest, trace):
 
 
 @arithmetic
-def _of_position(sums, v):
-    """`body_schur` of the position in view v of `sums` `(V, BODY_WIDTH)`."""
+def _of_position(sums, v, step):
+    """`body_schur` of the position, of the numbers `sums[v]`, `sums[v + step]`, and so on."""
     return body_schur(
-        sums[v, 0], sums[v, 1], sums[v, 2], sums[v, 3], sums[v, 4], sums[v, 5], sums[v, 6], sums[v, 7], sums[v, 8],
-        sums[v, 9], sums[v, 10], sums[v, 11], sums[v, 12], sums[v, 13], sums[v, 14], sums[v, 15], sums[v, 16],
-        sums[v, 17], sums[v, 18], sums[v, 19], sums[v, 20],
+        sums[v], sums[v + step], sums[v + 2 * step], sums[v + 3 * step], sums[v + 4 * step], sums[v + 5 * step],
+        sums[v + 6 * step], sums[v + 7 * step], sums[v + 8 * step], sums[v + 9 * step], sums[v + 10 * step],
+        sums[v + 11 * step], sums[v + 12 * step], sums[v + 13 * step], sums[v + 14 * step], sums[v + 15 * step],
+        sums[v + 16 * step], sums[v + 17 * step], sums[v + 18 * step], sums[v + 19 * step], sums[v + 20 * step],
     )  # fmt: skip
 
 
 @arithmetic
-def position_variance(sums, v):
-    """The trace of the covariance of the position in view v of `sums`, and whether it has one."""
-    det, minors, rest, trace = _of_position(sums, v)
+def position_variance(sums, v, step):
+    """The trace of the covariance of the position, and whether it has one; arguments as in `_of_position`."""
+    det, minors, rest, trace = _of_position(sums, v, step)
     return _variance(det, minors, rest, trace)
 
 
 @arithmetic
-def rotation_variance(sums, v):
+def rotation_variance(sums, v, step):
     """The same of the rotation: C and A' exchanged, and B turned over."""
     det, minors, rest, trace = body_schur(
-        sums[v, 15], sums[v, 16], sums[v, 17], sums[v, 18], sums[v, 19], sums[v, 20], sums[v, 6], sums[v, 9],
-        sums[v, 12], sums[v, 7], sums[v, 10], sums[v, 13], sums[v, 8], sums[v, 11], sums[v, 14], sums[v, 0],
-        sums[v, 1], sums[v, 2], sums[v, 3], sums[v, 4], sums[v, 5],
+        sums[v + 15 * step], sums[v + 16 * step], sums[v + 17 * step], sums[v + 18 * step], sums[v + 19 * step],
+        sums[v + 20 * step], sums[v + 6 * step], sums[v + 9 * step], sums[v + 12 * step], sums[v + 7 * step],
+        sums[v + 10 * step], sums[v + 13 * step], sums[v + 8 * step], sums[v + 11 * step], sums[v + 14 * step],
+        sums[v], sums[v + step], sums[v + 2 * step], sums[v + 3 * step], sums[v + 4 * step], sums[v + 5 * step],
     )  # fmt: skip
     return _variance(det, minors, rest, trace)
 
 
 @arithmetic
-def body_log_det(sums, v):
-    """The logarithm of the determinant of the whole information of view v, det A det S."""
-    det, _, rest, _ = _of_position(sums, v)
+def body_log_det(sums, v, step):
+    """The logarithm of the determinant of the whole information, det A det S."""
+    det, _, rest, _ = _of_position(sums, v, step)
     return np.log(rest / (det * det))
 
 
 @dispatched
-def body_meets(precision, sums, v):
-    """Whether view v of `sums` `(V, BODY_WIDTH)` is what `precision` asks for."""
+def body_meets(precision, sums, v, step):
+    """Whether a view is what `precision` asks for; arguments as in `_of_position`."""
 
 
 @body_meets.register(Precision)
-def _meets(precision, sums, v):
-    position, fixed = position_variance(sums, v)
+def _meets(precision, sums, v, step):
+    position, fixed = position_variance(sums, v, step)
     return fixed & (position <= precision.position)
 
 
 @body_meets.register(PosePrecision)
-def _meets_both(precision, sums, v):
-    position, fixed = position_variance(sums, v)
-    rotation, steady = rotation_variance(sums, v)
+def _meets_both(precision, sums, v, step):
+    position, fixed = position_variance(sums, v, step)
+    rotation, steady = rotation_variance(sums, v, step)
     return fixed & steady & (position <= precision.position) & (rotation <= precision.rotation)
 
 
 @body_meets.register(SizedPrecision)
-def _meets_of(precision, sums, v):
-    return body_meets(precision.of, sums, v)
+def _meets_of(precision, sums, v, step):
+    return body_meets(precision.of, sums, v, step)
 
 
 @inlined
-def add_share(sight, axes, a, x, y, z, nx, ny, nz, ox, oy, oz, precision, k, gain, sign, sums, v, row):
-    """Add to view v of `sums` what landmark k tells, times `sign`.
+def add_share(sight, axes, a, x, y, z, nx, ny, nz, ox, oy, oz, precision, k, gain, sums, v, row):
+    """Add to view v of `sums` what landmark k tells.
 
     Args:
         sight, axes, a: of the camera, and which of its orientations `(6, D)`.
@@ -149,7 +150,6 @@ def add_share(sight, axes, a, x, y, z, nx, ny, nz, ox, oy, oz, precision, k, gai
         ox, oy, oz: offset of the camera from the body.
         precision: has the size of the tags.
         gain: see `gain_of`.
-        sign: 1 or -1.
         sums, v: `(V, BODY_WIDTH)`, and which row.
         row: `(BODY_WIDTH,)` working memory.
     """
@@ -159,28 +159,4 @@ def add_share(sight, axes, a, x, y, z, nx, ny, nz, ox, oy, oz, precision, k, gai
         row[13], row[14], row[15], row[16], row[17], row[18], row[19], row[20],
     ) = about_body(landmark_moments(x, y, z, nx, ny, nz, precision, k), ox, oy, oz)  # fmt: skip
     for j in range(sums.shape[1]):
-        sums[v, j] += sign * share_of(row[j], weight)
-
-
-@inner
-def add_views(part, m, w, bits, place, pose, k, sign, gain, precision, sums, first, row):
-    """Add what landmark k tells mount m of a part with the orientations `bits` of word w of the body.
-
-    Args:
-        part, m: see `lmd.sight.stations.Part`.
-        w, bits: a set of orientations.
-        place: three numbers, the body's position.
-        pose: six numbers, position and normal of the landmark.
-        sign, gain, precision, row: see `add_share`.
-        sums, first: `(V, BODY_WIDTH)`, and the row of the first orientation of the word.
-    """
-    axes, offsets, (px, py, pz), (lx, ly, lz, nx, ny, nz) = part.axes[m], part.offsets[m], place, pose
-    while bits:
-        bit = lowest(bits)
-        bits &= bits - ONE
-        a = w * np.uint64(BITS) + bit
-        ox, oy, oz = offsets[0, a], offsets[1, a], offsets[2, a]
-        x, y, z = lx - (px + ox), ly - (py + oy), lz - (pz + oz)
-        add_share(
-            part.sight, axes, a, x, y, z, nx, ny, nz, ox, oy, oz, precision, k, gain, sign, sums, first + bit, row
-        )  # fmt: skip
+        sums[v, j] += share_of(row[j], weight)

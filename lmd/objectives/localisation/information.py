@@ -22,8 +22,8 @@ many pixels its model gives a solid angle there (`lmd.scene.criteria.pixel_densi
 some per cent of the standard deviation, see docs/accuracy.md; the exact information would have 21 numbers for each
 landmark, position *and* orientation. Pixels count as square with the geometric mean of the two focal lengths.
 
-A landmark that is a point counts as one corner. Two points leave a turn about the line through them open, and one tag
-alone has two poses that look nearly alike, of which these formulas know nothing: ask for two tags or more.
+A landmark that is a point counts as one corner. Two points leave a turn about the line through them open. One tag alone
+has two poses that look nearly alike, of which these formulas know nothing: see `ambiguity`.
 
 The functions here are arithmetic on numbers or on arrays alike: kernels compile what the reference calls, so that both
 decide by the same bits. Each landmark's share of a view is rounded to a multiple of `QUANTUM`: sums of such are exact
@@ -31,7 +31,7 @@ in any order, so that landmarks may be added and taken away again.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -41,7 +41,8 @@ from lmd.scene.camera import Camera
 from lmd.scene.criteria import TOLERANCE
 from lmd.scene.tag import Tag
 
-WIDTH = 16  # numbers of a view: A, g and C, of symmetric matrices xx, xy, xz, yy, yz, zz, and one that fills up
+# Numbers of a view: A, g and C, of symmetric matrices xx, xy, xz, yy, yz, zz, and what `ambiguity` has of it.
+WIDTH = 16
 QUANTUM = 2.0**-36
 # Added and taken away again it rounds to multiples of the quantum, for numbers below 2^15; sums are exact below 2^17.
 ROUNDER = 1.5 * 2.0**52 * QUANTUM
@@ -82,9 +83,9 @@ class PosePrecision(NamedTuple):
 
 
 class SizedPrecision(NamedTuple):
-    """The same for tags of several sizes: what one of the two asks, and half the edge of each tag, `(K,)` metres."""
+    """The same for tags of several sizes: what another precision asks, and half the edge of each tag, `(K,)` metres."""
 
-    of: Precision | PosePrecision
+    of: Any
     halves: np.ndarray
     share: float
     position: float
@@ -92,12 +93,17 @@ class SizedPrecision(NamedTuple):
     @property
     def rotation(self) -> float:
         """The greatest variance of the rotation."""
-        return getattr(self.of, "rotation", np.inf)
+        return float(getattr(self.of, "rotation", np.inf))
 
     @property
     def asks(self) -> bool:
         """See `Precision.asks`."""
-        return self.of.asks
+        return bool(self.of.asks)
+
+
+def sized_precision(asked: Any, edges: Sequence[float]) -> SizedPrecision:
+    """What is asked of tags with these edges, `(K,)` metres."""
+    return SizedPrecision(asked, np.array(edges) / 2.0, asked.share, asked.position)
 
 
 @overridable
@@ -127,14 +133,14 @@ def precision(
     pixel_noise: float,
     tolerance: float,
     rotation: float | None = None,
-    edges: Sequence[float] | None = None,
-) -> Precision | PosePrecision | SizedPrecision:
+    edge: float | None = None,
+) -> Precision | PosePrecision:
     """What greatest standard deviations of position, metres, and if you like rotation, rad, ask of a view.
 
-    `edges` are those of each landmark, metres, or one that all have, if it is not that of the tag.
+    The edge is that of all landmarks, metres, if it is not the tag's.
     """
     scale = deviation_per_variance(camera, pixel_noise)
-    half, share = (0.0, 0.25) if tag.is_point else ((edges or (tag.size,))[0] / 2.0, 1.0)
+    half, share = (0.0, 0.25) if tag.is_point else ((edge or tag.size) / 2.0, 1.0)
 
     def most(deviation: float) -> float:
         return (deviation / scale) ** 2 * (1.0 + TOLERANCE)
@@ -142,8 +148,7 @@ def precision(
     asked: Precision | PosePrecision = Precision(half, share, most(tolerance))
     if rotation is not None:
         asked = PosePrecision(half, share, most(tolerance), most(rotation))
-    one = edges is None or len(edges) == 1
-    return asked if one else SizedPrecision(asked, np.array(edges) / 2.0, share, asked.position)
+    return asked
 
 
 @arithmetic

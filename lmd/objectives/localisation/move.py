@@ -32,7 +32,7 @@ def change_sums(k, sign, field, state, scratch):
                     bit = lowest(left)
                     left &= left - ONE
                     view, a = (p * words + w) * VIEW + bit, w * VIEW + bit
-                    add_shares(sums, view, e, a, sign, sight, axes, offsets, moments, goes)
+                    add_shares(field.precision, sums, view, e, a, sign, sight, axes, offsets, moments, goes)
 
 
 @inner
@@ -70,7 +70,7 @@ def _fill(field, state, scratch):
                         bit = lowest(left)
                         left &= left - ONE
                         view, a = (p * words + w) * VIEW + bit, w * VIEW + bit
-                        add_shares(sums, view, ZERO, a, 1.0, sight, axes, offsets, moments, goes)
+                        add_shares(field.precision, sums, view, ZERO, a, 1.0, sight, axes, offsets, moments, goes)
         for w in range(words):
             has = ALL
             for j in range(size):

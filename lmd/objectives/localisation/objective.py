@@ -12,6 +12,7 @@ from lmd.incremental.coverage_field import coverage_field
 from lmd.incremental.field import smoothed, worth
 from lmd.objectives.base import AtLeast, Headline, Selection
 from lmd.objectives.coverage import Threshold
+from lmd.objectives.localisation.ambiguity import ResolvedPrecision, resolved
 from lmd.objectives.localisation.field import LocalisationField
 from lmd.objectives.localisation.information import (
     PosePrecision,
@@ -19,6 +20,7 @@ from lmd.objectives.localisation.information import (
     SizedPrecision,
     deviation_per_variance,
     precision,
+    sized_precision,
 )
 from lmd.objectives.localisation.log_det import LogDeterminant
 from lmd.objectives.localisation.rig_field import RigLocalisationField, rig_localisation_field
@@ -27,11 +29,13 @@ from lmd.objectives.localisation.trial import mixed
 from lmd.objectives.localisation.views import localised_views
 from lmd.objectives.sampling import Sampling
 from lmd.scene.criteria import TOLERANCE
+from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE
 
 FITNESS = ("mean", "qualified")
+AMBIGUITY = ("resolved", "ignored")
 # Less than for coverage, as each view costs more: drawn anew on the way, they need not be many.
 SAMPLING = Sampling(positions=1, divisions=8)
 # What the camera knows beforehand when landmarks are selected greedily: the position to so many tolerances, and the
@@ -57,6 +61,8 @@ class Localisation(AtLeast):
         climbs: what optimisers maximise: `mean`, of L over the positions, or `qualified`, the share of positions whose
             L reaches `thold_p`.
         rotation_tolerance: greatest standard deviation of the rotation, rad; None where it does not matter.
+        ambiguity: of a single tag, where n is 1: a view counts if its two poses are told apart, `resolved`
+            (`localisation.ambiguity`), or anyhow, `ignored`.
         coverage_weight: of P_n beside L in the value, (1 - w) L + w P_n.
         sampling: where the fitness is measured; None for the room's grid and the PDF itself.
 
@@ -70,6 +76,7 @@ class Localisation(AtLeast):
     pixel_noise: float = 0.5
     climbs: str = "mean"
     rotation_tolerance: float | None = None
+    ambiguity: str = "resolved"
     coverage_weight: float = 0.0
     sampling: Sampling | None = SAMPLING
 
@@ -78,6 +85,7 @@ class Localisation(AtLeast):
         object.__setattr__(self, "tolerance", real("tolerance", self.tolerance, above=0.0, infinite=True))
         object.__setattr__(self, "pixel_noise", real("pixel_noise", self.pixel_noise, above=0.0))
         choice("fitness", self.climbs, FITNESS)
+        choice("ambiguity", self.ambiguity, AMBIGUITY)
         if self.rotation_tolerance is not None:
             turn = real("rotation_tolerance", self.rotation_tolerance, above=0.0)
             object.__setattr__(self, "rotation_tolerance", turn)
@@ -114,10 +122,15 @@ class Localisation(AtLeast):
         label = f"probability of localising to {1e3 * self.tolerance:g} mm"
         return f"{label}, and of seeing {self.n}, weighted" if self.coverage_weight else label
 
-    def precision(self, scene: Scene) -> Precision | PosePrecision | SizedPrecision:
-        """What the tolerances ask of a view, in the units of the first camera."""
-        tolerances = self.tolerance, self.rotation_tolerance
-        return precision(scene.cameras[0], scene.tag, self.pixel_noise, *tolerances, edges=scene.edges)
+    def precision(self, scene: Scene) -> Precision | PosePrecision | ResolvedPrecision | SizedPrecision:
+        """What is asked of a view that covers n landmarks, in the units of the first camera."""
+        camera, noise = scene.cameras[0], self.pixel_noise
+        edges = scene.edges or (None,)
+        asked: Precision | PosePrecision | ResolvedPrecision
+        asked = precision(camera, scene.tag, noise, self.tolerance, self.rotation_tolerance, edges[0])
+        if not (self.n > 1 or self.ambiguity == "ignored" or scene.tag.is_point or isinstance(scene.camera, Rig)):
+            asked = resolved(asked, deviation_per_variance(camera, noise))
+        return asked if scene.edges is None or len(edges) < 2 else sized_precision(asked, scene.edges)
 
     def values(self, evaluator: Evaluator, positions: FloatArray, normals: FloatArray) -> FloatArray:
         """See `Objective.values`."""

@@ -10,6 +10,7 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.geometry.lens_models import density_of
 from lmd.geometry.squares import upright
+from lmd.objectives.localisation.ambiguity import ResolvedPrecision, telling, tells
 from lmd.objectives.localisation.body import BODY_WIDTH, about_body, body_meets, gain_of
 from lmd.objectives.localisation.information import (
     PosePrecision,
@@ -33,27 +34,54 @@ from lmd.sight.reference import cap_count, coverage_caps, n_ple_cap, station_cap
 def view_information(
     scene: Scene,
     deployment: Deployment,
-    asked: Precision | PosePrecision | SizedPrecision,
+    asked: Precision | PosePrecision | ResolvedPrecision | SizedPrecision,
     position: FloatArray,
     axes: FloatArray,
 ) -> FloatArray:
     """A, g and C of each view, `(15, A)`, of the landmarks that it covers."""
-    caps = coverage_caps(scene, deployment, position, axes)
-    offset = deployment.positions - position
-    right, up = upright(deployment.normals)
-    half = np.reshape(half_of(asked, slice(None)), (-1, 1))  # one, or each tag's
-    sides = (half * right, half * up)
+    caps, (*args, weight) = _seen(scene, deployment, asked, position, axes)
+    formulas: Any = moments.py_func
     with np.errstate(all="ignore"):  # of a landmark that is not covered the depth may be anything
-        formulas: Any = moments.py_func
-        moment = formulas(*offset.T, *sides[0].T, *sides[1].T, asked.share)
+        shares = [share_of.py_func(each, weight) for each in formulas(*args, asked.share)]
+    return np.stack([np.where(caps, share, 0.0).sum(axis=1) for share in shares])
+
+
+def told(
+    scene: Scene,
+    deployment: Deployment,
+    asked: Any,
+    position: FloatArray,
+    axes: FloatArray,
+) -> FloatArray:
+    """What each view has to tell two poses apart, `(A,)`: see `ambiguity.ENOUGH`."""
+    caps, (*args, weight) = _seen(scene, deployment, asked, position, axes)
+    formula: Any = telling.py_func
+    with np.errstate(all="ignore"):
+        share = share_of.py_func(formula(*args, _each(asked).square), weight)
+    return np.asarray(np.where(caps, 1.0 + share, 0.0).sum(axis=1))
+
+
+def _each(asked: Any) -> Any:
+    """What is asked of each size of tags."""
+    return asked.of if isinstance(asked, SizedPrecision) else asked
+
+
+def _seen(
+    scene: Scene, deployment: Deployment, asked: Any, position: FloatArray, axes: FloatArray
+) -> tuple[BoolArray, tuple[FloatArray, ...]]:
+    """Which landmarks each view covers, `(A, K)`; offsets and sides as `moments` takes them, and `pixel_density`."""
+    offset, (right, up) = deployment.positions - position, upright(deployment.normals)
+    half = np.reshape(half_of(asked, slice(None)), (-1, 1))  # one, or each tag's
+    with np.errstate(all="ignore"):
         weight = _density(getattr(largest(scene.sight), "lens", None), axes, offset)
-        return np.stack([np.where(caps, share_of.py_func(each, weight), 0.0).sum(axis=1) for each in moment])
+    caps = coverage_caps(scene, deployment, position, axes)
+    return caps, (*offset.T, *(half * right).T, *(half * up).T, weight)
 
 
 def body_information(
     scene: Scene,
     deployment: Deployment,
-    asked: Precision | PosePrecision | SizedPrecision,
+    asked: Any,
     position: FloatArray,
     axes: FloatArray,
 ) -> FloatArray:
@@ -93,8 +121,11 @@ def localised(
     enough = n_ple_cap(cap_count(coverage_caps(scene, deployment, position, axes)), objective.n)
     if not asked.asks:
         return enough
-    if isinstance(scene.camera, Rig):
+    if isinstance(scene.camera, Rig) and not isinstance(_each(asked), ResolvedPrecision):  # which a rig is not asked
         sums = body_information(scene, deployment, asked, position, axes)
-        return np.asarray(enough & [body_meets(asked, sums, v) for v in range(len(sums))])
+        return np.asarray(enough & [body_meets(asked, row, 0, 1) for row in sums])
     with np.errstate(all="ignore"):
-        return np.asarray(enough & meets(asked, *view_information(scene, deployment, asked, position, axes)))
+        found = enough & meets(asked, *view_information(scene, deployment, asked, position, axes))
+        if isinstance(_each(asked), ResolvedPrecision):
+            found &= tells(asked, told(scene, deployment, asked, position, axes))
+        return np.asarray(found)

@@ -3,19 +3,25 @@
 A rig of one camera at the body's origin gets the figures of that camera alone.
 """
 
+from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
+from lmd.core.bits import ZERO
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.core.compiled import for_kernels, kernel
 from lmd.core.threads import at_once
 from lmd.objectives.localisation.body import BODY_WIDTH, add_share, body_meets, gain_of, position_variance
 from lmd.objectives.localisation.information import PosePrecision, Precision
+from lmd.objectives.localisation.looks import add_of_all, looks_of, seen_by_any
+from lmd.objectives.localisation.slots import VIEW, fill_slots, met_slots, new_slots
+from lmd.objectives.localisation.trial import sum_weights
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 from lmd.sight.evaluator import Evaluator
+from lmd.sight.stations import Part
 from lmd.sight.views import visible_to_each
 
 VIEWS_AT_ONCE = 1 << 14  # of which the landmarks seen are kept
@@ -30,48 +36,66 @@ def rig_views(
     keep: bool,
 ) -> tuple[IntArray, IntArray, FloatArray]:
     """See `views.localised_views`; the precision is in the units of the first camera."""
-    size, orientations = len(evaluator.positions), len(evaluator.scene.orientations.axes)
+    size, orientations = len(evaluator.positions), evaluator.axes.shape[1]
     step = max(VIEWS_AT_ONCE // orientations, 1)
-    parts = list(pairwise([*range(0, size, step), size]))
+    chunks = list(pairwise([*range(0, size, step), size]))
     covered, localised = np.zeros((2, len(positions), size), dtype=np.int64)
-    kept = np.full((len(positions), size, evaluator.axes.shape[1]) if keep else (0, 0, 0), np.inf)
-    for b, landmarks in enumerate(map(Deployment, positions, normals)):
+    kept = np.full((len(positions), size, orientations) if keep else (0, 0, 0), np.inf)
+    order, weights = evaluator.blocks[0][:size], evaluator.weights
 
-        def work(part: tuple[int, int], b: int = b, landmarks: Deployment = landmarks) -> None:
-            here = slice(*part)
-            deviations = kept[b, here] if keep else None
-            covered[b, here], localised[b, here] = _worth(evaluator, landmarks, here, n, precision, deviations)
+    def work(b: int, parts: tuple[Part, ...], chunk: tuple[int, int]) -> None:
+        here, landmarks = order[slice(*chunk)], Deployment(positions[b], normals[b])
+        places, kinds = evaluator.positions[here], weights[here] if len(weights) > 1 else weights
+        every, found = looks_of(evaluator, parts, places, landmarks), np.zeros((2, len(here)), dtype=np.int64)
+        variances = np.full((len(here), orientations), np.inf) if keep else np.empty((0, 0))
+        poses = np.hstack([positions[b], normals[b]])
+        _localise(every, places, poses, kinds, n, precision, precision.asks, new_slots(), found, variances)
+        covered[b, here], localised[b, here] = found
+        if keep:
+            kept[b, here] = variances
 
-        at_once(evaluator.threads, work, parts)
+    for b in range(len(positions)):
+        parts = evaluator.rig_views.parts_among(positions[b], normals[b])
+        at_once(evaluator.threads, partial(work, b, parts), chunks)
     return covered, localised, kept
 
 
-def _worth(
-    evaluator: Evaluator,
-    deployment: Deployment,
-    here: slice,
-    n: int,
-    precision: Precision | PosePrecision,
-    kept: FloatArray | None,
-) -> tuple[IntArray, IntArray]:
-    """P_n and L in units at some of the positions, `(p,)` each; `kept` `(p, D)` receives the variances."""
-    moments = moments_of(evaluator, deployment, here)
-    enough = covers(moments.seen, n)
-    moments = moments.some(enough)
+@kernel
+def _localise(every, positions, poses, weights, n, precision, asks, slots, found, variances):  # type: ignore[no-untyped-def]
+    """Find P_n and L in units, `found` `(2, P)`.
 
-    def total(which: BoolArray) -> IntArray:
-        units = np.zeros(len(evaluator.positions[here]), dtype=np.int64)
-        np.add.at(units, moments.place[which], moments.weight[which])
-        return units
-
-    covered = localised = total(np.ones(len(moments.place), dtype=np.bool_))
-    if precision.asks or kept is not None:
-        sums = body_information(evaluator, deployment, moments, precision)
-        if kept is not None:
-            kept[moments.place, moments.orientation] = _variances(sums)
-        if precision.asks:
-            localised = total(_meet(precision, sums))
-    return covered, localised
+    Args:
+        every: what the cameras cover, see `Looks`.
+        positions: of the body, `(P, 3)`.
+        poses: of the landmarks, `(K, 6)`.
+        weights: of the orientations in units, `(1, D)` or `(P, D)`.
+        n, precision, asks: see `kernels.localise_range`.
+        slots: working memory.
+        variances: `(P, D)` of infinity, receives those of the position where n are covered; empty if nobody asks.
+    """
+    some, words = np.zeros(n, dtype=np.uint64), np.uint64(weights.shape[1]) // VIEW
+    for p in range(np.uint64(len(positions))):
+        place = positions[p, 0], positions[p, 1], positions[p, 2]
+        for w in range(words):
+            some[:] = ZERO
+            for k in range(len(poses)):
+                seen = seen_by_any(every, p, k, w)
+                for j in range(n - 1, 0, -1):
+                    some[j] |= some[j - 1] & seen
+                some[0] |= seen
+            good = has = some[n - 1]
+            if has and (asks or len(variances)):
+                count = fill_slots(has, slots)
+                for k in range(len(poses)):
+                    pose = poses[k, 0], poses[k, 1], poses[k, 2], poses[k, 3], poses[k, 4], poses[k, 5]
+                    add_of_all(every, p, k, w, place, pose, precision, slots, count)
+                if asks:
+                    good = has & met_slots(precision, slots, count)
+                for v in range(count if len(variances) else ZERO):
+                    value, fixed = position_variance(slots.rows, v, VIEW)
+                    variances[p, w * VIEW + slots.bits[v]] = value if fixed else np.inf
+            found[0, p] += sum_weights(ZERO, has, weights, p, w)
+            found[1, p] += sum_weights(ZERO, good, weights, p, w)
 
 
 class Moments(NamedTuple):
@@ -146,28 +170,14 @@ def body_information(
 def _meet(precision: Precision | PosePrecision, sums: FloatArray) -> BoolArray:
     """Whether moments with these sums `(N, BODY_WIDTH)` are what the precision asks for, `(N,)`."""
     met = np.empty(len(sums), dtype=np.bool_)
-    _decide(precision, sums, met)
+    _decide(precision, sums.reshape(-1), met)
     return met
-
-
-def _variances(sums: FloatArray) -> FloatArray:
-    """Of the positions, `(N,)`; infinite where something is open."""
-    found = np.empty(len(sums))
-    _find_variances(sums, found)
-    return found
 
 
 @kernel
 def _decide(precision, sums, met):  # type: ignore[no-untyped-def]
-    for v in range(len(sums)):
-        met[v] = body_meets(precision, sums, v)
-
-
-@kernel
-def _find_variances(sums, found):  # type: ignore[no-untyped-def]
-    for v in range(len(sums)):
-        value, fixed = position_variance(sums, v)
-        found[v] = value if fixed else np.inf
+    for v in range(len(met)):
+        met[v] = body_meets(precision, sums, v * BODY_WIDTH, 1)
 
 
 @kernel
@@ -193,4 +203,4 @@ def _add_up(positions, offsets, axes, landmarks, normals, sight, seen, precision
                     landmarks[k, 2] - (positions[i, 2] + oz),
                 )
                 nx, ny, nz = normals[k, 0], normals[k, 1], normals[k, 2]
-                add_share(sight, axes, i, x, y, z, nx, ny, nz, ox, oy, oz, precision, k, gain, 1.0, sums, i, row)
+                add_share(sight, axes, i, x, y, z, nx, ny, nz, ox, oy, oz, precision, k, gain, sums, i, row)

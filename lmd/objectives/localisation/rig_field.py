@@ -4,11 +4,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.bits import BITS
 from lmd.incremental.field import accept, bound, settle, undo
 from lmd.incremental.rig_field import RigField, rig_field
 from lmd.incremental.rig_state import RigScratch
-from lmd.objectives.localisation.body import BODY_WIDTH, gain_of
+from lmd.objectives.localisation.body import BODY_WIDTH
+from lmd.objectives.localisation.looks import gains_of
 from lmd.objectives.localisation.rig_trial import (
     bound_localised_move,
     carry_out_localised,
@@ -16,6 +16,7 @@ from lmd.objectives.localisation.rig_trial import (
     sum_up_anew,
     take_back_localised,
 )
+from lmd.objectives.localisation.slots import Slots, new_slots
 from lmd.objectives.localisation.state import LocalisationState, blank_state
 from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
@@ -25,8 +26,7 @@ class RigLocalisationScratch(NamedTuple):
     """The move tried last, and working memory.
 
     units, located, enough, localised: as in the state, after the move; coverage: the scratch of coverage. Once the move
-    is carried out, these are those of before. rows `(BITS, BODY_WIDTH)` sums of the views of a word that are decided;
-    row see `add_share`.
+    is carried out, these are those of before. slots: the views that are worked on.
     """
 
     units: np.ndarray
@@ -34,14 +34,13 @@ class RigLocalisationScratch(NamedTuple):
     enough: np.ndarray
     localised: np.ndarray
     coverage: RigScratch
-    rows: np.ndarray
-    row: np.ndarray
+    slots: Slots
 
 
 class RigLocalisationField(NamedTuple):
     """What does not change while landmarks move; a `lmd.incremental.field.Field`.
 
-    precision, asks, weight: as in `LocalisationField`; gains: of each part of the rig, see `gain_of`.
+    precision, asks, weight: as in `LocalisationField`; gains: see `gains_of`.
     """
 
     coverage: RigField
@@ -75,8 +74,7 @@ class RigLocalisationField(NamedTuple):
             enough=state.enough.copy(),
             localised=state.localised.copy(),
             coverage=self.coverage.scratch(state.coverage),
-            rows=np.zeros((BITS, BODY_WIDTH)),
-            row=np.zeros(BODY_WIDTH),
+            slots=new_slots(),
         )
 
 
@@ -88,6 +86,5 @@ undo.register(RigLocalisationField)(take_back_localised)
 
 def rig_localisation_field(evaluator: Evaluator, n: int, precision: Any, weight: float) -> RigLocalisationField:
     """The field of L at the positions of an evaluator whose scene has a rig."""
-    cameras = evaluator.scene.cameras
-    gains = np.array([gain_of(kind, cameras[0]) for kind in dict.fromkeys(cameras)])  # as `stations.parts_of` has them
+    gains = np.array(gains_of(evaluator))
     return RigLocalisationField(rig_field(evaluator, n), precision, precision.asks, weight, gains)

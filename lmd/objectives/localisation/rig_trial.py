@@ -9,13 +9,13 @@ orientation, so what a landmark tells it is found for each view anew, of those a
 import numpy as np
 from numba import literal_unroll
 
-from lmd.core.bits import ALL, ONE, ZERO, at_least_so_far, lowest
+from lmd.core.bits import ALL, ZERO, at_least_so_far
 from lmd.core.compiled import inlined, inner, kernel
 from lmd.incremental.rig_move import see_whole, take_back_rig
 from lmd.incremental.rig_pairs import COMES, find_pairs
 from lmd.incremental.rig_trial import begin_rig_move, count_others, list_near, see_anew
-from lmd.objectives.localisation.body import add_views, body_meets
-from lmd.objectives.localisation.trial import VIEW, mixed, sum_weights
+from lmd.objectives.localisation.slots import VIEW, add_landmark, ask_for, fill_slots, give_sums, met_slots, take_sums
+from lmd.objectives.localisation.trial import mixed, sum_weights
 
 
 @inlined
@@ -33,22 +33,29 @@ def _place(q, field):
 
 
 @inner
-def _add_changes(stations, k, q, w, wanted, sign, field, state, scratch, sums, first):
-    """Add to `sums` what the move changes for the cameras of a part in the orientations `wanted`: see `_add_views`."""
-    part, gain, row, trial = stations.part, field.gains[stations.number], scratch.row, scratch.coverage
+def _add_changes(stations, k, q, w, sign, field, state, scratch, count):
+    """Add to the views taken what the move changes for the cameras of a part, times `sign`: see `add_landmark`."""
+    part, gain, trial, slots = stations.part, field.gains[stations.number], scratch.coverage, scratch.slots
     mine, other, target = state.coverage.parts[stations.number], trial.parts[stations.number], trial.target
     old, new = _pose(k, state), (target[0], target[1], target[2], target[3], target[4], target[5])
     place, precision = _place(q, field), field.precision
     for m in range(len(part.axes)):
         goes, comes = mine.caps[k, q, m, w] & ~mine.veiled[k, q, m, w], other.cap[q, m, w] & ~other.veil[q, m, w]
-        add_views(part, m, w, goes & wanted, place, old, k, -sign, gain, precision, sums, first, row)
-        add_views(part, m, w, comes & wanted, place, new, k, sign, gain, precision, sums, first, row)
+        if goes:
+            add_landmark(part, m, w, goes, place, old, k, -sign, gain, precision, slots, count)
+        if comes:
+            add_landmark(part, m, w, comes, place, new, k, sign, gain, precision, slots, count)
     for i in range(len(state.surfaces) if trial.touched[q] else 0):
         for m in range(len(part.axes) if trial.known[i, q] else 0):
-            veiled, turns = mine.veiled[i, q, m, w], mine.caps[i, q, m, w] & other.flipped[i, q, m, w] & wanted
-            pose = _pose(i, state)
-            add_views(part, m, w, turns & ~veiled, place, pose, i, -sign, gain, precision, sums, first, row)
-            add_views(part, m, w, turns & veiled, place, pose, i, sign, gain, precision, sums, first, row)
+            veiled, turns = mine.veiled[i, q, m, w], mine.caps[i, q, m, w] & other.flipped[i, q, m, w]
+            if turns & ~veiled:
+                add_landmark(
+                    part, m, w, turns & ~veiled, place, _pose(i, state), i, -sign, gain, precision, slots, count
+                )  # fmt: skip
+            if turns & veiled:
+                add_landmark(
+                    part, m, w, turns & veiled, place, _pose(i, state), i, sign, gain, precision, slots, count
+                )  # fmt: skip
 
 
 @inner
@@ -67,29 +74,36 @@ def _turns(stations, k, q, w, state, scratch):
 
 
 @inner
-def _localised(k, q, w, has, field, state, scratch):
-    """The orientations of word w that are localised, of those that cover enough, `has`."""
-    sums, rows, known, lost, gained = state.sums, scratch.rows, state.localised[q, w], ZERO, ZERO
+def _turns_of_all(k, q, w, field, state, scratch):
+    """See `_turns`, of all parts."""
+    lost, gained = ZERO, ZERO
     for stations in literal_unroll(field.coverage.parts):
         less, more = _turns(stations, k, q, w, state, scratch.coverage)
         lost, gained = lost | less, gained | more
+    return lost, gained
+
+
+@inner
+def _add_all_changes(k, q, w, sign, field, state, scratch, count):
+    """See `_add_changes`, of all parts."""
+    for stations in literal_unroll(field.coverage.parts):
+        _add_changes(stations, k, q, w, sign, field, state, scratch, count)
+
+
+@inner
+def _localised(k, q, w, has, field, state, scratch):
+    """The orientations of word w that are localised, of those that cover enough, `has`."""
+    sums, slots, known = state.sums, scratch.slots, state.localised[q, w]
+    lost, gained = _turns_of_all(k, q, w, field, state, scratch)
     left = has & ((lost & gained) | (lost & known) | (gained & ~known))
     good, first = known & has & ~left, (q * np.uint64(state.localised.shape[1]) + w) * VIEW
     if left == ZERO:
         return good
-    some = left
-    while some:
-        bit = lowest(some)
-        some &= some - ONE
-        for j in range(rows.shape[1]):
-            rows[bit, j] = sums[first + bit, j]
-    for stations in literal_unroll(field.coverage.parts):
-        _add_changes(stations, k, q, w, left, 1.0, field, state, scratch, rows, ZERO)
-    while left:
-        bit = lowest(left)
-        left &= left - ONE
-        good |= np.uint64(body_meets(field.precision, rows, bit)) << bit
-    return good
+    count = fill_slots(left, slots)
+    ask_for(sums, first, slots, count)
+    _add_all_changes(k, q, w, 1.0, field, state, scratch, count)
+    take_sums(sums, first, slots, count)
+    return good | met_slots(field.precision, slots, count)
 
 
 @inlined
@@ -176,22 +190,19 @@ def finish_localised_move(field, k, state, scratch):
 
 
 @inner
-def _change_part(stations, k, sign, field, state, scratch):
-    """Change the sums by what the cameras of a part gain and lose."""
-    words, trial = np.uint64(state.localised.shape[1]), scratch.coverage
-    for s in range(trial.near[1]):
-        for q in range(trial.spans[s, 0], trial.spans[s, 1]):
-            for w in range(words):
-                first = (q * words + w) * VIEW
-                _add_changes(stations, k, q, w, ALL, sign, field, state, scratch, state.sums, first)
-
-
-@inner
 def _change_sums(k, sign, field, state, scratch):
     """Change the sums by the move tried last, or with a `sign` of -1 back; landmark k is still where it was."""
-    for stations in literal_unroll(field.coverage.parts):
-        if field.asks:
-            _change_part(stations, k, sign, field, state, scratch)
+    words, trial, slots = np.uint64(state.localised.shape[1]), scratch.coverage, scratch.slots
+    for s in range(trial.near[1] if field.asks else 0):
+        for q in range(trial.spans[s, 0], trial.spans[s, 1]):
+            for w in range(words):
+                lost, gained = _turns_of_all(k, q, w, field, state, scratch)
+                if lost | gained == ZERO:
+                    continue
+                count, first = fill_slots(lost | gained, slots), (q * words + w) * VIEW
+                ask_for(state.sums, first, slots, count)
+                _add_all_changes(k, q, w, sign, field, state, scratch, count)
+                give_sums(state.sums, first, slots, count)
 
 
 @inner
@@ -224,39 +235,51 @@ def take_back_localised(field, k, state, scratch):
 
 
 @inner
-def _add_all(stations, field, state, scratch):
-    """Sum up what all landmarks tell the cameras of a part."""
+def _shown(stations, q, w, state):
+    """The orientations of word w with which the cameras of a part see any landmark from position q."""
+    mine, seen = state.coverage.parts[stations.number], ZERO
+    for i in range(mine.caps.shape[0]):
+        for m in range(mine.caps.shape[2]):
+            seen |= mine.caps[i, q, m, w] & ~mine.veiled[i, q, m, w]
+    return seen
+
+
+@inner
+def _add_shown(stations, q, w, field, state, scratch, count):
+    """Add to the views taken what all landmarks tell the cameras of a part."""
     part, mine, gain = stations.part, state.coverage.parts[stations.number], field.gains[stations.number]
-    words = np.uint64(state.localised.shape[1])
-    for i in range(np.uint64(len(state.surfaces))):
-        for q in range(np.uint64(len(state.units))):
-            for m in range(len(part.axes)):
-                for w in range(words):
-                    seen, first = mine.caps[i, q, m, w] & ~mine.veiled[i, q, m, w], (q * words + w) * VIEW
-                    pose, place = _pose(i, state), _place(q, field)
-                    add_views(
-                        part, m, w, seen, place, pose, i, 1.0, gain, field.precision, state.sums, first, scratch.row
-                    )  # fmt: skip
+    place, precision, slots = _place(q, field), field.precision, scratch.slots
+    for i in range(mine.caps.shape[0]):
+        for m in range(mine.caps.shape[2]):
+            seen = mine.caps[i, q, m, w] & ~mine.veiled[i, q, m, w]
+            if seen:
+                add_landmark(part, m, w, seen, place, _pose(i, state), i, 1.0, gain, precision, slots, count)
+
+
+@inner
+def _met_anew(q, w, field, state, scratch):
+    """Sum up what all landmarks tell in word w, and find where it is enough."""
+    seen, slots, first = ZERO, scratch.slots, (q * np.uint64(state.localised.shape[1]) + w) * VIEW
+    for stations in literal_unroll(field.coverage.parts):
+        seen |= _shown(stations, q, w, state)
+    count = fill_slots(seen, slots)
+    for stations in literal_unroll(field.coverage.parts):
+        _add_shown(stations, q, w, field, state, scratch, count)
+    give_sums(state.sums, first, slots, count)
+    return met_slots(field.precision, slots, count)
 
 
 @kernel
 def sum_up_anew(field, state, scratch):
     """Sum up what all landmarks tell, and find the values."""
-    known, n, weights, words = state.coverage, field.coverage.n, field.coverage.weights, np.uint64(len(state.enough[0]))
-    for stations in literal_unroll(field.coverage.parts):
-        if field.asks:
-            _add_all(stations, field, state, scratch)
+    known, n, weights = state.coverage, field.coverage.n, field.coverage.weights
     for q in range(np.uint64(len(state.units))):
         located = np.int64(0)
-        for w in range(words):
+        for w in range(np.uint64(state.enough.shape[1])):
             has = ALL
             for j in range(np.uint64(known.counts.shape[2])):
                 has = at_least_so_far(has, known.counts[q, w, j], n, j)
-            left, good = has if field.asks else ZERO, ZERO if field.asks else has
-            while left:
-                bit = lowest(left)
-                left &= left - ONE
-                good |= np.uint64(body_meets(field.precision, state.sums, (q * words + w) * VIEW + bit)) << bit
+            good = has & _met_anew(q, w, field, state, scratch) if field.asks else has
             state.enough[q, w], state.localised[q, w] = has, good
             located += sum_weights(ZERO, good, weights, q, w)
         _sum_up(q, located, known.units[q], field.weight, state)
