@@ -66,12 +66,12 @@ def test_what_does_not_fit_is_refused(overrides, message):
 
 
 @pytest.mark.slow  # kernels of the room of the paper for one more kind of sight
-def test_a_run_with_sizes_is_evaluated_as_it_was_found():
-    settings = ("room.spacing=1.5", "visibility=fiducial", *SIZES, "tracking=none", "localisation=false")
+def test_a_run_with_sizes_is_evaluated_as_it_was_found(tmp_path):
+    settings = ("room.spacing=1.5", "visibility=fiducial", *SIZES, "tracking=none", "validate=false")
     call("optimise", "optimiser=random_search", "budget.evaluations=20", "deployment.count=[12,6]", *settings,
-         "hydra.run.dir=run")  # fmt: skip
+         "hydra.run.dir=run", cwd=tmp_path)  # fmt: skip
     landmarks = pd.read_csv("run/landmarks.csv")
     assert landmarks.edge.tolist() == [0.06] * 12 + [0.20] * 6
-    call("evaluate", "run=run", "tracking=none", "localisation=false", "hydra.run.dir=again")
+    call("evaluate", "run=run", "tracking=none", "localisation=false", "hydra.run.dir=again", cwd=tmp_path)
     found, again = (json.load(open(f"{run}/metrics.json")) for run in ("run", "again"))  # noqa: SIM115
     assert again["fitness"] == found["fitness"] > 0.0
