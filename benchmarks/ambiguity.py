@@ -4,7 +4,7 @@ Prints Markdown tables for a tag of 15 cm and the camera of `experiment=lab`:
 
 1. the closed form of `lmd.objectives.localisation.ambiguity` against the residual of IPPE's other pose, noise-free;
 2. the share of wrong poses by distance and incidence: predicted, simulated (noise on projected corners, OpenCV's IPPE),
-   and of rendered frames read by detectors, there with the noise measured;
+   and of rendered frames read by detectors, there with the noise measured of what tells the poses apart;
 3. the share of wrong poses among simulated views that localise, of one tag and of two side by side.
 
 With runs of `optimise`: what detectors and PnP make of rendered frames of their deployments.
@@ -24,7 +24,8 @@ from omegaconf import OmegaConf
 from lmd.core.checks import FloatArray
 from lmd.detection.detectors import AprilTagDetector, ArucoDetector, Detector
 from lmd.detection.frames import draw_poses, look, tagged_room
-from lmd.detection.pose import pose_error, pose_from_corners, solutions
+from lmd.detection.pose import pose_error, solutions
+from lmd.estimation.pnp import likely
 from lmd.geometry.se3 import camera_pose
 from lmd.geometry.squares import corners
 from lmd.objectives.localisation.ambiguity import CONFIDENCE, mirrored_square
@@ -145,7 +146,10 @@ def by_distance(camera: Camera, rng: np.random.Generator) -> Iterator[str]:
                     row += " |" * 4
                     continue
                 read = sighting.corners[found, 0]
-                sigma = float(np.sqrt(((read - exact[found]) ** 2).mean()))
+                off = (
+                    read - exact[found]
+                )  # of it, what looks like another pose: the ends of a diagonal against the others
+                sigma = float(np.sqrt(((off[:, ::2].sum(axis=1) - off[:, 1::2].sum(axis=1)) ** 2).mean()) / 2.0)
                 best = [solutions(camera, points, image)[0].pose[:3, :3].T for image in read]
                 wrong = np.mean([is_mirrored(poses[i], turn) for i, turn in zip(found, best, strict=True)])
                 told = share_wrong(camera, poses[found], EDGE, sigma).mean()
@@ -199,13 +203,28 @@ def found_in(runs: list[str]) -> Iterator[str]:
         renderer = Renderer(scene.camera, tagged_room(scene.room, deployment, scene.tag), Imaging())
         poses = draw_poses(scene, FRAMES, 0)
         for name, sighting in look(renderer, DETECTORS, poses, 0, 0).items():
-            got = [pose_from_corners(scene.camera, renderer.room.corners, image) for image in sighting.corners]
-            off, alone = pose_error(poses, np.array(got))[0], sighting.detected.sum(axis=1) == 1
-            shares = [np.isfinite(off).mean(), (off <= problem.objective.tolerance).mean(), (off > WRONG).mean()]
-            shares += [alone.mean(), (off[alone] > WRONG).mean()]
-            yield (
-                f"| {run.name} | {told:.3f} | {anyhow:.3f} | {name} | " + " | ".join(f"{x:.3f}" for x in shares) + " |"
+            found = [fitted(scene.camera, renderer.room.corners, image) for image in sighting.corners]
+            off = pose_error(poses, np.array([each[0] for each in found]))[0]
+            sure, alone = np.array([each[1] for each in found]), sighting.detected.sum(axis=1) == 1
+            near, wrong = off <= problem.objective.tolerance, off > WRONG
+            shares = (
+                np.isfinite(off),
+                near,
+                wrong,
+                sure & near,
+                sure & wrong,
+                alone,
+                alone & sure & near,
+                alone & wrong,
             )
+            yield f"| {run.name} | {told:.3f} | {anyhow:.3f} | {name} |" + "".join(f" {x.mean():.3f} |" for x in shares)
+
+
+def fitted(camera: Camera, points: FloatArray, image: FloatArray) -> tuple[FloatArray, bool]:
+    """The pose that fits an image `(K, 4, 2)` best, NaN for none, and whether it is told from all others."""
+    seen = np.isfinite(image[:, 0, 0])
+    found = solutions(camera, points[seen].reshape(-1, 3), image[seen].reshape(-1, 2), NOISE)
+    return (found[0].pose, len(likely(found)) == 1) if found else (np.full((4, 4), np.nan), False)
 
 
 def table(title: str, head: str, rows: Iterator[str]) -> None:
@@ -218,8 +237,9 @@ def table(title: str, head: str, rows: Iterator[str]) -> None:
 def main() -> None:
     """Print the tables."""
     if runs := sys.argv[1:]:
-        shares = "L, resolved | L, ignored | detector | with a pose | within the tolerance | > 250 mm off"
-        head = f"run | {shares} | one tag | of these > 250 mm off"
+        shares = "a pose | within the tolerance | > 250 mm off | sure: within | sure: > 250 mm off"
+        alone = "one tag | sure: within | > 250 mm off"
+        head = f"run | L, resolved | L, ignored | detector | {shares} | {alone}"
         table(f"{FRAMES} frames, shares", head, found_in(runs))
         return
     camera, rng = lab().scene.camera, np.random.default_rng(0)

@@ -94,19 +94,18 @@ def test_noise_makes_the_wrong_pose_the_better_one_as_often_as_predicted(distanc
 def test_so_it_is_on_rendered_frames_with_the_noise_of_a_detector():
     edge, pose, rng = 0.15, looking(3.5, 20.0, 30.0), np.random.default_rng(0)
     renderer = Renderer(CAMERA, TaggedRoom(Tag(edge), np.array([0]), np.zeros((1, 3)), NORMAL, UP), Imaging(noise=6.0))
-    frames, reader, wrong, expected = 40, ArucoDetector(preset="fine"), [], []
+    frames, reader, wrong, noise = 40, ArucoDetector(preset="fine"), [], []
     for _ in range(frames):
         near = pose.copy()
         near[:3, 3] += rng.uniform(-0.02, 0.02, 3)
         found = reader.detect(renderer.frame(near, rng))
         if len(found) == 1:
-            sigma = np.sqrt(((found.corners[0] - project(CAMERA, near, square(edge))) ** 2).mean())
             wrong.append(share_wrong(near, edge, found.corners))
-            expected.append((residual(near, edge), sigma))
+            off = found.corners[0] - project(CAMERA, near, square(edge))
+            noise.append(off[::2].sum(axis=0) - off[1::2].sum(axis=0))  # what alone looks like the other pose
     assert len(wrong) > frames / 2
-    sigma = np.sqrt(np.mean([noise**2 for _, noise in expected]))
-    share = np.mean([NormalDist().cdf(-each / (2.0 * sigma)) for each, _ in expected])
-    assert np.mean(wrong) == pytest.approx(share, abs=0.2)
+    sigma = np.sqrt(np.mean(np.square(noise))) / 2.0
+    assert np.mean(wrong) == pytest.approx(NormalDist().cdf(-residual(pose, edge) / (2.0 * sigma)), abs=0.15)
 
 
 def test_a_precision_asks_for_the_confidence():
