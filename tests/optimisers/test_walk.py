@@ -32,7 +32,14 @@ def walked(n, occlusion, stage):
             patch.setattr(module, name, part)
         settings = stage.settings(0.0, 0.1)
         (walker,) = surrogate._walkers
-        here = surrogate._field, walker.state, walker.scratches, surrogate._target, surrogate._surfaces, 0.0
+        here = (
+            surrogate._field,
+            walker.state,
+            walker.scratches,
+            surrogate._target,
+            surrogate._surfaces,
+            surrogate._papers,
+        )
         module.walk.py_func(200, walker.places, walker.members, walker.group, *here, settings, rng, walker.best)
     return [*walker.state, *walker.best, rng.random()], len(finished)
 
