@@ -17,28 +17,32 @@ from lmd.sight.obstacles import obstacles_at
 
 
 class CoverageField(NamedTuple):
-    """What does not change while landmarks move; a `lmd.incremental.field.Field`.
-
-    positions `(3, Q)` in blocks of `BLOCK` neighbours, the last block filled up with copies; index_of `(P,)` where each
-    position of the evaluator is among them; centres and halves `(3, Q / BLOCK)` of the sides of boxes around the
-    blocks; horizon see `criteria.horizon_of`; obstacles what of the room stands in their way, or None;
-    axes `(3, 64 W)` filled up with zeros to whole words; certain, possible
-    the tables of `directions.tables`; given `(Q, W)` axes at which one landmark is covered beside those of a state; the
-    rest as in `kernels.evaluate_range`.
-    """
+    """What does not change while landmarks move; a `lmd.incremental.field.Field`."""
 
     positions: np.ndarray
+    """`(3, Q)` in blocks of `BLOCK` neighbours, the last block filled up with copies; metres."""
     index_of: np.ndarray
+    """`(P,)` where each position of the evaluator is among them."""
     centres: np.ndarray
+    """`(3, Q / BLOCK)` of boxes around the blocks."""
     halves: np.ndarray
+    """`(3, Q / BLOCK)` half the sides of these boxes."""
     horizon: float
+    """See `criteria.horizon_of`."""
     sight: Any
+    """The compiled model."""
     obstacles: Any
+    """What of the room stands in the way, or None."""
     axes: np.ndarray
+    """`(6, 64 W)` optical axis and right, filled up with zeros to whole words."""
     certain: np.ndarray
+    """Which axes surely have a direction in view, see `directions.tables`."""
     possible: np.ndarray
+    """Which axes may have it in view, see `directions.tables`."""
     given: np.ndarray
+    """`(Q, W)` axes at which one landmark is covered beside those of a state."""
     weights: np.ndarray
+    """As in `kernels.evaluate_range`; so is `n`."""
     n: int
 
     @property

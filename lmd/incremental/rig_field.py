@@ -22,8 +22,7 @@ from lmd.sight.stations import places_around, with_sight
 class RigField(NamedTuple):
     """What does not change while landmarks move; a `lmd.incremental.field.Field`.
 
-    positions, index_of, centres, halves, given, weights, n: as in `CoverageField`, for Q positions and D orientations
-    of the body; horizon: from the body's origin, of all parts of the rig.
+    What is not described is as in `CoverageField`, for Q positions and D orientations of the body.
     """
 
     positions: np.ndarray
@@ -31,7 +30,9 @@ class RigField(NamedTuple):
     centres: np.ndarray
     halves: np.ndarray
     horizon: float
+    """From the body's origin, of all parts of the rig, metres."""
     parts: tuple[Stations, ...]
+    """The cameras that are alike, one part for each kind."""
     given: np.ndarray
     weights: np.ndarray
     n: int

@@ -131,9 +131,10 @@ def from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped
         slack: metres; the answer shall hold for every landmark that far away in the same plane (see `poses`).
 
     Returns:
-        reached: False only if no orientation covers it; low, high: the least and the greatest depth along the optical
-        axis, metres, with which one may; sure: up to which depth, from `low` on, all do that have it well in view
-        (`Sight.inset`), infinite if that is all such orientations. Without slack in `high` and `sure`.
+        reached: False only if no orientation covers it.
+        low, high: the least and the greatest depth along the optical axis, metres, with which an orientation may.
+        sure: between `low` and this depth every orientation that has it well in view (`Sight.inset`) covers it;
+            infinite if every such orientation does. There is no slack in `high` and `sure`.
     """
 
 

@@ -31,34 +31,47 @@ MARGIN = 1e-6
 
 
 class FiducialSight(NamedTuple):
-    """The criteria as numbers, tolerance included; a `lmd.scene.criteria.Sight`.
-
-    outer_cosine, inset, reach: see there; facing cosine of the greatest incidence; half, plate half the edge of
-    the black square and of the paper, metres; level: see `lmd.geometry.squares.upright`; left, right, top, bottom
-    tangents of the angles to the borders, less the margin; focal_u, focal_v pixels; area least |det J|, pixels^2 /
-    metre^2. The least eigenvalue of J^T J, pixels^2 / metre^2, is least(depth) = sharp + blurred (defocus - focus /
-    depth)^2 with `focus` in metres; in_focus the depth at which nothing is blurred, 0 if that is infinite.
-    """
+    """The criteria as numbers, tolerance included; a `lmd.scene.criteria.Sight`."""
 
     outer_cosine: float
+    """See `Sight.outer_cosine`."""
     inset: float
+    """See `Sight.inset`."""
     reach: float
+    """See `Sight.reach`."""
     facing: float
+    """Cosine of the greatest incidence."""
     half: float
+    """Half the edge of the black square, metres."""
     plate: float
+    """Half the edge of the paper, metres."""
     level: float
+    """See `lmd.geometry.squares.upright`."""
     left: float
+    """Tangent of the angle to the left border, less the margin."""
     right: float
+    """The same to the right."""
     top: float
+    """The same to the top."""
     bottom: float
+    """The same to the bottom."""
     focal_u: float
+    """Focal length along the image's rows, pixels."""
     focal_v: float
+    """Focal length along its columns, pixels."""
     area: float
+    """Least |det J|, pixels^2 / metre^2."""
     sharp: float
+    """Of the least eigenvalue of J^T J that is asked for, sharp + blurred (defocus - focus / depth)^2, in pixels^2 /
+    metre^2."""
     blurred: float
+    """See `sharp`."""
     defocus: float
+    """See `sharp`."""
     focus: float
+    """See `sharp`, metres."""
     in_focus: float
+    """The depth at which nothing is blurred, metres; 0 if that is infinite."""
 
     @property
     def horizon(self) -> float:

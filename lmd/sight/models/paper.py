@@ -225,17 +225,18 @@ def coverage_strength(
 
 
 class PaperSight(NamedTuple):
-    """The criteria as bounds on the depth, tolerance included; a `lmd.scene.criteria.Sight`.
-
-    min_cosine of the cone of view; min_depth, max_depth metres; reach squared nu, m^2; whole_line: a landmark hides
-    another from behind the camera, too, and from beyond it.
-    """
+    """The criteria as bounds on the depth, tolerance included; a `lmd.scene.criteria.Sight`."""
 
     min_cosine: float
+    """Of the cone of view."""
     min_depth: float
+    """Metres."""
     max_depth: float
+    """Metres."""
     reach: float
+    """Squared nu, m^2."""
     whole_line: bool
+    """Whether a landmark hides another from behind the camera, too, and from beyond it."""
 
     @property
     def outer_cosine(self) -> float:

@@ -23,14 +23,14 @@ HALF, PLATE, AREA, SHARP, BLURRED, SHORT_AREA, LONG_AREA = range(7)  # rows: the
 
 
 class SizedSight(NamedTuple):
-    """The criteria as numbers for tags of several sizes; a `lmd.scene.criteria.Sight`.
-
-    largest: of the largest tags; numbers: what depends on the size, `(7, K)`; reach: see `Sight.reach`.
-    """
+    """The criteria as numbers for tags of several sizes; a `lmd.scene.criteria.Sight`."""
 
     largest: FiducialSight | LensSight
+    """The criteria of the largest tags."""
     numbers: np.ndarray
+    """`(7, K)` what depends on the size of each tag."""
     reach: float
+    """See `Sight.reach`."""
 
     @property
     def outer_cosine(self) -> float:
