@@ -51,11 +51,6 @@ class ResolvedPrecision(NamedTuple):
     square: float
 
     @property
-    def rotation(self) -> float:
-        """The greatest variance of the rotation."""
-        return float(getattr(self.of, "rotation", np.inf))
-
-    @property
     def asks(self) -> bool:
         """See `Precision.asks`."""
         return self.of.asks
