@@ -53,7 +53,7 @@ class Problem:
         self.fixed = None if fixed is None else scene.plates.hung(fixed, start)
         first = self.draw(np.random.default_rng(0))
         self.count, self.labels, self.surveyed = len(first), first.labels, first.surveyed
-        self.edges, self.scene = first.edges, scene.sized(first.edges)
+        self.edges, self.scene = first.edges, scene.sized(first.edges_of(scene.tag))
         if not scene.tag.is_point:
             scene.tag.check_ids(first.ids)
         objective.check(self.count)
@@ -111,12 +111,16 @@ class Problem:
 
     def fitness_of(self, deployment: Deployment) -> float:
         """The fitness of one deployment."""
-        return float(self.fitness(deployment.positions[None], deployment.normals[None])[0])
+        return float(self.objective.fitness(self._values(self.fitness_evaluator, deployment), self.fitness_relevance))
 
     def values(self, deployment: Deployment) -> FloatArray:
         """The objective's value at every position of the grid, in [0, 1], `(P,)`."""
-        values = self.objective.values(self.evaluator, deployment.positions[None], deployment.normals[None])
-        return np.asarray(values[0])
+        return self._values(self.evaluator, deployment)
+
+    def _values(self, evaluator: Evaluator, deployment: Deployment) -> FloatArray:
+        """The same at the positions of an evaluator, by the edges that the deployment has."""
+        sized, landmarks = evaluator.sized(deployment.edges), (deployment.positions[None], deployment.normals[None])
+        return np.asarray(self.objective.values(sized, *landmarks)[0])
 
     def metrics(self, deployment: Deployment) -> dict[str, float]:
         """The objective's figures on the grid, and the fitness."""

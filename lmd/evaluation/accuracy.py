@@ -43,7 +43,7 @@ def predicted_errors(problem: Problem, deployment: Deployment, evaluator: Evalua
     objective, scene = problem.objective, problem.scene
     of_any = replace(as_localisation(objective), tolerance=np.inf, rotation_tolerance=None)
     landmarks = deployment.positions[None], deployment.normals[None]
-    views = localised_views(evaluator, *landmarks, of_any.n, of_any.precision(scene), keep=True)
+    views = localised_views(evaluator, *landmarks, of_any.n, of_any.precision(evaluator.scene), keep=True)
     scale = deviation_per_variance(scene.cameras[0], of_any.pixel_noise)
     errors = scale * np.sqrt(views.variances[0, :, : len(evaluator.scene.orientations.axes)])
     return errors, views.covered[0] / PROBABILITY_ONE
@@ -65,7 +65,8 @@ def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample
         sample: its size.
     """
     parts = []
-    for evaluator in sampled_evaluators(problem.scene, seed, sample, problem.evaluator.threads):
+    scene = problem.scene.sized(deployment.edges)
+    for evaluator in sampled_evaluators(scene, seed, sample, problem.evaluator.threads):
         errors, covered = predicted_errors(problem, deployment, evaluator)
         parts.append((errors, np.broadcast_to(evaluator.scene.probability(evaluator.positions), errors.shape), covered))
     errors, weights, covered = (np.concatenate([part[i].reshape(-1) for part in parts]) for i in range(3))

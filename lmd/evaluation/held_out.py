@@ -65,7 +65,8 @@ def exact_values(problem: Problem, deployment: Deployment, records: "Records") -
         yaw, pitch, roll = angles_of(np.swapaxes(poses[:, :3, :3], 1, 2))
         alike = np.full(len(poses), 1.0 / len(poses))
         pdf = OrientationPdf(yaw, pitch, alike, roll=roll, by_position=lambda positions: np.eye(len(positions)))
-        evaluator = Evaluator(replace(problem.scene, pdf=pdf), poses[:, :3, 3], problem.evaluator.threads)
+        scene = replace(problem.scene.sized(deployment.edges), pdf=pdf)
+        evaluator = Evaluator(scene, poses[:, :3, 3], problem.evaluator.threads)
         landmarks = deployment.positions[None], deployment.normals[None]
         parts.append(problem.objective.values(evaluator, *landmarks)[0])
     return np.concatenate(parts)

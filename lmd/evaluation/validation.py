@@ -77,7 +77,7 @@ def validation_metrics(
         sample: its size.
         between: called before each group; it may raise to give up.
     """
-    scene, objective = problem.scene, problem.objective
+    scene, objective = problem.scene.sized(deployment.edges), problem.objective
     if scene.recorded is not None:
         return held_out_metrics(problem, deployment, scene.recorded)
     finer = Evaluator(replace(scene, room=scene.room.finer(), pdf=scene.pdf.finer()), threads=problem.evaluator.threads)
@@ -129,7 +129,8 @@ def sampled_values(
     """The objective's value at the positions of a sample, `(groups, positions)`. Args as in `validation_metrics`."""
     landmarks = deployment.positions[None], deployment.normals[None]
     values = []
-    for evaluator in sampled_evaluators(problem.scene, seed, sample, problem.evaluator.threads):
+    scene = problem.scene.sized(deployment.edges)
+    for evaluator in sampled_evaluators(scene, seed, sample, problem.evaluator.threads):
         between()
         values.append(problem.objective.values(evaluator, *landmarks)[0])
     return np.stack(values)

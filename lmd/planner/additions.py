@@ -74,12 +74,12 @@ def additions(
     Raises:
         InputError: the objective has no field.
     """
-    problem.scene.check_one_size("what a further tag adds")
     objective = incremental(problem.objective)
-    field = objective.field(problem.evaluator)
-    target = objective.target(in_order(field, problem.relevance))
     # Out of reach, it changes nothing of what the others are worth.
-    state = field.state(deployment + Deployment(AWAY[None, :3], AWAY[None, 3:]))
+    more = deployment + Deployment(AWAY[None, :3], AWAY[None, 3:])
+    field = objective.field(problem.evaluator.sized(more.edges))
+    target = objective.target(in_order(field, problem.relevance))
+    state = field.state(more)
     scratches, places = layers(field.scratch(state), 1), np.hstack([poses.positions, poses.normals])
     steps = np.zeros((len(poses), 2, 4), dtype=np.int64)
     steps[:, :, 0], steps[:, :, 1], steps[:, :, 2] = (BOUND, SETTLE), len(deployment), poses.surfaces[:, None]

@@ -59,16 +59,18 @@ class _Followed:
     """The values at the positions of one evaluator."""
 
     def __init__(self, problem: Problem, evaluator: Evaluator, deployment: Deployment) -> None:
-        self._field = incremental(problem.objective).field(evaluator)
+        self._objective, self._evaluator = incremental(problem.objective), evaluator
         self._begin(deployment)
 
     def _begin(self, deployment: Deployment) -> None:
+        self._edges = deployment.edges_of(self._evaluator.scene.tag)
+        self._field = self._objective.field(self._evaluator.sized(self._edges))
         state: Any = self._field.state(deployment)
         self._state, self._scratches = state, layers(self._field.scratch(state), 1)
 
     def follow(self, deployment: Deployment) -> None:
         """Move what hangs elsewhere."""
-        if len(deployment) == self._state.landmarks.shape[1]:
+        if np.array_equal(deployment.edges_of(self._evaluator.scene.tag), self._edges):
             steps, poses = moved(places_of(deployment), self._state)
             perform(steps, poses, self._field, self._state, self._scratches, NO_UNITS)
         else:
