@@ -218,35 +218,17 @@ def _try(group, surface, new, field, state, scratches, target, settings, rng, kn
     return total, False
 
 
-@kernel
-def walk(moves, places, members, several, field, state, scratches, target, surfaces, apart, settings, rng, best):
-    """Move landmarks `moves` times from `places`; `state` ends where the walk ends, and `best` is updated.
-
-    Args:
-        moves: landmarks that are moved in all.
-        places: where the walk begins, see `Places`; nothing moves to an empty one.
-        members: the landmarks that may move, at least as many as can move together.
-        several: for those that do, as many as can.
-        field, target: what is climbed.
-        state: of the field.
-        scratches: `layers` of one, at least as many as landmarks can move together.
-        surfaces: where landmarks may hang.
-        apart: least distance of plates on a surface, along its u or its v, metres; moves that come closer, or lead
-            where no landmark may hang, are not even tried, but count.
-        settings: see `Settings`.
-        rng: the source of all random numbers.
-        best: see `Best`.
-    """
-    # Here, not in a kernel of its own: what moves landmarks is compiled once. And by inner functions alone, as for
-    # numba what a kernel calls by itself is something else.
-    lead(places, field, state, scratches, np.empty(6))
+@inner
+def _walk(
+    moves, places, members, several, field, state, scratches, target, surfaces, apart, settings, rng, best, memory
+):
+    """Do what `walk` says, in its `memory`."""
+    single, new, pose, accepted, value, trial = memory
+    lead(places, field, state, scratches, pose)
     positions, count = len(state.units), len(members)
-    accepted = state.units.copy()
-    value, trial = np.empty(positions), np.empty(positions)
-    single = np.empty(1, dtype=np.int64)
-    new = np.empty((len(several), 6))
     total = 0.0
     for p in range(positions):
+        accepted[p] = state.units[p]
         value[p] = smoothed(target, p, accepted[p], settings.margin, settings.width, settings.share)
         total += value[p]
     moved = 0
@@ -267,3 +249,33 @@ def walk(moves, places, members, several, field, state, scratches, target, surfa
                 accepted[p] = state.units[p]
             value, trial = trial, value
             _keep_best(state, target, best)
+
+
+@kernel
+def walk(moves, places, members, several, field, state, scratches, target, surfaces, apart, settings, rng, best):
+    """Move landmarks `moves` times from `places`; `state` ends where the walk ends, and `best` is updated.
+
+    Args:
+        moves: landmarks that are moved in all.
+        places: where the walk begins, see `Places`; nothing moves to an empty one.
+        members: the landmarks that may move, at least as many as can move together.
+        several: for those that do, as many as can.
+        field, target: what is climbed.
+        state: of the field.
+        scratches: `layers` of one, at least as many as landmarks can move together.
+        surfaces: where landmarks may hang.
+        apart: least distance of plates on a surface, along its u or its v, metres; moves that come closer, or lead
+            where no landmark may hang, are not even tried, but count.
+        settings: see `Settings`.
+        rng: the source of all random numbers.
+        best: see `Best`.
+    """
+    # Arrays are made here, as inner functions do not count them. All else is done there: for numba what a kernel calls
+    # by itself is something else, and what moves landmarks is compiled once.
+    positions = len(state.units)
+    single, new, pose = np.empty(1, dtype=np.int64), np.empty((len(several), 6)), np.empty(6)
+    accepted, value, trial = np.empty(positions, dtype=np.int64), np.empty(positions), np.empty(positions)
+    memory = (single, new, pose, accepted, value, trial)
+    _walk(
+        moves, places, members, several, field, state, scratches, target, surfaces, apart, settings, rng, best, memory
+    )  # fmt: skip
