@@ -39,9 +39,28 @@ class _ByAddress(TupleModel):
         """What lies there, which nobody writes to meanwhile."""
         address.add_attribute("noalias")
         address.add_attribute("captures(none)")
-        value = builder.load(address)
-        value.address, value.members = address, {}
-        return value
+        return _lying_at(address, builder.load(address))
+
+    def as_return(self, builder: Any, value: Any) -> Any:
+        """The value."""
+        return value if self._is_kept_as_it_is else super().as_return(builder, value)
+
+    def from_return(self, builder: Any, value: Any) -> Any:
+        """What a function left where it was told to, which is there until it is called there again."""
+        if self._is_kept_as_it_is and isinstance(value, ir.LoadInstr):
+            return _lying_at(value.operands[0], value)
+        return super().from_return(builder, value)
+
+    @property
+    def _is_kept_as_it_is(self) -> bool:
+        """Whether nothing in it is another type in memory, as truth values are."""
+        return bool(self.get_data_type() == self.get_value_type())
+
+
+def _lying_at(address: Any, value: Any) -> Any:
+    """A value that was read from an address, of which only the members that are asked for need be."""
+    value.address, value.members = address, {}
+    return value
 
 
 def _model_of(manager: Any, kind: Any) -> Any:
@@ -90,9 +109,7 @@ def _extract(builder: Any, value: Any, number: Any, name: str = "", extract: Any
         def read(after: Any) -> Any:
             address = after.gep(value.address, [ir.IntType(32)(0), ir.IntType(32)(index)], inbounds=True)
             member = after.load(address)
-            if isinstance(member.type, ir.LiteralStructType):
-                member.address, member.members = address, {}
-            return member
+            return _lying_at(address, member) if isinstance(member.type, ir.LiteralStructType) else member
 
         members[index] = _behind(builder, value, read)
     return members[index]
