@@ -12,10 +12,10 @@ from pathlib import Path
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
 
-from lmd.optimisers.checkpoint import FILE, Checkpoint
+from lmd.optimisers.checkpoint import CHECKPOINT_FILE, Checkpoint
 from lmd.optimisers.ledger import Budget
-from lmd.pipelines.app import CONF
-from lmd.pipelines.building import build_optimiser, build_problem
+from pipelines.app import CONF
+from pipelines.building import build_optimiser, build_problem
 
 NAMES = ("annealing", "ega", "sga", "cma_es", "cma_es_separable", "pymoo_ga", "pymoo_one_gene", "nevergrad_de")
 COARSE = ("room.spacing=1.5", "pdf.divisions=6", "threads=1")
@@ -43,7 +43,7 @@ def main() -> None:
                 began = time.perf_counter()
                 Checkpoint(optimiser, {}).save(Path(folder))
                 saves.append(time.perf_counter() - began)
-            size = (Path(folder) / FILE).stat().st_size
+            size = (Path(folder) / CHECKPOINT_FILE).stat().st_size
             again = Checkpoint(build_optimiser(cfg, 0), {})
             began = time.perf_counter()
             again.resume(folder, problem)

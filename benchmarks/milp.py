@@ -16,29 +16,15 @@ from lmd.optimisers.milp import Milp
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.camera import Camera
-from lmd.scene.deployment import Deployment
-from lmd.scene.deployment_sources import DeploymentSource, RandomDeployment
+from lmd.scene.deployment_sources import DeploymentSource, GivenDeployment, RandomDeployment
 from lmd.scene.scene import Scene
 from lmd.sight.models.paper import Visibility
 from lmd.space.cuboid import Cuboid
-from lmd.space.space import Space
 
 CAMERA = Camera(5.0, 0.0058, 0.0058, (800.0, 600.0), 1600, 1200, 10.0, 1778.0)  # the paper's
 LATTICES = (1.0, 0.5, 0.25)  # metres
 SECONDS = 60.0  # of the solver, for each
 EVALUATIONS, SEEDS = 3000, 5  # of annealing
-
-
-@dataclass(frozen=True)
-class Given:
-    """A deployment to start from as it is."""
-
-    deployment: Deployment
-    varies = False
-
-    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
-        """See `DeploymentSource.draw`."""
-        return self.deployment
 
 
 @dataclass(frozen=True)
@@ -94,7 +80,7 @@ def main() -> None:
             print(solved[-1], flush=True)
         size = f"{len(problem.relevance)}, {len(np.unique(problem.evaluator.axis_of))}"
         told = f"{case.name}: K = {case.count}, n = {case.n}, thold_p = {case.thold_p:g}"
-        walked.append(f"| {told} | {size} | {annealed(case)} | {annealed(case, Given(result.deployment))} |")
+        walked.append(f"| {told} | {size} | {annealed(case)} | {annealed(case, GivenDeployment(result.deployment))} |")
         print(walked[-1], flush=True)
     print("\n".join(["", *solved, "", *walked]))
 

@@ -1,11 +1,12 @@
-"""What a rig costs: `python benchmarks/rig.py [--rounds 5]`.
+"""What a rig costs: `python benchmarks/rig.py [--rounds 5] [--objective coverage|localisation]`.
 
 The paper's room and camera, alone, with another one back to back in the same place, and with both 10 cm from the body's
-origin: what an evaluation and a move of a single landmark take. All are timed in turn, on one thread, by the time of
-the processor; the least of the rounds counts.
+origin: what an evaluation and a move of a single landmark take, by default for both objectives; localisation is that of
+tags of 10 cm. All are timed in turn, on one thread, by the time of the processor; the least of the rounds counts.
 """
 
 import argparse
+import itertools
 import math
 import time
 from collections.abc import Callable
@@ -15,12 +16,14 @@ import numpy as np
 from lmd.core.compiled import kernel
 from lmd.incremental.field import accept, bound, settle, undo
 from lmd.objectives.coverage import Coverage
+from lmd.objectives.localisation import Localisation
 from lmd.scene import pdf
 from lmd.scene.camera import Camera
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.pdf import OrientationPdf
 from lmd.scene.rig import Mount, Rig
 from lmd.scene.scene import Scene
+from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.models.paper import Visibility
 from lmd.space.cuboid import Cuboid
@@ -30,6 +33,7 @@ CAMERA = Camera(
     image_height=1200, aperture=10.0, focus_distance=1778.0,
 )  # fmt: skip
 COUNT, MOVES = 90, 20
+OBJECTIVES: dict[str, Coverage | Localisation] = {"coverage": Coverage(2, 0.65), "localisation": Localisation()}
 BOUNDED, SETTLED, ACCEPTED = range(3)
 TASKS = {"bounded move": BOUNDED, "tried move": SETTLED, "carried out and back": ACCEPTED}
 
@@ -56,12 +60,13 @@ def cameras() -> dict[str, Camera | Rig]:
     }
 
 
-def tasks(camera: Camera | Rig, orientations: OrientationPdf) -> dict[str, Callable[[], object]]:
-    """What is timed."""
-    scene = Scene(Cuboid((7.5, 5.0, 6.0), (6.0, 3.5, 4.5), 0.5), camera, orientations, Visibility(thold=0.28))
+def tasks(camera: Camera | Rig, orientations: OrientationPdf, name: str) -> dict[str, Callable[[], object]]:
+    """What is timed, for an objective of this name."""
+    room, objective = Cuboid((7.5, 5.0, 6.0), (6.0, 3.5, 4.5), 0.5), OBJECTIVES[name]
+    scene = Scene(room, camera, orientations, Visibility(thold=0.28), Tag(0.1))
     rng, evaluator = np.random.default_rng(0), Evaluator(scene, threads=1)
     here, there = (RandomDeployment(count).draw(scene.room, rng) for count in (COUNT, MOVES))
-    field = Coverage(2, 0.65).field(evaluator)
+    field = objective.field(evaluator)
     state, poses = field.state(here), np.hstack([there.positions, there.normals])
     scratch = field.scratch(state)
 
@@ -69,29 +74,32 @@ def tasks(camera: Camera | Rig, orientations: OrientationPdf) -> dict[str, Calla
         return lambda: moves(field, poses, state, scratch, end)
 
     landmarks = here.positions[None], here.normals[None]
-    return {"evaluation": lambda: evaluator.units(*landmarks, 2)} | {name: tried(end) for name, end in TASKS.items()}
+    moved = {task: tried(end) for task, end in TASKS.items()}
+    return {"evaluation": lambda: objective.values(evaluator, *landmarks)} | moved
 
 
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=5)
-    rounds = parser.parse_args().rounds
+    parser.add_argument("--objective", choices=list(OBJECTIVES), nargs="*", default=list(OBJECTIVES))
+    options = parser.parse_args()
     drawn = {"yaw, 72": pdf.level_flight(36), "grid_325": pdf.grid_with_ends()}
-    named = {(name, rig): tasks(camera, p) for name, p in drawn.items() for rig, camera in cameras().items()}
-    least: dict[tuple[tuple[str, str], str], float] = {}
-    for turn in range(rounds + 1):  # the first compiles
+    every = itertools.product(options.objective, drawn, cameras())
+    named = {(goal, name, rig): tasks(cameras()[rig], drawn[name], goal) for goal, name, rig in every}
+    least: dict[tuple[tuple[str, str, str], str], float] = {}
+    for turn in range(options.rounds + 1):  # the first compiles
         for subject, todo in named.items():
             for task, work in todo.items():
                 began = time.process_time()
                 work()
                 each = (time.process_time() - began) / (1 if task == "evaluation" else MOVES)
                 least[subject, task] = min(least.get((subject, task), np.inf), each if turn else np.inf)
-    print(f"| PDF | cameras | evaluation | {' | '.join(TASKS)} |\n|" + 6 * " --- |")
-    for (name, rig), todo in named.items():
-        alone = name, "one camera"
-        cells = [f"{1e3 * (t := least[(name, rig), x]):.3g} ms ({t / least[alone, x]:.1f})" for x in todo]
-        print(f"| {name} | {rig} | {' | '.join(cells)} |")
+    print(f"| objective | PDF | cameras | evaluation | {' | '.join(TASKS)} |\n|" + 7 * " --- |")
+    for (goal, name, rig), todo in named.items():
+        alone = goal, name, "one camera"
+        cells = [f"{1e3 * (t := least[(goal, name, rig), x]):.3g} ms ({t / least[alone, x]:.1f})" for x in todo]
+        print(f"| {goal} | {name} | {rig} | {' | '.join(cells)} |")
 
 
 if __name__ == "__main__":

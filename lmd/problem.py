@@ -52,6 +52,7 @@ class Problem:
         self.fixed = None if fixed is None else scene.plates.hung(fixed, start)
         first = self.draw(np.random.default_rng(0))
         self.count, self.labels, self.surveyed = len(first), first.labels, first.surveyed
+        self.edges = first.edges
         if not scene.tag.is_point:
             scene.tag.check_ids(first.ids)
         objective.check(self.count)
@@ -88,17 +89,17 @@ class Problem:
 
     def apart(self, deployment: Deployment, size: float = 1.0) -> Deployment | None:
         """The deployment with the free plates pushed out of the way, see `Plates.apart`."""
-        return self.scene.plates.apart(deployment, size, self.fixed_count)
+        return self.scene.plates.apart(replace(deployment, edges=self.edges), size, self.fixed_count)
 
     def labelled(self, deployment: Deployment) -> Deployment:
-        """What an optimiser made of the start: its k-th landmark keeps the id and the columns of the k-th there.
+        """What an optimiser made of the start: its k-th landmark keeps what that of the start is called, and its edge.
 
         What stays where it was keeps what was measured of it, too.
         """
-        return replace(deployment, labels=self.labels, surveyed=self.surveyed)
+        return replace(deployment, labels=self.labels, surveyed=self.surveyed, edges=self.edges)
 
     def fitness(self, positions: FloatArray, normals: FloatArray) -> FloatArray:
-        """Fitness in [0, 1], to maximise, of B deployments with landmarks `(B, K, 3)`, `(B,)`."""
+        """The fitness in [0, 1] of B deployments, `(B,)`; landmarks are `(B, K, 3)`. Optimisers maximise it."""
         values = self.objective.values(self.fitness_evaluator, positions, normals)
         return self.objective.fitness(values, self.fitness_relevance)
 

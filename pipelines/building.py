@@ -2,6 +2,7 @@
 
 import re
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import deepcopy
@@ -221,18 +222,20 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
 
 
 def note_edges(tag: "Tag", deployment: "Deployment") -> None:
-    """Say which tags have another edge by their map than that of all, which is what everything here counts with."""
-    own = {} if deployment.labels is None else dict(zip(deployment.ids.tolist(), deployment.labels.edges, strict=True))
-    other = [f"{number} ({edge:g} m)" for number, edge in own.items() if abs(edge - tag.size) > SAME_EDGE]
-    if other:
-        note(f"tag.edge = {tag.size:g} m counts for all tags; by their map others have {_few(other)}")
+    """Say how many tags have an edge of their own by their file, and which."""
+    own = deployment.edges_of(tag).tolist()
+    other = Counter(edge for edge in own if abs(edge - tag.size) > SAME_EDGE)
+    if other and tag.edges is None:
+        sizes = ", ".join(f"{edge:g} m ({count})" for edge, count in sorted(other.items()))
+        holds = f"{len(own) - other.total()} of {len(own)} tags"
+        note(f"tag.edge = {tag.size:g} m holds for {holds}; the others have their own: {sizes}")
 
 
 def note_outside(room: "Space", tag: "Tag", deployment: "Deployment") -> None:
     """Say which landmarks have a corner behind a face of the room, be it by a rounding: nothing sees them."""
     from lmd.geometry.squares import corners
 
-    points = corners(deployment.positions, deployment.normals, deployment.ups, 0.0 if tag.is_point else tag.size)
+    points = corners(deployment.positions, deployment.normals, deployment.ups, deployment.edges_of(tag))
     behind = deployment.ids[~room.contains(points).all(axis=1)]
     if len(behind):
         said = _few(list(map(str, behind)))

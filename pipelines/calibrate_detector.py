@@ -3,6 +3,7 @@
 import sys
 from pathlib import Path
 
+from hydra.core.config_store import ConfigStore
 from omegaconf import DictConfig
 
 from .app import choices, run_directory
@@ -12,9 +13,9 @@ from .documents import write_document
 from .earlier_run import read_earlier_run
 from .operations.sweeps.names import quoted
 from .pipeline import Pipeline
-from .trust import read_yaml
+from .trust import Trust, read_yaml
 
-KEY = "survey="
+SURVEY_KEY, OPTION = "survey=", "survey"
 
 
 def calibrate(cfg: DictConfig) -> None:
@@ -33,7 +34,8 @@ def calibrate(cfg: DictConfig) -> None:
     seed, count = seed_number(cfg.seed), integer("poses", cfg.frames, low=0)
     margin, source = real("margin", cfg.margin, low=0.0), instantiate(cfg.views)
     subject = subject_of(cfg, max(count, 1), seed)
-    subject.problem.scene.single_camera("calibrating a detector")
+    if count:
+        subject.problem.scene.single_camera("judging a detector in frames")
     told, directory, written = subject.prediction.parts[0], run_directory(), []
     renderer, tag = told.renderer, told.renderer.room.tag
     with tracked(cfg, f"calibrate_detector {tag.family}") as tracker:
@@ -41,7 +43,7 @@ def calibrate(cfg: DictConfig) -> None:
         for name, detector in subject.detectors.items():
             rng = np.random.default_rng([seed, VIEWS_STREAM])  # the same views for every detector
             with keyed("views"):
-                views = source.views(renderer.camera, tag, detector, renderer.imaging, rng)
+                views = source.views(subject.problem.scene.cameras, tag, detector, renderer.imaging, rng)
                 fitted[name] = views, fit(views, rng, margin)
             spans[name] = intervals(views, rng, margin) if source.photographs else {}
         seen = sightings({"room": subject}, seed, cfg.workers)["room"] if count else {}
@@ -88,21 +90,27 @@ def to_markdown(figures: dict[str, dict[str, float]]) -> str:
 
 
 def read_survey() -> None:
-    """Make `survey=DIR` of the command line the views of that survey, with its run, tags and detector."""
-    given = [argument.removeprefix(KEY) for argument in sys.argv[1:] if argument.startswith(KEY)]
+    """Make `survey=DIR` of the command line the views of that survey, with its run, cameras, tags and detector."""
+    given = [argument.removeprefix(SURVEY_KEY) for argument in sys.argv[1:] if argument.startswith(SURVEY_KEY)]
     if not given or given[-1] == "null":
         return
+    from lmd.core.checks import InputError
+
     config = Path(given[-1]) / ".hydra" / "config.yaml"
-    if not config.is_file():
-        print(f"error: survey = {given[-1]!r} is no survey: it holds no .hydra/config.yaml.", file=sys.stderr)
+    try:
+        if not config.is_file():
+            raise InputError(f"survey = {given[-1]!r} is no survey: it holds no .hydra/config.yaml.")
+        before = read_yaml(config, "survey")
+        parts = Trust.given().parts(before, f"survey: '{config}'", ("camera", "tag"))
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
         sys.exit(1)
-    before = read_yaml(config, "survey")
-    chosen = {"views": "survey", "views.folder": quoted(Path(given[-1])), "frames": "0"}
+    for group, part in parts.items():
+        ConfigStore.instance().store(OPTION, part, group)
+    chosen = {"views": OPTION, "views.folder": quoted(Path(given[-1])), "frames": "0", **dict.fromkeys(parts, OPTION)}
     chosen["detectors"] = f"[{','.join(before.get('detectors') or {})}]"
     if before.get("run"):
         chosen["run"] = quoted(Path(before["run"]))
-    else:
-        chosen |= {f"tag.{name}": before["tag"][name] for name in ("edge", "family")}
     named = {argument.partition("=")[0] for argument in sys.argv[1:]}
     sys.argv[1:] += [f"{key}={value}" for key, value in chosen.items() if key not in named]
 

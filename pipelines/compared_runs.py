@@ -42,7 +42,7 @@ class Job:
 
     @cached_property
     def digest(self) -> str:
-        """The same for runs that find the same."""
+        """A digest that is equal for runs that must find the same."""
         return digest(flat_settings(self.cfg, *SAME_WHEN_RESUMED, "budget", "validate"), self.seed)
 
     def folder(self, comparison: Path) -> Path:

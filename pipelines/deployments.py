@@ -12,7 +12,7 @@ NAME = re.compile(r"[\w.-]+")  # what mlflow takes in the name of a metric
 
 
 def read_deployment_as_a_list() -> None:
-    """Take `deployment=a,b,c` of the command line as `deployments=[a,b,c]`: all share one run, so it is no sweep.
+    """Read `deployment=a,b,c` on the command line as `deployments=[a,b,c]`: one run compares them, it is no sweep.
 
     An earlier run that is named there (`run=DIR`) takes part as the deployment `run`, alone if no other is named, and
     says how many landmarks those have for which nothing else does.

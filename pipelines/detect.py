@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from lmd.core.checks import FloatArray
     from lmd.detection.detectors import Detector
     from lmd.detection.frames import Sightings
-    from lmd.detection.report import Predicted
+    from lmd.detection.prediction import Predicted
     from lmd.problem import Problem
     from lmd.render.renderer import Renderer
 
@@ -48,7 +48,7 @@ class Subject:
     detectors: Mapping[str, "Detector"]
 
     def nudged(self, sizes: object, seed: int) -> "Subject":
-        """The same in poses that are moved by `sizes`, standard deviations in metres and rad."""
+        """The subject as seen from poses moved by `sizes`, standard deviations in metres and rad."""
         from lmd.core.checks import vector
         from lmd.detection.frames import nudged
 
@@ -109,7 +109,7 @@ def subject_of(cfg: DictConfig, count: int, seed: int) -> Subject:
     from lmd.core.checks import InputError
     from lmd.core.memory import check_memory
     from lmd.detection.frames import draw_poses, tagged_room
-    from lmd.detection.report import Prediction, RigPrediction
+    from lmd.detection.prediction import Prediction, RigPrediction
     from lmd.evaluation.verdicts import verdicts
     from lmd.geometry.se3 import axis_and_right
     from lmd.render.renderer import Renderer

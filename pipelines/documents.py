@@ -11,7 +11,7 @@ Content = TypeVar("Content")
 
 
 def read_document(path: Path, content_of: Callable[[dict[str, Any]], Content]) -> Content | None:
-    """What a document holds; None where there is none, and where it is damaged, which is then named and set aside.
+    """What a document holds, or None if there is none. A damaged one counts as none, is named, and is set aside.
 
     Args:
         path: of the file.

@@ -138,7 +138,7 @@ def studies(
 
 
 def lose(problem: "Problem", deployment: "Deployment") -> "Losses | None":
-    """What is lost without each landmark; None, and a line that says why, where that cannot be told."""
+    """What is lost without each landmark. Where that cannot be told, None, and a line in the terminal says why."""
     from lmd.core.checks import InputError
     from lmd.evaluation.losses import losses
 

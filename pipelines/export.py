@@ -59,14 +59,17 @@ def export(cfg: DictConfig) -> None:
         raise InputError("formats lists none, so there is nothing to write.")
     deployment = problem.draw(np.random.default_rng(cfg.seed))
     writers = chosen.writers(scene.room, scene.tag, deployment)
-    for name, reason in chosen.unfit(TagMap(scene.room, scene.tag, deployment)).items():
+    tags = TagMap(scene.room, scene.tag, deployment)
+    for name, reason in chosen.unfit(tags).items():
         print(f"note: {FORMATS[name].file} is not written: {reason}", file=sys.stderr)
+    for name in chosen.silent(tags):
+        print(f"note: {FORMATS[name].file} does not say that tags have {tags.edges_in_words}", file=sys.stderr)
     with tracked(cfg, "export", title_of(problem, "export")) as tracker:
         files = write_all(run_directory(), writers)
         keep(tracker, files, {})
-    print(f"tags   {problem.count} of {scene.tag.family}, {1000.0 * scene.tag.size:g} mm")
+    print(f"tags   {problem.count} of {scene.tag.family}, {tags.edges_in_words}")
     if "sheets" in chosen.formats:
-        print(f"sheets {describe_sheets(scene.tag, chosen.paper, problem.count)}")
+        print(f"sheets {describe_sheets(tags, chosen.paper)}")
     print(f"files  {run_directory()}: {', '.join(file.name for file in files)}")
     print(f"mlflow {tracker.describe()}")
 

@@ -22,9 +22,9 @@ from .trust import PAGE, SHOWN, TARGET, Trust, listed, read_yaml
 if TYPE_CHECKING:
     import pandas as pd
 
-OURS = ("tracking", "trust")  # keys that this command line says, and not the run's
-PLACES = ("hydra", "save_as", "kept")  # keys that say where something is written
-ENTRIES = ("optimisers", "deployments")  # lists of options, each of which may have overrides of its own
+OWN_KEYS = ("tracking", "trust")  # keys that this command line says, and not the run's
+PLACE_KEYS = ("hydra", "save_as", "kept")  # keys that say where something is written
+LIST_KEYS = ("optimisers", "deployments")  # lists of options, each of which may have overrides of its own
 # An option of a group by its name: with dots and slashes it would be a file anywhere, and with = or ~ an override.
 NAMES = re.compile(r"[\w\[\],'\" -]*")
 GIVEN = "command-line"  # how Hydra's name for what a command line added to the search path ends
@@ -62,7 +62,7 @@ def going_on(run: "pd.Series", trust: Trust) -> GoingOn | None:
         trust: of the command line.
     """
     from lmd.core.checks import InputError, printable
-    from lmd.optimisers.checkpoint import FILE
+    from lmd.optimisers.checkpoint import CHECKPOINT_FILE
 
     from .operations.tracking import PARENT_TAG
 
@@ -74,7 +74,7 @@ def going_on(run: "pd.Series", trust: Trust) -> GoingOn | None:
         if run.get("tags.host") == socket.gethostname():
             return None
         return GoingOn(printable(told), why_not=f"its folder {printable(str(folder))} is not on this host")
-    if not is_sweep and not (folder / FILE).is_file():
+    if not is_sweep and not (folder / CHECKPOINT_FILE).is_file():
         return None
     try:
         pipeline, arguments = _command(folder, is_sweep, trust)
@@ -119,7 +119,7 @@ def _command(folder: Path, is_sweep: bool, trust: Trust) -> tuple[str, list[str]
             kept += [override] if is_sweep else []
         elif key not in REPLACED:
             raise InputError(f"it was given {override[:SHOWN]!r}, which is not taken from a file ({PAGE})")
-    kept += [override for key, override in task_overrides() if key.split(".")[0] in OURS]
+    kept += [override for key, override in task_overrides() if key.split(".")[0] in OWN_KEYS]
     if is_sweep:
         kept.append(at("hydra.sweep.dir", folder))
     else:
@@ -157,11 +157,11 @@ def _is_kept(override: str, source: str, trust: Trust) -> bool:
         if lacking:
             raise InputError(f"it was told trust={lacking}; if you trust that too, add it ({PAGE})")
         return False
-    if first in PLACES or parsed.package is not None or (is_sweep and TARGET in override.replace("\\", "")):
+    if first in PLACE_KEYS or parsed.package is not None or (is_sweep and TARGET in override.replace("\\", "")):
         raise InputError(f"it was given {override[:SHOWN]!r}, which is not taken from a file ({PAGE})")
     given = override.partition("=")[2]
     trust.check(source, key, given if is_sweep else parsed.value())
-    is_group = first in ENTRIES or "/" in key or any((folder / key).is_dir() for folder in trust.folders)
+    is_group = first in LIST_KEYS or "/" in key or any((folder / key).is_dir() for folder in trust.folders)
     if is_group and not NAMES.fullmatch(given):
         raise InputError(f"it was given {override[:SHOWN]!r}, which is not taken from a file ({PAGE})")
     return True

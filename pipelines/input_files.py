@@ -9,10 +9,10 @@ from typing import Any
 
 # What stands around a path in an override, such as `deployments=['mine: file deployment.path=a.csv',uniform]`; a path
 # with a space in it needs the first.
-AROUND = (r"[,=\[\]{}'\"]+", r"[\s,=\[\]{}'\"]+")
+SEPARATORS = (r"[,=\[\]{}'\"]+", r"[\s,=\[\]{}'\"]+")
 
 # Of a larger file, which hardly any memory would hold, the number of bytes has to do.
-LARGEST = 1 << 32
+LARGEST_READ = 1 << 32
 
 
 def contents_of(settings: Any) -> dict[str, str]:
@@ -41,11 +41,11 @@ def _texts(settings: Any) -> Iterator[str]:
 
 
 def _words(text: str) -> set[str]:
-    return {text, *(word for around in AROUND for word in re.split(around, text))}
+    return {text, *(word for around in SEPARATORS for word in re.split(around, text))}
 
 
 def _digest(file: Path) -> str:
-    if (size := file.stat().st_size) > LARGEST:
+    if (size := file.stat().st_size) > LARGEST_READ:
         return f"{size} bytes"
     with file.open("rb") as content:
         return hashlib.file_digest(content, "sha256").hexdigest()[:16]

@@ -124,10 +124,10 @@ def checkpoint_of(
 
 def tell_how_to_go_on(pipeline: str) -> None:
     """Say which command goes on with an interrupted run, if it left a checkpoint."""
-    from lmd.optimisers.checkpoint import FILE
+    from lmd.optimisers.checkpoint import CHECKPOINT_FILE
 
     directory = run_directory()
-    if (directory / FILE).exists():
+    if (directory / CHECKPOINT_FILE).exists():
         print(f"interrupted; go on with: {resuming(pipeline, directory)}", file=sys.stderr)
 
 

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from lmd.problem import Problem
     from lmd.scene.deployment import Deployment
 
-LEAST = 1 << 20  # bytes that must be free for a run to begin
+LEAST_FREE = 1 << 20  # bytes that must be free for a run to begin
 PARTIAL = ".partial_"
-RESERVE = 1 << 16  # bytes; more than the landmarks and figures of a thousand tags take
+RESERVED_BYTES = 1 << 16  # bytes; more than the landmarks and figures of a thousand tags take
 
 
 class RunDirectory(HydraCallback):
@@ -52,7 +52,7 @@ class RunDirectory(HydraCallback):
         while not there.exists():
             there = there.parent
         free = shutil.disk_usage(there).free
-        if free < LEAST:
+        if free < LEAST_FREE:
             print(f"error: {directory.resolve()}: no space is left there ({free} bytes)", file=sys.stderr)
             sys.exit(1)
 
@@ -187,7 +187,7 @@ def space_reserved(directory: Path) -> Iterator[None]:
         OSError: the disk is full already.
     """
     reserve = directory / ".reserve"
-    reserve.write_bytes(bytes(RESERVE))
+    reserve.write_bytes(bytes(RESERVED_BYTES))
     try:
         yield
     finally:

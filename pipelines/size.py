@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from lmd.sight.models.fiducial import Fiducial
 
 
-LINEAR = 0.35  # rad, 20 degrees
+MOST_ATTITUDE_RAD = 0.35  # 20 degrees; beyond, a linear prediction says nothing
 
 
 def size(cfg: DictConfig) -> None:
-    """Print what the configured camera reads of the configured tag."""
+    """Print what the configured camera reads of the configured tag, or of each of its sizes."""
     from lmd.core.checks import InputError, real, vector
     from lmd.sight.models.fiducial import Fiducial
 
@@ -34,13 +34,19 @@ def size(cfg: DictConfig) -> None:
     angles = vector("incidence", cfg.incidence, len(cfg.incidence), low=0.0, high=90.0)
     distances = vector("distance", cfg.distance, len(cfg.distance), above=0.0)
     noise = real("pixel_noise", cfg.pixel_noise, above=0.0)
-    print(f"tag      {tag.family}, black square {tag.size:g} m, with its quiet zone {tag.paper_edge:.4g} m")
+    tags = [tag.of_size(edge) for edge in tag.sizes]
+    for one in tags:
+        print(f"tag      {one.family}, black square {one.size:g} m, with its quiet zone {one.paper_edge:.4g} m")
     print(f"camera   {camera.image_width:g} x {camera.image_height:g} pixels")
     print(f"detector {criteria.detector}\n")
     with keyed("tag"):
-        _print(_reads(camera, tag, criteria, angles, distances, noise))
-        print("\nsmallest black square that is read, metres")
-        _print(_edges(camera, tag, criteria, angles, distances))
+        for one in tags:
+            if len(tags) > 1:
+                print(f"black square of {one.size:g} m")
+            _print(_reads(camera, one, replace(criteria, tag=one), angles, distances, noise))
+            print()
+        print("smallest black square that is read, metres")
+        _print(_edges(camera, tags[0], criteria, angles, distances))
 
 
 def _reads(
@@ -68,8 +74,8 @@ def _reads(
 
 
 def _error(position: float, attitude: float) -> str:
-    """Standard deviations, metres and rad, unless they are so large that the bound, which is linear, means nothing."""
-    return f"{1e3 * position:.3g} mm, {math.degrees(attitude):.2g} deg" if attitude < LINEAR else "not fixed"
+    """Two standard deviations in words, or "not fixed": the bound is linear, and says nothing of large rotations."""
+    return f"{1e3 * position:.3g} mm, {math.degrees(attitude):.2g} deg" if attitude < MOST_ATTITUDE_RAD else "not fixed"
 
 
 def _edges(

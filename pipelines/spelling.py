@@ -6,11 +6,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-CLOSE = 0.8  # as `difflib` counts likeness: a letter or an underscore that is missing in a word
+LIKENESS = 0.8  # as `difflib` counts likeness: a letter or an underscore that is missing in a word
 
 
 def meant(key: str, folder: str) -> str:
-    """A question after the key that is most like one that is not known; empty where it is known, or none is like it.
+    """Ask after the known key that is most like an unknown one; empty if the key is known, or no known one is like it.
 
     Args:
         key: with the names of its groups, such as `room.keepout`.
@@ -19,7 +19,7 @@ def meant(key: str, folder: str) -> str:
     import difflib
 
     known = _known(folder)
-    close = [] if key in known else difflib.get_close_matches(key, sorted(known), 1, CLOSE)
+    close = [] if key in known else difflib.get_close_matches(key, sorted(known), 1, LIKENESS)
     return f"did you mean {close[0]}?" if close else ""
 
 

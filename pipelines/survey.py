@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from lmd.detection.detectors import Detections, Detector
     from lmd.detection.images import Images
     from lmd.mapping.detections import DetectedTags
-    from lmd.problem import Problem
     from lmd.scene.camera import Camera
     from lmd.scene.rig import Rig
+    from lmd.scene.scene import Scene
     from lmd.scene.tag import Tag
     from lmd.space.space import Space
     from lmd.survey.audit import Audit
@@ -59,7 +59,7 @@ def survey(cfg: DictConfig) -> None:
     cameras = given.cameras if isinstance(given, Rig) else (given,)
     name, detector = _detector(cfg)
     known, room = _known(cfg, tag, given), instantiate(cfg.room) if cfg.get("room") else None
-    problem = _problem(cfg) if boolean("audit", cfg.audit) else None
+    scene = _scene(cfg) if boolean("audit", cfg.audit) else None
     exports = build_export(cfg, "export", tag)
     if exports.formats and room is None:
         raise InputError("export needs the room that the tags hang in: run=DIR, or room=... with its keys.")
@@ -67,14 +67,13 @@ def survey(cfg: DictConfig) -> None:
     errors = CORNER_ERRORS[name.removesuffix("_fine")]
     with keyed("survey", detections="detections" if cfg.detections is not None else "photographs", cameras="camera"):
         found = find(detected, cameras, tag, errors, known, boolean("calibrate", cfg.survey.calibrate))
-    camera = found.calibrated[0].found if found.calibrated else cameras[0]
-    found = replace(found, proposed=next_photographs(found, camera, tag.modules, errors, again(found), room))
-    audit = None if problem is None else audited(found, problem, verdicts)
+    through = tuple(one.found for one in found.calibrated) or cameras
+    found = replace(found, proposed=next_photographs(found, through[0], tag.modules, errors, again(found), room))
+    audit = None if scene is None else audited(found, scene, verdicts)
     about = f"survey of {found.placed.sum()} tags in {len(found.found.frames)} frames"
     with tracked(cfg, "survey", about) as tracker:
         writers = _writers(found, room, about, is_new=cfg.detections is None)
-        if len(cameras) == 1:
-            writers[VIEWS] = lambda path: write_table(path, view_columns(found, camera, tag, room))
+        writers[VIEWS] = lambda path: write_table(path, view_columns(found, through, tag, room))
         if exports.formats and room is not None:
             writers |= exports.writers(room, tag, map_of(found))
         if audit is not None:
@@ -100,19 +99,17 @@ def _detector(cfg: DictConfig) -> "tuple[str, Detector]":
     return named[0], instantiate(settings_of(cfg, f"detectors.{named[0]}"))
 
 
-def _problem(cfg: DictConfig) -> "Problem":
+def _scene(cfg: DictConfig) -> "Scene":
     """What the frames are audited by.
 
     Raises:
-        InputError: there is no room, or a rig.
+        InputError: there is no room.
     """
     from lmd.core.checks import InputError
 
     if not cfg.get("room"):
         raise InputError("audit needs the room and the visibility model of a run: run=DIR.")
-    problem = build_problem(any_deployment(cfg))
-    problem.scene.single_camera("audit")
-    return problem
+    return build_problem(any_deployment(cfg)).scene
 
 
 def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "Known":

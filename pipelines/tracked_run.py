@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from .operations.tracking import Tracker
 
-LITTLE = 0.1  # share of qualified positions below which a run says what takes the others
+FEW_QUALIFIED = 0.1  # share of qualified positions below which a run says what takes the others
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ def record(
     if failed:
         again = command_line("evaluate", [f"run={directory}", f"page={cfg.page}".lower()])
         print(f"warning: {'; '.join(failed)}; to draw and write again: {again}", file=sys.stderr)
-    if why and problem.objective.qualified(problem.values(deployment)).mean() < LITTLE:
+    if why and problem.objective.qualified(problem.values(deployment)).mean() < FEW_QUALIFIED:
         print(f"\n{why.to_text()}")
     return metrics | figures
 

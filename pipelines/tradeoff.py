@@ -45,7 +45,7 @@ def tradeoff(cfg: DictConfig) -> None:
     """Search for every number of landmarks, edge and seed."""
     import numpy as np
 
-    from lmd.core.checks import choice, file_path, real
+    from lmd.core.checks import InputError, choice, file_path, real
     from lmd.evaluation.tradeoff import between
     from lmd.evaluation.validation import headline_off_grid
     from lmd.scene.deployment_sources import landmark_count
@@ -54,6 +54,8 @@ def tradeoff(cfg: DictConfig) -> None:
 
     with keyed(count="counts"):
         counts = sorted({landmark_count(count) for count in _listed("counts", cfg.counts)})
+    if cfg.tag.get("edges") is not None:
+        raise InputError("tag.edges is for tags of several sizes; tradeoff compares single ones, given as edges=[...].")
     edges = [cfg.tag.edge or 0.0] if cfg.edges is None else _listed("edges", cfg.edges)
     edges = sorted({real("tag.edge" if cfg.edges is None else "edges", edge, low=0.0) for edge in edges})
     seeds = seeds_of(cfg)
@@ -133,7 +135,7 @@ class Points:
         return [n for n, ladder in enumerate(self.ladders) if ladder.edge == edge]
 
     def __iter__(self) -> "Iterator[tuple[int, int, Found, dict[str, float]]]":
-        """The number of the ladder, the number of landmarks, what was found, and its figures, of each point."""
+        """For each point: which ladder it is on, how many landmarks it has, what was found, and its figures."""
         for n, count in sorted(self._figures):
             yield n, count, self._found[n][count], self._figures[n, count]
 

@@ -79,7 +79,7 @@ def _save(directory: Path, problem: "Problem", export: "Export | None", deployme
 
 
 def _keep_unsaved(directory: Path, deployment: "Deployment", ups: bool) -> None:
-    """Write it to the directory; where that cannot be, to the working or the temporary directory, or to stdout."""
+    """Write unsaved tags to the directory, or else to the working directory, the temporary directory, or stdout."""
     elsewhere = f"unsaved_{secrets.token_hex(4)}.csv"
 
     def write(name: str, folder: Path) -> None:

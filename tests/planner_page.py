@@ -9,7 +9,7 @@ from paper import paper_room
 from selenium.webdriver.common.actions.action_builder import ActionBuilder
 from selenium.webdriver.common.keys import Keys
 
-from lmd.planner.framing import FIELD, framed
+from lmd.planner.framing import FIELD_OF_VIEW, framed
 from lmd.planner.off_grid import ESTIMATE
 
 LIMIT = 300.0  # seconds
@@ -92,7 +92,7 @@ class Page:
         right = np.cross(ahead, [0.0, 0.0, 1.0]) / np.linalg.norm(np.cross(ahead, [0.0, 0.0, 1.0]))
         offset = np.array(point) - position
         x, y, z = offset @ right, offset @ np.cross(right, ahead), offset @ ahead
-        scale = height / 2.0 / np.tan(FIELD / 2.0) / z
+        scale = height / 2.0 / np.tan(FIELD_OF_VIEW / 2.0) / z
         return round(left + width / 2.0 + scale * x), round(top + height / 2.0 - scale * y)
 
     def mouse(self, *places, pause=0.1):

@@ -58,17 +58,18 @@ def distorted_cameras(draw):
     """Barrels, pincushions, moustaches and prisms, the strongest of which nearly fold in the corners; and fisheyes."""
     camera, model = draw(cameras()), draw(st.sampled_from(["plumb_bob", "rational_polynomial", "equidistant"]))
     lens, radius = [draw(st.floats(-1.0, 1.0)) for _ in range(12)], math.tan(camera.widest_angle)
+    circle = draw(st.one_of(st.just(math.inf), st.floats(0.6, 2.2))) * min(camera.image_width, camera.image_height)
     if model == "equidistant":
         # Corners up to 150 degrees from the axis.
         angle = draw(st.floats(0.3, 2.6))
         shorter, sizes = angle / radius, [0.2 / ((2 * n + 1) * angle ** (2 * n)) for n in (1, 2, 3, 4)]
         sharper = {name: shorter * getattr(camera, name) for name in ("pixel_width", "pixel_height")}
-        return replace(camera, distortion=_scaled(lens, sizes), distortion_model=model, **sharper)
+        return replace(camera, distortion=_scaled(lens, sizes), distortion_model=model, image_circle=circle, **sharper)
     radial = 0.05 / radius**2, 0.025 / radius**4
     sizes = [*radial, 0.005 / radius, 0.005 / radius, 0.01 / radius**6]
     if model == "rational_polynomial":
         sizes += [*radial, 0.01 / radius**6, *(0.005 / radius, 0.005 / radius**3) * 2]
-    return replace(camera, distortion=_scaled(lens, sizes), distortion_model=model)
+    return replace(camera, distortion=_scaled(lens, sizes), distortion_model=model, image_circle=circle)
 
 
 def _scaled(numbers, sizes):

@@ -13,7 +13,7 @@ from hydra._internal.hydra import Hydra
 from mlflow.store.db import utils
 
 from pipelines.app import CONF
-from pipelines.operations.sweeps.forks import READY, TRACKED
+from pipelines.operations.sweeps.forks import READY_MODULE, TRACKED
 
 PIPELINES = (
     *("accuracy", "bound", "calibrate_detector", "compare", "detect", "estimate_pdf", "evaluate", "export"),
@@ -32,7 +32,7 @@ LIBRARIES = (
         "lmd.plot.localisation",
     ),
 )
-for name in (READY, *TRACKED, "mlflow.tracking.client", *LIBRARIES, *(f"pipelines.{p}" for p in PIPELINES)):
+for name in (READY_MODULE, *TRACKED, "mlflow.tracking.client", *LIBRARIES, *(f"pipelines.{p}" for p in PIPELINES)):
     importlib.import_module(name)
 
 

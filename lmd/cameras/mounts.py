@@ -18,11 +18,11 @@ from lmd.scene.rig import Mount, Rig
 from lmd.space.surface import SurfaceArrays
 
 DECIMALS = 3  # of metres and radians
-SAMPLES = (17, 13)  # of an image, along its width and its height, for what it shows of the body
-TURNS = 8  # steps in which a camera that sees its body is turned away from it
-NEAR = 0.0016  # metres: how far a mount that is given may be from its place as genes have it, and rad
-DRAWS = 200  # random mounts for each camera, at most
-QUARTER = math.pi / 2.0
+IMAGE_SAMPLES = (17, 13)  # of an image, along its width and its height, for what it shows of the body
+TURN_STEPS = 8  # steps in which a camera that sees its body is turned away from it
+GIVEN_TOLERANCE = 0.0016  # metres: how far a mount that is given may be from its place as genes have it, and rad
+DRAWS_PER_CAMERA = 200  # random mounts for each camera, at most
+QUARTER_TURN = math.pi / 2.0
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class MountSpace:
     body: Body
     lenses: Sequence[Camera]
     count: int = 2
-    yaw: Sequence[float] = (-QUARTER, QUARTER)
+    yaw: Sequence[float] = (-QUARTER_TURN, QUARTER_TURN)
     pitch: Sequence[float] = (-0.8, 0.8)
     roll: Sequence[float] = (0.0, 0.0)
     apart: float = 0.08
@@ -57,7 +57,7 @@ class MountSpace:
     def __post_init__(self) -> None:
         object.__setattr__(self, "count", integer("count", self.count, low=1, high=64))
         object.__setattr__(self, "apart", real("apart", self.apart, low=0.0))
-        for name, most in (("yaw", math.pi), ("pitch", QUARTER), ("roll", math.pi)):
+        for name, most in (("yaw", math.pi), ("pitch", QUARTER_TURN), ("roll", math.pi)):
             low, high = vector(name, getattr(self, name), 2, low=-most - 0.01, high=most + 0.01)
             if low > high:
                 raise InputError(f"{name} must go from the lower to the higher, got {[low, high]}.", name)
@@ -94,8 +94,8 @@ class MountSpace:
             ahead = math.atan2(normal[1], normal[0])
             yaw = _within(self.yaw, of["yaw"])
             level = _nearest(0.0, self.pitch)
-        for step in range(TURNS + 1):
-            left = 1.0 - step / TURNS
+        for step in range(TURN_STEPS + 1):
+            left = 1.0 - step / TURN_STEPS
             turn = yaw if ahead is None else ahead + _between(_nearest(0.0, self.yaw), yaw, left)
             mount = _rounded(camera, place, turn, _between(level, pitch, left), roll)
             if self.own_part(mount) <= self.body.own_share:
@@ -115,7 +115,7 @@ class MountSpace:
             InputError: none were found.
         """
         genes, mounts = [], list[Mount]()
-        for _ in range(DRAWS * self.count):
+        for _ in range(DRAWS_PER_CAMERA * self.count):
             row = rng.random(len(self.names))
             mount = self.mount(row)
             if mount is not None and self.are_apart([*mounts, mount]):
@@ -187,7 +187,7 @@ def _rounded(camera: Camera, place: FloatArray, yaw: float, pitch: float, roll: 
 def _alike(one: Mount, other: Mount) -> bool:
     """Whether two mounts are the same but for what rounding does."""
     away = np.abs(np.array(one.translation) - other.translation).max()
-    return one.camera == other.camera and max(away, np.abs(one.rotation - other.rotation).max()) <= NEAR
+    return one.camera == other.camera and max(away, np.abs(one.rotation - other.rotation).max()) <= GIVEN_TOLERANCE
 
 
 def _between(low: float, high: float, share: float) -> float:
@@ -208,9 +208,9 @@ def _turned(angle: float) -> float:
 
 
 def _rays_of(camera: Camera) -> FloatArray:
-    """What a sample of the pixels of an image looks at, borders included: forward, left, up, `(R, 3)`."""
+    """Viewing directions of a sample of an image's pixels, borders included: forward, left, up, `(R, 3)`."""
     sizes = (camera.image_width, camera.image_height)
-    u, v = (np.linspace(0.0, size, samples) for size, samples in zip(sizes, SAMPLES, strict=True))
+    u, v = (np.linspace(0.0, size, samples) for size, samples in zip(sizes, IMAGE_SAMPLES, strict=True))
     seen = bearings(camera, np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2))
     seen = seen[np.isfinite(seen).all(axis=1)]
     return np.stack([seen[:, 2], -seen[:, 0], -seen[:, 1]], axis=-1)

@@ -15,7 +15,7 @@ from lmd.sight.evaluator import Evaluator
 from lmd.sight.views import visible
 
 MOST_BYTES = 1 << 28  # of what is kept of cameras looked at before
-PARTS = 4  # pieces of work for each thread
+PARTS_PER_THREAD = 4  # pieces of work for each thread
 
 
 class CameraViews:
@@ -66,7 +66,7 @@ class CameraViews:
         def look(first: int, last: int) -> None:
             found[first:last] = visible(alone, self._deployment, places[first:last], axes[first:last])
 
-        in_parts(self._evaluator.threads, look, n, PARTS * self._evaluator.threads)
+        in_parts(self._evaluator.threads, look, n, PARTS_PER_THREAD * self._evaluator.threads)
         return packed(found)
 
     def units(self, mounts: Sequence[Mount], n: int) -> np.ndarray:

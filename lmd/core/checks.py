@@ -43,7 +43,7 @@ class InputError(ValueError):
         self.argument = argument
 
     def within(self, whole: str) -> "InputError":
-        """The same about an argument of `whole`, an argument itself; unchanged where it names none."""
+        """The same error about an argument of `whole`, itself an argument; unchanged if it names no argument."""
         if self.argument is None:
             return self
         return InputError(f"{whole}.{self}", f"{whole}.{self.argument}")
@@ -131,17 +131,18 @@ def choice(name: str, value: Any, options: Sequence[str]) -> str:
     return str(value)
 
 
-def vector(name: str, value: Any, size: int, **bounds: Any) -> tuple[float, ...]:
-    """Return `value` as a tuple of `size` floats, each checked by `real`.
+def vector(name: str, value: Any, size: int | None, **bounds: Any) -> tuple[float, ...]:
+    """Return `value` as a tuple of `size` floats, or of one or more where that is None, each checked by `real`.
 
     Raises:
         InputError: wrong length, or an entry is not an admissible number.
     """
+    wanted = f"{name} must be a list of {'' if size is None else f'{size} '}numbers"
     if isinstance(value, str) or not isinstance(value, Iterable):
-        raise InputError(f"{name} must be a list of {size} numbers, got {value!r}.", name)
+        raise InputError(f"{wanted}, got {value!r}.", name)
     entries = list(value)
-    if len(entries) != size:
-        raise InputError(f"{name} must be a list of {size} numbers, got {entries!r}.", name)
+    if (not entries) if size is None else len(entries) != size:
+        raise InputError(f"{wanted}, got {entries!r}.", name)
     return tuple(real(f"{name}[{i}]", entry, **bounds) for i, entry in enumerate(entries))
 
 

@@ -87,7 +87,7 @@ class _Compiling(Listener):
         _say(f"compiling kernel {self._kernels}, {self._spent:.0f} s so far: {name}")
 
     def on_end(self, event: Event) -> None:
-        """It is done with it."""
+        """Note that numba has ended a compilation."""
         with self._lock:
             self._compiling -= 1
             if not self._compiling:
@@ -143,7 +143,7 @@ def inner(function: Callable[..., Any]) -> Any:
 
 
 def allocating(function: Callable[..., Any]) -> Any:
-    """The same for what makes arrays, which `inner` refuses."""
+    """As `inner`, for a function that makes arrays, which `inner` refuses."""
     return _made_inner(function, _CALLED | {"_nrt": True})
 
 
@@ -152,7 +152,7 @@ def _made_inner(function: Callable[..., Any], options: Any) -> Any:
 
 
 def inlined(function: Callable[..., Any]) -> Any:
-    """The same, inlined by LLVM whatever its size.
+    """As `inner`, inlined by LLVM whatever its size.
 
     Only so do loops over it vectorise, and what stays the same moves out of them. For what is called at every position,
     handing over a field, a state and a scratch, hundreds of numbers, would take longer than the work. Nor does it make
@@ -162,7 +162,7 @@ def inlined(function: Callable[..., Any]) -> Any:
 
 
 def arithmetic(function: Callable[..., Any]) -> Any:
-    """The same for formulas on numbers that Python calls with arrays, too."""
+    """As `inner`, for formulas on numbers that Python calls with arrays, too."""
     return _made_inlined(function, _INLINED | {"_nrt": True})
 
 

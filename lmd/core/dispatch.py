@@ -38,7 +38,7 @@ def dispatched(declaration: Function) -> Dispatched:
 
 
 def dispatched_call(declaration: Function) -> Dispatched:
-    """The same for what is long: not inlined."""
+    """As `dispatched`, for a long function: it is not inlined."""
     return _dispatched(declaration, None, OVERLOAD)
 
 

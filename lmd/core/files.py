@@ -18,7 +18,7 @@ from lmd.core.checks import InputError, file_path
 from lmd.core.memory import check_memory
 
 # What a byte of a file takes at most while its contents are made sense of, bytes: the texts of a table.
-EACH = 20.0
+MEMORY_PER_BYTE = 20.0
 # A calibration has a few kilobytes; so much is read in some seconds.
 LARGEST_YAML = 1 << 19
 
@@ -48,7 +48,7 @@ def read_bytes(path: Any, name: str, largest: float = math.inf) -> bytes:
             size = status.st_size
             if size > largest:
                 raise InputError(f"{refused}: it has {size:.4g} bytes, and at most {largest:.4g} are taken.", name)
-            check_memory(EACH * size, f"{name}: {str(path)!r}, of {size:.4g} bytes,", name)
+            check_memory(MEMORY_PER_BYTE * size, f"{name}: {str(path)!r}, of {size:.4g} bytes,", name)
             with os.fdopen(descriptor, "rb", closefd=False) as file:
                 return file.read(size)
         finally:

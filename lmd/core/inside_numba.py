@@ -19,7 +19,7 @@ from numba.core.targetconfig import TargetConfig
 
 from lmd.core import by_address  # noqa: F401
 
-PATIENCE = 60.0  # seconds to wait for another process that compiles the same kernel: longer than any takes
+PATIENCE_SECONDS = 60.0  # to wait for another process that compiles the same kernel: longer than any takes
 
 
 class Inner(CPUDispatcher):
@@ -61,7 +61,7 @@ class _InnerLibrary(JITCodeLibrary):
 
     @property
     def codegen(self) -> "_InnerLibrary":
-        """Who is told of the environment, see `set_env`."""
+        """The object whose `set_env` numba calls: this one."""
         return self
 
     def set_env(self, name: str, environment: Any) -> None:
@@ -132,7 +132,7 @@ class _Cache(FunctionCache):
         lock = FileLock(f"{self._cache_file._index_path}.{name}.lock")
         try:
             self._impl.locator.ensure_cache_path()
-            lock.acquire(timeout=PATIENCE)
+            lock.acquire(timeout=PATIENCE_SECONDS)
         except (OSError, Timeout):
             return None
         found = super().load_overload(sig, target_context)

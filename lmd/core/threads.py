@@ -73,6 +73,6 @@ def _exhaust(left: Iterator[int]) -> None:
 
 
 def in_parts(threads: int, work: Callable[[int, int], object], size: int, parts: int) -> None:
-    """Do `work(first, last)` for so many equal parts of `range(size)`, or one for each of its numbers."""
+    """Do `work(first, last)` for `parts` equal parts of `range(size)`, or each of its numbers if those are fewer."""
     edges = np.linspace(0, size, min(size, parts) + 1).astype(int).tolist()
     at_once(threads, lambda part: work(*part), itertools.pairwise(edges))

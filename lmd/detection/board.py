@@ -1,5 +1,6 @@
 """Views of tags in your own images of a printed board whose geometry is known."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -8,10 +9,10 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, real
 from lmd.core.tables import read_numbers, read_table
 from lmd.detection.detectors import Detections, Detector
-from lmd.detection.evaluation import TOLERANCE, corner_error, match
+from lmd.detection.evaluation import CORNER_TOLERANCE, corner_error, match
 from lmd.detection.frames import qualities
 from lmd.detection.images import Photographs
-from lmd.detection.mosaic import Views
+from lmd.detection.mosaic import Views, only
 from lmd.detection.pose import pose_from_corners
 from lmd.geometry.se3 import poses_from_rows
 from lmd.geometry.squares import upright
@@ -44,7 +45,7 @@ class BoardImages:
     folder: str | None
     tags: str | None
     poses: str | None = None
-    tolerance: float = TOLERANCE
+    tolerance: float = CORNER_TOLERANCE
 
     def __post_init__(self) -> None:
         if self.folder is None:
@@ -54,8 +55,11 @@ class BoardImages:
             raise InputError("tags is missing: a CSV of the tags on the board is needed.", "tags")
         object.__setattr__(self, "tolerance", real("tolerance", self.tolerance, above=0.0))
 
-    def views(self, camera: Camera, tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator) -> Views:
+    def views(
+        self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
+    ) -> Views:
         """See `Source.views`: each tag that shows its front wholly in an image whose pose is known."""
+        camera = only(cameras)
         renderer = Renderer(camera, self.board(tag), imaging)
         known = None if self.poses is None else self._known_poses(self.poses)
         parts = []

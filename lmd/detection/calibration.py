@@ -1,6 +1,6 @@
 """Limits of a detector fitted to views of tags, and how well they predict what they were not fitted to."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.detection.detectors import Detector
-from lmd.detection.evaluation import NUMBERS, agreement, at_least, precision_recall
+from lmd.detection.evaluation import TAG_NUMBERS, agreement, at_least, precision_recall
 from lmd.detection.fit import Fit
 from lmd.detection.frames import Sightings, overlapping, qualities
 from lmd.detection.mosaic import Views
@@ -18,7 +18,7 @@ from lmd.scene.camera import Camera
 from lmd.scene.tag import Tag
 from lmd.sight.models.limits import NAMES, Limits, Preset
 
-ENDS = ("low", "high")
+INTERVAL_ENDS = ("low", "high")
 
 
 class Source(Protocol):
@@ -28,15 +28,20 @@ class Source(Protocol):
     def photographs(self) -> int:
         """How many photographs they are of; 0 where they are rendered."""
 
-    def views(self, camera: Camera, tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator) -> Views:
+    def views(
+        self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
+    ) -> Views:
         """Views and what the detector made of them.
 
         Args:
-            camera: that takes the images.
+            cameras: that take the images; several where they are those of a rig.
             tag: its family, size and quiet zone.
             detector: for this family.
             imaging: lens and light, where images are rendered; blur, where they are read.
             rng: source of everything random.
+
+        Raises:
+            InputError: it makes views for one camera only, or of other cameras.
         """
 
 
@@ -83,7 +88,7 @@ class Calibration:
             **{
                 f"{name}_{end}": value
                 for name, ends in self.intervals.items()
-                for end, value in zip(ENDS, ends, strict=True)
+                for end, value in zip(INTERVAL_ENDS, ends, strict=True)
             },
             "photographs": self.photographs,
             **{f"room_{name}": value for name, value in self.rooms.items()},
@@ -109,7 +114,7 @@ class Calibration:
             spans = (f"{name} {low:.3g} to {high:.3g}" for name, (low, high) in self.intervals.items())
             lines.append(f"90 % intervals: {', '.join(spans)}.")
         if self.rooms:
-            pairs = (f"{self.rooms[f'predicted_{n}']:.3f} / {self.rooms[f'detected_{n}']:.3f}" for n in NUMBERS)
+            pairs = (f"{self.rooms[f'predicted_{n}']:.3f} / {self.rooms[f'detected_{n}']:.3f}" for n in TAG_NUMBERS)
             lines.append(
                 f"In {self.rooms['frames']:.0f} frames of a room: P(>= 1..4) predicted / detected {', '.join(pairs)}; "
                 f"precision {self.rooms['precision']:.3f}, recall {self.rooms['recall']:.3f}; "
@@ -128,5 +133,5 @@ def judged(predicted: BoolArray, seen: Sightings) -> dict[str, float]:
     precision, recall = precision_recall(predicted, seen.detected)
     row = {"frames": float(len(predicted)), "precision": float(precision), "recall": float(recall)}
     for name, which in (("predicted", predicted), ("detected", seen.detected)):
-        row |= {f"{name}_{n}": float(share) for n, share in zip(NUMBERS, at_least(which).share, strict=True)}
+        row |= {f"{name}_{n}": float(share) for n, share in zip(TAG_NUMBERS, at_least(which).share, strict=True)}
     return row | {"agreement_2": agreement(predicted, seen.detected)}

@@ -9,7 +9,7 @@ import numpy as np
 from lmd.core.checks import FloatArray
 
 # The 90 % quantile of the standard normal distribution.
-NINETY = 1.2815515655446004
+NORMAL_QUANTILE_90 = 1.2815515655446004
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class CornerErrors:
         """Mean and standard deviation of the error's logarithm, as `pitch`."""
         at, known = np.log(pitch), np.log(self.pitch)
         mean, high = (np.interp(at, known, np.log(values)) for values in (self.median, self.high))
-        return mean, (high - mean) / NINETY
+        return mean, (high - mean) / NORMAL_QUANTILE_90
 
     def draw(self, pitch: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Errors of the corners of tags with these pitches `(...)`, pixels, `(..., 4, 2)`."""
@@ -51,23 +51,23 @@ class CornerErrors:
 
 
 # The geometric middles of the classes of pitch from 1.25 to 9 pixels a module.
-MIDDLES = tuple(math.sqrt(low * high) for low, high in pairwise((1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 6.0, 9.0)))
+PITCH_MIDDLES = tuple(math.sqrt(low * high) for low, high in pairwise((1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 6.0, 9.0)))
 # Measured in rendered frames, `python -m pipelines.detect deployment=uniform tag.edge=0.10 poses=400` with these
 # detectors, tags of the family 36h11 and an ordinary camera in good light: 72 to 793 tags in a class.
 CORNER_ERRORS = {
     "aruco": CornerErrors(
-        MIDDLES,
+        PITCH_MIDDLES,
         (1.007, 0.908, 0.824, 0.703, 0.616, 0.545, 0.306, 0.273),
         (1.400, 1.406, 1.126, 0.964, 0.878, 0.778, 0.668, 0.343),
     ),
     "apriltag": CornerErrors(
-        MIDDLES,
+        PITCH_MIDDLES,
         (0.228, 0.193, 0.180, 0.135, 0.080, 0.033, 0.017, 0.017),
         (0.363, 0.280, 0.236, 0.200, 0.131, 0.057, 0.042, 0.039),
     ),
     # It finds next to nothing below 1.5 pixels a module.
     "apriltag_decimate2": CornerErrors(
-        MIDDLES[1:],
+        PITCH_MIDDLES[1:],
         (0.244, 0.212, 0.151, 0.084, 0.034, 0.018, 0.016),
         (0.497, 0.383, 0.253, 0.147, 0.063, 0.040, 0.039),
     ),

@@ -14,9 +14,9 @@ from lmd.core.checks import BoolArray, FloatArray
 from lmd.detection.detectors import Detections
 
 # Numbers of tags in a frame that are asked for, n = 1, 2, 3, 4.
-NUMBERS = np.arange(1, 5)
+TAG_NUMBERS = np.arange(1, 5)
 # A detection with a corner farther than this from the projection is not of the tag it claims to be, pixels.
-TOLERANCE = 5.0
+CORNER_TOLERANCE = 5.0
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Matches:
 
 
 def match(
-    detections: Detections, ids: NDArray[np.int64], expected: FloatArray, tolerance: float = TOLERANCE
+    detections: Detections, ids: NDArray[np.int64], expected: FloatArray, tolerance: float = CORNER_TOLERANCE
 ) -> Matches:
     """Assign detections to tags by id and place; of several of one tag the nearest counts, the others are false.
 
@@ -62,7 +62,7 @@ def match(
 def precision_recall(
     predicted: BoolArray, detected: BoolArray, axis: int | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Share of the predicted that is detected, and of the detected that was predicted; NaN where there are none.
+    """Precision and recall: the share of predicted tags that is detected, and the reverse; NaN where there are none.
 
     Args:
         predicted, detected: `(N, K)`.
@@ -86,7 +86,7 @@ def at_least(seen: BoolArray) -> Shares:
     Args:
         seen: predicted or detected, `(N, K)`.
     """
-    share = (seen.sum(axis=1)[:, None] >= NUMBERS).mean(axis=0)
+    share = (seen.sum(axis=1)[:, None] >= TAG_NUMBERS).mean(axis=0)
     return Shares(share, np.sqrt(share * (1.0 - share) / len(seen)))
 
 
@@ -96,7 +96,7 @@ def agreement(predicted: BoolArray, detected: BoolArray, n: int = 2) -> float:
 
 
 def corner_error(found: FloatArray, expected: FloatArray) -> FloatArray:
-    """Root mean square distance of four corners `(..., 4, 2)`, pixels, `(...)`; NaN where there is none."""
+    """Root mean square distance, pixels, `(...)`, of four corners `(..., 4, 2)` from the true ones; NaN for none."""
     return np.asarray(np.sqrt(((found - expected) ** 2).sum(axis=-1).mean(axis=-1)))
 
 

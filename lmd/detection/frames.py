@@ -27,7 +27,7 @@ FRAMES_STREAM = 0x646574656374
 
 
 def draw_poses(scene: Scene, count: int, seed: int) -> FloatArray:
-    """Random poses X: positions uniform where the camera may be, orientations from the PDF, `(count, 4, 4)`.
+    """Draw poses X, `(count, 4, 4)`: positions uniformly where the camera may be, orientations from the PDF.
 
     They do not depend on what hangs in the room.
     """
@@ -56,7 +56,8 @@ def tagged_room(room: Space, deployment: Deployment, tag: Tag) -> TaggedRoom:
         InputError: the tag is a point, or its family is too small.
     """
     tag.check_ids(deployment.ids)
-    return TaggedRoom(tag, deployment.ids, deployment.positions, deployment.normals, deployment.ups, room.faces())
+    places = deployment.positions, deployment.normals, deployment.ups
+    return TaggedRoom(tag, deployment.ids, *places, room.faces(), deployment.edges_of(tag))
 
 
 def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -67,11 +68,11 @@ def qualities(renderer: Renderer, poses: FloatArray) -> tuple[FloatArray, FloatA
         poses: X, `(N, 4, 4)`.
     """
     room, camera, imaging = renderer.room, renderer.camera, renderer.imaging
-    where = poses, room.centres, room.normals
+    where, size = (poses, room.centres, room.normals), (room.tag, room.edges)
     depth = to_camera(poses, room.centres)[..., 2]
     depth = np.where(depth > 0.0, depth, np.nan)
-    edges = apparent_edge(camera, *where, room.tag)
-    return pitch(camera, *where, room.tag), incidence(*where), edges, blur(camera, depth, imaging)
+    edges = apparent_edge(camera, *where, *size)
+    return pitch(camera, *where, *size), incidence(*where), edges, blur(camera, depth, imaging)
 
 
 def blur(camera: Camera, depth: FloatArray, imaging: Imaging) -> FloatArray:
@@ -86,8 +87,8 @@ def overlapping(room: TaggedRoom) -> BoolArray:
     offset = room.centres[None] - room.centres[:, None]  # from k to j, (K, K, 3)
     a, b, c = (np.abs((offset * axis[:, None]).sum(axis=-1)) for axis in (right, room.ups, room.normals))
     same_way = room.normals @ room.normals.T > 1.0 - 1e-6
-    edge = room.tag.paper_edge
-    over = same_way & (c < 1e-3) & (np.maximum(a, b) < edge * (1.0 - TOUCHING))
+    papers = room.tag.paper_share * room.edges
+    over = same_way & (c < 1e-3) & (np.maximum(a, b) < (papers[:, None] + papers) / 2.0 * (1.0 - TOUCHING))
     np.fill_diagonal(over, False)
     return np.asarray(over.any(axis=1))
 
@@ -108,12 +109,12 @@ class Sightings:
 
     @classmethod
     def joined(cls, parts: "Sequence[Sightings]") -> "Sightings":
-        """Those of all the frames of several parts."""
+        """The sightings of several parts, one after the other."""
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__))
 
     @classmethod
     def beside(cls, parts: "Sequence[Sightings]") -> "Sightings":
-        """Those of all cameras of a rig in the same N moments, each with K tags of its own, `(N, C K)`."""
+        """The sightings of all cameras of a rig side by side, `(N, C K)`: N moments, K tags for each camera."""
         detected = np.concatenate([part.detected for part in parts], axis=1)
         corners = np.concatenate([part.corners for part in parts], axis=1)
         return cls(detected, corners, np.sum([part.false for part in parts], axis=0))

@@ -6,6 +6,7 @@ settings depend.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from lmd.core.checks import BoolArray, FloatArray, InputError, integer, vector
 from lmd.core.memory import check_memory
 from lmd.detection.detectors import Detections, Detector
-from lmd.detection.evaluation import TOLERANCE, corner_error
+from lmd.detection.evaluation import CORNER_TOLERANCE, corner_error
 from lmd.detection.quality import apparent_edge, incidence, pitch
 from lmd.geometry.squares import corners
 from lmd.render.canvas import PATTERN, REACH, Canvas, pattern
@@ -25,9 +26,9 @@ from lmd.scene.camera import Camera
 from lmd.scene.tag import Tag
 
 # Edges of tiles, pixels; a view goes into the smallest that surely holds it.
-TILES = (64, 128, 256, 512)
+TILE_EDGES = (64, 128, 256, 512)
 VIEW_BYTES = 1000  # at the least, of one and what is drawn for it
-POSE = np.eye(4)
+CAMERA_POSE = np.eye(4)
 
 
 @dataclass(frozen=True)
@@ -87,10 +88,10 @@ class Mosaics:
         return 0
 
     def views(
-        self, camera: Camera, tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
+        self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
     ) -> "Views":
         """See `Source.views`; light and blur are drawn, not those of `imaging`."""
-        return sample_views(camera, tag, detector, self.count, rng, self.sampling)
+        return sample_views(only(cameras), tag, detector, self.count, rng, self.sampling)
 
 
 @dataclass(frozen=True)
@@ -115,6 +116,17 @@ class Views:
 
     def __getitem__(self, which: object) -> "Views":
         return Views(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
+
+
+def only(cameras: Sequence[Camera]) -> Camera:
+    """The camera, for views that are made for one.
+
+    Raises:
+        InputError: there are several.
+    """
+    if len(cameras) > 1:
+        raise InputError(f"views are those of a single camera, not of a rig of {len(cameras)}.")
+    return cameras[0]
 
 
 def sample_views(
@@ -148,7 +160,7 @@ def sample_views(
     diameter = math.sqrt(2.0) * paper * stretch + 2.0 * REACH * sigmas
     patches = pattern(1.0, rng)
     views = []
-    for smaller, tile in pairwise((0, *TILES)):
+    for smaller, tile in pairwise((0, *TILE_EDGES)):
         chosen = np.flatnonzero((smaller < diameter) & (diameter <= tile))
         in_image = (width // tile) * (height // tile)
         if not len(chosen) or not in_image:
@@ -162,7 +174,7 @@ def sample_views(
 
 
 def _tile_centres(camera: Camera, tile: int, count: int) -> FloatArray:
-    """Of the first tiles, row by row, pixels, `(count, 2)`."""
+    """Centres of the first `count` tiles, row by row, pixels, `(count, 2)`."""
     row, column = np.divmod(np.arange(count), image_size(camera)[0] // tile)
     return (np.stack([column, row], axis=-1) + 0.5) * tile
 
@@ -177,7 +189,7 @@ def _place(
     towards = -rays / np.linalg.norm(rays, axis=1, keepdims=True)
     normals = np.cos(tilts)[:, None] * towards + np.sin(tilts)[:, None] * _across(towards, rng)
     # Along a ray and with one normal, the pitch falls as 1 / z.
-    at_one_metre = pitch(camera, POSE, rays, normals, tag)
+    at_one_metre = pitch(camera, CAMERA_POSE, rays, normals, tag)
     return rays * (at_one_metre / pitches)[:, None], normals, _across(normals, rng)
 
 
@@ -208,12 +220,12 @@ def _detect(
     canvas.light += np.float32(rng.uniform(*ranges.texture)) * patches[np.ix_(rows % PATTERN, columns % PATTERN)]
     for number, square, sigma in zip(ids, squares, sigmas, strict=True):
         canvas.tag(tag, int(number), square, float(sigma))
-    expected = project(camera, POSE, squares.reshape(-1, 3)).reshape(-1, 4, 2)
+    expected = project(camera, CAMERA_POSE, squares.reshape(-1, 3)).reshape(-1, 4, 2)
     error = _errors(detector.detect(imaging.develop(canvas.light, rng)), ids, expected)
     return Views(
-        pitch(camera, POSE, centres, normals, tag),
-        incidence(POSE, centres, normals),
-        apparent_edge(camera, POSE, centres, normals, tag),
+        pitch(camera, CAMERA_POSE, centres, normals, tag),
+        incidence(CAMERA_POSE, centres, normals),
+        apparent_edge(camera, CAMERA_POSE, centres, normals, tag),
         sigmas,
         np.isfinite(error),
         error,
@@ -221,10 +233,10 @@ def _detect(
 
 
 def _errors(detections: Detections, ids: NDArray[np.int64], expected: FloatArray) -> FloatArray:
-    """Corner errors of the tags of a mosaic, pixels, `(M,)`; NaN where not found. Here an id may occur many times."""
+    """Corner errors of the tags of a mosaic, pixels, `(M,)`; NaN for a tag that was not found. Ids may repeat."""
     error = np.full(len(ids), np.nan)
     for number, found in zip(detections.ids, detections.corners, strict=True):
-        near = np.linalg.norm(found - expected, axis=-1).max(axis=1) <= TOLERANCE
+        near = np.linalg.norm(found - expected, axis=-1).max(axis=1) <= CORNER_TOLERANCE
         for k in np.flatnonzero(near & (ids == number)):
             error[k] = corner_error(found, expected[k])
     return error

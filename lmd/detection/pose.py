@@ -14,13 +14,13 @@ from lmd.render.optics import bearings, intrinsics, project, slope, to_camera
 from lmd.scene.camera import Camera
 
 # The fewest points that fix a pose; four corners of one tag do.
-FEWEST = 4
+FEWEST_POINTS = 4
 # Points lie in a plane if they are this much less extended across it than along, relative.
-FLAT = 1e-6
+FLATNESS = 1e-6
 # Poses nearer to each other than this in their matrices are the same.
-SAME = 1e-3
+SAME_POSE = 1e-3
 # Behind a lens that distorts, what is seen farther than this from the middle of all, rad, only refines a pose.
-NEAR = np.radians(75.0)
+NEAR_MIDDLE_RAD = np.radians(75.0)
 # Of Gauss and Newton: so many rounds at most, until the squared errors fall by less than this share.
 ROUNDS, GAIN = 10, 1e-9
 
@@ -59,7 +59,7 @@ class PointImage(NamedTuple):
         return np.asarray((project(self.camera, pose @ self.mounted, self.points) - self.pixels) / self.noise[:, None])
 
     def slope(self, y: FloatArray) -> FloatArray:
-        """How the image of points y `(M, 3)`, camera's frame, moves with a body twist (w, v), pixels, `(M, 2, 6)`."""
+        """Derivatives by a body twist (w, v), pixels, `(M, 2, 6)`, of the image of points y `(M, 3)` (camera frame)."""
         moved = np.concatenate([skew(y), np.broadcast_to(-np.eye(3), (len(y), 3, 3))], axis=-1)
         return np.asarray(slope(self.camera, y) @ moved @ adjoint(inverse(self.mounted), np.eye(6)).T)
 
@@ -84,7 +84,7 @@ def body_solutions(images: Sequence[PointImage]) -> list[Solution]:
 
 def _add(found: list[Solution], pose: FloatArray, square: float) -> None:
     """Add a pose unless it does not fit at all, or is there already."""
-    if np.isfinite(square) and all(np.abs(pose - other.pose).max() > SAME for other in found):
+    if np.isfinite(square) and all(np.abs(pose - other.pose).max() > SAME_POSE for other in found):
         found.append(Solution(pose, square))
 
 
@@ -101,7 +101,7 @@ def solutions(camera: Camera, points: FloatArray, image: FloatArray, noise: Arra
         image: pixels from the border, `(M, 2)`.
         noise: standard deviation of each image, pixels, `()` or `(M,)`.
     """
-    if len(points) < FEWEST:
+    if len(points) < FEWEST_POINTS:
         return []
     world, pixels = (np.ascontiguousarray(part, dtype=np.float64) for part in (points, image))
     if camera.lens is None:
@@ -126,7 +126,7 @@ def _through_lens(camera: Camera, world: FloatArray, pixels: FloatArray, noise: 
     """The same behind a lens, from those of a pinhole that looks where the points are."""
     cv2 = optional("cv2", "estimators")
     turned, within, rays = straightened(bearings(camera, pixels))
-    if np.count_nonzero(within) < FEWEST:
+    if np.count_nonzero(within) < FEWEST_POINTS:
         return
     whole = PointImage(camera, np.eye(4), world, pixels, np.broadcast_to(np.asarray(noise, dtype=float), len(world)))
     near, seen = np.ascontiguousarray(world[within]), np.ascontiguousarray(rays[within])
@@ -146,13 +146,13 @@ def _candidates(world: FloatArray, pixels: FloatArray, matrix: FloatArray) -> li
     """Turns and shifts from the world to a pinhole camera that may have taken an image, see `solutions`."""
     cv2 = optional("cv2", "estimators")
     extents = np.linalg.svd(world - world.mean(axis=0), compute_uv=False)
-    flat = extents[2] <= FLAT * extents[0]
+    flat = extents[2] <= FLATNESS * extents[0]
     candidates: list[tuple[FloatArray, FloatArray]] = []
     for method in (cv2.SOLVEPNP_SQPNP, cv2.SOLVEPNP_IPPE) if flat else (cv2.SOLVEPNP_SQPNP,):
         _, turns, shifts, _ = cv2.solvePnPGeneric(world, pixels, matrix, None, flags=method)
         candidates += zip(turns, shifts, strict=True)
-    if len(world) == FEWEST and not flat:
-        for three in map(list, combinations(range(FEWEST), 3)):
+    if len(world) == FEWEST_POINTS and not flat:
+        for three in map(list, combinations(range(FEWEST_POINTS), 3)):
             _, turns, shifts = cv2.solveP3P(world[three], pixels[three], matrix, None, cv2.SOLVEPNP_P3P)
             candidates += zip(turns, shifts, strict=True)
     return candidates
@@ -175,7 +175,7 @@ def straightened(seen: FloatArray) -> tuple[FloatArray, BoolArray, FloatArray]:
     turn = np.stack([right, np.cross(axis, right), axis])
     ahead = seen @ turn.T
     with np.errstate(all="ignore"):
-        return turn, ahead[:, 2] > np.cos(NEAR), ahead[:, :2] / ahead[:, 2:]
+        return turn, ahead[:, 2] > np.cos(NEAR_MIDDLE_RAD), ahead[:, :2] / ahead[:, 2:]
 
 
 def _refined(images: Sequence[PointImage], pose: FloatArray) -> FloatArray:
@@ -231,6 +231,6 @@ def pose_from_corners(camera: Camera, points: FloatArray, image: FloatArray) -> 
 
 
 def pose_error(true: FloatArray, estimated: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Distance (metres) and angle (rad) between poses `(..., 4, 4)`, `(...)` each; NaN where there is no estimate."""
+    """How far an estimated pose `(..., 4, 4)` is off: metres and rad, `(...)` each; NaN if there is no estimate."""
     distance = np.linalg.norm(true[..., :3, 3] - estimated[..., :3, 3], axis=-1)
     return np.asarray(distance), angle_between(true, estimated)

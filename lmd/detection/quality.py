@@ -18,7 +18,14 @@ from lmd.scene.camera import Camera
 from lmd.scene.tag import Tag
 
 
-def pitch(camera: Camera, pose: FloatArray, centres: FloatArray, normals: FloatArray, tag: Tag) -> FloatArray:
+def pitch(
+    camera: Camera,
+    pose: FloatArray,
+    centres: FloatArray,
+    normals: FloatArray,
+    tag: Tag,
+    edges: FloatArray | None = None,
+) -> FloatArray:
     """Pixels a module where it is shortest: the smaller singular value of J times the edge over N.
 
     With s = |J|_F^2 and d = |det J| it is d / sqrt((s + sqrt(s^2 - 4 d^2)) / 2).
@@ -29,6 +36,7 @@ def pitch(camera: Camera, pose: FloatArray, centres: FloatArray, normals: FloatA
         centres: world frame, metres, `(K, 3)`.
         normals: unit normals of the front faces, `(K, 3)`.
         tag: its edge and modules.
+        edges: of tags of several sizes, metres, `(K,)`.
 
     Returns:
         `(..., K)`, pixels; NaN for tags that are not in front of the camera, or farther from its axis than its lens
@@ -36,17 +44,25 @@ def pitch(camera: Camera, pose: FloatArray, centres: FloatArray, normals: FloatA
     """
     square, determinant = _stretch(camera, pose, centres, normals)
     root = np.sqrt(np.maximum(square**2 - 4.0 * determinant**2, 0.0))
-    return np.asarray(determinant / np.sqrt((square + root) / 2.0) * tag.module)
+    module = (tag.size if edges is None else edges) / tag.modules
+    return np.asarray(determinant / np.sqrt((square + root) / 2.0) * module)
 
 
-def apparent_edge(camera: Camera, pose: FloatArray, centres: FloatArray, normals: FloatArray, tag: Tag) -> FloatArray:
+def apparent_edge(
+    camera: Camera,
+    pose: FloatArray,
+    centres: FloatArray,
+    normals: FloatArray,
+    tag: Tag,
+    edges: FloatArray | None = None,
+) -> FloatArray:
     """Edge of the square of the same area in the image, sqrt(|det J|) times the edge; arguments as for `pitch`.
 
     Returns:
         `(..., K)`, pixels; NaN for tags that are not in front of the camera.
     """
     _, determinant = _stretch(camera, pose, centres, normals)
-    return np.asarray(np.sqrt(determinant) * tag.size)
+    return np.asarray(np.sqrt(determinant) * (tag.size if edges is None else edges))
 
 
 def incidence(pose: FloatArray, centres: FloatArray, normals: FloatArray) -> FloatArray:
@@ -64,7 +80,7 @@ def incidence(pose: FloatArray, centres: FloatArray, normals: FloatArray) -> Flo
 def _stretch(
     camera: Camera, pose: FloatArray, centres: FloatArray, normals: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """|J|_F^2 and |det J|, pixels^2 / metre^2, `(..., K)`; NaN where nothing is imaged."""
+    """Of the image of each tag |J|_F^2 and |det J|, pixels^2 / metre^2, `(..., K)`; NaN for what is not imaged."""
     y, n = to_camera(pose, centres), np.asarray(normals @ pose[..., :3, :3])
     if camera.lens is not None:
         angle = np.arctan2(np.hypot(y[..., 0], y[..., 1]), y[..., 2])

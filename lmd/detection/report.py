@@ -1,146 +1,19 @@
 """What was predicted of frames beside what detectors made of them: rows of tables."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any
-
 import numpy as np
 import pandas as pd
 
 from lmd.core.checks import BoolArray, FloatArray
-from lmd.detection.evaluation import NUMBERS, agreement, at_least, corner_error, precision_recall, quantiles_by
-from lmd.detection.frames import Sightings, overlapping
+from lmd.detection.evaluation import TAG_NUMBERS, agreement, at_least, corner_error, precision_recall, quantiles_by
+from lmd.detection.frames import Sightings
 from lmd.detection.pose import body_from_corners, pose_error
-from lmd.detection.quality import incidence, pitch
-from lmd.render.renderer import Renderer
+from lmd.detection.prediction import Predicted
 
 # Classes of pitch, pixels a module.
 PITCHES = np.array([0.0, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 6.0, 9.0, np.inf])
 INCIDENCES = np.array([0.0, 15.0, 30.0, 45.0, 60.0, 75.0, 90.0])  # degrees
 PLACES = np.array([4, 3])  # parts of an image, from left to right and from top to bottom
 QUANTILES = {"median": 0.5, "90": 0.9}
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """N frames of a deployment and what a visibility model says of them.
-
-    Args:
-        renderer: the camera in the room with K tags.
-        poses: X, `(N, 4, 4)`.
-        visible: which tags the model counts as seen, `(N, K)`.
-        met: whether each of its criteria is met, `(N, K)` by name; empty where the model cannot say.
-    """
-
-    renderer: Renderer
-    poses: FloatArray
-    visible: BoolArray
-    met: Mapping[str, BoolArray]
-
-    @property
-    def parts(self) -> "tuple[Prediction, ...]":
-        """Of each camera: this one."""
-        return (self,)
-
-    @property
-    def mounted(self) -> FloatArray:
-        """From the frame of each camera to that of the poses, `(1, 4, 4)`."""
-        return np.eye(4)[None]
-
-    def moved(self, poses: FloatArray) -> "Prediction":
-        """The same of what is seen from other poses."""
-        return replace(self, poses=poses)
-
-    @cached_property
-    def corners(self) -> FloatArray:
-        """Exact corners, pixels, `(N, K, 4, 2)`."""
-        return self.renderer.corners(self.poses)
-
-    @cached_property
-    def whole(self) -> BoolArray:
-        """Which tags show their front with all corners in the image, `(N, K)`."""
-        return self.renderer.inside(self.poses)
-
-    @cached_property
-    def pitch(self) -> FloatArray:
-        """Pixels a module, `(N, K)`; NaN for what is not wholly in the image."""
-        room = self.renderer.room
-        values = pitch(self.renderer.camera, self.poses, room.centres, room.normals, room.tag)
-        return np.where(self.whole, values, np.nan)
-
-    @cached_property
-    def incidence(self) -> FloatArray:
-        """From the tag's normal to the camera, degrees, `(N, K)`; NaN for what is not wholly in the image."""
-        room = self.renderer.room
-        return np.where(self.whole, np.degrees(incidence(self.poses, room.centres, room.normals)), np.nan)
-
-    @cached_property
-    def overlapping(self) -> BoolArray:
-        """Which tags lie over or under another one, `(K,)`."""
-        return overlapping(self.renderer.room)
-
-
-@dataclass(frozen=True)
-class RigPrediction:
-    """N moments of a rig: the predictions of its C cameras beside each other, as of C K tags.
-
-    Args:
-        parts: of each camera, with the poses of that camera.
-        mounted: where they are on the body (`lmd.scene.rig.Rig.extrinsics`), `(C, 4, 4)`.
-        poses: X of the body, `(N, 4, 4)`.
-    """
-
-    parts: tuple[Prediction, ...]
-    mounted: FloatArray
-    poses: FloatArray
-
-    def moved(self, poses: FloatArray) -> "RigPrediction":
-        """See `Prediction.moved`."""
-        parts = tuple(part.moved(poses @ at) for part, at in zip(self.parts, self.mounted, strict=True))
-        return replace(self, parts=parts, poses=poses)
-
-    def _beside(self, name: str) -> Any:
-        return np.concatenate([getattr(part, name) for part in self.parts], axis=1)
-
-    @cached_property
-    def visible(self) -> BoolArray:
-        """See `Prediction`, `(N, C K)`, as all that follow."""
-        return np.asarray(self._beside("visible"))
-
-    @cached_property
-    def met(self) -> Mapping[str, BoolArray]:
-        """See `Prediction`."""
-        names = self.parts[0].met
-        return {name: np.concatenate([part.met[name] for part in self.parts], axis=1) for name in names}
-
-    @cached_property
-    def corners(self) -> FloatArray:
-        """See `Prediction`."""
-        return np.asarray(self._beside("corners"))
-
-    @cached_property
-    def whole(self) -> BoolArray:
-        """See `Prediction`."""
-        return np.asarray(self._beside("whole"))
-
-    @cached_property
-    def pitch(self) -> FloatArray:
-        """See `Prediction`."""
-        return np.asarray(self._beside("pitch"))
-
-    @cached_property
-    def incidence(self) -> FloatArray:
-        """See `Prediction`."""
-        return np.asarray(self._beside("incidence"))
-
-    @cached_property
-    def overlapping(self) -> BoolArray:
-        """See `Prediction`."""
-        return np.tile(self.parts[0].overlapping, len(self.parts))
-
-
-Predicted = Prediction | RigPrediction
 
 
 def _by_any(which: BoolArray, prediction: Predicted) -> BoolArray:
@@ -168,9 +41,9 @@ def figures(prediction: Predicted, seen: Sightings) -> dict[str, float]:
     foreseen, found = _by_any(visible, prediction), _by_any(detected, prediction)
     for name, which in (("predicted", foreseen), ("detected", found)):
         shares = at_least(which)
-        for n, share, error in zip(NUMBERS, *shares, strict=True):
+        for n, share, error in zip(TAG_NUMBERS, *shares, strict=True):
             row[f"{name}_{n}"], row[f"{name}_{n}_error"] = float(share), float(error)
-    row |= {f"agreement_{n}": agreement(foreseen, found, int(n)) for n in NUMBERS}
+    row |= {f"agreement_{n}": agreement(foreseen, found, int(n)) for n in TAG_NUMBERS}
     precision, recall = precision_recall(visible, detected)
     row |= {"precision": float(precision), "recall": float(recall)}
     left_out, overrated = detected & ~visible, visible & ~detected
@@ -202,7 +75,7 @@ def repeated(seen: Sightings, again: Sightings, prediction: Predicted | None = N
     both, either = seen.detected & again.detected, seen.detected | again.detected
     share = float(both.sum() / either.sum()) if either.any() else np.nan
     one, other = (s.detected if prediction is None else _by_any(s.detected, prediction) for s in (seen, again))
-    return {f"repeated_{n}": agreement(one, other, int(n)) for n in NUMBERS} | {"repeated_tags": share}
+    return {f"repeated_{n}": agreement(one, other, int(n)) for n in TAG_NUMBERS} | {"repeated_tags": share}
 
 
 def _quantiles(name: str, values: FloatArray) -> dict[str, float]:
@@ -221,7 +94,7 @@ def by_pitch(prediction: Predicted, seen: Sightings) -> pd.DataFrame:
 
 
 def by_incidence(prediction: Predicted, seen: Sightings) -> pd.DataFrame:
-    """The same by the angle from the tag's normal to the camera, `incidence_from` to `incidence_to` degrees."""
+    """As `by_pitch`, by the angle from the tag's normal to the camera, `incidence_from` to `incidence_to` degrees."""
     return _by_class(prediction, seen, "incidence", prediction.incidence, INCIDENCES)
 
 
@@ -242,13 +115,15 @@ def _by_class(
     return pd.DataFrame(rows)
 
 
-def by_place(prediction: Prediction, seen: Sightings) -> pd.DataFrame:
-    """Tags that are wholly in the image, by where their centre is in it: a row for each part of the image that has any.
+def by_place(prediction: Predicted, seen: Sightings) -> pd.DataFrame:
+    """Tags that are wholly in an image, by where their centre is in it: a row for each part of the image that has any.
 
     Columns: `column`, `row` of the part, of `PLACES`; `tags`, and the shares `predicted` and `detected` of them.
     """
-    camera = prediction.renderer.camera
-    share = prediction.corners.mean(axis=2) / [camera.image_width, camera.image_height]
+    cameras = [part.renderer.camera for part in prediction.parts]
+    sizes = np.array([(camera.image_width, camera.image_height) for camera in cameras])
+    centres = prediction.corners.mean(axis=2)
+    share = centres / np.repeat(sizes, centres.shape[1] // len(cameras), axis=0)
     part = np.floor(np.nan_to_num(share, nan=-1.0) * PLACES).astype(int)
     rows = []
     for row in range(PLACES[1]):
@@ -285,7 +160,7 @@ def to_markdown(table: pd.DataFrame) -> str:
         table: with the columns `deployment` and `detector` before those of `figures`.
     """
     criteria = [c.removeprefix("left_out_") for c in table.columns if c.startswith("left_out_")]
-    head = ["deployment", "detector", *(f"P(>= {n}) predicted / detected" for n in NUMBERS), "frames agree on >= 2"]
+    head = ["deployment", "detector", *(f"P(>= {n}) predicted / detected" for n in TAG_NUMBERS), "frames agree on >= 2"]
     head += ["precision / recall of tags", "false a frame", "corners: median / 90 % [px]", "frames with a pose"]
     head += ["position: median / 90 % [mm]"]
     blame = [
@@ -300,7 +175,7 @@ def to_markdown(table: pd.DataFrame) -> str:
     for row in table.to_dict("records"):
         shares = [
             f"{row[f'predicted_{n}']:.3f} / {row[f'detected_{n}']:.3f} ± {row[f'detected_{n}_error']:.3f}"
-            for n in NUMBERS
+            for n in TAG_NUMBERS
         ]
         names = [str(row["deployment"]), str(row["detector"])]
         rows.append([

@@ -12,9 +12,9 @@ from lmd.detection.detectors import Detections
 from lmd.render.imaging import UInt8Array
 
 LEAST_PITCH = 3.0  # pixels a module, of tags whose edges are asked
-WIDEST = 12.0  # pixels from an edge, at most, that are looked at
+WIDEST_EDGE = 12.0  # pixels from an edge, at most, that are looked at
 SAMPLES, STEPS = 12, 65  # along an edge, and across it
-BETWEEN = (0.2, 0.8)  # the part of an edge that is asked: corners are round
+EDGE_PART = (0.2, 0.8)  # the part of an edge that is asked: corners are round
 LOW, HIGH = 0.16, 0.84
 # A frame is blurred if it is so by so many times as much as most, and by so much, pixels.
 TIMES, LEAST = 2.0, 1.0
@@ -41,9 +41,9 @@ def blur_of(image: UInt8Array, found: Detections, modules: int) -> float:
         return float("nan")
     starts, along, lengths, pitch = starts[own], along[own], lengths[own], pitch[own]
     outwards = np.stack([along[..., 1], -along[..., 0]], axis=-1) / lengths[..., None]
-    reach = np.minimum(0.9 * pitch, WIDEST)
+    reach = np.minimum(0.9 * pitch, WIDEST_EDGE)
     offsets = np.linspace(-1.0, 1.0, STEPS)
-    middle = starts[:, :, None] + np.linspace(*BETWEEN, SAMPLES)[:, None] * along[:, :, None]  # (M, 4, S, 2)
+    middle = starts[:, :, None] + np.linspace(*EDGE_PART, SAMPLES)[:, None] * along[:, :, None]  # (M, 4, S, 2)
     places = (
         middle[:, :, :, None] + (reach[:, None, None] * offsets[:, None])[:, None, None] * outwards[:, :, None, None]
     )

@@ -1,12 +1,14 @@
 """Views of the tags of a survey in its own photographs."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from lmd.core.checks import InputError
-from lmd.core.tables import read_table
+from lmd.core.tables import Table, read_table
 from lmd.detection.detectors import Detector
 from lmd.detection.frames import blur
 from lmd.detection.mosaic import Views
@@ -14,7 +16,7 @@ from lmd.render.imaging import Imaging
 from lmd.scene.camera import Camera
 from lmd.scene.tag import Tag
 
-FILE, FRAME = "in_view.csv", "time"
+FILE, FRAME, CAMERA = "in_view.csv", "time", "camera"
 # Of each view: the tag, where its centre is imaged (pixels from the border), its depth (metres), pixels a module,
 # incidence (degrees), edge of the square of the same area (pixels), and whether it was detected.
 COLUMNS = ("id", "u", "v", "depth", "pitch", "incidence", "edge", "seen")
@@ -22,7 +24,7 @@ COLUMNS = ("id", "u", "v", "depth", "pitch", "incidence", "edge", "seen")
 
 @dataclass(frozen=True)
 class SurveyedViews:
-    """The frames that a survey could place, a `lmd.detection.calibration.Source`.
+    """The images that a survey could place, of one camera or several, a `lmd.detection.calibration.Source`.
 
     Args:
         folder: that of the survey, with its `in_view.csv`.
@@ -37,22 +39,35 @@ class SurveyedViews:
         if self.folder is None:
             raise InputError("folder is missing: that of a survey is needed.", "folder")
         if not (Path(self.folder) / FILE).is_file():
-            raise InputError(f"folder: {str(self.folder)!r} is no survey of one camera: it holds no {FILE}.", "folder")
+            raise InputError(f"folder: {str(self.folder)!r} is no survey: it holds no {FILE}.", "folder")
 
     @property
     def photographs(self) -> int:
         """See `Source.photographs`."""
-        return len(set(read_table(self._file, name="folder").texts[FRAME]))
+        texts = self._table.texts
+        return len(set(zip(texts[FRAME], texts[CAMERA], strict=True)))
 
-    @property
-    def _file(self) -> Path:
+    @cached_property
+    def _table(self) -> Table:
         assert self.folder is not None
-        return Path(self.folder) / FILE
+        return read_table(Path(self.folder) / FILE, name="folder")
 
-    def views(self, camera: Camera, tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator) -> Views:
-        """See `Source.views`: what the survey's own detector made of them."""
-        _, _, _, depth, pitch, incidence, edge, seen = (
-            read_table(self._file, name="folder").numbers(COLUMNS, (FRAME,)).T
-        )
+    def views(
+        self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
+    ) -> Views:
+        """See `Source.views`: what the survey's own detector made of them.
+
+        Raises:
+            InputError: the survey has more cameras.
+        """
+        number, *columns = self._table.numbers((CAMERA, *COLUMNS), (FRAME,)).T
+        _, _, _, depth, pitch, incidence, edge, seen = columns
+        if (count := int(number.max(initial=0))) > len(cameras):
+            raise InputError(
+                f"folder: the survey {str(self.folder)!r} has {count} cameras, here {len(cameras)}.", "folder"
+            )
+        sigma = np.empty(len(depth))
+        for index, camera in enumerate(cameras, 1):
+            sigma[number == index] = blur(camera, depth[number == index], imaging)
         nothing = np.full(len(pitch), np.nan)
-        return Views(pitch, np.radians(incidence), edge, blur(camera, depth, imaging), seen > 0.0, nothing)
+        return Views(pitch, np.radians(incidence), edge, sigma, seen > 0.0, nothing)

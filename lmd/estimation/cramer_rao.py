@@ -27,9 +27,9 @@ from lmd.sight.evaluator import Evaluator, averaged
 from lmd.sight.views import visible_to_each
 
 # A smaller eigenvalue of the scaled information is rounding: the pose is not fixed.
-SINGULAR = 1e-9
+SINGULAR_EIGENVALUE = 1e-9
 # Poses whose information is computed at a time.
-CHUNK = 1 << 14
+POSE_CHUNK = 1 << 14
 
 
 def pose_information(
@@ -96,7 +96,7 @@ def cramer_rao_bound(information: FloatArray) -> tuple[FloatArray, FloatArray]:
     """
     diagonal = np.diagonal(information, axis1=-2, axis2=-1)
     scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, np.inf))
-    fixed = np.linalg.eigvalsh(scale[..., :, None] * information * scale[..., None, :])[..., 0] > SINGULAR
+    fixed = np.linalg.eigvalsh(scale[..., :, None] * information * scale[..., None, :])[..., 0] > SINGULAR_EIGENVALUE
     variance = np.full((*information.shape[:-2], 6), np.inf)
     variance[fixed] = np.diagonal(np.linalg.inv(information[fixed]), axis1=-2, axis2=-1)
     return np.sqrt(variance[..., 3:].sum(axis=-1)), np.sqrt(variance[..., :3].sum(axis=-1))
@@ -139,7 +139,7 @@ def cramer_rao_map(scene: Scene, evaluator: Evaluator, deployment: Deployment) -
     pdf, positions, weight = scene.pdf, evaluator.positions, scene.probability(evaluator.positions)
     _, first = np.unique(scene.orientations.index_of, return_index=True)
     turns = camera_pose(np.zeros(3), pdf.yaw[first], pdf.pitch[first], np.asarray(pdf.roll)[first])
-    per_chunk, parts = max(CHUNK // len(turns), 1), []
+    per_chunk, parts = max(POSE_CHUNK // len(turns), 1), []
     for start in range(0, len(positions), per_chunk):
         here = positions[start : start + per_chunk]
         poses = np.tile(turns, (len(here), 1, 1))

@@ -15,7 +15,7 @@ from lmd.scene.trajectory_files import TrajectoryFile
 from lmd.space.inside import check_inside
 
 # Greatest slope of the minimum-jerk profile, at its middle.
-PEAK = 1.875
+PEAK_SLOPE = 1.875
 MOST_WAYPOINTS = 100  # between two frames
 MOST_DRAWS = 1000  # of a waypoint, until a straight way leads there
 FRAME_BYTES = 1000  # what a frame of random motion takes at the least: its pose, and those of the way there
@@ -57,9 +57,9 @@ class Pace:
             object.__setattr__(self, name, real(name, getattr(self, name), above=0.0))
 
     def seconds(self, steps: FloatArray) -> FloatArray:
-        """Time that each change (x, y, z, yaw, pitch) `(..., 5)` takes, `(...)`."""
+        """The time in seconds, `(...)`, that each change (x, y, z, yaw, pitch) `(..., 5)` takes."""
         way, turn = np.linalg.norm(steps[..., :3], axis=-1), np.linalg.norm(steps[..., 3:], axis=-1)
-        return np.asarray(PEAK * np.maximum(way / self.speed, turn / self.turn_rate))
+        return np.asarray(PEAK_SLOPE * np.maximum(way / self.speed, turn / self.turn_rate))
 
     def through(self, waypoints: FloatArray, duration: float | None = None) -> Trajectory:
         """The trajectory through waypoints (x, y, z, yaw, pitch).
@@ -142,7 +142,7 @@ def _next_waypoint(scene: Scene, before: FloatArray, rng: np.random.Generator) -
 
 
 def _shortest(step: FloatArray) -> FloatArray:
-    """A change of (x, y, z, yaw, pitch) `(5,)` with the yaw brought into [-pi, pi)."""
+    """The same change (x, y, z, yaw, pitch) `(5,)` by the shorter turn: its yaw is in [-pi, pi)."""
     yaw = (step[3] + np.pi) % (2.0 * np.pi) - np.pi
     return np.array([*step[:3], yaw, step[4]])
 

@@ -66,7 +66,7 @@ class Measurement(Protocol):
         """`(d, d)`."""
 
     def predicted(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The numbers at a pose X, `(d,)`, and how they change with a body twist (w, v), `(d, 6)`."""
+        """The measurement predicted at a pose X, `(d,)`, and its derivative by a body twist (w, v), `(d, 6)`."""
 
 
 class Places(NamedTuple):
@@ -128,7 +128,7 @@ class InvariantKalmanFilter(Uncertainty):
         return pose_errors(recording.poses, np.array(runs))
 
     def run(self, recording: Recording, s: int, start: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """The estimates of run s, `(4, 4)` each, and their covariances as body twists, `(6, 6)`."""
+        """Follow run s: its estimates, `(4, 4)` each, and their covariances as body twists, `(6, 6)`."""
         gtsam = optional("gtsam", "estimators")
         ekf = gtsam.InvariantEKFPose3(gtsam.Pose3(start), np.diag(self.initial**2))
         density = np.diag(self.drift(recording) ** 2)  # the filter multiplies it by the step

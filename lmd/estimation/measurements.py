@@ -89,7 +89,7 @@ class Detector:
         return np.asarray(focal[0] * self.edge / width * ray)
 
     def covariance(self, measured: FloatArray, camera: Camera) -> FloatArray:
-        """Covariance of y = z (a, b, 1) for one pixel of noise: that of the image moves a and b, that of the edge z.
+        """Covariance of y = z (a, b, 1) for one pixel of noise: in the image it moves a and b, in the edge it moves z.
 
         Args:
             measured: `(M, 3)`, metres.
@@ -112,5 +112,5 @@ class Detector:
 
 
 def detected(seen: BoolArray, missed: float, rng: np.random.Generator) -> BoolArray:
-    """Those of the visible landmarks that are detected, same shape as `seen`; `missed` is a probability."""
+    """Draw which of the visible landmarks are detected, the shape of `seen`; `missed` is a probability."""
     return seen & (rng.random(seen.shape) >= missed)

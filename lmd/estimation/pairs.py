@@ -6,7 +6,7 @@ from scipy.stats import wilcoxon
 
 from lmd.core.checks import FloatArray
 
-WITHIN = "within_20mm"
+PAIRED_FIGURE = "within_20mm"
 
 
 def paired(figures: pd.DataFrame) -> pd.DataFrame:
@@ -24,7 +24,7 @@ def paired(figures: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for estimator, runs in figures.groupby("estimator", sort=False):
         position, share = (
-            runs.pivot(index="seed", columns="deployment", values=key) for key in ("position_error", WITHIN)
+            runs.pivot(index="seed", columns="deployment", values=key) for key in ("position_error", PAIRED_FIGURE)
         )
         first, *others = runs.deployment.unique()
         for name in others:
@@ -38,14 +38,14 @@ def paired(figures: pd.DataFrame) -> pd.DataFrame:
                 "position_ratio": float(np.median(ratio)) if ratio.size else np.nan,
                 "position_better": int((ratio < 1.0).sum()),
                 "position_p": _p_value(np.log(ratio)),
-                f"{WITHIN}_gain": float(gain.mean()),
-                f"{WITHIN}_p": _p_value(gain),
+                f"{PAIRED_FIGURE}_gain": float(gain.mean()),
+                f"{PAIRED_FIGURE}_p": _p_value(gain),
             })  # fmt: skip
     return pd.DataFrame(rows)
 
 
 def _p_value(differences: FloatArray) -> float:
-    """Of the Wilcoxon signed-rank test; 1 where nothing differs."""
+    """The p-value of the Wilcoxon signed-rank test; 1 if nothing differs."""
     if not differences.size:
         return np.nan
     return float(wilcoxon(differences).pvalue) if differences.any() else 1.0
@@ -63,7 +63,7 @@ def to_markdown(pairs: pd.DataFrame) -> str:
             f"x {row['position_ratio']:.2f}",
             f"{row['position_better']} of {row['flights']} flights",
             f"{row['position_p']:.2g}",
-            f"{100.0 * row[f'{WITHIN}_gain']:+.1f} points",
-            f"{row[f'{WITHIN}_p']:.2g}",
+            f"{100.0 * row[f'{PAIRED_FIGURE}_gain']:+.1f} points",
+            f"{row[f'{PAIRED_FIGURE}_p']:.2g}",
         ]))  # fmt: skip
     return "\n".join(f"| {line} |" for line in lines) + "\n"

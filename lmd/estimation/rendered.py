@@ -20,7 +20,7 @@ from lmd.scene.rig import extrinsics_of
 from lmd.scene.tag import Tag
 
 # Frames that are rendered and read in one go.
-BATCH = 10
+FRAME_BATCH = 10
 
 
 class Frame(NamedTuple):
@@ -99,9 +99,9 @@ class RenderedDetector:
         check_images(flights)
         looks = [flight.looks() for flight in flights]
         jobs = [
-            whole._replace(frames=whole.frames[first : first + BATCH])
+            whole._replace(frames=whole.frames[first : first + FRAME_BATCH])
             for whole in map(self.batch, chain.from_iterable(looks))
-            for first in range(0, len(whole.frames), BATCH)
+            for first in range(0, len(whole.frames), FRAME_BATCH)
         ]
         found = iter([detections for batch in each(read, jobs) for detections in batch])
         return [
@@ -127,8 +127,8 @@ class RenderedDetector:
     def _observed(self, look: Look, found: Sequence[Detections]) -> Observation:
         corners = believed(found, look.flight.deployment.ids)
         seen = np.isfinite(corners[..., 0, 0])
-        noise = np.full(int(seen.sum()), self.pixel_noise)
-        return observation(look.camera, self.tag, seen, corners[seen], noise)
+        noise, edges = np.full(int(seen.sum()), self.pixel_noise), look.flight.deployment.edges_of(self.tag)
+        return observation(look.camera, edges, seen, corners[seen], noise)
 
 
 class Batch(NamedTuple):
@@ -150,7 +150,7 @@ def read(batch: Batch) -> list[Detections]:
 
 
 def believed(found: Sequence[Detections], ids: IntArray) -> FloatArray:
-    """The corners of tags with `ids` `(K,)` as found in T frames, pixels, `(T, K, 4, 2)`; NaN where not found."""
+    """Corners found in T frames of the tags with `ids` `(K,)`, pixels, `(T, K, 4, 2)`; NaN for a tag not found."""
     corners, place = np.full((len(found), len(ids), 4, 2), np.nan), {number: k for k, number in enumerate(ids.tolist())}
     for t, detections in enumerate(found):
         edges = detections.corners - np.roll(detections.corners, 1, axis=1)

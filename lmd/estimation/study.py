@@ -21,8 +21,8 @@ from lmd.problem import Problem
 # Keeps the flights apart from every other use of the same seed.
 FLIGHTS_STREAM = 0x666C79
 SHARES = (1, 2, 3, 4)  # landmarks in view for which the share of time is reported, beside the objective's n
-WITHIN = (0.01, 0.02, 0.05)  # position errors of which the share of frames is reported, metres
-SETTLED = 0.01  # of the initial Er
+ERROR_LIMITS = (0.01, 0.02, 0.05)  # position errors of which the share of frames is reported, metres
+SETTLED_SHARE = 0.01  # of the initial Er
 QUANTILES = (0.1, 0.5, 0.9)  # over the seeds: band, median, band
 CURVE_WINDOWS = 300
 
@@ -155,7 +155,7 @@ class Study:
 
     def _error_figures(self, errors: Errors) -> dict[str, FloatArray]:
         half = len(self.time) // 2
-        large = errors.frobenius > SETTLED * self.initial[:, None]
+        large = errors.frobenius > SETTLED_SHARE * self.initial[:, None]
         after = len(self.time) - large[:, ::-1].argmax(axis=1)  # the frame after the last large one
         settled = np.append(self.time - self.time[0], np.inf)[np.where(large.any(axis=1), after, 0)]
         settled = np.where(errors.available < 1.0, np.inf, settled)
@@ -246,7 +246,7 @@ def to_markdown(figures: pd.DataFrame, n: int) -> str:
     """
     head = ["deployment", "estimator", *(f"time with >= {m} in view" for m in sorted({n, 3}))]
     head += ["mean Er (10 to 90 %)", "settled after [s]", "position [mm]", "attitude [mrad]", "available"]
-    head.append(f"of all frames within {' / '.join(f'{1e3 * limit:g}' for limit in WITHIN)} mm")
+    head.append(f"of all frames within {' / '.join(f'{1e3 * limit:g}' for limit in ERROR_LIMITS)} mm")
     lines = [" | ".join(head), " | ".join(["---"] * len(head))]
     for (name, estimator), runs in figures.groupby(["deployment", "estimator"], sort=False):
         middle = runs.median(numeric_only=True)
@@ -267,7 +267,7 @@ def to_markdown(figures: pd.DataFrame, n: int) -> str:
 
 def within() -> dict[str, float]:
     """Columns of `Study.figures` with the share of frames within a position error, and these, metres."""
-    return {f"within_{1e3 * limit:g}mm": limit for limit in WITHIN}
+    return {f"within_{1e3 * limit:g}mm": limit for limit in ERROR_LIMITS}
 
 
 def _each_run(reduce: Callable[[FloatArray], Any], values: FloatArray) -> FloatArray:

@@ -62,10 +62,11 @@ class TagDetector:
         squares = project(camera, poses, self.tags(deployment).reshape(-1, 3)).reshape(len(poses), -1, 4, 2)
         in_front = np.isfinite(squares).all(axis=(-2, -1))
         seen = detected(look.in_view & in_front, self.missed, flight.rng)
-        pitches = pitch(camera, poses, deployment.positions, deployment.normals, self.tag)[seen]
+        edges = deployment.edges_of(self.tag)
+        pitches = pitch(camera, poses, deployment.positions, deployment.normals, self.tag, edges)[seen]
         errors = CORNER_ERRORS[self.reader]
         found = squares[seen] + errors.draw(pitches, flight.rng)
-        return observation(camera, self.tag, seen, found, errors.sigma(pitches))
+        return observation(camera, edges, seen, found, errors.sigma(pitches))
 
 
 def noisy_detector(tag: Tag, reader: str, pixel_noise: float, missed: float, edge: float) -> Sensor:
@@ -81,31 +82,34 @@ def noisy_detector(tag: Tag, reader: str, pixel_noise: float, missed: float, edg
 
 def corners_of(deployment: Deployment, tag: Tag) -> FloatArray:
     """The corners of tags at the landmarks, world frame, metres, `(K, 4, 3)`."""
-    return corners(deployment.positions, deployment.normals, deployment.ups, tag.size)
+    return corners(deployment.positions, deployment.normals, deployment.ups, deployment.edges_of(tag))
 
 
-def observation(camera: Camera, tag: Tag, seen: BoolArray, found: FloatArray, noise: FloatArray) -> Observation:
+def observation(
+    camera: Camera, edges: FloatArray, seen: BoolArray, found: FloatArray, noise: FloatArray
+) -> Observation:
     """What tags observe of themselves by their corners.
 
     Args:
         camera: intrinsics.
-        tag: its edge.
+        edges: of the tags, metres, `(K,)`.
         seen: `(T, K)`.
         found: corners, pixels from the border, `(M, 4, 2)`.
         noise: their standard deviation, pixels, `(M,)`.
     """
     points = np.zeros((*seen.shape, 3))
-    turns, points[seen] = _places(camera, tag.size, found)
-    return Observation(seen, points, noise, _covariance(camera, tag.size, turns, points[seen]), found)
+    own = edges[np.nonzero(seen)[-1]]
+    turns, points[seen] = _places(camera, own, found)
+    return Observation(seen, points, noise, _covariance(camera, own, turns, points[seen]), found)
 
 
-def _places(camera: Camera, edge: float, found: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _places(camera: Camera, edges: FloatArray, found: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Rotation `(M, 3, 3)` from each tag's frame (right, up, normal) to the camera's, and its centre there `(M, 3)`.
 
     Of the two poses of a square that look alike, that which fits its corners better (IPPE).
     """
     cv2 = optional("cv2", "detection")
-    matrix, square = intrinsics(camera), np.pad(CORNERS * edge / 2.0, ((0, 0), (0, 1)))
+    matrix, squares = intrinsics(camera), _squares(edges)
     turns, shifts, straight = (
         np.zeros((len(found), 3)),
         np.zeros((len(found), 3)),
@@ -115,20 +119,27 @@ def _places(camera: Camera, edge: float, found: FloatArray) -> tuple[FloatArray,
         if camera.lens is not None:
             straight[i], _, image = straightened(bearings(camera, image))
             matrix = np.eye(3)
-        _, turn, shift = cv2.solvePnP(square, np.ascontiguousarray(image), matrix, None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
+        _, turn, shift = cv2.solvePnP(
+            squares[i], np.ascontiguousarray(image), matrix, None, flags=cv2.SOLVEPNP_IPPE_SQUARE
+        )
         turns[i], shifts[i] = np.ravel(turn), np.ravel(shift)
     back = np.swapaxes(straight, 1, 2)
     return back @ Rotation.from_rotvec(turns).as_matrix(), (back @ shifts[..., None])[..., 0]
 
 
-def _covariance(camera: Camera, edge: float, turns: FloatArray, centres: FloatArray) -> FloatArray:
+def _covariance(camera: Camera, edges: FloatArray, turns: FloatArray, centres: FloatArray) -> FloatArray:
     """Covariance of tags' centres in the camera's frame for one pixel of noise at their corners, m^2, `(M, 3, 3)`.
 
     The block of the inverse information on a tag's pose: y = R q + t moves by -R [q]x w + v, w in the tag's frame.
     """
-    square = np.pad(CORNERS * edge / 2.0, ((0, 0), (0, 1)))
-    y = centres[:, None] + square @ np.swapaxes(turns, 1, 2)  # (M, 4, 3)
-    turned = -turns[:, None] @ skew(square)  # (M, 4, 3, 3)
+    squares = _squares(edges)
+    y = centres[:, None] + squares @ np.swapaxes(turns, 1, 2)  # (M, 4, 3)
+    turned = -turns[:, None] @ skew(squares)  # (M, 4, 3, 3)
     jacobian = slope(camera, y) @ np.concatenate([turned, np.broadcast_to(np.eye(3), turned.shape)], axis=-1)
     information = (np.swapaxes(jacobian, -1, -2) @ jacobian).sum(axis=1)
     return np.asarray(np.linalg.inv(information)[:, 3:, 3:])
+
+
+def _squares(edges: FloatArray) -> FloatArray:
+    """Corners of squares with edges `(M,)` in their own frames (right, up, normal), metres, `(M, 4, 3)`."""
+    return np.pad(CORNERS * edges[:, None, None] / 2.0, ((0, 0), (0, 0), (0, 1)))

@@ -1,11 +1,13 @@
 """What a deployment lets one image tell of the camera's position, predicted for every view, whatever it was made for.
 
 The prediction is the standard deviation of `lmd.objectives.localisation`, infinite for views that cover fewer than n
-landmarks. All figures are off the grid: random positions, orientations from the PDF's continuous distribution.
+landmarks, or a single tag whose two poses look alike. All figures are off the grid: random positions, orientations from
+the PDF's continuous distribution.
 """
 
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,7 +16,7 @@ from lmd.core.tables import write_table
 from lmd.evaluation.validation import Sample, sampled_evaluators
 from lmd.objectives.base import Objective
 from lmd.objectives.localisation import Localisation
-from lmd.objectives.localisation.information import deviation_per_variance, precision
+from lmd.objectives.localisation.information import deviation_per_variance
 from lmd.objectives.localisation.views import localised_views
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
@@ -29,22 +31,20 @@ SAMPLE = Sample(groups=8, positions=512, divisions=23)
 
 
 def as_localisation(objective: Objective) -> Localisation:
-    """The objective itself where it is one of localisation, else the default one with its n."""
+    """The objective if it is `Localisation`; otherwise the default `Localisation` with its n."""
     return objective if isinstance(objective, Localisation) else Localisation(objective.n)
 
 
 def predicted_errors(problem: Problem, deployment: Deployment, evaluator: Evaluator) -> tuple[FloatArray, FloatArray]:
     """Standard deviation of the position in each view, metres, `(P, D)`, D orientations of the evaluator, and P_n.
 
-    The noise of a corner is the objective's, where it is one of localisation.
+    The noise of a corner, and what counts of a single tag, are the objective's, where it is one of localisation.
     """
     objective, scene = problem.objective, problem.scene
-    noise = as_localisation(objective).pixel_noise
-    camera = scene.cameras[0]
-    asked: Any = precision(camera, scene.tag, noise, np.inf)
+    of_any = replace(as_localisation(objective), tolerance=np.inf, rotation_tolerance=None)
     landmarks = deployment.positions[None], deployment.normals[None]
-    views = localised_views(evaluator, *landmarks, objective.n, asked, keep=True)
-    scale = deviation_per_variance(camera, noise)
+    views = localised_views(evaluator, *landmarks, of_any.n, of_any.precision(scene), keep=True)
+    scale = deviation_per_variance(scene.cameras[0], of_any.pixel_noise)
     errors = scale * np.sqrt(views.variances[0, :, : len(evaluator.scene.orientations.axes)])
     return errors, views.covered[0] / PROBABILITY_ONE
 

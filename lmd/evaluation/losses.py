@@ -11,7 +11,7 @@ from lmd.objectives.without import without_landmarks
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 
-LISTED = 8  # tags that a terminal names
+TAGS_LISTED = 8  # tags that a terminal names
 FITNESS_ROUNDING = 1e-12  # a difference in fitness that is one of rounding
 
 
@@ -61,9 +61,9 @@ class Losses:
         """Which tags matter most and which are idle, for a terminal."""
         rows = zip(*self.table.values(), strict=True)
         dearest = [(number, lost) for number, _, lost in rows if lost > FITNESS_ROUNDING]
-        most = ", ".join(f"{number} ({100.0 * lost:.2f})" for number, lost in dearest[:LISTED])
-        idle = ", ".join(map(str, self.idle[:LISTED]))
-        more = f" and {len(self.idle) - LISTED} more" if len(self.idle) > LISTED else ""
+        most = ", ".join(f"{number} ({100.0 * lost:.2f})" for number, lost in dearest[:TAGS_LISTED])
+        idle = ", ".join(map(str, self.idle[:TAGS_LISTED]))
+        more = f" and {len(self.idle) - TAGS_LISTED} more" if len(self.idle) > TAGS_LISTED else ""
         return (
             f"tags that matter most, and the points of fitness lost without each: {most or 'none'}\n"
             f"idle tags, without any one of which nothing is lost: {idle or 'none'}{more}"

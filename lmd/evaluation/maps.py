@@ -47,8 +47,8 @@ class Hung:
 
     def points(self, tag: Tag) -> FloatArray:
         """What an image shows of each: the M = 4 corners of a tag, or the centre of a point, metres, `(K, M, 3)`."""
-        places = self.deployment.places
-        return places[:, None] if tag.is_point else corners(places, self.deployment.normals, self.ups, tag.size)
+        places, edges = self.deployment.places, self.deployment.edges_of(tag)
+        return places[:, None] if tag.is_point else corners(places, self.deployment.normals, self.ups, edges)
 
 
 def map_errors(

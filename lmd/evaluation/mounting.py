@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SAMPLE = Sample(groups=8, positions=256, divisions=23)
-VIEWS = 40  # random poses of a draw
+VIEWS_PER_DRAW = 40  # random poses of a draw
 POSE_BYTES = 4 * 4 * 8
 MOUNTING_STREAM = 0x6D6F756E74  # keeps the draws apart from every other use of the same seed
 
@@ -52,8 +52,8 @@ class MountingError:
         for name in ("turn", "tilt"):
             object.__setattr__(self, name, real(name, getattr(self, name), low=0.0, high=np.pi / 2.0))
         object.__setattr__(self, "draws", integer("draws", self.draws, low=1))
-        what = f"draws = {self.draws} mountings, each in {VIEWS} views,"
-        check_memory(POSE_BYTES * VIEWS * self.draws, what, "draws")
+        what = f"draws = {self.draws} mountings, each in {VIEWS_PER_DRAW} views,"
+        check_memory(POSE_BYTES * VIEWS_PER_DRAW * self.draws, what, "draws")
 
     @property
     def is_none(self) -> bool:
@@ -182,7 +182,7 @@ def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int,
     all_of_them = [plan, *(each.deployment for each in hung)]
     on_grid = pd.DataFrame([problem.metrics(deployment) for deployment in all_of_them])
     figures = pd.concat([on_grid, off_grid_figures(problem, all_of_them, seed, sample)], axis=1)
-    poses = draw_poses(problem.scene, error.draws * VIEWS, seed).reshape(error.draws, VIEWS, 4, 4)
+    poses = draw_poses(problem.scene, error.draws * VIEWS_PER_DRAW, seed).reshape(error.draws, VIEWS_PER_DRAW, 4, 4)
     drawn = zip(hung, poses, streams, strict=True)
     as_planned = Hung.of(plan)
     views = [

@@ -18,9 +18,9 @@ from lmd.scene.criteria import Criteria
 from lmd.scene.tag import Tag
 
 NEAREST, FARTHEST = 0.01, 1000.0  # distances that are looked at, metres
-STEPS = 400  # between them, by equal factors: of 1.03
-COARSE = 8  # steps at once, of sizes
-EXACT = 1e-4  # relative
+DISTANCE_STEPS = 400  # between them, by equal factors: of 1.03
+COARSE_STEPS = 8  # steps at once, of sizes
+RELATIVE_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -47,13 +47,13 @@ def is_read(criteria: Criteria, camera: Camera, distance: float, incidence: floa
 
 def reach(criteria: Criteria, camera: Camera, incidence: float) -> Reach:
     """From where to where a tag is read at an incidence angle, rad."""
-    tried = np.geomspace(NEAREST, FARTHEST, STEPS)
+    tried = np.geomspace(NEAREST, FARTHEST, DISTANCE_STEPS)
     read = np.flatnonzero([is_read(criteria, camera, distance, incidence) for distance in tried])
     if not read.size:
         return Reach(math.nan, math.nan)
 
     def edge(inside: int, outside: int) -> float:
-        if not 0 <= outside < STEPS:
+        if not 0 <= outside < DISTANCE_STEPS:
             return float(tried[inside])
         return _border(lambda d: is_read(criteria, camera, d, incidence), tried[inside], tried[outside])
 
@@ -69,14 +69,14 @@ def smallest_edge(criteria_of: Callable[[float], Criteria], camera: Camera, dist
         distance: from it, metres.
         incidence: angle, rad.
     """
-    tried = distance * np.geomspace(1e-3, 1.0, STEPS)
+    tried = distance * np.geomspace(1e-3, 1.0, DISTANCE_STEPS)
 
     def read(edge: float) -> bool:
         return edge > 0.0 and is_read(criteria_of(edge), camera, distance, incidence)
 
     # Sizes that are read have no gaps: those between two that are not read are tried only if none of these is.
-    for step in (COARSE, 1):
-        for index in range(0, STEPS, step):
+    for step in (COARSE_STEPS, 1):
+        for index in range(0, DISTANCE_STEPS, step):
             if read(tried[index]):
                 return _border(read, tried[index], tried[index - step] if index else 0.0)
     return math.nan
@@ -84,7 +84,7 @@ def smallest_edge(criteria_of: Callable[[float], Criteria], camera: Camera, dist
 
 def _border(holds: Callable[[float], bool], inside: float, outside: float) -> float:
     """The value nearest to `outside` for which something holds, as it does `inside`, by bisection."""
-    while abs(outside - inside) > EXACT * max(abs(inside), abs(outside)):
+    while abs(outside - inside) > RELATIVE_TOLERANCE * max(abs(inside), abs(outside)):
         middle = (inside + outside) / 2.0
         inside, outside = (middle, outside) if holds(middle) else (inside, middle)
     return float(inside)

@@ -40,7 +40,7 @@ class RigMoments:
 
     @property
     def share(self) -> FloatArray:
-        """Of each moment, of sum 1, `(N,)`."""
+        """The share of each moment, `(N,)`; the sum is 1."""
         weight = self.moments.weight
         return np.asarray(weight / weight.sum())
 
@@ -59,7 +59,7 @@ class RigMoments:
         return np.array(shares)
 
     def missed(self, probabilities: Sequence[float], rng: np.random.Generator) -> FloatArray:
-        """The same where each image misses each landmark that it shows with such a probability, `(M, 2)`.
+        """The means of L and P_n if each image misses a landmark that it shows with such a probability, `(M, 2)`.
 
         The draw is the same for all probabilities, so that what is missed with one is missed with all greater.
         """
@@ -68,7 +68,7 @@ class RigMoments:
         return np.array([self.decided(self.moments, seen & (draw >= p)) @ self.share for p in probabilities])
 
     def lost(self) -> FloatArray:
-        """The same without landmarks i and j, `(2, K, K)`; without i alone for i = j. They still hide others."""
+        """The means of L and P_n without landmarks i and j, `(2, K, K)`. They still hide others; i = j is one alone."""
         seen, share = self.moments.seen, self.share
         shown = np.asarray(seen.any(axis=0))  # (N, K)
         whole, count = self.decided(self.moments, seen).astype(np.float64), seen.shape[2]

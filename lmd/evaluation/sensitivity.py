@@ -36,9 +36,9 @@ from lmd.sight.evaluator import Evaluator, averaged
 from lmd.sight.kernels import PROBABILITY_ONE
 
 FACTORS = (0.5, 0.7, 1.0, 1.4, 2.0)  # of what was assumed
-MISSED = (0.0, 0.05, 0.1, 0.2)  # probability that a landmark that is covered is not found; ascending
+MISS_PROBABILITIES = (0.0, 0.05, 0.1, 0.2)  # probability that a landmark that is covered is not found; ascending
 SAMPLE = Sample(groups=48, positions=128, divisions=12)
-SHARES = ["localised_share", "covered_share"]
+SHARE_COLUMNS = ["localised_share", "covered_share"]
 MISSES_STREAM = 0x6D697373  # keeps the draws of what is missed apart from every other use of the same seed
 
 
@@ -52,6 +52,7 @@ class Variant:
         value: what comes of it, in the units of the setting.
         scene: with this value.
         objective: with this value.
+        deployment: with this value.
         note: why there is no figure, empty where there is one.
     """
 
@@ -60,6 +61,7 @@ class Variant:
     value: float
     scene: Scene
     objective: Localisation
+    deployment: Deployment
     note: str = ""
 
 
@@ -95,7 +97,7 @@ class Sensitivity:
         named |= {f"missed_{row['missed']:g}": row for row in self.misses.to_dict("records")}
         if self.cameras is not None:
             named |= {f"camera_{row['camera']}_fails": row for row in self.cameras.to_dict("records")}
-        figures = {f"{name}/{share}": row[share] for name, row in named.items() for share in SHARES}
+        figures = {f"{name}/{share}": row[share] for name, row in named.items() for share in SHARE_COLUMNS}
         for row in self.lost.to_dict("records"):
             figures |= {f"lost_{row['lost']}/{row['share']}_{kind}": row[kind] for kind in ("mean", "worst")}
         return {name: float(value) for name, value in figures.items() if np.isfinite(value)}
@@ -107,7 +109,9 @@ class Sensitivity:
             return table.to_string(float_format=lambda value: f"{100.0 * value:.2f}", na_rep="-")
 
         by_factor = self.assumptions.groupby("factor")
-        varied = pd.DataFrame({f"x {x:g}": rows.set_index("assumption")[SHARES].stack() for x, rows in by_factor})
+        varied = pd.DataFrame(
+            {f"x {x:g}": rows.set_index("assumption")[SHARE_COLUMNS].stack() for x, rows in by_factor}
+        )
         missed = self.misses.set_index("missed").T
         missed.columns = pd.Index([f"missed {share:g}" for share in missed.columns])
         notes = [
@@ -140,11 +144,13 @@ def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sam
     losses = missed[0][:, None, None] - without
     tags, many = np.diagonal(losses, axis1=1, axis2=2), range(1, min(2, len(deployment)) + 1)
     return Sensitivity(
-        assumptions=pd.DataFrame(rows, columns=["assumption", "factor", "value", *SHARES, "note"]),
-        misses=pd.DataFrame(missed, columns=SHARES).assign(missed=MISSED)[["missed", *SHARES]],
+        assumptions=pd.DataFrame(rows, columns=["assumption", "factor", "value", *SHARE_COLUMNS, "note"]),
+        misses=pd.DataFrame(missed, columns=SHARE_COLUMNS).assign(missed=MISS_PROBABILITIES)[
+            ["missed", *SHARE_COLUMNS]
+        ],
         tags=pd.DataFrame({"id": deployment.ids, "localised_loss": tags[0], "covered_loss": tags[1]}),
         lost=pd.DataFrame(
-            [_worst(lost, share, losses[i], deployment.ids) for i, share in enumerate(SHARES) for lost in many]
+            [_worst(lost, share, losses[i], deployment.ids) for i, share in enumerate(SHARE_COLUMNS) for lost in many]
         ),
         cameras=_cameras(failed, missed[0]) if len(failed) else None,
     )
@@ -152,7 +158,7 @@ def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sam
 
 def _cameras(failed: FloatArray, whole: FloatArray) -> pd.DataFrame:
     """`Sensitivity.cameras` from the shares without each, `(C, 2)`, and with all, `(2,)`."""
-    table = pd.DataFrame(failed, columns=SHARES)
+    table = pd.DataFrame(failed, columns=SHARE_COLUMNS)
     table.insert(0, "camera", list(range(len(failed))))
     return table.assign(localised_loss=whole[0] - failed[:, 0], covered_loss=whole[1] - failed[:, 1])
 
@@ -164,16 +170,17 @@ def _variants(problem: Problem, deployment: Deployment) -> list[Variant]:
     for name in ("pixel_noise", "tolerance"):
         for factor in FACTORS:
             value = factor * getattr(objective, name)
-            variants.append(Variant(name, factor, value, scene, replace(objective, **{name: value})))
+            variants.append(Variant(name, factor, value, scene, replace(objective, **{name: value}), deployment))
     for factor in FACTORS if not scene.tag.is_point else ():
         tag = replace(scene.tag, edge=factor * scene.tag.size)
         seen = replace(scene.visibility, tag=tag) if hasattr(scene.visibility, "tag") else scene.visibility  # type: ignore[type-var]
         resized, note = replace(scene, tag=tag, visibility=seen), ""
+        larger = replace(deployment, edges=factor * deployment.edges_of(scene.tag))
         try:
-            resized.plates.check(deployment)
+            resized.plates.check(larger)
         except InputError as error:
             note = str(error)
-        variants.append(Variant("edge", factor, tag.size, resized, objective, note))
+        variants.append(Variant("edge", factor, tag.size, resized, objective, larger, note))
     return variants
 
 
@@ -191,35 +198,36 @@ def _measure(
         a rig, `(C, 2)`, none for a single camera.
     """
     number, evaluator = group
-    assumed = np.array([_shares(variant, deployment, evaluator) for variant in variants])
+    assumed = np.array([_shares(variant, evaluator) for variant in variants])
     rng = np.random.default_rng([seed, MISSES_STREAM, number])
     if isinstance(evaluator.scene.camera, Rig):
         rig = RigMoments(evaluator, deployment, objective.n, objective.precision(evaluator.scene))
-        return assumed, rig.missed(MISSED, rng), rig.lost(), rig.without_cameras()
+        return assumed, rig.missed(MISS_PROBABILITIES, rng), rig.lost(), rig.without_cameras()
     field = objective.field(evaluator)
+    assert isinstance(field, LocalisationField)  # that of a single camera
     return assumed, missed_shares(field, deployment, rng)[:, :2], lost_shares(field, deployment), np.empty((0, 2))
 
 
-def _shares(variant: Variant, deployment: Deployment, evaluator: Evaluator) -> tuple[float, float]:
+def _shares(variant: Variant, evaluator: Evaluator) -> tuple[float, float]:
     """The means of L and P_n at the positions and orientations of an evaluator."""
     if variant.note:
         return np.nan, np.nan
     scene, objective = replace(variant.scene, pdf=evaluator.scene.pdf), variant.objective
     varied = Evaluator(scene, evaluator.positions, evaluator.threads)
-    landmarks = deployment.positions[None], deployment.normals[None]
+    landmarks = variant.deployment.positions[None], variant.deployment.normals[None]
     views = localised_views(varied, *landmarks, objective.n, objective.precision(scene))
     return views.localised.mean() / PROBABILITY_ONE, views.covered.mean() / PROBABILITY_ONE
 
 
 def lost_shares(field: LocalisationField, deployment: Deployment) -> FloatArray:
-    """The means of L and P_n without landmarks i and j, `(2, K, K)`; without i alone for i = j."""
+    """The means of L and P_n without landmarks i and j, `(2, K, K)`. The diagonal, i = j, is without i alone."""
     mean = Mean(in_order(field, np.ones(len(field.index_of))))
     shares = field._replace(weight=0.0), field.coverage
     return np.stack([without_landmarks(share, mean, deployment) for share in shares])
 
 
 def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.random.Generator) -> FloatArray:
-    """The means of L and P_n where each landmark that is covered is missed with the probabilities `MISSED`.
+    """The means of L and P_n where each landmark that is covered is missed with the probabilities `MISS_PROBABILITIES`.
 
     L is that of a draw: of every landmark in every view, the same draw for all probabilities, so that what is missed
     with one is missed with all greater. P_n follows from how many landmarks the views cover, of which a binomial
@@ -239,8 +247,8 @@ def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.rand
     axes = weights.shape[1]
     counts = counts_of(known, axes)[places]
     draws = (rng.random((field.size, axes), dtype=np.float32) for _ in range(len(deployment)))
-    sets = np.stack([[packed(draw < share) for share in MISSED] for draw in draws], axis=1)
-    for share, missed in zip(MISSED, sets, strict=True):
+    sets = np.stack([[packed(draw < share) for share in MISS_PROBABILITIES] for draw in draws], axis=1)
+    for share, missed in zip(MISS_PROBABILITIES, sets, strict=True):
         overlook(missed, cover, known)
         state = localisation_state(field, known)
         enough = binom.sf(cover.n - 1, np.arange(len(deployment) + 1), 1.0 - share)
@@ -251,7 +259,7 @@ def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.rand
 
 
 def _worst(lost: int, share: str, losses: FloatArray, ids: IntArray) -> dict[str, object]:
-    """The row of `Sensitivity.lost` for so many landmarks, from the losses `(K, K)` of one share."""
+    """The row of `Sensitivity.lost` without `lost` landmarks, one or two, from the losses `(K, K)` of one share."""
     chosen = list(combinations(range(len(losses)), lost))
     values = np.array([losses[group[0], group[-1]] for group in chosen])
     worst = " ".join(map(str, ids[[*chosen[int(values.argmax())]]]))

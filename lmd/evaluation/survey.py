@@ -13,11 +13,12 @@ from lmd.evaluation.mounting import SAMPLE, off_grid_figures
 from lmd.evaluation.validation import Sample
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
+from lmd.scene.edges import with_gaps
 from lmd.scene.plates import as_they_are
 from lmd.scene.tag_map_files import read_deployment
 
-VIEWS = 2000  # random poses
-LISTED = 8  # tags that a terminal names
+RANDOM_VIEWS = 2000  # random poses
+TAGS_LISTED = 8  # tags that a terminal names
 SURVEY_STREAM = 0x737572766579  # keeps the noise apart from every other use of the same seed
 
 
@@ -46,10 +47,12 @@ def read_measured(path: str | Path, problem: Problem, plan: Deployment) -> Deplo
             raise InputError(f"measured: {path} {name} landmark {ids[0]} {other} ({len(ids)} in all).", "measured")
     places = np.argsort(measured.ids)[np.searchsorted(np.sort(measured.ids), plan.ids)]
     try:
-        hung = measured[places].hung(problem.scene.room, as_they_are(problem.start), problem.scene.plates.edge)
+        measured, scene = measured[places], problem.scene
+        hung = measured.hung(scene.room, as_they_are(problem.start), scene.plates.papers(measured))
     except InputError as error:
         raise InputError(f"measured: {path}: {error}", "measured") from None
-    return replace(hung, labels=plan.labels)
+    told, planned = with_gaps(hung.edges, len(plan)), with_gaps(plan.edges, len(plan))
+    return replace(hung, labels=plan.labels, edges=np.where(np.isnan(told), planned, told))
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,7 @@ class Survey:
 
     def to_text(self) -> str:
         """What a terminal shows."""
-        far, most = self.moved.head(LISTED), self.moved.tilted.max()
+        far, most = self.moved.head(TAGS_LISTED), self.moved.tilted.max()
         listed = ", ".join(f"{i} ({1e3 * away:.1f})" for i, away in zip(far["id"], far.moved, strict=True))
         head = (
             f"as measured: tags hang {1e3 * self.moved.moved.median():.1f} mm off (median), at most "
@@ -100,7 +103,12 @@ class Survey:
 
 
 def survey(
-    problem: Problem, plan: Deployment, measured: Deployment, seed: int, sample: Sample = SAMPLE, views: int = VIEWS
+    problem: Problem,
+    plan: Deployment,
+    measured: Deployment,
+    seed: int,
+    sample: Sample = SAMPLE,
+    views: int = RANDOM_VIEWS,
 ) -> Survey:
     """Set a deployment as it hangs beside the plan.
 

@@ -5,7 +5,7 @@ from that of more, without those that are missed least; whichever is best after 
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +13,7 @@ import pandas as pd
 
 from lmd.evaluation.validation import Sample
 from lmd.objectives.base import selectable
-from lmd.optimisers.selection import SPACING, select
+from lmd.optimisers.selection import GRID_SPACING, select
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import GivenDeployment
@@ -44,7 +44,7 @@ Search = Callable[[Problem, str], Found]
 
 def started(problem: Problem, deployment: Deployment) -> Problem:
     """The same problem, started from a deployment of all its landmarks."""
-    given = GivenDeployment(problem.free(Deployment(deployment.positions, deployment.normals, deployment.surfaces)))
+    given = GivenDeployment(problem.free(replace(deployment, labels=None, surveyed=None)))
     return Problem(problem.scene, problem.objective, given, problem.evaluator.threads, problem.fixed)
 
 
@@ -54,7 +54,7 @@ def grown(problem: Problem, deployment: Deployment) -> Deployment:
     Where the grid of poses has no room for all, the others hang as the start of the problem has them.
     """
     plates, start = problem.scene.plates, problem.draw(np.random.default_rng(0))
-    poses = candidate_poses(plates.hanging, SPACING)
+    poses = candidate_poses(plates.hanging, GRID_SPACING)
     selection = selectable(problem.objective).selection(problem.evaluator, problem.relevance)
     chosen, _ = select(selection, poses, problem.count - len(deployment), plates, fixed=deployment)
     more = deployment + poses[chosen] if len(chosen) else deployment

@@ -60,21 +60,6 @@ def angles_of(world_to_local_rotation: FloatArray) -> tuple[FloatArray, FloatArr
     return yaw, pitch, np.asarray(np.arctan2(-down, across))
 
 
-def world_to_local(points: ArrayLike, origin: ArrayLike, world_to_local_rotation: FloatArray) -> FloatArray:
-    """Coordinates in the local frame, s^l = R (s - origin).
-
-    Args:
-        points: `(..., 3)` in the world frame, metres.
-        origin: `(..., 3)` origin of the local frame in the world, metres.
-        world_to_local_rotation: `(..., 3, 3)` from `rotation`.
-
-    Returns:
-        `(..., 3)` in the local frame, metres.
-    """
-    offset = np.asarray(points, dtype=np.float64) - np.asarray(origin, dtype=np.float64)
-    return np.asarray((world_to_local_rotation @ offset[..., None])[..., 0])
-
-
 def optical_axis(yaw: ArrayLike, pitch: ArrayLike) -> FloatArray:
     """Unit optical axis Z^c in the world frame: (sin a cos b, cos a cos b, sin b).
 

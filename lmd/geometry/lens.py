@@ -22,29 +22,30 @@ from lmd.geometry.lens_models import BrownConrady, Equidistant, image_of, slope_
 EQUIDISTANT = "equidistant"
 MODELS = ("plumb_bob", "rational_polynomial", EQUIDISTANT)
 # OpenCV takes so many coefficients: up to p2, k3, k6, s4, and the tilt of the sensor.
-SIZES = (4, 5, 8, 12, 14)
-TILT = 12  # where the tilt begins
-ORDER = "[] or [k1, k2, p1, p2], with k3, with k3 to k6, or with k3 to k6 and s1 to s4"
-TILTED = "is that of a tilted sensor, which is not known here: calibrate without CALIB_TILTED_MODEL."
+COEFFICIENT_COUNTS = (4, 5, 8, 12, 14)
+FIRST_TILT = 12  # where the tilt begins
+ORDER_IN_WORDS = "[] or [k1, k2, p1, p2], with k3, with k3 to k6, or with k3 to k6 and s1 to s4"
+WHY_TILTED = "is that of a tilted sensor, which is not known here: calibrate without CALIB_TILTED_MODEL."
 # Angles at which a lens is sampled. What lies between two differs from them by less than they differ.
-SAMPLES = 4096
+ANGLE_SAMPLES = 4096
 # A direction is found when its image is as near as this.
-CONVERGED = 1e-12
-STEPS = 20  # of Newton's method, at most
+IMAGE_TOLERANCE = 1e-12
+NEWTON_STEPS = 20  # at most
 # Of the polynomials that tell roughly what a lens does; what they are rounded by, and far more.
 DEGREE, ROUNDED = 5, 1e-9
 
 
 class Profile(NamedTuple):
-    """A lens at angles theta from the axis, arrays of one shape.
-
-    inner: the image is at least so far from the centre; along, across, sway: see above.
-    """
+    """A lens at angles theta from the axis, arrays of one shape."""
 
     inner: FloatArray
+    """The image is at least so far from the centre."""
     along: FloatArray
+    """What a direction is stretched by away from the axis."""
     across: FloatArray
+    """What it is stretched by around the axis."""
     sway: FloatArray
+    """By which both may differ with the direction."""
 
     @property
     def least(self) -> FloatArray:
@@ -86,15 +87,15 @@ class Lens:
         choice("distortion_model", self.model, MODELS)
         fisheye = self.model == EQUIDISTANT
         given = list(self.coefficients) if np.ndim(self.coefficients) == 1 else []
-        if len(given) not in ((len(Equidistant._fields),) if fisheye else SIZES):
-            known = "of an equidistant lens must be [k1, k2, k3, k4]" if fisheye else f"must be {ORDER}"
+        if len(given) not in ((len(Equidistant._fields),) if fisheye else COEFFICIENT_COUNTS):
+            known = "of an equidistant lens must be [k1, k2, k3, k4]" if fisheye else f"must be {ORDER_IN_WORDS}"
             raise InputError(f"distortion {known}, got {self.coefficients!r}.", "distortion")
         numbers = vector("distortion", given, len(given))
         if not fisheye:
-            if any(numbers[TILT:]):
-                raise InputError(f"distortion {list(numbers)} {TILTED}", "distortion")
-            numbers = (*numbers[:TILT], *(0.0,) * (TILT - len(numbers)))
-            numbers = next(numbers[:size] for size in SIZES[1:] if not any(numbers[size:]))
+            if any(numbers[FIRST_TILT:]):
+                raise InputError(f"distortion {list(numbers)} {WHY_TILTED}", "distortion")
+            numbers = (*numbers[:FIRST_TILT], *(0.0,) * (FIRST_TILT - len(numbers)))
+            numbers = next(numbers[:size] for size in COEFFICIENT_COUNTS[1:] if not any(numbers[size:]))
         object.__setattr__(self, "coefficients", numbers)
 
     @cached_property
@@ -102,7 +103,7 @@ class Lens:
         """The named tuple that kernels know the lens by."""
         if self.model == EQUIDISTANT:
             return Equidistant(*self.coefficients)
-        return BrownConrady(*self.coefficients, *(0.0,) * (TILT - len(self.coefficients)))
+        return BrownConrady(*self.coefficients, *(0.0,) * (FIRST_TILT - len(self.coefficients)))
 
     def image(self, points: FloatArray) -> FloatArray:
         """Where points are imaged, `(..., 2)`, whatever the fold says."""
@@ -125,11 +126,11 @@ class Lens:
         radii, angles = self._radii
         with np.errstate(all="ignore"):
             angle = np.interp(length, radii, angles)
-            for _ in range(STEPS):
+            for _ in range(NEWTON_STEPS):
                 here = self.profile(angle)
                 step = (length - here.across * np.sin(angle)) / here.along
                 angle = np.clip(angle + step, 0.0, self.fold)
-                if not (np.abs(step) > CONVERGED).any():
+                if not (np.abs(step) > IMAGE_TOLERANCE).any():
                     break
             around = np.sin(angle) / np.where(length > 0.0, length, 1.0)
             found = np.concatenate([around[..., None] * image, np.cos(angle)[..., None]], axis=-1)
@@ -137,30 +138,30 @@ class Lens:
                 found = self._refined(found, image)
             off = np.abs(self.image(found) - image).max(axis=-1)
             theta = np.arctan2(np.hypot(found[..., 0], found[..., 1]), found[..., 2])
-        return np.where(((off < 1e3 * CONVERGED) & (theta < self.fold))[..., None], found, np.nan)
+        return np.where(((off < 1e3 * IMAGE_TOLERANCE) & (theta < self.fold))[..., None], found, np.nan)
 
     @cached_property
     def _radii(self) -> tuple[FloatArray, FloatArray]:
         """How far from the centre angles up to the fold are imaged, but for the sway, and these angles."""
-        theta = np.linspace(0.0, self.fold, SAMPLES)
+        theta = np.linspace(0.0, self.fold, ANGLE_SAMPLES)
         return self.profile(theta).across * np.sin(theta), theta
 
     def _refined(self, start: FloatArray, image: FloatArray) -> FloatArray:
         """Directions in front of the camera by Newton's method in the plane at depth 1, unit vectors."""
         found = start / start[..., 2:]
-        for _ in range(STEPS):
+        for _ in range(NEWTON_STEPS):
             slope, (a, b) = self.jacobian(found), np.moveaxis(image - self.image(found), -1, 0)
             xx, xy, yx, yy = slope[..., 0, 0], slope[..., 0, 1], slope[..., 1, 0], slope[..., 1, 1]
             step = np.stack([yy * a - xy * b, xx * b - yx * a], axis=-1) / (xx * yy - xy * yx)[..., None]
             found[..., :2] += step
-            if not (np.abs(step) > CONVERGED).any():
+            if not (np.abs(step) > IMAGE_TOLERANCE).any():
                 break
         return np.asarray(found / np.linalg.norm(found, axis=-1, keepdims=True))
 
     @cached_property
     def fold(self) -> float:
         """The angle up to which directions are imaged, rad: below a right one, or half a turn for a fisheye."""
-        theta = np.linspace(0.0, np.pi if self.model == EQUIDISTANT else np.pi / 2.0, SAMPLES)[:-1]
+        theta = np.linspace(0.0, np.pi if self.model == EQUIDISTANT else np.pi / 2.0, ANGLE_SAMPLES)[:-1]
 
         def folds(angle: Any) -> Any:
             with np.errstate(all="ignore"):
@@ -184,7 +185,7 @@ class Lens:
         With a power of 1 relative to those of a pinhole, which stretches an angle by 1 / cos(theta) at least and by
         1 / cos(theta)^2 at most, and a solid angle by 1 / cos(theta)^3.
         """
-        theta = np.linspace(0.0, widest, SAMPLES)
+        theta = np.linspace(0.0, widest, ANGLE_SAMPLES)
         profile, cosine = self.profile(theta), np.cos(theta) ** power
         low, high = cosine * profile.least, cosine**2 * profile.most
         small = cosine**3 * (profile.along - profile.sway) * (profile.across - profile.sway)
@@ -230,7 +231,7 @@ class Lens:
 # Fits take milliseconds, and whoever tries tags of many sizes asks for the same ones again.
 @lru_cache(maxsize=64)
 def _approximation(lens: Lens, widest: float) -> tuple[tuple[float, ...], float]:
-    theta = np.linspace(0.0, widest, SAMPLES)
+    theta = np.linspace(0.0, widest, ANGLE_SAMPLES)
     profile, height, around = lens.profile(theta), 1.0 - np.cos(theta), np.sin(theta)
     fit = np.polynomial.polynomial.polyfit(height, profile.across, DEGREE)
     off = around * np.abs(np.polynomial.polynomial.polyval(height, fit) - profile.across)
@@ -239,7 +240,7 @@ def _approximation(lens: Lens, widest: float) -> tuple[tuple[float, ...], float]
 
 @lru_cache(maxsize=64)
 def _ceiling(lens: Lens, widest: float) -> tuple[float, ...]:
-    theta = np.linspace(0.0, widest, SAMPLES)
+    theta = np.linspace(0.0, widest, ANGLE_SAMPLES)
     height, most = 1.0 - np.cos(theta), np.maximum.accumulate(lens.profile(theta).most)
     fit = np.polynomial.polynomial.polyfit(height, most, DEGREE)
     fit[0] += _above(most - np.polynomial.polynomial.polyval(height, fit)) + ROUNDED

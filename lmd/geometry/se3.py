@@ -30,14 +30,14 @@ def camera_pose(position: ArrayLike, yaw: ArrayLike, pitch: ArrayLike, roll: Arr
 
 
 def pose_of(orientation: FloatArray, position: FloatArray) -> FloatArray:
-    """[R p; 0 1] from R `(..., 3, 3)` and p `(..., 3)`, which broadcast to `(..., 4, 4)`."""
+    """The pose [R p; 0 1], `(..., 4, 4)`, of a rotation R `(..., 3, 3)` and a position p `(..., 3)`; they broadcast."""
     pose = np.zeros((*np.broadcast_shapes(orientation.shape[:-2], position.shape[:-1]), 4, 4))
     pose[..., :3, :3], pose[..., :3, 3], pose[..., 3, 3] = orientation, position, 1.0
     return pose
 
 
 def poses_from_rows(rows: FloatArray) -> FloatArray:
-    """X from rows x, y, z, qx, qy, qz, qw `(T, 7)`: metres, and the unit quaternion of R, `(T, 4, 4)`.
+    """Poses `(T, 4, 4)` from rows x, y, z, qx, qy, qz, qw `(T, 7)`: a position in metres, and the unit quaternion of R.
 
     Raises:
         InputError: a quaternion is not unit.
@@ -52,7 +52,7 @@ def poses_from_rows(rows: FloatArray) -> FloatArray:
 
 
 def are_rotations(matrices: FloatArray) -> BoolArray:
-    """Whether matrices `(..., 3, 3)`, which may have been printed with a few decimals, are rotations, `(...)`."""
+    """Whether each matrix `(..., 3, 3)` is a rotation, `(...)`, but for what printing a few decimals leaves."""
     error = np.abs(np.swapaxes(matrices, -1, -2) @ matrices - np.eye(3)).max(axis=(-1, -2))
     return np.asarray((error <= MATRIX_TOLERANCE) & (np.linalg.det(matrices) > 0.0))
 

@@ -10,8 +10,9 @@ from lmd.core.memory import check_views
 from lmd.incremental.field import places_of
 from lmd.incremental.move import exchange_place, given_counts, ripple, sum_up
 from lmd.incremental.nearby import list_blocks
+from lmd.incremental.rig_pairs import ARRIVES, find_pairs
 from lmd.incremental.rig_state import RigState, StationState, rig_scratch_of
-from lmd.incremental.rig_trial import ARRIVES, find_pairs, forget, list_near, see_anew, shown_by
+from lmd.incremental.rig_trial import forget, list_near, see_anew, shown_by
 from lmd.scene.deployment import Deployment
 
 # Of a landmark and a centre around a position: whether it is a rival of the place tried.
@@ -42,8 +43,15 @@ def _exchange_parts(k, q, state, scratch):
 
 
 @inner
-def _exchange(k, field, state, scratch):
+def see_whole(field, state, scratch):
+    """Find all that the cameras see of the place tried."""
+    see_anew(field.parts, scratch.listed[: list_near(scratch, True)], True, field, state, scratch)
+
+
+@inner
+def take_back_rig(field, k, state, scratch):
     """Exchange landmark k for what `scratch` has of its other place; to do so twice changes nothing."""
+    k = np.uint64(k)
     n, words = field.n, np.uint64(scratch.fresh.shape[1])
     for s in range(scratch.near[1]):
         for q in range(scratch.spans[s, 0], scratch.spans[s, 1]):
@@ -65,14 +73,8 @@ def _exchange(k, field, state, scratch):
 @inner
 def carry_out_rig(field, k, state, scratch):
     """See `move.carry_out`."""
-    see_anew(field.parts, scratch.listed[: list_near(scratch, True)], True, field, state, scratch)
-    _exchange(np.uint64(k), field, state, scratch)
-
-
-@inner
-def take_back_rig(field, k, state, scratch):
-    """See `move.take_back`."""
-    _exchange(np.uint64(k), field, state, scratch)
+    see_whole(field, state, scratch)
+    take_back_rig(field, k, state, scratch)
 
 
 @borrowing

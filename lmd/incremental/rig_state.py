@@ -30,73 +30,90 @@ class StationState(NamedTuple):
 
 
 class RigState(NamedTuple):
-    """Coverage of one deployment.
-
-    landmarks, normals `(3, K)`; surfaces `(K,)`; parts; shown `(K, Q, W)` the orientations with which some camera sees
-    a landmark; counts, short, just, units: as in `State`.
-    """
+    """Coverage of one deployment by a rig: K landmarks, Q positions and orientations of its body."""
 
     landmarks: np.ndarray
+    """`(3, K)` metres."""
     normals: np.ndarray
+    """`(3, K)` unit."""
     surfaces: np.ndarray
+    """`(K,)` that they hang on."""
     parts: tuple[StationState, ...]
+    """What the cameras of each part have in view."""
     shown: np.ndarray
+    """`(K, Q, W)` the orientations with which some camera sees a landmark."""
     counts: np.ndarray
+    """As in `State`, as are `short`, `just` and `units`."""
     short: np.ndarray
     just: np.ndarray
     units: np.ndarray
 
 
 class StationScratch(NamedTuple):
-    """The move tried last as one part sees it.
-
-    cap, veil `(Q, M, W)` what caps and veiled would be of the landmark, of orientations that were asked for; flipped
-    `(K, Q, M, W)` what changes in veiled of the others, of the pairs listed in `RigScratch`; rivals `(1,)` how many
-    pairs there are of another landmark and a centre around a position, c Q + q, from where it may hide the place tried;
-    who, where `(K C Q,)` the pairs. Working memory, `(Q,)` each, of the positions looked at last: what
-    `stations.bounds_from` and `row_from` say, and the offset.
-    """
+    """The move tried last as one part sees it, and working memory for Q positions."""
 
     cap: np.ndarray
+    """`(Q, M, W)` what `caps` would be of the landmark, for the orientations that were asked for."""
     veil: np.ndarray
+    """`(Q, M, W)` what `veiled` would be of it."""
     flipped: np.ndarray
+    """`(K, Q, M, W)` what changes in `veiled` of the others, for the pairs listed in `RigScratch`."""
     rivals: np.ndarray
+    """`(1,)` how many pairs there are of another landmark and a centre around which it may hide the place tried."""
     who: np.ndarray
+    """`(K C Q,)` the landmarks of these pairs."""
     where: np.ndarray
+    """`(K C Q,)` their centres around positions, c Q + q."""
     x: np.ndarray
+    """`(Q,)` offset of the place from the centre looked at last, metres; so are y and z."""
     y: np.ndarray
     z: np.ndarray
     most: np.ndarray
+    """`(Q,)` what `stations.bounds_from` says of it, as are `start` and `sure`."""
     start: np.ndarray
     sure: np.ndarray
     row: np.ndarray
+    """`(Q,)` what `stations.row_from` says of it."""
     reached: np.ndarray
+    """`(Q,)` whether any orientation may cover it."""
 
 
 class RigScratch(NamedTuple):
-    """The move tried last; target, surface, units, and what `nearby` and `hiding` work on, as in `Scratch`.
+    """The move tried last by all parts, and working memory.
 
-    fresh `(Q, W)` the orientations with which some camera would see the landmark, as far as they are `asked` `(Q, W)`;
-    found `(2,)` how many pairs of another landmark and a position there are where it appears or disappears, and how
-    many positions where that, or a rival, is; who, where `(K Q,)` the pairs, known `(K, Q)` whether one is among them;
-    places `(Q,)` the positions, touched `(Q,)` whether one is among them; digits `(Q, W, J)` the counts there. Once the
-    move is carried out, target, surface, units, fresh, cap and veil are those of the place left.
+    Once the move is carried out, `target`, `surface`, `units`, `fresh`, and `cap` and `veil` of the parts are those of
+    the place left.
     """
 
     target: np.ndarray
+    """`(6,)` position and normal tried."""
     surface: np.ndarray
+    """`(1,)` that they lie on."""
     units: np.ndarray
+    """`(Q,)` P_n with the landmark there."""
     parts: tuple[StationScratch, ...]
+    """The move as each part sees it."""
     fresh: np.ndarray
+    """`(Q, W)` the orientations with which some camera would see the landmark, as far as they are `asked`."""
     asked: np.ndarray
+    """`(Q, W)` the orientations that were asked for."""
     found: np.ndarray
+    """`(2,)` how many pairs of another landmark and a position there are where it appears or disappears, and how many
+    positions where that, or a rival, is."""
     who: np.ndarray
+    """`(K Q,)` the landmarks of these pairs."""
     where: np.ndarray
+    """`(K Q,)` their positions."""
     known: np.ndarray
+    """`(K, Q)` whether a pair is among them."""
     places: np.ndarray
+    """`(Q,)` these positions."""
     touched: np.ndarray
+    """`(Q,)` whether a position is among them."""
     digits: np.ndarray
+    """`(Q, W, J)` the counts there."""
     aimed: np.ndarray
+    """What `nearby` and `hiding` work on, down to `listed`: as in `Scratch`."""
     blocks: np.ndarray
     spans: np.ndarray
     near: np.ndarray

@@ -2,32 +2,24 @@
 
 What is counted are orientations of the body: the caps of all cameras of a landmark become one set, `shown`, and that
 comes and goes. So a move changes the counts at a position by the set of the landmark that moves, and by those of others
-that appear or disappear for one of the cameras: the *pairs* of a landmark and a position, of which there are few.
-
-Who may hide whom is found for blocks of positions, as in `hiding`, then for each position from the centres of the
-cameras (`stations.may_hide_around`), and what is left is tested with each orientation that covers the landmark.
+that appear or disappear for one of the cameras: the *pairs* of a landmark and a position (`rig_pairs`), of which there
+are few.
 
 As in `trial`, `bound_rig_move` leaves out what the new place hides and what hides it, and looks at those orientations
 only where P_n depends on them, with n - 1 other landmarks in view. `rig_move.carry_out_rig` alone finds all.
 """
 
-import math
-
 import numpy as np
 from numba import literal_unroll
 
-from lmd.core.bits import ALL, BITS, LANES, ONE, ZERO, add_digit, at_least_so_far, equal_so_far, lowest
+from lmd.core.bits import ALL, BITS, ONE, ZERO, add_digit, at_least_so_far, equal_so_far, lowest
 from lmd.core.compiled import allocating, inlined, inner
-from lmd.incremental.hiding import find_ways, line_radius, near_line
 from lmd.incremental.nearby import list_blocks
+from lmd.incremental.rig_pairs import COMES, LEAVES, find_pairs, find_veils
 from lmd.scene.criteria import frame_of
-from lmd.sight.blocks import BLOCK
 from lmd.sight.kernels import weights_row
 from lmd.sight.obstacles import find_ends, is_blocked, is_clear, no_ends
-from lmd.sight.stations import bounds_from, covers_from, hides_from, line_room, may_hide_around, row_from, split
-
-# What `_find_pairs` looks at: a place that is left, one that is come to, one where there was nothing yet.
-LEAVES, COMES, ARRIVES = np.int64(0), np.int64(1), np.int64(2)
+from lmd.sight.stations import bounds_from, covers_from, row_from, split
 
 
 @allocating
@@ -80,134 +72,6 @@ def _find_caps(stations, positions, body, scratch, rig, whole):
                             if is_blocked(obstacles, part.sight, place, ends, 0):
                                 found &= ~(ONE << bit)
                     cap[q, m, w] = found
-
-
-@inner
-def _hidden_bits(part, m, w, bits, px, py, pz, one, other):
-    """Those orientations of a set of word w with which landmark `one` hides the `other` from mount m."""
-    found = ZERO
-    while bits:
-        bit = lowest(bits)
-        bits &= bits - ONE
-        found |= np.uint64(hides_from(part, m, w * np.uint64(BITS) + bit, px, py, pz, one, other)) << bit
-    return found
-
-
-@inlined
-def _pose(k, state):
-    """Position and normal of landmark k."""
-    landmarks, normals = state.landmarks, state.normals
-    return landmarks[0, k], landmarks[1, k], landmarks[2, k], normals[0, k], normals[1, k], normals[2, k]
-
-
-@inner
-def _without_hidden(part, c, m, w, bits, px, py, pz, i, k, state):
-    """The orientations of a set with which no landmark but k hides landmark i."""
-    other = _pose(i, state)
-    x, y, z = (
-        other[0] - (px + part.centres[c, 0]), other[1] - (py + part.centres[c, 1]), other[2] - (pz + part.centres[c, 2])
-    )  # fmt: skip
-    width = line_radius(part.sight)
-    for j in range(np.uint64(len(state.surfaces))):
-        one = _pose(j, state)
-        ax, ay, az = x + (one[0] - other[0]), y + (one[1] - other[1]), z + (one[2] - other[2])
-        if may_hide_around(ax, ay, az, x, y, z, part.radius[c], width) and j != i and j != k:
-            bits &= ~_hidden_bits(part, m, w, bits, px, py, pz, one, other)
-    return bits
-
-
-@inlined
-def _touch(q, rig):
-    """Note a position where others come into play."""
-    if not rig.touched[q]:
-        rig.touched[q], rig.places[rig.found[1]] = True, q
-        rig.found[1] += 1
-
-
-@inlined
-def _find_pair(part, c, i, k, q, px, py, pz, place, how, mine, other, state, rig):
-    """Find what landmark k at a `place` hides of landmark i from position q, and note it down."""
-    pose, changed = _pose(i, state), False
-    if how == COMES:
-        _touch(q, rig)
-    for m in range(part.mounts[c], part.mounts[c + 1]):
-        for w in range(np.uint64(mine.caps.shape[3])):
-            cap, veiled, flips = mine.caps[i, q, m, w], mine.veiled[i, q, m, w], other.flipped[i, q, m, w]
-            bits = cap if how == COMES else cap & veiled
-            found = _hidden_bits(part, m, w, bits, px, py, pz, place, pose) if bits else ZERO
-            if found == ZERO:
-                continue
-            if how == LEAVES:
-                flips |= _without_hidden(part, c, m, w, found, px, py, pz, i, k, state)
-            else:
-                flips = (flips & ~found) | (found & ~veiled)
-            changed |= flips != other.flipped[i, q, m, w]
-            other.flipped[i, q, m, w] = flips
-    if changed:
-        _touch(q, rig)
-        if not rig.known[i, q]:
-            rig.known[i, q], rig.who[rig.found[0]], rig.where[rig.found[0]] = True, i, q
-            rig.found[0] += 1
-
-
-@inner
-def _find_pairs(k, how, stations, field, state, rig):
-    """Find whom landmark k hides where it is, or where it is tried, and there who may hide it: see `LEAVES`."""
-    part, mine, other, size = stations.part, state.parts[stations.number], rig.parts[stations.number], len(rig.touched)
-    body, target, width = field.positions, rig.target, line_radius(part.sight)
-    place = _pose(k, state)
-    if how != LEAVES:
-        place = target[0], target[1], target[2], target[3], target[4], target[5]
-    ax, ay, az = place[0], place[1], place[2]
-    filled = find_ways(ax, ay, az, state.landmarks, part.horizon, rig.others, rig.ways)
-    for c in range(len(part.centres)):
-        cx, cy, cz, radius = part.centres[c, 0], part.centres[c, 1], part.centres[c, 2], part.radius[c]
-        for e in range(rig.near[0]):
-            b = rig.blocks[e]
-            mx, my, mz = ax - field.centres[0, b] - cx, ay - field.centres[1, b] - cy, az - field.centres[2, b] - cz
-            hx, hy, hz = (
-                np.float32(field.halves[0, b] + radius), np.float32(field.halves[1, b] + radius),
-                np.float32(field.halves[2, b] + radius),
-            )  # fmt: skip
-            for start in range(np.uint64(0), np.uint64(filled), np.uint64(LANES)):
-                close = near_line(start, mx, my, mz, hx, hy, hz, width, rig.ways)
-                while close:
-                    i = rig.others[start + lowest(np.uint64(close))]
-                    close &= close - np.uint32(1)
-                    lx, ly, lz = state.landmarks[0, i], state.landmarks[1, i], state.landmarks[2, i]
-                    ex, ey, ez, lanes = lx - ax, ly - ay, lz - az, np.uint32(0)
-                    apart, far = math.sqrt(ex * ex + ey * ey + ez * ez), math.sqrt(mx * mx + my * my + mz * mz)
-                    most = line_room(far + apart + math.sqrt(hx * hx + hy * hy + hz * hz), apart, radius, width)
-                    for lane in range(np.uint64(BLOCK)):
-                        q = b * np.uint64(BLOCK) + lane
-                        ux, uy, uz = ax - (body[0, q] + cx), ay - (body[1, q] + cy), az - (body[2, q] + cz)
-                        sx, sy, sz = uy * ez - uz * ey, uz * ex - ux * ez, ux * ey - uy * ex
-                        lanes |= np.uint32(sx * sx + sy * sy + sz * sz <= most) << np.uint32(lane)
-                    while lanes and i != np.uint64(k):
-                        q = b * np.uint64(BLOCK) + lowest(np.uint64(lanes))
-                        lanes &= lanes - np.uint32(1)
-                        if how != ARRIVES:
-                            px, py, pz = body[0, q], body[1, q], body[2, q]
-                            _find_pair(part, c, i, k, q, px, py, pz, place, how, mine, other, state, rig)
-                        if how != LEAVES:
-                            other.who[other.rivals[0]], other.where[other.rivals[0]] = i, np.uint64(c * size) + q
-                            other.rivals[0] += 1
-
-
-@inner
-def _find_veils(stations, field, state, rig):
-    """Find in `veil` with which orientations of `cap` the rivals hide the place tried."""
-    part, other, size, body = stations.part, rig.parts[stations.number], np.uint64(len(rig.touched)), field.positions
-    target = rig.target
-    place = target[0], target[1], target[2], target[3], target[4], target[5]
-    for e in range(other.rivals[0]):
-        i, c, q = np.uint64(other.who[e]), other.where[e] // size, other.where[e] % size
-        for m in range(part.mounts[c], part.mounts[c + np.uint64(1)]):
-            for w in range(np.uint64(other.cap.shape[2])):
-                bits = other.cap[q, m, w] & ~other.veil[q, m, w]
-                if bits:
-                    px, py, pz = body[0, q], body[1, q], body[2, q]
-                    other.veil[q, m, w] |= _hidden_bits(part, m, w, bits, px, py, pz, _pose(i, state), place)
 
 
 @inner
@@ -278,10 +142,10 @@ def _ask(k, state, scratch):
 
 
 @inner
-def _ask_again(k, n, state, scratch):
-    """The same at positions that are touched, the pairs having turned."""
-    counts, shown, asked, digits = state.counts, state.shown, scratch.asked, scratch.digits
-    words = np.uint64(asked.shape[1])
+def count_others(k, state, scratch):
+    """Count in `digits` the landmarks but k at positions that are touched, the pairs having turned."""
+    counts, shown, digits = state.counts, state.shown, scratch.digits
+    words = np.uint64(shown.shape[2])
     for e in range(scratch.found[1]):
         q = scratch.places[e]
         for w in range(words):
@@ -294,9 +158,16 @@ def _ask_again(k, n, state, scratch):
             was, now = shown[i, q, w], shown_by(i, q, w, state, scratch)
             if was != now:
                 _add(q, w, was ^ now, was, digits)
+
+
+@inner
+def _ask_again(k, n, state, scratch):
+    """The same as `_ask` at positions that are touched."""
+    asked, digits = scratch.asked, scratch.digits
+    count_others(k, state, scratch)
     for e in range(scratch.found[1]):
         q = scratch.places[e]
-        for w in range(words):
+        for w in range(np.uint64(asked.shape[1])):
             asked[q, w] = ALL
             for j in range(np.uint64(digits.shape[2])):
                 asked[q, w] = equal_so_far(asked[q, w], digits[q, w, j], n - 1, j)
@@ -335,19 +206,11 @@ def _find_units(k, positions, n, weights, state, scratch):
 
 
 @inner
-def find_pairs(k, how, parts, field, state, scratch):
-    """See `_find_pairs`, of all parts."""
-    for stations in literal_unroll(parts):
-        if stations.part.sight.reach >= 0.0:
-            _find_pairs(k, how, stations, field, state, scratch)
-
-
-@inner
 def see_anew(parts, positions, whole, field, state, scratch):
     """Find what all cameras see of the place tried at `positions`, see `_find_caps`."""
     for stations in literal_unroll(parts):
         _find_caps(stations, positions, field.positions, scratch.parts[stations.number], scratch, whole)
-        _find_veils(stations, field, state, scratch)
+        find_veils(stations, field, state, scratch)
     join(positions, scratch)
 
 
@@ -366,20 +229,26 @@ def list_near(scratch, all_of_them):
 
 
 @inner
-def bound_rig_move(field, k, pose, surface, state, scratch):
-    """See `trial.bound_move`."""
+def begin_rig_move(k, pose, surface, field, state, scratch):
+    """Find whom landmark k no longer hides, and copy all values: see `trial.begin_move`."""
     scratch.surface[0], units, before = surface, scratch.units, state.units
     for i in range(6):
         scratch.target[i] = pose[i]
     forget(scratch)
     list_blocks(k, field, state, scratch)
     find_pairs(np.uint64(k), LEAVES, field.parts, field, state, scratch)
+    for q in range(len(units)):
+        units[q] = before[q]
+
+
+@inner
+def bound_rig_move(field, k, pose, surface, state, scratch):
+    """See `trial.bound_move`."""
+    begin_rig_move(k, pose, surface, field, state, scratch)
     _ask(np.uint64(k), state, scratch)
     _ask_again(np.uint64(k), field.n, state, scratch)
     positions = scratch.listed[: list_near(scratch, False)]
     see_anew(field.parts, positions, False, field, state, scratch)
-    for q in range(len(units)):
-        units[q] = before[q]
     _find_units(np.uint64(k), positions, field.n, field.weights, state, scratch)
 
 

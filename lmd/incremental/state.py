@@ -9,116 +9,140 @@ from lmd.sight.blocks import BLOCK
 
 
 class State(NamedTuple):
-    """Coverage of one deployment, positions in the order of the field.
-
-    landmarks, normals `(3, K)`; surfaces `(K,)` that they hang on; caps `(K, Q, W)` the axes that cover a landmark
-    nobody hides; reachable `(K, Q)` whether there are any in reach; hidden `(K, Q)` how many others within the horizon
-    hide it, hiding `(K, Q)` how many it hides; counts `(Q, W, J)` the number of landmarks covered, binary digit by
-    binary digit, the lowest first; short, just `(Q, W)` where it is n - 1, and n; units `(Q,)` P_n.
-    """
+    """The coverage of one deployment of K landmarks, from Q positions in the order of the field; W words of axes."""
 
     landmarks: np.ndarray
+    """`(3, K)` where they are, metres."""
     normals: np.ndarray
+    """`(3, K)` unit."""
     surfaces: np.ndarray
+    """`(K,)` that they hang on."""
     caps: np.ndarray
+    """`(K, Q, W)` the axes that cover a landmark nobody hides."""
     reachable: np.ndarray
+    """`(K, Q)` whether any axis covers it, as if nobody hid it."""
     hidden: np.ndarray
+    """`(K, Q)` how many others within the horizon hide it."""
     hiding: np.ndarray
+    """`(K, Q)` how many others it hides."""
     counts: np.ndarray
+    """`(Q, W, J)` the number of landmarks covered, binary digit by binary digit, the lowest first."""
     short: np.ndarray
+    """`(Q, W)` the axes that cover n - 1 landmarks."""
     just: np.ndarray
+    """`(Q, W)` the axes that cover n landmarks."""
     units: np.ndarray
+    """`(Q,)` P_n, as whole numbers."""
 
 
 class Sighting(NamedTuple):
-    """A landmark as seen from all positions, all `(Q,)`; see `criteria.from_position`.
-
-    x, y, z offset; cell of the direction; reached whether any axis covers it.
-    """
+    """A landmark as it is seen from all positions, `(Q,)` each; `criteria.from_position` says what the bounds are."""
 
     x: np.ndarray
+    """Its offset from the position, metres."""
     y: np.ndarray
+    """The same along y."""
     z: np.ndarray
+    """The same along z."""
     low: np.ndarray
+    """The least depth at which it may be covered."""
     high: np.ndarray
+    """The greatest depth at which it may be covered."""
     sure: np.ndarray
+    """Up to this depth, from `low` on, every axis that has it well in view covers it."""
     cell: np.ndarray
+    """Of the table of directions, in which its direction is."""
     reached: np.ndarray
+    """Whether any axis covers it."""
 
 
 class Neighbours(NamedTuple):
-    """Landmarks that hide a place or are hidden by it, by block of positions.
-
-    found `(Q / BLOCK,)` how many of them; who `(Q / BLOCK, K)` which; hides, hidden_by `(Q / BLOCK, K, BLOCK)` whether
-    the place hides the landmark, or is hidden by it, seen from each position of the block; count_hides, count_hidden
-    `(Q,)` how many of them do.
-    """
+    """Landmarks that hide a place or are hidden by it, by block of positions."""
 
     found: np.ndarray
+    """`(Q / BLOCK,)` how many of them."""
     who: np.ndarray
+    """`(Q / BLOCK, K)` which."""
     hides: np.ndarray
+    """`(Q / BLOCK, K, BLOCK)` whether the place hides the landmark, from each position of the block."""
     hidden_by: np.ndarray
+    """`(Q / BLOCK, K, BLOCK)` whether the landmark hides the place."""
     count_hides: np.ndarray
+    """`(Q,)` how many landmarks the place hides."""
     count_hidden: np.ndarray
+    """`(Q,)` how many landmarks hide the place."""
 
 
 class Turns(NamedTuple):
-    """Landmarks that are hidden by more or fewer others after a move, by block of positions.
-
-    found `(Q / BLOCK,)` how many of them; who `(Q / BLOCK, K)` which; change `(Q / BLOCK, K, BLOCK)` in the number of
-    landmarks that hide it, seen from each position of the block.
-    """
+    """Landmarks that more or fewer others hide after a move, by block of positions."""
 
     found: np.ndarray
+    """`(Q / BLOCK,)` how many of them."""
     who: np.ndarray
+    """`(Q / BLOCK, K)` which."""
     change: np.ndarray
+    """`(Q / BLOCK, K, BLOCK)` in the number of landmarks that hide it, from each position of the block."""
 
 
 class Scratch(NamedTuple):
     """The move tried last, and working memory.
 
-    target `(6,)` position and normal tried, surface `(1,)` they lie on; units `(Q,)` P_n there; new: how it is seen;
-    cap `(Q, W)` axes that cover it; before, after: neighbours of both;
-    turns: what follows for the others; flips `(Q,)` whether another landmark appears or disappears. Once the move is
-    carried out, target, surface, units, cap, reached of `new` and the counts of `after` are those of the place left.
-
-    Working memory of `nearby`: aimed `(Q / BLOCK,)` whether a block is near the target; blocks `(Q / BLOCK + 1,)` that
-    the move may matter to, and spans `(Q / BLOCK, 2)` of positions that these are, from the first to the one behind
-    the last; near `(2,)` how many blocks and spans there are. It and `hiding` have wanted `(Q / BLOCK,)`, blocks to
-    look in. Of `hiding`: others `(K + 1,)` landmarks nearby, ways `(4, K + 1)`,
-    filled up to whole words, to each of them and how long; slot `(K,)` of each landmark in `turns`, -1 for none. Of
-    `trial` and `move`: listed `(Q + 1,)` positions; mask `(Q,)` of the old cap; inner, outer `(Q,)` rows of the tables
-    of `cones`; unsure, places `(Q W + 1,)` sets of axes to be tested and where; names, goes `(K + 1,)` caps that come
-    or go; digits `(J,)`. Lists have room for one more, as an entry is written down before it is decided whether it
-    stays.
+    Once the move is carried out, `target`, `surface`, `units`, `cap`, `new.reached` and the counts of `after` are those
+    of the place left. Lists have room for one more: an entry is written down before it is decided whether it stays.
     """
 
     target: np.ndarray
+    """`(6,)` position and normal tried."""
     surface: np.ndarray
+    """`(1,)` that they lie on."""
     units: np.ndarray
+    """`(Q,)` P_n with the landmark there."""
     new: Sighting
+    """How the landmark is seen there."""
     cap: np.ndarray
+    """`(Q, W)` the axes that cover it there."""
     before: Neighbours
+    """Neighbours of the old place."""
     after: Neighbours
+    """Neighbours of the new place."""
     turns: Turns
+    """What follows for the others."""
     flips: np.ndarray
+    """`(Q,)` whether another landmark appears or disappears."""
     aimed: np.ndarray
+    """`(Q / BLOCK,)` whether a block is near the target. This and what follows is working memory."""
     blocks: np.ndarray
+    """`(Q / BLOCK + 1,)` that the move may matter to."""
     spans: np.ndarray
+    """`(Q / BLOCK, 2)` of positions that these are: the first, and the one behind the last."""
     near: np.ndarray
+    """`(2,)` how many blocks and spans there are."""
     wanted: np.ndarray
+    """`(Q / BLOCK,)` blocks to look for neighbours in."""
     others: np.ndarray
+    """`(K + 1,)` landmarks nearby."""
     ways: np.ndarray
+    """`(4, K + 1)`, filled up to whole words: the way to each of them, and how long it is."""
     slot: np.ndarray
+    """`(K,)` of each landmark in `turns`, -1 for none."""
     listed: np.ndarray
+    """`(Q + 1,)` positions."""
     mask: np.ndarray
+    """`(Q,)` of the old cap."""
     inner: np.ndarray
+    """`(Q,)` rows of the table of axes that have a direction well in view."""
     outer: np.ndarray
+    """`(Q,)` rows of the table of axes that may have it in view."""
     unsure: np.ndarray
+    """`(Q W + 1,)` sets of axes to be tested."""
     places: np.ndarray
+    """`(Q W + 1,)` where these are."""
     names: np.ndarray
+    """`(K + 1,)` landmarks whose caps come or go."""
     goes: np.ndarray
+    """`(K + 1,)` words: all bits of a cap that goes, none of one that comes."""
     digits: np.ndarray
+    """`(J,)` of a count."""
 
 
 def surroundings(count: int, size: int) -> dict[str, Any]:

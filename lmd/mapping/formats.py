@@ -1,6 +1,6 @@
 """The formats by name, and the choice of some of them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -27,6 +27,8 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.tag import FAMILIES, Tag
 from lmd.space.space import Space
 
+OWN, ONE, NONE = "own", "one", "none"
+
 
 class Format(NamedTuple):
     """A file that is written of a map.
@@ -39,6 +41,7 @@ class Format(NamedTuple):
         on_paper: whether it is printed.
         check: raises `InputError`, a clause without its subject, if it cannot hold the tags of a map; None where it
             holds any.
+        edges: what it says of the size of tags: `OWN`, that of each; `ONE`, that of all; or `NONE`, nothing.
     """
 
     file: str
@@ -46,10 +49,11 @@ class Format(NamedTuple):
     only_apriltag: bool = False
     on_paper: bool = False
     check: Callable[[TagMap], None] | None = None
+    edges: str = OWN
 
 
 FORMATS = {
-    "wpilib": Format("tags.wpilib.json", write_wpilib, only_apriltag=True),
+    "wpilib": Format("tags.wpilib.json", write_wpilib, only_apriltag=True, edges=NONE),
     "apriltag_ros": Format("tags.apriltag_ros.yaml", write_apriltag_ros, only_apriltag=True),
     "apriltag_ros2": Format("tags.apriltag_ros2.yaml", write_apriltag_ros2, only_apriltag=True),
     "tagslam": Format("tags.tagslam.yaml", write_tagslam, only_apriltag=True),
@@ -57,13 +61,13 @@ FORMATS = {
     "csv": Format("tags.csv", write_csv),
     "json": Format("tags.json", write_json),
     "clover": Format("tags.clover.txt", write_clover),
-    "fiducial_vlam": Format("tags.fiducial_vlam.yaml", write_fiducial_vlam, check=TagMap.check_one_edge),
-    "rtabmap": Format("tags.rtabmap.txt", write_rtabmap, check=TagMap.check_one_edge),
+    "fiducial_vlam": Format("tags.fiducial_vlam.yaml", write_fiducial_vlam, edges=ONE),
+    "rtabmap": Format("tags.rtabmap.txt", write_rtabmap, edges=ONE),
     "limelight": Format("tags.fmap", write_limelight, only_apriltag=True),
-    "frc971": Format("tags.frc971.json", write_frc971, only_apriltag=True),
+    "frc971": Format("tags.frc971.json", write_frc971, only_apriltag=True, edges=NONE),
     "duckietown": Format("tags.duckietown.yaml", write_duckietown, only_apriltag=True, check=check_on_floor),
-    "plan": Format("plan.pdf", write_plan, on_paper=True, check=TagMap.check_one_edge),
-    "sheets": Format("sheets.pdf", write_sheets, on_paper=True, check=TagMap.check_one_edge),
+    "plan": Format("plan.pdf", write_plan, on_paper=True),
+    "sheets": Format("sheets.pdf", write_sheets, on_paper=True),
 }
 
 
@@ -77,7 +81,8 @@ def check_printing(name: str, tag: Tag, paper: str) -> None:
     """Raise `InputError` if a format that is printed cannot be written of tags like this one."""
     optional("reportlab", "export")
     if name == "sheets":
-        check_sheets(tag, paper)
+        for edge in tag.sizes:
+            check_sheets(tag.of_size(edge), paper)
 
 
 def not_printed(tag: Tag, paper: str) -> dict[str, str]:
@@ -90,6 +95,11 @@ def not_printed(tag: Tag, paper: str) -> dict[str, str]:
             except InputError as error:
                 reasons[name] = str(error)
     return reasons
+
+
+def one_edge(edges: Sequence[float]) -> str:
+    """Why a format with one edge for all tags cannot hold those with these, metres; a clause without its subject."""
+    return f"it has one edge for all tags, and these have {', '.join(f'{edge:g}' for edge in sorted(edges))} m"
 
 
 @dataclass(frozen=True)
@@ -131,17 +141,28 @@ class Export:
                 raise InputError(f"formats has {name}, which knows the families {known}, not {tag.family}.", "formats")
             if FORMATS[name].on_paper:
                 check_printing(name, tag, self.paper)
+            if FORMATS[name].edges == ONE and len(tag.sizes) > 1 and not self.fitting:
+                raise InputError(f"formats has {name}: {one_edge(tag.sizes)}.", "formats")
 
     def unfit(self, tags: TagMap) -> dict[str, str]:
         """The formats that cannot hold these tags, and why."""
         reasons = {}
         for name in self.formats:
             try:
+                if FORMATS[name].edges == ONE and len(tags.by_size) > 1:
+                    raise InputError(one_edge([tag.size for tag, _ in tags.by_size]))
                 if (check := FORMATS[name].check) is not None:
                     check(tags)
+                for tag, _ in tags.by_size if FORMATS[name].on_paper else ():
+                    check_printing(name, tag, self.paper)
             except InputError as error:
-                reasons[name] = str(error)
+                reasons[name] = str(error).rstrip(".")
         return reasons
+
+    def silent(self, tags: TagMap) -> tuple[str, ...]:
+        """The formats that say nothing of the sizes of these tags, which are several."""
+        several = len(tags.by_size) > 1
+        return tuple(name for name in self.formats if several and FORMATS[name].edges == NONE)
 
     def writers(self, room: Space, tag: Tag, deployment: Deployment) -> dict[str, Callable[[Path], None]]:
         """What writes each file of these tags, by its name.

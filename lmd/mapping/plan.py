@@ -38,6 +38,7 @@ TICK = 1.5
 TITLE, TEXT, SMALL = 5.0, 3.0, 2.4  # letters
 ROW = 4.8  # height of the rows of tables
 SCALES = (1, 2, 5, 10, 15, 20, 25, 30, 40, 50, 75, 100, 150, 200, 250, 300, 400, 500, 1000, 2000, 5000)
+EDGE_WIDTH = 12.0  # of the column with the edges of tags
 LIGHT = 0.85  # grey of black squares, and of lines below rows
 FORBIDDEN = 0.94  # grey of where nothing may hang
 
@@ -139,7 +140,7 @@ def _draw_overview(
     ]
     room = size[0] - 3.0 * MARGIN - HUNG.width, size[1] - 2.0 * MARGIN - HEAD
     scale = scale_of(tags.room, *room, SCALES)
-    title = f"{len(tags.ids)} tags of {tags.tag.family}, {MM_PER_M * tags.tag.size:.4g} mm"
+    title = f"{len(tags.ids)} tags of {tags.tag.family}, {tags.edges_in_words}"
     facts = f"seen from above, scale 1 : {scale}; {tags.room.describe()}; triangles are tags on walls"
     if (np.abs(tags.deployment.normals[:, 2]) > FLAT).any():
         facts += ", squares those on floors (black) and ceilings (white)"
@@ -151,25 +152,26 @@ def _draw_overview(
 def _draw_surface(canvas: Any, size: tuple[float, float], tags: TagMap, view: View, places: IntArray) -> None:
     own = tags.order[places]
     width, height = (MM_PER_M * length for length in view.surface.extent)
-    room_x = size[0] - 3.0 * MARGIN - ON_SURFACE.width - DIMENSION - TEXT
+    edge = "floor" if view.surface.is_upright else "below"
+    head = tuple(tuple(text.format(edge=edge) for text in line) for line in ON_SURFACE.head)
+    table = _sized(ON_SURFACE._replace(head=head), tags)
+    room_x = size[0] - 3.0 * MARGIN - table.width - DIMENSION - TEXT
     room_y = size[1] - 2.0 * MARGIN - HEAD - DIMENSION - TEXT
     scale = next((one for one in SCALES if width <= one * room_x and height <= one * room_y), SCALES[-1])
     title = f"{view.surface.name}, {view.seen}"
     facts = f"{width:.0f} x {height:.0f} mm, tags: {len(own)}, scale 1 : {scale}; {tags.room.describe()}"
     facts += "" if view.surface.allowed is None else "; nothing hangs where it is grey"
-    at, paper = MM_PER_M * tags.at[own], MM_PER_M * tags.tag.paper_edge
+    at, papers = MM_PER_M * tags.at[own], MM_PER_M * tags.papers[own]
     floor = MM_PER_M * lower_edge(tags.room, view.surface)
     rows = [
-        ["", str(place + 1), str(tags.ids[k]), *(f"{x:.0f}" for x in (*centre, *(centre - paper / 2.0))), "", ""]
-        for place, k, centre in zip(places, own, at + np.array([0.0, floor]), strict=True)
+        [*_named(tags, place, k), *(f"{x:.0f}" for x in (*centre, *(centre - paper / 2.0))), "", ""]
+        for place, k, centre, paper in zip(places, own, at + np.array([0.0, floor]), papers, strict=True)
     ]
-    edge = "floor" if view.surface.is_upright else "below"
-    table = ON_SURFACE._replace(head=tuple(tuple(text.format(edge=edge) for text in line) for line in ON_SURFACE.head))
     _begin(canvas, size, title, facts)
     origin = MARGIN + DIMENSION + TEXT, size[1] - MARGIN - HEAD - height / scale
     _draw_outline(canvas, origin, tags, view, scale)
     for k, centre in zip(own, at, strict=True):
-        _draw_tag(canvas, origin, tags, int(k), centre, scale, at)
+        _draw_tag(canvas, origin, tags, int(k), centre, scale, at, papers)
     _draw_tables(canvas, size, table, rows, title, facts)
 
 
@@ -177,12 +179,27 @@ def _draw_free(canvas: Any, size: tuple[float, float], tags: TagMap, places: Int
     own = tags.order[places]
     positions = MM_PER_M * tags.deployment.positions[own]
     rows = [
-        ["", str(place + 1), str(tags.ids[k]), *(f"{value:.0f}" for value in at), "", "", ""]
+        [*_named(tags, place, k), *(f"{value:.0f}" for value in at), "", "", ""]
         for place, k, at in zip(places, own, positions, strict=True)
     ]
     title, facts = "free in the room", f"on no surface, tags: {len(own)}; {tags.room.describe()}"
     _begin(canvas, size, title, facts)
-    _draw_tables(canvas, size, FREE, rows, title, facts)
+    _draw_tables(canvas, size, _sized(FREE, tags), rows, title, facts)
+
+
+def _named(tags: TagMap, place: int, k: int) -> list[str]:
+    """The first texts of the row of tag k, which is hung as number `place`: its edge, too, where there are several."""
+    edge = [f"{MM_PER_M * tags.sizes[k]:.4g}"] if len(tags.by_size) > 1 else []
+    return ["", str(place + 1), str(tags.ids[k]), *edge]
+
+
+def _sized(table: Table, tags: TagMap) -> Table:
+    """A table of tags with a column for their edges after the first three, where there are several."""
+    if len(tags.by_size) == 1:
+        return table
+    head = tuple((*line[:3], text, *line[3:]) for line, text in zip(table.head, ("edge,", "mm"), strict=True))
+    boxes = tuple(box + (box >= 3) for box in table.boxes)
+    return Table((*table.widths[:3], EDGE_WIDTH, *table.widths[3:]), head, boxes)
 
 
 def _begin(canvas: Any, size: tuple[float, float], title: str, facts: str) -> None:
@@ -235,11 +252,21 @@ def _draw_dimension(canvas: Any, x: float, y: float, length: float, text: str) -
 
 
 def _draw_tag(
-    canvas: Any, origin: tuple[float, float], tags: TagMap, k: int, centre: FloatArray, scale: int, at: FloatArray
+    canvas: Any,
+    origin: tuple[float, float],
+    tags: TagMap,
+    k: int,
+    centre: FloatArray,
+    scale: int,
+    at: FloatArray,
+    papers: FloatArray,
 ) -> None:
-    """Paper and black square, with a triangle that points up and the number, beside it where no other tag hides it."""
+    """Paper and black square, with a triangle that points up and the number, beside it where no other tag hides it.
+
+    All tags of the surface are `at` `(N, 2)` and have these `papers` `(N,)`, mm.
+    """
     x, y = origin + centre / scale
-    plate, edge = (MM_PER_M * length / scale for length in (tags.tag.paper_edge, tags.tag.size))
+    plate, edge = (MM_PER_M * length / scale for length in (tags.papers[k], tags.sizes[k]))
     canvas.rect(x - plate / 2.0, y - plate / 2.0, plate, plate)
     canvas.setFillGray(LIGHT)
     canvas.rect(x - edge / 2.0, y - edge / 2.0, edge, edge, stroke=0, fill=1)
@@ -251,8 +278,8 @@ def _draw_tag(
     up_arrow(canvas, x, y - 0.3 * edge, 0.6 * edge)
     away = plate / 2.0 + SMALL  # from the tag's centre to the middle of its number
     places = np.array([(away, 0.0), (-away, 0.0), (0.0, away), (0.0, -away)])
-    distance = np.abs(((at - centre) / scale)[:, None] - places).max(axis=2).min(axis=0)
-    free = np.flatnonzero(distance > (plate + SMALL) / 2.0)
+    distance = np.abs(((at - centre) / scale)[:, None] - places).max(axis=2)
+    free = np.flatnonzero((distance > (papers[:, None] / scale + SMALL) / 2.0).all(axis=0))
     right, up = places[free[0] if free.size else 0]
     write_on_white(canvas, x + right, y + up, str(tags.ids[k]), size=SMALL)
 

@@ -1,4 +1,4 @@
-"""Print sheets: the tags at their true size, to be cut out, in the order of hanging.
+"""Print sheets: the tags at their true size, to be cut out, in the order of hanging, the smallest sizes first.
 
 In the white margin of each tag stand an arrow that points up, its number and the surface it belongs to. A tag that is
 larger than a sheet comes in pieces, with crosses that fall on each other where pieces are put together. A ruler tells
@@ -42,8 +42,16 @@ def check_sheets(tag: Tag, paper: str) -> None:
     layout(tag, paper)
 
 
-def describe_sheets(tag: Tag, paper: str, count: int) -> str:
-    """How so many tags are printed, in words."""
+def describe_sheets(tags: TagMap, paper: str) -> str:
+    """How tags are printed, in words."""
+    every = [_described(tag, paper, len(own)) for tag, own in tags.by_size]
+    if len(every) == 1:
+        return every[0]
+    sizes = [f"{MM_PER_M * tag.size:g} mm: {text}" for (tag, _), text in zip(tags.by_size, every, strict=True)]
+    return "; ".join(sizes)
+
+
+def _described(tag: Tag, paper: str, count: int) -> str:
     sheets = layout(tag, paper)
     if isinstance(sheets, Whole):
         return f"{-(-count // sheets.per_sheet)} of {paper}, {sheets.per_sheet} to a sheet"
@@ -64,37 +72,37 @@ def write_sheets(path: Path, tags: TagMap, paper: str) -> None:
     Raises:
         InputError: a tag takes too many sheets.
     """
-    check_sheets(tags.tag, paper)
-    sheets = layout(tags.tag, paper)
+    sizes = [(tag, layout(tag, paper), own.tolist()) for tag, own in tags.by_size]
     with document(path, f"{len(tags.order)} tags of {tags.tag.family}") as canvas:
-        if isinstance(sheets, Whole):
-            for first in range(0, len(tags.order), sheets.per_sheet):
-                _draw_whole(canvas, tags, sheets, tags.order[first : first + sheets.per_sheet].tolist())
-        else:
-            for k, row, column in product(tags.order.tolist(), range(sheets.rows), range(sheets.columns)):
-                _draw_piece(canvas, tags, sheets, k, row, column)
+        for tag, sheets, own in sizes:
+            if isinstance(sheets, Whole):
+                for first in range(0, len(own), sheets.per_sheet):
+                    _draw_whole(canvas, tags, tag, sheets, own[first : first + sheets.per_sheet])
+            else:
+                for k, row, column in product(own, range(sheets.rows), range(sheets.columns)):
+                    _draw_piece(canvas, tags, tag, sheets, k, row, column)
 
 
-def _draw_whole(canvas: Any, tags: TagMap, sheets: Whole, chosen: list[int]) -> None:
-    """A sheet with some tags, row by row from the top."""
-    plate = MM_PER_M * tags.tag.paper_edge
+def _draw_whole(canvas: Any, tags: TagMap, tag: Tag, sheets: Whole, chosen: list[int]) -> None:
+    """A sheet with some tags of one size, row by row from the top."""
+    plate = MM_PER_M * tag.paper_edge
     begin_page(canvas, *sheets.page)
     xs, ys = set(), set()
     for place, k in enumerate(chosen):
         row, column = divmod(place, sheets.columns)
         x, y = sheets.left + column * plate, sheets.top - (row + 1) * sheets.pitch
-        _draw_tag(canvas, tags, k, x, y)
+        _draw_tag(canvas, tags, tag, k, x, y)
         xs |= {x, x + plate}
         ys |= {y, y + plate}
     _draw_cuts(canvas, sheets.page, xs, ys)
     trimmed = f": cut {sheets.left:.1f} mm off left and right" if sheets.left < MARGIN - 0.05 else ""
-    _draw_footer(canvas, tags.tag, trimmed)
+    _draw_footer(canvas, tag, trimmed)
     canvas.showPage()
 
 
-def _draw_piece(canvas: Any, tags: TagMap, sheets: Pieces, k: int, row: int, column: int) -> None:
+def _draw_piece(canvas: Any, tags: TagMap, tag: Tag, sheets: Pieces, k: int, row: int, column: int) -> None:
     """A sheet with a piece of a tag, and the strips to its right and below it that go under the next ones."""
-    plate, last = MM_PER_M * tags.tag.paper_edge, (sheets.rows - 1, sheets.columns - 1)
+    plate, last = MM_PER_M * tag.paper_edge, (sheets.rows - 1, sheets.columns - 1)
     below, beside = STRIP * (row < last[0]), STRIP * (column < last[1])
     left = (sheets.page[0] - sheets.width - beside) / 2.0
     top = sheets.page[1] - MARGIN - LABEL - LABEL_GAP - MARK - MARK_GAP
@@ -104,7 +112,7 @@ def _draw_piece(canvas: Any, tags: TagMap, sheets: Pieces, k: int, row: int, col
     visible = canvas.beginPath()
     visible.rect(left, bottom - below, sheets.width + beside, sheets.height + below)
     canvas.clipPath(visible, stroke=0, fill=0)
-    _draw_tag(canvas, tags, k, left - column * sheets.width, top + row * sheets.height - plate, CROSS)
+    _draw_tag(canvas, tags, tag, k, left - column * sheets.width, top + row * sheets.height - plate, CROSS)
     canvas.restoreState()
     for x, y in product((left, right), (bottom, top)):
         _draw_cross(canvas, x, y)
@@ -113,17 +121,17 @@ def _draw_piece(canvas: Any, tags: TagMap, sheets: Pieces, k: int, row: int, col
     piece = f"piece {row * sheets.columns + column + 1} of {sheets.per_tag}, row {row + 1}, column {column + 1}"
     under = "cut at the crosses on the left and above; what is beyond them on the right and below goes under the next"
     _write_label(canvas, f"{tags.ids[k]}   {tags.place_of(k)}   {piece}", MARGIN, sheets.page[1] - MARGIN, LABEL)
-    _draw_footer(canvas, tags.tag, "")
+    _draw_footer(canvas, tag, "")
     write_text(canvas, MARGIN, MARGIN + FOOTER, under, size=2.4)
     canvas.showPage()
 
 
-def _draw_tag(canvas: Any, tags: TagMap, k: int, x: float, y: float, inset: float | None = None) -> None:
+def _draw_tag(canvas: Any, tags: TagMap, tag: Tag, k: int, x: float, y: float, inset: float | None = None) -> None:
     """The tag with the lower left corner of its paper at (x, y), and its label: above it if its margin has no room.
 
     In the margin it is `inset` from the edges of the paper, if given, else a quarter of its height.
     """
-    tag, number = tags.tag, tags.ids[k]
+    number = tags.ids[k]
     plate, edge, module = (MM_PER_M * length for length in (tag.paper_edge, tag.size, tag.module))
     black = canvas.beginPath()
     for row, column in np.argwhere(~tag.picture(number)):

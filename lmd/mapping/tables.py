@@ -9,7 +9,8 @@ import numpy as np
 from lmd.core.tables import write_table
 from lmd.mapping.tag_map import QUATERNION, TagMap
 from lmd.scene.deployment import COLUMNS, UP_COLUMNS
-from lmd.scene.labels import EDGE, ID
+from lmd.scene.edges import EDGE
+from lmd.scene.labels import ID
 
 CORNER_NAMES = ("top_left", "top_right", "bottom_right", "bottom_left")
 FRAME = "metres; z up; of a tag x is right, y up, z out of it; its quaternion turns this frame to the world"
@@ -18,10 +19,15 @@ FRAME = "metres; z up; of a tag x is right, y up, z out of it; its quaternion tu
 def write_csv(path: Path, tags: TagMap) -> None:
     """Write `tags.csv`: what `Deployment.to_csv` writes, then the quaternion and the corners."""
     deployment = tags.deployment
-    vectors = [deployment.places, deployment.normals, deployment.ups, tags.quaternions, tags.corners.reshape(-1, 12)]
+    placed = np.hstack([deployment.places, deployment.normals, deployment.ups])
+    turned = np.hstack([tags.quaternions, tags.corners.reshape(-1, 12)])
     corners = [f"{corner}_{axis}" for corner in CORNER_NAMES for axis in "xyz"]
-    names = (*COLUMNS, *UP_COLUMNS, *QUATERNION, *corners)
-    columns: dict[str, Any] = {ID: tags.ids, **dict(zip(names, np.hstack(vectors).T, strict=True))}
+    columns: dict[str, Any] = {
+        ID: tags.ids,
+        **dict(zip((*COLUMNS, *UP_COLUMNS), placed.T, strict=True)),
+        **({} if deployment.edges is None else {EDGE: tags.sizes}),
+        **dict(zip((*QUATERNION, *corners), turned.T, strict=True)),
+    }
     labels = {} if deployment.labels is None else deployment.labels.columns
     write_table(path, columns | {name: texts for name, texts in labels.items() if name not in columns})
 

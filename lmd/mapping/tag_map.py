@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 
-from lmd.core.checks import FloatArray, InputError, IntArray
+from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.squares import corners
+from lmd.scene.camera import MM_PER_M
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import FAMILIES, Tag
 from lmd.scene.tag_map_readers import HALF_TURN
@@ -111,16 +112,24 @@ class TagMap:
 
     @cached_property
     def sizes(self) -> FloatArray:
-        """The edge of each, `(K,)`: that of the tag, or its own where a map has said so."""
-        labels = self.deployment.labels
-        own = np.full(len(self.ids), np.nan) if labels is None else labels.edges
-        return np.where(np.isnan(own), self.tag.size, own)
+        """The edge of each, `(K,)`: its own, or that of the tag."""
+        return self.deployment.edges_of(self.tag)
 
-    def check_one_edge(self) -> None:
-        """Raise `InputError` if the tags have several edges."""
-        if np.ptp(self.sizes):
-            edges = ", ".join(f"{edge:g}" for edge in np.unique(self.sizes))
-            raise InputError(f"it has one edge for all tags, and these have {edges} m")
+    @property
+    def papers(self) -> FloatArray:
+        """The edge of the paper of each, `(K,)`."""
+        return self.tag.paper_share * self.sizes
+
+    @cached_property
+    def by_size(self) -> list[tuple[Tag, IntArray]]:
+        """The tag of each size, the smallest first, and those that have it in the order of hanging."""
+        own = self.sizes[self.order]
+        return [(self.tag.of_size(edge), self.order[own == edge]) for edge in np.unique(own).tolist()]
+
+    @property
+    def edges_in_words(self) -> str:
+        """The edges that occur, mm."""
+        return f"{', '.join(f'{MM_PER_M * tag.size:.4g}' for tag, _ in self.by_size)} mm"
 
     @property
     def positions(self) -> FloatArray:

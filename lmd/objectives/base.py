@@ -14,7 +14,6 @@ from lmd.sight.evaluator import Evaluator
 if TYPE_CHECKING:
     from lmd.incremental.field import Field, Target
     from lmd.objectives.sampling import Sampling
-    from lmd.scene.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ class Selection(Protocol):
 
     @property
     def label(self) -> str:
-        """What it measures, for readers."""
+        """The quantity in words, for readers."""
 
     def gains(self, poses: Deployment) -> FloatArray:
         """What each pose would add, `(N,)`; never more than it would have added before others were chosen."""
@@ -95,7 +94,7 @@ class Objective(Protocol):
         """The value from which on a position is qualified."""
 
     def check(self, count: int) -> None:
-        """Raise `InputError` if so many landmarks cannot serve it."""
+        """Raise `InputError` if `count` landmarks are too few for it."""
 
     def values(self, evaluator: Evaluator, positions: FloatArray, normals: FloatArray) -> FloatArray:
         """The value of each position of `evaluator`, in [0, 1], `(B, P)`, for B deployments `(B, K, 3)`."""
@@ -113,18 +112,15 @@ class Objective(Protocol):
         """All figures of a deployment from the values of the grid's positions and their relevance, `(P,)` each."""
 
     def describe(self, figures: Mapping[str, float], positions: int, count: int) -> dict[str, str]:
-        """The figures as labelled sentences for the terminal, for so many positions and landmarks."""
+        """The figures of a number of positions and landmarks, as labelled sentences for the terminal."""
 
     def describe_validation(self, figures: Mapping[str, float]) -> dict[str, str]:
-        """The same for the figures off the grid (`lmd.evaluation.validation`)."""
+        """The figures off the grid (`lmd.evaluation.validation`) as labelled sentences for the terminal."""
 
 
 @runtime_checkable
 class Incremental(Protocol):
-    """What an objective has whose values can be updated as single landmarks move.
-
-    With a method `check_moves(scene)` it raises `InputError` for scenes where they cannot.
-    """
+    """What an objective has whose values can be updated as single landmarks move."""
 
     def field(self, evaluator: Evaluator) -> "Field":
         """The values at the positions of `evaluator`, ready to be updated."""
@@ -141,15 +137,13 @@ class Selectable(Protocol):
         """A stand-in that greedy selection can climb, with nothing chosen."""
 
 
-def incremental(objective: Objective, scene: "Scene | None" = None) -> Incremental:
+def incremental(objective: Objective) -> Incremental:
     """The objective, which must have a field.
 
     Raises:
-        InputError: it has none, or none in this scene.
+        InputError: it has none.
     """
     if isinstance(objective, Incremental):
-        if scene is not None and hasattr(objective, "check_moves"):
-            objective.check_moves(scene)
         return objective
     raise InputError(
         f"{type(objective).__name__} has no field that single moves could update; use a black box such as ega.",

@@ -9,7 +9,7 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, choice, integer
 from lmd.optimisers.wrapped import Session, Wrapped
 
-ENDED = ("stop", "should_stop")  # methods that say whether an object has ended by its own rules
+STOP_METHODS = ("stop", "should_stop")  # methods that say whether an object has ended by its own rules
 
 
 class AskAndTell(Wrapped):
@@ -59,7 +59,7 @@ class _Session:
         self.made, self.batch, self.pairs = made, batch, pairs
 
     def ask(self) -> FloatArray | None:
-        if any(getattr(self.made, name, bool)() for name in ENDED):
+        if any(getattr(self.made, name, bool)() for name in STOP_METHODS):
             return None
         asked = np.asarray(self.made.ask(), dtype=np.float64)
         if asked.ndim > 1:

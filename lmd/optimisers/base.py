@@ -188,7 +188,7 @@ class AskTell(Optimiser):
         return fitness
 
     def _note_or_tell(self, genes: FloatArray, fitness: FloatArray, asked: int) -> None:
-        """Note the fitness of the first of so many genes `asked` for, and tell it if it is that of all."""
+        """Tell the fitness of all genes that were `asked` for; of fewer, only note it."""
         if len(genes) == asked:
             self.tell(genes, fitness)
         else:  # the method cannot learn from half a batch

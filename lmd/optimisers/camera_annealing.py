@@ -20,7 +20,7 @@ from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 
-GIVEN = 0.5  # share of the schedule that is left out where the start is given
+SHARE_SKIPPED = 0.5  # share of the schedule that is left out where the start is given
 
 
 class CameraAnnealing(Optimiser):
@@ -85,7 +85,7 @@ class CameraAnnealing(Optimiser):
             ledger.note(1, self._scored(cameras, self.here)[0])
         energy = self._scored(cameras, self.here)[1]
         while (used := budget.used(ledger.evaluations, ledger.seconds)) < 1.0:
-            skipped = 0.0 if cameras.varies else GIVEN
+            skipped = 0.0 if cameras.varies else SHARE_SKIPPED
             energy, best = self._swept(cameras, skipped + (1.0 - skipped) * used, energy)
             ledger.seconds = clock() - began
             ledger.note(ledger.evaluations + 1, best)

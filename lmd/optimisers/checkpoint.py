@@ -21,11 +21,11 @@ from lmd.core.renamed import renamed
 from lmd.optimisers.base import Optimiser
 from lmd.problem import Problem
 
-FILE = "checkpoint.npz"
-PICKLE = "checkpoint.pkl"  # that of earlier versions
+CHECKPOINT_FILE = "checkpoint.npz"
+PICKLE_FILE = "checkpoint.pkl"  # that of earlier versions
 FORMAT = "lmd checkpoint 3"  # a number for each way of writing it
-DOCUMENT = "document"  # the JSON, UTF-8, among the arrays
-ARRAY = "$array"  # in the document: here belongs the array of that name
+DOCUMENT_KEY = "document"  # the JSON, UTF-8, among the arrays
+ARRAY_KEY = "$array"  # in the document: here belongs the array of that name
 MOST_TEXT = 200  # characters of another's message
 
 
@@ -55,7 +55,7 @@ class Checkpoint:
         Raises:
             InputError: the optimiser cannot be checkpointed.
         """
-        write_whole(directory / FILE, self._content())
+        write_whole(directory / CHECKPOINT_FILE, self._content())
 
     def resume(self, directory: str | Path, problem: Problem) -> None:
         """Take over the state and the run of the checkpoint in `directory`.
@@ -67,14 +67,14 @@ class Checkpoint:
         Raises:
             InputError: there is none, it is damaged, or it was made with other settings.
         """
-        path = file_path("resume", directory) / FILE
+        path = file_path("resume", directory) / CHECKPOINT_FILE
         if not path.is_file():
-            if (old := path.with_name(PICKLE)).is_file():
+            if (old := path.with_name(PICKLE_FILE)).is_file():
                 raise InputError(
                     f"{old} is of an earlier version and could run code, so it is not read; a new run with "
                     f"run={old.parent} begins at its landmarks."
                 )
-            raise InputError(f"resume = {str(directory)!r} holds no {FILE}.")
+            raise InputError(f"resume = {str(directory)!r} holds no {CHECKPOINT_FILE}.")
         check_memory(path.stat().st_size, f"resume = {str(directory)!r}", "resume")
         state, then, run_id = _read(path)
         then = self.settings_now(
@@ -102,7 +102,7 @@ class Checkpoint:
         except InputError as error:
             raise InputError(f"{type(self.optimiser).__name__} cannot be checkpointed: {error}") from error
         document = {"format": FORMAT, "run": self.run_id, "settings": dict(self.settings), "state": state}
-        arrays[DOCUMENT] = np.frombuffer(json.dumps(document).encode(), np.uint8)
+        arrays[DOCUMENT_KEY] = np.frombuffer(json.dumps(document).encode(), np.uint8)
         content = io.BytesIO()
         np.savez(content, **arrays)
         return content.getvalue()
@@ -116,7 +116,7 @@ def _without_arrays(name: str, value: Any, arrays: dict[str, Any]) -> Any:
         return value.item()
     if isinstance(value, np.ndarray) and not value.dtype.hasobject:
         arrays[f"state{name}"] = value
-        return {ARRAY: f"state{name}"}
+        return {ARRAY_KEY: f"state{name}"}
     if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
         return {key: _without_arrays(f"{name}.{key}", inner, arrays) for key, inner in value.items()}
     if isinstance(value, list | tuple):
@@ -153,9 +153,9 @@ def _document(path: Path) -> Any:
         arrays = dict(archive)
 
     def with_arrays(mapping: dict[str, Any]) -> Any:
-        return arrays[mapping[ARRAY]] if ARRAY in mapping else mapping
+        return arrays[mapping[ARRAY_KEY]] if ARRAY_KEY in mapping else mapping
 
-    return json.loads(bytes(arrays.pop(DOCUMENT)), object_hook=with_arrays)
+    return json.loads(bytes(arrays.pop(DOCUMENT_KEY)), object_hook=with_arrays)
 
 
 def _described(error: Exception) -> str:

@@ -16,7 +16,7 @@ from lmd.space.surface import SurfaceArrays
 # A landmark within this distance (m) of a second surface is as near to it as to its own.
 ON_SURFACE = 1e-6
 # Keeps an encoded point off the border to the neighbouring piece, as a fraction of the piece.
-BORDER = 1e-12
+BORDER_SHARE = 1e-12
 
 KINDS = ("wall", "paper")
 
@@ -81,7 +81,7 @@ class PaperEncoding:
         return np.clip(np.hstack([(points - self.low) / self.size, angles]), 0.0, 1.0).reshape(-1)
 
     def _distance(self, points: FloatArray) -> FloatArray:
-        """From points `(..., 3)` to each surface, `(..., W)`, metres; or to its plane, where that tells the nearest."""
+        """Distance from points `(..., 3)` to each surface, or to its plane if that suffices, `(..., W)`, metres."""
         s, depth = self.surfaces, np.abs(self.surfaces.depth(points))
         if self.planes_tell:
             return depth
@@ -131,7 +131,7 @@ class WallEncoding:
         at, piece = s.nearest(surface, s.coordinates(surface, deployment.positions))
         along, height = s.gathered(piece, at).T
         width = self.edges[piece + 1] - self.edges[piece]
-        first = self.edges[piece] + np.clip(along, BORDER, 1.0 - BORDER) * width
+        first = self.edges[piece] + np.clip(along, BORDER_SHARE, 1.0 - BORDER_SHARE) * width
         if self.flush:
             return np.stack([first, height], axis=1).reshape(-1)
         turn = np.arctan2((normals * s.u[surface]).sum(axis=1), (normals * s.normal[surface]).sum(axis=1))

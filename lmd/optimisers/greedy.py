@@ -1,7 +1,7 @@
 """Lazy greedy selection on a submodular stand-in (`selection`), then a local search on the true objective."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -11,16 +11,17 @@ from lmd.core.checks import InputError, real
 from lmd.objectives.base import Objective, selectable
 from lmd.optimisers.annealing import Annealing, Stage
 from lmd.optimisers.annealing.stage import changed
-from lmd.optimisers.selection import SPACING, greedy_start, select
+from lmd.optimisers.selection import GRID_SPACING, greedy_start, select
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
-from lmd.scene.deployment_sources import landmark_count
+from lmd.scene.deployment_sources import POINT, landmark_count
 from lmd.scene.scene import Scene
+from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses
 from lmd.space.space import Space
 
-REFINED = Stage(temperature=(4e-5, 2e-5), width=(0.02, 0.006), step=(0.3, 0.05), margin=0.002, share=0.1)
+REFINING_STAGE = Stage(temperature=(4e-5, 2e-5), width=(0.02, 0.006), step=(0.3, 0.05), margin=0.002, share=0.1)
 
 
 class Greedy(Annealing):
@@ -38,8 +39,10 @@ class Greedy(Annealing):
         InputError: the spacing is not positive.
     """
 
-    def __init__(self, spacing: float = SPACING, single: Stage | Mapping[str, Any] = REFINED, seed: int = 0) -> None:
-        single = changed("single", REFINED, single)
+    def __init__(
+        self, spacing: float = GRID_SPACING, single: Stage | Mapping[str, Any] = REFINING_STAGE, seed: int = 0
+    ) -> None:
+        single = changed("single", REFINING_STAGE, single)
         super().__init__(stacked=single, single=single, sampled=single, given=single, stacked_share=0.0, seed=seed)
         self.spacing = real("spacing", spacing, above=0.0)
 
@@ -77,7 +80,7 @@ class GreedyDeployment:
     count: int
     scene: Scene
     objective: Objective
-    spacing: float = SPACING
+    spacing: float = GRID_SPACING
     threads: int | None = None
     fixed: Deployment | None = None
     varies = False
@@ -106,6 +109,6 @@ class GreedyDeployment:
             )
         return poses[chosen]
 
-    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
+    def draw(self, room: Space, rng: np.random.Generator, tag: Tag = POINT) -> Deployment:
         """See `DeploymentSource.draw`; nothing here is random."""
-        return self._deployment
+        return replace(self._deployment, edges=tag.in_turn(self.count))

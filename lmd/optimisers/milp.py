@@ -30,7 +30,7 @@ from scipy.sparse import block_array, block_diag, coo_array, csr_array, eye_arra
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, real
 from lmd.core.compiled import clock
 from lmd.objectives.coverage import Coverage
-from lmd.optimisers.annealing.annealing import SPREAD, ring
+from lmd.optimisers.annealing.annealing import STACK_SPREAD, ring
 from lmd.optimisers.base import Callback, Optimiser, Result
 from lmd.optimisers.ledger import Budget, Ledger
 from lmd.optimisers.stored import deployment, deployment_state
@@ -43,7 +43,7 @@ from lmd.space.surface import SurfaceArrays
 
 MOST_PAIRS = 20_000_000  # of a pose and a view; far more than HiGHS solves in an hour
 PROVEN, INFEASIBLE = 0, 2  # status of scipy.optimize.milp
-POLL = 0.2  # seconds between two looks at the keyboard while the solver works
+POLL_SECONDS = 0.2  # seconds between two looks at the keyboard while the solver works
 
 
 class Milp(Optimiser):
@@ -124,8 +124,8 @@ class Milp(Optimiser):
         program, most = _Program.of(problem, poses), problem.fitness_relevance.sum()
         outcome: Future[OptimizeResult] = Future()
         limit = min(self.seconds, (budget.seconds or np.inf) - (clock() - began))
-        Thread(target=_fulfil, args=(outcome, program.solver(max(limit, POLL))), daemon=True).start()
-        while not wait([outcome], POLL).done:
+        Thread(target=_fulfil, args=(outcome, program.solver(max(limit, POLL_SECONDS))), daemon=True).start()
+        while not wait([outcome], POLL_SECONDS).done:
             ledger.seconds = clock() - began
             if callback and callback(self):
                 return self.result(problem, "interrupted")
@@ -172,7 +172,10 @@ def _apart(problem: Problem, poses: Deployment, copies: IntArray) -> Deployment:
     parts = []
     for stack in np.unique(copies[copies > 0]).tolist():
         chosen = poses[copies == stack]
-        of, offsets = chosen.surfaces.repeat(stack), ring(np.zeros(len(chosen)), stack, SPREAD * problem.scene.spacing)
+        of, offsets = (
+            chosen.surfaces.repeat(stack),
+            ring(np.zeros(len(chosen)), stack, STACK_SPREAD * problem.scene.spacing),
+        )
         at = surfaces.coordinates(chosen.surfaces, chosen.positions)[:, None] + offsets
         parts.append(Deployment(surfaces.points(of, at.reshape(-1, 2)), surfaces.normal[of], of))
     return problem.complete(reduce(operator.add, parts))

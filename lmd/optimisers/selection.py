@@ -14,8 +14,8 @@ from lmd.scene.plates import Plates
 from lmd.sight.poses import candidate_poses
 from lmd.space.space import Space
 
-BATCH = 32  # poses whose gains are brought up to date together
-SPACING = 0.25  # of the grid of poses, metres
+GAINS_BATCH = 32  # poses whose gains are brought up to date together
+GRID_SPACING = 0.25  # of the grid of poses, metres
 
 
 def select(
@@ -52,7 +52,7 @@ def select(
         while not fresh[best := int(np.argmax(known))]:
             stale = np.flatnonzero(~fresh & ~taken)
             # At first nothing is known about any pose, afterwards a few at the top decide.
-            batch = stale[np.argsort(-known[stale], kind="stable")[: BATCH if chosen else len(poses)]]
+            batch = stale[np.argsort(-known[stale], kind="stable")[: GAINS_BATCH if chosen else len(poses)]]
             if spent + len(batch) > allowance:
                 return np.array(chosen, dtype=int), spent
             known[batch] = selection.gains(poses[batch])

@@ -15,10 +15,10 @@ from lmd.core.checks import FloatArray, InputError
 from lmd.optimisers.base import AskTell
 
 # Libraries minimise finite losses: what a failed evaluation costs them; fitness lies in [0, 1].
-FAILED = 1e3
+LOSS_OF_FAILURE = 1e3
 # Fitness is a share of positions, so many deployments tie. Later ones count as this much better: most libraries turn
 # ties down, and then never cross a plateau. Far less than one position is worth.
-NEWER = 1e-12
+TIE_BONUS = 1e-12
 
 
 class Session(Protocol):
@@ -58,7 +58,7 @@ class Wrapped(AskTell):
 
     def _tell(self, genes: FloatArray, fitness: FloatArray) -> None:
         age = self.ledger.evaluations - np.arange(len(genes), 0, -1)
-        losses = np.where(np.isfinite(fitness), -fitness, FAILED) - NEWER * age
+        losses = np.where(np.isfinite(fitness), -fitness, LOSS_OF_FAILURE) - TIE_BONUS * age
         least = int(np.argmin(losses))
         if losses[least] < self.best[0]:
             self.best = (float(losses[least]), genes[least : least + 1].copy())

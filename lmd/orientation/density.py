@@ -18,7 +18,7 @@ from scipy.stats import circmean, norm, truncnorm, vonmises
 from lmd.core.checks import FloatArray
 from lmd.orientation.sampling import circular_difference
 
-FOLDS = 10
+CROSS_VALIDATION_FOLDS = 10
 # Standard deviations tried for a kernel, in fine cells.
 BANDWIDTHS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0)
 
@@ -42,7 +42,7 @@ class Axis:
 
     @property
     def width(self) -> float:
-        """Of a cell, radians."""
+        """The width of a cell, radians."""
         return (self.high - self.low) / self.cells
 
     @property
@@ -195,7 +195,7 @@ def fixed_angle(angle: FloatArray, axis: Axis) -> float | None:
 
 
 def _folds(count: int) -> list[IntArray]:
-    return np.array_split(np.arange(count), FOLDS)
+    return np.array_split(np.arange(count), CROSS_VALIDATION_FOLDS)
 
 
 def _log_likelihood(probability: FloatArray, count: float, index: IntArray) -> FloatArray:

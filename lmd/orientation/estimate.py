@@ -31,7 +31,7 @@ from lmd.orientation.sampling import (
 from lmd.scene.pdf import OrientationPdf, divisions_of
 
 # Fine cells on half a turn, at least: densities are held in steps of 1.9 degrees or less.
-FINE = 96
+FINE_CELLS = 96
 YAW_FAMILIES = (density.uniform, density.von_mises, density.kernel)
 PITCH_FAMILIES = (density.uniform, density.normal, density.kernel)
 # Cells of the orientation grid with a smaller probability are left out: no table shows them, each costs time.
@@ -184,7 +184,7 @@ def estimate_pdf(
     divisions = divisions_of(divisions)
     significance = real("significance", significance, low=0.0, high=1.0)
     samples = sample_at_random_intervals(recording, mean_interval, rng)
-    block = -(-FINE // divisions)
+    block = -(-FINE_CELLS // divisions)
     half_step = np.pi / divisions / 2.0
     around = Axis(-np.pi - half_step, np.pi - half_step, 2 * divisions * block, circular=True)
     upward = Axis(-np.pi / 2, np.pi / 2, divisions * block, circular=False)

@@ -85,7 +85,7 @@ class OrientationRecording:
 
     @classmethod
     def from_csv(cls, path: str | Path) -> "OrientationRecording":
-        """Read the columns time (s), yaw and pitch (rad), or time and qw, qx, qy, qz.
+        """Read a CSV with the columns time (s), yaw and pitch (rad), or time and qw, qx, qy, qz.
 
         The quaternion turns the camera's optical frame (x right, y down, z along the optical axis) to the world
         frame. Columns x, y, z and roll are ignored. A yaw lies within a turn of zero: larger ones look like degrees.

@@ -23,8 +23,8 @@ from lmd.core.checks import InputError
 from lmd.core.optional import optional
 
 HOST = "127.0.0.1"  # the planner listens there: other machines cannot reach it
-HERE = re.compile(r"(127\.0\.0\.1|localhost)(:\d+)?")  # any port: it may be forwarded
-BYTES = 18  # of a token
+LOCAL_ADDRESS = re.compile(r"(127\.0\.0\.1|localhost)(:\d+)?")  # any port: it may be forwarded
+TOKEN_BYTES = 18
 
 Answer = Callable[[Any, Any], Any]
 
@@ -33,7 +33,7 @@ class Access:
     """Answers what it refuses, and hands on what it lets in, without the token."""
 
     def __init__(self) -> None:
-        self._path = f"/{secrets.token_urlsafe(BYTES)}"
+        self._path = f"/{secrets.token_urlsafe(TOKEN_BYTES)}"
         self._is_asked = False
 
     def address(self, port: int) -> str:
@@ -81,6 +81,6 @@ class Access:
 def _is_from_here(headers: Any) -> bool:
     """Whether a request was sent to this machine and, if it is for a websocket, by a page from there."""
     hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
-    if len(hosts) != 1 or not HERE.fullmatch(hosts[0]):
+    if len(hosts) != 1 or not LOCAL_ADDRESS.fullmatch(hosts[0]):
         return False
     return "Upgrade" not in headers or origins == [f"http://{hosts[0]}"]

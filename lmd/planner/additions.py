@@ -22,8 +22,8 @@ from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.sight.poses import Cells, wall_cells
 from lmd.space.surface import SurfaceArrays
 
-CELLS = 3000  # candidate places in a room, about
-BATCH = 64  # places between two looks at whether anybody still wants to know
+CANDIDATES = 3000  # candidate places in a room, about
+CANDIDATE_BATCH = 64  # places between two looks at whether anybody still wants to know
 
 
 class Additions(NamedTuple):
@@ -49,10 +49,10 @@ def _add_up(units, target, fitness, value):  # type: ignore[no-untyped-def]
 
 
 def candidate_cells(problem: Problem) -> Cells:
-    """A coarse grid of places where a tag may hang, about `CELLS` of them."""
+    """A coarse grid of places where a tag may hang, about `CANDIDATES` of them."""
     room = problem.scene.plates.hanging
     surfaces = SurfaceArrays.of(room.surfaces())
-    cells = wall_cells(room, math.sqrt(float(surfaces.area.sum()) / CELLS))
+    cells = wall_cells(room, math.sqrt(float(surfaces.area.sum()) / CANDIDATES))
     poses = cells.poses
     return cells.picked(surfaces.allow(poses.surfaces, surfaces.coordinates(poses.surfaces, poses.positions)))
 
@@ -82,12 +82,12 @@ def additions(
     scratches, places = layers(field.scratch(state), 1), np.hstack([poses.positions, poses.normals])
     steps = np.zeros((len(poses), 2, 4), dtype=np.int64)
     steps[:, :, 0], steps[:, :, 1], steps[:, :, 2] = (BOUND, SETTLE), len(deployment), poses.surfaces[:, None]
-    units = np.empty((2 * BATCH, field.size), dtype=np.int64)
+    units = np.empty((2 * CANDIDATE_BATCH, field.size), dtype=np.int64)
     fitness, value = np.empty(len(poses)), np.empty(len(poses))
-    for first in range(0, len(poses), BATCH):
+    for first in range(0, len(poses), CANDIDATE_BATCH):
         if not wanted():
             return None
-        part = slice(first, first + BATCH)
+        part = slice(first, first + CANDIDATE_BATCH)
         tried = steps[part].reshape(-1, 4)
         perform(tried, np.repeat(places[part], 2, axis=0), field, state, scratches, units)
         _add_up(units[1 : len(tried) : 2], target, fitness[part], value[part])

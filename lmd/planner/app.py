@@ -22,7 +22,7 @@ from lmd.optimisers.ledger import Budget
 from lmd.planner.access import HOST, Access
 from lmd.planner.acts import Acts, in_order
 from lmd.planner.additions import Additions, additions
-from lmd.planner.captions import MANY
+from lmd.planner.captions import MOST_CAPTIONS
 from lmd.planner.off_grid import off_grid
 from lmd.planner.panel import ADDITIONS, DELETE, UNDO, Panel
 from lmd.planner.picture import Picture
@@ -35,7 +35,7 @@ from lmd.scene.deployment import Deployment
 from lmd.space.surface import SurfaceArrays
 
 TO_COME = {"off the grid": "..."}
-IDLE = 0.5  # seconds in which nothing is done, before what takes longer is worked out
+IDLE_SECONDS = 0.5  # seconds in which nothing is done, before what takes longer is worked out
 
 
 class Planner:
@@ -84,7 +84,7 @@ class Planner:
         self._picture, value = Picture(self._server, self._problem), self._problem.objective.value_label
         if survey is not None:
             self._picture.show_survey(survey, session.deployment)
-        self._panel = Panel(self._server.gui, value, budget, ids=len(session.deployment) <= MANY)
+        self._panel = Panel(self._server.gui, value, budget, ids=len(session.deployment) <= MOST_CAPTIONS)
         self._worker = Worker(self._work, lambda *failure: self._acts.put(partial(self._take_failure, *failure)))
         self._listen()
         self._show()
@@ -98,7 +98,7 @@ class Planner:
         """Do what is asked for, until an exception ends it; what a search has found by then is kept."""
         try:
             while True:
-                act = self._acts.next(IDLE) or self._idle
+                act = self._acts.next(IDLE_SECONDS) or self._idle
                 try:
                     act()
                 except InputError as error:

@@ -7,7 +7,7 @@ from lmd.core.checks import FloatArray, IntArray
 from lmd.space.surface import FLAT, Surface
 
 NAME, ID, CHOSEN = 1.0, 0.75, 1.1  # sizes of letters, in those of viser
-MANY = 120  # ids that would hide what they are beside
+MOST_CAPTIONS = 120  # ids that would hide what they are beside
 
 
 class Captions:

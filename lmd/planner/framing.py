@@ -8,10 +8,10 @@ import numpy as np
 from lmd.core.checks import FloatArray
 from lmd.plot.common import viewer
 
-FIELD = math.radians(50.0)  # of view, vertical
-FILLED = 0.92  # share of the window's width or height that the room takes
+FIELD_OF_VIEW = math.radians(50.0)  # vertical
+FILLED_SHARE = 0.92  # share of the window's width or height that the room takes
 ASPECT = 1.6  # width by height of a window that has not told its own
-ALIKE = 1e-3  # distances of the room between two places of a viewer that count as the same
+SAME_PLACE = 1e-3  # distances of the room between two places of a viewer that count as the same
 
 
 class Frame(NamedTuple):
@@ -35,7 +35,7 @@ def framed(low: FloatArray, high: FloatArray, aspect: float) -> Frame:
     choices = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
     corners = choices @ axes.T
     deep = corners[:, 2]
-    slopes = FILLED * math.tan(FIELD / 2.0) * np.array([aspect, 1.0])
+    slopes = FILLED_SHARE * math.tan(FIELD_OF_VIEW / 2.0) * np.array([aspect, 1.0])
     # A corner at (x, deep) is in view from (c, d) if |x - c| <= slope (deep - d): c has a choice as long as d is small.
     edges = [((corners[:, i] - s * deep).max(), (corners[:, i] + s * deep).min(), s) for i, s in enumerate(slopes)]
     across = [(below + above) / 2.0 for below, above, _ in edges]
@@ -56,7 +56,7 @@ class Framing:
         self._low, self._high = low, high
         self._given: dict[int, FloatArray] = {}  # the place each browser was given
         first = framed(low, high, ASPECT)
-        server.initial_camera.fov = FIELD
+        server.initial_camera.fov = FIELD_OF_VIEW
         server.initial_camera.position, server.initial_camera.look_at = first
         self._first = first.position
 
@@ -84,4 +84,4 @@ class Framing:
             camera.position, camera.look_at = place
 
     def _is_there(self, camera: Any, place: FloatArray) -> bool:
-        return bool(np.linalg.norm(camera.position - place) < ALIKE * np.linalg.norm(self._high - self._low))
+        return bool(np.linalg.norm(camera.position - place) < SAME_PLACE * np.linalg.norm(self._high - self._low))

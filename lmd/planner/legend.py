@@ -6,7 +6,7 @@ import numpy as np
 
 from lmd.planner.colours import FREE, GAINS, PINNED, SEEN, SELECTED, UNKNOWN, VALUES, Rgb, mapped
 
-STOPS = 9  # of a scale of colours
+COLOUR_STOPS = 9  # of a scale of colours
 STYLE = "font-size: 0.75em; padding: 0 0.8em; white-space: nowrap; line-height: 1.4"
 TAGS = {"free": FREE, "pinned": PINNED, "selected": SELECTED, "seen": SEEN}
 
@@ -29,7 +29,7 @@ def legend(value: str, most: float | None) -> str:
 
 def _scale(name: str, low: str, high: str) -> str:
     """A bar with the colours of a map, between what its ends mean."""
-    colours = ", ".join(_css(tuple(colour)) for colour in mapped(name, np.linspace(0.0, 1.0, STOPS)).tolist())
+    colours = ", ".join(_css(tuple(colour)) for colour in mapped(name, np.linspace(0.0, 1.0, COLOUR_STOPS)).tolist())
     return f"{low} {_box('6em', f'linear-gradient(to right, {colours})')} {high}"
 
 

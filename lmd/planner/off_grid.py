@@ -6,7 +6,7 @@ from lmd.evaluation.validation import Sample, describe_validation, validation_me
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 
-FIRST = Sample(groups=8, positions=256, divisions=8)  # takes a fiftieth of the whole sample
+FIRST_SAMPLE = Sample(groups=8, positions=256, divisions=8)  # takes a fiftieth of the whole sample
 ESTIMATE = {"a first estimate": "all digits follow"}
 
 
@@ -30,11 +30,11 @@ def off_grid(
         if not wanted():
             raise UnwantedError
 
-    samples = (FIRST, Sample()) if problem.scene.recorded is None else (None,)
+    samples = (FIRST_SAMPLE, Sample()) if problem.scene.recorded is None else (None,)
     try:
         for sample in samples:
             figures = validation_metrics(problem, deployment, seed, sample, check)
             check()
-            yield describe_validation(problem, figures) | (ESTIMATE if sample is FIRST else {})
+            yield describe_validation(problem, figures) | (ESTIMATE if sample is FIRST_SAMPLE else {})
     except UnwantedError:
         return

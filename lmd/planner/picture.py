@@ -35,14 +35,14 @@ from lmd.scene.deployment import Deployment
 
 SQUARE = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
 TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
-FLAT = {"lod": "off", "cast_shadow": False, "receive_shadow": False}  # of viser's batched meshes
-ABOVE = 0.01  # metres from a surface to the tags on it, so that they are drawn before it
-BALL = 0.12  # radius of a position, in distances to the next one
-POINT = 0.008  # half the edge of a landmark that is a point, in diagonals of the room
-CELL = 0.97  # of a cell that is coloured
-MAGNIFIED = 20.0  # times that lines to where tags hang are as long
-LIGHT = 2.0  # with which colours come out as they are given, nearly
-FRUSTUM = 0.08  # depth of the camera's view, in diagonals
+MESH_OPTIONS = {"lod": "off", "cast_shadow": False, "receive_shadow": False}  # of viser's batched meshes
+TAG_OFFSET_M = 0.01  # metres from a surface to the tags on it, so that they are drawn before it
+BALL_RADIUS = 0.12  # radius of a position, in distances to the next one
+POINT_SIZE = 0.008  # half the edge of a landmark that is a point, in diagonals of the room
+CELL_SHARE = 0.97  # of a cell that is coloured
+OFFSET_MAGNIFICATION = 20.0  # times that lines to where tags hang are as long
+LIGHT_INTENSITY = 2.0  # with which colours come out as they are given, nearly
+FRUSTUM_DEPTH = 0.08  # depth of the camera's view, in diagonals
 
 
 class Picture:
@@ -65,7 +65,7 @@ class Picture:
         # One light from everywhere: colours mean values, and shades would change them.
         self._scene.configure_default_lights(enabled=False)
         self._scene.configure_environment_map(None)
-        self._scene.add_light_ambient("/light", intensity=LIGHT)
+        self._scene.add_light_ambient("/light", intensity=LIGHT_INTENSITY)
         self._draw_outline()
         self.cells = self._drawn_cells()
         self.balls = self._drawn_balls()
@@ -81,7 +81,9 @@ class Picture:
     def _drawn_cells(self) -> Any:
         poses, (half_u, half_v) = self.candidates.poses, (self.candidates.half_u, self.candidates.half_v)
         up = half_v / np.linalg.norm(half_v, axis=1, keepdims=True)
-        sizes = np.stack([*(CELL * np.linalg.norm(half, axis=1) for half in (half_u, half_v)), np.ones(len(poses))], 1)
+        sizes = np.stack(
+            [*(CELL_SHARE * np.linalg.norm(half, axis=1) for half in (half_u, half_v)), np.ones(len(poses))], 1
+        )
         return self._scene.add_batched_meshes_simple(
             "/surfaces",
             SQUARE,
@@ -91,17 +93,17 @@ class Picture:
             batched_scales=sizes,
             batched_colors=alike(UNKNOWN, len(poses)),
             side="front",  # walls between the viewer and the room are not seen
-            **FLAT,
+            **MESH_OPTIONS,
         )
 
     def _drawn_balls(self) -> Any:
         from trimesh.creation import icosphere
 
         positions = self._problem.evaluator.positions
-        ball = icosphere(subdivisions=1, radius=BALL * common.spacing_of(self._problem.scene.room, positions))
+        ball = icosphere(subdivisions=1, radius=BALL_RADIUS * common.spacing_of(self._problem.scene.room, positions))
         upright_all = np.tile([1.0, 0.0, 0.0, 0.0], (len(positions), 1))
         unknown, mesh = alike(UNKNOWN, len(positions)), (ball.vertices, ball.faces, upright_all, positions)
-        return self._scene.add_batched_meshes_simple("/positions", *mesh, batched_colors=unknown, **FLAT)
+        return self._scene.add_batched_meshes_simple("/positions", *mesh, batched_colors=unknown, **MESH_OPTIONS)
 
     def show_tags(self, plan: Plan, selected: int | None, seen: BoolArray | None, ids: bool) -> bool:
         """Draw the tags of a plan, with their `ids` or only that of the selected one; those `seen` `(K,)` stand out.
@@ -115,35 +117,43 @@ class Picture:
         if seen is not None:
             painted[seen] = SEEN
         painted[deployment.ids == selected] = SELECTED
-        places = deployment.positions + ABOVE * deployment.normals
+        places = deployment.positions + TAG_OFFSET_M * deployment.normals
         turns = _quaternions(*upright(deployment.normals), deployment.normals)
         fresh = self.tags is None or len(self.tags.batched_positions) != len(deployment)
-        half = self._problem.scene.plates.edge / 2.0 or POINT * self._diagonal
+        halves = self._halves(deployment)
         if fresh:
             self.tags = self._scene.add_batched_meshes_simple(
-                "/tags", half * SQUARE, TRIANGLES, turns, places, batched_colors=painted, side="double", **FLAT
-            )
+                "/tags", SQUARE, TRIANGLES, turns, places, batched_scales=halves, batched_colors=painted,
+                side="double", **MESH_OPTIONS,
+            )  # fmt: skip
         else:
             self.tags.batched_positions, self.tags.batched_wxyzs, self.tags.batched_colors = places, turns, painted
-        above = places + half * upright(deployment.normals)[1]
+            self.tags.batched_scales = halves
+        above = places + halves[:, None] * upright(deployment.normals)[1]
         self.captions.show_ids(deployment.ids, above, selected, ids)
         return fresh
 
+    def _halves(self, deployment: Deployment) -> FloatArray:
+        """Half the edges of the papers of tags, `(K,)`, metres; of points, as large as they are drawn."""
+        papers = self._problem.scene.plates.papers(deployment)
+        return np.where(papers > 0.0, papers / 2.0, POINT_SIZE * self._diagonal)
+
     def show_survey(self, found: Found, plan: Deployment) -> None:
         """Draw where tags hang, lines from where they are planned, and the photographs that a survey asks for."""
-        tags, half = found.tags, self._problem.scene.plates.edge / 2.0 or POINT * self._diagonal
+        tags = found.tags
         self._scene.add_batched_meshes_simple(
             "/survey/tags",
-            half * SQUARE,
+            SQUARE,
             TRIANGLES,
             _quaternions(np.asarray(np.cross(tags.ups, tags.normals)), tags.ups, tags.normals),
-            tags.places + 2.0 * ABOVE * tags.normals,
+            tags.places + 2.0 * TAG_OFFSET_M * tags.normals,
+            batched_scales=self._halves(tags),
             batched_colors=alike(MEASURED, len(tags)),
             side="double",
             opacity=0.6,
-            **FLAT,
+            **MESH_OPTIONS,
         )
-        lines = found.offsets(plan, MAGNIFIED)
+        lines = found.offsets(plan, OFFSET_MAGNIFICATION)
         if len(lines):
             self._scene.add_line_segments("/survey/offsets", lines, np.array(MEASURED, dtype=np.uint8))
         for number, (place, ahead) in enumerate(found.photographs, 1):
@@ -152,7 +162,7 @@ class Picture:
             turn = _quaternions(right[None], np.cross(ahead, right)[None], ahead[None])[0]
             self._scene.add_camera_frustum(
                 f"/survey/next_{number}", math.radians(50.0), 4.0 / 3.0, color=ASKED,
-                scale=FRUSTUM * self._diagonal / 2.0, wxyz=turn, position=place,
+                scale=FRUSTUM_DEPTH * self._diagonal / 2.0, wxyz=turn, position=place,
             )  # fmt: skip
 
     def show_values(self, values: FloatArray) -> None:
@@ -170,11 +180,11 @@ class Picture:
         self.cells.batched_colors = painted
 
     def show_camera(self, position: FloatArray, yaw: float, pitch: float) -> None:
-        """Draw the camera, or all of a rig, with the body at `position` `(3,)`, metres, a yaw and a pitch in rad."""
+        """Draw the camera, or all of a rig. The body is at `position` `(3,)`, metres; yaw and pitch are in rad."""
         body = axis_and_right(camera_pose(position[None], np.array([yaw]), np.array([pitch])))
         for number, station in enumerate(self._problem.scene.stations(body)):
             if number == len(self._frustums):
-                edges = view_edges(station.camera, FRUSTUM * self._diagonal)
+                edges = view_edges(station.camera, FRUSTUM_DEPTH * self._diagonal)
                 self._frustums.append(self._scene.add_line_segments(f"/camera_{number}", edges, SEEN))
             forward, right = station.axes[:, :3], station.axes[:, 3:]
             frustum = self._frustums[number]
@@ -183,5 +193,5 @@ class Picture:
 
 
 def _quaternions(right: FloatArray, up: FloatArray, normal: FloatArray) -> FloatArray:
-    """The turns that take x, y, z to these unit vectors `(N, 3)`, as w, x, y, z, `(N, 4)`."""
+    """Quaternions w, x, y, z, `(N, 4)`, of the rotations that take the axes x, y, z to these unit vectors `(N, 3)`."""
     return np.asarray(Rotation.from_matrix(np.stack([right, up, normal], axis=-1)).as_quat(scalar_first=True))

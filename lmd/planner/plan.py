@@ -96,7 +96,9 @@ class Plan:
         """
         k = self._movable(number)
         rest = np.flatnonzero(np.arange(len(self.deployment)) != k)
-        there = placed(plates, self.deployment[rest] if rest.size else None, surface, at)
+        edges = self.deployment.edges
+        own = None if edges is None else edges[k : k + 1]
+        there = placed(plates, self.deployment[rest] if rest.size else None, surface, at, own)
         parts = {name: getattr(self.deployment, name).copy() for name in ("positions", "normals", "surfaces")}
         for name, values in parts.items():
             values[k] = getattr(there, name)[0]
@@ -147,8 +149,12 @@ class Plan:
         return k
 
 
-def placed(plates: Plates, others: Deployment | None, surface: int, at: FloatArray) -> Deployment:
+def placed(
+    plates: Plates, others: Deployment | None, surface: int, at: FloatArray, edges: FloatArray | None = None
+) -> Deployment:
     """One landmark at the free place nearest to `at` `(2,)` on a surface, pushed away from the `others` if need be.
+
+    Its edge is that of `edges` `(1,)`, or else that of the scene's tag.
 
     Raises:
         InputError: there is no such place, or no room for its paper on any surface.
@@ -156,9 +162,9 @@ def placed(plates: Plates, others: Deployment | None, surface: int, at: FloatArr
     surfaces, on = SurfaceArrays.of(plates.hanging.surfaces()), np.array([surface])
     if not (np.abs(at) <= LARGEST).all():  # NaN neither
         raise InputError(f"there is no place at ({at[0]:g}, {at[1]:g}) m.")
-    one = Deployment(surfaces.points(on, np.asarray(at)[None]), surfaces.normal[on], on)
+    one = Deployment(surfaces.points(on, np.asarray(at)[None]), surfaces.normal[on], on, edges=edges)
     fixed = 0 if others is None else len(others)
     apart = plates.apart(one if others is None else others + one, fixed=fixed)
     if apart is None:
-        raise InputError(f"there is no room for one more paper of {plates.edge:.4g} m.")
+        raise InputError(f"there is no room for one more paper of {plates.papers(one)[0]:.4g} m.")
     return apart[fixed:]

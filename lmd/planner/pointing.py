@@ -8,7 +8,7 @@ from lmd.core.checks import FloatArray
 from lmd.space.surface import SurfaceArrays
 
 EDGE_ON = 1e-6  # cosine of a surface that is looked at along its plane
-BESIDE = 1e-6  # metres beside a surface that still count as on it
+ON_SURFACE_M = 1e-6  # metres beside a surface that still count as on it
 
 
 class Place(NamedTuple):
@@ -40,7 +40,7 @@ def pointed_at(surfaces: SurfaceArrays, eye: FloatArray, way: FloatArray, own: i
         far = ((surfaces.origin - eye) * surfaces.normal).sum(axis=1) / towards
         is_met = (np.abs(towards) > EDGE_ON) & (far > 0.0)
         at = surfaces.coordinates(every, eye + np.where(is_met, far, 0.0)[:, None] * way)
-    within = ((at >= -BESIDE) & (at <= surfaces.extent + BESIDE)).all(axis=1)
+    within = ((at >= -ON_SURFACE_M) & (at <= surfaces.extent + ON_SURFACE_M)).all(axis=1)
     front = is_met & within & (towards < 0.0)
     if front.any():
         first = int(np.argmin(np.where(front, far, np.inf)))

@@ -71,7 +71,7 @@ class Search:
         self._told.set()
 
     def join(self, patience: float | None = None) -> None:
-        """Wait for the end, for so many seconds at most."""
+        """Wait for the end, at most for some seconds."""
         self._thread.join(patience)
 
     @property

@@ -22,7 +22,7 @@ from lmd.scene.deployment import Deployment
 from lmd.sight.views import visible
 from lmd.space.heights import lower_edge
 
-PATIENCE = 1.0  # seconds that a search which was stopped is waited for; compiling takes longer
+PATIENCE_SECONDS = 1.0  # seconds that a search which was stopped is waited for; compiling takes longer
 
 
 class Session:
@@ -194,7 +194,7 @@ class Session:
         if self.search is not None:
             self.search.stop()
             with suppress(InputError):
-                self.take(PATIENCE)
+                self.take(PATIENCE_SECONDS)
 
     def _step(self, source: list[Plan], target: list[Plan], name: str) -> None:
         self._check_idle()

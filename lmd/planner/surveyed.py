@@ -44,7 +44,7 @@ class Found:
             raise InputError(f"survey: {str(folder)!r} holds no {DOCUMENT} of a survey.", "survey") from None
 
     def offsets(self, plan: Deployment, magnified: float) -> FloatArray:
-        """Lines from where tags are planned towards where they hang, so many times as long, `(n, 2, 3)`."""
+        """Lines from planned places towards the true ones, `magnified` times as long, `(n, 2, 3)`."""
         _, of, among = np.intersect1d(plan.ids, self.tags.ids, return_indices=True)
         start = plan.places[of]
         return np.stack([start, start + magnified * (self.tags.places[among] - start)], axis=1)

@@ -7,7 +7,7 @@ from functools import partial
 from lmd.core.checks import InputError
 from lmd.scene.deployment import Deployment
 
-PATIENCE = 0.5  # seconds that work which nobody wants is waited for
+PATIENCE_SECONDS = 0.5  # seconds that work which nobody wants is waited for
 
 Wanted = Callable[[], bool]
 
@@ -42,7 +42,7 @@ class Worker:
         with self._changed:
             self._question, self._closing = None, True
             self._changed.notify()
-        self._thread.join(PATIENCE)
+        self._thread.join(PATIENCE_SECONDS)
 
     def _run(self) -> None:
         done: tuple[Deployment] | None = None

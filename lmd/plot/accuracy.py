@@ -11,7 +11,7 @@ from lmd.plot import common
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 
-BEYOND = "#c8c8c8"  # where there is no median
+NO_MEDIAN_COLOUR = "#c8c8c8"  # where there is no median
 
 
 def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Problem, Deployment]], title: str) -> None:
@@ -32,7 +32,7 @@ def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Probl
     known = np.concatenate([plan.to_numpy().ravel() for plan in plans])
     known = known[np.isfinite(known)]
     low, high = (known.min(), known.max()) if len(known) else (1.0, 10.0)
-    colours = colormaps[f"{common.COLOUR_MAP}_r"].with_extremes(over=BEYOND)  # bright is good
+    colours = colormaps[f"{common.COLOUR_MAP}_r"].with_extremes(over=NO_MEDIAN_COLOUR)  # bright is good
     length, width, _ = np.max([common.size_of(problem.scene.room) for problem, _ in deployments.values()], axis=0)
     size = (1.0 + 5.0 * len(plans), 2.2 + 5.0 * width / length)
     figure = Figure(figsize=size, dpi=100, facecolor="white", layout="constrained")

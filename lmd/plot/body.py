@@ -22,7 +22,7 @@ VIEWS = {
     "from the right": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
 }
 AXES = {"from above": ("y, left [mm]", "x, forward [mm]"), "from the right": ("x, forward [mm]", "z, up [mm]")}
-REACH = 0.3  # of the body's size: how far the field of view is drawn
+FIELD_LENGTH = 0.3  # of the body's size: how far the field of view is drawn
 
 
 def save_body_figure(path: Path, body: Body, rig: Rig, title: str) -> None:
@@ -68,7 +68,7 @@ def _draw(axes: "Axes", view: str, onto: FloatArray, body: Body, rig: Rig) -> No
     axes.plot(0.0, 0.0, "+", color="black", markersize=12, zorder=4)
     for i, mount in enumerate(rig.mounts, 1):
         at = onto @ np.array(mount.translation) * MM
-        fan = [at, *(at + REACH * size * (onto @ edge) for edge in _edges(mount, across=view == "from above"))]
+        fan = [at, *(at + FIELD_LENGTH * size * (onto @ edge) for edge in _edges(mount, across=view == "from above"))]
         axes.add_patch(Polygon(fan, facecolor=FIXED, alpha=0.25, zorder=2))
         behind = np.cross(*onto) @ (np.array(mount.translation) - (low.min(axis=0) + high.max(axis=0)) / 2.0) < 0.0
         hidden = behind and bool(((at > first) & (at < last)).all())

@@ -12,7 +12,7 @@ from lmd.scene.scene import Scene
 from lmd.sight.reference import cap_count, coverage_caps, coverage_probability
 
 PIXELS = 320  # across a hemisphere
-HALVES = ("the half that faces the viewer of the scene", "the other half, from behind")
+HALF_TITLES = ("the half that faces the viewer of the scene", "the other half, from behind")
 
 
 def screen(viewer: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -66,7 +66,7 @@ def save_cap_figure(
     figure = Figure(figsize=(10.0, 5.6), dpi=100, facecolor="white", layout="constrained")
     figure.suptitle(title, fontsize=14)
     panels = figure.subplots(1, 2)
-    for axes, half, view, name in zip(panels, halves, views, HALVES, strict=True):
+    for axes, half, view, name in zip(panels, halves, views, HALF_TITLES, strict=True):
         image = axes.imshow(
             half,
             origin="lower",
@@ -95,7 +95,7 @@ def save_cap_figure(
 
 
 def _counts(scene: Scene, deployment: Deployment, position: FloatArray, axes: FloatArray) -> FloatArray:
-    """Num(S_k^C(p)) of optical axes `(N, N, 3)` of a level camera, `(N, N)`; NaN where the axis is."""
+    """How many landmarks each optical axis `(N, N, 3)` of a level camera covers, `(N, N)`; NaN for an axis of NaN."""
     inside = ~np.isnan(axes[..., 0])
     level = np.stack([axes[..., 1], -axes[..., 0], np.zeros(inside.shape)], axis=-1)  # axis x up
     with np.errstate(invalid="ignore"):

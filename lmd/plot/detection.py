@@ -10,7 +10,7 @@ import pandas as pd
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.optional import optional
 from lmd.detection.calibration import Calibration
-from lmd.detection.evaluation import NUMBERS
+from lmd.detection.evaluation import TAG_NUMBERS
 from lmd.detection.report import PLACES
 from lmd.plot.common import shrink
 from lmd.render.imaging import UInt8Array
@@ -48,10 +48,10 @@ def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd
         bars = [("predicted", rows.iloc[0], "predicted", "#9e9e9e")]
         bars += [(detector, rows.loc[detector], "detected", f"C{i}") for i, detector in enumerate(detectors)]
         for i, (label, row, which, colour) in enumerate(bars):
-            share, error = ([row[f"{which}_{n}{end}"] for n in NUMBERS] for end in ("", "_error"))
-            at = NUMBERS + (i - len(detectors) / 2.0) * width
+            share, error = ([row[f"{which}_{n}{end}"] for n in TAG_NUMBERS] for end in ("", "_error"))
+            at = TAG_NUMBERS + (i - len(detectors) / 2.0) * width
             axes.bar(at, share, width, yerr=error, color=colour, label=label, error_kw={"lw": 1.0})
-        axes.set(title=name, xticks=NUMBERS, xticklabels=[f"≥ {n}" for n in NUMBERS], ylim=(0.0, 1.02))
+        axes.set(title=name, xticks=TAG_NUMBERS, xticklabels=[f"≥ {n}" for n in TAG_NUMBERS], ylim=(0.0, 1.02))
         axes.set_xlabel("tags in a frame")
         axes.grid(axis="y", alpha=0.3)
     for axes, name in zip(panels[1], names, strict=True):
@@ -144,7 +144,7 @@ def _middle(rows: pd.DataFrame) -> FloatArray:
 
 
 def outlined(image: UInt8Array, expected: FloatArray, predicted: BoolArray, found: FloatArray) -> UInt8Array:
-    """A frame with the tags outlined that were predicted or detected, red, green and blue, `(h, w, 3)`.
+    """A frame as an image `(h, w, 3)`, with outlines around the tags that were predicted or detected.
 
     Args:
         image: `(h, w)`.

@@ -20,7 +20,7 @@ SIZE = (9.0, 4.1)  # inches
 DPI = 90
 WIDTH = 560  # of a frame, pixels
 QUALITY = 55  # of the animated picture, 0 to 100
-DEPTH = 0.6  # of the pyramid that stands for the camera, metres
+PYRAMID_DEPTH = 0.6  # of the pyramid that stands for the camera, metres
 
 
 def save_film(
@@ -89,7 +89,7 @@ def _draw_room(
     axes.add_collection(Line3DCollection(rays, colors=green, linewidths=0.7, alpha=0.7))
     axes.plot(*track.T, color=common.LANDMARK, lw=1.2)
     axes.add_collection(
-        Line3DCollection(act(moment.pose, view_edges(camera, DEPTH)), colors=common.LANDMARK, linewidths=1.2)
+        Line3DCollection(act(moment.pose, view_edges(camera, PYRAMID_DEPTH)), colors=common.LANDMARK, linewidths=1.2)
     )
     low, high = room.bounds()
     for name, start, end in zip("xyz", low, high, strict=True):

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-DARK = 0.6  # of the colour scale; text on darker cells is white
+DARK_BELOW = 0.6  # of the colour scale; text on darker cells is white
 
 
 def save_heat_map(path: str | Path, tables: Mapping[str, pd.DataFrame], title: str, label: str) -> None:
@@ -30,7 +30,7 @@ def save_heat_map(path: str | Path, tables: Mapping[str, pd.DataFrame], title: s
         image = axes.imshow(table, cmap="Greens", vmin=0.0, vmax=1.0, aspect="auto")
         for (row, column), value in np.ndenumerate(table.to_numpy()):
             text = "no run" if np.isnan(value) else f"{value:.2%}"
-            colour = "white" if value > DARK else "black"
+            colour = "white" if value > DARK_BELOW else "black"
             axes.text(column, row, text, ha="center", va="center", color=colour)
         axes.set_title(name, fontsize=11)
         axes.set_xticks(range(columns), [_written(value) for value in table.columns])

@@ -8,15 +8,17 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import FloatArray
+from lmd.geometry.squares import corners
 from lmd.plot import common
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
+from lmd.scene.tag import Tag
 from lmd.space.space import Space
 
-BALL = 5.5  # diameter, pixels
+BALL_PIXELS = 5.5  # diameter, pixels
 CAMERA = {"eye": {"x": 0.82, "y": -1.84, "z": 0.58}, "center": {"x": 0.0, "y": 0.0, "z": -0.05}}
-BARE = {"showgrid": False, "zeroline": False, "showspikes": False}  # the box of the room suffices
-HEAD = 0.5  # part of an arrow that is its head
+PLAIN_AXIS = {"showgrid": False, "zeroline": False, "showspikes": False}  # the box of the room suffices
+HEAD_SHARE = 0.5  # part of an arrow that is its head
 
 PAGE = """<!DOCTYPE html>
 <html lang="en">
@@ -44,7 +46,7 @@ def save_scene_page(path: str | Path, problem: Problem, deployment: Deployment, 
     good = objective.qualified(values)
     surroundings = _box_traces(room)
     for group in common.landmark_groups(len(deployment), problem.fixed_count):
-        surroundings += _landmark_traces(deployment[group.chosen], group.label, group.colour)
+        surroundings += _landmark_traces(deployment[group.chosen], problem.scene.tag, group.label, group.colour)
     name = re.sub("_(.*)", r"<sub>\1</sub>", objective.value_name)
     hover = [f"{name} = {value:.4f}<br>{_place(at)}" for value, at in zip(values, positions, strict=True)]
 
@@ -56,7 +58,7 @@ def save_scene_page(path: str | Path, problem: Problem, deployment: Deployment, 
             name=name,
             text=[hover[i] for i in chosen],
             hoverinfo="text",
-            marker={"size": BALL * common.ball_scale(room, positions), **marker},
+            marker={"size": BALL_PIXELS * common.ball_scale(room, positions), **marker},
         )
 
     by_probability = balls(
@@ -83,7 +85,7 @@ def save_scene_page(path: str | Path, problem: Problem, deployment: Deployment, 
         f"{axis}axis": {
             "title": {"text": text},
             "range": limits,
-            **BARE,
+            **PLAIN_AXIS,
         }
         for axis, text, *limits in zip("xyz", common.AXIS_LABELS, *room.bounds(), strict=True)
     }
@@ -121,18 +123,26 @@ def _box_traces(room: Space) -> list[Any]:
     ]
 
 
-def _landmark_traces(deployment: Deployment, label: str, colour: str) -> list[Any]:
-    """Shafts, which show what the normal is, and heads, which carry the hover text."""
+def _landmark_traces(deployment: Deployment, tag: Tag, label: str, colour: str) -> list[Any]:
+    """Shafts, which show what the normal is, black squares of tags, and heads, which carry the hover text."""
     import plotly.graph_objects as go
 
     tips = deployment.positions + common.ARROW_LENGTH * deployment.normals
-    heads = HEAD * common.ARROW_LENGTH * deployment.normals
+    heads = HEAD_SHARE * common.ARROW_LENGTH * deployment.normals
+    edges = deployment.edges_of(tag)
     hover = [
         f"landmark {number}<br>{_place(at)}<br>normal ({normal[0]:.4g}, {normal[1]:.4g}, {normal[2]:.4g})"
-        for number, at, normal in zip(deployment.ids, deployment.positions, deployment.normals + 0.0, strict=True)
+        + (f"<br>edge {edge:g} m" if edge else "")
+        for number, at, normal, edge in zip(
+            deployment.ids, deployment.positions, deployment.normals + 0.0, edges, strict=True
+        )
     ]
+    lines = _strokes(np.stack([deployment.positions, tips], axis=1))
+    if not tag.is_point:
+        squares = corners(deployment.positions, deployment.normals, deployment.ups, edges)
+        lines = np.vstack([lines, _strokes(squares[:, [0, 1, 2, 3, 0]])])
     shafts = go.Scatter3d(
-        **_xyz(_strokes(np.stack([deployment.positions, tips], axis=1))),
+        **_xyz(lines),
         mode="lines",
         name=label,
         legendgroup=label,
@@ -155,7 +165,7 @@ def _landmark_traces(deployment: Deployment, label: str, colour: str) -> list[An
 
 
 def _strokes(segments: FloatArray) -> FloatArray:
-    """Segments `(M, 2, 3)` as one line of points `(3 M, 3)`, which NaN interrupts."""
+    """Strokes of N points each, `(M, N, 3)`, as one line of points `((N + 1) M, 3)`, which NaN interrupts."""
     gaps = np.full((len(segments), 1, 3), np.nan)
     return np.asarray(np.concatenate([segments, gaps], axis=1).reshape(-1, 3))
 

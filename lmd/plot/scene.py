@@ -14,7 +14,7 @@ from lmd.scene.deployment import Deployment
 from lmd.space.space import Space
 
 BACK, BALLS, FRONT = 1, 2, 3  # z-orders
-BALL = 7.0  # diameter, points
+BALL_POINTS = 7.0  # diameter, points
 ARROW = ((-1.0, 0.0), (1.0, 0.0), (0.4, 0.35), (1.0, 0.0), (0.4, -0.35))  # as a text it would load a parser for that
 
 
@@ -153,7 +153,7 @@ def _parts(room: Space) -> list[tuple[str, FloatArray, str, Any]]:
 
 
 def _draw_balls(axes: Any, room: Space, positions: FloatArray, **colours: Any) -> Any:
-    area = (BALL * common.ball_scale(room, positions)) ** 2
+    area = (BALL_POINTS * common.ball_scale(room, positions)) ** 2
     return axes.scatter(*positions.T, s=area, linewidths=0, depthshade=False, zorder=BALLS, **colours)
 
 

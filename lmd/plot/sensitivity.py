@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from lmd.evaluation.sensitivity import SHARES, Sensitivity
+from lmd.evaluation.sensitivity import SHARE_COLUMNS, Sensitivity
 
-STYLES = dict(zip(SHARES, (("localised", "-"), ("enough landmarks covered", "--")), strict=True))
+STYLES = dict(zip(SHARE_COLUMNS, (("localised", "-"), ("enough landmarks covered", "--")), strict=True))
 
 
 def save_sensitivity_figure(path: str | Path, found: Sensitivity, title: str) -> None:
@@ -26,7 +26,7 @@ def save_sensitivity_figure(path: str | Path, found: Sensitivity, title: str) ->
     varied, missed, lost = panels
     for i, (name, rows) in enumerate(found.assumptions.groupby("assumption", sort=False)):
         for share, (_, style) in STYLES.items():
-            label = str(name).replace("_", " ") if share == SHARES[0] else None
+            label = str(name).replace("_", " ") if share == SHARE_COLUMNS[0] else None
             varied.plot(rows.factor, 100.0 * rows[share], f"o{style}", color=f"C{i}", label=label)
     factors = np.unique(found.assumptions.factor)
     varied.set_xscale("log", base=2)

@@ -12,11 +12,11 @@ from lmd.survey.report import tag_columns
 from lmd.survey.survey import Survey
 
 PLANNED, UNSEEN, PROPOSED = "#9e9e9e", "#ff7f0e", "#2ca02c"
-SIGMAS = 2.0  # of the ellipses
+ELLIPSE_SIGMAS = 2.0  # of the ellipses
 ARROW_SHARE = 0.08  # of the room's length that the median arrow is long
 WEDGE_SHARE = 0.05  # of the room's length that the view of a photograph to take is drawn long
 ELLIPSE_POINTS = 40
-NAMED = 12  # tags that the right panel names, those farthest off
+MOST_NAMED = 12  # tags that the right panel names, those farthest off
 
 
 def save_survey_figure(path: str | Path, survey: Survey, room: Space | None, title: str) -> None:
@@ -76,7 +76,9 @@ def _draw_above(axes: Any, survey: Survey, room: Space | None) -> None:
         axes.set_title(f"from above; arrows from the plan, {scale:.0f} times as long", fontsize=11)
     else:
         scale /= 1e-3 * sigma
-        axes.set_title(f"against the z axis; ellipses of {SIGMAS:g} sigma, {scale:.0f} times as large", fontsize=11)
+        axes.set_title(
+            f"against the z axis; ellipses of {ELLIPSE_SIGMAS:g} sigma, {scale:.0f} times as large", fontsize=11
+        )
     for pose, covariance in zip(tags[placed], covariances[placed][:, :2, :2], strict=True):
         axes.plot(*(pose[:2, 3, None] + scale * _ellipse(covariance)), color="black", linewidth=0.6, zorder=4)
     for number, photograph in enumerate(survey.proposed, 1):
@@ -99,7 +101,7 @@ def _ellipse(covariance: FloatArray) -> FloatArray:
     values, axes = np.linalg.eigh(covariance)
     angle = np.linspace(0.0, 2.0 * np.pi, ELLIPSE_POINTS)
     circle = np.stack([np.cos(angle), np.sin(angle)])
-    return np.asarray(SIGMAS * axes @ (np.sqrt(np.maximum(values, 0.0))[:, None] * circle))
+    return np.asarray(ELLIPSE_SIGMAS * axes @ (np.sqrt(np.maximum(values, 0.0))[:, None] * circle))
 
 
 def _draw_offsets(axes: Any, survey: Survey) -> None:
@@ -111,13 +113,15 @@ def _draw_offsets(axes: Any, survey: Survey) -> None:
     for k in there:
         ellipse = 1e3 * _ellipse(survey.found.precisions[k, 3:5, 3:5])
         axes.plot(*(offset[k, :2, None] + ellipse), color="0.5", linewidth=0.6, zorder=2)
-    for k in there[np.argsort(-np.linalg.norm(offset[there], axis=1))][:NAMED]:
+    for k in there[np.argsort(-np.linalg.norm(offset[there], axis=1))][:MOST_NAMED]:
         axes.annotate(f" {survey.ids[k]}", offset[k, :2], fontsize=9)
     axes.axhline(0.0, color=PLANNED, linewidth=0.8, zorder=1)
     axes.axvline(0.0, color=PLANNED, linewidth=0.8, zorder=1)
     axes.figure.colorbar(dots, ax=axes, label="off the wall [mm]")
     axes.set(xlabel="to the right of the plan [mm]", ylabel="above the plan [mm]", aspect="equal")
-    axes.set_title(f"how far tags are off, each as one stands before it; ellipses of {SIGMAS:g} sigma", fontsize=11)
+    axes.set_title(
+        f"how far tags are off, each as one stands before it; ellipses of {ELLIPSE_SIGMAS:g} sigma", fontsize=11
+    )
 
 
 def _draw_sigmas(axes: Any, survey: Survey) -> None:
@@ -125,7 +129,7 @@ def _draw_sigmas(axes: Any, survey: Survey) -> None:
     columns = tag_columns(survey)
     sigma, seen = 1e3 * np.asarray(columns["sigma"]), survey.used
     axes.loglog(seen[survey.placed], sigma[survey.placed], "o", color=LANDMARK, markersize=5)
-    for k in np.argsort(-np.where(survey.placed, sigma, -np.inf))[:NAMED]:
+    for k in np.argsort(-np.where(survey.placed, sigma, -np.inf))[:MOST_NAMED]:
         axes.annotate(f" {survey.ids[k]}", (seen[k], sigma[k]), fontsize=9)
     axes.set(xlabel="sightings that place a tag", ylabel="standard deviation beside the others [mm]")
     axes.grid(alpha=0.3)

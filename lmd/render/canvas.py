@@ -97,7 +97,7 @@ class Canvas:
             hidden_by: image outlines `(m, 2)` of what is in front of it.
         """
         centre = square.mean(axis=0)
-        paper = centre + (1.0 + 2.0 * tag.quiet_zone / tag.modules) * (square - centre)
+        paper = centre + tag.paper_share * (square - centre)
         outline = self.outline(paper)
         margin = math.ceil(REACH * sigma) + 1
         window = self._window(outline, margin)

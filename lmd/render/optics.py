@@ -5,6 +5,8 @@ first pixel is at (0.5, 0.5) and a `w` x `h` image ends at (w, h). The camera's 
 corners count this way; OpenCV counts from the first pixel's centre, 0.5 less.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -79,7 +81,10 @@ def bearings(camera: Camera, image: FloatArray) -> FloatArray:
     """
     rays = (image - np.array(camera.principal_point)) / camera.focal_pixels
     if camera.lens is not None:
-        return camera.lens.directions(rays)
+        seen = camera.lens.directions(rays)
+        # Without a circle the lens ends where it folds, beyond the image.
+        ended = seen[..., 2:] < math.cos(camera.widest_angle) if camera.image_circle < math.inf else False
+        return np.where(ended, np.nan, seen)
     ahead = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1)
     return np.asarray(ahead / np.linalg.norm(ahead, axis=-1, keepdims=True))
 

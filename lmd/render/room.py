@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lmd.core.checks import FloatArray, InputError
 from lmd.geometry.squares import corners
+from lmd.scene.edges import edges_or
 from lmd.scene.tag import Tag
 
 
@@ -42,12 +43,13 @@ class TaggedRoom:
     """K tags on the surfaces of a room.
 
     Args:
-        tag: family and size of all of them.
+        tag: family of all of them, and their size.
         ids: number of each in the family, all different, `(K,)`.
         centres: world frame, metres, `(K, 3)`.
         normals: unit normals of the front faces, `(K, 3)`.
         ups: unit vectors in the tags' planes to their upper edges, `(K, 3)`.
         surfaces: what is behind the tags, or in front of them.
+        edges: of tags of several sizes, metres, `(K,)`; None where all have that of `tag`.
 
     Raises:
         InputError: shapes do not match, an id occurs twice or is not in the family, or an up is not in its plane.
@@ -59,6 +61,7 @@ class TaggedRoom:
     normals: FloatArray
     ups: FloatArray
     surfaces: Sequence[Surface] = ()
+    edges: FloatArray = None  # type: ignore[assignment] # always an array once made
 
     def __post_init__(self) -> None:
         ids = np.asarray(self.ids)
@@ -69,6 +72,7 @@ class TaggedRoom:
             raise InputError(
                 f"ids must be in [0, {self.tag.ids - 1}] for family {self.tag.family}, got {ids.min()} to {ids.max()}."
             )
+        object.__setattr__(self, "edges", edges_or(self.edges, len(ids), self.tag))
         for name in ("centres", "normals", "ups"):
             array = np.asarray(getattr(self, name), dtype=np.float64)
             if array.shape != (len(ids), 3) or not np.isfinite(array).all():
@@ -82,4 +86,4 @@ class TaggedRoom:
     @cached_property
     def corners(self) -> FloatArray:
         """Of the black squares in the order of `lmd.geometry.squares.CORNERS`, world frame, metres, `(K, 4, 3)`."""
-        return corners(self.centres, self.normals, self.ups, self.tag.size)
+        return corners(self.centres, self.normals, self.ups, self.edges)

@@ -67,7 +67,7 @@ def pdf_by_position(
 
 
 def _grid(poses: FloatArray, divisions: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Yaw, pitch, roll and solid angle of all orientations, `(A,)` each; level ones are among them."""
+    """The grid of orientations, level ones among them: yaw, pitch, roll and solid angle, `(A,)` each."""
     step = np.pi / divisions
     *_, rolled = angles_of(np.swapaxes(poses[:, :3, :3], 1, 2))
     rolls = np.unique(np.rint(rolled / step) % (2 * divisions)) * step

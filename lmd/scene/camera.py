@@ -38,6 +38,8 @@ class Camera:
         focus_distance: d_s, mm; infinity, the default, is allowed.
         distortion: coefficients of the lens as OpenCV orders them; none for a pinhole that does not distort.
         distortion_model: `plumb_bob`, `rational_polynomial` or `equidistant`, see `lmd.geometry.lens.Lens`.
+        image_circle: diameter of the round image behind a lens that distorts, pixels: a fisheye's is often smaller than
+            the sensor. Infinity, the default, where all of the sensor is in it.
 
     Raises:
         InputError: a value is not positive, or for the aperture negative, the image has no whole number of pixels, the
@@ -55,6 +57,7 @@ class Camera:
     focus_distance: float = math.inf
     distortion: tuple[float, ...] = ()
     distortion_model: str = "plumb_bob"
+    image_circle: float = math.inf
 
     def __post_init__(self) -> None:
         for name in ("focal_length", "pixel_width", "pixel_height"):
@@ -86,6 +89,12 @@ class Camera:
                 f"{math.degrees(lens.fold):.3g} degrees off the axis, before it.",
                 "distortion",
             )
+        circle = real("image_circle", self.image_circle, above=0.0, infinite=True)
+        if lens is None and circle < math.inf:
+            raise InputError(
+                "image_circle needs the distortion of a lens: a pinhole's image has no end.", "image_circle"
+            )
+        object.__setattr__(self, "image_circle", circle)
 
     @property
     def is_pinhole(self) -> bool:
@@ -113,20 +122,23 @@ class Camera:
     def field_of_view(self) -> FieldOfView:
         """The four angles phi_l, phi_r, phi_t, phi_b: atan(border distance on the sensor / f).
 
-        Behind a lens that distorts, the angles that it images at the borders, or at which it folds before them.
+        Behind a lens that distorts, the angles that it images at the borders, or at which it ends before them.
         """
         if self.lens is None:
             return FieldOfView(*map(math.atan, self._borders))
         (left, right, top, bottom), none = self._borders, 0.0
         found = self.lens.directions(np.array([[-left, none], [right, none], [none, -top], [none, bottom]]))
-        return FieldOfView(*np.nan_to_num(np.arccos(found[:, 2]), nan=self.widest_angle).tolist())
+        return FieldOfView(*np.fmin(np.arccos(found[:, 2]), self.widest_angle).tolist())
 
     @cached_property
     def widest_angle(self) -> float:
         """The angle from the optical axis that the image shows at most, rad."""
         left, right, top, bottom = self._borders
         corner = math.hypot(max(left, right), max(top, bottom))
-        return math.atan(corner) if self.lens is None else self.lens.widest(corner)
+        if self.lens is None:
+            return math.atan(corner)
+        radius = self.image_circle / 2.0 / float(self.focal_pixels.max())
+        return self.lens.widest(min(corner, radius))
 
     @property
     def cone_half_angle(self) -> float:

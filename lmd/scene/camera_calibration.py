@@ -15,7 +15,7 @@ from lmd.scene.calibration_files import LENS_MODELS, PIXEL_CENTRE, known_lens, r
 from lmd.scene.camera import Camera
 
 SIZE = ("image_width", "image_height")
-OPTICS = ("focal_length", "aperture", "focus_distance")  # what no calibration says
+OPTICS = ("focal_length", "aperture", "focus_distance", "image_circle")  # what no calibration says
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,11 @@ class Calibration:
         object.__setattr__(self, "distortion", () if lens is None else lens.coefficients)
 
     def camera(
-        self, focal_length: float | None = None, aperture: float | None = None, focus_distance: float = math.inf
+        self,
+        focal_length: float | None = None,
+        aperture: float | None = None,
+        focus_distance: float = math.inf,
+        image_circle: float = math.inf,
     ) -> Camera:
         """The camera; without an aperture a pinhole, whose images are sharp at any depth.
 
@@ -56,6 +60,7 @@ class Calibration:
             focal_length: f, mm; says how large a pixel is, which only the focus depends on.
             aperture: effective diameter d_a, mm.
             focus_distance: d_s, mm.
+            image_circle: see `Camera`, pixels.
 
         Raises:
             InputError: an aperture or a focus distance comes without what it needs, or `Camera` refuses a value.
@@ -78,6 +83,7 @@ class Calibration:
             focus_distance=focus_distance,
             distortion=self.distortion,
             distortion_model=self.distortion_model,
+            image_circle=image_circle,
         )
 
 

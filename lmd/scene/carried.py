@@ -74,7 +74,7 @@ class CarriedPdf(OrientationPdf):
 def _turned(
     rig: Rig, yaw: FloatArray, pitch: FloatArray, roll: FloatArray
 ) -> tuple[tuple[FloatArray, FloatArray, FloatArray], FloatArray]:
-    """Yaw, pitch and roll of the camera, `(A,)` each, from those of the body, and its offset from it, `(A, 3)`."""
+    """Yaw, pitch and roll of the camera, `(A,)` each, and its offset `(A, 3)`, for orientations of the body."""
     rows = rotation(yaw, pitch, roll)
     offsets, views = rig.views(np.hstack([rows[:, 2], rows[:, 0]]))
     axis, right = views[0, :, :3], views[0, :, 3:]

@@ -56,7 +56,7 @@ class Sight(Protocol):
         """Whether `in_image` is so long that evaluations had better look up what they can (`lmd.sight.directions`)."""
 
     def unhidden(self) -> "Sight":
-        """The same where no landmark hides another."""
+        """The model in which no landmark hides another."""
 
     def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "Sight":
         """The same for these landmarks: `unhidden` if that is easily known to make no difference.

@@ -9,10 +9,12 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.core.tables import read_table, write_table
 from lmd.geometry.squares import upright
+from lmd.scene.edges import EDGE, checked_edges, edge_column, edges_or, joined
 from lmd.scene.labels import ID, Labels
 from lmd.scene.surveyed import Surveyed
+from lmd.scene.tag import Tag
 from lmd.space.space import Space
-from lmd.space.surface import MISPLACED, PLACEMENT_TOLERANCE, SurfaceArrays
+from lmd.space.surface import FILE_TOLERANCE, PLACEMENT_TOLERANCE, SurfaceArrays
 
 COLUMNS = ("x", "y", "z", "nx", "ny", "nz")
 UP_COLUMNS = ("ux", "uy", "uz")
@@ -36,9 +38,12 @@ class Deployment:
         labels: what the landmarks are called; None where they are numbered from 0.
         surveyed: places and ups to the last digit, where landmarks were measured behind their surface, or turned in
             their plane; None where `positions` are the places and all hang upright.
+        edges: of the black squares of tags that have a size of their own, `(K,)`, metres, NaN for those that have none;
+            None where none has. See `edges_of`.
 
     Raises:
-        InputError: wrong shapes, no landmark, a value that is not finite, or a normal that is not unit.
+        InputError: wrong shapes, no landmark, a value that is not finite, a normal that is not unit, or an edge that is
+            not positive.
     """
 
     positions: FloatArray
@@ -46,6 +51,7 @@ class Deployment:
     surfaces: IntArray = None  # type: ignore[assignment] # always an array once made
     labels: Labels | None = None
     surveyed: Surveyed | None = None
+    edges: FloatArray | None = None
 
     def __post_init__(self) -> None:
         for name in ("positions", "normals"):
@@ -70,6 +76,7 @@ class Deployment:
         worst = int(np.argmax(np.abs(length - 1.0)))
         if abs(length[worst] - 1.0) > NORMAL_TOLERANCE:
             raise InputError(f"landmark {self.ids[worst]}: the normal must have length 1, it has {length[worst]:g}.")
+        object.__setattr__(self, "edges", checked_edges(self.edges, self.ids))
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -78,7 +85,8 @@ class Deployment:
         """The landmarks that `chosen` selects."""
         labels = None if self.labels is None else self.labels[chosen]
         surveyed = None if self.surveyed is None else self.surveyed[chosen]
-        return Deployment(self.positions[chosen], self.normals[chosen], self.surfaces[chosen], labels, surveyed)
+        edges = None if self.edges is None else self.edges[chosen]
+        return Deployment(self.positions[chosen], self.normals[chosen], self.surfaces[chosen], labels, surveyed, edges)
 
     @property
     def ids(self) -> IntArray:
@@ -88,13 +96,14 @@ class Deployment:
     def __add__(self, other: "Deployment") -> "Deployment":
         """The landmarks of both, numbered from 0."""
         parts = ((getattr(self, name), getattr(other, name)) for name in ("positions", "normals", "surfaces"))
-        both = Deployment(*(np.concatenate(part) for part in parts))
+        edges = joined([(len(each), each.edges) for each in (self, other)])
+        both = replace(Deployment(*(np.concatenate(part) for part in parts)), edges=edges)
         if self.surveyed is None and other.surveyed is None:
             return both
         places, ups = (np.concatenate([getattr(each, name) for each in (self, other)]) for name in ("places", "ups"))
         return replace(both, surveyed=Surveyed(both.positions, places, ups))
 
-    def hung(self, room: Space, anywhere: bool = False, edge: float = 0.0) -> "Deployment":
+    def hung(self, room: Space, anywhere: bool = False, papers: float | FloatArray = 0.0) -> "Deployment":
         """The same landmarks with the surfaces of `room` that they hang on.
 
         What belongs to a surface (`Space.surface_near`) and was measured behind it, if only with a corner because it
@@ -103,7 +112,7 @@ class Deployment:
         Args:
             room: has the surfaces.
             anywhere: whether landmarks may lie outside the room.
-            edge: of their papers, upright, metres; 0 for points.
+            papers: edges of their papers, upright, metres, one for all or `(K,)`; 0 for points.
 
         Raises:
             InputError: a landmark lies outside the room and belongs to no surface of it.
@@ -120,9 +129,8 @@ class Deployment:
         depth = np.take_along_axis(SurfaceArrays.of(surfaces).depth(self.positions), own[:, None], axis=1)
         normals = np.array([surface.normal for surface in surfaces])[own]
         sides = np.stack(upright(self.normals))  # right and up
-        depth = (
-            depth - edge / 2.0 * np.abs((sides * normals).sum(axis=-1)).sum(axis=0)[:, None]
-        )  # of the deepest corner
+        leaning = np.abs((sides * normals).sum(axis=-1)).sum(axis=0)
+        depth = depth - (papers / 2.0 * leaning)[:, None]  # of the deepest corner
         behind = (own[:, None] >= 0) & (depth < -PLACEMENT_TOLERANCE)
         hung = self
         if behind.any():
@@ -158,7 +166,7 @@ class Deployment:
         hanging = SurfaceArrays.of(surfaces)
         at = hanging.coordinates(own, self.positions)
         everywhere = np.array([surface.allowed is None for surface in surfaces])[own]
-        if (kept_out := np.flatnonzero(~everywhere & ~hanging.allow(own, at, MISPLACED))).size:
+        if (kept_out := np.flatnonzero(~everywhere & ~hanging.allow(own, at, FILE_TOLERANCE))).size:
             first = int(kept_out[0])
             return (
                 f"landmark {self._place(first)} hangs on {surfaces[own[first]].name} where none may hang "
@@ -218,8 +226,17 @@ class Deployment:
         ups = upright(self.normals)[1] + 0.0  # no -0
         return ups if self.surveyed is None else self.surveyed.ups_of(self.positions, ups)
 
+    def edges_of(self, tag: Tag) -> FloatArray:
+        """The edge of the black square of each landmark, `(K,)`, metres: its own, or else that of `tag`.
+
+        Landmarks that are points have none: 0.
+        """
+        return edges_or(self.edges, len(self), tag)
+
     def to_csv(self, file: str | Path | TextIO, ups: bool = False) -> None:
         """Write `id,x,y,z,nx,ny,nz` with every digit, so that reading it back gives the same numbers and labels.
+
+        Tags with edges of their own have a further column `edge`.
 
         Args:
             file: its path, or an open text file.
@@ -228,6 +245,8 @@ class Deployment:
         columns = dict(zip(COLUMNS, np.hstack([self.places, self.normals]).T, strict=True))
         if ups:
             columns |= zip(UP_COLUMNS, self.ups.T, strict=True)
+        if self.edges is not None:
+            columns[EDGE] = self.edges
         further = {} if self.labels is None else self.labels.columns
         write_table(file, {ID: self.ids, **columns, **further})
 
@@ -235,7 +254,8 @@ class Deployment:
     def from_csv(cls, path: str | Path, name: str = "path") -> "Deployment":
         """Read a CSV with the columns x,y,z,nx,ny,nz (and id, and ux,uy,uz for how tags are turned in their plane).
 
-        Normals are scaled to length 1 if they are printed with few decimals. Further columns are kept as labels.
+        A column `edge` has the edges of tags, metres, empty for those that have none of their own. Normals are scaled
+        to length 1 if they are printed with few decimals. Further columns are kept as labels.
 
         Args:
             path: the file.
@@ -246,9 +266,10 @@ class Deployment:
         """
         table = read_table(path, name=name)
         columns = COLUMNS + UP_COLUMNS if any(name in table for name in UP_COLUMNS) else COLUMNS
-        rows, labels = table.numbers(columns, None), Labels.of(table, columns)
+        rows, labels = table.numbers(columns, None), Labels.of(table, (*columns, EDGE))
+        edges = edge_column(table)
         try:
-            deployment = cls(rows[:, :3], rows[:, 3:6], labels=labels)
+            deployment = cls(rows[:, :3], rows[:, 3:6], labels=labels, edges=edges)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
         length = np.linalg.norm(deployment.normals, axis=1, keepdims=True)

@@ -8,12 +8,14 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, IntArray, boolean, choice, integer
 from lmd.core.memory import check_memory
 from lmd.scene.deployment import Deployment
+from lmd.scene.tag import Tag
 from lmd.scene.tag_map_files import read_deployment
 from lmd.space.space import Space
 from lmd.space.surface import SurfaceArrays
 
 # What a landmark takes while a deployment is made, bytes: a dozen vectors.
 LANDMARK_BYTES = 400
+POINT = Tag()
 
 
 class DeploymentSource(Protocol):
@@ -23,8 +25,14 @@ class DeploymentSource(Protocol):
     def varies(self) -> bool:
         """Whether two draws differ."""
 
-    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
-        """A deployment inside `room`, its landmarks with their surfaces."""
+    def draw(self, room: Space, rng: np.random.Generator, tag: Tag = POINT) -> Deployment:
+        """A deployment inside `room`, its landmarks with their surfaces.
+
+        Args:
+            room: its surfaces are where the centres of landmarks may be.
+            rng: draws it.
+            tag: what hangs at the landmarks; of one of several sizes they have them in turn.
+        """
 
 
 def landmark_count(value: int) -> int:
@@ -48,12 +56,13 @@ class RandomDeployment:
     def __post_init__(self) -> None:
         object.__setattr__(self, "count", landmark_count(self.count))
 
-    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
+    def draw(self, room: Space, rng: np.random.Generator, tag: Tag = POINT) -> Deployment:
         """See `DeploymentSource.draw`."""
         surfaces = SurfaceArrays.of(room.surfaces())
         area = surfaces.area
         picked = rng.choice(len(area), size=self.count, p=area / area.sum())
-        return _flush(surfaces, surfaces.of_piece[picked], surfaces.spread(picked, rng.random((self.count, 2))))
+        at = surfaces.spread(picked, rng.random((self.count, 2)))
+        return _flush(surfaces, surfaces.of_piece[picked], at, tag)
 
 
 @dataclass(frozen=True)
@@ -74,7 +83,7 @@ class UniformDeployment:
         object.__setattr__(self, "count", landmark_count(self.count))
         choice("layout", self.layout, ("per_wall", "by_area"))
 
-    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
+    def draw(self, room: Space, rng: np.random.Generator, tag: Tag = POINT) -> Deployment:
         """See `DeploymentSource.draw`; nothing here is random."""
         surfaces = room.surfaces()
         area = np.array([surface.area for surface in surfaces])
@@ -86,7 +95,7 @@ class UniformDeployment:
         counts[order[: self.count - counts.sum()]] += 1
         grids = [surface.grid(n) for surface, n in zip(surfaces, counts, strict=True)]
         at = np.array([point for grid in grids for point in grid])
-        return _flush(SurfaceArrays.of(surfaces), np.repeat(np.arange(len(surfaces)), counts), at)
+        return _flush(SurfaceArrays.of(surfaces), np.repeat(np.arange(len(surfaces)), counts), at, tag)
 
 
 @dataclass(frozen=True)
@@ -110,7 +119,7 @@ class FileDeployment:
     def __post_init__(self) -> None:
         boolean("free", self.free)
 
-    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
+    def draw(self, room: Space, rng: np.random.Generator, tag: Tag = POINT) -> Deployment:
         """See `DeploymentSource.draw`."""
         if self.path is None:
             raise InputError("path is missing: a CSV of landmarks or a tag map is needed.", "path")
@@ -118,7 +127,7 @@ class FileDeployment:
         if self.count is not None and self.count != len(deployment):
             raise InputError(f"count = {self.count}, but {self.path} has {len(deployment)} landmarks.", "count")
         try:
-            hung = deployment.hung(room, anywhere=self.free)
+            hung = deployment.hung(room, self.free, tag.paper_share * deployment.edges_of(tag))
         except InputError as error:
             raise InputError(f"{self.path}: {error}") from None
         if not self.free and (fault := hung.fault(room, near=True)):
@@ -137,11 +146,12 @@ class GivenDeployment:
     deployment: Deployment
     varies = False
 
-    def draw(self, room: Space, rng: np.random.Generator) -> Deployment:
+    def draw(self, room: Space, rng: np.random.Generator, tag: Tag = POINT) -> Deployment:
         """See `DeploymentSource.draw`; nothing here is random."""
         return self.deployment
 
 
-def _flush(surfaces: SurfaceArrays, surface: IntArray, at: FloatArray) -> Deployment:
+def _flush(surfaces: SurfaceArrays, surface: IntArray, at: FloatArray, tag: Tag) -> Deployment:
     """Landmarks flush on their surfaces `(K,)` at surface coordinates `(K, 2)`."""
-    return Deployment(surfaces.points(surface, at), surfaces.normal[surface], surface)
+    points, normals = surfaces.points(surface, at), surfaces.normal[surface]
+    return Deployment(points, normals, surface, edges=tag.in_turn(len(surface)))

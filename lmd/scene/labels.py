@@ -5,11 +5,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.core.checks import BoolArray, InputError, IntArray
 from lmd.core.tables import Table
 
 ID = "id"
-EDGE = "edge"  # the column with the edge of each tag, metres; empty where that is the edge of all
 LARGEST = 2**53  # above, not every whole number is a float
 
 
@@ -22,7 +21,7 @@ class Labels:
         columns: further columns of the file by name, K texts each.
 
     Raises:
-        InputError: an id is negative, or occurs twice; an edge is no positive number.
+        InputError: an id is negative, or occurs twice.
     """
 
     ids: IntArray
@@ -37,9 +36,6 @@ class Labels:
             raise InputError(f"id {twice[0]} belongs to {counts.max()} landmarks; ids must be different.")
         if ids.min() < 0:
             raise InputError(f"id {ids.min()} is negative.")
-        if EDGE in self.columns and (wrong := np.flatnonzero((self.edges <= 0.0) | np.isinf(self.edges))).size:
-            text = self.columns[EDGE][wrong[0]]
-            raise InputError(f"{EDGE} must be positive metres, landmark {ids[wrong[0]]} has {text}.")
 
     @classmethod
     def of(cls, table: Table, known: Sequence[str]) -> "Labels":
@@ -65,15 +61,6 @@ class Labels:
             return cls(given.astype(np.int64), columns)
         except InputError as error:
             raise InputError(f"{table.path}: {error}") from None
-
-    @property
-    def edges(self) -> FloatArray:
-        """The edge of each tag, metres, `(K,)`; NaN where the file does not say."""
-        texts = self.columns.get(EDGE, [""] * len(self.ids))
-        try:
-            return np.array([float(text or "nan") for text in texts])
-        except ValueError as error:
-            raise InputError(f"{EDGE} must be positive metres: {error}.") from None
 
     def __add__(self, other: "Labels") -> "Labels":
         """The labels of both; a column that one of them lacks is empty there."""

@@ -31,15 +31,14 @@ Roll = float | Sequence[Sequence[float]]
 
 
 class Orientations(NamedTuple):
-    """Distinct orientations of the camera, ordered by the height of the optical axis.
-
-    axes `(D, 6)` the optical axis and the image's right as unit vectors in the world frame (down is axis x right);
-    index_of `(A,)` which of them each orientation of the PDF is; weight `(D,)` probability of each.
-    """
+    """D distinct orientations of the camera, ordered by the height of the optical axis."""
 
     axes: FloatArray
+    """`(D, 6)` the optical axis and the image's right as unit vectors, world frame; down is axis x right."""
     index_of: np.ndarray
+    """`(A,)` which of them each orientation of the PDF is."""
     weight: FloatArray
+    """`(D,)` the probability of each."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +124,7 @@ class OrientationPdf:
         return self.by_axis.index_of
 
     def finer(self) -> "OrientationPdf":
-        """The same PDF at half the step, or itself where nothing is known between its orientations."""
+        """The PDF at half the step; itself if nothing is known between its orientations."""
         return self if self.refine is None else self.refine()
 
     def stratified(self, divisions: int, rng: np.random.Generator) -> "OrientationPdf":
@@ -143,11 +142,11 @@ class OrientationPdf:
         return OrientationPdf(yaw, pitch, weight, f"{self.name}, stratified", roll=self._draw_roll(len(yaw), rng))
 
     def at(self, positions: FloatArray) -> FloatArray:
-        """The probability of each orientation at positions `(Q, 3)`: `(Q, A)`, or `(1, A)` where all have the same."""
+        """The probability of each orientation at positions `(Q, 3)`: `(Q, A)`, or `(1, A)` if they share it."""
         return self.weight[None] if self.by_position is None else self.by_position(positions)
 
     def draw_at(self, positions: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Yaw, pitch and roll, `(Q,)` each, one orientation at each of the positions `(Q, 3)`; see `draw`."""
+        """Draw one orientation at each of the positions `(Q, 3)`, as `draw` does: yaw, pitch and roll, `(Q,)` each."""
         if self.by_position is None:
             return self.draw(len(positions), rng)
         places, place = np.unique(positions, axis=0, return_inverse=True)
@@ -156,7 +155,7 @@ class OrientationPdf:
         return self.yaw[drawn], self.pitch[drawn], np.asarray(self.roll)[drawn]
 
     def draw(self, size: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Yaw, pitch and roll, `(size,)` each, from the continuous distribution, or the PDF where there is none."""
+        """Draw yaw, pitch and roll, `(size,)` each, from the continuous distribution, or else from the PDF."""
         if self.continuous is not None:
             return *self.continuous(rng.random((size, 2))), self._draw_roll(size, rng)
         drawn = rng.choice(len(self.weight), size, p=self.weight)

@@ -14,12 +14,14 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.core.compiled import inner, kernel
 from lmd.scene.deployment import FLUSH, Deployment
-from lmd.scene.deployment_sources import DeploymentSource, FileDeployment
+from lmd.scene.deployment_sources import DeploymentSource, FileDeployment, GivenDeployment
+from lmd.scene.edges import edges_or
 from lmd.scene.fixed import beside
+from lmd.scene.tag import Tag
 from lmd.space.allowed import allows, nearest
 from lmd.space.inset import Inset
 from lmd.space.space import Space
-from lmd.space.surface import MISPLACED, SurfaceArrays
+from lmd.space.surface import FILE_TOLERANCE, SurfaceArrays
 
 # Relative: papers that share an edge do not overlap, however their distance is rounded.
 TOUCHING = 1e-9
@@ -33,23 +35,31 @@ class Plates:
 
     Args:
         room: the room.
-        edge: of the paper, metres; 0 for landmarks that are points.
+        tag: what hangs at each landmark.
     """
 
     room: Space
-    edge: float
+    tag: Tag
+
+    @cached_property
+    def edge(self) -> float:
+        """Of the smallest papers that are placed here, metres; 0 for landmarks that are points."""
+        return 0.0 if self.tag.is_point else self.tag.paper_share * min(self.tag.sizes)
 
     @cached_property
     def hanging(self) -> Space:
-        """The room with what the centres of tags may use of its surfaces.
+        """The room with what the centres of the smallest tags may use of its surfaces.
 
         Raises:
             InputError: a surface is narrower than a plate.
         """
-        if not self.edge:
+        return self._inset(self.edge)
+
+    def _inset(self, paper: float) -> Space:
+        if not paper:
             return self.room
         try:
-            return Inset(self.room, self.edge / 2.0)
+            return Inset(self.room, paper / 2.0)
         except InputError as error:
             raise InputError(f"edge is too large: {error}", "edge") from None
 
@@ -57,12 +67,35 @@ class Plates:
     def _surfaces(self) -> SurfaceArrays:
         return SurfaceArrays.of(self.hanging.surfaces())
 
+    def surfaces_of(self, paper: float) -> SurfaceArrays:
+        """What the centres of tags on papers with this edge, metres, may use; coordinates are those of `hanging`.
+
+        Raises:
+            InputError: a surface is narrower than a plate.
+        """
+        if paper == self.edge:
+            return self._surfaces
+        if paper not in self._others:
+            own, s = SurfaceArrays.of(self._inset(paper).surfaces()), self._surfaces
+            shift = s.coordinates(np.arange(len(s.origin)), own.origin)[own.of_piece]
+            pieces = own.pieces + shift[:, [0, 0, 1, 1, 1, 1]]
+            self._others[paper] = own._replace(origin=s.origin, pieces=pieces)
+        return self._others[paper]
+
     @cached_property
-    def capacity(self) -> float:
-        """How many fit at most: in rows and columns no fewer than in any other way."""
-        if not self.edge:
+    def _others(self) -> dict[float, SurfaceArrays]:
+        return {}
+
+    def papers(self, deployment: Deployment) -> FloatArray:
+        """The edges of the papers of tags, `(K,)`, metres; 0 for points."""
+        return self.tag.paper_share * deployment.edges_of(self.tag)
+
+    def capacity(self, paper: float) -> float:
+        """How many papers with this edge, metres, fit at most: in rows and columns no fewer than in any other way."""
+        if not paper:
             return np.inf
-        return float(np.floor(self._surfaces.extent / self.edge * (1.0 + TOUCHING) + 1.0).prod(axis=1).sum())
+        extent = self.surfaces_of(paper).extent
+        return float(np.floor(extent / paper * (1.0 + TOUCHING) + 1.0).prod(axis=1).sum())
 
     def hung(self, fixed: Deployment, beside: DeploymentSource) -> Deployment:
         """Landmarks that hang already, with their surfaces.
@@ -79,10 +112,10 @@ class Plates:
                 not wholly on their surface.
         """
         try:
-            hung = fixed.hung(self.hanging, as_they_are(beside), self.edge)
+            hung = fixed.hung(self.room, as_they_are(beside), self.papers(fixed))
             if as_they_are(beside):
                 return hung.before(self.hanging)
-            if fault := hung.fault(self.hanging, near=True):
+            if fault := hung.fault(self.room, near=True):
                 raise InputError(f"{fault}.")
             hung = hung.before(self.hanging)
             self.check(hung)
@@ -104,24 +137,25 @@ class Plates:
         Raises:
             InputError: the source cannot be drawn from, or plates overlap, are not wholly on their surface or too many.
         """
-        drawn = source.draw(self.hanging, rng)
-        if isinstance(source, FileDeployment):
-            drawn = drawn.hung(self.hanging, source.free, self.edge)
+        placed = not isinstance(source, FileDeployment | GivenDeployment)
+        drawn = source.draw(self.room if isinstance(source, FileDeployment) else self.hanging, rng, self.tag)
         if fixed is not None:
             drawn = beside(fixed, drawn)
         if not self.edge or as_they_are(source):
             return drawn
-        if len(drawn) > self.capacity:
+        papers = self.papers(drawn)
+        if len(drawn) > (most := self.capacity(papers.min())):
             raise InputError(
-                f"count = {len(drawn)} tags do not fit: {self.capacity:g} papers of {self.edge:.4g} m are all that the "
+                f"count = {len(drawn)} tags do not fit: {most:g} papers of {papers.min():.4g} m are all that the "
                 "surfaces hold.",
                 "count",
             )
-        if source.varies or (fixed is not None and not isinstance(source, FileDeployment)):
+        several = placed and drawn.edges is not None
+        if source.varies or several or (fixed is not None and not isinstance(source, FileDeployment)):
             apart = self.apart(drawn, fixed=0 if fixed is None else len(fixed))
             if apart is None:
                 raise InputError(
-                    f"count = {len(drawn)} tags with papers of {self.edge:.4g} m are too many to be hung at random.",
+                    f"count = {len(drawn)} tags with papers of {_named(papers)} m are too many to be hung at random.",
                     "count",
                 )
             return apart
@@ -136,38 +170,50 @@ class Plates:
         if not self.edge:
             return
         flat = np.flatnonzero(self._lies_flat(deployment.normals, deployment.surfaces))
-        surface = deployment.surfaces[flat]
+        surface, paper = deployment.surfaces[flat], self.papers(deployment)[flat]
         at = self._surfaces.coordinates(surface, deployment.positions[flat])
         names = [surface.name for surface in self.room.surfaces()]
         ids = deployment.ids[flat]
-        if (over := np.flatnonzero(~self._surfaces.allow(surface, at, MISPLACED))).size:
+        over = np.zeros(len(flat), dtype=np.bool_)
+        for edge in np.unique(paper):
+            own = paper == edge
+            over[own] = ~self.surfaces_of(edge).allow(surface[own], at[own], FILE_TOLERANCE)
+        if over.any():
+            first = np.argmax(over)
             raise InputError(
-                f"landmark {ids[over[0]]} hangs over the edge of {names[surface[over[0]]]}, or of where tags may hang "
-                f"there: its paper is {self.edge:.4g} m wide."
+                f"landmark {ids[first]} hangs over the edge of {names[surface[first]]}, or of where tags may hang "
+                f"there: its paper is {paper[first]:.4g} m wide."
             )
         distance = np.abs(at[:, None] - at[None]).max(axis=-1)
-        close = (distance < self.edge - MISPLACED) & (surface[:, None] == surface)
+        close = (distance < (paper[:, None] + paper) / 2.0 - FILE_TOLERANCE) & (surface[:, None] == surface)
         if (pairs := np.argwhere(np.triu(close, 1))).size:
             i, j = pairs[0]
             raise InputError(
-                f"landmarks {ids[i]} and {ids[j]} on {names[surface[i]]} overlap: their papers are {self.edge:.4g} m "
-                f"wide, their centres {distance[i, j]:.4g} m apart along the edges."
+                f"landmarks {ids[i]} and {ids[j]} on {names[surface[i]]} overlap: their papers are "
+                f"{_named(paper[pairs[0]])} m wide, their centres {distance[i, j]:.4g} m apart along the edges."
             )
 
     def apart(self, deployment: Deployment, size: float = 1.0, fixed: int = 0) -> Deployment | None:
         """The deployment with plates pushed apart, None where there is no room for all; see `pushed`."""
         parts = deployment.positions[None], deployment.normals[None], deployment.surfaces[None]
-        positions, normals, surfaces, fits = self.pushed(*parts, size, fixed)
+        positions, normals, surfaces, fits = self.pushed(*parts, size, fixed, deployment.edges)
         apart = replace(deployment, positions=positions[0], normals=normals[0], surfaces=surfaces[0])
         return apart if fits[0] else None
 
     def pushed(
-        self, positions: FloatArray, normals: FloatArray, surfaces: IntArray, size: float = 1.0, fixed: int = 0
+        self,
+        positions: FloatArray,
+        normals: FloatArray,
+        surfaces: IntArray,
+        size: float = 1.0,
+        fixed: int = 0,
+        edges: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
         """Deployments whose plates are pushed apart, one after the other; what hangs properly stays as it is.
 
         A plate that overlaps one before it goes to the nearest free place on its surface, and if there is none to one
-        on the next surface that has. Deterministic, so that a search may work with the places before the push.
+        on the next surface that has. The largest come first. Deterministic, so that a search may work with the places
+        before the push.
 
         Landmarks that are points only go to the nearest place where they may hang.
 
@@ -176,6 +222,7 @@ class Plates:
             surfaces: `(B, K)`.
             size: of the plates, as a share of their true size.
             fixed: so many at the beginning stay where they are.
+            edges: see `Deployment.edges`.
 
         Returns:
             positions, normals, surfaces, and whether there was room for all, `(B,)`.
@@ -188,19 +235,28 @@ class Plates:
             moved[:, :fixed] = False
             return np.where(moved, s.points(surfaces, at), positions), normals, surfaces, fits
         positions, normals, surfaces = positions.copy(), normals.copy(), surfaces.copy()
+        papers = self.tag.paper_share * edges_or(edges, surfaces.shape[1], self.tag)
+        order = np.append(np.arange(fixed), fixed + np.argsort(-papers[fixed:], kind="stable"))
+        found, of = np.unique(papers[order], return_inverse=True)
+        sizes = [self.surfaces_of(paper) for paper in found.tolist()]
+        pieces = np.concatenate([own.pieces for own in sizes])
+        before = np.cumsum([0, *(len(own.pieces) for own in sizes[:-1])])
+        first = np.array([start + own.first for start, own in zip(before, sizes, strict=True)])
         for b in range(len(positions)):
-            at, moved = s.coordinates(surfaces[b], positions[b]), np.zeros(surfaces.shape[1], dtype=np.bool_)
-            least, edge = size * self.edge * (1.0 - TOUCHING), size * self.edge
-            fits[b] = _push(fixed, surfaces[b], at, s.pieces, s.first, least, edge, moved)
-            positions[b, moved] = s.points(surfaces[b, moved], at[moved])
-            normals[b, moved] = s.normal[surfaces[b, moved]]
+            on = surfaces[b, order]
+            at, moved = s.coordinates(on, positions[b, order]), np.zeros(len(order), dtype=np.bool_)
+            fits[b] = _push(fixed, on, at, pieces, first, of, size * papers[order], moved)
+            for c, own in enumerate(sizes):
+                those = moved & (of == c)
+                positions[b, order[those]] = own.points(on[those], at[those])
+            surfaces[b, order], normals[b, order[moved]] = on, s.normal[on[moved]]
         return positions, normals, surfaces, fits
 
     def touched(self, poses: Deployment, pose: Deployment) -> BoolArray:
-        """Which of the poses a plate at the one `pose` leaves no room for, `(N,)`; all know their surfaces."""
+        """Which of the poses the plate of the one `pose` leaves no room for, `(N,)`; all know their surfaces."""
         s, surface = self._surfaces, poses.surfaces
         away = s.coordinates(surface, poses.positions) - s.coordinates(surface, pose.positions)
-        near = np.abs(away).max(axis=1) < self.edge * (1.0 - TOUCHING)
+        near = np.abs(away).max(axis=1) < (self.papers(poses) + self.papers(pose)) / 2.0 * (1.0 - TOUCHING)
         return np.asarray(near & (surface == pose.surfaces))
 
     def _lies_flat(self, normals: FloatArray, surfaces: IntArray) -> BoolArray:
@@ -214,23 +270,28 @@ def as_they_are(source: DeploymentSource) -> bool:
     return isinstance(source, FileDeployment) and source.free
 
 
+def _named(papers: FloatArray) -> str:
+    """The edges of papers, metres, each once."""
+    return " and ".join(f"{paper:.4g}" for paper in np.unique(papers))
+
+
 @inner
-def _is_free(a, b, s, others, surface, at, least):  # type: ignore[no-untyped-def]
-    """Whether a plate at (a, b) on surface s is at least `least` away from the first `others` plates."""
+def _is_free(k, a, b, s, surface, at, edge):  # type: ignore[no-untyped-def]
+    """Whether plate k at (a, b) on surface s overlaps none of those before it."""
     free = True
-    for j in range(others):
+    for j in range(k):
+        least = (edge[j] + edge[k]) / 2.0 * (1.0 - TOUCHING)
         free = free and (surface[j] != s or max(abs(at[j, 0] - a), abs(at[j, 1] - b)) >= least)
     return free
 
 
 @inner
-def _nearest_free(k, s, a, b, within, surface, at, pieces, first, least, edge, lines, found):  # type: ignore
+def _nearest_free(k, s, a, b, within, surface, at, pieces, start, stop, edge, lines, found):  # type: ignore
     """Write the free place for plate k nearest to (a, b) on surface s to `found`; whether there is one.
 
     A nearest place has each coordinate either unchanged or on a line: a border along u or v, or one that touches
-    another plate. Only plates at most `within` away make lines.
+    another plate. Only plates at most `within` away make lines. The plate may hang on the pieces `start` to `stop`.
     """
-    start, stop = first[s], first[s + 1]
     lines[0, 0], lines[1, 0] = a, b
     across, up = 1, 1
     for t in range(start, stop):
@@ -241,37 +302,41 @@ def _nearest_free(k, s, a, b, within, surface, at, pieces, first, least, edge, l
         across, up = across + 2, up + 4
     for j in range(k):
         if surface[j] == s and max(abs(at[j, 0] - a), abs(at[j, 1] - b)) <= within:
-            lines[0, across], lines[0, across + 1] = at[j, 0] - edge, at[j, 0] + edge
-            lines[1, up], lines[1, up + 1] = at[j, 1] - edge, at[j, 1] + edge
+            touching = (edge[j] + edge[k]) / 2.0
+            lines[0, across], lines[0, across + 1] = at[j, 0] - touching, at[j, 0] + touching
+            lines[1, up], lines[1, up + 1] = at[j, 1] - touching, at[j, 1] + touching
             across, up = across + 2, up + 2
     shortest = np.inf
     for i in range(across):
         for j in range(up):
             p, q = lines[0, i], lines[1, j]
             away = (p - a) ** 2 + (q - b) ** 2
-            if away < shortest and allows(pieces, start, stop, p, q) and _is_free(p, q, s, k, surface, at, least):
+            if away < shortest and allows(pieces, start, stop, p, q) and _is_free(k, p, q, s, surface, at, edge):
                 shortest, found[0], found[1] = away, p, q
     return shortest < np.inf
 
 
 @kernel
-def _push(fixed, surface, at, pieces, first, least, edge, moved):  # type: ignore[no-untyped-def]
+def _push(fixed, surface, at, pieces, first, of, edge, moved):  # type: ignore[no-untyped-def]
     """Push plates at `at` `(K, 2)` on `surface` `(K,)` apart, in place, but for so many `fixed` at the beginning.
 
-    Marks those `moved`; whether all found room.
+    Their papers have the edges `edge` `(K,)`. A plate of the size `of[k]` may hang on surface s on the pieces from
+    `first[of[k], s]` on. Marks those `moved`; whether all found room.
     """
-    lines, found, count = np.empty((2, 2 * len(at) + 4 * len(pieces) + 1)), np.empty(2), len(first) - 1
+    lines, found, count = np.empty((2, 2 * len(at) + 4 * len(pieces) + 1)), np.empty(2), first.shape[1] - 1
     for k in range(fixed, len(at)):
-        _, a, b = nearest(pieces, first[surface[k]], first[surface[k] + 1], at[k, 0], at[k, 1])
+        own = first[of[k]]
+        _, a, b = nearest(pieces, own[surface[k]], own[surface[k] + 1], at[k, 0], at[k, 1])
         # What is off by a rounding error is not moved.
-        if abs(a - at[k, 0]) + abs(b - at[k, 1]) < edge - least and _is_free(a, b, surface[k], k, surface, at, least):
+        rounding = edge[k] - edge[k] * (1.0 - TOUCHING)
+        if abs(a - at[k, 0]) + abs(b - at[k, 1]) < rounding and _is_free(k, a, b, surface[k], surface, at, edge):
             continue
         has_room, moved[k], s = False, True, surface[k]
         for turn in range(count + 1):
-            within = NEARBY_EDGES * edge if turn == 0 else np.inf
+            within = NEARBY_EDGES * edge.max() if turn == 0 else np.inf
             s = (surface[k] + max(turn - 1, 0)) % count
-            _, p, q = nearest(pieces, first[s], first[s + 1], a, b)
-            if _nearest_free(k, s, p, q, within, surface, at, pieces, first, least, edge, lines, found):
+            _, p, q = nearest(pieces, own[s], own[s + 1], a, b)
+            if _nearest_free(k, s, p, q, within, surface, at, pieces, own[s], own[s + 1], edge, lines, found):
                 has_room = True
                 break
         if not has_room:

@@ -96,7 +96,7 @@ class Rig:
 
     @cached_property
     def extrinsics(self) -> FloatArray:
-        """From each camera's frame to the body's, both x right, y down, z ahead, `(C, 4, 4)`.
+        """Poses of the cameras on the body, `(C, 4, 4)`. In either frame x is right, y down and z ahead.
 
         With the body's pose X in such a frame (`lmd.geometry.se3.camera_pose`), that of camera c is X extrinsics[c].
         """
@@ -135,7 +135,7 @@ class Rig:
         return np.round(offsets, SAME_PLACE_DECIMALS) + 0.0, np.stack(turned)  # + 0.0 turns -0 into 0
 
     def stations(self, axes: FloatArray) -> "Iterator[Station]":
-        """The same, camera by camera and place by place."""
+        """The stations of the cameras, camera by camera and place by place."""
         for camera, offsets, turned in zip(self.cameras, *self.views(axes), strict=True):
             places, place = np.unique(offsets, axis=0, return_inverse=True)
             for g, offset in enumerate(places):
@@ -149,7 +149,7 @@ def cameras_of(camera: Camera | Rig) -> tuple[Camera, ...]:
 
 
 def extrinsics_of(camera: Camera | Rig) -> FloatArray:
-    """From each camera's frame to that of the poses: of the rig's body, or of the only camera itself, `(C, 4, 4)`."""
+    """Poses of the cameras in the frame that moves, `(C, 4, 4)`: that of the rig's body, or of the only camera."""
     return camera.extrinsics if isinstance(camera, Rig) else np.eye(4)[None]
 
 

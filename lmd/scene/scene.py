@@ -57,7 +57,7 @@ class Scene:
     @cached_property
     def plates(self) -> Plates:
         """The papers of the tags, and where they may hang."""
-        return Plates(self.room, 0.0 if self.tag.is_point else self.tag.paper_edge)
+        return Plates(self.room, self.tag)
 
     @property
     def spacing(self) -> float:
@@ -74,19 +74,17 @@ class Scene:
         """See `extrinsics_of`."""
         return extrinsics_of(self.camera)
 
-    def single_camera(self, what: str, instead: str = "") -> Camera:
+    def single_camera(self, what: str) -> Camera:
         """The only camera, for what does not know of rigs.
 
         Args:
             what: needs it, the subject of the sentence.
-            instead: what takes a rig, if something does.
 
         Raises:
             InputError: there is a rig.
         """
         if isinstance(self.camera, Rig):
-            cure = instead and f"; {instead} takes it"
-            raise InputError(f"{what} works with a single camera, not with a rig of {len(self.camera.mounts)}{cure}.")
+            raise InputError(f"{what} works with a single camera, not with a rig of {len(self.camera.mounts)}.")
         return self.camera
 
     def stations(self, axes: FloatArray) -> Iterator[Station]:
@@ -124,7 +122,7 @@ class Scene:
         return self.pdf.by_axis_and_roll if by_rig or self.visibility.needs_roll else self.pdf.by_axis
 
     def probability(self, positions: FloatArray) -> FloatArray:
-        """Of each of these orientations at positions `(Q, 3)`: `(Q, D)`, or `(1, D)` where all have the same."""
+        """The probability of each orientation at positions `(Q, 3)`: `(Q, D)`, or `(1, D)` if they share it."""
         axes, index_of, _ = self.orientations
         check_views(PROBABILITY_BYTES, 1 if self.pdf.by_position is None else len(positions), len(index_of))
         rows = self.pdf.at(positions)

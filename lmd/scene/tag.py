@@ -5,12 +5,12 @@ up is that of the picture its makers publish. For the ArUco families that is `cv
 AprilTag families it is AprilTag's own picture, of which OpenCV's is the same turned by half a turn.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, InputError, IntArray, choice, integer, real
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, choice, integer, real, vector
 from lmd.core.optional import optional
 
 
@@ -50,14 +50,19 @@ class Tag:
         edge: of the outer black square, metres; None or 0 for landmarks that are points, as in the paper.
         family: one of `FAMILIES`.
         quiet_zone: q, width of the white margin on each side, modules.
+        edges: of tags of several sizes, metres: landmarks that are placed here have them in turn, the first landmark
+            the first. None for one size, that of `edge`, which always holds for landmarks of a file that does not say
+            how large they are.
 
     Raises:
-        InputError: the edge is negative, the family unknown, or the quiet zone negative.
+        InputError: the edge is negative, the family unknown, the quiet zone negative, or an edge of several is not
+            positive, is there twice, or comes without `edge`.
     """
 
     edge: float | None = None
     family: str = "36h11"
     quiet_zone: float = 1.0
+    edges: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         if self.edge is not None and real("edge", self.edge) < 0.0:
@@ -68,6 +73,26 @@ class Tag:
         object.__setattr__(self, "edge", float(self.edge) if self.edge else None)
         choice("family", self.family, tuple(FAMILIES))
         object.__setattr__(self, "quiet_zone", real("quiet_zone", self.quiet_zone, low=0.0))
+        if self.edges is not None:
+            edges = vector("edges", self.edges, None, above=0.0)
+            if len(set(edges)) < len(edges):
+                raise InputError(f"edges must be different, got {list(edges)}.", "edges")
+            if self.is_point:
+                raise InputError("edge must be given with edges: it holds where a file does not say one.", "edge")
+            object.__setattr__(self, "edges", edges)
+
+    def in_turn(self, count: int) -> FloatArray | None:
+        """The edges of so many landmarks that are placed, `(count,)`, metres; None where one holds for all."""
+        return None if self.edges is None else np.resize(self.edges, count)
+
+    def of_size(self, edge: float) -> "Tag":
+        """The same tag with another edge, metres, and no other size."""
+        return replace(self, edge=edge, edges=None)
+
+    @property
+    def sizes(self) -> tuple[float, ...]:
+        """The edges that tags have which are placed, metres; none of points."""
+        return self.edges or (() if self.edge is None else (self.edge,))
 
     @property
     def is_point(self) -> bool:
@@ -108,7 +133,12 @@ class Tag:
     @property
     def paper_edge(self) -> float:
         """Edge of the paper with its quiet zone, s (1 + 2 q / N), metres."""
-        return self.size * (1.0 + 2.0 * self.quiet_zone / self.modules)
+        return self.size * self.paper_share
+
+    @property
+    def paper_share(self) -> float:
+        """Edge of the paper of a tag as a multiple of the tag's own, 1 + 2 q / N."""
+        return 1.0 + 2.0 * self.quiet_zone / self.modules
 
     def check_ids(self, ids: IntArray) -> None:
         """Raise `InputError` if the family has fewer tags than there are `ids` `(K,)`, all different, or lacks one."""

@@ -19,19 +19,20 @@ from lmd.core.files import parse_keys, read_text
 from lmd.core.tables import COMMENT, read_table
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.scene.deployment import Deployment
-from lmd.scene.labels import EDGE, Labels
+from lmd.scene.labels import Labels
 from lmd.scene.tag import FAMILIES
 from lmd.scene.tag_map_readers import HALF_TURN, OUT_RIGHT_UP, READERS, PlacedTag, number_of
 
 LARGEST_MAP = 1 << 22  # characters of YAML or JSON; a tag has some hundred
 INCH = 0.0254  # metres
+EDGE_DIGITS = 12  # the rest is rounding: of millimetres as metres, or of the sides of a square
 IS_JSON = re.compile(r"(\s|//[^\n]*\n|/\*.*?\*/)*{", re.DOTALL)  # comments may come first
 
 
 def read_deployment(path: Any, name: str = "path", family: str | None = None) -> Deployment:
     """The tags of a map, or the landmarks of a CSV, see `Deployment.from_csv`.
 
-    Edges are kept as a column `edge` of the labels, in metres.
+    Maps that say how large each tag is give `Deployment.edges`.
 
     Args:
         path: the file.
@@ -61,12 +62,10 @@ def read_deployment(path: Any, name: str = "path", family: str | None = None) ->
 
 
 def _deployment(path: str | Path, tags: Sequence[PlacedTag]) -> Deployment:
-    columns = {}
-    if any(tag.edge is not None for tag in tags):
-        columns[EDGE] = ["" if tag.edge is None else f"{tag.edge:.12g}" for tag in tags]
-    labels = Labels(np.array([tag.number for tag in tags]), columns)
+    edges = np.array([np.nan if tag.edge is None else float(f"{tag.edge:.{EDGE_DIGITS}g}") for tag in tags])
+    labels = Labels(np.array([tag.number for tag in tags]))
     axes = np.array([tag.axes for tag in tags])
-    deployment = Deployment(np.array([tag.position for tag in tags]), axes[:, :, 2], labels=labels)
+    deployment = Deployment(np.array([tag.position for tag in tags]), axes[:, :, 2], labels=labels, edges=edges)
     return deployment.turned(path, axes[:, :, 1])
 
 

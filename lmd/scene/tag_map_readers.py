@@ -16,7 +16,7 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, integer, real, vector
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.geometry.se3 import QUATERNION_TOLERANCE, are_rotations, exp, nearest_rotations
-from lmd.scene.labels import EDGE
+from lmd.scene.edges import EDGE
 
 Keys = Mapping[str, Any]
 MM = 1e-3  # metres

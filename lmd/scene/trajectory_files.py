@@ -155,7 +155,7 @@ def _fitted(points: FloatArray) -> FloatArray:
 
 
 def _mounted(mount: str | Mapping[str, Any] | Sequence[float]) -> FloatArray:
-    """From the camera's axes (x right, y down, z the optical axis) to those of what moves, `(4, 4)`."""
+    """The pose of the camera (x right, y down, z the optical axis) on what moves, `(4, 4)`."""
     if isinstance(mount, str):
         return read_mount(mount)
     if isinstance(mount, Mapping):

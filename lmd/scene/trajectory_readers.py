@@ -88,7 +88,7 @@ def _named(table: Table) -> Table:
 
 
 def _without_header(text: Headless) -> Table:
-    """The columns of a text by what a comment above it calls them, else by how many there are."""
+    """The columns of a text, named by the comment above it or, without one, by how many there are."""
     for comment in text.comments:
         columns = [_canonical(name) for name in re.split(r"[,\s]+", _UNIT.sub("", comment).strip())]
         if len(columns) == text.width and set(QUATERNIONS) <= set(columns) and len(set(columns)) == len(columns):

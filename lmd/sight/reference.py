@@ -13,6 +13,7 @@ from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.scene.criteria import TOLERANCE
 from lmd.scene.deployment import Deployment
 from lmd.scene.pdf import OrientationPdf
+from lmd.scene.rig import Station
 from lmd.scene.scene import Scene
 from lmd.sight.obstacles import unobstructed
 
@@ -23,13 +24,18 @@ def coverage_caps(scene: Scene, deployment: Deployment, position: FloatArray, ax
     Empty for landmarks that something in the room blocks. For a rig, position and axes are those of its body: some
     camera covers the landmark, each from its own pose.
     """
-    landmarks = deployment.positions, deployment.normals
     covered = np.zeros((len(axes), len(deployment)), dtype=np.bool_)
-    for camera, offset, there, turned in scene.stations(axes):
-        place = position + offset
-        seen = scene.visibility.covered(camera, place, turned, *landmarks)
-        covered[there] |= seen & unobstructed(scene.room, scene.visibility.sight(camera), place, *landmarks)
+    for station in scene.stations(axes):
+        covered[station.there] |= station_caps(scene, deployment, position, station)
     return covered
+
+
+def station_caps(scene: Scene, deployment: Deployment, position: FloatArray, station: Station) -> BoolArray:
+    """The same for the camera of a station, and the orientations with which it is there, `(a, K)`."""
+    landmarks, place = (deployment.positions, deployment.normals), position + station.offset
+    seen = scene.visibility.covered(station.camera, place, station.axes, *landmarks)
+    clear = unobstructed(scene.room, scene.visibility.sight(station.camera), place, *landmarks)
+    return np.asarray(seen & clear)
 
 
 def cap_count(caps: BoolArray) -> IntArray:

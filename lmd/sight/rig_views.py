@@ -1,7 +1,7 @@
 """What a rig covers from many positions, summed up: counts, probabilities, and what single poses earn.
 
-The bits come from `stations`; threads share positions, or poses. Every sum is over the same terms in the same order
-whatever their number.
+The bits come from `station_views`; threads share positions, or poses. Every sum is over the same terms in the same
+order whatever their number.
 """
 
 import math
@@ -15,7 +15,8 @@ from lmd.core.compiled import kernel
 from lmd.core.threads import in_parts
 from lmd.sight.blocks import in_blocks
 from lmd.sight.kernels import weights_row
-from lmd.sight.stations import Part, seen_by, with_sight
+from lmd.sight.station_views import seen_by
+from lmd.sight.stations import Part, with_sight
 from lmd.space.blockers import Blockers
 from lmd.space.triangles import Triangles
 
@@ -100,6 +101,15 @@ class RigViews:
         """The rig where no landmark hides another."""
         return tuple(with_sight(part, part.sight.unhidden()) for part in self.parts)
 
+    def parts_among(self, landmarks: FloatArray, normals: FloatArray) -> tuple[Part, ...]:
+        """The rig with what its criteria make of the landmarks of a deployment, `(K, 3)`: see `Sight.among`."""
+        low, high = self.positions.min(axis=0), self.positions.max(axis=0)
+        batch = landmarks.T[None], normals.T[None]
+        return tuple(
+            with_sight(part, part.sight.among(low + part.places.min(axis=0), high + part.places.max(axis=0), *batch))
+            for part in self.parts
+        )
+
     def _shared(self, size: int, job: Callable[[slice], None]) -> None:
         in_parts(self.threads, lambda first, last: job(slice(first, last)), size, math.ceil(size / AT_A_TIME))
 
@@ -115,12 +125,7 @@ class RigViews:
             counts: `(P, 64 W)` zeros, receives the landmarks covered; empty if nobody asks.
         """
         units, slack = np.empty(len(self.positions), dtype=np.int64), np.zeros(len(landmarks))
-        low, high = self.positions.min(axis=0), self.positions.max(axis=0)
-        batch = landmarks.T[None], normals.T[None]
-        parts = tuple(
-            with_sight(part, part.sight.among(low + part.places.min(axis=0), high + part.places.max(axis=0), *batch))
-            for part in self.parts
-        )
+        parts = self.parts_among(landmarks, normals)
         ordered, enough = self.positions[self._order], 0 if len(counts) else n
 
         def job(part: slice) -> None:

@@ -10,6 +10,8 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.compiled import for_kernels, kernel
+from lmd.geometry.se3 import axis_and_right
+from lmd.scene.camera import Camera
 from lmd.scene.criteria import covers
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
@@ -59,6 +61,11 @@ def visible_to_each(evaluator: Evaluator, deployment: Deployment, positions: Flo
         _visible(scene, scene.visibility.sight(camera), deployment, positions + offsets, turned)
         for camera, offsets, turned in views
     ])  # fmt: skip
+
+
+def visible_through(scene: Scene, camera: Camera, deployment: Deployment, poses: FloatArray) -> BoolArray:
+    """The same for one of its cameras that is at `poses` `(N, 4, 4)`, see `lmd.geometry.se3.camera_pose`, `(N, K)`."""
+    return _visible(scene, scene.visibility.sight(camera), deployment, poses[:, :3, 3], axis_and_right(poses))
 
 
 def _visible(scene: Scene, sight: Any, deployment: Deployment, positions: FloatArray, axes: FloatArray) -> BoolArray:

@@ -14,10 +14,10 @@ from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, kernel
 
 # Regions are closed: a place so near is in them, metres.
-EDGE = 1e-9
+EDGE_TOLERANCE = 1e-9
 # Of a region so small nothing is left but rounding, square metres.
 MIN_AREA = 1e-9
-SIZE = 6  # numbers of a trapezoid
+TRAPEZOID_NUMBERS = 6  # numbers of a trapezoid
 
 
 def rectangle(extent: tuple[float, float]) -> FloatArray:
@@ -45,7 +45,7 @@ def trapezoids(region: Any) -> FloatArray:
             # Borders that meet may cross by rounding.
             top, end = max(first[lower], first[upper]), max(last[lower], last[upper])
             found.append((start, stop, first[lower], last[lower], top, end))
-    return np.array(found).reshape(-1, SIZE)
+    return np.array(found).reshape(-1, TRAPEZOID_NUMBERS)
 
 
 def sizes(pieces: FloatArray) -> FloatArray:
@@ -134,7 +134,7 @@ def nearest(pieces, start, stop, a, b):  # type: ignore[no-untyped-def]
 def allows(pieces, start, stop, a, b):  # type: ignore[no-untyped-def]
     """Whether (a, b) is in one of the trapezoids from `start` to `stop`."""
     _, p, q = nearest(pieces, start, stop, a, b)
-    return abs(p - a) + abs(q - b) <= EDGE
+    return abs(p - a) + abs(q - b) <= EDGE_TOLERANCE
 
 
 @kernel

@@ -18,18 +18,18 @@ from lmd.core.checks import BoolArray, FloatArray
 from lmd.space.surface import PLACEMENT_TOLERANCE
 
 # By which bodies that meet reach into each other, metres: more than rounding, and too little to stick out of a corner.
-OVERLAP = 1e-9
+OVERLAP_M = 1e-9
 
 
 class Body(NamedTuple):
-    """A convex body: unit normals `(m, 3)` of its planes, outwards; offsets `(m,)`, n . x of the points x of a plane.
-
-    `solid` `(m,)` says which planes are faces; the others are where the body meets another one.
-    """
+    """A convex body with m planes."""
 
     normals: FloatArray
+    """`(m, 3)` unit, outwards."""
     offsets: FloatArray
+    """`(m,)` n . x of the points x of a plane, metres."""
     solid: BoolArray
+    """`(m,)` which planes are faces; the others are where the body meets another one."""
 
 
 class Blockers(NamedTuple):
@@ -44,12 +44,12 @@ class Blockers(NamedTuple):
     def of(cls, bodies: Sequence[Body]) -> "Blockers":
         """The arrays of at least one body, with the tolerance."""
         normals, offsets, solid = (np.concatenate(parts) for parts in zip(*bodies, strict=True))
-        offsets = offsets + np.where(solid, -PLACEMENT_TOLERANCE, OVERLAP)
+        offsets = offsets + np.where(solid, -PLACEMENT_TOLERANCE, OVERLAP_M)
         first = np.append(0, np.cumsum([len(body.offsets) for body in bodies]))
         return cls(np.ascontiguousarray(normals), offsets, solid, first)
 
     def grown(self, by: float) -> "Blockers":
-        """The same with all faces moved outwards by so many metres."""
+        """The bodies with all faces moved outwards by so many metres."""
         return self._replace(offsets=self.offsets + by * self.solid)
 
     def heights(self, points: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ LEAF, SMALL = 4, 48
 def box_tree(
     low: FloatArray, high: FloatArray
 ) -> tuple[IntArray, FloatArray, FloatArray, IntArray, IntArray, IntArray]:
-    """The order of boxes from `low` to `high` `(T, 3)`, and their tree, cut so that a ray meets few of its boxes.
+    """The tree of boxes from `low` to `high` `(T, 3)`, cut so that a ray meets few of them, and their order in it.
 
     Returns:
         order `(T,)`; centres, halves `(N, 3)`, skip, first and stop `(N,)` as in `lmd.space.triangles.Triangles`.

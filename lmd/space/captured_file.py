@@ -68,7 +68,7 @@ def read_captured(keys: Keys) -> Captured:
 
 
 def triangles_of(face: FloatArray) -> FloatArray:
-    """A flat polygon `(N, 3)` as triangles `(T, 3, 3)`; none where it crosses itself or has no area."""
+    """Cut a flat polygon `(N, 3)` into triangles `(T, 3, 3)`; none if it crosses itself or has no area."""
     import shapely
 
     _, _, (right, up, _) = np.linalg.svd(face - face.mean(axis=0))
@@ -132,7 +132,7 @@ def _webxr(keys: Keys) -> Iterator[tuple[str, list[FloatArray]]]:
 
 
 def _mruk(keys: Keys) -> Iterator[tuple[str, list[FloatArray]]]:
-    """Of Unity: z ahead, to the left of what x is to others, so it is turned back; degrees about y, then x, then z."""
+    """The pieces of a scene of Unity, whose frame is left-handed (z ahead); degrees about y, then x, then z."""
     from scipy.spatial.transform import Rotation
 
     system, rooms = keys.get("CoordinateSystem"), keys["Rooms"]

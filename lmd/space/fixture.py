@@ -11,9 +11,9 @@ from lmd.core.checks import FloatArray
 from lmd.space.surface import Surface
 
 # What is so near to a surface stands against it, and what is no thicker is flat, metres.
-TOUCHING = 0.03
+TOUCHING_M = 0.03
 KINDS = ("door", "window", "furniture", "other")
-NAMED = re.compile("(?<![a-z])(door|window)")  # a word of the name begins so
+NAMED_KIND = re.compile("(?<![a-z])(door|window)")  # a word of the name begins so
 
 
 @dataclass(frozen=True)
@@ -30,15 +30,15 @@ class Fixture:
 
     @cached_property
     def kind(self) -> str:
-        """One of `KINDS`: as its name says, else `furniture` for what stands on some ground."""
-        named = NAMED.search(self.name.lower())
+        """One of `KINDS`: what its name says, or otherwise `furniture` if it stands on some ground."""
+        named = NAMED_KIND.search(self.name.lower())
         if named:
             return named[0]
-        return "other" if self.footprint.buffer(-TOUCHING / 2.0).is_empty else "furniture"
+        return "other" if self.footprint.buffer(-TOUCHING_M / 2.0).is_empty else "furniture"
 
     @cached_property
     def footprint(self) -> Any:
-        """What it covers of the floor, seen from above, a polygon of shapely, or a line."""
+        """The part of the floor that it covers, seen from above: a polygon of shapely, or a line."""
         import shapely
 
         return shapely.MultiPoint(self.corners[:, :2]).convex_hull
@@ -48,19 +48,19 @@ class Fixture:
         import shapely
 
         depth = (self.corners - surface.origin) @ surface.normal
-        inside = surface.point(*np.divide(surface.extent, 2.0)) - TOUCHING * surface.normal
+        inside = surface.point(*np.divide(surface.extent, 2.0)) - TOUCHING_M * surface.normal
         within = (inside >= self.corners.min(axis=0)).all() and (inside <= self.corners.max(axis=0)).all()
-        return bool(depth.max() < TOUCHING and within and self.footprint.covers(shapely.Point(inside[:2])))
+        return bool(depth.max() < TOUCHING_M and within and self.footprint.covers(shapely.Point(inside[:2])))
 
     def on(self, surface: Surface) -> Any:
-        """What it covers of a surface, in metres from its left and lower edge, a polygon of shapely; empty if nothing.
+        """The part of a surface that it covers, metres from the left and lower edge: a polygon of shapely, maybe empty.
 
         Nothing of its own faces.
         """
         import shapely
 
         depth = (self.corners - surface.origin) @ surface.normal
-        near = self.corners[np.abs(depth) <= TOUCHING] - surface.origin
+        near = self.corners[np.abs(depth) <= TOUCHING_M] - surface.origin
         if self.has(surface) or len(near) < 3:
             return shapely.Polygon()
         at = surface.seen(np.stack([near @ surface.u, near @ surface.v], axis=-1))

@@ -17,7 +17,7 @@ from lmd.space.polygon import checked_ring, edges, on_hull, planes, upright_bodi
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
 
 # From a face to the place before it that must be free, metres.
-BEFORE = 1e-3
+FREE_BEFORE_M = 1e-3
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,7 @@ class FloorPlan:
             return shapely.transform(self.ground, lambda at: at - face.origin[:2])
         if not face.name.startswith("obstacle_"):
             return shapely.box(0.0, 0.0, along, up)
-        before = face.origin + BEFORE * face.normal
+        before = face.origin + FREE_BEFORE_M * face.normal
         if face.normal[2] != 0.0:
             return shapely.box(0.0, 0.0, along, up) if 0.0 <= before[2] <= self.height else shapely.Polygon()
         free = self.ground.intersection(shapely.LineString([before[:2], before[:2] + along * face.u[:2]]))

@@ -9,9 +9,9 @@ from lmd.space.triangles import unit_normals
 
 # A triangle so near to level or upright, rad, counts as built so. Walls hardly ever run so along an axis by chance, and
 # a scan's noise turns its triangles by more.
-BUILT = 3.5e-3
+BUILT_TOLERANCE_RAD = 3.5e-3
 # It is decided which of two axes points up where with one of them less than this share of the other's area is built so.
-DECIDED = 0.8
+DECIDING_SHARE = 0.8
 # What is level: the vertical part of its normal is greater. Floor and ceiling are so near to the lowest or the highest
 # point, metres.
 LEVEL_NORMAL_Z, STOREY = 0.999, 0.1
@@ -29,8 +29,8 @@ def doubt_of(mesh: Mesh, undecided: bool) -> str | None:
     ways = {mesh.up: np.array([0.0, 0.0, 1.0]), other: np.array([0.0, 1.0 if other == "y" else -1.0, 0.0])}
     built = {axis: _built_along(corners, way) for axis, way in ways.items()}
     height = {axis: float(np.ptp(corners @ way)) for axis, way in ways.items()}
-    against = built[mesh.up] < DECIDED * built[other]
-    tie = not against and built[other] >= DECIDED * built[mesh.up]
+    against = built[mesh.up] < DECIDING_SHARE * built[other]
+    tie = not against and built[other] >= DECIDING_SHARE * built[mesh.up]
     if not against and not (undecided and tie and height[mesh.up] > height[other]):
         return None
     told = [
@@ -44,7 +44,9 @@ def doubt_of(mesh: Mesh, undecided: bool) -> str | None:
 def _built_along(corners: FloatArray, up: FloatArray) -> float:
     """The share of the area of triangles `(T, 3, 3)` that is level or upright where `up` `(3,)` points up."""
     vertical, area = np.abs(unit_normals(corners) @ up), areas_of(corners)
-    return float(area[(vertical < np.sin(BUILT)) | (vertical > np.cos(BUILT))].sum() / area.sum())
+    return float(
+        area[(vertical < np.sin(BUILT_TOLERANCE_RAD)) | (vertical > np.cos(BUILT_TOLERANCE_RAD))].sum() / area.sum()
+    )
 
 
 def _floor_area(corners: FloatArray, up: FloatArray) -> float:

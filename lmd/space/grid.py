@@ -79,7 +79,7 @@ def latin_hypercube(repeats: int, shape: tuple[int, ...], rng: np.random.Generat
 
 
 def kronecker(shift: FloatArray) -> Callable[[int], FloatArray]:
-    """Points that fill the unit cube evenly: a function that returns the next so many, `(count, 3)`.
+    """A function of a number that returns the next so many points of a sequence that fills the unit cube, `(count, 3)`.
 
     A Kronecker sequence. From a random `shift` `(3,)`, the first point, each point is uniform, but as a rule means over
     many err less than over independent ones.

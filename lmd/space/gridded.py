@@ -10,7 +10,7 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.space.grid import cell_borders, combined, grid_axes, grid_counts, kronecker, latin_hypercube
-from lmd.space.surface import MISPLACED, PLACEMENT_TOLERANCE, Surface, SurfaceArrays, surface_near
+from lmd.space.surface import FILE_TOLERANCE, PLACEMENT_TOLERANCE, Surface, SurfaceArrays, surface_near
 
 # Draws of a position that is in the reachable volume, before its grid position is taken instead.
 MOST_DRAWS = 100
@@ -126,7 +126,7 @@ class Gridded(ABC):
         within = ((at >= -PLACEMENT_TOLERANCE) & (at <= carriers.extent + PLACEMENT_TOLERANCE)).all(axis=-1)
         within &= np.abs(carriers.depth(points)) <= PLACEMENT_TOLERANCE
         allowed = within.copy()
-        allowed[within] = carriers.allow(np.broadcast_to(every, within.shape)[within], at[within], MISPLACED)
+        allowed[within] = carriers.allow(np.broadcast_to(every, within.shape)[within], at[within], FILE_TOLERANCE)
         return carriers, within, allowed
 
     def surface_near(self, positions: FloatArray, normals: FloatArray) -> IntArray:

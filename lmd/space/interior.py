@@ -13,9 +13,9 @@ from lmd.space.triangles import Triangles
 # Between nodes, metres; more where there would be too many.
 STEP, MOST_NODES = 0.2, 400_000
 # Nodes are at least so far from every triangle, metres: one in the plane of a triangle would lead through it.
-GAP = 1e-3
+NODE_CLEARANCE_M = 1e-3
 # A point is asked for lines to nodes up to so many steps away.
-AROUND = 2
+STEPS_TO_NODES = 2
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Interior:
         at, clear = combined(self._axes), self.triangles.clear
         below = at.copy()
         below[:, 2] = self.low[2] - 1.0
-        free = (self.triangles.distance(at, GAP) >= GAP) & ~clear(at, below)
+        free = (self.triangles.distance(at, NODE_CLEARANCE_M) >= NODE_CLEARANCE_M) & ~clear(at, below)
         index = np.arange(len(at)).reshape(self._shape)
         pairs = np.concatenate(
             [
@@ -98,5 +98,5 @@ class Interior:
 
 def _nearest_first() -> IntArray:
     """Offsets to the nodes around a cell, from its lowest corner, `(M, 3)`."""
-    offsets = np.array(list(itertools.product(range(1 - AROUND, 1 + AROUND), repeat=3)))
+    offsets = np.array(list(itertools.product(range(1 - STEPS_TO_NODES, 1 + STEPS_TO_NODES), repeat=3)))
     return offsets[np.argsort(np.abs(offsets - 0.5).sum(axis=1), kind="stable")]

@@ -13,7 +13,7 @@ from lmd.space.polygon import checked_ring
 from lmd.space.surface import Surface
 
 # A keep-out may reach so far beyond its surface, metres: it was measured by hand.
-OFF = 0.05
+BEYOND_SURFACE_M = 0.05
 OLD_KEYS = ("low", "high", "polygon")  # of keep-outs in earlier versions
 
 
@@ -62,7 +62,7 @@ class KeepOut:
         """
         at = np.array(self.ring)
         beyond = float(max((0.0 - at).max(), (at - extent).max()))
-        if beyond > OFF:
+        if beyond > BEYOND_SURFACE_M:
             along, up = extent
             raise InputError(
                 f"{name} reaches {beyond:.4g} m beyond {self.surface}, which is {along:.4g} x {up:.4g} m.", name
@@ -78,7 +78,7 @@ class KeepOut:
         return _rectangle(*zip(self.from_left, self.from_below, strict=True))
 
     def region(self, face: Surface) -> Any:
-        """It in the coordinates of its surface, a polygon of shapely."""
+        """The keep-out in the coordinates of its surface, a polygon of shapely."""
         import shapely
 
         return shapely.Polygon(face.seen(self.ring))

@@ -13,35 +13,36 @@ from lmd.core.files import read_bytes
 from lmd.core.optional import optional
 from lmd.space.captured_file import Captured, read_captured, triangles_of
 from lmd.space.parts import check_metres
-from lmd.space.triangles import THINNEST
+from lmd.space.triangles import THINNEST_M
 
-UPS = ("z", "y")
+UP_AXES = ("z", "y")
 CAPTURED = ".json"
 Y_UP = (".gltf", ".glb", CAPTURED)  # what their standard says
 FORMATS = (".gltf", ".glb", ".obj", ".stl", ".ply", CAPTURED)
 # Corners that differ by less are the same, metres: files have 32 bits for a number.
-DIGITS = 6
+CORNER_DIGITS = 6
 # Of more triangles, what has to be known of each would take gigabytes and minutes.
 MOST_TRIANGLES = 5_000_000
 # Levels of nodes in glTF, and the numbers in a value of each type.
-DEEPEST = 32
-COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+DEEPEST_LEVEL = 32
+NUMBERS_OF_TYPE = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 
 
 class Mesh(NamedTuple):
-    """Triangles in the world frame, metres, and the objects of the file that they belong to.
-
-    vertices `(V, 3)`; faces `(T, 3)`; of `(T,)`, the index of its object in `names`, which are those in the file; up,
-    the axis of the file that points up; on_walls, what lies on walls where nothing hangs, a name and its corners
-    `(N, 3)`.
-    """
+    """Triangles in the world frame, metres, and the objects of the file that they belong to."""
 
     vertices: FloatArray
+    """`(V, 3)`."""
     faces: IntArray
+    """`(T, 3)` numbers of the corners."""
     of: IntArray
+    """`(T,)` the index of each triangle's object in `names`."""
     names: tuple[str, ...]
+    """The objects of the file."""
     up: str
+    """The axis of the file that points up."""
     on_walls: tuple[tuple[str, FloatArray], ...] = ()
+    """What lies on walls where nothing hangs: names, and corners `(N, 3)`."""
 
 
 def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None) -> Mesh:
@@ -65,7 +66,7 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
     if up is None:
         up = "y" if file.suffix.lower() in Y_UP else "z"
     captured = _captured(file) if file.suffix.lower() == CAPTURED else None
-    parts = _parts(file, choice("up", up, UPS)) if captured is None else _triangulated(captured, up)
+    parts = _parts(file, choice("up", up, UP_AXES)) if captured is None else _triangulated(captured, up)
     if not parts:
         raise InputError(f"path: {str(file)!r} holds no triangles.", "path")
     trimesh = optional("trimesh", "mesh")
@@ -76,8 +77,8 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
     mesh = trimesh.Trimesh(whole.vertices * scale, whole.faces, process=False)
     size = np.ptp(mesh.vertices[mesh.faces].reshape(-1, 3), axis=0)
     check_metres(size, f"scale = {scale:g} makes {str(file)!r}", "a file in millimetres takes 0.001", "scale")
-    mesh.merge_vertices(digits_vertex=DIGITS)
-    kept = mesh.unique_faces() & mesh.nondegenerate_faces(height=THINNEST)
+    mesh.merge_vertices(digits_vertex=CORNER_DIGITS)
+    kept = mesh.unique_faces() & mesh.nondegenerate_faces(height=THINNEST_M)
     if not kept.any():
         raise InputError(f"path: {str(file)!r} holds no triangles with an area.", "path")
     mesh.update_faces(kept)
@@ -116,7 +117,7 @@ def _triangulated(captured: Captured, up: str) -> dict[str, Any]:
         parts[part.name] = trimesh.Trimesh(
             corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3), process=False
         )
-        parts[part.name].merge_vertices(digits_vertex=DIGITS)
+        parts[part.name].merge_vertices(digits_vertex=CORNER_DIGITS)
     return parts
 
 
@@ -176,7 +177,7 @@ def _check_gltf(file: Path, content: bytes) -> None:
     counts = [part["count"] for part in accessors]
     if not all(isinstance(count, int) and count >= 0 for count in counts):
         raise ValueError("an accessor has a count that is none")
-    numbers = sum(n * COMPONENTS[part["type"]] for n, part in zip(counts, accessors, strict=True))
+    numbers = sum(n * NUMBERS_OF_TYPE[part["type"]] for n, part in zip(counts, accessors, strict=True))
     if numbers > len(content):
         raise InputError(f"path: {str(file)!r}, of {len(content)} bytes, asks for {numbers:.4g} numbers.", "path")
     corners = []
@@ -197,8 +198,8 @@ def _check_tree(children: list[list[int]]) -> None:
         above, depth = parents.get(node), 0
         while above is not None:
             above, depth = parents.get(above), depth + 1
-            if depth > DEEPEST:
-                raise ValueError(f"its nodes are nested more than {DEEPEST} deep")
+            if depth > DEEPEST_LEVEL:
+                raise ValueError(f"its nodes are nested more than {DEEPEST_LEVEL} deep")
 
 
 def _word(content: bytes, at: int) -> int:

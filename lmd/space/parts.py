@@ -35,7 +35,7 @@ def check_metres(size: Iterable[float], makes: str, hint: str, argument: str) ->
 
 @dataclass(frozen=True)
 class Obstacle:
-    """A box with sides along x, y and z, such as a rack: it blocks the line of sight, and nobody can enter it.
+    """A box with sides along x, y and z, such as a rack. It blocks the line of sight, and no camera can be in it.
 
     Args:
         low, high: its corners, world frame, metres.
@@ -66,7 +66,7 @@ class Obstacle:
 
     @property
     def body(self) -> Body:
-        """What it blocks."""
+        """The convex body that blocks the line of sight."""
         return Body(
             np.vstack([-np.eye(3), np.eye(3)]) + 0.0, np.append(-np.array(self.low), self.high), np.full(6, True)
         )

@@ -13,7 +13,7 @@ from lmd.space.surface import Surface
 # are so near to it, metres.
 BENT, UNEVEN = 1e-3, 1e-3
 # Borders are straight where no more than this is cut off, metres.
-STRAIGHT = 1e-6
+STRAIGHT_M = 1e-6
 
 
 def flat_parts(mesh: Mesh) -> list[IntArray]:
@@ -32,13 +32,13 @@ def flat_parts(mesh: Mesh) -> list[IntArray]:
 
 
 def areas_of(corners: FloatArray) -> FloatArray:
-    """Of triangles `(T, 3, 3)`, `(T,)`, square metres."""
+    """Areas of triangles `(T, 3, 3)`, square metres, `(T,)`."""
     one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     return np.asarray(np.linalg.norm(np.cross(one, other), axis=1) / 2.0)
 
 
 def plane_of(corners: FloatArray) -> tuple[FloatArray, float]:
-    """The mean unit normal of triangles `(T, 3, 3)`, `(3,)`, and how far their corners are from its plane, metres."""
+    """The plane of triangles `(T, 3, 3)`: mean unit normal, `(3,)`, and how far corners are from it, metres."""
     total = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).sum(axis=0)
     normal = total / np.linalg.norm(total) + 0.0
     return normal, float(np.ptp(corners @ normal)) / 2.0
@@ -55,7 +55,7 @@ def surface_of(name: str, corners: FloatArray, normal: FloatArray) -> Surface:
     depth = corners @ normal
     at = np.stack([corners @ u, corners @ v], axis=-1)
     low, high = at.min(axis=(0, 1)), at.max(axis=(0, 1))
-    shape = polygons(shapely.simplify(shapely.union_all(shapely.polygons(at - low)), STRAIGHT))
+    shape = polygons(shapely.simplify(shapely.union_all(shapely.polygons(at - low)), STRAIGHT_M))
     origin = (depth.min() + depth.max()) / 2.0 * normal + low[0] * u + low[1] * v
     length, width = (high - low).tolist()
     return Surface(name, origin + 0.0, u, v, normal, (length, width)).where(shape)

@@ -23,9 +23,9 @@ from lmd.space.triangles import Triangles, unit_normals
 # Of the height, which a wall takes at least, and of the ground, which floor and ceiling do.
 WALL, GROUND = 0.9, 0.5
 # Relative, by which the coordinates of a file may be rounded.
-ROUNDING = 1e-5
+FILE_ROUNDING = 1e-5
 # Nothing hangs where something stands so near before the surface, metres.
-BEFORE = 0.01
+FREE_BEFORE_M = 0.01
 # A door or a window as it was captured is so near to its wall, metres.
 ON_WALL = 0.15
 # Which side of a patch is the room's is asked at so many places, this far (m) before it, from so many positions.
@@ -105,7 +105,7 @@ class Scan:
 
     @cached_property
     def solids(self) -> Triangles | None:
-        """Those from which the camera keeps its clearance: all but floor and ceiling, what is level at either end."""
+        """The triangles from which the camera keeps its clearance: all but those of floor and ceiling."""
         z, (low, high) = self._corners[..., 2], self.bounds
         level = np.abs(unit_normals(self._corners)[:, 2]) > LEVEL_NORMAL_Z
         ends = (z.max(axis=1) < low[2] + STOREY) | (z.min(axis=1) > high[2] - STOREY)
@@ -132,8 +132,8 @@ class Scan:
 
     @property
     def _half_edge(self) -> float:
-        """Of the square of `least_area`, which has to hang on a patch, metres."""
-        return float(np.sqrt(self.least_area)) / 2.0 * (1.0 - ROUNDING)
+        """Half the edge, metres, of the square of `least_area` that has to fit on a patch."""
+        return float(np.sqrt(self.least_area)) / 2.0 * (1.0 - FILE_ROUNDING)
 
     @cached_property
     def _patches(self) -> dict[str, IntArray]:
@@ -141,7 +141,7 @@ class Scan:
         chosen = []
         for part in self._flat:
             corners = self._corners[part]
-            if areas_of(corners).sum() < self.least_area * (1.0 - ROUNDING):
+            if areas_of(corners).sum() < self.least_area * (1.0 - FILE_ROUNDING):
                 break  # they come by their area
             normal, uneven = plane_of(corners)
             if uneven <= UNEVEN:
@@ -202,7 +202,7 @@ class Scan:
         return given + [part for thing in self.mesh.on_walls if (part := _lying_on(surface, *thing)) is not None]
 
     def _standing(self, surface: Surface) -> list[Any]:
-        """What other triangles cover of a patch, in its coordinates: they lie on it, or are less than `BEFORE` away.
+        """What triangles that lie on a patch, or within `FREE_BEFORE_M` of it, cover of it, in its coordinates.
 
         Those that cross it at a right angle cover a line.
         """
@@ -211,29 +211,29 @@ class Scan:
         other = np.ones(len(self._corners), dtype=np.bool_)
         other[self._patches[surface.name]] = False
         depth = (self._corners - surface.origin) @ surface.normal
-        near = other & (depth.min(axis=1) <= BEFORE) & (depth.max(axis=1) >= -PLACEMENT_TOLERANCE)
+        near = other & (depth.min(axis=1) <= FREE_BEFORE_M) & (depth.max(axis=1) >= -PLACEMENT_TOLERANCE)
         shapes = []
         for corners, height in zip(self._corners[near] - surface.origin, depth[near], strict=True):
-            part = _between(corners, height, -PLACEMENT_TOLERANCE, BEFORE)
+            part = _between(corners, height, -PLACEMENT_TOLERANCE, FREE_BEFORE_M)
             shapes.append(shapely.MultiPoint(np.stack([part @ surface.u, part @ surface.v], axis=1)).convex_hull)
         return shapes
 
     def _inside(self, surface: Surface, region: Any, standing: Sequence[Any]) -> Any:
         """The part of a region of a patch that is in the room: not below its floor, beyond a wall or in furniture.
 
-        What stands on the patch divides it into cells; slits of two `BEFORE` between are closed. Nothing crosses a
-        cell, so that all of it is in the room if one place of it is.
+        What stands on the patch divides it into cells; slits of two `FREE_BEFORE_M` between are closed. Nothing crosses
+        a cell, so that all of it is in the room if one place of it is.
         """
         import shapely
 
         lines = [shape for shape in standing if shape.geom_type == "LineString"]
         divided = region.difference(shapely.union_all(_grown(lines, PLACEMENT_TOLERANCE)))
         outside = []
-        for cell in shapely.get_parts(polygons(_grown(divided, -BEFORE))):
+        for cell in shapely.get_parts(polygons(_grown(divided, -FREE_BEFORE_M))):
             pieces = trapezoids(cell)
             places = surface.point(*spread(pieces, np.full((len(pieces), 2), 0.5)).T) + AWAY * surface.normal
             if not self.interior.contains(places).any():
-                outside.append(_grown(cell, BEFORE))
+                outside.append(_grown(cell, FREE_BEFORE_M))
         return polygons(region.difference(shapely.union_all(outside))) if outside else region
 
     @cached_property
@@ -290,7 +290,7 @@ class Scan:
 
 
 def _lying_on(surface: Surface, name: str, corners: FloatArray) -> KeepOut | None:
-    """What lies on a wall, `(N, 3)` corners, as a keep-out of a surface; None if it does not lie on that one."""
+    """The keep-out of a surface that a thing with corners `(N, 3)` makes; None if it does not lie on that surface."""
     import shapely
 
     if np.abs((corners - surface.origin) @ surface.normal).max() > ON_WALL:
@@ -327,7 +327,7 @@ def _shape(surface: Surface) -> Any:
 
 
 def _between(corners: FloatArray, height: FloatArray, low: float, high: float) -> FloatArray:
-    """Corners of the part of a triangle `(3, 3)` whose heights `(3,)` are from `low` to `high`, `(m, 3)`, any order."""
+    """Corners, `(m, 3)` in any order, of the part of a triangle `(3, 3)` between the heights `low` and `high`."""
     found = [corners[(height >= low) & (height <= high)]]
     for i, j in ((0, 1), (1, 2), (2, 0)):
         for limit in (low, high):

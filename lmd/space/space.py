@@ -24,7 +24,7 @@ class Space(Protocol):
         """The surfaces that may carry landmarks; a landmark carries the index of its own."""
 
     def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
-        """The index of the surface that each landmark `(K, 3)` hangs on, -1 where it hangs on none, `(K,)`.
+        """The index, `(K,)`, of the surface that each landmark `(K, 3)` hangs on; -1 if it hangs on none.
 
         Also where none may hang, see `Surface.allowed`.
         """

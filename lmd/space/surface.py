@@ -9,17 +9,27 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
-from lmd.space.allowed import EDGE, eroded, find_nearest, gathered, polygons, rectangle, sizes, spread, trapezoids
+from lmd.space.allowed import (
+    EDGE_TOLERANCE,
+    eroded,
+    find_nearest,
+    gathered,
+    polygons,
+    rectangle,
+    sizes,
+    spread,
+    trapezoids,
+)
 
 # Landmarks this far (m) outside still count as inside: a CSV rounded to micrometres is not an error.
 PLACEMENT_TOLERANCE = 1e-6
 # Landmarks of a file rounded to micrometres may be so far beside where they may hang, or overlap by so much, metres.
-MISPLACED = 2e-6
+FILE_TOLERANCE = 2e-6
 
 # Landmarks so far from a surface belong to it, metres: somebody measured them, or they have a board behind them.
 NEAR_SURFACE = 0.05
 # A landmark faces away from a surface if its normal is within 45 degrees of that of the surface.
-FACING = math.sqrt(0.5)
+FACING_COSINE = math.sqrt(0.5)
 # The normal of a wall has a smaller vertical part than this, that of a floor or a ceiling a larger one than that.
 UPRIGHT, FLAT = 1e-3, 0.5
 
@@ -173,7 +183,7 @@ def surface_near(surfaces: Sequence[Surface], positions: FloatArray, normals: Fl
     nearest that it faces away from, or else to the nearest.
     """
     distance = np.array([surface.distance(positions) for surface in surfaces])  # (W, K)
-    facing = np.array([surface.normal for surface in surfaces]) @ normals.T >= FACING
+    facing = np.array([surface.normal for surface in surfaces]) @ normals.T >= FACING_COSINE
     rank = np.where(facing, distance, distance + NEAR_SURFACE)
     nearest = np.where(distance <= NEAR_SURFACE, rank, np.inf).argmin(axis=0)
     return np.where(distance.min(axis=0) <= NEAR_SURFACE, nearest, -1)
@@ -199,22 +209,26 @@ def free_of(face: Surface, region: Any, margin: float, band: Sequence[float] | N
 
 
 class SurfaceArrays(NamedTuple):
-    """Surfaces as arrays, for many landmarks at once and for compiled code.
-
-    origin, u, v, normal `(W, 3)`; extent `(W, 2)`. Where landmarks may hang is cut into T trapezoids (`allowed`):
-    pieces `(T, 6)`; first `(W + 1,)`, from and to which they are those of a surface; of_piece `(T,)` the surface of
-    each; shares `(T,)`, the cumulative share of the area, for drawing one.
-    """
+    """W surfaces as arrays, for many landmarks at once and for compiled code."""
 
     origin: np.ndarray
+    """`(W, 3)` the corner from which u and v are measured, metres."""
     u: np.ndarray
+    """`(W, 3)` unit, along the surface."""
     v: np.ndarray
+    """`(W, 3)` unit, along the surface."""
     normal: np.ndarray
+    """`(W, 3)` unit."""
     extent: np.ndarray
+    """`(W, 2)` along u and v, metres."""
     pieces: np.ndarray
+    """`(T, 6)` trapezoids in which landmarks may hang, see `allowed`."""
     first: np.ndarray
+    """`(W + 1,)` those of surface w are from `first[w]` to `first[w + 1]`."""
     of_piece: np.ndarray
+    """`(T,)` the surface of each."""
     shares: np.ndarray
+    """`(T,)` the cumulative share of the area, for drawing one."""
 
     @classmethod
     def of(cls, surfaces: Sequence[Surface]) -> "SurfaceArrays":
@@ -231,7 +245,7 @@ class SurfaceArrays(NamedTuple):
 
     @property
     def area(self) -> FloatArray:
-        """Of each trapezoid, `(T,)`, square metres."""
+        """The area of each trapezoid, square metres, `(T,)`."""
         return sizes(self.pieces)
 
     def depth(self, points: FloatArray) -> FloatArray:
@@ -251,7 +265,7 @@ class SurfaceArrays(NamedTuple):
         find_nearest(self.pieces, self.first, np.broadcast_to(surface, at.shape[:-1]).reshape(-1), flat, out, piece)
         return out.reshape(at.shape), piece.reshape(at.shape[:-1])
 
-    def allow(self, surface: IntArray, at: FloatArray, tolerance: float = EDGE) -> BoolArray:
+    def allow(self, surface: IntArray, at: FloatArray, tolerance: float = EDGE_TOLERANCE) -> BoolArray:
         """Whether landmarks may hang at `at` `(..., 2)` on surfaces `(...)`, or `tolerance` metres beside, `(...)`."""
         return np.asarray(np.abs(self.nearest(surface, at)[0] - at).max(axis=-1) <= tolerance)
 

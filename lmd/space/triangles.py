@@ -22,36 +22,42 @@ from lmd.core.compiled import inner, kernel
 from lmd.space.box_tree import box_tree
 
 # By which boxes are larger than what they hold, relative to the largest coordinate: more than rounding.
-PADDING = 1e-12
+BOX_PADDING = 1e-12
 # A point so close to a plane, or a triangle so thin, metres, has no side; squared, that is an area.
-THINNEST = 1e-7
+THINNEST_M = 1e-7
 
 
 class Triangles(NamedTuple):
-    """T triangles and the N boxes of their tree, in the order in which a walk from the root meets them.
-
-    normals `(T, 3)` unit, offsets `(T,)`; corners `(T, 3, 3)`; borders `(T, 3, 4)`, of each edge the unit normal in the
-    plane, inwards, and its offset; beyond `(T, 3, 3)`, the normal of the triangle over each edge on the same side of
-    the surface, 0 if there is none; apex `(T, 3)`, numbers of the corners. Of corner v, the edges that end there are
-    rows `ending[v]` to `ending[v + 1]` of spokes `(S, 2, 3)`, the normals on either side. Of a box: centres, halves
-    `(N, 3)`; skip `(N,)`, the next one if nothing in it is wanted; first, stop `(N,)`, its triangles if it is not
-    divided. All in metres.
-    """
+    """T triangles and the N boxes of their tree, in the order in which a walk from the root meets them; metres."""
 
     normals: np.ndarray
+    """`(T, 3)` unit."""
     offsets: np.ndarray
+    """`(T,)` n . x of the points x of each plane."""
     corners: np.ndarray
+    """`(T, 3, 3)`."""
     borders: np.ndarray
+    """`(T, 3, 4)` of each edge the unit normal in the plane, inwards, and its offset."""
     beyond: np.ndarray
+    """`(T, 3, 3)` the normal of the triangle over each edge, on the same side of the surface; 0 if there is none."""
     apex: np.ndarray
+    """`(T, 3)` numbers of the corners."""
     ending: np.ndarray
+    """Edges that end at corner v are rows `ending[v]` to `ending[v + 1]` of `spokes`."""
     spokes: np.ndarray
+    """`(S, 2, 3)` the normals on either side of an edge."""
     centres: np.ndarray
+    """`(N, 3)` of the boxes."""
     halves: np.ndarray
+    """`(N, 3)` half the extent of each box."""
     skip: np.ndarray
+    """`(N,)` the next box if nothing in this one is wanted."""
     first: np.ndarray
+    """`(N,)` the first triangle of a box that is not divided."""
     stop: np.ndarray
+    """`(N,)` the one behind its last."""
     tolerance: float
+    """By which a line may come near the plane or the edges of a triangle."""
 
     @classmethod
     def of(cls, vertices: FloatArray, faces: IntArray, tolerance: float) -> "Triangles":
@@ -62,7 +68,7 @@ class Triangles(NamedTuple):
         inwards = np.cross(normals[:, None], way / np.linalg.norm(way, axis=-1, keepdims=True))
         borders = np.concatenate([inwards, (inwards * corners).sum(axis=-1, keepdims=True)], axis=-1)
         beyond = _beyond(faces, normals)
-        padding = tolerance + PADDING * np.abs(vertices).max()
+        padding = tolerance + BOX_PADDING * np.abs(vertices).max()
         order, *tree = box_tree(corners.min(axis=1) - padding, corners.max(axis=1) + padding)
         parts = (normals, (normals * corners[:, 0]).sum(axis=-1), corners, borders, beyond, faces)
         ends = np.concatenate([faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)])
@@ -103,7 +109,7 @@ STEP, AHEAD = 1e-3, 1.0
 
 
 def unit_normals(corners: FloatArray) -> FloatArray:
-    """Of triangles `(T, 3, 3)`, to the side from which they run counter-clockwise, `(T, 3)`."""
+    """Unit normals `(T, 3)` of triangles `(T, 3, 3)`, to the side from which they run counter-clockwise."""
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True) + 0.0)
 

@@ -33,20 +33,20 @@ from lmd.survey.residuals import (
     summed,
 )
 from lmd.survey.sightings import Sightings
-from lmd.survey.student import FREEDOM, RESIDUALS, solved, weight_of
+from lmd.survey.student import DEGREES_OF_FREEDOM, RESIDUALS, solved, weight_of
 
 # The mean of (nu + 8) chi^2 / (nu + chi^2) where chi^2 has its own distribution with 8 degrees of freedom.
 NORMAL_MEAN = 7.5625
 LEAST_SHARE = 0.1
-CHUNK = 128  # frames that are eliminated at once
-RESECTIONS = 10  # steps of Gauss and Newton for frames alone
+FRAME_CHUNK = 128  # frames that are eliminated at once
+RESECTION_STEPS = 10  # steps of Gauss and Newton for frames alone
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-9, 1e6
 # What remains to be gained, relative to the number of sightings, when a step is the last.
-CONVERGED = 1e-7
+LEAST_GAIN = 1e-7
 
 
 def _cost(square: FloatArray, residuals: int = RESIDUALS) -> float:
-    return float((FREEDOM + residuals) / 2.0 * np.log1p(square / FREEDOM).sum())
+    return float((DEGREES_OF_FREEDOM + residuals) / 2.0 * np.log1p(square / DEGREES_OF_FREEDOM).sum())
 
 
 @dataclass(frozen=True)
@@ -65,17 +65,18 @@ class Adjusted:
 
 
 class Eliminated(NamedTuple):
-    """Some frames that were eliminated.
-
-    seen, of: the frames, and which of these each sighting is of; block: H_ff, `(f, 6, 6)`; gradient: g_f, `(f, 6)`;
-    crosses: for each kind of what is kept, which of it each sighting is of, and what that adds to H_kf, `(n, 6, 6)`.
-    """
+    """Some frames that were eliminated: f of them, with n sightings."""
 
     seen: IntArray
+    """`(f,)` the frames."""
     of: IntArray
+    """`(n,)` which of these each sighting is of."""
     block: FloatArray
+    """`(f, 6, 6)` H_ff."""
     gradient: FloatArray
+    """`(f, 6)` g_f."""
     crosses: list[tuple[IntArray, FloatArray]]
+    """For each kind of what is kept: which of it each sighting is of, and what that adds to H_kf, `(n, 6, 6)`."""
 
 
 class Adjustment:
@@ -100,8 +101,8 @@ class Adjustment:
 
     def chunks(self) -> Iterator[slice]:
         """The sightings of some frames at a time."""
-        for start in range(0, len(self.first) - 1, CHUNK):
-            yield slice(self.first[start], self.first[min(start + CHUNK, len(self.first) - 1)])
+        for start in range(0, len(self.first) - 1, FRAME_CHUNK):
+            yield slice(self.first[start], self.first[min(start + FRAME_CHUNK, len(self.first) - 1)])
 
     def squares(self, poses: Poses, floor: float) -> FloatArray:
         """chi^2 of each sighting, `(N,)`."""
@@ -128,7 +129,7 @@ class Adjustment:
         return high
 
     def covariance(self, poses: Poses, floor: float) -> FloatArray:
-        """Of the twists of what is kept, each in its own frame, `(6 kept, 6 kept)`; NaN for tags that were not seen.
+        """Covariance of the twists that are kept, each in its own frame, `(6 kept, 6 kept)`; NaN for tags unseen.
 
         The weights of Student's distribution neither waste nor invent information: with w(chi^2) the mean of
         (w + 2 w' chi^2 / 8) is what the slope of the equations loses, that of w^2 chi^2 / 8 is the variance of their
@@ -136,7 +137,7 @@ class Adjustment:
         """
         square = self.squares(poses, floor) / self.share
         weight = weight_of(square)
-        slope = (weight - 2.0 / RESIDUALS * square * weight / (FREEDOM + square)).mean()
+        slope = (weight - 2.0 / RESIDUALS * square * weight / (DEGREES_OF_FREEDOM + square)).mean()
         spread = (weight**2 * square).mean() / RESIDUALS
         matrix, *_ = self.reduced(poses, floor, 0.0, float(slope**2 / spread))
         spoken = np.flatnonzero(np.diag(matrix) > 0.0)
@@ -171,7 +172,7 @@ class Adjustment:
         return Poses(tags, frames, mounts)
 
     def unknowns(self, some: Sightings, at: Linearised) -> list[tuple[IntArray, FloatArray]]:
-        """For each kind of what is kept, which of it some sightings are of, `(n,)`, and its slope, `(n, 8, 6)`."""
+        """For each kind of unknown that is kept: which one each sighting has, `(n,)`, and its slope, `(n, 8, 6)`."""
         found = [(some.tag, at.by_tag)]
         if self.mounts:
             others = some.camera > 0
@@ -276,12 +277,12 @@ class Adjustment:
             gained, poses, damping = cost - found, tried, max(damping / 10.0, LEAST_DAMPING)
             before, floor = floor, self.floor(poses, most)
             cost = self.cost(poses, floor)
-            if gained < CONVERGED * len(self.sightings) and abs(floor - before) < 1e-3 * before + 1e-6:
+            if gained < LEAST_GAIN * len(self.sightings) and abs(floor - before) < 1e-3 * before + 1e-6:
                 break
         return Adjusted(_orthonormal(poses), floor, self.squares(poses, floor))
 
 
-def resected(sightings: Sightings, poses: Poses, floor: float, steps: int = RESECTIONS) -> FloatArray:
+def resected(sightings: Sightings, poses: Poses, floor: float, steps: int = RESECTION_STEPS) -> FloatArray:
     """The frames with everything else fixed, `(F, 4, 4)`, from where `poses` has them."""
     frames = poses.frames
     seen, of = np.unique(sightings.frame, return_inverse=True)
@@ -298,7 +299,7 @@ def resected(sightings: Sightings, poses: Poses, floor: float, steps: int = RESE
 
 
 def _orthonormal(poses: Poses) -> Poses:
-    """The same with rotations that many products have left exact."""
+    """The same poses, with the rotations made orthonormal after many products."""
 
     def exact(pose: FloatArray) -> FloatArray:
         result = pose.copy()

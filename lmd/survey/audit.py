@@ -10,37 +10,37 @@ import pandas as pd
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.detection.evaluation import precision_recall
 from lmd.detection.frames import Sightings, tagged_room
-from lmd.detection.report import PITCHES, Prediction, by_incidence, by_pitch, by_place, by_tag
-from lmd.geometry.se3 import axis_and_right
-from lmd.problem import Problem
+from lmd.detection.prediction import Predicted, Prediction, RigPrediction
+from lmd.detection.report import PITCHES, by_incidence, by_pitch, by_place, by_tag
 from lmd.render.renderer import Renderer
+from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
-from lmd.sight.views import visible
+from lmd.sight.views import visible_through
 from lmd.survey.report import map_of
 from lmd.survey.survey import Survey
 
 # A tag stands out that is detected so many standard deviations less often than others of its pitch, and half as often.
 STANDS_OUT, HALF = 4.0, 0.5
 
-Verdicts = Callable[[Scene, Deployment, FloatArray], dict[str, BoolArray]]
+Verdicts = Callable[[Scene, Deployment, FloatArray, Camera], dict[str, BoolArray]]
 
 
 @dataclass(frozen=True)
 class Audit:
-    """N frames of a survey, and the K tags of its map.
+    """N frames of a survey, and the K tags of its map; of C cameras C K tags, camera by camera.
 
     Args:
         prediction: what was predicted of them.
         seen: what was detected; false are detections that do not show a tag where it hangs.
     """
 
-    prediction: Prediction
+    prediction: Predicted
     seen: Sightings
 
     @cached_property
     def expected(self) -> FloatArray:
-        """The chance of each tag to be detected if it is like others of its pitch, `(N, K)`; 0 if not predicted."""
+        """The chance of each tag to be detected if it is like others of its pitch, `(N, C K)`; 0 if not predicted."""
         visible, detected = self.prediction.visible, self.seen.detected
         place = np.searchsorted(PITCHES, self.prediction.pitch, side="right") - 1
         chance = np.zeros(visible.shape)
@@ -53,11 +53,15 @@ class Audit:
     def tags(self) -> pd.DataFrame:
         """A row for each tag: the columns of `by_tag` and three more.
 
-        `confirmed` are the frames in which it was predicted and detected, `expected` is how many these would be if it
+        `confirmed` are the images in which it was predicted and detected, `expected` is how many these would be if it
         were like others; `stands_out` says whether it is not.
         """
-        confirmed = (self.prediction.visible & self.seen.detected).sum(axis=0)
-        expected, spread = self.expected.sum(axis=0), np.sqrt((self.expected * (1.0 - self.expected)).sum(axis=0))
+        chance, cameras = self.expected, len(self.prediction.parts)
+        confirmed, expected, variance = (
+            images.sum(axis=0).reshape(cameras, -1).sum(axis=0)
+            for images in (self.prediction.visible & self.seen.detected, chance, chance * (1.0 - chance))
+        )
+        spread = np.sqrt(variance)
         odd = (confirmed < expected - STANDS_OUT * spread) & (confirmed < HALF * expected)
         table = by_tag(self.prediction, self.seen)
         return table.assign(confirmed=confirmed, expected=expected, stands_out=odd)
@@ -96,39 +100,48 @@ class Audit:
         return head + (f"\nstand out   {named}" if named else "")
 
 
-def audited(survey: Survey, problem: Problem, verdicts: Verdicts) -> Audit:
-    """Predict what the frames of a survey show of its map.
+def audited(survey: Survey, scene: Scene, verdicts: Verdicts) -> Audit:
+    """Predict what the frames of a survey show of its map, in the images of all its cameras.
 
     Args:
-        survey: of one camera.
-        problem: has the room and the visibility model.
+        survey: of the scene's cameras.
+        scene: room, cameras and visibility model; where cameras are mounted the survey knows better.
         verdicts: says which criteria a tag meets, see `lmd.evaluation.verdicts`.
 
     Raises:
-        InputError: the problem has a rig, or its tag is a point.
+        InputError: the scene's tag is a point.
     """
-    scene = problem.scene
-    camera = scene.single_camera("audit")
-    tags = map_of(survey).hung(scene.room, anywhere=True, edge=scene.plates.edge)
     found = survey.found
-    poses = found.poses.frames[found.frames]
-    predicted = visible(problem.evaluator, tags, poses[:, :3, 3], axis_and_right(poses))
-    renderer = Renderer(camera, tagged_room(scene.room, tags, scene.tag))
-    prediction = Prediction(renderer, poses, predicted, verdicts(scene, tags, poses))
-    return Audit(prediction, seen_of(survey))
+    tags = map_of(survey)
+    tags = tags.hung(scene.room, anywhere=True, papers=scene.plates.papers(tags))
+    room, bodies, mounts = (
+        tagged_room(scene.room, tags, scene.tag),
+        found.poses.frames[found.frames],
+        found.poses.mounts,
+    )
+    parts = []
+    for camera, mount in zip(scene.cameras, mounts, strict=True):
+        poses = bodies @ mount
+        seen = visible_through(scene, camera, tags, poses)
+        parts.append(Prediction(Renderer(camera, room), poses, seen, verdicts(scene, tags, poses, camera)))
+    prediction = parts[0] if len(parts) == 1 else RigPrediction(tuple(parts), mounts, bodies)
+    return Audit(prediction, Sightings.beside(seen_of(survey)))
 
 
-def seen_of(survey: Survey) -> Sightings:
-    """What was detected of the tags of the map in its frames."""
+def seen_of(survey: Survey) -> list[Sightings]:
+    """What was detected of the tags of the map in its frames, by each camera."""
     found, some = survey.found, survey.found.sightings
     frame = np.full(some.frames, -1)
     frame[found.frames] = np.arange(len(found.frames))
     tag = np.full(len(survey.ids), -1)
     tag[survey.placed] = np.arange(survey.placed.sum())
-    detected = np.zeros((len(found.frames), int(survey.placed.sum())), dtype=bool)
-    corners = np.full((*detected.shape, 4, 2), np.nan)
-    own = found.used & survey.placed[some.tag]
-    at = frame[some.frame[own]], tag[some.tag[own]]
-    detected[at], corners[at] = True, some.image[own]
-    false = np.bincount(frame[some.frame[found.misfits & (frame[some.frame] >= 0)]], minlength=len(found.frames))
-    return Sightings(detected, corners, false)
+    each = []
+    for camera in range(some.cameras):
+        detected = np.zeros((len(found.frames), int(survey.placed.sum())), dtype=bool)
+        corners = np.full((*detected.shape, 4, 2), np.nan)
+        own = some.camera == camera
+        right, wrong = own & found.used & survey.placed[some.tag], own & found.misfits & (frame[some.frame] >= 0)
+        at = frame[some.frame[right]], tag[some.tag[right]]
+        detected[at], corners[at] = True, some.image[right]
+        each.append(Sightings(detected, corners, np.bincount(frame[some.frame[wrong]], minlength=len(detected))))
+    return each

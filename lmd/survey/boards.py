@@ -15,7 +15,7 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, real
 from lmd.core.tables import read_table
 from lmd.geometry.se3 import adjoint, exp, inverse, log, pose_of
-from lmd.survey.student import FREEDOM, solved, weight_of
+from lmd.survey.student import DEGREES_OF_FREEDOM, solved, weight_of
 
 # Standard deviations of how a sheet bends, off its plane (metres) and out of it (rad), and of turns in it, rad.
 BENT, TILTED, TURNED = 0.001, 0.005, 0.001
@@ -105,7 +105,7 @@ class Sheets:
     information: FloatArray
 
     def of(self, placed: BoolArray) -> "Sheets":
-        """Those whose tags are placed, `(K,)`, on sheets that have two of these."""
+        """The sheets of the tags that are `placed`, `(K,)`; a sheet with fewer than two of these is left out."""
         own = placed[self.tag]
         own &= np.bincount(self.board[own], minlength=self.board.max(initial=0) + 1)[self.board] >= FEWEST
         board = np.unique(self.board[own], return_inverse=True)[1]
@@ -134,7 +134,7 @@ class Sheets:
         one, other = self.pairs
         proposed = tags[self.tag] @ inverse(self.poses)
         squares = (self.information * self._off(proposed[one], other, tags) ** 2).sum(axis=1)
-        cost = np.bincount(one, np.log1p(squares / FREEDOM))
+        cost = np.bincount(one, np.log1p(squares / DEGREES_OF_FREEDOM))
         order = np.lexsort((cost, self.board))
         sheets = proposed[order[np.unique(self.board[order], return_index=True)[1]]]
         every = np.arange(len(self.tag))
@@ -158,7 +158,7 @@ class Sheets:
         return result
 
     def couplings(self, weights: FloatArray) -> FloatArray:
-        """D A (A' D A)^-1 A' D of all `pairs`, `(P, 6, 6)`, where tags count with `weights` `(M,)`."""
+        """What all `pairs` know of each other, D A (A' D A)^-1 A' D, `(P, 6, 6)`, for `weights` `(M,)` of tags."""
         one, other = self.pairs
         scaled = self.information * weights[:, None]
         wide = scaled[..., None] * self.turned

@@ -9,13 +9,13 @@ from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.geometry.se3 import exp, inverse, log
 from lmd.survey.adjustment import Adjustment
 from lmd.survey.gauge import blocks_of, without_gauge
-from lmd.survey.known import EXACT, aligned, turned_as
+from lmd.survey.known import EXACT_SIGMA, aligned, turned_as
 from lmd.survey.residuals import Poses, Prior, errors_at
 from lmd.survey.sightings import Sightings
-from lmd.survey.start import FLOOR, place
+from lmd.survey.start import FLOOR_PIXELS, place
 
 # A sighting whose chi^2 is larger, with eight degrees of freedom, does not show the tag where it hangs.
-MISFIT = 60.0
+MISFIT_CHI_SQUARE = 60.0
 STEPS, FINAL_STEPS = 40, 15
 # Threads that share matrices of some hundred rows wait for each other longer than they work.
 ONE_THREAD = 1
@@ -62,7 +62,7 @@ class Estimate:
         return np.unique(self.sightings.frame[self.used])
 
     def in_world(self, covariances: FloatArray) -> FloatArray:
-        """Of the position and of the turn of each tag, world frame, m^2 and rad^2, `(K, 6, 6)`.
+        """Covariances of the position and of the turn of each tag, world frame, m^2 and rad^2, `(K, 6, 6)`.
 
         Args:
             covariances: of their twists, in their own frames, `(K, 6, 6)`.
@@ -73,7 +73,7 @@ class Estimate:
         return np.asarray(whole @ covariances @ np.swapaxes(whole, 1, 2))
 
     def moved(self, motion: FloatArray) -> "Estimate":
-        """The same in another world, to which a motion `(4, 4)` leads."""
+        """The estimate in another world, to which a motion `(4, 4)` leads."""
         poses = replace(self.poses, tags=motion @ self.poses.tags, frames=motion @ self.poses.frames)
         return replace(self, poses=poses, prior=replace(self.prior, tags=motion @ self.prior.tags))
 
@@ -102,7 +102,7 @@ def estimate(sightings: Sightings, prior: Prior, origin: int | None = None) -> E
         if group.max(initial=-1) < 0:
             raise InputError("detections never show two tags at once, of which one leaves no doubt.", "detections")
         poses, group, prior = _in_one_world(sightings, joined(sightings, rough, prior.mounts), group, prior, origin)
-        return adjusted(sightings, prior, poses, group, FLOOR)
+        return adjusted(sightings, prior, poses, group, FLOOR_PIXELS)
 
 
 def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, floor: float) -> Estimate:
@@ -121,7 +121,7 @@ def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, 
         found = adjustment.run(poses, floor, steps)
         poses, floor = found.poses, found.floor
         square = errors_at(sightings, poses) / (sightings.noise**2 + floor**2)
-        misfits = of_map & (square > MISFIT)
+        misfits = of_map & (square > MISFIT_CHI_SQUARE)
         used = of_map & ~misfits
     used = twice_in_frame(sightings, used)
     every = Adjustment(sightings.of(used), prior, lenses=True)
@@ -141,7 +141,7 @@ def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, 
 
 
 def twice_in_frame(sightings: Sightings, used: BoolArray) -> BoolArray:
-    """Those of the sightings `used` whose frames have at least two of them: one alone says nothing of the map."""
+    """The sightings among `used` whose frames have at least two of them: one alone says nothing of the map."""
     counts = np.bincount(sightings.frame[used], minlength=sightings.frames)
     return np.asarray(used & (counts[sightings.frame] >= 2))
 
@@ -223,7 +223,7 @@ def _origin(
             raise InputError(f"origin = {origin} is no tag that could be placed.", "origin")
         first = int(among[0])
     information = prior.information.copy()
-    information[first] = EXACT**-2.0
+    information[first] = EXACT_SIGMA**-2.0
     tags = prior.tags.copy()
     tags[first] = np.eye(4)
     return first, replace(prior, tags=tags, information=information)

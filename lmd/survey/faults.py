@@ -12,17 +12,17 @@ from threadpoolctl import threadpool_limits
 
 from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import angle_between, exp
-from lmd.survey.estimate import MISFIT, ONE_THREAD, Estimate, adjusted
+from lmd.survey.estimate import MISFIT_CHI_SQUARE, ONE_THREAD, Estimate, adjusted
 from lmd.survey.residuals import Poses, errors_at, linearise, summed
 from lmd.survey.start import Placing, agreeing, proposals
 from lmd.survey.student import RESIDUALS, solved, weight_of
 
 # So many sightings, and so much of all that do not fit, make a second place.
-FEWEST, LEAST_SHARE = 3, 0.5
+FEWEST_SIGHTINGS, LEAST_SHARE = 3, 0.5
 # The two places of a tag are so many of its edges apart, or turned so far from each other, rad.
-APART, TURNED = 0.2, 0.3
+APART_EDGES, TURNED_RAD = 0.2, 0.3
 # Of the frames before and after a tag was moved, so much may be out of order.
-ORDERED = 0.1
+OUT_OF_ORDER_SHARE = 0.1
 # A size is another one if it differs by so much, is known so many times better, and if so many sightings then fit.
 SIZE_DIFFERS, SIZE_SIGMAS, SIZE_SHARE = 0.02, 5.0, 0.5
 SIZE_STEPS = 15
@@ -101,23 +101,23 @@ def _second_places(found: Estimate) -> list[SecondPlace]:
     """The tags that agreeing sightings show at a second place."""
     counts = np.bincount(found.sightings.tag[found.misfits], minlength=len(found.group))
     known = np.isfinite(found.poses.frames[found.sightings.frame, 0, 0])
-    often = counts[found.sightings.tag] >= FEWEST
+    often = counts[found.sightings.tag] >= FEWEST_SIGHTINGS
     some = found.sightings.of(np.flatnonzero(found.misfits & known & often)).apart()
     if not len(some):
         return []
     placing = Placing(some, proposals(some))
     placing.frames = _views(found.poses)
-    placing.settle(np.arange(len(some)), by_frame=False, fewest=FEWEST)
-    agree = errors_at(some, placing.poses) / (some.noise**2 + found.floor**2) <= MISFIT
+    placing.settle(np.arange(len(some)), by_frame=False, fewest=FEWEST_SIGHTINGS)
+    agree = errors_at(some, placing.poses) / (some.noise**2 + found.floor**2) <= MISFIT_CHI_SQUARE
     places = []
     for tag in np.unique(some.tag).tolist():
         there = some.frame[agree & (some.tag == tag)] % found.sightings.frames
-        if len(there) < max(FEWEST, LEAST_SHARE * counts[tag]):
+        if len(there) < max(FEWEST_SIGHTINGS, LEAST_SHARE * counts[tag]):
             continue
         here = found.sightings.frame[found.used & (found.sightings.tag == tag)]
         own = found.poses.tags[tag]
         away = np.linalg.norm(own[:3, 3] - placing.tags[tag, :3, 3]) / found.sightings.edges[tag]
-        if not here.size or (away < APART and angle_between(own, placing.tags[tag]) < TURNED):
+        if not here.size or (away < APART_EDGES and angle_between(own, placing.tags[tag]) < TURNED_RAD):
             continue
         later = bool(np.median(there) > np.median(here))
         moved = _change(here, there) if later else _change(there, here)
@@ -127,8 +127,10 @@ def _second_places(found: Estimate) -> list[SecondPlace]:
 
 def _change(first: IntArray, second: IntArray) -> int | None:
     """The frame from which on the `second` frames follow the `first` ones; None if they are mixed."""
-    begins = int(np.quantile(second, ORDERED / 2.0))
-    mixed = (first >= begins).mean() > ORDERED or np.intersect1d(first, second).size > ORDERED * len(first)
+    begins = int(np.quantile(second, OUT_OF_ORDER_SHARE / 2.0))
+    mixed = (first >= begins).mean() > OUT_OF_ORDER_SHARE or np.intersect1d(
+        first, second
+    ).size > OUT_OF_ORDER_SHARE * len(first)
     return None if mixed else begins
 
 
@@ -163,8 +165,8 @@ def _sizes(found: Estimate) -> tuple[dict[int, float], Poses]:
     other = (np.abs(growth) > SIZE_DIFFERS) & (np.abs(growth) > SIZE_SIGMAS * sigma)
     counts = np.bincount(some.tag, minlength=count)
     poses = replace(found.poses, tags=tags)
-    fits = errors_at(replace(some, edges=told * np.exp(growth)), poses) / variance <= MISFIT
-    other &= (counts >= FEWEST) & (np.bincount(some.tag, fits, minlength=count) >= SIZE_SHARE * counts)
+    fits = errors_at(replace(some, edges=told * np.exp(growth)), poses) / variance <= MISFIT_CHI_SQUARE
+    other &= (counts >= FEWEST_SIGHTINGS) & (np.bincount(some.tag, fits, minlength=count) >= SIZE_SHARE * counts)
     changed = np.flatnonzero(other)
     kept = found.poses.tags.copy()
     kept[changed] = tags[changed]

@@ -7,7 +7,7 @@ from lmd.geometry.se3 import adjoint, inverse
 
 
 def blocks_of(covariance: FloatArray, count: int) -> FloatArray:
-    """Those of each of `count` parts of the unknowns by themselves, `(count, m, m)`."""
+    """The covariances of `count` equal parts of the unknowns, each by itself, `(count, m, m)`."""
     size = len(covariance) // count
     return np.stack([covariance[size * k : size * (k + 1), size * k : size * (k + 1)] for k in range(count)])
 

@@ -10,7 +10,7 @@ from lmd.survey.adjustment import resected
 from lmd.survey.estimate import ONE_THREAD, Estimate, adjusted, twice_in_frame
 from lmd.survey.residuals import errors_at
 
-EVERY = 5  # one frame of so many is held out
+HELD_OUT_STEP = 5  # one frame of so many is held out
 FEWEST_FRAMES = 10  # of the map; with fewer, those that are left would say too little
 
 
@@ -39,7 +39,7 @@ def held_out(found: Estimate, plan: FloatArray | None = None) -> dict[str, Local
     """
     if len(found.frames) < FEWEST_FRAMES:
         return {}
-    out = np.isin(found.sightings.frame, found.frames[EVERY // 2 :: EVERY])
+    out = np.isin(found.sightings.frame, found.frames[HELD_OUT_STEP // 2 :: HELD_OUT_STEP])
     others = found.sightings.of(~out)
     with threadpool_limits(limits=ONE_THREAD):
         rest = adjusted(others, found.prior, found.poses, found.group, found.floor)

@@ -21,17 +21,17 @@ from lmd.scene.camera import Camera
 from lmd.survey.adjustment import Adjustment
 from lmd.survey.estimate import ONE_THREAD, Estimate, adjusted
 from lmd.survey.sightings import Sightings
-from lmd.survey.start import FLOOR
+from lmd.survey.start import FLOOR_PIXELS
 
 # Standard deviations of what intrinsics may be off: of the focal length, of the image's size, of coefficients.
-FOCAL, CENTRE, COEFFICIENT = 0.1, 0.1, 0.3
-ROUNDS = 10
-SETTLED = 0.5  # standard deviations; a smaller step is the last
-HALVINGS = 6  # of a step that leads to no camera
+FOCAL_SIGMA, CENTRE_SIGMA, COEFFICIENT_SIGMA = 0.1, 0.1, 0.3
+MOST_ROUNDS = 10
+SETTLED_SIGMAS = 0.5  # standard deviations; a smaller step is the last
+MOST_HALVINGS = 6  # of a step that leads to no camera
 DIFFERENCE = 1e-4  # of a coefficient
 # Photographs fix the intrinsics if `Calibrated.unsure` is less, pixels.
-FIXED = 1.0
-GRID = 9  # places along each side of the image that this is asked at
+FIXED_PIXELS = 1.0
+GRID_SIDE = 9  # places along each side of the image that this is asked at
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Calibrated:
     @property
     def is_fixed(self) -> bool:
         """Whether the photographs tell the intrinsics."""
-        return self.unsure <= FIXED
+        return self.unsure <= FIXED_PIXELS
 
     def document(self) -> dict[str, Any]:
         """What a JSON file says of it; centres from the image's border, pixels."""
@@ -107,9 +107,9 @@ def camera_info(camera: Camera) -> dict[str, Any]:
 
 def spreads(camera: Camera) -> FloatArray:
     """What each of the `parameters` may be off, one standard deviation, `(P,)`."""
-    focal = FOCAL * camera.focal_pixels
-    centre = CENTRE * np.array([camera.image_width, camera.image_height])
-    return np.concatenate([focal, centre, np.full(len(camera.distortion), COEFFICIENT)])
+    focal = FOCAL_SIGMA * camera.focal_pixels
+    centre = CENTRE_SIGMA * np.array([camera.image_width, camera.image_height])
+    return np.concatenate([focal, centre, np.full(len(camera.distortion), COEFFICIENT_SIGMA)])
 
 
 def slopes(camera: Camera, directions: FloatArray) -> FloatArray:
@@ -157,21 +157,21 @@ def calibrated(
     size = freed(found.sightings, cameras, given).lens.shape[2]
     off = np.zeros((len(given), size))
     with threadpool_limits(limits=ONE_THREAD):
-        for _ in range(ROUNDS):
+        for _ in range(MOST_ROUNDS):
             some = freed(found.sightings.of(found.used), cameras, given)
             step = Adjustment(some, found.prior, lenses=True).lens_step(found.poses, found.floor, off)
             cameras, off = _stepped(given, off, step)
             sightings = freed(again(cameras), cameras, given)
-            found = adjusted(sightings, found.prior, found.poses, found.group, FLOOR)
+            found = adjusted(sightings, found.prior, found.poses, found.group, FLOOR_PIXELS)
             sigma = np.sqrt(np.diagonal(found.intrinsics, axis1=1, axis2=2))
-            if (np.abs(step) < SETTLED * sigma).all():
+            if (np.abs(step) < SETTLED_SIGMAS * sigma).all():
                 break
     return found, cameras
 
 
 def _stepped(given: Sequence[Camera], off: FloatArray, step: FloatArray) -> tuple[tuple[Camera, ...], FloatArray]:
     """The cameras after a step, or the first part of it that leads to cameras, and how far they are off those given."""
-    for halving in range(HALVINGS):
+    for halving in range(MOST_HALVINGS):
         there = off + 0.5**halving * step
         try:
             return tuple(_at(camera, there[index]) for index, camera in enumerate(given)), there
@@ -192,7 +192,7 @@ def judged(found: Estimate, given: Sequence[Camera], cameras: Sequence[Camera]) 
         size = len(parameters(after))
         spread = spreads(before)
         own = covariance[:size, :size] * np.outer(spread, spread)
-        across, down = np.meshgrid(np.linspace(0.0, 1.0, GRID), np.linspace(0.0, 1.0, GRID))
+        across, down = np.meshgrid(np.linspace(0.0, 1.0, GRID_SIDE), np.linspace(0.0, 1.0, GRID_SIDE))
         places = np.stack([across * after.image_width, down * after.image_height], axis=-1).reshape(-1, 2)
         seen = bearings(after, places)
         seen = seen[np.isfinite(seen).all(axis=-1)]

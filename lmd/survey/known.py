@@ -11,15 +11,15 @@ from lmd.geometry.se3 import inverse, laid_over, pose_of
 from lmd.scene.deployment import Deployment
 from lmd.survey.boards import Boards
 from lmd.survey.residuals import Prior
-from lmd.survey.student import FREEDOM
+from lmd.survey.student import DEGREES_OF_FREEDOM
 
 # Standard deviations of what is taken for exact, metres and rad.
-EXACT = 1e-6
+EXACT_SIGMA = 1e-6
 # Standard deviation of a centre that a tape measure says, metres.
-MEASURED = 0.005
+TAPE_SIGMA_M = 0.005
 # Points fix a world if there are three, which extend so far beside a line, metres.
 FEWEST_POINTS, NO_LINE = 3, 0.05
-LEVEL = 1e-3
+LEVEL_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -50,13 +50,13 @@ class Hanging:
 
     @property
     def deviations(self) -> FloatArray:
-        """Of the turns about x, y and z of a tag, and of the ways along them, `(6,)`."""
+        """Standard deviations of a tag's rotations about its x, y and z, and of its shifts along them, `(6,)`."""
         tilt, depth = (self.tilt, self.depth) if self.flush else (self.turn, self.place)
         return np.array([tilt, tilt, self.turn, self.place, self.place, depth])
 
 
 def poses_of(deployment: Deployment) -> FloatArray:
-    """The poses of tags, x to their right, y up and z out of them, to the world, `(K, 4, 4)`."""
+    """The poses of tags in the world, `(K, 4, 4)`. Of a tag x is right, y up and z out of it."""
     up, normal = deployment.ups, deployment.normals
     return pose_of(np.stack([np.cross(up, normal), up, normal], axis=-1), deployment.places)
 
@@ -127,15 +127,15 @@ def prior_of(
         tags[of], information[of] = poses_of(plan)[among], hanging.deviations**-2.0
     if points is not None:
         of, among = shared(points.ids)
-        tags[of, :3, 3], information[of, 3:] = points.places[among], MEASURED**-2.0
+        tags[of, :3, 3], information[of, 3:] = points.places[among], TAPE_SIGMA_M**-2.0
     if fixed is not None:
         of, among = shared(fixed.ids)
-        tags[of], information[of] = poses_of(fixed)[among], EXACT**-2.0
+        tags[of], information[of] = poses_of(fixed)[among], EXACT_SIGMA**-2.0
     return Prior(tags, information, None if boards is None else boards.among(ids), mounts)
 
 
 def aligned(tags: FloatArray, prior: Prior) -> FloatArray | None:
-    """The motion from the world of `tags` `(K, 4, 4)` to that of the prior, `(4, 4)`; None if it does not say one.
+    """The motion, `(4, 4)`, from the world of `tags` `(K, 4, 4)` to the prior's; None if the prior does not fix it.
 
     Every tag whose pose is known proposes a motion; the one with which most of the others are where they are expected
     is taken. Without any, it is the one that brings centres best to where they are known to be, three or more.
@@ -146,7 +146,7 @@ def aligned(tags: FloatArray, prior: Prior) -> FloatArray | None:
         return _laid_over(tags, prior, np.flatnonzero(prior.information.any(axis=1) & there))
     motions = prior.tags[known] @ inverse(tags[known])
     some = Prior(prior.tags[known], prior.information[known])
-    costs = [np.log1p(some.squares(motion @ tags[known]) / FREEDOM).sum() for motion in motions]
+    costs = [np.log1p(some.squares(motion @ tags[known]) / DEGREES_OF_FREEDOM).sum() for motion in motions]
     return np.asarray(motions[int(np.argmin(costs))])
 
 
@@ -190,7 +190,7 @@ def levelled(tags: FloatArray, floor: IntArray, origin: int) -> FloatArray:
         raise InputError("floor has tags that lie in a line.", "floor")
     up = axes[2] * np.sign((tags[floor, :3, 2] @ axes[2]).sum())
     ahead = np.cross(up, tags[origin, :3, 0])
-    if np.linalg.norm(ahead) < LEVEL:  # the tag is turned with its right up
+    if np.linalg.norm(ahead) < LEVEL_TOLERANCE:  # the tag is turned with its right up
         ahead = np.cross(up, tags[origin, :3, 1])
     ahead /= np.linalg.norm(ahead)
     turn = np.stack([np.cross(ahead, up), ahead, up])

@@ -27,14 +27,16 @@ from lmd.survey.sightings import Sightings
 from lmd.survey.student import RESIDUALS
 from lmd.survey.survey import Photograph, Survey
 
-MOST = 5  # photographs that are proposed
+MOST_PHOTOGRAPHS = 5  # photographs that are proposed
 LEAST_GAIN = 0.03  # of the sum of variances; a photograph that lowers it by less is not proposed
 PLACES, TARGETS = 30, 8  # of earlier frames, and of tags that need a photograph: so many are tried
 DISTANCES, SIDEWAYS = (0.8, 1.5, 2.5), (-0.7, 0.0, 0.7)  # metres and rad, from which such a tag is tried
-TRIED = 200  # candidates that are weighed
+MOST_CANDIDATES = 200  # candidates that are weighed
+# Photographs from so near, metres, that look the same way, as a cosine, have errors in common that no covariance knows.
+NEAR_ANOTHER, SAME_WAY = 0.3, 0.966
 # A tag is counted on if its modules are so large, pixels, and it is not steeper, as a cosine.
-PITCH, STEEPEST = 3.0, 0.3
-MARGIN = 5.0  # pixels from the border of the image
+LEAST_PITCH, LEAST_COSINE = 3.0, 0.3
+MARGIN_PIXELS = 5.0  # pixels from the border of the image
 
 
 def next_photographs(
@@ -59,7 +61,7 @@ def next_photographs(
         shown, image = _shown(camera, poses, tags, survey.found.sightings.edges, modules, known, room)
         worth = np.flatnonzero((shown.sum(axis=1) >= 2) & shown[:, needy].any(axis=1))
         order = np.lexsort((-shown[worth].sum(axis=1), -shown[worth][:, needy].sum(axis=1)))
-        tried = worth[order[:TRIED]]
+        tried = worth[order[:MOST_CANDIDATES]]
         slopes = [
             _slopes(survey, camera, modules, errors, tags, poses[k], np.flatnonzero(shown[k]), image[k])
             for k in tried.tolist()
@@ -68,7 +70,7 @@ def next_photographs(
 
 
 def _believed(survey: Survey) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Where tags hang or should, `(K, 4, 4)`, the covariance of their twists, `(6 K, 6 K)`, and which are known."""
+    """Poses of tags, found or planned, `(K, 4, 4)`; the covariance of their twists, `(6 K, 6 K)`; which are known."""
     found, size = survey.found, 6 * len(survey.ids)
     every = Adjustment(found.sightings.of(found.used), found.prior, lenses=True)
     covariance = every.covariance(found.poses, found.floor)[:size, :size]
@@ -83,7 +85,7 @@ def _believed(survey: Survey) -> tuple[FloatArray, FloatArray, BoolArray]:
 
 
 def _candidates(survey: Survey, tags: FloatArray, needy: IntArray, room: Space | None) -> FloatArray:
-    """Poses of level cameras, from where others were and from before tags, that look at tags, `(M, 4, 4)`."""
+    """Poses of level cameras that look at tags, `(M, 4, 4)`: where earlier frames were taken, and before tags."""
     frames = survey.found.poses.frames[survey.found.frames]
     up = -frames[:, :3, 1].mean(axis=0)
     up /= np.linalg.norm(up)
@@ -126,10 +128,10 @@ def _shown(
     image = project(camera, poses, points.reshape(-1, 3)).reshape(len(poses), len(tags), 4, 2)
     towards = poses[:, None, :3, 3] - tags[:, :3, 3]
     facing = (towards * tags[:, :3, 2]).sum(axis=-1) / np.linalg.norm(towards, axis=-1)
-    most = np.array([camera.image_width, camera.image_height]) - MARGIN
+    most = np.array([camera.image_width, camera.image_height]) - MARGIN_PIXELS
     sides = np.linalg.norm(image - np.roll(image, 1, axis=2), axis=-1).min(axis=-1)
-    inside = ((image > MARGIN) & (image < most)).all(axis=(2, 3))
-    shown = inside & (facing > STEEPEST) & (sides > PITCH * modules) & known
+    inside = ((image > MARGIN_PIXELS) & (image < most)).all(axis=(2, 3))
+    shown = inside & (facing > LEAST_COSINE) & (sides > LEAST_PITCH * modules) & known
     if room is not None:
         which, tag = np.nonzero(shown)
         before = tags[tag, :3, 3] + 1e-3 * tags[tag, :3, 2]
@@ -147,7 +149,7 @@ def _slopes(
     own: IntArray,
     image: FloatArray,
 ) -> FloatArray:
-    """J of a photograph: whitened, by the twists of the tags `own`, without what its pose takes, `(8 n, 6 n)`."""
+    """Derivatives J of a photograph by the twists of the tags `own`, whitened and freed from its pose, `(8 n, 6 n)`."""
     count, corners = len(own), image[own]
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1).min(axis=1)
     directions = bearings(camera, corners)
@@ -175,14 +177,16 @@ def _greedy(
     candidates: Sequence[tuple[FloatArray, IntArray]],
     slopes: Sequence[FloatArray],
 ) -> tuple[Photograph, ...]:
-    """The best candidate, again and again."""
+    """The best candidate that is not like those before it, again and again."""
     rows = np.flatnonzero(np.repeat(known, 6))
     place = np.cumsum(known) - 1
     left = gauge_free(tags[known])
     left = left[np.tile(np.arange(6) >= 3, int(known.sum()))]  # what is counted: places
     whole = covariance[np.ix_(rows, rows)]
+    poses = np.reshape([pose for pose, _ in candidates], (-1, 4, 4))
+    fresh = np.ones(len(candidates), dtype=bool)
     chosen: list[Photograph] = []
-    for _ in range(MOST):
+    for _ in range(MOST_PHOTOGRAPHS):
         seen = left @ whole
         total = float((seen * left).sum())
         gains = np.zeros(len(candidates))
@@ -190,7 +194,7 @@ def _greedy(
             index = (6 * place[own][:, None] + np.arange(6)).ravel()
             inner = np.eye(len(slopes_of)) + slopes_of @ whole[np.ix_(index, index)] @ slopes_of.T
             half = slopes_of @ seen[:, index].T
-            gains[k] = (half * np.linalg.solve(inner, half)).sum()
+            gains[k] = fresh[k] * (half * np.linalg.solve(inner, half)).sum()
         if not len(candidates) or gains.max() < LEAST_GAIN * total:
             break
         best = int(np.argmax(gains))
@@ -199,5 +203,7 @@ def _greedy(
         inner = np.eye(len(slopes[best])) + slopes[best] @ whole[np.ix_(index, index)] @ slopes[best].T
         half = slopes[best] @ whole[index]
         whole = whole - half.T @ np.linalg.solve(inner, half)
+        near = np.linalg.norm(poses[:, :3, 3] - pose[:3, 3], axis=1) < NEAR_ANOTHER
+        fresh &= ~(near & (poses[:, :3, 2] @ pose[:3, 2] > SAME_WAY))
         chosen.append(Photograph(pose, own, float(np.sqrt(max(total - gains[best], 0.0) / known.sum()))))
     return tuple(chosen)

@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike
 from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import inverse, log
 from lmd.scene.deployment import COLUMNS, UP_COLUMNS, Deployment
-from lmd.scene.labels import EDGE, ID, Labels
+from lmd.scene.edges import EDGE, with_gaps
+from lmd.scene.labels import ID, Labels
 from lmd.scene.surveyed import Surveyed
 from lmd.survey.residuals import errors_at
 from lmd.survey.survey import Survey
@@ -26,31 +27,34 @@ LISTED = 12  # tags that a terminal names
 def map_of(survey: Survey) -> Deployment:
     """The tags of the map as they hang, with the edge of each and how many sightings place it."""
     found, chosen = survey.found, np.flatnonzero(survey.placed)
-    edges = [f"{edge:.6g}" for edge in found.sightings.edges[chosen]]
-    labels = Labels(survey.ids[chosen], {EDGE: edges, SIGHTINGS: [str(count) for count in survey.used[chosen]]})
+    edges = np.array([float(f"{edge:.6g}") for edge in found.sightings.edges[chosen]])
+    labels = Labels(survey.ids[chosen], {SIGHTINGS: [str(count) for count in survey.used[chosen]]})
     poses = found.poses.tags[chosen]
     places = poses[:, :3, 3]
-    return Deployment(places, poses[:, :3, 2], labels=labels, surveyed=Surveyed(places, places, poses[:, :3, 1]))
+    surveyed = Surveyed(places, places, poses[:, :3, 1])
+    return Deployment(places, poses[:, :3, 2], labels=labels, surveyed=surveyed, edges=edges)
 
 
 def measured_of(survey: Survey) -> Deployment | None:
-    """The tags of the plan, in its order, those that were not placed where they were planned; None without a plan."""
+    """The tags of the plan, in its order, as measured, or as planned if not placed; None without a plan."""
     plan = survey.known.plan
     if plan is None:
         return None
     found = map_of(survey)
+    assert found.edges is not None
     place = {number: k for k, number in enumerate(found.ids.tolist())}
     own = np.array([place.get(number, -1) for number in plan.ids.tolist()])
     there = own >= 0
 
     def either(measured: FloatArray, planned: FloatArray) -> FloatArray:
-        return np.where(there[:, None], measured[own], planned)
+        return np.where(there[:, None] if planned.ndim > 1 else there, measured[own], planned)
 
     places, ups = either(found.places, plan.places), either(found.ups, plan.ups)
     counts = survey.used[np.searchsorted(survey.ids, plan.ids)]
     labels = Labels(plan.ids, {SIGHTINGS: [str(count) for count in counts.tolist()]})
     normals = either(found.normals, plan.normals)
-    return Deployment(places, normals, labels=labels, surveyed=Surveyed(places, places, ups))
+    edges = either(found.edges, with_gaps(plan.edges, len(plan)))
+    return Deployment(places, normals, labels=labels, surveyed=Surveyed(places, places, ups), edges=edges)
 
 
 def map_columns(survey: Survey) -> dict[str, ArrayLike]:
@@ -60,8 +64,9 @@ def map_columns(survey: Survey) -> dict[str, ArrayLike]:
     covariances = survey.found.in_world(survey.found.covariances)[survey.placed]
     upper = {f"cov_{AXES[i]}_{AXES[j]}": covariances[:, i, j] for i in range(len(AXES)) for j in range(i, len(AXES))}
     assert tags.labels is not None
-    columns = dict(zip((*COLUMNS, *UP_COLUMNS), vectors.T, strict=True))
-    return {ID: tags.ids, **columns, **tags.labels.columns, "sigma": sigmas(survey)[survey.placed], **upper}
+    assert tags.edges is not None
+    columns = {ID: tags.ids, **dict(zip((*COLUMNS, *UP_COLUMNS), vectors.T, strict=True)), EDGE: tags.edges}
+    return {**columns, **tags.labels.columns, "sigma": sigmas(survey)[survey.placed], **upper}
 
 
 def frame_columns(survey: Survey) -> dict[str, ArrayLike]:

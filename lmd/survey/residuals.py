@@ -52,7 +52,7 @@ class Prior:
     mounts: FloatArray | None = None
 
     def off(self, tags: FloatArray) -> FloatArray:
-        """The twists from what is known to `tags`, `(K, 6)`; 0 where nothing is known."""
+        """How far `tags` are from what is known of them: twists, `(K, 6)`; 0 where nothing is known."""
         known = self.information.any(axis=1)
         twists = np.zeros((len(tags), 6))
         twists[known] = log(inverse(self.tags[known]) @ tags[known])
@@ -64,20 +64,20 @@ class Prior:
 
 
 def in_cameras(sightings: Sightings, tags: FloatArray, frames: FloatArray, mounts: FloatArray) -> FloatArray:
-    """The corners in the frames of their cameras, `(N, 4, 3)`, for poses `(N, 4, 4)` of each sighting."""
+    """The corners of each sighting in the frame of its camera, `(N, 4, 3)`, for the poses `(N, 4, 4)`."""
     motion = inverse(mounts) @ inverse(frames) @ tags
     return np.asarray(sightings.corners @ np.swapaxes(motion[:, :3, :3], 1, 2) + motion[:, None, :3, 3])
 
 
 def residuals(sightings: Sightings, seen: FloatArray) -> FloatArray:
-    """e of corners at `seen` `(N, 4, 3)` in their cameras, `(N, 4, 2)`, pixels."""
+    """The residuals e, pixels, `(N, 4, 2)`, of corners at `seen` `(N, 4, 3)` in the frames of their cameras."""
     depth = (sightings.directions * seen).sum(axis=-1)[..., None]
     error = (sightings.tangents @ seen[..., None])[..., 0] / np.maximum(depth, NEAREST)
     return np.asarray(np.where(depth <= NEAREST, NOWHERE, error))
 
 
 def errors_at(sightings: Sightings, poses: Poses) -> FloatArray:
-    """|e|^2 of each sighting, pixels^2, `(N,)`; NaN for those of tags or frames that are not placed."""
+    """The squared error |e|^2 of each sighting, pixels^2, `(N,)`; NaN if its tag or frame is not placed."""
     mounted = gathered(sightings, poses)
     return np.asarray((residuals(sightings, in_cameras(sightings, *mounted)) ** 2).sum(axis=(1, 2)))
 

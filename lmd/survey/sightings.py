@@ -57,13 +57,13 @@ class Sightings:
         return len(self.frame)
 
     def of(self, chosen: IntArray | BoolArray) -> "Sightings":
-        """Those that `chosen` selects, of the same tags in the same frames."""
+        """The sightings that `chosen` selects; tags and frames keep their numbers."""
         names = ("frame", "camera", "tag", "image", "directions", "tangents", "sizes", "noise", "lens")
         rest = (getattr(self, name)[chosen] for name in names)
         return Sightings(self.ids, self.edges, self.frames, self.cameras, *rest)
 
     def apart(self) -> "Sightings":
-        """The same as if every camera were a body of its own: of C F frames, those of the first camera first."""
+        """The sightings as if every camera were a body of its own: C F frames, those of the first camera first."""
         order = np.argsort(self.frame + self.camera * self.frames, kind="stable")
         some = self.of(order)
         frames = some.frame + some.camera * self.frames

@@ -24,7 +24,7 @@ from lmd.survey.sightings import Sightings
 from lmd.survey.student import solved
 
 # What corners are off by, pixels, besides what the detector accounts for, when a pose is judged on its own.
-ASSUMED = 0.3
+ASSUMED_PIXELS = 0.3
 # A pose is beyond doubt, or likely, if the likelihood of the other one is less by so many powers of e.
 BEYOND_DOUBT, LIKELY = 6.0, 1.5
 # A sighting agrees with a pose if it is not farther off, root mean square, than this share of its size and some pixels.
@@ -36,13 +36,13 @@ DISPUTED, MUCH_WORSE = 0.2, 25.0
 # Of a frame or tag, the proposals come from so many of its sightings, the largest; the best are improved.
 PROPOSING, IMPROVED = 8, 3
 # It is judged by so many, the largest.
-JUDGING = 60
+JUDGED_BY = 60
 IMPROVING_STEPS, WIDE, NARROW = 12, 40.0, 3.0  # the scale of the weights goes from wide to narrow, pixels
 STEPS, FINAL_STEPS = 3, 8
 # A beginning with all tags where they were planned is good enough if so many sightings agree.
 AS_PLANNED = 0.8
-FLOOR = 3.0  # pixels; adjustments on the way take that much to be unexplained, at most
-ANCHORED = 1e-4  # metres and rad, by which the first tag of a group may move
+FLOOR_PIXELS = 3.0  # pixels; adjustments on the way take that much to be unexplained, at most
+ANCHOR_SIGMA = 1e-4  # metres and rad, by which the first tag of a group may move
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def proposals(sightings: Sightings) -> Proposals:
     order = np.argsort(error, axis=1)
     poses = np.take_along_axis(poses, order[..., None, None], axis=1)
     gap = np.diff(np.sort(error, axis=1), axis=1)[:, 0]
-    return Proposals(poses, gap / (2.0 * (sightings.noise**2 + ASSUMED**2)))
+    return Proposals(poses, gap / (2.0 * (sightings.noise**2 + ASSUMED_PIXELS**2)))
 
 
 def _relative_errors(sightings: Sightings, poses: FloatArray) -> FloatArray:
@@ -193,9 +193,9 @@ class Placing:
         both = self.placed(self.tags)[self.sightings.tag] & self.placed(self.frames)[self.sightings.frame]
         _, first = np.unique(self.group, return_index=True)
         information = np.zeros((len(self.tags), 6))
-        information[first[self.group[first] >= 0]] = 1.0 / ANCHORED**2
+        information[first[self.group[first] >= 0]] = 1.0 / ANCHOR_SIGMA**2
         adjustment = Adjustment(self.sightings.of(both), Prior(self.tags, information))
-        adjusted = adjustment.run(self.poses, FLOOR, steps)
+        adjusted = adjustment.run(self.poses, FLOOR_PIXELS, steps)
         self.tags, self.frames = adjusted.poses.tags, adjusted.poses.frames
 
     def settle(self, index: IntArray, by_frame: bool, fewest: int, share: float = LEAST_SHARE) -> None:
@@ -207,7 +207,7 @@ class Placing:
             fewest: how many sightings must agree.
             share: how many of all must.
         """
-        index = index[_rank(self.sightings, index, by_frame) < JUDGING]
+        index = index[_rank(self.sightings, index, by_frame) < JUDGED_BY]
         if not index.size:
             return
         trial = _Trial(self, self.sightings.of(index), by_frame)

@@ -7,7 +7,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray
 
-FREEDOM = 4.0  # nu
+DEGREES_OF_FREEDOM = 4.0  # nu
 RESIDUALS = 8  # of a tag: two for each corner
 
 
@@ -18,4 +18,4 @@ def solved(matrices: FloatArray, right: FloatArray) -> FloatArray:
 
 def weight_of(square: FloatArray, residuals: int = RESIDUALS) -> FloatArray:
     """(nu + d) / (nu + chi^2) for d residuals."""
-    return np.asarray((FREEDOM + residuals) / (FREEDOM + square))
+    return np.asarray((DEGREES_OF_FREEDOM + residuals) / (DEGREES_OF_FREEDOM + square))

@@ -64,14 +64,14 @@ class Known:
         """The edges of tags, metres: their own where a plan or a map says so, else that of all."""
         edges = np.full(len(ids), tag.size)
         for known in (self.plan, self.fixed):
-            if known is not None and known.labels is not None:
-                own = dict(zip(known.ids.tolist(), known.labels.edges.tolist(), strict=True))
+            if known is not None and known.edges is not None:
+                own = dict(zip(known.ids.tolist(), known.edges.tolist(), strict=True))
                 told = np.array([own.get(number, np.nan) for number in ids.tolist()])
                 edges = np.where(np.isnan(told), edges, told)
         return edges
 
     def planned(self, ids: IntArray) -> FloatArray | None:
-        """Where tags should hang, `(K, 4, 4)`, NaN where none is planned; None without a plan."""
+        """Planned poses, `(K, 4, 4)`; NaN for tags that are not in the plan, None without a plan."""
         if self.plan is None:
             return None
         poses = np.full((len(ids), 4, 4), np.nan)

@@ -1,10 +1,13 @@
-"""What each frame of a survey could have shown of its tags, and whether that was detected."""
+"""What each image of a survey could have shown of its tags, and whether that was detected."""
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lmd.core.checks import FloatArray, IntArray
 from lmd.detection.frames import overlapping, qualities
-from lmd.detection.surveyed import COLUMNS, FRAME
+from lmd.detection.surveyed import CAMERA, COLUMNS, FRAME
 from lmd.render.imaging import Imaging
 from lmd.render.optics import to_camera
 from lmd.render.renderer import Renderer
@@ -17,32 +20,48 @@ from lmd.survey.report import map_of
 from lmd.survey.survey import Survey
 
 OFF_WALL = 1e-3  # metres before a tag, where it is looked at
+WHOLE_NUMBERS = (CAMERA, "id", "seen")
 
 
-def view_columns(survey: Survey, camera: Camera, tag: Tag, room: Space | None) -> dict[str, ArrayLike]:
-    """The columns of `in_view.csv`: a row for each tag that has all its corners in a frame and faces it.
+def view_columns(survey: Survey, cameras: Sequence[Camera], tag: Tag, room: Space | None) -> dict[str, ArrayLike]:
+    """The columns of `in_view.csv`: a row for each tag that has all its corners in an image and faces the camera.
 
     Those that lie over others, or behind what stands in the room, are left out. See `lmd.detection.surveyed`.
 
     Args:
-        survey: of one camera.
-        camera: it.
+        survey: what was found.
+        cameras: that took the images.
         tag: family, and edge of those that have none of their own.
         room: None where it is not known.
     """
     tags, found = map_of(survey), survey.found
-    poses = found.poses.frames[found.frames]
-    renderer = Renderer(camera, TaggedRoom(tag, tags.ids, tags.places, tags.normals, tags.ups), Imaging())
+    tagged = TaggedRoom(tag, tags.ids, tags.places, tags.normals, tags.ups, edges=tags.edges_of(tag))
+    bodies = found.poses.frames[found.frames]
+    times = np.array([survey.detected.times[frame] for frame in found.frames.tolist()])
+    names, rows = [], []
+    for number, (camera, mount, seen) in enumerate(zip(cameras, found.poses.mounts, seen_of(survey), strict=True), 1):
+        frame, k, values = _in_images(Renderer(camera, tagged, Imaging()), bodies @ mount, room)
+        names.append(times[frame])
+        rows.append(np.column_stack([np.full(len(frame), number), tags.ids[k], values, seen.detected[frame, k]]))
+    columns = dict(zip((CAMERA, *COLUMNS), np.concatenate(rows).T, strict=True))
+    return {FRAME: np.concatenate(names), **columns, **{name: columns[name].astype(int) for name in WHOLE_NUMBERS}}
+
+
+def _in_images(renderer: Renderer, poses: FloatArray, room: Space | None) -> tuple[IntArray, IntArray, FloatArray]:
+    """Which image shows which tag, `(M,)` each, and the columns from u to edge, `(M, 6)`.
+
+    Args:
+        renderer: one camera and the tags.
+        poses: of its images, `(N, 4, 4)`.
+        room: None where it is not known.
+    """
+    tags = renderer.room
     pitch, incidence, edge, _ = qualities(renderer, poses)
-    whole = renderer.inside(poses) & ~overlapping(renderer.room)
-    frame, k = np.nonzero(whole)
+    frame, k = np.nonzero(renderer.inside(poses) & ~overlapping(tags))
     if room is not None:
-        clear = room.clear(poses[frame, :3, 3], tags.places[k] + OFF_WALL * tags.normals[k])
+        clear = room.clear(poses[frame, :3, 3], tags.centres[k] + OFF_WALL * tags.normals[k])
         frame, k = frame[clear], k[clear]
-    larger = (found.sightings.edges[survey.placed] / tag.size)[k]
     centres = renderer.corners(poses).mean(axis=2)[frame, k]
-    depth = to_camera(poses, tags.places)[frame, k, 2]
-    values = (centres[:, 0], centres[:, 1], depth, larger * pitch[frame, k], np.degrees(incidence[frame, k]))
-    names = [survey.detected.times[found.frames[index]] for index in frame.tolist()]
-    rows = (tags.ids[k], *values, larger * edge[frame, k], seen_of(survey).detected[frame, k].astype(int))
-    return {FRAME: names, **dict(zip(COLUMNS, rows, strict=True))}
+    depth = to_camera(poses, tags.centres)[frame, k, 2]
+    sizes = pitch[frame, k], np.degrees(incidence[frame, k]), edge[frame, k]
+    return frame, k, np.column_stack([centres, depth, *sizes])

@@ -13,7 +13,6 @@ from lmd.scene.rig import Mount, Rig
 
 CUBE = {"low": [-0.4, -0.3, 0.1], "high": [0.4, 0.3, 0.6], "faces": list(FACES)}
 CAMERA, OTHER = paper_camera(), paper_camera(focal_length=8.0)  # 86 x 70 degrees, 60 x 47 degrees
-NOT_WIDE = {"yaw": (-0.5, 0.5), "pitch": (-0.5, 0.5)}
 
 
 def space(count=1, body=None, lenses=(CAMERA,), **limits):

@@ -3,7 +3,6 @@
 import numpy as np
 
 from lmd.mapping.tag_map import TagMap
-from lmd.scene.labels import EDGE
 from lmd.scene.tag_map_files import read_deployment
 
 
@@ -19,7 +18,7 @@ def check_format(form, tags, folder):
         folder: is written to.
 
     Returns:
-        the deployment that was read; its labels have a column `edge` if the file says how large the tags are.
+        the deployment that was read; it has edges if the file says how large the tags are.
     """
     if form.check is not None:
         form.check(tags)
@@ -31,6 +30,6 @@ def check_format(form, tags, folder):
     np.testing.assert_array_equal(found.ids, deployment.ids)
     for field in ("positions", "normals", "ups"):
         np.testing.assert_allclose(getattr(found, field), getattr(deployment, field), atol=1e-7, err_msg=field)
-    if EDGE in found.labels.columns:
+    if found.edges is not None:
         np.testing.assert_allclose(TagMap(tags.room, tags.tag, found).sizes, tags.sizes, rtol=1e-9)
     return found

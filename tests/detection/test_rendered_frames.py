@@ -21,7 +21,8 @@ from lmd.detection.evaluation import agreement
 from lmd.detection.fit import Fit
 from lmd.detection.frames import Sightings, draw_poses, look, nudged, overlapping, picture, qualities, tagged_room
 from lmd.detection.mosaic import Mosaics, Views
-from lmd.detection.report import Prediction, by_pitch, by_tag, figures, repeated, to_markdown
+from lmd.detection.prediction import Prediction
+from lmd.detection.report import by_pitch, by_tag, figures, repeated, to_markdown
 from lmd.evaluation.verdicts import verdicts
 from lmd.geometry.se3 import axis_and_right, camera_pose, poses_from_rows
 from lmd.geometry.squares import upright

@@ -8,7 +8,8 @@ from paper import experiment_room, paper_scene
 
 from lmd.detection.detectors import ArucoDetector
 from lmd.detection.frames import Sightings, draw_poses, look, nudged, tagged_room
-from lmd.detection.report import Prediction, RigPrediction, by_pitch, by_tag, figures, repeated
+from lmd.detection.prediction import Prediction, RigPrediction
+from lmd.detection.report import by_pitch, by_tag, figures, repeated
 from lmd.evaluation.verdicts import verdicts
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer

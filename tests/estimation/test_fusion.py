@@ -173,7 +173,7 @@ def doubtful(frames=40):
     _, k = np.nonzero(seen)
     sigma = np.full(len(k), 0.5)
     found = exact[k] + np.random.default_rng(0).normal(scale=0.5, size=(len(k), 4, 2))
-    observed = observation(CAMERA, TAG, seen, found, sigma)
+    observed = observation(CAMERA, np.full(3, TAG.size), seen, found, sigma)
     template = recorded(TagDetector(TAG), flights=FLIGHTS[:1])
     return replace(
         template,

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from paper import paper_camera, paper_scene
 
 from lmd.core.checks import InputError
-from lmd.detection.corner_errors import CORNER_ERRORS, MIDDLES, CornerErrors
+from lmd.detection.corner_errors import CORNER_ERRORS, PITCH_MIDDLES, CornerErrors
 from lmd.detection.detectors import ArucoDetector, Detections
 from lmd.detection.evaluation import corner_error
 from lmd.detection.quality import pitch
@@ -62,7 +62,7 @@ def test_corner_errors_have_the_quantiles_of_their_table():
 
 
 def test_the_classes_are_those_that_detect_measures():
-    assert_allclose(np.sqrt(PITCHES[3:-2] * PITCHES[4:-1]), MIDDLES)
+    assert_allclose(np.sqrt(PITCHES[3:-2] * PITCHES[4:-1]), PITCH_MIDDLES)
 
 
 @pytest.mark.parametrize("name", CORNER_ERRORS)
@@ -94,8 +94,8 @@ def test_a_tags_place_is_as_uncertain_as_its_corners_say():
     exact = project(SCENE.camera, np.eye(4), square)
     found = exact + rng.normal(scale=sigma, size=(4000, 4, 2))
     seen = np.ones((4000, 1), dtype=bool)
-    observed = observation(SCENE.camera, TAG, seen, found, np.full(4000, sigma))
-    truth = observation(SCENE.camera, TAG, seen[:1], exact[None], np.zeros(1))
+    observed = observation(SCENE.camera, np.array([TAG.size]), seen, found, np.full(4000, sigma))
+    truth = observation(SCENE.camera, np.array([TAG.size]), seen[:1], exact[None], np.zeros(1))
     assert_allclose(truth.points[0, 0], centre, atol=1e-6)
     deviation = np.linalg.solve(np.linalg.cholesky(sigma**2 * truth.covariance[0]), (observed.points[:, 0] - centre).T)
     assert_allclose(deviation.std(axis=1), 1.0, rtol=0.1)

@@ -7,7 +7,7 @@ from matplotlib.image import imread
 from paper import X, paper_room, paper_scene
 
 from lmd.core.checks import InputError
-from lmd.evaluation.mounting import VIEWS, MountingError, mounted, off_grid_figures
+from lmd.evaluation.mounting import VIEWS_PER_DRAW, MountingError, mounted, off_grid_figures
 from lmd.evaluation.survey import read_measured, survey
 from lmd.evaluation.validation import Sample, validation_metrics
 from lmd.objectives.coverage import Coverage
@@ -107,7 +107,7 @@ def test_the_plan_is_scored_as_everywhere_and_every_draw_like_any_deployment():
     assert found.metrics()["fitness/95"] == table.loc["fitness", "95 %"]
     assert found.views.draw.isin(range(4)).all()
     assert (found.views.tags >= 2).all()
-    assert len(found.views) <= 4 * VIEWS
+    assert len(found.views) <= 4 * VIEWS_PER_DRAW
     assert "100 mm along their surface" in found.to_text()
 
 

@@ -9,7 +9,7 @@ from paper import paper_room, paper_scene
 from lmd.detection.frames import draw_poses
 from lmd.evaluation.maps import Hung, map_errors
 from lmd.evaluation.rig_sensitivity import RigMoments
-from lmd.evaluation.sensitivity import MISSED, sensitivity
+from lmd.evaluation.sensitivity import MISS_PROBABILITIES, sensitivity
 from lmd.evaluation.validation import Sample
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
@@ -65,7 +65,7 @@ def test_what_is_left_without_tags_is_what_the_others_are_worth(moments):
 
 
 def test_the_more_is_missed_the_less_is_left(moments):
-    missed = moments.missed(MISSED, np.random.default_rng(0))
+    missed = moments.missed(MISS_PROBABILITIES, np.random.default_rng(0))
     np.testing.assert_allclose(missed[0], shares(SCENE, DEPLOYMENT), rtol=1e-12)
     assert (np.diff(missed, axis=0) < 0.0).all()
 

@@ -10,7 +10,14 @@ from matplotlib.image import imread
 from paper import X, Y, paper_room, paper_scene
 from strategies import deployments, fiducial_scenes, scenes, seeds
 
-from lmd.evaluation.sensitivity import FACTORS, MISSED, SHARES, lost_shares, missed_shares, sensitivity
+from lmd.evaluation.sensitivity import (
+    FACTORS,
+    MISS_PROBABILITIES,
+    SHARE_COLUMNS,
+    lost_shares,
+    missed_shares,
+    sensitivity,
+)
 from lmd.evaluation.validation import Sample, sampled_values
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
@@ -19,7 +26,7 @@ from lmd.plot.sensitivity import save_sensitivity_figure
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment import Deployment
-from lmd.scene.deployment_sources import UniformDeployment
+from lmd.scene.deployment_sources import GivenDeployment, UniformDeployment
 from lmd.scene.labels import Labels
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
@@ -30,23 +37,11 @@ SAMPLE = Sample(groups=3, positions=20, divisions=4)
 TAG = Tag(0.1)
 
 
-class Given:
-    """A deployment of one's own as the start of a problem."""
-
-    varies = False
-
-    def __init__(self, deployment):
-        self.deployment = deployment
-
-    def draw(self, room, rng):
-        return self.deployment.hung(room)
-
-
 def problem_of(deployment=None, objective=None, tag=TAG, threads=1, **visibility):
     scene = replace(
         paper_scene(room=paper_room(spacing=1.5), orientations=pdf.grid_with_ends(6), **visibility), tag=tag
     )
-    start = UniformDeployment(30) if deployment is None else Given(deployment)
+    start = UniformDeployment(30) if deployment is None else GivenDeployment(deployment.hung(scene.room))
     return Problem(scene, objective or Localisation(), start, threads)
 
 
@@ -113,7 +108,7 @@ def test_of_two_landmarks_both_must_be_found():
     positions = np.array([[0.0, 2.0, 3.0], [0.0, 2.0, 3.0]])  # on one point, so that all who see one see two
     problem = problem_of(Deployment(positions, np.array([X, X])), Coverage(2, 0.5), Tag(), nu=0.0, occlusion="none")
     covered = measured(problem).misses.covered_share
-    np.testing.assert_allclose(covered, covered[0] * (1.0 - np.array(MISSED)) ** 2, rtol=1e-12)
+    np.testing.assert_allclose(covered, covered[0] * (1.0 - np.array(MISS_PROBABILITIES)) ** 2, rtol=1e-12)
 
 
 def test_without_a_tolerance_localised_is_covered():
@@ -161,8 +156,8 @@ def test_papers_that_would_overlap_have_a_sentence_instead_of_a_figure():
     edge = found.assumptions[found.assumptions.assumption == "edge"].set_index("factor")
     assert (edge.note.loc[:1.0] == "").all()
     assert "landmarks 0 and 1 on x_min overlap" in edge.note[2.0]
-    assert edge.loc[2.0, SHARES].isna().all()
-    assert edge.loc[:1.0, SHARES].notna().all(axis=None)
+    assert edge.loc[2.0, SHARE_COLUMNS].isna().all()
+    assert edge.loc[:1.0, SHARE_COLUMNS].notna().all(axis=None)
     assert "edge_2/localised_share" not in found.metrics()
     assert "edge x 2: landmarks 0 and 1" in found.to_text()
 
@@ -177,8 +172,8 @@ def test_the_number_of_threads_does_not_matter():
 def test_all_figures_have_a_name_and_are_shown(tmp_path):
     found = measured(problem_of())
     metrics = found.metrics()
-    assert len(metrics) == 2 * (3 * len(FACTORS) + len(MISSED) + 2 * 2)
-    assert metrics["missed_0.1/localised_share"] == found.misses.localised_share[MISSED.index(0.1)]
+    assert len(metrics) == 2 * (3 * len(FACTORS) + len(MISS_PROBABILITIES) + 2 * 2)
+    assert metrics["missed_0.1/localised_share"] == found.misses.localised_share[MISS_PROBABILITIES.index(0.1)]
     assert metrics["lost_1/localised_share_worst"] == found.tags.localised_loss.max()
     assert metrics["lost_1/covered_share_mean"] == pytest.approx(found.tags.covered_loss.mean())
     assert metrics["lost_2/localised_share_worst"] >= metrics["lost_1/localised_share_worst"]

@@ -190,7 +190,7 @@ def lab():
         surfaces=[f"wall_{i}" for i in range(6)],
     )
     source = UniformDeployment(16)
-    return TagMap(room, Tag(0.1), Plates(room, 0.125).draw(source, np.random.default_rng(0)))
+    return TagMap(room, Tag(0.1), Plates(room, Tag(0.1)).draw(source, np.random.default_rng(0)))
 
 
 def test_tags_are_hung_from_the_left_around_the_room():
@@ -297,3 +297,17 @@ def test_each_tag_has_a_box_to_tick_and_two_to_write_in(tmp_path):
     boxes = [tuple(size.round().astype(int).tolist()) for size in sizes if size[1] > 2.5]
     count = len(next(iter(tags.hung.values())))
     assert sorted(boxes) == count * [(3, 3)] + 2 * count * [(14, 3)]
+
+
+def test_the_plan_says_how_large_each_tag_is_where_they_differ(tmp_path):
+    tag = Tag(0.1, edges=(0.06, 0.1, 0.3))
+    deployment = UniformDeployment(6, "by_area").draw(ROOM, np.random.default_rng(0), tag)
+    write_plan(tmp_path / "plan.pdf", TagMap(ROOM, tag, deployment), "a4")
+    first, *others = (words(page) for page in pypdfium2.PdfDocument(tmp_path / "plan.pdf"))
+    assert first.startswith("6 tags of 36h11, 60, 100, 300 mm")
+    for number, edge in zip(deployment.ids.tolist(), deployment.edges.tolist(), strict=True):
+        assert any(f" {number} {1000 * edge:.0f} " in text for text in others)
+    with_free = Deployment(deployment.positions * 0.8 + 0.5, deployment.normals, edges=deployment.edges)
+    write_plan(tmp_path / "free.pdf", TagMap(ROOM, tag, with_free), "a4")
+    *_, last = pypdfium2.PdfDocument(tmp_path / "free.pdf")
+    assert "edge," in words(last)

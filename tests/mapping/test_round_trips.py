@@ -9,7 +9,7 @@ from contracts.format import check_format
 from scipy.spatial.transform import Rotation
 
 from lmd.core.checks import InputError
-from lmd.mapping.formats import FORMATS, Export
+from lmd.mapping.formats import FORMATS, ONE, Export
 from lmd.mapping.tag_map import TagMap
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
@@ -25,9 +25,9 @@ def turned_anyhow(seed):
     """Tags with random places and turns, two of them with edges of their own."""
     rng = np.random.default_rng(seed)
     axes = Rotation.random(9, rng).as_matrix()
-    edges = ["0.05", "", "0.4125", *[""] * 6]
-    places, labels = rng.uniform([0, 0, 0], [6, 4, 2.8], (9, 3)), Labels(rng.permutation(30)[:9], {"edge": edges})
-    return Deployment(places, axes[:, :, 2], labels=labels).turned("random", axes[:, :, 1])
+    edges = np.array([0.05, np.nan, 0.4125, *[np.nan] * 6])
+    places, labels = rng.uniform([0, 0, 0], [6, 4, 2.8], (9, 3)), Labels(rng.permutation(30)[:9])
+    return Deployment(places, axes[:, :, 2], labels=labels, edges=edges).turned("random", axes[:, :, 1])
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -35,10 +35,10 @@ def turned_anyhow(seed):
 @pytest.mark.parametrize("name", WITH_PLACES)
 def test_what_was_written_is_read_again(name, family, seed, tmp_path):
     form, deployment = FORMATS[name], turned_anyhow(seed)
-    if form.check is TagMap.check_one_edge:
-        deployment = replace(deployment, labels=Labels(deployment.ids))
+    if form.edges == ONE:
+        deployment = replace(deployment, edges=None)
     found = check_format(form, TagMap(ROOM, Tag(EDGE, family), deployment), tmp_path)
-    assert ("edge" in found.labels.columns) == (name not in ("wpilib", "frc971", "rtabmap"))
+    assert (found.edges is not None) == (name not in ("wpilib", "frc971", "rtabmap"))
 
 
 def test_duckietown_takes_tags_on_the_floor(tmp_path):
@@ -57,6 +57,9 @@ def test_what_has_one_edge_takes_no_tags_with_several():
     several = turned_anyhow(0)
     export = Export([*MAPS, "sheets"], "a4")
     unfit = export.unfit(TagMap(ROOM, Tag(EDGE), several))
-    assert set(unfit) == {"fiducial_vlam", "rtabmap", "sheets"}
+    assert set(unfit) == {"fiducial_vlam", "rtabmap"}
     with pytest.raises(InputError, match=r"^formats has fiducial_vlam: .* 0\.05, 0\.3, 0\.4125 m"):
         export.writers(ROOM, Tag(EDGE), several)
+    assert export.silent(TagMap(ROOM, Tag(EDGE), several)) == ("wpilib", "frc971")
+    with pytest.raises(InputError, match=r"^formats has rtabmap: .* 0\.05, 0\.1 m\.$"):  # before anything is placed
+        Export(["rtabmap"], "a4").check(Tag(EDGE, edges=[0.1, 0.05]))

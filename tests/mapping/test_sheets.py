@@ -232,14 +232,35 @@ def test_what_is_black_is_where_printers_print(edge, family, quiet_zone, paper):
 
 
 def test_sheets_are_described_by_how_many_there_are():
-    assert describe_sheets(Tag(0.1), "a4", 40) == "20 of a4, 2 to a sheet"
-    assert describe_sheets(Tag(0.3), "a4", 2).startswith(
-        "12 of a4: a tag is larger than a sheet and comes in 6 pieces,"
-    )
+    def described(tag, count):
+        drawn = UniformDeployment(count).draw(ROOM, np.random.default_rng(0), tag)
+        return describe_sheets(TagMap(ROOM, tag, drawn), "a4")
+
+    assert described(Tag(0.1), 40) == "20 of a4, 2 to a sheet"
+    pieces = "12 of a4: a tag is larger than a sheet and comes in 6 pieces,"
+    assert described(Tag(0.3), 2).startswith(pieces)
+    assert described(Tag(0.1, edges=(0.3, 0.1)), 4).startswith(f"100 mm: 1 of a4, 2 to a sheet; 300 mm: {pieces}")
+
+
+def test_each_size_has_its_own_sheets(tmp_path):
+    tag = Tag(0.1, edges=(0.06, 0.3, 0.1))
+    deployment = UniformDeployment(6).draw(ROOM, np.random.default_rng(0), tag)
+    write_sheets(tmp_path / "sheets.pdf", TagMap(ROOM, tag, deployment), "a4")
+    printed, read = [picture for picture, _ in pages(tmp_path / "sheets.pdf")], {}
+    assert len(printed) == 1 + 1 + 2 * 6  # small ones, middle ones, large ones in pieces
+    for picture in printed[:2]:
+        found = AprilTagDetector().detect(picture)
+        sides = np.linalg.norm(found.corners - np.roll(found.corners, 1, axis=1), axis=-1)
+        read |= dict(zip(found.ids.tolist(), MM * sides, strict=True))
+    assert sorted(read) == [0, 2, 3, 5]
+    for number, sides in read.items():
+        np.testing.assert_allclose(sides, 1000 * deployment.edges[number], atol=0.25)
+    texts = [page.get_textpage().get_text_range() for page in pypdfium2.PdfDocument(tmp_path / "sheets.pdf")]
+    assert all("black square 300 mm" in text for text in texts[2:])
 
 
 def test_the_same_sheets_are_the_same_bytes(tmp_path):
-    room = Plates(ROOM, 0.1)
+    room = Plates(ROOM, Tag(0.1, quiet_zone=0.0))
     deployment = room.draw(RandomDeployment(5), np.random.default_rng(0))
     for name in ("one", "two"):
         write_sheets(tmp_path / name, TagMap(ROOM, Tag(0.08), deployment), "a4")

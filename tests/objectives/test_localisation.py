@@ -22,13 +22,14 @@ from lmd.sight.models.fiducial import Fiducial
 TAG = Tag(0.1)
 
 
-def objectives(*rotations):
+def objectives(*rotations, ambiguity="ignored", most=3):
     return st.builds(
         Localisation,
-        n=st.integers(1, 3),
+        n=st.integers(1, most),
         tolerance=st.sampled_from([0.005, 0.02, 0.1, 0.5, np.inf]),
         pixel_noise=st.sampled_from([0.2, 0.5]),
         rotation_tolerance=st.sampled_from(rotations),
+        ambiguity=st.just(ambiguity),
         coverage_weight=st.sampled_from([0.0, 0.0, 0.3, 1.0]),
     )
 
@@ -42,9 +43,12 @@ def tagged(scene, tag):
 
 points_and_tags = st.builds(tagged, scenes(), tags)
 any_scene = st.one_of(points_and_tags, fiducial_scenes())
-# What is asked of rotations is compiled anew, and does not depend on what is seen: with one kind of scene it is enough.
+# What is asked of rotations or of a single tag is compiled anew, and does not depend on what is seen: with one kind of
+# scene it is enough.
 cases = st.one_of(
-    st.tuples(points_and_tags, objectives(0.003, 0.02, 10.0)), st.tuples(fiducial_scenes(), objectives(None))
+    st.tuples(points_and_tags, objectives(0.003, 0.02, 10.0)),
+    st.tuples(points_and_tags, objectives(None, ambiguity="resolved", most=2)),
+    st.tuples(fiducial_scenes(), objectives(None)),
 )
 
 
@@ -78,7 +82,7 @@ def test_views_are_localised_as_the_reference_says(data, case):
 def test_without_a_tolerance_it_is_coverage(data, scene, n):
     deployment, evaluator = data.draw(deployments(scene.room)), Evaluator(scene, threads=1)
     landmarks = deployment.positions[None], deployment.normals[None]
-    values = Localisation(n, tolerance=np.inf).values(evaluator, *landmarks)
+    values = Localisation(n, tolerance=np.inf, ambiguity="ignored").values(evaluator, *landmarks)
     np.testing.assert_array_equal(values, Coverage(n, 0.5).values(evaluator, *landmarks))
 
 
@@ -144,6 +148,7 @@ def test_more_is_localised_with_a_wider_tolerance_less_noise_and_larger_tags():
         ({"rotation_tolerance": 0.0}, "rotation_tolerance must be"),
         ({"coverage_weight": 1.5}, "coverage_weight must be"),
         ({"n": 0}, "n must be"),
+        ({"ambiguity": "solved"}, "ambiguity must be one of"),
     ],
 )
 def test_bad_settings_are_refused(settings_, message):

@@ -3,19 +3,23 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from bearings import view_matrices
+from contracts.field import check_field
+from examples import examples
+from hypothesis import given
+from hypothesis import strategies as st
 from paper import facing, one_position_room, paper_camera, paper_room, paper_scene
+from rigs import rig_scenes_with_deployments
+from strategies import deployments, seeds
 
-from lmd.core.checks import InputError
 from lmd.evaluation.accuracy import predicted_errors
-from lmd.objectives.localisation import Localisation
+from lmd.objectives.localisation import Localisation, reference
 from lmd.objectives.localisation.information import deviation_per_variance
 from lmd.objectives.localisation.rig import Moments, body_information
 from lmd.objectives.localisation.views import localised_views
 from lmd.problem import Problem
 from lmd.scene import pdf
-from lmd.scene.deployment_sources import UniformDeployment
+from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.rig import Mount, Rig
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
@@ -89,13 +93,66 @@ def test_two_cameras_by_hand():
     seen = np.array([[[True, False]], [[False, True]]])
     asked, one = LOCALISATION.precision(scene), np.zeros(1, dtype=np.int64)
     moments = Moments(one, one, one + 1, np.full((1, 3), 2.0), axes, seen)
-    c, b, a = body_information(evaluator, deployment, moments, asked)
-    np.testing.assert_allclose(c[0], np.diag([2.0 / r**2, 0.0, 2.0 / r**2]), atol=1e-9)
-    np.testing.assert_allclose(a[0], np.diag([2.0, 0.0, 2.0]), atol=1e-9)
-    np.testing.assert_allclose(b[0], 0.0, atol=1e-9)
+    told = body_information(evaluator, deployment, moments, asked)[0]
+    np.testing.assert_allclose(told[:6], [2.0 / r**2, 0.0, 0.0, 0.0, 0.0, 2.0 / r**2], atol=1e-9)
+    np.testing.assert_allclose(told[6:15], 0.0, atol=1e-9)
+    np.testing.assert_allclose(told[15:21], [2.0, 0.0, 0.0, 0.0, 0.0, 2.0], atol=1e-9)
 
 
-def test_what_moves_single_landmarks_refuses_a_rig():
-    scene = replace(SCENE, camera=RIG)
-    with pytest.raises(InputError, match="moving single landmarks for localisation works with a single camera"):
-        LOCALISATION.field(Evaluator(scene, threads=1))
+tags = st.sampled_from([Tag(), Tag(0.1), Tag(0.3)])
+
+
+def localisations(rotations):
+    return st.builds(
+        Localisation,
+        n=st.integers(1, 3),
+        tolerance=st.sampled_from([0.005, 0.02, 0.1, 0.5, np.inf]),
+        rotation_tolerance=rotations,
+        coverage_weight=st.sampled_from([0.0, 0.0, 0.3, 1.0]),
+    )
+
+
+# What is asked of rotations is compiled anew: with one kind of scene it is enough.
+cases = st.one_of(
+    st.tuples(rig_scenes_with_deployments(), localisations(st.sampled_from([0.003, 0.02, 10.0])), tags),
+    st.tuples(rig_scenes_with_deployments(fiducial=True), localisations(st.none()), st.none()),
+)
+
+
+@examples(60)
+@given(data=st.data(), case=cases, seed=seeds)
+def test_the_reference_the_evaluation_and_any_moves_agree_to_the_bit(data, case, seed):
+    (scene, deployment), objective, tag = case
+    scene = scene if tag is None else replace(scene, tag=tag)
+    evaluator, axes = Evaluator(scene, threads=1), scene.orientations.axes
+    views = localised_views(
+        evaluator, deployment.positions[None], deployment.normals[None], objective.n, objective.precision(scene)
+    )
+    located = [reference.localised(scene, deployment, objective, p, axes) for p in evaluator.positions]
+    np.testing.assert_array_equal(views.localised[0], np.array(located) @ evaluator.weights[0, : len(axes)])
+    targets = data.draw(deployments(scene.room, most=6))
+    check_field(objective, scene, deployment, targets, np.random.default_rng(seed))
+
+
+def selected(scene):
+    evaluator = Evaluator(scene, threads=2)
+    return LOCALISATION.selection(evaluator, np.ones(len(evaluator.positions)))
+
+
+def test_what_poses_gain_are_differences_of_log_determinants():
+    room = paper_room(spacing=3.0)
+    scene = paper_scene(room, orientations=pdf.grid_with_ends(4), occlusion="none", thold=0.15)
+    scene = replace(scene, camera=RIG, tag=Tag(0.3))
+    landmarks, axes = RandomDeployment(8).draw(room, np.random.default_rng(0)), scene.orientations.axes
+    each = np.concatenate([body_matrices(scene, landmarks, p, axes) for p in room.grid()])  # (V, K, 6, 6)
+    weights = np.tile(scene.orientations.weight, len(room.grid())) / len(room.grid())
+    scale = deviation_per_variance(SCENE.camera, LOCALISATION.pixel_noise)
+    prior = np.diag(np.repeat([(scale / 0.05) ** 2, scale**2], 3))  # 5 tolerances, and a radian
+    known, chosen = np.broadcast_to(prior, each[:, 0].shape), selected(scene)
+    for k in range(3):
+        before = weights @ np.linalg.slogdet(known)[1]
+        expected = [weights @ np.linalg.slogdet(known + each[:, j])[1] - before for j in range(8)]
+        np.testing.assert_allclose(chosen.gains(landmarks), expected, rtol=1e-6, atol=1e-9)
+        assert np.max(expected) > 0.1
+        chosen.add(landmarks[k : k + 1])
+        known = known + each[:, k]

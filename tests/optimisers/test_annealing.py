@@ -7,7 +7,7 @@ from lmd.core.checks import InputError
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.sampling import Sampling
 from lmd.optimisers.annealing import Annealing, Stage
-from lmd.optimisers.annealing.annealing import SINGLE
+from lmd.optimisers.annealing.annealing import SINGLE_STAGE
 from lmd.optimisers.annealing.surrogate import Surrogate
 from lmd.optimisers.annealing.walk import _reflect
 from lmd.optimisers.ledger import Budget
@@ -124,7 +124,7 @@ def test_walkers_move_landmarks_of_their_own_and_are_put_together(sampling):
     surrogate, rng = Surrogate(p, 3, 0.35), np.random.default_rng(0)
     start = p.start.draw(p.scene.room, rng)
     surrogate.prepare(start, start, False, 1.0, 1.0, rng)
-    surrogate.walk(400, SINGLE.settings(0.0, 0.1), rng)
+    surrogate.walk(400, SINGLE_STAGE.settings(0.0, 0.1), rng)
     walkers, here = surrogate._walkers, surrogate.here()
     assert sorted(np.concatenate([walker.members for walker in walkers])) == list(range(30))
     for walker in walkers:
@@ -141,12 +141,12 @@ def test_a_walk_goes_on_where_the_last_one_ended(walkers):
     surrogate, rng = Surrogate(p, walkers, 0.35), np.random.default_rng(0)
     start = p.draw(rng)
     surrogate.prepare(start, start, False, 1.0, 1.0, rng)
-    surrogate.walk(300, SINGLE.settings(0.0, 0.1), rng)
+    surrogate.walk(300, SINGLE_STAGE.settings(0.0, 0.1), rng)
     here = surrogate.here()
     assert (here.positions != start.positions).any()
     if walkers == 1:  # others are led to what all have found
         surrogate.prepare(here, start, False, 1.0, 1.0, rng)
-    surrogate.walk(0, SINGLE.settings(0.0, 0.1), rng)
+    surrogate.walk(0, SINGLE_STAGE.settings(0.0, 0.1), rng)
     np.testing.assert_array_equal(surrogate.here().positions, here.positions)
 
 
@@ -162,11 +162,11 @@ def test_walkers_that_go_on_know_what_the_others_did(in_stacks, count):
     for _ in range(4):
         surrogate.prepare(here, complete, in_stacks, 1.0, 1.0, rng)
         assert not before or all(now.state is then.state for now, then in zip(surrogate._walkers, before, strict=True))
-        surrogate.walk(0, SINGLE.settings(0.0, 0.1), rng)  # where it begins
+        surrogate.walk(0, SINGLE_STAGE.settings(0.0, 0.1), rng)  # where it begins
         for walker in surrogate._walkers:
             for array, fresh in zip(walker.state, surrogate._field.state(here), strict=True):
                 np.testing.assert_array_equal(array, fresh)
-        surrogate.walk(300, SINGLE.settings(0.0, 0.1), rng)
+        surrogate.walk(300, SINGLE_STAGE.settings(0.0, 0.1), rng)
         before, here = surrogate._walkers, surrogate.here()
         assert (here.positions != start.positions).any()
 

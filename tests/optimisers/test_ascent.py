@@ -44,11 +44,11 @@ def test_slopes_are_differences_of_full_evaluations():
     for k in range(len(here)):
         for side, axes in enumerate((surfaces.u, surfaces.v)):
             values = []
-            for away in (-room.DIFFERENCE, room.DIFFERENCE):
+            for away in (-room.DIFFERENCE_M, room.DIFFERENCE_M):
                 positions = here.positions.copy()
                 positions[k] += away * axes[here.surfaces[k]]
                 values.append(smooth_fitness(p, evaluator, relevance, Deployment(positions, here.normals)))
-            expected[k, side] = (values[1] - values[0]) / (2.0 * room.DIFFERENCE)
+            expected[k, side] = (values[1] - values[0]) / (2.0 * room.DIFFERENCE_M)
     assert np.count_nonzero(expected) >= 10
     # `Target` counts from a threshold that is lower by a tolerance of 1e-9.
     np.testing.assert_allclose(out, expected, rtol=2e-6, atol=1e-9)
@@ -73,7 +73,7 @@ def test_a_step_moves_what_is_free_along_its_surface(threads):
     away = moved.positions - here.positions
     assert (away[:5] == 0.0).all()
     assert (np.abs(away[5:]).max(axis=1) > 0.0).any()
-    assert np.abs(away).max() <= room.STEP[0] * (1.0 + 1e-9)
+    assert np.abs(away).max() <= room.STEP_M[0] * (1.0 + 1e-9)
     np.testing.assert_allclose((away * here.normals).sum(axis=1), 0.0, atol=1e-12)
     again = sampled(RandomDeployment(10), 1, fixed)
     np.testing.assert_array_equal(

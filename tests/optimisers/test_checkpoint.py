@@ -19,7 +19,7 @@ from lmd.core.checks import InputError
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.sampling import Sampling
 from lmd.optimisers.annealing import Annealing
-from lmd.optimisers.checkpoint import ARRAY, DOCUMENT, FILE, PICKLE, Checkpoint
+from lmd.optimisers.checkpoint import CHECKPOINT_FILE, DOCUMENT_KEY, PICKLE_FILE, Checkpoint
 from lmd.optimisers.ega import EGA
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.stored import generator, generator_state
@@ -55,21 +55,21 @@ def _case(request, problems, tmp_path_factory):
     p = problems["robust" if request.param in ("walk", "ascent") else "plain"]
     folder = tmp_path_factory.mktemp(request.param)
     Checkpoint(stopped(make(), p, evaluations), SETTINGS, "abc").save(folder)
-    with np.load(folder / FILE, allow_pickle=False) as archive:
+    with np.load(folder / CHECKPOINT_FILE, allow_pickle=False) as archive:
         return make, p, folder, dict(archive)
 
 
 def written(directory, members):
     """A checkpoint with these members."""
-    np.savez(directory / FILE, **members)
+    np.savez(directory / CHECKPOINT_FILE, **members)
     return directory
 
 
 def changed(members, change):
     """The members with another document."""
-    document = json.loads(bytes(members[DOCUMENT]))
+    document = json.loads(bytes(members[DOCUMENT_KEY]))
     change(document)
-    return members | {DOCUMENT: np.frombuffer(json.dumps(document).encode(), np.uint8)}
+    return members | {DOCUMENT_KEY: np.frombuffer(json.dumps(document).encode(), np.uint8)}
 
 
 def is_harmless(directory, make, p):
@@ -78,7 +78,7 @@ def is_harmless(directory, make, p):
         optimiser = resumed(directory, p, optimiser=make()).optimiser
     except InputError as error:
         text = str(error)
-        return text.isprintable() and len(text) < 500 + len(str(directory)) and FILE in text
+        return text.isprintable() and len(text) < 500 + len(str(directory)) and CHECKPOINT_FILE in text
     before = optimiser.ledger.evaluations
     return optimiser.run(p, Budget(BUDGET)).evaluations <= max(BUDGET, before)
 
@@ -88,7 +88,7 @@ def test_a_checkpoint_comes_back_as_it_was(case, tmp_path):
     checkpoint = resumed(folder, p, optimiser=make())
     assert (checkpoint.settings, checkpoint.run_id) == (SETTINGS, "abc")
     checkpoint.save(tmp_path)
-    with np.load(tmp_path / FILE) as again:
+    with np.load(tmp_path / CHECKPOINT_FILE) as again:
         assert {key: again[key].tobytes() for key in again} == {key: members[key].tobytes() for key in members}
 
 
@@ -112,15 +112,15 @@ def test_stages_keep_what_is_theirs(case):
 
 def test_saving_leaves_one_file(tmp_path, small):
     saved(saved(tmp_path, small), small)
-    assert [path.name for path in tmp_path.iterdir()] == [FILE]
+    assert [path.name for path in tmp_path.iterdir()] == [CHECKPOINT_FILE]
 
 
 def test_what_cannot_be_written_leaves_the_checkpoint_before(tmp_path, small, monkeypatch):
-    before = (saved(tmp_path, small) / FILE).read_bytes()
+    before = (saved(tmp_path, small) / CHECKPOINT_FILE).read_bytes()
     monkeypatch.setattr("os.fsync", lambda _: (_ for _ in ()).throw(OSError(28, "No space left on device")))
     with pytest.raises(OSError, match="No space left"):
         saved(tmp_path, small)
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {FILE: before}
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {CHECKPOINT_FILE: before}
 
 
 def test_other_settings_are_refused(tmp_path, small):
@@ -132,7 +132,7 @@ def test_other_settings_are_refused(tmp_path, small):
 
 
 def test_a_directory_without_a_checkpoint_is_named(tmp_path, small):
-    with pytest.raises(InputError, match=rf"resume = '{tmp_path}' holds no {FILE}"):
+    with pytest.raises(InputError, match=rf"resume = '{tmp_path}' holds no {CHECKPOINT_FILE}"):
         resumed(tmp_path, small)
 
 
@@ -161,10 +161,10 @@ class Call:
 
 def test_a_pickle_is_not_read(tmp_path, small):
     call = pickle.dumps(({"seed": Call(Path.touch, tmp_path / "ran")}, SETTINGS, None))
-    (tmp_path / PICKLE).write_bytes(b"lmd checkpoint 2\n" + call)
+    (tmp_path / PICKLE_FILE).write_bytes(b"lmd checkpoint 2\n" + call)
     with pytest.raises(InputError, match=r"checkpoint\.pkl is of an earlier version and could run code, so it is not"):
         resumed(tmp_path, small)
-    (tmp_path / FILE).write_bytes(call)
+    (tmp_path / CHECKPOINT_FILE).write_bytes(call)
     with pytest.raises(InputError, match=REFUSED):
         resumed(tmp_path, small)
     assert not (tmp_path / "ran").exists()
@@ -180,7 +180,7 @@ def test_nor_is_one_within_the_archive(case, tmp_path):
 
 
 def test_every_flipped_bit_is_noticed_or_changes_nothing(tmp_path, small):
-    path = saved(tmp_path, small) / FILE
+    path = saved(tmp_path, small) / CHECKPOINT_FILE
     content, state, noticed = path.read_bytes(), resumed(tmp_path, small).optimiser.state(), 0
     places = range(0, len(content), 23)
     for place in places:
@@ -195,7 +195,7 @@ def test_every_flipped_bit_is_noticed_or_changes_nothing(tmp_path, small):
 
 
 def test_a_checkpoint_that_is_cut_short_is_damaged(tmp_path, small):
-    path = saved(tmp_path, small) / FILE
+    path = saved(tmp_path, small) / CHECKPOINT_FILE
     content = path.read_bytes()
     for size in (*range(0, len(content), 97), len(content) - 1):
         path.write_bytes(content[:size])
@@ -311,14 +311,14 @@ def deep(levels):
         lambda path: archived(path, [("document.npy", deep(10**5))]),
         lambda path: archived(path, [("document", b"{}")]),
         lambda path: archived(path, [("../document.npy", b"{}"), ("\x1b[31m.npy", b"")]),
-        lambda path: np.savez(path, **{DOCUMENT: np.frombuffer(json.dumps({ARRAY: "none"}).encode(), np.uint8)}),
-        lambda path: np.savez(path, **{DOCUMENT: np.array(7)}),
+        lambda path: np.savez(path, **{DOCUMENT_KEY: np.frombuffer(b'{"$array": "none"}', np.uint8)}),
+        lambda path: np.savez(path, **{DOCUMENT_KEY: np.array(7)}),
         lambda path: path.write_bytes(b""),
         lambda path: path.write_bytes(bytes(range(256)) * 40),
     ],
 )  # fmt: skip
 def test_a_crafted_archive_is_refused(craft, tmp_path, small):
-    craft(tmp_path / FILE)
+    craft(tmp_path / CHECKPOINT_FILE)
     with pytest.raises(InputError, match=r"checkpoint\.npz is damaged, or no checkpoint of this version") as refused:
         resumed(tmp_path, small)
     assert str(refused.value).isprintable()

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from lmd.optimisers.annealing.trail import DECAY, FAR, Trail
+from lmd.optimisers.annealing.trail import AVERAGING_ETA, RESTART_M, Trail
 from lmd.scene.deployment import Deployment
 
 
@@ -15,7 +15,7 @@ def test_the_mean_is_that_of_polynomial_decay():
     trail, weights = Trail(at(places[0])), np.zeros(20)
     for t, place in enumerate(places, start=1):
         mean = trail.add(at(place))
-        rate = (DECAY + 1.0) / (t + DECAY)
+        rate = (AVERAGING_ETA + 1.0) / (t + AVERAGING_ETA)
         weights *= 1.0 - rate
         weights[t - 1] = rate
     np.testing.assert_allclose(mean.positions, np.tensordot(weights, places, axes=1))
@@ -38,10 +38,10 @@ def test_a_landmark_that_jumps_begins_anew():
     trail = Trail(at([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
     for _ in range(5):
         trail.add(at([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
-    far = trail.add(at([[0.1, 0.0, 0.0], [1.0 + 1.1 * FAR, 0.0, 0.0]]))
+    far = trail.add(at([[0.1, 0.0, 0.0], [1.0 + 1.1 * RESTART_M, 0.0, 0.0]]))
     assert 0.0 < far.positions[0, 0] < 0.1
-    assert far.positions[1, 0] == 1.0 + 1.1 * FAR
+    assert far.positions[1, 0] == 1.0 + 1.1 * RESTART_M
     other = trail.add(at([[0.2, 0.0, 0.0], [1.7, 0.0, 0.0]], surfaces=(3, 1)))
     assert other.positions[0, 0] == 0.2
     assert other.surfaces[0] == 3
-    assert 1.0 + 1.1 * FAR < other.positions[1, 0] < 1.7
+    assert 1.0 + 1.1 * RESTART_M < other.positions[1, 0] < 1.7

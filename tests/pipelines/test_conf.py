@@ -15,7 +15,7 @@ from paper import PAPER_CAMERA, PRINTED_EXPERIMENT_CAMERA
 
 from lmd.core.checks import InputError
 from lmd.objectives.localisation import Localisation
-from lmd.optimisers.annealing.annealing import SINGLE
+from lmd.optimisers.annealing.annealing import SINGLE_STAGE
 from lmd.optimisers.ega import EGA
 from lmd.optimisers.encoding import make_encoding
 from lmd.scene.camera import Camera
@@ -275,7 +275,7 @@ def test_every_hyperparameter_is_a_key_whoever_states_it():
     }
     assert OmegaConf.to_container(cfg.optimiser) == defaults | given | {"population": 12}
     assert build_optimiser(cfg, 0).population_size == 12
-    assert composed("optimise", "optimiser.single.step=[0.2,0.01]").optimiser.single == asdict(SINGLE) | {
+    assert composed("optimise", "optimiser.single.step=[0.2,0.01]").optimiser.single == asdict(SINGLE_STAGE) | {
         "step": [0.2, 0.01]
     }
     assert (
@@ -337,7 +337,7 @@ def test_tags_and_what_a_detector_sees_are_a_choice():
     problem = build_problem(composed("optimise", "tag.edge=0.2", "tag.quiet_zone=2", "visibility=fiducial"))
     assert problem.scene.tag == problem.scene.visibility.tag
     assert problem.scene.plates.edge == pytest.approx(0.3)
-    assert problem.settings()["tag"] == {"edge": 0.2, "family": "36h11", "quiet_zone": 2.0}
+    assert problem.settings()["tag"] == {"edge": 0.2, "family": "36h11", "quiet_zone": 2.0, "edges": None}
     assert problem.settings()["detector"] == "aruco"
     assert build_problem(composed("optimise", "tag=printed")).scene.plates.edge == pytest.approx(0.125)
     assert build_problem(composed("optimise")).scene.plates.edge == 0.0

@@ -91,7 +91,7 @@ def test_a_map_of_one_stack_becomes_that_of_another(work):
     found = "deployment.path=map.txt", "tag.family=4x4_50"
     done = call("export", *found, "formats=[aruco,json]", "tracking=none", "hydra.run.dir=out", cwd=work, settings=TAGS)
     assert done.returncode == 0, done.stderr
-    assert "note: tag.edge = 0.15 m counts for all tags; by their map others have 9 (0.05 m)" in done.stderr
+    assert "note: tag.edge = 0.15 m holds for 1 of 2 tags; the others have their own: 0.05 m (1)" in done.stderr
     tags = json.loads((work / "out" / "tags.json").read_text())["tags"]
     assert [(tag["id"], tag["edge"]) for tag in tags] == [(3, 0.15), (9, 0.05)]
     assert tags[0]["corners"]["top_left"] == pytest.approx([0.0, 1.925, 3.075])

@@ -13,7 +13,7 @@ from hydra.core.hydra_config import HydraConfig
 
 import pipelines.runs
 from lmd.core.checks import InputError
-from lmd.optimisers.checkpoint import FILE
+from lmd.optimisers.checkpoint import CHECKPOINT_FILE
 from pipelines.app import CONF
 from pipelines.going_on import going_on
 from pipelines.trust import Trust
@@ -47,7 +47,7 @@ def left(tmp_path):
             "runtime": {"config_sources": [{"path": CONF, "schema": "file", "provider": "main"}, *sources]},
         }
         (tmp_path / ".hydra").mkdir(exist_ok=True)
-        (tmp_path / FILE).touch()
+        (tmp_path / CHECKPOINT_FILE).touch()
         path = tmp_path / ("multirun.yaml" if sweep else ".hydra/hydra.yaml")
         path.write_text(yaml.safe_dump({"hydra": hydra | parts}))
         return tmp_path
@@ -198,7 +198,7 @@ def test_what_is_not_here_is_named_and_what_has_left_nothing_is_not(left, tmp_pa
     monkeypatch.setattr("socket.gethostname", lambda: "elsewhere")
     assert told(tmp_path / "none") is None
     assert told(left(), status="FINISHED") is None
-    (left() / FILE).unlink()
+    (left() / CHECKPOINT_FILE).unlink()
     assert told(tmp_path) is None
 
 

@@ -8,7 +8,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from lmd.core.checks import InputError
-from lmd.optimisers.checkpoint import FILE
+from lmd.optimisers.checkpoint import CHECKPOINT_FILE
 from pipelines.operations.sweeps.folder import JobFolder, SweepFolder
 from pipelines.operations.sweeps.jobs import Job, Sweep, reason_of
 from pipelines.operations.sweeps.names import job_folder, key_and_value, quoted, slug, varied_keys
@@ -95,7 +95,7 @@ def test_a_job_has_one_folder_whatever_varies_beside_it(tmp_path):
 
 
 def test_a_job_knows_the_checkpoint_of_its_run(tmp_path):
-    assert JobFolder(tmp_path).checkpoint.name == FILE
+    assert JobFolder(tmp_path).checkpoint.name == CHECKPOINT_FILE
 
 
 @pytest.mark.slow

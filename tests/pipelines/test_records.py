@@ -10,7 +10,7 @@ from omegaconf import OmegaConf
 from small import problem
 
 from lmd.optimisers.base import Optimiser
-from lmd.optimisers.checkpoint import FILE, Checkpoint
+from lmd.optimisers.checkpoint import CHECKPOINT_FILE, Checkpoint
 from lmd.optimisers.ega import EGA
 from lmd.optimisers.ledger import Budget
 from pipelines import outputs, tracked_run
@@ -45,7 +45,9 @@ def test_a_run_that_is_stopped_while_it_writes_keeps_all_that_cannot_be_had_agai
     monkeypatch.setattr(tracked_run, where, told_to_stop, raising=False)
     with pytest.raises(Stopped):
         record(found, **({"further": told_to_stop} if where == "further" else {}), status="KILLED")
-    assert {"landmarks.csv", "metrics.json", "history.csv", FILE} == {path.name for path in tmp_path.iterdir()}
+    assert {"landmarks.csv", "metrics.json", "history.csv", CHECKPOINT_FILE} == {
+        path.name for path in tmp_path.iterdir()
+    }
     with (tmp_path / "history.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert float(rows[-1]["best_fitness"]) == found[1].fitness
@@ -76,7 +78,9 @@ def test_a_disk_that_is_full_by_then_takes_nothing_back(found, tmp_path, monkeyp
     monkeypatch.setattr(outputs, "all_or_none", full)
     monkeypatch.setattr(tracked_run, "command_line", lambda *_: "again")
     record(found)
-    assert {"landmarks.csv", "metrics.json", "history.csv", FILE} == {path.name for path in tmp_path.iterdir()}
+    assert {"landmarks.csv", "metrics.json", "history.csv", CHECKPOINT_FILE} == {
+        path.name for path in tmp_path.iterdir()
+    }
     assert capsys.readouterr().err.startswith(
         "warning: metrics.json has no validation (No space left on device); scene.png could not be written (No space"
     )

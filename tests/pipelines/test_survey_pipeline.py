@@ -137,8 +137,11 @@ def test_a_rig_has_a_folder_for_each_camera(room, mounted):
         for path in sorted((cwd / "photos").iterdir())[first:]:
             shutil.copy(path, folder)
     rig = ["camera.rig=[{camera: camera.yaml}, {camera: camera.yaml}]", f"survey.mounted={mounted}"]
-    done = call("photographs=rig", *rig, f"hydra.run.dir=rig_{mounted}", cwd=cwd, settings=READ)
+    audit = ["audit=true", "visibility=fiducial", "visibility.detector=apriltag", "deployment.path=plan.csv", *ROOM]
+    asked = audit if mounted == "true" else []
+    done = call("photographs=rig", *rig, *asked, f"hydra.run.dir=rig_{mounted}", cwd=cwd, settings=READ)
     assert done.returncode == 0, done.stderr
+    assert ("\naudit " in done.stdout) == bool(asked)
     out = cwd / f"rig_{mounted}"
     assert beside(pd.read_csv(out / "map.csv").sort_values("id"), true[:UNSEEN]).max() < 0.001
     cameras = json.loads((out / "survey.json").read_text())["cameras"]
@@ -146,6 +149,8 @@ def test_a_rig_has_a_folder_for_each_camera(room, mounted):
     np.testing.assert_allclose(cameras["right"], np.eye(4), atol=1e-9 if mounted == "true" else 1e-3)
     seen = pd.read_csv(out / "detections.csv")
     assert set(seen.camera) == {"left", "right"}
+    views = pd.read_csv(out / "in_view.csv")
+    assert views.groupby("camera").seen.sum().tolist() == pytest.approx(seen.groupby("camera").size().tolist(), abs=3)
 
 
 @pytest.mark.usefixtures("surveyed")

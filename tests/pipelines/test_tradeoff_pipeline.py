@@ -151,6 +151,7 @@ def test_a_rig_on_recorded_poses_beside_the_fixed_tags_of_a_run(tmp_path):
         ("counts=20", "counts must be a list of numbers, got 20."),
         ("counts=[0]", "counts must be at least 1, got 0."),
         ("edges=[a]", "edges must be a number, got 'a'."),
+        ("tag.edges=[0.1,0.2]", "tag.edges is for tags of several sizes; tradeoff compares single ones"),
         ("seeds=0", "seeds must be at least 1, got 0."),
         ("wanted=90", "wanted must be in [0, 1], got 90."),
         ("figure=cost", "figure must be one of "),

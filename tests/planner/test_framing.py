@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lmd.planner.framing import FIELD, FILLED, Framing, framed
+from lmd.planner.framing import FIELD_OF_VIEW, FILLED_SHARE, Framing, framed
 
 LENGTH = st.floats(0.5, 100.0)
 
@@ -17,7 +17,7 @@ def shown(low, high, aspect, position, look_at):
     ahead = (look_at - position) / np.linalg.norm(look_at - position)
     right = np.cross(ahead, [0.0, 0.0, 1.0]) / np.linalg.norm(np.cross(ahead, [0.0, 0.0, 1.0]))
     offset = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T - position
-    far = np.tan(FIELD / 2.0) * (offset @ ahead)
+    far = np.tan(FIELD_OF_VIEW / 2.0) * (offset @ ahead)
     assert (far > 0.0).all()
     return np.stack([offset @ right / far / aspect, offset @ np.cross(right, ahead) / far], axis=-1)
 
@@ -26,8 +26,8 @@ def shown(low, high, aspect, position, look_at):
 def test_a_room_fills_the_window_whatever_their_shapes(low, size, aspect):
     low, high = np.array(low), np.array(low) + size
     corners = shown(low, high, aspect, *framed(low, high, aspect))
-    assert np.abs(corners).max() <= FILLED + 1e-9
-    assert (np.ptp(corners, axis=0).max()) == pytest.approx(2.0 * FILLED)
+    assert np.abs(corners).max() <= FILLED_SHARE + 1e-9
+    assert (np.ptp(corners, axis=0).max()) == pytest.approx(2.0 * FILLED_SHARE)
 
 
 class Camera(SimpleNamespace):

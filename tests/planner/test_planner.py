@@ -16,7 +16,7 @@ from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
 from lmd.planner.app import TO_COME, Planner
 from lmd.planner.panel import Panel
-from lmd.planner.picture import BALL, Picture
+from lmd.planner.picture import BALL_RADIUS, Picture
 from lmd.planner.session import Session
 from lmd.planner.surveyed import Found
 from lmd.problem import Problem
@@ -94,7 +94,7 @@ def test_positions_of_one_layer_are_balls_of_a_share_of_their_distance(tmp_path)
         ball = Picture(server, layer).balls.vertices
     finally:
         server.stop()
-    assert np.linalg.norm(ball, axis=1) == pytest.approx(BALL * away)
+    assert np.linalg.norm(ball, axis=1) == pytest.approx(BALL_RADIUS * away)
 
 
 def survey_of(folder, deployment, photographs):

@@ -304,7 +304,7 @@ def test_a_tag_on_no_surface_has_no_place_to_type():
 
 
 def test_the_end_does_not_wait_for_a_search_that_hears_nothing(monkeypatch):
-    monkeypatch.setattr("lmd.planner.session.PATIENCE", 0.01)
+    monkeypatch.setattr("lmd.planner.session.PATIENCE_SECONDS", 0.01)
     planned, go = session(), threading.Event()
     before = planned.plan
 

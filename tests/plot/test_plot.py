@@ -20,6 +20,7 @@ from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.labels import Labels
+from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
 from lmd.space.cuboid import Cuboid, box_edges
 
@@ -110,6 +111,14 @@ def test_what_hung_already_is_blue_and_has_its_own_entry(tmp_path, deployment):
         assert (colours_in(drawn, 31, 119, 180) > 100) == (name == "beside")
         assert ("landmark that hung already" in page) == (name == "beside")
         assert all(f"landmark {number}" in page for number in whole.ids)
+
+
+def test_the_page_says_and_draws_how_large_each_tag_is(tmp_path, deployment):
+    several, shown = replace(deployment[:2], edges=np.array([0.06, 0.2])), Shown(PROBABILITY, 2)
+    shown.scene = replace(SCENE, tag=Tag(0.1))
+    save_scene_page(tmp_path / "page.html", shown, several, "T")
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert page.count("edge 0.06 m") == page.count("edge 0.2 m") == 1
 
 
 @pytest.mark.slow

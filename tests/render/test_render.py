@@ -204,23 +204,47 @@ def test_a_view_is_drawn_as_its_lens_bends_it():
     np.testing.assert_allclose(along, 0.0, atol=1e-9)  # each on one of the four sides
 
 
-def test_a_detector_finds_tags_through_a_fisheye_where_the_model_says():
+# 74 degrees to the borders, 109 to the corners: the picture is made of five faces of a cube.
+FISHEYE = Camera(
+    focal_length=1.0,
+    pixel_width=1.0 / 400.0,
+    pixel_height=1.0 / 400.0,
+    principal_point=(510.0, 520.0),
+    image_width=1024,
+    image_height=1024,
+    aperture=0.0,
+    distortion=(0.0035, 0.0007, -0.002, 0.0002),
+    distortion_model="equidistant",
+)
+
+
+def through(fisheye):
+    """A room with many tags around a camera, the renderer and the pose."""
     room = Cuboid((4.0, 3.0, 3.0), (2.0, 1.0, 1.0), 0.5)
-    # 74 degrees to the borders, 109 to the corners: the picture is made of five faces of a cube.
-    fisheye = Camera(
-        focal_length=1.0,
-        pixel_width=1.0 / 400.0,
-        pixel_height=1.0 / 400.0,
-        principal_point=(510.0, 520.0),
-        image_width=1024,
-        image_height=1024,
-        aperture=0.0,
-        distortion=(0.0035, 0.0007, -0.002, 0.0002),
-        distortion_model="equidistant",
-    )
     deployment = UniformDeployment(60).draw(room, np.random.default_rng(0))
     pose = camera_pose(np.array([2.0, 1.4, 1.5]), 0.3, 0.1, 0.2)
     renderer = Renderer(fisheye, tagged_room(room, deployment, Tag(0.2)), Imaging(texture=4.0))
+    return deployment, pose, renderer
+
+
+def test_nothing_is_seen_beyond_the_round_image_of_a_fisheye():
+    circle = 800.0
+    _, pose, whole = through(FISHEYE)
+    _, _, renderer = through(replace(FISHEYE, image_circle=circle))
+    image = renderer.frame(pose, np.random.default_rng(0))
+    pixels = np.stack(np.meshgrid(np.arange(1024) + 0.5, np.arange(1024) + 0.5), axis=-1)
+    radius = np.linalg.norm(pixels - FISHEYE.principal_point, axis=-1)
+    assert image[radius > circle / 2.0 + 1.0].mean() < 2.0 < 50.0 < image[radius < circle / 2.0 - 1.0].mean()
+    farthest = np.linalg.norm(whole.corners(pose) - FISHEYE.principal_point, axis=-1).max(axis=-1)
+    np.testing.assert_array_equal(renderer.inside(pose), whole.inside(pose) & (farthest <= circle / 2.0))
+    found = AprilTagDetector().detect(image)
+    inside = np.flatnonzero(renderer.inside(pose))
+    assert set(inside) >= set(found.ids.tolist())
+    assert 10 < len(found) < whole.inside(pose).sum() - 5
+
+
+def test_a_detector_finds_tags_through_a_fisheye_where_the_model_says():
+    deployment, pose, renderer = through(FISHEYE)
     found = AprilTagDetector().detect(renderer.frame(pose, np.random.default_rng(0)))
     whole = np.flatnonzero(renderer.inside(pose))
     assert set(whole) >= set(found.ids.tolist())

@@ -209,6 +209,22 @@ def test_a_lens_that_folds_before_the_corners_shows_what_is_within():
     assert math.tan(top) * (1.0 - 0.3 * math.tan(top) ** 2) == pytest.approx(600 / 862.07, abs=1e-6)
 
 
+def test_a_fisheye_sees_no_farther_than_its_round_image():
+    # 344.8 pixels a radian, and 600 pixels to the upper and the lower border.
+    lens = {"distortion": [0.0] * 4, "distortion_model": "equidistant", "pixel_width": 0.0145, "pixel_height": 0.0145}
+    camera = paper_camera(**lens, image_circle=1300.0)
+    assert camera.widest_angle == pytest.approx(650 / 344.83, abs=1e-4)
+    np.testing.assert_allclose(camera.field_of_view, [650 / 344.83] * 2 + [1.74] * 2, atol=1e-4)
+    assert paper_camera(**lens, image_circle=5000.0).widest_angle == paper_camera(**lens).widest_angle
+
+
+def test_a_round_image_needs_a_lens():
+    with pytest.raises(InputError, match=r"^image_circle needs the distortion of a lens"):
+        paper_camera(image_circle=1000.0)
+    with pytest.raises(InputError, match=r"^image_circle must be"):
+        paper_camera(distortion=[0.0] * 4, distortion_model="equidistant", image_circle=0.0)
+
+
 def test_a_fisheye_sees_what_is_behind_it():
     # 5 mm / 0.0058 mm make 862 pixels a radian; 0.0145 mm make 344.8, and 1000 pixels to the corner 166 degrees.
     camera = paper_camera(pixel_width=0.0145, pixel_height=0.0145, distortion=[0.0] * 4, distortion_model="equidistant")

@@ -40,19 +40,19 @@ def problem_of(start, visibility=None, sampling=None):
 
 def overlaps(deployment, room, edge):
     """By brute force: pairs on one surface that overlap, and plates that are not wholly on theirs."""
-    found = []
+    found, edge = [], np.broadcast_to(edge, len(deployment))
     for s, surface in enumerate(room.surfaces()):
         on = np.flatnonzero(deployment.surfaces == s)
         a, b = ((deployment.positions[on] - surface.origin) @ way for way in (surface.u, surface.v))
         ends = zip((a, b), surface.extent, strict=True)
         found += [
-            on[i] for at, extent in ends for i in np.flatnonzero(abs(at - extent / 2) > (extent - edge) / 2 + 1e-9)
+            on[i] for at, extent in ends for i in np.flatnonzero(abs(at - extent / 2) > (extent - edge[on]) / 2 + 1e-9)
         ]
         found += [
             (on[i], on[j])
             for i in range(len(on))
             for j in range(i)
-            if max(abs(a[i] - a[j]), abs(b[i] - b[j])) < edge * (1.0 - 1e-8)
+            if max(abs(a[i] - a[j]), abs(b[i] - b[j])) < (edge[on[i]] + edge[on[j]]) / 2 * (1.0 - 1e-8)
         ]
     return found
 
@@ -60,11 +60,11 @@ def overlaps(deployment, room, edge):
 @examples(60)
 @given(room=rooms(), edge=st.floats(0.02, 0.5), count=st.integers(1, 30), seed=seeds)
 def test_plates_are_pushed_apart_or_there_is_no_room(room, edge, count, seed):
-    plates, rng = Plates(room, edge), np.random.default_rng(seed)
+    plates, rng = Plates(room, Tag(edge, quiet_zone=0.0)), np.random.default_rng(seed)
     drawn = RandomDeployment(count).draw(plates.hanging, rng)
     apart = plates.apart(drawn)
     if apart is None:
-        assert count > plates.capacity / 4  # squares anywhere block at most four places of a lattice
+        assert count > plates.capacity(edge) / 4  # squares anywhere block at most four places of a lattice
         return
     assert not overlaps(apart, room, edge)
     plates.check(apart)
@@ -73,9 +73,40 @@ def test_plates_are_pushed_apart_or_there_is_no_room(room, edge, count, seed):
     np.testing.assert_array_equal(room.surfaces_of(apart.positions, apart.normals) >= 0, True)
 
 
+@examples(60)
+@given(
+    room=rooms(),
+    edges=st.lists(st.floats(0.02, 0.5), min_size=2, max_size=4, unique=True),
+    count=st.integers(2, 30),
+    fixed=st.integers(0, 3),
+    seed=seeds,
+)
+def test_plates_of_several_sizes_are_pushed_apart(room, edges, count, fixed, seed):
+    plates = Plates(room, Tag(0.3, quiet_zone=0.5, edges=edges))
+    drawn = RandomDeployment(count).draw(plates.hanging, np.random.default_rng(seed), plates.tag)
+    papers = plates.papers(drawn)
+    np.testing.assert_allclose(papers[: len(edges)], 1.125 * np.array(edges)[:count])
+    apart = plates.apart(drawn)
+    if apart is None:
+        assert (papers**2).sum() > sum(surface.area for surface in room.surfaces()) / 16
+        return
+    assert not overlaps(apart, room, papers)
+    plates.check(apart)
+    np.testing.assert_array_equal(apart.edges, drawn.edges)
+    again = plates.apart(apart)
+    np.testing.assert_array_equal(again.positions, apart.positions)
+    # Those that hang already stay, and the others make room for them, too.
+    stays = apart[:fixed] + drawn if fixed else drawn
+    if (beside := plates.apart(stays, fixed=fixed)) is not None:
+        np.testing.assert_array_equal(beside.positions[:fixed], apart.positions[:fixed])
+        assert not overlaps(beside, room, plates.papers(beside))
+    taken = plates.touched(apart, apart[:1])
+    assert taken.tolist() == [True] + [False] * (count - 1)
+
+
 def test_a_plate_goes_to_the_nearest_free_place():
     room = paper_room()
-    plates, wall = Plates(room, 0.3), room.surfaces()[0]
+    plates, wall = Plates(room, Tag(0.3, quiet_zone=0.0)), room.surfaces()[0]
     at = np.array([[2.0, 2.0], [2.1, 2.05], [2.2, 2.0], [1.0, 1.0]])
     start = Deployment(wall.point(*at.T), np.tile(wall.normal, (4, 1)), np.zeros(4, dtype=int))
     found = plates.apart(start)

@@ -16,7 +16,6 @@ from lmd.evaluation.validation import Sample, validation_metrics
 from lmd.evaluation.verdicts import causes, verdicts
 from lmd.geometry.frames import rotation
 from lmd.objectives.coverage import Coverage
-from lmd.objectives.localisation import Localisation
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment import Deployment
@@ -194,8 +193,6 @@ def test_what_knows_no_rig_says_so():
     deployment = AHEAD
     with pytest.raises(InputError, match="works with a single camera, not with a rig of 2"):
         verdicts(scene, deployment, np.eye(4)[None])
-    with pytest.raises(InputError, match="moving single landmarks for localisation works with a single camera"):
-        Localisation(2).field(Evaluator(scene, threads=1))
 
 
 # cam1 is 0.1 m to the right of cam0; cam2 is 0.05 m behind cam1 and looks to the right.

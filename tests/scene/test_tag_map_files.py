@@ -86,7 +86,7 @@ def test_limelight_counts_from_the_middle(read):
     found = read({"type": "frc", "fiducials": [tag]})
     assert_allclose(found.normals[0], [-0.5, 0.866025, 0], atol=1e-6)
     assert_allclose(found.positions[0], [6.8, -3.8, 1.3])
-    assert found.labels.edges == [0.1651]
+    assert found.edges == [0.1651]
     assert_allclose(read({"fieldlength": 16.0, "fieldwidth": 8.0, "fiducials": [tag]}).positions[0], [14.8, 0.2, 1.3])
 
 
@@ -111,7 +111,7 @@ tag_bundles:
     assert found.ids.tolist() == [3, 5]
     assert_allclose(found.normals, [[0, 0, 1], [0, -1, 0]], atol=1e-12)
     assert_allclose(found.ups, [[0, 1, 0], [0, 0, 1]], atol=1e-12)
-    assert found.labels.edges.tolist() == [0.05, 0.1]
+    assert found.edges.tolist() == [0.05, 0.1]
     with pytest.raises(InputError, match="standalone_tags, which have no places"):
         read("standalone_tags: [{id: 1, size: 0.1}]\n")
     with pytest.raises(InputError, match="it has the bundles a, b, each in a frame of its own"):
@@ -139,7 +139,7 @@ bodies:
     assert_allclose(found.positions[0], [1, 3, 0.5], atol=1e-12)
     assert_allclose(found.normals[0], [1, 0, 0], atol=1e-12)
     assert_allclose(found.positions[1:], [[0, 0, 0], [0.15, 0, 0], [0, 0.15, 0], [0.15, 0.15, 0]], atol=1e-12)
-    assert found.labels.edges.tolist() == [0.2, 0.1, 0.1, 0.1, 0.1]
+    assert found.edges.tolist() == [0.2, 0.1, 0.1, 0.1, 0.1]
     with pytest.raises(InputError, match="no body with tags is static: a map is of tags on bodies with is_static"):
         read(text.replace("is_static: true", "is_static: false"))
     with pytest.raises(InputError, match="the body 'floor' has no pose: give it one"):
@@ -164,7 +164,7 @@ aruco_bc_markers:
 """
     found = read(text.format(kind=1))
     assert_is(found, 9, [0, 1.1, 1.1], [1, 0, 0])
-    assert_allclose(found.labels.edges, [0.2])
+    assert_allclose(found.edges, [0.2])
     with pytest.raises(InputError, match="aruco_bc_mInfoType must be 1, metres, got 0"):
         read(text.format(kind=0))
     with pytest.raises(InputError, match="the marker 9 must be a square"):
@@ -175,7 +175,7 @@ def test_clover_leaves_out_what_is_zero(read):
     found = read("# a map\n8\t0.3\t1\t2\n\n9 0.22 1 2 0.5 1.5707963267948966 0 0\n")
     assert_allclose(found.positions, [[1, 2, 0], [1, 2, 0.5]])
     assert_allclose(found.ups, [[0, 1, 0], [-1, 0, 0]], atol=1e-12)
-    assert found.labels.edges.tolist() == [0.3, 0.22]
+    assert found.edges.tolist() == [0.3, 0.22]
     # To OpenCV, by which Clover detects, an AprilTag hangs the other way up.
     assert_allclose(read("8 0.3 1 2", family="36h11").ups, [[0, -1, 0]], atol=1e-12)
     assert_allclose(read("8 0.3 1 2", family="4x4_50").ups, [[0, 1, 0]], atol=1e-12)

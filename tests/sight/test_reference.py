@@ -18,7 +18,7 @@ from paper import (
 )
 from strategies import cameras, free_deployments, pitches, points, seeds, unit_vectors, yaws
 
-from lmd.geometry.frames import optical_axis, rotation, world_to_local
+from lmd.geometry.frames import optical_axis, rotation
 from lmd.scene import pdf
 from lmd.scene.criteria import TOLERANCE
 from lmd.scene.deployment import Deployment
@@ -88,7 +88,7 @@ def test_the_field_of_view_is_a_closed_cone(angle, inside):
 
 @given(cameras(), points, points, yaws, pitches, yaws)
 def test_the_cosine_form_of_the_field_of_view_is_the_printed_tangent_form(camera, point, origin, yaw, pitch, roll):
-    x, y, z = world_to_local(point, origin, rotation(yaw, pitch, roll))
+    x, y, z = rotation(yaw, pitch, roll) @ (point - origin)
     distance = np.linalg.norm(point - origin)
     assume(distance > 1e-3)
     assume(abs(math.atan2(math.hypot(x, y), z) - camera.cone_half_angle) > 1e-6)

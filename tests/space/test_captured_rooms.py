@@ -14,6 +14,7 @@ from lmd.optimisers.encoding import make_encoding
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.plates import Plates
+from lmd.scene.tag import Tag
 from lmd.space.mesh_room import from_mesh
 from lmd.space.scan import Scan
 
@@ -22,7 +23,7 @@ HEIGHT = {"height": [0.5, 1.9], "clearance": 0.3}
 
 def starts(room, edge, rng):
     """Deployments as optimisers start from them, and as they decode them."""
-    plates = Plates(room, edge)
+    plates = Plates(room, Tag(edge, quiet_zone=0.0))
     for source in (RandomDeployment(40), RandomDeployment(40), UniformDeployment(8)):
         yield plates.draw(source, rng)
     encoding = make_encoding("wall", plates.hanging, True)

@@ -94,7 +94,8 @@ def test_counts_are_those_of_the_floor_plan_and_of_the_reference(plan, visibilit
         same = Cuboid((6.0, 4.0, 2.5), (5.5, 3.5, 1.0), 0.5)
         assert_array_equal(mesh.grid(), same.grid())
     rng = np.random.default_rng(0)
-    drawn = [Plates(same, 0.2).draw(RandomDeployment(20), rng), Plates(same, 0.2).draw(UniformDeployment(24), rng)]
+    plates = Plates(same, Tag(0.2, quiet_zone=0.0))
+    drawn = [plates.draw(RandomDeployment(20), rng), plates.draw(UniformDeployment(24), rng)]
     for deployment in drawn:
         scenes = [Scene(place, paper_camera(), pdf.grid_with_ends(6), visibility) for place in (same, mesh)]
         here, there = (Evaluator(scene, threads=2).counts(deployment) for scene in scenes)
@@ -128,7 +129,7 @@ def test_tags_hang_where_they_may(room, tmp_path):
                      keep_out=[{**DOOR, "surface": "patch_2"}])  # fmt: skip
     assert_allclose([s.area for s in kept.surfaces()], [5.8 * 2.0 - 1.0 * 1.75, 2.8 * 2.0], atol=1e-6)
     for place in (room, kept):
-        plates = Plates(place, 0.15)
+        plates = Plates(place, Tag(0.15, quiet_zone=0.0))
         drawn = plates.draw(RandomDeployment(20), np.random.default_rng(0))
         assert hangs_properly(place, drawn.positions, drawn.surfaces, 0.15).all()
         assert_array_equal(place.surfaces_of(drawn.positions, drawn.normals), drawn.surfaces)

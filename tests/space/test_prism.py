@@ -13,6 +13,7 @@ from lmd.optimisers.encoding import make_encoding
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.plates import Plates
+from lmd.scene.tag import Tag
 from lmd.sight.poses import candidate_poses, wall_cells
 from lmd.space.floor_plan import FloorPlan
 from lmd.space.parts import Reachable
@@ -197,7 +198,7 @@ def test_what_is_drawn_decoded_and_pushed_hangs_where_it_may(room, seed):
 
 @pytest.mark.parametrize("kind", ["wall", "paper"])
 def test_genes_mean_places_where_tags_may_hang(kind):
-    plates = Plates(lab(margin=0.05), 0.2)
+    plates = Plates(lab(margin=0.05), Tag(0.2, quiet_zone=0.0))
     encoding = make_encoding(kind, plates.hanging, True)
     genes = np.random.default_rng(0).random((4, 25 * encoding.genes_per_landmark))
     positions, _, surfaces, fits = plates.pushed(*encoding.decode(genes))
@@ -219,7 +220,7 @@ def test_genes_reach_each_part_of_a_wall_that_has_several_names():
 
 
 def test_uniform_and_candidates_hang_where_they_may():
-    plates = Plates(lab(), 0.15)
+    plates = Plates(lab(), Tag(0.15, quiet_zone=0.0))
     uniform = plates.draw(UniformDeployment(28), np.random.default_rng(0))
     poses = candidate_poses(plates.hanging, 0.2)
     for deployment in (uniform, poses):

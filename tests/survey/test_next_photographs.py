@@ -52,6 +52,16 @@ def test_each_photograph_leaves_less_unknown(found):
     assert left == sorted(left, reverse=True)
 
 
+def test_no_two_photographs_are_nearly_the_same(found):
+    """The second of them would be taken with the errors of the first."""
+    poses = np.stack([photograph.pose for photograph in found.proposed])
+    first, second = np.triu_indices(len(poses), 1)
+    apart = np.linalg.norm(poses[first, :3, 3] - poses[second, :3, 3], axis=1)
+    turned = np.degrees(np.arccos(np.clip((poses[first, :3, 2] * poses[second, :3, 2]).sum(axis=1), -1.0, 1.0)))
+    assert len(first) >= 1
+    assert ((apart > 0.29) | (turned > 14.0)).all()
+
+
 def test_what_is_left_is_what_comes_out_once_it_is_taken(room, found):
     """Where the photograph shows what was foreseen, the survey with it has the standard deviation that was told."""
     true, plan, detected = room

@@ -21,11 +21,10 @@ UNSEEN, UNPLANNED, ODD = 7, 23, 11
 TAG = Tag(walks.EDGE)
 
 
-def plan_of(poses, ids, **columns):
+def plan_of(poses, ids, edges=None):
     places = poses[:, :3, 3]
-    return Deployment(
-        places, poses[:, :3, 2], labels=Labels(ids, columns), surveyed=Surveyed(places, places, poses[:, :3, 1])
-    )
+    surveyed = Surveyed(places, places, poses[:, :3, 1])
+    return Deployment(places, poses[:, :3, 2], labels=Labels(ids), surveyed=surveyed, edges=edges)
 
 
 @pytest.fixture(scope="module")
@@ -38,8 +37,8 @@ def room():
     detected = walks.photographed(true, walks.walk(FRAMES, rng), rng, SIGMA, edges=edges)
     detected = detected.of(np.flatnonzero(detected.ids != UNSEEN))
     planned = np.flatnonzero(np.arange(COUNT) != UNPLANNED)
-    sizes = ["" if k != ODD else "0.15" for k in planned.tolist()]
-    return true, plan_of(plan[planned], planned, edge=sizes), detected
+    sizes = np.where(planned == ODD, 0.15, np.nan)
+    return true, plan_of(plan[planned], planned, sizes), detected
 
 
 def surveyed(detected, **known):
@@ -66,7 +65,7 @@ def test_the_map_has_what_was_seen_and_the_measured_places_what_was_planned(room
 
 def test_a_tag_has_the_edge_that_its_plan_says(found):
     assert found.faults.sizes == {}
-    assert map_of(found).labels.edges[[ODD - 1]] == pytest.approx(0.15)
+    assert map_of(found).edges[[ODD - 1]] == pytest.approx(0.15)
 
 
 def test_every_tag_that_needs_a_look_is_named(found):

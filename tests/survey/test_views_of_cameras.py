@@ -1,4 +1,4 @@
-"""What a survey tells of the detector; some 5 seconds."""
+"""What a survey tells of the detector, by one camera and by two; some 10 seconds."""
 
 import numpy as np
 import pytest
@@ -9,9 +9,20 @@ from lmd.core.tables import write_table
 from lmd.detection.calibration import Calibration
 from lmd.detection.fit import fit, intervals
 from lmd.detection.surveyed import FILE, SurveyedViews
+from lmd.evaluation.verdicts import verdicts
+from lmd.geometry.se3 import axis_and_right, pose_of
 from lmd.render.imaging import Imaging
 from lmd.scene.camera import Camera
+from lmd.scene.deployment import Deployment
+from lmd.scene.pdf import solid_angle
+from lmd.scene.rig import Mount, Rig
+from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
+from lmd.sight.models.fiducial import Fiducial
+from lmd.sight.models.limits import Limits
+from lmd.space.cuboid import Cuboid
+from lmd.survey.audit import audited
+from lmd.survey.report import map_of
 from lmd.survey.survey import Known, survey
 from lmd.survey.views import view_columns
 
@@ -19,21 +30,35 @@ CAMERA, TAG, SIGMA, COUNT = Camera(2.2, 0.0055, 0.0055, (320.0, 240.0), 640, 480
 LEAST = walks.SMALLEST / TAG.modules  # pixels a module, of what these detectors find
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """The views of a walk through a long room, in which many tags are too far away."""
-    rng, folder = np.random.default_rng(2), tmp_path_factory.mktemp("surveyed")
+ROOM = Cuboid((9.0, 4.0, 2.5), (6.0, 2.0, 0.5), 0.5)
+# The second camera sits 15 cm to the right of the first, and looks a quarter of a turn to the right.
+TO_THE_RIGHT = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+MOUNTS = np.stack([np.eye(4), pose_of(TO_THE_RIGHT, np.array([0.15, 0.0, 0.0]))])
+
+
+def walked(mounts, photographs, known):
+    """A walk through a long room, in which many tags are too far away, and its survey."""
+    rng = np.random.default_rng(2)
     true = np.stack([walks.on_wall(k % 4, (k // 4 + 0.5) / 6, 1.2, width=9.0, depth=4.0) for k in range(COUNT)])
-    frames = walks.walk(80, rng, width=9.0)
-    detected = walks.photographed(true, frames, rng, SIGMA, CAMERA, edges=TAG.size)
-    found = survey(detected, [CAMERA], TAG, walks.constant_errors(SIGMA), Known())
-    write_table(folder / FILE, view_columns(found, CAMERA, TAG, None))
-    return folder
+    frames = walks.walk(photographs, rng, width=9.0)
+    detected = walks.photographed(true, frames, rng, SIGMA, CAMERA, mounts, edges=TAG.size)
+    return detected, known(true), [CAMERA] * len(mounts)
+
+
+@pytest.fixture(scope="module", params=[1, 2])
+def folder(request, tmp_path_factory):
+    """The views of a survey by one camera, and by two."""
+    folder = tmp_path_factory.mktemp("surveyed")
+    detected, known, cameras = walked(MOUNTS[: request.param], 80 // request.param, lambda _: Known())
+    found = survey(detected, cameras, TAG, walks.constant_errors(SIGMA), known)
+    write_table(folder / FILE, view_columns(found, cameras, TAG, None))
+    return folder, cameras
 
 
 def test_limits_fitted_to_a_survey_are_those_of_its_detector(folder):
-    source, rng = SurveyedViews(str(folder)), np.random.default_rng(0)
-    views = source.views(CAMERA, TAG, None, Imaging(), rng)
+    (folder, cameras), rng = folder, np.random.default_rng(0)
+    source = SurveyedViews(str(folder))
+    views = source.views(cameras, TAG, None, Imaging(), rng)
     assert 100 < views.seen.sum() < len(views)
     fitted, spans = fit(views, rng, 0.0), intervals(views, rng, 0.0)
     least = np.hypot(fitted.limits.pitch, fitted.limits.blur * views.sigma[0])
@@ -47,5 +72,42 @@ def test_limits_fitted_to_a_survey_are_those_of_its_detector(folder):
 
 
 def test_a_folder_that_is_no_survey_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"^folder: .* is no survey of one camera: it holds no in_view\.csv\.$"):
+    with pytest.raises(InputError, match=r"^folder: .* is no survey: it holds no in_view\.csv\.$"):
         SurveyedViews(str(tmp_path))
+
+
+def test_a_survey_of_more_cameras_is_refused(folder):
+    folder, cameras = folder
+    with pytest.raises(
+        InputError, match=rf"^folder: the survey .* has {len(cameras)} cameras, here {len(cameras) - 1}\.$"
+    ):
+        SurveyedViews(str(folder)).views(cameras[1:], TAG, None, Imaging(), np.random.default_rng(0))
+
+
+def test_an_audit_looks_at_the_images_of_all_cameras():
+    def planned(true):
+        return Known(plan=Deployment(true[:, :3, 3], true[:, :3, 2]))
+
+    detected, known, cameras = walked(MOUNTS, 40, planned)
+    dirty = int(np.bincount(detected.ids).argmax())  # from here on found in few images only
+    last = np.flatnonzero(detected.ids == dirty)[3]
+    clean = detected.of(np.flatnonzero((detected.ids != dirty) | (np.arange(len(detected)) < last)))
+    found = survey(clean, cameras, TAG, walks.constant_errors(SIGMA), known)
+    limits = Limits(pitch=LEAST, blur=0.0, edge=walks.SMALLEST, incidence=78.0, margin=2.0)
+    scene = Scene(ROOM, Rig((Mount(CAMERA), Mount(CAMERA))), solid_angle(4), Fiducial(TAG, limits=limits))
+    audit = audited(found, scene, verdicts)
+    tags, poses = map_of(found).hung(ROOM, papers=TAG.paper_edge), found.found.poses.frames[found.found.frames]
+    for c, told in enumerate(np.split(audit.prediction.visible, 2, axis=1)):
+        at = poses @ found.found.poses.mounts[c]
+        axes = axis_and_right(at)
+        covered = [
+            scene.visibility.covered(CAMERA, pose[:3, 3], axes[i : i + 1], tags.positions, tags.normals)[0]
+            for i, pose in enumerate(at)
+        ]
+        np.testing.assert_array_equal(told, covered)
+        own = clean.camera == c
+        assert np.split(audit.seen.detected, 2, axis=1)[c].sum() == pytest.approx(own.sum(), abs=3)
+    table = audit.tags.set_index("id")
+    assert table.index[table.stands_out].tolist() == [dirty]
+    assert audit.metrics()["audit/precision"] > 0.8
+    assert audit.tables["audit_places"].tags.sum() == audit.prediction.whole.sum()

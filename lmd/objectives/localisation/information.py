@@ -22,8 +22,8 @@ many pixels its model gives a solid angle there (`lmd.scene.criteria.pixel_densi
 some per cent of the standard deviation, see docs/accuracy.md; the exact information would have 21 numbers for each
 landmark, position *and* orientation. Pixels count as square with the geometric mean of the two focal lengths.
 
-A landmark that is a point counts as one corner. Two points leave a turn about the line through them open, and one tag
-alone has two poses that look nearly alike, of which these formulas know nothing: ask for two tags or more.
+A landmark that is a point counts as one corner. Two points leave a turn about the line through them open. One tag alone
+has two poses that look nearly alike, of which these formulas know nothing: see `ambiguity`.
 
 The functions here are arithmetic on numbers or on arrays alike: kernels compile what the reference calls, so that both
 decide by the same bits. Each landmark's share of a view is rounded to a multiple of `QUANTUM`: sums of such are exact
@@ -40,7 +40,8 @@ from lmd.scene.camera import Camera
 from lmd.scene.criteria import TOLERANCE
 from lmd.scene.tag import Tag
 
-WIDTH = 16  # numbers of a view: A, g and C, of symmetric matrices xx, xy, xz, yy, yz, zz, and one that fills up
+# Numbers of a view: A, g and C, of symmetric matrices xx, xy, xz, yy, yz, zz, and what `ambiguity` has of it.
+WIDTH = 16
 QUANTUM = 2.0**-36
 # Added and taken away again it rounds to multiples of the quantum, for numbers below 2^15; sums are exact below 2^17.
 ROUNDER = 1.5 * 2.0**52 * QUANTUM

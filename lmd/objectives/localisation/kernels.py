@@ -1,7 +1,7 @@
 """The fast exact path: views localised at each position, compiled with numba.
 
 Landmarks covered are counted as in `lmd.sight.kernels`, by the same operations. Then, for the views that cover enough,
-the landmarks' 15 numbers (`information`) are summed, and the sums decide. Threads share the positions.
+the landmarks' numbers (`information`, `ambiguity`) are summed, and the sums decide. Threads share the positions.
 """
 
 import numpy as np
@@ -9,6 +9,7 @@ import numpy as np
 from lmd.core.bits import ALL, BITS, LANES, ONE, ZERO, add_digit, at_least_so_far, lowest
 from lmd.core.compiled import inlined, kernel
 from lmd.geometry.squares import VERTICAL_TOLERANCE, upright_axes
+from lmd.objectives.localisation.ambiguity import count_tag, tells, told_apart
 from lmd.objectives.localisation.information import WIDTH, meets, moments, share_of, variance
 from lmd.scene.criteria import covering, covers, frame_of, pixel_density
 from lmd.sight.kernels import weights_row
@@ -26,21 +27,22 @@ def landmark_moments(x, y, z, nx, ny, nz, precision):
 
 @inlined
 def meets_row(precision, sums, v):
-    """`meets` with the sums of view v in `sums` `(V, WIDTH)`."""
-    return meets(
+    """`meets` and `tells` with the sums of view v in `sums` `(V, WIDTH)`."""
+    within = meets(
         precision, sums[v, 0], sums[v, 1], sums[v, 2], sums[v, 3], sums[v, 4], sums[v, 5], sums[v, 6], sums[v, 7],
         sums[v, 8], sums[v, 9], sums[v, 10], sums[v, 11], sums[v, 12], sums[v, 13], sums[v, 14],
     )  # fmt: skip
+    return within & tells(precision, sums[v, 15])
 
 
 @inlined
-def variance_of_row(sums, v):
+def variance_of_row(precision, sums, v):
     """`variance` with the sums of view v in `sums` `(V, WIDTH)`, infinite where something is open."""
     value, fixed = variance(
         sums[v, 0], sums[v, 1], sums[v, 2], sums[v, 3], sums[v, 4], sums[v, 5], sums[v, 6], sums[v, 7],
         sums[v, 8], sums[v, 9], sums[v, 10], sums[v, 11], sums[v, 12], sums[v, 13], sums[v, 14],
     )  # fmt: skip
-    return value if fixed else np.inf
+    return value if fixed & tells(precision, sums[v, 15]) else np.inf
 
 
 @kernel
@@ -57,7 +59,8 @@ def localise_range(
         precision: what is asked of a view, see `information`.
         asks: whether it asks anything.
         covered, localised: `(B, P)` int64, receive P_n and L in integer units.
-        variances: `(B, P, D)`, receives `variance`, infinite where fewer than n are covered, if `keep` is set.
+        variances: `(B, P, D)`, receives `variance`, infinite where fewer than n are covered or two poses look alike, if
+            `keep` is set.
     """
     words, poses, names = (
         np.uint64(axes.shape[1] // BITS),
@@ -137,6 +140,7 @@ def localise_range(
                     moment[0], moment[1], moment[2], moment[3], moment[4], moment[5], moment[6], moment[7],
                     moment[8], moment[9], moment[10], moment[11], moment[12], moment[13], moment[14],
                 ) = landmark_moments(xk, yk, zk, nx, ny, nz, precision)  # fmt: skip
+                moment[15] = told_apart(precision, xk, yk, zk, nx, ny, nz)
                 for i in range(np.uint64(bottom[k]), np.uint64(top[k])):
                     left = caps[k, i] & enough[i]
                     while left:
@@ -145,6 +149,7 @@ def localise_range(
                         weight = pixel_density(sight, xk, yk, zk, axes, a)
                         for j in range(terms):
                             sums[a, j] += share_of(moment[j], weight)
+                        count_tag(precision, sums, a, 1.0)
             if asks:
                 total = np.int64(0)
                 for m in range(useful):
@@ -154,4 +159,4 @@ def localise_range(
                 for a in range(np.uint64(variances.shape[2])):
                     variances[b, p, a] = np.inf
                 for m in range(useful):
-                    variances[b, p, listed[m]] = variance_of_row(sums, listed[m])
+                    variances[b, p, listed[m]] = variance_of_row(precision, sums, listed[m])

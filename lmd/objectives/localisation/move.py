@@ -4,13 +4,12 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.bits import ALL, BITS, ONE, ZERO, at_least_so_far, lowest
+from lmd.core.bits import ALL, ONE, ZERO, at_least_so_far, lowest
 from lmd.core.compiled import borrowing, inner
-from lmd.core.memory import check_views
 from lmd.incremental.move import list_touched
 from lmd.incremental.state import State
 from lmd.objectives.localisation.information import WIDTH
-from lmd.objectives.localisation.state import LocalisationState, localisation_scratch
+from lmd.objectives.localisation.state import LocalisationState, blank_state, localisation_scratch
 from lmd.objectives.localisation.trial import VIEW, add_shares, list_changes, mixed, moments_of, row_meets, sum_weights
 
 VIEW_BYTES = 8 * (WIDTH + 3)  # of a view: its sums, and three lists of views
@@ -33,7 +32,7 @@ def change_sums(k, sign, field, state, scratch):
                     bit = lowest(left)
                     left &= left - ONE
                     view, a = (p * words + w) * VIEW + bit, w * VIEW + bit
-                    add_shares(sums, view, e, a, sign, sight, axes, offsets, moments, goes)
+                    add_shares(field.precision, sums, view, e, a, sign, sight, axes, offsets, moments, goes)
 
 
 @inner
@@ -71,7 +70,7 @@ def _fill(field, state, scratch):
                         bit = lowest(left)
                         left &= left - ONE
                         view, a = (p * words + w) * VIEW + bit, w * VIEW + bit
-                        add_shares(sums, view, ZERO, a, 1.0, sight, axes, offsets, moments, goes)
+                        add_shares(field.precision, sums, view, ZERO, a, 1.0, sight, axes, offsets, moments, goes)
         for w in range(words):
             has = ALL
             for j in range(size):
@@ -96,19 +95,6 @@ def localisation_state(field: Any, known: State) -> LocalisationState:
         field: a `LocalisationField`.
         known: the coverage of the deployment, which becomes part of the state.
     """
-    size, words = known.short.shape
-    if field.asks:
-        check_views(VIEW_BYTES, size, BITS * words)
-    state = LocalisationState(
-        landmarks=known.landmarks,
-        normals=known.normals,
-        surfaces=known.surfaces,
-        units=np.zeros(size, dtype=np.int64),
-        located=np.zeros(size, dtype=np.int64),
-        enough=np.zeros((size, words), dtype=np.uint64),
-        localised=np.zeros((size, words), dtype=np.uint64),
-        sums=np.zeros((BITS * size * words if field.asks else 1, WIDTH)),
-        coverage=known,
-    )
+    state = blank_state(known, WIDTH, VIEW_BYTES if field.asks else 0.0)
     _fill(field, state, localisation_scratch(state))
     return state

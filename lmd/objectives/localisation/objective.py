@@ -10,20 +10,25 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, choice, real
 from lmd.incremental.coverage_field import coverage_field
 from lmd.incremental.field import smoothed, worth
-from lmd.objectives.base import AtLeast, Headline
+from lmd.objectives.base import AtLeast, Headline, Selection
 from lmd.objectives.coverage import Threshold
+from lmd.objectives.localisation.ambiguity import ResolvedPrecision, resolved
 from lmd.objectives.localisation.field import LocalisationField
 from lmd.objectives.localisation.information import PosePrecision, Precision, deviation_per_variance, precision
 from lmd.objectives.localisation.log_det import LogDeterminant
+from lmd.objectives.localisation.rig_field import RigLocalisationField, rig_localisation_field
+from lmd.objectives.localisation.rig_log_det import RigLogDeterminant
 from lmd.objectives.localisation.trial import mixed
 from lmd.objectives.localisation.views import localised_views
 from lmd.objectives.sampling import Sampling
 from lmd.scene.criteria import TOLERANCE
+from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE
 
 FITNESS = ("mean", "qualified")
+AMBIGUITY = ("resolved", "ignored")
 # Less than for coverage, as each view costs more: drawn anew on the way, they need not be many.
 SAMPLING = Sampling(positions=1, divisions=8)
 # What the camera knows beforehand when landmarks are selected greedily: the position to so many tolerances, and the
@@ -49,6 +54,8 @@ class Localisation(AtLeast):
         climbs: what optimisers maximise: `mean`, of L over the positions, or `qualified`, the share of positions whose
             L reaches `thold_p`.
         rotation_tolerance: greatest standard deviation of the rotation, rad; None where it does not matter.
+        ambiguity: of a single tag, where n is 1: a view counts if its two poses are told apart, `resolved`
+            (`localisation.ambiguity`), or anyhow, `ignored`.
         coverage_weight: of P_n beside L in the value, (1 - w) L + w P_n.
         sampling: where the fitness is measured; None for the room's grid and the PDF itself.
 
@@ -62,6 +69,7 @@ class Localisation(AtLeast):
     pixel_noise: float = 0.5
     climbs: str = "mean"
     rotation_tolerance: float | None = None
+    ambiguity: str = "resolved"
     coverage_weight: float = 0.0
     sampling: Sampling | None = SAMPLING
 
@@ -70,6 +78,7 @@ class Localisation(AtLeast):
         object.__setattr__(self, "tolerance", real("tolerance", self.tolerance, above=0.0, infinite=True))
         object.__setattr__(self, "pixel_noise", real("pixel_noise", self.pixel_noise, above=0.0))
         choice("fitness", self.climbs, FITNESS)
+        choice("ambiguity", self.ambiguity, AMBIGUITY)
         if self.rotation_tolerance is not None:
             turn = real("rotation_tolerance", self.rotation_tolerance, above=0.0)
             object.__setattr__(self, "rotation_tolerance", turn)
@@ -106,9 +115,13 @@ class Localisation(AtLeast):
         label = f"probability of localising to {1e3 * self.tolerance:g} mm"
         return f"{label}, and of seeing {self.n}, weighted" if self.coverage_weight else label
 
-    def precision(self, scene: Scene) -> Precision | PosePrecision:
-        """What the tolerances ask of a view, in the units of the first camera."""
-        return precision(scene.cameras[0], scene.tag, self.pixel_noise, self.tolerance, self.rotation_tolerance)
+    def precision(self, scene: Scene) -> Precision | PosePrecision | ResolvedPrecision:
+        """What is asked of a view that covers n landmarks, in the units of the first camera."""
+        camera, noise = scene.cameras[0], self.pixel_noise
+        asked = precision(camera, scene.tag, noise, self.tolerance, self.rotation_tolerance)
+        if self.n > 1 or self.ambiguity == "ignored" or scene.tag.is_point or isinstance(scene.camera, Rig):
+            return asked
+        return resolved(asked, deviation_per_variance(camera, noise))
 
     def values(self, evaluator: Evaluator, positions: FloatArray, normals: FloatArray) -> FloatArray:
         """See `Objective.values`."""
@@ -153,14 +166,11 @@ class Localisation(AtLeast):
             "on a finer grid": f"{self.headline.label} {figures[f'finer_grid_{key}']:.2%}",
         }
 
-    def check_moves(self, scene: Scene) -> None:
-        """See `Incremental`: a rig's landmarks cannot be moved one by one."""
-        scene.single_camera("moving single landmarks for localisation", "a black box such as ega")
-
-    def field(self, evaluator: Evaluator) -> LocalisationField:
+    def field(self, evaluator: Evaluator) -> LocalisationField | RigLocalisationField:
         """See `Objective.field`."""
-        self.check_moves(evaluator.scene)
         asked = self.precision(evaluator.scene)
+        if evaluator.parts:
+            return rig_localisation_field(evaluator, self.n, asked, self.coverage_weight)
         return LocalisationField(coverage_field(evaluator, self.n), asked, asked.asks, self.coverage_weight)
 
     def target(self, relevance: FloatArray) -> "Mean | Threshold":
@@ -169,14 +179,14 @@ class Localisation(AtLeast):
             return Mean(relevance)
         return Threshold(math.ceil((self.thold_p - TOLERANCE) * PROBABILITY_ONE), relevance)
 
-    def selection(self, evaluator: Evaluator, relevance: FloatArray) -> LogDeterminant:
+    def selection(self, evaluator: Evaluator, relevance: FloatArray) -> Selection:
         """See `Objective.selection`: the log det of the information, from a prior of some tolerances."""
         scene = evaluator.scene
-        camera = scene.single_camera("choosing landmarks for localisation")
-        scale = deviation_per_variance(camera, self.pixel_noise)
+        scale = deviation_per_variance(scene.cameras[0], self.pixel_noise)
         prior = PRIOR_TOLERANCES * self.tolerance if math.isfinite(self.tolerance) else PRIOR_POSITION
         known = (scale / prior) ** 2, (scale / PRIOR_ROTATION) ** 2
-        return LogDeterminant(evaluator, relevance, self.precision(scene), *known)
+        made = RigLogDeterminant if evaluator.parts else LogDeterminant
+        return made(evaluator, relevance, self.precision(scene), *known)
 
 
 def localisation(fitness: str = "mean", **settings: Any) -> Localisation:

@@ -1,32 +1,27 @@
-"""How well a moment of a rig fixes its body: the information of its cameras' images, summed in the body's frame.
+"""The views of a rig that are localised: moments of all its cameras, whose information is summed (`body`).
 
-A camera at the offset o from the body's origin, world frame, moves by v - o x w when the body moves by v and turns by
-w. What `information` has of it, A, g and C, then tells of (v, w) of the body
-
-    [ C       B           ]      B = -C [o]x - [g]x
-    [ B^T     A'          ]      A' = A - [o]x C [o]x - [o]x [g]x - [g]x [o]x
-
-times the square of its focal length. Cameras measure independently, so their information adds up, of a landmark that
-two of them see, too; it counts once among the n that a view needs. A rig of one camera at the body's origin gets the
-figures of that camera alone.
+A rig of one camera at the body's origin gets the figures of that camera alone.
 """
 
+from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
+from lmd.core.bits import ZERO
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.core.compiled import for_kernels, kernel
 from lmd.core.threads import at_once
-from lmd.geometry.se3 import skew
-from lmd.objectives.localisation.information import SINGULAR, WIDTH, PosePrecision, Precision, share_of
-from lmd.objectives.localisation.kernels import landmark_moments
-from lmd.scene.camera import Camera
-from lmd.scene.criteria import pixel_density
+from lmd.objectives.localisation.body import BODY_WIDTH, add_share, body_meets, gain_of, position_variance
+from lmd.objectives.localisation.information import PosePrecision, Precision
+from lmd.objectives.localisation.looks import add_of_all, looks_of, seen_by_any
+from lmd.objectives.localisation.slots import VIEW, fill_slots, met_slots, new_slots
+from lmd.objectives.localisation.trial import sum_weights
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 from lmd.sight.evaluator import Evaluator
+from lmd.sight.stations import Part
 from lmd.sight.views import visible_to_each
 
 VIEWS_AT_ONCE = 1 << 14  # of which the landmarks seen are kept
@@ -41,48 +36,66 @@ def rig_views(
     keep: bool,
 ) -> tuple[IntArray, IntArray, FloatArray]:
     """See `views.localised_views`; the precision is in the units of the first camera."""
-    size, orientations = len(evaluator.positions), len(evaluator.scene.orientations.axes)
+    size, orientations = len(evaluator.positions), evaluator.axes.shape[1]
     step = max(VIEWS_AT_ONCE // orientations, 1)
-    parts = list(pairwise([*range(0, size, step), size]))
+    chunks = list(pairwise([*range(0, size, step), size]))
     covered, localised = np.zeros((2, len(positions), size), dtype=np.int64)
-    kept = np.full((len(positions), size, evaluator.axes.shape[1]) if keep else (0, 0, 0), np.inf)
-    for b, landmarks in enumerate(map(Deployment, positions, normals)):
+    kept = np.full((len(positions), size, orientations) if keep else (0, 0, 0), np.inf)
+    order, weights = evaluator.blocks[0][:size], evaluator.weights
 
-        def work(part: tuple[int, int], b: int = b, landmarks: Deployment = landmarks) -> None:
-            here = slice(*part)
-            deviations = kept[b, here] if keep else None
-            covered[b, here], localised[b, here] = _worth(evaluator, landmarks, here, n, precision, deviations)
+    def work(b: int, parts: tuple[Part, ...], chunk: tuple[int, int]) -> None:
+        here, landmarks = order[slice(*chunk)], Deployment(positions[b], normals[b])
+        places, kinds = evaluator.positions[here], weights[here] if len(weights) > 1 else weights
+        every, found = looks_of(evaluator, parts, places, landmarks), np.zeros((2, len(here)), dtype=np.int64)
+        variances = np.full((len(here), orientations), np.inf) if keep else np.empty((0, 0))
+        poses = np.hstack([positions[b], normals[b]])
+        _localise(every, places, poses, kinds, n, precision, precision.asks, new_slots(), found, variances)
+        covered[b, here], localised[b, here] = found
+        if keep:
+            kept[b, here] = variances
 
-        at_once(evaluator.threads, work, parts)
+    for b in range(len(positions)):
+        parts = evaluator.rig_views.parts_among(positions[b], normals[b])
+        at_once(evaluator.threads, partial(work, b, parts), chunks)
     return covered, localised, kept
 
 
-def _worth(
-    evaluator: Evaluator,
-    deployment: Deployment,
-    here: slice,
-    n: int,
-    precision: Precision | PosePrecision,
-    kept: FloatArray | None,
-) -> tuple[IntArray, IntArray]:
-    """P_n and L in units at some of the positions, `(p,)` each; `kept` `(p, D)` receives the variances."""
-    moments = moments_of(evaluator, deployment, here)
-    enough = covers(moments.seen, n)
-    moments = moments.some(enough)
+@kernel
+def _localise(every, positions, poses, weights, n, precision, asks, slots, found, variances):  # type: ignore[no-untyped-def]
+    """Find P_n and L in units, `found` `(2, P)`.
 
-    def total(which: BoolArray) -> IntArray:
-        units = np.zeros(len(evaluator.positions[here]), dtype=np.int64)
-        np.add.at(units, moments.place[which], moments.weight[which])
-        return units
-
-    covered = localised = total(np.ones(len(moments.place), dtype=np.bool_))
-    if precision.asks or kept is not None:
-        position, rotation = variances(*body_information(evaluator, deployment, moments, precision))
-        if kept is not None:
-            kept[moments.place, moments.orientation] = position
-        if precision.asks:
-            localised = total(_is_enough(position, rotation, precision))
-    return covered, localised
+    Args:
+        every: what the cameras cover, see `Looks`.
+        positions: of the body, `(P, 3)`.
+        poses: of the landmarks, `(K, 6)`.
+        weights: of the orientations in units, `(1, D)` or `(P, D)`.
+        n, precision, asks: see `kernels.localise_range`.
+        slots: working memory.
+        variances: `(P, D)` of infinity, receives those of the position where n are covered; empty if nobody asks.
+    """
+    some, words = np.zeros(n, dtype=np.uint64), np.uint64(weights.shape[1]) // VIEW
+    for p in range(np.uint64(len(positions))):
+        place = positions[p, 0], positions[p, 1], positions[p, 2]
+        for w in range(words):
+            some[:] = ZERO
+            for k in range(len(poses)):
+                seen = seen_by_any(every, p, k, w)
+                for j in range(n - 1, 0, -1):
+                    some[j] |= some[j - 1] & seen
+                some[0] |= seen
+            good = has = some[n - 1]
+            if has and (asks or len(variances)):
+                count = fill_slots(has, slots)
+                for k in range(len(poses)):
+                    pose = poses[k, 0], poses[k, 1], poses[k, 2], poses[k, 3], poses[k, 4], poses[k, 5]
+                    add_of_all(every, p, k, w, place, pose, precision, slots, count)
+                if asks:
+                    good = has & met_slots(precision, slots, count)
+                for v in range(count if len(variances) else ZERO):
+                    value, fixed = position_variance(slots.rows, v, VIEW)
+                    variances[p, w * VIEW + slots.bits[v]] = value if fixed else np.inf
+            found[0, p] += sum_weights(ZERO, has, weights, p, w)
+            found[1, p] += sum_weights(ZERO, good, weights, p, w)
 
 
 class Moments(NamedTuple):
@@ -128,101 +141,66 @@ def located(
     """Whether the moments are localised, `(N,)`."""
     found = covers(moments.seen, n)
     if precision.asks:
-        told = variances(*body_information(evaluator, deployment, moments.some(found), precision))
-        found[found] = _is_enough(*told, precision)
+        found[found] = _meet(precision, body_information(evaluator, deployment, moments.some(found), precision))
     return found
-
-
-def _is_enough(position: FloatArray, rotation: FloatArray, precision: Precision | PosePrecision) -> BoolArray:
-    return (position <= precision.position) & (rotation <= getattr(precision, "rotation", np.inf))
 
 
 def body_information(
     evaluator: Evaluator, deployment: Deployment, moments: Moments, precision: Precision | PosePrecision
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The blocks C, B and A' of the sum over the cameras, `(N, 3, 3)` each, in the units of the first camera.
+) -> FloatArray:
+    """What all cameras tell of the body in the units of the first one, `(N, BODY_WIDTH)`.
 
     Args:
         evaluator: the scene.
         deployment: K landmarks.
         moments: N of them.
-        precision: has the edge of the tags.
+        precision: has the size of the tags.
     """
     scene, (positions, axes, seen) = evaluator.scene, moments[3:]
     assert isinstance(scene.camera, Rig)
     landmarks, normals = (for_kernels(v) for v in (deployment.positions, deployment.normals))
-    blocks = np.zeros((3, len(positions), 3, 3))
+    sums = np.zeros((len(positions), BODY_WIDTH))
     for camera, offsets, turned, its in zip(scene.cameras, *scene.camera.views(axes), seen, strict=True):
-        sums = np.zeros((len(positions), WIDTH))
-        at, look, sight = for_kernels(positions + offsets), for_kernels(turned.T), scene.visibility.sight(camera)
-        gain = _worth_of_a_pixel(camera) / _worth_of_a_pixel(scene.cameras[0])
-        _sum_moments(at, look, landmarks, normals, sight, for_kernels(its), precision, gain, sums)
-        a, g, c, arm = _symmetric(sums[:, :6]), skew(sums[:, 6:9]), _symmetric(sums[:, 9:15]), skew(offsets)
-        blocks += np.stack([c, -c @ arm - g, a - arm @ c @ arm - arm @ g - g @ arm])
-    return blocks[0], blocks[1], blocks[2]
+        poses = for_kernels(positions), for_kernels(offsets), for_kernels(turned.T)
+        gain, sight = gain_of(camera, scene.cameras[0]), scene.visibility.sight(camera)
+        _add_up(*poses, landmarks, normals, sight, for_kernels(its), precision, gain, sums)
+    return sums
 
 
-def _worth_of_a_pixel(camera: Camera) -> float:
-    return float(np.prod(camera.focal_pixels))
-
-
-def _symmetric(entries: FloatArray) -> FloatArray:
-    """The matrices with the entries xx, xy, xz, yy, yz, zz, `(N, 6)` -> `(N, 3, 3)`."""
-    return entries[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
-
-
-def variances(c: FloatArray, b: FloatArray, a: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The traces of the covariances of position and rotation, `(N,)` each, infinite where something is open.
-
-    Args:
-        c, b, a: blocks of the information on (v, w), `(N, 3, 3)` each.
-    """
-    return _schur_trace(c, b, a), _schur_trace(a, np.swapaxes(b, 1, 2), c)
-
-
-def _schur_trace(c: FloatArray, b: FloatArray, a: FloatArray) -> FloatArray:
-    """tr (C - B A^-1 B^T)^-1."""
-    with np.errstate(all="ignore"):
-        around, det = _adjugate(a)
-        rest, least = _adjugate(c - b @ around @ np.swapaxes(b, 1, 2) / det[:, None, None])
-        value = np.trace(rest, axis1=1, axis2=2) / least
-        fixed = (det > SINGULAR * np.trace(a, axis1=1, axis2=2) ** 3) & (least > 0.0) & (value > 0.0)
-    return np.where(fixed, value, np.inf)
-
-
-def _adjugate(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """det M M^-1 of symmetric matrices and det M, `(N, 3, 3)` and `(N,)`."""
-    x, y, z = (matrix[:, i] for i in range(3))
-    around = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=1)
-    return around, (x * around[:, 0]).sum(axis=1)
+def _meet(precision: Precision | PosePrecision, sums: FloatArray) -> BoolArray:
+    """Whether moments with these sums `(N, BODY_WIDTH)` are what the precision asks for, `(N,)`."""
+    met = np.empty(len(sums), dtype=np.bool_)
+    _decide(precision, sums.reshape(-1), met)
+    return met
 
 
 @kernel
-def _sum_moments(positions, axes, landmarks, normals, sight, seen, precision, gain, sums):  # type: ignore[no-untyped-def]
-    """Add the 15 numbers of the landmarks that a camera covers to `sums` `(N, WIDTH)`, times `gain`.
+def _decide(precision, sums, met):  # type: ignore[no-untyped-def]
+    for v in range(len(met)):
+        met[v] = body_meets(precision, sums, v * BODY_WIDTH, 1)
+
+
+@kernel
+def _add_up(positions, offsets, axes, landmarks, normals, sight, seen, precision, gain, sums):  # type: ignore[no-untyped-def]
+    """Add what the landmarks tell that a camera covers to `sums` `(N, BODY_WIDTH)`.
 
     Args:
-        positions, axes: of the camera, `(N, 3)` and `(6, N)`.
+        positions: of the body, `(N, 3)`.
+        offsets, axes: of the camera, `(N, 3)` and `(6, N)`.
         landmarks, normals: `(K, 3)` each.
         sight: of the camera.
         seen: `(N, K)`.
-        precision, gain, sums: see `body_information`.
+        precision, gain: see `add_share`.
     """
-    moment = np.zeros(WIDTH)
+    row = np.zeros(BODY_WIDTH)
     for i in range(len(positions)):
+        ox, oy, oz = offsets[i, 0], offsets[i, 1], offsets[i, 2]
         for k in range(len(landmarks)):
             if seen[i, k]:
                 x, y, z = (
-                    landmarks[k, 0] - positions[i, 0],
-                    landmarks[k, 1] - positions[i, 1],
-                    landmarks[k, 2] - positions[i, 2],
+                    landmarks[k, 0] - (positions[i, 0] + ox),
+                    landmarks[k, 1] - (positions[i, 1] + oy),
+                    landmarks[k, 2] - (positions[i, 2] + oz),
                 )
-                (
-                    moment[0], moment[1], moment[2], moment[3], moment[4], moment[5], moment[6], moment[7],
-                    moment[8], moment[9], moment[10], moment[11], moment[12], moment[13], moment[14],
-                ) = landmark_moments(
-                    x, y, z, normals[k, 0], normals[k, 1], normals[k, 2], precision
-                )  # fmt: skip
-                weight = gain * pixel_density(sight, x, y, z, axes, i)
-                for j in range(WIDTH):
-                    sums[i, j] += share_of(moment[j], weight)
+                nx, ny, nz = normals[k, 0], normals[k, 1], normals[k, 2]
+                add_share(sight, axes, i, x, y, z, nx, ny, nz, ox, oy, oz, precision, gain, sums, i, row)

@@ -1,8 +1,8 @@
 """Trying to move one landmark: L at every position if it stood elsewhere, first bounded, then exact.
 
-What covers what, and who hides whom, is the field of coverage's. To it come the sums of the 15 numbers of every view
-(`information`), exact in any order, and which views are localised. A landmark that comes or goes changes the sums of
-the views in its cap. Few of these have to be decided anew, as more information never makes a view worse:
+What covers what, and who hides whom, is the field of coverage's. To it come the sums of the numbers of every view
+(`information`, `ambiguity`), exact in any order, and which views are localised. A landmark that comes or goes changes
+the sums of the views in its cap. Few of these have to be decided anew, as more information never makes a view worse:
 
 - where the landmark only goes, those that are localised and still cover enough;
 - where it only comes, those that are not and cover enough by then;
@@ -19,6 +19,7 @@ from lmd.core.compiled import inlined, inner
 from lmd.incremental.hiding import flips_with
 from lmd.incremental.move import list_touched
 from lmd.incremental.trial import begin_move, complete_move
+from lmd.objectives.localisation.ambiguity import count_tag, tells, told_apart
 from lmd.objectives.localisation.information import WIDTH, meets, share_of
 from lmd.objectives.localisation.kernels import landmark_moments, meets_row
 from lmd.scene.criteria import covering, frame_of, pixel_density
@@ -43,6 +44,7 @@ def moments_of(x, y, z, nx, ny, nz, precision, moments):
         moments[0], moments[1], moments[2], moments[3], moments[4], moments[5], moments[6], moments[7], moments[8],
         moments[9], moments[10], moments[11], moments[12], moments[13], moments[14],
     ) = landmark_moments(x, y, z, nx, ny, nz, precision)  # fmt: skip
+    moments[15] = told_apart(precision, x, y, z, nx, ny, nz)
 
 
 @inner
@@ -152,6 +154,7 @@ def _decide_views(field, state, scratch):
             for lane in range(np.uint64(GROUP)):
                 m = start + lane
                 v, go, come = views[m], leaving[m], coming[m]
+                tags = np.float64(come != 0.0) - np.float64(go != 0.0)  # as by `count_tag`
                 meeting = meets(
                     precision,
                     sums[v, 0] - share_of(old[p, 0], go) + share_of(new[p, 0], come),
@@ -169,6 +172,9 @@ def _decide_views(field, state, scratch):
                     sums[v, 12] - share_of(old[p, 12], go) + share_of(new[p, 12], come),
                     sums[v, 13] - share_of(old[p, 13], go) + share_of(new[p, 13], come),
                     sums[v, 14] - share_of(old[p, 14], go) + share_of(new[p, 14], come),
+                )
+                meeting &= tells(
+                    field.precision, sums[v, 15] - share_of(old[p, 15], go) + share_of(new[p, 15], come) + tags
                 )
                 good |= np.uint32(meeting & ((go != 0.0) | (come != 0.0))) << np.uint32(lane)
             while good:
@@ -242,7 +248,7 @@ def list_changes(k, p, field, state, scratch):
 
 
 @inlined
-def add_shares(sums, v, e, a, sign, sight, axes, offsets, moments, goes):
+def add_shares(precision, sums, v, e, a, sign, sight, axes, offsets, moments, goes):
     """Add what change e of a position adds to axis a, or takes, to row v of `sums`; the arrays are those of a scratch.
 
     Inlined: to hand on field, state and scratch costs more than the work itself.
@@ -251,6 +257,7 @@ def add_shares(sums, v, e, a, sign, sight, axes, offsets, moments, goes):
     factor = -sign if goes[e] else sign
     for j in range(np.uint64(sums.shape[1])):
         sums[v, j] += factor * share_of(moments[e, j], weight)
+    count_tag(precision, sums, v, factor)
 
 
 @inner
@@ -284,7 +291,9 @@ def _try_flips(k, places, field, state, scratch):
                     row[ZERO, j] = state.sums[v, j]
                 for e in range(changes):
                     if caps[e, w] >> bit & ONE:
-                        add_shares(row, ZERO, e, w * VIEW + bit, 1.0, sight, axes, offsets, moments, goes)
+                        add_shares(
+                            field.precision, row, ZERO, e, w * VIEW + bit, 1.0, sight, axes, offsets, moments, goes
+                        )
                 good |= np.uint64(row_meets(field.precision, row)) << bit
             enough[p, w], localised[p, w] = has, good
     _sum_up(places, field, state, scratch)

@@ -24,31 +24,35 @@ from lmd.core.checks import FloatArray, InputError, boolean, integer, real
 from lmd.core.compiled import clock
 from lmd.incremental.field import stack_of
 from lmd.objectives.base import Selectable, incremental
-from lmd.optimisers.annealing.ascent import TRIED, Ascent
+from lmd.optimisers.annealing.ascent import PLACES_TRIED, Ascent
 from lmd.optimisers.annealing.stage import Stage, changed
 from lmd.optimisers.annealing.surrogate import Surrogate
 from lmd.optimisers.annealing.trail import Trail
 from lmd.optimisers.annealing.walk import Settings
 from lmd.optimisers.base import Callback, Optimiser, Result
 from lmd.optimisers.ledger import Budget, Ledger
-from lmd.optimisers.selection import SPACING, greedy_start
+from lmd.optimisers.selection import GRID_SPACING, greedy_start
 from lmd.optimisers.stored import array, deployment, deployment_state, generator, generator_state
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.space.surface import SurfaceArrays
 
-CHUNK = 2000  # moved landmarks between two looks at the clock and the keyboard, at most
-CHUNKS = 500  # and at least this many in a run, so that the schedule is smooth
-LOOK = 10  # evaluations' worth of moves between two looks, an evaluation each, at where a stand-in leads
-ON_SAMPLES = 2  # times as far is it from look to look on samples, which have to be drawn and laid out each time
-STEPS = 10  # of the ascent between two looks
-SMALLEST = 0.2  # of their virtual diameter: the size of plates when stacks are pulled apart
-SPREAD = 1.6  # virtual diameters between the landmarks of a stack pulled apart: they no longer hide each other
+MOST_MOVES = 2000  # moved landmarks between two looks at the clock and the keyboard, at most
+LEAST_CHUNKS = 500  # and at least this many in a run, so that the schedule is smooth
+LOOK_EVALUATIONS = 10  # evaluations' worth of moves between two looks, an evaluation each, at where a stand-in leads
+LOOK_FACTOR_ON_SAMPLES = (
+    2  # times as far is it from look to look on samples, which have to be drawn and laid out each time
+)
+ASCENT_STEPS = 10  # of the ascent between two looks
+SMALLEST_PLATE = 0.2  # of their virtual diameter: the size of plates when stacks are pulled apart
+STACK_SPREAD = 1.6  # virtual diameters between the landmarks of a stack pulled apart: they no longer hide each other
 
-STACKED = Stage(temperature=(2e-3, 1e-5), width=(0.06, 0.003), step=(1.0, 0.1), jump=0.1, join=0.0)
-SINGLE = Stage(temperature=(2e-5, 2e-6), width=(0.006, 0.002), step=(0.1, 0.01), jump=0.03, join=0.05, together=0.3)
-SAMPLED = replace(SINGLE, width=(0.02, 0.004), share=0.2)
-GIVEN = replace(SINGLE, temperature=(1e-4, 2e-6), width=(0.02, 0.002), step=(0.3, 0.01))
+STACKED_STAGE = Stage(temperature=(2e-3, 1e-5), width=(0.06, 0.003), step=(1.0, 0.1), jump=0.1, join=0.0)
+SINGLE_STAGE = Stage(
+    temperature=(2e-5, 2e-6), width=(0.006, 0.002), step=(0.1, 0.01), jump=0.03, join=0.05, together=0.3
+)
+SAMPLED_STAGE = replace(SINGLE_STAGE, width=(0.02, 0.004), share=0.2)
+STAGE_FROM_GIVEN = replace(SINGLE_STAGE, temperature=(1e-4, 2e-6), width=(0.02, 0.002), step=(0.3, 0.01))
 
 
 class Annealing(Optimiser):
@@ -79,21 +83,21 @@ class Annealing(Optimiser):
 
     def __init__(
         self,
-        stacked: Stage | Mapping[str, Any] = STACKED,
-        single: Stage | Mapping[str, Any] = SINGLE,
-        sampled: Stage | Mapping[str, Any] = SAMPLED,
-        given: Stage | Mapping[str, Any] = GIVEN,
+        stacked: Stage | Mapping[str, Any] = STACKED_STAGE,
+        single: Stage | Mapping[str, Any] = SINGLE_STAGE,
+        sampled: Stage | Mapping[str, Any] = SAMPLED_STAGE,
+        given: Stage | Mapping[str, Any] = STAGE_FROM_GIVEN,
         stacked_share: float = 0.5,
         climb_share: float = 0.2,
         growth: float = 0.8,
-        spread: float = SPREAD,
+        spread: float = STACK_SPREAD,
         largest: float = 0.35,
         walkers: int = 2,
         seed: int = 0,
     ) -> None:
         super().__init__(seed)
-        self.stacked, self.single = changed("stacked", STACKED, stacked), changed("single", SINGLE, single)
-        self.sampled, self.given = changed("sampled", SAMPLED, sampled), changed("given", GIVEN, given)
+        self.stacked, self.single = changed("stacked", STACKED_STAGE, stacked), changed("single", SINGLE_STAGE, single)
+        self.sampled, self.given = changed("sampled", SAMPLED_STAGE, sampled), changed("given", STAGE_FROM_GIVEN, given)
         self.stacked_share = real("stacked_share", stacked_share, low=0.0, high=0.9)
         self.climb_share = real("climb_share", climb_share, low=0.0, high=1.0 - self.stacked_share)
         self.growth = real("growth", growth, low=0.0, high=1.0)
@@ -161,7 +165,7 @@ class Annealing(Optimiser):
     def check(self, problem: Problem) -> None:
         """See `Optimiser.check`."""
         super().check(problem)
-        incremental(problem.objective, problem.scene)
+        incremental(problem.objective)
 
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
         """See `Optimiser.run`."""
@@ -210,18 +214,18 @@ class Annealing(Optimiser):
         """
         count, stack = problem.count, surrogate.stack
         if self.in_stacks and used >= self.stacked_share:
-            self.in_stacks, self.here = False, self._apart(problem, stack, SMALLEST if self.growth else 1.0)
+            self.in_stacks, self.here = False, self._apart(problem, stack, SMALLEST_PLATE if self.growth else 1.0)
         done, size, settings = self._conditions(problem, used)
         surrogate.prepare(self.here, self._known, self.in_stacks, size, done, self.rng)
-        stretch = min(CHUNK, max(1.0, (self.spent + left) / CHUNKS), left)
+        stretch = min(MOST_MOVES, max(1.0, (self.spent + left) / LEAST_CHUNKS), left)
         if surrogate.is_true:
             improved = surrogate.walk(int(stretch), settings, self.rng)
             self.here = surrogate.here()
             return int(stretch), surrogate.best() if improved else None
         if left < count:  # too little for a look
             return int(left), None
-        longer = ON_SAMPLES if problem.objective.sampling else 1
-        stretch = longer * max(stretch, LOOK * count)
+        longer = LOOK_FACTOR_ON_SAMPLES if problem.objective.sampling else 1
+        stretch = longer * max(stretch, LOOK_EVALUATIONS * count)
         # The last stretch takes what would be too little for one more.
         stretch = stretch if left >= 2 * (stretch + count) else left - count
         each = stack if self.in_stacks else 1
@@ -234,8 +238,8 @@ class Annealing(Optimiser):
 
     def _climb(self, problem: Problem, used: float, left: float) -> tuple[int, Deployment | None]:
         """Ascend some steps; arguments and result as of `_walk`, but `left` until the end of the run."""
-        count, each = problem.count, TRIED * problem.free_count
-        steps = int(min(STEPS, (left - count) / each))
+        count, each = problem.count, PLACES_TRIED * problem.free_count
+        steps = int(min(ASCENT_STEPS, (left - count) / each))
         if steps < 1:
             return int(left), None
         if self.ascent is None:
@@ -255,10 +259,10 @@ class Annealing(Optimiser):
         plates.check(start)  # a file may be taken as it is, with papers that overlap
         self.start = self.here = problem.complete(movable)
         if not stack and problem.start.varies and isinstance(problem.objective, Selectable):
-            self.start, spent = greedy_start(problem, self.start, SPACING, (limit - count) / 2)
+            self.start, spent = greedy_start(problem, self.start, GRID_SPACING, (limit - count) / 2)
             self.here = self.start
             return spent
-        looks = 2 * (LOOK + stack + 1) * count  # the cost of two looks at the stacks
+        looks = 2 * (LOOK_EVALUATIONS + stack + 1) * count  # the cost of two looks at the stacks
         stacks = _stacks(problem, stack)
         pays = stacks and self.stacked_share * limit > looks and (1.0 - self.stacked_share) * limit > looks
         self.in_stacks = problem.start.varies and bool(pays)
@@ -290,7 +294,7 @@ class Annealing(Optimiser):
             stage = replace(self.given, width=smooth.width, share=smooth.share)
             return done, 1.0, stage.settings(done, near)
         grown = min(done / self.growth, 1.0) if self.growth else 1.0
-        size = SMALLEST + (1.0 - SMALLEST) * grown
+        size = SMALLEST_PLATE + (1.0 - SMALLEST_PLATE) * grown
         stage = self.sampled if sampled else self.single
         return done, size, stage.settings(done, near * size)
 

@@ -25,11 +25,11 @@ from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.space.surface import SurfaceArrays
 
-TRIED = 4  # places at which a landmark is tried in each step
-DIFFERENCE = 3e-3  # d, metres
-STEP = 3e-3, 3e-4  # a landmark's step along u and v where all samples agree: at first, and at last; metres
+PLACES_TRIED = 4  # places at which a landmark is tried in each step
+DIFFERENCE_M = 3e-3  # d, metres
+STEP_M = 3e-3, 3e-4  # a landmark's step along u and v where all samples agree: at first, and at last; metres
 WIDTH, SHARE = 6e-3, 0.02  # of the smoothed objective
-MEMORY = 0.9, 0.999  # share of the mean slope, and of the mean squared slope, that a step leaves as it is
+MOMENT_DECAY = 0.9, 0.999  # share of the mean slope, and of the mean squared slope, that a step leaves as it is
 
 
 @kernel
@@ -50,7 +50,7 @@ def _slopes(first, field, state, scratch, target, surfaces, out):  # type: ignor
             rise = run = 0.0
             for sign in (-1.0, 1.0):
                 # Not beyond the end of the surface: nothing is seen through the wall around the corner.
-                away = min(max(place[side] + sign * DIFFERENCE, 0.0), surfaces.extent[s, side]) - place[side]
+                away = min(max(place[side] + sign * DIFFERENCE_M, 0.0), surfaces.extent[s, side]) - place[side]
                 for i in range(3):
                     along = surfaces.u[s, i] if side == 0 else surfaces.v[s, i]
                     pose[i], pose[3 + i] = state.landmarks[i, k] + away * along, state.normals[i, k]
@@ -98,11 +98,11 @@ class Ascent:
 
         slope = sum(at_once(problem.evaluator.threads, slopes, seeds)) / samples
         self._steps += 1
-        first, second = MEMORY
+        first, second = MOMENT_DECAY
         self._mean = first * self._mean + (1.0 - first) * slope
         self._square = second * self._square + (1.0 - second) * slope**2
         mean, square = self._mean / (1.0 - first**self._steps), self._square / (1.0 - second**self._steps)
-        length = STEP[0] * (STEP[1] / STEP[0]) ** progress
+        length = STEP_M[0] * (STEP_M[1] / STEP_M[0]) ** progress
         away = length * mean / np.maximum(np.sqrt(square), np.finfo(float).tiny)
         at = surfaces.coordinates(here.surfaces, here.positions) + away
         moved = Deployment(surfaces.points(here.surfaces, at), here.normals, here.surfaces)

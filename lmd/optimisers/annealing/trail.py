@@ -15,8 +15,8 @@ from lmd.optimisers.stored import array, points
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 
-DECAY = 3  # eta: at any time the last quarter of the way has half of the weight or more
-FAR = 0.5  # metres: a landmark that goes so far from its mean at once begins anew
+AVERAGING_ETA = 3  # eta: at any time the last quarter of the way has half of the weight or more
+RESTART_M = 0.5  # metres: a landmark that goes so far from its mean at once begins anew
 
 
 class Trail:
@@ -34,10 +34,10 @@ class Trail:
     def add(self, here: Deployment) -> Deployment:
         """Go on to `here`; returns the mean, which has its surfaces."""
         away = here.positions - self._mean
-        jumped = (here.surfaces != self._surfaces) | (np.linalg.norm(away, axis=1) > FAR)
+        jumped = (here.surfaces != self._surfaces) | (np.linalg.norm(away, axis=1) > RESTART_M)
         self._places = np.where(jumped, 1.0, self._places + 1.0)
         self._surfaces = here.surfaces
-        self._mean = self._mean + ((DECAY + 1.0) / (self._places + DECAY))[:, None] * away
+        self._mean = self._mean + ((AVERAGING_ETA + 1.0) / (self._places + AVERAGING_ETA))[:, None] * away
         return Deployment(self._mean, here.normals, here.surfaces)
 
     def state(self) -> dict[str, Any]:

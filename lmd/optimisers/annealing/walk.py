@@ -29,23 +29,26 @@ _SLACK = 1e-12
 
 
 class Settings(NamedTuple):
-    """How the walk behaves while conditions last.
-
-    temperature: loss (in the smoothed objective) accepted with probability 1/e; width, margin and share shape the
-    smoothed objective; step: standard deviation of a local move, metres; jump: probability of a move to anywhere;
-    join: probability of a move next to another landmark, at a distance of about `near` metres; together: probability
-    that a landmark takes its n - 1 nearest neighbours along, unchanged among themselves.
-    """
+    """How the walk behaves while conditions last."""
 
     temperature: float
+    """Loss, in the smoothed objective, that is accepted with probability 1/e."""
     width: float
+    """In value, over which the objective is smoothed."""
     margin: float
+    """By which the smoothed threshold lies above the true one."""
     share: float
+    """Of the value itself that is added."""
     step: float
+    """Standard deviation of a local move, metres."""
     jump: float
+    """Probability of a move to anywhere."""
     join: float
+    """Probability of a move next to another landmark."""
     near: float
+    """About how far from the other that is, metres."""
     together: float
+    """Probability that a landmark takes its n - 1 nearest neighbours along, unchanged among themselves."""
 
 
 class Best(NamedTuple):

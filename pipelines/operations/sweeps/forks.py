@@ -13,10 +13,10 @@ from typing import Any
 
 from ..signals import stop
 
-READY = f"{__package__}.ready"
+READY_MODULE = f"{__package__}.ready"
 TRACKED = ("mlflow.store.tracking.sqlalchemy_store", "sqlalchemy.dialects.sqlite")  # what a store in a file needs
 ATTEMPTS = 20  # to start a process
-PAUSE = 0.05  # seconds between them
+PAUSE_SECONDS = 0.05  # seconds between them
 SERVER_DIED = 255  # which Python says of a process of a server that is gone
 
 context = multiprocessing.get_context("forkserver")
@@ -45,7 +45,7 @@ class Process:
     ) -> None:
         self._its_stdin, stdin = os.pipe()
         self.stdin = os.fdopen(stdin, "wb")
-        self._preloaded = [*(TRACKED if tracked else ()), READY]
+        self._preloaded = [*(TRACKED if tracked else ()), READY_MODULE]
         streams = {0: self._its_stdin, 1: output, 2: output}
         self._asked = pipeline, list(arguments), dict(environment), streams, tuple(kept)
         self._process: Any = None
@@ -64,7 +64,7 @@ class Process:
             except (EOFError, ConnectionError):  # a server that was killed this moment counts as alive
                 if not left:
                     raise
-                time.sleep(PAUSE)
+                time.sleep(PAUSE_SECONDS)
             else:
                 break
         self._process = begun
@@ -110,7 +110,7 @@ def _do(
     pipeline: str, arguments: list[str], environment: dict[str, str], streams: dict[int, int], _kept: list[int]
 ) -> None:
     """What the process does."""
-    ready = sys.modules.get(READY)
+    ready = sys.modules.get(READY_MODULE)
     for number, handler in (ready.BEFORE if ready else {}).items():
         signal.signal(number, handler)
     os.setsid()

@@ -14,7 +14,7 @@ from .folder import SweepFolder
 
 SLUG_LENGTH = 100
 NAME_LENGTH = 80
-SHORT = 8  # characters of a digest in the name of a folder
+DIGEST_LENGTH = 8  # characters of a digest in the name of a folder
 # How a run is done and where it is kept; it is the same run without.
 NOT_IN_NAME = ("hydra", "tracking", "trust", "picture", "page", "validate", "threads", "resume", "checkpoint_seconds")
 
@@ -53,7 +53,7 @@ def slug(text: str) -> str:
 
 
 def digest(*parts: Any) -> str:
-    """The same for the same parts, as long as the files they name hold the same."""
+    """A digest that is equal for equal parts, as long as the files that they name hold the same."""
     text = json.dumps([*parts, contents_of(parts)], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -89,12 +89,12 @@ def sweep_name(root: DictConfig) -> str:
 def sweep_folder(*, _root_: DictConfig) -> str:
     """Name of a sweep's folder: the same for what varies and all else that is set, whatever values it takes."""
     varied = sorted(varied_keys(swept(_root_)))
-    return f"{slug(sweep_name(_root_))}-{digest(_settings(_root_), varied)[:SHORT]}"
+    return f"{slug(sweep_name(_root_))}-{digest(_settings(_root_), varied)[:DIGEST_LENGTH]}"
 
 
 def job_folder(*, _root_: DictConfig) -> str:
     """Name of a job's folder below that of its sweep: the same for the same configuration and files."""
-    folder, known = SweepFolder(_root_.hydra.sweep.dir), digest(_settings(_root_))[:SHORT]
+    folder, known = SweepFolder(_root_.hydra.sweep.dir), digest(_settings(_root_))[:DIGEST_LENGTH]
     if (before := folder.job_of(known)) is not None:
         return before.name
     sweep = folder.load()

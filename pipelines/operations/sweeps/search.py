@@ -17,7 +17,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from .summary import SEED
 
-FAILED = 1e3  # the loss of a trial that failed; others lose minus what they found, a share
+LOSS_OF_FAILURE = 1e3  # the loss of a trial that failed; others lose minus what they found, a share
 DIGITS = 4  # of a number that is proposed
 
 
@@ -87,7 +87,7 @@ class Search(Sweeper):
             for i, trial in enumerate(asked):
                 found = [value for value in values[i * len(seeds) : (i + 1) * len(seeds)] if value is not None]
                 whole = len(found) == len(seeds) and not any(map(math.isnan, found))
-                method.tell(trial, -median(found) if whole else FAILED)
+                method.tell(trial, -median(found) if whole else LOSS_OF_FAILURE)
                 if whole and median(found) > best[0]:
                     best = median(found), proposed[i]
                     print(f"best of {first + i + 1} trials: {best[0]:.2%} with {' '.join(best[1])}", flush=True)

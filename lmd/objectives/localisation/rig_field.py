@@ -1,0 +1,90 @@
+"""The incremental field of localisation by a rig: L at every position of its body as single landmarks move."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lmd.incremental.field import accept, bound, settle, undo
+from lmd.incremental.rig_field import RigField, rig_field
+from lmd.incremental.rig_state import RigScratch
+from lmd.objectives.localisation.body import BODY_WIDTH
+from lmd.objectives.localisation.looks import gains_of
+from lmd.objectives.localisation.rig_trial import (
+    bound_localised_move,
+    carry_out_localised,
+    finish_localised_move,
+    sum_up_anew,
+    take_back_localised,
+)
+from lmd.objectives.localisation.slots import Slots, new_slots
+from lmd.objectives.localisation.state import LocalisationState, blank_state
+from lmd.scene.deployment import Deployment
+from lmd.sight.evaluator import Evaluator
+
+
+class RigLocalisationScratch(NamedTuple):
+    """The move tried last, and working memory.
+
+    units, located, enough, localised: as in the state, after the move; coverage: the scratch of coverage. Once the move
+    is carried out, these are those of before. slots: the views that are worked on.
+    """
+
+    units: np.ndarray
+    located: np.ndarray
+    enough: np.ndarray
+    localised: np.ndarray
+    coverage: RigScratch
+    slots: Slots
+
+
+class RigLocalisationField(NamedTuple):
+    """What does not change while landmarks move; a `lmd.incremental.field.Field`.
+
+    precision, asks, weight: as in `LocalisationField`; gains: see `gains_of`.
+    """
+
+    coverage: RigField
+    precision: Any
+    asks: bool
+    weight: float
+    gains: np.ndarray
+
+    @property
+    def size(self) -> int:
+        """See `Field.size`."""
+        return self.coverage.size
+
+    @property
+    def index_of(self) -> np.ndarray:
+        """See `Field.index_of`."""
+        return self.coverage.index_of
+
+    def state(self, deployment: Deployment) -> LocalisationState:
+        """See `Field.state`."""
+        each = 8.0 * BODY_WIDTH if self.asks else 0.0
+        state = blank_state(self.coverage.state(deployment), BODY_WIDTH, each)
+        sum_up_anew(self, state, self.scratch(state))
+        return state
+
+    def scratch(self, state: LocalisationState) -> RigLocalisationScratch:
+        """See `Field.scratch`."""
+        return RigLocalisationScratch(
+            units=state.units.copy(),
+            located=state.located.copy(),
+            enough=state.enough.copy(),
+            localised=state.localised.copy(),
+            coverage=self.coverage.scratch(state.coverage),
+            slots=new_slots(),
+        )
+
+
+bound.register(RigLocalisationField)(bound_localised_move)
+settle.register(RigLocalisationField)(finish_localised_move)
+accept.register(RigLocalisationField)(carry_out_localised)
+undo.register(RigLocalisationField)(take_back_localised)
+
+
+def rig_localisation_field(evaluator: Evaluator, n: int, precision: Any, weight: float) -> RigLocalisationField:
+    """The field of L at the positions of an evaluator whose scene has a rig."""
+    gains = np.array(gains_of(evaluator))
+    return RigLocalisationField(rig_field(evaluator, n), precision, precision.asks, weight, gains)

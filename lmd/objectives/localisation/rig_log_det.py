@@ -1,0 +1,111 @@
+"""What greedy selection climbs where a rig is localised: `log_det`, with the information of all cameras on the body."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from lmd.core.bits import ZERO
+from lmd.core.checks import FloatArray
+from lmd.core.compiled import kernel
+from lmd.core.threads import in_parts
+from lmd.objectives.localisation.body import BODY_WIDTH, body_log_det
+from lmd.objectives.localisation.looks import Looks, add_of_all, looks_of, seen_by_any
+from lmd.objectives.localisation.slots import VIEW, fill_slots, give_sums, new_slots, take_sums
+from lmd.scene.deployment import Deployment
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.stations import with_sight
+
+AT_A_TIME = 64  # poses that a thread works on at a time: what they see in all orientations is kept for so long
+
+
+@kernel
+def _gains(every, poses, prices, positions, precision, sums, known, slots, out):
+    """Write what N poses gain into `out` `(N,)`.
+
+    Args:
+        every: `Looks` of each part of the rig.
+        poses: `(N, 6)`.
+        prices: of positions and orientations, `(P, D)`.
+        positions: of the body, `(P, 3)`.
+        precision: the size of a tag.
+        sums: what is known of each view, `(P D, BODY_WIDTH)`.
+        known: their `body_log_det`, `(P, D)`.
+        slots: working memory.
+    """
+    words = np.uint64(known.shape[1]) // VIEW
+    for j in range(len(out)):
+        pose = poses[j, 0], poses[j, 1], poses[j, 2], poses[j, 3], poses[j, 4], poses[j, 5]
+        out[j] = 0.0
+        for p in range(np.uint64(len(positions))):
+            place = positions[p, 0], positions[p, 1], positions[p, 2]
+            for w in range(words):
+                seen, first = seen_by_any(every, p, j, w), (p * words + w) * VIEW
+                if seen == ZERO:
+                    continue
+                count = fill_slots(seen, slots)
+                take_sums(sums, first, slots, count)
+                add_of_all(every, p, j, w, place, pose, precision, slots, count)
+                for v in range(count):
+                    a = w * VIEW + slots.bits[v]
+                    out[j] += prices[p, a] * (body_log_det(slots.rows, v, VIEW) - known[p, a])
+
+
+@kernel
+def _choose(every, poses, positions, precision, sums, flat, known, slots):
+    """Add the only one of the poses to `sums`, whose numbers are `flat`, and `known`; args as in `_gains`."""
+    words = np.uint64(known.shape[1]) // VIEW
+    pose = poses[0, 0], poses[0, 1], poses[0, 2], poses[0, 3], poses[0, 4], poses[0, 5]
+    for p in range(np.uint64(len(positions))):
+        place = positions[p, 0], positions[p, 1], positions[p, 2]
+        for w in range(words):
+            seen, first = seen_by_any(every, p, 0, w), (p * words + w) * VIEW
+            if seen == ZERO:
+                continue
+            count = fill_slots(seen, slots)
+            add_of_all(every, p, 0, w, place, pose, precision, slots, count)
+            give_sums(sums, first, slots, count)
+            for v in range(count):
+                row = np.int64((first + slots.bits[v]) * np.uint64(BODY_WIDTH))
+                known[p, w * VIEW + slots.bits[v]] = body_log_det(flat, row, 1)
+
+
+class RigLogDeterminant:
+    """See `LogDeterminant`; of a rig, whose body is known beforehand."""
+
+    label = "mean log det of the information"
+
+    def __init__(
+        self, evaluator: Evaluator, relevance: FloatArray, precision: Any, position: float, rotation: float
+    ) -> None:
+        evaluator.check_memory(8 * (BODY_WIDTH + 2))
+        self._evaluator, self._precision = evaluator, precision
+        self._prices = relevance[:, None] / relevance.sum() * evaluator.probability
+        start = np.zeros(BODY_WIDTH)
+        start[[0, 3, 5]], start[[15, 18, 20]] = position, rotation
+        self._sums = np.tile(start, (self._prices.size, 1))
+        self._known = np.full(self._prices.shape, body_log_det(start, 0, 1))
+        self._parts = tuple(with_sight(part, part.sight.unhidden()) for part in evaluator.parts)
+
+    def _looks(self, poses: Deployment) -> tuple[Looks, ...]:
+        """What the cameras cover of poses, none of which hides another."""
+        return looks_of(self._evaluator, self._parts, self._evaluator.positions, poses)
+
+    def gains(self, poses: Deployment) -> FloatArray:
+        """See `Selection.gains`."""
+        out, positions = np.empty(len(poses)), self._evaluator.positions
+
+        def job(first: int, last: int) -> None:
+            part = poses[first:last]
+            there = np.hstack([part.positions, part.normals])
+            known = self._prices, positions, self._precision, self._sums, self._known, new_slots()
+            _gains(self._looks(part), there, *known, out[first:last])
+
+        in_parts(self._evaluator.threads, job, len(poses), math.ceil(len(poses) / AT_A_TIME))
+        return out
+
+    def add(self, pose: Deployment) -> None:
+        """See `Selection.add`."""
+        there, positions = np.hstack([pose.positions, pose.normals]), self._evaluator.positions
+        sums = self._sums, self._sums.reshape(-1), self._known, new_slots()
+        _choose(self._looks(pose), there, positions, self._precision, *sums)

@@ -1,0 +1,283 @@
+"""Moving one landmark where a rig looks for it: L at every position of its body.
+
+What covers what, and who hides whom, is the field of coverage's (`lmd.incremental.rig_trial`). To it come the sums of
+the 21 numbers of every view (`body`), exact in any order, and which views are localised. A camera is elsewhere for each
+orientation, so what a landmark tells it is found for each view anew, of those alone that have to be decided: see
+`trial`.
+"""
+
+import numpy as np
+from numba import literal_unroll
+
+from lmd.core.bits import ALL, ZERO, at_least_so_far
+from lmd.core.compiled import inlined, inner, kernel
+from lmd.incremental.rig_move import see_whole, take_back_rig
+from lmd.incremental.rig_pairs import COMES, find_pairs
+from lmd.incremental.rig_trial import begin_rig_move, count_others, list_near, see_anew
+from lmd.objectives.localisation.slots import VIEW, add_landmark, ask_for, fill_slots, give_sums, met_slots, take_sums
+from lmd.objectives.localisation.trial import mixed, sum_weights
+
+
+@inlined
+def _pose(i, state):
+    """Position and normal of landmark i."""
+    landmarks, normals = state.landmarks, state.normals
+    return landmarks[0, i], landmarks[1, i], landmarks[2, i], normals[0, i], normals[1, i], normals[2, i]
+
+
+@inlined
+def _place(q, field):
+    """Position q of the body."""
+    positions = field.coverage.positions
+    return positions[0, q], positions[1, q], positions[2, q]
+
+
+@inner
+def _add_changes(stations, k, q, w, sign, field, state, scratch, count):
+    """Add to the views taken what the move changes for the cameras of a part, times `sign`: see `add_landmark`."""
+    part, gain, trial, slots = stations.part, field.gains[stations.number], scratch.coverage, scratch.slots
+    mine, other, target = state.coverage.parts[stations.number], trial.parts[stations.number], trial.target
+    old, new = _pose(k, state), (target[0], target[1], target[2], target[3], target[4], target[5])
+    place, precision = _place(q, field), field.precision
+    for m in range(len(part.axes)):
+        goes, comes = mine.caps[k, q, m, w] & ~mine.veiled[k, q, m, w], other.cap[q, m, w] & ~other.veil[q, m, w]
+        if goes:
+            add_landmark(part, m, w, goes, place, old, -sign, gain, precision, slots, count)
+        if comes:
+            add_landmark(part, m, w, comes, place, new, sign, gain, precision, slots, count)
+    for i in range(len(state.surfaces) if trial.touched[q] else 0):
+        for m in range(len(part.axes) if trial.known[i, q] else 0):
+            veiled, turns = mine.veiled[i, q, m, w], mine.caps[i, q, m, w] & other.flipped[i, q, m, w]
+            if turns & ~veiled:
+                add_landmark(
+                    part, m, w, turns & ~veiled, place, _pose(i, state), -sign, gain, precision, slots, count
+                )  # fmt: skip
+            if turns & veiled:
+                add_landmark(part, m, w, turns & veiled, place, _pose(i, state), sign, gain, precision, slots, count)
+
+
+@inner
+def _turns(stations, k, q, w, state, scratch):
+    """The orientations of word w at position q with which the cameras of a part lose a landmark, and gain one."""
+    mine, other = state.coverage.parts[stations.number], scratch.parts[stations.number]
+    lost = gained = ZERO
+    for m in range(mine.caps.shape[2]):
+        lost |= mine.caps[k, q, m, w] & ~mine.veiled[k, q, m, w]
+        gained |= other.cap[q, m, w] & ~other.veil[q, m, w]
+    for i in range(mine.caps.shape[0] if scratch.touched[q] else 0):
+        for m in range(mine.caps.shape[2] if scratch.known[i, q] else 0):
+            veiled, turns = mine.veiled[i, q, m, w], mine.caps[i, q, m, w] & other.flipped[i, q, m, w]
+            lost, gained = lost | (turns & ~veiled), gained | (turns & veiled)
+    return lost, gained
+
+
+@inner
+def _turns_of_all(k, q, w, field, state, scratch):
+    """See `_turns`, of all parts."""
+    lost, gained = ZERO, ZERO
+    for stations in literal_unroll(field.coverage.parts):
+        less, more = _turns(stations, k, q, w, state, scratch.coverage)
+        lost, gained = lost | less, gained | more
+    return lost, gained
+
+
+@inner
+def _add_all_changes(k, q, w, sign, field, state, scratch, count):
+    """See `_add_changes`, of all parts."""
+    for stations in literal_unroll(field.coverage.parts):
+        _add_changes(stations, k, q, w, sign, field, state, scratch, count)
+
+
+@inner
+def _localised(k, q, w, has, field, state, scratch):
+    """The orientations of word w that are localised, of those that cover enough, `has`."""
+    sums, slots, known = state.sums, scratch.slots, state.localised[q, w]
+    lost, gained = _turns_of_all(k, q, w, field, state, scratch)
+    left = has & ((lost & gained) | (lost & known) | (gained & ~known))
+    good, first = known & has & ~left, (q * np.uint64(state.localised.shape[1]) + w) * VIEW
+    if left == ZERO:
+        return good
+    count = fill_slots(left, slots)
+    ask_for(sums, first, slots, count)
+    _add_all_changes(k, q, w, 1.0, field, state, scratch, count)
+    take_sums(sums, first, slots, count)
+    return good | met_slots(field.precision, slots, count)
+
+
+@inlined
+def _sum_up(q, located, covered, weight, values):
+    """Write the values of position q to those of a state or a scratch."""
+    values.located[q], values.coverage.units[q], values.units[q] = located, covered, mixed(located, covered, weight)
+
+
+@inner
+def _decide(k, positions, field, state, scratch):
+    """Find the values at `positions`, with what `fresh` has of landmark k and the pairs as they turn."""
+    known, trial, n, weights = state.coverage, scratch.coverage, field.coverage.n, field.coverage.weights
+    shown, short, just, fresh, digits = known.shown, known.short, known.just, trial.fresh, trial.digits
+    for q in positions:
+        located, covered = state.located[q], known.units[q]
+        for w in range(np.uint64(fresh.shape[1])):
+            was, now, before = shown[k, q, w], fresh[q, w], state.enough[q, w]
+            has = (before & ~(was & ~now & just[q, w])) | (now & ~was & short[q, w])
+            if trial.touched[q]:
+                has = ALL
+                for j in range(np.uint64(digits.shape[2])):
+                    has = at_least_so_far(has, digits[q, w, j], n, j)
+                has |= now & trial.asked[q, w]
+            good = _localised(k, q, w, has, field, state, scratch) if field.asks else has
+            covered += sum_weights(before, has, weights, q, w)
+            located += sum_weights(state.localised[q, w], good, weights, q, w)
+            scratch.enough[q, w], scratch.localised[q, w] = has, good
+        _sum_up(q, located, covered, field.weight, scratch)
+
+
+@inner
+def _ask(k, state, scratch):
+    """Ask where landmark k may matter, and copy the values near it: no pair turning.
+
+    It does where n - 1 others are seen or more, unless the view is localised and k is not among what it shows.
+    """
+    asked, shown, short = scratch.coverage.asked, state.coverage.shown, state.coverage.short
+    spans = scratch.coverage.spans
+    for s in range(scratch.coverage.near[1]):
+        for q in range(spans[s, 0], spans[s, 1]):
+            scratch.located[q], scratch.coverage.units[q] = state.located[q], state.coverage.units[q]
+            for w in range(np.uint64(asked.shape[1])):
+                mine, enough, localised = shown[k, q, w], state.enough[q, w], state.localised[q, w]
+                asked[q, w] = (enough & (mine | ~localised)) | (short[q, w] & ~mine)
+                scratch.enough[q, w], scratch.localised[q, w] = enough, localised
+
+
+@inner
+def _ask_again(k, n, state, scratch):
+    """The same at positions that are touched, whatever is localised."""
+    asked, digits = scratch.asked, scratch.digits
+    count_others(k, state, scratch)
+    for e in range(scratch.found[1]):
+        q = scratch.places[e]
+        for w in range(np.uint64(asked.shape[1])):
+            asked[q, w] = ALL
+            for j in range(np.uint64(digits.shape[2])):
+                asked[q, w] = at_least_so_far(asked[q, w], digits[q, w, j], n - 1, j)
+
+
+@inner
+def bound_localised_move(field, k, pose, surface, state, scratch):
+    """See `trial.bound_move`."""
+    cover, known, trial, k = field.coverage, state.coverage, scratch.coverage, np.uint64(k)
+    begin_rig_move(k, pose, surface, cover, known, trial)
+    for q in range(len(scratch.units)):
+        scratch.units[q] = state.units[q]
+    _ask(k, state, scratch)
+    _ask_again(k, cover.n, known, trial)
+    positions = trial.listed[: list_near(trial, False)]
+    see_anew(cover.parts, positions, False, cover, known, trial)
+    _decide(k, positions, field, state, scratch)
+
+
+@inner
+def finish_localised_move(field, k, state, scratch):
+    """See `trial.finish_move`."""
+    cover, known, trial, k = field.coverage, state.coverage, scratch.coverage, np.uint64(k)
+    find_pairs(k, COMES, cover.parts, cover, known, trial)
+    _ask_again(k, cover.n, known, trial)
+    positions = trial.places[: trial.found[1]]
+    see_anew(cover.parts, positions, False, cover, known, trial)
+    _decide(k, positions, field, state, scratch)
+
+
+@inner
+def _change_sums(k, sign, field, state, scratch):
+    """Change the sums by the move tried last, or with a `sign` of -1 back; landmark k is still where it was."""
+    words, trial, slots = np.uint64(state.localised.shape[1]), scratch.coverage, scratch.slots
+    for s in range(trial.near[1] if field.asks else 0):
+        for q in range(trial.spans[s, 0], trial.spans[s, 1]):
+            for w in range(words):
+                lost, gained = _turns_of_all(k, q, w, field, state, scratch)
+                if lost | gained == ZERO:
+                    continue
+                count, first = fill_slots(lost | gained, slots), (q * words + w) * VIEW
+                ask_for(state.sums, first, slots, count)
+                _add_all_changes(k, q, w, sign, field, state, scratch, count)
+                give_sums(state.sums, first, slots, count)
+
+
+@inner
+def _exchange(state, scratch):
+    """Exchange what state and scratch know of the values near the move."""
+    for s in range(scratch.coverage.near[1]):
+        for q in range(scratch.coverage.spans[s, 0], scratch.coverage.spans[s, 1]):
+            state.units[q], scratch.units[q] = scratch.units[q], state.units[q]
+            state.located[q], scratch.located[q] = scratch.located[q], state.located[q]
+            for w in range(state.localised.shape[1]):
+                state.localised[q, w], scratch.localised[q, w] = scratch.localised[q, w], state.localised[q, w]
+                state.enough[q, w], scratch.enough[q, w] = scratch.enough[q, w], state.enough[q, w]
+
+
+@inner
+def carry_out_localised(field, k, state, scratch):
+    """See `rig_move.carry_out_rig`."""
+    see_whole(field.coverage, state.coverage, scratch.coverage)
+    _change_sums(np.uint64(k), 1.0, field, state, scratch)
+    take_back_rig(field.coverage, k, state.coverage, scratch.coverage)
+    _exchange(state, scratch)
+
+
+@inner
+def take_back_localised(field, k, state, scratch):
+    """See `rig_move.take_back_rig`."""
+    take_back_rig(field.coverage, k, state.coverage, scratch.coverage)
+    _change_sums(np.uint64(k), -1.0, field, state, scratch)
+    _exchange(state, scratch)
+
+
+@inner
+def _shown(stations, q, w, state):
+    """The orientations of word w with which the cameras of a part see any landmark from position q."""
+    mine, seen = state.coverage.parts[stations.number], ZERO
+    for i in range(mine.caps.shape[0]):
+        for m in range(mine.caps.shape[2]):
+            seen |= mine.caps[i, q, m, w] & ~mine.veiled[i, q, m, w]
+    return seen
+
+
+@inner
+def _add_shown(stations, q, w, field, state, scratch, count):
+    """Add to the views taken what all landmarks tell the cameras of a part."""
+    part, mine, gain = stations.part, state.coverage.parts[stations.number], field.gains[stations.number]
+    place, precision, slots = _place(q, field), field.precision, scratch.slots
+    for i in range(mine.caps.shape[0]):
+        for m in range(mine.caps.shape[2]):
+            seen = mine.caps[i, q, m, w] & ~mine.veiled[i, q, m, w]
+            if seen:
+                add_landmark(part, m, w, seen, place, _pose(i, state), 1.0, gain, precision, slots, count)
+
+
+@inner
+def _met_anew(q, w, field, state, scratch):
+    """Sum up what all landmarks tell in word w, and find where it is enough."""
+    seen, slots, first = ZERO, scratch.slots, (q * np.uint64(state.localised.shape[1]) + w) * VIEW
+    for stations in literal_unroll(field.coverage.parts):
+        seen |= _shown(stations, q, w, state)
+    count = fill_slots(seen, slots)
+    for stations in literal_unroll(field.coverage.parts):
+        _add_shown(stations, q, w, field, state, scratch, count)
+    give_sums(state.sums, first, slots, count)
+    return met_slots(field.precision, slots, count)
+
+
+@kernel
+def sum_up_anew(field, state, scratch):
+    """Sum up what all landmarks tell, and find the values."""
+    known, n, weights = state.coverage, field.coverage.n, field.coverage.weights
+    for q in range(np.uint64(len(state.units))):
+        located = np.int64(0)
+        for w in range(np.uint64(state.enough.shape[1])):
+            has = ALL
+            for j in range(np.uint64(known.counts.shape[2])):
+                has = at_least_so_far(has, known.counts[q, w, j], n, j)
+            good = has & _met_anew(q, w, field, state, scratch) if field.asks else has
+            state.enough[q, w], state.localised[q, w] = has, good
+            located += sum_weights(ZERO, good, weights, q, w)
+        _sum_up(q, located, known.units[q], field.weight, state)
