@@ -12,6 +12,7 @@ from lmd.core.threads import MOST_THREADS
 from lmd.objectives.base import Objective
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import DeploymentSource
+from lmd.scene.edges import edges_or
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 
@@ -52,17 +53,17 @@ class Problem:
         self.fixed = None if fixed is None else scene.plates.hung(fixed, start)
         first = self.draw(np.random.default_rng(0))
         self.count, self.labels, self.surveyed = len(first), first.labels, first.surveyed
-        self.edges = first.edges
+        self.edges, self.scene = first.edges, scene.sized(first.edges)
         if not scene.tag.is_point:
             scene.tag.check_ids(first.ids)
         objective.check(self.count)
-        self.evaluator = Evaluator(scene, threads=threads)
+        self.evaluator = Evaluator(self.scene, threads=threads)
         scene.check_inside(self.evaluator.positions)
         self.relevance = scene.room.relevance.weights(self.evaluator.positions)
         self.fitness_evaluator, self.fitness_relevance = self.evaluator, self.relevance
         if objective.sampling is not None:
             rng, repeats = np.random.default_rng(SAMPLING_STREAM), objective.sampling.positions
-            self.fitness_evaluator = objective.sampling.evaluator(scene, repeats, rng, threads)
+            self.fitness_evaluator = objective.sampling.evaluator(self.scene, repeats, rng, threads)
             self.fitness_relevance = np.tile(self.relevance, repeats)
 
     @property
@@ -74,6 +75,11 @@ class Problem:
     def free_count(self) -> int:
         """How many of the K landmarks are to be placed."""
         return self.count - self.fixed_count
+
+    @property
+    def sizes(self) -> FloatArray | None:
+        """The edges of all landmarks, `(K,)`, metres; None where all have the tag's."""
+        return None if self.edges is None else edges_or(self.edges, self.count, self.scene.tag)
 
     def draw(self, rng: np.random.Generator) -> Deployment:
         """A deployment to start from, its landmarks with their surfaces, its plates apart."""
@@ -150,7 +156,8 @@ class Problem:
             "room": _fields(scene.room),
             "camera": _fields(scene.camera),
             **({} if scene.tag.is_point else {"tag": _fields(scene.tag)}),
-            **_fields(scene.visibility),
+            **{key: value for key, value in _fields(scene.visibility).items() if key != "edges"},
+            **({} if self.edges is None else {"edges": self.edges.tolist()}),
         }
 
 

@@ -20,6 +20,7 @@ def bound(cfg: DictConfig) -> None:
     from .tracked_run import keep, title_of, tracked
 
     problem = build_problem(cfg)
+    problem.scene.check_one_size("a bound")
     settings = settings_of(cfg, "bound")
     with keyed("bound"):
         search = Search(settings.spacing, settings.iterations, settings.tolerance)

@@ -14,6 +14,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from .app import CONF
 from .fixed import fixed_of, others_of, total_of
+from .sizes import divide_paper, spell_counts
 from .spelling import meant
 
 if TYPE_CHECKING:
@@ -183,6 +184,7 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
             boolean(switch, cfg[switch])
     if cfg.get("page"):
         optional("plotly", "page")
+    spell_counts(cfg)
     tag = instantiate(cfg.tag) if cfg.get("tag") else Tag()  # runs of old have none
     camera, visibility = camera_of(cfg.camera), instantiate(cfg.visibility)
     room, pdf, recorded = _poses(cfg)
@@ -196,6 +198,11 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
             scene = carried(scene)
     with keyed("deployment", count=count):
         fixed = fixed_of(cfg.deployment, tag.family)
+    with keyed("tag"):
+        scene, found = divide_paper(cfg, scene, objective, threads, fixed)
+        tag = scene.tag
+    note(found)
+    with keyed("deployment", count=count, counts="tag.counts"):
         total = total_of(cfg.deployment, fixed)
     start = instantiate(others_of(cfg.deployment, fixed, total))
     with keyed("tag"):
@@ -203,7 +210,7 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
     # What only shows when the parts meet; the problem would refuse it too, but could not tell whose argument it is.
     with keyed("room.relevance"):
         scene.room.relevance.weights(scene.room.grid())
-    with keyed("deployment", count=count):
+    with keyed("deployment", count=count, counts="tag.counts"):
         hung = {} if fixed is None else {"fixed": scene.plates.hung(fixed, start)}
         if isinstance(start, partial):  # a source that depends on what the landmarks are for
             start = start(scene=scene, objective=objective, threads=threads, **hung)

@@ -66,6 +66,7 @@ def tradeoff(cfg: DictConfig) -> None:
     ladders = [Ladder(cfg, edge, seed) for edge, seed in product(edges, seeds)]
     for ladder, count in product(ladders[:: len(seeds)], (counts[0], counts[-1])):  # and what does not fit together
         problem = ladder.problem(count)
+        problem.scene.check_one_size("a trade-off")
         optimiser.check(problem)
     if cfg.figure is not None:
         known = figures_of(problem, problem.draw(np.random.default_rng(seeds[0])), seeds[0])

@@ -196,7 +196,8 @@ def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
 
 
 def _at_most_coverage(problem: Problem) -> Coverage | Localisation:
-    """The objective, whose values are at most P_n."""
+    """The objective, whose values are at most P_n; tags have one size."""
+    problem.scene.check_one_size("the upper bound")
     if not isinstance(problem.objective, Coverage | Localisation):
         raise InputError(
             f"there is no upper bound for the objective {type(problem.objective).__name__}, only for Coverage and "

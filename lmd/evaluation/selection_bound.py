@@ -55,6 +55,7 @@ def selection_upper_bound(problem: Problem, count: int, spacing: float) -> Selec
     Raises:
         InputError: the objective has no selection, or the spacing is not positive.
     """
+    problem.scene.check_one_size("the bound of a selection")
     plates, objective = problem.scene.plates, selectable(problem.objective)
     evaluator, relevance = problem.fitness_evaluator, problem.fitness_relevance
     poses = candidate_poses(plates.hanging, spacing)

@@ -180,7 +180,7 @@ def _variants(problem: Problem, deployment: Deployment) -> list[Variant]:
             resized.plates.check(larger)
         except InputError as error:
             note = str(error)
-        variants.append(Variant("edge", factor, tag.size, resized, objective, larger, note))
+        variants.append(Variant("edge", factor, tag.size, resized.sized(larger.edges), objective, larger, note))
     return variants
 
 

@@ -51,7 +51,7 @@ def verdicts(
     camera = camera or scene.single_camera("the verdicts on single poses")
     if not hasattr(scene.visibility, "verdicts"):
         return {}
-    axes = axis_and_right(poses)
+    axes, scene = axis_and_right(poses), scene.sized(deployment.edges)
     rows = [_told(scene, camera, deployment, pose[:3, 3], axes[i : i + 1]) for i, pose in enumerate(poses)]
     return {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
 

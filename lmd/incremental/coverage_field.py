@@ -9,7 +9,7 @@ from lmd.incremental.field import accept, bound, settle, undo
 from lmd.incremental.move import carry_out, counts_of, state_of, take_back
 from lmd.incremental.state import Scratch, State, scratch_of
 from lmd.incremental.trial import bound_move, finish_move
-from lmd.scene.criteria import horizon_of
+from lmd.scene.criteria import horizon_of, largest
 from lmd.scene.deployment import Deployment
 from lmd.sight.blocks import boxes_around
 from lmd.sight.evaluator import Evaluator
@@ -56,8 +56,8 @@ class CoverageField(NamedTuple):
 
     @property
     def stack(self) -> int:
-        """See `Stacking.stack`."""
-        return self.n
+        """See `Stacking.stack`: tags of several sizes have none."""
+        return self.n if largest(self.sight) is self.sight else 0
 
     def stacked(self, fixed: Deployment | None) -> "CoverageField":
         """See `Stacking.stacked`: a stack of n that nothing hides is seen whenever one landmark in its place is.

@@ -24,7 +24,7 @@ import numpy as np
 from lmd.core.bits import LANES, ONE, lowest
 from lmd.core.compiled import inlined, inner
 from lmd.incremental.nearby import is_near
-from lmd.scene.criteria import TOLERANCE, hide
+from lmd.scene.criteria import TOLERANCE, hide, sized
 from lmd.sight.blocks import BLOCK, SINGLE_ERROR
 
 
@@ -95,6 +95,7 @@ def find_neighbours(
     """
     positions, centres, halves, sight = field.positions, field.centres, field.halves, field.sight
     found, who, hides, hidden_by, count_hides, count_hidden = neighbours
+    mine = sized(sight, k)
     radius, filled = line_radius(sight), find_ways(ax, ay, az, landmarks, field.horizon, others, ways)
     for b in blocks:
         found[b] = 0
@@ -113,12 +114,12 @@ def find_neighbours(
                 close &= close - np.uint32(1)
                 lx, ly, lz = landmarks[0, i], landmarks[1, i], landmarks[2, i]
                 vx, vy, vz = normals[0, i], normals[1, i], normals[2, i]
-                some = np.int64(0)
+                theirs, some = sized(sight, i), np.int64(0)
                 for p in range(first, last):
                     x, y, z = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
                     ox, oy, oz = lx - positions[0, p], ly - positions[1, p], lz - positions[2, p]
                     squared, other = x * x + y * y + z * z, ox * ox + oy * oy + oz * oz
-                    one, two = hide(sight, x, y, z, squared, ox, oy, oz, other, nx, ny, nz, vx, vy, vz)
+                    one, two = hide(mine, theirs, x, y, z, squared, ox, oy, oz, other, nx, ny, nz, vx, vy, vz)
                     some += one | two
                 if some == 0 or i == np.uint64(k) or not is_near(field, b, lx, ly, lz):
                     continue
@@ -126,7 +127,7 @@ def find_neighbours(
                     x, y, z = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
                     ox, oy, oz = lx - positions[0, p], ly - positions[1, p], lz - positions[2, p]
                     squared, other = x * x + y * y + z * z, ox * ox + oy * oy + oz * oz
-                    one, two = hide(sight, x, y, z, squared, ox, oy, oz, other, nx, ny, nz, vx, vy, vz)
+                    one, two = hide(mine, theirs, x, y, z, squared, ox, oy, oz, other, nx, ny, nz, vx, vy, vz)
                     hides[b, kept, p - first], hidden_by[b, kept, p - first] = one, two
                     count_hides[p] += one
                     count_hidden[p] += two

@@ -16,7 +16,7 @@ from lmd.core.memory import check_views
 from lmd.incremental.hiding import exchange_hiding, find_new, flips_with, swap
 from lmd.incremental.nearby import look_around
 from lmd.incremental.state import State, scratch_of
-from lmd.scene.criteria import covering, frame_of
+from lmd.scene.criteria import covering, frame_of, sized
 from lmd.scene.deployment import Deployment
 from lmd.sight.blocks import BLOCK
 from lmd.sight.directions import NOWHERE
@@ -33,9 +33,9 @@ FORTH, BACK = np.int64(1), np.int64(-1)
 
 
 @inner
-def _find_cap(positions, field, scratch):
-    """Find the axes that cover the place tried at `positions`, nobody hiding it."""
-    sight, axes, certain, possible = field.sight, field.axes, field.certain, field.possible
+def _find_cap(k, positions, field, scratch):
+    """Find the axes that cover landmark k in the place tried at `positions`, nobody hiding it."""
+    sight, axes, certain, possible = sized(field.sight, k), field.axes, field.certain, field.possible
     x, y, z, low, high, sure, cell, reached = scratch.new
     target, caps = scratch.target, scratch.cap
     frame = frame_of(sight, target[3], target[4], target[5])
@@ -128,7 +128,7 @@ def _exchange(k, sign, field, state, scratch):
 @inner
 def carry_out(field, k, state, scratch):
     """Move landmark k to where it was tried last; no other move may have been tried or carried out since."""
-    _find_cap(scratch.listed[: list_touched(k, state, scratch)], field, scratch)
+    _find_cap(k, scratch.listed[: list_touched(k, state, scratch)], field, scratch)
     _exchange(k, FORTH, field, state, scratch)
 
 
@@ -179,7 +179,7 @@ def _fill(field, state, scratch):
         if field.sight.reach >= 0.0:
             find_new(k, field, state, scratch)
         positions = scratch.listed[: list_touched(k, state, scratch)]
-        _find_cap(positions, field, scratch)
+        _find_cap(k, positions, field, scratch)
         _recount(np.uint64(k), positions, FORTH, field, state, scratch)
         for p in range(np.uint64(len(scratch.new.reached))):
             state.reachable[k, p] = scratch.new.reached[p]

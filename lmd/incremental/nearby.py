@@ -8,7 +8,7 @@ import numpy as np
 
 from lmd.core.bits import ONE
 from lmd.core.compiled import allocating, inlined, inner
-from lmd.scene.criteria import from_position
+from lmd.scene.criteria import from_position, sized
 from lmd.sight.blocks import BLOCK
 from lmd.sight.directions import cell_of
 from lmd.sight.obstacles import find_ends, is_blocked, is_clear, no_ends
@@ -68,7 +68,7 @@ def look_around(k, field, state, scratch):  # type: ignore[no-untyped-def]
     _forget(scratch)
     list_blocks(k, field, state, scratch)
     target, positions, sight, spans, number = (
-        scratch.target, field.positions, field.sight, scratch.spans, scratch.near[1]
+        scratch.target, field.positions, sized(field.sight, k), scratch.spans, scratch.near[1]
     )  # fmt: skip
     x, y, z, low, high, sure, cell, reached = scratch.new
     ax, ay, az, nx, ny, nz = target[0], target[1], target[2], target[3], target[4], target[5]
@@ -78,17 +78,17 @@ def look_around(k, field, state, scratch):  # type: ignore[no-untyped-def]
             reached[p], low[p], high[p], sure[p] = from_position(sight, x[p], y[p], z[p], nx, ny, nz, 0.0)
             cell[p] = cell_of(x[p], y[p], z[p])
     if not is_clear(field.obstacles):
-        _block(field, scratch)
+        _block(k, field, scratch)
 
 
 @allocating
-def _block(field, scratch):  # type: ignore[no-untyped-def]
-    """Do not reach the target where something of the room stands in the way."""
+def _block(k, field, scratch):  # type: ignore[no-untyped-def]
+    """Do not let landmark k reach the target where something of the room stands in the way."""
     target, reached, spans = scratch.target, scratch.new.reached, scratch.spans
-    ends = no_ends(field.obstacles, 1)
+    ends, sight = no_ends(field.obstacles, 1), sized(field.sight, k)
     find_ends(
-        field.obstacles, field.sight, target[0], target[1], target[2], target[3], target[4], target[5], ends, 0
+        field.obstacles, sight, target[0], target[1], target[2], target[3], target[4], target[5], ends, 0
     )  # fmt: skip
     for s in range(scratch.near[1]):
         for p in range(spans[s, 0], spans[s, 1]):
-            reached[p] = reached[p] and not is_blocked(field.obstacles, field.sight, p, ends, 0)
+            reached[p] = reached[p] and not is_blocked(field.obstacles, sight, p, ends, 0)

@@ -43,9 +43,9 @@ def _exchange_parts(k, q, state, scratch):
 
 
 @inner
-def see_whole(field, state, scratch):
-    """Find all that the cameras see of the place tried."""
-    see_anew(field.parts, scratch.listed[: list_near(scratch, True)], True, field, state, scratch)
+def see_whole(k, field, state, scratch):
+    """Find all that the cameras see of landmark k in the place tried."""
+    see_anew(np.uint64(k), field.parts, scratch.listed[: list_near(scratch, True)], True, field, state, scratch)
 
 
 @inner
@@ -73,7 +73,7 @@ def take_back_rig(field, k, state, scratch):
 @inner
 def carry_out_rig(field, k, state, scratch):
     """See `move.carry_out`."""
-    see_whole(field, state, scratch)
+    see_whole(k, field, state, scratch)
     take_back_rig(field, k, state, scratch)
 
 
@@ -87,7 +87,7 @@ def _fill(field, state, scratch):
         list_blocks(k, field, state, scratch)
         find_pairs(k, ARRIVES, field.parts, field, state, scratch)
         positions = scratch.listed[: list_near(scratch, True)]
-        see_anew(field.parts, positions, True, field, state, scratch)
+        see_anew(k, field.parts, positions, True, field, state, scratch)
         for q in positions:
             for w in range(np.uint64(scratch.fresh.shape[1])):
                 _show(k, q, w, scratch.fresh[q, w], field.n, state)

@@ -20,13 +20,13 @@ LEAVES, COMES, ARRIVES = np.int64(0), np.int64(1), np.int64(2)
 
 
 @inner
-def _hidden_bits(part, m, w, bits, px, py, pz, one, other):
-    """Those orientations of a set of word w with which landmark `one` hides the `other` from mount m."""
+def _hidden_bits(part, m, w, bits, i, k, px, py, pz, one, other):
+    """Those orientations of a set of word w with which landmark i, `one`, hides k, the `other`, from mount m."""
     found = ZERO
     while bits:
         bit = lowest(bits)
         bits &= bits - ONE
-        found |= np.uint64(hides_from(part, m, w * np.uint64(BITS) + bit, px, py, pz, one, other)) << bit
+        found |= np.uint64(hides_from(part, m, w * np.uint64(BITS) + bit, i, k, px, py, pz, one, other)) << bit
     return found
 
 
@@ -49,7 +49,7 @@ def _without_hidden(part, c, m, w, bits, px, py, pz, i, k, state):
         one = _pose(j, state)
         ax, ay, az = x + (one[0] - other[0]), y + (one[1] - other[1]), z + (one[2] - other[2])
         if may_hide_around(ax, ay, az, x, y, z, part.radius[c], width) and j != i and j != k:
-            bits &= ~_hidden_bits(part, m, w, bits, px, py, pz, one, other)
+            bits &= ~_hidden_bits(part, m, w, bits, j, i, px, py, pz, one, other)
     return bits
 
 
@@ -71,7 +71,7 @@ def _find_pair(part, c, i, k, q, px, py, pz, place, how, mine, other, state, rig
         for w in range(np.uint64(mine.caps.shape[3])):
             cap, veiled, flips = mine.caps[i, q, m, w], mine.veiled[i, q, m, w], other.flipped[i, q, m, w]
             bits = cap if how == COMES else cap & veiled
-            found = _hidden_bits(part, m, w, bits, px, py, pz, place, pose) if bits else ZERO
+            found = _hidden_bits(part, m, w, bits, k, i, px, py, pz, place, pose) if bits else ZERO
             if found == ZERO:
                 continue
             if how == LEAVES:
@@ -132,8 +132,8 @@ def _find_pairs(k, how, stations, field, state, rig):
 
 
 @inner
-def find_veils(stations, field, state, rig):
-    """Find in `veil` with which orientations of `cap` the rivals hide the place tried."""
+def find_veils(k, stations, field, state, rig):
+    """Find in `veil` with which orientations of `cap` the rivals hide landmark k in the place tried."""
     part, other, size, body = stations.part, rig.parts[stations.number], np.uint64(len(rig.touched)), field.positions
     target = rig.target
     place = target[0], target[1], target[2], target[3], target[4], target[5]
@@ -144,7 +144,9 @@ def find_veils(stations, field, state, rig):
                 bits = other.cap[q, m, w] & ~other.veil[q, m, w]
                 if bits:
                     px, py, pz = body[0, q], body[1, q], body[2, q]
-                    other.veil[q, m, w] |= _hidden_bits(part, m, w, bits, px, py, pz, _pose(i, state), place)
+                    other.veil[q, m, w] |= _hidden_bits(
+                        part, m, w, bits, i, k, px, py, pz, _pose(i, state), place
+                    )  # fmt: skip
 
 
 @inner

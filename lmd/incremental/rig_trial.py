@@ -16,17 +16,17 @@ from lmd.core.bits import ALL, BITS, ONE, ZERO, add_digit, at_least_so_far, equa
 from lmd.core.compiled import allocating, inlined, inner
 from lmd.incremental.nearby import list_blocks
 from lmd.incremental.rig_pairs import COMES, LEAVES, find_pairs, find_veils
-from lmd.scene.criteria import frame_of
+from lmd.scene.criteria import frame_of, sized
 from lmd.sight.kernels import weights_row
 from lmd.sight.obstacles import find_ends, is_blocked, is_clear, no_ends
 from lmd.sight.stations import bounds_from, covers_from, row_from, split
 
 
 @allocating
-def _find_caps(stations, positions, body, scratch, rig, whole):
+def _find_caps(k, stations, positions, body, scratch, rig, whole):
     """Find in `cap` the orientations that are `asked`, or with `whole` all, with which cameras cover the place tried.
 
-    `body` are the positions of the body, `(3, Q)`, `positions` those of them to look at.
+    k is the landmark, `body` are the positions of the body, `(3, Q)`, `positions` those of them to look at.
     """
     part, obstacles, asked, cap = stations.part, stations.obstacles, rig.asked, scratch.cap
     x, y, z, most, start, sure, row, reached = (
@@ -34,16 +34,17 @@ def _find_caps(stations, positions, body, scratch, rig, whole):
     )  # fmt: skip
     target, words, size = rig.target, np.uint64(asked.shape[1]), len(part.places)
     tx, ty, tz, nx, ny, nz = target[0], target[1], target[2], target[3], target[4], target[5]
-    clear, frame, ends = is_clear(obstacles), frame_of(part.sight, nx, ny, nz), no_ends(obstacles, 1)
+    sight = sized(part.sight, k)
+    clear, frame, ends = is_clear(obstacles), frame_of(sight, nx, ny, nz), no_ends(obstacles, 1)
     if not clear:
-        find_ends(obstacles, part.sight, tx, ty, tz, nx, ny, nz, ends, 0)
+        find_ends(obstacles, sight, tx, ty, tz, nx, ny, nz, ends, 0)
     for c in range(len(part.centres)):
         cx, cy, cz = part.centres[c, 0], part.centres[c, 1], part.centres[c, 2]
         for i in range(np.uint64(len(positions))):
             q = positions[i]
             xq, yq, zq = tx - (body[0, q] + cx), ty - (body[1, q] + cy), tz - (body[2, q] + cz)
             x[i], y[i], z[i] = xq, yq, zq
-            reached[i], most[i], start[i], sure[i] = bounds_from(part, c, xq, yq, zq, nx, ny, nz)
+            reached[i], most[i], start[i], sure[i] = bounds_from(part, c, k, xq, yq, zq, nx, ny, nz)
         for i in range(np.uint64(len(positions))):
             if reached[i]:
                 row[i] = row_from(part, c, x[i], y[i], z[i])
@@ -61,7 +62,7 @@ def _find_caps(stations, positions, body, scratch, rig, whole):
                         bit = lowest(left)
                         left &= left - ONE
                         a = w * np.uint64(BITS) + bit
-                        covered = covers_from(part, m, a, px, py, pz, tx, ty, tz, nx, ny, nz, frame)
+                        covered = covers_from(part, m, a, k, px, py, pz, tx, ty, tz, nx, ny, nz, frame)
                         found |= np.uint64(covered) << bit
                     if not clear:
                         left = found
@@ -69,7 +70,7 @@ def _find_caps(stations, positions, body, scratch, rig, whole):
                             bit = lowest(left)
                             left &= left - ONE
                             place = q * np.uint64(size) + np.uint64(part.place[m, w * np.uint64(BITS) + bit])
-                            if is_blocked(obstacles, part.sight, place, ends, 0):
+                            if is_blocked(obstacles, sight, place, ends, 0):
                                 found &= ~(ONE << bit)
                     cap[q, m, w] = found
 
@@ -206,11 +207,11 @@ def _find_units(k, positions, n, weights, state, scratch):
 
 
 @inner
-def see_anew(parts, positions, whole, field, state, scratch):
-    """Find what all cameras see of the place tried at `positions`, see `_find_caps`."""
+def see_anew(k, parts, positions, whole, field, state, scratch):
+    """Find what all cameras see of landmark k in the place tried at `positions`, see `_find_caps`."""
     for stations in literal_unroll(parts):
-        _find_caps(stations, positions, field.positions, scratch.parts[stations.number], scratch, whole)
-        find_veils(stations, field, state, scratch)
+        _find_caps(k, stations, positions, field.positions, scratch.parts[stations.number], scratch, whole)
+        find_veils(k, stations, field, state, scratch)
     join(positions, scratch)
 
 
@@ -248,7 +249,7 @@ def bound_rig_move(field, k, pose, surface, state, scratch):
     _ask(np.uint64(k), state, scratch)
     _ask_again(np.uint64(k), field.n, state, scratch)
     positions = scratch.listed[: list_near(scratch, False)]
-    see_anew(field.parts, positions, False, field, state, scratch)
+    see_anew(np.uint64(k), field.parts, positions, False, field, state, scratch)
     _find_units(np.uint64(k), positions, field.n, field.weights, state, scratch)
 
 
@@ -258,5 +259,5 @@ def finish_rig_move(field, k, state, scratch):
     find_pairs(np.uint64(k), COMES, field.parts, field, state, scratch)
     _ask_again(np.uint64(k), field.n, state, scratch)
     positions = scratch.places[: scratch.found[1]]
-    see_anew(field.parts, positions, False, field, state, scratch)
+    see_anew(np.uint64(k), field.parts, positions, False, field, state, scratch)
     _find_units(np.uint64(k), positions, field.n, field.weights, state, scratch)

@@ -29,7 +29,7 @@ from lmd.core.bits import ALL, BITS, HALF, LOWER, ONE, ZERO, add_digit, at_least
 from lmd.core.compiled import inner
 from lmd.incremental.hiding import find_flips, find_new, find_old, flips_with
 from lmd.incremental.nearby import look_around
-from lmd.scene.criteria import covers_one, frame_of
+from lmd.scene.criteria import covers_one, frame_of, sized
 from lmd.sight.blocks import BLOCK
 from lmd.sight.directions import NOWHERE
 from lmd.sight.kernels import weights_row
@@ -40,7 +40,8 @@ from lmd.sight.kernels import weights_row
 @inner
 def _try_caps(k, field, state, scratch):
     """Bound P_n where landmark k comes or goes and no other appears; copy it elsewhere."""
-    sight, axes, weights, certain, possible = field.sight, field.axes, field.weights, field.certain, field.possible
+    sight, axes, weights = sized(field.sight, k), field.axes, field.weights
+    certain, possible = field.certain, field.possible
     target = scratch.target
     frame = frame_of(sight, target[3], target[4], target[5])
     caps, reachable, hidden, short, just, before = (
@@ -90,7 +91,7 @@ def _try_caps(k, field, state, scratch):
 @inner
 def _try_flips(k, positions, field, state, scratch):
     """Find P_n at `positions`, where other landmarks may appear or disappear."""
-    sight, axes, weights, n = field.sight, field.axes, field.weights, field.n
+    sight, axes, weights, n = sized(field.sight, k), field.axes, field.weights, field.n
     certain, possible = field.certain, field.possible
     target = scratch.target
     frame = frame_of(sight, target[3], target[4], target[5])

@@ -1,7 +1,7 @@
 """Lazy greedy selection on a submodular stand-in (`selection`), then a local search on the true objective."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -11,14 +11,13 @@ from lmd.core.checks import InputError, real
 from lmd.objectives.base import Objective, selectable
 from lmd.optimisers.annealing import Annealing, Stage
 from lmd.optimisers.annealing.stage import changed
-from lmd.optimisers.selection import GRID_SPACING, greedy_start, select
+from lmd.optimisers.selection import GRID_SPACING, Landmarks, Tags, candidates, greedy_start, select
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import POINT, landmark_count
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.poses import candidate_poses
 from lmd.space.space import Space
 
 REFINING_STAGE = Stage(temperature=(4e-5, 2e-5), width=(0.02, 0.006), step=(0.3, 0.05), margin=0.002, share=0.1)
@@ -92,15 +91,15 @@ class GreedyDeployment:
     @cached_property
     def _deployment(self) -> Deployment:
         evaluator = Evaluator(self.scene, threads=self.threads)
-        plates = self.scene.plates
-        room = plates.hanging
-        spacing, poses = self.spacing, candidate_poses(room, self.spacing)
+        plates, edges = self.scene.plates, self.scene.tag.in_turn(self.count)
+        spacing, poses = self.spacing, candidates(plates, edges, self.spacing)
         while len(poses) < self.count:
             spacing /= 1.3
-            poses = candidate_poses(room, spacing)
-        relevance = room.relevance.weights(evaluator.positions)
+            poses = candidates(plates, edges, spacing)
+        relevance = self.scene.room.relevance.weights(evaluator.positions)
         selection = selectable(self.objective).selection(evaluator, relevance)
-        chosen, _ = select(selection, poses, self.count, plates, fixed=self.fixed)
+        stock = Landmarks(self.count) if edges is None else Tags(edges)
+        chosen, _ = select(selection, poses, stock, plates, fixed=self.fixed)
         if len(chosen) < self.count:
             raise InputError(
                 f"spacing = {spacing:.4g} leaves room for {len(chosen)} plates of {plates.edge:.4g} m, too few for "
@@ -111,4 +110,4 @@ class GreedyDeployment:
 
     def draw(self, room: Space, rng: np.random.Generator, tag: Tag = POINT) -> Deployment:
         """See `DeploymentSource.draw`; nothing here is random."""
-        return replace(self._deployment, edges=tag.in_turn(self.count))
+        return self._deployment

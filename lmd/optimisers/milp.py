@@ -91,6 +91,7 @@ class Milp(Optimiser):
             raise InputError("the integer program is that of plain coverage at the grid's own positions.")
         if isinstance(problem.scene.camera, Rig):
             raise InputError("the integer program is that of one camera, not of a rig.")
+        problem.scene.check_one_size("the integer program")
         poses, views = len(self._poses(problem)), _views(problem).size
         lattice = f"the lattice of the integer program has {poses} poses, {self.spacing:g} m apart"
         if poses * views > MOST_PAIRS:

@@ -3,35 +3,105 @@
 What is climbed is an objective's `selection`, a monotone submodular stand-in. Adding the pose of the largest gain, one
 after the other, comes within 1 - 1/e of the best choice of poses for it. Gains only ever shrink, which is what makes
 the lazy variant (Minoux 1978) exact: a pose needs evaluating again only while its last known gain is the largest.
+
+Where tags have several sizes, a candidate is a pose and a size, and what is left of a size says whether it may still be
+chosen. Where only the paper is given, candidates compete by their gain per square metre of it.
 """
+
+import operator
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from typing import Protocol
 
 import numpy as np
 
+from lmd.core.checks import BoolArray, FloatArray
 from lmd.objectives.base import Selection, selectable
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.plates import Plates
 from lmd.sight.poses import candidate_poses
-from lmd.space.space import Space
 
 GAINS_BATCH = 32  # poses whose gains are brought up to date together
 GRID_SPACING = 0.25  # of the grid of poses, metres
+ROUNDING = 1e-9  # relative: paper that is used up to a rounding error
+
+
+class Stock(Protocol):
+    """What there is to hang."""
+
+    def prices(self, poses: Deployment) -> FloatArray:
+        """What each pose takes of it, `(N,)`: gains are divided by that."""
+
+    def none_left(self, poses: Deployment, chosen: Sequence[int]) -> BoolArray:
+        """For which of the poses nothing is left after those `chosen`, `(N,)`."""
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """So many landmarks."""
+
+    count: int
+
+    def prices(self, poses: Deployment) -> FloatArray:
+        """See `Stock.prices`."""
+        return np.ones(len(poses))
+
+    def none_left(self, poses: Deployment, chosen: Sequence[int]) -> BoolArray:
+        """See `Stock.none_left`."""
+        return np.full(len(poses), len(chosen) >= self.count)
+
+
+@dataclass(frozen=True)
+class Tags:
+    """Tags with these edges, `(K,)` metres."""
+
+    edges: FloatArray
+
+    def prices(self, poses: Deployment) -> FloatArray:
+        """See `Stock.prices`."""
+        return np.ones(len(poses))
+
+    def none_left(self, poses: Deployment, chosen: Sequence[int]) -> BoolArray:
+        """See `Stock.none_left`."""
+        assert poses.edges is not None, "candidates have sizes"
+        used = poses.edges[list(chosen)]
+        left = {edge: (self.edges == edge).sum() - (used == edge).sum() for edge in np.unique(poses.edges)}
+        return np.array([left[edge] <= 0 for edge in poses.edges])
+
+
+@dataclass(frozen=True)
+class Paper:
+    """So many square metres of paper for tags of any of the sizes of `plates`."""
+
+    area: float
+    plates: Plates
+
+    def prices(self, poses: Deployment) -> FloatArray:
+        """See `Stock.prices`."""
+        return self.plates.papers(poses) ** 2
+
+    def none_left(self, poses: Deployment, chosen: Sequence[int]) -> BoolArray:
+        """See `Stock.none_left`."""
+        prices = self.prices(poses)
+        return np.asarray(prices > self.area * (1.0 + ROUNDING) - prices[list(chosen)].sum())
 
 
 def select(
     selection: Selection,
     poses: Deployment,
-    count: int,
+    stock: int | Stock,
     plates: Plates | None = None,
     allowance: float = np.inf,
     fixed: Deployment | None = None,
 ) -> tuple[np.ndarray, int]:
-    """Choose up to `count` of the `poses`, each at most once, and none whose plate would overlap another's.
+    """Choose some of the `poses`, each at most once, and none whose plate would overlap another's.
 
     Args:
         selection: what is climbed, with nothing chosen yet.
         poses: N candidates.
-        count: K.
+        stock: what there is to hang, or how many landmarks.
         plates: of the tags; None for landmarks that are points.
         allowance: how many gains may be evaluated; fewer poses are chosen if it does not suffice.
         fixed: landmarks that are chosen before the first of the poses.
@@ -39,15 +109,19 @@ def select(
     Returns:
         indices of the chosen poses in the order of choice, and the number of gains evaluated.
     """
-    known, taken = np.full(len(poses), np.inf), np.zeros(len(poses), dtype=bool)
+    stock = Landmarks(stock) if isinstance(stock, int) else stock
+    known, taken, prices = np.full(len(poses), np.inf), np.zeros(len(poses), dtype=bool), stock.prices(poses)
     add_each(selection, fixed)
     if fixed is not None and plates and plates.edge:
         for k in range(len(fixed)):
             taken |= plates.touched(poses, fixed[k : k + 1])
-        known[taken] = -np.inf
     chosen: list[int] = []
     spent = 0
-    while len(chosen) < count and not taken.all():
+    while True:
+        taken |= stock.none_left(poses, chosen)
+        known[taken] = -np.inf
+        if taken.all():
+            return np.array(chosen, dtype=int), spent
         fresh = np.zeros(len(poses), dtype=bool)
         while not fresh[best := int(np.argmax(known))]:
             stale = np.flatnonzero(~fresh & ~taken)
@@ -55,14 +129,12 @@ def select(
             batch = stale[np.argsort(-known[stale], kind="stable")[: GAINS_BATCH if chosen else len(poses)]]
             if spent + len(batch) > allowance:
                 return np.array(chosen, dtype=int), spent
-            known[batch] = selection.gains(poses[batch])
+            known[batch] = selection.gains(poses[batch]) / prices[batch]
             fresh[batch] = True
             spent += len(batch)
         chosen.append(best)
-        gone = plates.touched(poses, poses[best : best + 1]) if plates and plates.edge else best
-        known[gone], taken[gone] = -np.inf, True
+        taken[plates.touched(poses, poses[best : best + 1]) if plates and plates.edge else best] = True
         selection.add(poses[best : best + 1])
-    return np.array(chosen, dtype=int), spent
 
 
 def add_each(selection: Selection, fixed: Deployment | None) -> None:
@@ -72,12 +144,24 @@ def add_each(selection: Selection, fixed: Deployment | None) -> None:
             selection.add(fixed[k : k + 1])
 
 
-def _poses_within(room: Space, spacing: float, most: float) -> Deployment:
-    """`candidate_poses`, coarsened until there are no more than `most`, or one for each piece of a surface."""
-    poses, pieces = candidate_poses(room, spacing), sum(len(surface.pieces) for surface in room.surfaces())
-    while len(poses) > max(most, pieces):
+def candidates(plates: Plates, edges: FloatArray | None, spacing: float) -> Deployment:
+    """The poses of a grid where tags may hang, with each of the sizes in `edges` `(K,)`, metres, if that is given."""
+    if edges is None:
+        return candidate_poses(plates.hanging, spacing)
+    parts = []
+    for edge in np.unique(edges):
+        poses = candidate_poses(plates.inset(plates.tag.paper_share * edge), spacing)
+        parts.append(Deployment(poses.positions, poses.normals, poses.surfaces, edges=np.full(len(poses), edge)))
+    return reduce(operator.add, parts)
+
+
+def _candidates_within(plates: Plates, edges: FloatArray | None, spacing: float, most: float) -> Deployment:
+    """`candidates`, coarsened until there are no more than `most`, or one of a size for each piece of a surface."""
+    poses, pieces = candidates(plates, edges, spacing), sum(len(surface.pieces) for surface in plates.room.surfaces())
+    sizes = 1 if edges is None else len(np.unique(edges))
+    while len(poses) > max(most, pieces * sizes):
         spacing *= 1.3
-        poses = candidate_poses(room, spacing)
+        poses = candidates(plates, edges, spacing)
     return poses
 
 
@@ -93,11 +177,31 @@ def greedy_start(problem: Problem, start: Deployment, spacing: float, allowance:
     Returns:
         the deployment, and the number of gains evaluated.
     """
-    plates = problem.scene.plates
-    poses = _poses_within(plates.hanging, spacing, allowance / 2)
+    plates, sizes, fixed = problem.scene.plates, problem.sizes, problem.fixed
+    edges = None if sizes is None else sizes[problem.fixed_count :]
+    if fixed is not None and sizes is not None:
+        fixed = replace(fixed, edges=sizes[: problem.fixed_count])
+    poses = _candidates_within(plates, edges, spacing, allowance / 2)
     selection = selectable(problem.objective).selection(problem.fitness_evaluator, problem.fitness_relevance)
-    chosen, spent = select(selection, poses, problem.free_count, plates, allowance, problem.fixed)
-    if not len(chosen):
-        return start, spent
-    begun = problem.complete(poses[chosen])
-    return problem.apart(begun if len(begun) == problem.count else begun + start[len(begun) :]) or start, spent
+    stock = Landmarks(problem.free_count) if edges is None else Tags(edges)
+    chosen, spent = select(selection, poses, stock, plates, allowance, fixed)
+    return problem.apart(_in_place(start, problem.free_count, edges, poses[chosen])) or start if len(
+        chosen
+    ) else start, spent
+
+
+def _in_place(start: Deployment, count: int, edges: FloatArray | None, found: Deployment) -> Deployment:
+    """The landmarks of `start` with those `found` in place of the first of each size.
+
+    The last `count` landmarks of the start are to be placed, with these `edges`.
+    """
+    free = np.zeros(count) if edges is None else edges
+    new = np.zeros(len(found)) if found.edges is None else found.edges
+    names, fixed = ("positions", "normals", "surfaces"), len(start) - len(free)
+    parts = [getattr(start, name).copy() for name in names]
+    for edge in np.unique(new):
+        these = np.flatnonzero(new == edge)
+        own = fixed + np.flatnonzero(free == edge)[: len(these)]
+        for part, name in zip(parts, names, strict=True):
+            part[own] = getattr(found, name)[these]
+    return Deployment(*parts)

@@ -74,6 +74,7 @@ def additions(
     Raises:
         InputError: the objective has no field.
     """
+    problem.scene.check_one_size("what a further tag adds")
     objective = incremental(problem.objective)
     field = objective.field(problem.evaluator)
     target = objective.target(in_order(field, problem.relevance))

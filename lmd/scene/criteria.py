@@ -106,6 +106,20 @@ def horizon_of(sight: Sight) -> float:
     return float(getattr(sight, "horizon", math.inf))
 
 
+def largest(sight: Any) -> Any:
+    """The sight of the largest landmarks: what is in view of them, and how far, holds for all."""
+    return getattr(sight, "largest", sight)
+
+
+@overridable
+def sized(sight, k):  # type: ignore[no-untyped-def]
+    """The sight of landmark k of a deployment by itself, for a model that knows landmarks of several sizes.
+
+    All functions below but `pixel_density` are for the sight of one landmark.
+    """
+    return sight
+
+
 @dispatched
 def from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped-def]
     """What a landmark is like from a position, whatever the camera's orientation.
@@ -170,11 +184,11 @@ def in_cone(least, x, y, z, sine, cosine, ax, ay, az):  # type: ignore[no-untype
 
 
 @dispatched
-def hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
+def hide(sight, other, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
     """Whether landmark A hides B, and B hides A, from where the camera is.
 
     Args:
-        sight: the compiled model.
+        sight, other: the compiled model for A, and for B.
         ax, ay, az, bx, by, bz: offsets of the two from the camera, metres.
         a, b: their squared lengths.
         ux, uy, uz, vx, vy, vz: unit normals of A and of B.

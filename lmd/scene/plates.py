@@ -53,9 +53,10 @@ class Plates:
         Raises:
             InputError: a surface is narrower than a plate.
         """
-        return self._inset(self.edge)
+        return self.inset(self.edge)
 
-    def _inset(self, paper: float) -> Space:
+    def inset(self, paper: float) -> Space:
+        """The room with what the centres of tags on papers with this edge, metres, may use; see `hanging`."""
         if not paper:
             return self.room
         try:
@@ -76,11 +77,21 @@ class Plates:
         if paper == self.edge:
             return self._surfaces
         if paper not in self._others:
-            own, s = SurfaceArrays.of(self._inset(paper).surfaces()), self._surfaces
+            own, s = SurfaceArrays.of(self.inset(paper).surfaces()), self._surfaces
             shift = s.coordinates(np.arange(len(s.origin)), own.origin)[own.of_piece]
             pieces = own.pieces + shift[:, [0, 0, 1, 1, 1, 1]]
             self._others[paper] = own._replace(origin=s.origin, pieces=pieces)
         return self._others[paper]
+
+    def pieces_of(self, papers: FloatArray) -> tuple[FloatArray, IntArray]:
+        """Where tags on papers of S sizes, `(S,)` metres, may hang: pieces `(T, 6)`, and `first` `(S, W + 1)` of them.
+
+        See `SurfaceArrays`.
+        """
+        sizes = [self.surfaces_of(paper) for paper in papers.tolist()]
+        before = np.cumsum([0, *(len(own.pieces) for own in sizes[:-1])])
+        first = np.array([start + own.first for start, own in zip(before, sizes, strict=True)])
+        return np.concatenate([own.pieces for own in sizes]), first
 
     @cached_property
     def _others(self) -> dict[float, SurfaceArrays]:
@@ -238,10 +249,7 @@ class Plates:
         papers = self.tag.paper_share * edges_or(edges, surfaces.shape[1], self.tag)
         order = np.append(np.arange(fixed), fixed + np.argsort(-papers[fixed:], kind="stable"))
         found, of = np.unique(papers[order], return_inverse=True)
-        sizes = [self.surfaces_of(paper) for paper in found.tolist()]
-        pieces = np.concatenate([own.pieces for own in sizes])
-        before = np.cumsum([0, *(len(own.pieces) for own in sizes[:-1])])
-        first = np.array([start + own.first for start, own in zip(before, sizes, strict=True)])
+        sizes, (pieces, first) = [self.surfaces_of(paper) for paper in found.tolist()], self.pieces_of(found)
         for b in range(len(positions)):
             on = surfaces[b, order]
             at, moved = s.coordinates(on, positions[b, order]), np.zeros(len(order), dtype=np.bool_)

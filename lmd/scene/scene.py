@@ -1,7 +1,7 @@
 """A scene: everything that stays fixed while landmarks move."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +36,8 @@ class Scene:
         visibility: when it sees one.
         tag: what hangs at each landmark; by default what the visibility model is about, or a point.
         recorded: what room and PDF were recorded by, with the poses kept back to validate on; None if they were not.
+        edges: of each landmark of a deployment, by its index, metres, or one that all have, see `sized`; None where
+            they have the tag's.
 
     Raises:
         InputError: the visibility model is about another tag.
@@ -47,12 +49,45 @@ class Scene:
     visibility: "Criteria"
     tag: Tag = None  # type: ignore[assignment] # always a tag once made
     recorded: "RecordedPoses | None" = None
+    edges: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         seen = getattr(self.visibility, "tag", None)
         object.__setattr__(self, "tag", self.tag or seen or Tag())
         if seen is not None and seen != self.tag:
             raise InputError(f"tag is {self.tag}, but visibility is about {seen}.", "tag")
+
+    def sized(self, edges: FloatArray | None) -> "Scene":
+        """The same for landmarks with these edges, `(K,)` metres, NaN for the tag's, in every deployment.
+
+        Itself for None, and for tags that are points: these have no size.
+        """
+        if edges is None or self.tag.is_point:
+            return self
+        each = tuple(float(edge) for edge in np.where(np.isnan(edges), self.tag.size, edges))
+        each = each if len(set(each)) > 1 else each[:1]
+        if each == (self.edges or (self.tag.size,)):
+            return self
+        visibility = self.visibility
+        if hasattr(visibility, "sized"):
+            visibility = visibility.sized(each)
+        return replace(self, visibility=visibility, edges=each)
+
+    @property
+    def largest_edge(self) -> float:
+        """Of all landmarks, metres; 0 where they are points."""
+        return 0.0 if self.tag.is_point else max(self.edges or (self.tag.size,))
+
+    def check_one_size(self, what: str) -> None:
+        """Raise `InputError` if there are tags of several sizes, of which `what`, the subject, does not know."""
+        if self.edges is not None and len(self.edges) > 1:
+            sizes = ", ".join(f"{edge:g}" for edge in sorted(set(self.edges)))
+            raise InputError(f"{what} works with tags of one size, not with edges of {sizes} m.")
+
+    def check_count(self, count: int) -> None:
+        """Raise `InputError` if the edges are those of another number of landmarks."""
+        if self.edges is not None and len(self.edges) not in (1, count):
+            raise InputError(f"of {count} landmarks the sizes are not known: there are {len(self.edges)} edges.")
 
     @cached_property
     def plates(self) -> Plates:

@@ -53,16 +53,23 @@ class Tag:
         edges: of tags of several sizes, metres: landmarks that are placed here have them in turn, the first landmark
             the first. None for one size, that of `edge`, which always holds for landmarks of a file that does not say
             how large they are.
+        counts: how many landmarks that are placed have each of these edges, the first ones the first edge; None where
+            they have them in turn.
+        paper: of all landmarks that are placed, square metres: how many there are of each size is found for it. None
+            where their number is given.
 
     Raises:
-        InputError: the edge is negative, the family unknown, the quiet zone negative, or an edge of several is not
-            positive, is there twice, or comes without `edge`.
+        InputError: the edge is negative, the family unknown, the quiet zone negative, an edge of several is not
+            positive, is there twice, or comes without `edge`, counts are not one for each edge, or paper comes without
+            edges.
     """
 
     edge: float | None = None
     family: str = "36h11"
     quiet_zone: float = 1.0
     edges: tuple[float, ...] | None = None
+    counts: tuple[int, ...] | None = None
+    paper: float | None = None
 
     def __post_init__(self) -> None:
         if self.edge is not None and real("edge", self.edge) < 0.0:
@@ -80,14 +87,34 @@ class Tag:
             if self.is_point:
                 raise InputError("edge must be given with edges: it holds where a file does not say one.", "edge")
             object.__setattr__(self, "edges", edges)
+        if self.counts is not None:
+            counts = tuple(integer("counts", count, low=0) for count in self.counts)
+            if len(counts) != len(self.edges or ()) or not any(counts):
+                raise InputError(
+                    f"counts = {list(counts)} must say how many tags have each of edges = {list(self.edges or ())}.",
+                    "counts",
+                )
+            object.__setattr__(self, "counts", counts)
+        if self.paper is not None and (real("paper", self.paper, above=0.0) and self.edges is None):
+            raise InputError(
+                f"paper = {self.paper:g} square metres needs edges: the sizes that it may go into.", "paper"
+            )
 
     def in_turn(self, count: int) -> FloatArray | None:
-        """The edges of so many landmarks that are placed, `(count,)`, metres; None where one holds for all."""
-        return None if self.edges is None else np.resize(self.edges, count)
+        """The edges of so many landmarks that are placed, `(count,)`, metres; None where one holds for all.
+
+        Raises:
+            InputError: they are others than `counts` says.
+        """
+        if self.edges is None or self.counts is None:
+            return None if self.edges is None else np.resize(self.edges, count)
+        if sum(self.counts) != count:
+            raise InputError(f"counts = {list(self.counts)} are not {count} tags.", "counts")
+        return np.repeat(self.edges, self.counts)
 
     def of_size(self, edge: float) -> "Tag":
         """The same tag with another edge, metres, and no other size."""
-        return replace(self, edge=edge, edges=None)
+        return replace(self, edge=edge, edges=None, counts=None, paper=None)
 
     @property
     def sizes(self) -> tuple[float, ...]:

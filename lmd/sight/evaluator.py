@@ -1,5 +1,6 @@
 """Counts and probabilities of many deployments in one scene, on the fast exact path."""
 
+import copy
 import math
 from functools import cached_property
 from typing import Any
@@ -21,8 +22,9 @@ from lmd.sight.directions import tables
 from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.sight.obstacles import obstacles_at
 from lmd.sight.rig_views import RigViews
-from lmd.sight.stations import parts_of
+from lmd.sight.stations import parts_of, with_sight
 
+SIZES = 16  # sets of edges whose evaluators are kept
 COUNT_BYTES = 4  # of a view, twice two: the counts of axes, and of orientations of the PDF
 
 
@@ -59,11 +61,37 @@ class Evaluator:
         self.axes = in_words(axes.T)
         self.bands = height_index(axes[:, 2])
         self.weights = in_units(in_words(scene.probability(self.positions)))
+        self._sized: dict[tuple[float, ...], Evaluator] = {}
         blockers, self.parts = scene.room.blockers(), parts_of(scene)
         if self.parts:
             self.rig_views = RigViews(self.parts, blockers, self.positions, self.threads)
         else:
             self.sight, self.obstacles = scene.sight, obstacles_at(blockers, self.positions)
+
+    def sized(self, edges: FloatArray | None) -> "Evaluator":
+        """The same for landmarks with these edges, see `Scene.sized`."""
+        scene = self.scene.sized(edges)
+        if scene is self.scene:
+            return self
+        key = scene.edges or ()
+        if len(self._sized) >= SIZES:
+            self._sized.clear()
+        if key not in self._sized and scene.largest_edge > self.scene.largest_edge:
+            # What is looked up is made for the largest.
+            self._sized[key] = Evaluator(scene, self.positions, self.threads)
+        elif key not in self._sized:
+            other = copy.copy(self)
+            other.scene, other._sized = scene, {}
+            if self.parts:
+                kinds = dict.fromkeys(scene.cameras)
+                sights = (scene.visibility.sight(kind) for kind in kinds)
+                other.parts = tuple(with_sight(part, sight) for part, sight in zip(self.parts, sights, strict=True))
+                blockers = self.rig_views.blockers
+                other.rig_views = RigViews(other.parts, blockers, self.positions, self.threads)
+            else:
+                other.sight = scene.sight
+            self._sized[key] = other
+        return self._sized[key]
 
     @property
     def probability(self) -> FloatArray:
@@ -86,7 +114,8 @@ class Evaluator:
 
     def counts(self, deployment: Deployment) -> np.ndarray:
         """Landmarks covered at every position and orientation of the PDF, `(P, A)` int16."""
-        _, counts = self._evaluate(deployment.positions[None], deployment.normals[None], 1, keep=True)
+        landmarks = deployment.positions[None], deployment.normals[None]
+        _, counts = self.sized(deployment.edges)._evaluate(*landmarks, 1, keep=True)
         return np.asarray(counts[0][:, self.axis_of])
 
     def units(self, positions: FloatArray, normals: FloatArray, n: int) -> np.ndarray:
@@ -103,7 +132,8 @@ class Evaluator:
 
     def probabilities(self, deployment: Deployment, n: int) -> FloatArray:
         """P_n at every position, `(P,)`."""
-        units = self.units(deployment.positions[None], deployment.normals[None], n)
+        landmarks = deployment.positions[None], deployment.normals[None]
+        units = self.sized(deployment.edges).units(*landmarks, n)
         return np.asarray(units[0] / PROBABILITY_ONE)
 
     def _evaluate(
@@ -116,6 +146,7 @@ class Evaluator:
         units = np.empty((len(positions), size), dtype=np.int64)
         counts = np.zeros((len(positions), size, axes) if keep else (0, 0, 0), dtype=np.int16)
         if self.parts:
+            self.scene.check_count(positions.shape[1])
             for b, (landmarks, facing) in enumerate(zip(positions, normals, strict=True)):
                 kept = counts[b] if keep else counts[0:0].reshape(0, 0)
                 units[b] = self.rig_views.evaluate(landmarks, facing, self.weights, n, kept)
@@ -125,6 +156,7 @@ class Evaluator:
 
     def batch(self, positions: FloatArray, normals: FloatArray) -> tuple[Any, ...]:
         """What kernels take of the scene and of B deployments `(B, K, 3)`: `order` to `weights` of `evaluate_range`."""
+        self.scene.check_count(positions.shape[1])
         landmarks = tuple(for_kernels(v.transpose(0, 2, 1)) for v in (positions, normals))
         sight = self.sight.among(self._low, self._high, *landmarks)
         tables = self.tables if self.sight.tabulated else None

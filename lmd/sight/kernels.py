@@ -18,7 +18,7 @@ import numpy as np
 
 from lmd.core.bits import ALL, BITS, ONE, ZERO, lowest
 from lmd.core.compiled import inlined, kernel
-from lmd.scene.criteria import covering, covers, frame_of
+from lmd.scene.criteria import covering, covers, frame_of, sized
 from lmd.sight.blocks import BLOCK
 from lmd.sight.obstacles import is_clear, no_ends
 from lmd.sight.viewpoint import gather_near, list_shown, look, take, viewpoint_for
@@ -59,7 +59,9 @@ def evaluate_range(
     # Which half of this is compiled depends on the type of `tables`.
     size, poses, names = axes.shape[1], np.empty((6, landmarks.shape[2])), np.arange(landmarks.shape[2])
     clear, ends, view = is_clear(obstacles), no_ends(obstacles, len(names)), viewpoint_for(len(names))
-    near, x, y, z, low, high, deep = view.near, view.x, view.y, view.z, view.low, view.high, view.deep
+    near, who, x, y, z, low, high, deep = (
+        view.near, view.who, view.x, view.y, view.z, view.low, view.high, view.deep
+    )  # fmt: skip
     bottom, top, shown, directions = view.bottom, view.top, view.shown, view.near[3:]
     row = np.empty(size, dtype=np.int16)
     words = np.uint64(size // BITS)
@@ -79,11 +81,11 @@ def evaluate_range(
                 for m in range(found):
                     k = shown[m]
                     xk, yk, zk, least = x[k], y[k], z[k], low[k]
-                    nx, ny, nz = near[3, k], near[4, k], near[5, k]
+                    nx, ny, nz, mine = near[3, k], near[4, k], near[5, k], sized(sight, who[k])
                     start, stop = bands[bottom[k]] & -BLOCK, (bands[top[k]] + BLOCK - 1) & -BLOCK
                     # Unsigned, so that the compiler sees indices that cannot be negative and vectorises the loop.
                     for a in range(np.uint64(start), np.uint64(stop)):
-                        row[a] += covers(sight, xk, yk, zk, nx, ny, nz, least, 0.0, axes, a)
+                        row[a] += covers(mine, xk, yk, zk, nx, ny, nz, least, 0.0, axes, a)
                 for a in range(size):
                     total += weights[row_of, a] if row[a] >= n else 0
                 if keep:
@@ -102,14 +104,15 @@ def evaluate_range(
                 for m in range(found):
                     k = shown[m]
                     xk, yk, zk, least, most, sure = x[k], y[k], z[k], low[k], high[k], deep[k]
-                    frame = frame_of(sight, near[3, k], near[4, k], near[5, k])
+                    mine = sized(sight, who[k])
+                    frame = frame_of(mine, near[3, k], near[4, k], near[5, k])
                     given, cell = np.uint64(bottom[k]), np.uint64(top[k])
                     for i in range(words):
                         left, cap = possible[cell, i] & ~certain[given, i], ZERO
                         left &= ALL if keep else ~some[n - 1, i]
                         if left:
                             well = certain[cell, i]
-                            cap = covering(sight, left, i, xk, yk, zk, frame, least, most, sure, well, axes)
+                            cap = covering(mine, left, i, xk, yk, zk, frame, least, most, sure, well, axes)
                             for j in range(n - 1, 0, -1):
                                 some[j, i] |= some[j - 1, i] & cap
                             some[0, i] |= cap

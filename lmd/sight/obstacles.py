@@ -20,6 +20,7 @@ from lmd.core.compiled import inlined
 from lmd.core.dispatch import dispatched, overridable
 from lmd.core.memory import check_memory
 from lmd.geometry.squares import VERTICAL_TOLERANCE, upright, upright_axes
+from lmd.scene.criteria import sized
 from lmd.space.blockers import Blockers
 from lmd.space.space import Space
 from lmd.space.triangles import Triangles, is_crossed
@@ -59,11 +60,11 @@ def half_edge(sight):  # type: ignore[no-untyped-def]
     return 0.0
 
 
-def seen_points(half: float, landmarks: FloatArray, normals: FloatArray) -> FloatArray:
-    """The points of landmarks `(K, 3)` that must be seen, `(1, K, 3)` or, with half an edge, `(5, K, 3)`."""
-    if half == 0.0:
+def seen_points(half: float | FloatArray, landmarks: FloatArray, normals: FloatArray) -> FloatArray:
+    """The points of landmarks `(K, 3)` that must be seen, `(1, K, 3)` or, given half an edge, `(5, K, 3)`."""
+    if not np.any(half):
         return landmarks[None]
-    right, up = (half * side for side in upright(normals))
+    right, up = (np.reshape(half, (-1, 1)) * side for side in upright(normals))
     ways = (right + up, -(right + up), right - up, -(right - up))
     return np.stack([landmarks, *(landmarks + way for way in ways)])
 
@@ -79,7 +80,7 @@ def unobstructed(
         position: p, `(3,)`, world frame, metres.
         landmarks, normals: `(K, 3)` positions, metres, and unit normals.
     """
-    points = seen_points(half_edge(sight), landmarks, normals)
+    points = seen_points(half_edge(sized(sight, slice(None))), landmarks, normals)
     return np.asarray(space.clear(np.broadcast_to(position, points.shape), points).all(axis=0))
 
 

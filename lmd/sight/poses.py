@@ -8,7 +8,7 @@ room blocks a piece is not asked: some of it may be seen past it.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -161,6 +161,21 @@ def _cover(start, stop, points, normals, amounts, positions, sight, obstacles, a
                 out[p, a] += amounts[j] if covered else 0.0
 
 
+def by_edge(evaluator: Evaluator, poses: Deployment) -> Iterator[tuple[Evaluator, NDArray[Any]]]:
+    """The poses whose tags have one size each, as indices, and the evaluator for it.
+
+    Raises:
+        InputError: the evaluator is for tags of several sizes, and the poses do not say which they have.
+    """
+    if poses.edges is None or evaluator.scene.tag.is_point:
+        evaluator.scene.check_one_size("what chooses among poses")
+        yield evaluator, np.arange(len(poses))
+        return
+    edges = poses.edges_of(evaluator.scene.tag)
+    for edge in np.unique(edges):
+        yield evaluator.sized(np.array([edge])), np.flatnonzero(edges == edge)
+
+
 def gains(evaluator: Evaluator, poses: Deployment, prices: FloatArray, slack: FloatArray | None = None) -> FloatArray:
     """What each pose earns: the sum of the prices of the positions and axes it covers.
 
@@ -173,14 +188,17 @@ def gains(evaluator: Evaluator, poses: Deployment, prices: FloatArray, slack: Fl
     Returns:
         `(N,)`, the same for any number of threads.
     """
-    out, e = np.empty(len(poses)), evaluator
-    slack = np.zeros(len(poses)) if slack is None else slack
-    if e.parts:
-        return e.rig_views.gains(poses.positions, poses.normals, prices, slack)
-    positions = for_kernels(e.positions.T)
-    fixed = (poses.positions, poses.normals, slack, prices, positions, e.sight, e.obstacles, e.axes, e.bands, out)
-    shared(_gains, len(poses), e.threads, fixed)
-    return out
+    gained, slack = np.empty(len(poses)), np.zeros(len(poses)) if slack is None else slack
+    positions = for_kernels(evaluator.positions.T)
+    for e, index in by_edge(evaluator, poses):
+        where, out = (poses.positions[index], poses.normals[index]), np.empty(len(index))
+        if e.parts:
+            out = e.rig_views.gains(*where, prices, slack[index])
+        else:
+            fixed = (*where, slack[index], prices, positions, e.sight, e.obstacles, e.axes, e.bands, out)
+            shared(_gains, len(index), e.threads, fixed)
+        gained[index] = out
+    return gained
 
 
 def covered_amounts(evaluator: Evaluator, poses: Deployment, amounts: FloatArray) -> FloatArray:
@@ -194,11 +212,14 @@ def covered_amounts(evaluator: Evaluator, poses: Deployment, amounts: FloatArray
     Returns:
         `(P, D)`, the same for any number of threads.
     """
-    if evaluator.parts:
-        return evaluator.rig_views.covered_amounts(poses.positions, poses.normals, amounts)
-    out, e = np.zeros((len(evaluator.positions), evaluator.axes.shape[1])), evaluator
-    fixed = (poses.positions, poses.normals, amounts, e.positions, e.sight, e.obstacles, e.axes, e.bands, out)
-    shared(_cover, len(e.positions), e.threads, fixed)
+    out = np.zeros((len(evaluator.positions), evaluator.axes.shape[1]))
+    for e, index in by_edge(evaluator, poses):
+        these = poses.positions[index], poses.normals[index], amounts[index]
+        if e.parts:
+            out += e.rig_views.covered_amounts(*these)
+        else:
+            fixed = (*these, e.positions, e.sight, e.obstacles, e.axes, e.bands, out)
+            shared(_cover, len(e.positions), e.threads, fixed)
     return out
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from lmd.core.bits import ALL, BITS, ONE, ZERO, lowest
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import for_kernels, inlined, inner, kernel
-from lmd.scene.criteria import covers, frame_of, from_position
+from lmd.scene.criteria import covers, frame_of, from_position, sized
 from lmd.sight.blocks import BLOCK, SINGLE_ERROR
 from lmd.sight.obstacles import find_ends, is_blocked, is_clear, no_ends, obstacles_at
 from lmd.sight.stations import (
@@ -39,7 +39,9 @@ def _look_around(part, c, view, count, px, py, pz, start):
     cx, cy, cz, radius = px + part.centres[c, 0], py + part.centres[c, 1], pz + part.centres[c, 2], part.radius[c]
     for k in range(count):
         xk, yk, zk = near[0, k] - cx, near[1, k] - cy, near[2, k] - cz
-        in_reach, most, begin, sure = bounds_from(part, c, xk, yk, zk, near[3, k], near[4, k], near[5, k])
+        in_reach, most, begin, sure = bounds_from(
+            part, c, view.who[k], xk, yk, zk, near[3, k], near[4, k], near[5, k]
+        )  # fmt: skip
         x[k], y[k], z[k], squared[k] = xk, yk, zk, xk * xk + yk * yk + zk * zk
         reached[k], high[k], start[k], deep[k] = in_reach, most, begin, sure
     if part.sight.reach >= 0.0:
@@ -130,7 +132,7 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
             poses[i, k], poses[3 + i, k] = landmarks[0, i, k], normals[0, i, k]
         if not clear:
             lx, ly, lz, nx, ny, nz = _pose(poses, k)
-            find_ends(obstacles, sight, lx, ly, lz, nx, ny, nz, ends, k)
+            find_ends(obstacles, sized(sight, k), lx, ly, lz, nx, ny, nz, ends, k)
     near, x, y, z, reached, who, shown = view.near, view.x, view.y, view.z, view.reached, view.who, view.shown
     high, deep, size = view.high, view.deep, len(part.places)
     start, row, suspects = np.empty(total), np.empty(total, np.uint64), np.empty(total + 1, np.int64)
@@ -146,7 +148,7 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
         some[:] = ZERO
         if loose:
             for k in range(count):
-                _see_loosely(part, px, py, pz, near, k, slack[who[k]], seen[p, who[k]])
+                _see_loosely(part, px, py, pz, near, k, who[k], slack[who[k]], seen[p, who[k]])
         for c in range(len(part.centres)):
             _look_around(part, c, view, count, px, py, pz, start)
             radius = part.radius[c]
@@ -182,7 +184,7 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
                 k = shown[e]
                 name, rivals = who[k], -1
                 lx, ly, lz, nx, ny, nz = _pose(near, k)
-                frame = frame_of(sight, nx, ny, nz)
+                frame = frame_of(sized(sight, name), nx, ny, nz)
                 for m in range(begin, end):
                     for w in range(words):
                         mine, left, cap = seen[p, name, w], undecided[k, m, w], ZERO
@@ -201,15 +203,15 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
                             a = w * np.uint64(BITS) + bit
                             left &= left - ONE
                             if (undecided[k, m, w] >> bit & ONE) != ZERO and not covers_from(
-                                part, m, a, px, py, pz, lx, ly, lz, nx, ny, nz, frame
+                                part, m, a, name, px, py, pz, lx, ly, lz, nx, ny, nz, frame
                             ):
                                 continue
                             if not clear and is_blocked(obstacles, sight, p * size + part.place[m, a], ends, name):
                                 continue
                             hidden = False
                             for i in range(rivals):
-                                one = _pose(near, suspects[i])
-                                if hides_from(part, m, a, px, py, pz, one, (lx, ly, lz, nx, ny, nz)):
+                                one, other = _pose(near, suspects[i]), (lx, ly, lz, nx, ny, nz)
+                                if hides_from(part, m, a, who[suspects[i]], name, px, py, pz, one, other):
                                     hidden = True
                                     break
                             if not hidden:
@@ -231,8 +233,12 @@ def _add_to(some, w, cap):
 
 
 @inner
-def _see_loosely(part, px, py, pz, near, k, slack, seen):
-    """Add to `seen` `(W,)` the orientations that cover some landmark within `slack` metres of landmark k of `near`."""
+def _see_loosely(part, px, py, pz, near, k, name, slack, seen):
+    """Add to `seen` `(W,)` the orientations that cover some landmark within `slack` metres of landmark k of `near`.
+
+    `name` is which that is in the deployment.
+    """
+    sight = sized(part.sight, name)
     lx, ly, lz, nx, ny, nz = near[0, k], near[1, k], near[2, k], near[3, k], near[4, k], near[5, k]
     if slack == 0.0:
         return
@@ -247,8 +253,8 @@ def _see_loosely(part, px, py, pz, near, k, slack, seen):
                 x = lx - (px + part.offsets[m, 0, a])
                 y = ly - (py + part.offsets[m, 1, a])
                 z = lz - (pz + part.offsets[m, 2, a])
-                reached, low, _, _ = from_position(part.sight, x, y, z, nx, ny, nz, slack)
-                if reached and covers(part.sight, x, y, z, nx, ny, nz, low, slack, axes, a):
+                reached, low, _, _ = from_position(sight, x, y, z, nx, ny, nz, slack)
+                if reached and covers(sight, x, y, z, nx, ny, nz, low, slack, axes, a):
                     seen[w] |= ONE << bit
 
 

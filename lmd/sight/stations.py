@@ -22,6 +22,7 @@ from lmd.scene.criteria import (
     from_position,
     hide,
     horizon_of,
+    sized,
 )
 from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
@@ -163,16 +164,16 @@ def _fill_level(
 
 
 @inlined
-def bounds_from(part, c, x, y, z, nx, ny, nz):
-    """What a landmark at the offset (x, y, z) from centre c is like for the cameras there.
+def bounds_from(part, c, k, x, y, z, nx, ny, nz):
+    """What landmark k at the offset (x, y, z) from centre c is like for the cameras there.
 
     Returns:
         reached, most, start, sure: see `criteria.from_around`.
     """
     if part.radius[c] > 0.0:
-        reached, most, start, sure = from_around(part.sight, x, y, z, nx, ny, nz, part.radius[c])
+        reached, most, start, sure = from_around(sized(part.sight, k), x, y, z, nx, ny, nz, part.radius[c])
     else:
-        reached, low, most, sure = from_position(part.sight, x, y, z, nx, ny, nz, 0.0)
+        reached, low, most, sure = from_position(sized(part.sight, k), x, y, z, nx, ny, nz, 0.0)
         start = -math.inf if sure == math.inf else low
     return reached, most, start, sure
 
@@ -214,26 +215,28 @@ def split(part, m, w, asked, words, x, y, z, most, start, sure, row):
 
 
 @inlined
-def covers_from(part, m, a, px, py, pz, lx, ly, lz, nx, ny, nz, frame):
-    """Whether mount m covers the landmark at (lx, ly, lz) with orientation a of the body at (px, py, pz)."""
+def covers_from(part, m, a, k, px, py, pz, lx, ly, lz, nx, ny, nz, frame):
+    """Whether mount m covers landmark k at (lx, ly, lz) with orientation a of the body at (px, py, pz)."""
     offsets = part.offsets
     x = lx - (px + offsets[m, 0, a])
     y = ly - (py + offsets[m, 1, a])
     z = lz - (pz + offsets[m, 2, a])
-    reached, low, high, sure = from_position(part.sight, x, y, z, nx, ny, nz, 0.0)
-    return reached and covers_one(part.sight, x, y, z, frame, low, high, sure, False, part.axes[m], a)
+    sight = sized(part.sight, k)
+    reached, low, high, sure = from_position(sight, x, y, z, nx, ny, nz, 0.0)
+    return reached and covers_one(sight, x, y, z, frame, low, high, sure, False, part.axes[m], a)
 
 
 @inlined
-def hides_from(part, m, a, px, py, pz, one, other):
-    """Whether landmark `one` hides the `other`, six numbers each, from mount m with orientation a of the body."""
+def hides_from(part, m, a, i, k, px, py, pz, one, other):
+    """Whether landmark i, `one`, hides k, the `other`, six numbers each, from mount m, the body turned as in a."""
     offsets = part.offsets
     sx, sy, sz = px + offsets[m, 0, a], py + offsets[m, 1, a], pz + offsets[m, 2, a]
     ax, ay, az, ux, uy, uz = one
     bx, by, bz, vx, vy, vz = other
     ax, ay, az, bx, by, bz = ax - sx, ay - sy, az - sz, bx - sx, by - sy, bz - sz
     first, second = ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz
-    hides, _ = hide(part.sight, ax, ay, az, first, bx, by, bz, second, ux, uy, uz, vx, vy, vz)
+    mine, theirs = sized(part.sight, i), sized(part.sight, k)
+    hides, _ = hide(mine, theirs, ax, ay, az, first, bx, by, bz, second, ux, uy, uz, vx, vy, vz)
     return hides
 
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.core.compiled import allocating, inlined, inner
-from lmd.scene.criteria import from_position, hide
+from lmd.scene.criteria import from_position, hide, sized
 from lmd.sight.bands import band_of
 from lmd.sight.blocks import BLOCK, SINGLE_ERROR
 from lmd.sight.directions import NOWHERE, cell_of
@@ -123,7 +123,9 @@ def take(b, landmarks, normals, sight, obstacles, clear, poses, ends):
         for i in range(3):
             poses[i, k], poses[3 + i, k] = landmarks[b, i, k], normals[b, i, k]
         if not clear:
-            find_ends(obstacles, sight, x, y, z, normals[b, 0, k], normals[b, 1, k], normals[b, 2, k], ends, k)
+            find_ends(
+                obstacles, sized(sight, k), x, y, z, normals[b, 0, k], normals[b, 1, k], normals[b, 2, k], ends, k
+            )
 
 
 @inlined
@@ -150,14 +152,15 @@ def gather_near(o, first, last, order, positions, horizon, many, count, poses, n
 @inlined
 def look(view, count, px, py, pz, sight, tables):
     """Find what the first `count` landmarks are like from (px, py, pz), whatever the orientation."""
-    near, x, y, z, squared, low, high, deep = (
-        view.near, view.x, view.y, view.z, view.squared, view.low, view.high, view.deep
+    near, who, x, y, z, squared, low, high, deep = (
+        view.near, view.who, view.x, view.y, view.z, view.squared, view.low, view.high, view.deep
     )  # fmt: skip
     bottom, top, reached, u, v, w, close = view.bottom, view.top, view.reached, view.u, view.v, view.w, view.close
     for k in range(count):
         # Kept in variables: to read back what was just written would keep the loop from vectorising.
         xk, yk, zk = near[0, k] - px, near[1, k] - py, near[2, k] - pz
-        in_reach, least, most, sure = from_position(sight, xk, yk, zk, near[3, k], near[4, k], near[5, k], 0.0)
+        nx, ny, nz = near[3, k], near[4, k], near[5, k]
+        in_reach, least, most, sure = from_position(sized(sight, who[k]), xk, yk, zk, nx, ny, nz, 0.0)
         if tables is None:
             bottom[k], top[k] = band_of(xk, yk, zk, least, 0.0)
         else:
@@ -174,16 +177,18 @@ def look(view, count, px, py, pz, sight, tables):
 
 
 @inner
-def is_hidden(k, count, x, y, z, squared, normals, sight):
+def is_hidden(k, count, who, x, y, z, squared, normals, sight):
     """Whether one of the first `count` landmarks hides landmark k.
 
-    Offsets `x, y, z` and their `squared` lengths `(K,)`, `normals` `(3, K)`.
+    Which they are in the deployment, `who`, offsets `x, y, z` and their `squared` lengths `(K,)`, `normals` `(3, K)`.
     """
     xk, yk, zk, sk, hiding = x[k], y[k], z[k], squared[k], 0
-    nx, ny, nz = normals[0, k], normals[1, k], normals[2, k]
+    nx, ny, nz, mine = normals[0, k], normals[1, k], normals[2, k], sized(sight, who[k])
     for j in range(count):
         ux, uy, uz = normals[0, j], normals[1, j], normals[2, j]
-        hides, _ = hide(sight, x[j], y[j], z[j], squared[j], xk, yk, zk, sk, ux, uy, uz, nx, ny, nz)
+        hides, _ = hide(
+            sized(sight, who[j]), mine, x[j], y[j], z[j], squared[j], xk, yk, zk, sk, ux, uy, uz, nx, ny, nz
+        )  # fmt: skip
         hiding += hides & (j != k)
     return hiding > 0
 
@@ -204,7 +209,9 @@ def is_shown(k, view, directions, count, p, sight, obstacles, clear, ends):
         cosine = u[j] * uk + v[j] * vk + w[j] * wk
         suspects += np.int32(cosine * cosine >= close[j])
     # The landmark itself is always one of the suspects.
-    return suspects <= 1 or not is_hidden(k, count, view.x, view.y, view.z, view.squared, directions, sight)
+    return suspects <= 1 or not is_hidden(
+        k, count, view.who, view.x, view.y, view.z, view.squared, directions, sight
+    )  # fmt: skip
 
 
 @inlined

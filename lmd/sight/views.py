@@ -12,7 +12,7 @@ from lmd.core.checks import BoolArray, FloatArray
 from lmd.core.compiled import for_kernels, kernel
 from lmd.geometry.se3 import axis_and_right
 from lmd.scene.camera import Camera
-from lmd.scene.criteria import covers
+from lmd.scene.criteria import covers, sized
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
@@ -34,7 +34,8 @@ def _see(positions, axes, landmarks, normals, sight, obstacles, seen):
         look(view, count, positions[i, 0], positions[i, 1], positions[i, 2], sight, None)
         for k in range(count):
             nx, ny, nz = directions[0, k], directions[1, k], directions[2, k]
-            if reached[k] and covers(sight, x[k], y[k], z[k], nx, ny, nz, low[k], 0.0, axes, i):
+            mine = sized(sight, k)
+            if reached[k] and covers(mine, x[k], y[k], z[k], nx, ny, nz, low[k], 0.0, axes, i):
                 seen[i, k] = is_shown(k, view, directions, count, i, sight, obstacles, clear, ends)
 
 
@@ -53,6 +54,7 @@ def visible(evaluator: Evaluator, deployment: Deployment, positions: FloatArray,
 
 def visible_to_each(evaluator: Evaluator, deployment: Deployment, positions: FloatArray, axes: FloatArray) -> BoolArray:
     """The same for each of the scene's cameras, `(C, N, K)`."""
+    evaluator = evaluator.sized(deployment.edges)
     scene, axes = evaluator.scene, np.pad(axes, [(0, 0), (0, 6 - axes.shape[1])])
     if not isinstance(scene.camera, Rig):
         return _visible(scene, evaluator.sight, deployment, positions, axes)[None]
@@ -65,11 +67,13 @@ def visible_to_each(evaluator: Evaluator, deployment: Deployment, positions: Flo
 
 def visible_through(scene: Scene, camera: Camera, deployment: Deployment, poses: FloatArray) -> BoolArray:
     """The same for one of its cameras that is at `poses` `(N, 4, 4)`, see `lmd.geometry.se3.camera_pose`, `(N, K)`."""
+    scene = scene.sized(deployment.edges)
     return _visible(scene, scene.visibility.sight(camera), deployment, poses[:, :3, 3], axis_and_right(poses))
 
 
 def _visible(scene: Scene, sight: Any, deployment: Deployment, positions: FloatArray, axes: FloatArray) -> BoolArray:
     """`visible` for a camera with a compiled model of sight, axes `(N, 6)`."""
+    scene.check_count(len(deployment))
     seen = np.zeros((len(positions), len(deployment)), dtype=np.bool_)
     landmarks, normals = (for_kernels(v.T[None]) for v in (deployment.positions, deployment.normals))
     positions, axes = for_kernels(positions), for_kernels(axes.T)

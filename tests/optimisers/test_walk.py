@@ -28,13 +28,18 @@ def walked(n, occlusion, stage):
     with pytest.MonkeyPatch.context() as patch:
         # Uncompiled, so that its parts can be exchanged; nothing leads elsewhere than where the walk is.
         parts = {"bound": moves.bound, "settle": spy, "accept": moves.accept, "undo": moves.undo}
-        for name, part in {**parts, "lead": lambda *_: None}.items():
+        for name, part in {**parts, "lead": lambda *_: None, "_try": module._try.py_func}.items():
             patch.setattr(module, name, part)
-        for name in ("_try", "_walk"):
-            patch.setattr(module, name, getattr(module, name).py_func)
         settings = stage.settings(0.0, 0.1)
         (walker,) = surrogate._walkers
-        here = surrogate._field, walker.state, walker.scratches, surrogate._target, surrogate._surfaces, 0.0
+        here = (
+            surrogate._field,
+            walker.state,
+            walker.scratches,
+            surrogate._target,
+            surrogate._surfaces,
+            surrogate._papers,
+        )
         module.walk.py_func(200, walker.places, walker.members, walker.group, *here, settings, rng, walker.best)
     return [*walker.state, *walker.best, rng.random()], len(finished)
 

@@ -337,7 +337,9 @@ def test_tags_and_what_a_detector_sees_are_a_choice():
     problem = build_problem(composed("optimise", "tag.edge=0.2", "tag.quiet_zone=2", "visibility=fiducial"))
     assert problem.scene.tag == problem.scene.visibility.tag
     assert problem.scene.plates.edge == pytest.approx(0.3)
-    assert problem.settings()["tag"] == {"edge": 0.2, "family": "36h11", "quiet_zone": 2.0, "edges": None}
+    assert problem.settings()["tag"] == {"edge": 0.2, "family": "36h11", "quiet_zone": 2.0} | dict.fromkeys(
+        ["edges", "counts", "paper"]
+    )
     assert problem.settings()["detector"] == "aruco"
     assert build_problem(composed("optimise", "tag=printed")).scene.plates.edge == pytest.approx(0.125)
     assert build_problem(composed("optimise")).scene.plates.edge == 0.0

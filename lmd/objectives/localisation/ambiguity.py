@@ -28,7 +28,7 @@ import numpy as np
 from lmd.core.compiled import arithmetic
 from lmd.core.dispatch import overridable
 from lmd.geometry.squares import VERTICAL_TOLERANCE, upright_axes
-from lmd.objectives.localisation.information import PosePrecision, Precision, meets
+from lmd.objectives.localisation.information import PosePrecision, Precision, SizedPrecision, meets
 from lmd.scene.criteria import TOLERANCE
 
 CONFIDENCE = 0.99  # that the better pose is the right one
@@ -49,11 +49,6 @@ class ResolvedPrecision(NamedTuple):
     share: float
     position: float
     square: float
-
-    @property
-    def rotation(self) -> float:
-        """The greatest variance of the rotation."""
-        return float(getattr(self.of, "rotation", np.inf))
 
     @property
     def asks(self) -> bool:
@@ -85,16 +80,21 @@ def telling(x, y, z, rx, ry, rz, ux, uy, uz, square):
 
 
 @overridable
-def told_apart(precision, x, y, z, nx, ny, nz):
-    """What a landmark at an offset with a unit normal adds to the last of a view's numbers, before `share_of`."""
+def told_apart(precision, half, x, y, z, nx, ny, nz):
+    """What a landmark with half an edge adds to the last of a view's numbers, before `share_of`."""
     return 0.0
 
 
 @told_apart.register(ResolvedPrecision)
-def _told_apart(precision, x, y, z, nx, ny, nz):
+def _told_apart(precision, half, x, y, z, nx, ny, nz):
     rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, VERTICAL_TOLERANCE)
-    half, square = precision.half, precision.square
-    return telling(x, y, z, half * rx, half * ry, half * rz, half * ux, half * uy, half * uz, square)
+    rx, ry, rz, ux, uy, uz = half * rx, half * ry, half * rz, half * ux, half * uy, half * uz
+    return telling(x, y, z, rx, ry, rz, ux, uy, uz, precision.square)
+
+
+@told_apart.register(SizedPrecision)
+def _told_apart_of(precision, half, x, y, z, nx, ny, nz):
+    return told_apart(precision.of, half, x, y, z, nx, ny, nz)
 
 
 @overridable
@@ -107,6 +107,11 @@ def _count_tag(precision, sums, v, factor):
     sums[v, sums.shape[1] - 1] += factor
 
 
+@count_tag.register(SizedPrecision)
+def _count_tag_of(precision, sums, v, factor):
+    count_tag(precision.of, sums, v, factor)
+
+
 @overridable
 def tells(precision, told):
     """Whether views with that last number have one pose, as far as `precision` asks."""
@@ -116,6 +121,11 @@ def tells(precision, told):
 @tells.register(ResolvedPrecision)
 def _tells(precision, told):
     return told >= ENOUGH
+
+
+@tells.register(SizedPrecision)
+def _tells_of(precision, told):
+    return tells(precision.of, told)
 
 
 @meets.register(ResolvedPrecision)

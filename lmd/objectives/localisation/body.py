@@ -15,7 +15,7 @@ import numpy as np
 
 from lmd.core.compiled import arithmetic, inlined
 from lmd.core.dispatch import dispatched
-from lmd.objectives.localisation.information import SINGULAR, PosePrecision, Precision, share_of
+from lmd.objectives.localisation.information import SINGULAR, PosePrecision, Precision, SizedPrecision, share_of
 from lmd.objectives.localisation.kernels import landmark_moments
 from lmd.scene.camera import Camera
 from lmd.scene.criteria import pixel_density
@@ -135,9 +135,14 @@ def _meets_both(precision, sums, v, step):
     return fixed & steady & (position <= precision.position) & (rotation <= precision.rotation)
 
 
+@body_meets.register(SizedPrecision)
+def _meets_of(precision, sums, v, step):
+    return body_meets(precision.of, sums, v, step)
+
+
 @inlined
-def add_share(sight, axes, a, x, y, z, nx, ny, nz, ox, oy, oz, precision, gain, sums, v, row):
-    """Add to view v of `sums` what a landmark tells.
+def add_share(sight, axes, a, x, y, z, nx, ny, nz, ox, oy, oz, precision, k, gain, sums, v, row):
+    """Add to view v of `sums` what landmark k tells.
 
     Args:
         sight, axes, a: of the camera, and which of its orientations `(6, D)`.
@@ -152,6 +157,6 @@ def add_share(sight, axes, a, x, y, z, nx, ny, nz, ox, oy, oz, precision, gain, 
     (
         row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9], row[10], row[11], row[12],
         row[13], row[14], row[15], row[16], row[17], row[18], row[19], row[20],
-    ) = about_body(landmark_moments(x, y, z, nx, ny, nz, precision), ox, oy, oz)  # fmt: skip
+    ) = about_body(landmark_moments(x, y, z, nx, ny, nz, precision, k), ox, oy, oz)  # fmt: skip
     for j in range(sums.shape[1]):
         sums[v, j] += share_of(row[j], weight)

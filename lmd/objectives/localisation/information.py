@@ -30,12 +30,13 @@ decide by the same bits. Each landmark's share of a view is rounded to a multipl
 in any order, so that landmarks may be added and taken away again.
 """
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from lmd.core.compiled import arithmetic
-from lmd.core.dispatch import dispatched
+from lmd.core.dispatch import dispatched, overridable
 from lmd.scene.camera import Camera
 from lmd.scene.criteria import TOLERANCE
 from lmd.scene.tag import Tag
@@ -81,6 +82,41 @@ class PosePrecision(NamedTuple):
         return True
 
 
+class SizedPrecision(NamedTuple):
+    """The same for tags of several sizes: what another precision asks, and half the edge of each tag, `(K,)` metres."""
+
+    of: Any
+    halves: np.ndarray
+    share: float
+    position: float
+
+    @property
+    def rotation(self) -> float:
+        """The greatest variance of the rotation."""
+        return float(getattr(self.of, "rotation", np.inf))
+
+    @property
+    def asks(self) -> bool:
+        """See `Precision.asks`."""
+        return bool(self.of.asks)
+
+
+def sized_precision(asked: Any, edges: Sequence[float]) -> SizedPrecision:
+    """What is asked of tags with these edges, `(K,)` metres."""
+    return SizedPrecision(asked, np.array(edges) / 2.0, asked.share, asked.position)
+
+
+@overridable
+def half_of(precision, k):
+    """Half the edge of tag k of a deployment, metres."""
+    return precision.half
+
+
+@half_of.register(SizedPrecision)
+def _half_of(precision, k):
+    return precision.halves[k]
+
+
 def deviation_per_variance(camera: Camera, pixel_noise: float) -> float:
     """sigma / f: the standard deviation for a `variance` of 1, metres or rad.
 
@@ -92,18 +128,27 @@ def deviation_per_variance(camera: Camera, pixel_noise: float) -> float:
 
 
 def precision(
-    camera: Camera, tag: Tag, pixel_noise: float, tolerance: float, rotation: float | None = None
+    camera: Camera,
+    tag: Tag,
+    pixel_noise: float,
+    tolerance: float,
+    rotation: float | None = None,
+    edge: float | None = None,
 ) -> Precision | PosePrecision:
-    """What greatest standard deviations of position, metres, and if you like rotation, rad, ask of a view."""
+    """What greatest standard deviations of position, metres, and if you like rotation, rad, ask of a view.
+
+    The edge is that of all landmarks, metres, if it is not the tag's.
+    """
     scale = deviation_per_variance(camera, pixel_noise)
-    half, share = (0.0, 0.25) if tag.is_point else (tag.size / 2.0, 1.0)
+    half, share = (0.0, 0.25) if tag.is_point else ((edge or tag.size) / 2.0, 1.0)
 
     def most(deviation: float) -> float:
         return (deviation / scale) ** 2 * (1.0 + TOLERANCE)
 
-    if rotation is None:
-        return Precision(half, share, most(tolerance))
-    return PosePrecision(half, share, most(tolerance), most(rotation))
+    asked: Precision | PosePrecision = Precision(half, share, most(tolerance))
+    if rotation is not None:
+        asked = PosePrecision(half, share, most(tolerance), most(rotation))
+    return asked
 
 
 @arithmetic
@@ -199,3 +244,10 @@ def _meets_both(
     position, fixed = variance(axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz)
     rotation, steady = variance(cxx, cxy, cxz, cyy, cyz, czz, gx, gy, gz, axx, axy, axz, ayy, ayz, azz)
     return fixed & steady & (position <= precision.position) & (rotation <= precision.rotation)
+
+
+@meets.register(SizedPrecision)
+def _meets_of(
+    precision, axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
+):  # fmt: skip
+    return meets(precision.of, axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz)

@@ -10,18 +10,18 @@ from lmd.core.bits import ALL, BITS, LANES, ONE, ZERO, add_digit, at_least_so_fa
 from lmd.core.compiled import inlined, kernel
 from lmd.geometry.squares import VERTICAL_TOLERANCE, upright_axes
 from lmd.objectives.localisation.ambiguity import count_tag, tells, told_apart
-from lmd.objectives.localisation.information import WIDTH, meets, moments, share_of, variance
-from lmd.scene.criteria import covering, covers, frame_of, pixel_density
+from lmd.objectives.localisation.information import WIDTH, half_of, meets, moments, share_of, variance
+from lmd.scene.criteria import covering, covers, frame_of, pixel_density, sized
 from lmd.sight.kernels import weights_row
 from lmd.sight.obstacles import is_clear, no_ends
 from lmd.sight.viewpoint import gather_near, list_shown, look, take, viewpoint_for
 
 
 @inlined
-def landmark_moments(x, y, z, nx, ny, nz, precision):
-    """The `moments` of an upright landmark at offset (x, y, z) with the unit normal (nx, ny, nz)."""
+def landmark_moments(x, y, z, nx, ny, nz, precision, k):
+    """The `moments` of landmark k, upright at offset (x, y, z) with the unit normal (nx, ny, nz)."""
     rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, VERTICAL_TOLERANCE)
-    half = precision.half
+    half = half_of(precision, k)
     return moments(x, y, z, half * rx, half * ry, half * rz, half * ux, half * uy, half * uz, precision.share)
 
 
@@ -68,7 +68,9 @@ def localise_range(
         np.arange(landmarks.shape[2]),
     )
     clear, ends, view = is_clear(obstacles), no_ends(obstacles, len(names)), viewpoint_for(len(names))
-    near, x, y, z, low, high, deep = view.near, view.x, view.y, view.z, view.low, view.high, view.deep
+    near, who, x, y, z, low, high, deep = (
+        view.near, view.who, view.x, view.y, view.z, view.low, view.high, view.deep
+    )  # fmt: skip
     bottom, top, shown, directions = view.bottom, view.top, view.shown, view.near[3:]
     caps, digits = np.empty((len(names), words), dtype=np.uint64), np.empty((words, np.uint64(places)), dtype=np.uint64)
     enough, listed = np.empty(words, dtype=np.uint64), np.empty(axes.shape[1], dtype=np.uint64)
@@ -87,7 +89,7 @@ def localise_range(
             for m in range(found):
                 k = shown[m]
                 xk, yk, zk, least = x[k], y[k], z[k], low[k]
-                nx, ny, nz = near[3, k], near[4, k], near[5, k]
+                nx, ny, nz, mine = near[3, k], near[4, k], near[5, k], sized(sight, who[k])
                 if tables is None:
                     start, stop = bands[bottom[k]] // LANES, (bands[top[k]] + LANES - 1) // LANES
                     bottom[k], top[k] = start // 2, (stop + 1) // 2
@@ -97,18 +99,18 @@ def localise_range(
                         half = np.uint32(0)
                         for lane in range(np.uint64(LANES)):
                             a = i * np.uint64(LANES) + lane
-                            inside = covers(sight, xk, yk, zk, nx, ny, nz, least, 0.0, axes, a)
+                            inside = covers(mine, xk, yk, zk, nx, ny, nz, least, 0.0, axes, a)
                             half |= np.uint32(inside) << np.uint32(lane)
                         caps[k, i // np.uint64(2)] |= np.uint64(half) << (i % np.uint64(2) * np.uint64(LANES))
                 else:
                     certain, possible = tables
-                    given, cell, frame = np.uint64(bottom[k]), np.uint64(top[k]), frame_of(sight, nx, ny, nz)
+                    given, cell, frame = np.uint64(bottom[k]), np.uint64(top[k]), frame_of(mine, nx, ny, nz)
                     bottom[k], top[k] = 0, words
                     for i in range(words):
                         cap, left = certain[given, i], possible[cell, i] & ~certain[given, i]
                         if left:
                             well = certain[cell, i]
-                            cap |= covering(sight, left, i, xk, yk, zk, frame, least, high[k], deep[k], well, axes)
+                            cap |= covering(mine, left, i, xk, yk, zk, frame, least, high[k], deep[k], well, axes)
                         caps[k, i] = cap
                 for i in range(np.uint64(bottom[k]), np.uint64(top[k])):
                     carry, j = caps[k, i], ZERO
@@ -139,8 +141,8 @@ def localise_range(
                 (
                     moment[0], moment[1], moment[2], moment[3], moment[4], moment[5], moment[6], moment[7],
                     moment[8], moment[9], moment[10], moment[11], moment[12], moment[13], moment[14],
-                ) = landmark_moments(xk, yk, zk, nx, ny, nz, precision)  # fmt: skip
-                moment[15] = told_apart(precision, xk, yk, zk, nx, ny, nz)
+                ) = landmark_moments(xk, yk, zk, nx, ny, nz, precision, who[k])  # fmt: skip
+                moment[15] = told_apart(precision, half_of(precision, who[k]), xk, yk, zk, nx, ny, nz)
                 for i in range(np.uint64(bottom[k]), np.uint64(top[k])):
                     left = caps[k, i] & enough[i]
                     while left:

@@ -7,6 +7,7 @@ standard deviation of some tolerances makes landmarks share the room, where a wi
 place as a greater gain than the accuracy of another.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -17,9 +18,10 @@ from lmd.objectives.localisation.information import WIDTH, log_det, share_of
 from lmd.objectives.localisation.kernels import landmark_moments
 from lmd.scene.criteria import covers, pixel_density
 from lmd.scene.deployment import Deployment
+from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.obstacles import find_ends, no_ends
-from lmd.sight.poses import shared
+from lmd.sight.poses import by_edge, shared
 from lmd.sight.viewpoint import see_alone
 
 
@@ -69,7 +71,7 @@ def _gains(start, stop, points, normals, prices, positions, sight, obstacles, ax
             x, y, z, low, first, last = see_alone(pose, positions, p, sight, obstacles, ends, bands)
             if first == last:
                 continue
-            moment = landmark_moments(x, y, z, nx, ny, nz, precision)
+            moment = landmark_moments(x, y, z, nx, ny, nz, precision, 0)
             for a in range(np.uint64(first), np.uint64(last)):
                 if covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a):
                     more = _log_det_with(sums, p, a, moment, pixel_density(sight, x, y, z, axes, a))
@@ -88,7 +90,7 @@ def _add(start, stop, point, normal, positions, sight, obstacles, axes, bands, p
         x, y, z, low, first, last = see_alone(pose, positions, p, sight, obstacles, ends, bands)
         if first == last:
             continue
-        moment = landmark_moments(x, y, z, nx, ny, nz, precision)
+        moment = landmark_moments(x, y, z, nx, ny, nz, precision, 0)
         for a in range(np.uint64(first), np.uint64(last)):
             if covers(sight, x, y, z, nx, ny, nz, low, 0.0, axes, a):
                 weight = pixel_density(sight, x, y, z, axes, a)
@@ -103,14 +105,19 @@ class LogDeterminant:
     Args:
         evaluator: the scene.
         relevance: weights of its positions, `(P,)`.
-        precision: the size of a tag, see `information.precision`.
+        precision: the size of the tags of a scene, see `information.precision`.
         position, rotation: information known beforehand, in the units of `information`: 1 / `variance`.
     """
 
     label = "mean log det of the information"
 
     def __init__(
-        self, evaluator: Evaluator, relevance: FloatArray, precision: Any, position: float, rotation: float
+        self,
+        evaluator: Evaluator,
+        relevance: FloatArray,
+        precision: Callable[[Scene], Any],
+        position: float,
+        rotation: float,
     ) -> None:
         evaluator.check_memory(8 * (WIDTH + 2))
         self._evaluator, self._precision = evaluator, precision
@@ -119,17 +126,23 @@ class LogDeterminant:
         start[[0, 3, 5]], start[[9, 12, 14]] = rotation, position
         self._sums = np.tile(start, (*self._prices.shape, 1))
         self._known = np.full(self._prices.shape, _log_det_of(start))
-        e = evaluator
-        self._fixed = (e.positions, e.sight, e.obstacles, e.axes, e.bands, precision, self._sums, self._known)
 
     def gains(self, poses: Deployment) -> FloatArray:
         """See `Selection.gains`."""
-        out = np.empty(len(poses))
-        fixed = (poses.positions, poses.normals, self._prices, *self._fixed, out)
-        shared(_gains, len(poses), self._evaluator.threads, fixed)
-        return out
+        gained = np.empty(len(poses))
+        for e, index in by_edge(self._evaluator, poses):
+            out = np.empty(len(index))
+            fixed = (poses.positions[index], poses.normals[index], self._prices, *self._parts(e), out)
+            shared(_gains, len(index), e.threads, fixed)
+            gained[index] = out
+        return gained
 
     def add(self, pose: Deployment) -> None:
         """See `Selection.add`."""
-        fixed = (pose.positions[0], pose.normals[0], *self._fixed)
-        shared(_add, len(self._evaluator.positions), self._evaluator.threads, fixed)
+        for e, _ in by_edge(self._evaluator, pose):
+            shared(_add, len(e.positions), e.threads, (pose.positions[0], pose.normals[0], *self._parts(e)))
+
+    def _parts(self, e: Evaluator) -> tuple[Any, ...]:
+        """What kernels take beside the poses, whose tags have the one size of an evaluator."""
+        precision = self._precision(e.scene)
+        return e.positions, e.sight, e.obstacles, e.axes, e.bands, precision, self._sums, self._known

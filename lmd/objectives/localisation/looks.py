@@ -54,7 +54,7 @@ def _add(looks, p, k, w, place, pose, precision, slots, count):
     for m in range(len(looks.sets)):
         seen = looks.sets[m, p, k, w]
         if seen:
-            add_landmark(looks.part, m, w, seen, place, pose, 1.0, looks.gain, precision, slots, count)
+            add_landmark(looks.part, m, w, seen, place, pose, k, 1.0, looks.gain, precision, slots, count)
 
 
 @inner

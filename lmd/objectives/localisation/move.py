@@ -63,7 +63,7 @@ def _fill(field, state, scratch):
                     landmarks[2, i] - positions[2, p],
                 )
                 offsets[0, 0], offsets[0, 1], offsets[0, 2], goes[0] = x, y, z, ZERO
-                moments_of(x, y, z, normals[0, i], normals[1, i], normals[2, i], field.precision, moments[0])
+                moments_of(x, y, z, normals[0, i], normals[1, i], normals[2, i], field.precision, i, moments[0])
                 for w in range(words):
                     left = known.caps[i, p, w]
                     while left:

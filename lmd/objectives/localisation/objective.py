@@ -14,7 +14,14 @@ from lmd.objectives.base import AtLeast, Headline, Selection
 from lmd.objectives.coverage import Threshold
 from lmd.objectives.localisation.ambiguity import ResolvedPrecision, resolved
 from lmd.objectives.localisation.field import LocalisationField
-from lmd.objectives.localisation.information import PosePrecision, Precision, deviation_per_variance, precision
+from lmd.objectives.localisation.information import (
+    PosePrecision,
+    Precision,
+    SizedPrecision,
+    deviation_per_variance,
+    precision,
+    sized_precision,
+)
 from lmd.objectives.localisation.log_det import LogDeterminant
 from lmd.objectives.localisation.rig_field import RigLocalisationField, rig_localisation_field
 from lmd.objectives.localisation.rig_log_det import RigLogDeterminant
@@ -115,13 +122,15 @@ class Localisation(AtLeast):
         label = f"probability of localising to {1e3 * self.tolerance:g} mm"
         return f"{label}, and of seeing {self.n}, weighted" if self.coverage_weight else label
 
-    def precision(self, scene: Scene) -> Precision | PosePrecision | ResolvedPrecision:
+    def precision(self, scene: Scene) -> Precision | PosePrecision | ResolvedPrecision | SizedPrecision:
         """What is asked of a view that covers n landmarks, in the units of the first camera."""
         camera, noise = scene.cameras[0], self.pixel_noise
-        asked = precision(camera, scene.tag, noise, self.tolerance, self.rotation_tolerance)
-        if self.n > 1 or self.ambiguity == "ignored" or scene.tag.is_point or isinstance(scene.camera, Rig):
-            return asked
-        return resolved(asked, deviation_per_variance(camera, noise))
+        edges = scene.edges or (None,)
+        asked: Precision | PosePrecision | ResolvedPrecision
+        asked = precision(camera, scene.tag, noise, self.tolerance, self.rotation_tolerance, edges[0])
+        if not (self.n > 1 or self.ambiguity == "ignored" or scene.tag.is_point or isinstance(scene.camera, Rig)):
+            asked = resolved(asked, deviation_per_variance(camera, noise))
+        return asked if scene.edges is None or len(edges) < 2 else sized_precision(asked, scene.edges)
 
     def values(self, evaluator: Evaluator, positions: FloatArray, normals: FloatArray) -> FloatArray:
         """See `Objective.values`."""
@@ -186,7 +195,7 @@ class Localisation(AtLeast):
         prior = PRIOR_TOLERANCES * self.tolerance if math.isfinite(self.tolerance) else PRIOR_POSITION
         known = (scale / prior) ** 2, (scale / PRIOR_ROTATION) ** 2
         made = RigLogDeterminant if evaluator.parts else LogDeterminant
-        return made(evaluator, relevance, self.precision(scene), *known)
+        return made(evaluator, relevance, self.precision, *known)
 
 
 def localisation(fitness: str = "mean", **settings: Any) -> Localisation:

@@ -12,8 +12,17 @@ from lmd.geometry.lens_models import density_of
 from lmd.geometry.squares import upright
 from lmd.objectives.localisation.ambiguity import ResolvedPrecision, telling, tells
 from lmd.objectives.localisation.body import BODY_WIDTH, about_body, body_meets, gain_of
-from lmd.objectives.localisation.information import PosePrecision, Precision, meets, moments, share_of
+from lmd.objectives.localisation.information import (
+    PosePrecision,
+    Precision,
+    SizedPrecision,
+    half_of,
+    meets,
+    moments,
+    share_of,
+)
 from lmd.objectives.localisation.objective import Localisation
+from lmd.scene.criteria import largest
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
@@ -25,12 +34,12 @@ from lmd.sight.reference import cap_count, coverage_caps, n_ple_cap, station_cap
 def view_information(
     scene: Scene,
     deployment: Deployment,
-    asked: Precision | PosePrecision | ResolvedPrecision,
+    asked: Precision | PosePrecision | ResolvedPrecision | SizedPrecision,
     position: FloatArray,
     axes: FloatArray,
 ) -> FloatArray:
     """A, g and C of each view, `(15, A)`, of the landmarks that it covers."""
-    caps, (*args, weight) = _seen(scene, deployment, asked.half, position, axes)
+    caps, (*args, weight) = _seen(scene, deployment, asked, position, axes)
     formulas: Any = moments.py_func
     with np.errstate(all="ignore"):  # of a landmark that is not covered the depth may be anything
         shares = [share_of.py_func(each, weight) for each in formulas(*args, asked.share)]
@@ -38,34 +47,49 @@ def view_information(
 
 
 def told(
-    scene: Scene, deployment: Deployment, asked: ResolvedPrecision, position: FloatArray, axes: FloatArray
+    scene: Scene,
+    deployment: Deployment,
+    asked: Any,
+    position: FloatArray,
+    axes: FloatArray,
 ) -> FloatArray:
     """What each view has to tell two poses apart, `(A,)`: see `ambiguity.ENOUGH`."""
-    caps, (*args, weight) = _seen(scene, deployment, asked.half, position, axes)
+    caps, (*args, weight) = _seen(scene, deployment, asked, position, axes)
     formula: Any = telling.py_func
     with np.errstate(all="ignore"):
-        share = share_of.py_func(formula(*args, asked.square), weight)
+        share = share_of.py_func(formula(*args, _each(asked).square), weight)
     return np.asarray(np.where(caps, 1.0 + share, 0.0).sum(axis=1))
 
 
+def _each(asked: Any) -> Any:
+    """What is asked of each size of tags."""
+    return asked.of if isinstance(asked, SizedPrecision) else asked
+
+
 def _seen(
-    scene: Scene, deployment: Deployment, half: float, position: FloatArray, axes: FloatArray
+    scene: Scene, deployment: Deployment, asked: Any, position: FloatArray, axes: FloatArray
 ) -> tuple[BoolArray, tuple[FloatArray, ...]]:
     """Which landmarks each view covers, `(A, K)`; offsets and sides as `moments` takes them, and `pixel_density`."""
     offset, (right, up) = deployment.positions - position, upright(deployment.normals)
+    half = np.reshape(half_of(asked, slice(None)), (-1, 1))  # one, or each tag's
     with np.errstate(all="ignore"):
-        weight = _density(getattr(scene.sight, "lens", None), axes, offset)
+        weight = _density(getattr(largest(scene.sight), "lens", None), axes, offset)
     caps = coverage_caps(scene, deployment, position, axes)
     return caps, (*offset.T, *(half * right).T, *(half * up).T, weight)
 
 
 def body_information(
-    scene: Scene, deployment: Deployment, asked: Precision | PosePrecision, position: FloatArray, axes: FloatArray
+    scene: Scene,
+    deployment: Deployment,
+    asked: Any,
+    position: FloatArray,
+    axes: FloatArray,
 ) -> FloatArray:
     """What all cameras of a rig tell of its body in each of its orientations, `(A, BODY_WIDTH)`."""
     sums = np.zeros((len(axes), BODY_WIDTH))
     right, up = upright(deployment.normals)
-    sides = (asked.half * right, asked.half * up)
+    half = np.reshape(half_of(asked, slice(None)), (-1, 1))
+    sides = (half * right, half * up)
     formulas: tuple[Any, ...] = moments.py_func, about_body.py_func, share_of.py_func
     for station in scene.stations(axes):
         camera, arm, there, turned = station
@@ -73,7 +97,7 @@ def body_information(
         offset = deployment.positions - (position + arm)
         with np.errstate(all="ignore"):
             moment = formulas[1](formulas[0](*offset.T, *sides[0].T, *sides[1].T, asked.share), *arm)
-            lens = getattr(scene.visibility.sight(camera), "lens", None)
+            lens = getattr(largest(scene.visibility.sight(camera)), "lens", None)
             weight = gain_of(camera, scene.cameras[0]) * _density(lens, turned, offset)
             shares = [np.where(caps, formulas[2](each, weight), 0.0).sum(axis=1) for each in moment]
         sums[there, : len(shares)] += np.stack(shares, axis=1)
@@ -97,11 +121,11 @@ def localised(
     enough = n_ple_cap(cap_count(coverage_caps(scene, deployment, position, axes)), objective.n)
     if not asked.asks:
         return enough
-    if isinstance(scene.camera, Rig) and not isinstance(asked, ResolvedPrecision):  # which a rig is not asked
+    if isinstance(scene.camera, Rig) and not isinstance(_each(asked), ResolvedPrecision):  # which a rig is not asked
         sums = body_information(scene, deployment, asked, position, axes)
         return np.asarray(enough & [body_meets(asked, row, 0, 1) for row in sums])
     with np.errstate(all="ignore"):
         found = enough & meets(asked, *view_information(scene, deployment, asked, position, axes))
-        if isinstance(asked, ResolvedPrecision):
+        if isinstance(_each(asked), ResolvedPrecision):
             found &= tells(asked, told(scene, deployment, asked, position, axes))
         return np.asarray(found)

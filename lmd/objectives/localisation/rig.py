@@ -203,4 +203,4 @@ def _add_up(positions, offsets, axes, landmarks, normals, sight, seen, precision
                     landmarks[k, 2] - (positions[i, 2] + oz),
                 )
                 nx, ny, nz = normals[k, 0], normals[k, 1], normals[k, 2]
-                add_share(sight, axes, i, x, y, z, nx, ny, nz, ox, oy, oz, precision, gain, sums, i, row)
+                add_share(sight, axes, i, x, y, z, nx, ny, nz, ox, oy, oz, precision, k, gain, sums, i, row)

@@ -1,6 +1,7 @@
 """What greedy selection climbs where a rig is localised: `log_det`, with the information of all cameras on the body."""
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,9 @@ from lmd.objectives.localisation.body import BODY_WIDTH, body_log_det
 from lmd.objectives.localisation.looks import Looks, add_of_all, looks_of, seen_by_any
 from lmd.objectives.localisation.slots import VIEW, fill_slots, give_sums, new_slots, take_sums
 from lmd.scene.deployment import Deployment
+from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
+from lmd.sight.poses import by_edge
 from lmd.sight.stations import with_sight
 
 AT_A_TIME = 64  # poses that a thread works on at a time: what they see in all orientations is kept for so long
@@ -76,7 +79,12 @@ class RigLogDeterminant:
     label = "mean log det of the information"
 
     def __init__(
-        self, evaluator: Evaluator, relevance: FloatArray, precision: Any, position: float, rotation: float
+        self,
+        evaluator: Evaluator,
+        relevance: FloatArray,
+        precision: Callable[[Scene], Any],
+        position: float,
+        rotation: float,
     ) -> None:
         evaluator.check_memory(8 * (BODY_WIDTH + 2))
         self._evaluator, self._precision = evaluator, precision
@@ -85,27 +93,37 @@ class RigLogDeterminant:
         start[[0, 3, 5]], start[[15, 18, 20]] = position, rotation
         self._sums = np.tile(start, (self._prices.size, 1))
         self._known = np.full(self._prices.shape, body_log_det(start, 0, 1))
-        self._parts = tuple(with_sight(part, part.sight.unhidden()) for part in evaluator.parts)
 
-    def _looks(self, poses: Deployment) -> tuple[Looks, ...]:
-        """What the cameras cover of poses, none of which hides another."""
-        return looks_of(self._evaluator, self._parts, self._evaluator.positions, poses)
+    def _looks(self, e: Evaluator, poses: Deployment) -> tuple[Looks, ...]:
+        """What the cameras cover of poses, none of which hides another, with the size of tags of an evaluator."""
+        parts = tuple(with_sight(part, part.sight.unhidden()) for part in e.parts)
+        return looks_of(e, parts, e.positions, poses)
 
     def gains(self, poses: Deployment) -> FloatArray:
         """See `Selection.gains`."""
-        out, positions = np.empty(len(poses)), self._evaluator.positions
+        gained = np.empty(len(poses))
+        for e, index in by_edge(self._evaluator, poses):
+            these, out, precision = poses[index], np.empty(len(index)), self._precision(e.scene)
 
-        def job(first: int, last: int) -> None:
-            part = poses[first:last]
-            there = np.hstack([part.positions, part.normals])
-            known = self._prices, positions, self._precision, self._sums, self._known, new_slots()
-            _gains(self._looks(part), there, *known, out[first:last])
+            def job(
+                first: int,
+                last: int,
+                e: Evaluator = e,
+                these: Deployment = these,
+                out: FloatArray = out,
+                precision: Any = precision,
+            ) -> None:
+                part = these[first:last]
+                there = np.hstack([part.positions, part.normals])
+                known = self._prices, e.positions, precision, self._sums, self._known, new_slots()
+                _gains(self._looks(e, part), there, *known, out[first:last])
 
-        in_parts(self._evaluator.threads, job, len(poses), math.ceil(len(poses) / AT_A_TIME))
-        return out
+            in_parts(e.threads, job, len(these), math.ceil(len(these) / AT_A_TIME))
+            gained[index] = out
+        return gained
 
     def add(self, pose: Deployment) -> None:
         """See `Selection.add`."""
-        there, positions = np.hstack([pose.positions, pose.normals]), self._evaluator.positions
-        sums = self._sums, self._sums.reshape(-1), self._known, new_slots()
-        _choose(self._looks(pose), there, positions, self._precision, *sums)
+        there, sums = np.hstack([pose.positions, pose.normals]), (self._sums, self._sums.reshape(-1))
+        for e, _ in by_edge(self._evaluator, pose):
+            _choose(self._looks(e, pose), there, e.positions, self._precision(e.scene), *sums, self._known, new_slots())

@@ -42,18 +42,20 @@ def _add_changes(stations, k, q, w, sign, field, state, scratch, count):
     for m in range(len(part.axes)):
         goes, comes = mine.caps[k, q, m, w] & ~mine.veiled[k, q, m, w], other.cap[q, m, w] & ~other.veil[q, m, w]
         if goes:
-            add_landmark(part, m, w, goes, place, old, -sign, gain, precision, slots, count)
+            add_landmark(part, m, w, goes, place, old, k, -sign, gain, precision, slots, count)
         if comes:
-            add_landmark(part, m, w, comes, place, new, sign, gain, precision, slots, count)
+            add_landmark(part, m, w, comes, place, new, k, sign, gain, precision, slots, count)
     for i in range(len(state.surfaces) if trial.touched[q] else 0):
         for m in range(len(part.axes) if trial.known[i, q] else 0):
             veiled, turns = mine.veiled[i, q, m, w], mine.caps[i, q, m, w] & other.flipped[i, q, m, w]
             if turns & ~veiled:
                 add_landmark(
-                    part, m, w, turns & ~veiled, place, _pose(i, state), -sign, gain, precision, slots, count
+                    part, m, w, turns & ~veiled, place, _pose(i, state), i, -sign, gain, precision, slots, count
                 )  # fmt: skip
             if turns & veiled:
-                add_landmark(part, m, w, turns & veiled, place, _pose(i, state), sign, gain, precision, slots, count)
+                add_landmark(
+                    part, m, w, turns & veiled, place, _pose(i, state), i, sign, gain, precision, slots, count
+                )  # fmt: skip
 
 
 @inner
@@ -172,7 +174,7 @@ def bound_localised_move(field, k, pose, surface, state, scratch):
     _ask(k, state, scratch)
     _ask_again(k, cover.n, known, trial)
     positions = trial.listed[: list_near(trial, False)]
-    see_anew(cover.parts, positions, False, cover, known, trial)
+    see_anew(k, cover.parts, positions, False, cover, known, trial)
     _decide(k, positions, field, state, scratch)
 
 
@@ -183,7 +185,7 @@ def finish_localised_move(field, k, state, scratch):
     find_pairs(k, COMES, cover.parts, cover, known, trial)
     _ask_again(k, cover.n, known, trial)
     positions = trial.places[: trial.found[1]]
-    see_anew(cover.parts, positions, False, cover, known, trial)
+    see_anew(k, cover.parts, positions, False, cover, known, trial)
     _decide(k, positions, field, state, scratch)
 
 
@@ -218,7 +220,7 @@ def _exchange(state, scratch):
 @inner
 def carry_out_localised(field, k, state, scratch):
     """See `rig_move.carry_out_rig`."""
-    see_whole(field.coverage, state.coverage, scratch.coverage)
+    see_whole(k, field.coverage, state.coverage, scratch.coverage)
     _change_sums(np.uint64(k), 1.0, field, state, scratch)
     take_back_rig(field.coverage, k, state.coverage, scratch.coverage)
     _exchange(state, scratch)
@@ -251,7 +253,7 @@ def _add_shown(stations, q, w, field, state, scratch, count):
         for m in range(mine.caps.shape[2]):
             seen = mine.caps[i, q, m, w] & ~mine.veiled[i, q, m, w]
             if seen:
-                add_landmark(part, m, w, seen, place, _pose(i, state), 1.0, gain, precision, slots, count)
+                add_landmark(part, m, w, seen, place, _pose(i, state), i, 1.0, gain, precision, slots, count)
 
 
 @inner

@@ -12,7 +12,7 @@ from lmd.core.bits import BITS, ONE, ZERO, lowest, prefetch
 from lmd.core.compiled import inlined, inner
 from lmd.geometry.squares import VERTICAL_TOLERANCE, upright_axes
 from lmd.objectives.localisation.body import BODY_WIDTH, about_body, body_meets
-from lmd.objectives.localisation.information import moments, share_of
+from lmd.objectives.localisation.information import half_of, moments, share_of
 from lmd.scene.criteria import pixel_density
 
 GROUP = np.uint64(8)
@@ -111,8 +111,8 @@ def _put_in(part, m, w, seen, start, place, pose, gain, slots):
 
 
 @inner
-def add_landmark(part, m, w, seen, place, pose, sign, gain, precision, slots, count):
-    """Add what a landmark tells mount m of a part, times `sign`, to the views in which the mount covers it.
+def add_landmark(part, m, w, seen, place, pose, k, sign, gain, precision, slots, count):
+    """Add what landmark k tells mount m of a part, times `sign`, to the views in which the mount covers it.
 
     Args:
         part, m: see `lmd.sight.stations.Part`.
@@ -124,7 +124,8 @@ def add_landmark(part, m, w, seen, place, pose, sign, gain, precision, slots, co
         precision: has the size of the tags.
         slots, count: the views.
     """
-    bits, rows, work, nx, ny, nz, half = slots.bits, slots.rows, slots.work, pose[3], pose[4], pose[5], precision.half
+    bits, rows, work, half = slots.bits, slots.rows, slots.work, half_of(precision, k)
+    nx, ny, nz = pose[3], pose[4], pose[5]
     rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, VERTICAL_TOLERANCE)
     rx, ry, rz, ux, uy, uz = half * rx, half * ry, half * rz, half * ux, half * uy, half * uz
     for start in range(ZERO, count, GROUP):

@@ -20,9 +20,9 @@ from lmd.incremental.hiding import flips_with
 from lmd.incremental.move import list_touched
 from lmd.incremental.trial import begin_move, complete_move
 from lmd.objectives.localisation.ambiguity import count_tag, tells, told_apart
-from lmd.objectives.localisation.information import WIDTH, meets, share_of
+from lmd.objectives.localisation.information import WIDTH, half_of, meets, share_of
 from lmd.objectives.localisation.kernels import landmark_moments, meets_row
-from lmd.scene.criteria import covering, frame_of, pixel_density
+from lmd.scene.criteria import covering, frame_of, pixel_density, sized
 from lmd.sight.blocks import BLOCK
 from lmd.sight.directions import NOWHERE
 from lmd.sight.kernels import weights_row
@@ -38,13 +38,13 @@ def mixed(located, covered, weight):
 
 
 @inner
-def moments_of(x, y, z, nx, ny, nz, precision, moments):
-    """Write the moments of a landmark at an offset into `moments` `(WIDTH,)`."""
+def moments_of(x, y, z, nx, ny, nz, precision, k, moments):
+    """Write the moments of landmark k at an offset into `moments` `(WIDTH,)`."""
     (
         moments[0], moments[1], moments[2], moments[3], moments[4], moments[5], moments[6], moments[7], moments[8],
         moments[9], moments[10], moments[11], moments[12], moments[13], moments[14],
-    ) = landmark_moments(x, y, z, nx, ny, nz, precision)  # fmt: skip
-    moments[15] = told_apart(precision, x, y, z, nx, ny, nz)
+    ) = landmark_moments(x, y, z, nx, ny, nz, precision, k)  # fmt: skip
+    moments[15] = told_apart(precision, half_of(precision, k), x, y, z, nx, ny, nz)
 
 
 @inner
@@ -57,7 +57,8 @@ def row_meets(precision, row):
 def _look(k, field, state, scratch):
     """Fill `old` and `new`, and the cap of the new place at all positions that reach it."""
     cover, trial = field.coverage, scratch.coverage
-    sight, axes, certain, possible, positions = cover.sight, cover.axes, cover.certain, cover.possible, cover.positions
+    sight, axes, positions = sized(cover.sight, k), cover.axes, cover.positions
+    certain, possible = cover.certain, cover.possible
     x, y, z, low, high, sure, cell, reached = trial.new
     reachable, cap, target = state.coverage.reachable, trial.cap, trial.target
     nx, ny, nz = target[3], target[4], target[5]
@@ -67,12 +68,12 @@ def _look(k, field, state, scratch):
     for p in range(np.uint64(len(reached))):
         if reachable[k, p] and field.asks:
             ox, oy, oz = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
-            moments_of(ox, oy, oz, mx, my, mz, field.precision, scratch.old[p])
+            moments_of(ox, oy, oz, mx, my, mz, field.precision, k, scratch.old[p])
         if not reached[p]:
             continue
         px, py, pz = x[p], y[p], z[p]
         if field.asks:
-            moments_of(px, py, pz, nx, ny, nz, field.precision, scratch.new[p])
+            moments_of(px, py, pz, nx, ny, nz, field.precision, k, scratch.new[p])
         given, outer = np.uint64(cell[p] if sure[p] == np.inf else NOWHERE), np.uint64(cell[p])
         for w in range(np.uint64(cap.shape[1])):
             found, well = certain[given, w], certain[outer, w]
@@ -241,7 +242,7 @@ def list_changes(k, p, field, state, scratch):
             was, now = hidden[i, p], hidden[i, p] + change[b, m, q]
             if flips_with(reachable[i, p], was, now):
                 x, y, z = landmarks[0, i] - px, landmarks[1, i] - py, landmarks[2, i] - pz
-                moments_of(x, y, z, normals[0, i], normals[1, i], normals[2, i], field.precision, scratch.row[0])
+                moments_of(x, y, z, normals[0, i], normals[1, i], normals[2, i], field.precision, i, scratch.row[0])
                 _note_change(count, was == 0, x, y, z, scratch.row, ZERO, caps, i, p, scratch)
                 count += ONE
     return count

@@ -21,6 +21,7 @@ class Stage:
         jump: probability that a move goes anywhere on the walls.
         join: probability that a move goes next to another landmark.
         together: probability that a landmark takes its n - 1 nearest neighbours along.
+        exchange: probability that a landmark exchanges its place with one of another size, if there is one.
 
     Raises:
         InputError: a value is out of range.
@@ -34,6 +35,7 @@ class Stage:
     jump: float = 0.1
     join: float = 0.1
     together: float = 0.0
+    exchange: float = 0.05
 
     def __post_init__(self) -> None:
         for name in ("temperature", "width", "step"):
@@ -43,6 +45,7 @@ class Stage:
         real("jump", self.jump, low=0.0, high=1.0)
         real("join", self.join, low=0.0, high=1.0 - self.jump)
         real("together", self.together, low=0.0, high=1.0)
+        real("exchange", self.exchange, low=0.0, high=1.0)
 
     def settings(self, progress: float, near: float) -> Settings:
         """The conditions after a share `progress` in [0, 1] of the stage."""
@@ -61,6 +64,7 @@ class Stage:
             join=self.join,
             near=near,
             together=self.together,
+            exchange=self.exchange,
         )
 
 

@@ -11,7 +11,7 @@ from lmd.core.layers import layer, layers
 from lmd.core.threads import at_once
 from lmd.incremental.field import Field, Places, Stacking, in_order, places_of, stack_of, total_worth
 from lmd.objectives.base import incremental
-from lmd.optimisers.annealing.walk import Best, Settings, walk
+from lmd.optimisers.annealing.walk import Best, Papers, Settings, walk
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.plates import TOUCHING
@@ -60,7 +60,7 @@ class Surrogate:
         self._threads = problem.evaluator.threads
         self._surfaces = SurfaceArrays.of(problem.scene.plates.hanging.surfaces())
         self._survey(problem.fitness_evaluator, problem.fitness_relevance)
-        self._apart = 0.0  # least distance between plates
+        self._papers: Papers
         self._climbed: tuple[bool, float] | None = None  # in stacks, size of plates
         self._field: Field
         self._walkers: list[Walker]
@@ -104,8 +104,8 @@ class Surrogate:
         self.is_true = number == 1 and redrawn is None and not in_stacks and size == 1.0
         if not in_stacks:
             pushed = self._problem.apart(here, size)
-            self._apart = size * self._problem.scene.plates.edge * (1.0 - TOUCHING)
             here = best if pushed is None else pushed  # where there is no room for the plates, the best found has it
+        self._papers = self._papers_of(len(here), 0.0 if in_stacks else size)
         slices = self._slices(here, movable, number, rng)
         if same:
             places = places_of(here)
@@ -124,11 +124,23 @@ class Surrogate:
 
     def _walker(self, best: Deployment, together: int, members: IntArray, state: Any) -> Walker:
         """A walker that begins with `state`; so many of its landmarks can move together."""
-        scratches = layers(self._field.scratch(state), together)
+        exchanged = 2 if len(self._papers.first) > 1 else 1
+        scratches = layers(self._field.scratch(state), max(together, exchanged))
         known = self._true.state(best) if self.is_true else state
         reached = np.array([total_worth(self._target, known.units)])
         met = Best(reached, known.landmarks.copy(), known.normals.copy(), known.surfaces.copy())
         return Walker(NOWHERE, members, np.empty(together, dtype=np.int64), state, scratches, met)
+
+    def _papers_of(self, count: int, size: float) -> Papers:
+        """The papers of so many landmarks, `size` times as large as they are; 0 for stacks, which have none."""
+        plates, sizes = self._problem.scene.plates, self._problem.sizes
+        if sizes is None or not size:
+            edges = np.full(count, size * plates.edge * (1.0 - TOUCHING))
+            return Papers(edges, np.zeros(count, dtype=np.int64), self._surfaces.pieces, self._surfaces.first[None])
+        papers = plates.tag.paper_share * sizes
+        found, of = np.unique(papers, return_inverse=True)
+        pieces, first = plates.pieces_of(found)
+        return Papers(size * papers * (1.0 - TOUCHING), of.astype(np.int64), pieces, first)
 
     def _slices(self, here: Deployment, movable: IntArray, number: int, rng: np.random.Generator) -> list[IntArray]:
         """The landmarks that may move, in so many slices of the room."""
@@ -145,7 +157,7 @@ class Surrogate:
         shares = np.diff(np.linspace(0, moves, number + 1).astype(int))
 
         def go(walker: Walker, share: int, own: np.random.Generator) -> None:
-            w, place = walker, (self._target, self._surfaces, self._apart)
+            w, place = walker, (self._target, self._surfaces, self._papers)
             walk(share, w.places, w.members, w.group, self._field, w.state, w.scratches, *place, settings, own, w.best)
 
         at_once(self._threads, go, self._walkers, shares, rngs)

@@ -49,6 +49,21 @@ class Settings(NamedTuple):
     """About how far from the other that is, metres."""
     together: float
     """Probability that a landmark takes its n - 1 nearest neighbours along, unchanged among themselves."""
+    exchange: float
+    """Probability that, where there are several sizes, a landmark exchanges its place with one of another size."""
+
+
+class Papers(NamedTuple):
+    """The papers of K landmarks: moves that let two overlap, or lead where one may not hang, are not even tried."""
+
+    edges: np.ndarray
+    """Of the papers, `(K,)`, metres; 0 for points."""
+    of: np.ndarray
+    """Which of S sizes each has, `(K,)`."""
+    pieces: np.ndarray
+    """Where landmarks of each size may hang, in the coordinates of the walk's surfaces, `(T, 6)`: `SurfaceArrays`."""
+    first: np.ndarray
+    """From and to which piece that is on each surface, `(S, W + 1)`."""
 
 
 class Best(NamedTuple):
@@ -108,13 +123,13 @@ def _gather(k, members, state, group):
 
 
 @inner
-def propose(group, state, surfaces, settings, rng, new):
-    """Write where the landmarks of `group` shall go, `(len(group), 6)`: position and normal.
+def propose(group, state, surfaces, papers, settings, rng, new, on):
+    """Write where the landmarks of `group` shall go: position and normal, `(len(group), 6)`, and the surface.
 
     The first goes to a proposed place, the others keep their offset from it in surface coordinates.
 
     Returns:
-        the surface, or -1 if one of the landmarks may not hang where it would go.
+        whether all may hang where they would go.
     """
     k = group[0]
     before = state.surfaces[k]
@@ -126,19 +141,57 @@ def propose(group, state, surfaces, settings, rng, new):
             da += offset * surfaces.u[before, i]
             db += offset * surfaces.v[before, i]
         am, bm = _reflect(a + da, surfaces.extent[s, 0]), _reflect(b + db, surfaces.extent[s, 1])
-        if not allows(surfaces.pieces, surfaces.first[s], surfaces.first[s + 1], am, bm):
-            return -1
+        if not _may_hang(group[m], s, am, bm, papers):
+            return False
+        on[m] = s
         for i in range(3):
             new[m, i] = surfaces.origin[s, i] + am * surfaces.u[s, i] + bm * surfaces.v[s, i]
             new[m, 3 + i] = surfaces.normal[s, i]
-    return s
+    return True
 
 
 @inner
-def _overlaps(group, surface, new, state, surfaces, apart):
-    """Whether a plate of `group` at its `new` place on a surface would be less than `apart` from another there."""
-    u, v, landmarks = surfaces.u[surface], surfaces.v[surface], state.landmarks
+def _may_hang(k, s, a, b, papers):
+    """Whether landmark k may hang at (a, b) on surface s, if it is one."""
+    first = papers.first[papers.of[k]]
+    return s >= 0 and allows(papers.pieces, first[s], first[s + 1], a, b)
+
+
+@inner
+def _pair(k, members, papers, rng, pair):
+    """Fill `pair` with landmark k and one of the `members` whose size is another; whether there is one."""
+    start = int(rng.random() * len(members))
+    for i in range(len(members)):
+        j = members[(start + i) % len(members)]
+        if papers.of[j] != papers.of[k]:
+            pair[0], pair[1] = k, j
+            return True
+    return False
+
+
+@inner
+def _exchange(pair, state, surfaces, papers, new, on):
+    """Propose that the landmarks of `pair` exchange their places; arguments and result as of `propose`."""
+    for m in range(2):
+        other = pair[1 - m]
+        s, a, b = state.surfaces[other], 0.0, 0.0
+        for i in range(3):
+            new[m, i], new[m, 3 + i] = state.landmarks[i, other], state.normals[i, other]
+            offset = new[m, i] - surfaces.origin[s, i]
+            a, b = a + offset * surfaces.u[s, i], b + offset * surfaces.v[s, i]
+        if not _may_hang(pair[m], s, a, b, papers):
+            return False
+        on[m] = s
+    return True
+
+
+@inner
+def _overlap(group, on, new, state, surfaces, papers):
+    """Whether a plate of `group` at its `new` place on its surface would overlap another there."""
+    landmarks, edges = state.landmarks, papers.edges
     for m in range(len(group)):
+        surface, mine = on[m], edges[group[m]]
+        u, v = surfaces.u[surface], surfaces.v[surface]
         for j in range(landmarks.shape[1]):
             if state.surfaces[j] != surface:
                 continue
@@ -146,7 +199,7 @@ def _overlaps(group, surface, new, state, surfaces, apart):
             for i in range(3):
                 away = landmarks[i, j] - new[m, i]
                 along, up = along + away * u[i], up + away * v[i]
-            if max(abs(along), abs(up)) < apart:
+            if max(abs(along), abs(up)) < (mine + edges[j]) / 2.0:
                 stays = True
                 for other in group:
                     stays = stays and other != j
@@ -157,7 +210,7 @@ def _overlaps(group, surface, new, state, surfaces, apart):
             for i in range(3):
                 away = new[other, i] - new[m, i]
                 along, up = along + away * u[i], up + away * v[i]
-            if max(abs(along), abs(up)) < apart:
+            if on[other] == surface and max(abs(along), abs(up)) < (mine + edges[group[other]]) / 2.0:
                 return True
     return False
 
@@ -187,8 +240,8 @@ def _keep_best(state, target, best):
 
 
 @inner
-def _try(group, surface, new, field, state, scratches, target, settings, rng, known):
-    """Move the landmarks of `group` to their `new` places on a surface, if the random numbers say so.
+def _try(group, on, new, field, state, scratches, target, settings, rng, known):
+    """Move the landmarks of `group` to their `new` places on the surfaces `on`, if the random numbers say so.
 
     `known` is what the walk knows of the smoothed objective: its total, accepted units, their terms, and room for those
     that are tried. Returns the total then, and whether they were moved.
@@ -197,7 +250,7 @@ def _try(group, surface, new, field, state, scratches, target, settings, rng, kn
     last = len(group) - 1
     for m in range(last + 1):
         k, scratch = group[m], layer(scratches, m)
-        bound(field, k, new[m], surface, state, scratch)
+        bound(field, k, new[m], on[m], state, scratch)
         most = drawn = 0.0
         if m == last:
             most = _sum_values(scratch.units, accepted, value, target, settings, trial) - total
@@ -221,41 +274,8 @@ def _try(group, surface, new, field, state, scratches, target, settings, rng, kn
     return total, False
 
 
-@inner
-def _walk(
-    moves, places, members, several, field, state, scratches, target, surfaces, apart, settings, rng, best, memory
-):
-    """Do what `walk` says, in its `memory`."""
-    single, new, pose, accepted, value, trial = memory
-    lead(places, field, state, scratches, pose)
-    positions, count = len(state.units), len(members)
-    total = 0.0
-    for p in range(positions):
-        accepted[p] = state.units[p]
-        value[p] = smoothed(target, p, accepted[p], settings.margin, settings.width, settings.share)
-        total += value[p]
-    moved = 0
-    while moved < moves:
-        group = single
-        group[0] = members[int(rng.random() * count)]
-        if moves - moved >= len(several) > 1 and rng.random() < settings.together:
-            _gather(group[0], members, state, several)
-            group = several
-        moved += len(group)
-        surface = propose(group, state, surfaces, settings, rng, new)
-        if surface < 0 or (apart > 0.0 and _overlaps(group, surface, new, state, surfaces, apart)):
-            continue
-        known = (total, accepted, value, trial)
-        total, taken = _try(group, surface, new, field, state, scratches, target, settings, rng, known)
-        if taken:
-            for p in range(positions):
-                accepted[p] = state.units[p]
-            value, trial = trial, value
-            _keep_best(state, target, best)
-
-
 @kernel
-def walk(moves, places, members, several, field, state, scratches, target, surfaces, apart, settings, rng, best):
+def walk(moves, places, members, several, field, state, scratches, target, surfaces, papers, settings, rng, best):
     """Move landmarks `moves` times from `places`; `state` ends where the walk ends, and `best` is updated.
 
     Args:
@@ -265,20 +285,46 @@ def walk(moves, places, members, several, field, state, scratches, target, surfa
         several: for those that do, as many as can.
         field, target: what is climbed.
         state: of the field.
-        scratches: `layers` of one, at least as many as landmarks can move together.
+        scratches: `layers` of one, at least as many as landmarks can move together, two for an exchange.
         surfaces: where landmarks may hang.
-        apart: least distance of plates on a surface, along its u or its v, metres; moves that come closer, or lead
-            where no landmark may hang, are not even tried, but count.
+        papers: see `Papers`; moves that are not even tried count.
         settings: see `Settings`.
         rng: the source of all random numbers.
         best: see `Best`.
     """
-    # Arrays are made here, as inner functions do not count them. All else is done there: for numba what a kernel calls
-    # by itself is something else, and what moves landmarks is compiled once.
-    positions = len(state.units)
-    single, new, pose = np.empty(1, dtype=np.int64), np.empty((len(several), 6)), np.empty(6)
-    accepted, value, trial = np.empty(positions, dtype=np.int64), np.empty(positions), np.empty(positions)
-    memory = (single, new, pose, accepted, value, trial)
-    _walk(
-        moves, places, members, several, field, state, scratches, target, surfaces, apart, settings, rng, best, memory
-    )  # fmt: skip
+    # Here, not in a kernel of its own: what moves landmarks is compiled once. And by inner functions alone, as for
+    # numba what a kernel calls by itself is something else.
+    lead(places, field, state, scratches, np.empty(6))
+    positions, count = len(state.units), len(members)
+    accepted = state.units.copy()
+    value, trial = np.empty(positions), np.empty(positions)
+    single, pair = np.empty(1, dtype=np.int64), np.empty(2, dtype=np.int64)
+    new, on = np.empty((max(len(several), 2), 6)), np.empty(max(len(several), 2), dtype=np.int64)
+    sizes = len(papers.first)
+    total = 0.0
+    for p in range(positions):
+        value[p] = smoothed(target, p, accepted[p], settings.margin, settings.width, settings.share)
+        total += value[p]
+    moved = 0
+    while moved < moves:
+        group = single
+        group[0] = members[int(rng.random() * count)]
+        exchanges = sizes > 1 and moves - moved >= 2 and rng.random() < settings.exchange
+        if exchanges and _pair(group[0], members, papers, rng, pair):
+            group = pair
+            possible = _exchange(group, state, surfaces, papers, new, on)
+        else:
+            if moves - moved >= len(several) > 1 and rng.random() < settings.together:
+                _gather(group[0], members, state, several)
+                group = several
+            possible = propose(group, state, surfaces, papers, settings, rng, new, on)
+        moved += len(group)
+        if not possible or (papers.edges[0] > 0.0 and _overlap(group, on, new, state, surfaces, papers)):
+            continue
+        known = (total, accepted, value, trial)
+        total, taken = _try(group, on, new, field, state, scratches, target, settings, rng, known)
+        if taken:
+            for p in range(positions):
+                accepted[p] = state.units[p]
+            value, trial = trial, value
+            _keep_best(state, target, best)

@@ -28,7 +28,7 @@ Shapes: A orientations, K tags. Lengths are metres, frames world unless said oth
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -38,12 +38,13 @@ from lmd.geometry.lens import EQUIDISTANT, Lens
 from lmd.geometry.lens_models import depth_of, image_of, slope_of
 from lmd.geometry.squares import VERTICAL_TOLERANCE, upright
 from lmd.scene.camera import MM_PER_M, Camera
-from lmd.scene.criteria import TOLERANCE
+from lmd.scene.criteria import TOLERANCE, sized
 from lmd.scene.tag import Tag
 from lmd.sight.models.fiducial_sight import FiducialSight
 from lmd.sight.models.lens_sight import NEAR, LensSight
 from lmd.sight.models.limits import Limits, limits_of
 from lmd.sight.models.paper import dot
+from lmd.sight.models.sized import SizedSight, sized_sight
 
 # Tags at least this far away are spared the exact test if their centre is well inside the image, metres.
 FAR = 1.6
@@ -60,6 +61,8 @@ class Fiducial:
         limits: what differs from these; all of them for a detector or a family that was not measured.
         psf_sigma: standard deviation of the sharpest image of a point, pixels.
         motion_blur: length of the smear of a point while the shutter is open, pixels.
+        edges: of each landmark of a deployment, by its index, metres, or one that all have; None for that of
+            the tag.
 
     Raises:
         InputError: the tag is a point, the detector's limits are not known, or a value is out of range.
@@ -70,6 +73,7 @@ class Fiducial:
     limits: Limits | Mapping[str, Any] | None = None
     psf_sigma: float = 0.5
     motion_blur: float = 0.0
+    edges: tuple[float, ...] | None = None
 
     needs_roll = True  # see `Criteria.needs_roll`: the image is a rectangle
 
@@ -86,9 +90,20 @@ class Fiducial:
         """See `Criteria.spacing`: plates side by side."""
         return self.tag.paper_edge
 
-    def sight(self, camera: Camera) -> FiducialSight | LensSight:
+    def sized(self, edges: tuple[float, ...]) -> "Fiducial":
+        """The same for landmarks with these edges, metres."""
+        return replace(self, edges=edges)
+
+    def sight(self, camera: Camera) -> FiducialSight | LensSight | SizedSight:
         """See `Criteria.sight`."""
-        limits, tag = self.limits, self.tag
+        if self.edges is None:
+            return self._sight_of(self.tag, camera)
+        each = {edge: self._sight_of(replace(self.tag, edge=edge), camera) for edge in set(self.edges)}
+        return sized_sight([each[edge] for edge in self.edges]) if len(each) > 1 else each[self.edges[0]]
+
+    def _sight_of(self, tag: Tag, camera: Camera) -> FiducialSight | LensSight:
+        """The same for a tag."""
+        limits = self.limits
         assert isinstance(limits, Limits)
         margin, (centre_u, centre_v), (focal_u, focal_v) = limits.margin, camera.principal_point, camera.focal_pixels
         left, right = (centre_u - margin) / focal_u, (camera.image_width - margin - centre_u) / focal_u
@@ -136,7 +151,7 @@ class Fiducial:
         self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
     ) -> dict[str, BoolArray]:
         """Whether tags meet each criterion taken by itself, `(A, K)` by its name; args as in `covered`."""
-        sight, offset = self.sight(camera), landmarks - position
+        sight, offset = sized(self.sight(camera), slice(None)), landmarks - position
         flat = sight.flat if isinstance(sight, LensSight) else sight
         axis, right = axes[:, None, :3], axes[:, None, 3:]
         frame = np.stack([right, cross(axis, right), axis])  # (3, A, 1, 3)
@@ -292,7 +307,8 @@ def hidden_by_others(sight: FiducialSight, offset: FloatArray, normals: FloatArr
     Nothing hides what is at most a nanometre (`TOLERANCE`) behind the plane of the plate: plates on one wall never do.
     """
     right, up = upright(normals)
-    r, s = sight.half * right, sight.half * up
+    half = np.reshape(sight.half, (-1, 1))  # one, or each tag's
+    r, s = half * right, half * up
     points = np.stack([offset, *(offset + way for way in (r + s, -(r + s), r - s, -(r - s)))])[:, :, None]  # of B
     height = -dot(normals, offset)  # of the camera above the plane of A, (K,)
     side = dot(normals, points) + height  # and of each point of B, (5, K, K): B first

@@ -212,13 +212,13 @@ def _in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ign
 
 
 @inner
-def _hides(sight, ax, ay, az, nx, ny, nz, bx, by, bz, mx, my, mz):  # type: ignore[no-untyped-def]
-    """Whether plate A with normal n hides the centre or a corner of B with normal m."""
+def _hides(sight, half, ax, ay, az, nx, ny, nz, bx, by, bz, mx, my, mz):  # type: ignore[no-untyped-def]
+    """Whether plate A with normal n hides the centre or a corner of B with normal m and `half` an edge."""
     height = -(nx * ax + ny * ay + nz * az)
     tx, ty, tz, ux, uy, uz = upright_axes(nx, ny, nz, sight.level)
     rx, ry, rz, sx, sy, sz = upright_axes(mx, my, mz, sight.level)
-    rx, ry, rz = sight.half * rx, sight.half * ry, sight.half * rz
-    sx, sy, sz = sight.half * sx, sight.half * sy, sight.half * sz
+    rx, ry, rz = half * rx, half * ry, half * rz
+    sx, sy, sz = half * sx, half * sy, half * sz
     for i in range(5):
         # The centre, then r + s, -(r + s), r - s and -(r - s) from it.
         way, up = (0.0 if i == 0 else 1.0 if i % 2 == 1 else -1.0), (1.0 if i < 3 else -1.0)
@@ -234,18 +234,19 @@ def _hides(sight, ax, ay, az, nx, ny, nz, bx, by, bz, mx, my, mz):  # type: igno
 
 
 @hide.register(FiducialSight)
-def _hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
+def _hide(sight, other, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
     # Mostly the camera is in front of both planes, and no corner behind the other's: half the diagonal times the sine
     # of the angle between the planes is how far a corner may be below the centre.
     cx, cy, cz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    reach = 1.5 * sight.half * math.sqrt(cx * cx + cy * cy + cz * cz) - 0.5 * TOLERANCE
+    sine = math.sqrt(cx * cx + cy * cy + cz * cz)
+    below_a, below_b = 1.5 * other.half * sine - 0.5 * TOLERANCE, 1.5 * sight.half * sine - 0.5 * TOLERANCE
     above_a, above_b = -(ux * ax + uy * ay + uz * az), -(vx * bx + vy * by + vz * bz)
     b_above_a, a_above_b = ux * bx + uy * by + uz * bz + above_a, vx * ax + vy * ay + vz * az + above_b
-    one, two = not (above_a > 0.0 and b_above_a >= reach), not (above_b > 0.0 and a_above_b >= reach)
+    one, two = not (above_a > 0.0 and b_above_a >= below_a), not (above_b > 0.0 and a_above_b >= below_b)
     if one:
-        one = _hides(sight, ax, ay, az, ux, uy, uz, bx, by, bz, vx, vy, vz)
+        one = _hides(sight, other.half, ax, ay, az, ux, uy, uz, bx, by, bz, vx, vy, vz)
     if two:
-        two = _hides(sight, bx, by, bz, vx, vy, vz, ax, ay, az, ux, uy, uz)
+        two = _hides(other, sight.half, bx, by, bz, vx, vy, vz, ax, ay, az, ux, uy, uz)
     return one, two
 
 

@@ -312,8 +312,8 @@ covering.register(LensSight)(depth_first)
 
 
 @hide.register(LensSight)
-def _hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
-    return hide(sight.flat, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz)
+def _hide(sight, other, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
+    return hide(sight.flat, other.flat, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz)
 
 
 @pixel_density.register(LensSight)

@@ -309,7 +309,7 @@ def _in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ign
 
 
 @hide.register(PaperSight)
-def _hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
+def _hide(sight, other, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
     cx = ay * bz - az * by
     cy = az * bx - ax * bz
     cz = ax * by - ay * bx

@@ -1,0 +1,59 @@
+"""`deployment.count=[20,10,3]` and `tag.paper`: how many tags of each of the sizes `tag.edges` there are."""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from omegaconf import DictConfig, ListConfig, open_dict
+
+if TYPE_CHECKING:
+    from lmd.objectives.base import Objective
+    from lmd.scene.deployment import Deployment
+    from lmd.scene.scene import Scene
+
+
+def spell_counts(cfg: DictConfig) -> None:
+    """Take a list `deployment.count` as the counts of the sizes that are placed, and their sum as the count.
+
+    Fixed landmarks come on top of it.
+
+    Raises:
+        InputError: there are no sizes, or it has more or fewer numbers.
+    """
+    from lmd.core.checks import InputError, integer
+
+    count = cfg.deployment.get("count")
+    if not isinstance(count, ListConfig):
+        return
+    edges, counts = (cfg.get("tag") or {}).get("edges"), [integer("deployment.count", n, low=0) for n in count]
+    if edges is None or len(edges) != len(counts):
+        sizes = "is not given" if edges is None else f"has {len(edges)}"
+        raise InputError(f"deployment.count = {counts} says how many tags have each of tag.edges, which {sizes}.")
+    with open_dict(cfg):
+        cfg.tag.counts = counts
+        cfg.deployment.count = f"+{sum(counts)}" if cfg.deployment.get("fixed") else sum(counts)
+
+
+def divide_paper(
+    cfg: DictConfig, scene: "Scene", objective: "Objective", threads: int | None, fixed: "Deployment | None"
+) -> "tuple[Scene, str]":
+    """The scene with the counts of sizes found for `tag.paper`, if it is given and they are not; they are recorded.
+
+    Also what to say of it.
+
+    Raises:
+        InputError: it is too little, or the objective cannot say which tags are worth it.
+    """
+    from lmd.optimisers.composition import composition
+
+    tag = scene.tag
+    if tag.paper is None or tag.counts is not None or "count" not in cfg.deployment or "path" in cfg.deployment:
+        return scene, ""
+    counts = composition(scene, objective, tag.paper, threads, fixed)
+    with open_dict(cfg):
+        cfg.tag.counts = list(counts)
+        cfg.deployment.count = sum(counts) + (0 if fixed is None else len(fixed))
+    tag, visibility = replace(tag, counts=counts), scene.visibility
+    if hasattr(visibility, "tag"):
+        visibility = replace(visibility, tag=tag)  # type: ignore[type-var]
+    sizes = ", ".join(f"{count} of {edge:g} m" for edge, count in zip(tag.sizes, counts, strict=True))
+    return replace(scene, tag=tag, visibility=visibility), f"tag.paper = {tag.paper:g} square metres make {sizes}"

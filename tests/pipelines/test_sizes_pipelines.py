@@ -1,0 +1,77 @@
+"""`deployment.count=[4,2]` and `tag.paper` on the command line."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from hydra import compose, initialize_config_dir
+from processes import call
+
+from lmd.core.checks import InputError
+from pipelines.app import CONF
+from pipelines.building import build_problem
+
+SIZES = ("tag=printed", "tag.edges=[0.06,0.20]")
+TAGS = "id,x,y,z,nx,ny,nz\n7,0,2,3,1,0,0\n3,0.02,3,3,1,0,0\n"
+
+
+@pytest.fixture(autouse=True)
+def _in_a_folder_with_tags(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "tags.csv").write_text(TAGS)
+
+
+def built(*overrides):
+    with initialize_config_dir(CONF, version_base="1.3"):
+        cfg = compose("optimise", ["room.spacing=1.5", *overrides])
+    return build_problem(cfg), cfg
+
+
+@pytest.mark.parametrize("source", ["random", "uniform", "greedy"])
+def test_counts_by_size_are_those_of_the_landmarks_placed(source):
+    problem, cfg = built(*SIZES, f"deployment={source}", "deployment.count=[4,2]")
+    assert sorted(problem.edges) == [0.06] * 4 + [0.20] * 2
+    assert (cfg.deployment.count, cfg.tag.counts) == (6, [4, 2])  # what is recorded makes the same again
+
+
+def test_fixed_landmarks_come_on_top():
+    problem, _ = built(*SIZES, "deployment.fixed=tags.csv", "deployment.count=[4,2]")
+    assert (problem.fixed_count, problem.count) == (2, 8)
+    np.testing.assert_array_equal(problem.sizes, [0.1, 0.1, 0.06, 0.06, 0.06, 0.06, 0.20, 0.20])
+
+
+def test_paper_says_how_many_there_are(capsys):
+    problem, cfg = built(*SIZES, "tag.paper=0.1")
+    assert sum(cfg.tag.counts) == problem.count == cfg.deployment.count
+    assert 0.1 - 0.075**2 < (problem.scene.plates.papers(problem.draw(np.random.default_rng(0))) ** 2).sum() <= 0.1
+    assert "tag.paper = 0.1 square metres make" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["deployment.count=[4,2]"], r"^deployment.count = \[4, 2\] .* each of tag.edges, which is not given\.$"),
+        ([*SIZES, "deployment.count=[4]"], r"^deployment.count = \[4\] .* each of tag.edges, which has 2\.$"),
+        ([*SIZES, "deployment.count=[4,-1]"], r"^deployment.count must be"),
+        ([*SIZES, "deployment.count=[0,0]"], r"^tag.counts = \[0, 0\] must say"),
+        ([*SIZES, "deployment.count=5", "tag.counts=[4,2]"], r"^tag.counts = \[4, 2\] are not 5 tags\.$"),
+        ([*SIZES, "tag.paper=0.001"], r"^tag.paper = 0\.001 square metres is too little for a tag"),
+        (["tag=printed", "tag.paper=1"], r"^tag.paper = 1 square metres needs edges"),
+    ],
+)
+def test_what_does_not_fit_is_refused(overrides, message):
+    with pytest.raises(InputError, match=message):
+        built(*overrides)
+
+
+@pytest.mark.slow  # kernels of the room of the paper for one more kind of sight
+def test_a_run_with_sizes_is_evaluated_as_it_was_found(tmp_path):
+    settings = ("room.spacing=1.5", "visibility=fiducial", *SIZES, "tracking=none", "validate=false")
+    call("optimise", "optimiser=random_search", "budget.evaluations=20", "deployment.count=[12,6]", *settings,
+         "hydra.run.dir=run", cwd=tmp_path)  # fmt: skip
+    landmarks = pd.read_csv("run/landmarks.csv")
+    assert landmarks.edge.tolist() == [0.06] * 12 + [0.20] * 6
+    call("evaluate", "run=run", "tracking=none", "localisation=false", "hydra.run.dir=again", cwd=tmp_path)
+    found, again = (json.load(open(f"{run}/metrics.json")) for run in ("run", "again"))  # noqa: SIM115
+    assert again["fitness"] == found["fitness"] > 0.0
