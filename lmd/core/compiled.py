@@ -21,8 +21,8 @@ if numba.config.DISABLE_JIT:  # type: ignore[attr-defined] # it is made of the e
 
 # Packages and modules with code that is compiled, or constants of it.
 SOURCES = (
-    *("core/bits", "core/compiled", "core/dispatch", "core/inside_numba", "core/layers", "geometry", "space/allowed"),
-    *("space/triangles", "scene/criteria", "scene/plates", "sight", "incremental", "objectives"),
+    *("core/bits", "core/by_address", "core/compiled", "core/dispatch", "core/inside_numba", "core/layers", "geometry"),
+    *("space/allowed", "space/triangles", "scene/criteria", "scene/plates", "sight", "incremental", "objectives"),
     *("optimisers/annealing", "planner/additions"),
 )
 
@@ -116,7 +116,16 @@ register("numba:compile", _compiling)
 
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile a function when it is first called, without the GIL, and keep the result on disk."""
-    compiled: Any = numba.njit(**_OPTIONS)(function)
+    return _made_kernel(function, _OPTIONS)
+
+
+def borrowing(function: Callable[..., Any]) -> Any:
+    """The same for what makes no arrays and returns none: it need not count those that it takes."""
+    return _made_kernel(function, _OPTIONS if _inside is None else _OPTIONS | {"_nrt": False})
+
+
+def _made_kernel(function: Callable[..., Any], options: Any) -> Any:
+    compiled: Any = numba.njit(**options)(function)
     if _inside is not None and not _inside.keep(compiled, sources(*SOURCES)):
         _compiling.homeless = True
     return compiled

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from lmd.core.checks import FloatArray, IntArray
-from lmd.core.compiled import inner, kernel
+from lmd.core.compiled import borrowing, inner, kernel
 from lmd.core.dispatch import dispatched, dispatched_call
 from lmd.core.layers import layer
 from lmd.scene.deployment import Deployment
@@ -157,7 +157,7 @@ def lead(places, field, state, scratches, pose):  # type: ignore[no-untyped-def]
             move(field, k, pose, places.surfaces[k], state, scratch)
 
 
-@kernel
+@borrowing
 def perform(steps, poses, field, state, scratches, units):  # type: ignore[no-untyped-def]
     """Do the steps of moves one after the other.
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from lmd.core.bits import ALL, BITS, ONE, ZERO, add_digit, at_least_so_far, equal_so_far, lowest, unpacked
-from lmd.core.compiled import inlined, inner, kernel
+from lmd.core.compiled import borrowing, inlined, inner
 from lmd.core.memory import check_views
 from lmd.incremental.hiding import exchange_hiding, find_new, flips_with, swap
 from lmd.incremental.nearby import look_around
@@ -153,7 +153,7 @@ def sum_up(field, state):
                 has &= has - ONE
 
 
-@kernel
+@borrowing
 def overlook(missed, field, state):
     """Take the sets of axes `missed` `(K, Q, W)` out of the caps; landmarks hide each other as before."""
     caps, counts, short, just = state.caps, state.counts, state.short, state.just
@@ -168,7 +168,7 @@ def overlook(missed, field, state):
     sum_up(field, state)
 
 
-@kernel
+@borrowing
 def _fill(field, state, scratch):
     """Let the landmarks of `state` come, one after the other."""
     landmarks, normals, after = state.landmarks, state.normals, scratch.after

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from lmd.core.bits import BITS
-from lmd.core.compiled import inlined, inner, kernel
+from lmd.core.compiled import borrowing, inlined, inner
 from lmd.core.memory import check_views
 from lmd.incremental.field import places_of
 from lmd.incremental.move import exchange_place, given_counts, ripple, sum_up
@@ -77,7 +77,7 @@ def carry_out_rig(field, k, state, scratch):
     take_back_rig(field, k, state, scratch)
 
 
-@kernel
+@borrowing
 def _fill(field, state, scratch):
     """Let the landmarks of `state` come, one after the other."""
     for k in range(np.uint64(state.landmarks.shape[1])):

@@ -5,7 +5,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from lmd.core.compiled import borrowing, inner
 from lmd.core.layers import layer, layers
+from lmd.incremental.state import State
 
 
 class Pair(NamedTuple):
@@ -41,3 +43,38 @@ def test_layers_that_nobody_needs_are_gone_at_once(pair):
         assert kept() is None
     finally:
         gc.enable()
+
+
+@inner
+def _both(one, other):
+    return 10 * one.units[0] + other.units[0]
+
+
+@inner
+def _compared(bundle, found):
+    last = layer(bundle, 0)
+    for i in range(len(found)):
+        new = layer(bundle, i)
+        found[i] = _both(last, new)
+        if i % 3 == 1:
+            last = new
+
+
+@borrowing
+def _compare(bundle, found):
+    last = layer(bundle, 0)
+    for i in range(len(found)):
+        new = layer(bundle, i)
+        found[i] = _both(last, new)
+        if i % 3 == 1:
+            last = new
+
+
+@pytest.mark.parametrize("compare", [_compared, _compare])
+def test_what_goes_by_its_address_stays_what_it_was(compare):
+    """Named tuples as large as this are not handed over number by number."""
+    known = layers(State(**{name: np.zeros(1, dtype=np.int64) for name in State._fields}), 6)
+    known.units[:, 0] = range(6)
+    found = np.zeros(6, dtype=np.int64)
+    compare(known, found)
+    assert found.tolist() == [0, 1, 12, 13, 14, 45]

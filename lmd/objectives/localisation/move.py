@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from lmd.core.bits import ALL, ONE, ZERO, at_least_so_far, lowest
-from lmd.core.compiled import inner, kernel
+from lmd.core.compiled import borrowing, inner
 from lmd.incremental.move import list_touched
 from lmd.incremental.state import State
 from lmd.objectives.localisation.information import WIDTH
@@ -46,7 +46,7 @@ def exchange(state, scratch):
             state.enough[p, w], scratch.enough[p, w] = scratch.enough[p, w], state.enough[p, w]
 
 
-@kernel
+@borrowing
 def _fill(field, state, scratch):
     """Sum up what all landmarks tell, and find the values."""
     known, weights, n, row, sums = state.coverage, field.coverage.weights, field.coverage.n, scratch.row, state.sums
