@@ -68,14 +68,15 @@ def test_every_path_of_a_rig_is_exact_among_obstacles():
     check_every_path(scene, deployment, targets, 2, rng)
 
 
-def test_views_are_localised_as_the_reference_says_and_by_moves():
+@pytest.mark.parametrize("n", [1, 2])  # with one tag its two poses must be told apart
+def test_views_are_localised_as_the_reference_says_and_by_moves(n):
     scene = several(lab_scene())
     deployment, targets, rng = drawn(scene)
-    objective = Localisation(2, tolerance=0.03)
+    objective = Localisation(n, tolerance=0.03)
     check_field(objective, scene, deployment, targets, rng)
     evaluator, axes = Evaluator(scene, threads=1), scene.orientations.axes
     views = localised_views(
-        evaluator, deployment.positions[None], deployment.normals[None], 2, objective.precision(scene)
+        evaluator, deployment.positions[None], deployment.normals[None], n, objective.precision(scene)
     )
     for p in range(0, len(evaluator.positions), 10):
         good = localisation.localised(scene, deployment, objective, evaluator.positions[p], axes)
