@@ -47,7 +47,8 @@ class Tag:
     """What hangs at every landmark of a deployment.
 
     Args:
-        edge: of the outer black square, metres; None or 0 for landmarks that are points, as in the paper.
+        edge: of the outer black square, metres; None or 0 for landmarks that are points, as in the paper, or with
+            `edges` for the largest of them.
         family: one of `FAMILIES`.
         quiet_zone: q, width of the white margin on each side, modules.
         edges: of tags of several sizes, metres: landmarks that are placed here have them in turn, the first landmark
@@ -60,8 +61,7 @@ class Tag:
 
     Raises:
         InputError: the edge is negative, the family unknown, the quiet zone negative, an edge of several is not
-            positive, is there twice, or comes without `edge`, counts are not one for each edge, or paper comes without
-            edges.
+            positive or there twice, counts are not one for each edge, or paper comes without edges.
     """
 
     edge: float | None = None
@@ -84,9 +84,8 @@ class Tag:
             edges = vector("edges", self.edges, None, above=0.0)
             if len(set(edges)) < len(edges):
                 raise InputError(f"edges must be different, got {list(edges)}.", "edges")
-            if self.is_point:
-                raise InputError("edge must be given with edges: it holds where a file does not say one.", "edge")
             object.__setattr__(self, "edges", edges)
+            object.__setattr__(self, "edge", self.edge or max(edges))
         if self.counts is not None:
             counts = tuple(integer("counts", count, low=0) for count in self.counts)
             if len(counts) != len(self.edges or ()) or not any(counts):

@@ -103,8 +103,12 @@ def test_a_paper_hangs_where_its_own_size_has_room(path):
 def test_bad_sizes_get_a_sentence(edges, sentence):
     with pytest.raises(InputError, match=sentence):
         Tag(0.1, edges=edges)
-    with pytest.raises(InputError, match="edge must be given with edges"):
-        Tag(edges=[0.1])
+
+
+def test_without_an_edge_it_is_the_largest():
+    tag = Tag(edges=[0.06, 0.2, 0.1])
+    assert tag.size == 0.2
+    assert not tag.is_point
 
 
 def test_a_measured_tag_without_a_size_has_that_of_its_plan(path, tmp_path):
