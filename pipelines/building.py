@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from .app import CONF
 from .fixed import fixed_of, others_of, total_of
-from .sizes import divide_paper, spell_counts
+from .tag_sizes import divide_paper, spell_counts
 from .spelling import meant
 
 if TYPE_CHECKING:

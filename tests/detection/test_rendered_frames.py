@@ -232,7 +232,7 @@ def test_a_preset_has_its_evidence(tmp_path):
 
 
 def test_mosaics_are_views():
-    views = Mosaics(40).views(CAMERA, Tag(0.1), ArucoDetector(), IMAGING, np.random.default_rng(0))
+    views = Mosaics(40).views((CAMERA,), Tag(0.1), ArucoDetector(), IMAGING, np.random.default_rng(0))
     assert 20 < len(views) <= 40
     with pytest.raises(InputError, match="count must be at least 2, got 1"):
         Mosaics(1)
@@ -264,7 +264,7 @@ def of(board, **changed):
 
 
 def views_of(images, camera=CAMERA):
-    return images.views(camera, Tag(0.1), AprilTagDetector(), IMAGING, np.random.default_rng(0))
+    return images.views((camera,), Tag(0.1), AprilTagDetector(), IMAGING, np.random.default_rng(0))
 
 
 def test_images_of_a_board_are_views(board):
