@@ -14,8 +14,8 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from .app import CONF
 from .fixed import fixed_of, others_of, total_of
-from .tag_sizes import divide_paper, spell_counts
 from .spelling import meant
+from .tag_sizes import divide_paper, spell_counts
 
 if TYPE_CHECKING:
     from lmd.optimisers.base import Optimiser
