@@ -30,6 +30,8 @@ from lmd.geometry.se3 import camera_pose
 from lmd.geometry.squares import corners
 from lmd.objectives.localisation.ambiguity import CONFIDENCE, mirrored_square
 from lmd.objectives.localisation.information import deviation_per_variance, moments, variance
+from lmd.pipelines.app import CONF
+from lmd.pipelines.building import build_problem
 from lmd.problem import Problem
 from lmd.render.imaging import Imaging
 from lmd.render.optics import intrinsics, project
@@ -38,8 +40,6 @@ from lmd.render.room import TaggedRoom
 from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
-from pipelines.app import CONF
-from pipelines.building import build_problem
 
 EDGE, NOISE = 0.15, 0.5  # metres, pixels
 DISTANCES, INCIDENCES = (1.5, 2.5, 3.5, 5.0), (10, 25, 45, 60)

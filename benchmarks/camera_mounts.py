@@ -29,13 +29,13 @@ from lmd.evaluation.validation import Sample, sampled_values
 from lmd.geometry.se3 import axis_and_right, pose_of
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
+from lmd.pipelines.app import CONF
+from lmd.pipelines.place_cameras import build_camera_problem
 from lmd.render.renderer import Renderer
 from lmd.scene.camera import Camera
 from lmd.scene.rig import Mount, Rig
 from lmd.scene.rig_sources import read_mounts, rig_of
 from lmd.sight.views import visible
-from pipelines.app import CONF
-from pipelines.place_cameras import build_camera_problem
 
 HELD_OUT = Sample(groups=8, positions=512, divisions=16)
 SEED = 1  # of what was not climbed: random mounts, held-out poses, renderings

@@ -14,8 +14,8 @@ from omegaconf import DictConfig
 
 from lmd.optimisers.checkpoint import CHECKPOINT_FILE, Checkpoint
 from lmd.optimisers.ledger import Budget
-from pipelines.app import CONF
-from pipelines.building import build_optimiser, build_problem
+from lmd.pipelines.app import CONF
+from lmd.pipelines.building import build_optimiser, build_problem
 
 NAMES = ("annealing", "ega", "sga", "cma_es", "cma_es_separable", "pymoo_ga", "pymoo_one_gene", "nevergrad_de")
 COARSE = ("room.spacing=1.5", "pdf.divisions=6", "threads=1")

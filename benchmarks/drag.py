@@ -23,10 +23,10 @@ from hydra import compose, initialize_config_dir
 from websockets import Origin, Subprotocol
 from websockets.sync.client import connect
 
+from lmd.pipelines.app import CONF
+from lmd.pipelines.building import build_problem
 from lmd.planner.off_grid import ESTIMATE
 from lmd.planner.session import Session
-from pipelines.app import CONF
-from pipelines.building import build_problem
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 import chromium

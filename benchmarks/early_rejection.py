@@ -17,10 +17,10 @@ from lmd.incremental.state import scratch_of
 from lmd.incremental.trial import bound_move, finish_move
 from lmd.optimisers.annealing.walk import propose
 from lmd.optimisers.ledger import Budget
+from lmd.pipelines.app import CONF
+from lmd.pipelines.building import build_optimiser, build_problem
 from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.space.surface import SurfaceArrays
-from pipelines.app import CONF
-from pipelines.building import build_optimiser, build_problem
 
 EVALUATIONS = 3000
 MOVES = 2000

@@ -21,12 +21,12 @@ from speed import COUNT, STEPS, N, best_of, move_all, paper_scene
 from lmd.incremental.coverage_field import coverage_field
 from lmd.incremental.move import state_of
 from lmd.incremental.state import scratch_of
+from lmd.pipelines.app import CONF
+from lmd.pipelines.building import build_problem
 from lmd.problem import Problem
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
-from pipelines.app import CONF
-from pipelines.building import build_problem
 
 SIDES = (1 / 4, 1 / 2, 1 / np.sqrt(2.0), 1.0)  # of the whole hall's
 MOVES = 400

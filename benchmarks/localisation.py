@@ -18,13 +18,13 @@ from numba import njit
 from lmd.incremental.field import bound, settle
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
+from lmd.pipelines.app import CONF
+from lmd.pipelines.building import build_problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
-from pipelines.app import CONF
-from pipelines.building import build_problem
 
 COUNT, MOVES, STEP = 90, 400, 0.1
 

@@ -13,8 +13,8 @@ from hydra import compose, initialize_config_dir
 from lmd.core.compiled import clock
 from lmd.evaluation.validation import Sample, validation_metrics
 from lmd.optimisers.ledger import Budget
-from pipelines.app import CONF
-from pipelines.building import build_optimiser, build_problem
+from lmd.pipelines.app import CONF
+from lmd.pipelines.building import build_optimiser, build_problem
 
 SEEDS = range(3)
 SAMPLE = Sample(groups=64)

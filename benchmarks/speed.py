@@ -28,6 +28,8 @@ from lmd.incremental.coverage_field import coverage_field
 from lmd.incremental.move import carry_out, state_of
 from lmd.incremental.state import scratch_of
 from lmd.incremental.trial import bound_move, finish_move
+from lmd.pipelines.app import CONF
+from lmd.pipelines.building import build_problem
 from lmd.scene.criteria import from_position
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.pdf import grid_with_ends
@@ -37,8 +39,6 @@ from lmd.sight.bands import band_of
 from lmd.sight.blocks import BLOCK
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses, gains
-from pipelines.app import CONF
-from pipelines.building import build_problem
 
 COUNT, N = 90, 2  # of the paper: landmarks, and how many must be seen
 DEPLOYMENTS = 20

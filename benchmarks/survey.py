@@ -21,13 +21,13 @@ from omegaconf import OmegaConf
 
 from lmd.core.checks import FloatArray
 from lmd.geometry.se3 import camera_pose, exp, pose_of
+from lmd.pipelines.building import camera_of, instantiate
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
 from lmd.scene.deployment import Deployment
 from lmd.scene.surveyed import Surveyed
 from lmd.survey.known import poses_of
-from pipelines.building import camera_of, instantiate
 
 if TYPE_CHECKING:
     from lmd.scene.camera import Camera

@@ -18,11 +18,11 @@ from hydra import compose, initialize_config_dir
 from lmd.core.checks import FloatArray
 from lmd.evaluation.validation import Sample
 from lmd.optimisers.ledger import Budget
+from lmd.pipelines.app import CONF
+from lmd.pipelines.building import build_optimiser, build_problem
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
-from pipelines.app import CONF
-from pipelines.building import build_optimiser, build_problem
 
 VALIDATION = Sample()
 SAMPLES = 32

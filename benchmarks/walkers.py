@@ -12,9 +12,9 @@ import numpy as np
 from hydra import compose, initialize_config_dir
 
 from lmd.optimisers.ledger import Budget
+from lmd.pipelines.app import CONF
+from lmd.pipelines.building import build_optimiser, build_problem
 from lmd.scene.deployment import Deployment
-from pipelines.app import CONF
-from pipelines.building import build_optimiser, build_problem
 
 RUNS = {
     "paper": (12000, []),
