@@ -5,6 +5,7 @@ python benchmarks/survey.py photograph RUN FOLDER --next survey.json   # likewis
 python benchmarks/survey.py compare MAP.csv TRUE.csv             # how far the tags of a map are off, millimetres
 python benchmarks/survey.py aviary test_13 [--boards 0.0002] [--calibrate]   # detections of berndpfrommer/tagslam_test
 python benchmarks/survey.py perch test_2 [--calibrate]   # likewise, two fisheye cameras, beside TagSLAM's own answer
+python benchmarks/survey.py rings SURVEY U V   # share of tags in view that were detected, by pixels from (U, V)
 PYTHONPATH=tests python benchmarks/survey.py time FRAMES TAGS    # how long a walk takes, and how much memory
 """
 
@@ -191,6 +192,15 @@ def measure(frames: int, tags: int) -> None:
     print(f"{frames} frames, {found.placed.sum()} of {tags} tags: {seconds:.0f} s, {most:.2f} GiB")
 
 
+def rings(survey: Path, u: float, v: float) -> None:
+    """Where a fisheye ends: how many of the tags that lie wholly in an image were detected."""
+    import pandas as pd
+
+    views = pd.read_csv(survey / "in_view.csv")
+    away = pd.cut(np.hypot(views.u - u, views.v - v), [*range(0, 701, 100), np.inf], right=False)
+    print(views.groupby(away, observed=True).seen.agg(["mean", "size"]).round(2).to_string())
+
+
 def main() -> None:
     """See above."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -211,6 +221,10 @@ def main() -> None:
     two_cameras = commands.add_parser("perch")
     two_cameras.add_argument("folder", type=Path)
     two_cameras.add_argument("--calibrate", action="store_true")
+    round_image = commands.add_parser("rings")
+    round_image.add_argument("survey", type=Path)
+    round_image.add_argument("u", type=float)
+    round_image.add_argument("v", type=float)
     timed = commands.add_parser("time")
     timed.add_argument("frames", type=int)
     timed.add_argument("tags", type=int)
@@ -223,6 +237,8 @@ def main() -> None:
         aviary(given.folder, given.boards, given.calibrate)
     elif given.command == "perch":
         perch(given.folder, given.calibrate)
+    elif given.command == "rings":
+        rings(given.survey, given.u, given.v)
     else:
         measure(given.frames, given.tags)
 
