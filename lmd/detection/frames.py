@@ -17,7 +17,7 @@ from lmd.render.renderer import Renderer
 from lmd.render.room import TaggedRoom
 from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
-from lmd.scene.plates import TOUCHING
+from lmd.scene.pushing import TOUCHING
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.space.space import Space

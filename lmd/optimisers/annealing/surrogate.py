@@ -14,7 +14,7 @@ from lmd.objectives.base import incremental
 from lmd.optimisers.annealing.walk import Best, Papers, Settings, walk
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
-from lmd.scene.plates import TOUCHING
+from lmd.scene.pushing import TOUCHING
 from lmd.sight.evaluator import Evaluator
 from lmd.space.surface import SurfaceArrays
 

@@ -1,0 +1,81 @@
+"""Pushing papers apart: each goes to the nearest place where it overlaps none of those before it, see `plates`."""
+
+import numpy as np
+
+from lmd.core.compiled import inner, kernel
+from lmd.space.allowed import allows, nearest
+
+# Relative: papers that share an edge do not overlap, however their distance is rounded.
+TOUCHING = 1e-9
+# Plates within so many edges are looked at first when one is pushed away.
+NEARBY_EDGES = 3.0
+
+
+@inner
+def _is_free(k, a, b, s, surface, at, edge):  # type: ignore[no-untyped-def]
+    """Whether plate k at (a, b) on surface s overlaps none of those before it."""
+    free = True
+    for j in range(k):
+        least = (edge[j] + edge[k]) / 2.0 * (1.0 - TOUCHING)
+        free = free and (surface[j] != s or max(abs(at[j, 0] - a), abs(at[j, 1] - b)) >= least)
+    return free
+
+
+@inner
+def _nearest_free(k, s, a, b, within, surface, at, pieces, start, stop, edge, lines, found):  # type: ignore
+    """Write the free place for plate k nearest to (a, b) on surface s to `found`; whether there is one.
+
+    A nearest place has each coordinate either unchanged or on a line: a border along u or v, or one that touches
+    another plate. Only plates at most `within` away make lines. The plate may hang on the pieces `start` to `stop`.
+    """
+    lines[0, 0], lines[1, 0] = a, b
+    across, up = 1, 1
+    for t in range(start, stop):
+        for i in range(2):
+            lines[0, across + i] = pieces[t, i]
+        for i in range(4):
+            lines[1, up + i] = pieces[t, 2 + i]
+        across, up = across + 2, up + 4
+    for j in range(k):
+        if surface[j] == s and max(abs(at[j, 0] - a), abs(at[j, 1] - b)) <= within:
+            touching = (edge[j] + edge[k]) / 2.0
+            lines[0, across], lines[0, across + 1] = at[j, 0] - touching, at[j, 0] + touching
+            lines[1, up], lines[1, up + 1] = at[j, 1] - touching, at[j, 1] + touching
+            across, up = across + 2, up + 2
+    shortest = np.inf
+    for i in range(across):
+        for j in range(up):
+            p, q = lines[0, i], lines[1, j]
+            away = (p - a) ** 2 + (q - b) ** 2
+            if away < shortest and allows(pieces, start, stop, p, q) and _is_free(k, p, q, s, surface, at, edge):
+                shortest, found[0], found[1] = away, p, q
+    return shortest < np.inf
+
+
+@kernel
+def push(fixed, surface, at, pieces, first, of, edge, moved):  # type: ignore[no-untyped-def]
+    """Push plates at `at` `(K, 2)` on `surface` `(K,)` apart, in place, but for so many `fixed` at the beginning.
+
+    Their papers have the edges `edge` `(K,)`. A plate of the size `of[k]` may hang on surface s on the pieces from
+    `first[of[k], s]` on. Marks those `moved`; whether all found room.
+    """
+    lines, found, count = np.empty((2, 2 * len(at) + 4 * len(pieces) + 1)), np.empty(2), first.shape[1] - 1
+    for k in range(fixed, len(at)):
+        own = first[of[k]]
+        _, a, b = nearest(pieces, own[surface[k]], own[surface[k] + 1], at[k, 0], at[k, 1])
+        # What is off by a rounding error is not moved.
+        rounding = edge[k] - edge[k] * (1.0 - TOUCHING)
+        if abs(a - at[k, 0]) + abs(b - at[k, 1]) < rounding and _is_free(k, a, b, surface[k], surface, at, edge):
+            continue
+        has_room, moved[k], s = False, True, surface[k]
+        for turn in range(count + 1):
+            within = NEARBY_EDGES * edge.max() if turn == 0 else np.inf
+            s = (surface[k] + max(turn - 1, 0)) % count
+            _, p, q = nearest(pieces, own[s], own[s + 1], a, b)
+            if _nearest_free(k, s, p, q, within, surface, at, pieces, own[s], own[s + 1], edge, lines, found):
+                has_room = True
+                break
+        if not has_room:
+            return False
+        surface[k], at[k, 0], at[k, 1] = s, found[0], found[1]
+    return True
