@@ -19,6 +19,8 @@ from lmd.space.floor_plan import FloorPlan
 from pipelines.app import CONF
 from pipelines.building import build_problem, instantiate
 
+pytestmark = pytest.mark.long
+
 BENT = paper_camera(distortion=(-0.15, 0.02, 0.002, -0.003))
 CRITERIA = {
     "paper": (Visibility(thold=0.1), paper_camera()),

@@ -45,6 +45,7 @@ from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import evaluate_range
+from lmd.sight.models.fiducial import Fiducial
 from lmd.space.floor_plan import FloorPlan
 from lmd.space.parts import Reachable
 from lmd.space.prism import Prism
@@ -52,7 +53,7 @@ from pipelines.app import CONF
 from pipelines.building import build_optimiser, build_problem
 from pipelines.evaluate import lose
 
-pytestmark = pytest.mark.slow  # what is made for classes from elsewhere is compiled anew each time
+pytestmark = [pytest.mark.slow, pytest.mark.long]  # what is made for classes from elsewhere is compiled anew each time
 
 ROOT = Path(__file__).parents[1]
 GUIDES = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -243,7 +244,8 @@ class Bare:
 
 def test_annealing_does_without_stacks_and_selection_and_greedy_says_what_it_lacks():
     p = problem(tag=Tag(0.2))
-    p = Problem(p.scene, Unselected(tolerance=0.1), p.start, threads=1)
+    scene = replace(p.scene, visibility=Fiducial(Tag(0.2)))  # compiled for tags, as commands are
+    p = Problem(scene, Unselected(tolerance=0.1), p.start, threads=1)
     result = Annealing().run(p, Budget(100))
     assert result.fitness > result.history[0].best_fitness
     greedy = Greedy()

@@ -135,7 +135,7 @@ def each_mount(part: Part) -> tuple[Part, ...]:
             axes=part.axes[[m]],
             depths=part.depths[[m]],
             place=part.place[[m]],
-            tables=found[:, :, m].reshape(len(found), -1),
+            tables=np.ascontiguousarray(found[:, :, m].reshape(len(found), -1)),
         )
         for m in range(len(centre))
     )

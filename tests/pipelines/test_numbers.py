@@ -13,6 +13,8 @@ from omegaconf import OmegaConf, open_dict
 from lmd.core.checks import InputError
 from pipelines.app import CONF
 
+pytestmark = pytest.mark.long
+
 VALUES = (1e300, -1, float("nan"), None, 10**9)
 SMALL = ["room.spacing=1.5", "objective.n=1"]
 UNIFORM = [*SMALL, "deployment=uniform"]
