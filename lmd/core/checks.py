@@ -1,7 +1,7 @@
 """Checks of user input: each raises `InputError` with one sentence that names the value."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -144,6 +144,19 @@ def vector(name: str, value: Any, size: int | None, **bounds: Any) -> tuple[floa
     if (not entries) if size is None else len(entries) != size:
         raise InputError(f"{wanted}, got {entries!r}.", name)
     return tuple(real(f"{name}[{i}]", entry, **bounds) for i, entry in enumerate(entries))
+
+
+def check_fields(instance: Any, check: Callable[..., Any], *names: str, **bounds: Any) -> None:
+    """Put what a check returns into fields of a frozen dataclass, each in its turn.
+
+    Args:
+        instance: of the dataclass.
+        check: called with the name and the value of a field, and with `bounds`.
+        names: of the fields.
+        bounds: what else the check takes.
+    """
+    for name in names:
+        object.__setattr__(instance, name, check(name, getattr(instance, name), **bounds))
 
 
 def file_path(name: str, value: Any) -> Path:

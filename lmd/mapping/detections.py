@@ -11,12 +11,11 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, IntArray
 from lmd.core.tables import Table, read_table, write_table
 from lmd.detection.detectors import Detections
+from lmd.scene.calibration_files import PIXEL_CENTRE
 
 # In OpenCV's pixels, clockwise from the top left of the tag as it was made.
 CORNER_COLUMNS = tuple(f"{axis}{corner}" for corner in range(4) for axis in "xy")
 TIMES, CAMERAS = ("time", "stamp"), ("camera", "topic")
-# OpenCV counts pixels from the centre of the first one.
-PIXEL_CENTRE = 0.5
 FROM_APRILTAG = [3, 2, 1, 0]
 # A quadrilateral smaller than this, square pixels, has no corners to speak of.
 LEAST_AREA = 1.0
@@ -112,7 +111,6 @@ def read_detections(path: Any, name: str = "detections") -> DetectedTags:
     left. Detections that go round the other way than most are left out.
 
     Args:
-        path: the CSV.
         name: the argument the path came from, for messages.
 
     Raises:
