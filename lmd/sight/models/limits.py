@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, choice, real
+from lmd.core.checks import BoolArray, FloatArray, InputError, check_fields, choice, real
 from lmd.core.files import read_keys
 
 FOLDER = Path(__file__).parent / "presets"
@@ -42,9 +42,8 @@ class Limits:
     margin: float
 
     def __post_init__(self) -> None:
-        for name in ("pitch", "blur", "edge", "margin"):
-            object.__setattr__(self, name, real(name, getattr(self, name), low=0.0))
-        object.__setattr__(self, "incidence", real("incidence", self.incidence, above=0.0, high=89.0))
+        check_fields(self, real, "pitch", "blur", "edge", "margin", low=0.0)
+        check_fields(self, real, "incidence", above=0.0, high=89.0)
 
     def found(self, pitch: FloatArray, incidence: FloatArray, edge: FloatArray, sigma: FloatArray) -> BoolArray:
         """Whether views wholly in the image are found, arrays of one shape; NaN (behind the camera) is not.
