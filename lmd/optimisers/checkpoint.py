@@ -62,7 +62,6 @@ class Checkpoint:
 
         Args:
             directory: of the run that goes on.
-            problem: what it maximises.
 
         Raises:
             InputError: there is none, it is damaged, or it was made with other settings.
