@@ -9,7 +9,7 @@ from hydra import compose, initialize_config_dir
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.types import RunMode
-from hydra.utils import get_class
+from hydra.utils import get_object
 from omegaconf import OmegaConf
 from paper import PAPER_CAMERA, PRINTED_EXPERIMENT_CAMERA
 
@@ -22,6 +22,7 @@ from lmd.scene.camera import Camera
 from pipelines.app import CONF, flat_settings
 from pipelines.building import build_optimiser, build_problem, camera_of, instantiate, keyed
 from pipelines.deployments import any_deployment
+from pipelines.hyperparameters import GROUPS as COMPLETED
 
 ONLY_OBSERVE = ("trajectory", "detector", "estimator", "odometry")
 ONLY_RENDERED = ("detectors", "imaging", "views")
@@ -259,11 +260,15 @@ def test_the_lab_is_one_word_and_localises_by_the_defaults_of_the_class():
     assert len(problem.scene.room.surfaces()) == 5  # no tags on the floor
 
 
-@pytest.mark.parametrize("path", sorted(Path(CONF, "optimiser").glob("*.yaml")), ids=lambda path: path.stem)
-def test_an_optimisers_file_repeats_no_default_of_its_class(path):
+@pytest.mark.parametrize(
+    "path",
+    [path for group in COMPLETED for path in sorted(Path(CONF, group).glob("*.yaml"))],
+    ids=lambda path: path.stem,
+)
+def test_a_file_repeats_no_default_of_its_class(path):
     given = OmegaConf.to_container(OmegaConf.load(path))
     given.pop("defaults", None)
-    defaults = inspect.signature(get_class(given.pop("_target_"))).parameters
+    defaults = inspect.signature(get_object(given.pop("_target_"))).parameters
     assert not [key for key, value in given.items() if defaults[key].default == value]
 
 
