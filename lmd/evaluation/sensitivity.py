@@ -128,9 +128,6 @@ def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sam
     Args:
         problem: the scene and the objective. Where that is not one of localisation, the default one with its n says
             what is assumed.
-        deployment: what is judged, its landmarks with their surfaces.
-        seed: of the sample and of what is missed.
-        sample: its size.
 
     Returns:
         the same for any number of threads.
@@ -236,7 +233,6 @@ def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.rand
     Args:
         field: the positions and the orientations.
         deployment: K landmarks.
-        rng: draws what is missed.
 
     Returns:
         `(M, 3)`: the mean of L, the exact mean of P_n, and that of the draw.
