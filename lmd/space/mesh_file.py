@@ -49,7 +49,6 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
     """Read a mesh; what has no area, or is there twice, is left out.
 
     Args:
-        path: the file.
         scale: metres in a unit of the file.
         up: which of its axes points up, `z` or `y`; None for what its format says, `y` for glTF and what headsets and
             phones capture, `z` for others.

@@ -23,15 +23,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import exp, nearest_rotations, pose_of
-from lmd.survey.residuals import (
-    Linearised,
-    Poses,
-    Prior,
-    errors_at,
-    gathered,
-    linearise,
-    summed,
-)
+from lmd.survey.residuals import Linearised, Poses, Prior, errors_at, gathered, linearise, summed
 from lmd.survey.sightings import Sightings
 from lmd.survey.student import DEGREES_OF_FREEDOM, RESIDUALS, solved, weight_of
 
@@ -262,7 +254,6 @@ class Adjustment:
         Args:
             poses: where to begin.
             floor: where to begin, pixels; it is found.
-            steps: at most.
         """
         damping, most = FIRST_DAMPING, floor
         cost = self.cost(poses, floor)
@@ -282,11 +273,11 @@ class Adjustment:
         return Adjusted(_orthonormal(poses), floor, self.squares(poses, floor))
 
 
-def resected(sightings: Sightings, poses: Poses, floor: float, steps: int = RESECTION_STEPS) -> FloatArray:
+def resected(sightings: Sightings, poses: Poses, floor: float) -> FloatArray:
     """The frames with everything else fixed, `(F, 4, 4)`, from where `poses` has them."""
     frames = poses.frames
     seen, of = np.unique(sightings.frame, return_inverse=True)
-    for _ in range(steps):
+    for _ in range(RESECTION_STEPS):
         at = linearise(sightings, *gathered(sightings, replace(poses, frames=frames)))
         variance = sightings.noise**2 + floor**2
         weight = weight_of((at.error**2).sum(axis=1) / variance) / variance

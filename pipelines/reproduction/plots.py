@@ -12,11 +12,9 @@ def save_landmark_count_figure(
     """Write a PNG: the qualified ratio against the number of landmarks K.
 
     Args:
-        path: the PNG.
         ratios: one row per run with the columns `count` (K) and `qualified_ratio` (fraction); a line joins the medians
             of each K.
         references: points (K, qualified ratio) to compare with, by name.
-        title: one line above the axes.
     """
     from matplotlib.figure import Figure
     from matplotlib.ticker import PercentFormatter
