@@ -91,7 +91,6 @@ def read_table(path: Any, *, name: str) -> Table:
     """Read a CSV with a header; blank lines and lines that begin with # are left out.
 
     Args:
-        path: the file.
         name: the argument the path came from, for messages.
 
     Raises:
@@ -194,7 +193,6 @@ def read_numbers(path: Any, columns: Sequence[str], *, name: str, optional: Sequ
     """Read the numeric `columns` of a CSV with a header, in that order.
 
     Args:
-        path: the file.
         columns: columns that must be there.
         name: the argument the path came from, for messages.
         optional: columns that may be there and are ignored.

@@ -43,7 +43,6 @@ def fit(views: Views, rng: np.random.Generator, margin: float, grid: Grid | None
 
     Args:
         views: at least two.
-        rng: splits them.
         margin: of the limits, pixels; views lie wholly in the image, so they do not tell.
         grid: values to choose from; None for the defaults.
 

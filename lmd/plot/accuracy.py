@@ -20,9 +20,7 @@ def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Probl
     The median is that of all views of the grid's positions above a place of the plan.
 
     Args:
-        path: the PNG.
         deployments: a deployment and the problem that it is judged for, by what heads its panel.
-        title: one line above the panels.
     """
     from matplotlib import colormaps
     from matplotlib.colors import LogNorm

@@ -29,10 +29,8 @@ def save_body_figure(path: Path, body: Body, rig: Rig, title: str) -> None:
     """Draw where the cameras of a rig are on a body, with dimensions, and a table of how each is mounted.
 
     Args:
-        path: of the file.
         body: carries the cameras.
         rig: the cameras.
-        title: heads the drawing.
     """
     from matplotlib.figure import Figure
 

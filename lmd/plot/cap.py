@@ -47,12 +47,10 @@ def save_cap_figure(
     that region under the scene's orientation PDF.
 
     Args:
-        path: the PNG.
         scene: camera, visibility and PDF.
         deployment: the landmarks l_k whose coverage spherical caps overlap.
         position: p, `(3,)`, metres.
         n: caps that must overlap.
-        title: one line above the spheres.
     """
     from matplotlib.colors import BoundaryNorm, ListedColormap
     from matplotlib.figure import Figure

@@ -19,11 +19,8 @@ def save_comparison_figure(
     one has the share of all seeds and targets that were reached (`attained`), as COCO and IOHprofiler draw it.
 
     Args:
-        path: the file.
-        runs: all of them.
         axis: what runs are compared at, `evaluations` or `wall_time`.
         headline: what the fitness is called and how it is shown.
-        title: heads the picture.
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure

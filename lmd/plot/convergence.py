@@ -13,11 +13,9 @@ def save_convergence_figure(path: str | Path, history: Mapping[str, ArrayLike], 
     """Write a PNG with the best fitness so far as a step line over evaluations.
 
     Args:
-        path: the PNG.
         history: `evaluations`, `best_fitness` and `wall_time` (seconds since the start) at each recorded moment, of
             which there is at least one.
         headline: what the fitness is called and how it is shown.
-        title: one line above the axes.
     """
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator

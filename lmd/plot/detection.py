@@ -31,10 +31,8 @@ def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd
     """Write a PNG: for each deployment P(>= n) predicted and detected, and below it both shares of tags by their pitch.
 
     Args:
-        path: the PNG.
         figures: rows of `lmd.detection.report.figures` with the columns `deployment` and `detector`.
         pitches: those of `by_pitch`, with the same columns.
-        title: heads the picture.
     """
     from matplotlib.figure import Figure
 
@@ -76,9 +74,7 @@ def save_places_figure(path: str | Path, places: pd.DataFrame, title: str) -> No
     """Write a PNG: the shares of tags that were predicted and detected, by where they are in the image.
 
     Args:
-        path: the PNG.
         places: of `lmd.detection.report.by_place`.
-        title: heads the picture.
     """
     from matplotlib.figure import Figure
 
@@ -103,9 +99,7 @@ def save_limits_figure(path: str | Path, calibrations: Mapping[str, Calibration]
     """Write a PNG: for each detector which views it found, by pitch and blur, and how often by pitch over its limit.
 
     Args:
-        path: the PNG.
         calibrations: by the detector's name.
-        title: heads the picture.
     """
     from matplotlib.figure import Figure
 

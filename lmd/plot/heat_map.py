@@ -13,10 +13,8 @@ def save_heat_map(path: str | Path, tables: Mapping[str, pd.DataFrame], title: s
     """Write a PNG of heat maps side by side.
 
     Args:
-        path: the PNG.
         tables: shares (fractions; NaN for a cell without a run), by the heading of their panel. The index and the
             columns are named, and the same in all tables.
-        title: one line above the panels.
         label: what the shares are.
     """
     from matplotlib.figure import Figure

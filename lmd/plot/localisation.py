@@ -25,12 +25,10 @@ def save_error_figure(
     """Write a PNG: for each estimator the errors over time, below them the landmarks in view.
 
     Args:
-        path: the PNG.
         curves: `Study.curves`.
         time: of the frames, seconds, `(T,)`.
         counts: landmarks in each frame of one flight, `(T,)`, by deployment.
         n: drawn as a dotted line.
-        title: heads the picture.
     """
     from matplotlib.figure import Figure
 
@@ -74,10 +72,8 @@ def save_cramer_rao_map(path: str | Path, room: Space, bounds: CramerRaoMap, tit
     """Write a PNG: at each position, how often a single frame fixes the pose, and how well it does then.
 
     Args:
-        path: the PNG.
         room: drawn as a box.
         bounds: of one deployment.
-        title: heads the picture.
     """
     from matplotlib.colors import LogNorm
     from matplotlib.figure import Figure

@@ -12,9 +12,7 @@ def save_map_figure(path: str | Path, views: pd.DataFrame, title: str) -> None:
     """Write a PNG of 800 x 500 pixels: the share of views with a position error below that of the axis.
 
     Args:
-        path: the PNG.
         views: rows of `lmd.evaluation.maps.map_errors`; views without an estimate never come in.
-        title: heads the picture.
     """
     from matplotlib.figure import Figure
 

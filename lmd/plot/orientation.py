@@ -13,13 +13,7 @@ CHOSEN = "#1a9641"  # the paper's fit is green too
 
 
 def save_orientation_figure(path: str | Path, estimate: PdfEstimate, title: str) -> None:
-    """Write a PNG of 1500 x 500 pixels: both histograms with all candidates, and the PDF over yaw and pitch.
-
-    Args:
-        path: the PNG.
-        estimate: what is shown.
-        title: one line above the panels.
-    """
+    """Write a PNG of 1500 x 500 pixels: both histograms with all candidates, and the PDF over yaw and pitch."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(15.0, 5.0), dpi=100, layout="constrained")

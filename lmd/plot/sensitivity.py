@@ -11,13 +11,7 @@ STYLES = dict(zip(SHARE_COLUMNS, (("localised", "-"), ("enough landmarks covered
 
 
 def save_sensitivity_figure(path: str | Path, found: Sensitivity, title: str) -> None:
-    """Write a PNG of 1500 x 500 pixels: other assumptions, landmarks missed, landmarks lost.
-
-    Args:
-        path: the PNG.
-        found: what is shown.
-        title: heads the picture.
-    """
+    """Write a PNG of 1500 x 500 pixels: other assumptions, landmarks missed, landmarks lost."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(15.0, 5.0), dpi=100, layout="constrained")

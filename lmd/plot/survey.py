@@ -23,10 +23,7 @@ def save_survey_figure(path: str | Path, survey: Survey, room: Space | None, tit
     """Write a PNG of 1500 x 700 pixels.
 
     Args:
-        path: the PNG.
-        survey: what was found.
         room: its outline is drawn; None where it is not known.
-        title: heads the picture.
     """
     from matplotlib.figure import Figure
 

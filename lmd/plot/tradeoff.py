@@ -28,10 +28,8 @@ def save_tradeoff_figure(path: str | Path, points: pd.DataFrame, panels: Sequenc
     """Write a PNG, 550 pixels wide for each panel and 450 high: medians over the seeds, bands from least to greatest.
 
     Args:
-        path: the PNG.
         points: as for `lmd.evaluation.tradeoff.front`.
         panels: from left to right; their figures are shares.
-        title: heads the picture.
     """
     from matplotlib.figure import Figure
 

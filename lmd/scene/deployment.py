@@ -110,7 +110,6 @@ class Deployment:
         leans, counts as if it just touched it: nothing is seen through a wall. Its `places` stay what they were.
 
         Args:
-            room: has the surfaces.
             anywhere: whether landmarks may lie outside the room.
             papers: edges of their papers, upright, metres, one for all or `(K,)`; 0 for points.
 
@@ -144,7 +143,6 @@ class Deployment:
         of `room`.
 
         Args:
-            room: has the surfaces.
             near: whether landmarks may stand a little before a surface, see `Space.surface_near`.
         """
         surfaces, some = room.surfaces(), f"of {len(self)} landmarks do"
@@ -191,7 +189,6 @@ class Deployment:
         """`hung`, for an optimiser that moves landmarks along surfaces.
 
         Args:
-            room: has the surfaces.
             flush: whether landmarks must lie flat.
 
         Raises:
@@ -258,7 +255,6 @@ class Deployment:
         to length 1 if they are printed with few decimals. Further columns are kept as labels.
 
         Args:
-            path: the file.
             name: the argument the path came from, for messages.
 
         Raises:

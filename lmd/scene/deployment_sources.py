@@ -30,7 +30,6 @@ class DeploymentSource(Protocol):
 
         Args:
             room: its surfaces are where the centres of landmarks may be.
-            rng: draws it.
             tag: what hangs at the landmarks; of one of several sizes they have them in turn.
         """
 

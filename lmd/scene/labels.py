@@ -42,7 +42,6 @@ class Labels:
         """The labels in a file with landmarks; without a column `id` they are numbered from 0.
 
         Args:
-            table: the file, with at least one row.
             known: columns that are read elsewhere.
 
         Raises:

@@ -109,7 +109,6 @@ class Plates:
         the way there.
 
         Args:
-            fixed: those landmarks.
             beside: where the others come from. If these are taken as they are (`FileDeployment.free`), so are those.
 
         Raises:
@@ -135,7 +134,6 @@ class Plates:
 
         Args:
             source: what is drawn from.
-            rng: draws it.
             fixed: landmarks that hang already (`hung`). They come first, and whatever is not from a file is pushed out
                 of their way.
 

@@ -91,8 +91,6 @@ def write_rig(path: Path, rig: Rig, sources: Mapping[Camera, Any]) -> None:
     """Write a rig file, see `read_mounts`; numbers are those of the rig, to the bit.
 
     Args:
-        path: of the file.
-        rig: what is written.
         sources: which calibration each kind of camera has, as `rig_of` takes it; none for the camera of all.
     """
     import yaml
