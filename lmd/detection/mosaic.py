@@ -130,7 +130,7 @@ def only(cameras: Sequence[Camera]) -> Camera:
 
 
 def sample_views(
-    camera: Camera, tag: Tag, detector: Detector, count: int, rng: np.random.Generator, sampling: Sampling | None = None
+    camera: Camera, tag: Tag, detector: Detector, count: int, rng: np.random.Generator, ranges: Sampling
 ) -> Views:
     """Draw views, render them and detect.
 
@@ -139,7 +139,6 @@ def sample_views(
         tag: its edge does not matter, pitch decides the depth.
         detector: for the tag's family.
         count: views to draw; those too large for the largest tile are left out.
-        sampling: ranges; None for the defaults.
 
     Raises:
         InputError: not one of the views fits a tile.
@@ -147,7 +146,6 @@ def sample_views(
     count = integer("count", count, low=1)
     # A lens moves a tag in the image, and hardly bends a single one.
     camera = replace(camera, distortion=(), distortion_model="plumb_bob")
-    ranges = sampling or Sampling()
     pitches, tilts = (rng.uniform(*span, count) for span in (ranges.pitch, ranges.incidence))
     sigmas = np.exp(rng.uniform(math.log(ranges.sigma[0]), math.log(ranges.sigma[1]), count))
     width, height = image_size(camera)
