@@ -1,7 +1,8 @@
 """Checks of user input: each raises `InputError` with one sentence that names the value."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +48,27 @@ class InputError(ValueError):
         if self.argument is None:
             return self
         return InputError(f"{whole}.{self}", f"{whole}.{self.argument}")
+
+
+@contextmanager
+def argument_of(whole: str) -> Iterator[None]:
+    """Where an `InputError` is about an argument, let it be about that argument of `whole`."""
+    try:
+        yield
+    except InputError as error:
+        raise error.within(whole) from None
+
+
+@contextmanager
+def said_of(source: object, argument: str | None = None, known: Container[str | None] = ()) -> Iterator[None]:
+    """Let an `InputError` begin with the `source` of the input, and be about the `argument` that it came from.
+
+    Errors about one of the arguments that are `known` stay what they are.
+    """
+    try:
+        yield
+    except InputError as error:
+        raise error if error.argument in known else InputError(f"{source}: {error}", argument) from None
 
 
 def real(

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, check_fields, real
+from lmd.core.checks import FloatArray, InputError, check_fields, real, said_of
 from lmd.core.tables import read_numbers, read_table
 from lmd.detection.detectors import Detections, Detector
 from lmd.detection.evaluation import CORNER_TOLERANCE, corner_error, match
@@ -94,10 +94,8 @@ class BoardImages:
         assert self.tags is not None
         table = read_numbers(self.tags, ("id", *COLUMNS), name="tags")
         normals = table[:, 4:] / np.linalg.norm(table[:, 4:], axis=1, keepdims=True)
-        try:
+        with said_of(self.tags):
             return TaggedRoom(tag, table[:, 0].astype(np.int64), table[:, 1:4], normals, upright(normals)[1])
-        except InputError as error:
-            raise InputError(f"{self.tags}: {error}") from None
 
     def _known_poses(self, path: str) -> dict[str, FloatArray]:
         """X by the image's name."""
@@ -109,10 +107,8 @@ class BoardImages:
         missing = set(names) - set(self.images.names)
         if missing:
             raise InputError(f"{path}: {str(self.folder)!r} has no image {min(missing)!r}.")
-        try:
+        with said_of(path):
             return dict(zip(names, poses_from_rows(rows), strict=True))
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
 
 
 def _pose_by(renderer: Renderer, found: Detections, tolerance: float) -> FloatArray | None:

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, check_fields, real, vector
+from lmd.core.checks import FloatArray, InputError, check_fields, real, said_of, vector
 from lmd.core.memory import check_memory
 from lmd.geometry.se3 import camera_pose
 from lmd.geometry.trajectory import Trajectory
@@ -176,10 +176,8 @@ class Waypoints:
     def draw(self, scene: Scene, rng: np.random.Generator) -> Trajectory:
         """See `TrajectorySource.draw`; nothing here is random."""
         trajectory = self.pace.through(np.array(self.points, dtype=np.float64))
-        try:
+        with said_of("points", "points"):
             check_inside(trajectory, scene.room)
-        except InputError as error:
-            raise InputError(f"points: {error}", "points") from None
         return trajectory
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from lmd.core.checks import FloatArray, InputError, IntArray, check_fields, real
+from lmd.core.checks import FloatArray, InputError, IntArray, argument_of, check_fields, real
 from lmd.core.memory import check_memory
 from lmd.estimation.errors import Errors, pose_errors
 from lmd.estimation.estimators import Estimator
@@ -230,10 +230,8 @@ def conduct(
 def _errors(estimators: Mapping[str, Estimator], recording: Recording, start: FloatArray) -> dict[str, Errors]:
     errors = {}
     for name, estimator in estimators.items():
-        try:
+        with argument_of(f"estimators.{name}"):
             errors[name] = estimator.errors(recording, start)
-        except InputError as error:
-            raise error.within(name).within("estimators") from None
     return errors
 
 

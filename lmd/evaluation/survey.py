@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from lmd.core.checks import InputError
+from lmd.core.checks import InputError, said_of
 from lmd.detection.frames import draw_poses
 from lmd.evaluation.losses import TAGS_LISTED
 from lmd.evaluation.maps import Hung, error_quantiles, errors_text, map_errors, named_figures, percent_text
@@ -45,11 +45,9 @@ def read_measured(path: str | Path, problem: Problem, plan: Deployment) -> Deplo
             other = "that is planned" if name == "lacks the" else "that is not planned"
             raise InputError(f"measured: {path} {name} landmark {ids[0]} {other} ({len(ids)} in all).", "measured")
     places = np.argsort(measured.ids)[np.searchsorted(np.sort(measured.ids), plan.ids)]
-    try:
+    with said_of(f"measured: {path}", "measured"):
         measured, scene = measured[places], problem.scene
         hung = measured.hung(scene.room, as_they_are(problem.start), scene.plates.papers(measured))
-    except InputError as error:
-        raise InputError(f"measured: {path}: {error}", "measured") from None
     told, planned = with_gaps(hung.edges, len(plan)), with_gaps(plan.edges, len(plan))
     return replace(hung, labels=plan.labels, edges=np.where(np.isnan(told), planned, told))
 

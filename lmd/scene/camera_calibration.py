@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from lmd.core.checks import InputError, check_fields, integer, real, vector
+from lmd.core.checks import InputError, check_fields, integer, real, said_of, vector
 from lmd.geometry.lens import lens_of
 from lmd.scene.calibration_files import LENS_MODELS, PIXEL_CENTRE, known_lens, read_cameras
 from lmd.scene.camera import Camera
@@ -98,10 +98,8 @@ def calibrated_camera(
         InputError: see there.
     """
     calibration = read_calibration(path, name, image_size, distortion_model)
-    try:
+    with said_of(path, known=OPTICS):
         return calibration.camera(focal_length, aperture, focus_distance=focus_distance, image_circle=image_circle)
-    except InputError as error:
-        raise error if error.argument in OPTICS else InputError(f"{path}: {error}") from None
 
 
 def read_calibration(
@@ -131,10 +129,8 @@ def read_calibration(
         raise InputError(f"name = {name!r} is no camera of {path}, which has {', '.join(cameras) or 'one'}.", "name")
     chosen = name or (cameras[0] if cameras else "")
     size = None if image_size is None else vector("image_size", image_size, 2, above=0.0)
-    try:
+    with said_of(path, known=("distortion_model",)):
         found = _calibration(restated[chosen], size, distortion_model)
-    except InputError as error:
-        raise error if error.argument == "distortion_model" else InputError(f"{path}: {error}") from None
     if size not in (None, known := (found.image_width, found.image_height)):
         raise InputError(f"image_size must be {list(known)}, as {path} has it, got {list(size)}.", "image_size")
     return found

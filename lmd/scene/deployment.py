@@ -6,7 +6,7 @@ from typing import TextIO
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, said_of
 from lmd.core.tables import read_table, write_table
 from lmd.geometry.squares import upright
 from lmd.scene.edges import EDGE, checked_edges, edge_column, edges_or, joined
@@ -264,10 +264,8 @@ class Deployment:
         columns = COLUMNS + UP_COLUMNS if any(name in table for name in UP_COLUMNS) else COLUMNS
         rows, labels = table.numbers(columns, None), Labels.of(table, (*columns, EDGE))
         edges = edge_column(table)
-        try:
+        with said_of(path):
             deployment = cls(rows[:, :3], rows[:, 3:6], labels=labels, edges=edges)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
         length = np.linalg.norm(deployment.normals, axis=1, keepdims=True)
         exact = np.abs(length - 1.0) < 1e-12  # dividing these would only move the last bit
         deployment = replace(deployment, normals=np.where(exact, deployment.normals, deployment.normals / length))

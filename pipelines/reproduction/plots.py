@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pandas as pd
 
+from lmd.plot.common import new_figure
+
 
 def save_landmark_count_figure(
     path: str | Path, ratios: pd.DataFrame, references: Mapping[str, tuple[int, float]], title: str
@@ -16,10 +18,9 @@ def save_landmark_count_figure(
             of each K.
         references: points (K, qualified ratio) to compare with, by name.
     """
-    from matplotlib.figure import Figure
     from matplotlib.ticker import PercentFormatter
 
-    figure = Figure(figsize=(8.0, 4.8), dpi=100, facecolor="white", layout="constrained")
+    figure = new_figure((8.0, 4.8))
     axes = figure.add_subplot(title=title, xlabel="landmarks K", ylabel="qualified ratio")
     medians = ratios.groupby("count")["qualified_ratio"].median()
     axes.plot(medians.index, medians, color="C2", label="median of the runs")

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from lmd.core.checks import InputError, check_fields, choice, real, vector
+from lmd.core.checks import argument_of, check_fields, choice, real, vector
 from lmd.optimisers.annealing.walk import Settings
 
 
@@ -75,9 +75,7 @@ def changed(name: str, default: Stage, given: Stage | Mapping[str, Any]) -> Stag
     """
     if isinstance(given, Stage):
         return given
-    try:
+    with argument_of(name):
         for key in given:
             choice("condition", key, [field.name for field in fields(Stage)])
         return replace(default, **given)
-    except InputError as error:
-        raise error.within(name) from None
