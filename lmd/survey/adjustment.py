@@ -31,7 +31,6 @@ from lmd.survey.student import DEGREES_OF_FREEDOM, RESIDUALS, solved, weight_of
 NORMAL_MEAN = 7.5625
 LEAST_SHARE = 0.1
 FRAME_CHUNK = 128  # frames that are eliminated at once
-RESECTION_STEPS = 10  # steps of Gauss and Newton for frames alone
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-9, 1e6
 # What remains to be gained, relative to the number of sightings, when a step is the last.
 LEAST_GAIN = 1e-7
@@ -271,22 +270,6 @@ class Adjustment:
             if gained < LEAST_GAIN * len(self.sightings) and abs(floor - before) < 1e-3 * before + 1e-6:
                 break
         return Adjusted(_orthonormal(poses), floor, self.squares(poses, floor))
-
-
-def resected(sightings: Sightings, poses: Poses, floor: float) -> FloatArray:
-    """The frames with everything else fixed, `(F, 4, 4)`, from where `poses` has them."""
-    frames = poses.frames
-    seen, of = np.unique(sightings.frame, return_inverse=True)
-    for _ in range(RESECTION_STEPS):
-        at = linearise(sightings, *gathered(sightings, replace(poses, frames=frames)))
-        variance = sightings.noise**2 + floor**2
-        weight = weight_of((at.error**2).sum(axis=1) / variance) / variance
-        turned = np.swapaxes(at.by_frame, 1, 2) * weight[:, None, None]
-        matrix = summed(turned @ at.by_frame, of, len(seen)) + LEAST_DAMPING * np.eye(6)
-        right = summed((turned @ at.error[..., None])[..., 0], of, len(seen))
-        frames = frames.copy()
-        frames[seen] = frames[seen] @ exp(-solved(matrix, right))
-    return frames
 
 
 def _orthonormal(poses: Poses) -> Poses:
