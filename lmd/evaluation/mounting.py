@@ -150,16 +150,13 @@ class Mounted:
 
 
 def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int, sample: Sample = SAMPLE) -> Mounted:
-    """Score a plan as it may be mounted.
+    """Score a plan as it may be mounted. No result depends on the threads.
 
     Args:
         plan: K landmarks with their surfaces.
         error: of the mounting.
         seed: of the draws, of the random positions, and of the views.
         sample: the random positions off the grid, the same for all draws.
-
-    Returns:
-        the same for any number of threads.
 
     Raises:
         InputError: there is no room for all papers.

@@ -123,14 +123,11 @@ class Sensitivity:
 
 
 def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sample = SAMPLE) -> Sensitivity:
-    """Measure how much the figures of a deployment hang on what was assumed.
+    """Measure how much the figures of a deployment hang on what was assumed. No result depends on the threads.
 
     Args:
         problem: the scene and the objective. Where that is not one of localisation, the default one with its n says
             what is assumed.
-
-    Returns:
-        the same for any number of threads.
     """
     variants = _variants(problem, deployment)
     groups = enumerate(sampled_evaluators(problem.scene, seed, sample, threads=1))

@@ -99,14 +99,11 @@ def survey(
     sample: Sample = SAMPLE,
     views: int = RANDOM_VIEWS,
 ) -> Survey:
-    """Set a deployment as it hangs beside the plan.
+    """Set a deployment as it hangs beside the plan. No result depends on the threads.
 
     Args:
         plan: K landmarks.
         measured: the same, where they hang.
-
-    Returns:
-        the same for any number of threads.
     """
     both = {"planned": plan, "measured": measured}
     on_grid = pd.DataFrame([problem.metrics(each) for each in both.values()])
