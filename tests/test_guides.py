@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from shutil import copytree, ignore_patterns
 
+import composing
 import numpy as np
 import pytest
 import yaml
@@ -21,7 +22,6 @@ from contracts.objective import check_objective
 from contracts.optimiser import check_optimiser
 from contracts.space import check_space
 from floor_plans import L_SHAPE, PILLAR
-from hydra import compose, initialize_config_dir
 from paper import paper_camera, paper_room, paper_scene
 from processes import call
 from small import problem
@@ -49,7 +49,6 @@ from lmd.sight.models.fiducial import Fiducial
 from lmd.space.floor_plan import FloorPlan
 from lmd.space.parts import Reachable
 from lmd.space.prism import Prism
-from pipelines.app import CONF
 from pipelines.building import build_optimiser, build_problem
 from pipelines.evaluate import lose
 
@@ -119,8 +118,7 @@ def check(line, folder):
 
 
 def composed(guides, *overrides, app="optimise"):
-    with initialize_config_dir(CONF, version_base="1.3"):
-        return compose(app, [f"hydra.searchpath=[file://{guides}/mine]", *overrides])
+    return composing.composed(app, f"hydra.searchpath=[file://{guides}/mine]", *overrides)
 
 
 def near_scene():

@@ -5,8 +5,8 @@ import warnings
 from copy import deepcopy
 from pathlib import Path
 
+import composing
 import pytest
-from hydra import compose, initialize_config_dir
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import OmegaConf, open_dict
 
@@ -96,8 +96,7 @@ def _nothing_begins(monkeypatch, tmp_path):
 
 
 def composed(pipeline, overrides, folder):
-    with initialize_config_dir(CONF, version_base="1.3"):
-        whole = compose(pipeline, [*PIPELINES[pipeline], *overrides], return_hydra_config=True)
+    whole = composing.composed(pipeline, *PIPELINES[pipeline], *overrides, return_hydra_config=True)
     with open_dict(whole):
         whole.hydra.runtime.output_dir = str(folder)
     HydraConfig.instance().set_config(whole)
