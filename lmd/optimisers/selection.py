@@ -157,9 +157,8 @@ def candidates(plates: Plates, edges: FloatArray | None, spacing: float) -> Depl
 
 def _candidates_within(plates: Plates, edges: FloatArray | None, spacing: float, most: float) -> Deployment:
     """`candidates`, coarsened until there are no more than `most`, or one of a size for each piece of a surface."""
-    poses, pieces = candidates(plates, edges, spacing), sum(len(surface.pieces) for surface in plates.room.surfaces())
-    sizes = 1 if edges is None else len(np.unique(edges))
-    while len(poses) > max(most, pieces * sizes):
+    poses, widest = candidates(plates, edges, spacing), max(max(wall.extent) for wall in plates.room.surfaces())
+    while len(poses) > most and spacing < widest:
         spacing *= 1.3
         poses = candidates(plates, edges, spacing)
     return poses

@@ -38,6 +38,11 @@ def test_what_is_found_hangs_where_it_may(optimiser, scene, sampling):
     assert result.fitness == problem.fitness_of(found)
 
 
+def test_a_budget_too_small_for_a_pose_on_each_wall_is_no_reason_to_fail():
+    problem = Problem(WITH_TAGS, Coverage(2, 0.5), RandomDeployment(6), threads=1)
+    assert Greedy().run(problem, Budget(3)).fitness >= 0.0
+
+
 def test_no_deployment_exceeds_the_bound():
     problem = Problem(SCENE, Coverage(2, 0.5), RandomDeployment(16), threads=1)
     found = Greedy().run(problem, Budget(200)).deployment
