@@ -13,6 +13,7 @@ from lmd.objectives.base import Objective
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import DeploymentSource
 from lmd.scene.edges import edges_or
+from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 
@@ -65,6 +66,15 @@ class Problem:
             rng, repeats = np.random.default_rng(SAMPLING_STREAM), objective.sampling.positions
             self.fitness_evaluator = objective.sampling.evaluator(self.scene, repeats, rng, threads)
             self.fitness_relevance = np.tile(self.relevance, repeats)
+
+    def with_rig(self, rig: Rig, start: DeploymentSource | None = None) -> "Problem":
+        """The problem of landmarks with a rig in place of the cameras, and another start if one is given.
+
+        Raises:
+            InputError: a camera would be outside the room.
+        """
+        scene = replace(self.scene, camera=rig)
+        return Problem(scene, self.objective, start or self.start, self.evaluator.threads, self.fixed)
 
     @property
     def fixed_count(self) -> int:
