@@ -5,11 +5,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lmd.cameras.mounts import MountSpace, rounded
 from lmd.core.checks import LARGEST, FloatArray, InputError, IntArray
 from lmd.scene.deployment import Deployment
 from lmd.scene.fixed import COLUMN
 from lmd.scene.labels import Labels
 from lmd.scene.plates import Plates
+from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.space.heights import lower_edge
 from lmd.space.space import Space
@@ -34,17 +36,19 @@ class Plan:
     Args:
         deployment: the tags with their ids and surfaces (`of` gives ids to landmarks without).
         pinned: ids of those that stay where they are.
+        rig: the cameras, where they can be moved, too.
     """
 
     deployment: Deployment
     pinned: frozenset[int] = frozenset()
+    rig: Rig | None = None
 
     @classmethod
-    def of(cls, deployment: Deployment, hung: Deployment | None = None) -> "Plan":
+    def of(cls, deployment: Deployment, hung: Deployment | None = None, rig: Rig | None = None) -> "Plan":
         """The plan of a deployment; those among it that are `hung` already are pinned."""
         labels = deployment.labels or Labels(deployment.ids)
         pinned = frozenset() if hung is None else frozenset(hung.ids.tolist())
-        return cls(replace(deployment, labels=labels), pinned)
+        return cls(replace(deployment, labels=labels), pinned, rig)
 
     @property
     def free(self) -> IntArray:
@@ -140,6 +144,28 @@ class Plan:
         """
         self.index_of(number)
         return replace(self, pinned=self.pinned ^ {number})
+
+    def mounted(self, number: int, place: FloatArray, turn: FloatArray, space: MountSpace | None) -> "Plan":
+        """The plan with a camera at the place `(3,)`, metres, body frame, and turned by `(3, 3)` to the body's frame.
+
+        Args:
+            number: of the camera.
+            place: of its centre.
+            turn: see `Mount.rotation`.
+            space: where it may be, and it goes to the nearest such place; None for anywhere.
+
+        Raises:
+            InputError: it cannot be there.
+        """
+        from scipy.spatial.transform import Rotation
+
+        assert self.rig is not None, "there are cameras to move"
+        if not (np.abs(place) <= LARGEST).all():  # NaN neither
+            raise InputError(f"a camera cannot be at {place} m.")
+        angles = Rotation.from_matrix(turn).as_euler("ZYX").tolist()
+        mount = rounded(self.rig.mounts[number].camera, place, *angles)
+        rig = self.rig.with_mount(number, mount) if space is None else space.moved(self.rig, number, mount)
+        return replace(self, rig=rig)
 
     def _movable(self, number: int) -> int:
         """The index of a tag that is not pinned."""

@@ -26,6 +26,7 @@ from pipelines.deployments import any_deployment
 ONLY_OBSERVE = ("trajectory", "detector", "estimator", "odometry")
 ONLY_RENDERED = ("detectors", "imaging", "views")
 OTHER_GROUPS = {
+    "body",
     "experiment",
     "recording",
     *ONLY_OBSERVE,
@@ -89,6 +90,11 @@ def test_every_option_of_rendered_frames_composes_and_builds(group, option):
     for node in cfg.detectors.values() if group == "detectors" else [cfg[group]]:
         if (group, option) not in NEEDS_MORE:
             instantiate(node)
+
+
+def test_every_body_composes_and_the_robot_builds():
+    assert composed("view", "body=none").body.boxes is None
+    assert len(instantiate(composed("view", "body=robot").body).boxes) == 1
 
 
 @pytest.mark.parametrize("experiment", sorted({*EXPERIMENTS} - {*SWEEPS}))
