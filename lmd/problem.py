@@ -91,6 +91,18 @@ class Problem:
         """The edges of all landmarks, `(K,)`, metres; None where all have the tag's."""
         return None if self.edges is None else edges_or(self.edges, self.count, self.scene.tag)
 
+    @property
+    def hung(self) -> Deployment | None:
+        """The fixed landmarks, each with its edge; None for none."""
+        if self.fixed is None or self.sizes is None or self.scene.tag.is_point:
+            return self.fixed
+        return replace(self.fixed, edges=self.sizes[: self.fixed_count])
+
+    @property
+    def free_sizes(self) -> FloatArray | None:
+        """The edges of the landmarks that are to be placed, metres; None where all have the tag's, and of points."""
+        return None if self.sizes is None or self.scene.tag.is_point else self.sizes[self.fixed_count :]
+
     def draw(self, rng: np.random.Generator) -> Deployment:
         """A deployment to start from, its landmarks with their surfaces, its plates apart."""
         return self.scene.plates.draw(self.start, rng, self.fixed)

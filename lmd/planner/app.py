@@ -84,7 +84,8 @@ class Planner:
         self._picture, value = Picture(self._server, session.problem), session.problem.objective.value_label
         if survey is not None:
             self._picture.show_survey(survey, session.deployment)
-        self._panel = Panel(self._server.gui, value, budget, ids=len(session.deployment) <= MOST_CAPTIONS)
+        few, sizes = len(session.deployment) <= MOST_CAPTIONS, session.problem.scene.tag.sizes
+        self._panel = Panel(self._server.gui, value, budget, ids=few, edges=sizes)
         self._robot = robot_of(self._server, self._picture.depth, session, self._acts, self._show)
         self._worker = Worker(self._work, lambda *failure: self._acts.put(partial(self._take_failure, *failure)))
         self._listen()
@@ -119,6 +120,7 @@ class Planner:
             (panel.save.on_click, self._save),
             (panel.tag.on_click, self._change_tag),
             (panel.place.on_click, self._place),
+            (panel.resize.on_click, self._resize),
             (panel.step.on_click, self._step),
             (panel.optimise.on_click, self._optimise_or_stop),
             (panel.yaw.on_update, self._look),
@@ -187,25 +189,34 @@ class Planner:
         eye, way = np.asarray(event.ray_origin), np.asarray(event.ray_direction)
         place = pointed_at(self._surfaces, eye, way)
         if self._panel.adds.value and place is not None:
-            self._selected = self._session.add(*place)
+            self._selected = self._session.add(*place, self._panel.edge)
             self._panel.say(f"tag {self._selected} was added")
             self._show()
         elif self._additions is not None:
             self._panel.say_additions(self._additions, event.instance_index)
 
-    def _place(self, _: Any) -> None:
+    @property
+    def _chosen(self) -> int:
+        """The id of the tag that is selected."""
         if self._selected is None:
             raise InputError("click a tag first.")
-        self._session.place(self._selected, *self._panel.typed)
+        return self._selected
+
+    def _place(self, _: Any) -> None:
+        self._session.place(self._chosen, *self._panel.typed)
+        self._show()
+
+    def _resize(self, _: Any) -> None:
+        if self._panel.edge is None:
+            raise InputError("choose a size first.")
+        self._session.resize(self._chosen, self._panel.edge)
         self._show()
 
     def _change_tag(self, event: Any) -> None:
-        if self._selected is None:
-            raise InputError("click a tag first.")
         if event.target.value == DELETE:
-            self._session.delete(self._selected)
+            self._session.delete(self._chosen)
         else:
-            self._session.pin(self._selected)
+            self._session.pin(self._chosen)
         self._show()
 
     def _step(self, event: Any) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from lmd.cameras.mounts import MountSpace, rounded
 from lmd.core.checks import LARGEST, FloatArray, InputError, IntArray
 from lmd.scene.deployment import Deployment
+from lmd.scene.edges import with_gaps
 from lmd.scene.fixed import COLUMN
 from lmd.scene.labels import Labels
 from lmd.scene.plates import Plates
@@ -74,9 +75,11 @@ class Plan:
         """
         k, measured = self.index_of(number), self.measured(number, room)
         x, y, z = self.deployment.positions[k]
+        edges = self.deployment.edges
+        size = "" if edges is None or np.isnan(edges[k]) else f", {edges[k]:g} m"
         where = room.surfaces()[int(self.deployment.surfaces[k])].name if measured else "free in the room"
         pinned = ", pinned" if number in self.pinned else ""
-        return f"tag {number}: {where}, ({x:.3f}, {y:.3f}, {z:.3f}) m{pinned}"
+        return f"tag {number}: {where}, ({x:.3f}, {y:.3f}, {z:.3f}) m{size}{pinned}"
 
     def measured(self, number: int, room: Space) -> "Measured | None":
         """Where on its surface the tag with an id is, None if it hangs on none.
@@ -108,8 +111,29 @@ class Plan:
             values[k] = getattr(there, name)[0]
         return replace(self, deployment=replace(self.deployment, **parts))
 
-    def added(self, scene: Scene, surface: int, at: FloatArray) -> tuple["Plan", int]:
+    def resized(self, plates: Plates, number: int, edge: float) -> "Plan":
+        """The plan with a tag of another edge, metres, at the free place nearest to where it was.
+
+        Raises:
+            InputError: as for `moved`, or it hangs on no surface.
+        """
+        k = self._movable(number)
+        edges = with_gaps(self.deployment.edges, len(self.deployment)).copy()
+        edges[k] = edge
+        surface = int(self.deployment.surfaces[k])
+        if surface < 0:
+            raise InputError(f"tag {number} hangs on no surface.")
+        at = np.stack(plates.hanging.surfaces()[surface].coordinates(self.deployment.positions[k]))
+        return replace(self, deployment=replace(self.deployment, edges=edges)).moved(plates, number, surface, at)
+
+    def added(self, scene: Scene, surface: int, at: FloatArray, edge: float | None = None) -> tuple["Plan", int]:
         """The plan with one tag more, at the free place nearest to `at`, and its id: the least that is free.
+
+        Args:
+            scene: where it hangs.
+            surface: that it hangs on.
+            at: see `moved`.
+            edge: of the tag, metres; None for that of the scene's tag.
 
         Raises:
             InputError: there is no room for its paper, or the family has no tag left.
@@ -122,7 +146,8 @@ class Plan:
         more = labels + Labels(np.array([number]), marks)
         if not scene.tag.is_point:
             scene.tag.check_ids(more.ids)
-        there = placed(scene.plates, self.deployment, surface, at)
+        own = None if edge is None else np.array([edge])
+        there = placed(scene.plates, self.deployment, surface, at, own)
         return replace(self, deployment=replace(self.deployment + there, labels=more)), number
 
     def without(self, number: int) -> "Plan":

@@ -139,13 +139,21 @@ class Session:
         """End a drag."""
         self._dragged = None
 
-    def add(self, surface: int, at: FloatArray) -> int:
+    def resize(self, number: int, edge: float) -> None:
+        """Give a tag another size, see `Plan.resized`.
+
+        Raises:
+            InputError: as there, or a search is running.
+        """
+        self._become(self.plan.resized(self.problem.scene.plates, number, edge))
+
+    def add(self, surface: int, at: FloatArray, edge: float | None = None) -> int:
         """Add a tag, see `Plan.added`; returns its id.
 
         Raises:
             InputError: as there, or a search is running.
         """
-        plan, number = self.plan.added(self.problem.scene, surface, at)
+        plan, number = self.plan.added(self.problem.scene, surface, at, edge)
         self._become(plan)
         return number
 
