@@ -17,7 +17,6 @@ def composition(
     objective: Objective,
     threads: int | None = None,
     fixed: Deployment | None = None,
-    spacing: float = GRID_SPACING,
 ) -> tuple[int, ...]:
     """How many tags of each of the edges of a scene's tag greedy selection by gain per price takes.
 
@@ -26,7 +25,6 @@ def composition(
         objective: what they are for; it must have a selection.
         threads: worker threads, all processors by default; the result does not depend on it.
         fixed: landmarks that hang already, with their surfaces.
-        spacing: of the grid of poses, metres.
 
     Raises:
         InputError: that does not suffice for one tag, or the objective has no selection.
@@ -40,7 +38,7 @@ def composition(
         if fixed is None
         else Deployment(fixed.positions, fixed.normals, fixed.surfaces, edges=fixed.edges_of(scene.tag))
     )
-    poses = candidates(plates, edges, spacing)
+    poses = candidates(plates, edges, GRID_SPACING)
     chosen, _ = select(selectable(objective).selection(evaluator, relevance), poses, stock, plates, fixed=hung)
     if not len(chosen):
         least = float(stock.prices(poses).min())
