@@ -276,7 +276,7 @@ def test_tags_and_what_a_detector_sees_are_a_choice():
     assert problem.scene.tag == problem.scene.visibility.tag
     assert problem.scene.plates.edge == pytest.approx(0.3)
     assert problem.settings()["tag"] == {"edge": 0.2, "family": "36h11", "quiet_zone": 2.0} | dict.fromkeys(
-        ["edges", "counts", "paper"]
+        ["edges", "counts", "paper", "costs", "budget"]
     )
     assert problem.settings()["detector"] == "aruco"
     assert build_problem(composed("optimise", "tag=printed")).scene.plates.edge == pytest.approx(0.125)
