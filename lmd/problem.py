@@ -13,6 +13,7 @@ from lmd.objectives.base import Objective
 from lmd.scene.deployment import Deployment
 from lmd.scene.deployment_sources import DeploymentSource
 from lmd.scene.edges import edges_or
+from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 
@@ -66,6 +67,15 @@ class Problem:
             self.fitness_evaluator = objective.sampling.evaluator(self.scene, repeats, rng, threads)
             self.fitness_relevance = np.tile(self.relevance, repeats)
 
+    def with_rig(self, rig: Rig, start: DeploymentSource | None = None) -> "Problem":
+        """The problem of landmarks with a rig in place of the cameras, and another start if one is given.
+
+        Raises:
+            InputError: a camera would be outside the room.
+        """
+        scene = replace(self.scene, camera=rig)
+        return Problem(scene, self.objective, start or self.start, self.evaluator.threads, self.fixed)
+
     @property
     def fixed_count(self) -> int:
         """How many of the K landmarks hang already."""
@@ -80,6 +90,18 @@ class Problem:
     def sizes(self) -> FloatArray | None:
         """The edges of all landmarks, `(K,)`, metres; None where all have the tag's."""
         return None if self.edges is None else edges_or(self.edges, self.count, self.scene.tag)
+
+    @property
+    def hung(self) -> Deployment | None:
+        """The fixed landmarks, each with its edge; None for none."""
+        if self.fixed is None or self.sizes is None or self.scene.tag.is_point:
+            return self.fixed
+        return replace(self.fixed, edges=self.sizes[: self.fixed_count])
+
+    @property
+    def free_sizes(self) -> FloatArray | None:
+        """The edges of the landmarks that are to be placed, metres; None where all have the tag's, and of points."""
+        return None if self.sizes is None or self.scene.tag.is_point else self.sizes[self.fixed_count :]
 
     def draw(self, rng: np.random.Generator) -> Deployment:
         """A deployment to start from, its landmarks with their surfaces, its plates apart."""

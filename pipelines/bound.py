@@ -15,16 +15,17 @@ def bound(cfg: DictConfig) -> None:
     """Bound what the configured problem admits."""
     from lmd.core.checks import real
     from lmd.evaluation.bounds import Search, average_upper_bound, fewest_landmarks, fitness_upper_bound
-    from lmd.evaluation.selection_bound import GUARANTEE, selection_upper_bound
+    from lmd.evaluation.selection_bound import selection_upper_bound
 
     from .tracked_run import keep, title_of, tracked
 
     problem = build_problem(cfg)
-    problem.scene.check_one_size("a bound")
     settings = settings_of(cfg, "bound")
     with keyed("bound"):
         search = Search(settings.spacing, settings.iterations, settings.tolerance)
         target = None if settings.target is None else real("target", settings.target, low=0.0, high=1.0)
+    if target is not None:
+        problem.scene.check_one_size("bound.target, a least number of landmarks,")
     directory, count, free = run_directory(), problem.count, problem.free_count
     beside = f" beside {problem.fixed_count} that hang already" if problem.fixed else ""
     document: dict[str, Any] = {}
@@ -36,7 +37,7 @@ def bound(cfg: DictConfig) -> None:
         figures |= {f"bound/selection/{kind}": value for kind, value in document["selection"].items()}
         _show("greedy choice", f">= {choice.share:.2%} of the best {free} poses of the grid{beside}, "
               f"by the {choice.label}: {choice.greedy:.4g} of at most {choice.grid:.4g}; "
-              f"sure before was {GUARANTEE:.2%}")  # fmt: skip
+              f"sure before was {choice.guarantee:.2%}")  # fmt: skip
         for label, key, method in (
             ("fitness", "fitness", fitness_upper_bound),
             ("average probability", "average_coverage_probability", average_upper_bound),

@@ -132,18 +132,30 @@ def camera_of(node: DictConfig) -> "Camera | Rig":
     Raises:
         InputError: the rig is none, or a camera is refused; that of the group is made only where a mount has none.
     """
-    from lmd.scene.rig_sources import brings_cameras, read_mounts, rig_of
+    from lmd.scene.rig_sources import brings_cameras, rig_of
 
     alone = deepcopy(node)
     with open_dict(alone):
-        mounts = alone.pop("rig", None)  # runs of old have none
+        alone.pop("rig", None)
+    mounts = mounts_of(node)
     if mounts is None:
         return instantiate(alone)  # type: ignore[no-any-return]
+    with keyed("camera"):
+        return rig_of(mounts, None if brings_cameras(mounts) else instantiate(alone))
+
+
+def mounts_of(node: DictConfig) -> Any:
+    """The cameras of a rig as `lmd.scene.rig_sources.rig_of` takes them; None for none.
+
+    Raises:
+        InputError: their file cannot be read.
+    """
+    from lmd.scene.rig_sources import read_mounts
+
+    mounts = node.get("rig")  # runs of old have none
     plain = OmegaConf.to_container(mounts, resolve=True) if OmegaConf.is_config(mounts) else mounts
     with keyed("camera"):
-        if isinstance(plain, str):
-            plain = read_mounts(plain)
-        return rig_of(plain, None if brings_cameras(plain) else instantiate(alone))
+        return read_mounts(plain) if isinstance(plain, str) else plain
 
 
 def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem":

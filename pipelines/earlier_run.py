@@ -1,6 +1,7 @@
 """`run=DIR`: the scene and the landmarks of an earlier run in place of the defaults."""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
@@ -23,7 +24,7 @@ RIG = "rig.yaml"  # of a run that placed cameras
 FILES = (".hydra/config.yaml", "landmarks.csv")  # what an earlier run must have left
 
 
-def read_earlier_run(deployment: str = f"deployment={OPTION}") -> None:
+def read_earlier_run(deployment: str = f"deployment={OPTION}", further: Sequence[str] = ()) -> None:
     """Make what the run in `run=DIR` of the command line was about an option `run` of each group, and choose it.
 
     What hung already in that run, and how many landmarks it had, goes for other sources of landmarks too. Where the
@@ -33,6 +34,7 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}") -> None:
 
     Args:
         deployment: the override that chooses the landmarks of the run.
+        further: groups that the pipeline has beside `GROUPS`.
     """
     given = [argument for argument in sys.argv[1:] if argument.startswith(KEY)]
     directory = _directory(given[-1]) if given else None
@@ -46,7 +48,7 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}") -> None:
     config, store = directory / FILES[0], ConfigStore.instance()
     try:
         before = read_yaml(config, "run")
-        parts = Trust.given().parts(before, f"run: '{config}'", GROUPS)  # runs of old lack some
+        parts = Trust.given().parts(before, f"run: '{config}'", (*GROUPS, *further))  # runs of old lack some
     except InputError as error:
         _refuse(str(error))
     if "camera" in parts and (rig := directory / RIG).is_file():
@@ -70,6 +72,11 @@ def read_earlier_run(deployment: str = f"deployment={OPTION}") -> None:
         named.add("pdf")  # each way of telling where the camera is brings its own way of telling how it looks
     place = sys.argv.index(given[-1]) + 1  # beside it: options of Hydra may stand before and after
     sys.argv[place:place] = [override for override in chosen if override.partition("=")[0] not in named]
+
+
+def read_earlier_robot() -> None:
+    """As `read_earlier_run`, and take the body that carried cameras, if there was one."""
+    read_earlier_run(further=("body",))
 
 
 def read_earlier_problem() -> None:

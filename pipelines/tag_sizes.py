@@ -1,4 +1,4 @@
-"""`deployment.count=[20,10,3]` and `tag.paper`: how many tags of each of the sizes `tag.edges` there are."""
+"""`deployment.count=[20,10,3]`, `tag.paper`, `tag.budget`: how many tags of each of the sizes `tag.edges` there are."""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -36,19 +36,20 @@ def spell_counts(cfg: DictConfig) -> None:
 def divide_paper(
     cfg: DictConfig, scene: "Scene", objective: "Objective", threads: int | None, fixed: "Deployment | None"
 ) -> "tuple[Scene, str]":
-    """The scene with the counts of sizes found for `tag.paper`, if it is given and they are not; they are recorded.
+    """The scene with the counts of sizes found for `tag.paper` or `tag.budget`, if they are not given.
 
-    Also what to say of it.
+    Also what to say of it. The counts are recorded.
 
     Raises:
-        InputError: it is too little, or the objective cannot say which tags are worth it.
+        InputError: that is too little, or the objective cannot say which tags are worth it.
     """
     from lmd.optimisers.composition import composition
 
     tag = scene.tag
-    if tag.paper is None or tag.counts is not None or "count" not in cfg.deployment or "path" in cfg.deployment:
+    limited = tag.paper is not None or tag.budget is not None
+    if not limited or tag.counts is not None or "count" not in cfg.deployment or "path" in cfg.deployment:
         return scene, ""
-    counts = composition(scene, objective, tag.paper, threads, fixed)
+    counts = composition(scene, objective, threads, fixed)
     with open_dict(cfg):
         cfg.tag.counts = list(counts)
         cfg.deployment.count = sum(counts) + (0 if fixed is None else len(fixed))
@@ -56,4 +57,5 @@ def divide_paper(
     if hasattr(visibility, "tag"):
         visibility = replace(visibility, tag=tag)  # type: ignore[type-var]
     sizes = ", ".join(f"{count} of {edge:g} m" for edge, count in zip(tag.sizes, counts, strict=True))
-    return replace(scene, tag=tag, visibility=visibility), f"tag.paper = {tag.paper:g} square metres make {sizes}"
+    limit = f"tag.budget = {tag.budget:g}" if tag.paper is None else f"tag.paper = {tag.paper:g} square metres"
+    return replace(scene, tag=tag, visibility=visibility), f"{limit} make {sizes}"

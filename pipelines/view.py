@@ -6,24 +6,28 @@ import sys
 import tempfile
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
 from .app import run_directory
-from .building import budget_of, build_optimiser, build_problem
-from .earlier_run import read_earlier_run
+from .building import budget_of, build_optimiser, build_problem, instantiate, keyed, mounts_of
+from .earlier_run import RIG, read_earlier_robot
 from .export import build_export
 from .operations.signals import CODES, stop
 from .outputs import all_or_none
 from .pipeline import Pipeline
 
 if TYPE_CHECKING:
-    from lmd.mapping.formats import Export
-    from lmd.problem import Problem
-    from lmd.scene.deployment import Deployment
+    from collections.abc import Mapping
 
-UNSAVED = "unsaved.csv"
+    from lmd.cameras.mounts import MountSpace
+    from lmd.mapping.formats import Export
+    from lmd.planner.plan import Plan
+    from lmd.problem import Problem
+    from lmd.scene.camera import Camera
+
+UNSAVED = "unsaved"  # how files of what was not saved begin
 
 
 def view(cfg: DictConfig) -> None:
@@ -43,12 +47,14 @@ def view(cfg: DictConfig) -> None:
     tag, directory = problem.scene.tag, run_directory()
     nothing = tag.is_point and cfg.export is None  # of a point there is no map
     export = None if nothing else build_export(cfg, "export", tag)
-    session = Session(problem, problem.draw(np.random.default_rng(cfg.seed)))
+    sources = _calibrations(cfg)
+    with keyed(rig="camera.rig"):
+        session = Session(problem, problem.draw(np.random.default_rng(cfg.seed)), _space(cfg, problem))
     session.warm_up()
     planner = Planner(
         session,
         integer("port", cfg.port, low=0, high=65535),
-        save=lambda deployment: _save(directory, problem, export, deployment),
+        save=lambda plan: _save(directory, problem, export, plan, sources),
         optimiser=lambda: build_optimiser(cfg, cfg.seed),
         budget=budget,
         seed=cfg.seed if cfg.validate else None,
@@ -59,17 +65,49 @@ def view(cfg: DictConfig) -> None:
         planner.run()
     finally:
         if not session.is_saved:  # first of all, whatever may be in the way of ending well
-            _keep_unsaved(directory, session.deployment, ups=not tag.is_point)
+            _keep_unsaved(directory, session.plan, sources, ups=not tag.is_point)
         planner.close()
 
 
-def _save(directory: Path, problem: "Problem", export: "Export | None", deployment: "Deployment") -> str:
-    """Write landmarks.csv and what is exported, all or nothing; says where."""
+def _space(cfg: DictConfig, problem: "Problem") -> "MountSpace | None":
+    """Where the cameras of a rig may go; None for anywhere.
+
+    Raises:
+        InputError: the body is none.
+    """
+    from math import pi
+
+    from lmd.cameras.mounts import MountSpace
+    from lmd.scene.rig import Rig
+
+    rig = problem.scene.camera
+    if cfg.body.boxes is None or not isinstance(rig, Rig):
+        return None
+    body, lenses = instantiate(cfg.body), tuple(dict.fromkeys(rig.cameras))
+    return MountSpace(body, lenses, len(rig.mounts), yaw=(-pi, pi), pitch=(-pi / 2, pi / 2), roll=(-pi, pi))
+
+
+def _calibrations(cfg: DictConfig) -> "Mapping[Camera, Any]":
+    """Which calibration each kind of camera of the rig has, as far as the rig says."""
+    from lmd.scene.rig_sources import calibrations_of
+
+    mounts = mounts_of(cfg.camera)
+    return {} if mounts is None else calibrations_of(mounts)
+
+
+def _save(
+    directory: Path, problem: "Problem", export: "Export | None", plan: "Plan", sources: "Mapping[Camera, Any]"
+) -> str:
+    """Write landmarks.csv, the rig if cameras can be moved, and what is exported, all or nothing; says where."""
+    from lmd.scene.rig_sources import write_rig
+
     scene = problem.scene
-    writers = export.writers(scene.room, scene.tag, deployment) if export else {}
+    writers = export.writers(scene.room, scene.tag, plan.deployment) if export else {}
 
     def write(folder: Path) -> None:
-        deployment.to_csv(folder / "landmarks.csv", ups=not scene.tag.is_point)
+        plan.deployment.to_csv(folder / "landmarks.csv", ups=not scene.tag.is_point)
+        if plan.rig is not None:
+            write_rig(folder / RIG, plan.rig, sources)
         for name, write_one in writers.items():
             write_one(folder / name)
 
@@ -78,28 +116,34 @@ def _save(directory: Path, problem: "Problem", export: "Export | None", deployme
     return f"{directory}: {', '.join(file.name for file in files)}"
 
 
-def _keep_unsaved(directory: Path, deployment: "Deployment", ups: bool) -> None:
-    """Write unsaved tags to the directory, or else to the working directory, the temporary directory, or stdout."""
-    elsewhere = f"unsaved_{secrets.token_hex(4)}.csv"
+def _keep_unsaved(directory: Path, plan: "Plan", sources: "Mapping[Camera, Any]", ups: bool) -> None:
+    """Write unsaved tags and cameras to the directory, or else to the working or the temporary directory, or stdout."""
+    from lmd.scene.rig_sources import rig_text
+
+    elsewhere, rig = f"unsaved_{secrets.token_hex(4)}", None if plan.rig is None else rig_text(plan.rig, sources)
 
     def write(name: str, folder: Path) -> None:
-        deployment.to_csv(folder / name, ups)
+        plan.deployment.to_csv(folder / f"{name}.csv", ups)
+        if rig is not None:
+            (folder / f"{name}_{RIG}").write_text(rig, encoding="utf-8")
 
     for place, name in ((str(directory), UNSAVED), (os.curdir, elsewhere), ("", elsewhere)):
         try:
             folder = Path(place or tempfile.gettempdir())  # there may be none
-            (file,) = all_or_none(folder.resolve(), partial(write, name))
+            files = all_or_none(folder.resolve(), partial(write, name))
         except OSError as error:
             print(f"changes that were not saved cannot be written ({error})", file=sys.stderr)
         else:
-            print(f"changes that were not saved are in {file}", file=sys.stderr)
+            print(f"changes that were not saved are in {' and '.join(map(str, files))}", file=sys.stderr)
             return
     print("the tags as they are now:", flush=True)
-    deployment.to_csv(sys.stdout, ups)
+    plan.deployment.to_csv(sys.stdout, ups)
+    if rig is not None:
+        print(f"the cameras as they are now:\n{rig}")
     sys.stdout.flush()
 
 
-command = Pipeline("view", view, (read_earlier_run,))
+command = Pipeline("view", view, (read_earlier_robot,))
 
 
 def main() -> None:

@@ -82,6 +82,14 @@ class Page:
         self.script("document.getElementById(arguments[0]).click()", dict(labels)[label])
         time.sleep(1.0)  # the page tells of that some time later, but of a click in the picture at once
 
+    def choose(self, label, option):
+        """Choose an option of the list with a label."""
+        labels = self.script("Array.from(document.querySelectorAll('label'), l => [l.innerText, l.htmlFor])")
+        self.browser.find_element("id", dict(labels)[label]).click()
+        options = "Array.from(document.querySelectorAll('[role=option]'))"
+        self.until(lambda: option in self.script(f"{options}.map(o => o.innerText)"))
+        self.script(f"{options}.find(o => o.innerText == arguments[0]).click()", option)
+
     def pixel(self, point):
         """Where a place in the room is shown."""
         left, top, width, height = self.script(

@@ -97,7 +97,7 @@ class MountSpace:
         for step in range(TURN_STEPS + 1):
             left = 1.0 - step / TURN_STEPS
             turn = yaw if ahead is None else ahead + _between(_nearest(0.0, self.yaw), yaw, left)
-            mount = _rounded(camera, place, turn, _between(level, pitch, left), roll)
+            mount = rounded(camera, place, turn, _between(level, pitch, left), roll)
             if self.own_part(mount) <= self.body.own_share:
                 return mount
         return None
@@ -149,9 +149,31 @@ class MountSpace:
         """
         if len(rig.mounts) != self.count:
             raise InputError(f"count = {self.count}, but {len(rig.mounts)} cameras are given.", "count")
-        return np.stack([self._genes_of(f"rig[{i}]", mount) for i, mount in enumerate(rig.mounts)])
+        found = [self._nearest_genes(mount) for mount in rig.mounts]
+        for i, (genes, mount) in enumerate(zip(found, rig.mounts, strict=True)):
+            there = self.mount(genes)
+            if there is None or not _alike(there, mount):
+                raise InputError(
+                    f"rig[{i}] is not where and how a camera may be mounted, so it cannot be a start.", "rig"
+                )
+        return np.stack(found)
 
-    def _genes_of(self, name: str, mount: Mount) -> FloatArray:
+    def moved(self, rig: Rig, number: int, mount: Mount) -> Rig:
+        """The rig with a camera where and how it may be mounted nearest to `mount`.
+
+        Raises:
+            InputError: it would see its body there however it is turned, or be too close to another.
+        """
+        there = self.mount(self._nearest_genes(mount))
+        if there is None:
+            raise InputError(f"camera {number} would see its body from there.")
+        others = rig.mounts[:number] + rig.mounts[number + 1 :]
+        if not all(self.are_apart((there, other)) for other in others):
+            raise InputError(f"camera {number} would be less than {self.apart:g} m from another.")
+        return rig.with_mount(number, there)
+
+    def _nearest_genes(self, mount: Mount) -> FloatArray:
+        """The genes of a camera `(G,)` of which the `mount` is nearest to another, wherever that may be."""
         s, place = self._surfaces, np.array(mount.translation)
         foot = place - self.body.standoff * s.normal  # (W, 3)
         every = np.arange(len(foot))
@@ -172,14 +194,11 @@ class MountSpace:
             of[angle] = float(np.clip((value - low) / (high - low), 0.0, 1.0)) if high > low else 0.5
         if mount.camera in self.lenses:
             of["lens"] = (list(self.lenses).index(mount.camera) + 0.5) / len(self.lenses)
-        genes = np.array([of[gene] for gene in self.names])
-        found = self.mount(genes)
-        if found is None or not _alike(found, mount):
-            raise InputError(f"{name} is not where and how a camera may be mounted, so it cannot be a start.", "rig")
-        return genes
+        return np.array([of[gene] for gene in self.names])
 
 
-def _rounded(camera: Camera, place: FloatArray, yaw: float, pitch: float, roll: float) -> Mount:
+def rounded(camera: Camera, place: FloatArray, yaw: float, pitch: float, roll: float) -> Mount:
+    """A mount in whole millimetres and milliradians."""
     yaw, pitch, roll = (round(value, DECIMALS) + 0.0 for value in (_turned(yaw), pitch, roll))
     return Mount(camera, tuple((np.round(place, DECIMALS) + 0.0).tolist()), yaw, pitch, roll)
 

@@ -11,7 +11,6 @@ from lmd.core.checks import FloatArray, InputError
 from lmd.objectives.coverage import Coverage
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
-from lmd.scene.deployment_sources import DeploymentSource
 from lmd.scene.rig import Mount, Rig
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE
@@ -68,11 +67,6 @@ class CameraProblem(Problem):
         ]
         return tuple(Mount(self.space.lenses[0], tuple(place.tolist())) for place in at)
 
-    def with_rig(self, rig: Rig, start: DeploymentSource | None = None) -> Problem:
-        """The problem of landmarks with a rig in place of the cameras, and another start if one is given."""
-        scene = replace(self.scene, camera=rig)
-        return Problem(scene, self.objective, start or self.start, self.evaluator.threads, self.fixed)
-
     def stay(self, mounts: Sequence[Mount]) -> bool:
         """Whether the cameras are in the room wherever the body may be.
 
@@ -103,6 +97,10 @@ class CameraProblem(Problem):
                 return -np.inf
             self._most = fitness
         return fitness
+
+    def reached(self, fitness: float) -> None:
+        """Take a fitness as reached in an earlier sitting: `fitness_of_cameras` then says what it would have said."""
+        self._most = max(self._most, fitness)
 
     @property
     def dim(self) -> int:

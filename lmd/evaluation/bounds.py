@@ -23,14 +23,20 @@ bound on cells (`lmd.sight.poses`): that makes the bound one for every flush dep
 Landmarks that hang already are not chosen: where nothing hides them they cover b_pa, and c_pa = b_pa + sum_j x_j A_jpa
 adds sum_pa y_pa b_pa to the constant, with K the number of the others.
 
+With K_s tags of size s, x_js of them at pose j, each size has covers A^s_jpa and gains g_js of its own, and K max_j g_j
+becomes sum_s K_s max_j g_js, each sought where a tag of that size may hang.
+
 A view that is localised covers n landmarks, so the same bounds hold for what `Localisation` makes of P_n: they are
 valid, but take no account of its tolerance.
 """
 
 import heapq
 import math
-from dataclasses import dataclass
-from functools import cached_property
+import operator
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, reduce
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -97,7 +103,8 @@ class UpperBound:
         grid: no deployment on the grid of poses is better.
         fractional: what fractions of landmarks on that grid reach; bounds for the grid end here.
         dual: the multipliers.
-        gain: no flush landmark earns more than this with them.
+        gain: no flush landmark earns more than this with them; of several sizes on average, as many as there are of
+            each.
     """
 
     walls: float
@@ -161,7 +168,7 @@ def average_upper_bound(problem: Problem, count: int, search: Search) -> UpperBo
     """Bounds the mean of P_n over the grid (positions count alike) for `count` landmarks."""
     size = len(problem.evaluator.positions)
     shares, n = np.full(size, 1.0 / size), _at_most_coverage(problem).n
-    return _bound(problem, Relaxation(problem.evaluator, shares, n, 1.0, problem.fixed), count, search)
+    return _bound(problem, Relaxation(problem.evaluator, shares, n, 1.0, problem.hung), count, search)
 
 
 def fitness_upper_bound(problem: Problem, count: int, search: Search) -> UpperBound:
@@ -173,7 +180,7 @@ def fitness_upper_bound(problem: Problem, count: int, search: Search) -> UpperBo
     threshold = 1.0 if averaged else objective.thold_p - TOLERANCE
     if threshold <= 0.0:
         return UpperBound(1.0, 1.0, 1.0, Dual(1.0, np.zeros((len(relevance), evaluator.axes.shape[1]))), 0.0)
-    relaxation = Relaxation(evaluator, relevance / relevance.sum(), objective.n, threshold, problem.fixed)
+    relaxation = Relaxation(evaluator, relevance / relevance.sum(), objective.n, threshold, problem.hung)
     return _bound(problem, relaxation, count, search)
 
 
@@ -184,8 +191,9 @@ def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
     concavity are never too many, until the bound reaches the target.
 
     Raises:
-        InputError: not even `MOST_LANDMARKS` reach it.
+        InputError: not even `MOST_LANDMARKS` reach it, or tags have several sizes.
     """
+    problem.scene.check_one_size("a least number of landmarks")
     real("target", target, low=0.0, high=1.0)
     count = max(_at_most_coverage(problem).n, problem.fixed_count + 1)
     while (bound := fitness_upper_bound(problem, count, search)).walls < target - TOLERANCE:
@@ -196,8 +204,7 @@ def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
 
 
 def _at_most_coverage(problem: Problem) -> Coverage | Localisation:
-    """The objective, whose values are at most P_n; tags have one size."""
-    problem.scene.check_one_size("the upper bound")
+    """The objective, whose values are at most P_n."""
     if not isinstance(problem.objective, Coverage | Localisation):
         raise InputError(
             f"there is no upper bound for the objective {type(problem.objective).__name__}, only for Coverage and "
@@ -206,18 +213,55 @@ def _at_most_coverage(problem: Problem) -> Coverage | Localisation:
     return problem.objective
 
 
+class Kind(NamedTuple):
+    """The free landmarks of one size."""
+
+    evaluator: Evaluator
+    """The scene with tags of that size alone."""
+    cells: Cells
+    """Pieces of the walls where they may hang."""
+    poses: Deployment
+    """Those in the centres of the cells; with their edge, where there are several sizes."""
+    number: int
+    """How many there are."""
+
+
+def _kinds(problem: Problem, evaluator: Evaluator, count: int, spacing: float) -> list[Kind]:
+    """The sizes of the free landmarks of `count`.
+
+    Raises:
+        InputError: there are several, and another number of landmarks than that of the problem.
+    """
+    plates, sizes = problem.scene.plates, problem.free_sizes
+    if sizes is None or not problem.scene.has_several_sizes:
+        cells = wall_cells(plates.hanging, spacing)
+        return [Kind(evaluator, cells, cells.poses, count - problem.fixed_count)]
+    if count != problem.count:
+        raise InputError(f"of {count} landmarks it is not known how many have each size.")
+    kinds = []
+    for edge, number in zip(*np.unique(sizes, return_counts=True), strict=True):
+        cells = wall_cells(plates.inset(plates.tag.paper_share * edge), spacing)
+        poses = replace(cells.poses, edges=np.full(len(cells.poses), edge))
+        kinds.append(Kind(evaluator.sized(np.array([edge])), cells, poses, int(number)))
+    return kinds
+
+
 def _bound(problem: Problem, relaxation: Relaxation, count: int, search: Search) -> UpperBound:
     """Multipliers found on the grid of poses, and what they prove for the whole walls."""
-    cells, free = wall_cells(problem.scene.plates.hanging, search.spacing), count - problem.fixed_count
-    dual, grid, fractional = _solve(relaxation, cells.poses, free, search)
-    gain = largest_gain(relaxation.evaluator, cells, dual.prices, search.tolerance / free)
+    kinds = _kinds(problem, relaxation.evaluator, count, search.spacing)
+    free, numbers = count - problem.fixed_count, np.array([kind.number for kind in kinds])
+    dual, grid, fractional = _solve(relaxation, kinds, search)
+    each = np.array([largest_gain(k.evaluator, k.cells, dual.prices, search.tolerance / free) for k in kinds])
+    gain = float(each.max() - numbers @ (each.max() - each) / free)  # the mean; of one size exactly its own
     return UpperBound(dual.bound(free, gain), grid, fractional, dual, gain)
 
 
-def _solve(relaxation: Relaxation, poses: Deployment, count: int, search: Search) -> tuple[Dual, float, float]:
-    """The best multipliers found for `count` free landmarks on `poses`, their bound there, and the largest F found."""
-    evaluator = relaxation.evaluator
-    x = ahead = np.full(len(poses), count / len(poses))
+def _solve(relaxation: Relaxation, kinds: Sequence[Kind], search: Search) -> tuple[Dual, float, float]:
+    """The best multipliers found for the landmarks of all kinds, their bound on the poses, and the largest F found."""
+    evaluator, poses = relaxation.evaluator, reduce(operator.add, (kind.poses for kind in kinds))
+    ends = np.cumsum([0, *(len(kind.poses) for kind in kinds)]).tolist()
+    parts = [(slice(*at), kind.number) for at, kind in zip(pairwise(ends), kinds, strict=True)]
+    x = ahead = np.concatenate([np.full(len(kind.poses), kind.number / len(kind.poses)) for kind in kinds])
     covered = covered_ahead = covered_amounts(evaluator, poses, x)
     fractional, momentum, curvature = relaxation.value(covered), 1.0, 0.0
     best, grid = Dual(1.0, np.zeros_like(covered)), 1.0
@@ -225,13 +269,15 @@ def _solve(relaxation: Relaxation, poses: Deployment, count: int, search: Search
         width = max(FIRST_WIDTH * 0.5 ** (step // STEPS_PER_WIDTH), LAST_WIDTH)
         value, dual = relaxation.smoothed(covered_ahead, width)
         gradient = gains(evaluator, poses, dual.prices)
-        if (bound := dual.bound(count, gradient.max())) < grid:
+        earned = sum(count * float(gradient[part].max()) for part, count in parts)
+        if (bound := dual.bound(1, earned)) < grid:
             best, grid = dual, bound
         if grid - fractional <= search.tolerance:
             break
         curvature = 0.9 * curvature or 0.01 * gradient.max() / x.max()
         while True:
-            new = _nearest_on_simplex(ahead + gradient / curvature, count)
+            up = ahead + gradient / curvature
+            new = np.concatenate([_nearest_on_simplex(up[part], count) for part, count in parts])
             covered_new, moved = covered_amounts(evaluator, poses, new), new - ahead
             model = value + gradient @ moved - curvature / 2.0 * moved @ moved
             if relaxation.smoothed(covered_new, width)[0] >= model - TOLERANCE:

@@ -10,20 +10,23 @@ this says how much it is in the case at hand. A landmark that is hidden adds not
 as more landmarks never lower f, hiding only does: the bound holds with hiding, too.
 
 It is one for poses of the grid and for f, not for the objective that f stands for.
+
+With K_s tags of size s a candidate is a pose and a size. The best choice has K_s of size s, so its gains at S are at
+most the K_s largest of that size, for each size; and greedy reaches half of the best in any case (Fisher, Nemhauser and
+Wolsey 1978, for a partition matroid).
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from lmd.core.checks import FloatArray
+from lmd.core.checks import FloatArray, InputError
 from lmd.objectives.base import selectable
-from lmd.optimisers.selection import add_each, select
+from lmd.optimisers.selection import Stock, Tags, add_each, candidates, select
 from lmd.problem import Problem
-from lmd.sight.poses import candidate_poses
 
 # The share of the best that the greedy choice reaches in any case, where every pose is free to take.
-GUARANTEE = 1.0 - np.exp(-1.0)
+GUARANTEE, GUARANTEE_OF_SIZES = 1.0 - np.exp(-1.0), 0.5
 
 
 @dataclass(frozen=True)
@@ -34,11 +37,13 @@ class SelectionBound:
         label: what is bounded.
         greedy: what the greedy choice reaches.
         grid: no choice of poses of the grid is better.
+        guarantee: the share that the greedy choice reaches in any case.
     """
 
     label: str
     greedy: float
     grid: float
+    guarantee: float = GUARANTEE
 
     @property
     def share(self) -> float:
@@ -53,23 +58,36 @@ def selection_upper_bound(problem: Problem, count: int, spacing: float) -> Selec
     overlap. The result does not depend on the number of threads.
 
     Raises:
-        InputError: the objective has no selection, or the spacing is not positive.
+        InputError: the objective has no selection, the spacing is not positive, or there are several sizes and another
+            number of landmarks than that of the problem.
     """
-    problem.scene.check_one_size("the bound of a selection")
     plates, objective = problem.scene.plates, selectable(problem.objective)
     evaluator, relevance = problem.fitness_evaluator, problem.fitness_relevance
-    poses = candidate_poses(plates.hanging, spacing)
-    free = count - problem.fixed_count
-    chosen, _ = select(objective.selection(evaluator, relevance), poses, free, plates, fixed=problem.fixed)
+    several = problem.scene.has_several_sizes
+    if several and count != problem.count:
+        raise InputError(f"of {count} landmarks it is not known how many have each size.")
+    edges = problem.free_sizes if several else None
+    poses = candidates(plates, edges, spacing)
+    stock: int | Stock = count - problem.fixed_count if edges is None else Tags(edges)
+    chosen, _ = select(objective.selection(evaluator, relevance), poses, stock, plates, fixed=problem.hung)
     selection, greedy = objective.selection(evaluator, relevance), 0.0
-    add_each(selection, problem.fixed)
-    at_first = _largest(selection.gains(poses), free)
+    add_each(selection, problem.hung)
+
+    def largest(gains: FloatArray) -> float:
+        """The sum of as many of the largest gains as there are landmarks, of each size."""
+        if edges is None or poses.edges is None:
+            return _largest(gains, count - problem.fixed_count)
+        sizes = zip(*np.unique(edges, return_counts=True), strict=True)
+        return sum(_largest(gains[poses.edges == edge], number) for edge, number in sizes)
+
+    at_first = largest(selection.gains(poses))
     for j in chosen:
         greedy += float(selection.gains(poses[j : j + 1])[0])
         selection.add(poses[j : j + 1])
     gains = selection.gains(poses)
     gains[chosen] = 0.0  # each pose once
-    return SelectionBound(selection.label, greedy, min(at_first, greedy + _largest(gains, free)))
+    guarantee = GUARANTEE_OF_SIZES if several else GUARANTEE
+    return SelectionBound(selection.label, greedy, min(at_first, greedy + largest(gains)), guarantee)
 
 
 def _largest(gains: FloatArray, count: int) -> float:

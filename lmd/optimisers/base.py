@@ -220,6 +220,8 @@ class AskTell(Optimiser):
                 )
             self.ledger.seconds = by_then
             self._note_or_tell(genes, known, asked)
+        if isinstance(problem, CameraProblem):
+            problem.reached(self.ledger.best_fitness)
 
     def _draw_start(self, problem: Problem) -> None:
         """Set what a run begins with."""

@@ -63,8 +63,10 @@ class CameraAnnealing(Optimiser):
 
     def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
         """See `Optimiser.restore`."""
-        space = _cameras(problem).space
+        cameras = _cameras(problem)
+        space = cameras.space
         self.ledger = Ledger.of(state)
+        cameras.reached(self.ledger.best_fitness)
         if self.ledger.history:
             shape = (space.count, len(space.names))
             self.here, self.best = (

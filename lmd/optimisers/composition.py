@@ -1,35 +1,36 @@
-"""How many tags of each size, where only the paper is given."""
+"""How many tags of each size, where only their paper or their cost is given."""
 
 import numpy as np
 
 from lmd.core.checks import InputError
 from lmd.objectives.base import Objective, selectable
-from lmd.optimisers.selection import GRID_SPACING, Paper, candidates, select
+from lmd.optimisers.selection import GRID_SPACING, Money, Paper, Stock, candidates, select
 from lmd.scene.deployment import Deployment
+from lmd.scene.plates import Plates
 from lmd.scene.scene import Scene
+from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
 
 
 def composition(
     scene: Scene,
     objective: Objective,
-    area: float,
     threads: int | None = None,
     fixed: Deployment | None = None,
 ) -> tuple[int, ...]:
-    """How many tags of each of the edges of a scene's tag greedy selection by gain per square metre of paper takes.
+    """How many tags of each of the edges of a scene's tag greedy selection by gain per price takes.
 
     Args:
-        scene: its tag has several edges.
+        scene: its tag has several edges, and says how much paper they may take or what they may cost.
         objective: what they are for; it must have a selection.
-        area: of all their papers, square metres.
         threads: worker threads, all processors by default; the result does not depend on it.
         fixed: landmarks that hang already, with their surfaces.
 
     Raises:
-        InputError: the paper does not suffice for one tag, or the objective has no selection.
+        InputError: that does not suffice for one tag, or the objective has no selection.
     """
-    edges, plates = np.array(scene.tag.edges), scene.plates
+    tag, plates = scene.tag, scene.plates
+    edges, stock = np.array(tag.edges), _stock(tag, plates)
     evaluator = Evaluator(scene.sized(edges), threads=threads)
     relevance = scene.room.relevance.weights(evaluator.positions)
     hung = (
@@ -38,12 +39,22 @@ def composition(
         else Deployment(fixed.positions, fixed.normals, fixed.surfaces, edges=fixed.edges_of(scene.tag))
     )
     poses = candidates(plates, edges, GRID_SPACING)
-    chosen, _ = select(
-        selectable(objective).selection(evaluator, relevance), poses, Paper(area, plates), plates, fixed=hung
-    )
+    chosen, _ = select(selectable(objective).selection(evaluator, relevance), poses, stock, plates, fixed=hung)
     if not len(chosen):
-        smallest = plates.edge**2
-        raise InputError(f"paper = {area:g} square metres is too little for a tag: it takes {smallest:.3g}.", "paper")
+        least = float(stock.prices(poses).min())
+        if tag.budget is not None:
+            raise InputError(f"budget = {tag.budget:g} is too little for a tag: it costs {least:.3g}.", "budget")
+        raise InputError(f"paper = {tag.paper:g} square metres is too little for a tag: it takes {least:.3g}.", "paper")
     assert poses.edges is not None, "candidates have sizes"
     found = poses.edges[chosen]
     return tuple(int((found == edge).sum()) for edge in edges)
+
+
+def _stock(tag: Tag, plates: Plates) -> Stock:
+    """What there is to hang."""
+    if tag.budget is not None:
+        assert tag.edges is not None, "a budget comes with costs, and these with edges"
+        assert tag.costs is not None, "a budget comes with costs"
+        return Money(tag.budget, dict(zip(tag.edges, tag.costs, strict=True)))
+    assert tag.paper is not None, "something limits them"
+    return Paper(tag.paper, plates)

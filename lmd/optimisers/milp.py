@@ -6,7 +6,7 @@ when no other landmark hides it, `w_a` the probability of an axis and `r_p` the 
     maximise   sum_p r_p z_p                                        z_p: position p is qualified
     such that  n y_pa <= sum_j A_jpa x_j   for all p, a             y_pa: at least n landmarks are covered
                thold_p z_p <= sum_a w_a y_pa   for all p
-               sum_j x_j = K,   y and z 0 or 1,
+               sum_j x_j = K,   of each size of tags if there are several,   y and z 0 or 1,
                x_j 0 to n for points; 0 or 1 for papers, and x_i + x_j <= 1 where they overlap.
 
 Axes that the same poses cover from a position are one row, with the sum of their weights. Landmarks that hide each
@@ -33,12 +33,13 @@ from lmd.objectives.coverage import Coverage
 from lmd.optimisers.annealing.stacks import STACK_SPREAD, pulled_apart
 from lmd.optimisers.base import Callback, Optimiser, Result
 from lmd.optimisers.ledger import Budget, Ledger
+from lmd.optimisers.selection import candidates
 from lmd.optimisers.stored import deployment, deployment_state
 from lmd.problem import Problem
 from lmd.scene.criteria import TOLERANCE
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
-from lmd.sight.poses import candidate_poses, covered_amounts
+from lmd.sight.poses import covered_amounts
 
 MOST_PAIRS = 20_000_000  # of a pose and a view; far more than HiGHS solves in an hour
 PROVEN, INFEASIBLE = 0, 2  # status of scipy.optimize.milp
@@ -90,15 +91,15 @@ class Milp(Optimiser):
             raise InputError("the integer program is that of plain coverage at the grid's own positions.")
         if isinstance(problem.scene.camera, Rig):
             raise InputError("the integer program is that of one camera, not of a rig.")
-        problem.scene.check_one_size("the integer program")
-        poses, views = len(self._poses(problem)), _views(problem).size
+        lattice_poses = self._poses(problem)
+        poses, views = len(lattice_poses), _views(problem).size
         lattice = f"the lattice of the integer program has {poses} poses, {self.spacing:g} m apart"
         if poses * views > MOST_PAIRS:
             raise InputError(
                 f"{lattice}, and {views} views: no more than {MOST_PAIRS:.3g} pairs of a pose and a view make a "
                 "program that can be solved."
             )
-        if poses * _copies(problem) < problem.free_count:
+        if any(len(of) * _copies(problem) < count for of, count in _by_size(problem, lattice_poses)):
             raise InputError(f"{lattice}: too few for {problem.free_count} landmarks.")
 
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
@@ -140,7 +141,8 @@ class Milp(Optimiser):
         }
         if solved.x is not None:
             taken = np.rint(solved.x).astype(int)  # HiGHS is right to 1e-6
-            note(costs + 1, _apart(problem, poses, taken[: len(poses)]))
+            placed = _apart if poses.edges is None else _in_order
+            note(costs + 1, placed(problem, poses, taken[: len(poses)]))
             self.proven["lattice_found"] = found = float(problem.fitness_relevance @ taken[-program.positions :] / most)
             if solved.status == PROVEN:
                 self.proven["lattice_bound"] = found
@@ -154,11 +156,19 @@ class Milp(Optimiser):
     def _poses(self, problem: Problem) -> Deployment:
         """The lattice, without the places that papers of fixed tags take."""
         plates = problem.scene.plates
-        poses = candidate_poses(plates.hanging, self.spacing)
-        if problem.fixed is None or not plates.edge:
+        poses, hung = candidates(plates, problem.free_sizes, self.spacing), problem.hung
+        if hung is None or not plates.edge:
             return poses
-        taken = [plates.touched(poses, problem.fixed[k : k + 1]) for k in range(problem.fixed_count)]
+        taken = [plates.touched(poses, hung[k : k + 1]) for k in range(len(hung))]
         return poses[~np.any(taken, axis=0)]
+
+
+def _by_size(problem: Problem, poses: Deployment) -> list[tuple[IntArray, int]]:
+    """Of each size of the free landmarks the indices of the poses that are for it, and how many there are."""
+    sizes = problem.free_sizes
+    if sizes is None or poses.edges is None:
+        return [(np.arange(len(poses)), problem.free_count)]
+    return [(np.flatnonzero(poses.edges == edge), int((sizes == edge).sum())) for edge in np.unique(sizes)]
 
 
 def _copies(problem: Problem) -> int:
@@ -173,6 +183,17 @@ def _apart(problem: Problem, poses: Deployment, copies: IntArray) -> Deployment:
         chosen = poses[copies == stack]
         parts.append(pulled_apart(problem, chosen, np.zeros(len(chosen)), stack, distance))
     return problem.complete(reduce(operator.add, parts))
+
+
+def _in_order(problem: Problem, poses: Deployment, taken: IntArray) -> Deployment:
+    """The deployment with a tag at each pose that is `taken`, `(J,)` 0 or 1, where each landmark has its own size."""
+    sizes = problem.free_sizes
+    assert sizes is not None, "tags have sizes"
+    order = np.empty(len(sizes), dtype=int)
+    for of, _ in _by_size(problem, poses):
+        order[sizes == poses.edges[of[0]]] = of[taken[of] == 1]  # type: ignore[index] # as there are sizes
+    chosen = poses[order]
+    return problem.complete(Deployment(chosen.positions, chosen.normals, chosen.surfaces))
 
 
 def _views(problem: Problem) -> FloatArray:
@@ -196,6 +217,8 @@ class _Program:
         counted: landmarks that hang already and cover them, `(R,)`.
         weights: of the rows at each position, `(P, R)`.
         overlaps: pairs of poses of which only one may be taken, `(C, J)`.
+        sizes: which poses are for each of the S sizes, `(S, J)`.
+        counts: how many landmarks have each, `(S,)`.
         problem: of plain coverage.
     """
 
@@ -203,6 +226,8 @@ class _Program:
     counted: IntArray
     weights: csr_array
     overlaps: coo_array
+    sizes: csr_array
+    counts: IntArray
     problem: Problem
 
     @classmethod
@@ -215,7 +240,7 @@ class _Program:
             return np.minimum(counts[:, used], n).astype(np.int8)
 
         views = _views(problem)
-        already = np.zeros(views.shape, np.int8) if problem.fixed is None else seen(problem.fixed)
+        already = np.zeros(views.shape, np.int8) if problem.hung is None else seen(problem.hung)
         cover = np.stack([already, *(seen(poses[j : j + 1]) for j in range(len(poses)))], axis=-1)  # (P, A, 1 + J)
         kinds = [np.unique(views, axis=0, return_inverse=True) for views in cover]
         rows = np.concatenate([distinct for distinct, _ in kinds])
@@ -224,7 +249,11 @@ class _Program:
         pairs = np.argwhere(np.triu(close, 1)) if close else np.empty((0, 2), dtype=int)
         overlaps = coo_array((np.ones(pairs.size), (np.arange(len(pairs)).repeat(2), pairs.reshape(-1))),
                              shape=(len(pairs), len(poses)))  # fmt: skip
-        return cls(csr_array(rows[:, 1:], dtype=float), rows[:, 0], block_diag(weights), overlaps, problem)
+        sizes = _by_size(problem, poses)
+        of = csr_array([np.isin(np.arange(len(poses)), own) for own, _ in sizes], dtype=float)
+        counts = np.array([count for _, count in sizes])
+        covers = csr_array(rows[:, 1:], dtype=float)
+        return cls(covers, rows[:, 0], block_diag(weights), overlaps, of, counts, problem)
 
     @property
     def positions(self) -> int:
@@ -236,14 +265,14 @@ class _Program:
         (rows, poses), n = self.covers.shape, self.problem.objective.n
         threshold = max(self.problem.objective.threshold - TOLERANCE, 0.0)
         left = block_array([
-            [csr_array(np.ones((1, poses))), None, None],
+            [self.sizes, None, None],
             [self.covers, -n * eye_array(rows), None],
             [None, self.weights, -threshold * eye_array(self.positions)],
             [self.overlaps, None, None],
         ])  # fmt: skip
-        count, overlaps = self.problem.free_count, self.overlaps.shape[0]
-        low = np.concatenate([[count], -self.counted, np.zeros(self.positions), np.full(overlaps, -np.inf)])
-        high = np.concatenate([[count], np.full(rows + self.positions, np.inf), np.ones(overlaps)])
+        overlaps = self.overlaps.shape[0]
+        low = np.concatenate([self.counts, -self.counted, np.zeros(self.positions), np.full(overlaps, -np.inf)])
+        high = np.concatenate([self.counts, np.full(rows + self.positions, np.inf), np.ones(overlaps)])
         return partial(
             milp,
             np.concatenate([np.zeros(poses + rows), -self.problem.fitness_relevance]),

@@ -5,12 +5,12 @@ after the other, comes within 1 - 1/e of the best choice of poses for it. Gains 
 the lazy variant (Minoux 1978) exact: a pose needs evaluating again only while its last known gain is the largest.
 
 Where tags have several sizes, a candidate is a pose and a size, and what is left of a size says whether it may still be
-chosen. Where only the paper is given, candidates compete by their gain per square metre of it.
+chosen. Where only the paper or the cost of all is given, candidates compete by their gain per square metre or cost.
 """
 
 import operator
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import reduce
 from typing import Protocol
 
@@ -84,8 +84,34 @@ class Paper:
 
     def none_left(self, poses: Deployment, chosen: Sequence[int]) -> BoolArray:
         """See `Stock.none_left`."""
-        prices = self.prices(poses)
-        return np.asarray(prices > self.area * (1.0 + ROUNDING) - prices[list(chosen)].sum())
+        return _too_dear(self.prices(poses), chosen, self.area)
+
+
+@dataclass(frozen=True)
+class Money:
+    """What tags may cost in all, and the cost of one of each edge."""
+
+    total: float
+    costs: Mapping[float, float]
+
+    def prices(self, poses: Deployment) -> FloatArray:
+        """See `Stock.prices`."""
+        assert poses.edges is not None, "candidates have sizes"
+        return np.array([self.costs[edge] for edge in poses.edges.tolist()])
+
+    def none_left(self, poses: Deployment, chosen: Sequence[int]) -> BoolArray:
+        """See `Stock.none_left`."""
+        return _too_dear(self.prices(poses), chosen, self.total)
+
+
+def _too_dear(prices: FloatArray, chosen: Sequence[int], total: float) -> BoolArray:
+    """For which of the poses what is left of the total after those `chosen` does not suffice, `(N,)`."""
+    return np.asarray(prices > total * (1.0 + ROUNDING) - prices[list(chosen)].sum())
+
+
+def stock_of(problem: Problem) -> Stock:
+    """The landmarks that a problem has to place."""
+    return Landmarks(problem.free_count) if problem.free_sizes is None else Tags(problem.free_sizes)
 
 
 def select(
@@ -176,14 +202,10 @@ def greedy_start(problem: Problem, start: Deployment, spacing: float, allowance:
     Returns:
         the deployment, and the number of gains evaluated.
     """
-    plates, sizes, fixed = problem.scene.plates, problem.sizes, problem.fixed
-    edges = None if sizes is None else sizes[problem.fixed_count :]
-    if fixed is not None and sizes is not None:
-        fixed = replace(fixed, edges=sizes[: problem.fixed_count])
+    plates, edges = problem.scene.plates, problem.free_sizes
     poses = _candidates_within(plates, edges, spacing, allowance / 2)
     selection = selectable(problem.objective).selection(problem.fitness_evaluator, problem.fitness_relevance)
-    stock = Landmarks(problem.free_count) if edges is None else Tags(edges)
-    chosen, spent = select(selection, poses, stock, plates, allowance, fixed)
+    chosen, spent = select(selection, poses, stock_of(problem), plates, allowance, problem.hung)
     return problem.apart(_in_place(start, problem.free_count, edges, poses[chosen])) or start if len(
         chosen
     ) else start, spent

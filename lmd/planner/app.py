@@ -10,6 +10,7 @@ import io
 import logging
 import operator
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -28,10 +29,10 @@ from lmd.planner.panel import ADDITIONS, DELETE, UNDO, Panel
 from lmd.planner.picture import Picture
 from lmd.planner.plan import Plan
 from lmd.planner.pointing import pointed_at
-from lmd.planner.session import Session
+from lmd.planner.robot import robot_of
+from lmd.planner.session import Posed, Session
 from lmd.planner.surveyed import Found
 from lmd.planner.worker import Wanted, Worker
-from lmd.scene.deployment import Deployment
 from lmd.space.surface import SurfaceArrays
 
 TO_COME = {"off the grid": "..."}
@@ -44,7 +45,7 @@ class Planner:
     Args:
         session: what is planned.
         port: of the address; 0 for one that is free.
-        save: writes a deployment, and says where.
+        save: writes a plan, and says where.
         optimiser: makes the method that moves the free tags.
         budget: of each search.
         seed: of the sample off the grid; None to leave that out.
@@ -58,21 +59,20 @@ class Planner:
         self,
         session: Session,
         port: int,
-        save: Callable[[Deployment], str],
+        save: Callable[[Plan], str],
         optimiser: Callable[[], Optimiser],
         budget: Budget,
         seed: int | None,
         survey: Found | None = None,
     ) -> None:
         viser = optional("viser", "view")
-        self._session, self._problem = session, session.problem
+        self._session = session
         self._save_files, self._optimiser, self._seed = save, optimiser, seed
         self._acts = Acts()
         self._surfaces = SurfaceArrays.of(session.problem.scene.plates.hanging.surfaces())
         self._selected: int | None = None
         self._dragged: int | None = None
         self._pointer: Any = None  # the latest event of a drag that has not been looked at
-        self._camera: np.ndarray | None = None  # position `(3,)`
         self._additions: Additions | None = None
         logging.getLogger("websockets.server").setLevel(logging.WARNING)
         self._access = Access()
@@ -81,10 +81,12 @@ class Planner:
         if port not in (0, self._server.get_port()):
             self._server.stop()
             raise InputError(f"port {port} is taken.", "port")
-        self._picture, value = Picture(self._server, self._problem), self._problem.objective.value_label
+        self._picture, value = Picture(self._server, session.problem), session.problem.objective.value_label
         if survey is not None:
             self._picture.show_survey(survey, session.deployment)
-        self._panel = Panel(self._server.gui, value, budget, ids=len(session.deployment) <= MOST_CAPTIONS)
+        few, sizes = len(session.deployment) <= MOST_CAPTIONS, session.problem.scene.tag.sizes
+        self._panel = Panel(self._server.gui, value, budget, ids=few, edges=sizes)
+        self._robot = robot_of(self._server, self._picture.depth, session, self._acts, self._show)
         self._worker = Worker(self._work, lambda *failure: self._acts.put(partial(self._take_failure, *failure)))
         self._listen()
         self._show()
@@ -118,6 +120,7 @@ class Planner:
             (panel.save.on_click, self._save),
             (panel.tag.on_click, self._change_tag),
             (panel.place.on_click, self._place),
+            (panel.resize.on_click, self._resize),
             (panel.step.on_click, self._step),
             (panel.optimise.on_click, self._optimise_or_stop),
             (panel.yaw.on_update, self._look),
@@ -135,7 +138,7 @@ class Planner:
         if self._session.search is not None:
             self._show_search()
         elif self._dragged is None:
-            self._worker.ask(self._session.deployment)
+            self._worker.ask(self._session.posed)
 
     def _point(self, event: Any) -> None:
         """Note a drag, in a thread of viser's; of the places on its way only the latest matters."""
@@ -186,25 +189,34 @@ class Planner:
         eye, way = np.asarray(event.ray_origin), np.asarray(event.ray_direction)
         place = pointed_at(self._surfaces, eye, way)
         if self._panel.adds.value and place is not None:
-            self._selected = self._session.add(*place)
+            self._selected = self._session.add(*place, self._panel.edge)
             self._panel.say(f"tag {self._selected} was added")
             self._show()
         elif self._additions is not None:
             self._panel.say_additions(self._additions, event.instance_index)
 
-    def _place(self, _: Any) -> None:
+    @property
+    def _chosen(self) -> int:
+        """The id of the tag that is selected."""
         if self._selected is None:
             raise InputError("click a tag first.")
-        self._session.place(self._selected, *self._panel.typed)
+        return self._selected
+
+    def _place(self, _: Any) -> None:
+        self._session.place(self._chosen, *self._panel.typed)
+        self._show()
+
+    def _resize(self, _: Any) -> None:
+        if self._panel.edge is None:
+            raise InputError("choose a size first.")
+        self._session.resize(self._chosen, self._panel.edge)
         self._show()
 
     def _change_tag(self, event: Any) -> None:
-        if self._selected is None:
-            raise InputError("click a tag first.")
         if event.target.value == DELETE:
-            self._session.delete(self._selected)
+            self._session.delete(self._chosen)
         else:
-            self._session.pin(self._selected)
+            self._session.pin(self._chosen)
         self._show()
 
     def _step(self, event: Any) -> None:
@@ -232,17 +244,18 @@ class Planner:
         self._panel.say(f"the fitness is {gained:.3%} higher" if gained else "nothing better was found")
 
     def _click_position(self, event: Any) -> None:
-        self._camera = self._problem.evaluator.positions[operator.index(event.instance_index)]
-        self._look(event)
+        position = self._session.problem.evaluator.positions[operator.index(event.instance_index)]
+        self._robot.stand(position, *self._panel.view)
+        self._show_tags()
 
     def _look(self, _: Any) -> None:
-        if self._camera is not None:
-            self._picture.show_camera(self._camera, *self._panel.view)
+        if self._robot.position is not None:
+            self._robot.stand(self._robot.position, *self._panel.view)
             self._show_tags()
 
     def _save(self, _: Any) -> None:
         try:
-            self._panel.say(f"saved in {self._save_files(self._session.deployment)}")
+            self._panel.say(f"saved in {self._save_files(self._session.plan)}")
         except OSError as error:
             raise InputError(f"this could not be saved ({error}).") from None
         self._session.note_saved()
@@ -252,12 +265,13 @@ class Planner:
     def _show(self) -> None:
         """Show a plan that has changed, and figures that follow from it at once."""
         self._worker.ask(None)
-        session, objective = self._session, self._problem.objective
+        session, problem = self._session, self._session.problem
         with self._server.atomic():
             self._show_tags()
+            self._robot.show()
             self._picture.show_values(session.values())
-            positions, count = len(self._problem.relevance), len(session.deployment)
-            self._panel.show_figures(objective.describe(session.metrics(), positions, count))
+            positions, count = len(problem.relevance), len(session.deployment)
+            self._panel.show_figures(problem.objective.describe(session.metrics(), positions, count))
             if self._seed is not None:
                 self._panel.show_off_grid(TO_COME)
         self._server.flush()
@@ -265,11 +279,12 @@ class Planner:
     def _show_tags(self) -> None:
         session = self._session
         deployment, plan = session.deployment, session.plan
-        seen = None if self._camera is None else session.seen(self._camera, *self._panel.view)
+        stands = self._robot.position
+        seen = None if stands is None else session.seen(stands, *self._panel.view)
         self._panel.show_seen(None if seen is None else np.sort(deployment.ids[seen]))
         if self._selected not in deployment.ids:
             self._selected = None
-        number, room = self._selected, self._problem.scene.room
+        number, room = self._selected, session.problem.scene.room
         if number is None:
             self._panel.show_tag(None, None)
         else:
@@ -295,34 +310,34 @@ class Planner:
         assert search is not None, "it is running"
         self._panel.show_progress(search.progress, running=True)
         if search.progress is not None:
-            plan = Plan(search.progress.best, self._session.plan.pinned)
+            plan = replace(self._session.plan, deployment=search.progress.best)
             self._picture.show_tags(plan, self._selected, None, self._panel.ids.value)
 
     # What is worked out when nobody does anything.
 
-    def _work(self, deployment: Deployment, wanted: Wanted) -> None:
+    def _work(self, posed: Posed, wanted: Wanted) -> None:
         """Find figures off the grid, what tags would add, then exacter figures; in the thread of the worker."""
         seed = self._seed
-        figures = iter(()) if seed is None else off_grid(self._problem, deployment, seed, wanted)
-        self._hand_over(deployment, next(figures, None))
-        found = additions(self._problem, deployment, self._picture.candidates.poses, wanted)
+        figures = iter(()) if seed is None else off_grid(*posed, seed, wanted)
+        self._hand_over(posed, next(figures, None))
+        found = additions(*posed, self._picture.candidates.poses, wanted)
         if found is not None:
             self._acts.put(partial(self._take_additions, found))
-        self._hand_over(deployment, next(figures, None))
+        self._hand_over(posed, next(figures, None))
 
-    def _hand_over(self, deployment: Deployment, rows: dict[str, str] | None) -> None:
+    def _hand_over(self, posed: Posed, rows: dict[str, str] | None) -> None:
         if rows is not None:
-            self._acts.put(partial(self._take_off_grid, deployment, rows))
+            self._acts.put(partial(self._take_off_grid, posed, rows))
 
     def _take_additions(self, found: Additions) -> None:
         self._additions = found
         self._show_additions()
 
-    def _take_off_grid(self, deployment: Deployment, rows: dict[str, str]) -> None:
-        if deployment is self._session.deployment:
+    def _take_off_grid(self, posed: Posed, rows: dict[str, str]) -> None:
+        if posed is self._session.posed:
             self._panel.show_off_grid(rows)
 
-    def _take_failure(self, deployment: Deployment, why: str) -> None:
-        if deployment is self._session.deployment:
+    def _take_failure(self, posed: Posed, why: str) -> None:
+        if posed is self._session.posed:
             self._panel.show_off_grid({})  # nothing is to come
             self._panel.say(why, refused=True)

@@ -19,6 +19,7 @@ FREE, PINNED = rgb(common.LANDMARK), rgb(common.FIXED)
 SELECTED, SEEN = rgb("#ff7f0e"), rgb("#ffdd33")
 MEASURED, ASKED = rgb("#17becf"), rgb("#2ca02c")  # tags of a survey, photographs that it asks for
 UNKNOWN = rgb("#cdcdcd")
+BODY = rgb("#7f8fa6")  # of a robot
 VALUES = common.COLOUR_MAP  # of the objective's value
 GAINS = "magma"  # of what a tag would add
 

@@ -2,7 +2,7 @@
 
 import html
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -19,6 +19,7 @@ ADDITIONS = {"mean value": "value", "fitness": "fitness"}  # what surfaces may s
 NO_ADDITION = "nothing"
 HINT = "drag a tag; click a tag, a position or a surface"
 UNDO, REDO, PIN, DELETE, SAVE = "Undo", "Redo", "Pin or unpin", "Delete", "Save"
+RESIZE = "Give the tag this size"
 PLACE, FROM_FLOOR, FROM_BELOW = "Hang it there", "from floor, m", "from below, m"
 WIDTH, GAP = 290.0, 12.0  # of the legend, and from it to the lower left corner of the picture, pixels
 OPTIMISE, STOP = "Optimise the free tags", "Stop, keep the best"
@@ -32,10 +33,11 @@ class Panel:
         value: what positions are coloured by.
         budget: of searches at first; users may change what limits it.
         ids: whether those of tags are shown at first.
+        edges: that tags may have, metres.
     """
 
-    def __init__(self, gui: Any, value: str, budget: Budget, ids: bool) -> None:
-        self._value = value
+    def __init__(self, gui: Any, value: str, budget: Budget, ids: bool, edges: Sequence[float] = ()) -> None:
+        self._value, self._edges = value, dict(zip(map("{:g} m".format, edges), edges, strict=True))
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
         gui.set_panel_label("lmd")
         gui.main_panel.dock_right()
@@ -51,6 +53,8 @@ class Panel:
             self.tag = gui.add_button_group("tag", (PIN, DELETE))
             self.step = gui.add_button_group("step", (UNDO, REDO))
             self.adds = gui.add_checkbox("a click on a surface adds a tag", initial_value=False)
+            self._size = gui.add_dropdown("size", tuple(self._edges) or ("",), visible=len(self._edges) > 1)
+            self.resize = gui.add_button(RESIZE, visible=len(self._edges) > 1)
         with gui.add_folder("Optimise"):
             # Numbers with a fraction: of one without, viser makes one that no browser could be told.
             self._limits = {
@@ -95,6 +99,11 @@ class Panel:
             InputError: a limit that was typed makes no sense.
         """
         return Budget(**{name: number.value for name, number in self._limits.items()})
+
+    @property
+    def edge(self) -> float | None:
+        """The size that is chosen, metres; None where there is no choice, and what a browser made up."""
+        return self._edges.get(self._size.value) if len(self._edges) > 1 else None
 
     @property
     def typed(self) -> tuple[float, float]:

@@ -7,7 +7,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from lmd.core.checks import BoolArray, FloatArray
-from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.geometry.squares import upright
 from lmd.planner.additions import candidate_cells
 from lmd.planner.captions import Captions
@@ -30,7 +29,6 @@ from lmd.planner.plan import Plan
 from lmd.planner.surveyed import Found
 from lmd.plot import common
 from lmd.problem import Problem
-from lmd.render.optics import view_edges
 from lmd.scene.deployment import Deployment
 
 SQUARE = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
@@ -42,14 +40,14 @@ POINT_SIZE = 0.008  # half the edge of a landmark that is a point, in diagonals 
 CELL_SHARE = 0.97  # of a cell that is coloured
 OFFSET_MAGNIFICATION = 20.0  # times that lines to where tags hang are as long
 LIGHT_INTENSITY = 2.0  # with which colours come out as they are given, nearly
-FRUSTUM_DEPTH = 0.08  # depth of the camera's view, in diagonals
+FRUSTUM_DEPTH = 0.08  # depth of views that are drawn, in diagonals
 
 
 class Picture:
     """Everything that is drawn.
 
     tags, cells, balls: handles of viser, for callbacks; an instance of `tags` is a tag of the plan, in its order, one
-    of `cells` a candidate place, one of `balls` a position of the grid.
+    of `cells` a candidate place, one of `balls` a position of the grid. depth: of views that are drawn, metres.
 
     Args:
         server: of viser.
@@ -61,6 +59,7 @@ class Picture:
         self.candidates = candidate_cells(problem)
         low, high = problem.scene.room.bounds()
         self._diagonal = float(np.linalg.norm(high - low))
+        self.depth = FRUSTUM_DEPTH * self._diagonal
         self._framing = Framing(server, low, high)
         # One light from everywhere: colours mean values, and shades would change them.
         self._scene.configure_default_lights(enabled=False)
@@ -71,7 +70,6 @@ class Picture:
         self.balls = self._drawn_balls()
         self.tags: Any = None
         self.captions = Captions(self._scene, problem.scene.plates.hanging.surfaces())
-        self._frustums: list[Any] = []
 
     def _draw_outline(self) -> None:
         for name, edges in self._problem.scene.room.outline().items():
@@ -162,7 +160,7 @@ class Picture:
             turn = _quaternions(right[None], np.cross(ahead, right)[None], ahead[None])[0]
             self._scene.add_camera_frustum(
                 f"/survey/next_{number}", math.radians(50.0), 4.0 / 3.0, color=ASKED,
-                scale=FRUSTUM_DEPTH * self._diagonal / 2.0, wxyz=turn, position=place,
+                scale=self.depth / 2.0, wxyz=turn, position=place,
             )  # fmt: skip
 
     def show_values(self, values: FloatArray) -> None:
@@ -178,18 +176,6 @@ class Picture:
         painted = mapped(GAINS, np.nan_to_num(gains) / (most or 1.0))
         painted[np.isnan(gains)] = UNKNOWN
         self.cells.batched_colors = painted
-
-    def show_camera(self, position: FloatArray, yaw: float, pitch: float) -> None:
-        """Draw the camera, or all of a rig. The body is at `position` `(3,)`, metres; yaw and pitch are in rad."""
-        body = axis_and_right(camera_pose(position[None], np.array([yaw]), np.array([pitch])))
-        for number, station in enumerate(self._problem.scene.stations(body)):
-            if number == len(self._frustums):
-                edges = view_edges(station.camera, FRUSTUM_DEPTH * self._diagonal)
-                self._frustums.append(self._scene.add_line_segments(f"/camera_{number}", edges, SEEN))
-            forward, right = station.axes[:, :3], station.axes[:, 3:]
-            frustum = self._frustums[number]
-            frustum.position = position + station.offset
-            frustum.wxyz = _quaternions(right, np.asarray(np.cross(forward, right)), forward)[0]
 
 
 def _quaternions(right: FloatArray, up: FloatArray, normal: FloatArray) -> FloatArray:

@@ -5,11 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lmd.cameras.mounts import MountSpace, rounded
 from lmd.core.checks import LARGEST, FloatArray, InputError, IntArray
 from lmd.scene.deployment import Deployment
+from lmd.scene.edges import with_gaps
 from lmd.scene.fixed import COLUMN
 from lmd.scene.labels import Labels
 from lmd.scene.plates import Plates
+from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.space.heights import lower_edge
 from lmd.space.space import Space
@@ -34,17 +37,19 @@ class Plan:
     Args:
         deployment: the tags with their ids and surfaces (`of` gives ids to landmarks without).
         pinned: ids of those that stay where they are.
+        rig: the cameras, where they can be moved, too.
     """
 
     deployment: Deployment
     pinned: frozenset[int] = frozenset()
+    rig: Rig | None = None
 
     @classmethod
-    def of(cls, deployment: Deployment, hung: Deployment | None = None) -> "Plan":
+    def of(cls, deployment: Deployment, hung: Deployment | None = None, rig: Rig | None = None) -> "Plan":
         """The plan of a deployment; those among it that are `hung` already are pinned."""
         labels = deployment.labels or Labels(deployment.ids)
         pinned = frozenset() if hung is None else frozenset(hung.ids.tolist())
-        return cls(replace(deployment, labels=labels), pinned)
+        return cls(replace(deployment, labels=labels), pinned, rig)
 
     @property
     def free(self) -> IntArray:
@@ -70,9 +75,11 @@ class Plan:
         """
         k, measured = self.index_of(number), self.measured(number, room)
         x, y, z = self.deployment.positions[k]
+        edges = self.deployment.edges
+        size = "" if edges is None or np.isnan(edges[k]) else f", {edges[k]:g} m"
         where = room.surfaces()[int(self.deployment.surfaces[k])].name if measured else "free in the room"
         pinned = ", pinned" if number in self.pinned else ""
-        return f"tag {number}: {where}, ({x:.3f}, {y:.3f}, {z:.3f}) m{pinned}"
+        return f"tag {number}: {where}, ({x:.3f}, {y:.3f}, {z:.3f}) m{size}{pinned}"
 
     def measured(self, number: int, room: Space) -> "Measured | None":
         """Where on its surface the tag with an id is, None if it hangs on none.
@@ -104,8 +111,29 @@ class Plan:
             values[k] = getattr(there, name)[0]
         return replace(self, deployment=replace(self.deployment, **parts))
 
-    def added(self, scene: Scene, surface: int, at: FloatArray) -> tuple["Plan", int]:
+    def resized(self, plates: Plates, number: int, edge: float) -> "Plan":
+        """The plan with a tag of another edge, metres, at the free place nearest to where it was.
+
+        Raises:
+            InputError: as for `moved`, or it hangs on no surface.
+        """
+        k = self._movable(number)
+        edges = with_gaps(self.deployment.edges, len(self.deployment)).copy()
+        edges[k] = edge
+        surface = int(self.deployment.surfaces[k])
+        if surface < 0:
+            raise InputError(f"tag {number} hangs on no surface.")
+        at = np.stack(plates.hanging.surfaces()[surface].coordinates(self.deployment.positions[k]))
+        return replace(self, deployment=replace(self.deployment, edges=edges)).moved(plates, number, surface, at)
+
+    def added(self, scene: Scene, surface: int, at: FloatArray, edge: float | None = None) -> tuple["Plan", int]:
         """The plan with one tag more, at the free place nearest to `at`, and its id: the least that is free.
+
+        Args:
+            scene: where it hangs.
+            surface: that it hangs on.
+            at: see `moved`.
+            edge: of the tag, metres; None for that of the scene's tag.
 
         Raises:
             InputError: there is no room for its paper, or the family has no tag left.
@@ -118,7 +146,8 @@ class Plan:
         more = labels + Labels(np.array([number]), marks)
         if not scene.tag.is_point:
             scene.tag.check_ids(more.ids)
-        there = placed(scene.plates, self.deployment, surface, at)
+        own = None if edge is None else np.array([edge])
+        there = placed(scene.plates, self.deployment, surface, at, own)
         return replace(self, deployment=replace(self.deployment + there, labels=more)), number
 
     def without(self, number: int) -> "Plan":
@@ -140,6 +169,28 @@ class Plan:
         """
         self.index_of(number)
         return replace(self, pinned=self.pinned ^ {number})
+
+    def mounted(self, number: int, place: FloatArray, turn: FloatArray, space: MountSpace | None) -> "Plan":
+        """The plan with a camera at the place `(3,)`, metres, body frame, and turned by `(3, 3)` to the body's frame.
+
+        Args:
+            number: of the camera.
+            place: of its centre.
+            turn: see `Mount.rotation`.
+            space: where it may be, and it goes to the nearest such place; None for anywhere.
+
+        Raises:
+            InputError: it cannot be there.
+        """
+        from scipy.spatial.transform import Rotation
+
+        assert self.rig is not None, "there are cameras to move"
+        if not (np.abs(place) <= LARGEST).all():  # NaN neither
+            raise InputError(f"a camera cannot be at {place} m.")
+        angles = Rotation.from_matrix(turn).as_euler("ZYX").tolist()
+        mount = rounded(self.rig.mounts[number].camera, place, *angles)
+        rig = self.rig.with_mount(number, mount) if space is None else space.moved(self.rig, number, mount)
+        return replace(self, rig=rig)
 
     def _movable(self, number: int) -> int:
         """The index of a tag that is not pinned."""

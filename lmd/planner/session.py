@@ -6,9 +6,11 @@ Only one thread may use a session. The search that it starts works on a copy, an
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
+from lmd.cameras.mounts import MountSpace
 from lmd.core.checks import BoolArray, FloatArray, InputError
 from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.optimisers.base import Optimiser
@@ -19,10 +21,19 @@ from lmd.planner.search import Search
 from lmd.planner.values import Values
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
+from lmd.scene.deployment_sources import GivenDeployment
+from lmd.scene.rig import Rig
 from lmd.sight.views import visible
 from lmd.space.heights import lower_edge
 
 PATIENCE_SECONDS = 1.0  # seconds that a search which was stopped is waited for; compiling takes longer
+
+
+class Posed(NamedTuple):
+    """Tags, and what they are for."""
+
+    problem: Problem
+    deployment: Deployment
 
 
 class Session:
@@ -31,19 +42,24 @@ class Session:
     Args:
         problem: what the tags are for. Its fixed landmarks hang already: they stay pinned.
         deployment: where the tags are at first, with their surfaces.
+        space: where cameras of the problem's rig may go; None for anywhere.
 
     Raises:
-        InputError: the objective has no field.
+        InputError: the objective has no field, or a camera is not where it may be.
     """
 
-    def __init__(self, problem: Problem, deployment: Deployment) -> None:
-        self.problem = problem
-        self.plan = self._saved = Plan.of(deployment, problem.fixed)
+    def __init__(self, problem: Problem, deployment: Deployment, space: MountSpace | None = None) -> None:
+        rig = problem.scene.camera if isinstance(problem.scene.camera, Rig) else None
+        if rig is not None and space is not None:
+            space.genes(rig)
+        self.problem, self.space = problem, space
+        self.plan = self._saved = Plan.of(deployment, problem.fixed, rig)
+        self.posed = Posed(problem, self.plan.deployment)  # another one after every change
         self._hung = self.plan.pinned
         self._values = Values(problem, deployment)
         self._past: list[Plan] = []
         self._future: list[Plan] = []
-        self._dragged: int | None = None
+        self._dragged: object = None
         self.search: Search | None = None
 
     @property
@@ -53,8 +69,13 @@ class Session:
 
     @property
     def is_saved(self) -> bool:
-        """Whether the tags are where they were when they were saved last, or at first."""
-        return self.plan.deployment is self._saved.deployment
+        """Whether tags and cameras are where they were when they were saved last, or at first."""
+        return self.plan.deployment is self._saved.deployment and self.rig is self._saved.rig
+
+    @property
+    def rig(self) -> Rig | None:
+        """The cameras as they are now, where they can be moved."""
+        return self.plan.rig
 
     def note_saved(self) -> None:
         """Note that the plan has been saved."""
@@ -106,17 +127,33 @@ class Session:
         self.drag(number, index, np.array([(point - hanging.origin) @ axis for axis in (hanging.u, hanging.v)]))
         self.drop()
 
+    def mount(self, number: int, place: FloatArray, turn: FloatArray) -> None:
+        """Move a camera, see `Plan.mounted`. All that happens to it until `drop` is one step.
+
+        Raises:
+            InputError: as there, it would be outside the room, or a search is running.
+        """
+        self._become(self.plan.mounted(number, place, turn, self.space), f"camera {number}")
+
     def drop(self) -> None:
         """End a drag."""
         self._dragged = None
 
-    def add(self, surface: int, at: FloatArray) -> int:
+    def resize(self, number: int, edge: float) -> None:
+        """Give a tag another size, see `Plan.resized`.
+
+        Raises:
+            InputError: as there, or a search is running.
+        """
+        self._become(self.plan.resized(self.problem.scene.plates, number, edge))
+
+    def add(self, surface: int, at: FloatArray, edge: float | None = None) -> int:
         """Add a tag, see `Plan.added`; returns its id.
 
         Raises:
             InputError: as there, or a search is running.
         """
-        plan, number = self.plan.added(self.problem.scene, surface, at)
+        plan, number = self.plan.added(self.problem.scene, surface, at, edge)
         self._become(plan)
         return number
 
@@ -186,7 +223,7 @@ class Session:
             raise InputError(search.error)
         if search.progress is None or search.progress.fitness <= before:
             return 0.0
-        self._become(Plan(search.progress.best, self.plan.pinned))
+        self._become(replace(self.plan, deployment=search.progress.best))
         return search.progress.fitness - before
 
     def end_search(self) -> None:
@@ -201,14 +238,25 @@ class Session:
         if not source:
             raise InputError(f"there is nothing to {name}.")
         self._dragged = None
-        self._values.follow(source[-1].deployment)
+        self._follow(source[-1])
         target.append(self.plan)
         self.plan = source.pop()
 
-    def _become(self, plan: Plan, dragged: int | None = None) -> None:
-        """Go over to another plan, in the same step as the last one if the same tag is still being dragged."""
+    def _follow(self, plan: Plan) -> None:
+        """Let problem and values be those of another plan."""
+        if plan.rig is None or plan.rig is self.rig:
+            self._values.follow(plan.deployment)
+        else:
+            # A start that varies may take long to draw.
+            start = GivenDeployment(self.problem.free(plan.deployment)) if self.problem.start.varies else None
+            problem = self.problem.with_rig(plan.rig, start)
+            self._values, self.problem = Values(problem, plan.deployment), problem
+        self.posed = Posed(self.problem, plan.deployment)
+
+    def _become(self, plan: Plan, dragged: object = None) -> None:
+        """Go over to another plan, in the same step as the last one if the same thing is still being dragged."""
         self._check_idle()
-        self._values.follow(plan.deployment)
+        self._follow(plan)
         if dragged is None or dragged != self._dragged:
             self._past.append(self.plan)
         self._future.clear()

@@ -3,38 +3,39 @@
 import threading
 from collections.abc import Callable
 from functools import partial
+from typing import Generic, TypeVar
 
 from lmd.core.checks import InputError
-from lmd.scene.deployment import Deployment
 
 PATIENCE_SECONDS = 0.5  # seconds that work which nobody wants is waited for
 
+Question = TypeVar("Question")
 Wanted = Callable[[], bool]
 
 
-class Worker:
-    """Works on one deployment at a time in a thread of its own, which ends with the process; only the latest counts.
+class Worker(Generic[Question]):
+    """Works on one question at a time in a thread of its own, which ends with the process; only the latest counts.
 
     Args:
-        work: is given a deployment, and a function that says whether the outcome is still wanted.
-        failed: is given a deployment that could not be worked on, in that thread, and why, in a sentence.
+        work: is given a question, and a function that says whether the answer is still wanted.
+        failed: is given a question that could not be worked on, in that thread, and why, in a sentence.
     """
 
-    def __init__(self, work: Callable[[Deployment, Wanted], None], failed: Callable[[Deployment, str], None]) -> None:
+    def __init__(self, work: Callable[[Question, Wanted], None], failed: Callable[[Question, str], None]) -> None:
         self._work, self._failed = work, failed
-        self._question: tuple[Deployment] | None = None  # another one each time it is asked
+        self._question: tuple[Question] | None = None  # another one each time it is asked
         self._closing = False
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._run, name="worker", daemon=True)
         self._thread.start()
 
-    def ask(self, deployment: Deployment | None) -> None:
-        """Work on a deployment and on no other any more, once until another or None is asked; None for none."""
+    def ask(self, question: Question | None) -> None:
+        """Work on a question and on no other any more, once until another or None is asked; None for none."""
         with self._changed:
-            if deployment is None:
+            if question is None:
                 self._question = None
-            elif self._question is None or self._question[0] is not deployment:
-                self._question = (deployment,)
+            elif self._question is None or self._question[0] is not question:
+                self._question = (question,)
                 self._changed.notify()
 
     def close(self) -> None:
@@ -45,7 +46,7 @@ class Worker:
         self._thread.join(PATIENCE_SECONDS)
 
     def _run(self) -> None:
-        done: tuple[Deployment] | None = None
+        done: tuple[Question] | None = None
         while True:
             with self._changed:
                 while not self._closing and (self._question is None or self._question is done):
@@ -58,5 +59,5 @@ class Worker:
             except (InputError, MemoryError) as error:
                 self._failed(done[0], str(error) or "there is too little memory.")
 
-    def _is_asked(self, question: tuple[Deployment]) -> bool:
+    def _is_asked(self, question: tuple[Question]) -> bool:
         return self._question is question

@@ -103,6 +103,10 @@ class Rig:
         turns = OPTICAL.T @ np.stack([mount.rotation for mount in self.mounts]) @ OPTICAL
         return pose_of(turns, np.stack([mount.translation for mount in self.mounts]) @ OPTICAL)
 
+    def with_mount(self, number: int, mount: Mount) -> "Rig":
+        """The rig with another mount of the camera with a number."""
+        return Rig((*self.mounts[:number], mount, *self.mounts[number + 1 :]))
+
     @property
     def needs_roll(self) -> bool:
         """Whether the body's roll moves a camera or its optical axis."""

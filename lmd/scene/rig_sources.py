@@ -63,6 +63,19 @@ def brings_cameras(mounts: Any) -> bool:
     return bool(own) and all(own)
 
 
+def calibrations_of(mounts: Any) -> dict[Camera, Any]:
+    """Which calibration each kind of camera of `rig_of` has, for `write_rig`; none for the camera of all.
+
+    Raises:
+        InputError: a calibration is refused.
+    """
+    if _is_chain(mounts):
+        sources = [{"path": mounts["path"], "name": name} for name in read_chain(mounts["path"])]
+    else:
+        sources = [entry["camera"] for entry in mounts if entry.get("camera") is not None]
+    return {camera: source for source in sources if (camera := camera_from(source)) is not None}
+
+
 def _is_chain(mounts: Any) -> bool:
     return isinstance(mounts, Mapping) and "path" in mounts
 
@@ -86,7 +99,12 @@ def _chained(given: Mapping[str, Any]) -> Rig:
 
 
 def write_rig(path: Path, rig: Rig, sources: Mapping[Camera, Any]) -> None:
-    """Write a rig file, see `read_mounts`; numbers are those of the rig, to the bit.
+    """Write a rig file, see `rig_text`."""
+    path.write_text(rig_text(rig, sources), encoding="utf-8")
+
+
+def rig_text(rig: Rig, sources: Mapping[Camera, Any]) -> str:
+    """What a rig file says, see `read_mounts`; numbers are those of the rig, to the bit.
 
     Args:
         sources: which calibration each kind of camera has, as `rig_of` takes it; none for the camera of all.
@@ -100,11 +118,8 @@ def write_rig(path: Path, rig: Rig, sources: Mapping[Camera, Any]) -> None:
             turns = {"quaternion": list(mount.quaternion)}
         own = {"camera": source} if (source := sources.get(mount.camera)) is not None else {}
         entries.append({"translation": list(mount.translation), **turns, **own})
-    path.write_text(
-        "# Cameras on one body: metres, radians; x forward, y left, z up; positive pitch looks down.\n"
-        + yaml.safe_dump({"rig": entries}, default_flow_style=None, sort_keys=False),
-        encoding="utf-8",
-    )
+    head = "# Cameras on one body: metres, radians; x forward, y left, z up; positive pitch looks down.\n"
+    return head + str(yaml.safe_dump({"rig": entries}, default_flow_style=None, sort_keys=False))
 
 
 def _mount(name: str, entry: Any, camera: Camera | None) -> Mount:

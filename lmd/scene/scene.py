@@ -78,9 +78,14 @@ class Scene:
         """Of all landmarks, metres; 0 where they are points."""
         return 0.0 if self.tag.is_point else max(self.edges or (self.tag.size,))
 
+    @property
+    def has_several_sizes(self) -> bool:
+        """Whether landmarks have edges of their own that differ."""
+        return self.edges is not None and len(self.edges) > 1
+
     def check_one_size(self, what: str) -> None:
         """Raise `InputError` if there are tags of several sizes, of which `what`, the subject, does not know."""
-        if self.edges is not None and len(self.edges) > 1:
+        if self.edges is not None and self.has_several_sizes:
             sizes = ", ".join(f"{edge:g}" for edge in sorted(set(self.edges)))
             raise InputError(f"{what} works with tags of one size, not with edges of {sizes} m.")
 

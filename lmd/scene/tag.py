@@ -58,10 +58,13 @@ class Tag:
             they have them in turn.
         paper: of all landmarks that are placed, square metres: how many there are of each size is found for it. None
             where their number is given.
+        costs: of a tag of each of these edges, in any unit.
+        budget: what all landmarks that are placed may cost, in place of `paper`.
 
     Raises:
         InputError: the edge is negative, the family unknown, the quiet zone negative, an edge of several is not
-            positive or there twice, counts are not one for each edge, or paper comes without edges.
+            positive or there twice, counts or costs are not one for each edge, paper comes without edges, or a budget
+            without costs or with paper.
     """
 
     edge: float | None = None
@@ -70,6 +73,8 @@ class Tag:
     edges: tuple[float, ...] | None = None
     counts: tuple[int, ...] | None = None
     paper: float | None = None
+    costs: tuple[float, ...] | None = None
+    budget: float | None = None
 
     def __post_init__(self) -> None:
         if self.edge is not None and real("edge", self.edge) < 0.0:
@@ -98,6 +103,19 @@ class Tag:
             raise InputError(
                 f"paper = {self.paper:g} square metres needs edges: the sizes that it may go into.", "paper"
             )
+        if self.costs is not None:
+            costs = vector("costs", self.costs, None, above=0.0)
+            if len(costs) != len(self.edges or ()):
+                raise InputError(
+                    f"costs = {list(costs)} must be one for each of edges = {list(self.edges or ())}.", "costs"
+                )
+            object.__setattr__(self, "costs", costs)
+        if self.budget is not None and (real("budget", self.budget, above=0.0) and self.costs is None):
+            raise InputError(f"budget = {self.budget:g} needs costs: what a tag of each of edges costs.", "budget")
+        if self.budget is not None and self.paper is not None:
+            raise InputError(
+                "budget and paper must not both be given: one of them says how many tags there are.", "budget"
+            )
 
     def in_turn(self, count: int) -> FloatArray | None:
         """The edges of so many landmarks that are placed, `(count,)`, metres; None where one holds for all.
@@ -113,7 +131,7 @@ class Tag:
 
     def of_size(self, edge: float) -> "Tag":
         """The same tag with another edge, metres, and no other size."""
-        return replace(self, edge=edge, edges=None, counts=None, paper=None)
+        return replace(self, edge=edge, edges=None, counts=None, paper=None, costs=None, budget=None)
 
     @property
     def sizes(self) -> tuple[float, ...]:

@@ -1,14 +1,18 @@
 """Optimisers place tags of several sizes: each keeps its own, and what is reported is what an evaluation finds."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
+from contracts.criterion import cover_matrix
 from floor_plans import lab
 from paper import paper_camera
+from scipy.optimize import linprog
+from scipy.sparse import block_array, csr_array, eye_array
 
 from lmd.core.checks import InputError
-from lmd.evaluation.bounds import Search, fitness_upper_bound
+from lmd.evaluation.bounds import Search, average_upper_bound, fewest_landmarks, fitness_upper_bound
 from lmd.evaluation.selection_bound import selection_upper_bound
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.annealing import Annealing, Stage
@@ -26,6 +30,7 @@ from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.models.fiducial import Fiducial
+from lmd.sight.poses import wall_cells
 
 EDGES, COUNTS = (0.05, 0.1, 0.3), (10, 6, 2)
 COVERAGE = Coverage(2, 0.6)
@@ -89,10 +94,15 @@ def test_selection_takes_no_more_paper_than_there_is_and_leaves_less_than_a_tag(
     chosen, _ = select(COVERAGE.selection(evaluator, relevance), poses, Paper(area, plates), plates)
     used = (plates.papers(poses[chosen]) ** 2).sum()
     assert area - plates.edge**2 < used <= area
-    counts = composition(scene(replace(TAG, counts=None)), COVERAGE, area, threads=1)
+    counts = composition(scene(replace(TAG, counts=None, paper=area)), COVERAGE, threads=1)
     assert 0.0 < (np.array(counts) * (1.25 * np.array(EDGES)) ** 2).sum() <= area
     with pytest.raises(InputError, match=r"^paper = 0\.001 square metres is too little for a tag: it takes 0\.00391"):
-        composition(scene(TAG), COVERAGE, 0.001)
+        composition(scene(replace(TAG, paper=0.001)), COVERAGE)
+    costs = (1.0, 2.0, 10.0)
+    bought = composition(scene(replace(TAG, counts=None, costs=costs, budget=15.0)), COVERAGE, threads=1)
+    assert 14.0 < np.array(bought) @ costs <= 15.0
+    with pytest.raises(InputError, match=r"^budget = 0\.5 is too little for a tag: it costs 1\."):
+        composition(scene(replace(TAG, costs=costs, budget=0.5)), COVERAGE)
 
 
 def test_a_greedy_start_has_the_sizes_asked_for():
@@ -100,17 +110,105 @@ def test_a_greedy_start_has_the_sizes_asked_for():
     np.testing.assert_array_equal(np.sort(start.draw(lab(), np.random.default_rng()).edges), OWN)
 
 
+FEW, SPACING = Tag(edges=(0.1, 0.3), counts=(2, 1)), 4.0
+
+
+@pytest.fixture(scope="module", name="few")
+def _few():
+    return Problem(scene(FEW), Coverage(2, 0.3), RandomDeployment(3), threads=1)
+
+
+@pytest.mark.slow  # a minute, most of it branch and bound
+def test_no_choice_of_poses_exceeds_the_bounds_and_fractions_of_tags_reach_the_one_on_the_grid(few):
+    search, plates = Search(3.0, 100, 0.02), few.scene.plates
+    bound = average_upper_bound(few, 3, search)
+    size = len(few.evaluator.positions)
+    cover, of = [], []
+    for edge, count in zip(FEW.edges, FEW.counts, strict=True):
+        poses = wall_cells(plates.inset(plates.tag.paper_share * edge), search.spacing).poses
+        cover.append(cover_matrix(few.scene.sized(np.array([edge])), poses))
+        of += [count] * len(poses)
+    exact = exact_bound(few, np.vstack(cover), np.array(of), np.full(size, 1.0 / size))
+    assert bound.fractional - 1e-9 <= exact <= bound.grid + 1e-9
+    assert bound.grid - bound.fractional <= search.tolerance
+    assert bound.walls >= bound.grid - search.tolerance
+    best = fitness_upper_bound(few, 3, search).walls
+    for seed in range(8):
+        drawn = few.draw(np.random.default_rng(seed))
+        assert few.values(drawn).mean() <= bound.walls
+        assert few.fitness_of(drawn) <= best
+
+
+def exact_bound(problem, cover, of, shares):
+    """The largest mean of min(c / n, 1) that fractions of tags reach, by HiGHS; `of` says how many each pose is for."""
+    weights = np.bincount(problem.scene.orientations.index_of, problem.scene.pdf.weight)
+    n = problem.objective.n
+    views, poses = cover.shape[1], cover.shape[0]
+    worth = (shares[:, None] * weights).reshape(-1)
+    rows = block_array([[csr_array(-cover.T / n), eye_array(views)]])
+    totals = np.array([np.append(of == count, np.zeros(views)) for count in np.unique(of)])
+    bounds = [(0, None)] * poses + [(None, 1)] * views
+    cost = np.append(np.zeros(poses), -worth)
+    solved = linprog(cost, rows, np.zeros(views), totals, np.unique(of), bounds, method="highs")
+    assert solved.success
+    return -solved.fun
+
+
+def replaced(few, objective):
+    return Problem(few.scene, objective, RandomDeployment(few.count), threads=1)
+
+
+def choices(problem, poses):
+    """All choices of two small tags and a large one whose papers do not overlap."""
+    small, large = (np.flatnonzero(poses.edges == edge) for edge in FEW.edges)
+    plates = problem.scene.plates
+    touched = np.array([plates.touched(poses, poses[j : j + 1]) for j in range(len(poses))])
+    for i, j in combinations(small, 2):
+        for k in large:
+            if not (touched[i, j] or touched[i, k] or touched[j, k]):
+                yield [i, j, k]
+
+
+def test_the_integer_program_finds_the_best_of_all_choices(few):
+    milp, few = Milp(spacing=SPACING), replaced(few, Coverage(1, 0.05))
+    poses = candidates(few.scene.plates, np.array(FEW.edges), SPACING)
+    all_of_them = np.array(list(choices(few, poses)))
+    best = few.fitness(poses.positions[all_of_them], poses.normals[all_of_them]).max()
+    result = milp.run(few, Budget(10_000))
+    assert result.stopped == "proven"
+    assert result.fitness == best == milp.figures()["lattice_bound"] > 0.0
+    np.testing.assert_array_equal(result.deployment.edges, np.repeat(FEW.edges, FEW.counts))
+
+
+def test_no_choice_exceeds_the_bound_of_a_selection(few):
+    bound = selection_upper_bound(few, 3, SPACING)
+    poses = candidates(few.scene.plates, np.array(FEW.edges), SPACING)
+    reached = []
+    for chosen in list(choices(few, poses))[::20]:
+        selection = few.objective.selection(few.fitness_evaluator, few.fitness_relevance)
+        reached.append(0.0)
+        for j in chosen:
+            reached[-1] += float(selection.gains(poses[[j]])[0])
+            selection.add(poses[[j]])
+    assert bound.guarantee == 0.5
+    assert max(reached) <= bound.grid + 1e-9
+    assert bound.greedy <= bound.grid + 1e-9
+
+
 @pytest.mark.parametrize(
-    "ask",
+    ("ask", "message"),
     [
-        lambda problem: fitness_upper_bound(problem, problem.count, Search(1.0, 1, 0.1)),
-        lambda problem: selection_upper_bound(problem, problem.count, 1.0),
-        lambda problem: Milp().check(problem),
+        (
+            lambda few: fewest_landmarks(few, 0.5, Search()),
+            r"works with tags of one size, not with edges of",
+        ),
+        (lambda few: average_upper_bound(few, 5, Search(2.0)), r"^of 5 landmarks it is not known how many have each"),
+        (lambda few: selection_upper_bound(few, 5, 2.0), r"^of 5 landmarks it is not known how many have each size\.$"),
     ],
 )
-def test_what_knows_one_size_says_so(problem, ask):
-    with pytest.raises(InputError, match=r"works with tags of one size, not with edges of 0\.05, 0\.1, 0\.3 m\."):
-        ask(problem)
+def test_what_has_no_meaning_for_several_sizes_says_so(few, ask, message):
+    with pytest.raises(InputError, match=message):
+        ask(few)
 
 
 @pytest.mark.parametrize(
@@ -122,6 +220,10 @@ def test_what_knows_one_size_says_so(problem, ask):
         ({"edges": None}, r"^counts = \[10, 6, 2\] must say how many tags have each of edges = \[\]\."),
         ({"paper": 0.0}, r"^paper must be"),
         ({"paper": 1.0, "edges": None, "counts": None}, r"^paper = 1 square metres needs edges"),
+        ({"costs": (1.0, 2.0)}, r"^costs = \[1\.0, 2\.0\] must be one for each of edges = \[0\.05, 0\.1, 0\.3\]\."),
+        ({"costs": (1.0, 2.0, 0.0)}, r"^costs"),
+        ({"budget": 3.0}, r"^budget = 3 needs costs"),
+        ({"budget": 3.0, "costs": (1.0, 2.0, 3.0), "paper": 1.0}, r"^budget and paper must not both be given"),
     ],
 )
 def test_a_bad_tag_is_refused(settings, message):

@@ -27,6 +27,7 @@ from pipelines.hyperparameters import GROUPS as COMPLETED
 ONLY_OBSERVE = ("trajectory", "detector", "estimator", "odometry")
 ONLY_RENDERED = ("detectors", "imaging", "views")
 OTHER_GROUPS = {
+    "body",
     "experiment",
     "recording",
     *ONLY_OBSERVE,
@@ -85,6 +86,11 @@ def test_every_option_of_rendered_frames_composes_and_builds(group, option):
     for node in cfg.detectors.values() if group == "detectors" else [cfg[group]]:
         if (group, option) not in NEEDS_MORE:
             instantiate(node)
+
+
+def test_every_body_composes_and_the_robot_builds():
+    assert composed("view", "body=none").body.boxes is None
+    assert len(instantiate(composed("view", "body=robot").body).boxes) == 1
 
 
 @pytest.mark.parametrize("experiment", sorted({*EXPERIMENTS} - {*SWEEPS}))
@@ -270,7 +276,7 @@ def test_tags_and_what_a_detector_sees_are_a_choice():
     assert problem.scene.tag == problem.scene.visibility.tag
     assert problem.scene.plates.edge == pytest.approx(0.3)
     assert problem.settings()["tag"] == {"edge": 0.2, "family": "36h11", "quiet_zone": 2.0} | dict.fromkeys(
-        ["edges", "counts", "paper"]
+        ["edges", "counts", "paper", "costs", "budget"]
     )
     assert problem.settings()["detector"] == "aruco"
     assert build_problem(composed("optimise", "tag=printed")).scene.plates.edge == pytest.approx(0.125)

@@ -220,12 +220,21 @@ def test_one_history_stays_one_run_and_another_is_linked_to_it(endless, tmp_path
 KILLS = max(8, round(24 * SHARE))
 
 
-def test_killed_at_random_moments_it_ends_where_it_would_have(tmp_path):
-    settings = (*SMALL, *SETTINGS, "threads=1", "budget.evaluations=40000", "checkpoint_seconds=0.05")
-    done = call("optimise", *settings, "hydra.run.dir=whole", cwd=tmp_path)
+TAGS = ("deployment=uniform", "deployment.count=12", "pdf=yaw", "pdf.divisions=3")
+IN_TURN = (*TAGS, "rounds=2", "tag_evaluations=3000")
+KILLED = [
+    ("optimise", 40000, (*SETTINGS, "budget.evaluations=40000"), ()),
+    ("place_cameras", 2 * (200 + 3000), (*IN_TURN, SETTINGS[-1], "budget.evaluations=200"), ("rig.yaml",)),
+]
+
+
+@pytest.mark.parametrize(("pipeline", "evaluations", "given", "further"), KILLED, ids=[row[0] for row in KILLED])
+def test_killed_at_random_moments_it_ends_where_it_would_have(pipeline, evaluations, given, further, tmp_path):
+    settings = (*SMALL, *given, "threads=1", "checkpoint_seconds=0.05")
+    done = call(pipeline, *settings, "hydra.run.dir=whole", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     shutil.rmtree(tmp_path / "run", ignore_errors=True)
-    line = [sys.executable, ROOT / "tests" / "killed.py", "1", str(KILLS), *settings]
+    line = [sys.executable, ROOT / "tests" / "killed.py", pipeline, "1", str(KILLS), *settings]
     done = subprocess.run(
         line, cwd=tmp_path, env=environment(ROOT / "tests"), capture_output=True, text=True, check=False
     )
@@ -234,13 +243,14 @@ def test_killed_at_random_moments_it_ends_where_it_would_have(tmp_path):
     for name in ("landmarks.csv", "history.csv"):
         whole, kept = (pd.read_csv(tmp_path / folder / name) for folder in ("whole", "run"))
         pd.testing.assert_frame_equal(*(table.drop(columns="wall_time", errors="ignore") for table in (whole, kept)))
-    assert (tmp_path / "run" / "landmarks.csv").read_bytes() == (tmp_path / "whole" / "landmarks.csv").read_bytes()
+    for name in ("landmarks.csv", *further):
+        assert (tmp_path / "run" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
     assert {run.info.status for run in runs(tmp_path)} <= {"FINISHED", "FAILED"}
     finished = runs(tmp_path)[-1]
     assert finished.info.status == "FINISHED"
     client = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db")
     curve = client.get_metric_history(finished.info.run_id, "best_fitness")
-    assert max(point.step for point in curve) == 40000
+    assert max(point.step for point in curve) == evaluations
     assert not list(tmp_path.rglob("*.partial*"))
 
 

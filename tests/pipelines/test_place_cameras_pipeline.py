@@ -53,7 +53,7 @@ def test_what_is_refused_is_named_by_its_key(override, message):
 
 @pytest.mark.slow  # three seconds, and what compiles
 def test_cameras_are_placed_scored_and_gone_on_from(tmp_path):
-    common = (*TAGS, "tracking=none", "budget.evaluations=12")
+    common = (*TAGS, "tracking=none", "budget.evaluations=12", "body.margin=0.05")
     settings = ("room.spacing=1.5", "validate=false")
     done = call("place_cameras", *common, "hydra.run.dir=run", cwd=tmp_path, settings=settings)
     assert done.returncode == 0, done.stderr
@@ -72,6 +72,7 @@ def test_cameras_are_placed_scored_and_gone_on_from(tmp_path):
     more = ("run=run", "rounds=2", "tag_evaluations=12", "budget.evaluations=6", "tracking=none")
     done = call("place_cameras", *more, "hydra.run.dir=rounds", cwd=tmp_path, settings=("validate=false",))
     assert done.returncode == 0, done.stderr
+    assert "margin: 0.05" in (tmp_path / "rounds" / ".hydra" / "config.yaml").read_text()  # the body is that of the run
     turns = json.loads((tmp_path / "rounds" / "metrics.json").read_text())
     told = list(turns["rounds"].values())
     assert len(told) == 4

@@ -46,9 +46,18 @@ def test_paper_says_how_many_there_are(capsys):
     assert "tag.paper = 0.1 square metres make" in capsys.readouterr().err
 
 
+def test_costs_say_how_many_there_are(capsys):
+    problem, cfg = built(*SIZES, "tag.costs=[1,4]", "tag.budget=12")
+    assert sum(cfg.tag.counts) == problem.count
+    assert 11 < np.array(cfg.tag.counts) @ (1, 4) <= 12
+    assert "tag.budget = 12 make" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
+        ([*SIZES, "tag.costs=[1,4]", "tag.budget=0.5"], r"^tag.budget = 0\.5 is too little for a tag: it costs 1\.$"),
+        ([*SIZES, "tag.budget=5"], r"^tag.budget = 5 needs costs"),
         (["deployment.count=[4,2]"], r"^deployment.count = \[4, 2\] .* each of tag.edges, which is not given\.$"),
         ([*SIZES, "deployment.count=[4]"], r"^deployment.count = \[4\] .* each of tag.edges, which has 2\.$"),
         ([*SIZES, "deployment.count=[4,-1]"], r"^deployment.count must be"),

@@ -6,6 +6,7 @@ import shutil
 import signal
 import socket
 import subprocess
+from contextlib import contextmanager
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -21,11 +22,14 @@ from planner_page import LIMIT, Page
 from processes import SMALL, call, command, help_of, refused, start
 
 from lmd.planner.app import Planner
+from lmd.planner.plan import Plan
 from lmd.scene.deployment import Deployment
+from lmd.scene.rig_sources import read_mounts
 from pipelines.app import CONF
 from pipelines.operations.signals import Stopped
 from pipelines.outputs import all_or_none
-from pipelines.view import UNSAVED, _keep_unsaved, view
+from pipelines.view import UNSAVED as BEGIN
+from pipelines.view import _keep_unsaved, view
 
 pytestmark = pytest.mark.slow
 
@@ -37,6 +41,7 @@ LANDMARKS = """id,x,y,z,nx,ny,nz,note
 """
 SETTINGS = (*SMALL[:2], "tag.edge=0.15", "objective.n=1", "objective.thold_p=0.1", "deployment=file")
 OVERRIDES = ("deployment.path=mine.csv", "hydra.run.dir=out")
+UNSAVED = f"{BEGIN}.csv"
 ENDLESS = "budget.evaluations=100000000"  # searches go on until they are stopped
 EXPORTED = {"tags.csv", "tags.json", "tags.wpilib.json", "plan.pdf", "sheets.pdf"}
 ADDS, BALLS = "a click on a surface adds a tag", "positions"
@@ -48,14 +53,20 @@ def work(tmp_path):
     return tmp_path
 
 
-@pytest.fixture
-def planner(work):
+@contextmanager
+def running(work, *overrides):
     """A running planner, and its address."""
-    line = command("view", *OVERRIDES, ENDLESS, settings=SETTINGS)
+    line = command("view", *OVERRIDES, ENDLESS, *overrides, settings=SETTINGS)
     process = start(line, cwd=work, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     yield process, process.stdout.readline().split()[1]
     process.kill()
     process.communicate()
+
+
+@pytest.fixture
+def planner(work):
+    with running(work) as started:
+        yield started
 
 
 @pytest.fixture(scope="module")
@@ -168,6 +179,43 @@ def test_tags_are_added_pinned_optimised_and_looked_at(planner, browser, work):
 
 
 @chromium.needs_chromium
+def test_a_camera_of_a_rig_is_dragged_and_saved_and_evaluate_takes_it(browser, work):
+    rig = "camera.rig=[{translation: [0.22, 0, 0.1]}, {translation: [-0.22, 0, 0.1], yaw: 3.142}]"
+    body = "body.boxes=[{low: [-0.2, -0.2, 0], high: [0.2, 0.2, 0.5]}]"
+    with running(work, "pdf=yaw", rig, body) as (process, address):
+        page = Page(browser, address)
+        before = page.rows("figures")
+        page.tick(BALLS)  # nothing is in the mouse's way
+        page.choose("move", "camera 0")
+        page.until(lambda: page.text("camera").startswith("camera 0: (0.220, 0.000, 0.100) m, yaw 0.0"))
+        positions = paper_room(spacing=1.5).grid()
+        stands = positions[np.linalg.norm(positions - positions.mean(axis=0), axis=1).argmin()]
+        # It looks along y, and on its arrow upwards it is pulled up.
+        page.mouse(*(stands + np.array([0.0, 0.22, up]) for up in (0.4, 0.5, 0.6)))
+        page.until(lambda: not page.text("camera").startswith("camera 0: (0.220, 0.000, 0.100)"))
+        page.until(page.is_settled)
+        shown = page.rows("figures")
+        page.press("Save")
+        page.until(lambda: page.text("message").startswith("saved in "))
+        assert page.complaints() == []
+        (x, y, z), other = (mount["translation"] for mount in read_mounts(work / "out" / "rig.yaml"))
+        assert (x, y, other) == (0.22, 0.0, [-0.22, 0.0, 0.1])
+        assert 0.2 < z < 0.45
+        done = call("evaluate", "run=out", "tracking=none", cwd=work, settings=SMALL[2:])
+        assert done.returncode == 0, done.stderr
+        assert all(f"{key} " in done.stdout and text in done.stdout for key, text in shown.items())
+        page.press("Undo")
+        page.until(lambda: page.rows("figures") == before)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=LIMIT)
+    assert f"{work / 'out' / BEGIN}_rig.yaml" in err
+    assert read_mounts(work / "out" / f"{BEGIN}_rig.yaml")[0]["translation"] == [0.22, 0.0, 0.1]
+    inside = "camera.rig=[{translation: [0.1, 0, 0.1]}]"
+    message = "camera.rig[0] is not where and how a camera may be mounted"
+    refused("view", *OVERRIDES, "pdf=yaw", inside, body, message=message, cwd=work, settings=SETTINGS)
+
+
+@chromium.needs_chromium
 def test_a_page_of_another_site_cannot_talk_to_it_whatever_it_knows(planner, browser, site):
     _, address = planner
     page = Page(browser, address)
@@ -245,7 +293,7 @@ def test_changes_are_kept_elsewhere_when_the_disk_is_full_or_gone(tmp_path, monk
             shutil.rmtree(run)
         else:
             assert (run / UNSAVED).read_text() == earlier
-        _keep_unsaved(run, tags, ups=False)
+        _keep_unsaved(run, Plan(tags), {}, ups=False)
         (kept,) = here.iterdir()
         assert (Deployment.from_csv(kept).positions == tags.positions).all()
         err = capsys.readouterr().err
@@ -253,7 +301,7 @@ def test_changes_are_kept_elsewhere_when_the_disk_is_full_or_gone(tmp_path, monk
         assert str(run) in err
         kept.unlink()
     on_full_disks(monkeypatch, here)
-    _keep_unsaved(run, tags, ups=False)
+    _keep_unsaved(run, Plan(tags), {}, ups=False)
     assert [*here.iterdir()] == []
     assert len([*temporary.iterdir()]) == 1
 
@@ -262,7 +310,7 @@ def test_changes_that_can_be_written_nowhere_are_printed(tmp_path, monkeypatch, 
     tags = Deployment([[0.0, 2.0, 3.0]], [[1.0, 0.0, 0.0]])
     run, *_ = folders(tmp_path, monkeypatch)
     on_full_disks(monkeypatch, tmp_path)
-    _keep_unsaved(run, tags, ups=True)
+    _keep_unsaved(run, Plan(tags), {}, ups=True)
     said = capsys.readouterr()
     assert said.err.count("No space left on device") == 3
     head, *table = said.out.splitlines()

@@ -73,8 +73,8 @@ def odd_messages(of):
 def test_odd_messages_end_nothing_and_shut_nobody_out(monkeypatch):
     planned, said, saved = problem(), [], []
 
-    def save(deployment):
-        saved.append(deployment)
+    def save(plan):
+        saved.append(plan.deployment)
         raise Ended
 
     say = Panel.say

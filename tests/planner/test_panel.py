@@ -49,6 +49,16 @@ def test_a_search_shows_its_share_of_the_budget_and_what_it_waits_for(gui, monke
     assert not panel._bar.visible
 
 
+def test_a_size_is_chosen_where_there_are_several(gui):
+    assert Panel(gui, "P", Budget(1), ids=True, edges=(0.1,)).edge is None
+    panel = Panel(gui, "P", Budget(1), ids=True, edges=(0.1, 0.25))
+    assert panel.edge == 0.1
+    panel._size.value = "0.25 m"
+    assert panel.edge == 0.25
+    panel._size.value = "7 m"  # by a browser that makes things up
+    assert panel.edge is None
+
+
 def test_the_legend_has_colours_with_numbers():
     text = legend("P(see <2>)", 0.01422)
     for part in ("linear-gradient(to right, rgb(68, 1, 84)", "+1.422%", "P(see &lt;2&gt;)", *TAGS):

@@ -1,0 +1,128 @@
+"""Cameras of a rig in the planner: moved as tags are, with figures that are those of `Problem`, and never where they
+may not be."""
+
+import numpy as np
+import pytest
+from paper import experiment_room, paper_camera, paper_scene
+from scipy.spatial.transform import Rotation
+
+from lmd.cameras.body import Body
+from lmd.cameras.mounts import MountSpace
+from lmd.core.checks import InputError
+from lmd.geometry.se3 import axis_and_right, camera_pose
+from lmd.objectives.coverage import Coverage
+from lmd.optimisers.ledger import Budget
+from lmd.optimisers.random_search import RandomSearch
+from lmd.planner.app import Planner
+from lmd.planner.session import Session
+from lmd.problem import Problem
+from lmd.scene import pdf
+from lmd.scene.deployment_sources import RandomDeployment
+from lmd.scene.rig import Mount, Rig
+
+CAMERA = paper_camera()
+RIG = Rig((Mount(CAMERA, (0.22, 0.0, 0.1)), Mount(CAMERA, (-0.22, 0.05, 0.1), yaw=3.0, pitch=-0.2)))
+BOX = {"low": [-0.2, -0.15, 0.0], "high": [0.2, 0.15, 0.2]}
+KEPT_OUT = {"surface": "left", "from_left": [0.0, 0.2], "from_below": [0.0, 0.2]}
+LEVEL = np.eye(3)
+
+
+def space(apart=0.08, **body):
+    return MountSpace(Body([BOX], **body), (CAMERA,), 2, (-np.pi, np.pi), (-1.5, 1.5), (-np.pi, np.pi), apart)
+
+
+def session(where=None, rig=RIG):
+    scene = paper_scene(experiment_room(spacing=0.9), rig, pdf.level_flight(4))
+    planned = Problem(scene, Coverage(2, 0.5), RandomDeployment(12), threads=1)
+    return Session(planned, planned.draw(np.random.default_rng(3)), where)
+
+
+def check(planned):
+    """The figures are those of a problem that knows nothing of what was done."""
+    problem, deployment = session(rig=planned.rig).problem, planned.deployment
+    np.testing.assert_array_equal(planned.values(), problem.values(deployment))
+    assert planned.metrics() == problem.metrics(deployment)
+
+
+def test_a_camera_is_moved_with_its_figures_and_back():
+    planned = session()
+    before, number = planned.metrics(), int(planned.deployment.ids[0])
+    for angle in (0.4, 0.9):
+        planned.mount(0, np.array([0.1, 0.0, 0.2004]), turned(angle))
+    planned.drop()
+    assert planned.rig.mounts[0] == Mount(CAMERA, (0.1, 0.0, 0.2), yaw=0.9)
+    assert planned.rig.mounts[1] == RIG.mounts[1]
+    check(planned)
+    planned.drag(number, 0, np.array([0.5, 0.5]))
+    check(planned)
+    planned.undo()
+    assert planned.rig.mounts[0].yaw == 0.9
+    assert not planned.is_saved
+    planned.undo()
+    assert planned.rig == RIG
+    assert planned.metrics() == before
+    assert planned.is_saved
+    planned.redo()
+    assert planned.rig.mounts[0].yaw == 0.9
+    check(planned)
+
+
+def turned(yaw):
+    return Mount(CAMERA, yaw=yaw).rotation
+
+
+def test_on_a_body_it_goes_to_the_nearest_place_where_it_may_be():
+    planned = session(space(keep_out=[KEPT_OUT]))
+    planned.mount(0, np.array([0.3, 0.02, 0.15]), turned(0.1))
+    assert planned.rig.mounts[0] == Mount(CAMERA, (0.22, 0.02, 0.15), yaw=0.1)
+    planned.mount(0, np.array([0.05, 0.16, 0.1]), turned(1.5))  # there may be none
+    assert planned.rig.mounts[0].translation == (0.0, 0.17, 0.1)
+    planned.mount(0, np.array([0.22, 0.0, 0.1]), turned(np.pi))  # it must not see its body
+    assert planned.space.own_part(planned.rig.mounts[0]) == 0.0
+    check(planned)
+
+
+def test_a_camera_is_not_where_it_must_not_be():
+    planned = session(space(apart=0.3))
+    plan = planned.plan
+    for place, message in (
+        ([-0.22, 0.0, 0.1], r"^camera 0 would be less than 0.3 m from another\.$"),
+        ([np.nan, 0.0, 0.0], r"^a camera cannot be at"),
+    ):
+        with pytest.raises(InputError, match=message):
+            planned.mount(0, np.array(place), LEVEL)
+    with pytest.raises(InputError, match=r"^rig has a camera at"):  # outside the room
+        session().mount(0, np.array([0.0, 0.0, 50.0]), LEVEL)
+    assert planned.plan is plan
+    inside = Rig((Mount(CAMERA, (0.0, 0.0, 0.1)), RIG.mounts[1]))
+    with pytest.raises(InputError, match=r"^rig\[0\] is not where and how a camera may be mounted"):
+        session(space(), inside)
+
+
+def test_its_handles_move_a_camera_and_a_drag_is_one_step():
+    planned = session(space())
+    planner = Planner(planned, 0, lambda _: "", RandomSearch, Budget(1), seed=None)
+    try:
+        robot = planner._robot
+        robot.stand(robot.position, 0.7, -0.2)
+        axes = axis_and_right(camera_pose(robot.position[None], np.array([0.7]), np.array([-0.2])))
+        turn = Rotation.from_quat(robot._frame.wxyz, scalar_first=True).as_matrix()
+        offsets = [turn @ mount.translation for mount in RIG.mounts]
+        np.testing.assert_allclose(offsets, RIG.views(axes)[0][:, 0], atol=1e-9)
+        assert not robot._handles.visible
+        robot._choice.value = "camera 1"
+        robot._choose(None)
+        assert robot._handles.visible
+        np.testing.assert_allclose(robot._handles.position, RIG.mounts[1].translation)
+        for phase, y in (("start", 0.05), ("update", 0.0), ("update", -0.08), ("end", -0.08)):
+            robot._latest = np.array([-0.3, y, 0.1]), robot._handles.wxyz
+            robot._follow(phase == "end")
+        np.testing.assert_allclose(robot._handles.position, [-0.22, -0.08, 0.1])
+        assert "camera 1: (-0.220, -0.080, 0.100) m, yaw 171.9" in robot._text.content
+        planned.undo()
+        assert planned.rig == RIG
+        robot._latest = np.zeros(3), np.zeros(4)
+        with pytest.raises(InputError, match=r"^that is no rotation\.$"):
+            robot._follow(True)
+    finally:
+        planner.close()
