@@ -16,7 +16,7 @@ from lmd.core.threads import at_once
 from lmd.objectives.localisation.body import BODY_WIDTH, add_share, body_meets, gain_of, position_variance
 from lmd.objectives.localisation.information import PosePrecision, Precision
 from lmd.objectives.localisation.looks import add_of_all, looks_of, seen_by_any
-from lmd.objectives.localisation.slots import VIEW, fill_slots, met_slots, new_slots
+from lmd.objectives.localisation.slots import VIEW, fill_slots, met_slots, new_slots, tags_of
 from lmd.objectives.localisation.trial import sum_weights
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
@@ -48,8 +48,8 @@ def rig_views(
         places, kinds = evaluator.positions[here], weights[here] if len(weights) > 1 else weights
         every, found = looks_of(evaluator, parts, places, landmarks), np.zeros((2, len(here)), dtype=np.int64)
         variances = np.full((len(here), orientations), np.inf) if keep else np.empty((0, 0))
-        poses = np.hstack([positions[b], normals[b]])
-        _localise(every, places, poses, kinds, n, precision, precision.asks, new_slots(), found, variances)
+        tags = tags_of(precision, positions[b], normals[b])
+        _localise(every, places, tags, kinds, n, precision, precision.asks, new_slots(), found, variances)
         covered[b, here], localised[b, here] = found
         if keep:
             kept[b, here] = variances
@@ -61,34 +61,38 @@ def rig_views(
 
 
 @kernel
-def _localise(every, positions, poses, weights, n, precision, asks, slots, found, variances):  # type: ignore[no-untyped-def]
+def _localise(every, positions, tags, weights, n, precision, asks, slots, found, variances):  # type: ignore[no-untyped-def]
     """Find P_n and L in units, `found` `(2, P)`.
 
     Args:
         every: what the cameras cover, see `Looks`.
         positions: of the body, `(P, 3)`.
-        poses: of the landmarks, `(K, 6)`.
+        tags: the landmarks, see `tags_of`.
         weights: of the orientations in units, `(1, D)` or `(P, D)`.
         n, precision, asks: see `kernels.localise_range`.
         slots: working memory.
         variances: `(P, D)` of infinity, receives those of the position where n are covered; empty if nobody asks.
     """
     some, words = np.zeros(n, dtype=np.uint64), np.uint64(weights.shape[1]) // VIEW
+    shown = np.empty(len(tags), dtype=np.int64)
     for p in range(np.uint64(len(positions))):
         place = positions[p, 0], positions[p, 1], positions[p, 2]
         for w in range(words):
             some[:] = ZERO
-            for k in range(len(poses)):
+            listed = 0
+            for k in range(len(tags)):
                 seen = seen_by_any(every, p, k, w)
+                if seen == ZERO:
+                    continue
+                shown[listed] = k
+                listed += 1
                 for j in range(n - 1, 0, -1):
                     some[j] |= some[j - 1] & seen
                 some[0] |= seen
             good = has = some[n - 1]
             if has and (asks or len(variances)):
                 count = fill_slots(has, slots)
-                for k in range(len(poses)):
-                    pose = poses[k, 0], poses[k, 1], poses[k, 2], poses[k, 3], poses[k, 4], poses[k, 5]
-                    add_of_all(every, p, k, w, place, pose, precision, slots, count)
+                add_of_all(every, p, shown[:listed], w, place, tags, precision, slots)
                 if asks:
                     good = has & met_slots(precision, slots, count)
                 for v in range(count if len(variances) else ZERO):

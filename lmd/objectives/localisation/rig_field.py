@@ -26,7 +26,8 @@ class RigLocalisationScratch(NamedTuple):
     """The move tried last, and working memory.
 
     units, located, enough, localised: as in the state, after the move; coverage: the scratch of coverage. Once the move
-    is carried out, these are those of before. slots: the views that are worked on.
+    is carried out, these are those of before. lost, gained: the orientations with which the move takes a landmark from
+    some camera, and gives it one, `(Q, W)`. slots: the views that are worked on.
     """
 
     units: np.ndarray
@@ -34,6 +35,8 @@ class RigLocalisationScratch(NamedTuple):
     enough: np.ndarray
     localised: np.ndarray
     coverage: RigScratch
+    lost: np.ndarray
+    gained: np.ndarray
     slots: Slots
 
 
@@ -74,6 +77,8 @@ class RigLocalisationField(NamedTuple):
             enough=state.enough.copy(),
             localised=state.localised.copy(),
             coverage=self.coverage.scratch(state.coverage),
+            lost=np.zeros_like(state.enough),
+            gained=np.zeros_like(state.enough),
             slots=new_slots(),
         )
 
