@@ -3,8 +3,8 @@
 A rig of one camera at the body's origin gets the figures of that camera alone.
 """
 
+import math
 from functools import partial
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from lmd.core.bits import ZERO
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.core.compiled import for_kernels, kernel
-from lmd.core.threads import at_once
+from lmd.core.threads import in_parts
 from lmd.objectives.localisation.body import BODY_WIDTH, add_share, body_meets, gain_of, position_variance
 from lmd.objectives.localisation.information import PosePrecision, Precision
 from lmd.objectives.localisation.looks import add_of_all, looks_of, seen_by_any
@@ -24,7 +24,7 @@ from lmd.sight.evaluator import Evaluator
 from lmd.sight.stations import Part
 from lmd.sight.views import visible_to_each
 
-VIEWS_AT_ONCE = 1 << 14  # of which the landmarks seen are kept
+VIEWS_AT_ONCE = 1 << 16  # of which the landmarks seen are kept
 
 
 def rig_views(
@@ -37,18 +37,16 @@ def rig_views(
 ) -> tuple[IntArray, IntArray, FloatArray]:
     """See `views.localised_views`; the precision is in the units of the first camera."""
     size, orientations = len(evaluator.positions), evaluator.axes.shape[1]
-    step = max(VIEWS_AT_ONCE // orientations, 1)
-    chunks = list(pairwise([*range(0, size, step), size]))
     covered, localised = np.zeros((2, len(positions), size), dtype=np.int64)
     kept = np.full((len(positions), size, orientations) if keep else (0, 0, 0), np.inf)
     order, weights = evaluator.blocks[0][:size], evaluator.weights
+    pieces = max(math.ceil(size * orientations / VIEWS_AT_ONCE), evaluator.threads)
 
-    def work(b: int, parts: tuple[Part, ...], chunk: tuple[int, int]) -> None:
-        here, landmarks = order[slice(*chunk)], Deployment(positions[b], normals[b])
+    def work(b: int, parts: tuple[Part, ...], landmarks: Deployment, tags: FloatArray, first: int, last: int) -> None:
+        here = order[first:last]
         places, kinds = evaluator.positions[here], weights[here] if len(weights) > 1 else weights
         every, found = looks_of(evaluator, parts, places, landmarks), np.zeros((2, len(here)), dtype=np.int64)
         variances = np.full((len(here), orientations), np.inf) if keep else np.empty((0, 0))
-        tags = tags_of(precision, positions[b], normals[b])
         _localise(every, places, tags, kinds, n, precision, precision.asks, new_slots(), found, variances)
         covered[b, here], localised[b, here] = found
         if keep:
@@ -56,7 +54,8 @@ def rig_views(
 
     for b in range(len(positions)):
         parts = evaluator.rig_views.parts_among(positions[b], normals[b])
-        at_once(evaluator.threads, partial(work, b, parts), chunks)
+        deployed = Deployment(positions[b], normals[b]), tags_of(precision, positions[b], normals[b])
+        in_parts(evaluator.threads, partial(work, b, parts, *deployed), size, pieces)
     return covered, localised, kept
 
 

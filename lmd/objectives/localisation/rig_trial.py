@@ -52,24 +52,24 @@ def _place(q, field):
 
 
 @inner
-def _add_changes(stations, k, q, w, sign, field, state, scratch):
+def _add_changes(mounts, k, q, w, sign, field, state, scratch):
     """Add to the views taken what the move changes for the cameras of a part, times `sign`: see `add_landmark`."""
-    part, worth, trial, slots = stations.part, sign * field.gains[stations.number], scratch.coverage, scratch.slots
-    mine, other, target = state.coverage.parts[stations.number], trial.parts[stations.number], trial.target
+    trial, slots, count = scratch.coverage, scratch.slots, len(mounts.axes)
+    mine, other, target = state.coverage.parts[mounts.number], trial.parts[mounts.number], trial.target
     place, precision = _place(q, field), field.precision
     old, half = _tag_of(k, precision, state), half_of(precision, k)
     new = _tag(half, target[0], target[1], target[2], target[3], target[4], target[5])
-    for m in range(len(part.axes)):
+    for m in range(count):
         goes, comes = mine.caps[k, q, m, w] & ~mine.veiled[k, q, m, w], other.cap[q, m, w] & ~other.veil[q, m, w]
-        add_landmark(part, m, w, goes, place, old, -worth, precision, slots)
-        add_landmark(part, m, w, comes, place, new, worth, precision, slots)
+        add_landmark(mounts, m, w, goes, place, old, -sign, precision, slots)
+        add_landmark(mounts, m, w, comes, place, new, sign, precision, slots)
     for i in range(len(state.surfaces) if trial.touched[q] else 0):
-        for m in range(len(part.axes) if trial.known[i, q] else 0):
+        for m in range(count if trial.known[i, q] else 0):
             veiled, turns = mine.veiled[i, q, m, w], mine.caps[i, q, m, w] & other.flipped[i, q, m, w]
             if turns:
                 tag = _tag_of(i, precision, state)
-                add_landmark(part, m, w, turns & ~veiled, place, tag, -worth, precision, slots)
-                add_landmark(part, m, w, turns & veiled, place, tag, worth, precision, slots)
+                add_landmark(mounts, m, w, turns & ~veiled, place, tag, -sign, precision, slots)
+                add_landmark(mounts, m, w, turns & veiled, place, tag, sign, precision, slots)
 
 
 @inner
@@ -104,8 +104,8 @@ def _find_turns(k, positions, state, scratch):
 @inner
 def _add_all_changes(k, q, w, sign, field, state, scratch):
     """See `_add_changes`, of all parts."""
-    for stations in literal_unroll(field.coverage.parts):
-        _add_changes(stations, k, q, w, sign, field, state, scratch)
+    for mounts in literal_unroll(field.mounts):
+        _add_changes(mounts, k, q, w, sign, field, state, scratch)
     add_up(field.precision, scratch.slots)
 
 
@@ -241,9 +241,9 @@ def take_back_localised(field, k, state, scratch):
 
 
 @inner
-def _shown(stations, q, w, state):
+def _shown(mine, q, w):
     """The orientations of word w with which the cameras of a part see any landmark from position q."""
-    mine, seen = state.coverage.parts[stations.number], ZERO
+    seen = ZERO
     for i in range(mine.caps.shape[0]):
         for m in range(mine.caps.shape[2]):
             seen |= mine.caps[i, q, m, w] & ~mine.veiled[i, q, m, w]
@@ -251,26 +251,27 @@ def _shown(stations, q, w, state):
 
 
 @inner
-def _add_shown(stations, q, w, field, state, scratch):
+def _add_shown(mounts, q, w, field, state, scratch):
     """Add to the views taken what all landmarks tell the cameras of a part."""
-    part, mine, gain = stations.part, state.coverage.parts[stations.number], field.gains[stations.number]
-    place, precision, slots = _place(q, field), field.precision, scratch.slots
+    mine, place, precision, slots = (
+        state.coverage.parts[mounts.number], _place(q, field), field.precision, scratch.slots
+    )  # fmt: skip
     for i in range(mine.caps.shape[0]):
         for m in range(mine.caps.shape[2]):
             seen = mine.caps[i, q, m, w] & ~mine.veiled[i, q, m, w]
             if seen:
-                add_landmark(part, m, w, seen, place, _tag_of(i, precision, state), gain, precision, slots)
+                add_landmark(mounts, m, w, seen, place, _tag_of(i, precision, state), 1.0, precision, slots)
 
 
 @inner
 def _met_anew(q, w, field, state, scratch):
     """Sum up what all landmarks tell in word w, and find where it is enough."""
     seen, slots, first = ZERO, scratch.slots, (q * np.uint64(state.localised.shape[1]) + w) * VIEW
-    for stations in literal_unroll(field.coverage.parts):
-        seen |= _shown(stations, q, w, state)
+    for j in range(len(state.coverage.parts)):
+        seen |= _shown(state.coverage.parts[j], q, w)
     count = fill_slots(seen, slots)
-    for stations in literal_unroll(field.coverage.parts):
-        _add_shown(stations, q, w, field, state, scratch)
+    for mounts in literal_unroll(field.mounts):
+        _add_shown(mounts, q, w, field, state, scratch)
     add_up(field.precision, slots)
     give_sums(state.sums, first, slots, count)
     return met_slots(field.precision, slots, count)

@@ -24,6 +24,19 @@ AT = tuple(np.uint64(BITS * i) for i in range(13 + 21))
 TOLD = np.uint64(13)
 
 
+class Mounts(NamedTuple):
+    """The M cameras of a part of a rig, as far as what landmarks tell them goes: a tuple is copied for many calls.
+
+    number: which part it is; sight, offsets, axes: as in `lmd.sight.stations.Part`; gain: see `body.gain_of`.
+    """
+
+    number: int
+    sight: Any
+    offsets: np.ndarray
+    axes: np.ndarray
+    gain: float
+
+
 class Slots(NamedTuple):
     """The views.
 
@@ -117,15 +130,15 @@ def met_slots(precision, slots, count):
 
 
 @inner
-def add_landmark(part, m, w, seen, place, tag, worth, precision, slots):
-    """List what a landmark tells mount m of a part, in the views in which the mount covers it.
+def add_landmark(mounts, m, w, seen, place, tag, sign, precision, slots):
+    """List what a landmark tells one of the mounts, times `sign`, in the views in which the mount covers it.
 
     Args:
-        part, m: see `lmd.sight.stations.Part`.
+        mounts, m: see `Mounts`, and which.
         w, seen: the word of the views, and the orientations with which the mount covers the landmark.
         place: three numbers, the body's position.
         tag: nine numbers, see `tags_of`.
-        worth: `body.gain_of` the mount, negative to take the landmark away.
+        sign: 1 or -1.
         precision: has the share of each corner.
         slots: the views.
     """
@@ -133,7 +146,7 @@ def add_landmark(part, m, w, seen, place, tag, worth, precision, slots):
     if left == ZERO:
         return
     number, whose, work = slots.number, slots.whose, slots.work
-    sight, axes, offsets = part.sight, part.axes[m], part.offsets[m]
+    sight, axes, offsets, worth = mounts.sight, mounts.axes[m], mounts.offsets[m], sign * mounts.gain
     (px, py, pz), (lx, ly, lz, rx, ry, rz, ux, uy, uz) = place, tag
     while left:
         bit = lowest(left)
