@@ -78,25 +78,25 @@ def _find_caps(k, stations, positions, body, scratch, rig, whole):
 @inner
 def forget(scratch):
     """Clear what the last trial left."""
-    for e in range(scratch.found[0]):
-        i, q = scratch.who[e], scratch.where[e]
-        scratch.known[i, q] = False
-        for j in range(len(scratch.parts)):
-            flipped = scratch.parts[j].flipped
+    for j in range(len(scratch.parts)):
+        part = scratch.parts[j]  # copied: outside of other loops
+        cap, veil, flipped = part.cap, part.veil, part.flipped
+        part.rivals[0] = 0
+        for e in range(scratch.found[0]):
+            i, q = scratch.who[e], scratch.where[e]
             for m in range(flipped.shape[2]):
                 for w in range(flipped.shape[3]):
                     flipped[i, q, m, w] = ZERO
-    for e in range(scratch.found[1]):
-        scratch.touched[scratch.places[e]] = False
-    scratch.found[0] = scratch.found[1] = 0
-    for j in range(len(scratch.parts)):
-        cap, veil = scratch.parts[j].cap, scratch.parts[j].veil
-        scratch.parts[j].rivals[0] = 0
         for s in range(scratch.near[1]):
             for q in range(scratch.spans[s, 0], scratch.spans[s, 1]):
                 for m in range(cap.shape[1]):
                     for w in range(cap.shape[2]):
                         cap[q, m, w] = veil[q, m, w] = ZERO
+    for e in range(scratch.found[0]):
+        scratch.known[scratch.who[e], scratch.where[e]] = False
+    for e in range(scratch.found[1]):
+        scratch.touched[scratch.places[e]] = False
+    scratch.found[0] = scratch.found[1] = 0
     for s in range(scratch.near[1]):
         for q in range(scratch.spans[s, 0], scratch.spans[s, 1]):
             for w in range(scratch.fresh.shape[1]):
@@ -179,14 +179,17 @@ def ask_again(k, n, or_more, state, scratch):
 @inner
 def join(positions, scratch):
     """Find in `fresh` what all cameras see of the place tried at `positions`."""
+    fresh = scratch.fresh
     for q in positions:
-        for w in range(np.uint64(scratch.fresh.shape[1])):
-            fresh = ZERO
-            for j in range(len(scratch.parts)):
-                cap, veil = scratch.parts[j].cap, scratch.parts[j].veil
-                for m in range(cap.shape[1]):
-                    fresh |= cap[q, m, w] & ~veil[q, m, w]
-            scratch.fresh[q, w] = fresh
+        for w in range(np.uint64(fresh.shape[1])):
+            fresh[q, w] = ZERO
+    for j in range(len(scratch.parts)):
+        part = scratch.parts[j]
+        cap, veil = part.cap, part.veil
+        for q in positions:
+            for m in range(cap.shape[1]):
+                for w in range(np.uint64(fresh.shape[1])):
+                    fresh[q, w] |= cap[q, m, w] & ~veil[q, m, w]
 
 
 @inner
