@@ -67,7 +67,7 @@ lint: install-all  ## style and types
 	$(BIN)/mypy
 
 docs: install-all  ## the documentation as HTML in build/docs; a broken link or reference fails
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 ui: install  ## browse the runs at http://127.0.0.1:5000
 	-$(BIN)/python -m pipelines.runs

@@ -15,7 +15,7 @@ from lmd.incremental.field import move
 from lmd.incremental.move import state_of
 from lmd.incremental.state import scratch_of
 from lmd.incremental.trial import bound_move, finish_move
-from lmd.optimisers.annealing.walk import propose
+from lmd.optimisers.annealing.proposals import propose
 from lmd.optimisers.ledger import Budget
 from lmd.pipelines.app import CONF
 from lmd.pipelines.building import build_optimiser, build_problem

@@ -2,11 +2,10 @@
 
 import re
 import sys
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import deepcopy
-from functools import cache, partial
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import hydra
@@ -14,6 +13,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from .app import CONF
 from .fixed import fixed_of, others_of, total_of
+from .notes import note, note_edges, note_outside
 from .spelling import meant
 from .tag_sizes import divide_paper, spell_counts
 
@@ -22,17 +22,13 @@ if TYPE_CHECKING:
     from lmd.optimisers.ledger import Budget
     from lmd.problem import Problem
     from lmd.scene.camera import Camera
-    from lmd.scene.deployment import Deployment
     from lmd.scene.pdf import OrientationPdf
     from lmd.scene.recorded_poses import RecordedPoses
     from lmd.scene.rig import Rig
-    from lmd.scene.tag import Tag
     from lmd.space.space import Space
 
 # What every problem has settings of.
 GROUPS = ("room", "camera", "visibility", "objective", "encoding", "deployment")
-SAME_EDGE = 1e-6  # metres
-MENTIONED = 8  # tags in a note
 RUN_BYTES = 1000  # at the least, of each of several runs
 # Settings that are true or false.
 SWITCHES = ("validate", "picture", "page", "localisation", "losses", "sensitivity", "all_visible")
@@ -154,7 +150,6 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
     """The problem a composed configuration describes.
 
     Args:
-        cfg: the configuration.
         count: the key by which the user says how many landmarks there are.
 
     Raises:
@@ -226,39 +221,6 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
         note_outside(scene.room, tag, drawn)
     with keyed("objective", rig="camera.rig"):
         return Problem(scene, objective, start, threads, **hung)
-
-
-def note_edges(tag: "Tag", deployment: "Deployment") -> None:
-    """Say how many tags have an edge of their own by their file, and which."""
-    own = deployment.edges_of(tag).tolist()
-    other = Counter(edge for edge in own if abs(edge - tag.size) > SAME_EDGE)
-    if other and tag.edges is None:
-        sizes = ", ".join(f"{edge:g} m ({count})" for edge, count in sorted(other.items()))
-        holds = f"{len(own) - other.total()} of {len(own)} tags"
-        note(f"tag.edge = {tag.size:g} m holds for {holds}; the others have their own: {sizes}")
-
-
-def note_outside(room: "Space", tag: "Tag", deployment: "Deployment") -> None:
-    """Say which landmarks have a corner behind a face of the room, be it by a rounding: nothing sees them."""
-    from lmd.geometry.squares import corners
-
-    points = corners(deployment.positions, deployment.normals, deployment.ups, deployment.edges_of(tag))
-    behind = deployment.ids[~room.contains(points).all(axis=1)]
-    if len(behind):
-        said = _few(list(map(str, behind)))
-        note(f"behind a face of the {room.describe()}, where no camera sees them: {said}")
-
-
-def _few(names: list[str]) -> str:
-    """The first of some names, and how many more there are."""
-    return ", ".join(names[:MENTIONED]) + (f" and {len(names) - MENTIONED} more" * (len(names) > MENTIONED))
-
-
-@cache
-def note(text: str) -> None:
-    """Say it, unless it is empty, once, however many problems a process builds."""
-    if text:
-        print(f"note: {text}", file=sys.stderr)
 
 
 def _poses(cfg: DictConfig) -> "tuple[Space, OrientationPdf, RecordedPoses | None]":

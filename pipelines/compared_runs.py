@@ -54,7 +54,6 @@ class Job:
 
         Args:
             comparison: the folder of the comparison.
-            run: what was found.
             parent: the tracked run of the comparison, if any.
             ups: as for `Deployment.to_csv`.
         """

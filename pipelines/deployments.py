@@ -27,7 +27,6 @@ def composed_deployments(cfg: DictConfig, config_name: str) -> dict[str, DictCon
     Those that do not come from a file have as many landmarks as the earlier run, unless something else says how many.
 
     Args:
-        cfg: of the running application.
         config_name: what it composes, `observe` and so on.
 
     Raises:

@@ -159,7 +159,6 @@ def sightings(subjects: Mapping[str, Subject], seed: int, workers: int | None) -
 
     Args:
         subjects: by name.
-        seed: of the noise.
         workers: processes, None for every processor; the result is the same.
     """
     from lmd.detection.frames import Sightings

@@ -14,7 +14,6 @@ def read_document(path: Path, content_of: Callable[[dict[str, Any]], Content]) -
     """What a document holds, or None if there is none. A damaged one counts as none, is named, and is set aside.
 
     Args:
-        path: of the file.
         content_of: makes of the file's keys and values what they stand for; raises ValueError, KeyError or TypeError
             where they stand for nothing.
     """

@@ -56,8 +56,8 @@ def evaluate(cfg: DictConfig) -> float:
     with tracked(cfg, subject, title_of(problem, subject)) as tracker:
         summary: dict[str, Any] = localise(problem, deployment, seed, tracker) if cfg.localisation else {}
         texts = []
-        for name, study, draw in studies(cfg, problem, plan, deployment, error, seed):
-            tracker.log_artifacts(write_study(run_directory(), name, study, draw))
+        for name, study, draw, about in studies(cfg, problem, plan, deployment, error, seed):
+            tracker.log_artifacts(write_study(run_directory(), name, study, draw, title_of(problem, about)))
             figures = study.metrics()
             if name == "losses":  # figures of the deployment like its fitness
                 summary |= figures
@@ -95,46 +95,39 @@ def studies(
     deployment: "Deployment",
     error: "MountingError",
     seed: int,
-) -> "Iterator[tuple[str, Study, Callable[[Path], None] | None]]":
+) -> "Iterator[tuple[str, Study, Callable[..., None] | None, str]]":
     """Conduct the studies that are asked for, one after the other.
 
     Args:
-        cfg: says which.
-        problem: what the deployment is scored for.
         plan: where the tags were planned.
         deployment: the same, or where they were measured.
         error: of mounting them.
-        seed: of all studies.
 
     Yields:
-        the name of a study, the study, and what draws its picture, None for no picture.
+        the name of a study, the study, what draws its picture, None for no picture, and what the picture is about.
     """
-    from .tracked_run import title_of
-
-    if cfg.losses and (fallen := lose(problem, deployment)):
-        yield "losses", fallen, None
+    if cfg.losses and (lost := lose(problem, deployment)):
+        yield "losses", lost, None, ""
     if cfg.sensitivity:
         from lmd.evaluation.sensitivity import sensitivity
         from lmd.plot.sensitivity import save_sensitivity_figure
 
         varied = sensitivity(problem, deployment, seed)
-        about = title_of(problem, "sensitivity,")
-        yield "sensitivity", varied, partial(save_sensitivity_figure, found=varied, title=about)
+        yield "sensitivity", varied, partial(save_sensitivity_figure, found=varied), "sensitivity,"
     if deployment is not plan:
         from lmd.evaluation.survey import survey
         from lmd.plot.mounting import save_map_figure
 
         surveyed = survey(problem, plan, deployment, seed)
-        about = title_of(problem, "maps as planned and as measured,")
-        yield "survey", surveyed, partial(save_map_figure, views=surveyed.views, title=about)
+        draw = partial(save_map_figure, views=surveyed.views)
+        yield "survey", surveyed, draw, "maps as planned and as measured,"
     if not error.is_none:
         from lmd.evaluation.mounting import mounted
         from lmd.plot.mounting import save_map_figure
 
         with keyed(MOUNTING):
             hung = mounted(problem, deployment, error, seed)
-        about = title_of(problem, f"{error.draws} mountings,")
-        yield "mounting", hung, partial(save_map_figure, views=hung.views, title=about)
+        yield "mounting", hung, partial(save_map_figure, views=hung.views), f"{error.draws} mountings,"
 
 
 def lose(problem: "Problem", deployment: "Deployment") -> "Losses | None":
@@ -149,7 +142,9 @@ def lose(problem: "Problem", deployment: "Deployment") -> "Losses | None":
         return None
 
 
-def write_study(directory: Path, name: str, study: "Study", draw: "Callable[[Path], None] | None") -> list[Path]:
+def write_study(
+    directory: Path, name: str, study: "Study", draw: "Callable[..., None] | None", title: str
+) -> list[Path]:
     """Write the tables of a study and its picture, which is called like the study; returns the files."""
     from lmd.core.tables import write_table
 
@@ -159,7 +154,7 @@ def write_study(directory: Path, name: str, study: "Study", draw: "Callable[[Pat
         write_table(files[-1], {str(column): values for column, values in table.items()})
     if draw is not None:
         files.append(directory / f"{name}.png")
-        draw(files[-1])
+        draw(files[-1], title=title)
     return files
 
 

@@ -27,7 +27,6 @@ def fixed_of(node: DictConfig, family: str) -> "Deployment | None":
 
     Args:
         node: the group `deployment`.
-        family: of the tags.
 
     Raises:
         InputError: the file cannot be read, or what it holds is no deployment.

@@ -1,8 +1,8 @@
-"""What an optimiser can be tuned by: the defaults of its class, as keys of its configuration.
+"""What an optimiser can be tuned by, and a camera set to: the defaults of its class, as keys of its configuration.
 
-A file in `conf/optimiser` says only what differs from the class, and so does a file of a user's own. The other
-arguments of the class are added when Hydra loads the file, so that `--cfg job` shows them, a run records them, and
-`optimiser.population=12` overrides them.
+A file in `conf/optimiser` or `conf/camera` says only what differs from the class, and so does a file of a user's own.
+The other arguments of the class are added when Hydra loads the file, so that `--cfg job` shows them, a run records
+them, and `optimiser.population=12` overrides them.
 """
 
 import inspect
@@ -17,13 +17,13 @@ from hydra.core.plugins import Plugins
 from hydra.plugins.config_source import ConfigResult
 from omegaconf import DictConfig, OmegaConf
 
-GROUP = "optimiser"
+GROUPS = ("optimiser", "camera")
 SET_ELSEWHERE = ("seed", "encoding", "rng", "x0")  # by keys at the top, and by who calls functions of SciPy
 HELP = {"--help", "-h"}
 
 
 class FileConfigSource(file_config_source.FileConfigSource):
-    """Hydra's loader of files, which completes those of optimisers.
+    """Hydra's loader of files, which completes those of `GROUPS`.
 
     It has the name of the one it replaces: by that, Hydra knows in another process that there is one already.
     """
@@ -32,7 +32,7 @@ class FileConfigSource(file_config_source.FileConfigSource):
         """Load a file; see `hydra.plugins.config_source.ConfigSource`."""
         loaded = super().load_config(config_path)
         file = loaded.config
-        if config_path.split("/")[0] == GROUP and not HELP.intersection(sys.argv) and isinstance(file, DictConfig):
+        if config_path.split("/")[0] in GROUPS and not HELP.intersection(sys.argv) and isinstance(file, DictConfig):
             builds_on = [entry for entry in file.get("defaults", []) if not str(entry).startswith("{'override ")]
             if not builds_on:  # where it does, those files are completed, and this one changes them
                 loaded.config = OmegaConf.merge(completed(file), file)
@@ -73,7 +73,7 @@ def _plain(value: Any) -> Any:
 
 def over_defaults(override: str) -> str:
     """An override that may set what the class has added already: Hydra refuses a `+` before a key that is there."""
-    return f"+{override}" if override.startswith(f"+{GROUP}.") else override
+    return f"+{override}" if override.startswith(tuple(f"+{group}." for group in GROUPS)) else override
 
 
 Plugins.instance()  # registers its own loader of files

@@ -99,9 +99,7 @@ def checkpoint_of(
     """The checkpoint of a run, and the run that it goes on with if one is resumed.
 
     Args:
-        cfg: the configuration.
         optimiser: what is kept.
-        problem: what it works on.
         further: groups that a resumed run must share beside `SAME_WHEN_RESUMED`.
 
     Raises:
@@ -113,7 +111,7 @@ def checkpoint_of(
     from .tracked_run import Earlier
 
     real("checkpoint_seconds", cfg.checkpoint_seconds, above=0.0)
-    as_now = partial(settings_now, optimiser=cfg.optimiser)
+    as_now = partial(settings_now, cfg=cfg)
     settings = as_now(flat_settings(cfg, *SAME_WHEN_RESUMED, *further))
     checkpoint = Checkpoint(optimiser, settings | contents_of(settings), settings_now=as_now)
     if cfg.resume is None:

@@ -63,9 +63,6 @@ def write_figures(
     """Write landmarks.csv and metrics.json, both or none.
 
     Args:
-        directory: the run's directory.
-        problem: what the deployment is scored for.
-        deployment: what is written.
         document: metrics.json, to which the settings of the problem are added.
 
     Returns:
@@ -107,11 +104,7 @@ def write_pictures(
     """Write the pictures and what is exported, as many as the disk takes.
 
     Args:
-        directory: the run's directory.
-        problem: what is scored.
-        deployment: what is shown.
         history: best fitness over the run; a single evaluation gets no curve.
-        title: heads the pictures.
         picture: whether to write the picture and the curve.
         page: whether to write the interactive page.
         exports: what writes further files, by their names.

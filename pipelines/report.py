@@ -32,7 +32,8 @@ def report(cfg: DictConfig) -> None:
 
     from .operations.tracking import MlflowReader
     from .reproduction.document import to_html, to_markdown
-    from .reproduction.sections import Source, sections
+    from .reproduction.sections import sections
+    from .reproduction.source import Source
 
     if "uri" not in cfg.tracking:
         raise InputError("A report reads what was tracked: it needs tracking=mlflow.")

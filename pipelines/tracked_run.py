@@ -125,15 +125,11 @@ def record(
     and whatever happens then they stay.
 
     Args:
-        cfg: of the run.
-        problem: what the deployment is scored for.
         tracker: with the run started.
-        deployment: what was found.
         history: best fitness over the run.
         subject: what the run is about, in a word.
         summary: more entries of metrics.json.
         further: yet more, that take seconds to compute.
-        export: formats to write the tags in.
         status: the run ends with.
         in_haste: leave out what takes seconds: validation, pictures, exports and `further` entries.
     """

@@ -78,7 +78,6 @@ class Trust:
         Args:
             found: plain data.
             source: where it is from, for messages.
-            groups: of the configuration.
 
         Raises:
             InputError: they name what is not trusted, or are none.

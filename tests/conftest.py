@@ -32,14 +32,14 @@ def give_memory_back():
 
 
 def pytest_xdist_auto_num_workers():
-    """Two more than processors: every other test waits for a process, a server, a browser or a cluster."""
-    return available_threads() + 2
+    """Three more than processors: every other test waits for a process, a server, a browser or a cluster."""
+    return available_threads() + 3
 
 
 def pytest_collection_modifyitems(items):
-    """Files with slow tests come first, or the last of them would run while other workers have nothing left to do."""
-    slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: item.path not in slow)
+    """Long files come first, or the last of them would run while other workers have nothing left to do."""
+    long, slow = ({item.path for item in items if item.get_closest_marker(mark)} for mark in ("long", "slow"))
+    items.sort(key=lambda item: (item.path not in long, item.path not in slow))
 
 
 workers.ready_server = processes.ensure_warm  # all that a test starts is forked from one process

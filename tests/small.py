@@ -3,22 +3,16 @@
 from dataclasses import replace
 from functools import cache
 
-from hydra import compose, initialize_config_dir
+import composing
 from paper import paper_room, paper_scene
 
 from lmd.objectives.coverage import Coverage
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import RandomDeployment
-from pipelines.app import CONF
 from pipelines.building import build_optimiser
 
-
-@cache
-def composed(pipeline, *overrides):
-    """The configuration of a pipeline; composing takes a tenth of a second."""
-    with initialize_config_dir(CONF, version_base="1.3"):
-        return compose(pipeline, list(overrides))
+composed = cache(composing.composed)
 
 
 def make(name, seed=0):

@@ -53,10 +53,14 @@ def lenses(draw):
     return Lens("plumb_bob", tuple(draw(kind) for kind in kinds[: draw(st.sampled_from([4, 5, 8, 12]))]))
 
 
+FISHEYE = ("equidistant",)
+BENT = ("plumb_bob", "rational_polynomial")
+
+
 @st.composite
-def distorted_cameras(draw):
+def distorted_cameras(draw, models=(*BENT, *FISHEYE)):
     """Barrels, pincushions, moustaches and prisms, the strongest of which nearly fold in the corners; and fisheyes."""
-    camera, model = draw(cameras()), draw(st.sampled_from(["plumb_bob", "rational_polynomial", "equidistant"]))
+    camera, model = draw(cameras()), draw(st.sampled_from(models))
     lens, radius = [draw(st.floats(-1.0, 1.0)) for _ in range(12)], math.tan(camera.widest_angle)
     circle = draw(st.one_of(st.just(math.inf), st.floats(0.6, 2.2))) * min(camera.image_width, camera.image_height)
     if model == "equidistant":
@@ -135,8 +139,8 @@ def fiducials(draw):
     )
 
 
-def fiducial_scenes(room=rooms()):  # noqa: B008
-    return st.builds(Scene, room, st.one_of(cameras(), distorted_cameras()), rolled_pdfs(), fiducials())
+def fiducial_scenes(camera=st.one_of(cameras(), distorted_cameras())):  # noqa: B008
+    return st.builds(Scene, rooms(), camera, rolled_pdfs(), fiducials())
 
 
 def scenes(room=rooms(), visibility=visibilities()):  # noqa: B008

@@ -3,12 +3,12 @@
 from pathlib import Path
 
 import pytest
+from composing import composed
 from contracts.criterion import check_criterion
 from contracts.estimator import check_estimator
 from contracts.objective import check_objective
 from contracts.space import check_space
 from floor_plans import L_SHAPE, PILLAR, RACK, lab
-from hydra import compose, initialize_config_dir
 from meshes import mesh_room
 from paper import experiment_room, paper_camera
 
@@ -18,6 +18,8 @@ from lmd.sight.models.paper import Visibility
 from lmd.space.floor_plan import FloorPlan
 from pipelines.app import CONF
 from pipelines.building import build_problem, instantiate
+
+pytestmark = pytest.mark.long
 
 BENT = paper_camera(distortion=(-0.15, 0.02, 0.002, -0.003))
 CRITERIA = {
@@ -31,11 +33,6 @@ L = FloorPlan(L_SHAPE, 2.5, holes=[PILLAR], obstacles=[RACK])
 
 def options(group):
     return sorted(path.stem for path in Path(CONF, group).glob("*.yaml"))
-
-
-def composed(app, *overrides):
-    with initialize_config_dir(CONF, version_base="1.3"):
-        return compose(app, list(overrides))
 
 
 @pytest.mark.parametrize(("criteria", "camera"), CRITERIA.values(), ids=CRITERIA)

@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from shutil import copytree, ignore_patterns
 
+import composing
 import numpy as np
 import pytest
 import yaml
@@ -21,7 +22,6 @@ from contracts.objective import check_objective
 from contracts.optimiser import check_optimiser
 from contracts.space import check_space
 from floor_plans import L_SHAPE, PILLAR
-from hydra import compose, initialize_config_dir
 from paper import paper_camera, paper_room, paper_scene
 from processes import call
 from small import problem
@@ -45,14 +45,14 @@ from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import evaluate_range
+from lmd.sight.models.fiducial import Fiducial
 from lmd.space.floor_plan import FloorPlan
 from lmd.space.parts import Reachable
 from lmd.space.prism import Prism
-from pipelines.app import CONF
 from pipelines.building import build_optimiser, build_problem
 from pipelines.evaluate import lose
 
-pytestmark = pytest.mark.slow  # what is made for classes from elsewhere is compiled anew each time
+pytestmark = [pytest.mark.slow, pytest.mark.long]  # what is made for classes from elsewhere is compiled anew each time
 
 ROOT = Path(__file__).parents[1]
 GUIDES = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -118,8 +118,7 @@ def check(line, folder):
 
 
 def composed(guides, *overrides, app="optimise"):
-    with initialize_config_dir(CONF, version_base="1.3"):
-        return compose(app, [f"hydra.searchpath=[file://{guides}/mine]", *overrides])
+    return composing.composed(app, f"hydra.searchpath=[file://{guides}/mine]", *overrides)
 
 
 def near_scene():
@@ -243,7 +242,8 @@ class Bare:
 
 def test_annealing_does_without_stacks_and_selection_and_greedy_says_what_it_lacks():
     p = problem(tag=Tag(0.2))
-    p = Problem(p.scene, Unselected(tolerance=0.1), p.start, threads=1)
+    scene = replace(p.scene, visibility=Fiducial(Tag(0.2)))  # compiled for tags, as commands are
+    p = Problem(scene, Unselected(tolerance=0.1), p.start, threads=1)
     result = Annealing().run(p, Budget(100))
     assert result.fitness > result.history[0].best_fitness
     greedy = Greedy()

@@ -4,11 +4,10 @@ import sys
 
 import numpy as np
 import pytest
-from hydra import compose, initialize_config_dir
+from composing import composed
 from omegaconf import OmegaConf
 
 import pipelines.report
-from pipelines.app import CONF
 from pipelines.building import build_problem
 from pipelines.operations.tracking import PARENT_TAG, MlflowTracker, RunStart
 
@@ -18,8 +17,7 @@ AVERAGE, MAXIMUM = 0.6, 0.9  # of every run
 
 def small_config():
     """A problem of 36 positions and six landmarks."""
-    with initialize_config_dir(CONF, version_base="1.3"):
-        return compose("optimise", [*SMALL, "deployment=uniform"])
+    return composed("optimise", *SMALL, "deployment=uniform")
 
 
 def record_sweep(uri, folder, name, jobs, pipeline="optimise"):
@@ -85,8 +83,8 @@ def record_all(uri, folder):
 def write_report(folder, *overrides):
     """Report into `folder`, which must not exist, in this process; returns the Markdown."""
     folder.mkdir()
-    with initialize_config_dir(CONF, version_base="1.3"), pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pipelines.report, "run_directory", lambda: folder)
         patch.setattr(sys, "argv", ["report", *overrides])
-        pipelines.report.report(compose("report", list(overrides)))
+        pipelines.report.report(composed("report", *overrides))
     return (folder / "report.md").read_text()

@@ -37,13 +37,17 @@ class CameraProblem(Problem):
     def __init__(self, problem: Problem, tags: Deployment, space: MountSpace, start: Rig | None = None) -> None:
         self.tags, self.space = tags, space
         self.first = None if start is None else space.genes(start)
-        scene = replace(problem.scene, camera=self._body_as_rig())
+        corners = self._corners()
         try:
-            super().__init__(scene, problem.objective, problem.start, problem.evaluator.threads, problem.fixed)
+            replace(problem.scene, camera=Rig(corners)).check_inside(problem.evaluator.positions)
         except InputError as error:
             if error.argument != "rig":
                 raise
             raise InputError(f"boxes leave the room: {error}", "boxes") from None
+        # What a rig's problem asks of orientations, it asks if a roll of the body moves any corner.
+        farthest = max(corners, key=lambda mount: float(np.linalg.norm(mount.translation[1:])))
+        scene = replace(problem.scene, camera=Rig((farthest,)))
+        super().__init__(scene, problem.objective, problem.start, problem.evaluator.threads, problem.fixed)
         self.views = CameraViews(self.fitness_evaluator, tags)
         self._most = -np.inf  # the best fitness so far
         if not self.counts:  # what does not take a rig says so before anything is searched
@@ -54,7 +58,7 @@ class CameraProblem(Problem):
         """Whether the objective only asks how many landmarks are seen, so that cameras can be looked at one by one."""
         return isinstance(self.objective, Coverage)
 
-    def _body_as_rig(self) -> Rig:
+    def _corners(self) -> tuple[Mount, ...]:
         """Cameras at the corners of the faces: where these are in the room, the body is."""
         at = [
             face.point(a, b) + self.space.body.standoff * face.normal
@@ -62,7 +66,7 @@ class CameraProblem(Problem):
             for a in (0.0, face.extent[0])
             for b in (0.0, face.extent[1])
         ]
-        return Rig(tuple(Mount(self.space.lenses[0], tuple(place.tolist())) for place in at))
+        return tuple(Mount(self.space.lenses[0], tuple(place.tolist())) for place in at)
 
     def with_rig(self, rig: Rig, start: DeploymentSource | None = None) -> Problem:
         """The problem of landmarks with a rig in place of the cameras, and another start if one is given."""

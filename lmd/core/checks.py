@@ -1,7 +1,8 @@
 """Checks of user input: each raises `InputError` with one sentence that names the value."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +48,27 @@ class InputError(ValueError):
         if self.argument is None:
             return self
         return InputError(f"{whole}.{self}", f"{whole}.{self.argument}")
+
+
+@contextmanager
+def argument_of(whole: str) -> Iterator[None]:
+    """Where an `InputError` is about an argument, let it be about that argument of `whole`."""
+    try:
+        yield
+    except InputError as error:
+        raise error.within(whole) from None
+
+
+@contextmanager
+def said_of(source: object, argument: str | None = None, known: Container[str | None] = ()) -> Iterator[None]:
+    """Let an `InputError` begin with the `source` of the input, and be about the `argument` that it came from.
+
+    Errors about one of the arguments that are `known` stay what they are.
+    """
+    try:
+        yield
+    except InputError as error:
+        raise error if error.argument in known else InputError(f"{source}: {error}", argument) from None
 
 
 def real(
@@ -144,6 +166,19 @@ def vector(name: str, value: Any, size: int | None, **bounds: Any) -> tuple[floa
     if (not entries) if size is None else len(entries) != size:
         raise InputError(f"{wanted}, got {entries!r}.", name)
     return tuple(real(f"{name}[{i}]", entry, **bounds) for i, entry in enumerate(entries))
+
+
+def check_fields(instance: Any, check: Callable[..., Any], *names: str, **bounds: Any) -> None:
+    """Put what a check returns into fields of a frozen dataclass, each in its turn.
+
+    Args:
+        instance: of the dataclass.
+        check: called with the name and the value of a field, and with `bounds`.
+        names: of the fields.
+        bounds: what else the check takes.
+    """
+    for name in names:
+        object.__setattr__(instance, name, check(name, getattr(instance, name), **bounds))
 
 
 def file_path(name: str, value: Any) -> Path:

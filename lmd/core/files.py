@@ -9,6 +9,7 @@ import math
 import os
 import re
 import stat
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,6 @@ def read_bytes(path: Any, name: str, largest: float = math.inf) -> bytes:
     """The contents of a file.
 
     Args:
-        path: the file.
         name: the argument the path came from, for messages.
         largest: bytes that it may have.
 
@@ -122,6 +122,11 @@ def parse_keys(path: Any, text: str, name: str) -> dict[str, Any]:
     if not isinstance(keys, dict):
         raise InputError(f"{name}: {str(path)!r} has no keys.", name)
     return {str(key): value for key, value in keys.items()}
+
+
+def flat(values: Iterable[Any]) -> list[Any]:
+    """The values of a list, and those of the lists within it."""
+    return [value for row in values for value in (row if isinstance(row, list) else [row])]
 
 
 def _from_opencv(text: str) -> str:

@@ -91,7 +91,6 @@ def read_table(path: Any, *, name: str) -> Table:
     """Read a CSV with a header; blank lines and lines that begin with # are left out.
 
     Args:
-        path: the file.
         name: the argument the path came from, for messages.
 
     Raises:
@@ -190,14 +189,12 @@ def _lines(text: str) -> list[tuple[int, str]]:
     return [(i, line) for i, line in enumerate(lines, 1) if line.strip() and line.lstrip()[0] != COMMENT]
 
 
-def read_numbers(path: Any, columns: Sequence[str], *, name: str, optional: Sequence[str] = ()) -> FloatArray:
+def read_numbers(path: Any, columns: Sequence[str], *, name: str) -> FloatArray:
     """Read the numeric `columns` of a CSV with a header, in that order.
 
     Args:
-        path: the file.
         columns: columns that must be there.
         name: the argument the path came from, for messages.
-        optional: columns that may be there and are ignored.
 
     Returns:
         `(rows, len(columns))` finite float64.
@@ -205,4 +202,4 @@ def read_numbers(path: Any, columns: Sequence[str], *, name: str, optional: Sequ
     Raises:
         InputError: the file cannot be read, a column is missing or unknown, a value is no finite number.
     """
-    return read_table(path, name=name).numbers(columns, optional)
+    return read_table(path, name=name).numbers(columns)

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, real
+from lmd.core.checks import FloatArray, InputError, check_fields, real, said_of
 from lmd.core.tables import read_numbers, read_table
 from lmd.detection.detectors import Detections, Detector
 from lmd.detection.evaluation import CORNER_TOLERANCE, corner_error, match
@@ -14,7 +14,7 @@ from lmd.detection.frames import qualities
 from lmd.detection.images import Photographs
 from lmd.detection.mosaic import Views, only
 from lmd.detection.pose import pose_from_corners
-from lmd.geometry.se3 import poses_from_rows
+from lmd.geometry.se3 import ROW, poses_from_rows
 from lmd.geometry.squares import upright
 from lmd.render.imaging import Imaging
 from lmd.render.renderer import Renderer
@@ -22,8 +22,6 @@ from lmd.render.room import TaggedRoom
 from lmd.scene.camera import Camera
 from lmd.scene.deployment import COLUMNS
 from lmd.scene.tag import Tag
-
-POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,7 @@ class BoardImages:
         _ = self.images  # which refuses a folder without any
         if self.tags is None:
             raise InputError("tags is missing: a CSV of the tags on the board is needed.", "tags")
-        object.__setattr__(self, "tolerance", real("tolerance", self.tolerance, above=0.0))
+        check_fields(self, real, "tolerance", above=0.0)
 
     def views(
         self, cameras: Sequence[Camera], tag: Tag, detector: Detector, imaging: Imaging, rng: np.random.Generator
@@ -96,25 +94,21 @@ class BoardImages:
         assert self.tags is not None
         table = read_numbers(self.tags, ("id", *COLUMNS), name="tags")
         normals = table[:, 4:] / np.linalg.norm(table[:, 4:], axis=1, keepdims=True)
-        try:
+        with said_of(self.tags):
             return TaggedRoom(tag, table[:, 0].astype(np.int64), table[:, 1:4], normals, upright(normals)[1])
-        except InputError as error:
-            raise InputError(f"{self.tags}: {error}") from None
 
     def _known_poses(self, path: str) -> dict[str, FloatArray]:
         """X by the image's name."""
         table = read_table(path, name="poses")
-        rows = table.numbers(POSE, ("image",))
+        rows = table.numbers(ROW, ("image",))
         if "image" not in table:
-            raise InputError(f"{path} lacks the column 'image'; expected image,{','.join(POSE)}.")
+            raise InputError(f"{path} lacks the column 'image'; expected image,{','.join(ROW)}.")
         names = table.texts["image"]
         missing = set(names) - set(self.images.names)
         if missing:
             raise InputError(f"{path}: {str(self.folder)!r} has no image {min(missing)!r}.")
-        try:
+        with said_of(path):
             return dict(zip(names, poses_from_rows(rows), strict=True))
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
 
 
 def _pose_by(renderer: Renderer, found: Detections, tolerance: float) -> FloatArray | None:

@@ -98,8 +98,6 @@ class Calibration:
         """The limits as a preset's file, with the evidence as comments.
 
         Args:
-            detector: its name.
-            family: of the tags.
             source: where the views come from.
         """
         fit = self.fit

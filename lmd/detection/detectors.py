@@ -11,13 +11,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lmd.core.checks import FloatArray, InputError, choice, integer, real
+from lmd.core.checks import FloatArray, InputError, check_fields, choice, integer, real
 from lmd.core.optional import optional
 from lmd.render.imaging import UInt8Array
+from lmd.scene.calibration_files import PIXEL_CENTRE
 from lmd.scene.tag import FAMILIES, dictionary
 
-# OpenCV counts pixels from the centre of the first one.
-PIXEL_CENTRE = 0.5
 # What cv2.aruco calls top-left in a picture of an AprilTag is the bottom-right corner of AprilTag's own.
 HALF_TURN = [2, 3, 0, 1]
 # AprilTag begins at the bottom left and goes round counter-clockwise.
@@ -115,8 +114,8 @@ class AprilTagDetector:
 
     def __post_init__(self) -> None:
         choice("family", self.family, tuple(name for name, family in FAMILIES.items() if family.apriltag))
-        object.__setattr__(self, "quad_decimate", real("quad_decimate", self.quad_decimate, low=1.0))
-        object.__setattr__(self, "most_errors", integer("most_errors", self.most_errors, low=0, high=2))
+        check_fields(self, real, "quad_decimate", low=1.0)
+        check_fields(self, integer, "most_errors", low=0, high=2)
 
     def detect(self, image: UInt8Array) -> Detections:
         """See `Detector.detect`."""

@@ -100,23 +100,17 @@ def corner_error(found: FloatArray, expected: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(((found - expected) ** 2).sum(axis=-1).mean(axis=-1)))
 
 
-def quantiles_by(
-    value: FloatArray, error: FloatArray, bounds: ArrayLike, quantiles: Sequence[float] = (0.5, 0.9)
-) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Quantiles of an error in classes of another value, as of corner errors by pitch.
+def quantiles_by(value: FloatArray, error: FloatArray, bounds: ArrayLike, quantiles: Sequence[float]) -> FloatArray:
+    """Quantiles of an error in B classes of another value, `(B, Q)`, as of corner errors by pitch; NaN for empty ones.
 
     Args:
         value, error: the same shape; pairs with a NaN are left out.
-        bounds: of the B classes, ascending, `(B + 1,)`; a class contains its lower bound.
+        bounds: of the classes, ascending, `(B + 1,)`; a class contains its lower bound.
         quantiles: Q of them.
-
-    Returns:
-        Quantiles `(B, Q)`, NaN for empty classes, and the number in each class, `(B,)`.
     """
     edges = np.asarray(bounds, dtype=np.float64)
     known = np.isfinite(value) & np.isfinite(error)
     place = np.searchsorted(edges, value[known], side="right") - 1
     classes = [error[known][place == b] for b in range(len(edges) - 1)]
     empty = np.full(len(quantiles), np.nan)
-    table = np.array([np.quantile(c, quantiles) if len(c) else empty for c in classes])
-    return table, np.array([len(c) for c in classes])
+    return np.array([np.quantile(c, quantiles) if len(c) else empty for c in classes])

@@ -42,7 +42,6 @@ def nudged(poses: FloatArray, position: float, attitude: float, seed: int) -> Fl
     Args:
         poses: X.
         position, attitude: standard deviations along and about each axis, metres and rad.
-        seed: draws the moves.
     """
     rng = np.random.default_rng([seed, FRAMES_STREAM, 1])
     turns, shifts = rng.normal(0.0, attitude, (len(poses), 3)), rng.normal(0.0, position, (len(poses), 3))
@@ -135,7 +134,6 @@ def look(
         detectors: by name.
         poses: X of the frames, `(N, 4, 4)`.
         first: number of the first of them; the noise of a frame depends on its number.
-        seed: of the run.
 
     Returns:
         Sightings by the detector's name.

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from lmd.core.checks import InputError, file_path, real
+from lmd.core.checks import InputError, check_fields, file_path, real
 from lmd.core.files import read_bytes
 from lmd.core.optional import optional
 from lmd.render.imaging import UInt8Array
@@ -91,7 +91,7 @@ class Video:
     argument: str = "path"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rate", real("rate", self.rate, above=0.0))
+        check_fields(self, real, "rate", above=0.0)
         if not file_path(self.argument, self.path).is_file():
             raise InputError(f"{self.argument}: there is no file {str(self.path)!r}.", self.argument)
         frames, own = self._extent
@@ -144,7 +144,6 @@ def read_image(path: Path, camera: Camera, argument: str) -> UInt8Array:
     """A grey image, `(h, w)`.
 
     Args:
-        path: the file.
         camera: has the size that it must have.
         argument: the argument the path came from, for messages.
 

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, integer, vector
+from lmd.core.checks import BoolArray, FloatArray, InputError, check_fields, integer, vector
 from lmd.core.memory import check_memory
 from lmd.detection.detectors import Detections, Detector
 from lmd.detection.evaluation import CORNER_TOLERANCE, corner_error
@@ -79,7 +79,7 @@ class Mosaics:
     sampling: Sampling = field(default_factory=Sampling)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "count", integer("count", self.count, low=2))
+        check_fields(self, integer, "count", low=2)
         check_memory(VIEW_BYTES * self.count, f"count = {self.count} views", "count")
 
     @property
@@ -130,7 +130,7 @@ def only(cameras: Sequence[Camera]) -> Camera:
 
 
 def sample_views(
-    camera: Camera, tag: Tag, detector: Detector, count: int, rng: np.random.Generator, sampling: Sampling | None = None
+    camera: Camera, tag: Tag, detector: Detector, count: int, rng: np.random.Generator, ranges: Sampling
 ) -> Views:
     """Draw views, render them and detect.
 
@@ -139,8 +139,6 @@ def sample_views(
         tag: its edge does not matter, pitch decides the depth.
         detector: for the tag's family.
         count: views to draw; those too large for the largest tile are left out.
-        rng: source of everything.
-        sampling: ranges; None for the defaults.
 
     Raises:
         InputError: not one of the views fits a tile.
@@ -148,7 +146,6 @@ def sample_views(
     count = integer("count", count, low=1)
     # A lens moves a tag in the image, and hardly bends a single one.
     camera = replace(camera, distortion=(), distortion_model="plumb_bob")
-    ranges = sampling or Sampling()
     pitches, tilts = (rng.uniform(*span, count) for span in (ranges.pitch, ranges.incidence))
     sigmas = np.exp(rng.uniform(math.log(ranges.sigma[0]), math.log(ranges.sigma[1]), count))
     width, height = image_size(camera)

@@ -96,7 +96,6 @@ def solutions(camera: Camera, points: FloatArray, image: FloatArray, noise: Arra
     Levenberg-Marquardt, or for a lens that distorts by Gauss and Newton with the errors in its own image.
 
     Args:
-        camera: intrinsics, and the lens.
         points: world frame, metres, `(M, 3)`.
         image: pixels from the border, `(M, 2)`.
         noise: standard deviation of each image, pixels, `()` or `(M,)`.
@@ -220,7 +219,6 @@ def pose_from_corners(camera: Camera, points: FloatArray, image: FloatArray) -> 
     """The pose that fits best.
 
     Args:
-        camera: intrinsics, and the lens.
         points: of the tags' corners, world frame, metres, `(M, ..., 3)`.
         image: the corners found, pixels from the border, `(M, ..., 2)`; points with a NaN are left out.
 

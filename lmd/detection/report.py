@@ -104,7 +104,7 @@ def _by_class(
     """Tags that are wholly in the image, by the class that their `values` `(N, K)` are in."""
     error = corner_error(seen.corners, prediction.corners)
     place = np.searchsorted(bounds, values, side="right") - 1
-    quantiles, _ = quantiles_by(values, error, bounds, tuple(QUANTILES.values()))
+    quantiles = quantiles_by(values, error, bounds, tuple(QUANTILES.values()))
     rows = []
     for b, corner in enumerate(quantiles):
         members = (place == b) & prediction.whole

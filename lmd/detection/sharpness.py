@@ -26,7 +26,6 @@ def blur_of(image: UInt8Array, found: Detections, modules: int) -> float:
     NaN where no tag is large enough.
 
     Args:
-        image: grey, `(h, w)`.
         found: what was detected in it.
         modules: N of the tags' family.
     """

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, real, vector
+from lmd.core.checks import FloatArray, InputError, check_fields, real, said_of, vector
 from lmd.core.memory import check_memory
 from lmd.geometry.se3 import camera_pose
 from lmd.geometry.trajectory import Trajectory
@@ -53,8 +53,7 @@ class Pace:
     frame_rate: float
 
     def __post_init__(self) -> None:
-        for name in ("speed", "turn_rate", "frame_rate"):
-            object.__setattr__(self, name, real(name, getattr(self, name), above=0.0))
+        check_fields(self, real, "speed", "turn_rate", "frame_rate", above=0.0)
 
     def seconds(self, steps: FloatArray) -> FloatArray:
         """The time in seconds, `(...)`, that each change (x, y, z, yaw, pitch) `(..., 5)` takes."""
@@ -106,7 +105,7 @@ class RandomMotion:
     pace: Pace
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "duration", real("duration", self.duration, above=0.0))
+        check_fields(self, real, "duration", above=0.0)
         frames = self.duration * self.pace.frame_rate
         made = f"duration = {self.duration:g} s makes {frames:.4g} frames, which"
         check_memory(FRAME_BYTES * frames, made, "duration")
@@ -177,10 +176,8 @@ class Waypoints:
     def draw(self, scene: Scene, rng: np.random.Generator) -> Trajectory:
         """See `TrajectorySource.draw`; nothing here is random."""
         trajectory = self.pace.through(np.array(self.points, dtype=np.float64))
-        try:
+        with said_of("points", "points"):
             check_inside(trajectory, scene.room)
-        except InputError as error:
-            raise InputError(f"points: {error}", "points") from None
         return trajectory
 
 

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, real
+from lmd.core.checks import FloatArray, check_fields, real
 from lmd.core.optional import optional
 from lmd.detection.pose import PointImage, body_solutions
 from lmd.estimation.errors import Errors, pose_errors
@@ -38,8 +38,7 @@ class Uncertainty:
     least_pixel_noise: float = 0.1
 
     def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
-            object.__setattr__(self, name, real(name, getattr(self, name), above=0.0))
+        check_fields(self, real, *self.__dataclass_fields__, above=0.0)
         optional("gtsam", "estimators")
 
     @property
@@ -167,6 +166,7 @@ class FixedLagSmoother(Uncertainty):
         """The estimates of run s, `(4, 4)` each."""
         gtsam = optional("gtsam", "estimators")
         diagonal, drift = gtsam.noiseModel.Diagonal.Sigmas, self.drift(recording)
+        kind: type[Places | Corners] = Places if recording.corners is None else Corners
         parameters = gtsam.ISAM2Params()
         parameters.setFactorization("QR")  # Cholesky gives up where the first estimate is vague and the odometry good
         smoother = gtsam.IncrementalFixedLagSmoother(self.lag, parameters)
@@ -180,7 +180,7 @@ class FixedLagSmoother(Uncertainty):
                 if begun:
                     graph.add(gtsam.BetweenFactorPose3(t - 1, t, motion, diagonal(drift * np.sqrt(step))))
                 if recording.seen[s, t].any():
-                    graph.add(_factor(gtsam, t, _measurement(recording, s, t, self)))
+                    graph.add(_factor(gtsam, t, kind.of(recording, s, t, self)))
             if not begun and (first := _beginning(recording, s, t, estimate.matrix())) is not None:
                 begun, estimate = True, gtsam.Pose3(first)
                 graph.add(gtsam.PriorFactorPose3(t, estimate, diagonal(self.initial)))
@@ -189,10 +189,6 @@ class FixedLagSmoother(Uncertainty):
                 smoother.update(graph, values, {t: time})
                 estimate = smoother.calculateEstimatePose3(t)
             yield estimate.matrix()
-
-
-def _measurement(recording: Recording, s: int, t: int, uncertainty: Uncertainty) -> Measurement:
-    return (Places if recording.corners is None else Corners).of(recording, s, t, uncertainty)
 
 
 def _beginning(recording: Recording, s: int, t: int, expected: FloatArray) -> FloatArray | None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, real
+from lmd.core.checks import BoolArray, FloatArray, check_fields, real
 from lmd.estimation.recording import Each, Flight, Look, Observation, check_images, joined
 from lmd.geometry.lens import EQUIDISTANT
 from lmd.geometry.se3 import act, inverse
@@ -36,9 +36,9 @@ class Detector:
     edge: float = 0.1
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "pixel_noise", real("pixel_noise", self.pixel_noise, low=0.0))
-        object.__setattr__(self, "missed", real("missed", self.missed, low=0.0, high=1.0))
-        object.__setattr__(self, "edge", real("edge", self.edge, above=0.0))
+        check_fields(self, real, "pixel_noise", low=0.0)
+        check_fields(self, real, "missed", low=0.0, high=1.0)
+        check_fields(self, real, "edge", above=0.0)
 
     def observed(self, flights: Sequence[Flight], each: Each = map) -> list[Observation]:
         """See `Sensor.observed`; a landmark is visible as the scene's visibility model says."""
@@ -67,7 +67,6 @@ class Detector:
         Args:
             points: `(..., 3)`, metres; meaningful where the depth z is positive.
             camera: its focal length in pixels, and its lens.
-            rng: source of the noise.
 
         Returns:
             `(..., 3)`, metres.

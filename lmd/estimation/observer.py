@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, choice, real
+from lmd.core.checks import BoolArray, FloatArray, InputError, check_fields, choice, real
 from lmd.estimation.errors import Errors, pose_errors
 from lmd.estimation.recording import Recording
 from lmd.geometry.se3 import act, adjoint, exp, inverse, project, vee
@@ -49,9 +49,9 @@ class Observer:
 
     def __post_init__(self) -> None:
         choice("form", self.form, FORMS)
-        object.__setattr__(self, "gain", real("gain", self.gain, above=0.0))
-        object.__setattr__(self, "damping", real("damping", self.damping, low=0.0))
-        object.__setattr__(self, "length", real("length", self.length, above=0.0))
+        check_fields(self, real, "gain", above=0.0)
+        check_fields(self, real, "damping", low=0.0)
+        check_fields(self, real, "length", above=0.0)
 
     def landmark_gain(self, landmarks: FloatArray, measured: FloatArray, seen: BoolArray) -> FloatArray:
         """k_i, the same for all landmarks of an instant, `(...)`; 0 where none is seen.

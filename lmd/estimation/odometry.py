@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, real
+from lmd.core.checks import FloatArray, check_fields, real
 
 
 @dataclass(frozen=True)
@@ -23,8 +23,7 @@ class Odometry:
     motion_noise: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("turn_noise", "motion_noise"):
-            object.__setattr__(self, name, real(name, getattr(self, name), low=0.0))
+        check_fields(self, real, "turn_noise", "motion_noise", low=0.0)
 
     def measured(self, twists: FloatArray, steps: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Twists as measured, `(T - 1, 6)`, rad/s and m/s.
@@ -34,7 +33,6 @@ class Odometry:
         Args:
             twists: the true ones.
             steps: time of each, seconds, `(T - 1,)`.
-            rng: source of the noise.
         """
         density = np.repeat([self.turn_noise, self.motion_noise], 3)
         return np.asarray(twists + rng.standard_normal(twists.shape) * density / np.sqrt(steps)[:, None])

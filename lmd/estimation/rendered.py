@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, IntArray, real
+from lmd.core.checks import BoolArray, FloatArray, IntArray, check_fields, real
 from lmd.detection.detectors import Detections, Detector
 from lmd.detection.frames import tagged_room
 from lmd.estimation.recording import Each, Flight, Look, Observation, check_images, joined
@@ -77,8 +77,8 @@ class RenderedDetector:
 
     def __post_init__(self) -> None:
         self.tag.check_edge()
-        object.__setattr__(self, "pixel_noise", real("pixel_noise", self.pixel_noise, above=0.0))
-        object.__setattr__(self, "shutter", real("shutter", self.shutter, low=0.0))
+        check_fields(self, real, "pixel_noise", above=0.0)
+        check_fields(self, real, "shutter", low=0.0)
 
     def tags(self, deployment: Deployment) -> FloatArray:
         """See `Sensor.tags`."""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from lmd.core.checks import FloatArray, InputError, IntArray, real
+from lmd.core.checks import FloatArray, InputError, IntArray, argument_of, check_fields, real
 from lmd.core.memory import check_memory
 from lmd.estimation.errors import Errors, pose_errors
 from lmd.estimation.estimators import Estimator
@@ -43,8 +43,8 @@ class InitialError:
     attitude: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "position", real("position", self.position, low=0.0))
-        object.__setattr__(self, "attitude", real("attitude", self.attitude, low=0.0, high=np.pi))
+        check_fields(self, real, "position", low=0.0)
+        check_fields(self, real, "attitude", low=0.0, high=np.pi)
 
     def applied(self, pose: FloatArray, rng: np.random.Generator) -> FloatArray:
         """A first estimate for a camera at `pose` `(4, 4)`."""
@@ -230,10 +230,8 @@ def conduct(
 def _errors(estimators: Mapping[str, Estimator], recording: Recording, start: FloatArray) -> dict[str, Errors]:
     errors = {}
     for name, estimator in estimators.items():
-        try:
+        with argument_of(f"estimators.{name}"):
             errors[name] = estimator.errors(recording, start)
-        except InputError as error:
-            raise error.within(name).within("estimators") from None
     return errors
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lmd.core.checks import BoolArray, FloatArray, choice, real
+from lmd.core.checks import BoolArray, FloatArray, check_fields, choice, real
 from lmd.core.optional import optional
 from lmd.detection.corner_errors import CORNER_ERRORS
 from lmd.detection.pose import straightened
@@ -45,7 +45,7 @@ class TagDetector:
     def __post_init__(self) -> None:
         self.tag.check_edge()
         choice("reader", self.reader, tuple(CORNER_ERRORS))
-        object.__setattr__(self, "missed", real("missed", self.missed, low=0.0, high=1.0))
+        check_fields(self, real, "missed", low=0.0, high=1.0)
 
     def observed(self, flights: Sequence[Flight], each: Each = map) -> list[Observation]:
         """See `Sensor.observed`; a tag is visible as the scene's visibility model says."""
@@ -91,7 +91,6 @@ def observation(
     """What tags observe of themselves by their corners.
 
     Args:
-        camera: intrinsics.
         edges: of the tags, metres, `(K,)`.
         seen: `(T, K)`.
         found: corners, pixels from the border, `(M, 4, 2)`.

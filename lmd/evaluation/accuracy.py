@@ -60,9 +60,6 @@ def accuracy_metrics(problem: Problem, deployment: Deployment, seed: int, sample
 
     Args:
         problem: the scene, n, and the noise of a corner.
-        deployment: what is judged.
-        seed: of the sample.
-        sample: its size.
     """
     parts = []
     scene = problem.scene.sized(deployment.edges)

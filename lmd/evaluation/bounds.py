@@ -35,7 +35,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, integer, real
+from lmd.core.checks import FloatArray, InputError, check_fields, integer, real
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.problem import Problem
@@ -84,7 +84,7 @@ class Search:
 
     def __post_init__(self) -> None:
         real("spacing", self.spacing, above=0.0)
-        object.__setattr__(self, "iterations", integer("iterations", self.iterations, low=1))
+        check_fields(self, integer, "iterations", low=1)
         real("tolerance", self.tolerance, above=0.0)
 
 
@@ -259,7 +259,6 @@ def largest_gain(evaluator: Evaluator, cells: Cells, prices: FloatArray, toleran
     """No flush landmark in any of the cells earns more than this; some landmark earns `tolerance` less, if time allows.
 
     Args:
-        evaluator: the scene.
         cells: pieces of wall.
         prices: y, `(P, D)`, not negative.
         tolerance: in units of the gain.

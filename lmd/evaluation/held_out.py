@@ -26,8 +26,6 @@ def held_out_metrics(problem: Problem, deployment: Deployment, recorded: "Record
     takes blocks of time as independent, not records; two blocks are needed for it.
 
     Args:
-        problem: what the deployment is for.
-        deployment: what is judged.
         recorded: the poses.
     """
     metrics: dict[str, float] = {}

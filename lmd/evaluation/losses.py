@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lmd.core.checks import FloatArray, IntArray
+from lmd.core.words import few
 from lmd.incremental.field import in_order
 from lmd.objectives.base import incremental
 from lmd.objectives.without import without_landmarks
@@ -62,11 +63,10 @@ class Losses:
         rows = zip(*self.table.values(), strict=True)
         dearest = [(number, lost) for number, _, lost in rows if lost > FITNESS_ROUNDING]
         most = ", ".join(f"{number} ({100.0 * lost:.2f})" for number, lost in dearest[:TAGS_LISTED])
-        idle = ", ".join(map(str, self.idle[:TAGS_LISTED]))
-        more = f" and {len(self.idle) - TAGS_LISTED} more" if len(self.idle) > TAGS_LISTED else ""
+        idle = few(self.idle, TAGS_LISTED)
         return (
             f"tags that matter most, and the points of fitness lost without each: {most or 'none'}\n"
-            f"idle tags, without any one of which nothing is lost: {idle or 'none'}{more}"
+            f"idle tags, without any one of which nothing is lost: {idle or 'none'}"
         )
 
 
@@ -74,7 +74,6 @@ def losses(problem: Problem, deployment: Deployment) -> Losses:
     """The fitness without each landmark, and without any two.
 
     Args:
-        problem: what the deployment is scored for.
         deployment: K landmarks.
 
     Raises:

@@ -62,7 +62,6 @@ def map_errors(
         truth: where the K tags hang. The visibility model says which are seen; it takes all tags to be upright.
         maps: where the estimates take them to be, by name; the same noise for all.
         poses: X, `(N, 4, 4)`.
-        rng: draws the noise.
 
     Returns:
         `tags`, how many are seen, and for each map `position_<name>` (m) and `attitude_<name>` (rad), NaN where the
@@ -88,6 +87,22 @@ def map_errors(
         errors = pose_error(poses[enough], np.array(found).reshape(-1, 4, 4))
         columns |= {f"{part}_{name}": error for part, error in zip(("position", "attitude"), errors, strict=True)}
     return pd.DataFrame(columns)
+
+
+def named_figures(*tables: "pd.DataFrame") -> dict[str, float]:
+    """The finite values of tables by row and column, `fitness/5` for that of `5 %`."""
+    return {
+        f"{row}/{column}".replace(" %", ""): float(value)
+        for table in tables
+        for row, values in table.to_dict("index").items()
+        for column, value in values.items()
+        if np.isfinite(value)
+    }
+
+
+def percent_text(figures: "pd.DataFrame") -> str:
+    """A table of shares for a terminal, per cent."""
+    return figures.rename_axis(None).to_string(float_format=lambda value: f"{100.0 * value:.2f}")
 
 
 def error_quantiles(views: "pd.DataFrame") -> "pd.DataFrame":

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, integer, real
+from lmd.core.checks import FloatArray, InputError, check_fields, integer, real
 from lmd.core.memory import check_memory
 from lmd.detection.frames import draw_poses
-from lmd.evaluation.maps import QUANTILES, Hung, error_quantiles, errors_text, map_errors
+from lmd.evaluation.maps import QUANTILES, Hung, error_quantiles, errors_text, map_errors, named_figures, percent_text
 from lmd.evaluation.validation import Sample, sampled_evaluators
 from lmd.geometry.squares import upright
 from lmd.problem import Problem
@@ -48,10 +48,9 @@ class MountingError:
     draws: int
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "position", real("position", self.position, low=0.0))
-        for name in ("turn", "tilt"):
-            object.__setattr__(self, name, real(name, getattr(self, name), low=0.0, high=np.pi / 2.0))
-        object.__setattr__(self, "draws", integer("draws", self.draws, low=1))
+        check_fields(self, real, "position", low=0.0)
+        check_fields(self, real, "turn", "tilt", low=0.0, high=np.pi / 2.0)
+        check_fields(self, integer, "draws", low=1)
         what = f"draws = {self.draws} mountings, each in {VIEWS_PER_DRAW} views,"
         check_memory(POSE_BYTES * VIEWS_PER_DRAW * self.draws, what, "draws")
 
@@ -69,7 +68,6 @@ class MountingError:
         Args:
             problem: the surfaces, the papers, and which tags are fixed.
             plan: K landmarks with their surfaces.
-            rng: draws the errors.
 
         Raises:
             InputError: there is no room for all papers.
@@ -138,13 +136,7 @@ class Mounted:
 
     def metrics(self) -> dict[str, float]:
         """All figures by names such as `fitness/5 %` and `position_planned/50 %`, metres and rad."""
-        named = {
-            f"{row}/{column}": value
-            for table in (self.table.drop(columns="planned"), error_quantiles(self.views))
-            for row, values in table.to_dict("index").items()
-            for column, value in values.items()
-        }
-        return {name.replace(" %", ""): float(value) for name, value in named.items() if np.isfinite(value)}
+        return named_figures(self.table.drop(columns="planned"), error_quantiles(self.views))
 
     def to_text(self) -> str:
         """What a terminal shows, per cent."""
@@ -154,22 +146,17 @@ class Mounted:
             f"{1e3 * error.turn:g} and tilted by {1e3 * error.tilt:g} mrad (1 sigma); {error.draws} draws, seed "
             f"{self.seed}; per cent"
         )
-        figures = self.table.rename_axis(None).to_string(float_format=lambda value: f"{100.0 * value:.2f}")
-        return f"{head}\n{figures}\n\n{errors_text(self.views, self.n)}"
+        return f"{head}\n{percent_text(self.table)}\n\n{errors_text(self.views, self.n)}"
 
 
 def mounted(problem: Problem, plan: Deployment, error: MountingError, seed: int, sample: Sample = SAMPLE) -> Mounted:
-    """Score a plan as it may be mounted.
+    """Score a plan as it may be mounted. No result depends on the threads.
 
     Args:
-        problem: what it is scored for.
         plan: K landmarks with their surfaces.
         error: of the mounting.
         seed: of the draws, of the random positions, and of the views.
         sample: the random positions off the grid, the same for all draws.
-
-    Returns:
-        the same for any number of threads.
 
     Raises:
         InputError: there is no room for all papers.

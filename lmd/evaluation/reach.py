@@ -65,7 +65,6 @@ def smallest_edge(criteria_of: Callable[[float], Criteria], camera: Camera, dist
 
     Args:
         criteria_of: makes the criteria for tags with an edge, metres.
-        camera: the camera.
         distance: from it, metres.
         incidence: angle, rad.
     """
@@ -96,8 +95,6 @@ def pose_errors(
     """The Cramer-Rao bound of the pose from the corners of one tag, `lmd.estimation.cramer_rao`.
 
     Args:
-        camera: the camera.
-        tag: with an edge.
         distances: D of them, metres.
         incidence: angle, rad.
         pixel_noise: standard deviation of a corner, pixels.

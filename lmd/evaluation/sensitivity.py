@@ -123,17 +123,11 @@ class Sensitivity:
 
 
 def sensitivity(problem: Problem, deployment: Deployment, seed: int, sample: Sample = SAMPLE) -> Sensitivity:
-    """Measure how much the figures of a deployment hang on what was assumed.
+    """Measure how much the figures of a deployment hang on what was assumed. No result depends on the threads.
 
     Args:
         problem: the scene and the objective. Where that is not one of localisation, the default one with its n says
             what is assumed.
-        deployment: what is judged, its landmarks with their surfaces.
-        seed: of the sample and of what is missed.
-        sample: its size.
-
-    Returns:
-        the same for any number of threads.
     """
     variants = _variants(problem, deployment)
     groups = enumerate(sampled_evaluators(problem.scene, seed, sample, threads=1))
@@ -236,7 +230,6 @@ def missed_shares(field: LocalisationField, deployment: Deployment, rng: np.rand
     Args:
         field: the positions and the orientations.
         deployment: K landmarks.
-        rng: draws what is missed.
 
     Returns:
         `(M, 3)`: the mean of L, the exact mean of P_n, and that of the draw.

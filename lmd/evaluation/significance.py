@@ -68,7 +68,6 @@ def median_interval(values: FloatArray, seed: int) -> tuple[float, float]:
 
     Args:
         values: the sample `(N,)`.
-        seed: of the resampling.
     """
     if len(values) == 1:
         return float(values[0]), float(values[0])

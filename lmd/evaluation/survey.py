@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from lmd.core.checks import InputError
+from lmd.core.checks import InputError, said_of
 from lmd.detection.frames import draw_poses
-from lmd.evaluation.maps import Hung, error_quantiles, errors_text, map_errors
+from lmd.evaluation.losses import TAGS_LISTED
+from lmd.evaluation.maps import Hung, error_quantiles, errors_text, map_errors, named_figures, percent_text
 from lmd.evaluation.mounting import SAMPLE, off_grid_figures
 from lmd.evaluation.validation import Sample
 from lmd.problem import Problem
@@ -18,7 +19,6 @@ from lmd.scene.plates import as_they_are
 from lmd.scene.tag_map_files import read_deployment
 
 RANDOM_VIEWS = 2000  # random poses
-TAGS_LISTED = 8  # tags that a terminal names
 SURVEY_STREAM = 0x737572766579  # keeps the noise apart from every other use of the same seed
 
 
@@ -30,7 +30,6 @@ def read_measured(path: str | Path, problem: Problem, plan: Deployment) -> Deplo
 
     Args:
         path: a CSV like those of plans, or a tag map.
-        problem: has the room.
         plan: K landmarks.
 
     Raises:
@@ -46,11 +45,9 @@ def read_measured(path: str | Path, problem: Problem, plan: Deployment) -> Deplo
             other = "that is planned" if name == "lacks the" else "that is not planned"
             raise InputError(f"measured: {path} {name} landmark {ids[0]} {other} ({len(ids)} in all).", "measured")
     places = np.argsort(measured.ids)[np.searchsorted(np.sort(measured.ids), plan.ids)]
-    try:
+    with said_of(f"measured: {path}", "measured"):
         measured, scene = measured[places], problem.scene
         hung = measured.hung(scene.room, as_they_are(problem.start), scene.plates.papers(measured))
-    except InputError as error:
-        raise InputError(f"measured: {path}: {error}", "measured") from None
     told, planned = with_gaps(hung.edges, len(plan)), with_gaps(plan.edges, len(plan))
     return replace(hung, labels=plan.labels, edges=np.where(np.isnan(told), planned, told))
 
@@ -79,15 +76,8 @@ class Survey:
 
     def metrics(self) -> dict[str, float]:
         """All figures by names such as `fitness/planned`, `position_planned/50` (m) and `moved/greatest` (m)."""
-        named = {
-            f"{row}/{column}": value
-            for table in (self.figures, error_quantiles(self.views))
-            for row, values in table.to_dict("index").items()
-            for column, value in values.items()
-        }
-        named |= {"moved/median": self.moved.moved.median(), "moved/greatest": self.moved.moved.max()}
-        named |= {"tilted/median": self.moved.tilted.median(), "tilted/greatest": self.moved.tilted.max()}
-        return {name.replace(" %", ""): float(value) for name, value in named.items() if np.isfinite(value)}
+        off = self.moved[["moved", "tilted"]].agg(["median", "max"]).T.rename(columns={"max": "greatest"})
+        return named_figures(self.figures, error_quantiles(self.views), off)
 
     def to_text(self) -> str:
         """What a terminal shows."""
@@ -98,8 +88,7 @@ class Survey:
             f"{1e3 * self.moved.moved.max():.1f} mm, and tilted by at most {1e3 * most:.1f} mrad\n"
             f"farthest off, mm: {listed}"
         )
-        figures = self.figures.rename_axis(None).to_string(float_format=lambda value: f"{100.0 * value:.2f}")
-        return f"{head}\n\nfigures, per cent\n{figures}\n\n{errors_text(self.views, self.n)}"
+        return f"{head}\n\nfigures, per cent\n{percent_text(self.figures)}\n\n{errors_text(self.views, self.n)}"
 
 
 def survey(
@@ -110,18 +99,11 @@ def survey(
     sample: Sample = SAMPLE,
     views: int = RANDOM_VIEWS,
 ) -> Survey:
-    """Set a deployment as it hangs beside the plan.
+    """Set a deployment as it hangs beside the plan. No result depends on the threads.
 
     Args:
-        problem: what both are scored for.
         plan: K landmarks.
         measured: the same, where they hang.
-        seed: of the random positions and views.
-        sample: the random positions off the grid.
-        views: random poses.
-
-    Returns:
-        the same for any number of threads.
     """
     both = {"planned": plan, "measured": measured}
     on_grid = pd.DataFrame([problem.metrics(each) for each in both.values()])

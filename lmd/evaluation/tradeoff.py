@@ -114,7 +114,6 @@ def fewest(points: pd.DataFrame, figure: str, wanted: float) -> pd.DataFrame:
     Args:
         points: as for `front`.
         figure: one of its columns.
-        wanted: the value.
 
     Returns:
         indexed by `edge`: `count`, the least number at which the median over the seeds reaches it; `least` and

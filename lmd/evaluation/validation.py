@@ -72,9 +72,6 @@ def validation_metrics(
 
     Args:
         problem: the scene, n and thold_p.
-        deployment: what is judged.
-        seed: of the sample.
-        sample: its size.
         between: called before each group; it may raise to give up.
     """
     scene, objective = problem.scene.sized(deployment.edges), problem.objective
@@ -92,12 +89,7 @@ def validation_metrics(
 
 
 def describe_validation(problem: Problem, figures: Mapping[str, float]) -> dict[str, str]:
-    """The figures of `validation_metrics` as labelled sentences.
-
-    Args:
-        problem: what they are of.
-        figures: all of them.
-    """
+    """The figures of `validation_metrics` as labelled sentences."""
     recorded = problem.scene.recorded is not None
     return describe_held_out(figures) if recorded else problem.objective.describe_validation(figures)
 
@@ -137,14 +129,7 @@ def sampled_values(
 
 
 def sampled_evaluators(scene: Scene, seed: int, sample: Sample, threads: int) -> Iterator[Evaluator]:
-    """An evaluator at the random positions of each group of a sample, with the orientations that these share.
-
-    Args:
-        scene: has the room and the PDF to draw from.
-        seed: of the sample.
-        sample: its size.
-        threads: of each evaluator.
-    """
+    """An evaluator at the random positions of each group of a sample, with the orientations that these share."""
     rng = np.random.default_rng([seed, VALIDATION_STREAM])
     for _ in range(sample.groups):
         positions = scene.room.sample_evenly(sample.positions, rng)

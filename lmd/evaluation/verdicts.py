@@ -40,7 +40,6 @@ def verdicts(
     """What the scene's visibility model says of its criteria in N poses, `(N, K)` each; nothing if it cannot tell.
 
     Args:
-        scene: has the model.
         deployment: K landmarks.
         poses: X of the camera.
         camera: of the scene's rig; None for the only one.

@@ -18,6 +18,8 @@ SMALL_ANGLE = 1e-4
 QUATERNION_TOLERANCE = 1e-2
 # And R^T R is as near to I for a rotation that was printed so.
 MATRIX_TOLERANCE = 1e-2
+# The columns of a table of poses: metres, and the unit quaternion of R.
+ROW = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 def camera_pose(position: ArrayLike, yaw: ArrayLike, pitch: ArrayLike, roll: ArrayLike = 0.0) -> FloatArray:
@@ -37,7 +39,7 @@ def pose_of(orientation: FloatArray, position: FloatArray) -> FloatArray:
 
 
 def poses_from_rows(rows: FloatArray) -> FloatArray:
-    """Poses `(T, 4, 4)` from rows x, y, z, qx, qy, qz, qw `(T, 7)`: a position in metres, and the unit quaternion of R.
+    """Poses `(T, 4, 4)` from rows `(T, 7)` with the columns `ROW`.
 
     Raises:
         InputError: a quaternion is not unit.

@@ -24,7 +24,7 @@ import numpy as np
 from lmd.core.bits import LANES, ONE, lowest
 from lmd.core.compiled import inlined, inner
 from lmd.incremental.nearby import is_near
-from lmd.scene.criteria import TOLERANCE, hide, sized
+from lmd.scene.criteria import TOLERANCE, hide_between, sized
 from lmd.sight.blocks import BLOCK, SINGLE_ERROR
 
 
@@ -119,7 +119,7 @@ def find_neighbours(
                     x, y, z = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
                     ox, oy, oz = lx - positions[0, p], ly - positions[1, p], lz - positions[2, p]
                     squared, other = x * x + y * y + z * z, ox * ox + oy * oy + oz * oz
-                    one, two = hide(mine, theirs, x, y, z, squared, ox, oy, oz, other, nx, ny, nz, vx, vy, vz)
+                    one, two = hide_between(mine, theirs, x, y, z, squared, ox, oy, oz, other, nx, ny, nz, vx, vy, vz)
                     some += one | two
                 if some == 0 or i == np.uint64(k) or not is_near(field, b, lx, ly, lz):
                     continue
@@ -127,7 +127,7 @@ def find_neighbours(
                     x, y, z = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
                     ox, oy, oz = lx - positions[0, p], ly - positions[1, p], lz - positions[2, p]
                     squared, other = x * x + y * y + z * z, ox * ox + oy * oy + oz * oz
-                    one, two = hide(mine, theirs, x, y, z, squared, ox, oy, oz, other, nx, ny, nz, vx, vy, vz)
+                    one, two = hide_between(mine, theirs, x, y, z, squared, ox, oy, oz, other, nx, ny, nz, vx, vy, vz)
                     hides[b, kept, p - first], hidden_by[b, kept, p - first] = one, two
                     count_hides[p] += one
                     count_hidden[p] += two

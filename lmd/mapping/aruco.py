@@ -10,8 +10,7 @@ from pathlib import Path
 
 from lmd.mapping.tag_map import TagMap
 from lmd.scene.tag import FAMILIES
-
-METRES = 1  # aruco_bc_mInfoType of a map in metres
+from lmd.scene.tag_map_readers import METRES
 
 
 def write_aruco(path: Path, tags: TagMap) -> None:

@@ -11,12 +11,11 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, IntArray
 from lmd.core.tables import Table, read_table, write_table
 from lmd.detection.detectors import Detections
+from lmd.scene.calibration_files import PIXEL_CENTRE
 
 # In OpenCV's pixels, clockwise from the top left of the tag as it was made.
 CORNER_COLUMNS = tuple(f"{axis}{corner}" for corner in range(4) for axis in "xy")
 TIMES, CAMERAS = ("time", "stamp"), ("camera", "topic")
-# OpenCV counts pixels from the centre of the first one.
-PIXEL_CENTRE = 0.5
 FROM_APRILTAG = [3, 2, 1, 0]
 # A quadrilateral smaller than this, square pixels, has no corners to speak of.
 LEAST_AREA = 1.0
@@ -102,7 +101,7 @@ def signed_area(corners: FloatArray) -> FloatArray:
     return np.asarray((x * np.roll(y, -1, axis=-1) - np.roll(x, -1, axis=-1) * y).sum(axis=-1) / 2.0)
 
 
-def read_detections(path: Any, name: str = "detections") -> DetectedTags:
+def read_detections(path: Any) -> DetectedTags:
     """Read `id,x0,y0,...,x3,y3`, corners clockwise from the top left in OpenCV's pixels, with `time` or `stamp`.
 
     A time may be any text, such as the name of a photograph.
@@ -111,13 +110,10 @@ def read_detections(path: Any, name: str = "detections") -> DetectedTags:
     corners go round counter-clockwise they are taken for those of the AprilTag library, which begins at the bottom
     left. Detections that go round the other way than most are left out.
 
-    Args:
-        path: the CSV.
-        name: the argument the path came from, for messages.
-
     Raises:
         InputError: the file cannot be read, lacks a column, or a value is no number.
     """
+    name = "detections"
     table = read_table(path, name=name)
     time, camera = _either(table, TIMES, name), _either(table, CAMERAS, name, optional=True)
     values = table.numbers(("id", *CORNER_COLUMNS), None)

@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from lmd.core.checks import ONE_TURN, InputError, choice, real
+from lmd.core.checks import ONE_TURN, InputError, check_fields, choice, real
 from lmd.core.optional import optional
 from lmd.mapping.apriltag_ros import write_apriltag_ros, write_apriltag_ros2
 from lmd.mapping.aruco import write_aruco
@@ -129,7 +129,7 @@ class Export:
         object.__setattr__(self, "formats", tuple(self.formats))
         choice("paper", self.paper, tuple(PAPERS))
         if self.north is not None:
-            object.__setattr__(self, "north", real("north", self.north, low=-ONE_TURN, high=ONE_TURN))
+            check_fields(self, real, "north", low=-ONE_TURN, high=ONE_TURN)
 
     def check(self, tag: Tag) -> None:
         """Raise `InputError` if tags like this one cannot be written in each of the formats here."""

@@ -45,7 +45,7 @@ def _own_font(bold: bool) -> str:
     return name
 
 
-def font_of(text: str, bold: bool = False) -> str:
+def font_of(text: str, bold: bool) -> str:
     """The font of a text: that of the viewer, which knows Western European letters, or one that goes with the file."""
     try:
         text.encode("cp1252")

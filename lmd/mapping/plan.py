@@ -3,10 +3,9 @@
 Tags come in the order of hanging (`TagMap.order`), with a box to tick and room for what was measured.
 """
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,6 @@ from lmd.mapping.paper import (
     GREY,
     LINE,
     PAPERS,
-    begin_page,
     document,
     fill_polygon,
     shortened,
@@ -24,6 +22,7 @@ from lmd.mapping.paper import (
     write_on_white,
     write_text,
 )
+from lmd.mapping.plan_pages import HEAD, LIGHT, MARGIN, SMALL, TEXT, Table, begin_titled, draw_tables
 from lmd.mapping.symbols import draw_fixture
 from lmd.mapping.tag_map import TagMap
 from lmd.scene.camera import MM_PER_M
@@ -31,38 +30,11 @@ from lmd.space.heights import lower_edge
 from lmd.space.surface import FLAT, Surface
 
 # On the page, all in mm.
-MARGIN = 12.0
-HEAD = 18.0  # for the title
 DIMENSION = 6.0  # from the surface to the lines that say how long it is
 TICK = 1.5
-TITLE, TEXT, SMALL = 5.0, 3.0, 2.4  # letters
-ROW = 4.8  # height of the rows of tables
 SCALES = (1, 2, 5, 10, 15, 20, 25, 30, 40, 50, 75, 100, 150, 200, 250, 300, 400, 500, 1000, 2000, 5000)
 EDGE_WIDTH = 12.0  # of the column with the edges of tags
-LIGHT = 0.85  # grey of black squares, and of lines below rows
 FORBIDDEN = 0.94  # grey of where nothing may hang
-
-
-class Table(NamedTuple):
-    """A table on the right of a page: the widths of its columns, mm, the lines of its head, which columns are boxes."""
-
-    widths: tuple[float, ...]
-    head: tuple[tuple[str, ...], ...]
-    boxes: tuple[int, ...] = ()
-
-    @property
-    def width(self) -> float:
-        """Of all columns, mm."""
-        return sum(self.widths)
-
-    def fitting(self, height: float) -> int:
-        """How many rows a page of this height takes."""
-        return int((height - 2.0 * MARGIN - HEAD) // ROW) - len(self.head)
-
-    def pages(self, rows: int, height: float) -> int:
-        """How many pages so many rows take."""
-        return max(1, math.ceil(rows / self.fitting(height)))
-
 
 HUNG = Table((20.0, 38.0, 10.0, 12.0), (("order of hanging", "", "", ""), ("no.", "surface", "tags", "page")))
 ON_SURFACE = Table(
@@ -111,8 +83,6 @@ def write_plan(path: Path, tags: TagMap, paper: str, north: float | None = None)
     """Write `plan.pdf`; tags that stand free in the room are a table at the end.
 
     Args:
-        path: the file.
-        tags: what is mounted.
         paper: one of `lmd.mapping.paper.PAPERS`, laid on its side.
         north: where north is on the floor plan, rad from x towards y; None for no arrow.
     """
@@ -144,9 +114,9 @@ def _draw_overview(
     facts = f"seen from above, scale 1 : {scale}; {tags.room.describe()}; triangles are tags on walls"
     if (np.abs(tags.deployment.normals[:, 2]) > FLAT).any():
         facts += ", squares those on floors (black) and ceilings (white)"
-    _begin(canvas, size, title, facts)
+    begin_titled(canvas, size, title, facts)
     draw_floor_plan(canvas, tags, MARGIN, size[1] - MARGIN - HEAD, scale, north)
-    _draw_tables(canvas, size, HUNG, rows, title, facts)
+    draw_tables(canvas, size, HUNG, rows, title, facts)
 
 
 def _draw_surface(canvas: Any, size: tuple[float, float], tags: TagMap, view: View, places: IntArray) -> None:
@@ -167,12 +137,12 @@ def _draw_surface(canvas: Any, size: tuple[float, float], tags: TagMap, view: Vi
         [*_named(tags, place, k), *(f"{x:.0f}" for x in (*centre, *(centre - paper / 2.0))), "", ""]
         for place, k, centre, paper in zip(places, own, at + np.array([0.0, floor]), papers, strict=True)
     ]
-    _begin(canvas, size, title, facts)
+    begin_titled(canvas, size, title, facts)
     origin = MARGIN + DIMENSION + TEXT, size[1] - MARGIN - HEAD - height / scale
     _draw_outline(canvas, origin, tags, view, scale)
     for k, centre in zip(own, at, strict=True):
         _draw_tag(canvas, origin, tags, int(k), centre, scale, at, papers)
-    _draw_tables(canvas, size, table, rows, title, facts)
+    draw_tables(canvas, size, table, rows, title, facts)
 
 
 def _draw_free(canvas: Any, size: tuple[float, float], tags: TagMap, places: IntArray) -> None:
@@ -183,8 +153,8 @@ def _draw_free(canvas: Any, size: tuple[float, float], tags: TagMap, places: Int
         for place, k, at in zip(places, own, positions, strict=True)
     ]
     title, facts = "free in the room", f"on no surface, tags: {len(own)}; {tags.room.describe()}"
-    _begin(canvas, size, title, facts)
-    _draw_tables(canvas, size, _sized(FREE, tags), rows, title, facts)
+    begin_titled(canvas, size, title, facts)
+    draw_tables(canvas, size, _sized(FREE, tags), rows, title, facts)
 
 
 def _named(tags: TagMap, place: int, k: int) -> list[str]:
@@ -200,13 +170,6 @@ def _sized(table: Table, tags: TagMap) -> Table:
     head = tuple((*line[:3], text, *line[3:]) for line, text in zip(table.head, ("edge,", "mm"), strict=True))
     boxes = tuple(box + (box >= 3) for box in table.boxes)
     return Table((*table.widths[:3], EDGE_WIDTH, *table.widths[3:]), head, boxes)
-
-
-def _begin(canvas: Any, size: tuple[float, float], title: str, facts: str) -> None:
-    begin_page(canvas, *size)
-    write_text(canvas, MARGIN, size[1] - MARGIN - TITLE, title, size=TITLE, bold=True)
-    write_text(canvas, MARGIN, size[1] - MARGIN - TITLE - 1.5 * TEXT, facts, size=TEXT)
-    write_text(canvas, size[0] - MARGIN, MARGIN / 2.0, f"page {canvas.getPageNumber()}", size=SMALL, align="right")
 
 
 def _draw_outline(canvas: Any, origin: tuple[float, float], tags: TagMap, view: View, scale: int) -> None:
@@ -282,31 +245,3 @@ def _draw_tag(
     free = np.flatnonzero((distance > (papers[:, None] / scale + SMALL) / 2.0).all(axis=0))
     right, up = places[free[0] if free.size else 0]
     write_on_white(canvas, x + right, y + up, str(tags.ids[k]), size=SMALL)
-
-
-def _draw_tables(
-    canvas: Any, size: tuple[float, float], table: Table, rows: list[list[str]], title: str, facts: str
-) -> None:
-    """Draw the rows on the right of the page, and those that do not fit on further ones; ends the last."""
-    fitting = table.fitting(size[1])
-    for first in range(0, len(rows), fitting):
-        if first:
-            canvas.showPage()
-            _begin(canvas, size, title, facts)
-        _draw_table(canvas, size, table, rows[first : first + fitting])
-    canvas.showPage()
-
-
-def _draw_table(canvas: Any, size: tuple[float, float], table: Table, rows: list[list[str]]) -> None:
-    left, top = size[0] - MARGIN - table.width, size[1] - MARGIN - HEAD
-    for line, row in enumerate((*table.head, *rows)):
-        y, x = top - (line + 1) * ROW, left
-        for column, (width, text) in enumerate(zip(table.widths, row, strict=True)):
-            if line >= len(table.head) and column in table.boxes:
-                side = min(width, 0.65 * ROW) if width < 2.0 * ROW else width - 2.0  # to tick, or to write in
-                canvas.rect(x + width - side, y - 0.17 * ROW, side, 0.65 * ROW)
-            write_text(canvas, x + width, y, text, size=SMALL, align="right", bold=line < len(table.head))
-            x += width
-        canvas.setStrokeGray(LIGHT)
-        canvas.line(left, y - ROW / 4.0, left + table.width, y - ROW / 4.0)
-        canvas.setStrokeGray(0.0)

@@ -65,8 +65,6 @@ def write_sheets(path: Path, tags: TagMap, paper: str) -> None:
     """Write `sheets.pdf`.
 
     Args:
-        path: the file.
-        tags: what is printed.
         paper: one of `lmd.mapping.paper.PAPERS`.
 
     Raises:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, integer, real
+from lmd.core.checks import BoolArray, FloatArray, InputError, check_fields, integer, real
 from lmd.scene.criteria import TOLERANCE
 from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
@@ -178,8 +178,8 @@ class AtLeast:
     thold_p: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "n", integer("n", self.n, low=1))
-        object.__setattr__(self, "thold_p", real("thold_p", self.thold_p, low=0.0, high=1.0))
+        check_fields(self, integer, "n", low=1)
+        check_fields(self, real, "thold_p", low=0.0, high=1.0)
 
     @property
     def threshold(self) -> float:

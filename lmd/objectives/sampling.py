@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lmd.core.checks import integer
+from lmd.core.checks import check_fields, integer
 from lmd.core.memory import check_memory
 from lmd.scene.pdf import divisions_of
 from lmd.scene.scene import Scene
@@ -30,7 +30,7 @@ class Sampling:
     divisions: int = 18
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "positions", integer("positions", self.positions, low=1))
+        check_fields(self, integer, "positions", low=1)
         object.__setattr__(self, "divisions", divisions_of(self.divisions))
 
     def evaluator(self, scene: Scene, repeats: int, rng: np.random.Generator, threads: int | None) -> Evaluator:

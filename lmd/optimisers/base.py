@@ -81,7 +81,6 @@ class Optimiser(ABC):
 
         Args:
             state: read from a file that anyone may have written, so each value has to be checked.
-            problem: what was maximised.
 
         Raises:
             InputError: `state` cannot be gone on from.

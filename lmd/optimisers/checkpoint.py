@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import InputError, file_path
+from lmd.core.checks import InputError, file_path, said_of
 from lmd.core.files import write_whole
 from lmd.core.memory import check_memory
 from lmd.core.renamed import renamed
@@ -62,7 +62,6 @@ class Checkpoint:
 
         Args:
             directory: of the run that goes on.
-            problem: what it maximises.
 
         Raises:
             InputError: there is none, it is damaged, or it was made with other settings.
@@ -97,10 +96,8 @@ class Checkpoint:
 
     def _content(self) -> bytes:
         arrays: dict[str, Any] = {}
-        try:
+        with said_of(f"{type(self.optimiser).__name__} cannot be checkpointed"):
             state = _without_arrays("", self.optimiser.state(), arrays)
-        except InputError as error:
-            raise InputError(f"{type(self.optimiser).__name__} cannot be checkpointed: {error}") from error
         document = {"format": FORMAT, "run": self.run_id, "settings": dict(self.settings), "state": state}
         arrays[DOCUMENT_KEY] = np.frombuffer(json.dumps(document).encode(), np.uint8)
         content = io.BytesIO()

@@ -16,7 +16,6 @@ def composition(
     area: float,
     threads: int | None = None,
     fixed: Deployment | None = None,
-    spacing: float = GRID_SPACING,
 ) -> tuple[int, ...]:
     """How many tags of each of the edges of a scene's tag greedy selection by gain per square metre of paper takes.
 
@@ -26,7 +25,6 @@ def composition(
         area: of all their papers, square metres.
         threads: worker threads, all processors by default; the result does not depend on it.
         fixed: landmarks that hang already, with their surfaces.
-        spacing: of the grid of poses, metres.
 
     Raises:
         InputError: the paper does not suffice for one tag, or the objective has no selection.
@@ -39,7 +37,7 @@ def composition(
         if fixed is None
         else Deployment(fixed.positions, fixed.normals, fixed.surfaces, edges=fixed.edges_of(scene.tag))
     )
-    poses = candidates(plates, edges, spacing)
+    poses = candidates(plates, edges, GRID_SPACING)
     chosen, _ = select(
         selectable(objective).selection(evaluator, relevance), poses, Paper(area, plates), plates, fixed=hung
     )

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import InputError, integer, real
+from lmd.core.checks import InputError, check_fields, integer, real
 from lmd.optimisers.stored import array
 
 
@@ -32,7 +32,7 @@ class Budget:
         if self.evaluations is None and self.seconds is None:
             raise InputError("evaluations or seconds must be given.", "evaluations")
         if self.evaluations is not None:
-            object.__setattr__(self, "evaluations", integer("evaluations", self.evaluations, low=1))
+            check_fields(self, integer, "evaluations", low=1)
         if self.seconds is not None:
             real("seconds", self.seconds, above=0.0)
 

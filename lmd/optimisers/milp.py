@@ -30,7 +30,7 @@ from scipy.sparse import block_array, block_diag, coo_array, csr_array, eye_arra
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, real
 from lmd.core.compiled import clock
 from lmd.objectives.coverage import Coverage
-from lmd.optimisers.annealing.annealing import STACK_SPREAD, ring
+from lmd.optimisers.annealing.stacks import STACK_SPREAD, pulled_apart
 from lmd.optimisers.base import Callback, Optimiser, Result
 from lmd.optimisers.ledger import Budget, Ledger
 from lmd.optimisers.stored import deployment, deployment_state
@@ -39,7 +39,6 @@ from lmd.scene.criteria import TOLERANCE
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 from lmd.sight.poses import candidate_poses, covered_amounts
-from lmd.space.surface import SurfaceArrays
 
 MOST_PAIRS = 20_000_000  # of a pose and a view; far more than HiGHS solves in an hour
 PROVEN, INFEASIBLE = 0, 2  # status of scipy.optimize.milp
@@ -169,16 +168,10 @@ def _copies(problem: Problem) -> int:
 
 def _apart(problem: Problem, poses: Deployment, copies: IntArray) -> Deployment:
     """The deployment with so many landmarks at each pose, `(J,)`, the stacks pulled apart and the fixed ones before."""
-    surfaces = SurfaceArrays.of(problem.scene.plates.hanging.surfaces())
-    parts = []
+    parts, distance = [], STACK_SPREAD * problem.scene.spacing
     for stack in np.unique(copies[copies > 0]).tolist():
         chosen = poses[copies == stack]
-        of, offsets = (
-            chosen.surfaces.repeat(stack),
-            ring(np.zeros(len(chosen)), stack, STACK_SPREAD * problem.scene.spacing),
-        )
-        at = surfaces.coordinates(chosen.surfaces, chosen.positions)[:, None] + offsets
-        parts.append(Deployment(surfaces.points(of, at.reshape(-1, 2)), surfaces.normal[of], of))
+        parts.append(pulled_apart(problem, chosen, np.zeros(len(chosen)), stack, distance))
     return problem.complete(reduce(operator.add, parts))
 
 

@@ -172,7 +172,6 @@ def estimate_pdf(
     alone, at that pitch.
 
     Args:
-        recording: step 1.
         rng: draws the times of the samples and the tables of the independence test.
         divisions: the step of the orientation grid is pi / divisions.
         mean_interval: between samples, seconds; None for twice the correlation time.
@@ -219,7 +218,6 @@ def _gathered(table: FloatArray, yaw: Marginal, pitch: Marginal, name: str) -> O
     Args:
         table: probabilities `(M_yaw, M_pitch)` at the marginals' angles.
         yaw, pitch: give the angles and the grid.
-        name: of the PDF.
     """
     cell = yaw.grid_cell[:, None] * (pitch.grid_cell[-1] + 1) + pitch.grid_cell
     yaws, pitches = np.meshgrid(yaw.angles, pitch.angles, indexing="ij")

@@ -62,9 +62,7 @@ def sample_at_random_intervals(
     with a motion that repeats itself. Records of uneven rate count for as long as they hold.
 
     Args:
-        recording: what is sampled.
         mean_interval: seconds; None for twice the correlation time, so that samples are nearly independent.
-        rng: draws the times.
 
     Raises:
         InputError: the interval is not positive or shorter than the recording's own step, or there are too few
@@ -123,7 +121,6 @@ def independence_test(samples: Samples, significance: float, rng: np.random.Gene
     Args:
         samples: of yaw and pitch, neither of them fixed.
         significance: level of the test, in [0, 1].
-        rng: draws the tables.
     """
     around_mean = circular_difference(samples.yaw, circmean(samples.yaw))
     rows, columns = _equal_bins(around_mean, YAW_BINS), _equal_bins(samples.pitch, PITCH_BINS)

@@ -8,6 +8,7 @@ import numpy as np
 
 from lmd.evaluation.accuracy import plan_of_errors
 from lmd.plot import common
+from lmd.plot.common import new_figure
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 
@@ -20,13 +21,10 @@ def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Probl
     The median is that of all views of the grid's positions above a place of the plan.
 
     Args:
-        path: the PNG.
         deployments: a deployment and the problem that it is judged for, by what heads its panel.
-        title: one line above the panels.
     """
     from matplotlib import colormaps
     from matplotlib.colors import LogNorm
-    from matplotlib.figure import Figure
 
     plans = [1e3 * _plan(problem, deployment) for problem, deployment in deployments.values()]
     known = np.concatenate([plan.to_numpy().ravel() for plan in plans])
@@ -35,8 +33,7 @@ def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Probl
     colours = colormaps[f"{common.COLOUR_MAP}_r"].with_extremes(over=NO_MEDIAN_COLOUR)  # bright is good
     length, width, _ = np.max([common.size_of(problem.scene.room) for problem, _ in deployments.values()], axis=0)
     size = (1.0 + 5.0 * len(plans), 2.2 + 5.0 * width / length)
-    figure = Figure(figsize=size, dpi=100, facecolor="white", layout="constrained")
-    figure.suptitle(title)
+    figure = new_figure(size, title)
     panels: Any = figure.subplots(1, len(plans), squeeze=False, sharex=True, sharey=True)[0]
     for axes, plan, (heading, (problem, deployment)) in zip(panels, plans, deployments.items(), strict=True):
         shown = np.where(np.isinf(plan), 2.0 * high, plan)  # infinite has no logarithm

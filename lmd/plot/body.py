@@ -8,7 +8,7 @@ import numpy as np
 
 from lmd.cameras.body import Body
 from lmd.core.checks import FloatArray
-from lmd.plot.common import FIXED, LANDMARK
+from lmd.plot.common import FIXED, LANDMARK, new_figure
 from lmd.scene.rig import Mount, Rig
 
 if TYPE_CHECKING:
@@ -29,16 +29,11 @@ def save_body_figure(path: Path, body: Body, rig: Rig, title: str) -> None:
     """Draw where the cameras of a rig are on a body, with dimensions, and a table of how each is mounted.
 
     Args:
-        path: of the file.
         body: carries the cameras.
         rig: the cameras.
-        title: heads the drawing.
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10.0, 6.2 + 0.25 * len(rig.mounts)), layout="constrained")
+    figure = new_figure((10.0, 6.2 + 0.25 * len(rig.mounts)), title)
     grid = figure.add_gridspec(2, 2, height_ratios=[5.4, 0.8 + 0.25 * len(rig.mounts)])
-    figure.suptitle(title)
     for i, (view, onto) in enumerate(VIEWS.items()):
         _draw(figure.add_subplot(grid[0, i]), view, onto, body, rig)
     cells = [_row(i, mount) for i, mount in enumerate(rig.mounts, 1)]

@@ -7,6 +7,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray
 from lmd.plot import common
+from lmd.plot.common import new_figure
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.reference import cap_count, coverage_caps, coverage_probability
@@ -47,15 +48,12 @@ def save_cap_figure(
     that region under the scene's orientation PDF.
 
     Args:
-        path: the PNG.
         scene: camera, visibility and PDF.
         deployment: the landmarks l_k whose coverage spherical caps overlap.
         position: p, `(3,)`, metres.
         n: caps that must overlap.
-        title: one line above the spheres.
     """
     from matplotlib.colors import BoundaryNorm, ListedColormap
-    from matplotlib.figure import Figure
     from matplotlib.patches import Circle
 
     views = (common.viewer(), -common.viewer())
@@ -63,7 +61,7 @@ def save_cap_figure(
     most = max(n, *(int(np.nanmax(half)) for half in halves))
     colours = ListedColormap([*_shades("Greys", 0.08, 0.35, n), *_shades("Greens", 0.4, 0.95, most - n + 1)])
 
-    figure = Figure(figsize=(10.0, 5.6), dpi=100, facecolor="white", layout="constrained")
+    figure = new_figure((10.0, 5.6))
     figure.suptitle(title, fontsize=14)
     panels = figure.subplots(1, 2)
     for axes, half, view, name in zip(panels, halves, views, HALF_TITLES, strict=True):

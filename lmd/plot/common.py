@@ -1,7 +1,7 @@
 """What the static and the interactive scene figure share: geometry, colours and wording."""
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -97,6 +97,16 @@ def qualified_labels(is_qualified: BoolArray, threshold: float) -> tuple[str, st
         f"qualified, probability ≥ {threshold:g} ({share:.1f} %)",
         f"unqualified ({100.0 - share:.1f} %)",
     )
+
+
+def new_figure(inches: tuple[float, float], title: str | None = None) -> Any:
+    """A figure of this width and height at 100 dots an inch, which lays itself out."""
+    from matplotlib.figure import Figure  # slow to load
+
+    figure = Figure(figsize=inches, dpi=100, layout="constrained", facecolor="white")
+    if title is not None:
+        figure.suptitle(title)
+    return figure
 
 
 def shrink(path: str | Path) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from lmd.evaluation.comparison import OptimiserRun, attained, best_at, by_optimiser, curve_targets
 from lmd.objectives.base import Headline
-from lmd.plot.common import logarithmic_ticks
+from lmd.plot.common import logarithmic_ticks, new_figure
 
 
 def save_comparison_figure(
@@ -19,21 +19,17 @@ def save_comparison_figure(
     one has the share of all seeds and targets that were reached (`attained`), as COCO and IOHprofiler draw it.
 
     Args:
-        path: the file.
-        runs: all of them.
         axis: what runs are compared at, `evaluations` or `wall_time`.
         headline: what the fitness is called and how it is shown.
-        title: heads the picture.
     """
     import matplotlib as mpl
-    from matplotlib.figure import Figure
 
     groups = by_optimiser(runs, headline.key)
     first = min(getattr(run.history[0], axis) for run in runs)
     last = max(getattr(run.history[-1], axis) for run in runs)
     at = np.geomspace(max(first, 1e-3 * last), last, 300)
     targets = curve_targets(runs)
-    figure = Figure(figsize=(15, 6), dpi=100, layout="constrained")
+    figure = new_figure((15, 6), title)
     convergence, distribution = figure.subplots(1, 2, sharex=True)
     colours = mpl.colormaps["tab20"]
     for i, (name, group) in enumerate(groups.items()):
@@ -59,6 +55,5 @@ def save_comparison_figure(
         axes.set_xticks([], minor=True)
         axes.set_xlabel("wall time [s]" if axis == "wall_time" else axis)
         axes.grid(alpha=0.3)
-    figure.suptitle(title)
     figure.legend(loc="outside right upper", frameon=False)
     figure.savefig(path)

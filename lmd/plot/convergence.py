@@ -7,24 +7,22 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lmd.objectives.base import Headline
+from lmd.plot.common import new_figure
 
 
 def save_convergence_figure(path: str | Path, history: Mapping[str, ArrayLike], headline: Headline, title: str) -> None:
     """Write a PNG with the best fitness so far as a step line over evaluations.
 
     Args:
-        path: the PNG.
         history: `evaluations`, `best_fitness` and `wall_time` (seconds since the start) at each recorded moment, of
             which there is at least one.
         headline: what the fitness is called and how it is shown.
-        title: one line above the axes.
     """
-    from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 
     evaluations, fitness, seconds = (np.asarray(history[key]) for key in ("evaluations", "best_fitness", "wall_time"))
     best = headline.scale * fitness
-    figure = Figure(figsize=(9.0, 5.0), dpi=100, layout="constrained")
+    figure = new_figure((9.0, 5.0))
     axes = figure.add_subplot()
     axes.step(evaluations, best, where="post", linewidth=1.8)
     axes.plot(evaluations[-1], best[-1], "o", color="C0", clip_on=False)

@@ -12,7 +12,7 @@ from lmd.core.optional import optional
 from lmd.detection.calibration import Calibration
 from lmd.detection.evaluation import TAG_NUMBERS
 from lmd.detection.report import PLACES
-from lmd.plot.common import shrink
+from lmd.plot.common import new_figure, shrink
 from lmd.render.imaging import UInt8Array
 
 # Outlines in frames, red, green, blue.
@@ -31,16 +31,11 @@ def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd
     """Write a PNG: for each deployment P(>= n) predicted and detected, and below it both shares of tags by their pitch.
 
     Args:
-        path: the PNG.
         figures: rows of `lmd.detection.report.figures` with the columns `deployment` and `detector`.
         pitches: those of `by_pitch`, with the same columns.
-        title: heads the picture.
     """
-    from matplotlib.figure import Figure
-
     names, detectors = list(figures.deployment.unique()), list(figures.detector.unique())
-    figure = Figure(figsize=(2.0 + 5.0 * len(names), 9.0), dpi=100, layout="constrained")
-    figure.suptitle(title)
+    figure = new_figure((2.0 + 5.0 * len(names), 9.0), title)
     panels: Any = figure.subplots(2, len(names), sharey="row", squeeze=False)
     width = 0.8 / (1 + len(detectors))
     for axes, name in zip(panels[0], names, strict=True):
@@ -76,14 +71,9 @@ def save_places_figure(path: str | Path, places: pd.DataFrame, title: str) -> No
     """Write a PNG: the shares of tags that were predicted and detected, by where they are in the image.
 
     Args:
-        path: the PNG.
         places: of `lmd.detection.report.by_place`.
-        title: heads the picture.
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12.0, 4.6), dpi=100, layout="constrained")
-    figure.suptitle(title)
+    figure = new_figure((12.0, 4.6), title)
     panels: Any = figure.subplots(1, 2)
     for axes, which in zip(panels, ("predicted", "detected"), strict=True):
         shares = np.full(PLACES[::-1], np.nan)
@@ -103,14 +93,9 @@ def save_limits_figure(path: str | Path, calibrations: Mapping[str, Calibration]
     """Write a PNG: for each detector which views it found, by pitch and blur, and how often by pitch over its limit.
 
     Args:
-        path: the PNG.
         calibrations: by the detector's name.
-        title: heads the picture.
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12.0, 0.6 + 4.2 * len(calibrations)), dpi=100, layout="constrained")
-    figure.suptitle(title)
+    figure = new_figure((12.0, 0.6 + 4.2 * len(calibrations)), title)
     panels: Any = figure.subplots(len(calibrations), 2, squeeze=False)
     for (left, right), (name, calibration) in zip(panels, calibrations.items(), strict=True):
         views, limits = calibration.views, calibration.fit.limits

@@ -29,12 +29,10 @@ def save_film(
     """Write an animated picture that takes as long as the flight: a frame beside the room with the camera.
 
     Args:
-        path: a WebP.
         moments: of the flight, at least two, in order.
         camera: its image and focal lengths give the shape of the pyramid.
         room: drawn in black.
         landmarks: the tags, world frame, metres, `(K, 3)`.
-        title: heads the picture.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

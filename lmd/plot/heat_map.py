@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from lmd.plot.common import new_figure
+
 DARK_BELOW = 0.6  # of the colour scale; text on darker cells is white
 
 
@@ -13,18 +15,13 @@ def save_heat_map(path: str | Path, tables: Mapping[str, pd.DataFrame], title: s
     """Write a PNG of heat maps side by side.
 
     Args:
-        path: the PNG.
         tables: shares (fractions; NaN for a cell without a run), by the heading of their panel. The index and the
             columns are named, and the same in all tables.
-        title: one line above the panels.
         label: what the shares are.
     """
-    from matplotlib.figure import Figure
-
     rows, columns = next(iter(tables.values())).shape
     size = (1.6 + 1.0 * max(columns, 3) * len(tables), 1.8 + 0.8 * max(rows, 3))
-    figure = Figure(figsize=size, dpi=100, facecolor="white", layout="constrained")
-    figure.suptitle(title)
+    figure = new_figure(size, title)
     panels = figure.subplots(1, len(tables), sharey=True, squeeze=False)[0]
     for axes, (name, table) in zip(panels, tables.items(), strict=True):
         image = axes.imshow(table, cmap="Greens", vmin=0.0, vmax=1.0, aspect="auto")

@@ -9,6 +9,7 @@ import pandas as pd
 from lmd.core.checks import FloatArray, IntArray
 from lmd.estimation.cramer_rao import CramerRaoMap
 from lmd.plot import common
+from lmd.plot.common import new_figure
 from lmd.space.space import Space
 
 QUANTITIES = {
@@ -25,19 +26,14 @@ def save_error_figure(
     """Write a PNG: for each estimator the errors over time, below them the landmarks in view.
 
     Args:
-        path: the PNG.
         curves: `Study.curves`.
         time: of the frames, seconds, `(T,)`.
         counts: landmarks in each frame of one flight, `(T,)`, by deployment.
         n: drawn as a dotted line.
-        title: heads the picture.
     """
-    from matplotlib.figure import Figure
-
     estimators, names = list(curves.estimator.unique()), list(counts)
     columns = len(estimators)
-    figure = Figure(figsize=(3.0 + 5.0 * columns, 12.0), dpi=100, layout="constrained")
-    figure.suptitle(title)
+    figure = new_figure((3.0 + 5.0 * columns, 12.0), title)
     parts: Any = figure.subfigures(2, 1, height_ratios=[len(QUANTITIES), 1])
     upper, lower = parts
     panels = upper.subplots(len(QUANTITIES), columns, sharex=True, sharey="row", squeeze=False)
@@ -74,16 +70,12 @@ def save_cramer_rao_map(path: str | Path, room: Space, bounds: CramerRaoMap, tit
     """Write a PNG: at each position, how often a single frame fixes the pose, and how well it does then.
 
     Args:
-        path: the PNG.
         room: drawn as a box.
         bounds: of one deployment.
-        title: heads the picture.
     """
     from matplotlib.colors import LogNorm
-    from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(15.0, 7.0), dpi=100, facecolor="white", layout="constrained")
-    figure.suptitle(title)
+    figure = new_figure((15.0, 7.0), title)
     finite = np.isfinite(bounds.position)
     size = 49.0 * common.ball_scale(room, bounds.positions) ** 2
     shown: tuple[tuple[FloatArray, str, dict[str, Any]], ...] = (

@@ -6,19 +6,16 @@ import numpy as np
 import pandas as pd
 
 from lmd.evaluation.accuracy import TOLERANCES
+from lmd.plot.common import new_figure
 
 
 def save_map_figure(path: str | Path, views: pd.DataFrame, title: str) -> None:
     """Write a PNG of 800 x 500 pixels: the share of views with a position error below that of the axis.
 
     Args:
-        path: the PNG.
         views: rows of `lmd.evaluation.maps.map_errors`; views without an estimate never come in.
-        title: heads the picture.
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8.0, 5.0), dpi=100, layout="constrained")
+    figure = new_figure((8.0, 5.0))
     axes = figure.subplots()
     for column in views.columns[views.columns.str.startswith("position_")]:
         errors = 1e3 * np.sort(views[column].dropna())

@@ -7,23 +7,15 @@ import numpy as np
 
 from lmd.orientation.estimate import Marginal, PdfEstimate
 from lmd.plot import common
+from lmd.plot.common import new_figure
 
 HISTOGRAM = "#bdbdbd"
 CHOSEN = "#1a9641"  # the paper's fit is green too
 
 
 def save_orientation_figure(path: str | Path, estimate: PdfEstimate, title: str) -> None:
-    """Write a PNG of 1500 x 500 pixels: both histograms with all candidates, and the PDF over yaw and pitch.
-
-    Args:
-        path: the PNG.
-        estimate: what is shown.
-        title: one line above the panels.
-    """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(15.0, 5.0), dpi=100, layout="constrained")
-    figure.suptitle(title)
+    """Write a PNG of 1500 x 500 pixels: both histograms with all candidates, and the PDF over yaw and pitch."""
+    figure = new_figure((15.0, 5.0), title)
     left, middle, right = figure.subplots(1, 3, width_ratios=(1.2, 1.0, 1.2))
     _draw_marginal(left, estimate.yaw, "yaw")
     _draw_marginal(middle, estimate.pitch, "pitch")

@@ -22,10 +22,8 @@ def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment
     """Write a PNG of 1500 x 750 pixels: positions coloured by the objective's value, and by whether they qualify.
 
     Args:
-        path: the PNG.
         problem: its room is drawn in black, the reachable area dashed and grey.
         deployment: drawn as red arrows along the normals, blue ones for landmarks that hung already.
-        title: one line above the panels.
     """
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
@@ -69,9 +67,7 @@ def save_deployments_figure(
     """Write a PNG of deployments side by side, two in a row: which positions each qualifies.
 
     Args:
-        path: the PNG.
         deployments: a deployment and the problem that it is scored for, by the name that heads its panel.
-        title: one line above the panels.
     """
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D

@@ -6,22 +6,14 @@ from typing import Any
 import numpy as np
 
 from lmd.evaluation.sensitivity import SHARE_COLUMNS, Sensitivity
+from lmd.plot.common import new_figure
 
 STYLES = dict(zip(SHARE_COLUMNS, (("localised", "-"), ("enough landmarks covered", "--")), strict=True))
 
 
 def save_sensitivity_figure(path: str | Path, found: Sensitivity, title: str) -> None:
-    """Write a PNG of 1500 x 500 pixels: other assumptions, landmarks missed, landmarks lost.
-
-    Args:
-        path: the PNG.
-        found: what is shown.
-        title: heads the picture.
-    """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(15.0, 5.0), dpi=100, layout="constrained")
-    figure.suptitle(title)
+    """Write a PNG of 1500 x 500 pixels: other assumptions, landmarks missed, landmarks lost."""
+    figure = new_figure((15.0, 5.0), title)
     panels: Any = figure.subplots(1, 3)
     varied, missed, lost = panels
     for i, (name, rows) in enumerate(found.assumptions.groupby("assumption", sort=False)):

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import FloatArray
-from lmd.plot.common import LANDMARK, PARTS, shrink
+from lmd.plot.common import LANDMARK, PARTS, new_figure, shrink
 from lmd.space.space import Space
 from lmd.survey.report import tag_columns
 from lmd.survey.survey import Survey
@@ -23,14 +23,9 @@ def save_survey_figure(path: str | Path, survey: Survey, room: Space | None, tit
     """Write a PNG of 1500 x 700 pixels.
 
     Args:
-        path: the PNG.
-        survey: what was found.
         room: its outline is drawn; None where it is not known.
-        title: heads the picture.
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(15.0, 7.0), dpi=100, layout="constrained", facecolor="white")
+    figure = new_figure((15.0, 7.0))
     left, right = figure.subplots(1, 2)
     _draw_above(left, survey, room)
     if survey.planned is None:

@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from lmd.plot.common import new_figure
+
 
 class Panel(NamedTuple):
     """A figure against the number of landmarks.
@@ -28,15 +30,10 @@ def save_tradeoff_figure(path: str | Path, points: pd.DataFrame, panels: Sequenc
     """Write a PNG, 550 pixels wide for each panel and 450 high: medians over the seeds, bands from least to greatest.
 
     Args:
-        path: the PNG.
         points: as for `lmd.evaluation.tradeoff.front`.
         panels: from left to right; their figures are shares.
-        title: heads the picture.
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5.5 * len(panels), 4.5), dpi=100, layout="constrained")
-    figure.suptitle(title)
+    figure = new_figure((5.5 * len(panels), 4.5), title)
     drawn: Any = figure.subplots(1, len(panels), squeeze=False)
     for axes, panel in zip(drawn[0], panels, strict=True):
         for i, edge in enumerate(np.unique(points.edge).tolist()):

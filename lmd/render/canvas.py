@@ -212,7 +212,6 @@ def covering(amplitude: float, seed: int, length: float) -> Float32Array:
 
     Args:
         amplitude: standard deviation, grey levels.
-        seed: of the pattern.
         length: of the square's edge, metres.
     """
     times = min(max(math.ceil(length / (PATTERN * TEXEL)), 1), MOST_REPEATS)
@@ -224,7 +223,6 @@ def pattern(amplitude: float, rng: np.random.Generator) -> Float32Array:
 
     Args:
         amplitude: standard deviation, grey levels.
-        rng: source of the pattern.
     """
     frequency = np.hypot(*np.meshgrid(np.fft.rfftfreq(PATTERN), np.fft.fftfreq(PATTERN)))
     # Waves longer than an eighth of the whole would be a gradient across the wall, not a pattern.

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from lmd.core.checks import FloatArray, InputError, boolean, integer, real
+from lmd.core.checks import FloatArray, InputError, boolean, check_fields, integer, real
 from lmd.core.optional import optional
 
 UInt8Array = NDArray[np.uint8]
@@ -50,17 +50,14 @@ class Imaging:
     supersampling: int = 4
 
     def __post_init__(self) -> None:
-        for name in ("psf_sigma", "motion_blur", "noise", "texture"):
-            object.__setattr__(self, name, real(name, getattr(self, name), low=0.0))
-        for name in ("exposure", "gamma"):
-            object.__setattr__(self, name, real(name, getattr(self, name), above=0.0))
-        for name in ("white", "black", "wall"):
-            object.__setattr__(self, name, real(name, getattr(self, name), low=0.0, high=GREY_LEVELS))
+        check_fields(self, real, "psf_sigma", "motion_blur", "noise", "texture", low=0.0)
+        check_fields(self, real, "exposure", "gamma", above=0.0)
+        check_fields(self, real, "white", "black", "wall", low=0.0, high=GREY_LEVELS)
         if self.white <= self.black:
             raise InputError(f"white must exceed black = {self.black:g}, got {self.white:g}.", "white")
         boolean("defocus", self.defocus)
-        object.__setattr__(self, "texture_seed", integer("texture_seed", self.texture_seed, low=0))
-        object.__setattr__(self, "supersampling", integer("supersampling", self.supersampling, low=1, high=16))
+        check_fields(self, integer, "texture_seed", low=0)
+        check_fields(self, integer, "supersampling", low=1, high=16)
 
     def develop(self, light: Float32Array, rng: np.random.Generator) -> UInt8Array:
         """The 8-bit image of `light` in grey levels, same shape; the noise is drawn from `rng`."""

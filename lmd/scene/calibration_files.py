@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from lmd.core.checks import InputError, vector
-from lmd.core.files import parse_keys, read_text
+from lmd.core.files import flat, parse_keys, read_text
 from lmd.geometry.lens import EQUIDISTANT
 
 Keys = Mapping[str, Any]
@@ -133,7 +133,7 @@ def _opencv(keys: Keys) -> Keys:
             found[name] = values[0]
     for name in ("camera_matrix", "distortion_coefficients"):
         if isinstance(found.get(name), list):
-            found[name] = {"data": _flat(found[name])}
+            found[name] = {"data": flat(found[name])}
     for name in OPENCV_SIZES:
         if isinstance(size := keys.get(name), list) and len(size) == 2:
             found = dict(zip(("image_width", "image_height"), size, strict=True)) | found
@@ -143,11 +143,6 @@ def _opencv(keys: Keys) -> Keys:
             "does, with image_width, image_height, camera_matrix, distortion_model and distortion_coefficients."
         )
     return found
-
-
-def _flat(values: list[Any]) -> list[Any]:
-    """A list without the lists within it."""
-    return [value for row in values for value in (row if isinstance(row, list) else [row])]
 
 
 def _kalibr(prefix: str, camera: Any, lens: str = "distortion_coeffs") -> Keys:

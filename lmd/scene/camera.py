@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, integer, real, vector
+from lmd.core.checks import FloatArray, InputError, check_fields, integer, real, vector
 from lmd.geometry.lens import Lens, lens_of
 
 MM_PER_M = 1000.0
@@ -60,26 +60,25 @@ class Camera:
     image_circle: float = math.inf
 
     def __post_init__(self) -> None:
-        for name in ("focal_length", "pixel_width", "pixel_height"):
-            object.__setattr__(self, name, real(name, getattr(self, name), above=0.0))
-        object.__setattr__(self, "aperture", real("aperture", self.aperture, low=0.0))
+        check_fields(self, real, "focal_length", "pixel_width", "pixel_height", above=0.0)
+        check_fields(self, real, "aperture", low=0.0)
         for name in ("image_width", "image_height"):
             object.__setattr__(self, name, float(integer(name, getattr(self, name), low=1)))
-        focus = real("focus_distance", self.focus_distance, above=0.0, infinite=True)
-        if focus <= self.focal_length:
+        check_fields(self, real, "focus_distance", above=0.0, infinite=True)
+        if self.focus_distance <= self.focal_length:
             raise InputError(
-                f"focus_distance must exceed the focal length of {self.focal_length:g} mm, got {focus:g}.",
+                f"focus_distance must exceed the focal length of {self.focal_length:g} mm, "
+                f"got {self.focus_distance:g}.",
                 "focus_distance",
             )
-        object.__setattr__(self, "focus_distance", focus)
-        u, v = vector("principal_point", self.principal_point, 2)
+        check_fields(self, vector, "principal_point", size=2)
+        u, v = self.principal_point
         if not (0.0 < u < self.image_width and 0.0 < v < self.image_height):
             raise InputError(
                 f"principal_point must lie inside the {self.image_width:g} x {self.image_height:g} image, "
                 f"got [{u:g}, {v:g}].",
                 "principal_point",
             )
-        object.__setattr__(self, "principal_point", (u, v))
         lens = self.lens
         object.__setattr__(self, "distortion", () if lens is None else lens.coefficients)
         if lens is not None and lens.widest(nearest := min(self._borders)) >= lens.fold:
@@ -89,12 +88,11 @@ class Camera:
                 f"{math.degrees(lens.fold):.3g} degrees off the axis, before it.",
                 "distortion",
             )
-        circle = real("image_circle", self.image_circle, above=0.0, infinite=True)
-        if lens is None and circle < math.inf:
+        check_fields(self, real, "image_circle", above=0.0, infinite=True)
+        if lens is None and self.image_circle < math.inf:
             raise InputError(
                 "image_circle needs the distortion of a lens: a pinhole's image has no end.", "image_circle"
             )
-        object.__setattr__(self, "image_circle", circle)
 
     @property
     def is_pinhole(self) -> bool:

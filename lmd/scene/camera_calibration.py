@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from lmd.core.checks import InputError, integer, real, vector
+from lmd.core.checks import InputError, check_fields, integer, real, said_of, vector
 from lmd.geometry.lens import lens_of
 from lmd.scene.calibration_files import LENS_MODELS, PIXEL_CENTRE, known_lens, read_cameras
 from lmd.scene.camera import Camera
@@ -40,34 +40,26 @@ class Calibration:
     distortion_model: str = "plumb_bob"
 
     def __post_init__(self) -> None:
-        for name in ("image_width", "image_height"):
-            object.__setattr__(self, name, integer(name, getattr(self, name), low=1))
-        object.__setattr__(self, "focal_pixels", vector("focal_pixels", self.focal_pixels, 2, above=0.0))
-        object.__setattr__(self, "principal_point", vector("principal_point", self.principal_point, 2))
+        check_fields(self, integer, "image_width", "image_height", low=1)
+        check_fields(self, vector, "focal_pixels", size=2, above=0.0)
+        check_fields(self, vector, "principal_point", size=2)
         lens = lens_of(self.distortion_model, self.distortion)
         object.__setattr__(self, "distortion", () if lens is None else lens.coefficients)
 
-    def camera(
-        self,
-        focal_length: float | None = None,
-        aperture: float | None = None,
-        focus_distance: float = math.inf,
-        image_circle: float = math.inf,
-    ) -> Camera:
+    def camera(self, focal_length: float | None = None, aperture: float | None = None, **lens: float) -> Camera:
         """The camera; without an aperture a pinhole, whose images are sharp at any depth.
 
         Args:
             focal_length: f, mm; says how large a pixel is, which only the focus depends on.
             aperture: effective diameter d_a, mm.
-            focus_distance: d_s, mm.
-            image_circle: see `Camera`, pixels.
+            lens: `focus_distance` and `image_circle`, see `Camera`.
 
         Raises:
             InputError: an aperture or a focus distance comes without what it needs, or `Camera` refuses a value.
         """
         if aperture is not None and focal_length is None:
             raise InputError("focal_length must be given, in mm, where an aperture is.", "focal_length")
-        if aperture is None and focus_distance != math.inf:
+        if aperture is None and lens.get("focus_distance", math.inf) != math.inf:
             raise InputError("aperture must be given, in mm, where a focus distance is.", "aperture")
         length = 1.0 if focal_length is None else real("focal_length", focal_length, above=0.0)
         width, height = (length / pixels for pixels in self.focal_pixels)
@@ -80,10 +72,9 @@ class Calibration:
             image_width=self.image_width,
             image_height=self.image_height,
             aperture=0.0 if aperture is None else aperture,
-            focus_distance=focus_distance,
             distortion=self.distortion,
             distortion_model=self.distortion_model,
-            image_circle=image_circle,
+            **lens,
         )
 
 
@@ -92,22 +83,23 @@ def calibrated_camera(
     name: str | None = None,
     image_size: Iterable[int] | None = None,
     distortion_model: str | None = None,
-    **optics: Any,
+    focal_length: float | None = None,
+    aperture: float | None = None,
+    focus_distance: float = Camera.focus_distance,
+    image_circle: float = Camera.image_circle,
 ) -> Camera:
     """The camera of a calibration file.
 
     Args:
         path, name, image_size, distortion_model: see `read_calibration`.
-        optics: see `Calibration.camera`.
+        focal_length, aperture, focus_distance, image_circle: see `Calibration.camera`.
 
     Raises:
         InputError: see there.
     """
     calibration = read_calibration(path, name, image_size, distortion_model)
-    try:
-        return calibration.camera(**optics)
-    except InputError as error:
-        raise error if error.argument in OPTICS else InputError(f"{path}: {error}") from None
+    with said_of(path, known=OPTICS):
+        return calibration.camera(focal_length, aperture, focus_distance=focus_distance, image_circle=image_circle)
 
 
 def read_calibration(
@@ -119,7 +111,6 @@ def read_calibration(
     """Read a file of one of the formats of `lmd.scene.calibration_files`.
 
     Args:
-        path: the file.
         name: the camera in a file with several, such as `cam1` of Kalibr; not needed where there is only one.
         image_size: width and height, pixels; needed where the file has none.
         distortion_model: of the lens, where the file names none, as OpenCV's scripts do: `fisheye` for its fisheye.
@@ -138,10 +129,8 @@ def read_calibration(
         raise InputError(f"name = {name!r} is no camera of {path}, which has {', '.join(cameras) or 'one'}.", "name")
     chosen = name or (cameras[0] if cameras else "")
     size = None if image_size is None else vector("image_size", image_size, 2, above=0.0)
-    try:
+    with said_of(path, known=("distortion_model",)):
         found = _calibration(restated[chosen], size, distortion_model)
-    except InputError as error:
-        raise error if error.argument == "distortion_model" else InputError(f"{path}: {error}") from None
     if size not in (None, known := (found.image_width, found.image_height)):
         raise InputError(f"image_size must be {list(known)}, as {path} has it, got {list(size)}.", "image_size")
     return found

@@ -90,7 +90,6 @@ class Criteria(Protocol):
         """Which landmarks the camera covers, `(A, K)`: the reference.
 
         Args:
-            camera: the camera.
             position: p, `(3,)`, world frame, metres.
             axes: its optical axes and the image's right, `(A, 6)`: two unit vectors.
             landmarks, normals: `(K, 3)` positions, metres, and unit normals.
@@ -125,7 +124,6 @@ def from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped
     """What a landmark is like from a position, whatever the camera's orientation.
 
     Args:
-        sight: the compiled model.
         x, y, z: offset of the landmark from the camera, world frame, metres.
         nx, ny, nz: its unit normal.
         slack: metres; the answer shall hold for every landmark that far away in the same plane (see `poses`).
@@ -143,7 +141,6 @@ def from_around(sight, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-
     """What holds of `from_position` for all cameras that are less than `radius` metres from a point.
 
     Args:
-        sight: the compiled model.
         x, y, z: offset of the landmark from the point, world frame, metres.
         nx, ny, nz: its normal.
         radius: metres, more than 0.
@@ -185,15 +182,23 @@ def in_cone(least, x, y, z, sine, cosine, ax, ay, az):  # type: ignore[no-untype
 
 
 @dispatched
-def hide(sight, other, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
+def hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
     """Whether landmark A hides B, and B hides A, from where the camera is.
 
     Args:
-        sight, other: the compiled model for A, and for B.
         ax, ay, az, bx, by, bz: offsets of the two from the camera, metres.
         a, b: their squared lengths.
         ux, uy, uz, vx, vy, vz: unit normals of A and of B.
     """
+
+
+@overridable
+def hide_between(sight, other, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
+    """`hide`, given the compiled model for A and the `other` for B: see `sized`.
+
+    A model that knows landmarks of several sizes registers this instead of `hide`.
+    """
+    return hide(sight, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz)
 
 
 @inlined
@@ -214,7 +219,6 @@ def covers_one(sight, x, y, z, frame, low, high, sure, well, axes, a):  # type: 
     """`covers` without slack, for single orientations: where much is to be tested, a model may do it in stages.
 
     Args:
-        sight: the compiled model.
         x, y, z, low, high, sure: as in `from_position`.
         frame: of `frame_of`.
         well: whether orientation a has it well in view, see `sure`.

@@ -6,7 +6,7 @@ from typing import TextIO
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, said_of
 from lmd.core.tables import read_table, write_table
 from lmd.geometry.squares import upright
 from lmd.scene.edges import EDGE, checked_edges, edge_column, edges_or, joined
@@ -110,7 +110,6 @@ class Deployment:
         leans, counts as if it just touched it: nothing is seen through a wall. Its `places` stay what they were.
 
         Args:
-            room: has the surfaces.
             anywhere: whether landmarks may lie outside the room.
             papers: edges of their papers, upright, metres, one for all or `(K,)`; 0 for points.
 
@@ -144,7 +143,6 @@ class Deployment:
         of `room`.
 
         Args:
-            room: has the surfaces.
             near: whether landmarks may stand a little before a surface, see `Space.surface_near`.
         """
         surfaces, some = room.surfaces(), f"of {len(self)} landmarks do"
@@ -191,7 +189,6 @@ class Deployment:
         """`hung`, for an optimiser that moves landmarks along surfaces.
 
         Args:
-            room: has the surfaces.
             flush: whether landmarks must lie flat.
 
         Raises:
@@ -258,7 +255,6 @@ class Deployment:
         to length 1 if they are printed with few decimals. Further columns are kept as labels.
 
         Args:
-            path: the file.
             name: the argument the path came from, for messages.
 
         Raises:
@@ -268,10 +264,8 @@ class Deployment:
         columns = COLUMNS + UP_COLUMNS if any(name in table for name in UP_COLUMNS) else COLUMNS
         rows, labels = table.numbers(columns, None), Labels.of(table, (*columns, EDGE))
         edges = edge_column(table)
-        try:
+        with said_of(path):
             deployment = cls(rows[:, :3], rows[:, 3:6], labels=labels, edges=edges)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
         length = np.linalg.norm(deployment.normals, axis=1, keepdims=True)
         exact = np.abs(length - 1.0) < 1e-12  # dividing these would only move the last bit
         deployment = replace(deployment, normals=np.where(exact, deployment.normals, deployment.normals / length))

@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, IntArray, boolean, choice, integer
+from lmd.core.checks import FloatArray, InputError, IntArray, boolean, choice, integer, said_of
 from lmd.core.memory import check_memory
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
@@ -30,7 +30,6 @@ class DeploymentSource(Protocol):
 
         Args:
             room: its surfaces are where the centres of landmarks may be.
-            rng: draws it.
             tag: what hangs at the landmarks; of one of several sizes they have them in turn.
         """
 
@@ -126,10 +125,8 @@ class FileDeployment:
         deployment = read_deployment(self.path, family=self.family)
         if self.count is not None and self.count != len(deployment):
             raise InputError(f"count = {self.count}, but {self.path} has {len(deployment)} landmarks.", "count")
-        try:
+        with said_of(self.path):
             hung = deployment.hung(room, self.free, tag.paper_share * deployment.edges_of(tag))
-        except InputError as error:
-            raise InputError(f"{self.path}: {error}") from None
         if not self.free and (fault := hung.fault(room, near=True)):
             raise InputError(f"free = false, but in {self.path} {fault}.", "free")
         return hung

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, InputError, IntArray
+from lmd.core.checks import BoolArray, InputError, IntArray, said_of
 from lmd.core.tables import Table
 
 ID = "id"
@@ -42,7 +42,6 @@ class Labels:
         """The labels in a file with landmarks; without a column `id` they are numbered from 0.
 
         Args:
-            table: the file, with at least one row.
             known: columns that are read elsewhere.
 
         Raises:
@@ -57,10 +56,8 @@ class Labels:
             if not (0 <= value <= LARGEST and value.is_integer()):
                 place = f"{table.path} line {line}: {ID}"
                 raise InputError(f"{place} must be a whole number from 0 to {LARGEST:.4g}, got {value:.9g}.")
-        try:
+        with said_of(table.path):
             return cls(given.astype(np.int64), columns)
-        except InputError as error:
-            raise InputError(f"{table.path}: {error}") from None
 
     def __add__(self, other: "Labels") -> "Labels":
         """The labels of both; a column that one of them lacks is empty there."""

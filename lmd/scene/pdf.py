@@ -91,16 +91,16 @@ class OrientationPdf:
             object.__setattr__(self, field, array)
 
     @cached_property
-    def by_axis(self) -> "Orientations":
+    def by_axis(self) -> Orientations:
         """The distinct optical axes, whatever the roll; poles and the +-pi seam appear once; `grid_325` has 266."""
         return self._distinct(3)
 
     @cached_property
-    def by_axis_and_roll(self) -> "Orientations":
+    def by_axis_and_roll(self) -> Orientations:
         """The distinct orientations: at the poles, each yaw is one."""
         return self._distinct(6)
 
-    def _distinct(self, size: int) -> "Orientations":
+    def _distinct(self, size: int) -> Orientations:
         """The orientations that differ in the first `size` coordinates of axis and right."""
         # The axis by its own formula: the same bits as ever, which its rows of the rotation need not have.
         right = rotation(self.yaw, self.pitch, self.roll)[:, 0]
@@ -117,11 +117,6 @@ class OrientationPdf:
     def axes(self) -> FloatArray:
         """Distinct optical axes, `(D, 3)` unit vectors ordered by their z coordinate."""
         return self.by_axis.axes[:, :3]
-
-    @property
-    def axis_of(self) -> np.ndarray:
-        """Index into `axes` of each orientation, `(A,)`."""
-        return self.by_axis.index_of
 
     def finer(self) -> "OrientationPdf":
         """The PDF at half the step; itself if nothing is known between its orientations."""
@@ -276,13 +271,7 @@ def solid_angle(divisions: int = 12, roll: Roll = 0.0) -> OrientationPdf:
 
 
 def level_flight(divisions: int = 12, pitch: float = 0.0, roll: Roll = 0.0) -> OrientationPdf:
-    """Uniform in yaw at a fixed pitch (Eq. D_DJI, the UAV of the experiment).
-
-    Args:
-        divisions: the yaw step is pi / divisions.
-        pitch: radians.
-        roll: as in `grid_with_ends`.
-    """
+    """Uniform in yaw, steps of pi / divisions, at a fixed pitch, radians (Eq. D_DJI, the UAV of the experiment)."""
     n, roll = divisions_of(divisions, pitches=1), _rolls(roll)
     fixed = real("pitch", pitch, low=-np.pi / 2, high=np.pi / 2)
     weight, refine = np.array([1.0 / (2 * n)]), partial(level_flight, 2 * n, fixed, roll)

@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, said_of
 from lmd.scene.deployment import FLUSH, Deployment
 from lmd.scene.deployment_sources import DeploymentSource, FileDeployment, GivenDeployment
 from lmd.scene.edges import edges_or
@@ -53,10 +53,8 @@ class Plates:
         """The room with what the centres of tags on papers with this edge, metres, may use; see `hanging`."""
         if not paper:
             return self.room
-        try:
+        with said_of("edge is too large", "edge"):
             return Inset(self.room, paper / 2.0)
-        except InputError as error:
-            raise InputError(f"edge is too large: {error}", "edge") from None
 
     @cached_property
     def _surfaces(self) -> SurfaceArrays:
@@ -109,14 +107,13 @@ class Plates:
         the way there.
 
         Args:
-            fixed: those landmarks.
             beside: where the others come from. If these are taken as they are (`FileDeployment.free`), so are those.
 
         Raises:
             InputError: one lies outside the room, hangs on no surface or faces into its own, or plates overlap or are
                 not wholly on their surface.
         """
-        try:
+        with said_of("fixed", "fixed"):
             hung = fixed.hung(self.room, as_they_are(beside), self.papers(fixed))
             if as_they_are(beside):
                 return hung.before(self.hanging)
@@ -124,8 +121,6 @@ class Plates:
                 raise InputError(f"{fault}.")
             hung = hung.before(self.hanging)
             self.check(hung)
-        except InputError as error:
-            raise InputError(f"fixed: {error}", "fixed") from None
         return hung
 
     def draw(self, source: DeploymentSource, rng: np.random.Generator, fixed: Deployment | None = None) -> Deployment:
@@ -135,7 +130,6 @@ class Plates:
 
         Args:
             source: what is drawn from.
-            rng: draws it.
             fixed: landmarks that hang already (`hung`). They come first, and whatever is not from a file is pushed out
                 of their way.
 

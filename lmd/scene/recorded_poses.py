@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, integer, real
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, integer, real
 from lmd.scene.by_position import pdf_by_position
 from lmd.scene.pdf import OrientationPdf
 from lmd.scene.trajectory_files import TrajectoryFile
@@ -67,9 +67,8 @@ class RecordedPoses(TrajectoryFile):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("bandwidth", "direction_bandwidth", "block"):
-            object.__setattr__(self, name, real(name, getattr(self, name), above=0.0))
-        object.__setattr__(self, "divisions", integer("divisions", self.divisions, low=1))
+        check_fields(self, real, "bandwidth", "direction_bandwidth", "block", above=0.0)
+        check_fields(self, integer, "divisions", low=1)
         if self.held_out is not None:
             every = integer("held_out", self.held_out, low=2)
             object.__setattr__(self, "held_out", every)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import ONE_TURN, FloatArray, InputError, real, vector
+from lmd.core.checks import ONE_TURN, FloatArray, InputError, check_fields, real, vector
 from lmd.geometry.se3 import QUATERNION_TOLERANCE, inverse, pose_of
 from lmd.scene.camera import Camera
 
@@ -46,7 +46,7 @@ class Mount:
     quaternion: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "translation", vector("translation", self.translation, 3))
+        check_fields(self, vector, "translation", size=3)
         for name in ANGLES:
             angle = real(name, getattr(self, name))
             if abs(angle) > ONE_TURN:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import InputError
+from lmd.core.checks import InputError, argument_of
 from lmd.core.files import read_keys
 from lmd.scene.camera import Camera
 from lmd.scene.camera_calibration import OPTICS, calibrated_camera
@@ -73,12 +73,10 @@ def _chained(given: Mapping[str, Any]) -> Rig:
     from scipy.spatial.transform import Rotation
 
     where = {key: value for key, value in given.items() if key != "path" and value is not None}
-    try:
+    with argument_of("rig"):
         poses = read_chain(given["path"])
         cameras = [calibrated_camera(given["path"], name) for name in poses]
         first = Mount(cameras[0], **where)
-    except InputError as error:
-        raise error.within("rig") from None
     mounts = [first]
     for camera, pose in zip(cameras[1:], list(poses.values())[1:], strict=True):
         place = np.array(first.translation) + first.rotation @ LEVEL @ pose[:3, 3]
@@ -91,8 +89,6 @@ def write_rig(path: Path, rig: Rig, sources: Mapping[Camera, Any]) -> None:
     """Write a rig file, see `read_mounts`; numbers are those of the rig, to the bit.
 
     Args:
-        path: of the file.
-        rig: what is written.
         sources: which calibration each kind of camera has, as `rig_of` takes it; none for the camera of all.
     """
     import yaml
@@ -117,13 +113,11 @@ def _mount(name: str, entry: Any, camera: Camera | None) -> Mount:
     if unknown := [key for key in entry if key not in KEYS]:
         raise InputError(f"{name} has no key {unknown[0]!r}, only {', '.join(KEYS)}.", name)
     values = {key: value for key, value in entry.items() if value is not None}
-    try:
+    with argument_of(name):
         own = camera_from(values.pop("camera", None)) or camera
         if own is None:
             raise InputError("camera is missing: there is no other one to take.", "camera")
         return Mount(own, **values)
-    except InputError as error:
-        raise error.within(name) from None
 
 
 def camera_from(source: Any) -> Camera | None:
@@ -139,7 +133,5 @@ def camera_from(source: Any) -> Camera | None:
         raise InputError(f"camera must be a calibration file, or keys such as path and name, got {source!r}.", "camera")
     if unknown := [key for key in given if key not in CAMERA_KEYS]:
         raise InputError(f"camera has no key {unknown[0]!r}, only {', '.join(CAMERA_KEYS)}.", "camera")
-    try:
+    with argument_of("camera"):
         return calibrated_camera(**{"path": None, **{key: value for key, value in given.items() if value is not None}})
-    except InputError as error:
-        raise error.within("camera") from None

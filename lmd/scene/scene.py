@@ -138,9 +138,10 @@ class Scene:
             return
         positions = np.vstack([positions, self.room.sample(SAMPLED_POSITIONS, np.random.default_rng(0))])
         offsets = self.camera.views(self.orientations.axes)[0]
-        occurs = self.probability(positions) > 0.0
-        for position, turns in zip(positions, np.broadcast_to(occurs, (len(positions), occurs.shape[1])), strict=True):
-            cameras = position + np.unique(offsets[:, turns].reshape(-1, 3), axis=0)
+        occurs, kind_of = np.unique(self.probability(positions) > 0.0, axis=0, return_inverse=True)
+        places = [np.unique(offsets[:, turns].reshape(-1, 3), axis=0) for turns in occurs]
+        for position, kind in zip(positions, np.broadcast_to(kind_of.reshape(-1), len(positions)), strict=True):
+            cameras = position + places[kind]
             outside = ~self.room.contains(cameras)
             if outside.any():
                 place, body = (

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, choice, integer, real, vector
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, choice, integer, real, vector
 from lmd.core.optional import optional
 
 
@@ -79,7 +79,7 @@ class Tag:
             )
         object.__setattr__(self, "edge", float(self.edge) if self.edge else None)
         choice("family", self.family, tuple(FAMILIES))
-        object.__setattr__(self, "quiet_zone", real("quiet_zone", self.quiet_zone, low=0.0))
+        check_fields(self, real, "quiet_zone", low=0.0)
         if self.edges is not None:
             edges = vector("edges", self.edges, None, above=0.0)
             if len(set(edges)) < len(edges):

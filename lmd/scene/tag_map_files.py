@@ -35,7 +35,6 @@ def read_deployment(path: Any, name: str = "path", family: str | None = None) ->
     Maps that say how large each tag is give `Deployment.edges`.
 
     Args:
-        path: the file.
         name: the argument the path came from, for messages.
         family: of the tags, for maps of those who detect by OpenCV.
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import ONE_TURN, FloatArray, InputError, choice, real, vector
+from lmd.core.checks import ONE_TURN, FloatArray, InputError, choice, real, said_of, vector
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.geometry.se3 import act, laid_over, pose_of, poses_from_rows
 from lmd.geometry.trajectory import Trajectory
@@ -69,10 +69,8 @@ class TrajectoryFile:
             poses = _turned(poses, FRAMES[self.frame])
         if self.align is not None:
             poses = alignment(self.align) @ poses
-        try:
+        with said_of(self.path, "path"):
             return Trajectory(rows.time, poses), rows.note
-        except InputError as error:
-            raise InputError(f"{self.path}: {error}", "path") from None
 
     @property
     def trajectory(self) -> Trajectory:

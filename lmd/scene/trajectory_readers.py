@@ -7,12 +7,12 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, radians, real, seconds
 from lmd.core.tables import Headless, Table, read_headless, read_table
-from lmd.geometry.se3 import are_rotations, camera_pose, nearest_rotations, pose_of, poses_from_rows
+from lmd.geometry.se3 import ROW, are_rotations, camera_pose, nearest_rotations, pose_of, poses_from_rows
 from lmd.geometry.trajectory import check_order
 
 POSITION = ("x", "y", "z")
 ANGLES = ("time", *POSITION, "yaw", "pitch")
-QUATERNIONS = ("time", *POSITION, "qx", "qy", "qz", "qw")  # the order of TUM's trajectories
+QUATERNIONS = ("time", *ROW)  # the order of TUM's trajectories
 EUROC = ("time", *POSITION, "qw", "qx", "qy", "qz")
 KITTI = tuple(f"m{row}{column}" for row in range(3) for column in range(4))  # [R p], row by row
 # Numbers after a pose of TUM's: covariances of rotation and position, or of all six, as halves or in full.
@@ -46,7 +46,6 @@ def read_rows(path: str, times: str | None, rate: float | None) -> Rows:
     """Read a trajectory of any format that is known.
 
     Args:
-        path: the file.
         times: a file with the time of each pose, one a line, for a format that has none (KITTI).
         rate: poses a second in place of it, from time 0.
 

@@ -83,7 +83,6 @@ def tables(sight: Sight, axes: FloatArray) -> tuple[np.ndarray, np.ndarray]:
     """Sets `(NOWHERE + 1, W)` of the axes that have every, and some, direction of each cell in view.
 
     Args:
-        sight: the compiled model of sight.
         axes: axis and right, `(6, 64 W)`, filled up with zeros to whole words.
     """
     certain, possible = np.zeros((2, NOWHERE + 1, axes.shape[1] // BITS), dtype=np.uint64)

@@ -45,7 +45,6 @@ def evaluate_range(
         order: `(P,)`, positions by blocks of neighbours.
         positions: `(P, 3)`.
         landmarks, normals: `(B, 3, K)`.
-        sight: the compiled model of sight.
         horizon: its `criteria.horizon_of`.
         obstacles: what of the room stands in the way of the positions, see `obstacles`.
         axes: axis and right, `(6, D)`, sorted by height of the axis and filled up to D = 64 W.

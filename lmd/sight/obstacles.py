@@ -76,7 +76,6 @@ def unobstructed(
 
     Args:
         space: the room.
-        sight: the compiled model of sight.
         position: p, `(3,)`, world frame, metres.
         landmarks, normals: `(K, 3)` positions, metres, and unit normals.
     """

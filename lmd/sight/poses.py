@@ -180,7 +180,6 @@ def gains(evaluator: Evaluator, poses: Deployment, prices: FloatArray, slack: Fl
     """What each pose earns: the sum of the prices of the positions and axes it covers.
 
     Args:
-        evaluator: the scene.
         poses: N poses.
         prices: `(P, D)` per position and axis of `evaluator`.
         slack: count what flush landmarks within this distance of each pose on its wall cover, `(N,)`, metres.
@@ -205,7 +204,6 @@ def covered_amounts(evaluator: Evaluator, poses: Deployment, amounts: FloatArray
     """How much of the poses covers each position and axis, c = sum_j x_j cover_j.
 
     Args:
-        evaluator: the scene.
         poses: N poses.
         amounts: x, `(N,)`, not negative.
 

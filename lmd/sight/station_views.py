@@ -269,8 +269,6 @@ def seen_by(
     """Sets of the orientations with which some camera covers each landmark, `(P, K, W)`.
 
     Args:
-        parts: the rig.
-        blockers: of the room.
         positions: of the body, `(P, 3)`, metres.
         landmarks, normals, slack: `(K, 3)` and `(K,)`, see `_see`.
         n: if it is not 0, where n landmarks are in view, others are left out.

@@ -16,14 +16,7 @@ import numpy as np
 from lmd.core.bits import BITS, LANES, ZERO, in_words, prefetch
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined
-from lmd.scene.criteria import (
-    covers_one,
-    from_around,
-    from_position,
-    hide,
-    horizon_of,
-    sized,
-)
+from lmd.scene.criteria import covers_one, from_around, from_position, hide_between, horizon_of, sized
 from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.sight.blocks import SINGLE_ERROR
@@ -217,7 +210,7 @@ def hides_from(part, m, a, i, k, px, py, pz, one, other):
     ax, ay, az, bx, by, bz = ax - sx, ay - sy, az - sz, bx - sx, by - sy, bz - sz
     first, second = ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz
     mine, theirs = sized(part.sight, i), sized(part.sight, k)
-    hides, _ = hide(mine, theirs, ax, ay, az, first, bx, by, bz, second, ux, uy, uz, vx, vy, vz)
+    hides, _ = hide_between(mine, theirs, ax, ay, az, first, bx, by, bz, second, ux, uy, uz, vx, vy, vz)
     return hides
 
 

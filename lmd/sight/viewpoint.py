@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.core.compiled import allocating, inlined, inner
-from lmd.scene.criteria import from_position, hide, sized
+from lmd.scene.criteria import from_position, hide_between, sized
 from lmd.sight.bands import band_of
 from lmd.sight.blocks import BLOCK, SINGLE_ERROR
 from lmd.sight.directions import NOWHERE, cell_of
@@ -186,7 +186,7 @@ def is_hidden(k, count, who, x, y, z, squared, normals, sight):
     nx, ny, nz, mine = normals[0, k], normals[1, k], normals[2, k], sized(sight, who[k])
     for j in range(count):
         ux, uy, uz = normals[0, j], normals[1, j], normals[2, j]
-        hides, _ = hide(
+        hides, _ = hide_between(
             sized(sight, who[j]), mine, x[j], y[j], z[j], squared[j], xk, yk, zk, sk, ux, uy, uz, nx, ny, nz
         )  # fmt: skip
         hiding += hides & (j != k)

@@ -43,7 +43,6 @@ def visible(evaluator: Evaluator, deployment: Deployment, positions: FloatArray,
     """Whether each landmark is covered from each pose, `(N, K)`.
 
     Args:
-        evaluator: the scene.
         deployment: K landmarks.
         positions: of the camera, `(N, 3)`, world frame, metres; for a rig of its body, as the axes are.
         axes: its optical axes and the image's right, `(N, 6)`: two unit vectors in the world frame

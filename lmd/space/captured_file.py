@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, vector
+from lmd.core.files import flat
 from lmd.geometry.se3 import pose_of
 
 Keys = Mapping[str, Any]
@@ -163,7 +164,7 @@ def _roomplan(keys: Keys) -> Iterator[tuple[str, list[FloatArray]]]:
     """Poses column by column, surfaces in their plane z = 0, boxes around their middle."""
     for kind in ("walls", "doors", "windows", "openings", "floors", "objects"):
         for thing in keys.get(kind) or ():
-            pose = np.array(vector("transform", _flat(thing["transform"]), 16)).reshape(4, 4).T
+            pose = np.array(vector("transform", flat(thing["transform"]), 16)).reshape(4, 4).T
             half = np.array(vector("dimensions", thing["dimensions"], 3)) / 2.0
             if kind == "objects":
                 category = thing.get("category", "object")
@@ -173,10 +174,6 @@ def _roomplan(keys: Keys) -> Iterator[tuple[str, list[FloatArray]]]:
                 yield kind[:-1], _placed(pose, [np.array([vector("polygonCorners", at, 3) for at in ring])])
             else:
                 yield kind[:-1], _placed(pose, [_rectangle((-half[:2]).tolist(), half[:2].tolist())])
-
-
-def _flat(values: Any) -> list[Any]:
-    return [number for row in values for number in (row if isinstance(row, list) else [row])]
 
 
 # By the key that only files of this format have.

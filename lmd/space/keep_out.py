@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, choice, vector
+from lmd.core.checks import FloatArray, InputError, check_fields, choice, vector
 from lmd.space.parts import all_made, check_name
 from lmd.space.polygon import checked_ring
 from lmd.space.surface import Surface
@@ -45,7 +45,7 @@ class KeepOut:
             raise InputError("from_left and from_below, or corners in their place, must be given.", "from_left")
         check_name(self.name)
         if self.corners is not None:
-            object.__setattr__(self, "corners", checked_ring("corners", self.corners, either_way=True))
+            check_fields(self, checked_ring, "corners", either_way=True)
             return
         for name, span in (("from_left", self.from_left), ("from_below", self.from_below)):
             start, stop = vector(name, span, 2)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, IntArray, choice, file_path, printable, real
+from lmd.core.checks import FloatArray, InputError, IntArray, choice, file_path, printable, real, said_of
 from lmd.core.files import read_bytes
 from lmd.core.optional import optional
 from lmd.space.captured_file import Captured, read_captured, triangles_of
@@ -49,7 +49,6 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
     """Read a mesh; what has no area, or is there twice, is left out.
 
     Args:
-        path: the file.
         scale: metres in a unit of the file.
         up: which of its axes points up, `z` or `y`; None for what its format says, `y` for glTF and what headsets and
             phones capture, `z` for others.
@@ -102,10 +101,8 @@ def _captured(file: Path) -> Captured:
         raise InputError(f"path: {str(file)!r} cannot be read as JSON ({error}).", "path") from None
     if not isinstance(keys, dict):
         raise InputError(f"path: {str(file)!r} has no keys.", "path")
-    try:
+    with said_of(f"path: {str(file)!r}", "path"):
         return read_captured(keys)
-    except InputError as error:
-        raise InputError(f"path: {str(file)!r}: {error}", "path") from None
 
 
 def _triangulated(captured: Captured, up: str) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, choice, real, vector
+from lmd.core.checks import FloatArray, InputError, check_fields, choice, real, vector
 from lmd.space.blockers import Body
 from lmd.space.surface import Surface
 
@@ -116,7 +116,7 @@ class Reachable:
         if low > high:
             raise InputError(f"height must go from the lowest to the highest, got {[low, high]}.", "height")
         object.__setattr__(self, "height", (low, high))
-        object.__setattr__(self, "clearance", real("clearance", self.clearance, low=0.0))
+        check_fields(self, real, "clearance", low=0.0)
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ class FreeVolume:
     def __post_init__(self) -> None:
         if (self.height is None) == (self.low is None) or (self.low is None) != (self.high is None):
             raise InputError("height, or low and high in its place, must be given.", "height")
-        object.__setattr__(self, "clearance", real("clearance", self.clearance, low=0.0))
+        check_fields(self, real, "clearance", low=0.0)
         if self.height is not None:
             object.__setattr__(self, "height", Reachable(self.height).height)
             return

@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, real
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, real
 from lmd.space.allowed import eroded, polygons, spread, trapezoids
 from lmd.space.fixture import Fixture
 from lmd.space.gravity import LEVEL_NORMAL_Z, STOREY, doubt_of
 from lmd.space.interior import Interior
 from lmd.space.keep_out import KeepOut, all_keep_outs
 from lmd.space.mesh_file import Y_UP, Mesh, read_mesh
+from lmd.space.on_patch import grown, lying_on, standing_on
 from lmd.space.parts import checked_band, checked_names
 from lmd.space.patches import UNEVEN, areas_of, flat_parts, plane_of, surface_of
 from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, free_of
@@ -26,8 +27,6 @@ WALL, GROUND = 0.9, 0.5
 FILE_ROUNDING = 1e-5
 # Nothing hangs where something stands so near before the surface, metres.
 FREE_BEFORE_M = 0.01
-# A door or a window as it was captured is so near to its wall, metres.
-ON_WALL = 0.15
 # Which side of a patch is the room's is asked at so many places, this far (m) before it, from so many positions.
 PLACES, AWAY, WITNESSES = 9, 1e-3, 300
 # Edges between faces that differ by more, rad, are drawn, the longest of them.
@@ -68,10 +67,9 @@ class Scan:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "path", str(self.path) if isinstance(self.path, Path) else self.path)
-        object.__setattr__(self, "scale", real("scale", self.scale, above=0.0))
-        object.__setattr__(self, "least_area", real("least_area", self.least_area, above=0.0))
+        check_fields(self, real, "scale", "least_area", above=0.0)
         object.__setattr__(self, "band", checked_band(self.band))
-        object.__setattr__(self, "margin", real("margin", self.margin, low=0.0))
+        check_fields(self, real, "margin", low=0.0)
         if not self._patches:
             raise InputError(
                 f"least_area = {self.least_area:g} m2 is more than any planar patch of {self.path!r} has.", "least_area"
@@ -192,31 +190,14 @@ class Scan:
 
     def _free(self, surface: Surface) -> Any:
         """Where on a patch landmarks may hang, None if not even a square of `least_area` does."""
-        standing = self._standing(surface)
+        standing = standing_on(surface, np.delete(self._corners, self._patches[surface.name], axis=0), FREE_BEFORE_M)
         taken = [_area_of(standing), *(part.region(surface) for part in self._kept_out(surface))]
         region = self._inside(surface, free_of(surface, _shape(surface), self.margin, self.band, taken), standing)
         return None if eroded(region, self._half_edge).is_empty else region
 
     def _kept_out(self, surface: Surface) -> list[KeepOut]:
         given = [part for part in self.keep_out if part.surface == surface.name]
-        return given + [part for thing in self.mesh.on_walls if (part := _lying_on(surface, *thing)) is not None]
-
-    def _standing(self, surface: Surface) -> list[Any]:
-        """What triangles that lie on a patch, or within `FREE_BEFORE_M` of it, cover of it, in its coordinates.
-
-        Those that cross it at a right angle cover a line.
-        """
-        import shapely
-
-        other = np.ones(len(self._corners), dtype=np.bool_)
-        other[self._patches[surface.name]] = False
-        depth = (self._corners - surface.origin) @ surface.normal
-        near = other & (depth.min(axis=1) <= FREE_BEFORE_M) & (depth.max(axis=1) >= -PLACEMENT_TOLERANCE)
-        shapes = []
-        for corners, height in zip(self._corners[near] - surface.origin, depth[near], strict=True):
-            part = _between(corners, height, -PLACEMENT_TOLERANCE, FREE_BEFORE_M)
-            shapes.append(shapely.MultiPoint(np.stack([part @ surface.u, part @ surface.v], axis=1)).convex_hull)
-        return shapes
+        return given + [part for thing in self.mesh.on_walls if (part := lying_on(surface, *thing)) is not None]
 
     def _inside(self, surface: Surface, region: Any, standing: Sequence[Any]) -> Any:
         """The part of a region of a patch that is in the room: not below its floor, beyond a wall or in furniture.
@@ -227,13 +208,13 @@ class Scan:
         import shapely
 
         lines = [shape for shape in standing if shape.geom_type == "LineString"]
-        divided = region.difference(shapely.union_all(_grown(lines, PLACEMENT_TOLERANCE)))
+        divided = region.difference(shapely.union_all(grown(lines, PLACEMENT_TOLERANCE)))
         outside = []
-        for cell in shapely.get_parts(polygons(_grown(divided, -FREE_BEFORE_M))):
+        for cell in shapely.get_parts(polygons(grown(divided, -FREE_BEFORE_M))):
             pieces = trapezoids(cell)
             places = surface.point(*spread(pieces, np.full((len(pieces), 2), 0.5)).T) + AWAY * surface.normal
             if not self.interior.contains(places).any():
-                outside.append(_grown(cell, FREE_BEFORE_M))
+                outside.append(grown(cell, FREE_BEFORE_M))
         return polygons(region.difference(shapely.union_all(outside))) if outside else region
 
     @cached_property
@@ -289,31 +270,6 @@ class Scan:
         return self.solids.distance(points, clearance) >= clearance - PLACEMENT_TOLERANCE
 
 
-def _lying_on(surface: Surface, name: str, corners: FloatArray) -> KeepOut | None:
-    """The keep-out of a surface that a thing with corners `(N, 3)` makes; None if it does not lie on that surface."""
-    import shapely
-
-    if np.abs((corners - surface.origin) @ surface.normal).max() > ON_WALL:
-        return None
-    at = surface.seen(
-        np.stack([(corners - surface.origin) @ surface.u, (corners - surface.origin) @ surface.v], axis=-1)
-    )
-    whole = shapely.Polygon(at)
-    inside = whole.intersection(shapely.box(0.0, 0.0, *surface.extent))
-    if inside.geom_type != "Polygon" or inside.area < whole.area / 2.0:
-        return None
-    ring = shapely.get_coordinates(shapely.orient_polygons(inside))[:-1]
-    return KeepOut(surface.name, corners=[tuple(corner) for corner in ring.tolist()], name=name)
-
-
-def _grown(shapes: Any, width: float) -> Any:
-    """Shapes with a strip around them, less one where it is negative; corners stay corners."""
-    import shapely
-
-    with np.errstate(divide="ignore", invalid="ignore"):  # of trials that GEOS discards
-        return shapely.buffer(shapes, width, cap_style="square", join_style="mitre")
-
-
 def _area_of(shapes: Sequence[Any]) -> Any:
     import shapely
 
@@ -324,14 +280,3 @@ def _shape(surface: Surface) -> Any:
     import shapely
 
     return shapely.box(0.0, 0.0, *surface.extent) if surface.allowed is None else surface.allowed
-
-
-def _between(corners: FloatArray, height: FloatArray, low: float, high: float) -> FloatArray:
-    """Corners, `(m, 3)` in any order, of the part of a triangle `(3, 3)` between the heights `low` and `high`."""
-    found = [corners[(height >= low) & (height <= high)]]
-    for i, j in ((0, 1), (1, 2), (2, 0)):
-        for limit in (low, high):
-            if (height[i] - limit) * (height[j] - limit) < 0.0:
-                share = (limit - height[i]) / (height[j] - height[i])
-                found.append((corners[i] + share * (corners[j] - corners[i]))[None])
-    return np.concatenate(found)

@@ -23,15 +23,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import exp, nearest_rotations, pose_of
-from lmd.survey.residuals import (
-    Linearised,
-    Poses,
-    Prior,
-    errors_at,
-    gathered,
-    linearise,
-    summed,
-)
+from lmd.survey.residuals import Linearised, Poses, Prior, errors_at, gathered, linearise, summed
 from lmd.survey.sightings import Sightings
 from lmd.survey.student import DEGREES_OF_FREEDOM, RESIDUALS, solved, weight_of
 
@@ -39,7 +31,6 @@ from lmd.survey.student import DEGREES_OF_FREEDOM, RESIDUALS, solved, weight_of
 NORMAL_MEAN = 7.5625
 LEAST_SHARE = 0.1
 FRAME_CHUNK = 128  # frames that are eliminated at once
-RESECTION_STEPS = 10  # steps of Gauss and Newton for frames alone
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-9, 1e6
 # What remains to be gained, relative to the number of sightings, when a step is the last.
 LEAST_GAIN = 1e-7
@@ -262,7 +253,6 @@ class Adjustment:
         Args:
             poses: where to begin.
             floor: where to begin, pixels; it is found.
-            steps: at most.
         """
         damping, most = FIRST_DAMPING, floor
         cost = self.cost(poses, floor)
@@ -280,22 +270,6 @@ class Adjustment:
             if gained < LEAST_GAIN * len(self.sightings) and abs(floor - before) < 1e-3 * before + 1e-6:
                 break
         return Adjusted(_orthonormal(poses), floor, self.squares(poses, floor))
-
-
-def resected(sightings: Sightings, poses: Poses, floor: float, steps: int = RESECTION_STEPS) -> FloatArray:
-    """The frames with everything else fixed, `(F, 4, 4)`, from where `poses` has them."""
-    frames = poses.frames
-    seen, of = np.unique(sightings.frame, return_inverse=True)
-    for _ in range(steps):
-        at = linearise(sightings, *gathered(sightings, replace(poses, frames=frames)))
-        variance = sightings.noise**2 + floor**2
-        weight = weight_of((at.error**2).sum(axis=1) / variance) / variance
-        turned = np.swapaxes(at.by_frame, 1, 2) * weight[:, None, None]
-        matrix = summed(turned @ at.by_frame, of, len(seen)) + LEAST_DAMPING * np.eye(6)
-        right = summed((turned @ at.error[..., None])[..., 0], of, len(seen))
-        frames = frames.copy()
-        frames[seen] = frames[seen] @ exp(-solved(matrix, right))
-    return frames
 
 
 def _orthonormal(poses: Poses) -> Poses:

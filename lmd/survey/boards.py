@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, real
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, real
 from lmd.core.tables import read_table
 from lmd.geometry.se3 import adjoint, exp, inverse, log, pose_of
 from lmd.survey.student import DEGREES_OF_FREEDOM, solved, weight_of
@@ -43,7 +43,7 @@ class Boards:
     printed: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "printed", real("printed", self.printed, above=0.0))
+        check_fields(self, real, "printed", above=0.0)
         numbers, counts = np.unique(self.ids, return_counts=True)
         if (counts > 1).any():
             raise InputError(f"boards has tag {numbers[counts > 1][0]} twice.", "boards")

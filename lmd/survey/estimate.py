@@ -150,7 +150,6 @@ def joined(sightings: Sightings, apart: Poses, known: FloatArray | None = None) 
     """Poses of one body from those of its cameras by themselves.
 
     Args:
-        sightings: of the body.
         apart: of `sightings.apart()`.
         known: how the cameras are mounted, `(C, 4, 4)`; None where that is to be found.
 

@@ -13,8 +13,9 @@ from threadpoolctl import threadpool_limits
 from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import angle_between, exp
 from lmd.survey.estimate import MISFIT_CHI_SQUARE, ONE_THREAD, Estimate, adjusted
+from lmd.survey.proposals import proposals
 from lmd.survey.residuals import Poses, errors_at, linearise, summed
-from lmd.survey.start import Placing, agreeing, proposals
+from lmd.survey.start import Placing, agreeing
 from lmd.survey.student import RESIDUALS, solved, weight_of
 
 # So many sightings, and so much of all that do not fit, make a second place.

@@ -6,12 +6,16 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from lmd.core.checks import FloatArray
-from lmd.survey.adjustment import resected
+from lmd.geometry.se3 import exp
+from lmd.survey.adjustment import LEAST_DAMPING
 from lmd.survey.estimate import ONE_THREAD, Estimate, adjusted, twice_in_frame
-from lmd.survey.residuals import errors_at
+from lmd.survey.residuals import Poses, errors_at, gathered, linearise, summed
+from lmd.survey.sightings import Sightings
+from lmd.survey.student import solved, weight_of
 
 HELD_OUT_STEP = 5  # one frame of so many is held out
 FEWEST_FRAMES = 10  # of the map; with fewer, those that are left would say too little
+RESECTION_STEPS = 10  # steps of Gauss and Newton for frames alone
 
 
 @dataclass(frozen=True)
@@ -56,8 +60,24 @@ def _localised(found: Estimate, tags: FloatArray, out: np.ndarray) -> Localised 
     some = found.sightings.of(twice_in_frame(found.sightings, known))
     if not len(some):
         return None
-    frames = resected(some, replace(found.poses, tags=tags), found.floor)
+    frames = _resected(some, replace(found.poses, tags=tags), found.floor)
     there = np.unique(some.frame)
     errors = errors_at(some, replace(found.poses, tags=tags, frames=frames))
     away = frames[there, :3, 3] - found.poses.frames[there, :3, 3]
     return Localised(np.sqrt(errors / 4.0), np.linalg.norm(away, axis=1))
+
+
+def _resected(sightings: Sightings, poses: Poses, floor: float) -> FloatArray:
+    """The frames with everything else fixed, `(F, 4, 4)`, from where `poses` has them."""
+    frames = poses.frames
+    seen, of = np.unique(sightings.frame, return_inverse=True)
+    for _ in range(RESECTION_STEPS):
+        at = linearise(sightings, *gathered(sightings, replace(poses, frames=frames)))
+        variance = sightings.noise**2 + floor**2
+        weight = weight_of((at.error**2).sum(axis=1) / variance) / variance
+        turned = np.swapaxes(at.by_frame, 1, 2) * weight[:, None, None]
+        matrix = summed(turned @ at.by_frame, of, len(seen)) + LEAST_DAMPING * np.eye(6)
+        right = summed((turned @ at.error[..., None])[..., 0], of, len(seen))
+        frames = frames.copy()
+        frames[seen] = frames[seen] @ exp(-solved(matrix, right))
+    return frames

@@ -130,7 +130,6 @@ def freed(sightings: Sightings, cameras: Sequence[Camera], given: Sequence[Camer
     """The sightings with the intrinsics of their cameras unknown.
 
     Args:
-        sightings: of the cameras.
         cameras: as they are thought to be.
         given: as they were before; what they may be off says in which units.
     """

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, IntArray, boolean, real
+from lmd.core.checks import FloatArray, InputError, IntArray, boolean, check_fields, real
 from lmd.core.tables import read_table
 from lmd.geometry.se3 import inverse, laid_over, pose_of
 from lmd.scene.deployment import Deployment
@@ -44,8 +44,7 @@ class Hanging:
     tilt: float = 0.02
 
     def __post_init__(self) -> None:
-        for name in ("place", "turn", "depth", "tilt"):
-            object.__setattr__(self, name, real(name, getattr(self, name), above=0.0))
+        check_fields(self, real, "place", "turn", "depth", "tilt", above=0.0)
         boolean("flush", self.flush)
 
     @property

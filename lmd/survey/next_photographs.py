@@ -45,7 +45,6 @@ def next_photographs(
     """The photographs to take next, the best first.
 
     Args:
-        survey: what was found.
         camera: that takes them.
         modules: N of the tags' family.
         errors: what the detector's corners are off by.

@@ -1,13 +1,14 @@
 """What a survey found, as tables and in words."""
 
-from collections.abc import Iterable
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lmd.core.checks import FloatArray, IntArray
-from lmd.geometry.se3 import inverse, log
+from lmd.core.words import few
+from lmd.geometry.se3 import ROW, inverse, log
 from lmd.scene.deployment import COLUMNS, UP_COLUMNS, Deployment
 from lmd.scene.edges import EDGE, with_gaps
 from lmd.scene.labels import ID, Labels
@@ -16,12 +17,11 @@ from lmd.survey.residuals import errors_at
 from lmd.survey.survey import Survey
 
 SIGHTINGS = "sightings"  # the column that says how many place a tag
-POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 # A tag of the map needs another photograph if fewer sightings place it, or it is so many times worse known than most.
 FEW, LOOSE = 3, 3.0
 NOTICED = 0.01  # pixels
-LISTED = 12  # tags that a terminal names
+_few = partial(few, most=12)  # tags that a terminal names
 
 
 def map_of(survey: Survey) -> Deployment:
@@ -82,7 +82,7 @@ def frame_columns(survey: Survey) -> dict[str, ArrayLike]:
     rows = np.hstack([poses[:, :3, 3], turns])
     counts = np.bincount(found.sightings.frame[found.used], minlength=found.sightings.frames)
     times = [survey.detected.times[frame] for frame in used.tolist()]
-    return {"time": times, **dict(zip(POSE, rows.T, strict=True)), "tags": counts[used]}
+    return {"time": times, **dict(zip(ROW, rows.T, strict=True)), "tags": counts[used]}
 
 
 def sigmas(survey: Survey) -> FloatArray:
@@ -249,7 +249,7 @@ def to_text(survey: Survey) -> str:
     lines |= {label: text for label, text in _troubles(survey).items() if text}
     for number, photograph in enumerate(survey.proposed, 1):
         at, towards = (", ".join(f"{x:.2f}" for x in photograph.pose[:3, column]) for column in (3, 2))
-        shown = _few(map(str, survey.ids[photograph.tags]))
+        shown = _few(survey.ids[photograph.tags])
         lines[f"next {number}"] = f"from ({at}) towards ({towards}): {shown}"
     width = max(map(len, lines))
     return "\n".join(f"{label:<{width}} {text}" for label, text in lines.items())
@@ -268,19 +268,12 @@ def _troubles(survey: Survey) -> dict[str, str]:
     moved = [place for place in faults.second_places if place.moved is not None]
     worst = [f"{ids[k]} ({1e3 * sigma[k]:.2g} mm)" for k in again(survey) if survey.placed[k]]
     return {
-        **{text: _few(map(str, numbers)) for text, numbers in by_state.items() if text != "placed"},
-        "not planned": _few(map(str, unplanned)),
+        **{text: _few(numbers) for text, numbers in by_state.items() if text != "placed"},
+        "not planned": _few(unplanned),
         "moved": _few(f"{ids[place.tag]} from {times[place.moved or 0]} on" for place in moved),
-        "twice": _few(str(ids[place.tag]) for place in faults.second_places if place.moved is None),
+        "twice": _few(ids[place.tag] for place in faults.second_places if place.moved is None),
         "other size": _few(f"{ids[tag]} ({1e3 * edge:.4g} mm)" for tag, edge in faults.sizes.items()),
         "blurred": _few(f"{name} ({pixels:.2g} pixels)" for name, pixels in survey.detected.blurred.items()),
         "misread": _few(f"{ids[k]} ({faults.misread[k]} x)" for k in np.flatnonzero(faults.misread)),
-        "photograph": _few(worst, "known worst"),
+        "photograph": _few(worst) + "; known worst" * bool(worst),
     }
-
-
-def _few(texts: Iterable[str], remark: str = "") -> str:
-    """Some of several texts, and how many more there are."""
-    every = list(texts)
-    more = f" and {len(every) - LISTED} more" * (len(every) > LISTED)
-    return ", ".join(every[:LISTED]) + more + f"; {remark}" * bool(remark and every)

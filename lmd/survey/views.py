@@ -29,7 +29,6 @@ def view_columns(survey: Survey, cameras: Sequence[Camera], tag: Tag, room: Spac
     Those that lie over others, or behind what stands in the room, are left out. See `lmd.detection.surveyed`.
 
     Args:
-        survey: what was found.
         cameras: that took the images.
         tag: family, and edge of those that have none of their own.
         room: None where it is not known.

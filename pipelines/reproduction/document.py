@@ -62,7 +62,6 @@ def to_markdown(sections: Sequence[Section], pictures: str) -> str:
     """The sections as Markdown, below headings of the second level.
 
     Args:
-        sections: in order.
         pictures: where the page finds its pictures, as a prefix of their file names.
     """
     blocks: list[str] = []

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pandas as pd
 
+from lmd.plot.common import new_figure
+
 
 def save_landmark_count_figure(
     path: str | Path, ratios: pd.DataFrame, references: Mapping[str, tuple[int, float]], title: str
@@ -12,16 +14,13 @@ def save_landmark_count_figure(
     """Write a PNG: the qualified ratio against the number of landmarks K.
 
     Args:
-        path: the PNG.
         ratios: one row per run with the columns `count` (K) and `qualified_ratio` (fraction); a line joins the medians
             of each K.
         references: points (K, qualified ratio) to compare with, by name.
-        title: one line above the axes.
     """
-    from matplotlib.figure import Figure
     from matplotlib.ticker import PercentFormatter
 
-    figure = Figure(figsize=(8.0, 4.8), dpi=100, facecolor="white", layout="constrained")
+    figure = new_figure((8.0, 4.8))
     axes = figure.add_subplot(title=title, xlabel="landmarks K", ylabel="qualified ratio")
     medians = ratios.groupby("count")["qualified_ratio"].median()
     axes.plot(medians.index, medians, color="C2", label="median of the runs")

@@ -1,30 +1,23 @@
 """The reproduction report: what the stored sweeps found, beside what the paper printed."""
 
 import shlex
-from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from lmd.evaluation.comparison import OptimiserRun, compared
 from lmd.objectives.coverage import Coverage
-from lmd.optimisers.ledger import Record
 from lmd.plot.cap import save_cap_figure
-from lmd.plot.common import shrink
 from lmd.plot.comparison import save_comparison_figure
 from lmd.plot.heat_map import save_heat_map
 from lmd.plot.scene import save_deployments_figure
-from lmd.problem import Problem
-from lmd.scene.deployment import Deployment
 
 from ..app import command_of
-from ..operations.tracking import PARENT_TAG, MlflowReader
 from .comparison import as_text
 from .document import Picture, Section, Table, Text
 from .paper import TABLE_2, TABLE_3, Printed
 from .plots import save_landmark_count_figure
+from .source import BUDGET, COUNT, GRID_FREE, INDICES, PAIR, PARENT, RATIO, Source
 
 # The sweeps a report is made of, and the commands that run them.
 COMMANDS = {
@@ -43,92 +36,31 @@ TABLE_2_RUNS = {
     "initial": ("table2_baselines", "tags.choice.deployment", "random"),
 }
 PANELS = ("initial", "EGA", "SGA", "uniform")  # the order of the paper's figure
-INDICES = {
-    "qualified_ratio": "qualified ratio",
-    "average_coverage_probability": "average",
-    "maximum_coverage_probability": "maximum",
-}
-RATIO = "metrics.qualified_ratio"
-GRID_FREE = "metrics.validation/grid_free_qualified_ratio"
-PAIR = ["params.objective.n", "params.objective.thold_p"]
-PARENT = f"tags.{PARENT_TAG}"
 OVERRIDE = "tags.override."
-BUDGET = "params.budget.evaluations"
-COUNT = "params.deployment.count"
 NO_VALUE = "–"  # in a cell without runs
 
-# Everything a report looks at in a job's run; a store may lack some.
-COLUMNS = [
-    *("status", "started", "tags.sweep", "tags.job", PARENT, "tags.choice.optimiser", "tags.choice.deployment"),
-    *("params.seed", BUDGET, COUNT, *PAIR, *(f"metrics.{index}" for index in INDICES), GRID_FREE),
-]
-
-# The problem and the deployment of a run, by its id.
-Load = Callable[[str], tuple[Problem, Deployment]]
 Blocks = list[Text | Table | Picture]
-
-
-@dataclass(frozen=True)
-class Source:
-    """What a report is made from.
-
-    Args:
-        reader: of the tracking store.
-        runs: the runs to report on, as `MlflowReader.runs` gives them.
-        load: gives back what a run was about.
-        folder: where pictures are written.
-    """
-
-    reader: MlflowReader
-    runs: pd.DataFrame
-    load: Load
-    folder: Path
-
-    def jobs(self, sweep: str) -> pd.DataFrame:
-        """The finished runs of the newest sweep of that name, one for each job, the oldest first."""
-        runs = self.runs.reindex(columns=COLUMNS)
-        jobs: pd.DataFrame = runs[(runs["tags.sweep"] == sweep) & (runs["status"] == "FINISHED") & runs[PARENT].notna()]
-        if jobs.empty:
-            return jobs
-        jobs = jobs[jobs[PARENT] == jobs[PARENT].iloc[-1]]
-        return jobs.drop_duplicates("tags.job", keep="last")
-
-    def optimiser_runs(self, jobs: pd.DataFrame) -> list[OptimiserRun]:
-        """What optimisations found, and how they converged."""
-        return [
-            OptimiserRun(
-                job["tags.choice.optimiser"],
-                int(job["params.seed"]),
-                {index: job[f"metrics.{index}"] for index in INDICES},
-                [Record(*point) for point in self.reader.curve(str(run_id), "best_fitness")],
-                Deployment.from_csv(self.reader.artifact(str(run_id), "landmarks.csv")),
-            )
-            for run_id, job in jobs.iterrows()
-        ]
-
-    def picture(self, name: str, caption: str, draw: Callable[[Path], None]) -> Picture:
-        """A picture drawn by `draw` into the folder."""
-        path = self.folder / f"{name}.png"
-        draw(path)
-        shrink(path)
-        return Picture(path, caption)
 
 
 def sections(source: Source) -> list[Section]:
     """The whole report, in order; what lacks its runs says which command makes them."""
-    return [
-        Section("Table II: four deployments", _table_2(source)),
-        Section("Convergence", _convergence(source)),
-        Section("An n-ple coverage spherical cap", _cap(source)),
-        Section("Table III: one deployment, nine pairs (n, thold_p)", _table_3(source)),
-        Section("Every pair optimised for itself", _each_for_itself(source)),
-        Section("How many landmarks?", _landmark_count(source)),
-        Section("Optimisers", _optimisers(source)),
-    ]
+    built = {
+        "Convergence": ("table2", _convergence),
+        "An n-ple coverage spherical cap": ("table2", _cap),
+        "Table III: one deployment, nine pairs (n, thold_p)": ("table3", _table_3),
+        "Every pair optimised for itself": ("table3_reoptimised", _each_for_itself),
+        "How many landmarks?": ("landmark_count", _landmark_count),
+        "Optimisers": ("optimisers", _optimisers),
+    }
+    found = [Section("Table II: four deployments", _table_2(source))]
+    for title, (sweep, build) in built.items():
+        jobs = source.jobs(sweep)
+        found.append(Section(title, [_missing(sweep)] if jobs.empty else build(source, jobs)))
+    return found
 
 
 def _table_2(source: Source) -> Blocks:
-    found = {name: _of_row(source, name) for name in TABLE_2}
+    found = {name: _of_row(source.jobs(TABLE_2_RUNS[name][0]), name) for name in TABLE_2}
     rows = [[name, *_beside(printed, found[name])] for name, printed in TABLE_2.items()]
     table = Table(["deployment", *_beside_head()], rows)
     blocks: Blocks = [*_origins(source, "table2", "table2_baselines"), table]
@@ -140,15 +72,12 @@ def _table_2(source: Source) -> Blocks:
     return [*blocks, picture]
 
 
-def _convergence(source: Source) -> Blocks:
-    jobs = source.jobs("table2")
-    if jobs.empty:
-        return [_missing("table2")]
+def _convergence(source: Source, jobs: pd.DataFrame) -> Blocks:
     return [_curves(source, "convergence", source.optimiser_runs(jobs), "EGA and SGA")]
 
 
-def _cap(source: Source) -> Blocks:
-    jobs = _of_row(source, "EGA")
+def _cap(source: Source, jobs: pd.DataFrame) -> Blocks:
+    jobs = _of_row(jobs, "EGA")
     if jobs.empty:
         return [_missing("table2")]
     problem, deployment = source.load(_typical(jobs))
@@ -165,21 +94,15 @@ def _cap(source: Source) -> Blocks:
     ]
 
 
-def _table_3(source: Source) -> Blocks:
-    jobs = source.jobs("table3")
-    if jobs.empty:
-        return [_missing("table3")]
+def _table_3(source: Source, jobs: pd.DataFrame) -> Blocks:
     rows = [[f"{n}", f"{p:.2f}", *_beside(printed, _of_pair(jobs, n, p))] for (n, p), printed in TABLE_3.items()]
     return [*_origins(source, "table3"), Table(["n", "thold_p", *_beside_head()], rows)]
 
 
-def _each_for_itself(source: Source) -> Blocks:
-    own, rescored = source.jobs("table3_reoptimised"), source.jobs("table3")
-    if own.empty:
-        return [_missing("table3_reoptimised")]
-    printed = pd.Series({pair: row.qualified_ratio for pair, row in TABLE_3.items()})
+def _each_for_itself(source: Source, own: pd.DataFrame) -> Blocks:
+    rescored = source.jobs("table3")
     columns = {
-        "printed": printed,
+        "printed": pd.Series({pair: row.qualified_ratio for pair, row in TABLE_3.items()}),
         "one deployment, re-scored": _by_pair(rescored),
         "each pair for itself": _by_pair(own),
     }
@@ -201,10 +124,7 @@ def _each_for_itself(source: Source) -> Blocks:
     return [*_origins(source, "table3_reoptimised"), Table(["n", "thold_p", *columns], rows), picture]
 
 
-def _landmark_count(source: Source) -> Blocks:
-    jobs = source.jobs("landmark_count")
-    if jobs.empty:
-        return [_missing("landmark_count")]
+def _landmark_count(source: Source, jobs: pd.DataFrame) -> Blocks:
     ratios = pd.DataFrame({"count": jobs[COUNT].astype(int), "qualified_ratio": jobs[RATIO]})
     groups = ratios.groupby("count")["qualified_ratio"]
     rows = [[f"{count}", f"{len(values)}", _spread(values)] for count, values in groups]
@@ -230,10 +150,7 @@ def _landmark_count(source: Source) -> Blocks:
     ]
 
 
-def _optimisers(source: Source) -> Blocks:
-    jobs = source.jobs("optimisers")
-    if jobs.empty:
-        return [_missing("optimisers")]
+def _optimisers(source: Source, jobs: pd.DataFrame) -> Blocks:
     runs = source.optimiser_runs(jobs)
     picture = _curves(source, "optimisers", runs, "Optimisers")
     found = compared(runs, Coverage.headline.key)
@@ -277,10 +194,9 @@ def _missing(sweep: str) -> Text:
     return Text(f"There are no finished runs of the sweep `{sweep}`; `{COMMANDS[sweep]}` makes them.")
 
 
-def _of_row(source: Source, name: str) -> pd.DataFrame:
-    """The runs of a row of Table II."""
-    sweep, column, value = TABLE_2_RUNS[name]
-    jobs = source.jobs(sweep)
+def _of_row(jobs: pd.DataFrame, name: str) -> pd.DataFrame:
+    """Those runs of a sweep that are of a row of Table II."""
+    _, column, value = TABLE_2_RUNS[name]
     return jobs[jobs[column] == value]
 
 

@@ -6,12 +6,11 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from hydra import compose, initialize_config_dir
+from composing import composed
 from processes import call
 
 from lmd.core.checks import InputError
 from lmd.core.optional import EXTRAS, missing_of, optional
-from pipelines.app import CONF
 from pipelines.building import instantiate
 
 ROOT = Path(__file__).parents[2]
@@ -64,8 +63,7 @@ def test_an_optimiser_of_a_library_that_is_missing_says_so(hidden, package, opti
     for name in [name for name in sys.modules if name.partition(".")[0] == package]:
         hidden(name)
     hidden(package)
-    with initialize_config_dir(CONF, version_base="1.3"):
-        node = compose("optimise", [f"optimiser={optimiser}"]).optimiser
+    node = composed("optimise", f"optimiser={optimiser}").optimiser
     with pytest.raises(InputError, match=rf"^this needs the package {package}: .*\[optimisers\]'\.$"):
         instantiate(node, seed=0)
 

@@ -91,15 +91,15 @@ def test_its_checkpoint_is_gone_on_from(tmp_path):
 )
 def test_the_settings_of_an_earlier_run_had_the_defaults_of_the_optimisers_class(then, overrides):
     cfg = composed("optimise", *overrides)
-    now = settings_now(flat_settings(cfg, "optimiser", "encoding"), cfg.optimiser)
-    assert settings_now({"encoding.flush": True, "encoding.kind": "wall"} | then, cfg.optimiser) == now
+    now = settings_now(flat_settings(cfg, "optimiser", "encoding"), cfg)
+    assert settings_now({"encoding.flush": True, "encoding.kind": "wall"} | then, cfg) == now
 
 
 def test_they_differ_where_one_is_no_longer_at_its_default(tmp_path):
     small, search, cfg = problem(), RandomSearch(seed=0), composed("optimise", "optimiser=random_search")
     search.run(small, Budget(20))
     Checkpoint(search, {"encoding.kind": "wall"}).save(tmp_path)
-    as_now = partial(settings_now, optimiser=cfg.optimiser)
+    as_now = partial(settings_now, cfg=cfg)
     now = as_now({"optimiser.batch": 10, "encoding.kind": "wall"})
     with pytest.raises(InputError, match=r"was made with optimiser\.batch = 30, not 10"):
         Checkpoint(RandomSearch(seed=0), now, settings_now=as_now).resume(tmp_path, small)

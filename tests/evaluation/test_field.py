@@ -4,9 +4,9 @@ import csv
 import math
 from pathlib import Path
 
+import composing
 import numpy as np
 import shapely
-from hydra import compose, initialize_config_dir
 
 from lmd.evaluation.validation import Sample, validation_metrics
 from lmd.geometry.squares import corners
@@ -20,8 +20,7 @@ POSES = 1500
 
 
 def composed(*overrides):
-    with initialize_config_dir(CONF, version_base="1.3"):
-        return compose("evaluate", ["experiment=frc_2025", "objective=paper", "objective.thold_p=0.5", *overrides])
+    return composing.composed("evaluate", "experiment=frc_2025", "objective=paper", "objective.thold_p=0.5", *overrides)
 
 
 def tags():

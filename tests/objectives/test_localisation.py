@@ -7,7 +7,7 @@ from examples import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from paper import paper_room, paper_scene
-from strategies import deployments, fiducial_scenes, scenes, seeds
+from strategies import BENT, FISHEYE, cameras, deployments, distorted_cameras, fiducial_scenes, scenes, seeds
 
 from lmd.core.checks import InputError
 from lmd.objectives.coverage import Coverage
@@ -18,6 +18,8 @@ from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.models.fiducial import Fiducial
+
+pytestmark = pytest.mark.long
 
 TAG = Tag(0.1)
 
@@ -42,14 +44,14 @@ def tagged(scene, tag):
 
 
 points_and_tags = st.builds(tagged, scenes(), tags)
-any_scene = st.one_of(points_and_tags, fiducial_scenes())
-# What is asked of rotations or of a single tag is compiled anew, and does not depend on what is seen: with one kind of
-# scene it is enough.
+# What is asked of rotations or of a single tag, and what is seen, do not depend on each other, and every pair is
+# compiled anew: each of both comes in one of the pairs.
 cases = st.one_of(
-    st.tuples(points_and_tags, objectives(0.003, 0.02, 10.0)),
     st.tuples(points_and_tags, objectives(None, ambiguity="resolved", most=2)),
-    st.tuples(fiducial_scenes(), objectives(None)),
+    st.tuples(fiducial_scenes(cameras()), objectives(None)),
+    st.tuples(fiducial_scenes(distorted_cameras(BENT)), objectives(0.003, 0.02, 10.0)),
 )
+fisheyes = st.tuples(fiducial_scenes(distorted_cameras(FISHEYE)), objectives(None))
 
 
 def expected_units(scene, deployment, objective, positions):
@@ -64,7 +66,7 @@ def expected_units(scene, deployment, objective, positions):
 
 
 @examples(60)
-@given(data=st.data(), case=cases)
+@given(data=st.data(), case=st.one_of(cases, fisheyes))
 def test_views_are_localised_as_the_reference_says(data, case):
     scene, objective = case
     deployment, positions = data.draw(deployments(scene.room)), scene.room.grid()
@@ -78,7 +80,7 @@ def test_views_are_localised_as_the_reference_says(data, case):
     assert (located <= covered).all()
 
 
-@given(data=st.data(), scene=any_scene, n=st.integers(1, 3))
+@given(data=st.data(), scene=st.one_of(points_and_tags, fiducial_scenes(cameras())), n=st.integers(1, 3))
 def test_without_a_tolerance_it_is_coverage(data, scene, n):
     deployment, evaluator = data.draw(deployments(scene.room)), Evaluator(scene, threads=1)
     landmarks = deployment.positions[None], deployment.normals[None]

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from bearings import view_matrices
 from contracts.field import check_field
 from examples import examples
@@ -23,6 +24,8 @@ from lmd.scene.deployment_sources import RandomDeployment, UniformDeployment
 from lmd.scene.rig import Mount, Rig
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
+
+pytestmark = pytest.mark.long
 
 SCENE = replace(paper_scene(paper_room(spacing=2.0), orientations=pdf.grid_with_ends(6)), tag=Tag(0.1))
 FAR = paper_camera(focal_length=8.0)

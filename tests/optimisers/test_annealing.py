@@ -8,8 +8,8 @@ from lmd.objectives.coverage import Coverage
 from lmd.objectives.sampling import Sampling
 from lmd.optimisers.annealing import Annealing, Stage
 from lmd.optimisers.annealing.annealing import SINGLE_STAGE
+from lmd.optimisers.annealing.proposals import _reflect
 from lmd.optimisers.annealing.surrogate import Surrogate
-from lmd.optimisers.annealing.walk import _reflect
 from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
 from lmd.scene import pdf

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hydra import compose, initialize_config_dir
+from composing import composed
 from paper import paper_room, paper_scene
 from small import make, problem
 
@@ -13,7 +13,6 @@ from lmd.scene.deployment_sources import UniformDeployment
 from lmd.sight import reference
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.poses import candidate_poses
-from pipelines.app import CONF
 from pipelines.building import build_problem
 
 SCENE = paper_scene(room=paper_room(spacing=2.0), orientations=pdf.solid_angle(5), occlusion="none")
@@ -68,8 +67,7 @@ def test_more_landmarks_than_poses_get_a_finer_grid():
 @pytest.mark.parametrize("optimiser", ["ega", "annealing", "one_plus_one"])
 def test_any_optimiser_starts_from_greedy(optimiser):
     overrides = ["deployment=greedy", "deployment.count=20", "deployment.spacing=0.8", "room.spacing=1.5", "threads=1"]
-    with initialize_config_dir(CONF, version_base="1.3"):
-        p = build_problem(compose("optimise", overrides))
+    p = build_problem(composed("optimise", *overrides))
     start = p.fitness_of(p.start.draw(p.scene.room, np.random.default_rng()))
     result = make(optimiser).run(p, Budget(20))
     assert result.fitness >= start

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from composing import composed
 from contracts.optimiser import check_going_on
-from hydra import compose, initialize_config_dir
 from processes import environment
 from scipy.optimize import differential_evolution, direct, dual_annealing
 from small import problem
@@ -23,7 +23,6 @@ from lmd.optimisers.pymoo import Pymoo
 from lmd.optimisers.random_search import RandomSearch
 from lmd.optimisers.scipy import Scipy
 from lmd.optimisers.wrapped import Wrapped
-from pipelines.app import CONF
 from pipelines.building import instantiate
 
 
@@ -172,8 +171,7 @@ def test_a_nevergrad_optimiser_without_what_it_needs_says_so():
 
 
 def test_nevergrad_is_told_the_budget_of_the_run():
-    with initialize_config_dir(CONF, version_base="1.3"):
-        node = compose("optimise", ["optimiser=nevergrad", "budget.evaluations=77"]).optimiser
+    node = composed("optimise", "optimiser=nevergrad", "budget.evaluations=77").optimiser
     assert instantiate(node, seed=0).budget == 77
 
 

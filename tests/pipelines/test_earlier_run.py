@@ -7,10 +7,10 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import composing
 import numpy as np
 import pandas as pd
 import pytest
-from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 from processes import call, refused
 
@@ -34,8 +34,7 @@ def earlier(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run = tmp_path / "a run, of old"
     (run / ".hydra").mkdir(parents=True)
-    with initialize_config_dir(CONF, version_base="1.3"):
-        OmegaConf.save(compose("optimise", [*LAB, "deployment.count=2"]), run / ".hydra" / "config.yaml")
+    OmegaConf.save(composing.composed("optimise", *LAB, "deployment.count=2"), run / ".hydra" / "config.yaml")
     (run / "landmarks.csv").write_text(LANDMARKS)
     return run
 
@@ -44,8 +43,7 @@ def composed(monkeypatch, pipeline, *arguments, read=read_earlier_run):
     """What a pipeline composes with these arguments."""
     monkeypatch.setattr(sys, "argv", [pipeline, *arguments])
     read()
-    with initialize_config_dir(CONF, version_base="1.3"):
-        return compose(pipeline, sys.argv[1:])
+    return composing.composed(pipeline, *sys.argv[1:])
 
 
 def test_the_scene_the_objective_and_the_landmarks_are_taken(earlier, monkeypatch):
@@ -82,8 +80,7 @@ def test_no_command_loses_a_group_of_the_run_beside_what_else_is_told(earlier, m
         assert not {f"{name}=run" for name in lost} & {*given}
     number = ["poses=200"] if command in ("detect", "calibrate_detector") else []
     given = told(monkeypatch, command, run, *number, "pdf.pitch=0.3", "objective.n=2", "seed=3")
-    with initialize_config_dir(CONF, version_base="1.3"):
-        cfg = compose(command, given)
+    cfg = composing.composed(command, *given)
     before.pdf.pitch, before.objective.n = 0.3, 2
     assert cfg.seed == 3
     assert {group: cfg[group] for group in groups} == {group: before[group] for group in groups}
@@ -94,8 +91,7 @@ def test_no_command_loses_a_group_of_the_run_beside_what_else_is_told(earlier, m
 def test_landmarks_placed_anew_are_as_many_as_those_of_the_run_and_beside_its_fixed_ones(earlier, monkeypatch, command):
     leave(earlier, "id,x,y,z,nx,ny,nz,fixed\n5,0,1,1,1,0,0,1\n7,0,2,1,1,0,0,0\n9,0,3,1,1,0,0,0\n", fixed="tags.csv")
     given = told(monkeypatch, command, f"run='{earlier}'", *(["deployment=random"] if command == "evaluate" else []))
-    with initialize_config_dir(CONF, version_base="1.3"):
-        problem = build_problem(compose(command, given))
+    problem = build_problem(composing.composed(command, *given))
     assert (problem.count, problem.fixed.ids.tolist()) == (3, [5])
     assert "deployment.count=4" in told(monkeypatch, command, f"run='{earlier}'", "deployment.count=4")
     assert sys.argv.count("deployment.count=3") == 0

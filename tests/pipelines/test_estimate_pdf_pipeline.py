@@ -5,7 +5,7 @@ from pathlib import Path
 
 import processes
 import pytest
-from hydra import compose, initialize_config_dir
+from composing import composed
 from matplotlib.image import imread
 from mlflow import MlflowClient
 from numpy.testing import assert_allclose
@@ -25,8 +25,7 @@ def call(*overrides, cwd):
 
 @pytest.mark.parametrize("option", sorted(path.stem for path in Path(CONF, "recording").glob("*.yaml")))
 def test_every_kind_of_recording_composes_and_builds(option):
-    with initialize_config_dir(CONF, version_base="1.3"):
-        instantiate(compose("estimate_pdf", [f"recording={option}"]).recording)
+    instantiate(composed("estimate_pdf", f"recording={option}").recording)
 
 
 @pytest.mark.slow
@@ -52,8 +51,7 @@ def test_the_command_leaves_a_pdf_that_the_other_pipelines_read(tmp_path):
     direct = estimated(OrientationRecording.from_csv(tmp_path / "flight.csv"), seed=0).pdf
     assert_allclose(orientations.yaw, direct.yaw)
     assert_allclose(orientations.weight, direct.weight)
-    with initialize_config_dir(CONF, version_base="1.3"):
-        read = instantiate(compose("optimise", ["pdf=samples", f"pdf.path={run / 'pdf.csv'}"]).pdf)
+    read = instantiate(composed("optimise", "pdf=samples", f"pdf.path={run / 'pdf.csv'}").pdf)
     assert_allclose(read.weight, orientations.weight)
 
     (tracked,) = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db").search_runs(["1"])

@@ -5,11 +5,10 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-from hydra import compose, initialize_config_dir
+from composing import composed
 from processes import call, refused
 
 from lmd.core.checks import InputError
-from pipelines.app import CONF
 from pipelines.building import build_problem
 from pipelines.fixed import quoted
 
@@ -25,8 +24,7 @@ def work(tmp_path, monkeypatch):
 
 
 def built(*overrides):
-    with initialize_config_dir(CONF, version_base="1.3"):
-        cfg = compose("optimise", ["room.spacing=1.5", "deployment.fixed=tags.csv", *map(quoted, overrides)])
+    cfg = composed("optimise", "room.spacing=1.5", "deployment.fixed=tags.csv", *map(quoted, overrides))
     return build_problem(cfg)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import yaml
-from hydra import compose, initialize_config_dir
+from composing import composed
 from hydra.core.hydra_config import HydraConfig
 
 import pipelines.runs
@@ -29,8 +29,7 @@ def says(monkeypatch):
 
     def say(*arguments):
         monkeypatch.setattr(sys, "argv", ["runs", *arguments])
-        with initialize_config_dir(CONF, version_base="1.3"):
-            instance.set_config(compose("runs", list(arguments), return_hydra_config=True))
+        instance.set_config(composed("runs", *arguments, return_hydra_config=True))
 
     say()
     return say

@@ -4,13 +4,12 @@ import json
 import sys
 
 import pytest
-from hydra import compose, initialize_config_dir
+from composing import composed
 from mlflow import MlflowClient
 from recorded_runs import ANOTHER, started, stored
 
 import pipelines.sync
 from lmd.core.checks import InputError
-from pipelines.app import CONF
 from pipelines.operations.tracking.hand_in import GONE, hand_in
 from pipelines.operations.tracking.journal import FILE, Journal
 from pipelines.operations.tracking.processes import this_process
@@ -112,8 +111,7 @@ def journal_of_a_stranger(folder, uri, run_id, *files, host="elsewhere", **begin
 
 
 def synced(*overrides):
-    with initialize_config_dir(CONF, version_base="1.3"):
-        return sync(compose("sync", ["folder=.", *overrides]))
+    return sync(composed("sync", "folder=.", *overrides))
 
 
 @pytest.mark.parametrize("link", [False, True])

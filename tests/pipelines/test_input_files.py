@@ -4,10 +4,10 @@ import os
 
 import pandas as pd
 import pytest
-from hydra import compose, initialize_config_dir
+from composing import composed
 from processes import SMALL, call, refused
 
-from pipelines.app import CONF, flat_settings
+from pipelines.app import flat_settings
 from pipelines.input_files import contents_of
 
 
@@ -64,8 +64,7 @@ def test_a_file_that_no_memory_holds_is_not_read_for_it(work):
 )
 def test_every_file_of_a_run_is_found(work, override):
     (work / "in.csv").write_text("x")
-    with initialize_config_dir(CONF, version_base="1.3"):
-        settings = flat_settings(compose("optimise", override.split()))
+    settings = flat_settings(composed("optimise", *override.split()))
     assert list(contents_of(settings)) == ["contents of in.csv"]
 
 

@@ -17,7 +17,7 @@ from mlflow import MlflowClient
 from processes import ROOT, SMALL, call, command, environment, start
 from services import mlflow_server
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long]
 
 SETTINGS = ("optimiser=ega", "deployment.count=40", "tracking.uri=sqlite:///store.db")
 ENDLESS = ("budget.evaluations=100000000", "checkpoint_seconds=0.2", "hydra.run.dir=run")

@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from hydra import compose, initialize_config_dir
+from composing import composed
 
 from lmd.core.checks import InputError
 from lmd.evaluation.tradeoff import ANEW, Found
 from lmd.evaluation.validation import Sample, headline_off_grid
 from pipelines import ladder
-from pipelines.app import CONF
 
 SMALL = ("room.spacing=1.5", "objective.n=1")
 YAW = ("pdf=yaw", "pdf.divisions=4")
@@ -16,8 +15,7 @@ RECORDED = "time,x,y,z,yaw,pitch\n" + "".join(f"{t},2,2,2,{0.1 * t},0\n" for t i
 
 
 def ladder_of(*overrides, edge=0.0):
-    with initialize_config_dir(CONF, version_base="1.3"):
-        return ladder.Ladder(compose("tradeoff", [*SMALL, *overrides]), edge, 0)
+    return ladder.Ladder(composed("tradeoff", *SMALL, *overrides), edge, 0)
 
 
 @pytest.fixture

@@ -4,10 +4,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from hydra import compose, initialize_config_dir
+from composing import composed
 
 from lmd.core.checks import InputError
-from pipelines.app import CONF
 from pipelines.building import build_optimiser, build_problem
 
 ROOT = Path(__file__).parents[2]
@@ -23,8 +22,7 @@ CELLS = [
 def told(cell, command):
     """What optimising says before it begins."""
     words = [word for word in matrix.overrides(cell, command) if not word.startswith("hydra.")]
-    with initialize_config_dir(CONF, version_base="1.3"):
-        cfg = compose(command, words)
+    cfg = composed(command, *words)
     try:
         build_optimiser(cfg, 0).check(build_problem(cfg))
     except InputError as error:

@@ -6,10 +6,9 @@ import sys
 import pandas as pd
 import processes
 import pytest
-from hydra import compose, initialize_config_dir
+from composing import composed
 from mlflow import MlflowClient
 
-from pipelines.app import CONF
 from pipelines.building import instantiate
 from pipelines.evaluate import read_mounting_error
 
@@ -46,8 +45,7 @@ def logged(folder):
 def test_a_mounting_error_may_be_a_mapping(monkeypatch, error, expected):
     monkeypatch.setattr(sys, "argv", ["evaluate", f"deployment.mounting_error={error}"])
     read_mounting_error()
-    with initialize_config_dir(CONF, version_base="1.3"):
-        found = instantiate(compose("evaluate", sys.argv[1:]).deployment.mounting_error)
+    found = instantiate(composed("evaluate", *sys.argv[1:]).deployment.mounting_error)
     assert {name: getattr(found, name) for name in expected} == expected
 
 

@@ -5,13 +5,15 @@ import warnings
 from copy import deepcopy
 from pathlib import Path
 
+import composing
 import pytest
-from hydra import compose, initialize_config_dir
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import OmegaConf, open_dict
 
 from lmd.core.checks import InputError
 from pipelines.app import CONF
+
+pytestmark = pytest.mark.long
 
 VALUES = (1e300, -1, float("nan"), None, 10**9)
 SMALL = ["room.spacing=1.5", "objective.n=1"]
@@ -94,8 +96,7 @@ def _nothing_begins(monkeypatch, tmp_path):
 
 
 def composed(pipeline, overrides, folder):
-    with initialize_config_dir(CONF, version_base="1.3"):
-        whole = compose(pipeline, [*PIPELINES[pipeline], *overrides], return_hydra_config=True)
+    whole = composing.composed(pipeline, *PIPELINES[pipeline], *overrides, return_hydra_config=True)
     with open_dict(whole):
         whole.hydra.runtime.output_dir = str(folder)
     HydraConfig.instance().set_config(whole)

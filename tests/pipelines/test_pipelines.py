@@ -14,7 +14,7 @@ from mlflow import MlflowClient
 from processes import ROOT, call, environment, help_of, loading, refused
 
 FILES = ["convergence.png", "history.csv", "landmarks.csv", "metrics.json", "scene.html", "scene.png"]
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long]
 HEADER = "id,x,y,z,nx,ny,nz\n"
 
 

@@ -2,13 +2,12 @@
 
 import json
 
+import composing
 import pytest
-from hydra import compose, initialize_config_dir
 from processes import call, refused
 
 from lmd.core.checks import InputError
 from lmd.scene.rig import Rig
-from pipelines.app import CONF
 from pipelines.building import camera_of
 from pipelines.place_cameras import build_camera_problem
 
@@ -20,8 +19,7 @@ cam1: {camera_model: pinhole, intrinsics: [500, 500, 319.5, 239.5], distortion_m
 
 
 def composed(*overrides):
-    with initialize_config_dir(CONF, version_base="1.3"):
-        return compose("place_cameras", ["room.spacing=1.5", *TAGS, *overrides])
+    return composing.composed("place_cameras", "room.spacing=1.5", *TAGS, *overrides)
 
 
 def test_the_configuration_makes_the_problem(tmp_path):

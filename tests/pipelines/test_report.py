@@ -13,7 +13,8 @@ from tracked import record_all, record_sweep, write_report
 from lmd.core.checks import InputError
 from pipelines.reproduction.document import Picture, Section, Table, Text, to_html, to_markdown
 from pipelines.reproduction.paper import TABLE_2, TABLE_3
-from pipelines.reproduction.sections import COMMANDS, RATIO, _typical
+from pipelines.reproduction.sections import COMMANDS, _typical
+from pipelines.reproduction.source import RATIO
 
 pytestmark = pytest.mark.slow  # mlflow makes its tables anew for each store
 

@@ -2,8 +2,8 @@
 
 import json
 
+import composing
 import pytest
-from hydra import compose, initialize_config_dir
 from omegaconf import open_dict
 from paper import PAPER_CAMERA
 from processes import call
@@ -11,7 +11,6 @@ from processes import call
 from lmd.core.checks import InputError
 from lmd.scene.camera import Camera
 from lmd.scene.rig import Mount, Rig
-from pipelines.app import CONF
 from pipelines.building import build_problem, camera_of
 
 BACK_TO_BACK = "camera.rig=[{translation: [0.1, 0, 0]}, {translation: [-0.1, 0, 0], yaw: 3.14159}]"
@@ -22,8 +21,7 @@ cam1: {camera_model: pinhole, intrinsics: [500, 500, 319.5, 239.5], distortion_m
 
 
 def composed(*overrides, pipeline="optimise"):
-    with initialize_config_dir(CONF, version_base="1.3"):
-        return compose(pipeline, ["room.spacing=1.5", *overrides])
+    return composing.composed(pipeline, "room.spacing=1.5", *overrides)
 
 
 def test_without_a_rig_there_is_one_camera():

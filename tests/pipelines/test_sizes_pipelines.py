@@ -5,11 +5,10 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-from hydra import compose, initialize_config_dir
+from composing import composed
 from processes import call
 
 from lmd.core.checks import InputError
-from pipelines.app import CONF
 from pipelines.building import build_problem
 
 SIZES = ("tag=printed", "tag.edges=[0.06,0.20]")
@@ -23,8 +22,7 @@ def _in_a_folder_with_tags(tmp_path, monkeypatch):
 
 
 def built(*overrides):
-    with initialize_config_dir(CONF, version_base="1.3"):
-        cfg = compose("optimise", ["room.spacing=1.5", *overrides])
+    cfg = composed("optimise", "room.spacing=1.5", *overrides)
     return build_problem(cfg), cfg
 
 

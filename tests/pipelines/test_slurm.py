@@ -37,7 +37,7 @@ IDS = {fault: f"1_{number}" for number, fault in enumerate(FAULTS)}  # in SLURM:
 BATCHES = 40
 PARENT = "mlflow.parentRunId"
 REASON = slurm.missing()
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(REASON is not None, reason=str(REASON))]
+pytestmark = [pytest.mark.long, pytest.mark.slow, pytest.mark.skipif(REASON is not None, reason=str(REASON))]
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,7 @@
 import sys
 
 import pytest
-from hydra import compose, initialize_config_dir
+from composing import composed
 from meshes import captured
 from numpy.random import default_rng
 from omegaconf import OmegaConf
@@ -25,8 +25,7 @@ def test_a_key_that_is_like_another_one_is_asked_about(monkeypatch, capsys):
 
 
 def test_so_is_one_of_a_file_of_ones_own():
-    with initialize_config_dir(CONF, version_base="1.3"):
-        room = compose("optimise", ["room=floor_plan"]).room
+    room = composed("optimise", "room=floor_plan").room
     OmegaConf.set_struct(room, False)
     room.keepout = []
     with pytest.raises(InputError, match=r"^room\.keepout is no setting .*; did you mean room\.keep_out\?$"):
@@ -42,8 +41,7 @@ def test_the_axis_of_a_mesh_that_was_given_is_warned_of(tmp_path, capsys):
     path = captured(tmp_path / "room.obj", default_rng(1))
     warned = []
     for up in ("z", "y"):
-        with initialize_config_dir(CONF, version_base="1.3"):
-            cfg = compose("optimise", ["room=mesh", f"room.path={path}", f"room.up={up}", "room.spacing=1"])
+        cfg = composed("optimise", "room=mesh", f"room.path={path}", f"room.up={up}", "room.spacing=1")
         build_problem(cfg)
         warned.append(f"warning: room.up: is it right for '{path}'? With y up it is " in capsys.readouterr().err)
     assert warned == [False, True]

@@ -42,7 +42,7 @@ class Faulty(RandomSearch):
             time.sleep(0.3)
 """
 PARENT = "mlflow.parentRunId"
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long]
 
 
 @pytest.fixture

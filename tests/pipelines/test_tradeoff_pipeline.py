@@ -10,12 +10,11 @@ import numpy as np
 import pandas as pd
 import processes
 import pytest
-from hydra import compose, initialize_config_dir
+from composing import composed
 from mlflow import MlflowClient
 from omegaconf import OmegaConf
 
 from lmd.scene.deployment import Deployment
-from pipelines.app import CONF
 
 pytestmark = pytest.mark.slow
 SMALL = ("room.spacing=1.5", "objective.n=1", "objective.thold_p=0.3", "budget.evaluations=20", "seeds=2")
@@ -126,8 +125,7 @@ def test_what_was_finished_when_it_was_interrupted_is_kept(tmp_path):
 
 def test_a_rig_on_recorded_poses_beside_the_fixed_tags_of_a_run(tmp_path):
     (tmp_path / "lab" / ".hydra").mkdir(parents=True)
-    with initialize_config_dir(CONF, version_base="1.3"):
-        earlier = compose("optimise", ["deployment.fixed=tags.csv", "deployment.count=2"])
+    earlier = composed("optimise", "deployment.fixed=tags.csv", "deployment.count=2")
     OmegaConf.save(earlier, tmp_path / "lab" / ".hydra" / "config.yaml")
     (tmp_path / "lab" / "landmarks.csv").write_text("id,x,y,z,nx,ny,nz,fixed\n5,0,2,3,1,0,0,1\n7,0,3,3,1,0,0,0\n")
     (tmp_path / "drive.csv").write_text(

@@ -4,13 +4,12 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
+import composing
 import pytest
-from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 import pipelines.report
 from lmd.core.checks import InputError, printable
-from pipelines.app import CONF
 from pipelines.earlier_run import read_earlier_run
 from pipelines.trust import Trust
 
@@ -32,8 +31,7 @@ LANDMARKS = "id,x,y,z,nx,ny,nz\n0,0,1,1,1,0,0\n1,0,2,1,1,0,0\n"
 @pytest.fixture(scope="module")
 def composed():
     """The default configuration of `optimise`, as Hydra writes it."""
-    with initialize_config_dir(CONF, version_base="1.3"):
-        return OmegaConf.to_yaml(compose("optimise"))
+    return OmegaConf.to_yaml(composing.composed("optimise"))
 
 
 @pytest.fixture

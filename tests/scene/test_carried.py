@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from composing import composed
 from floor_plans import lab
-from hydra import compose, initialize_config_dir
 from numpy.testing import assert_allclose, assert_array_equal
 from paper import paper_camera, paper_room
 
@@ -17,7 +17,6 @@ from lmd.scene.rig import Mount, Rig
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.models.paper import Visibility
-from pipelines.app import CONF
 from pipelines.building import build_problem
 
 SEEN = Visibility(thold=0.05, nu=0.0, occlusion="none")
@@ -94,12 +93,11 @@ def test_a_camera_outside_the_room_is_refused():
 
 @pytest.mark.parametrize("orientations", [[], ["pdf=yaw"]])
 def test_the_lab_takes_a_rig_of_one_camera(orientations):
-    with initialize_config_dir(CONF, version_base="1.3"):
-        mount = "camera.rig=[{translation: [0.1,0,0.3], pitch: -0.3}]"
-        cfg = compose("optimise", ["experiment=lab", "room.spacing=1", "pdf.divisions=4", *orientations, mount])
-        problem = build_problem(cfg)
-        found = problem.metrics(problem.draw(np.random.default_rng(0)))
-        assert 0.0 < found["localised_share"] < 1.0
-        cfg.camera.rig = [{"translation": [0.0, 0.0, 2.0]}]
-        with pytest.raises(InputError, match=r"^camera\.rig has a camera at"):
-            build_problem(cfg)
+    mount = "camera.rig=[{translation: [0.1,0,0.3], pitch: -0.3}]"
+    cfg = composed("optimise", "experiment=lab", "room.spacing=1", "pdf.divisions=4", *orientations, mount)
+    problem = build_problem(cfg)
+    found = problem.metrics(problem.draw(np.random.default_rng(0)))
+    assert 0.0 < found["localised_share"] < 1.0
+    cfg.camera.rig = [{"translation": [0.0, 0.0, 2.0]}]
+    with pytest.raises(InputError, match=r"^camera\.rig has a camera at"):
+        build_problem(cfg)

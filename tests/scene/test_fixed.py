@@ -26,6 +26,7 @@ from lmd.scene.fixed import beside
 from lmd.scene.labels import Labels
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
+from lmd.sight.models.fiducial import Fiducial
 
 ROOM = paper_room(spacing=1.5)
 TAG = Tag(edge=0.3)
@@ -158,6 +159,8 @@ SAMPLED = [
 @pytest.mark.parametrize("optimiser", ["annealing", "greedy"])
 def test_a_walk_on_samples_leaves_alone_what_hangs_already(optimiser, objective):
     scene, hangs = replace(problem().scene, tag=TAG), drawn(UniformDeployment(10))
+    if isinstance(objective, Localisation):  # compiled for tags, as commands are
+        scene = replace(scene, visibility=Fiducial(TAG))
     p = Problem(scene, objective, RandomDeployment(15), 1, hangs)
     result = make(optimiser).run(p, Budget(200))
     np.testing.assert_array_equal(result.deployment.positions[:10], hangs.positions)

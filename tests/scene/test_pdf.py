@@ -62,13 +62,13 @@ def test_axes_are_unit_ordered_by_height_and_map_back_to_the_orientations(orient
     assert_allclose(np.linalg.norm(axes, axis=1), 1.0)
     assert (np.diff(axes[:, 2]) > -1e-11).all()
     expected = optical_axis(orientations.yaw, orientations.pitch)
-    assert_allclose(axes[orientations.axis_of], expected, rtol=0.0, atol=1e-11)
+    assert_allclose(axes[orientations.by_axis.index_of], expected, rtol=0.0, atol=1e-11)
 
 
 @given(pdfs)
 def test_distinct_axes_carry_the_weight_of_their_orientations(orientations):
     seen = orientations.axes[:, 0] > 0.1
-    by_orientation = reference.coverage_probability(seen[orientations.axis_of], orientations, 1)
+    by_orientation = reference.coverage_probability(seen[orientations.by_axis.index_of], orientations, 1)
     assert orientations.by_axis.weight[seen].sum() == pytest.approx(by_orientation, abs=1e-12)
 
 

@@ -16,7 +16,7 @@ any_case = st.one_of(scenes_with_deployments(), scenes_with_boundary_landmarks()
 def test_in_the_room_of_the_paper_it_counts_what_the_evaluator_counts(occlusion):
     scene = paper_scene(occlusion=occlusion)
     evaluator, deployment = Evaluator(scene), UniformDeployment(90).draw(scene.room, np.random.default_rng(0))
-    grid, axes = scene.room.grid(), scene.pdf.axes[scene.pdf.axis_of]
+    grid, axes = scene.room.grid(), scene.pdf.axes[scene.pdf.by_axis.index_of]
     positions, directions = np.repeat(grid, len(axes), axis=0), np.tile(axes, (len(grid), 1))
     counts = visible(evaluator, deployment, positions, directions).sum(axis=1)
     assert_array_equal(counts.reshape(len(grid), -1), evaluator.counts(deployment))

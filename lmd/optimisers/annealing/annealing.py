@@ -25,6 +25,7 @@ from lmd.core.compiled import clock
 from lmd.incremental.field import stack_of
 from lmd.objectives.base import Selectable, incremental
 from lmd.optimisers.annealing.ascent import PLACES_TRIED, Ascent
+from lmd.optimisers.annealing.stacks import STACK_SPREAD, count_stacks, pulled_apart
 from lmd.optimisers.annealing.stage import Stage, changed
 from lmd.optimisers.annealing.surrogate import Surrogate
 from lmd.optimisers.annealing.trail import Trail
@@ -35,17 +36,13 @@ from lmd.optimisers.selection import GRID_SPACING, greedy_start
 from lmd.optimisers.stored import array, deployment, deployment_state, generator, generator_state
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
-from lmd.space.surface import SurfaceArrays
 
 MOST_MOVES = 2000  # moved landmarks between two looks at the clock and the keyboard, at most
 LEAST_CHUNKS = 500  # and at least this many in a run, so that the schedule is smooth
 LOOK_EVALUATIONS = 10  # evaluations' worth of moves between two looks, an evaluation each, at where a stand-in leads
-LOOK_FACTOR_ON_SAMPLES = (
-    2  # times as far is it from look to look on samples, which have to be drawn and laid out each time
-)
+LOOK_FACTOR_ON_SAMPLES = 2  # times as far is it from look to look on samples, which are drawn and laid out each time
 ASCENT_STEPS = 10  # of the ascent between two looks
 SMALLEST_PLATE = 0.2  # of their virtual diameter: the size of plates when stacks are pulled apart
-STACK_SPREAD = 1.6  # virtual diameters between the landmarks of a stack pulled apart: they no longer hide each other
 
 STACKED_STAGE = Stage(temperature=(2e-3, 1e-5), width=(0.06, 0.003), step=(1.0, 0.1), jump=0.1, join=0.0)
 SINGLE_STAGE = Stage(
@@ -146,7 +143,7 @@ class Annealing(Optimiser):
         self.rng = generator("rng", state["rng"])
         self.in_stacks = boolean("in_stacks", state["in_stacks"])
         if self.in_stacks or state["angles"] is not None:
-            stacks = _stacks(problem, stack_of(incremental(problem.objective).field(problem.fitness_evaluator)))
+            stacks = count_stacks(problem, stack_of(incremental(problem.objective).field(problem.fitness_evaluator)))
             self.angles = array("angles", state["angles"], np.float64, stacks)
         self.start = deployment("start", state["start"], problem, count)
         self.here = deployment("here", state["here"], problem, stacks if self.in_stacks else count)
@@ -207,8 +204,6 @@ class Annealing(Optimiser):
         """Walk a stretch; returns the landmarks moved and where that led, if it may be better than what is known.
 
         Args:
-            problem: the true problem.
-            surrogate: of the problem.
             used: share of the budget.
             left: landmarks that may be moved until the walk ends.
         """
@@ -263,7 +258,7 @@ class Annealing(Optimiser):
             self.here = self.start
             return spent
         looks = 2 * (LOOK_EVALUATIONS + stack + 1) * count  # the cost of two looks at the stacks
-        stacks = _stacks(problem, stack)
+        stacks = count_stacks(problem, stack)
         pays = stacks and self.stacked_share * limit > looks and (1.0 - self.stacked_share) * limit > looks
         self.in_stacks = problem.start.varies and bool(pays)
         if self.in_stacks:
@@ -307,31 +302,7 @@ class Annealing(Optimiser):
 
     def _apart(self, problem: Problem, stack: int, size: float) -> Deployment:
         """Each stack as so many plates of this size, pulled apart; landmarks in no stack stay where they began."""
-        surfaces, surface = SurfaceArrays.of(problem.scene.plates.hanging.surfaces()), self.here.surfaces
         assert self.angles is not None, "there are stacks"
-        centre = surfaces.coordinates(surface, self.here.positions)
-        at = centre[:, None] + ring(self.angles, stack, self.spread * size * problem.scene.spacing)
-        of = np.repeat(surface, stack)
-        apart = problem.complete(Deployment(surfaces.points(of, at.reshape(-1, 2)), surfaces.normal[of], of))
+        distance = self.spread * size * problem.scene.spacing
+        apart = problem.complete(pulled_apart(problem, self.here, self.angles, stack, distance))
         return apart if len(apart) == problem.count else apart + self.start[len(apart) :]
-
-
-def ring(angles: FloatArray, stack: int, distance: float) -> FloatArray:
-    """Where the landmarks of stacks are pulled to: each on a circle on which neighbours are `distance` apart.
-
-    Args:
-        angles: of the first of each stack, `(S,)`, radians.
-        stack: landmarks of each.
-        distance: metres.
-
-    Returns:
-        from the place of each stack along u and v of its surface, `(S, stack, 2)`, metres.
-    """
-    radius = 0.0 if stack == 1 else distance / (2.0 * math.sin(math.pi / stack))
-    angle = angles[:, None] + 2.0 * np.pi * np.arange(stack) / stack
-    return np.asarray(radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
-
-
-def _stacks(problem: Problem, stack: int) -> int:
-    """How many stacks of `stack` landmarks there are; what is left over is in none."""
-    return problem.free_count // stack if stack else 0

@@ -83,7 +83,6 @@ class Ascent:
             here: K landmarks, flush on their surfaces.
             progress: share of the ascent that is done, in [0, 1]; the steps get smaller.
             samples: samples to draw, each with one position in each cell; on threads of their own, if there are any.
-            rng: draws them.
         """
         surfaces, seeds = SurfaceArrays.of(problem.scene.plates.hanging.surfaces()), rng.integers(2**63, size=samples)
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from lmd.core.checks import InputError, choice, real, vector
+from lmd.core.checks import argument_of, check_fields, choice, real, vector
 from lmd.optimisers.annealing.walk import Settings
 
 
@@ -38,8 +38,7 @@ class Stage:
     exchange: float = 0.05
 
     def __post_init__(self) -> None:
-        for name in ("temperature", "width", "step"):
-            object.__setattr__(self, name, vector(name, getattr(self, name), 2, above=0.0))
+        check_fields(self, vector, "temperature", "width", "step", size=2, above=0.0)
         real("margin", self.margin)
         real("share", self.share, low=0.0)
         real("jump", self.jump, low=0.0, high=1.0)
@@ -76,9 +75,7 @@ def changed(name: str, default: Stage, given: Stage | Mapping[str, Any]) -> Stag
     """
     if isinstance(given, Stage):
         return given
-    try:
+    with argument_of(name):
         for key in given:
             choice("condition", key, [field.name for field in fields(Stage)])
         return replace(default, **given)
-    except InputError as error:
-        raise error.within(name) from None

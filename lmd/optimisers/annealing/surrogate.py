@@ -11,7 +11,8 @@ from lmd.core.layers import layer, layers
 from lmd.core.threads import at_once
 from lmd.incremental.field import Field, Places, Stacking, in_order, places_of, stack_of, total_worth
 from lmd.objectives.base import incremental
-from lmd.optimisers.annealing.walk import Best, Papers, Settings, walk
+from lmd.optimisers.annealing.proposals import Papers
+from lmd.optimisers.annealing.walk import Best, Settings, walk
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.scene.pushing import TOUCHING
@@ -89,7 +90,6 @@ class Surrogate:
             size: of the plates; 1 is the truth.
             done: share of the stage. Samples for an objective with a sampling grow with its square: a rough
                 direction will do for the first moves, but the last ones are lost in what a small sample errs.
-            rng: draws the samples.
         """
         redrawn = self._problem.resampled(self._largest * done**2, rng)
         movable = np.arange(0 if in_stacks else self._problem.fixed_count, len(here))

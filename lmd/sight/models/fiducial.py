@@ -33,13 +33,20 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, real
+from lmd.core.checks import BoolArray, FloatArray, InputError, check_fields, real
 from lmd.geometry.lens import EQUIDISTANT, Lens
-from lmd.geometry.lens_models import depth_of, image_of, slope_of
 from lmd.geometry.squares import VERTICAL_TOLERANCE, upright
 from lmd.scene.camera import MM_PER_M, Camera
 from lmd.scene.criteria import TOLERANCE, sized
 from lmd.scene.tag import Tag
+from lmd.sight.models.fiducial_reference import (
+    faces,
+    hidden_by_others,
+    in_bent_rectangle,
+    in_rectangle,
+    resolved,
+    resolved_by_lens,
+)
 from lmd.sight.models.fiducial_sight import FiducialSight
 from lmd.sight.models.lens_sight import NEAR, LensSight
 from lmd.sight.models.limits import Limits, limits_of
@@ -82,8 +89,7 @@ class Fiducial:
             raise InputError("tag must have an edge, in metres: what a detector sees depends on its size.")
         if not isinstance(self.limits, Limits):
             object.__setattr__(self, "limits", limits_of(self.detector, self.tag.family, self.limits or {}))
-        object.__setattr__(self, "psf_sigma", real("psf_sigma", self.psf_sigma, low=0.0))
-        object.__setattr__(self, "motion_blur", real("motion_blur", self.motion_blur, low=0.0))
+        check_fields(self, real, "psf_sigma", "motion_blur", low=0.0)
 
     @property
     def spacing(self) -> float:
@@ -230,93 +236,3 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """a x b over the last axis, term by term."""
     (ax, ay, az), (bx, by, bz) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
-
-
-def faces(sight: FiducialSight, offset: FloatArray, normals: FloatArray) -> BoolArray:
-    """Whether the incidence is small enough, `(K,)`: -n . d >= cos(incidence) |d|."""
-    return np.asarray(-dot(normals, offset) >= sight.facing * np.sqrt(dot(offset, offset)))
-
-
-def in_rectangle(sight: FiducialSight, centre: FloatArray, sides: list[FloatArray]) -> BoolArray:
-    """Whether the four corners are in front of the camera and within the borders, `(A, K)`.
-
-    Args:
-        sight: the borders.
-        centre: (u, v, w) of the centre in the camera's frame, `(3, A, K)`.
-        sides: the same of the tag's right and up, unit vectors.
-    """
-    (u, v, w), half, ((tu, tv, tw), (su, sv, sw)) = centre, sight.half, sides
-    inside = half * (abs(tw) + abs(sw)) < w
-    inside &= u + half * (abs(tu - sight.right * tw) + abs(su - sight.right * sw)) <= sight.right * w
-    inside &= half * (abs(tu + sight.left * tw) + abs(su + sight.left * sw)) - u <= sight.left * w
-    inside &= v + half * (abs(tv - sight.bottom * tw) + abs(sv - sight.bottom * sw)) <= sight.bottom * w
-    inside &= half * (abs(tv + sight.top * tw) + abs(sv + sight.top * sw)) - v <= sight.top * w
-    return np.asarray(inside)
-
-
-def in_bent_rectangle(sight: LensSight, centre: FloatArray, sides: list[FloatArray]) -> BoolArray:
-    """`in_rectangle` where the lens distorts: centre and corners are in directions that are imaged, and that within."""
-    right, up = sides
-    inside, flat = np.ones(centre.shape[1:], dtype=np.bool_), sight.flat
-    one, two = flat.half * (right + up), flat.half * (right - up)
-    with np.errstate(all="ignore"):  # a corner beside the camera is not in the image, whatever the numbers say
-        for u, v, w in (centre, centre + one, centre - one, centre + two, centre - two):
-            across, down = image_of(sight.lens, u, v, w)
-            inside &= w >= sight.cosine * np.sqrt(u * u + v * v + w * w)
-            inside &= (-flat.left <= across) & (across <= flat.right) & (-flat.top <= down) & (down <= flat.bottom)
-    return inside
-
-
-def resolved(
-    sight: FiducialSight, centre: FloatArray, sides: list[FloatArray], offset: FloatArray, normals: FloatArray
-) -> BoolArray:
-    """Whether pitch and area suffice, `(A, K)`; the arguments are those of `in_rectangle` and `faces`."""
-    (u, v, w), ((tu, tv, tw), (su, sv, sw)) = centre, sides
-    with np.errstate(all="ignore"):  # a tag beside the camera is not resolved, whatever the numbers say
-        per = 1.0 / w
-        fu, fv, at_u, at_v = sight.focal_u * per, sight.focal_v * per, u * per, v * per
-        one, two, three, four = tu - at_u * tw, su - at_u * sw, tv - at_v * tw, sv - at_v * sw
-        square = fu * fu * (one * one + two * two) + fv * fv * (three * three + four * four)
-        return _suffices(sight, square, fu * fv * per * abs(dot(normals, offset)), per)
-
-
-def resolved_by_lens(sight: LensSight, centre: FloatArray, sides: list[FloatArray]) -> BoolArray:
-    """The same where the lens distorts."""
-    (u, v, w), ((tu, tv, tw), (su, sv, sw)), flat = centre, sides, sight.flat
-    with np.errstate(all="ignore"):
-        xu, xv, xw, yu, yv, yw = slope_of(sight.lens, u, v, w)
-        one, two = xu * tu + xv * tv + xw * tw, xu * su + xv * sv + xw * sw
-        three, four = yu * tu + yv * tv + yw * tw, yu * su + yv * sv + yw * sw
-        fu, fv = flat.focal_u, flat.focal_v
-        square = fu * fu * (one * one + two * two) + fv * fv * (three * three + four * four)
-        determinant = fu * fv * abs(one * four - two * three)
-        return _suffices(flat, square, determinant, 1.0 / depth_of(sight.lens, u, v, w))
-
-
-def _suffices(sight: FiducialSight, square: FloatArray, determinant: FloatArray, per: FloatArray) -> BoolArray:
-    """Whether |J|_F^2 and |det J| suffice at the depth 1 / `per`."""
-    blur = sight.defocus - sight.focus * per
-    least = sight.sharp + sight.blurred * (blur * blur)
-    enough = (2.0 * least <= square) & (determinant >= sight.area)
-    return np.asarray(enough & (least * least + determinant * determinant >= square * least))
-
-
-def hidden_by_others(sight: FiducialSight, offset: FloatArray, normals: FloatArray) -> BoolArray:
-    """Whether the line of sight to the centre or a corner of a tag passes through another plate in front of it, `(K,)`.
-
-    Nothing hides what is at most a nanometre (`TOLERANCE`) behind the plane of the plate: plates on one wall never do.
-    """
-    right, up = upright(normals)
-    half = np.reshape(sight.half, (-1, 1))  # one, or each tag's
-    r, s = half * right, half * up
-    points = np.stack([offset, *(offset + way for way in (r + s, -(r + s), r - s, -(r - s)))])[:, :, None]  # of B
-    height = -dot(normals, offset)  # of the camera above the plane of A, (K,)
-    side = dot(normals, points) + height  # and of each point of B, (5, K, K): B first
-    crosses = ((height > 0.0) & (side < -TOLERANCE)) | ((height < 0.0) & (side > TOLERANCE))
-    with np.errstate(all="ignore"):  # where the line does not cross the plane, share is anything
-        share = height / (height - side)
-        at = share[..., None] * points - offset
-        within = (abs(dot(right, at)) <= sight.plate) & (abs(dot(up, at)) <= sight.plate)
-    hides = np.asarray(np.any(crosses & within, axis=0))
-    hides[np.arange(len(offset)), np.arange(len(offset))] = False
-    return np.asarray(hides.any(axis=1))

@@ -17,7 +17,7 @@ from lmd.scene.criteria import (
     frame_of,
     from_around,
     from_position,
-    hide,
+    hide_between,
     in_image,
     in_view,
 )
@@ -246,7 +246,7 @@ def _hides(sight, half, ax, ay, az, nx, ny, nz, bx, by, bz, mx, my, mz):  # type
     return False
 
 
-@hide.register(FiducialSight)
+@hide_between.register(FiducialSight)
 def _hide(sight, other, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
     # Mostly the camera is in front of both planes, and no corner behind the other's: half the diagonal times the sine
     # of the angle between the planes is how far a corner may be below the centre.

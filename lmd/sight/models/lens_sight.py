@@ -14,16 +14,8 @@ import math
 from typing import NamedTuple
 
 from lmd.core.checks import FloatArray
-from lmd.core.compiled import inlined
 from lmd.core.dispatch import overridable
-from lmd.geometry.lens_models import (
-    BrownConrady,
-    Equidistant,
-    density_of,
-    depth_of,
-    image_of,
-    slope_of,
-)
+from lmd.geometry.lens_models import BrownConrady, Equidistant, density_of, image_of
 from lmd.geometry.squares import upright_axes
 from lmd.scene.criteria import (
     TOLERANCE,
@@ -33,13 +25,14 @@ from lmd.scene.criteria import (
     frame_of,
     from_around,
     from_position,
-    hide,
+    hide_between,
     in_cone,
     in_image,
     in_view,
     pixel_density,
 )
 from lmd.sight.models.fiducial_sight import FiducialSight, may_hide
+from lmd.sight.models.lens_image import corners_inside, in_rectangle, resolves, room_within, stretch_at
 from lmd.sight.obstacles import half_edge
 
 # Bounds of pitch and area are wider by this, relative: what the square of a normal may be off, and more.
@@ -188,79 +181,12 @@ def _in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ign
     angle, end = sine * (1.0 + ARC * sine * sine), 1.0 - w * cosine + math.sqrt(max(0.0, 1.0 - w * w)) * abs(sine)
     end = sight.highest if w <= -cosine else end  # the way leads past the opposite of the axis
     halfway = min(end, 1.0 - w + abs(angle) / 2.0)
-    room = angle * (_stretch(sight, halfway) + _stretch(sight, end)) / 2.0
+    room = angle * (stretch_at(sight, halfway) + stretch_at(sight, end)) / 2.0
     inside = (flat.right - across >= room) & (flat.left + across >= room)
     inside &= (flat.bottom - down >= room) & (flat.top + down >= room)
     # Nothing is known of images beyond the widest angle.
     unknown = (sine < 0.0) & ((w < sight.cosine) | ((sight.cosine < 0.0) & (sine < -NEAR)))
     return in_cone(least, x, y, z, sine, cosine, ax, ay, az) & (inside | unknown)
-
-
-@inlined
-def _polynomial(coefficients, h):  # type: ignore[no-untyped-def]
-    """The value at h of a polynomial of the fifth degree."""
-    a, b, c, d, e, f = coefficients
-    s = h * h
-    return a + b * h + s * (c + d * h + s * (e + f * h))
-
-
-@inlined
-def _stretch(sight, height):  # type: ignore[no-untyped-def]
-    """How far the image of a direction moves at most with it up to h = `height`, focal lengths for a radian."""
-    return _polynomial(sight.stretch, min(height, sight.highest))
-
-
-@inlined
-def _room(sight, u, v, w, per):  # type: ignore[no-untyped-def]
-    """How far within the borders a point at the distance 1 / `per` is imaged, to `off`; negative outside."""
-    flat, scale = sight.flat, per * _polynomial(sight.rough, 1.0 - w * per)
-    across, down = scale * u, scale * v
-    return min(flat.right - across, flat.left + across, flat.bottom - down, flat.top + down)
-
-
-@inlined
-def _in_rectangle(sight, u, v, w):  # type: ignore[no-untyped-def]
-    """Whether a point (u, v, w) in the camera's frame is in the image."""
-    flat = sight.flat
-    across, down = image_of(sight.lens, u, v, w)
-    inside = w >= sight.cosine * math.sqrt(u * u + v * v + w * w)
-    return inside & (-flat.left <= across) & (across <= flat.right) & (-flat.top <= down) & (down <= flat.bottom)
-
-
-@inlined
-def _is_inside(sight, u, v, w):  # type: ignore[no-untyped-def]
-    """The same, exactly only where the rough image does not tell."""
-    per = 1.0 / math.sqrt(u * u + v * v + w * w)
-    room = _room(sight, u, v, w, per)
-    if (w * per > sight.cosine + TOLERANCE) & (abs(room) > sight.off):
-        return room > 0.0
-    return _in_rectangle(sight, u, v, w)
-
-
-@inlined
-def _corners_inside(sight, u, v, w, tu, tv, tw, uu, uv, uw):  # type: ignore[no-untyped-def]
-    """Whether the corners are in the image: centre, right and up of the tag in the camera's frame."""
-    half = sight.flat.half
-    pu, pv, pw = half * (tu + uu), half * (tv + uv), half * (tw + uw)  # to one corner, and to its neighbour
-    qu, qv, qw = half * (tu - uu), half * (tv - uv), half * (tw - uw)
-    inside = _is_inside(sight, u + pu, v + pv, w + pw) and _is_inside(sight, u - pu, v - pv, w - pw)
-    return inside and _is_inside(sight, u + qu, v + qv, w + qw) and _is_inside(sight, u - qu, v - qv, w - qw)
-
-
-@inlined
-def _clear(sight, u, v, w, tu, tv, tw, uu, uv, uw):  # type: ignore[no-untyped-def]
-    """Whether pitch and area suffice."""
-    flat = sight.flat
-    xu, xv, xw, yu, yv, yw = slope_of(sight.lens, u, v, w)
-    one, two = xu * tu + xv * tv + xw * tw, xu * uu + xv * uv + xw * uw
-    three, four = yu * tu + yv * tv + yw * tw, yu * uu + yv * uv + yw * uw
-    fu, fv = flat.focal_u, flat.focal_v
-    square = fu * fu * (one * one + two * two) + fv * fv * (three * three + four * four)
-    determinant = fu * fv * abs(one * four - two * three)
-    blur = flat.defocus - flat.focus * (1.0 / depth_of(sight.lens, u, v, w))
-    least = flat.sharp + flat.blurred * (blur * blur)
-    clear = (2.0 * least <= square) & (determinant >= flat.area)
-    return clear & (least * least + determinant * determinant >= square * least)
 
 
 @in_image.register(LensSight)
@@ -271,8 +197,8 @@ def _in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  
     u, v, w = rx * x + ry * y + rz * z, dx * x + dy * y + dz * z, ax * x + ay * y + az * z
     tu, tv, tw = rx * tx + ry * ty + rz * tz, dx * tx + dy * ty + dz * tz, ax * tx + ay * ty + az * tz
     uu, uv, uw = rx * ux + ry * uy + rz * uz, dx * ux + dy * uy + dz * uz, ax * ux + ay * uy + az * uz
-    covered = _in_rectangle(sight, u, v, w) & _clear(sight, u, v, w, tu, tv, tw, uu, uv, uw)
-    covered &= _corners_inside(sight, u, v, w, tu, tv, tw, uu, uv, uw)
+    covered = in_rectangle(sight, u, v, w) & resolves(sight, u, v, w, tu, tv, tw, uu, uv, uw)
+    covered &= corners_inside(sight, u, v, w, tu, tv, tw, uu, uv, uw)
     return (covered | (slack > 0.0)) & (w >= low)
 
 
@@ -291,29 +217,29 @@ def _covers_one(sight, x, y, z, frame, low, high, sure, well, axes, a):  # type:
     if not inside:
         # What depends on the landmark alone, the compiler moves out of the loop over axes.
         per = 1.0 / math.sqrt(x * x + y * y + z * z)
-        height, room = 1.0 - w * per, _room(sight, u, v, w, per)
+        height, room = 1.0 - w * per, room_within(sight, u, v, w, per)
         if room < -sight.off:
             return False
-        if (room <= sight.off or w * per <= sight.cosine + TOLERANCE) and not _in_rectangle(sight, u, v, w):
+        if (room <= sight.off or w * per <= sight.cosine + TOLERANCE) and not in_rectangle(sight, u, v, w):
             return False
         # The angle between the centre and a corner at most, and how far that is in the image.
         sine = DIAGONAL * sight.flat.half * per
         angle = sine * (1.0 + ARC * sine * sine)
         inside = (sine <= 1.0) & (w * per >= sight.cosine + angle)
-        inside &= room >= angle * _stretch(sight, height + angle) + sight.off
+        inside &= room >= angle * stretch_at(sight, height + angle) + sight.off
     tu, tv, tw = rx * tx + ry * ty + rz * tz, dx * tx + dy * ty + dz * tz, ax * tx + ay * ty + az * tz
     uu, uv, uw = rx * ux + ry * uy + rz * uz, dx * ux + dy * uy + dz * uz, ax * ux + ay * uy + az * uz
-    if w > sure and not _clear(sight, u, v, w, tu, tv, tw, uu, uv, uw):
+    if w > sure and not resolves(sight, u, v, w, tu, tv, tw, uu, uv, uw):
         return False
-    return inside or _corners_inside(sight, u, v, w, tu, tv, tw, uu, uv, uw)
+    return inside or corners_inside(sight, u, v, w, tu, tv, tw, uu, uv, uw)
 
 
 covering.register(LensSight)(depth_first)
 
 
-@hide.register(LensSight)
+@hide_between.register(LensSight)
 def _hide(sight, other, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
-    return hide(sight.flat, other.flat, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz)
+    return hide_between(sight.flat, other.flat, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz)
 
 
 @pixel_density.register(LensSight)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, choice, real
+from lmd.core.checks import BoolArray, FloatArray, InputError, argument_of, check_fields, choice, real, said_of
 from lmd.core.files import read_keys
 
 FOLDER = Path(__file__).parent / "presets"
@@ -42,9 +42,8 @@ class Limits:
     margin: float
 
     def __post_init__(self) -> None:
-        for name in ("pitch", "blur", "edge", "margin"):
-            object.__setattr__(self, name, real(name, getattr(self, name), low=0.0))
-        object.__setattr__(self, "incidence", real("incidence", self.incidence, above=0.0, high=89.0))
+        check_fields(self, real, "pitch", "blur", "edge", "margin", low=0.0)
+        check_fields(self, real, "incidence", above=0.0, high=89.0)
 
     def found(self, pitch: FloatArray, incidence: FloatArray, edge: FloatArray, sigma: FloatArray) -> BoolArray:
         """Whether views wholly in the image are found, arrays of one shape; NaN (behind the camera) is not.
@@ -101,10 +100,8 @@ class Preset:
         if set(keys) != expected:
             asked = f"detector, family, {', '.join(NAMES)}"
             raise InputError(f"detector: {str(path)!r} must have the keys {asked} and no others.", "detector")
-        try:
+        with said_of(f"detector: {str(path)!r}", "detector"):
             return cls(str(keys["detector"]), str(keys["family"]), Limits(**{name: keys[name] for name in NAMES}))
-        except InputError as error:
-            raise InputError(f"detector: {str(path)!r}: {error}", "detector") from None
 
 
 @cache
@@ -136,13 +133,11 @@ def limits_of(detector: str, family: str, changes: Mapping[str, Any]) -> Limits:
             raise InputError(message, "detector")
     else:
         known = measured().get((detector, kind))
-    try:
+    with argument_of("limits"):
         if known is not None:
             return replace(known.limits, **changes)
         if set(changes) == set(NAMES):
             return Limits(**changes)
-    except InputError as error:
-        raise error.within("limits") from None
     pairs = ", ".join(" with ".join(pair) for pair in measured())
     raise InputError(
         f"detector {detector} was not measured with tags of family {family}, only {pairs}; "

@@ -1,8 +1,8 @@
 """The paper's four criteria: resolution, field of view, focus and occlusion (Sec. III).
 
-First each equation in NumPy, the reference. Decisions use closed inequalities with the shared `TOLERANCE`, and the few
+Each equation in NumPy, the reference. Decisions use closed inequalities with the shared `TOLERANCE`, and the few
 sums behind them are written out term by term: compiled code that repeats the same operations in the same order reaches
-the same bits, hence identical counts, even for a landmark exactly on a boundary. Then the same as scalar functions.
+the same bits, hence identical counts, even for a landmark exactly on a boundary.
 
 A landmark at distance d that is not occluded is covered iff its depth z along the optical axis satisfies
 
@@ -16,13 +16,13 @@ Source: Lei et al., "Optimization of Directional Landmark Deployment for Visual 
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, choice, real
+from lmd.core.checks import BoolArray, FloatArray, check_fields, choice, real
 from lmd.scene.camera import Camera
-from lmd.scene.criteria import TOLERANCE, from_around, from_position, hide, in_cone, in_image, in_view
+from lmd.scene.criteria import TOLERANCE
+from lmd.sight.models.paper_sight import PaperSight
 
 OCCLUSION_MODES = ("paper", "line_of_sight", "none")
 
@@ -52,11 +52,10 @@ class Visibility:
     needs_roll = False  # see `Criteria.needs_roll`: the cone of view is round
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "thold", real("thold", self.thold, above=0.0))
-        object.__setattr__(self, "nu", real("nu", self.nu, low=0.0))
+        check_fields(self, real, "thold", above=0.0)
+        check_fields(self, real, "nu", low=0.0)
         choice("occlusion", self.occlusion, OCCLUSION_MODES)
-        confusion = real("circle_of_confusion", self.circle_of_confusion, above=0.0)
-        object.__setattr__(self, "circle_of_confusion", confusion)
+        check_fields(self, real, "circle_of_confusion", above=0.0)
 
     @property
     def tests_other_landmarks(self) -> bool:
@@ -105,7 +104,7 @@ class Visibility:
             "hiding": hiding if self.tests_other_landmarks else "other landmarks hide nothing",
         }
 
-    def sight(self, camera: Camera) -> "PaperSight":
+    def sight(self, camera: Camera) -> PaperSight:
         """See `Criteria.sight`; `max_depth` is the largest double that passes both focus and resolution."""
         near, far = camera.depth_of_field(self.circle_of_confusion)
         at_one_metre, thold = camera.resolution_at_one_metre, self.thold * (1.0 - TOLERANCE)
@@ -134,7 +133,6 @@ def resolution(camera: Camera, depth: FloatArray) -> FloatArray:
     """C^R = f d_s / ((d_s - f) z max(s_u, s_v)), pixel/mm (Eq. C_k^R).
 
     Args:
-        camera: the camera.
         depth: z^c, any shape, metres; what lies behind the camera has resolution 0.
     """
     positive = np.where(depth > 0.0, depth, np.inf)
@@ -148,7 +146,6 @@ def field_of_view(camera: Camera, depth: FloatArray, distance: FloatArray) -> Bo
     Both forms describe the same cone; this one needs no division and no roll.
 
     Args:
-        camera: the camera.
         depth: z^c, metres.
         distance: |s^c|, metres, same shape.
     """
@@ -222,102 +219,3 @@ def coverage_strength(
     seen &= focus(camera, visibility.circle_of_confusion, depth)
     seen &= occlusion(offset, distance, normals, visibility)[None, :]
     return np.where(seen, resolution(camera, depth), 0.0)
-
-
-class PaperSight(NamedTuple):
-    """The criteria as bounds on the depth, tolerance included; a `lmd.scene.criteria.Sight`."""
-
-    min_cosine: float
-    """Of the cone of view."""
-    min_depth: float
-    """Metres."""
-    max_depth: float
-    """Metres."""
-    reach: float
-    """Squared nu, m^2."""
-    whole_line: bool
-    """Whether a landmark hides another from behind the camera, too, and from beyond it."""
-
-    @property
-    def outer_cosine(self) -> float:
-        """See `Sight.outer_cosine`."""
-        return self.min_cosine - TOLERANCE
-
-    @property
-    def inset(self) -> float:
-        """See `Sight.inset`: a landmark is a point."""
-        return 0.0
-
-    @property
-    def horizon(self) -> float:
-        """See `Sight.horizon`: a landmark on the whole line hides others from however far away."""
-        if self.min_cosine <= 0.0 or (self.whole_line and self.reach >= 0.0):
-            return math.inf
-        return (self.max_depth / self.min_cosine + math.sqrt(max(self.reach, 0.0))) * (1.0 + 2.0 * TOLERANCE)
-
-    @property
-    def tabulated(self) -> bool:
-        """See `Sight.tabulated`: a depth and two comparisons."""
-        return False
-
-    def unhidden(self) -> "PaperSight":
-        """See `Sight.unhidden`."""
-        return self._replace(reach=-1.0)
-
-    def among(self, low: FloatArray, high: FloatArray, landmarks: FloatArray, normals: FloatArray) -> "PaperSight":
-        """See `Sight.among`: a landmark may hide any other."""
-        return self
-
-    def shrunk(self, size: float) -> "PaperSight":
-        """See `Sight.shrunk`."""
-        return self._replace(reach=self.reach * size**2)
-
-
-@from_position.register(PaperSight)
-def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped-def]
-    distance = math.sqrt(x * x + y * y + z * z)
-    nearest = distance - slack
-    low = max(nearest * sight.min_cosine, sight.min_depth) - slack
-    in_depth = (nearest * sight.min_cosine <= sight.max_depth) & (
-        (distance + slack) * (1.0 + TOLERANCE) >= sight.min_depth
-    )
-    facing = -(nx * x + ny * y + nz * z) > TOLERANCE * nearest
-    limited = (distance * sight.min_cosine < sight.min_depth) | (distance * (1.0 + TOLERANCE) > sight.max_depth)
-    return in_depth & facing, low, sight.max_depth, sight.max_depth if limited else math.inf
-
-
-@from_around.register(PaperSight)
-def _from_around(sight, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-def]
-    distance, along = math.sqrt(x * x + y * y + z * z), -(nx * x + ny * y + nz * z)
-    nearest, farthest = max(distance - radius, 0.0), (distance + radius) * (1.0 + TOLERANCE)
-    least = min(nearest * sight.min_cosine, farthest * sight.min_cosine)
-    reached = (least <= sight.max_depth) & (farthest >= sight.min_depth) & (along + radius > 0.0)
-    start = sight.min_depth if least < sight.min_depth else -math.inf
-    sure = sight.max_depth if farthest > sight.max_depth else math.inf
-    facing = along - radius > TOLERANCE * farthest
-    return reached, sight.max_depth, start, sure if facing else -math.inf
-
-
-@in_image.register(PaperSight)
-def _in_image(sight, x, y, z, nx, ny, nz, low, slack, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
-    depth = ax * x + ay * y + az * z
-    return (depth >= low) & (depth <= sight.max_depth + slack)
-
-
-@in_view.register(PaperSight)
-def _in_view(sight, x, y, z, sine, cosine, ax, ay, az, rx, ry, rz):  # type: ignore[no-untyped-def]
-    return in_cone(sight.min_cosine + (TOLERANCE if sine > 0.0 else -TOLERANCE), x, y, z, sine, cosine, ax, ay, az)
-
-
-@hide.register(PaperSight)
-def _hide(sight, other, ax, ay, az, a, bx, by, bz, b, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
-    cx = ay * bz - az * by
-    cy = az * bx - ax * bz
-    cz = ax * by - ay * bx
-    cross = cx * cx + cy * cy + cz * cz
-    one, two = cross <= sight.reach * b, cross <= sight.reach * a
-    if not sight.whole_line:
-        in_front = bx * ax + by * ay + bz * az > 0.0
-        one = one & in_front & (a <= b * (1.0 + TOLERANCE))
-        two = two & in_front & (b <= a * (1.0 + TOLERANCE))
-    return one, two

@@ -28,8 +28,6 @@ def prepare(client: "MlflowClient", name: str, artifacts: str | None = None, fre
     """The id of the experiment `name`, which is made where there is none.
 
     Args:
-        client: of the store.
-        name: of the experiment.
         artifacts: where a new one keeps its files; None for where the store says.
         fresh: whether the database was made just now, and holds nothing but mlflow's own experiment.
     """
@@ -70,7 +68,6 @@ def sweep_view(client: "MlflowClient", experiment_id: str, run_id: str, params: 
     """Make a view of the jobs of a sweep; returns its name, for `link`.
 
     Args:
-        client: of the store.
         experiment_id: where they are.
         run_id: the run of the sweep.
         params: those by which jobs are grouped; charts have bands from the worst to the best job of each group.

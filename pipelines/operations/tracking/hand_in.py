@@ -16,7 +16,6 @@ def hand_in(journal: Journal, uri: str) -> str:
 
     Args:
         journal: of a run that has ended, one way or another.
-        uri: of the store.
 
     Returns:
         what was done, in one line.

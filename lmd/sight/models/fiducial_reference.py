@@ -1,0 +1,104 @@
+"""The criteria of `lmd.sight.models.fiducial` one by one in NumPy: compiled code repeats their operations in order.
+
+Shapes: A orientations, K tags. Lengths are metres; frames are the world's unless said otherwise.
+"""
+
+import numpy as np
+
+from lmd.core.checks import BoolArray, FloatArray
+from lmd.geometry.lens_models import depth_of, image_of, slope_of
+from lmd.geometry.squares import upright
+from lmd.scene.criteria import TOLERANCE
+from lmd.sight.models.fiducial_sight import FiducialSight
+from lmd.sight.models.lens_sight import LensSight
+from lmd.sight.models.paper import dot
+
+
+def faces(sight: FiducialSight, offset: FloatArray, normals: FloatArray) -> BoolArray:
+    """Whether the incidence is small enough, `(K,)`: -n . d >= cos(incidence) |d|."""
+    return np.asarray(-dot(normals, offset) >= sight.facing * np.sqrt(dot(offset, offset)))
+
+
+def in_rectangle(sight: FiducialSight, centre: FloatArray, sides: list[FloatArray]) -> BoolArray:
+    """Whether the four corners are in front of the camera and within the borders, `(A, K)`.
+
+    Args:
+        sight: the borders.
+        centre: (u, v, w) of the centre in the camera's frame, `(3, A, K)`.
+        sides: the same of the tag's right and up, unit vectors.
+    """
+    (u, v, w), half, ((tu, tv, tw), (su, sv, sw)) = centre, sight.half, sides
+    inside = half * (abs(tw) + abs(sw)) < w
+    inside &= u + half * (abs(tu - sight.right * tw) + abs(su - sight.right * sw)) <= sight.right * w
+    inside &= half * (abs(tu + sight.left * tw) + abs(su + sight.left * sw)) - u <= sight.left * w
+    inside &= v + half * (abs(tv - sight.bottom * tw) + abs(sv - sight.bottom * sw)) <= sight.bottom * w
+    inside &= half * (abs(tv + sight.top * tw) + abs(sv + sight.top * sw)) - v <= sight.top * w
+    return np.asarray(inside)
+
+
+def in_bent_rectangle(sight: LensSight, centre: FloatArray, sides: list[FloatArray]) -> BoolArray:
+    """`in_rectangle` where the lens distorts: centre and corners are in directions that are imaged, and that within."""
+    right, up = sides
+    inside, flat = np.ones(centre.shape[1:], dtype=np.bool_), sight.flat
+    one, two = flat.half * (right + up), flat.half * (right - up)
+    with np.errstate(all="ignore"):  # a corner beside the camera is not in the image, whatever the numbers say
+        for u, v, w in (centre, centre + one, centre - one, centre + two, centre - two):
+            across, down = image_of(sight.lens, u, v, w)
+            inside &= w >= sight.cosine * np.sqrt(u * u + v * v + w * w)
+            inside &= (-flat.left <= across) & (across <= flat.right) & (-flat.top <= down) & (down <= flat.bottom)
+    return inside
+
+
+def resolved(
+    sight: FiducialSight, centre: FloatArray, sides: list[FloatArray], offset: FloatArray, normals: FloatArray
+) -> BoolArray:
+    """Whether pitch and area suffice, `(A, K)`; the arguments are those of `in_rectangle` and `faces`."""
+    (u, v, w), ((tu, tv, tw), (su, sv, sw)) = centre, sides
+    with np.errstate(all="ignore"):  # a tag beside the camera is not resolved, whatever the numbers say
+        per = 1.0 / w
+        fu, fv, at_u, at_v = sight.focal_u * per, sight.focal_v * per, u * per, v * per
+        one, two, three, four = tu - at_u * tw, su - at_u * sw, tv - at_v * tw, sv - at_v * sw
+        square = fu * fu * (one * one + two * two) + fv * fv * (three * three + four * four)
+        return _suffices(sight, square, fu * fv * per * abs(dot(normals, offset)), per)
+
+
+def resolved_by_lens(sight: LensSight, centre: FloatArray, sides: list[FloatArray]) -> BoolArray:
+    """The same where the lens distorts."""
+    (u, v, w), ((tu, tv, tw), (su, sv, sw)), flat = centre, sides, sight.flat
+    with np.errstate(all="ignore"):
+        xu, xv, xw, yu, yv, yw = slope_of(sight.lens, u, v, w)
+        one, two = xu * tu + xv * tv + xw * tw, xu * su + xv * sv + xw * sw
+        three, four = yu * tu + yv * tv + yw * tw, yu * su + yv * sv + yw * sw
+        fu, fv = flat.focal_u, flat.focal_v
+        square = fu * fu * (one * one + two * two) + fv * fv * (three * three + four * four)
+        determinant = fu * fv * abs(one * four - two * three)
+        return _suffices(flat, square, determinant, 1.0 / depth_of(sight.lens, u, v, w))
+
+
+def _suffices(sight: FiducialSight, square: FloatArray, determinant: FloatArray, per: FloatArray) -> BoolArray:
+    """Whether |J|_F^2 and |det J| suffice at the depth 1 / `per`."""
+    blur = sight.defocus - sight.focus * per
+    least = sight.sharp + sight.blurred * (blur * blur)
+    enough = (2.0 * least <= square) & (determinant >= sight.area)
+    return np.asarray(enough & (least * least + determinant * determinant >= square * least))
+
+
+def hidden_by_others(sight: FiducialSight, offset: FloatArray, normals: FloatArray) -> BoolArray:
+    """Whether the line of sight to the centre or a corner of a tag passes through another plate in front of it, `(K,)`.
+
+    Nothing hides what is at most a nanometre (`TOLERANCE`) behind the plane of the plate: plates on one wall never do.
+    """
+    right, up = upright(normals)
+    half = np.reshape(sight.half, (-1, 1))  # one, or each tag's
+    r, s = half * right, half * up
+    points = np.stack([offset, *(offset + way for way in (r + s, -(r + s), r - s, -(r - s)))])[:, :, None]  # of B
+    height = -dot(normals, offset)  # of the camera above the plane of A, (K,)
+    side = dot(normals, points) + height  # and of each point of B, (5, K, K): B first
+    crosses = ((height > 0.0) & (side < -TOLERANCE)) | ((height < 0.0) & (side > TOLERANCE))
+    with np.errstate(all="ignore"):  # where the line does not cross the plane, share is anything
+        share = height / (height - side)
+        at = share[..., None] * points - offset
+        within = (abs(dot(right, at)) <= sight.plate) & (abs(dot(up, at)) <= sight.plate)
+    hides = np.asarray(np.any(crosses & within, axis=0))
+    hides[np.arange(len(offset)), np.arange(len(offset))] = False
+    return np.asarray(hides.any(axis=1))

@@ -1,0 +1,83 @@
+"""What a reproduction report is made from: the runs of a tracking store."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+
+from lmd.evaluation.comparison import OptimiserRun
+from lmd.optimisers.ledger import Record
+from lmd.plot.common import shrink
+from lmd.problem import Problem
+from lmd.scene.deployment import Deployment
+
+from ..operations.tracking import PARENT_TAG, MlflowReader
+from .document import Picture
+
+INDICES = {
+    "qualified_ratio": "qualified ratio",
+    "average_coverage_probability": "average",
+    "maximum_coverage_probability": "maximum",
+}
+RATIO = "metrics.qualified_ratio"
+GRID_FREE = "metrics.validation/grid_free_qualified_ratio"
+PAIR = ["params.objective.n", "params.objective.thold_p"]
+PARENT = f"tags.{PARENT_TAG}"
+BUDGET = "params.budget.evaluations"
+COUNT = "params.deployment.count"
+
+# Everything a report looks at in a job's run; a store may lack some.
+COLUMNS = [
+    *("status", "started", "tags.sweep", "tags.job", PARENT, "tags.choice.optimiser", "tags.choice.deployment"),
+    *("params.seed", BUDGET, COUNT, *PAIR, *(f"metrics.{index}" for index in INDICES), GRID_FREE),
+]
+
+# The problem and the deployment of a run, by its id.
+Load = Callable[[str], tuple[Problem, Deployment]]
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a report is made from.
+
+    Args:
+        reader: of the tracking store.
+        runs: the runs to report on, as `MlflowReader.runs` gives them.
+        load: gives back what a run was about.
+        folder: where pictures are written.
+    """
+
+    reader: MlflowReader
+    runs: pd.DataFrame
+    load: Load
+    folder: Path
+
+    def jobs(self, sweep: str) -> pd.DataFrame:
+        """The finished runs of the newest sweep of that name, one for each job, the oldest first."""
+        runs = self.runs.reindex(columns=COLUMNS)
+        jobs: pd.DataFrame = runs[(runs["tags.sweep"] == sweep) & (runs["status"] == "FINISHED") & runs[PARENT].notna()]
+        if jobs.empty:
+            return jobs
+        jobs = jobs[jobs[PARENT] == jobs[PARENT].iloc[-1]]
+        return jobs.drop_duplicates("tags.job", keep="last")
+
+    def optimiser_runs(self, jobs: pd.DataFrame) -> list[OptimiserRun]:
+        """What optimisations found, and how they converged."""
+        return [
+            OptimiserRun(
+                job["tags.choice.optimiser"],
+                int(job["params.seed"]),
+                {index: job[f"metrics.{index}"] for index in INDICES},
+                [Record(*point) for point in self.reader.curve(str(run_id), "best_fitness")],
+                Deployment.from_csv(self.reader.artifact(str(run_id), "landmarks.csv")),
+            )
+            for run_id, job in jobs.iterrows()
+        ]
+
+    def picture(self, name: str, caption: str, draw: Callable[[Path], None]) -> Picture:
+        """A picture drawn by `draw` into the folder."""
+        path = self.folder / f"{name}.png"
+        draw(path)
+        shrink(path)
+        return Picture(path, caption)
