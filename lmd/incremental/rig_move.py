@@ -31,15 +31,22 @@ def _show(i, q, w, now, n, state):
     return was
 
 
-@inlined
-def _exchange_parts(k, q, state, scratch):
-    """Exchange what the parts have of landmark k at position q."""
+@inner
+def _exchange_part(k, positions, caps, veiled, cap, veil):
+    """Exchange what a part has of landmark k at `positions`."""
+    for q in positions:
+        for m in range(caps.shape[2]):
+            for w in range(caps.shape[3]):
+                caps[k, q, m, w], cap[q, m, w] = cap[q, m, w], caps[k, q, m, w]
+                veiled[k, q, m, w], veil[q, m, w] = veil[q, m, w], veiled[k, q, m, w]
+
+
+@inner
+def _exchange_parts(k, positions, state, scratch):
+    """The same of all parts."""
     for j in range(len(state.parts)):
-        mine, other = state.parts[j], scratch.parts[j]
-        for m in range(mine.caps.shape[2]):
-            for w in range(other.cap.shape[2]):
-                mine.caps[k, q, m, w], other.cap[q, m, w] = other.cap[q, m, w], mine.caps[k, q, m, w]
-                mine.veiled[k, q, m, w], other.veil[q, m, w] = other.veil[q, m, w], mine.veiled[k, q, m, w]
+        mine, other = state.parts[j], scratch.parts[j]  # copied: outside of other loops
+        _exchange_part(k, positions, mine.caps, mine.veiled, other.cap, other.veil)
 
 
 @inner
@@ -53,12 +60,12 @@ def take_back_rig(field, k, state, scratch):
     """Exchange landmark k for what `scratch` has of its other place; to do so twice changes nothing."""
     k = np.uint64(k)
     n, words = field.n, np.uint64(scratch.fresh.shape[1])
-    for s in range(scratch.near[1]):
-        for q in range(scratch.spans[s, 0], scratch.spans[s, 1]):
-            state.units[q], scratch.units[q] = scratch.units[q], state.units[q]
-            for w in range(words):
-                scratch.fresh[q, w] = _show(k, q, w, scratch.fresh[q, w], n, state)
-            _exchange_parts(k, q, state, scratch)
+    positions = scratch.listed[: list_near(scratch, True)]
+    for q in positions:
+        state.units[q], scratch.units[q] = scratch.units[q], state.units[q]
+        for w in range(words):
+            scratch.fresh[q, w] = _show(k, q, w, scratch.fresh[q, w], n, state)
+    _exchange_parts(k, positions, state, scratch)
     for e in range(scratch.found[0]):
         i, q = np.uint64(scratch.who[e]), np.uint64(scratch.where[e])
         for w in range(words):
@@ -91,7 +98,7 @@ def _fill(field, state, scratch):
         for q in positions:
             for w in range(np.uint64(scratch.fresh.shape[1])):
                 _show(k, q, w, scratch.fresh[q, w], field.n, state)
-            _exchange_parts(k, q, state, scratch)
+        _exchange_parts(k, positions, state, scratch)
     sum_up(field, state)
 
 

@@ -78,25 +78,25 @@ def _find_caps(k, stations, positions, body, scratch, rig, whole):
 @inner
 def forget(scratch):
     """Clear what the last trial left."""
-    for e in range(scratch.found[0]):
-        i, q = scratch.who[e], scratch.where[e]
-        scratch.known[i, q] = False
-        for j in range(len(scratch.parts)):
-            flipped = scratch.parts[j].flipped
+    for j in range(len(scratch.parts)):
+        part = scratch.parts[j]  # copied: outside of other loops
+        cap, veil, flipped = part.cap, part.veil, part.flipped
+        part.rivals[0] = 0
+        for e in range(scratch.found[0]):
+            i, q = scratch.who[e], scratch.where[e]
             for m in range(flipped.shape[2]):
                 for w in range(flipped.shape[3]):
                     flipped[i, q, m, w] = ZERO
-    for e in range(scratch.found[1]):
-        scratch.touched[scratch.places[e]] = False
-    scratch.found[0] = scratch.found[1] = 0
-    for j in range(len(scratch.parts)):
-        cap, veil = scratch.parts[j].cap, scratch.parts[j].veil
-        scratch.parts[j].rivals[0] = 0
         for s in range(scratch.near[1]):
             for q in range(scratch.spans[s, 0], scratch.spans[s, 1]):
                 for m in range(cap.shape[1]):
                     for w in range(cap.shape[2]):
                         cap[q, m, w] = veil[q, m, w] = ZERO
+    for e in range(scratch.found[0]):
+        scratch.known[scratch.who[e], scratch.where[e]] = False
+    for e in range(scratch.found[1]):
+        scratch.touched[scratch.places[e]] = False
+    scratch.found[0] = scratch.found[1] = 0
     for s in range(scratch.near[1]):
         for q in range(scratch.spans[s, 0], scratch.spans[s, 1]):
             for w in range(scratch.fresh.shape[1]):
@@ -143,7 +143,7 @@ def _ask(k, state, scratch):
 
 
 @inner
-def count_others(k, state, scratch):
+def _count_others(k, state, scratch):
     """Count in `digits` the landmarks but k at positions that are touched, the pairs having turned."""
     counts, shown, digits = state.counts, state.shown, scratch.digits
     words = np.uint64(shown.shape[2])
@@ -162,29 +162,34 @@ def count_others(k, state, scratch):
 
 
 @inner
-def _ask_again(k, n, state, scratch):
-    """The same as `_ask` at positions that are touched."""
+def ask_again(k, n, or_more, state, scratch):
+    """The same at positions that are touched: where n - 1 others are seen, `or_more`."""
     asked, digits = scratch.asked, scratch.digits
-    count_others(k, state, scratch)
+    _count_others(k, state, scratch)
     for e in range(scratch.found[1]):
         q = scratch.places[e]
         for w in range(np.uint64(asked.shape[1])):
-            asked[q, w] = ALL
+            equal, least = ALL, ALL
             for j in range(np.uint64(digits.shape[2])):
-                asked[q, w] = equal_so_far(asked[q, w], digits[q, w, j], n - 1, j)
+                equal = equal_so_far(equal, digits[q, w, j], n - 1, j)
+                least = at_least_so_far(least, digits[q, w, j], n - 1, j)
+            asked[q, w] = least if or_more else equal
 
 
 @inner
 def join(positions, scratch):
     """Find in `fresh` what all cameras see of the place tried at `positions`."""
+    fresh = scratch.fresh
     for q in positions:
-        for w in range(np.uint64(scratch.fresh.shape[1])):
-            fresh = ZERO
-            for j in range(len(scratch.parts)):
-                cap, veil = scratch.parts[j].cap, scratch.parts[j].veil
-                for m in range(cap.shape[1]):
-                    fresh |= cap[q, m, w] & ~veil[q, m, w]
-            scratch.fresh[q, w] = fresh
+        for w in range(np.uint64(fresh.shape[1])):
+            fresh[q, w] = ZERO
+    for j in range(len(scratch.parts)):
+        part = scratch.parts[j]
+        cap, veil = part.cap, part.veil
+        for q in positions:
+            for m in range(cap.shape[1]):
+                for w in range(np.uint64(fresh.shape[1])):
+                    fresh[q, w] |= cap[q, m, w] & ~veil[q, m, w]
 
 
 @inner
@@ -247,7 +252,7 @@ def bound_rig_move(field, k, pose, surface, state, scratch):
     """See `trial.bound_move`."""
     begin_rig_move(k, pose, surface, field, state, scratch)
     _ask(np.uint64(k), state, scratch)
-    _ask_again(np.uint64(k), field.n, state, scratch)
+    ask_again(np.uint64(k), field.n, False, state, scratch)
     positions = scratch.listed[: list_near(scratch, False)]
     see_anew(np.uint64(k), field.parts, positions, False, field, state, scratch)
     _find_units(np.uint64(k), positions, field.n, field.weights, state, scratch)
@@ -257,7 +262,7 @@ def bound_rig_move(field, k, pose, surface, state, scratch):
 def finish_rig_move(field, k, state, scratch):
     """See `trial.finish_move`."""
     find_pairs(np.uint64(k), COMES, field.parts, field, state, scratch)
-    _ask_again(np.uint64(k), field.n, state, scratch)
+    ask_again(np.uint64(k), field.n, False, state, scratch)
     positions = scratch.places[: scratch.found[1]]
     see_anew(np.uint64(k), field.parts, positions, False, field, state, scratch)
     _find_units(np.uint64(k), positions, field.n, field.weights, state, scratch)

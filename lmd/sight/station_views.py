@@ -122,9 +122,9 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
         landmarks, normals: `(1, 3, K)`.
         slack: see `criteria.from_position`, `(K,)` metres; what blocks a landmark with slack is not asked.
         n, keep: where n landmarks are covered, others are left out unless `keep` is set.
-        seen: sets of orientations, `(P, K, W)`.
+        seen: sets of orientations, `(1, P, K, W)`, or `(M, P, K, W)` of each mount by itself, which `keep` asks for.
     """
-    sight, words, total = part.sight, np.uint64(seen.shape[2]), landmarks.shape[2]
+    sight, words, total = part.sight, np.uint64(seen.shape[3]), landmarks.shape[2]
     poses, names, order = np.empty((6, total)), np.arange(total), np.arange(len(positions))
     clear, ends, view = is_clear(obstacles), no_ends(obstacles, total), viewpoint_for(total)
     for k in range(total):
@@ -138,7 +138,7 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
     start, row, suspects = np.empty(total), np.empty(total, np.uint64), np.empty(total + 1, np.int64)
     close = np.zeros((total, total // BLOCK + 1), np.uint32)
     some, doubtful = np.empty((n, words), dtype=np.uint64), np.empty(total, dtype=np.bool_)
-    mounts = len(part.axes)
+    mounts, each = len(part.axes), len(seen) > 1
     undecided, sure = np.empty((total, mounts, words), np.uint64), np.empty((total, mounts, words), np.uint64)
     loose, width = slack.max() > 0.0, math.sqrt(max(sight.reach, 0.0))
     many = count = 0
@@ -148,7 +148,7 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
         some[:] = ZERO
         if loose:
             for k in range(count):
-                _see_loosely(part, px, py, pz, near, k, who[k], slack[who[k]], seen[p, who[k]])
+                _see_loosely(part, px, py, pz, near, k, who[k], slack[who[k]], seen[0, p, who[k]])
         for c in range(len(part.centres)):
             _look_around(part, c, view, count, px, py, pz, start)
             radius = part.radius[c]
@@ -174,12 +174,10 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
                 shown[listed] = k
                 listed += 1
                 for w in range(words):
-                    cap = seen[p, name, w]
                     for m in range(begin, end if not doubtful[k] else begin):
-                        cap |= sure[k, m, w]
-                    seen[p, name, w] = cap
+                        seen[m if each else 0, p, name, w] |= sure[k, m, w]
                     if not keep:
-                        _add_to(some, w, cap)
+                        _add_to(some, w, seen[0, p, name, w])
             for e in range(listed):
                 k = shown[e]
                 name, rivals = who[k], -1
@@ -187,7 +185,8 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
                 frame = frame_of(sized(sight, name), nx, ny, nz)
                 for m in range(begin, end):
                     for w in range(words):
-                        mine, left, cap = seen[p, name, w], undecided[k, m, w], ZERO
+                        s = m if each else 0
+                        mine, left, cap = seen[s, p, name, w], undecided[k, m, w], ZERO
                         if doubtful[k]:
                             left |= sure[k, m, w]
                         left &= ~mine if keep else ~(mine | some[n - 1, w])
@@ -217,7 +216,7 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
                             if not hidden:
                                 cap |= ONE << bit
                         if cap:
-                            seen[p, name, w] = mine | cap
+                            seen[s, p, name, w] = mine | cap
                             if not keep:
                                 _add_to(some, w, cap)
             if not keep:
@@ -274,10 +273,42 @@ def seen_by(
         landmarks, normals, slack: `(K, 3)` and `(K,)`, see `_see`.
         n: if it is not 0, where n landmarks are in view, others are left out.
     """
-    points, directions = (for_kernels(v.T[None]) for v in (landmarks, normals))
-    seen = np.zeros((len(positions), len(landmarks), parts[0].axes.shape[2] // BITS), dtype=np.uint64)
+    seen = _nothing(1, parts[0], positions, landmarks)
     for part in parts:
-        obstacles = obstacles_at(blockers, places_around(positions, part) if blockers is not None else positions)
-        part = part._replace(horizon=part.horizon + float(slack.max(initial=0.0)))
-        _see(positions, part, obstacles, points, directions, slack, max(n, 1), n == 0, seen)
+        _find(part, blockers, positions, landmarks, normals, slack, n, seen)
+    return np.asarray(seen[0])
+
+
+def seen_by_each(
+    part: Part,
+    blockers: Blockers | Triangles | None,
+    positions: FloatArray,
+    landmarks: FloatArray,
+    normals: FloatArray,
+) -> np.ndarray:
+    """The same for each mount of a part by itself, `(M, P, K, W)`."""
+    seen = _nothing(len(part.axes), part, positions, landmarks)
+    _find(part, blockers, positions, landmarks, normals, np.zeros(len(landmarks)), 0, seen)
     return seen
+
+
+def _nothing(count: int, part: Part, positions: FloatArray, landmarks: FloatArray) -> np.ndarray:
+    """So many empty sets of orientations for each position and landmark."""
+    return np.zeros((count, len(positions), len(landmarks), part.axes.shape[2] // BITS), dtype=np.uint64)
+
+
+def _find(
+    part: Part,
+    blockers: Blockers | Triangles | None,
+    positions: FloatArray,
+    landmarks: FloatArray,
+    normals: FloatArray,
+    slack: FloatArray,
+    n: int,
+    seen: np.ndarray,
+) -> None:
+    """Add to `seen`, see `_see`, what a part covers; the others as in `seen_by`."""
+    points, directions = (for_kernels(v.T[None]) for v in (landmarks, normals))
+    obstacles = obstacles_at(blockers, places_around(positions, part) if blockers is not None else positions)
+    part = part._replace(horizon=part.horizon + float(slack.max(initial=0.0)))
+    _see(positions, part, obstacles, points, directions, slack, max(n, 1), n == 0, seen)

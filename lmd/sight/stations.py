@@ -115,25 +115,6 @@ def with_sight(part: Part, sight: Any) -> Part:
     return part._replace(sight=sight, horizon=_horizon(sight, part.places))
 
 
-def each_mount(part: Part) -> tuple[Part, ...]:
-    """The mounts of a part, each as a part of its own."""
-    found = part.tables.reshape(len(part.tables), 2, len(part.axes), -1)
-    centre = np.repeat(np.arange(len(part.centres)), np.diff(part.mounts))
-    return tuple(
-        part._replace(
-            centres=part.centres[[centre[m]]],
-            radius=part.radius[[centre[m]]],
-            mounts=np.array([0, 1]),
-            offsets=part.offsets[[m]],
-            axes=part.axes[[m]],
-            depths=part.depths[[m]],
-            place=part.place[[m]],
-            tables=np.ascontiguousarray(found[:, :, m].reshape(len(found), -1)),
-        )
-        for m in range(len(centre))
-    )
-
-
 def places_around(positions: FloatArray, part: Part) -> FloatArray:
     """Where cameras are: the places of a position one after the other, `(P G, 3)`, metres."""
     return np.asarray((positions[:, None] + part.places).reshape(-1, 3))

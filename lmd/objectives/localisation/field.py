@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from lmd.core.bits import ZERO
 from lmd.incremental.coverage_field import CoverageField
 from lmd.incremental.field import accept, bound, settle, undo
 from lmd.incremental.move import carry_out, take_back
@@ -53,11 +54,11 @@ settle.register(LocalisationField)(finish_move)
 def _accept(field, k, state, scratch):  # type: ignore[no-untyped-def]
     change_sums(k, 1.0, field, state, scratch)
     carry_out(field.coverage, k, state.coverage, scratch.coverage)
-    exchange(state, scratch)
+    exchange(ZERO, np.uint64(len(state.units)), state, scratch)
 
 
 @undo.register(LocalisationField)
 def _undo(field, k, state, scratch):  # type: ignore[no-untyped-def]
     take_back(field.coverage, k, state.coverage, scratch.coverage)
     change_sums(k, -1.0, field, state, scratch)
-    exchange(state, scratch)
+    exchange(ZERO, np.uint64(len(state.units)), state, scratch)

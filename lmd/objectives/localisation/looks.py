@@ -9,18 +9,17 @@ from lmd.core.bits import ZERO
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inner
 from lmd.objectives.localisation.body import gain_of
-from lmd.objectives.localisation.slots import add_landmark
+from lmd.objectives.localisation.slots import Mounts, add_landmark, add_up
 from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
-from lmd.sight.station_views import seen_by
-from lmd.sight.stations import Part, each_mount
+from lmd.sight.station_views import seen_by_each
+from lmd.sight.stations import Part
 
 
 class Looks(NamedTuple):
-    """What the M cameras of a part cover of K landmarks: sets of orientations, `(M, P, K, W)`; gain: see `gain_of`."""
+    """What the M cameras of a part cover of K landmarks: sets of orientations, `(M, P, K, W)`."""
 
-    part: Part
-    gain: float
+    mounts: Mounts
     sets: np.ndarray
 
 
@@ -29,14 +28,14 @@ def looks_of(
 ) -> tuple[Looks, ...]:
     """What the parts of a rig, of the evaluator's or variants of them, cover from positions of the body, `(P, 3)`."""
     args = evaluator.scene.room.blockers(), positions, deployment.positions, deployment.normals
-    sets = [[seen_by((mount,), *args, np.zeros(len(deployment))) for mount in each_mount(part)] for part in parts]
-    return tuple(map(Looks, parts, gains_of(evaluator), map(np.stack, sets)))
+    return tuple(map(Looks, mounts_of(evaluator, parts), [seen_by_each(part, *args) for part in parts]))
 
 
-def gains_of(evaluator: Evaluator) -> list[float]:
-    """`gain_of` the cameras of each part of a rig, in the order of `stations.parts_of`."""
+def mounts_of(evaluator: Evaluator, parts: tuple[Part, ...]) -> tuple[Mounts, ...]:
+    """The mounts of the parts of a rig, of the evaluator's or variants of them."""
     cameras = evaluator.scene.cameras
-    return [gain_of(kind, cameras[0]) for kind in dict.fromkeys(cameras)]
+    each = enumerate(zip(parts, dict.fromkeys(cameras), strict=True))
+    return tuple(Mounts(j, p.sight, p.offsets, p.axes, gain_of(kind, cameras[0])) for j, (p, kind) in each)
 
 
 @inner
@@ -49,12 +48,14 @@ def _seen(looks, p, k, w):
 
 
 @inner
-def _add(looks, p, k, w, place, pose, precision, slots, count):
+def _add(looks, p, which, w, place, tags, precision, slots):
     """See `add_of_all`, of a part."""
-    for m in range(len(looks.sets)):
-        seen = looks.sets[m, p, k, w]
-        if seen:
-            add_landmark(looks.part, m, w, seen, place, pose, k, 1.0, looks.gain, precision, slots, count)
+    for k in which:
+        tag = (
+            tags[k, 0], tags[k, 1], tags[k, 2], tags[k, 3], tags[k, 4], tags[k, 5], tags[k, 6], tags[k, 7], tags[k, 8]
+        )  # fmt: skip
+        for m in range(len(looks.sets)):
+            add_landmark(looks.mounts, m, w, looks.sets[m, p, k, w], place, tag, 1.0, precision, slots)
 
 
 @inner
@@ -67,7 +68,8 @@ def seen_by_any(every, p, k, w):
 
 
 @inner
-def add_of_all(every, p, k, w, place, pose, precision, slots, count):
-    """Add what landmark k, with its `pose`, tells all cameras with the body at `place`, position p: `add_landmark`."""
+def add_of_all(every, p, which, w, place, tags, precision, slots):
+    """Add what those landmarks of `tags` that are in `which` tell all cameras, the body at `place`, position p."""
     for looks in literal_unroll(every):
-        _add(looks, p, k, w, place, pose, precision, slots, count)
+        _add(looks, p, which, w, place, tags, precision, slots)
+    add_up(precision, slots)

@@ -36,9 +36,9 @@ def change_sums(k, sign, field, state, scratch):
 
 
 @inner
-def exchange(state, scratch):
-    """Exchange what state and scratch know of the values."""
-    for p in range(len(state.units)):
+def exchange(first, last, state, scratch):
+    """Exchange what state and scratch know of the values at the positions from the first up to the last."""
+    for p in range(first, last):
         state.units[p], scratch.units[p] = scratch.units[p], state.units[p]
         state.located[p], scratch.located[p] = scratch.located[p], state.located[p]
         for w in range(state.localised.shape[1]):

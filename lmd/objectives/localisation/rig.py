@@ -3,8 +3,8 @@
 A rig of one camera at the body's origin gets the figures of that camera alone.
 """
 
+import math
 from functools import partial
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -12,11 +12,11 @@ import numpy as np
 from lmd.core.bits import ZERO
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.core.compiled import for_kernels, kernel
-from lmd.core.threads import at_once
+from lmd.core.threads import in_parts
 from lmd.objectives.localisation.body import BODY_WIDTH, add_share, body_meets, gain_of, position_variance
 from lmd.objectives.localisation.information import PosePrecision, Precision
 from lmd.objectives.localisation.looks import add_of_all, looks_of, seen_by_any
-from lmd.objectives.localisation.slots import VIEW, fill_slots, met_slots, new_slots
+from lmd.objectives.localisation.slots import VIEW, fill_slots, met_slots, new_slots, tags_of
 from lmd.objectives.localisation.trial import sum_weights
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
@@ -24,7 +24,7 @@ from lmd.sight.evaluator import Evaluator
 from lmd.sight.stations import Part
 from lmd.sight.views import visible_to_each
 
-VIEWS_AT_ONCE = 1 << 14  # of which the landmarks seen are kept
+VIEWS_AT_ONCE = 1 << 16  # of which the landmarks seen are kept
 
 
 def rig_views(
@@ -37,58 +37,61 @@ def rig_views(
 ) -> tuple[IntArray, IntArray, FloatArray]:
     """See `views.localised_views`; the precision is in the units of the first camera."""
     size, orientations = len(evaluator.positions), evaluator.axes.shape[1]
-    step = max(VIEWS_AT_ONCE // orientations, 1)
-    chunks = list(pairwise([*range(0, size, step), size]))
     covered, localised = np.zeros((2, len(positions), size), dtype=np.int64)
     kept = np.full((len(positions), size, orientations) if keep else (0, 0, 0), np.inf)
     order, weights = evaluator.blocks[0][:size], evaluator.weights
+    pieces = max(math.ceil(size * orientations / VIEWS_AT_ONCE), evaluator.threads)
 
-    def work(b: int, parts: tuple[Part, ...], chunk: tuple[int, int]) -> None:
-        here, landmarks = order[slice(*chunk)], Deployment(positions[b], normals[b])
+    def work(b: int, parts: tuple[Part, ...], landmarks: Deployment, tags: FloatArray, first: int, last: int) -> None:
+        here = order[first:last]
         places, kinds = evaluator.positions[here], weights[here] if len(weights) > 1 else weights
         every, found = looks_of(evaluator, parts, places, landmarks), np.zeros((2, len(here)), dtype=np.int64)
         variances = np.full((len(here), orientations), np.inf) if keep else np.empty((0, 0))
-        poses = np.hstack([positions[b], normals[b]])
-        _localise(every, places, poses, kinds, n, precision, precision.asks, new_slots(), found, variances)
+        _localise(every, places, tags, kinds, n, precision, precision.asks, new_slots(), found, variances)
         covered[b, here], localised[b, here] = found
         if keep:
             kept[b, here] = variances
 
     for b in range(len(positions)):
         parts = evaluator.rig_views.parts_among(positions[b], normals[b])
-        at_once(evaluator.threads, partial(work, b, parts), chunks)
+        deployed = Deployment(positions[b], normals[b]), tags_of(precision, positions[b], normals[b])
+        in_parts(evaluator.threads, partial(work, b, parts, *deployed), size, pieces)
     return covered, localised, kept
 
 
 @kernel
-def _localise(every, positions, poses, weights, n, precision, asks, slots, found, variances):  # type: ignore[no-untyped-def]
+def _localise(every, positions, tags, weights, n, precision, asks, slots, found, variances):  # type: ignore[no-untyped-def]
     """Find P_n and L in units, `found` `(2, P)`.
 
     Args:
         every: what the cameras cover, see `Looks`.
         positions: of the body, `(P, 3)`.
-        poses: of the landmarks, `(K, 6)`.
+        tags: the landmarks, see `tags_of`.
         weights: of the orientations in units, `(1, D)` or `(P, D)`.
         n, precision, asks: see `kernels.localise_range`.
         slots: working memory.
         variances: `(P, D)` of infinity, receives those of the position where n are covered; empty if nobody asks.
     """
     some, words = np.zeros(n, dtype=np.uint64), np.uint64(weights.shape[1]) // VIEW
+    shown = np.empty(len(tags), dtype=np.int64)
     for p in range(np.uint64(len(positions))):
         place = positions[p, 0], positions[p, 1], positions[p, 2]
         for w in range(words):
             some[:] = ZERO
-            for k in range(len(poses)):
+            listed = 0
+            for k in range(len(tags)):
                 seen = seen_by_any(every, p, k, w)
+                if seen == ZERO:
+                    continue
+                shown[listed] = k
+                listed += 1
                 for j in range(n - 1, 0, -1):
                     some[j] |= some[j - 1] & seen
                 some[0] |= seen
             good = has = some[n - 1]
             if has and (asks or len(variances)):
                 count = fill_slots(has, slots)
-                for k in range(len(poses)):
-                    pose = poses[k, 0], poses[k, 1], poses[k, 2], poses[k, 3], poses[k, 4], poses[k, 5]
-                    add_of_all(every, p, k, w, place, pose, precision, slots, count)
+                add_of_all(every, p, shown[:listed], w, place, tags, precision, slots)
                 if asks:
                     good = has & met_slots(precision, slots, count)
                 for v in range(count if len(variances) else ZERO):

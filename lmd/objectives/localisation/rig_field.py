@@ -8,7 +8,7 @@ from lmd.incremental.field import accept, bound, settle, undo
 from lmd.incremental.rig_field import RigField, rig_field
 from lmd.incremental.rig_state import RigScratch
 from lmd.objectives.localisation.body import BODY_WIDTH
-from lmd.objectives.localisation.looks import gains_of
+from lmd.objectives.localisation.looks import mounts_of
 from lmd.objectives.localisation.rig_trial import (
     bound_localised_move,
     carry_out_localised,
@@ -16,7 +16,7 @@ from lmd.objectives.localisation.rig_trial import (
     sum_up_anew,
     take_back_localised,
 )
-from lmd.objectives.localisation.slots import Slots, new_slots
+from lmd.objectives.localisation.slots import Mounts, Slots, new_slots
 from lmd.objectives.localisation.state import LocalisationState, blank_state
 from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
@@ -26,7 +26,8 @@ class RigLocalisationScratch(NamedTuple):
     """The move tried last, and working memory.
 
     units, located, enough, localised: as in the state, after the move; coverage: the scratch of coverage. Once the move
-    is carried out, these are those of before. slots: the views that are worked on.
+    is carried out, these are those of before. lost, gained: the orientations with which the move takes a landmark from
+    some camera, and gives it one, `(Q, W)`. slots: the views that are worked on.
     """
 
     units: np.ndarray
@@ -34,20 +35,22 @@ class RigLocalisationScratch(NamedTuple):
     enough: np.ndarray
     localised: np.ndarray
     coverage: RigScratch
+    lost: np.ndarray
+    gained: np.ndarray
     slots: Slots
 
 
 class RigLocalisationField(NamedTuple):
     """What does not change while landmarks move; a `lmd.incremental.field.Field`.
 
-    precision, asks, weight: as in `LocalisationField`; gains: see `gains_of`.
+    precision, asks, weight: as in `LocalisationField`; mounts: of each part of the rig.
     """
 
     coverage: RigField
     precision: Any
     asks: bool
     weight: float
-    gains: np.ndarray
+    mounts: tuple[Mounts, ...]
 
     @property
     def size(self) -> int:
@@ -74,6 +77,8 @@ class RigLocalisationField(NamedTuple):
             enough=state.enough.copy(),
             localised=state.localised.copy(),
             coverage=self.coverage.scratch(state.coverage),
+            lost=np.zeros_like(state.enough),
+            gained=np.zeros_like(state.enough),
             slots=new_slots(),
         )
 
@@ -86,5 +91,5 @@ undo.register(RigLocalisationField)(take_back_localised)
 
 def rig_localisation_field(evaluator: Evaluator, n: int, precision: Any, weight: float) -> RigLocalisationField:
     """The field of L at the positions of an evaluator whose scene has a rig."""
-    gains = np.array(gains_of(evaluator))
-    return RigLocalisationField(rig_field(evaluator, n), precision, precision.asks, weight, gains)
+    mounts = mounts_of(evaluator, evaluator.parts)
+    return RigLocalisationField(rig_field(evaluator, n), precision, precision.asks, weight, mounts)

@@ -12,7 +12,7 @@ from lmd.core.compiled import kernel
 from lmd.core.threads import in_parts
 from lmd.objectives.localisation.body import BODY_WIDTH, body_log_det
 from lmd.objectives.localisation.looks import Looks, add_of_all, looks_of, seen_by_any
-from lmd.objectives.localisation.slots import VIEW, fill_slots, give_sums, new_slots, take_sums
+from lmd.objectives.localisation.slots import VIEW, fill_slots, give_sums, new_slots, tags_of, take_sums
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
@@ -23,12 +23,12 @@ AT_A_TIME = 64  # poses that a thread works on at a time: what they see in all o
 
 
 @kernel
-def _gains(every, poses, prices, positions, precision, sums, known, slots, out):
+def _gains(every, tags, prices, positions, precision, sums, known, slots, out):
     """Write what N poses gain into `out` `(N,)`.
 
     Args:
         every: `Looks` of each part of the rig.
-        poses: `(N, 6)`.
+        tags: the poses, see `tags_of`.
         prices: of positions and orientations, `(P, D)`.
         positions: of the body, `(P, 3)`.
         precision: the size of a tag.
@@ -36,10 +36,9 @@ def _gains(every, poses, prices, positions, precision, sums, known, slots, out):
         known: their `body_log_det`, `(P, D)`.
         slots: working memory.
     """
-    words = np.uint64(known.shape[1]) // VIEW
+    words, which = np.uint64(known.shape[1]) // VIEW, np.zeros(1, dtype=np.int64)
     for j in range(len(out)):
-        pose = poses[j, 0], poses[j, 1], poses[j, 2], poses[j, 3], poses[j, 4], poses[j, 5]
-        out[j] = 0.0
+        which[0], out[j] = j, 0.0
         for p in range(np.uint64(len(positions))):
             place = positions[p, 0], positions[p, 1], positions[p, 2]
             for w in range(words):
@@ -48,17 +47,16 @@ def _gains(every, poses, prices, positions, precision, sums, known, slots, out):
                     continue
                 count = fill_slots(seen, slots)
                 take_sums(sums, first, slots, count)
-                add_of_all(every, p, j, w, place, pose, precision, slots, count)
+                add_of_all(every, p, which, w, place, tags, precision, slots)
                 for v in range(count):
                     a = w * VIEW + slots.bits[v]
                     out[j] += prices[p, a] * (body_log_det(slots.rows, v, VIEW) - known[p, a])
 
 
 @kernel
-def _choose(every, poses, positions, precision, sums, flat, known, slots):
+def _choose(every, tags, positions, precision, sums, flat, known, slots):
     """Add the only one of the poses to `sums`, whose numbers are `flat`, and `known`; args as in `_gains`."""
-    words = np.uint64(known.shape[1]) // VIEW
-    pose = poses[0, 0], poses[0, 1], poses[0, 2], poses[0, 3], poses[0, 4], poses[0, 5]
+    words, which = np.uint64(known.shape[1]) // VIEW, np.zeros(1, dtype=np.int64)
     for p in range(np.uint64(len(positions))):
         place = positions[p, 0], positions[p, 1], positions[p, 2]
         for w in range(words):
@@ -66,7 +64,7 @@ def _choose(every, poses, positions, precision, sums, flat, known, slots):
             if seen == ZERO:
                 continue
             count = fill_slots(seen, slots)
-            add_of_all(every, p, 0, w, place, pose, precision, slots, count)
+            add_of_all(every, p, which, w, place, tags, precision, slots)
             give_sums(sums, first, slots, count)
             for v in range(count):
                 row = np.int64((first + slots.bits[v]) * np.uint64(BODY_WIDTH))
@@ -114,7 +112,7 @@ class RigLogDeterminant:
                 precision: Any = precision,
             ) -> None:
                 part = these[first:last]
-                there = np.hstack([part.positions, part.normals])
+                there = tags_of(precision, part.positions, part.normals)
                 known = self._prices, e.positions, precision, self._sums, self._known, new_slots()
                 _gains(self._looks(e, part), there, *known, out[first:last])
 
@@ -124,6 +122,8 @@ class RigLogDeterminant:
 
     def add(self, pose: Deployment) -> None:
         """See `Selection.add`."""
-        there, sums = np.hstack([pose.positions, pose.normals]), (self._sums, self._sums.reshape(-1))
+        sums = self._sums, self._sums.reshape(-1)
         for e, _ in by_edge(self._evaluator, pose):
-            _choose(self._looks(e, pose), there, e.positions, self._precision(e.scene), *sums, self._known, new_slots())
+            precision = self._precision(e.scene)
+            tags = tags_of(precision, pose.positions, pose.normals)
+            _choose(self._looks(e, pose), tags, e.positions, precision, *sums, self._known, new_slots())

@@ -11,18 +11,37 @@ from numba import literal_unroll
 
 from lmd.core.bits import ALL, ZERO, at_least_so_far
 from lmd.core.compiled import inlined, inner, kernel
+from lmd.geometry.squares import VERTICAL_TOLERANCE, upright_axes
 from lmd.incremental.rig_move import see_whole, take_back_rig
 from lmd.incremental.rig_pairs import COMES, find_pairs
-from lmd.incremental.rig_trial import begin_rig_move, count_others, list_near, see_anew
-from lmd.objectives.localisation.slots import VIEW, add_landmark, ask_for, fill_slots, give_sums, met_slots, take_sums
+from lmd.incremental.rig_trial import ask_again, begin_rig_move, list_near, see_anew
+from lmd.objectives.localisation.information import half_of
+from lmd.objectives.localisation.move import exchange
+from lmd.objectives.localisation.slots import (
+    VIEW,
+    add_landmark,
+    add_up,
+    ask_for,
+    fill_slots,
+    give_sums,
+    met_slots,
+    take_sums,
+)
 from lmd.objectives.localisation.trial import mixed, sum_weights
 
 
 @inlined
-def _pose(i, state):
-    """Position and normal of landmark i."""
-    landmarks, normals = state.landmarks, state.normals
-    return landmarks[0, i], landmarks[1, i], landmarks[2, i], normals[0, i], normals[1, i], normals[2, i]
+def _tag(half, x, y, z, nx, ny, nz):
+    """A landmark with half an edge as `tags_of` has it."""
+    rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, VERTICAL_TOLERANCE)
+    return x, y, z, half * rx, half * ry, half * rz, half * ux, half * uy, half * uz
+
+
+@inlined
+def _tag_of(i, precision, state):
+    """The same of landmark i."""
+    landmarks, normals, half = state.landmarks, state.normals, half_of(precision, i)
+    return _tag(half, landmarks[0, i], landmarks[1, i], landmarks[2, i], normals[0, i], normals[1, i], normals[2, i])
 
 
 @inlined
@@ -33,75 +52,75 @@ def _place(q, field):
 
 
 @inner
-def _add_changes(stations, k, q, w, sign, field, state, scratch, count):
+def _add_changes(mounts, k, q, w, sign, field, state, scratch):
     """Add to the views taken what the move changes for the cameras of a part, times `sign`: see `add_landmark`."""
-    part, gain, trial, slots = stations.part, field.gains[stations.number], scratch.coverage, scratch.slots
-    mine, other, target = state.coverage.parts[stations.number], trial.parts[stations.number], trial.target
-    old, new = _pose(k, state), (target[0], target[1], target[2], target[3], target[4], target[5])
+    trial, slots, count = scratch.coverage, scratch.slots, len(mounts.axes)
+    mine, other, target = state.coverage.parts[mounts.number], trial.parts[mounts.number], trial.target
     place, precision = _place(q, field), field.precision
-    for m in range(len(part.axes)):
+    old, half = _tag_of(k, precision, state), half_of(precision, k)
+    new = _tag(half, target[0], target[1], target[2], target[3], target[4], target[5])
+    for m in range(count):
         goes, comes = mine.caps[k, q, m, w] & ~mine.veiled[k, q, m, w], other.cap[q, m, w] & ~other.veil[q, m, w]
-        if goes:
-            add_landmark(part, m, w, goes, place, old, k, -sign, gain, precision, slots, count)
-        if comes:
-            add_landmark(part, m, w, comes, place, new, k, sign, gain, precision, slots, count)
+        add_landmark(mounts, m, w, goes, place, old, -sign, precision, slots)
+        add_landmark(mounts, m, w, comes, place, new, sign, precision, slots)
     for i in range(len(state.surfaces) if trial.touched[q] else 0):
-        for m in range(len(part.axes) if trial.known[i, q] else 0):
+        for m in range(count if trial.known[i, q] else 0):
             veiled, turns = mine.veiled[i, q, m, w], mine.caps[i, q, m, w] & other.flipped[i, q, m, w]
-            if turns & ~veiled:
-                add_landmark(
-                    part, m, w, turns & ~veiled, place, _pose(i, state), i, -sign, gain, precision, slots, count
-                )  # fmt: skip
-            if turns & veiled:
-                add_landmark(
-                    part, m, w, turns & veiled, place, _pose(i, state), i, sign, gain, precision, slots, count
-                )  # fmt: skip
+            if turns:
+                tag = _tag_of(i, precision, state)
+                add_landmark(mounts, m, w, turns & ~veiled, place, tag, -sign, precision, slots)
+                add_landmark(mounts, m, w, turns & veiled, place, tag, sign, precision, slots)
 
 
 @inner
-def _turns(stations, k, q, w, state, scratch):
-    """The orientations of word w at position q with which the cameras of a part lose a landmark, and gain one."""
-    mine, other = state.coverage.parts[stations.number], scratch.parts[stations.number]
-    lost = gained = ZERO
-    for m in range(mine.caps.shape[2]):
-        lost |= mine.caps[k, q, m, w] & ~mine.veiled[k, q, m, w]
-        gained |= other.cap[q, m, w] & ~other.veil[q, m, w]
-    for i in range(mine.caps.shape[0] if scratch.touched[q] else 0):
-        for m in range(mine.caps.shape[2] if scratch.known[i, q] else 0):
-            veiled, turns = mine.veiled[i, q, m, w], mine.caps[i, q, m, w] & other.flipped[i, q, m, w]
-            lost, gained = lost | (turns & ~veiled), gained | (turns & veiled)
-    return lost, gained
+def _find_turns_of(k, positions, mine, other, trial, lost, gained):
+    """See `_find_turns`, of a part."""
+    caps, veiled, flipped, cap, veil = mine.caps, mine.veiled, other.flipped, other.cap, other.veil
+    mounts, words = caps.shape[2], np.uint64(caps.shape[3])
+    for q in positions:
+        for m in range(mounts):
+            for w in range(words):
+                lost[q, w] |= caps[k, q, m, w] & ~veiled[k, q, m, w]
+                gained[q, w] |= cap[q, m, w] & ~veil[q, m, w]
+        for i in range(caps.shape[0] if trial.touched[q] else 0):
+            for m in range(mounts if trial.known[i, q] else 0):
+                for w in range(words):
+                    turns = caps[i, q, m, w] & flipped[i, q, m, w]
+                    lost[q, w] |= turns & ~veiled[i, q, m, w]
+                    gained[q, w] |= turns & veiled[i, q, m, w]
 
 
 @inner
-def _turns_of_all(k, q, w, field, state, scratch):
-    """See `_turns`, of all parts."""
-    lost, gained = ZERO, ZERO
-    for stations in literal_unroll(field.coverage.parts):
-        less, more = _turns(stations, k, q, w, state, scratch.coverage)
-        lost, gained = lost | less, gained | more
-    return lost, gained
+def _find_turns(k, positions, state, scratch):
+    """Find with which orientations the cameras lose a landmark at `positions`, and gain one."""
+    for q in positions:
+        for w in range(np.uint64(scratch.lost.shape[1])):
+            scratch.lost[q, w] = scratch.gained[q, w] = ZERO
+    for j in range(len(state.coverage.parts)):
+        mine, other = state.coverage.parts[j], scratch.coverage.parts[j]
+        _find_turns_of(k, positions, mine, other, scratch.coverage, scratch.lost, scratch.gained)
 
 
 @inner
-def _add_all_changes(k, q, w, sign, field, state, scratch, count):
+def _add_all_changes(k, q, w, sign, field, state, scratch):
     """See `_add_changes`, of all parts."""
-    for stations in literal_unroll(field.coverage.parts):
-        _add_changes(stations, k, q, w, sign, field, state, scratch, count)
+    for mounts in literal_unroll(field.mounts):
+        _add_changes(mounts, k, q, w, sign, field, state, scratch)
+    add_up(field.precision, scratch.slots)
 
 
 @inner
 def _localised(k, q, w, has, field, state, scratch):
     """The orientations of word w that are localised, of those that cover enough, `has`."""
     sums, slots, known = state.sums, scratch.slots, state.localised[q, w]
-    lost, gained = _turns_of_all(k, q, w, field, state, scratch)
+    lost, gained = scratch.lost[q, w], scratch.gained[q, w]
     left = has & ((lost & gained) | (lost & known) | (gained & ~known))
     good, first = known & has & ~left, (q * np.uint64(state.localised.shape[1]) + w) * VIEW
     if left == ZERO:
         return good
     count = fill_slots(left, slots)
     ask_for(sums, first, slots, count)
-    _add_all_changes(k, q, w, 1.0, field, state, scratch, count)
+    _add_all_changes(k, q, w, 1.0, field, state, scratch)
     take_sums(sums, first, slots, count)
     return good | met_slots(field.precision, slots, count)
 
@@ -117,6 +136,8 @@ def _decide(k, positions, field, state, scratch):
     """Find the values at `positions`, with what `fresh` has of landmark k and the pairs as they turn."""
     known, trial, n, weights = state.coverage, scratch.coverage, field.coverage.n, field.coverage.weights
     shown, short, just, fresh, digits = known.shown, known.short, known.just, trial.fresh, trial.digits
+    if field.asks:
+        _find_turns(k, positions, state, scratch)
     for q in positions:
         located, covered = state.located[q], known.units[q]
         for w in range(np.uint64(fresh.shape[1])):
@@ -152,19 +173,6 @@ def _ask(k, state, scratch):
 
 
 @inner
-def _ask_again(k, n, state, scratch):
-    """The same at positions that are touched, whatever is localised."""
-    asked, digits = scratch.asked, scratch.digits
-    count_others(k, state, scratch)
-    for e in range(scratch.found[1]):
-        q = scratch.places[e]
-        for w in range(np.uint64(asked.shape[1])):
-            asked[q, w] = ALL
-            for j in range(np.uint64(digits.shape[2])):
-                asked[q, w] = at_least_so_far(asked[q, w], digits[q, w, j], n - 1, j)
-
-
-@inner
 def bound_localised_move(field, k, pose, surface, state, scratch):
     """See `trial.bound_move`."""
     cover, known, trial, k = field.coverage, state.coverage, scratch.coverage, np.uint64(k)
@@ -172,7 +180,7 @@ def bound_localised_move(field, k, pose, surface, state, scratch):
     for q in range(len(scratch.units)):
         scratch.units[q] = state.units[q]
     _ask(k, state, scratch)
-    _ask_again(k, cover.n, known, trial)
+    ask_again(k, cover.n, True, known, trial)
     positions = trial.listed[: list_near(trial, False)]
     see_anew(k, cover.parts, positions, False, cover, known, trial)
     _decide(k, positions, field, state, scratch)
@@ -183,7 +191,7 @@ def finish_localised_move(field, k, state, scratch):
     """See `trial.finish_move`."""
     cover, known, trial, k = field.coverage, state.coverage, scratch.coverage, np.uint64(k)
     find_pairs(k, COMES, cover.parts, cover, known, trial)
-    _ask_again(k, cover.n, known, trial)
+    ask_again(k, cover.n, True, known, trial)
     positions = trial.places[: trial.found[1]]
     see_anew(k, cover.parts, positions, False, cover, known, trial)
     _decide(k, positions, field, state, scratch)
@@ -192,29 +200,27 @@ def finish_localised_move(field, k, state, scratch):
 @inner
 def _change_sums(k, sign, field, state, scratch):
     """Change the sums by the move tried last, or with a `sign` of -1 back; landmark k is still where it was."""
+    if not field.asks:
+        return
     words, trial, slots = np.uint64(state.localised.shape[1]), scratch.coverage, scratch.slots
-    for s in range(trial.near[1] if field.asks else 0):
-        for q in range(trial.spans[s, 0], trial.spans[s, 1]):
-            for w in range(words):
-                lost, gained = _turns_of_all(k, q, w, field, state, scratch)
-                if lost | gained == ZERO:
-                    continue
-                count, first = fill_slots(lost | gained, slots), (q * words + w) * VIEW
-                ask_for(state.sums, first, slots, count)
-                _add_all_changes(k, q, w, sign, field, state, scratch, count)
-                give_sums(state.sums, first, slots, count)
+    positions = trial.listed[: list_near(trial, True)]
+    _find_turns(k, positions, state, scratch)
+    for q in positions:
+        for w in range(words):
+            turns = scratch.lost[q, w] | scratch.gained[q, w]
+            if turns == ZERO:
+                continue
+            count, first = fill_slots(turns, slots), (q * words + w) * VIEW
+            ask_for(state.sums, first, slots, count)
+            _add_all_changes(k, q, w, sign, field, state, scratch)
+            give_sums(state.sums, first, slots, count)
 
 
 @inner
 def _exchange(state, scratch):
     """Exchange what state and scratch know of the values near the move."""
     for s in range(scratch.coverage.near[1]):
-        for q in range(scratch.coverage.spans[s, 0], scratch.coverage.spans[s, 1]):
-            state.units[q], scratch.units[q] = scratch.units[q], state.units[q]
-            state.located[q], scratch.located[q] = scratch.located[q], state.located[q]
-            for w in range(state.localised.shape[1]):
-                state.localised[q, w], scratch.localised[q, w] = scratch.localised[q, w], state.localised[q, w]
-                state.enough[q, w], scratch.enough[q, w] = scratch.enough[q, w], state.enough[q, w]
+        exchange(scratch.coverage.spans[s, 0], scratch.coverage.spans[s, 1], state, scratch)
 
 
 @inner
@@ -235,9 +241,9 @@ def take_back_localised(field, k, state, scratch):
 
 
 @inner
-def _shown(stations, q, w, state):
+def _shown(mine, q, w):
     """The orientations of word w with which the cameras of a part see any landmark from position q."""
-    mine, seen = state.coverage.parts[stations.number], ZERO
+    seen = ZERO
     for i in range(mine.caps.shape[0]):
         for m in range(mine.caps.shape[2]):
             seen |= mine.caps[i, q, m, w] & ~mine.veiled[i, q, m, w]
@@ -245,26 +251,28 @@ def _shown(stations, q, w, state):
 
 
 @inner
-def _add_shown(stations, q, w, field, state, scratch, count):
+def _add_shown(mounts, q, w, field, state, scratch):
     """Add to the views taken what all landmarks tell the cameras of a part."""
-    part, mine, gain = stations.part, state.coverage.parts[stations.number], field.gains[stations.number]
-    place, precision, slots = _place(q, field), field.precision, scratch.slots
+    mine, place, precision, slots = (
+        state.coverage.parts[mounts.number], _place(q, field), field.precision, scratch.slots
+    )  # fmt: skip
     for i in range(mine.caps.shape[0]):
         for m in range(mine.caps.shape[2]):
             seen = mine.caps[i, q, m, w] & ~mine.veiled[i, q, m, w]
             if seen:
-                add_landmark(part, m, w, seen, place, _pose(i, state), i, 1.0, gain, precision, slots, count)
+                add_landmark(mounts, m, w, seen, place, _tag_of(i, precision, state), 1.0, precision, slots)
 
 
 @inner
 def _met_anew(q, w, field, state, scratch):
     """Sum up what all landmarks tell in word w, and find where it is enough."""
     seen, slots, first = ZERO, scratch.slots, (q * np.uint64(state.localised.shape[1]) + w) * VIEW
-    for stations in literal_unroll(field.coverage.parts):
-        seen |= _shown(stations, q, w, state)
+    for j in range(len(state.coverage.parts)):
+        seen |= _shown(state.coverage.parts[j], q, w)
     count = fill_slots(seen, slots)
-    for stations in literal_unroll(field.coverage.parts):
-        _add_shown(stations, q, w, field, state, scratch, count)
+    for mounts in literal_unroll(field.mounts):
+        _add_shown(mounts, q, w, field, state, scratch)
+    add_up(field.precision, slots)
     give_sums(state.sums, first, slots, count)
     return met_slots(field.precision, slots, count)
 

@@ -1,16 +1,17 @@
 """Views of a rig that are worked on together: those of some orientations of one position, a word of bits at most.
 
-What landmarks tell is found for `GROUP` of them at a time, in loops that vectorise: the numbers of a view lie `BITS`
-apart, those of the views side by side.
+What landmarks tell is found for a list of pairs of a landmark and a view at a time, in a loop that vectorises: the
+numbers of a pair, and those of a view, lie `BITS` apart, those of the pairs, and of the views, side by side.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from lmd.core.bits import BITS, ONE, ZERO, lowest, prefetch
+from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner
-from lmd.geometry.squares import VERTICAL_TOLERANCE, upright_axes
+from lmd.geometry.squares import upright
 from lmd.objectives.localisation.body import BODY_WIDTH, about_body, body_meets
 from lmd.objectives.localisation.information import half_of, moments, share_of
 from lmd.scene.criteria import pixel_density
@@ -18,37 +19,74 @@ from lmd.scene.criteria import pixel_density
 GROUP = np.uint64(8)
 VIEW = np.uint64(BITS)
 NUMBERS = np.uint64(21)
+# Where the numbers of pairs begin: offset, weight, offset of the camera, sides of the tag, and what it tells.
+AT = tuple(np.uint64(BITS * i) for i in range(13 + 21))
+TOLD = np.uint64(13)
+
+
+class Mounts(NamedTuple):
+    """The M cameras of a part of a rig, as far as what landmarks tell them goes: a tuple is copied for many calls.
+
+    number: which part it is; sight, offsets, axes: as in `lmd.sight.stations.Part`; gain: see `body.gain_of`.
+    """
+
+    number: int
+    sight: Any
+    offsets: np.ndarray
+    axes: np.ndarray
+    gain: float
 
 
 class Slots(NamedTuple):
     """The views.
 
-    bits: which orientations they are, `(BITS + GROUP,)`; rows: their sums, number j of view v at j BITS + v,
-    `(BODY_WIDTH * BITS,)`; work: what is put in for a group, `(7 GROUP,)`.
+    bits: which orientations they are, `(BITS,)`; number: which view each orientation is, `(BITS,)`; rows: their sums,
+    number j of view v at j BITS + v, `(BODY_WIDTH BITS,)`.
+
+    taken: the orientations, and how many pairs are listed, `(2,)`; whose: the views of these, `(BITS,)`; work: their
+    numbers, see `AT`; met: whether a view is what is asked for, `(BITS,)`.
     """
 
     bits: np.ndarray
+    number: np.ndarray
     rows: np.ndarray
+    taken: np.ndarray
+    whose: np.ndarray
     work: np.ndarray
+    met: np.ndarray
 
 
 def new_slots() -> Slots:
     """Working memory."""
-    return Slots(np.zeros(BITS + int(GROUP), np.uint64), np.zeros(BODY_WIDTH * BITS), np.zeros(7 * int(GROUP)))
+    bits, number, whose = np.zeros((3, BITS), np.uint64)
+    rows, work, taken = np.zeros(BODY_WIDTH * BITS), np.zeros(len(AT) * BITS), np.zeros(2, np.uint64)
+    return Slots(bits, number, rows, taken, whose, work, np.zeros(BITS, np.uint8))
+
+
+@inlined
+def _whole(count):
+    """So many, to whole groups: the compiler would make another loop, that does not vectorise, for what is left."""
+    return (count + GROUP - ONE) & ~(GROUP - ONE)
+
+
+def tags_of(precision: Any, positions: FloatArray, normals: FloatArray) -> FloatArray:
+    """Of landmarks, `(K, 3)`, the centres and from there the middles of the right and the upper edges, `(K, 9)`."""
+    half = np.reshape(half_of(precision, slice(None)), (-1, 1))  # one, or each tag's
+    return np.hstack([positions, *(half * side for side in upright(normals))])
 
 
 @inner
 def fill_slots(left, slots):
     """Take the orientations `left` of a word, with sums of zero; returns how many there are."""
-    bits, rows, count = slots.bits, slots.rows, ZERO
+    bits, number, rows, count = slots.bits, slots.number, slots.rows, ZERO
+    slots.taken[0], slots.taken[1] = left, ZERO
     while left:
-        bits[count] = lowest(left)
+        bit = lowest(left)
+        bits[count], number[bit] = bit, count
         left &= left - ONE
         count += ONE
-    for lane in range(GROUP):  # whole groups: these count for nothing
-        bits[count + lane] = bits[ZERO]
     for j in range(NUMBERS):
-        for v in range(count + GROUP if count + GROUP < VIEW else VIEW):
+        for v in range(_whole(count)):
             rows[j * VIEW + v] = 0.0
     return count
 
@@ -83,81 +121,95 @@ def give_sums(sums, first, slots, count):
 @inner
 def met_slots(precision, slots, count):
     """The orientations whose view is what `precision` asks for, as bits."""
-    bits, rows, good = slots.bits, slots.rows, ZERO
-    for start in range(ZERO, count, GROUP):
-        met = np.uint32(0)
-        for lane in range(GROUP):
-            met |= np.uint32(body_meets(precision, rows, start + lane, VIEW)) << np.uint32(lane)
-        while met:
-            v = start + lowest(np.uint64(met))
-            met &= met - np.uint32(1)
-            good |= ONE << bits[v]
+    bits, rows, met, good = slots.bits, slots.rows, slots.met, ZERO
+    for v in range(_whole(count)):
+        met[v] = body_meets(precision, rows, v, VIEW)
+    for v in range(count):
+        good |= np.uint64(met[v]) << bits[v]
     return good
 
 
-@inlined
-def _put_in(part, m, w, seen, start, place, pose, gain, slots):
-    """Write the offsets of landmark and camera, and the weight, of a group of views to `work`."""
-    bits, work, sight, axes, offsets = slots.bits, slots.work, part.sight, part.axes[m], part.offsets[m]
-    for lane in range(GROUP):
-        bit = bits[start + lane]
-        a = w * VIEW + bit
+@inner
+def add_landmark(mounts, m, w, seen, place, tag, sign, precision, slots):
+    """List what a landmark tells one of the mounts, times `sign`, in the views in which the mount covers it.
+
+    Args:
+        mounts, m: see `Mounts`, and which.
+        w, seen: the word of the views, and the orientations with which the mount covers the landmark.
+        place: three numbers, the body's position.
+        tag: nine numbers, see `tags_of`.
+        sign: 1 or -1.
+        precision: has the share of each corner.
+        slots: the views.
+    """
+    left, filled = seen & slots.taken[0], slots.taken[1]
+    if left == ZERO:
+        return
+    number, whose, work = slots.number, slots.whose, slots.work
+    sight, axes, offsets, worth = mounts.sight, mounts.axes[m], mounts.offsets[m], sign * mounts.gain
+    (px, py, pz), (lx, ly, lz, rx, ry, rz, ux, uy, uz) = place, tag
+    while left:
+        bit = lowest(left)
+        left &= left - ONE
+        a, i = w * VIEW + bit, filled
         ox, oy, oz = offsets[0, a], offsets[1, a], offsets[2, a]
-        x, y, z = pose[0] - (place[0] + ox), pose[1] - (place[1] + oy), pose[2] - (place[2] + oz)
-        work[lane], work[GROUP + lane], work[2 * GROUP + lane] = x, y, z
-        work[3 * GROUP + lane], work[4 * GROUP + lane], work[5 * GROUP + lane] = ox, oy, oz
-        covers = seen >> bit & ONE
-        work[6 * GROUP + lane] = gain * pixel_density(sight, x, y, z, axes, a) if covers else 0.0
+        x, y, z = lx - (px + ox), ly - (py + oy), lz - (pz + oz)
+        whose[i] = number[bit]
+        work[i], work[AT[1] + i], work[AT[2] + i] = x, y, z
+        work[AT[3] + i] = worth * pixel_density(sight, x, y, z, axes, a)
+        work[AT[4] + i], work[AT[5] + i], work[AT[6] + i] = ox, oy, oz
+        work[AT[7] + i], work[AT[8] + i], work[AT[9] + i] = rx, ry, rz
+        work[AT[10] + i], work[AT[11] + i], work[AT[12] + i] = ux, uy, uz
+        filled += ONE
+        if filled == VIEW:
+            slots.taken[1] = filled
+            add_up(precision, slots)
+            filled = ZERO
+    slots.taken[1] = filled
 
 
 @inner
-def add_landmark(part, m, w, seen, place, pose, k, sign, gain, precision, slots, count):
-    """Add what landmark k tells mount m of a part, times `sign`, to the views in which the mount covers it.
+def add_up(precision, slots):
+    """Add what the listed pairs tell to the views."""
+    rows, work, whose, share, filled = slots.rows, slots.work, slots.whose, precision.share, slots.taken[1]
+    _find_told(work, share, filled)
+    for i in range(filled):
+        v = whose[i]
+        for j in range(NUMBERS):
+            rows[j * VIEW + v] += work[(TOLD + j) * VIEW + i]
+    slots.taken[1] = ZERO
 
-    Args:
-        part, m: see `lmd.sight.stations.Part`.
-        w, seen: the word of the views, and the orientations with which the mount covers the landmark.
-        place: three numbers, the body's position.
-        pose: six numbers, position and normal of the landmark.
-        sign: 1 or -1.
-        gain: see `body.gain_of`.
-        precision: has the size of the tags.
-        slots, count: the views.
-    """
-    bits, rows, work, half = slots.bits, slots.rows, slots.work, half_of(precision, k)
-    nx, ny, nz = pose[3], pose[4], pose[5]
-    rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, VERTICAL_TOLERANCE)
-    rx, ry, rz, ux, uy, uz = half * rx, half * ry, half * rz, half * ux, half * uy, half * uz
-    for start in range(ZERO, count, GROUP):
-        some = ZERO
-        for lane in range(GROUP):
-            some |= seen >> bits[start + lane]
-        if some & ONE == ZERO:
-            continue
-        _put_in(part, m, w, seen, start, place, pose, gain, slots)
-        for lane in range(GROUP):
-            x, y, z, weight = work[lane], work[GROUP + lane], work[2 * GROUP + lane], work[6 * GROUP + lane]
-            ox, oy, oz = work[3 * GROUP + lane], work[4 * GROUP + lane], work[5 * GROUP + lane]
-            told = about_body(moments(x, y, z, rx, ry, rz, ux, uy, uz, precision.share), ox, oy, oz)
-            v = start + lane
-            rows[v] += sign * share_of(told[0], weight)
-            rows[VIEW + v] += sign * share_of(told[1], weight)
-            rows[2 * VIEW + v] += sign * share_of(told[2], weight)
-            rows[3 * VIEW + v] += sign * share_of(told[3], weight)
-            rows[4 * VIEW + v] += sign * share_of(told[4], weight)
-            rows[5 * VIEW + v] += sign * share_of(told[5], weight)
-            rows[6 * VIEW + v] += sign * share_of(told[6], weight)
-            rows[7 * VIEW + v] += sign * share_of(told[7], weight)
-            rows[8 * VIEW + v] += sign * share_of(told[8], weight)
-            rows[9 * VIEW + v] += sign * share_of(told[9], weight)
-            rows[10 * VIEW + v] += sign * share_of(told[10], weight)
-            rows[11 * VIEW + v] += sign * share_of(told[11], weight)
-            rows[12 * VIEW + v] += sign * share_of(told[12], weight)
-            rows[13 * VIEW + v] += sign * share_of(told[13], weight)
-            rows[14 * VIEW + v] += sign * share_of(told[14], weight)
-            rows[15 * VIEW + v] += sign * share_of(told[15], weight)
-            rows[16 * VIEW + v] += sign * share_of(told[16], weight)
-            rows[17 * VIEW + v] += sign * share_of(told[17], weight)
-            rows[18 * VIEW + v] += sign * share_of(told[18], weight)
-            rows[19 * VIEW + v] += sign * share_of(told[19], weight)
-            rows[20 * VIEW + v] += sign * share_of(told[20], weight)
+
+@inner
+def _find_told(work, share, filled):
+    """Find what so many pairs tell; of one array alone, or LLVM would not vectorise this."""
+    for i in range(_whole(filled)):
+        weight = work[AT[3] + i]
+        told = about_body(
+            moments(
+                work[i], work[AT[1] + i], work[AT[2] + i], work[AT[7] + i], work[AT[8] + i], work[AT[9] + i],
+                work[AT[10] + i], work[AT[11] + i], work[AT[12] + i], share,
+            ),
+            work[AT[4] + i], work[AT[5] + i], work[AT[6] + i],
+        )  # fmt: skip
+        work[AT[13] + i], work[AT[14] + i], work[AT[15] + i] = (
+            share_of(told[0], weight), share_of(told[1], weight), share_of(told[2], weight),
+        )  # fmt: skip
+        work[AT[16] + i], work[AT[17] + i], work[AT[18] + i] = (
+            share_of(told[3], weight), share_of(told[4], weight), share_of(told[5], weight),
+        )  # fmt: skip
+        work[AT[19] + i], work[AT[20] + i], work[AT[21] + i] = (
+            share_of(told[6], weight), share_of(told[7], weight), share_of(told[8], weight),
+        )  # fmt: skip
+        work[AT[22] + i], work[AT[23] + i], work[AT[24] + i] = (
+            share_of(told[9], weight), share_of(told[10], weight), share_of(told[11], weight),
+        )  # fmt: skip
+        work[AT[25] + i], work[AT[26] + i], work[AT[27] + i] = (
+            share_of(told[12], weight), share_of(told[13], weight), share_of(told[14], weight),
+        )  # fmt: skip
+        work[AT[28] + i], work[AT[29] + i], work[AT[30] + i] = (
+            share_of(told[15], weight), share_of(told[16], weight), share_of(told[17], weight),
+        )  # fmt: skip
+        work[AT[31] + i], work[AT[32] + i], work[AT[33] + i] = (
+            share_of(told[18], weight), share_of(told[19], weight), share_of(told[20], weight),
+        )  # fmt: skip
