@@ -221,10 +221,10 @@ KILLS = max(8, round(24 * SHARE))
 
 
 TAGS = ("deployment=uniform", "deployment.count=12", "pdf=yaw", "pdf.divisions=3")
-IN_TURN = (*TAGS, "rounds=2", "tag_evaluations=3000")
+IN_TURN = (*TAGS, "rounds=2", "tag_evaluations=1500")
 KILLED = [
     ("optimise", 40000, (*SETTINGS, "budget.evaluations=40000"), ()),
-    ("place_cameras", 2 * (200 + 3000), (*IN_TURN, SETTINGS[-1], "budget.evaluations=200"), ("rig.yaml",)),
+    ("place_cameras", 2 * (200 + 1500), (*IN_TURN, SETTINGS[-1], "budget.evaluations=200"), ("rig.yaml",)),
 ]
 
 
