@@ -24,8 +24,8 @@ def mounts(draw, kinds):
 
 @st.composite
 def rigs(draw, any_camera=cameras(), kinds=2):  # noqa: B008
-    """Rigs of so many kinds of cameras, nearly always: those that are drawn may be equal."""
-    found = draw(st.lists(any_camera, min_size=kinds, max_size=kinds))
+    """Rigs of so many kinds of cameras: for another number much would be compiled anew."""
+    found = draw(st.lists(any_camera, min_size=kinds, max_size=kinds, unique=True))
     each = tuple(draw(mounts([camera])) for camera in found)
     return Rig(each + tuple(draw(st.lists(mounts(found), max_size=3 - kinds))))
 

@@ -223,23 +223,25 @@ KILLS = max(8, round(24 * SHARE))
 TAGS = ("deployment=uniform", "deployment.count=12", "pdf=yaw", "pdf.divisions=3")
 IN_TURN = (*TAGS, "rounds=2", "tag_evaluations=1500")
 KILLED = [
-    ("optimise", 40000, (*SETTINGS, "budget.evaluations=40000"), ()),
-    ("place_cameras", 2 * (200 + 1500), (*IN_TURN, SETTINGS[-1], "budget.evaluations=200"), ("rig.yaml",)),
+    ("optimise", KILLS, 40000, (*SETTINGS, "budget.evaluations=40000"), ()),
+    ("place_cameras", KILLS // 2, 2 * (200 + 1500), (*IN_TURN, SETTINGS[-1], "budget.evaluations=200"), ("rig.yaml",)),
 ]
 
 
-@pytest.mark.parametrize(("pipeline", "evaluations", "given", "further"), KILLED, ids=[row[0] for row in KILLED])
-def test_killed_at_random_moments_it_ends_where_it_would_have(pipeline, evaluations, given, further, tmp_path):
+@pytest.mark.parametrize(
+    ("pipeline", "kills", "evaluations", "given", "further"), KILLED, ids=[row[0] for row in KILLED]
+)
+def test_killed_at_random_moments_it_ends_where_it_would_have(pipeline, kills, evaluations, given, further, tmp_path):
     settings = (*SMALL, *given, "threads=1", "checkpoint_seconds=0.05")
     done = call(pipeline, *settings, "hydra.run.dir=whole", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     shutil.rmtree(tmp_path / "run", ignore_errors=True)
-    line = [sys.executable, ROOT / "tests" / "killed.py", pipeline, "1", str(KILLS), *settings]
+    line = [sys.executable, ROOT / "tests" / "killed.py", pipeline, "1", str(kills), *settings]
     done = subprocess.run(
         line, cwd=tmp_path, env=environment(ROOT / "tests"), capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, (tmp_path / "log").read_text()
-    assert done.stdout.count("killed after a checkpoint") > KILLS // 3
+    assert done.stdout.count("killed after a checkpoint") > kills // 3
     for name in ("landmarks.csv", "history.csv"):
         whole, kept = (pd.read_csv(tmp_path / folder / name) for folder in ("whole", "run"))
         pd.testing.assert_frame_equal(*(table.drop(columns="wall_time", errors="ignore") for table in (whole, kept)))
