@@ -1,47 +1,29 @@
 """`pipelines.view` as a user meets it: a process, and a page in Chromium that is dragged on with the mouse."""
 
-import errno
-import os
-import shutil
 import signal
 import socket
 import subprocess
 from contextlib import contextmanager
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
-from pathlib import Path
 from threading import Thread
 from urllib.parse import urlsplit
 
 import chromium
 import numpy as np
 import pytest
-from hydra import compose, initialize_config_dir
 from paper import paper_room
+from planned import LANDMARKS, SETTINGS, UNSAVED
 from planner_page import LIMIT, Page
 from processes import SMALL, call, command, help_of, refused, start
 
-from lmd.planner.app import Planner
-from lmd.planner.plan import Plan
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig_sources import read_mounts
-from pipelines.app import CONF
-from pipelines.operations.signals import Stopped
-from pipelines.outputs import all_or_none
 from pipelines.view import UNSAVED as BEGIN
-from pipelines.view import _keep_unsaved, view
 
 pytestmark = pytest.mark.slow
 
-LANDMARKS = """id,x,y,z,nx,ny,nz,note
-7,2,5,1,0,-1,0,by the door
-3,5,5,1,0,-1,0,
-9,0,1,3,1,0,0,
-4,3,5,5,0,-1,0,
-"""
-SETTINGS = (*SMALL[:2], "tag.edge=0.15", "objective.n=1", "objective.thold_p=0.1", "deployment=file")
 OVERRIDES = ("deployment.path=mine.csv", "hydra.run.dir=out")
-UNSAVED = f"{BEGIN}.csv"
 ENDLESS = "budget.evaluations=100000000"  # searches go on until they are stopped
 EXPORTED = {"tags.csv", "tags.json", "tags.wpilib.json", "plan.pdf", "sheets.pdf"}
 ADDS, BALLS = "a click on a surface adds a tag", "positions"
@@ -230,110 +212,6 @@ def test_a_page_of_another_site_cannot_talk_to_it_whatever_it_knows(planner, bro
     browser.get(f"http://{chromium.FOREIGN}:{mine.port}{mine.path}")  # as if its name meant this machine
     assert page.script("document.body.innerText").strip() == "The planner talks to no page but its own."
     assert not page.connects_to(address.replace("127.0.0.1", chromium.FOREIGN))
-
-
-def test_what_is_unsaved_is_kept_before_anything_is_waited_for(work, monkeypatch):
-    kept = []
-
-    class Ended(Planner):
-        """Ends at once, with a tag deleted."""
-
-        def run(self):
-            self._session.delete(3)
-            raise Stopped(signal.SIGINT)
-
-        def close(self):
-            kept.append(Deployment.from_csv(work / UNSAVED).ids.tolist())
-            super().close()
-
-    monkeypatch.setattr("lmd.planner.app.Planner", Ended)
-    monkeypatch.setattr("pipelines.view.run_directory", lambda: work)
-    with initialize_config_dir(CONF, version_base="1.3"):
-        cfg = compose("view", [*SETTINGS, f"deployment.path={work / 'mine.csv'}"])
-    with pytest.raises(Stopped):
-        view(cfg)
-    assert kept == [[7, 9, 4]]
-
-
-def full(path):
-    """Writes something, and finds the disk full."""
-    Path(path).write_text("id,")
-    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
-
-
-def on_full_disks(monkeypatch, *disks):
-    """Let no deployment be written below some folders."""
-    to_csv = Deployment.to_csv
-
-    def written(deployment, file, ups=False):
-        if isinstance(file, Path) and any(file.is_relative_to(disk) for disk in disks):
-            full(file)
-        to_csv(deployment, file, ups)
-
-    monkeypatch.setattr(Deployment, "to_csv", written)
-
-
-def folders(tmp_path, monkeypatch):
-    """A run's directory, and those to which changes go that cannot be written there."""
-    made = run, here, temporary = tmp_path / "run", tmp_path / "here", tmp_path / "temporary"
-    for folder in made:
-        folder.mkdir()
-    monkeypatch.chdir(here)
-    monkeypatch.setattr("tempfile.tempdir", str(temporary))
-    return run, here, temporary
-
-
-def test_changes_are_kept_elsewhere_when_the_disk_is_full_or_gone(tmp_path, monkeypatch, capsys):
-    run, here, temporary = folders(tmp_path, monkeypatch)
-    tags, earlier = Deployment([[0.0, 2.0, 3.0]], [[1.0, 0.0, 0.0]]), "id,x,y,z,nx,ny,nz\n"
-    (run / UNSAVED).write_text(earlier)
-    on_full_disks(monkeypatch, run)
-    for gone in (False, True):
-        if gone:
-            shutil.rmtree(run)
-        else:
-            assert (run / UNSAVED).read_text() == earlier
-        _keep_unsaved(run, Plan(tags), {}, ups=False)
-        (kept,) = here.iterdir()
-        assert (Deployment.from_csv(kept).positions == tags.positions).all()
-        err = capsys.readouterr().err
-        assert f"changes that were not saved are in {kept}\n" in err
-        assert str(run) in err
-        kept.unlink()
-    on_full_disks(monkeypatch, here)
-    _keep_unsaved(run, Plan(tags), {}, ups=False)
-    assert [*here.iterdir()] == []
-    assert len([*temporary.iterdir()]) == 1
-
-
-def test_changes_that_can_be_written_nowhere_are_printed(tmp_path, monkeypatch, capsys):
-    tags = Deployment([[0.0, 2.0, 3.0]], [[1.0, 0.0, 0.0]])
-    run, *_ = folders(tmp_path, monkeypatch)
-    on_full_disks(monkeypatch, tmp_path)
-    _keep_unsaved(run, Plan(tags), {}, ups=True)
-    said = capsys.readouterr()
-    assert said.err.count("No space left on device") == 3
-    head, *table = said.out.splitlines()
-    assert head == "the tags as they are now:"
-    assert (Deployment.from_csv(write_lines(tmp_path / "printed.csv", table)).positions == tags.positions).all()
-    assert list(tmp_path.rglob("*.csv")) == [tmp_path / "printed.csv"]
-
-
-def write_lines(path, lines):
-    path.write_text("\n".join(lines) + "\n")
-    return path
-
-
-def test_a_folder_with_the_name_of_a_file_is_no_place_to_save(tmp_path):
-    (tmp_path / "landmarks.csv").mkdir()
-
-    def write(folder):
-        for name in ("a.csv", "landmarks.csv"):
-            (folder / name).write_text("new")
-
-    with pytest.raises(IsADirectoryError, match=r"landmarks\.csv"):
-        all_or_none(tmp_path, write)
-    assert [path.name for path in tmp_path.rglob("*")] == ["landmarks.csv"]
 
 
 def test_what_cannot_be_is_refused_in_one_sentence(work):

@@ -1,0 +1,113 @@
+"""Runs that are killed: they end where they would have, their records are put right, and a history stays one run."""
+
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import pandas as pd
+import pytest
+from endless import SETTINGS, ended, metrics_in, runs
+from examples import SHARE
+from mlflow import MlflowClient
+from processes import ROOT, SMALL, call, command, environment
+
+pytestmark = [pytest.mark.slow, pytest.mark.long]
+
+KILLS = max(8, round(24 * SHARE))
+
+
+TAGS = ("deployment=uniform", "deployment.count=12", "pdf=yaw", "pdf.divisions=3")
+IN_TURN = (*TAGS, "rounds=2", "tag_evaluations=1500")
+KILLED = [
+    ("optimise", KILLS, 40000, (*SETTINGS, "budget.evaluations=40000"), ()),
+    ("place_cameras", KILLS // 2, 2 * (200 + 1500), (*IN_TURN, SETTINGS[-1], "budget.evaluations=200"), ("rig.yaml",)),
+]
+
+
+@pytest.mark.parametrize(
+    ("pipeline", "kills", "evaluations", "given", "further"), KILLED, ids=[row[0] for row in KILLED]
+)
+def test_killed_at_random_moments_it_ends_where_it_would_have(pipeline, kills, evaluations, given, further, tmp_path):
+    settings = (*SMALL, *given, "threads=1", "checkpoint_seconds=0.05")
+    done = call(pipeline, *settings, "hydra.run.dir=whole", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    shutil.rmtree(tmp_path / "run", ignore_errors=True)
+    line = [sys.executable, ROOT / "tests" / "killed.py", pipeline, "1", str(kills), *settings]
+    done = subprocess.run(
+        line, cwd=tmp_path, env=environment(ROOT / "tests"), capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, (tmp_path / "log").read_text()
+    assert done.stdout.count("killed after a checkpoint") > kills // 3
+    for name in ("landmarks.csv", "history.csv"):
+        whole, kept = (pd.read_csv(tmp_path / folder / name) for folder in ("whole", "run"))
+        pd.testing.assert_frame_equal(*(table.drop(columns="wall_time", errors="ignore") for table in (whole, kept)))
+    for name in ("landmarks.csv", *further):
+        assert (tmp_path / "run" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    assert {run.info.status for run in runs(tmp_path)} <= {"FINISHED", "FAILED"}
+    finished = runs(tmp_path)[-1]
+    assert finished.info.status == "FINISHED"
+    client = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db")
+    curve = client.get_metric_history(finished.info.run_id, "best_fitness")
+    assert max(point.step for point in curve) == evaluations
+    assert not list(tmp_path.rglob("*.partial*"))
+
+
+def test_one_history_stays_one_run_and_another_is_linked_to_it(endless, tmp_path):
+    def stopped(*overrides):
+        process = endless(*overrides)
+        time.sleep(0.5)
+        process.send_signal(signal.SIGINT)
+        assert ended(process)[0] == 130
+
+    stopped()
+    (tmp_path / "run").rename(tmp_path / "moved")
+    (tmp_path / "moved").rename(tmp_path / "run")
+    shutil.copytree(tmp_path / "run", tmp_path / "before")
+    stopped("resume=run")  # the same settings: goes on
+    (run,) = runs(tmp_path)
+    client = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db")
+    curve = sorted(client.get_metric_history(run.info.run_id, "best_fitness"), key=lambda point: point.timestamp)
+    assert [point.step for point in curve] == sorted(point.step for point in curve)
+    assert run.data.metrics["evaluations"] == metrics_in(tmp_path / "run")["evaluations"]
+    # Another budget, and a checkpoint that was gone on with already, make another history.
+    more = f"budget.evaluations={metrics_in(tmp_path / 'run')['evaluations'] + 58}"
+    done = call("optimise", *SETTINGS, more, "resume=run", "hydra.run.dir=run2", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    done = call("optimise", *SETTINGS, more, "resume=before", "hydra.run.dir=run3", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    first, second, third = runs(tmp_path)
+    assert [run.info.status for run in (first, second, third)] == ["KILLED", "FINISHED", "FINISHED"]
+    assert second.data.tags["continues"] == third.data.tags["continues"] == first.info.run_id
+    for run in (second, third):
+        steps = [point.step for point in client.get_metric_history(run.info.run_id, "best_fitness")]
+        assert min(steps) < 100  # its curve is whole
+    refused = call("optimise", *SETTINGS, "resume=run", "objective.n=3", "hydra.run.dir=run4", cwd=tmp_path)
+    assert "was made with objective.n = 2, not 3" in refused.stderr
+
+
+def test_runs_are_listed_with_the_command_that_goes_on(begin, endless, tmp_path):
+    process = endless()
+    process.kill()
+    process.communicate()
+    listed = call("runs", "tracking.uri=sqlite:///store.db", settings=(), cwd=tmp_path)
+    assert listed.returncode == 0, listed.stderr
+    (run,) = runs(tmp_path)
+    assert run.info.status == "FAILED"  # its process is gone
+    assert run.info.run_name in listed.stdout
+    (again,) = re.findall(r"^python -m pipelines\.optimise (.*)$", listed.stdout, re.MULTILINE)
+    assert again.endswith(f"resume={tmp_path / 'run'}")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run", "store.db", "store.db.lock"]
+    saved = (tmp_path / "run" / "checkpoint.npz").stat().st_mtime_ns
+    process = begin(command("runs", "tracking.uri=sqlite:///store.db", "resume=last", settings=()), tmp_path)
+    while (tmp_path / "run" / "checkpoint.npz").stat().st_mtime_ns == saved and process.poll() is None:
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    code, out, _ = ended(process)
+    assert code == 128 + signal.SIGINT
+    assert again in out
+    (run,) = runs(tmp_path)
+    assert run.info.status == "KILLED"
+    assert "reason" not in run.data.tags

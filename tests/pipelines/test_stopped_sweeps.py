@@ -1,0 +1,80 @@
+"""Sweeps that are killed or told to stop, with their jobs or without: what goes on, and what stops."""
+
+import json
+import os
+import signal
+import time
+
+import pytest
+from faulty_sweeps import prepared, runs, start_sweep, statuses, sweep
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def work(tmp_path):
+    return prepared(tmp_path)
+
+
+def test_a_sweep_killed_with_its_job_goes_on_with_what_is_missing(work):
+    process = start_sweep(work, "none,slow")
+    process.kill()
+    os.kill(int((work / "pid").read_text()), signal.SIGKILL)
+    process.communicate(timeout=60)
+    parent, children = runs(work)
+    assert parent.info.status == "RUNNING"
+    assert statuses(children) == {"none": ["FINISHED"], "slow": ["RUNNING"]}
+
+    (work / "repaired").touch()
+    again = sweep(work, "none,slow")
+    assert again.returncode == 0, again.stderr
+    assert "done already: optimiser.fault=none" in again.stdout
+    parent, children = runs(work)
+    assert parent.info.status == "FINISHED"
+    assert statuses(children) == {"none": ["FINISHED"], "slow": ["FAILED", "FINISHED"]}
+    (lost,) = [run for run in children["slow"] if run.info.status == "FAILED"]
+    assert lost.data.tags["reason"] == "its process was killed, and the sweep with it"
+
+
+def test_the_jobs_of_a_sweep_that_is_killed_under_joblib_stop(work):
+    process = start_sweep(work, "slow", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
+    process.kill()
+    process.wait(timeout=60)
+    (record,) = work.glob("outputs/optimise_sweep/*/*/job.json")
+    deadline = time.monotonic() + 60
+    while (status := json.loads(record.read_text())["status"]) == "running" and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert status == "interrupted"
+
+
+def test_an_interrupted_job_goes_on_from_its_checkpoint(work):
+    process = start_sweep(work, "slow")
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "the same command again does what is missing" in err
+    parent, children = runs(work)
+    assert (parent.info.status, parent.data.tags["reason"]) == ("FAILED", "the sweep was cut short")
+    (child,) = children["slow"]
+    assert child.info.status == "KILLED"
+    spent = child.data.metrics["evaluations"]
+    assert 0 < spent < 400
+
+    (work / "repaired").touch()
+    again = sweep(work, "slow")
+    assert again.returncode == 0, again.stderr
+    _, children = runs(work)
+    assert statuses(children) == {"slow": ["FINISHED"]}
+    assert children["slow"][0].info.run_id == child.info.run_id
+    assert children["slow"][0].data.metrics["evaluations"] == 400
+    assert "reason" not in children["slow"][0].data.tags
+
+
+def test_a_job_killed_under_submitit_does_not_lose_the_others(work):
+    done = sweep(work, "none,kill", "hydra/launcher=submitit_local")
+    assert done.returncode == 1
+    assert "killed: optimiser.fault=kill: killed by SIGKILL" in done.stderr
+    _, children = runs(work)
+    assert statuses(children) == {"none": ["FINISHED"], "kill": ["FAILED"]}
+    (output,) = work.glob("outputs/optimise_sweep/*/fault-none_*/output.log")
+    assert "threads 1 1 1\n" in output.read_text()

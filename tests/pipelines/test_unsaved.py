@@ -1,0 +1,124 @@
+"""What the planner does with changes that were not saved, whatever ends it and wherever they can be written."""
+
+import errno
+import os
+import shutil
+import signal
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+from planned import LANDMARKS, SETTINGS, UNSAVED
+
+from lmd.planner.app import Planner
+from lmd.planner.plan import Plan
+from lmd.scene.deployment import Deployment
+from pipelines.app import CONF
+from pipelines.operations.signals import Stopped
+from pipelines.outputs import all_or_none
+from pipelines.view import _keep_unsaved, view
+
+
+def test_what_is_unsaved_is_kept_before_anything_is_waited_for(tmp_path, monkeypatch):
+    kept = []
+
+    class Ended(Planner):
+        """Ends at once, with a tag deleted."""
+
+        def run(self):
+            self._session.delete(3)
+            raise Stopped(signal.SIGINT)
+
+        def close(self):
+            kept.append(Deployment.from_csv(tmp_path / UNSAVED).ids.tolist())
+            super().close()
+
+    monkeypatch.setattr("lmd.planner.app.Planner", Ended)
+    monkeypatch.setattr("pipelines.view.run_directory", lambda: tmp_path)
+    mine = write_lines(tmp_path / "mine.csv", LANDMARKS.splitlines())
+    with initialize_config_dir(CONF, version_base="1.3"):
+        cfg = compose("view", [*SETTINGS, f"deployment.path={mine}"])
+    with pytest.raises(Stopped):
+        view(cfg)
+    assert kept == [[7, 9, 4]]
+
+
+def full(path):
+    """Writes something, and finds the disk full."""
+    Path(path).write_text("id,")
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+
+def on_full_disks(monkeypatch, *disks):
+    """Let no deployment be written below some folders."""
+    to_csv = Deployment.to_csv
+
+    def written(deployment, file, ups=False):
+        if isinstance(file, Path) and any(file.is_relative_to(disk) for disk in disks):
+            full(file)
+        to_csv(deployment, file, ups)
+
+    monkeypatch.setattr(Deployment, "to_csv", written)
+
+
+def folders(tmp_path, monkeypatch):
+    """A run's directory, and those to which changes go that cannot be written there."""
+    made = run, here, temporary = tmp_path / "run", tmp_path / "here", tmp_path / "temporary"
+    for folder in made:
+        folder.mkdir()
+    monkeypatch.chdir(here)
+    monkeypatch.setattr("tempfile.tempdir", str(temporary))
+    return run, here, temporary
+
+
+def test_changes_are_kept_elsewhere_when_the_disk_is_full_or_gone(tmp_path, monkeypatch, capsys):
+    run, here, temporary = folders(tmp_path, monkeypatch)
+    tags, earlier = Deployment([[0.0, 2.0, 3.0]], [[1.0, 0.0, 0.0]]), "id,x,y,z,nx,ny,nz\n"
+    (run / UNSAVED).write_text(earlier)
+    on_full_disks(monkeypatch, run)
+    for gone in (False, True):
+        if gone:
+            shutil.rmtree(run)
+        else:
+            assert (run / UNSAVED).read_text() == earlier
+        _keep_unsaved(run, Plan(tags), {}, ups=False)
+        (kept,) = here.iterdir()
+        assert (Deployment.from_csv(kept).positions == tags.positions).all()
+        err = capsys.readouterr().err
+        assert f"changes that were not saved are in {kept}\n" in err
+        assert str(run) in err
+        kept.unlink()
+    on_full_disks(monkeypatch, here)
+    _keep_unsaved(run, Plan(tags), {}, ups=False)
+    assert [*here.iterdir()] == []
+    assert len([*temporary.iterdir()]) == 1
+
+
+def test_changes_that_can_be_written_nowhere_are_printed(tmp_path, monkeypatch, capsys):
+    tags = Deployment([[0.0, 2.0, 3.0]], [[1.0, 0.0, 0.0]])
+    run, *_ = folders(tmp_path, monkeypatch)
+    on_full_disks(monkeypatch, tmp_path)
+    _keep_unsaved(run, Plan(tags), {}, ups=True)
+    said = capsys.readouterr()
+    assert said.err.count("No space left on device") == 3
+    head, *table = said.out.splitlines()
+    assert head == "the tags as they are now:"
+    assert (Deployment.from_csv(write_lines(tmp_path / "printed.csv", table)).positions == tags.positions).all()
+    assert list(tmp_path.rglob("*.csv")) == [tmp_path / "printed.csv"]
+
+
+def write_lines(path, lines):
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_a_folder_with_the_name_of_a_file_is_no_place_to_save(tmp_path):
+    (tmp_path / "landmarks.csv").mkdir()
+
+    def write(folder):
+        for name in ("a.csv", "landmarks.csv"):
+            (folder / name).write_text("new")
+
+    with pytest.raises(IsADirectoryError, match=r"landmarks\.csv"):
+        all_or_none(tmp_path, write)
+    assert [path.name for path in tmp_path.rglob("*")] == ["landmarks.csv"]
