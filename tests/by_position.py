@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from hypothesis import strategies as st
-from strategies import fiducial_scenes, scenes, seeds
+from strategies import cameras, fiducial_scenes, scenes, seeds
 
 
 def with_probabilities(scene, seed):
@@ -22,4 +22,4 @@ def with_probabilities(scene, seed):
     return replace(scene, pdf=replace(scene.pdf, by_position=at, continuous=None, refine=None))
 
 
-varied_scenes = st.builds(with_probabilities, st.one_of(scenes(), fiducial_scenes()), seeds)
+varied_scenes = st.builds(with_probabilities, st.one_of(scenes(), fiducial_scenes(cameras())), seeds)

@@ -2,9 +2,10 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from composing import composed
-from contracts.criterion import check_criterion
+from contracts.criterion import check_alone, check_criterion
 from contracts.estimator import check_estimator
 from contracts.objective import check_objective
 from contracts.space import check_space
@@ -25,7 +26,6 @@ BENT = paper_camera(distortion=(-0.15, 0.02, 0.002, -0.003))
 CRITERIA = {
     "paper": (Visibility(thold=0.1), paper_camera()),
     "line_of_sight": (Visibility(thold=0.1, occlusion="line_of_sight"), paper_camera()),
-    "fiducial": (Fiducial(Tag(0.2)), paper_camera()),
     "distorted": (Fiducial(Tag(0.2)), BENT),
 }
 L = FloorPlan(L_SHAPE, 2.5, holes=[PILLAR], obstacles=[RACK])
@@ -38,6 +38,11 @@ def options(group):
 @pytest.mark.parametrize(("criteria", "camera"), CRITERIA.values(), ids=CRITERIA)
 def test_every_criterion_keeps_its_contract(criteria, camera):
     check_criterion(criteria, camera)
+
+
+def test_without_a_lens_tags_are_seen_by_the_same_rules():
+    """A rig, which asks the same functions, has its turn with the lens; it would be compiled anew."""
+    check_alone(Fiducial(Tag(0.2)), paper_camera(), np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("name", options("objective"))

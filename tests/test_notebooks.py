@@ -1,9 +1,11 @@
 """The notebooks run from top to bottom, and are kept with what they show."""
 
+import os
 from pathlib import Path
 
 import nbformat
 import pytest
+from jupyter_client import KernelManager
 from nbclient import NotebookClient
 
 ROOT = Path(__file__).parents[1]
@@ -25,15 +27,23 @@ def test_a_notebook_is_kept_with_its_pictures(path):
     assert path.stat().st_size < MOST_BYTES
 
 
+@pytest.fixture(scope="module")
+def kernel(tmp_path_factory):
+    """A kernel in an empty folder, for all of them: most of what a notebook takes is to import what all import."""
+    manager, folders = KernelManager(kernel_name="python3"), [tmp_path_factory.mktemp(name) for name in ("work", "tmp")]
+    work, temporary = folders
+    manager.start_kernel(cwd=work, env=os.environ | {"PYTHONPATH": str(ROOT), "TMPDIR": str(temporary)})
+    yield manager, work
+    manager.shutdown_kernel(now=True)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs_and_leaves_nothing_behind(path, tmp_path, monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    work = tmp_path / "work"
-    work.mkdir()
+def test_a_notebook_runs_and_leaves_nothing_behind(path, kernel):
+    manager, work = kernel
     notebook = nbformat.read(path, as_version=4)
-    NotebookClient(notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": work}}).execute()
+    notebook.cells.insert(0, nbformat.v4.new_code_cell("%reset -f"))  # nothing that another has made
+    NotebookClient(notebook, timeout=300, km=manager).execute()
     assert not list(work.iterdir())
     pictures = [o for c in notebook.cells for o in c.get("outputs", []) if "image/png" in o.get("data", {})]
     assert pictures

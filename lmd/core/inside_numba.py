@@ -10,7 +10,9 @@ from functools import cache, cached_property
 from typing import Any
 
 from filelock import FileLock, Timeout
+from llvmlite.binding.ffi import lib
 from numba import types
+from numba.core import errors
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
@@ -95,6 +97,12 @@ def _hash_of(kind: type[TargetConfig]) -> int:
 # numba asks for both whenever it looks up a function for the types of its arguments: a fourteenth of compiling.
 TargetConfig.__eq__ = _are_equal  # type: ignore[method-assign]
 TargetConfig.__hash__ = lambda self: _hash_of(type(self))  # type: ignore[method-assign]
+
+# Every function that does not fit the types of its arguments, until one does, is an error whose message would be set
+# in bold, by a library that looks at the terminal each time; every call of LLVM would tell two events that nobody
+# listens to. Both are another twentieth.
+errors.HighlightColorScheme._markup = lambda _, message, *__, **___: message  # type: ignore[attr-defined]
+lib._lock._cblist.clear()
 
 
 def load_compiler() -> None:

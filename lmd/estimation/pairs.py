@@ -13,7 +13,7 @@ def paired(figures: pd.DataFrame) -> pd.DataFrame:
     """Every deployment against the first one.
 
     Args:
-        figures: `Study.figures`, one row for each deployment, estimator and seed.
+        figures: `FlightStudy.figures`, one row for each deployment, estimator and seed.
 
     Returns:
         A row for each estimator and further deployment, with the columns `estimator`, `deployment`, `against`;

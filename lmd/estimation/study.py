@@ -116,7 +116,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Study:
+class FlightStudy:
     """The outcome for each deployment.
 
     Args:
@@ -196,7 +196,7 @@ def conduct(
     all_visible: bool,
     odometry: Odometry | None = None,
     each: Each = map,
-) -> Study:
+) -> FlightStudy:
     """Fly over each deployment and let each estimator localise the camera.
 
     Args:
@@ -224,7 +224,7 @@ def conduct(
             )
     true = np.stack([trajectory.poses[:1] for trajectory in flights.trajectories])
     initial = pose_errors(true, flights.start[:, None]).frobenius[:, 0]
-    return Study(flights.seeds, flights.trajectories[0].time, initial, outcomes)
+    return FlightStudy(flights.seeds, flights.trajectories[0].time, initial, outcomes)
 
 
 def _errors(estimators: Mapping[str, Estimator], recording: Recording, start: FloatArray) -> dict[str, Errors]:
@@ -236,7 +236,7 @@ def _errors(estimators: Mapping[str, Estimator], recording: Recording, start: Fl
 
 
 def to_markdown(figures: pd.DataFrame, n: int) -> str:
-    """`Study.figures` as a Markdown table: medians over the seeds.
+    """`FlightStudy.figures` as a Markdown table: medians over the seeds.
 
     Args:
         figures: one row for each deployment, estimator and seed.
@@ -264,7 +264,7 @@ def to_markdown(figures: pd.DataFrame, n: int) -> str:
 
 
 def within() -> dict[str, float]:
-    """Columns of `Study.figures` with the share of frames within a position error, and these, metres."""
+    """Columns of `FlightStudy.figures` with the share of frames within a position error, and these, metres."""
     return {f"within_{1e3 * limit:g}mm": limit for limit in ERROR_LIMITS}
 
 

@@ -26,7 +26,7 @@ def save_error_figure(
     """Write a PNG: for each estimator the errors over time, below them the landmarks in view.
 
     Args:
-        curves: `Study.curves`.
+        curves: `FlightStudy.curves`.
         time: of the frames, seconds, `(T,)`.
         counts: landmarks in each frame of one flight, `(T,)`, by deployment.
         n: drawn as a dotted line.

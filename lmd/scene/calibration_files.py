@@ -4,6 +4,7 @@ Which format a file has follows from its content. Sources: `sensor_msgs/CameraIn
 calibration samples of OpenCV, `CameraCalibrationCoefficients` of PhotonVision, `cameracalibration.cpp` of WPIcal,
 "Cameras" of COLMAP's output format, Basalt's `calibration.hpp`, "lens models" of mrcal, ORB-SLAM3's
 "Calibration_Tutorial", `calibration.fbs` of frc971, `CameraFactory` of camodocal (VINS), `sensor.yaml` of EuRoC.
+Lenses of other models are restated, see `lmd.geometry.central_models`.
 """
 
 import ast
@@ -14,6 +15,7 @@ from typing import Any
 
 from lmd.core.checks import InputError, vector
 from lmd.core.files import flat, parse_keys, read_text
+from lmd.geometry.central_models import MODELS, PINHOLE, restated
 from lmd.geometry.lens import EQUIDISTANT
 
 Keys = Mapping[str, Any]
@@ -47,6 +49,7 @@ BROWN_CONRADY = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 FISHEYE_COEFFICIENTS = ("k1", "k2", "k3", "k4")
 # Of camodocal's fisheye, by the names of the same parameters here.
 CAMODOCAL_FISHEYE = {"fx": "mu", "fy": "mv", "cx": "u0", "cy": "v0", "k1": "k2", "k2": "k3", "k3": "k4", "k4": "k5"}
+CAMODOCAL_UNIFIED = {"fx": "gamma1", "fy": "gamma2", "cx": "u0", "cy": "v0"}
 KALIBR_CAMERA = re.compile(r"cam\d+")
 # Some calibrations hold every point that was seen, or the images. A literal of Python takes more memory than JSON.
 LARGEST, LARGEST_LITERAL = 1 << 25, 1 << 20
@@ -153,12 +156,21 @@ def _kalibr(prefix: str, camera: Any, lens: str = "distortion_coeffs") -> Keys:
             raise InputError(f"the key {prefix}{key} is missing.")
         return camera[key]
 
-    known_lens(entry("camera_model"), ("pinhole",))
-    model = known_lens(entry("distortion_model"), LENS_MODELS)
-    fx, fy, cx, cy = vector(f"{prefix}intrinsics", entry("intrinsics"), 4)
+    projection = known_lens(entry("camera_model"), ("pinhole", *MODELS))
+    own = MODELS[projection][1] if projection in MODELS else ()
+    distorts = {"omni": ("none", "radtan", "radial-tangential"), "pinhole": tuple(LENS_MODELS)}.get(
+        projection, ("none",)
+    )
+    model = known_lens(entry("distortion_model"), distorts)
+    names = (*own, *PINHOLE)
+    values = dict(zip(names, vector(f"{prefix}intrinsics", entry("intrinsics"), len(names)), strict=True))
     coefficients = entry(lens) if model != "none" else []
     size = vector(f"{prefix}resolution", entry("resolution"), 2)
-    return _ros(size, [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0], coefficients, model)
+    if not own:
+        return _ros(size, _matrix(values), coefficients, model)
+    if coefficients:
+        values |= zip(BROWN_CONRADY, vector(f"{prefix}{lens}", coefficients, 4), strict=False)
+    return _central(size, values, projection)
 
 
 def _euroc(keys: Keys) -> dict[str, Keys]:
@@ -178,19 +190,28 @@ def _okvis(keys: Keys) -> dict[str, Keys]:
 
 def _camodocal(keys: Keys) -> dict[str, Keys]:
     """The settings of VINS, whose fisheye is Kannala-Brandt's with other names."""
-    known = {"PINHOLE": False, "KANNALA_BRANDT": True}
-    fisheye = known[known_lens(keys["model_type"], known)]
-    values = keys["projection_parameters"] | keys.get("distortion_parameters", {})
-    if fisheye:
-        values = {name: values[theirs] for name, theirs in CAMODOCAL_FISHEYE.items()}
-    return {"": _named((keys["image_width"], keys["image_height"]), values, fisheye)}
+    known = {"PINHOLE": {}, "KANNALA_BRANDT": CAMODOCAL_FISHEYE, "MEI": CAMODOCAL_UNIFIED}
+    model, size = known_lens(keys["model_type"], known), (keys["image_width"], keys["image_height"])
+    values = keys["projection_parameters"] | keys.get("distortion_parameters", {}) | keys.get("mirror_parameters", {})
+    values |= {name: values[theirs] for name, theirs in known[model].items()}
+    return {"": _central(size, values, "omni") if model == "MEI" else _named(size, values, model == "KANNALA_BRANDT")}
 
 
 def _named(size: Any, values: Keys, fisheye: bool) -> Keys:
     """The keys of ROS from parameters by name: fx, fy, cx, cy, k1, ..."""
-    matrix = [values["fx"], 0.0, values["cx"], 0.0, values["fy"], values["cy"], 0.0, 0.0, 1.0]
     lens = [values.get(name, 0.0) for name in (FISHEYE_COEFFICIENTS if fisheye else BROWN_CONRADY)]
-    return _ros(size, matrix, lens, EQUIDISTANT if fisheye else "plumb_bob")
+    return _ros(size, _matrix(values), lens, EQUIDISTANT if fisheye else "plumb_bob")
+
+
+def _matrix(values: Keys) -> list[float]:
+    return [values["fx"], 0.0, values["cx"], 0.0, values["fy"], values["cy"], 0.0, 0.0, 1.0]
+
+
+def _central(size: Any, values: Keys, model: str) -> Keys:
+    """The keys of ROS from the parameters of a model that is restated, by name: fx, fy, cx, cy, xi, ..., k1, ..."""
+    lens = restated(model, values, size)
+    pinhole = zip(PINHOLE, (*lens.focal_pixels, *lens.principal_point), strict=True)
+    return _ros(size, _matrix(dict(pinhole)), list(lens.coefficients), lens.model)
 
 
 def known_lens(model: Any, known: Iterable[str]) -> str:
@@ -252,13 +273,13 @@ def _frc971(keys: Keys) -> dict[str, Keys]:
 
 
 def _basalt(keys: Keys) -> dict[str, Keys]:
-    known = {"pinhole": False, "pinhole-radtan8": False, "kb4": True}
+    known = {"pinhole": False, "pinhole-radtan8": False, "kb4": True, "ds": None, "eucm": None}
     cameras = {}
     for index, (camera, size) in enumerate(
         zip(keys["value0"]["intrinsics"], keys["value0"]["resolution"], strict=True)
     ):
-        fisheye = known[known_lens(camera["camera_type"], known)]
-        cameras[f"cam{index}"] = _named(size, camera["intrinsics"], fisheye)
+        values, fisheye = camera["intrinsics"], known[model := known_lens(camera["camera_type"], known)]
+        cameras[f"cam{index}"] = _central(size, values, model) if fisheye is None else _named(size, values, fisheye)
     return cameras
 
 

@@ -27,19 +27,27 @@ def check_criterion(criteria, camera, seed=0):
         seed: of landmarks, moves and prices.
     """
     rng = np.random.default_rng(seed)
+    check_alone(criteria, camera, rng)
+    check_seen(lab(spacing=1.0), Rig((Mount(camera, (0.1, 0.0, 0.0)), Mount(camera, yaw=2.0))), criteria, rng)
+
+
+def check_alone(criteria, camera, rng):
+    """Check a criterion in an empty room."""
     check_members(criteria, camera, rng)
-    rolls = [(-0.4, 0.5), (0.3, 0.5)] if criteria.needs_roll else 0.0
-    orientations = pdf.grid_with_ends(4, rolls)
-    rig = Rig((Mount(camera, (0.1, 0.0, 0.0)), Mount(camera, yaw=2.0)))
-    for room, eye in ((Cuboid((4.0, 3.0, 2.5), (3.2, 2.2, 1.5), 0.8), camera), (lab(spacing=1.0), rig)):
-        scene = Scene(room, eye, orientations, criteria)
-        deployment, targets = tilted(RandomDeployment(24).draw(room, rng), rng), RandomDeployment(8).draw(room, rng)
-        seen = reference.counts(scene, deployment)
-        assert 0 < seen.max() < len(deployment), "the camera sees no landmark, or all of them at once"
-        check_every_path(scene, deployment, targets, 2, rng)
-        assert check_gains(scene, deployment[:4], rng), "none of four landmarks is covered on its own"
-        check_slack(scene, 1.0, rng)
-        check_shrunk(scene, deployment)
+    check_seen(Cuboid((4.0, 3.0, 2.5), (3.2, 2.2, 1.5), 0.8), camera, criteria, rng)
+
+
+def check_seen(room, camera, criteria, rng):
+    """Check what is seen of landmarks in a room, as they are and as they move, and the bounds of it."""
+    orientations = pdf.grid_with_ends(4, [(-0.4, 0.5), (0.3, 0.5)] if criteria.needs_roll else 0.0)
+    scene = Scene(room, camera, orientations, criteria)
+    deployment, targets = tilted(RandomDeployment(24).draw(room, rng), rng), RandomDeployment(8).draw(room, rng)
+    seen = reference.counts(scene, deployment)
+    assert 0 < seen.max() < len(deployment), "the camera sees no landmark, or all of them at once"
+    check_every_path(scene, deployment, targets, 2, rng)
+    assert check_gains(scene, deployment[:4], rng), "none of four landmarks is covered on its own"
+    check_slack(scene, 1.0, rng)
+    check_shrunk(scene, deployment)
 
 
 def check_members(criteria, camera, rng):

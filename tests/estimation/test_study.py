@@ -9,7 +9,7 @@ from lmd.estimation.estimators import CramerRaoBound
 from lmd.estimation.flights import Pace, RandomMotion
 from lmd.estimation.measurements import Detector
 from lmd.estimation.observer import Observer
-from lmd.estimation.study import Flights, InitialError, Outcome, Study, conduct, to_markdown
+from lmd.estimation.study import Flights, FlightStudy, InitialError, Outcome, conduct, to_markdown
 from lmd.geometry import se3
 from lmd.objectives.coverage import Coverage
 from lmd.problem import Problem
@@ -41,7 +41,7 @@ def study_of(values, initial=1.0):
     errors = errors_over_time(values)
     counts = np.arange(errors.frobenius.size)[None]
     outcome = Outcome(counts, {n: np.array([0.1 * n]) for n in (1, 2, 3, 4)}, {"observer": errors})
-    return Study([7], np.arange(errors.frobenius.size) * 0.5, np.array([initial]), {"mine": outcome})
+    return FlightStudy([7], np.arange(errors.frobenius.size) * 0.5, np.array([initial]), {"mine": outcome})
 
 
 def test_errors_are_those_of_the_poses():

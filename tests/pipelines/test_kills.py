@@ -20,10 +20,10 @@ KILLS = max(8, round(24 * SHARE))
 
 
 TAGS = ("deployment=uniform", "deployment.count=12", "pdf=yaw", "pdf.divisions=3")
-IN_TURN = (*TAGS, "rounds=2", "tag_evaluations=1500")
+IN_TURN = (*TAGS, "rounds=2", "tag_evaluations=600")
 KILLED = [
-    ("optimise", KILLS, 40000, (*SETTINGS, "budget.evaluations=40000"), ()),
-    ("place_cameras", KILLS // 2, 2 * (200 + 1500), (*IN_TURN, SETTINGS[-1], "budget.evaluations=200"), ("rig.yaml",)),
+    ("optimise", KILLS, 15000, (*SETTINGS, "budget.evaluations=15000"), ()),
+    ("place_cameras", KILLS // 2, 2 * (200 + 600), (*IN_TURN, SETTINGS[-1], "budget.evaluations=200"), ("rig.yaml",)),
 ]
 
 

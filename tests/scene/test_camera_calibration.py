@@ -138,9 +138,9 @@ def test_one_camera_of_several_is_named(tmp_path):
 
 def test_a_camera_of_a_chain_is_read_beside_one_of_a_lens_that_is_not(tmp_path):
     path = tmp_path / "camchain.yaml"
-    path.write_text(yaml.safe_dump({"cam0": {**KALIBR, "camera_model": "omni"}, "cam1": KALIBR}))
+    path.write_text(yaml.safe_dump({"cam0": {**KALIBR, "camera_model": "fov"}, "cam1": KALIBR}))
     assert read_calibration(path, "cam1").image_width == KALIBR["resolution"][0]
-    with pytest.raises(InputError, match="the lens model 'omni' is not known here"):
+    with pytest.raises(InputError, match="the lens model 'fov' is not known here"):
         read_calibration(path, "cam0")
 
 
@@ -203,8 +203,8 @@ def data(*values):
         (ROS | {"fisheye_model": 1}, "distortion of an equidistant lens must be [k1, k2, k3, k4], got (-0.21"),
         ({"cam0": without(KALIBR, "resolution")}, "the key cam0.resolution is missing."),
         (
-            {"cam0": KALIBR | {"camera_model": "omni"}},
-            "the lens model 'omni' is not known here, only pinhole: ",
+            {"cam0": KALIBR | {"camera_model": "fov"}},
+            "the lens model 'fov' is not known here, only pinhole, ds, eucm, omni: ",
         ),
         (
             {"cam0": KALIBR | {"distortion_model": "fov"}},

