@@ -20,7 +20,7 @@ from lmd.core.checks import FloatArray, InputError, real, vector
 from lmd.geometry.lens import EQUIDISTANT
 from lmd.geometry.lens_models import BrownConrady, Equidistant, image_of
 
-MOST_PIXELS = 1.0  # that a lens may differ from what it restates, anywhere in the image
+GOOD_PIXELS, MOST_PIXELS = 0.05, 1.0  # that a lens differs from what it restates, at most, anywhere in the image
 WIDEST, ANGLES, AROUND = 2.6, 160, 144  # rad from the axis, and how many directions are looked at
 WIDEST_PINHOLE = 1.45  # rad: a pinhole that distorts images nothing beyond a quarter turn
 CENTRE = 0.5  # of a pixel, from its border
@@ -42,8 +42,9 @@ class Restated(NamedTuple):
     """How far it is off at most, pixels."""
 
 
-def double_sphere(xi: float, alpha: float) -> Model:
+def double_sphere(xi: Any, alpha: Any) -> Model:
     """The model `ds`."""
+    xi, alpha = real("xi", xi, above=-1.0), real("alpha", alpha, low=0.0, high=1.0)
     share = alpha / (1.0 - alpha) if alpha <= 0.5 else (1.0 - alpha) / alpha
     least = -(share + xi) / np.sqrt(2.0 * share * xi + xi * xi + 1.0)
 
@@ -55,8 +56,9 @@ def double_sphere(xi: float, alpha: float) -> Model:
     return image
 
 
-def extended_unified(alpha: float, beta: float) -> Model:
+def extended_unified(alpha: Any, beta: Any) -> Model:
     """The model `eucm`."""
+    alpha, beta = real("alpha", alpha, low=0.0, high=1.0), real("beta", beta, above=0.0)
 
     def image(u: FloatArray, v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
         rho = np.sqrt(beta * (u * u + v * v) + w * w)
@@ -66,9 +68,10 @@ def extended_unified(alpha: float, beta: float) -> Model:
     return image
 
 
-def unified(xi: float, k1: float = 0.0, k2: float = 0.0, p1: float = 0.0, p2: float = 0.0) -> Model:
+def unified(xi: Any, k1: Any = 0.0, k2: Any = 0.0, p1: Any = 0.0, p2: Any = 0.0) -> Model:
     """The model `omni`, with the distortion of a pinhole."""
-    lens = BrownConrady._make([k1, k2, p1, p2, *(0.0,) * 8])
+    xi, *distortion = (real(*of) for of in (("xi", xi), ("k1", k1), ("k2", k2), ("p1", p1), ("p2", p2)))
+    lens = BrownConrady._make([*distortion, *(0.0,) * 8])
 
     def image(u: FloatArray, v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:
         r = np.sqrt(u * u + v * v + w * w)
@@ -107,8 +110,8 @@ def restated(name: str, values: Mapping[str, Any], size: Any) -> Restated:
     """
     make, own = MODELS[name]
     fx, fy, cx, cy = (real(key, values[key]) for key in PINHOLE)
-    distortion = [real(key, values.get(key, 0.0)) for key in DISTORTION] if make is unified else []
-    model, size = make(*(real(key, values[key]) for key in own), *distortion), vector("size", list(size), 2, above=0.0)
+    distortion = [values.get(key, 0.0) for key in DISTORTION] if make is unified else []
+    model, size = make(*(values[key] for key in own), *distortion), vector("size", list(size), 2, above=0.0)
     theta = np.linspace(0.0, WIDEST, ANGLES)[:, None]
     phi = np.linspace(0.0, 2.0 * np.pi, AROUND, endpoint=False)
     points = np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta) * np.ones_like(phi)
@@ -124,7 +127,7 @@ def restated(name: str, values: Mapping[str, Any], size: Any) -> Restated:
     start = [np.hypot(u[1], v[1]).mean() / theta[1, 0] * focal for focal in (fx, fy)]
     widest = float((theta * shown).max())
     found = _fitted(EQUIDISTANT, 4, lambda k: Equidistant(*k), points, pixels, [*start, cx, cy])
-    if found.worst > MOST_PIXELS and widest < WIDEST_PINHOLE:  # which has tangential terms, too
+    if found.worst > GOOD_PIXELS and widest < WIDEST_PINHOLE:  # which has tangential terms, too
         rational = _fitted("rational_polynomial", 8, _rational, points, pixels, [*start, cx, cy])
         found = min(found, rational, key=lambda fit: fit.worst)
     if found.worst > MOST_PIXELS:
