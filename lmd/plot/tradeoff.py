@@ -32,7 +32,7 @@ class Panel(NamedTuple):
 def curve_name(curve: float | str) -> str:
     """A curve of `lmd.evaluation.tradeoff.Axis` for readers."""
     edges = [float(edge) for edge in str(curve).split(MIXED)]
-    sizes = " and ".join(f"{1e3 * edge:g}" for edge in edges)
+    sizes = ", ".join(f"{1e3 * edge:g}" for edge in edges)
     return f"{'any mixture' if len(edges) > 1 else 'tags'} of {sizes} mm" if edges[0] else "points"
 
 
@@ -66,7 +66,8 @@ def save_tradeoff_figure(
             )
             if panel.on_grid is not None:
                 on_grid = 100.0 * same.groupby(axis.along)[panel.on_grid].median()
-                axes.plot(on_grid.index, on_grid, ":", color=colour, label=f"{name}, on the grid")
+                label = None if mixed else f"{name}, on the grid"
+                axes.plot(on_grid.index, on_grid, ":", color=colour, label=label)
         if panel.wanted is not None:
             axes.axhline(100.0 * panel.wanted, color="0.5", ls="--", label="wanted")
         axes.set(xlabel=LABELS[axis.along], ylabel=f"{panel.label} [%]")
