@@ -1,6 +1,10 @@
 """What no deployment can exceed: `python -m pipelines.bound deployment.count=90 [overrides]`."""
 
-from typing import Any
+import sys
+from dataclasses import replace
+from math import inf
+from time import monotonic
+from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
 
@@ -8,58 +12,99 @@ from .app import run_directory
 from .building import build_problem, keyed, settings_of
 from .documents import write_document
 from .earlier_run import read_earlier_problem
+from .notes import note
 from .pipeline import Pipeline
+
+if TYPE_CHECKING:
+    from lmd.evaluation.time_limit import TimeLimit
+
+EVERY = 10.0  # seconds between two lines on how far it is
 
 
 def bound(cfg: DictConfig) -> None:
     """Bound what the configured problem admits."""
     from lmd.core.checks import real
-    from lmd.evaluation.bounds import Search, average_upper_bound, fewest_landmarks, fitness_upper_bound
+    from lmd.evaluation.bounds import Search, affordable, average_upper_bound, fewest_landmarks, fitness_upper_bound
     from lmd.evaluation.selection_bound import selection_upper_bound
+    from lmd.evaluation.time_limit import TimeLimit
 
     from .tracked_run import keep, title_of, tracked
 
     problem = build_problem(cfg)
     settings = settings_of(cfg, "bound")
     with keyed("bound"):
-        search = Search(settings.spacing, settings.iterations, settings.tolerance)
+        seconds = inf if settings.seconds is None else real("seconds", settings.seconds, above=0.0)
+        limit = TimeLimit(seconds, _Told())
+        search = Search(settings.spacing, settings.iterations, settings.tolerance, limit)
         target = None if settings.target is None else real("target", settings.target, low=0.0, high=1.0)
     if target is not None:
         problem.scene.check_one_size("bound.target, a least number of landmarks,")
+    with keyed("bound"):
+        search = affordable(problem, problem.count, search)
+    if search.spacing > settings.spacing:
+        note(f"bound.seconds = {seconds:g} is too little for bound.spacing: poses are {search.spacing:.3g} m apart")
     directory, count, free = run_directory(), problem.count, problem.free_count
     beside = f" beside {problem.fixed_count} that hang already" if problem.fixed else ""
-    document: dict[str, Any] = {}
+    document: dict[str, Any] = {"spacing": search.spacing}
     figures: dict[str, float] = {}
     with tracked(cfg, "bound", title_of(problem, "bound")) as tracker:
         with keyed("bound"):
-            choice = selection_upper_bound(problem, count, search.spacing)
+            stage = limit.part(1 / 3)
+            choice = selection_upper_bound(problem, count, search.spacing, stage)
         document["selection"] = {"greedy": choice.greedy, "grid": choice.grid, "share": choice.share}
         figures |= {f"bound/selection/{kind}": value for kind, value in document["selection"].items()}
         _show("greedy choice", f">= {choice.share:.2%} of the best {free} poses of the grid{beside}, "
               f"by the {choice.label}: {choice.greedy:.4g} of at most {choice.grid:.4g}; "
               f"sure before was {choice.guarantee:.2%}")  # fmt: skip
-        for label, key, method in (
-            ("fitness", "fitness", fitness_upper_bound),
-            ("average probability", "average_coverage_probability", average_upper_bound),
+        early = _stopped_early("greedy choice", stage)
+        for label, key, method, share in (
+            ("fitness", "fitness", fitness_upper_bound, 1 / 2),
+            ("average probability", "average_coverage_probability", average_upper_bound, 1),
         ):
-            result = method(problem, count, search)
+            stage = limit.part(share if target is None else share / 2)
+            result = method(problem, count, replace(search, limit=stage))
             document[key] = {"walls": result.walls, "grid": result.grid, "fractional": result.fractional}
             figures |= {f"bound/{key}/{kind}": value for kind, value in document[key].items()}
             _show(label, f"<= {result.walls:.2%} for any {free} landmarks flush on the walls{beside}; on the grid of "
                   f"poses <= {result.grid:.2%}, "
                   f"where fractions of landmarks reach {result.fractional:.2%}")  # fmt: skip
+            early |= _stopped_early(label, stage)
         if target is not None:
+            stage = limit.part(1)
             with keyed("bound"):
-                fewest = fewest_landmarks(problem, target, search)
+                fewest = fewest_landmarks(problem, target, replace(search, limit=stage))
             document["target"] = {"fitness": target, "fewest_landmarks": fewest}
             figures["bound/fewest_landmarks"] = fewest
             _show("landmarks", f">= {fewest} for a fitness of {target:.2%}")
+            early |= _stopped_early("landmarks", stage)
+        if early:
+            document["stopped_early"] = early
         document["settings"] = problem.settings()
         file = directory / "bound.json"
         write_document(file, document)
         keep(tracker, [file], figures)
     _show("files", str(file))
     _show("mlflow", tracker.describe())
+
+
+class _Told:
+    """Shows now and then how far a bound is."""
+
+    def __init__(self) -> None:
+        self._last = monotonic()
+
+    def __call__(self, text: str) -> None:
+        if monotonic() - self._last >= EVERY:
+            print(text, file=sys.stderr, flush=True)
+            self._last = monotonic()
+
+
+def _stopped_early(label: str, stage: "TimeLimit") -> dict[str, list[str]]:
+    """Show and return what was stopped early of a bound, which holds all the same."""
+    if not stage.cut:
+        return {}
+    _show("", f"stopped early: {', '.join(stage.cut)}")
+    return {label: stage.cut}
 
 
 def _show(label: str, text: str) -> None:

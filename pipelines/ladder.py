@@ -1,9 +1,9 @@
-"""Searches for several numbers of landmarks of one size with one seed, and what they have found, kept on disk."""
+"""Searches along one curve of a trade-off with one seed, and what they have found, kept on disk."""
 
 import re
 from collections.abc import Callable, Iterable, Mapping
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -24,64 +24,91 @@ if TYPE_CHECKING:
 NO_SHARE = re.compile("cost|predicted_error_.*|.*_(seconds|standard_error)")  # among the figures of a point
 Content = TypeVar("Content")
 ARRAYS = ("positions", "normals", "surfaces")
+PAPER, BUDGET = "paper", "budget"  # keys of `tag` that limit tags of several sizes
 
 
 @dataclass(frozen=True)
 class Ladder:
-    """The points of one edge and one seed.
+    """The points of one curve and one seed.
 
     Args:
         cfg: of the pipeline.
-        edge: of the tags, metres; 0 for landmarks that are points.
+        edges: the edge of all tags, metres, or those that are mixed; 0 for landmarks that are points.
         seed: of the searches.
+        limited: which key of `tag` says where a point is along the curve, `PAPER` or `BUDGET`; None if the number of
+            landmarks does.
     """
 
     cfg: DictConfig
-    edge: float
+    edges: tuple[float, ...]
     seed: int
+    limited: str | None = None
 
-    def point(self, count: int) -> DictConfig:
-        """The configuration of a point, on one thread."""
+    @property
+    def curve(self) -> float | str:
+        """What tells the curve from others: the edge, or those that may be mixed."""
+        from lmd.evaluation.tradeoff import MIXED
+
+        return self.edges[0] if self.limited is None else MIXED.join(f"{edge:g}" for edge in self.edges)
+
+    def point(self, at: float) -> DictConfig:
+        """The configuration of the point with so many landmarks, or with that limit, on one thread."""
         cfg = deepcopy(self.cfg)
-        cfg.deployment.count, cfg.tag.edge = count, self.edge or None
         cfg.seed, cfg.threads = self.seed, 1
+        if self.limited is None:
+            cfg.deployment.count, cfg.tag.edge = at, self.edges[0] or None
+            return cfg
+        tag = cfg.tag
+        tag.edge, tag.counts = tag.edge or max(tag.edges), None  # that of tags that hang already is that of all curves
+        if self.limited == BUDGET:
+            tag.costs = [cost for edge, cost in zip(tag.edges, tag.costs, strict=True) if edge in self.edges]
+        tag.edges, tag.paper, tag.budget = list(self.edges), None, None
+        tag[self.limited] = at
         return cfg
 
-    def problem(self, count: int) -> "Problem":
+    def problem(self, at: float) -> "Problem":
         """The problem of a point.
 
         Raises:
             InputError: its parts do not fit together.
         """
-        return build_problem(self.point(count), count="counts")
+        cfg = self.point(at)
+        if self.limited is None:
+            return build_problem(cfg, count="counts")
 
-    def anew(self, count: int) -> "Found":
+        def mixture() -> dict[str, Any]:
+            return {"counts": build_problem(deepcopy(cfg)).scene.tag.counts}
+
+        any_seed = replace(self, seed=self.cfg.seed)
+        cfg.deployment.count = any_seed._kept(at, "mixture", None, mixture, lambda kept: list(map(int, kept["counts"])))
+        return build_problem(cfg)
+
+    def anew(self, at: float) -> "Found":
         """What a search finds that sets out from nothing."""
         from lmd.evaluation.tradeoff import ANEW
 
-        return self._search(self.problem(count), ANEW)
+        return self._search(at, self.problem(at), ANEW)
 
-    def improved(self, known: "Mapping[int, Found]", chosen: Iterable[int]) -> "dict[int, Found]":
+    def improved(self, known: "Mapping[float, Found]", chosen: Iterable[float]) -> "dict[float, Found]":
         """See `lmd.evaluation.tradeoff.improved`."""
         from lmd.evaluation.tradeoff import improved
 
         return improved(known, chosen, self.problem, self._search)
 
-    def figures(self, found: "Found") -> dict[str, float]:
+    def figures(self, at: float, found: "Found") -> dict[str, float]:
         """All figures of what was found."""
         from lmd.evaluation.tradeoff import SAMPLE
 
-        deployment = found.deployment
-        score = partial(figures_of, self.problem(len(deployment)), deployment, self.seed)
-        return self._kept(len(deployment), f"figures of {SAMPLE}", deployment, score, dict)
+        score = partial(figures_of, self.problem(at), found.deployment, self.seed)
+        return self._kept(at, f"figures of {SAMPLE}", found.deployment, score, dict)
 
-    def _search(self, problem: "Problem", way: str) -> "Found":
-        """Climb from the start of a problem with a budget of its own."""
+    def _search(self, at: float, problem: "Problem", way: str) -> "Found":
+        """Climb from the start of the problem of a point with a budget of its own."""
         from lmd.evaluation.tradeoff import Found
         from lmd.scene.deployment import Deployment
         from lmd.scene.deployment_sources import GivenDeployment
 
-        cfg = self.point(problem.count)
+        cfg = self.point(at)
 
         def climb() -> dict[str, Any]:
             result = build_optimiser(cfg, self.seed).run(problem, budget_of(cfg))
@@ -94,11 +121,11 @@ class Ladder:
             deployment = Deployment(*(kept[name] for name in ARRAYS))
             return Found(problem.labelled(deployment), kept["fitness"], way)
 
-        return self._kept(problem.count, way, start, climb, found)
+        return self._kept(at, way, start, climb, found)
 
     def _kept(
         self,
-        count: int,
+        at: float,
         what: str,
         given: "Deployment | None",
         compute: Callable[[], dict[str, Any]],
@@ -107,8 +134,10 @@ class Ladder:
         """What was computed before from the same configuration and deployment by the same code, or is computed now."""
         from lmd.core.compiled import sources
 
-        settings = flat_settings(self.point(count), *SAME_WHEN_RESUMED, "budget")
+        settings = flat_settings(self.point(at), *SAME_WHEN_RESUMED, "budget")
         arrays = None if given is None else [getattr(given, name).tolist() for name in ARRAYS]
+        if arrays and given and given.edges is not None:
+            arrays.append(given.edges.tolist())
         path = Path(self.cfg.kept) / f"{digest(settings, what, arrays, sources())}.json"
         found = read_document(path, content_of)
         if found is not None:

@@ -46,8 +46,7 @@ def divide_paper(
     from lmd.optimisers.composition import composition
 
     tag = scene.tag
-    limited = tag.paper is not None or tag.budget is not None
-    if not limited or tag.counts is not None or "count" not in cfg.deployment or "path" in cfg.deployment:
+    if tag.limit is None or tag.counts is not None or "count" not in cfg.deployment or "path" in cfg.deployment:
         return scene, ""
     counts = composition(scene, objective, threads, fixed)
     with open_dict(cfg):

@@ -34,7 +34,7 @@ import heapq
 import math
 import operator
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
 from itertools import pairwise
 from typing import NamedTuple
@@ -42,6 +42,8 @@ from typing import NamedTuple
 import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, check_fields, integer, real
+from lmd.core.compiled import clock
+from lmd.evaluation.time_limit import TimeLimit
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.problem import Problem
@@ -58,6 +60,10 @@ MOST_CELLS = 2_000_000
 BATCH, PROBES = 10_000, 500
 # A target that more than these would be needed for counts as out of reach.
 MOST_LANDMARKS = 10_000
+# Within a time limit every pose can be looked at so often for all bounds of a problem; so many tell what a look takes.
+LOOKS, SOME = 250, 500
+# Of the time, and of what is left of it for each batch of cells.
+MULTIPLIERS_SHARE, BATCH_SHARE = 0.3, 0.05
 
 
 class Dual(NamedTuple):
@@ -79,6 +85,7 @@ class Search:
         spacing: largest distance between the poses on which the multipliers are found, metres.
         iterations: at most this many steps.
         tolerance: stop when this close to the best bound on that grid.
+        limit: of the time, of which the multipliers have `MULTIPLIERS_SHARE`, the walls the rest.
 
     Raises:
         InputError: a number is out of range.
@@ -87,6 +94,7 @@ class Search:
     spacing: float = 0.125
     iterations: int = 200
     tolerance: float = 1e-3
+    limit: TimeLimit = field(default_factory=TimeLimit)
 
     def __post_init__(self) -> None:
         real("spacing", self.spacing, above=0.0)
@@ -203,6 +211,25 @@ def fewest_landmarks(problem: Problem, target: float, search: Search) -> int:
     return count
 
 
+def affordable(problem: Problem, count: int, search: Search) -> Search:
+    """The search with its poses as far apart as it takes for its time to suffice, by what a look at some of them takes.
+
+    Where the time has no limit it is the same.
+    """
+    spacing, evaluator, each = search.spacing, problem.evaluator, 0.0
+    widest = max(max(wall.extent) for wall in problem.scene.room.surfaces())
+    while search.limit.seconds < math.inf:
+        poses = reduce(operator.add, (kind.poses for kind in _kinds(problem, evaluator, count, spacing)))
+        if not each:
+            some, began = poses[:: max(len(poses) // SOME, 1)], clock()
+            gains(evaluator, some, np.ones((len(evaluator.positions), evaluator.axes.shape[1])))
+            each = (clock() - began) / len(some)
+        if LOOKS * each * len(poses) <= search.limit.left or spacing >= widest:
+            break
+        spacing *= 1.3
+    return replace(search, spacing=spacing)
+
+
 def _at_most_coverage(problem: Problem) -> Coverage | Localisation:
     """The objective, whose values are at most P_n."""
     if not isinstance(problem.objective, Coverage | Localisation):
@@ -248,10 +275,18 @@ def _kinds(problem: Problem, evaluator: Evaluator, count: int, spacing: float) -
 
 def _bound(problem: Problem, relaxation: Relaxation, count: int, search: Search) -> UpperBound:
     """Multipliers found on the grid of poses, and what they prove for the whole walls."""
-    kinds = _kinds(problem, relaxation.evaluator, count, search.spacing)
+    kinds, limit = _kinds(problem, relaxation.evaluator, count, search.spacing), search.limit
     free, numbers = count - problem.fixed_count, np.array([kind.number for kind in kinds])
-    dual, grid, fractional = _solve(relaxation, kinds, search)
-    each = np.array([largest_gain(k.evaluator, k.cells, dual.prices, search.tolerance / free) for k in kinds])
+    solving = limit.part(MULTIPLIERS_SHARE)
+    dual, grid, fractional = _solve(relaxation, kinds, replace(search, limit=solving))
+    limit.cut += solving.cut
+    if grid >= 1.0:  # whatever the walls earn
+        return UpperBound(1.0, 1.0, fractional, dual, 0.0)
+    each, tolerance = np.empty(len(kinds)), search.tolerance / free
+    for i, kind in enumerate(kinds):
+        walls = limit.part(1.0 / (len(kinds) - i))
+        each[i] = largest_gain(kind.evaluator, kind.cells, dual.prices, tolerance, walls)
+        limit.cut += walls.cut
     gain = float(each.max() - numbers @ (each.max() - each) / free)  # the mean; of one size exactly its own
     return UpperBound(dual.bound(free, gain), grid, fractional, dual, gain)
 
@@ -262,10 +297,16 @@ def _solve(relaxation: Relaxation, kinds: Sequence[Kind], search: Search) -> tup
     ends = np.cumsum([0, *(len(kind.poses) for kind in kinds)]).tolist()
     parts = [(slice(*at), kind.number) for at, kind in zip(pairwise(ends), kinds, strict=True)]
     x = ahead = np.concatenate([np.full(len(kind.poses), kind.number / len(kind.poses)) for kind in kinds])
+    began, limit = clock(), search.limit
     covered = covered_ahead = covered_amounts(evaluator, poses, x)
+    look = clock() - began  # the longest there is: every pose counts
     fractional, momentum, curvature = relaxation.value(covered), 1.0, 0.0
     best, grid = Dual(1.0, np.zeros_like(covered)), 1.0
     for step in range(search.iterations):
+        so_far = f"after {step} of {search.iterations} steps"
+        limit.tell(f"{so_far}: <= {grid:.2%} on the grid of poses, where fractions of landmarks reach {fractional:.2%}")
+        if not limit.leaves(look, f"the multipliers {so_far}"):
+            break
         width = max(FIRST_WIDTH * 0.5 ** (step // STEPS_PER_WIDTH), LAST_WIDTH)
         value, dual = relaxation.smoothed(covered_ahead, width)
         gradient = gains(evaluator, poses, dual.prices)
@@ -275,7 +316,7 @@ def _solve(relaxation: Relaxation, kinds: Sequence[Kind], search: Search) -> tup
         if grid - fractional <= search.tolerance:
             break
         curvature = 0.9 * curvature or 0.01 * gradient.max() / x.max()
-        while True:
+        while limit.leaves(look, f"the multipliers {so_far}"):
             up = ahead + gradient / curvature
             new = np.concatenate([_nearest_on_simplex(up[part], count) for part, count in parts])
             covered_new, moved = covered_amounts(evaluator, poses, new), new - ahead
@@ -283,6 +324,8 @@ def _solve(relaxation: Relaxation, kinds: Sequence[Kind], search: Search) -> tup
             if relaxation.smoothed(covered_new, width)[0] >= model - TOLERANCE:
                 break
             curvature *= 2.0
+        else:
+            break
         fractional = max(fractional, relaxation.value(covered_new))
         # Momentum that no longer leads uphill, or belongs to another width, is dropped.
         if gradient @ (new - x) < 0.0 or step % STEPS_PER_WIDTH == STEPS_PER_WIDTH - 1:
@@ -301,14 +344,18 @@ def _nearest_on_simplex(v: FloatArray, total: float) -> FloatArray:
     return np.asarray(np.maximum(v - excess[np.flatnonzero(descending > excess)[-1]], 0.0))
 
 
-def largest_gain(evaluator: Evaluator, cells: Cells, prices: FloatArray, tolerance: float) -> float:
+def largest_gain(
+    evaluator: Evaluator, cells: Cells, prices: FloatArray, tolerance: float, limit: TimeLimit | None = None
+) -> float:
     """No flush landmark in any of the cells earns more than this; some landmark earns `tolerance` less, if time allows.
 
     Args:
         cells: pieces of wall.
         prices: y, `(P, D)`, not negative.
         tolerance: in units of the gain.
+        limit: of the time; None for none.
     """
+    limit, began = limit or TimeLimit(), clock()
     largest, looked_at = 0.0, 0
     # The most promising cells first: whenever this stops, the first on the heap bounds all that are left.
     heap: list[tuple[float, int, Cells]] = []
@@ -318,11 +365,18 @@ def largest_gain(evaluator: Evaluator, cells: Cells, prices: FloatArray, toleran
         order = np.argsort(-most)
         largest = max(largest, float(gains(evaluator, cells.picked(order[:PROBES]).poses, prices).max()))
         order = order[most[order] > largest + tolerance]
-        for first in range(0, len(order), BATCH):
-            part = order[first : first + BATCH]
+        each = (clock() - began) / looked_at
+        batch = BATCH if limit.left == math.inf else int(np.clip(BATCH_SHARE * limit.left / each / 4, 1, BATCH))
+        for first in range(0, len(order), batch):
+            part = order[first : first + batch]
             heapq.heappush(heap, (-float(most[part[0]]), looked_at + first, cells.picked(part)))
         if not heap or -heap[0][0] <= largest + tolerance:
             return largest + tolerance
+        so_far = f"the walls after {looked_at} cells"
         if looked_at > MOST_CELLS:
+            limit.cut.append(so_far)
+            return -heap[0][0]
+        limit.tell(f"{looked_at} cells of the walls: a landmark earns {largest:.4g} to {-heap[0][0]:.4g}")
+        if not limit.leaves(4 * each * len(heap[0][2].poses), so_far):
             return -heap[0][0]
         cells = heapq.heappop(heap)[2].quarters()

@@ -21,8 +21,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from lmd.core.checks import FloatArray, InputError
+from lmd.core.compiled import clock
+from lmd.evaluation.time_limit import TimeLimit
 from lmd.objectives.base import selectable
-from lmd.optimisers.selection import Stock, Tags, add_each, candidates, select
+from lmd.optimisers.selection import GAINS_BATCH, Stock, Tags, add_each, candidates, select
 from lmd.problem import Problem
 
 # The share of the best that the greedy choice reaches in any case, where every pose is free to take.
@@ -51,11 +53,16 @@ class SelectionBound:
         return self.greedy / self.grid if self.grid > 0.0 else 1.0
 
 
-def selection_upper_bound(problem: Problem, count: int, spacing: float) -> SelectionBound:
+def selection_upper_bound(
+    problem: Problem, count: int, spacing: float, limit: TimeLimit | None = None
+) -> SelectionBound:
     """Bounds what `count` landmarks, fixed ones among them, reach on a grid of poses at most `spacing` metres apart.
 
     Views are those of the problem's fitness. The greedy choice keeps plates apart, the bound is also for those that
     overlap. The result does not depend on the number of threads.
+
+    Args:
+        limit: of the time, but for one look at every pose; None for none.
 
     Raises:
         InputError: the objective has no selection, the spacing is not positive, or there are several sizes and another
@@ -69,8 +76,7 @@ def selection_upper_bound(problem: Problem, count: int, spacing: float) -> Selec
     edges = problem.free_sizes if several else None
     poses = candidates(plates, edges, spacing)
     stock: int | Stock = count - problem.fixed_count if edges is None else Tags(edges)
-    chosen, _ = select(objective.selection(evaluator, relevance), poses, stock, plates, fixed=problem.hung)
-    selection, greedy = objective.selection(evaluator, relevance), 0.0
+    limit, selection, greedy = limit or TimeLimit(), objective.selection(evaluator, relevance), 0.0
     add_each(selection, problem.hung)
 
     def largest(gains: FloatArray) -> float:
@@ -80,13 +86,22 @@ def selection_upper_bound(problem: Problem, count: int, spacing: float) -> Selec
         sizes = zip(*np.unique(edges, return_counts=True), strict=True)
         return sum(_largest(gains[poses.edges == edge], number) for edge, number in sizes)
 
+    began = clock()
     at_first = largest(selection.gains(poses))
+    looks = limit.left / (clock() - began) - 1.0  # one is left for the gains in the end
+    chosen, spent = select(
+        objective.selection(evaluator, relevance), poses, stock, plates, looks * len(poses), problem.hung
+    )
+    if spent + (GAINS_BATCH if spent else len(poses)) > looks * len(poses):
+        limit.cut.append(f"the greedy choice after {len(chosen)} of {count - problem.fixed_count} landmarks")
+    if not len(chosen):
+        return SelectionBound(selection.label, 0.0, at_first, 0.0)
     for j in chosen:
         greedy += float(selection.gains(poses[j : j + 1])[0])
         selection.add(poses[j : j + 1])
     gains = selection.gains(poses)
     gains[chosen] = 0.0  # each pose once
-    guarantee = GUARANTEE_OF_SIZES if several else GUARANTEE
+    guarantee = 0.0 if limit.cut else GUARANTEE_OF_SIZES if several else GUARANTEE
     return SelectionBound(selection.label, greedy, min(at_first, greedy + largest(gains)), guarantee)
 
 

@@ -30,7 +30,7 @@ def composition(
         InputError: that does not suffice for one tag, or the objective has no selection.
     """
     tag, plates = scene.tag, scene.plates
-    edges, stock = np.array(tag.edges), _stock(tag, plates)
+    edges, stock = np.array(tag.edges), stock_of_sizes(tag, plates, tag.limit or 0.0)
     evaluator = Evaluator(scene.sized(edges), threads=threads)
     relevance = scene.room.relevance.weights(evaluator.positions)
     hung = (
@@ -50,11 +50,10 @@ def composition(
     return tuple(int((found == edge).sum()) for edge in edges)
 
 
-def _stock(tag: Tag, plates: Plates) -> Stock:
-    """What there is to hang."""
-    if tag.budget is not None:
-        assert tag.edges is not None, "a budget comes with costs, and these with edges"
-        assert tag.costs is not None, "a budget comes with costs"
-        return Money(tag.budget, dict(zip(tag.edges, tag.costs, strict=True)))
-    assert tag.paper is not None, "something limits them"
-    return Paper(tag.paper, plates)
+def stock_of_sizes(tag: Tag, plates: Plates, limit: float) -> Stock:
+    """Tags of any of the edges of `tag`, as many as `limit` of paper suffices for, or of cost if it has a budget."""
+    if tag.budget is None:
+        return Paper(limit, plates)
+    assert tag.edges is not None, "a budget comes with costs, and these with edges"
+    assert tag.costs is not None, "a budget comes with costs"
+    return Money(limit, dict(zip(tag.edges, tag.costs, strict=True)))

@@ -139,6 +139,11 @@ class Tag:
         return self.edges or (() if self.edge is None else (self.edge,))
 
     @property
+    def limit(self) -> float | None:
+        """How much paper there is, square metres, or what all tags may cost; None where their number is given."""
+        return self.budget if self.paper is None else self.paper
+
+    @property
     def is_point(self) -> bool:
         """Whether the landmarks have no size."""
         return self.edge is None

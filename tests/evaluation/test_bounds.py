@@ -1,3 +1,4 @@
+import itertools
 import json
 import math
 from dataclasses import replace
@@ -19,6 +20,7 @@ from lmd.core.checks import InputError
 from lmd.evaluation.bounds import (
     Relaxation,
     Search,
+    affordable,
     average_upper_bound,
     fewest_landmarks,
     fitness_upper_bound,
@@ -26,6 +28,7 @@ from lmd.evaluation.bounds import (
     smoothed_min,
 )
 from lmd.evaluation.selection_bound import GUARANTEE, selection_upper_bound
+from lmd.evaluation.time_limit import TimeLimit
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.sampling import Sampling
@@ -226,6 +229,43 @@ def test_the_result_does_not_depend_on_threads():
     assert (one.walls, one.grid, one.fractional) == (two.walls, two.grid, two.fractional)
 
 
+@pytest.fixture
+def ticking(monkeypatch):
+    """A clock that goes on by a second whenever it is asked."""
+    seconds = itertools.count()
+    for module in ("time_limit", "bounds", "selection_bound"):
+        monkeypatch.setattr(f"lmd.evaluation.{module}.clock", seconds.__next__)
+
+
+@pytest.mark.usefixtures("ticking")
+@pytest.mark.parametrize("seconds", [1, 40, 80])
+def test_a_bound_that_the_time_ends_holds_and_says_what_was_cut_short(seconds):
+    problem = small_problem()
+    whole, limit = average_upper_bound(problem, 12, COARSE), TimeLimit(seconds)
+    early = average_upper_bound(problem, 12, replace(COARSE, limit=limit))
+    assert min(early.walls, early.grid) >= whole.fractional - 1e-9
+    assert limit.cut[0].startswith("the multipliers after ")
+    assert (early.walls == 1.0) == (seconds == 1)
+
+
+@pytest.mark.usefixtures("ticking")
+def test_a_greedy_choice_that_the_time_ends_is_bounded_too():
+    problem = small_problem()
+    whole, limit = selection_upper_bound(problem, 12, 1.0), TimeLimit(3)
+    early = selection_upper_bound(problem, 12, 1.0, limit)
+    assert limit.cut == ["the greedy choice after 0 of 12 landmarks"]
+    assert (early.greedy, early.guarantee) == (0.0, 0.0)
+    assert early.grid >= whole.grid
+
+
+@pytest.mark.usefixtures("ticking")
+def test_poses_are_as_far_apart_as_it_takes_for_the_time_to_suffice():
+    problem, far = small_problem(), replace(COARSE, spacing=0.5)
+    assert affordable(problem, 12, far).spacing == 0.5  # no limit
+    coarser = affordable(problem, 12, replace(far, limit=TimeLimit(100)))
+    assert 0.5 < coarser.spacing < 8.0
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -246,7 +286,15 @@ SMALL_BOUND = ["room.spacing=2.0", "pdf.divisions=6", "bound.spacing=1.0", "boun
 
 @pytest.mark.slow
 def test_the_command_prints_and_writes_the_bounds(tmp_path):
-    done = call("bound", *SMALL_BOUND, "deployment.count=12", "bound.target=0.5", "hydra.run.dir=run", cwd=tmp_path)
+    done = call(
+        "bound",
+        *SMALL_BOUND,
+        "deployment.count=12",
+        "bound.target=0.5",
+        "bound.seconds=null",
+        "hydra.run.dir=run",
+        cwd=tmp_path,
+    )
     assert done.returncode == 0, done.stderr
     document = json.loads((tmp_path / "run" / "bound.json").read_text())
     assert f"<= {document['average_coverage_probability']['walls']:.2%} for any 12 landmarks" in done.stdout

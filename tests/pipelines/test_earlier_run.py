@@ -198,7 +198,7 @@ def test_a_file_of_fixed_tags_that_is_named_is_all_of_them(earlier, monkeypatch)
 def test_tradeoff_places_others_beside_the_fixed_tags_of_a_run(earlier, monkeypatch):
     def problem_of(count):
         random = partial(read_earlier_run, "deployment=random")
-        return Ladder(composed(monkeypatch, "tradeoff", f"run='{earlier}'", read=random), 0.0, 0).problem(count)
+        return Ladder(composed(monkeypatch, "tradeoff", f"run='{earlier}'", read=random), (0.0,), 0).problem(count)
 
     leave(earlier, "id,x,y,z,nx,ny,nz,fixed\n5,0,1,1,1,0,0,1\n7,0,2,1,1,0,0,0\n", fixed="tags.csv")
     problem = problem_of(3)

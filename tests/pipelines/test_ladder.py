@@ -15,7 +15,7 @@ RECORDED = "time,x,y,z,yaw,pitch\n" + "".join(f"{t},2,2,2,{0.1 * t},0\n" for t i
 
 
 def ladder_of(*overrides, edge=0.0):
-    return ladder.Ladder(composed("tradeoff", *SMALL, *overrides), edge, 0)
+    return ladder.Ladder(composed("tradeoff", *SMALL, *overrides), (edge,), 0)
 
 
 @pytest.fixture
@@ -63,9 +63,9 @@ def test_what_other_code_has_computed_is_not_taken(tmp_path, monkeypatch):
     found = Found(known.problem(6).draw(np.random.default_rng(0)), 0.0, ANEW)
     scored = []
     monkeypatch.setattr(ladder, "figures_of", lambda *_: scored.append(0) or {"share": len(scored)})
-    assert [known.figures(found)["share"] for _ in range(2)] == [1, 1]
+    assert [known.figures(6, found)["share"] for _ in range(2)] == [1, 1]
     monkeypatch.setattr("lmd.core.compiled.sources", lambda: "other code")
-    assert known.figures(found)["share"] == 2
+    assert known.figures(6, found)["share"] == 2
 
 
 @pytest.mark.usefixtures("quick")

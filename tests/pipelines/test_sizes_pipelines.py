@@ -9,7 +9,8 @@ from composing import composed
 from processes import call
 
 from lmd.core.checks import InputError
-from pipelines.building import build_problem
+from lmd.optimisers.ledger import Budget
+from pipelines.building import build_optimiser, build_problem
 
 SIZES = ("tag=printed", "tag.edges=[0.06,0.20]")
 TAGS = "id,x,y,z,nx,ny,nz\n7,0,2,3,1,0,0\n3,0.02,3,3,1,0,0\n"
@@ -51,6 +52,15 @@ def test_costs_say_how_many_there_are(capsys):
     assert sum(cfg.tag.counts) == problem.count
     assert 11 < np.array(cfg.tag.counts) @ (1, 4) <= 12
     assert "tag.budget = 12 make" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["ega", "sga", "pymoo_ga", "nevergrad", "cma_es"])
+def test_black_boxes_place_what_the_paper_suffices_for(name):
+    problem, cfg = built(*SIZES, "tag.paper=0.1", f"optimiser={name}", "objective.thold_p=0.1")
+    result = build_optimiser(cfg, 0).run(problem, Budget(40))
+    assert result.fitness == problem.fitness_of(result.deployment)
+    assert [int((result.deployment.edges == edge).sum()) for edge in cfg.tag.edges] == list(cfg.tag.counts)
+    problem.scene.plates.check(result.deployment)
 
 
 @pytest.mark.parametrize(

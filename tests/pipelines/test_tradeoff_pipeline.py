@@ -143,13 +143,43 @@ def test_a_rig_on_recorded_poses_beside_the_fixed_tags_of_a_run(tmp_path):
     assert (tmp_path / "run" / "tradeoff.png").is_file()
 
 
+def test_along_paper_the_best_mixture_is_no_worse_than_each_size_alone(tmp_path):
+    sizes = ("tag=printed", "tag.edges=[0.1,0.3]", "papers=[0.3,0.5]", "objective.thold_p=0.1", "wanted=0.001")
+    run = tradeoff(tmp_path, *sizes, "seeds=1", "workers=1", "optimiser=random_search")
+    assert run.returncode == 0, run.stderr
+    points = pd.read_csv(tmp_path / "run" / "points.csv").set_index(["edges", "paper"])
+    assert set(points.index.get_level_values("edges")) == {"0.1", "0.1+0.3", "0.3"}
+    used = 1.25**2 * (0.01 * points["count_0.1"] + 0.09 * points["count_0.3"])
+    paper = points.index.get_level_values("paper")
+    assert ((used <= paper) & (used > paper - 0.375**2)).all()
+    assert (points["count_0.1"] + points["count_0.3"] == points["count"]).all()
+    mixed = points.loc["0.1+0.3"]
+    for edges in ("0.1", "0.3"):
+        alone = points.loc[edges]
+        assert (mixed.fitness.reindex(alone.index).dropna() >= alone.fitness.reindex(mixed.index).dropna()).all()
+    assert "least paper with a grid_free_qualified_ratio of 0.001\n" in run.stdout
+    landmarks = pd.read_csv(tmp_path / "run" / "points" / "paper-0.5-edges-0.1-0.3-seed-0" / "landmarks.csv")
+    assert (landmarks.edge == 0.1).sum() == mixed["count_0.1"][0.5]
+    client = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/outputs/mlflow.db")
+    runs = client.search_runs([client.get_experiment_by_name("lmd tradeoff").experiment_id])
+    (parent,) = (run for run in runs if "mlflow.parentRunId" not in run.data.tags)
+    curve = client.get_metric_history(parent.info.run_id, "grid_free_qualified_ratio/edges_0.1-0.3")
+    assert {3000, 5000} <= {each.step for each in curve}
+
+
 @pytest.mark.parametrize(
     ("override", "message"),
     [
         ("counts=20", "counts must be a list of numbers, got 20."),
         ("counts=[0]", "counts must be at least 1, got 0."),
         ("edges=[a]", "edges must be a number, got 'a'."),
-        ("tag.edges=[0.1,0.2]", "tag.edges is for tags of several sizes; tradeoff compares single ones"),
+        ("tag.edges=[0.1,0.2]", "tag.edges is for tags of several sizes: give papers=[...] or budgets=[...]"),
+        ("papers=[1]", "papers needs tag.edges=[...]."),
+        ("tag.edges=[0.1,0.2] budgets=[5]", "budgets needs tag.edges=[...] and tag.costs=[...]."),
+        ("papers=[1] budgets=[5]", "papers must not be given with budgets."),
+        ("papers=[1] edges=[0.1]", "papers must not be given with edges."),
+        ("tag.edges=[0.1,0.2] papers=[a]", "papers must be a number, got 'a'."),
+        ("tag.edges=[0.1,0.2] papers=[0.01]", "tag.paper = 0.01 square metres is too little for a tag"),
         ("seeds=0", "seeds must be at least 1, got 0."),
         ("wanted=90", "wanted must be in [0, 1], got 90."),
         ("figure=cost", "figure must be one of "),
@@ -159,4 +189,6 @@ def test_a_rig_on_recorded_poses_beside_the_fixed_tags_of_a_run(tmp_path):
     ],
 )
 def test_bad_input_has_one_sentence(tmp_path, override, message):
-    processes.refused("tradeoff", override, message=message, cwd=tmp_path, settings=(*SMALL, "hydra.run.dir=run"))
+    processes.refused(
+        "tradeoff", *override.split(), message=message, cwd=tmp_path, settings=(*SMALL, "hydra.run.dir=run")
+    )
