@@ -190,31 +190,30 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
                         if doubtful[k]:
                             left |= sure[k, m, w]
                         left &= ~mine if keep else ~(mine | some[n - 1, w])
-                        if left and rivals < 0:
-                            rivals = 0
-                            if doubtful[k] and sight.reach >= 0.0:
-                                rivals = _list_rivals(k, view, radius, width, close[k], blocks, suspects)
-                        if clear and rivals == 0:
-                            cap = left & sure[k, m, w]
-                            left &= ~cap
+                        cap, left = left & sure[k, m, w], left & undecided[k, m, w]
                         while left:
                             bit = lowest(left)
                             a = w * np.uint64(BITS) + bit
                             left &= left - ONE
-                            if (undecided[k, m, w] >> bit & ONE) != ZERO and not covers_from(
-                                part, m, a, name, px, py, pz, lx, ly, lz, nx, ny, nz, frame
-                            ):
-                                continue
-                            if not clear and is_blocked(obstacles, sight, p * size + part.place[m, a], ends, name):
-                                continue
-                            hidden = False
-                            for i in range(rivals):
+                            covered = covers_from(part, m, a, name, px, py, pz, lx, ly, lz, nx, ny, nz, frame)
+                            cap |= np.uint64(covered) << bit
+                        if cap and rivals < 0:
+                            rivals = 0
+                            if doubtful[k] and sight.reach >= 0.0:
+                                rivals = _list_rivals(k, view, radius, width, close[k], blocks, suspects)
+                        left = ZERO if clear and rivals <= 0 else cap
+                        while left:
+                            bit = lowest(left)
+                            a = w * np.uint64(BITS) + bit
+                            left &= left - ONE
+                            lost = not clear and is_blocked(obstacles, sight, p * size + part.place[m, a], ends, name)
+                            for i in range(0 if lost else rivals):
                                 one, other = _pose(near, suspects[i]), (lx, ly, lz, nx, ny, nz)
                                 if hides_from(part, m, a, who[suspects[i]], name, px, py, pz, one, other):
-                                    hidden = True
+                                    lost = True
                                     break
-                            if not hidden:
-                                cap |= ONE << bit
+                            if lost:
+                                cap &= ~(ONE << bit)
                         if cap:
                             seen[s, p, name, w] = mine | cap
                             if not keep:
