@@ -19,7 +19,7 @@ from numba.core.datamodel.registry import default_manager
 from numba.core.ir import Assign
 from numba.core.lowering import Lower
 
-LARGE = 64  # arguments that a named tuple would be from which on it goes by its address
+LARGE = 40  # arguments that a named tuple would be from which on it goes by its address
 
 
 class _ByAddress(TupleModel):
