@@ -19,7 +19,7 @@ from numba.core.datamodel.registry import default_manager
 from numba.core.ir import Assign
 from numba.core.lowering import Lower
 
-LARGE = 64  # arguments that a named tuple would be from which on it goes by its address
+LARGE = 40  # arguments that a named tuple would be from which on it goes by its address
 
 
 class _ByAddress(TupleModel):
@@ -67,7 +67,16 @@ def _model_of(manager: Any, kind: Any) -> Any:
     """How a named tuple is handed over: as numba does, but for large ones of this package."""
     model = TupleModel(manager, kind)
     own = kind.instance_class.__module__.partition(".")[0] == "lmd"
-    return _ByAddress(manager, kind) if own and _width(model.get_argument_type()) >= LARGE else model
+    # One that has another which goes by its address would be laid down anew for each call, if it went by its members.
+    large = _width(model.get_argument_type()) >= LARGE or any(_has_large(manager, each) for each in kind.types)
+    return _ByAddress(manager, kind) if own and large else model
+
+
+def _has_large(manager: Any, kind: Any) -> bool:
+    """Whether values of a type, or some of their members, go by their address."""
+    return isinstance(manager.lookup(kind), _ByAddress) or any(
+        _has_large(manager, each) for each in getattr(kind, "types", ())
+    )
 
 
 def _width(kinds: Any) -> int:

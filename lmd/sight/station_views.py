@@ -7,11 +7,11 @@ import math
 
 import numpy as np
 
-from lmd.core.bits import ALL, BITS, ONE, ZERO, lowest
+from lmd.core.bits import ALL, BITS, LANES, ONE, ZERO, lowest
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import for_kernels, inlined, inner, kernel
 from lmd.scene.criteria import covers, frame_of, from_position, sized
-from lmd.sight.blocks import BLOCK, SINGLE_ERROR
+from lmd.sight.blocks import SINGLE_ERROR
 from lmd.sight.obstacles import find_ends, is_blocked, is_clear, no_ends, obstacles_at
 from lmd.sight.stations import (
     ANY,
@@ -77,15 +77,15 @@ def _turn(k, view, radius):
 def _find_suspects(k, view, count, radius, close):
     """Find the landmarks that may hide landmark k, as bits of `close` `(blocks, )`; returns whether there are any."""
     mine, some = _turn(k, view, radius), np.uint32(0)
-    for b in range((count + BLOCK - 1) // BLOCK):
+    for b in range((count + LANES - 1) // LANES):
         found = np.uint32(0)
-        for lane in range(np.uint64(BLOCK)):
-            j = np.uint64(b * BLOCK) + lane
+        for lane in range(np.uint64(LANES)):
+            j = np.uint64(b * LANES) + lane
             found |= np.uint32(_is_suspect(j, k, mine, view)) << np.uint32(lane)
-        if b == k // BLOCK:
-            found &= ~(np.uint32(1) << np.uint32(k % BLOCK))
-        if b == count // BLOCK:  # what fills up is close to all
-            found &= (np.uint32(1) << np.uint32(count % BLOCK)) - np.uint32(1)
+        if b == k // LANES:
+            found &= ~(np.uint32(1) << np.uint32(k % LANES))
+        if b == count // LANES:  # what fills up is none
+            found &= (np.uint32(1) << np.uint32(count % LANES)) - np.uint32(1)
         close[b] = found
         some |= found
     return some != 0
@@ -98,7 +98,7 @@ def _list_rivals(k, view, radius, width, close, blocks, rivals):
     for b in range(blocks):
         left = np.uint64(close[b])
         while left:
-            j = b * BLOCK + np.int64(lowest(left))
+            j = b * LANES + np.int64(lowest(left))
             left &= left - ONE
             rivals[kept] = j
             kept += may_hide_around(x[j], y[j], z[j], x[k], y[k], z[k], radius, width)
@@ -136,7 +136,7 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
     near, x, y, z, reached, who, shown = view.near, view.x, view.y, view.z, view.reached, view.who, view.shown
     high, deep, size = view.high, view.deep, len(part.places)
     start, row, suspects = np.empty(total), np.empty(total, np.uint64), np.empty(total + 1, np.int64)
-    close = np.zeros((total, total // BLOCK + 1), np.uint32)
+    close = np.zeros((total, total // LANES + 1), np.uint32)
     some, doubtful = np.empty((n, words), dtype=np.uint64), np.empty(total, dtype=np.bool_)
     mounts, each = len(part.axes), len(seen) > 1
     undecided, sure = np.empty((total, mounts, words), np.uint64), np.empty((total, mounts, words), np.uint64)
@@ -152,7 +152,7 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
         for c in range(len(part.centres)):
             _look_around(part, c, view, count, px, py, pz, start)
             radius = part.radius[c]
-            begin, end, listed, blocks = part.mounts[c], part.mounts[c + 1], 0, (count + BLOCK - 1) // BLOCK
+            begin, end, listed, blocks = part.mounts[c], part.mounts[c + 1], 0, (count + LANES - 1) // LANES
             for k in range(count):
                 if reached[k] and not (loose and slack[who[k]] > 0.0):
                     shown[listed], row[k] = k, row_from(part, c, x[k], y[k], z[k])
@@ -190,31 +190,30 @@ def _see(positions, part, obstacles, landmarks, normals, slack, n, keep, seen):
                         if doubtful[k]:
                             left |= sure[k, m, w]
                         left &= ~mine if keep else ~(mine | some[n - 1, w])
-                        if left and rivals < 0:
-                            rivals = 0
-                            if doubtful[k] and sight.reach >= 0.0:
-                                rivals = _list_rivals(k, view, radius, width, close[k], blocks, suspects)
-                        if clear and rivals == 0:
-                            cap = left & sure[k, m, w]
-                            left &= ~cap
+                        cap, left = left & sure[k, m, w], left & undecided[k, m, w]
                         while left:
                             bit = lowest(left)
                             a = w * np.uint64(BITS) + bit
                             left &= left - ONE
-                            if (undecided[k, m, w] >> bit & ONE) != ZERO and not covers_from(
-                                part, m, a, name, px, py, pz, lx, ly, lz, nx, ny, nz, frame
-                            ):
-                                continue
-                            if not clear and is_blocked(obstacles, sight, p * size + part.place[m, a], ends, name):
-                                continue
-                            hidden = False
-                            for i in range(rivals):
+                            covered = covers_from(part, m, a, name, px, py, pz, lx, ly, lz, nx, ny, nz, frame)
+                            cap |= np.uint64(covered) << bit
+                        if cap and rivals < 0:
+                            rivals = 0
+                            if doubtful[k] and sight.reach >= 0.0:
+                                rivals = _list_rivals(k, view, radius, width, close[k], blocks, suspects)
+                        left = ZERO if clear and rivals <= 0 else cap
+                        while left:
+                            bit = lowest(left)
+                            a = w * np.uint64(BITS) + bit
+                            left &= left - ONE
+                            lost = not clear and is_blocked(obstacles, sight, p * size + part.place[m, a], ends, name)
+                            for i in range(0 if lost else rivals):
                                 one, other = _pose(near, suspects[i]), (lx, ly, lz, nx, ny, nz)
                                 if hides_from(part, m, a, who[suspects[i]], name, px, py, pz, one, other):
-                                    hidden = True
+                                    lost = True
                                     break
-                            if not hidden:
-                                cap |= ONE << bit
+                            if lost:
+                                cap &= ~(ONE << bit)
                         if cap:
                             seen[s, p, name, w] = mine | cap
                             if not keep:

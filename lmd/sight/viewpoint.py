@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lmd.core.bits import LANES
 from lmd.core.compiled import allocating, inlined, inner
 from lmd.scene.criteria import from_position, hide_between, sized
 from lmd.sight.bands import band_of
@@ -54,7 +55,7 @@ class Viewpoint(NamedTuple):
     reached: np.ndarray
     """Whether any orientation may cover it, `(K,)`."""
     u: np.ndarray
-    """Direction in single precision, filled up to whole blocks, as are v, w and `close`."""
+    """Direction in single precision, filled up to whole `LANES`, as are v, w and `close`."""
     v: np.ndarray
     w: np.ndarray
     close: np.ndarray
@@ -66,7 +67,7 @@ class Viewpoint(NamedTuple):
 @allocating
 def viewpoint_for(count):
     """A `Viewpoint` of so many landmarks."""
-    whole = (count + BLOCK - 1) & -BLOCK
+    whole = (count + LANES - 1) & -LANES
     return Viewpoint(
         np.empty((6, count)), np.empty(count, np.int64), np.empty((6, count)), np.empty(count, np.int64),
         np.empty(count), np.empty(count), np.empty(count), np.empty(count), np.empty(count), np.empty(count),
