@@ -10,8 +10,8 @@ as all else that moves the mirrored tag moves it alike for all cameras. So two c
 across the line of sight, tell as much by that as each does alone. As |b_i| = 1, the second sum is M - |h|^2 / M with
 M = sum m_i and h = sum m_i b_i: five numbers that add up. More cameras never tell less.
 
-Where the tag is so frontal that its slant is less than about one and a half baselines over distance, there is no second
-pose at all. S is then on the safe side. docs/results/ambiguity.md has what it is off by.
+At an incidence below about one and a half baselines over distance, radians, there is no second pose at all; S does not
+know. docs/results/ambiguity.md has what it is off by.
 """
 
 from typing import Any
