@@ -28,6 +28,8 @@ from lmd.scene.rig import Mount, Rig
 from lmd.scene.tag import Tag
 from lmd.sight.evaluator import Evaluator
 
+pytestmark = pytest.mark.long
+
 NORMAL, UP, RIGHT = np.eye(3)[0], np.eye(3)[2], np.eye(3)[1]
 # Of a tag at the origin that faces along x.
 CAMERAS = [paper_camera(focal_length=f) for f in (3.0, 5.0, 4.0)]
@@ -77,14 +79,16 @@ def other_residual(poses, edge):
 @pytest.mark.parametrize("baseline", [0.03, 0.1, 0.3])
 def test_the_closed_form_is_the_residual_of_the_other_pose_in_all_images(baseline):
     rng = np.random.default_rng(0)
-    for edge, distance, slant, count in (
+    for edge, distance, incidence, count in (
         (0.1, 2.0, 30.0, 2),
         (0.15, 3.0, 50.0, 2),
         (0.1, 3.0, 40.0, 3),
         (0.2, 4.0, 25.0, 3),
     ):
         around = rng.uniform(-np.pi, np.pi)
-        away = np.array([1.0, np.tan(np.radians(slant)) * np.cos(around), np.tan(np.radians(slant)) * np.sin(around)])
+        away = np.array(
+            [1.0, np.tan(np.radians(incidence)) * np.cos(around), np.tan(np.radians(incidence)) * np.sin(around)]
+        )
         centre = distance * away / np.linalg.norm(away)
         poses = [seen_from(centre + rng.normal(0.0, baseline / 2.0, 3), rng.uniform(-0.2, 0.2)) for _ in range(count)]
         assert residual(poses, edge) == pytest.approx(other_residual(poses, edge), rel=0.05)
