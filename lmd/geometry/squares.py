@@ -66,3 +66,10 @@ def upright_axes(nx, ny, nz, level):  # type: ignore[no-untyped-def]
     ux, uy = -(nx * (nz if on_wall else ny)) / length, (-(ny * nz) if on_wall else square) / length
     uz = (square if on_wall else -(ny * nz)) / length
     return tx, ty, tz, ux, uy, uz
+
+
+@inlined
+def upright_sides(half, nx, ny, nz):  # type: ignore[no-untyped-def]
+    """From the centre of a tag that hangs upright to the middles of its right and its upper edge, of `half` an edge."""
+    rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, VERTICAL_TOLERANCE)
+    return half * rx, half * ry, half * rz, half * ux, half * uy, half * uz

@@ -112,6 +112,7 @@ def localisations(rotations):
         tolerance=st.sampled_from([0.005, 0.02, 0.1, 0.5, np.inf]),
         rotation_tolerance=rotations,
         coverage_weight=st.sampled_from([0.0, 0.0, 0.3, 1.0]),
+        ambiguity=st.just("ignored"),
     )
 
 

@@ -17,7 +17,7 @@ mirrored one with the probability
 The poses are told apart if P is at most 1 - `CONFIDENCE`. Away from the middle of the image S grows with
 `pixel_density`, as the information does. docs/results/ambiguity.md has what P is off by.
 
-Two tags or more count as told apart: what mirrors one does not fit the other.
+Two tags or more count as told apart: what mirrors one does not fit the other. `rig_ambiguity` has this of a rig.
 """
 
 from statistics import NormalDist
@@ -27,7 +27,7 @@ import numpy as np
 
 from lmd.core.compiled import arithmetic
 from lmd.core.dispatch import overridable
-from lmd.geometry.squares import VERTICAL_TOLERANCE, upright_axes
+from lmd.geometry.squares import upright_sides
 from lmd.objectives.localisation.information import PosePrecision, Precision, SizedPrecision, meets
 from lmd.scene.criteria import TOLERANCE
 
@@ -62,6 +62,38 @@ def resolved(asked: Precision | PosePrecision, scale: float) -> ResolvedPrecisio
     return ResolvedPrecision(asked, asked.half, asked.share, asked.position, least**2 * (1.0 - TOLERANCE))
 
 
+@overridable
+def asks_apart(precision):
+    """Whether `precision` asks that two poses of a single tag are told apart."""
+    return False
+
+
+@asks_apart.register(ResolvedPrecision)
+def _asks_apart(precision):
+    return True
+
+
+@asks_apart.register(SizedPrecision)
+def _asks_apart_of(precision):
+    return asks_apart(precision.of)
+
+
+@overridable
+def square_of(precision):
+    """What S must be in units of f^2."""
+    return 0.0
+
+
+@square_of.register(ResolvedPrecision)
+def _square_of(precision):
+    return precision.square
+
+
+@square_of.register(SizedPrecision)
+def _square_of_other(precision):
+    return square_of(precision.of)
+
+
 @arithmetic
 def mirrored_square(x, y, z, rx, ry, rz, ux, uy, uz):
     """S of a tag times its distance cubed, in units of f^2; arguments as in `information.moments`."""
@@ -87,8 +119,7 @@ def told_apart(precision, half, x, y, z, nx, ny, nz):
 
 @told_apart.register(ResolvedPrecision)
 def _told_apart(precision, half, x, y, z, nx, ny, nz):
-    rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, VERTICAL_TOLERANCE)
-    rx, ry, rz, ux, uy, uz = half * rx, half * ry, half * rz, half * ux, half * uy, half * uz
+    rx, ry, rz, ux, uy, uz = upright_sides(half, nx, ny, nz)
     return telling(x, y, z, rx, ry, rz, ux, uy, uz, precision.square)
 
 

@@ -13,15 +13,13 @@ rounded as for a single camera, which makes sums exact in any order.
 
 import numpy as np
 
-from lmd.core.compiled import arithmetic, inlined
+from lmd.core.compiled import arithmetic
 from lmd.core.dispatch import dispatched
-from lmd.objectives.localisation.information import SINGULAR, PosePrecision, Precision, SizedPrecision, share_of
-from lmd.objectives.localisation.kernels import landmark_moments
+from lmd.objectives.localisation.information import SINGULAR, PosePrecision, Precision, SizedPrecision
 from lmd.scene.camera import Camera
-from lmd.scene.criteria import pixel_density
 
 # Numbers of a view: C, B row by row, and A', the symmetric ones as xx, xy, xz, yy, yz, zz; three fill up.
-BODY_WIDTH = 24
+BODY_NUMBERS, BODY_WIDTH = 21, 24
 
 
 def gain_of(camera: Camera, first: Camera) -> float:
@@ -138,25 +136,3 @@ def _meets_both(precision, sums, v, step):
 @body_meets.register(SizedPrecision)
 def _meets_of(precision, sums, v, step):
     return body_meets(precision.of, sums, v, step)
-
-
-@inlined
-def add_share(sight, axes, a, x, y, z, nx, ny, nz, ox, oy, oz, precision, k, gain, sums, v, row):
-    """Add to view v of `sums` what landmark k tells.
-
-    Args:
-        sight, axes, a: of the camera, and which of its orientations `(6, D)`.
-        x, y, z, nx, ny, nz: offset from the camera and normal of the landmark.
-        ox, oy, oz: offset of the camera from the body.
-        precision: has the size of the tags.
-        gain: see `gain_of`.
-        sums, v: `(V, BODY_WIDTH)`, and which row.
-        row: `(BODY_WIDTH,)` working memory.
-    """
-    weight = gain * pixel_density(sight, x, y, z, axes, a)
-    (
-        row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9], row[10], row[11], row[12],
-        row[13], row[14], row[15], row[16], row[17], row[18], row[19], row[20],
-    ) = about_body(landmark_moments(x, y, z, nx, ny, nz, precision, k), ox, oy, oz)  # fmt: skip
-    for j in range(sums.shape[1]):
-        sums[v, j] += share_of(row[j], weight)

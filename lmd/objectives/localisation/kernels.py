@@ -8,7 +8,7 @@ import numpy as np
 
 from lmd.core.bits import ALL, BITS, LANES, ONE, ZERO, add_digit, at_least_so_far, lowest
 from lmd.core.compiled import inlined, kernel
-from lmd.geometry.squares import VERTICAL_TOLERANCE, upright_axes
+from lmd.geometry.squares import upright_sides
 from lmd.objectives.localisation.ambiguity import count_tag, tells, told_apart
 from lmd.objectives.localisation.information import WIDTH, half_of, meets, moments, share_of, variance
 from lmd.scene.criteria import covering, covers, frame_of, pixel_density, sized
@@ -20,9 +20,8 @@ from lmd.sight.viewpoint import gather_near, list_shown, look, take, viewpoint_f
 @inlined
 def landmark_moments(x, y, z, nx, ny, nz, precision, k):
     """The `moments` of landmark k, upright at offset (x, y, z) with the unit normal (nx, ny, nz)."""
-    rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, VERTICAL_TOLERANCE)
-    half = half_of(precision, k)
-    return moments(x, y, z, half * rx, half * ry, half * rz, half * ux, half * uy, half * uz, precision.share)
+    rx, ry, rz, ux, uy, uz = upright_sides(half_of(precision, k), nx, ny, nz)
+    return moments(x, y, z, rx, ry, rz, ux, uy, uz, precision.share)
 
 
 @inlined

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,7 +29,6 @@ from lmd.objectives.localisation.trial import mixed
 from lmd.objectives.localisation.views import localised_views
 from lmd.objectives.sampling import Sampling
 from lmd.scene.criteria import TOLERANCE
-from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE
@@ -128,7 +127,7 @@ class Localisation(AtLeast):
         edges = scene.edges or (None,)
         asked: Precision | PosePrecision | ResolvedPrecision
         asked = precision(camera, scene.tag, noise, self.tolerance, self.rotation_tolerance, edges[0])
-        if not (self.n > 1 or self.ambiguity == "ignored" or scene.tag.is_point or isinstance(scene.camera, Rig)):
+        if not (self.n > 1 or self.ambiguity == "ignored" or scene.tag.is_point):
             asked = resolved(asked, deviation_per_variance(camera, noise))
         return asked if scene.edges is None or len(edges) < 2 else sized_precision(asked, scene.edges)
 
@@ -195,7 +194,7 @@ class Localisation(AtLeast):
         prior = PRIOR_TOLERANCES * self.tolerance if math.isfinite(self.tolerance) else PRIOR_POSITION
         known = (scale / prior) ** 2, (scale / PRIOR_ROTATION) ** 2
         made = RigLogDeterminant if evaluator.parts else LogDeterminant
-        return made(evaluator, relevance, self.precision, *known)
+        return made(evaluator, relevance, replace(self, ambiguity="ignored").precision, *known)
 
 
 def localisation(fitness: str = "mean", **settings: Any) -> Localisation:

@@ -10,8 +10,8 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.geometry.lens_models import density_of
 from lmd.geometry.squares import upright
-from lmd.objectives.localisation.ambiguity import ResolvedPrecision, telling, tells
-from lmd.objectives.localisation.body import BODY_WIDTH, about_body, body_meets, gain_of
+from lmd.objectives.localisation.ambiguity import ResolvedPrecision, asks_apart, telling, tells
+from lmd.objectives.localisation.body import about_body, body_meets, gain_of
 from lmd.objectives.localisation.information import (
     PosePrecision,
     Precision,
@@ -22,6 +22,7 @@ from lmd.objectives.localisation.information import (
     share_of,
 )
 from lmd.objectives.localisation.objective import Localisation
+from lmd.objectives.localisation.rig_ambiguity import has_one_pose, mirrored_numbers, width_of
 from lmd.scene.criteria import largest
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
@@ -85,18 +86,21 @@ def body_information(
     position: FloatArray,
     axes: FloatArray,
 ) -> FloatArray:
-    """What all cameras of a rig tell of its body in each of its orientations, `(A, BODY_WIDTH)`."""
-    sums = np.zeros((len(axes), BODY_WIDTH))
+    """What all cameras of a rig tell of its body in each of its orientations, `(A, width_of(asked))`."""
+    sums = np.zeros((len(axes), width_of(asked)))
     right, up = upright(deployment.normals)
     half = np.reshape(half_of(asked, slice(None)), (-1, 1))
     sides = (half * right, half * up)
-    formulas: tuple[Any, ...] = moments.py_func, about_body.py_func, share_of.py_func
+    formulas: tuple[Any, ...] = moments.py_func, about_body.py_func, share_of.py_func, mirrored_numbers.py_func
     for station in scene.stations(axes):
         camera, arm, there, turned = station
         caps = station_caps(scene, deployment, position, station)
         offset = deployment.positions - (position + arm)
         with np.errstate(all="ignore"):
-            moment = formulas[1](formulas[0](*offset.T, *sides[0].T, *sides[1].T, asked.share), *arm)
+            tags = *offset.T, *sides[0].T, *sides[1].T
+            moment = formulas[1](formulas[0](*tags, asked.share), *arm)
+            if asks_apart(asked):
+                moment += formulas[3](*tags, _each(asked).square)
             lens = getattr(largest(scene.visibility.sight(camera)), "lens", None)
             weight = gain_of(camera, scene.cameras[0]) * _density(lens, turned, offset)
             shares = [np.where(caps, formulas[2](each, weight), 0.0).sum(axis=1) for each in moment]
@@ -118,12 +122,18 @@ def localised(
 ) -> BoolArray:
     """Which views are localised, `(A,)`."""
     asked = objective.precision(scene)
-    enough = n_ple_cap(cap_count(coverage_caps(scene, deployment, position, axes)), objective.n)
+    count = cap_count(coverage_caps(scene, deployment, position, axes))
+    enough = n_ple_cap(count, objective.n)
     if not asked.asks:
         return enough
-    if isinstance(scene.camera, Rig) and not isinstance(_each(asked), ResolvedPrecision):  # which a rig is not asked
-        sums = body_information(scene, deployment, asked, position, axes)
-        return np.asarray(enough & [body_meets(asked, row, 0, 1) for row in sums])
+    if isinstance(scene.camera, Rig):
+        sums, several = body_information(scene, deployment, asked, position, axes), n_ple_cap(count, 2)
+        one_pose: Any = has_one_pose.py_func
+        met = [
+            body_meets(asked, row, 0, 1) & (two | one_pose(asked, row, 0, 1))
+            for row, two in zip(sums, several, strict=True)
+        ]
+        return np.asarray(enough & met)
     with np.errstate(all="ignore"):
         found = enough & meets(asked, *view_information(scene, deployment, asked, position, axes))
         if isinstance(_each(asked), ResolvedPrecision):

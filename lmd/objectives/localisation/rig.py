@@ -5,17 +5,17 @@ A rig of one camera at the body's origin gets the figures of that camera alone.
 
 import math
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.bits import ZERO
+from lmd.core.bits import ONE, ZERO
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.core.compiled import for_kernels, kernel
 from lmd.core.threads import in_parts
-from lmd.objectives.localisation.body import BODY_WIDTH, add_share, body_meets, gain_of, position_variance
-from lmd.objectives.localisation.information import PosePrecision, Precision
+from lmd.objectives.localisation.body import body_meets, gain_of, position_variance
 from lmd.objectives.localisation.looks import add_of_all, looks_of, seen_by_any
+from lmd.objectives.localisation.rig_ambiguity import add_share, has_one_pose, width_of
 from lmd.objectives.localisation.slots import VIEW, fill_slots, met_slots, new_slots, tags_of
 from lmd.objectives.localisation.trial import sum_weights
 from lmd.scene.deployment import Deployment
@@ -32,7 +32,7 @@ def rig_views(
     positions: FloatArray,
     normals: FloatArray,
     n: int,
-    precision: Precision | PosePrecision,
+    precision: Any,
     keep: bool,
 ) -> tuple[IntArray, IntArray, FloatArray]:
     """See `views.localised_views`; the precision is in the units of the first camera."""
@@ -70,9 +70,10 @@ def _localise(every, positions, tags, weights, n, precision, asks, slots, found,
         weights: of the orientations in units, `(1, D)` or `(P, D)`.
         n, precision, asks: see `kernels.localise_range`.
         slots: working memory.
-        variances: `(P, D)` of infinity, receives those of the position where n are covered; empty if nobody asks.
+        variances: `(P, D)` of infinity, receives those of the position where n are covered and one pose fits; empty if
+            nobody asks.
     """
-    some, words = np.zeros(n, dtype=np.uint64), np.uint64(weights.shape[1]) // VIEW
+    some, words = np.zeros(max(n, 2), dtype=np.uint64), np.uint64(weights.shape[1]) // VIEW
     shown = np.empty(len(tags), dtype=np.int64)
     for p in range(np.uint64(len(positions))):
         place = positions[p, 0], positions[p, 1], positions[p, 2]
@@ -85,17 +86,18 @@ def _localise(every, positions, tags, weights, n, precision, asks, slots, found,
                     continue
                 shown[listed] = k
                 listed += 1
-                for j in range(n - 1, 0, -1):
+                for j in range(len(some) - 1, 0, -1):
                     some[j] |= some[j - 1] & seen
                 some[0] |= seen
             good = has = some[n - 1]
             if has and (asks or len(variances)):
-                count = fill_slots(has, slots)
+                count = fill_slots(has, precision, slots)
                 add_of_all(every, p, shown[:listed], w, place, tags, precision, slots)
                 if asks:
-                    good = has & met_slots(precision, slots, count)
+                    good = has & met_slots(precision, slots, count, some[1])
                 for v in range(count if len(variances) else ZERO):
                     value, fixed = position_variance(slots.rows, v, VIEW)
+                    fixed &= (some[1] >> slots.bits[v] & ONE != ZERO) | has_one_pose(precision, slots.rows, v, VIEW)
                     variances[p, w * VIEW + slots.bits[v]] = value if fixed else np.inf
             found[0, p] += sum_weights(ZERO, has, weights, p, w)
             found[1, p] += sum_weights(ZERO, good, weights, p, w)
@@ -138,20 +140,19 @@ def covers(seen: BoolArray, n: int) -> BoolArray:
     return np.asarray(seen.any(axis=0).sum(axis=1) >= n)
 
 
-def located(
-    evaluator: Evaluator, deployment: Deployment, moments: Moments, n: int, precision: Precision | PosePrecision
-) -> BoolArray:
+def located(evaluator: Evaluator, deployment: Deployment, moments: Moments, n: int, precision: Any) -> BoolArray:
     """Whether the moments are localised, `(N,)`."""
     found = covers(moments.seen, n)
     if precision.asks:
-        found[found] = _meet(precision, body_information(evaluator, deployment, moments.some(found), precision))
+        those = moments.some(found)
+        sums, met = body_information(evaluator, deployment, those, precision), np.empty(len(those.place), np.bool_)
+        _decide(precision, sums.reshape(-1), covers(those.seen, 2), met)
+        found[found] = met
     return found
 
 
-def body_information(
-    evaluator: Evaluator, deployment: Deployment, moments: Moments, precision: Precision | PosePrecision
-) -> FloatArray:
-    """What all cameras tell of the body in the units of the first one, `(N, BODY_WIDTH)`.
+def body_information(evaluator: Evaluator, deployment: Deployment, moments: Moments, precision: Any) -> FloatArray:
+    """What all cameras tell of the body in the units of the first one, `(N, width_of(precision))`.
 
     Args:
         evaluator: the scene.
@@ -162,7 +163,7 @@ def body_information(
     scene, (positions, axes, seen) = evaluator.scene, moments[3:]
     assert isinstance(scene.camera, Rig)
     landmarks, normals = (for_kernels(v) for v in (deployment.positions, deployment.normals))
-    sums = np.zeros((len(positions), BODY_WIDTH))
+    sums = np.zeros((len(positions), width_of(precision)))
     for camera, offsets, turned, its in zip(scene.cameras, *scene.camera.views(axes), seen, strict=True):
         poses = for_kernels(positions), for_kernels(offsets), for_kernels(turned.T)
         gain, sight = gain_of(camera, scene.cameras[0]), scene.visibility.sight(camera)
@@ -170,22 +171,17 @@ def body_information(
     return sums
 
 
-def _meet(precision: Precision | PosePrecision, sums: FloatArray) -> BoolArray:
-    """Whether moments with these sums `(N, BODY_WIDTH)` are what the precision asks for, `(N,)`."""
-    met = np.empty(len(sums), dtype=np.bool_)
-    _decide(precision, sums.reshape(-1), met)
-    return met
-
-
 @kernel
-def _decide(precision, sums, met):  # type: ignore[no-untyped-def]
-    for v in range(len(met)):
-        met[v] = body_meets(precision, sums, v * BODY_WIDTH, 1)
+def _decide(precision, sums, several, met):  # type: ignore[no-untyped-def]
+    """Find whether views with `several` landmarks and with the numbers `sums` are what the precision asks for."""
+    width = len(sums) // max(len(met), 1)
+    for i in range(len(met)):
+        met[i] = body_meets(precision, sums, i * width, 1) & (several[i] | has_one_pose(precision, sums, i * width, 1))
 
 
 @kernel
 def _add_up(positions, offsets, axes, landmarks, normals, sight, seen, precision, gain, sums):  # type: ignore[no-untyped-def]
-    """Add what the landmarks tell that a camera covers to `sums` `(N, BODY_WIDTH)`.
+    """Add what the landmarks tell that a camera covers to `sums` `(N, width)`.
 
     Args:
         positions: of the body, `(N, 3)`.
@@ -195,7 +191,7 @@ def _add_up(positions, offsets, axes, landmarks, normals, sight, seen, precision
         seen: `(N, K)`.
         precision, gain: see `add_share`.
     """
-    row = np.zeros(BODY_WIDTH)
+    row = np.zeros(sums.shape[1])
     for i in range(len(positions)):
         ox, oy, oz = offsets[i, 0], offsets[i, 1], offsets[i, 2]
         for k in range(len(landmarks)):

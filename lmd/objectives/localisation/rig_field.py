@@ -7,8 +7,8 @@ import numpy as np
 from lmd.incremental.field import accept, bound, settle, undo
 from lmd.incremental.rig_field import RigField, rig_field
 from lmd.incremental.rig_state import RigScratch
-from lmd.objectives.localisation.body import BODY_WIDTH
 from lmd.objectives.localisation.looks import mounts_of
+from lmd.objectives.localisation.rig_ambiguity import width_of
 from lmd.objectives.localisation.rig_trial import (
     bound_localised_move,
     carry_out_localised,
@@ -64,8 +64,8 @@ class RigLocalisationField(NamedTuple):
 
     def state(self, deployment: Deployment) -> LocalisationState:
         """See `Field.state`."""
-        each = 8.0 * BODY_WIDTH if self.asks else 0.0
-        state = blank_state(self.coverage.state(deployment), BODY_WIDTH, each)
+        width = width_of(self.precision)
+        state = blank_state(self.coverage.state(deployment), width, 8.0 * width if self.asks else 0.0)
         sum_up_anew(self, state, self.scratch(state))
         return state
 

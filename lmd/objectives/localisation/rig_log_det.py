@@ -45,8 +45,8 @@ def _gains(every, tags, prices, positions, precision, sums, known, slots, out):
                 seen, first = seen_by_any(every, p, j, w), (p * words + w) * VIEW
                 if seen == ZERO:
                     continue
-                count = fill_slots(seen, slots)
-                take_sums(sums, first, slots, count)
+                count = fill_slots(seen, precision, slots)
+                take_sums(sums, first, precision, slots, count)
                 add_of_all(every, p, which, w, place, tags, precision, slots)
                 for v in range(count):
                     a = w * VIEW + slots.bits[v]
@@ -63,9 +63,9 @@ def _choose(every, tags, positions, precision, sums, flat, known, slots):
             seen, first = seen_by_any(every, p, 0, w), (p * words + w) * VIEW
             if seen == ZERO:
                 continue
-            count = fill_slots(seen, slots)
+            count = fill_slots(seen, precision, slots)
             add_of_all(every, p, which, w, place, tags, precision, slots)
-            give_sums(sums, first, slots, count)
+            give_sums(sums, first, precision, slots, count)
             for v in range(count):
                 row = np.int64((first + slots.bits[v]) * np.uint64(BODY_WIDTH))
                 known[p, w * VIEW + slots.bits[v]] = body_log_det(flat, row, 1)

@@ -11,12 +11,14 @@ from numba import literal_unroll
 
 from lmd.core.bits import ALL, ZERO, at_least_so_far
 from lmd.core.compiled import inlined, inner, kernel
-from lmd.geometry.squares import VERTICAL_TOLERANCE, upright_axes
+from lmd.geometry.squares import upright_sides
 from lmd.incremental.rig_move import see_whole, take_back_rig
 from lmd.incremental.rig_pairs import COMES, find_pairs
 from lmd.incremental.rig_trial import ask_again, begin_rig_move, list_near, see_anew
+from lmd.objectives.localisation.ambiguity import asks_apart
 from lmd.objectives.localisation.information import half_of
 from lmd.objectives.localisation.move import exchange
+from lmd.objectives.localisation.rig_ambiguity import several
 from lmd.objectives.localisation.slots import (
     VIEW,
     add_landmark,
@@ -33,8 +35,7 @@ from lmd.objectives.localisation.trial import mixed, sum_weights
 @inlined
 def _tag(half, x, y, z, nx, ny, nz):
     """A landmark with half an edge as `tags_of` has it."""
-    rx, ry, rz, ux, uy, uz = upright_axes(nx, ny, nz, VERTICAL_TOLERANCE)
-    return x, y, z, half * rx, half * ry, half * rz, half * ux, half * uy, half * uz
+    return x, y, z, *upright_sides(half, nx, ny, nz)
 
 
 @inlined
@@ -110,19 +111,19 @@ def _add_all_changes(k, q, w, sign, field, state, scratch):
 
 
 @inner
-def _localised(k, q, w, has, field, state, scratch):
-    """The orientations of word w that are localised, of those that cover enough, `has`."""
+def _localised(k, q, w, has, two, field, state, scratch):
+    """The orientations of word w that are localised, of those that cover enough, `has`; `two` cover two or more."""
     sums, slots, known = state.sums, scratch.slots, state.localised[q, w]
     lost, gained = scratch.lost[q, w], scratch.gained[q, w]
     left = has & ((lost & gained) | (lost & known) | (gained & ~known))
     good, first = known & has & ~left, (q * np.uint64(state.localised.shape[1]) + w) * VIEW
     if left == ZERO:
         return good
-    count = fill_slots(left, slots)
+    count = fill_slots(left, field.precision, slots)
     ask_for(sums, first, slots, count)
     _add_all_changes(k, q, w, 1.0, field, state, scratch)
-    take_sums(sums, first, slots, count)
-    return good | met_slots(field.precision, slots, count)
+    take_sums(sums, first, field.precision, slots, count)
+    return good | met_slots(field.precision, slots, count, two)
 
 
 @inlined
@@ -143,12 +144,15 @@ def _decide(k, positions, field, state, scratch):
         for w in range(np.uint64(fresh.shape[1])):
             was, now, before = shown[k, q, w], fresh[q, w], state.enough[q, w]
             has = (before & ~(was & ~now & just[q, w])) | (now & ~was & short[q, w])
+            two = ALL
+            if asks_apart(field.precision):
+                two = several(q, w, ZERO, now, digits) if trial.touched[q] else several(q, w, was, now, known.counts)
             if trial.touched[q]:
                 has = ALL
                 for j in range(np.uint64(digits.shape[2])):
                     has = at_least_so_far(has, digits[q, w, j], n, j)
                 has |= now & trial.asked[q, w]
-            good = _localised(k, q, w, has, field, state, scratch) if field.asks else has
+            good = _localised(k, q, w, has, two, field, state, scratch) if field.asks else has
             covered += sum_weights(before, has, weights, q, w)
             located += sum_weights(state.localised[q, w], good, weights, q, w)
             scratch.enough[q, w], scratch.localised[q, w] = has, good
@@ -210,10 +214,10 @@ def _change_sums(k, sign, field, state, scratch):
             turns = scratch.lost[q, w] | scratch.gained[q, w]
             if turns == ZERO:
                 continue
-            count, first = fill_slots(turns, slots), (q * words + w) * VIEW
+            count, first = fill_slots(turns, field.precision, slots), (q * words + w) * VIEW
             ask_for(state.sums, first, slots, count)
             _add_all_changes(k, q, w, sign, field, state, scratch)
-            give_sums(state.sums, first, slots, count)
+            give_sums(state.sums, first, field.precision, slots, count)
 
 
 @inner
@@ -269,12 +273,12 @@ def _met_anew(q, w, field, state, scratch):
     seen, slots, first = ZERO, scratch.slots, (q * np.uint64(state.localised.shape[1]) + w) * VIEW
     for j in range(len(state.coverage.parts)):
         seen |= _shown(state.coverage.parts[j], q, w)
-    count = fill_slots(seen, slots)
+    count = fill_slots(seen, field.precision, slots)
     for mounts in literal_unroll(field.mounts):
         _add_shown(mounts, q, w, field, state, scratch)
     add_up(field.precision, slots)
-    give_sums(state.sums, first, slots, count)
-    return met_slots(field.precision, slots, count)
+    give_sums(state.sums, first, field.precision, slots, count)
+    return met_slots(field.precision, slots, count, several(q, w, ZERO, ZERO, state.coverage.counts))
 
 
 @kernel

@@ -12,15 +12,22 @@ from lmd.core.bits import BITS, ONE, ZERO, lowest, prefetch
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner
 from lmd.geometry.squares import upright
-from lmd.objectives.localisation.body import BODY_WIDTH, about_body, body_meets
+from lmd.objectives.localisation.ambiguity import asks_apart, square_of
+from lmd.objectives.localisation.body import BODY_NUMBERS, about_body, body_meets
 from lmd.objectives.localisation.information import half_of, moments, share_of
+from lmd.objectives.localisation.rig_ambiguity import (
+    MIRRORED,
+    MIRRORED_WIDTH,
+    has_one_pose,
+    mirrored_numbers,
+    numbers_of,
+)
 from lmd.scene.criteria import pixel_density
 
 GROUP = np.uint64(8)
 VIEW = np.uint64(BITS)
-NUMBERS = np.uint64(21)
 # Where the numbers of pairs begin: offset, weight, offset of the camera, sides of the tag, and what it tells.
-AT = tuple(np.uint64(BITS * i) for i in range(13 + 21))
+AT = tuple(np.uint64(BITS * i) for i in range(13 + BODY_NUMBERS + MIRRORED))
 TOLD = np.uint64(13)
 
 
@@ -41,7 +48,7 @@ class Slots(NamedTuple):
     """The views.
 
     bits: which orientations they are, `(BITS,)`; number: which view each orientation is, `(BITS,)`; rows: their sums,
-    number j of view v at j BITS + v, `(BODY_WIDTH BITS,)`.
+    number j of view v at j BITS + v, `(MIRRORED_WIDTH BITS,)`.
 
     taken: the orientations, and how many pairs are listed, `(2,)`; whose: the views of these, `(BITS,)`; work: their
     numbers, see `AT`; met: whether a view is what is asked for, `(BITS,)`.
@@ -59,7 +66,7 @@ class Slots(NamedTuple):
 def new_slots() -> Slots:
     """Working memory."""
     bits, number, whose = np.zeros((3, BITS), np.uint64)
-    rows, work, taken = np.zeros(BODY_WIDTH * BITS), np.zeros(len(AT) * BITS), np.zeros(2, np.uint64)
+    rows, work, taken = np.zeros(MIRRORED_WIDTH * BITS), np.zeros(len(AT) * BITS), np.zeros(2, np.uint64)
     return Slots(bits, number, rows, taken, whose, work, np.zeros(BITS, np.uint8))
 
 
@@ -76,7 +83,7 @@ def tags_of(precision: Any, positions: FloatArray, normals: FloatArray) -> Float
 
 
 @inner
-def fill_slots(left, slots):
+def fill_slots(left, precision, slots):
     """Take the orientations `left` of a word, with sums of zero; returns how many there are."""
     bits, number, rows, count = slots.bits, slots.number, slots.rows, ZERO
     slots.taken[0], slots.taken[1] = left, ZERO
@@ -85,7 +92,7 @@ def fill_slots(left, slots):
         bits[count], number[bit] = bit, count
         left &= left - ONE
         count += ONE
-    for j in range(NUMBERS):
+    for j in range(numbers_of(precision)):
         for v in range(_whole(count)):
             rows[j * VIEW + v] = 0.0
     return count
@@ -93,37 +100,39 @@ def fill_slots(left, slots):
 
 @inner
 def ask_for(sums, first, slots, count):
-    """Ask the cache for the rows of `sums` `(V, BODY_WIDTH)` that `take_sums` takes."""
+    """Ask the cache for the rows of `sums` `(V, width)` that `take_sums` takes."""
+    width = np.uint64(sums.shape[1])
     for v in range(count):
-        at = (first + slots.bits[v]) * np.uint64(BODY_WIDTH)
+        at = (first + slots.bits[v]) * width
         prefetch(sums, at)
-        prefetch(sums, at + np.uint64(BODY_WIDTH // 2))
+        prefetch(sums, at + width // np.uint64(2))
 
 
 @inner
-def take_sums(sums, first, slots, count):
-    """Add to the views their rows of `sums` `(V, BODY_WIDTH)`, the first orientation of the word has row `first`."""
+def take_sums(sums, first, precision, slots, count):
+    """Add to the views their rows of `sums` `(V, width)`, the first orientation of the word has row `first`."""
     bits, rows = slots.bits, slots.rows
     for v in range(count):
-        for j in range(NUMBERS):
+        for j in range(numbers_of(precision)):
             rows[j * VIEW + v] += sums[first + bits[v], j]
 
 
 @inner
-def give_sums(sums, first, slots, count):
+def give_sums(sums, first, precision, slots, count):
     """Add the views to their rows of `sums`."""
     bits, rows = slots.bits, slots.rows
     for v in range(count):
-        for j in range(NUMBERS):
+        for j in range(numbers_of(precision)):
             sums[first + bits[v], j] += rows[j * VIEW + v]
 
 
 @inner
-def met_slots(precision, slots, count):
-    """The orientations whose view is what `precision` asks for, as bits."""
+def met_slots(precision, slots, count, several):
+    """The orientations whose view is what `precision` asks for, as bits; `several` those with two landmarks or more."""
     bits, rows, met, good = slots.bits, slots.rows, slots.met, ZERO
     for v in range(_whole(count)):
-        met[v] = body_meets(precision, rows, v, VIEW)
+        two = several >> bits[v] & ONE != ZERO
+        met[v] = body_meets(precision, rows, v, VIEW) & (two | has_one_pose(precision, rows, v, VIEW))
     for v in range(count):
         good |= np.uint64(met[v]) << bits[v]
     return good
@@ -173,9 +182,11 @@ def add_up(precision, slots):
     """Add what the listed pairs tell to the views."""
     rows, work, whose, share, filled = slots.rows, slots.work, slots.whose, precision.share, slots.taken[1]
     _find_told(work, share, filled)
+    if asks_apart(precision):
+        _find_mirrored(work, square_of(precision), filled)
     for i in range(filled):
         v = whose[i]
-        for j in range(NUMBERS):
+        for j in range(numbers_of(precision)):
             rows[j * VIEW + v] += work[(TOLD + j) * VIEW + i]
     slots.taken[1] = ZERO
 
@@ -212,4 +223,19 @@ def _find_told(work, share, filled):
         )  # fmt: skip
         work[AT[31] + i], work[AT[32] + i], work[AT[33] + i] = (
             share_of(told[18], weight), share_of(told[19], weight), share_of(told[20], weight),
+        )  # fmt: skip
+
+
+@inner
+def _find_mirrored(work, square, filled):
+    """Find the `mirrored_numbers` of so many pairs."""
+    for i in range(_whole(filled)):
+        weight = work[AT[3] + i]
+        told = mirrored_numbers(
+            work[i], work[AT[1] + i], work[AT[2] + i], work[AT[7] + i], work[AT[8] + i], work[AT[9] + i],
+            work[AT[10] + i], work[AT[11] + i], work[AT[12] + i], square,
+        )  # fmt: skip
+        work[AT[34] + i], work[AT[35] + i], work[AT[36] + i], work[AT[37] + i], work[AT[38] + i] = (
+            share_of(told[0], weight), share_of(told[1], weight), share_of(told[2], weight),
+            share_of(told[3], weight), share_of(told[4], weight),
         )  # fmt: skip

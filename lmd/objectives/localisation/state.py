@@ -26,8 +26,8 @@ class LocalisationState(NamedTuple):
     localised: np.ndarray
     """`(Q, W)` the axes from which the camera is localised."""
     sums: np.ndarray
-    """`(64 Q W, WIDTH)`, of a rig `(64 Q W, BODY_WIDTH)`: sums over the landmarks that cover a view; the views of a
-    position are in the order of the axes."""
+    """`(64 Q W, WIDTH)`, of a rig as wide as `rig_ambiguity.width_of` says: sums over the landmarks that cover a view;
+    the views of a position are in the order of the axes."""
     coverage: Any
     """The state of coverage: a `State`, or of a rig a `RigState`."""
 
