@@ -92,3 +92,24 @@ def test_a_run_with_sizes_is_evaluated_as_it_was_found(tmp_path):
     call("evaluate", "run=run", "tracking=none", "localisation=false", "hydra.run.dir=again", cwd=tmp_path)
     found, again = (json.load(open(f"{run}/metrics.json")) for run in ("run", "again"))  # noqa: SIM115
     assert again["fitness"] == found["fitness"] > 0.0
+
+
+FRC = ("room=frc_2025", "camera=ov9281", "pdf=yaw", "tag=printed", "visibility=fiducial", "objective=localisation")
+
+
+@pytest.mark.slow  # two scenes with obstacles or many positions: some 15 s each
+@pytest.mark.parametrize(
+    "scene",
+    [
+        ("experiment=hall", "tag.edges=[0.15,0.30]", "room.spacing=4", "deployment.count=[60,10]"),
+        (*FRC, "tag.edges=[0.1651,0.25]", "room.spacing=1", "deployment.count=[10,4]"),
+        (*FRC, "tag.edges=[0.1651,0.25]", "room.spacing=1", "tag.paper=0.5"),
+    ],
+)
+def test_sizes_are_mixed_in_a_hall_and_on_a_field(scene, tmp_path):
+    quick = ("optimiser=random_search", "budget.evaluations=3", "tracking=none", "validate=false", "picture=false")
+    run = call("optimise", *scene, *quick, "hydra.run.dir=run", cwd=tmp_path, settings=())
+    assert run.returncode == 0, run.stderr
+    tag = json.loads((tmp_path / "run" / "metrics.json").read_text())["settings"]["tag"]
+    edges = pd.read_csv(tmp_path / "run" / "landmarks.csv").edge
+    assert [(edges == edge).sum() for edge in tag["edges"]] == tag["counts"]
