@@ -82,8 +82,8 @@ def _find_pair(part, c, i, k, q, px, py, pz, place, how, mine, other, state, rig
             other.flipped[i, q, m, w] = flips
     if changed:
         _touch(q, rig)
-        if not rig.known[i, q]:
-            rig.known[i, q], rig.who[rig.found[0]], rig.where[rig.found[0]] = True, i, q
+        if not rig.known[q, i]:
+            rig.known[q, i], rig.who[rig.found[0]], rig.where[rig.found[0]] = True, i, q
             rig.found[0] += 1
 
 

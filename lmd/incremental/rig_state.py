@@ -105,7 +105,7 @@ class RigScratch(NamedTuple):
     where: np.ndarray
     """`(K Q,)` their positions."""
     known: np.ndarray
-    """`(K, Q)` whether a pair is among them."""
+    """`(Q, K)` whether a pair is among them."""
     places: np.ndarray
     """`(Q,)` these positions."""
     touched: np.ndarray
@@ -145,7 +145,7 @@ def rig_scratch_of(state: RigState, centres: tuple[int, ...]) -> RigScratch:
         found=np.zeros(2, dtype=np.int64),
         who=who,
         where=where,
-        known=np.zeros((count, size), dtype=np.bool_),
+        known=np.zeros((size, count), dtype=np.bool_),
         places=np.empty(size, dtype=np.uint64),
         touched=np.zeros(size, dtype=np.bool_),
         digits=np.empty_like(state.counts),

@@ -93,7 +93,7 @@ def forget(scratch):
                     for w in range(cap.shape[2]):
                         cap[q, m, w] = veil[q, m, w] = ZERO
     for e in range(scratch.found[0]):
-        scratch.known[scratch.who[e], scratch.where[e]] = False
+        scratch.known[scratch.where[e], scratch.who[e]] = False
     for e in range(scratch.found[1]):
         scratch.touched[scratch.places[e]] = False
     scratch.found[0] = scratch.found[1] = 0

@@ -65,7 +65,7 @@ def _add_changes(mounts, k, q, w, sign, field, state, scratch):
         add_landmark(mounts, m, w, goes, place, old, -sign, precision, slots)
         add_landmark(mounts, m, w, comes, place, new, sign, precision, slots)
     for i in range(len(state.surfaces) if trial.touched[q] else 0):
-        for m in range(count if trial.known[i, q] else 0):
+        for m in range(count if trial.known[q, i] else 0):
             veiled, turns = mine.veiled[i, q, m, w], mine.caps[i, q, m, w] & other.flipped[i, q, m, w]
             if turns:
                 tag = _tag_of(i, precision, state)
@@ -83,12 +83,13 @@ def _find_turns_of(k, positions, mine, other, trial, lost, gained):
             for w in range(words):
                 lost[q, w] |= caps[k, q, m, w] & ~veiled[k, q, m, w]
                 gained[q, w] |= cap[q, m, w] & ~veil[q, m, w]
-        for i in range(caps.shape[0] if trial.touched[q] else 0):
-            for m in range(mounts if trial.known[i, q] else 0):
-                for w in range(words):
-                    turns = caps[i, q, m, w] & flipped[i, q, m, w]
-                    lost[q, w] |= turns & ~veiled[i, q, m, w]
-                    gained[q, w] |= turns & veiled[i, q, m, w]
+    for e in range(trial.found[0]):  # their positions are among those that are touched, all of which are in `positions`
+        i, q = np.uint64(trial.who[e]), np.uint64(trial.where[e])
+        for m in range(mounts):
+            for w in range(words):
+                turns = caps[i, q, m, w] & flipped[i, q, m, w]
+                lost[q, w] |= turns & ~veiled[i, q, m, w]
+                gained[q, w] |= turns & veiled[i, q, m, w]
 
 
 @inner
