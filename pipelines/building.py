@@ -81,8 +81,20 @@ def instantiate(node: Any, **extra: Any) -> Any:
         text = " ".join(str(error).split())
         if unknown := re.search(r"unexpected keyword argument '(\w+)'.* full_key: ([\w.]+)", text):
             key = f"{unknown[2]}.{unknown[1]}"
-            raise InputError(f"{key} is no setting that is known; {meant(key, CONF)}".rstrip("; ")) from error
+            hint = _set_by_experiment(key) or meant(key, CONF)
+            raise InputError(f"{key} is no setting that is known; {hint}".rstrip("; ")) from error
         raise InputError(text) from error
+
+
+def _set_by_experiment(key: str) -> str:
+    """How to leave out a key that an experiment sets for another choice of its group; empty if it sets none."""
+    from hydra.core.hydra_config import HydraConfig
+
+    if not HydraConfig.initialized():
+        return ""
+    asked, name = HydraConfig.get().overrides.task, HydraConfig.get().runtime.choices.get("experiment")
+    own = name is None or any(each.lstrip("+").partition("=")[0] == key for each in asked)
+    return "" if own else f"experiment={name} sets it for another {key.partition('.')[0]}: leave it out by ~{key}"
 
 
 def settings_of(cfg: DictConfig, key: str) -> DictConfig:

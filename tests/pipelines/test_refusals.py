@@ -4,6 +4,7 @@ import re
 
 import pytest
 from composing import composed
+from processes import refused
 
 from lmd.core.checks import InputError
 from pipelines.building import build_optimiser, build_problem, instantiate, keyed
@@ -99,3 +100,8 @@ def test_a_keep_out_of_an_earlier_version_is_refused_by_its_key():
     now = r"\[{surface: wall_0, from_left: \[0\.3, 1\.2\], from_below: \[0, 2\.1\]}\]"
     with pytest.raises(InputError, match=rf"^room\.keep_out has the keys low, high, polygon, .* it is {now}\.$"):
         instantiate(cfg.room)
+
+
+def test_what_an_experiment_sets_for_another_choice_is_said_to_be_its(tmp_path):
+    message = "deployment.path is no setting that is known; experiment=frc_2025 sets it for another deployment: leave it"
+    refused("optimise", "experiment=frc_2025", "deployment=random", message=message, cwd=tmp_path, settings=())
