@@ -99,9 +99,10 @@ TargetConfig.__eq__ = _are_equal  # type: ignore[method-assign]
 TargetConfig.__hash__ = lambda self: _hash_of(type(self))  # type: ignore[method-assign]
 
 # Every function that does not fit the types of its arguments, until one does, is an error whose message would be set
-# in bold, by a library that looks at the terminal each time; every call of LLVM would tell two events that nobody
-# listens to. Both are another twentieth.
-errors.HighlightColorScheme._markup = lambda _, message, *__, **___: message  # type: ignore[attr-defined]
+# in bold where colorama is installed, which looks at the terminal each time; every call of LLVM would tell two events
+# that nobody listens to. Both are another twentieth.
+if scheme := getattr(errors, "HighlightColorScheme", None):
+    scheme._markup = lambda _, message, *__, **___: message
 lib._lock._cblist.clear()
 
 

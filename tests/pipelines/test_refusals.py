@@ -103,5 +103,6 @@ def test_a_keep_out_of_an_earlier_version_is_refused_by_its_key():
 
 
 def test_what_an_experiment_sets_for_another_choice_is_said_to_be_its(tmp_path):
-    message = "deployment.path is no setting that is known; experiment=frc_2025 sets it for another deployment: leave it"
-    refused("optimise", "experiment=frc_2025", "deployment=random", message=message, cwd=tmp_path, settings=())
+    message = "deployment.path is no setting that is known; experiment=frc_2025 sets it for another deployment"
+    overrides = ("experiment=frc_2025", "deployment=random", "hydra.run.dir=run")
+    refused("optimise", *overrides, message=message, cwd=tmp_path, settings=())
