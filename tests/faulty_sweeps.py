@@ -2,12 +2,12 @@
 
 import subprocess
 import time
+from textwrap import indent
 
 import pandas as pd
 from mlflow import MlflowClient
 from processes import call, command, start
 
-# Fails in the way it is told to, once it has evaluated something, until the file `repaired` is there.
 PLUGIN = """
 import os, signal, sys, time
 from pathlib import Path
@@ -21,27 +21,30 @@ class Faulty(RandomSearch):
         self.fault = fault
 
     def _tell(self, genes, fitness):
-        print("threads", *(os.environ.get(f"{name}_NUM_THREADS") for name in ("NUMBA", "OMP", "OPENBLAS")))
-        if Path("repaired").exists():
-            return
-        if self.fault == "raise":
-            raise ValueError("no such luck")
-        if self.fault == "exit":
-            sys.exit(3)
-        if self.fault == "kill":
-            os.kill(os.getpid(), signal.SIGKILL)
-        if self.fault == "slow":
-            Path("pid").write_text(str(os.getpid()))
-            time.sleep(0.3)
+"""
+# It fails in the way it is told to, once it has evaluated something, until the file `repaired` is there.
+FAILS = """\
+print("threads", *(os.environ.get(f"{name}_NUM_THREADS") for name in ("NUMBA", "OMP", "OPENBLAS")))
+if Path("repaired").exists():
+    return
+if self.fault == "raise":
+    raise ValueError("no such luck")
+if self.fault == "exit":
+    sys.exit(3)
+if self.fault == "kill":
+    os.kill(os.getpid(), signal.SIGKILL)
+if self.fault == "slow":
+    Path("pid").write_text(str(os.getpid()))
+    time.sleep(0.3)
 """
 PARENT = "mlflow.parentRunId"
 
 
-def prepared(cwd):
-    """A working directory with the optimiser `faulty`."""
+def prepared(cwd, fails=FAILS):
+    """A working directory with the optimiser `faulty`, which `fails` where it is told what its genes are worth."""
     (cwd / "mine" / "optimiser").mkdir(parents=True)
     (cwd / "mine" / "optimiser" / "faulty.yaml").write_text("_target_: faulty.Faulty\nfault: none\n")
-    (cwd / "faulty.py").write_text(PLUGIN)
+    (cwd / "faulty.py").write_text(PLUGIN + indent(fails, 8 * " "))
     return cwd
 
 

@@ -8,34 +8,22 @@ from functools import partial
 import pandas as pd
 import pytest
 import slurm
+from faulty_sweeps import PARENT, prepared
 from mlflow import MlflowClient
 from processes import command, start
 from services import mlflow_server, wait_until
 
 # Takes its time until the file `repaired` is there; as `late` it hangs in a batch once it has a checkpoint.
-PLUGIN = """
-import os, time
-from pathlib import Path
-
-from lmd.optimisers.random_search import RandomSearch
-
-
-class Faulty(RandomSearch):
-    def __init__(self, fault, seed=0):
-        super().__init__(10, seed=seed, encoding="wall")
-        self.fault = fault
-
-    def _tell(self, genes, fitness):
-        with open(f"batches_{self.fault}", "a") as file:
-            file.write(f"{os.getpid()} {self.ledger.evaluations}\\n")
-        if self.fault != "none" and not Path("repaired").exists():
-            hangs = self.fault == "late" and Path(os.environ["LMD_JOB"], "checkpoint.npz").exists()
-            time.sleep(600 if hangs else 1)
+FAILS = """\
+with open(f"batches_{self.fault}", "a") as file:
+    file.write(f"{os.getpid()} {self.ledger.evaluations}\\n")
+if self.fault != "none" and not Path("repaired").exists():
+    hangs = self.fault == "late" and Path(os.environ["LMD_JOB"], "checkpoint.npz").exists()
+    time.sleep(600 if hangs else 1)
 """
 FAULTS = ("cancelled", "late", "none", "queued")
 IDS = {fault: f"1_{number}" for number, fault in enumerate(FAULTS)}  # in SLURM: a fresh cluster's first array
 BATCHES = 40
-PARENT = "mlflow.parentRunId"
 REASON = slurm.missing()
 pytestmark = [pytest.mark.long, pytest.mark.slow, pytest.mark.skipif(REASON is not None, reason=str(REASON))]
 
@@ -50,11 +38,7 @@ def server(tmp_path_factory):
 @pytest.fixture(scope="module")
 def cwd(tmp_path_factory):
     """A working directory with the optimiser `faulty`."""
-    folder = tmp_path_factory.mktemp("work")
-    (folder / "mine" / "optimiser").mkdir(parents=True)
-    (folder / "mine" / "optimiser" / "faulty.yaml").write_text("_target_: faulty.Faulty\nfault: none\n")
-    (folder / "faulty.py").write_text(PLUGIN)
-    return folder
+    return prepared(tmp_path_factory.mktemp("work"), FAILS)
 
 
 @pytest.fixture(scope="module")
