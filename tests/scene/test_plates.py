@@ -96,6 +96,7 @@ def test_plates_of_several_sizes_are_pushed_apart(room, edges, count, fixed, see
     again = plates.apart(apart)
     np.testing.assert_array_equal(again.positions, apart.positions)
     # Those that hang already stay, and the others make room for them, too.
+    fixed = min(fixed, count)
     stays = apart[:fixed] + drawn if fixed else drawn
     if (beside := plates.apart(stays, fixed=fixed)) is not None:
         np.testing.assert_array_equal(beside.positions[:fixed], apart.positions[:fixed])
