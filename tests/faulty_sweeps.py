@@ -71,8 +71,11 @@ def start_sweep(cwd, faults, *overrides):
 
 def runs(cwd):
     """The parent run of the only sweep, and its children by what they were told to do."""
-    client = MlflowClient(tracking_uri=f"sqlite:///{cwd}/store.db")
-    found = client.search_runs(["1"])
+    return by_fault(found_in(cwd))
+
+
+def by_fault(found):
+    """Of the runs of one sweep its parent, and its children by what they were told to do."""
     (parent,) = [run for run in found if PARENT not in run.data.tags]
     children = {}
     for run in found:

@@ -8,7 +8,7 @@ from functools import partial
 import pandas as pd
 import pytest
 import slurm
-from faulty_sweeps import PARENT, prepared
+from faulty_sweeps import by_fault, prepared, statuses
 from mlflow import MlflowClient
 from processes import command, start
 from services import mlflow_server, wait_until
@@ -85,18 +85,7 @@ def table(cwd):
 def runs(server):
     """The parent run, and those below it by what they were told to do."""
     client = MlflowClient(tracking_uri=server)
-    found = client.search_runs([client.get_experiment_by_name("lmd").experiment_id])
-    (parent,) = [run for run in found if PARENT not in run.data.tags]
-    children = {}
-    for run in found:
-        if run is not parent:
-            assert run.data.tags[PARENT] == parent.info.run_id
-            children.setdefault(run.data.tags["override.optimiser.fault"], []).append(run)
-    return parent, children
-
-
-def statuses(children):
-    return {fault: sorted(run.info.status for run in found) for fault, found in children.items()}
+    return by_fault(client.search_runs([client.get_experiment_by_name("lmd").experiment_id]))
 
 
 def test_jobs_that_slurm_ends_do_not_lose_the_others_and_the_sweep_names_them(cut):
