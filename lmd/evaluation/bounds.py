@@ -30,7 +30,6 @@ A view that is localised covers n landmarks, so the same bounds hold for what `L
 valid, but take no account of its tolerance.
 """
 
-import heapq
 import math
 import operator
 from collections.abc import Sequence
@@ -44,6 +43,7 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, check_fields, integer, real
 from lmd.core.compiled import clock
 from lmd.evaluation.time_limit import TimeLimit
+from lmd.evaluation.wall_gains import largest_gain
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.problem import Problem
@@ -54,16 +54,11 @@ from lmd.sight.poses import Cells, covered_amounts, gains, wall_cells
 
 # The smoothed min is rounded off this far on both sides of its kink: at first, and in the end. Halved as x improves.
 FIRST_WIDTH, LAST_WIDTH, STEPS_PER_WIDTH = 0.3, 0.01, 25
-# Cells that branch and bound may look at, a minute or two on two cores; the bound is valid whenever it stops.
-MOST_CELLS = 2_000_000
-# It cuts so many cells at a time, and looks at the landmark in the centre of so many of the new ones.
-BATCH, PROBES = 10_000, 500
 # A target that more than these would be needed for counts as out of reach.
 MOST_LANDMARKS = 10_000
 # Within a time limit every pose can be looked at so often for all bounds of a problem; so many tell what a look takes.
 LOOKS, SOME = 250, 500
-# Of the time, and of what is left of it for each batch of cells.
-MULTIPLIERS_SHARE, BATCH_SHARE = 0.3, 0.05
+MULTIPLIERS_SHARE = 0.3  # of the time
 
 
 class Dual(NamedTuple):
@@ -342,41 +337,3 @@ def _nearest_on_simplex(v: FloatArray, total: float) -> FloatArray:
     descending = np.sort(v)[::-1]
     excess = (np.cumsum(descending) - total) / np.arange(1, len(v) + 1)
     return np.asarray(np.maximum(v - excess[np.flatnonzero(descending > excess)[-1]], 0.0))
-
-
-def largest_gain(
-    evaluator: Evaluator, cells: Cells, prices: FloatArray, tolerance: float, limit: TimeLimit | None = None
-) -> float:
-    """No flush landmark in any of the cells earns more than this; some landmark earns `tolerance` less, if time allows.
-
-    Args:
-        cells: pieces of wall.
-        prices: y, `(P, D)`, not negative.
-        tolerance: in units of the gain.
-        limit: of the time; None for none.
-    """
-    limit, began = limit or TimeLimit(), clock()
-    largest, looked_at = 0.0, 0
-    # The most promising cells first: whenever this stops, the first on the heap bounds all that are left.
-    heap: list[tuple[float, int, Cells]] = []
-    while True:
-        most = gains(evaluator, cells.poses, prices, cells.radius)
-        looked_at += len(most)
-        order = np.argsort(-most)
-        largest = max(largest, float(gains(evaluator, cells.picked(order[:PROBES]).poses, prices).max()))
-        order = order[most[order] > largest + tolerance]
-        each = (clock() - began) / looked_at
-        batch = BATCH if limit.left == math.inf else int(np.clip(BATCH_SHARE * limit.left / each / 4, 1, BATCH))
-        for first in range(0, len(order), batch):
-            part = order[first : first + batch]
-            heapq.heappush(heap, (-float(most[part[0]]), looked_at + first, cells.picked(part)))
-        if not heap or -heap[0][0] <= largest + tolerance:
-            return largest + tolerance
-        so_far = f"the walls after {looked_at} cells"
-        if looked_at > MOST_CELLS:
-            limit.cut.append(so_far)
-            return -heap[0][0]
-        limit.tell(f"{looked_at} cells of the walls: a landmark earns {largest:.4g} to {-heap[0][0]:.4g}")
-        if not limit.leaves(4 * each * len(heap[0][2].poses), so_far):
-            return -heap[0][0]
-        cells = heapq.heappop(heap)[2].quarters()

@@ -24,11 +24,11 @@ from lmd.evaluation.bounds import (
     average_upper_bound,
     fewest_landmarks,
     fitness_upper_bound,
-    largest_gain,
     smoothed_min,
 )
 from lmd.evaluation.selection_bound import GUARANTEE, selection_upper_bound
 from lmd.evaluation.time_limit import TimeLimit
+from lmd.evaluation.wall_gains import largest_gain
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.sampling import Sampling
