@@ -1,9 +1,9 @@
-"""What works with what: `python benchmarks/matrix.py [--seconds S] [PART OF A CELL ...]`.
+"""What works with what: `python benchmarks/matrix.py [--seconds S] [--workers W] [PART OF A CELL ...]`.
 
 Runs every command in every cell of {what is seen} x {objective} x {room} x {poses} x {camera} with tiny budgets, and
 writes docs/matrix.md. What has been run is kept in docs/results/matrix.csv, one line each, and not run again; delete
 lines to do so. Cells that differ from the first in one thing come first, then those that differ in two, and so on.
-`--seconds` ends it after so long, the page says what is missing.
+`--seconds` ends it after so long, the page says what is missing; `--workers` run at the same time, each one command.
 """
 
 import argparse
@@ -17,8 +17,12 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from importlib import import_module
+from multiprocessing.connection import wait
+from multiprocessing.context import ForkProcess
 from pathlib import Path
+from typing import Self
 
 ROOT = Path(__file__).resolve().parents[1]
 KEPT, PAGE = ROOT / "docs" / "results" / "matrix.csv", ROOT / "docs" / "matrix.md"
@@ -102,25 +106,43 @@ def overrides(cell: Cell, command: str) -> list[str]:
     return words
 
 
-def outcome(cell: Cell, command: str) -> str:
-    """`works`, or the sentence that refuses it, of the command in a process and a folder of its own."""
-    with tempfile.TemporaryDirectory() as folder:
-        told = Path(folder, "told")
-        process = multiprocessing.get_context("fork").Process(
-            target=_run, args=(command.partition(":")[0], overrides(cell, command), folder, told)
-        )
+@dataclass(frozen=True)
+class Running:
+    """A command in a process and a folder of its own."""
+
+    cell: Cell
+    command: str
+    folder: tempfile.TemporaryDirectory[str]
+    process: ForkProcess
+    ends: float  # when it has taken too long, on the monotonic clock
+
+    @classmethod
+    def start(cls, cell: Cell, command: str) -> Self:
+        """Start a command and go on."""
+        folder = tempfile.TemporaryDirectory()
+        asked = command.partition(":")[0], overrides(cell, command), folder.name, Path(folder.name, "told")
+        process = multiprocessing.get_context("fork").Process(target=_run, args=asked)
         process.start()
-        process.join(LIMIT)
-        if process.is_alive():
-            process.kill()
-            process.join()
-            return f"more than {LIMIT:g} s"
-        errors = [line for line in told.read_text().splitlines() if line.startswith("error: ")]
-        if process.exitcode == 0:
-            return WORKS
-        if errors:
-            return errors[-1].removeprefix("error: ").replace(folder + "/", "")
-        return "traceback: " + (told.read_text().strip().splitlines() or ["nothing"])[-1]
+        return cls(cell, command, folder, process, time.monotonic() + LIMIT)
+
+    def is_over(self) -> bool:
+        """Whether it has ended or taken too long."""
+        return not self.process.is_alive() or time.monotonic() > self.ends
+
+    def outcome(self) -> str:
+        """`works`, or the sentence that refuses it; stops it where it has taken too long, and removes its folder."""
+        with self.folder as folder:
+            if self.process.is_alive():
+                self.process.kill()
+                self.process.join()
+                return f"more than {LIMIT:g} s"
+            told = Path(folder, "told").read_text().splitlines()
+            errors = [line for line in told if line.startswith("error: ")]
+            if self.process.exitcode == 0:
+                return WORKS
+            if errors:
+                return errors[-1].removeprefix("error: ").replace(folder + "/", "")
+            return "traceback: " + (told or ["nothing"])[-1]
 
 
 def _run(pipeline: str, words: list[str], folder: str, told: Path) -> None:
@@ -157,7 +179,7 @@ def kept() -> dict[tuple[Cell, str], str]:
         return {(tuple(row[part] for part in PARTS), row["command"]): row["outcome"] for row in csv.DictReader(file)}
 
 
-def run(wanted: list[str], seconds: float) -> None:
+def run(wanted: list[str], seconds: float, workers: int) -> None:
     """Run what has not been run, until it is done or the time is up."""
     make_samples_tiny()
     for command in COMMANDS:
@@ -166,16 +188,24 @@ def run(wanted: list[str], seconds: float) -> None:
     known, ends = kept(), time.monotonic() + seconds
     if not known:
         KEPT.write_text(",".join([*PARTS, "command", "outcome"]) + "\n")
-    for cell, command in itertools.product(cells(), COMMANDS):
-        name = " ".join([*cell, command])
-        if (cell, command) in known or not all(part in name for part in wanted):
-            continue
-        if time.monotonic() > ends:
+    waiting = [
+        (cell, command)
+        for cell, command in itertools.product(cells(), COMMANDS)
+        if (cell, command) not in known and all(part in " ".join([*cell, command]) for part in wanted)
+    ][::-1]
+    running: list[Running] = []
+    while True:
+        while waiting and len(running) < workers and time.monotonic() < ends:
+            running.append(Running.start(*waiting.pop()))
+        if not running:
             return
-        found = outcome(cell, command)
-        print(f"{name}: {found}", flush=True)
-        with KEPT.open("a", newline="") as file:
-            csv.writer(file).writerow([*cell, command, found])
+        wait([one.process.sentinel for one in running], max(0.0, running[0].ends - time.monotonic()))
+        for one in [one for one in running if one.is_over()]:
+            running.remove(one)
+            found = one.outcome()
+            print(f"{' '.join([*one.cell, one.command])}: {found}", flush=True)
+            with KEPT.open("a", newline="") as file:
+                csv.writer(file).writerow([*one.cell, one.command, found])
 
 
 def page(known: dict[tuple[Cell, str], str]) -> Iterator[str]:
@@ -205,10 +235,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("wanted", nargs="*")
     parser.add_argument("--seconds", type=float, default=float("inf"))
+    parser.add_argument("--workers", type=int, default=1)
     given = parser.parse_args()
     sys.path.insert(0, str(ROOT))  # commands run in folders of their own, and start others
     os.environ["PYTHONPATH"] = str(ROOT)
-    run(given.wanted, given.seconds)
+    run(given.wanted, given.seconds, given.workers)
     PAGE.write_text("\n".join(page(kept())) + "\n")
 
 
