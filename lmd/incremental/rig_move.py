@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.bits import BITS
+from lmd.core.bits import ALL, BITS
 from lmd.core.compiled import borrowing, inlined, inner
 from lmd.core.memory import check_views
 from lmd.incremental.field import places_of
@@ -51,8 +51,17 @@ def _exchange_parts(k, positions, state, scratch):
 
 @inner
 def see_whole(k, field, state, scratch):
-    """Find all that the cameras see of landmark k in the place tried."""
-    see_anew(np.uint64(k), field.parts, scratch.listed[: list_near(scratch, True)], True, field, state, scratch)
+    """Find all that the cameras see of landmark k in the place tried.
+
+    Returns:
+        how many positions there are in `listed`, from where they look.
+    """
+    positions = scratch.listed[: list_near(scratch, True)]
+    for q in positions:
+        for w in range(np.uint64(scratch.asked.shape[1])):
+            scratch.asked[q, w] = ALL
+    see_anew(np.uint64(k), field.parts, positions, field, state, scratch)
+    return len(positions)
 
 
 @inner
@@ -93,8 +102,7 @@ def _fill(field, state, scratch):
         forget(scratch)
         list_blocks(k, field, state, scratch)
         find_pairs(k, ARRIVES, field.parts, field, state, scratch)
-        positions = scratch.listed[: list_near(scratch, True)]
-        see_anew(k, field.parts, positions, True, field, state, scratch)
+        positions = scratch.listed[: see_whole(k, field, state, scratch)]
         for q in positions:
             for w in range(np.uint64(scratch.fresh.shape[1])):
                 _show(k, q, w, scratch.fresh[q, w], field.n, state)

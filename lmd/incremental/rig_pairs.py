@@ -55,7 +55,7 @@ def _without_hidden(part, c, m, w, bits, px, py, pz, i, k, state):
 
 @inlined
 def _touch(q, rig):
-    """Note a position where others come into play."""
+    """Note a position where others turn or are in the way."""
     if not rig.touched[q]:
         rig.touched[q], rig.places[rig.found[1]] = True, q
         rig.found[1] += 1
@@ -65,20 +65,19 @@ def _touch(q, rig):
 def _find_pair(part, c, i, k, q, px, py, pz, place, how, mine, other, state, rig):
     """Find what landmark k at a `place` hides of landmark i from position q, and note it down."""
     pose, changed = _pose(i, state), False
-    if how == COMES:
-        _touch(q, rig)
     for m in range(part.mounts[c], part.mounts[c + 1]):
         for w in range(np.uint64(mine.caps.shape[3])):
-            cap, veiled, flips = mine.caps[i, q, m, w], mine.veiled[i, q, m, w], other.flipped[i, q, m, w]
-            bits = cap if how == COMES else cap & veiled
+            # Little more is read than is needed: these sets are too many for the cache.
+            bits = mine.caps[i, q, m, w] if how == COMES else mine.veiled[i, q, m, w]
             found = _hidden_bits(part, m, w, bits, k, i, px, py, pz, place, pose) if bits else ZERO
             if found == ZERO:
                 continue
+            was = flips = other.flipped[i, q, m, w]
             if how == LEAVES:
                 flips |= _without_hidden(part, c, m, w, found, px, py, pz, i, k, state)
             else:
-                flips = (flips & ~found) | (found & ~veiled)
-            changed |= flips != other.flipped[i, q, m, w]
+                flips = (flips & ~found) | (found & ~mine.veiled[i, q, m, w])
+            changed |= flips != was
             other.flipped[i, q, m, w] = flips
     if changed:
         _touch(q, rig)
@@ -113,8 +112,9 @@ def _find_pairs(k, how, stations, field, state, rig):
                     close &= close - np.uint32(1)
                     lx, ly, lz = state.landmarks[0, i], state.landmarks[1, i], state.landmarks[2, i]
                     ex, ey, ez, lanes = lx - ax, ly - ay, lz - az, np.uint32(0)
-                    apart, far = math.sqrt(ex * ex + ey * ey + ez * ez), math.sqrt(mx * mx + my * my + mz * mz)
-                    most = line_room(far + apart + math.sqrt(hx * hx + hy * hy + hz * hz), apart, radius, width)
+                    vx, vy, vz, apart = mx + ex, my + ey, mz + ez, math.sqrt(ex * ex + ey * ey + ez * ez)
+                    far = math.sqrt(max(mx * mx + my * my + mz * mz, vx * vx + vy * vy + vz * vz))
+                    most = line_room(far + math.sqrt(hx * hx + hy * hy + hz * hz), apart, radius, width)
                     for lane in range(np.uint64(BLOCK)):
                         q = b * np.uint64(BLOCK) + lane
                         ux, uy, uz = ax - (body[0, q] + cx), ay - (body[1, q] + cy), az - (body[2, q] + cz)
@@ -133,7 +133,7 @@ def _find_pairs(k, how, stations, field, state, rig):
 
 @inner
 def find_veils(k, stations, field, state, rig):
-    """Find in `veil` with which orientations of `cap` the rivals hide landmark k in the place tried."""
+    """Find in `veil` with which of the orientations of `cap` that are `asked` rivals hide the place tried."""
     part, other, size, body = stations.part, rig.parts[stations.number], np.uint64(len(rig.touched)), field.positions
     target = rig.target
     place = target[0], target[1], target[2], target[3], target[4], target[5]
@@ -141,12 +141,13 @@ def find_veils(k, stations, field, state, rig):
         i, c, q = np.uint64(other.who[e]), other.where[e] // size, other.where[e] % size
         for m in range(part.mounts[c], part.mounts[c + np.uint64(1)]):
             for w in range(np.uint64(other.cap.shape[2])):
-                bits = other.cap[q, m, w] & ~other.veil[q, m, w]
+                bits = other.cap[q, m, w] & rig.asked[q, w] & ~other.veil[q, m, w]
                 if bits:
                     px, py, pz = body[0, q], body[1, q], body[2, q]
-                    other.veil[q, m, w] |= _hidden_bits(
-                        part, m, w, bits, i, k, px, py, pz, _pose(i, state), place
-                    )  # fmt: skip
+                    found = _hidden_bits(part, m, w, bits, i, k, px, py, pz, _pose(i, state), place)
+                    if found:
+                        other.veil[q, m, w] |= found
+                        _touch(q, rig)
 
 
 @inner
@@ -155,3 +156,5 @@ def find_pairs(k, how, parts, field, state, scratch):
     for stations in literal_unroll(parts):
         if stations.part.sight.reach >= 0.0:
             _find_pairs(k, how, stations, field, state, scratch)
+            if how == COMES:
+                find_veils(k, stations, field, state, scratch)

@@ -53,7 +53,7 @@ class StationScratch(NamedTuple):
     """The move tried last as one part sees it, and working memory for Q positions."""
 
     cap: np.ndarray
-    """`(Q, M, W)` what `caps` would be of the landmark, for the orientations that were asked for."""
+    """`(Q, M, W)` what `caps` would be of the landmark, for the orientations that were asked for, where any were."""
     veil: np.ndarray
     """`(Q, M, W)` what `veiled` would be of it."""
     flipped: np.ndarray
@@ -99,7 +99,7 @@ class RigScratch(NamedTuple):
     """`(Q, W)` the orientations that were asked for."""
     found: np.ndarray
     """`(2,)` how many pairs of another landmark and a position there are where it appears or disappears, and how many
-    positions where that, or a rival, is."""
+    positions where one does, or hides the place tried."""
     who: np.ndarray
     """`(K Q,)` the landmarks of these pairs."""
     where: np.ndarray

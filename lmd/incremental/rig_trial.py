@@ -23,12 +23,15 @@ from lmd.sight.stations import bounds_from, covers_from, row_from, split
 
 
 @allocating
-def _find_caps(k, stations, positions, body, scratch, rig, whole):
-    """Find in `cap` the orientations that are `asked`, or with `whole` all, with which cameras cover the place tried.
+def _find_caps(k, stations, positions, body, scratch, rig):
+    """Find in `cap` with which of the orientations that are `asked` cameras cover the place tried; add them to `fresh`.
 
-    k is the landmark, `body` are the positions of the body, `(3, Q)`, `positions` those of them to look at.
+    In `veil` there is nothing yet. k is the landmark, `body` are the positions of the body, `(3, Q)`, `positions` those
+    of them to look at.
     """
-    part, obstacles, asked, cap = stations.part, stations.obstacles, rig.asked, scratch.cap
+    part, obstacles, asked, fresh, cap, veil = (
+        stations.part, stations.obstacles, rig.asked, rig.fresh, scratch.cap, scratch.veil
+    )  # fmt: skip
     x, y, z, most, start, sure, row, reached = (
         scratch.x, scratch.y, scratch.z, scratch.most, scratch.start, scratch.sure, scratch.row, scratch.reached
     )  # fmt: skip
@@ -53,11 +56,11 @@ def _find_caps(k, stations, positions, body, scratch, rig, whole):
             px, py, pz = body[0, q], body[1, q], body[2, q]
             for m in range(part.mounts[c], part.mounts[c + 1]):
                 for w in range(words):
+                    cap[q, m, w] = veil[q, m, w] = ZERO
                     if not reached[i]:
-                        cap[q, m, w] = ZERO
                         continue
-                    left = ALL if whole else asked[q, w]
-                    found, left = split(part, m, w, left, words, x[i], y[i], z[i], most[i], start[i], sure[i], row[i])
+                    left, bounds = asked[q, w], (most[i], start[i], sure[i])
+                    found, left = split(part, m, w, left, words, x[i], y[i], z[i], *bounds, row[i])
                     while left:
                         bit = lowest(left)
                         left &= left - ONE
@@ -73,6 +76,7 @@ def _find_caps(k, stations, positions, body, scratch, rig, whole):
                             if is_blocked(obstacles, sight, place, ends, 0):
                                 found &= ~(ONE << bit)
                     cap[q, m, w] = found
+                    fresh[q, w] |= found
 
 
 @inner
@@ -80,27 +84,18 @@ def forget(scratch):
     """Clear what the last trial left."""
     for j in range(len(scratch.parts)):
         part = scratch.parts[j]  # copied: outside of other loops
-        cap, veil, flipped = part.cap, part.veil, part.flipped
+        flipped = part.flipped
         part.rivals[0] = 0
         for e in range(scratch.found[0]):
             i, q = scratch.who[e], scratch.where[e]
             for m in range(flipped.shape[2]):
                 for w in range(flipped.shape[3]):
                     flipped[i, q, m, w] = ZERO
-        for s in range(scratch.near[1]):
-            for q in range(scratch.spans[s, 0], scratch.spans[s, 1]):
-                for m in range(cap.shape[1]):
-                    for w in range(cap.shape[2]):
-                        cap[q, m, w] = veil[q, m, w] = ZERO
     for e in range(scratch.found[0]):
         scratch.known[scratch.where[e], scratch.who[e]] = False
     for e in range(scratch.found[1]):
         scratch.touched[scratch.places[e]] = False
     scratch.found[0] = scratch.found[1] = 0
-    for s in range(scratch.near[1]):
-        for q in range(scratch.spans[s, 0], scratch.spans[s, 1]):
-            for w in range(scratch.fresh.shape[1]):
-                scratch.fresh[q, w] = scratch.asked[q, w] = ZERO
 
 
 @inlined
@@ -177,8 +172,8 @@ def ask_again(k, n, or_more, state, scratch):
 
 
 @inner
-def join(positions, scratch):
-    """Find in `fresh` what all cameras see of the place tried at `positions`."""
+def _join(positions, scratch):
+    """Find in `fresh` what all cameras see of the place tried at `positions`, where others may be in the way."""
     fresh = scratch.fresh
     for q in positions:
         for w in range(np.uint64(fresh.shape[1])):
@@ -212,12 +207,15 @@ def _find_units(k, positions, n, weights, state, scratch):
 
 
 @inner
-def see_anew(k, parts, positions, whole, field, state, scratch):
-    """Find what all cameras see of landmark k in the place tried at `positions`, see `_find_caps`."""
+def see_anew(k, parts, positions, field, state, scratch):
+    """Find what all cameras see of landmark k in the place tried at `positions`, of what is `asked`."""
+    for q in positions:
+        for w in range(np.uint64(scratch.fresh.shape[1])):
+            scratch.fresh[q, w] = ZERO
     for stations in literal_unroll(parts):
-        _find_caps(k, stations, positions, field.positions, scratch.parts[stations.number], scratch, whole)
+        _find_caps(k, stations, positions, field.positions, scratch.parts[stations.number], scratch)
         find_veils(k, stations, field, state, scratch)
-    join(positions, scratch)
+    _join(scratch.places[: scratch.found[1]], scratch)
 
 
 @inner
@@ -254,7 +252,7 @@ def bound_rig_move(field, k, pose, surface, state, scratch):
     _ask(np.uint64(k), state, scratch)
     ask_again(np.uint64(k), field.n, False, state, scratch)
     positions = scratch.listed[: list_near(scratch, False)]
-    see_anew(np.uint64(k), field.parts, positions, False, field, state, scratch)
+    see_anew(np.uint64(k), field.parts, positions, field, state, scratch)
     _find_units(np.uint64(k), positions, field.n, field.weights, state, scratch)
 
 
@@ -264,5 +262,5 @@ def finish_rig_move(field, k, state, scratch):
     find_pairs(np.uint64(k), COMES, field.parts, field, state, scratch)
     ask_again(np.uint64(k), field.n, False, state, scratch)
     positions = scratch.places[: scratch.found[1]]
-    see_anew(np.uint64(k), field.parts, positions, False, field, state, scratch)
+    see_anew(np.uint64(k), field.parts, positions, field, state, scratch)
     _find_units(np.uint64(k), positions, field.n, field.weights, state, scratch)

@@ -187,7 +187,7 @@ def bound_localised_move(field, k, pose, surface, state, scratch):
     _ask(k, state, scratch)
     ask_again(k, cover.n, True, known, trial)
     positions = trial.listed[: list_near(trial, False)]
-    see_anew(k, cover.parts, positions, False, cover, known, trial)
+    see_anew(k, cover.parts, positions, cover, known, trial)
     _decide(k, positions, field, state, scratch)
 
 
@@ -198,7 +198,7 @@ def finish_localised_move(field, k, state, scratch):
     find_pairs(k, COMES, cover.parts, cover, known, trial)
     ask_again(k, cover.n, True, known, trial)
     positions = trial.places[: trial.found[1]]
-    see_anew(k, cover.parts, positions, False, cover, known, trial)
+    see_anew(k, cover.parts, positions, cover, known, trial)
     _decide(k, positions, field, state, scratch)
 
 
