@@ -38,19 +38,20 @@ def _pose(k, state):
 
 
 @inner
-def _without_hidden(part, c, m, w, bits, px, py, pz, i, k, state):
-    """The orientations of a set with which no landmark but k hides landmark i."""
-    other = _pose(i, state)
+def _drop_hidden(part, c, i, k, q, px, py, pz, state, flipped):
+    """Take out of what is `flipped` of landmark i from position q with what another one but k hides it."""
+    other, width = _pose(i, state), line_radius(part.sight)
     x, y, z = (
         other[0] - (px + part.centres[c, 0]), other[1] - (py + part.centres[c, 1]), other[2] - (pz + part.centres[c, 2])
     )  # fmt: skip
-    width = line_radius(part.sight)
     for j in range(np.uint64(len(state.surfaces))):
         one = _pose(j, state)
         ax, ay, az = x + (one[0] - other[0]), y + (one[1] - other[1]), z + (one[2] - other[2])
         if may_hide_around(ax, ay, az, x, y, z, part.radius[c], width) and j != i and j != k:
-            bits &= ~_hidden_bits(part, m, w, bits, j, i, px, py, pz, one, other)
-    return bits
+            for m in range(part.mounts[c], part.mounts[c + 1]):
+                for w in range(np.uint64(flipped.shape[3])):
+                    bits = flipped[i, q, m, w]
+                    flipped[i, q, m, w] ^= _hidden_bits(part, m, w, bits, j, i, px, py, pz, one, other)
 
 
 @inlined
@@ -73,12 +74,11 @@ def _find_pair(part, c, i, k, q, px, py, pz, place, how, mine, other, state, rig
             if found == ZERO:
                 continue
             was = flips = other.flipped[i, q, m, w]
-            if how == LEAVES:
-                flips |= _without_hidden(part, c, m, w, found, px, py, pz, i, k, state)
-            else:
-                flips = (flips & ~found) | (found & ~mine.veiled[i, q, m, w])
+            flips = found if how == LEAVES else (flips & ~found) | (found & ~mine.veiled[i, q, m, w])
             changed |= flips != was
             other.flipped[i, q, m, w] = flips
+    if changed and how == LEAVES:
+        _drop_hidden(part, c, i, k, q, px, py, pz, state, other.flipped)
     if changed:
         _touch(q, rig)
         if not rig.known[q, i]:
