@@ -76,6 +76,8 @@ class StationScratch(NamedTuple):
     """`(Q,)` what `stations.row_from` says of it."""
     reached: np.ndarray
     """`(Q,)` whether any orientation may cover it."""
+    left_over: np.ndarray
+    """`(Q + 1,)` from which of the positions looked at that is not settled yet."""
 
 
 class RigScratch(NamedTuple):
@@ -130,8 +132,9 @@ def rig_scratch_of(state: RigState, centres: tuple[int, ...]) -> RigScratch:
     for part, around in zip(state.parts, centres, strict=True):
         cap, veil = np.zeros((2, *part.caps.shape[1:]), dtype=np.uint64)
         who, where = np.empty((2, count * around * size), dtype=np.uint32)
-        rivals, row, reached = np.zeros(1, np.int64), np.empty(size, np.uint64), np.empty(size, np.bool_)
-        seen = (*np.empty((6, size)), row, reached)
+        rivals, reached = np.zeros(1, np.int64), np.empty(size, np.bool_)
+        row, left_over = np.empty((2, size + 1), np.uint64)
+        seen = (*np.empty((6, size)), row, reached, left_over)
         parts.append(StationScratch(cap, veil, np.zeros_like(part.caps), rivals, who, where, *seen))
     fresh, asked = np.zeros((2, *state.shown.shape[1:]), dtype=np.uint64)
     who, where = np.empty((2, count * size), dtype=np.uint32)

@@ -17,7 +17,7 @@ from lmd.core.compiled import allocating, inlined, inner
 from lmd.incremental.nearby import list_blocks
 from lmd.incremental.rig_pairs import COMES, LEAVES, find_pairs, find_veils
 from lmd.scene.criteria import frame_of, sized
-from lmd.sight.kernels import weights_row
+from lmd.sight.kernels import sum_weights
 from lmd.sight.obstacles import find_ends, is_blocked, is_clear, no_ends
 from lmd.sight.stations import bounds_from, covers_from, row_from, split
 
@@ -32,35 +32,50 @@ def _find_caps(k, stations, positions, body, scratch, rig):
     part, obstacles, asked, fresh, cap, veil = (
         stations.part, stations.obstacles, rig.asked, rig.fresh, scratch.cap, scratch.veil
     )  # fmt: skip
-    x, y, z, most, start, sure, row, reached = (
-        scratch.x, scratch.y, scratch.z, scratch.most, scratch.start, scratch.sure, scratch.row, scratch.reached
+    x, y, z, most, start, sure, row, reached, left_over = (
+        scratch.x, scratch.y, scratch.z, scratch.most, scratch.start, scratch.sure, scratch.row, scratch.reached,
+        scratch.left_over,
     )  # fmt: skip
-    target, words, size = rig.target, np.uint64(asked.shape[1]), len(part.places)
+    words, size, half = np.uint64(asked.shape[1]), len(part.places), np.uint64(part.tables.shape[1] // 2)
+    target = rig.target
     tx, ty, tz, nx, ny, nz = target[0], target[1], target[2], target[3], target[4], target[5]
     sight = sized(part.sight, k)
     clear, frame, ends = is_clear(obstacles), frame_of(sight, nx, ny, nz), no_ends(obstacles, 1)
     if not clear:
         find_ends(obstacles, sight, tx, ty, tz, nx, ny, nz, ends, 0)
+    for q in positions:
+        for m in range(cap.shape[1]):
+            for w in range(words):
+                cap[q, m, w] = veil[q, m, w] = ZERO
     for c in range(len(part.centres)):
-        cx, cy, cz = part.centres[c, 0], part.centres[c, 1], part.centres[c, 2]
+        cx, cy, cz, count, kept = part.centres[c, 0], part.centres[c, 1], part.centres[c, 2], ZERO, ZERO
         for i in range(np.uint64(len(positions))):
             q = positions[i]
             xq, yq, zq = tx - (body[0, q] + cx), ty - (body[1, q] + cy), tz - (body[2, q] + cz)
             x[i], y[i], z[i] = xq, yq, zq
             reached[i], most[i], start[i], sure[i] = bounds_from(part, c, k, xq, yq, zq, nx, ny, nz)
         for i in range(np.uint64(len(positions))):
-            if reached[i]:
-                row[i] = row_from(part, c, x[i], y[i], z[i])
-        for i in range(np.uint64(len(positions))):
-            q = positions[i]
-            px, py, pz = body[0, q], body[1, q], body[2, q]
+            left_over[count] = i
+            count += np.uint64(reached[i])
+        for i in left_over[:count]:
+            row[i] = row_from(part, c, x[i], y[i], z[i])
+        for i in left_over[:count]:
+            q, some = positions[i], ZERO
             for m in range(part.mounts[c], part.mounts[c + 1]):
                 for w in range(words):
-                    cap[q, m, w] = veil[q, m, w] = ZERO
-                    if not reached[i]:
+                    left = part.tables[row[i], half + np.uint64(m) * words + w] & asked[q, w]
+                    cap[q, m, w] = left
+                    some |= left
+            left_over[kept] = i
+            kept += np.uint64(some != ZERO)
+        for i in left_over[:kept]:
+            q = positions[i]
+            px, py, pz, bounds = body[0, q], body[1, q], body[2, q], (most[i], start[i], sure[i])
+            for m in range(part.mounts[c], part.mounts[c + 1]):
+                for w in range(words):
+                    if cap[q, m, w] == ZERO:
                         continue
-                    left, bounds = asked[q, w], (most[i], start[i], sure[i])
-                    found, left = split(part, m, w, left, words, x[i], y[i], z[i], *bounds, row[i])
+                    found, left = split(part, m, w, cap[q, m, w], words, x[i], y[i], z[i], *bounds, row[i])
                     while left:
                         bit = lowest(left)
                         left &= left - ONE
@@ -114,16 +129,6 @@ def _add(q, w, changed, goes, digits):
     """Count one less in `digits` at the orientations `changed` that are in `goes`, one more at the others."""
     for j in range(np.uint64(digits.shape[2])):
         digits[q, w, j], changed = add_digit(digits[q, w, j], changed, goes)
-
-
-@inlined
-def _weigh(left, w, weights, row):
-    """The weight of the orientations `left` of word w, by a row of the `weights`."""
-    total = np.int64(0)
-    while left:
-        total += weights[row, w * np.uint64(BITS) + lowest(left)]
-        left &= left - ONE
-    return total
 
 
 @inner
@@ -192,7 +197,7 @@ def _find_units(k, positions, n, weights, state, scratch):
     """Find P_n at `positions` with the sets in `fresh` for landmark k and the pairs as they turn."""
     counts, shown, fresh, asked, digits = state.counts, state.shown, scratch.fresh, scratch.asked, scratch.digits
     for q in positions:
-        change, row = np.int64(0), weights_row(weights, q)
+        change = np.int64(0)
         for w in range(np.uint64(fresh.shape[1])):
             seen = fresh[q, w] & asked[q, w]
             had = shown[k, q, w] & asked[q, w]
@@ -202,7 +207,7 @@ def _find_units(k, positions, n, weights, state, scratch):
                     had = at_least_so_far(had, counts[q, w, j], n, j)
                     has = at_least_so_far(has, digits[q, w, j], n, j)
                 seen |= has
-            change += _weigh(seen & ~had, w, weights, row) - _weigh(had & ~seen, w, weights, row)
+            change += sum_weights(had, seen, weights, q, w)
         scratch.units[q] = state.units[q] + change
 
 

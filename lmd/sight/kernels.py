@@ -17,7 +17,7 @@ on how it is shared.
 import numpy as np
 
 from lmd.core.bits import ALL, BITS, ONE, ZERO, lowest
-from lmd.core.compiled import inlined, kernel
+from lmd.core.compiled import inlined, inner, kernel
 from lmd.scene.criteria import covering, covers, frame_of, sized
 from lmd.sight.blocks import BLOCK
 from lmd.sight.obstacles import is_clear, no_ends
@@ -32,6 +32,18 @@ PROBABILITY_ONE = 1 << 52
 def weights_row(weights, p):
     """The row of `weights` `(1, D)` or `(P, D)` that holds for position p."""
     return np.uint64(p) if len(weights) > 1 else np.uint64(0)
+
+
+@inner
+def sum_weights(before, after, weights, p, w):
+    """What the axes of word w weigh at position p that are in the set `after`, less those in `before`."""
+    change, left, row = np.int64(0), before ^ after, weights_row(weights, p)
+    while left:
+        bit = lowest(left)
+        weight = weights[row, w * np.uint64(BITS) + bit]
+        change += weight if after >> bit & ONE else -weight
+        left &= left - ONE
+    return change
 
 
 @kernel

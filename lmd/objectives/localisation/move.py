@@ -10,7 +10,8 @@ from lmd.incremental.move import list_touched
 from lmd.incremental.state import State
 from lmd.objectives.localisation.information import WIDTH
 from lmd.objectives.localisation.state import LocalisationState, blank_state, localisation_scratch
-from lmd.objectives.localisation.trial import VIEW, add_shares, list_changes, mixed, moments_of, row_meets, sum_weights
+from lmd.objectives.localisation.trial import VIEW, add_shares, list_changes, mixed, moments_of, row_meets
+from lmd.sight.kernels import sum_weights
 
 VIEW_BYTES = 8 * (WIDTH + 3)  # of a view: its sums, and three lists of views
 

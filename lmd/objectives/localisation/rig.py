@@ -17,10 +17,10 @@ from lmd.objectives.localisation.body import body_meets, gain_of, position_varia
 from lmd.objectives.localisation.looks import add_of_all, looks_of, seen_by_any
 from lmd.objectives.localisation.rig_ambiguity import add_share, has_one_pose, width_of
 from lmd.objectives.localisation.slots import VIEW, fill_slots, met_slots, new_slots, tags_of
-from lmd.objectives.localisation.trial import sum_weights
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 from lmd.sight.evaluator import Evaluator
+from lmd.sight.kernels import sum_weights
 from lmd.sight.stations import Part
 from lmd.sight.views import visible_to_each
 

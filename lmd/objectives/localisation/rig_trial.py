@@ -29,7 +29,8 @@ from lmd.objectives.localisation.slots import (
     met_slots,
     take_sums,
 )
-from lmd.objectives.localisation.trial import mixed, sum_weights
+from lmd.objectives.localisation.trial import mixed
+from lmd.sight.kernels import sum_weights
 
 
 @inlined

@@ -25,7 +25,7 @@ from lmd.objectives.localisation.kernels import landmark_moments, meets_row
 from lmd.scene.criteria import covering, frame_of, pixel_density, sized
 from lmd.sight.blocks import BLOCK
 from lmd.sight.directions import NOWHERE
-from lmd.sight.kernels import weights_row
+from lmd.sight.kernels import sum_weights
 
 GROUP = 8  # views decided at a time
 VIEW = np.uint64(BITS)
@@ -81,18 +81,6 @@ def _look(k, field, state, scratch):
             if left:
                 found |= covering(sight, left, w, px, py, pz, frame, low[p], high[p], sure[p], well, axes)
             cap[p, w] = found
-
-
-@inner
-def sum_weights(before, after, weights, p, w):
-    """What the axes of word w weigh at position p that are in the set `after`, less those in `before`."""
-    change, left, row = np.int64(0), before ^ after, weights_row(weights, p)
-    while left:
-        bit = lowest(left)
-        weight = weights[row, w * VIEW + bit]
-        change += weight if after >> bit & ONE else -weight
-        left &= left - ONE
-    return change
 
 
 @inner
