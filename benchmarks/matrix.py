@@ -215,8 +215,12 @@ def page(known: dict[tuple[Cell, str], str]) -> Iterator[str]:
     yield "# What works with what"
     yield ""
     yield "Made by `python benchmarks/matrix.py`, which runs each command with a tiny budget."
-    yield f"So far {len(known)} of {every} have been run: {sum(f == WORKS for f in known.values())} work. A number"
-    yield "is the reason below for which a command refuses, an empty place has not been run."
+    works = sum(found == WORKS for found in known.values())
+    if works == every:
+        yield f"All {every:,} work."
+    else:
+        yield f"So far {len(known):,} of {every:,} have been run: {works:,} work. A number"
+        yield "is the reason below for which a command refuses, an empty place has not been run."
     yield ""
     yield "| " + " | ".join([*PARTS, *COMMANDS]) + " |"
     yield "| " + " | ".join(["---"] * (len(PARTS) + len(COMMANDS))) + " |"
