@@ -69,7 +69,7 @@ def test_the_map_of_tags_that_hang_off_their_plan_is_found():
 def test_covariances_hold():
     """The squared normalised errors of one tag over seeds are within the 99 % limits of their distribution."""
     squares = []
-    for seed in range(4):
+    for seed in range(6):
         _, true, detected = walked(100 + seed)
         found = estimate(walks.sightings(detected, np.arange(COUNT)), NOTHING)
         first = int(np.flatnonzero(found.prior.information.any(axis=1))[0])

@@ -95,7 +95,7 @@ def test_standard_deviations_of_the_intrinsics_hold():
     squares = []
     for seed in (20, 21, 22):
         rng = np.random.default_rng(seed)
-        detected = walks.photographed(walks.spaced_tags(16, rng), walks.walk(30, rng), rng, SIGMA, camera=TRUE)
+        detected = walks.photographed(walks.spaced_tags(COUNT, rng), walks.walk(FRAMES, rng), rng, SIGMA, camera=TRUE)
         found = surveyed(detected, True)
         off = (parameters(found.calibrated[0].found) - parameters(TRUE)) / spreads(GIVEN)
         squares.append(off @ np.linalg.solve(found.found.intrinsics[0][: len(off), : len(off)], off))
