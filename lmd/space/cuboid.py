@@ -2,6 +2,7 @@
 
 import itertools
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -103,7 +104,8 @@ class Cuboid:
 
     def surfaces(self) -> tuple[Surface, ...]:
         """The walls that may carry landmarks, in the order of `walls`."""
-        return tuple(_wall(name, self.size) for name in self.walls)
+        walls = _walls(self.size)
+        return tuple(walls[name] for name in self.walls)
 
     def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
         """See `Space.surfaces_of`; at an edge between two walls, the one whose normal is nearer to the landmark's."""
@@ -157,18 +159,21 @@ class Cuboid:
         return f"room of {' x '.join(f'{length:g}' for length in self.size)} m"
 
 
-def _wall(name: str, size: tuple[float, float, float]) -> Surface:
+@lru_cache
+def _walls(size: tuple[float, float, float]) -> dict[str, Surface]:
+    """All six, by their names; a run asks for them thousands of times."""
     ex, ey, ez = np.eye(3)
     zero = np.zeros(3)
     lx, ly, lz = size
-    return {
-        "x_min": Surface(name, zero, ey, ez, ex, (ly, lz)),
-        "x_max": Surface(name, lx * ex, ey, ez, 0.0 - ex, (ly, lz)),
-        "y_min": Surface(name, zero, ex, ez, ey, (lx, lz)),
-        "y_max": Surface(name, ly * ey, ex, ez, 0.0 - ey, (lx, lz)),
-        "floor": Surface(name, zero, ex, ey, ez, (lx, ly)),
-        "ceiling": Surface(name, lz * ez, ex, ey, 0.0 - ez, (lx, ly)),
-    }[name]
+    six = (
+        Surface("x_min", zero, ey, ez, ex, (ly, lz)),
+        Surface("x_max", lx * ex, ey, ez, 0.0 - ex, (ly, lz)),
+        Surface("y_min", zero, ex, ez, ey, (lx, lz)),
+        Surface("y_max", ly * ey, ex, ez, 0.0 - ey, (lx, lz)),
+        Surface("floor", zero, ex, ey, ez, (lx, ly)),
+        Surface("ceiling", lz * ez, ex, ey, 0.0 - ez, (lx, ly)),
+    )
+    return {wall.name: wall for wall in six}
 
 
 def box_edges(low: FloatArray, high: FloatArray) -> FloatArray:

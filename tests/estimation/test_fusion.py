@@ -105,7 +105,7 @@ def test_the_smoother_follows_the_camera_from_afar(detector, odometry):
 
 
 def test_corners_tell_the_smoother_more_than_places():
-    recording = recorded(TagDetector(TAG, "aruco"), DRIFT)
+    recording = recorded(TagDetector(TAG, "aruco"), DRIFT, FLIGHTS[:4])
     start = start_of(recording, 0.05)
     with_corners = FixedLagSmoother(0.05, 0.05).errors(recording, start).position
     places = FixedLagSmoother(0.05, 0.05).errors(replace(recording, corners=None, tags=None), start).position
@@ -129,14 +129,14 @@ def test_pnp_on_three_tags_is_as_exact_as_the_fisher_information():
     world, sigma, rng = corners.reshape(-1, 3), 0.5, np.random.default_rng(0)
     off = np.array([
         se3.log(se3.inverse(LOOKING) @ solutions(CAMERA, world, exact.reshape(-1, 2) + noise)[0].pose)
-        for noise in rng.normal(scale=sigma, size=(4000, 12, 2))
+        for noise in rng.normal(scale=sigma, size=(1000, 12, 2))
     ])  # fmt: skip
     information = pose_information(LOOKING[None], world, np.ones((1, 12), dtype=bool), CAMERA)[0]
     position, attitude = (sigma * bound for bound in cramer_rao_bound(information))
-    assert 0.97 < np.sqrt((off[:, 3:] ** 2).sum(axis=1).mean()) / position < 1.03
-    assert 0.97 < np.sqrt((off[:, :3] ** 2).sum(axis=1).mean()) / attitude < 1.03
+    assert 0.95 < np.sqrt((off[:, 3:] ** 2).sum(axis=1).mean()) / position < 1.05
+    assert 0.95 < np.sqrt((off[:, :3] ** 2).sum(axis=1).mean()) / attitude < 1.05
     whitened = np.linalg.cholesky(information).T @ off.T / sigma  # the whole covariance, not only its traces
-    assert_allclose(np.cov(whitened), np.eye(6), atol=0.08)
+    assert_allclose(np.cov(whitened), np.eye(6), atol=0.15)
 
 
 def test_the_bound_of_tags_is_that_of_their_corners():
@@ -213,7 +213,7 @@ def test_four_points_do_not_end_in_a_wrong_minimum():
     exact = project(CAMERA, LOOKING, world)
     off = [
         np.linalg.norm(solutions(CAMERA, world, exact + noise)[0].pose[:3, 3])
-        for noise in rng.normal(scale=0.5, size=(1500, 4, 2))
+        for noise in rng.normal(scale=0.5, size=(300, 4, 2))
     ]
     information = pose_information(LOOKING[None], world, np.ones((1, 4), dtype=bool), CAMERA)[0]
     assert max(off) < 8.0 * 0.5 * cramer_rao_bound(information)[0]

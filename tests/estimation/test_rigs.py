@@ -70,7 +70,7 @@ POSE = camera_pose(np.array([3.5, 2.5, 3.0]), 0.4, 0.05)
 
 
 def test_pnp_of_all_images_reaches_the_bound_of_their_sum():
-    rng, draws = np.random.default_rng(0), 1500
+    rng, draws = np.random.default_rng(0), 250
     exact = images(POSE, rng, 0.0)
     counts = [len(image.points) for image in exact]
     assert min(counts) >= 4
@@ -87,7 +87,7 @@ def test_pnp_of_all_images_reaches_the_bound_of_their_sum():
     ]
     for found, (position, _) in zip((both, alone), bounds, strict=True):
         off = np.stack(found)[:, :3, 3] - POSE[:3, 3]
-        assert 0.97 <= np.sqrt((off**2).sum(axis=1).mean()) / position[0] <= 1.03
+        assert 0.92 <= np.sqrt((off**2).sum(axis=1).mean()) / position[0] <= 1.08
     assert bounds[0][0][0] < 0.8 * bounds[1][0][0]
 
 

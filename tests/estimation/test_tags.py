@@ -116,14 +116,23 @@ def test_missed_tags_are_missed():
 @pytest.mark.slow
 @pytest.mark.parametrize("evaluator", LENSES.values(), ids=LENSES)
 def test_a_real_detector_measures_where_tags_are(evaluator):
-    frames = slice(0, 400, 50)
+    camera, frames = evaluator.scene.camera, slice(0, 400, 80)
+    coarse = replace(  # a quarter of its pixels: a lens that distorts is traced for each
+        camera,
+        pixel_width=2.0 * camera.pixel_width,
+        pixel_height=2.0 * camera.pixel_height,
+        principal_point=tuple(0.5 * at for at in camera.principal_point),
+        image_width=0.5 * camera.image_width,
+        image_height=0.5 * camera.image_height,
+    )
+    evaluator = Evaluator(replace(SCENE, camera=coarse), threads=1)
     recording = record(RenderedDetector(TAG, ArucoDetector(), Imaging()), [flight(frames, evaluator=evaluator)])
     seen, points = recording.seen[0], recording.points[0]
-    assert seen.shape == (8, 90)
+    assert seen.shape == (5, 90)
     assert seen.sum(axis=1).min() >= 1
     expected = se3.act(se3.inverse(FLIGHT.poses[frames]), UNIFORM.positions)
     off = np.linalg.norm(points - expected, axis=-1)[seen] / np.linalg.norm(expected, axis=-1)[seen]
-    assert np.median(off) < 0.03
+    assert np.median(off) < 0.04
     found = PerspectiveNPoint().errors(recording, None).position[0]
     assert np.nanmedian(found) < 0.02
 
@@ -153,7 +162,7 @@ def test_the_larger_of_two_detections_with_one_id_is_believed_and_strange_ids_ar
 @pytest.mark.slow
 def test_rendered_flights_are_the_same_in_processes():
     detector = RenderedDetector(TAG, ArucoDetector(), Imaging())
-    frames = slice(0, 120, 10)
+    frames = slice(0, 120, 40)
     alone = record(detector, [flight(frames, 1), flight(frames, 2)])
     each = partial(in_processes, workers=2, name=str, ordered=True)
     shared = record(detector, [flight(frames, 1), flight(frames, 2)], each=each)
@@ -166,7 +175,7 @@ def test_rendered_flights_are_the_same_in_processes():
 
 @pytest.mark.slow
 def test_an_open_shutter_blurs_what_moves():
-    frames = slice(60, 140, 8)
+    frames = slice(60, 140, 20)
     counts = [
         record(RenderedDetector(Tag(0.1), ArucoDetector(), Imaging(), shutter=shutter), [flight(frames)]).seen.sum()
         for shutter in (0.0, 0.05)

@@ -119,7 +119,7 @@ def _few():
 
 
 def test_no_choice_of_poses_exceeds_the_bounds_and_fractions_of_tags_reach_the_one_on_the_grid(few, monkeypatch):
-    monkeypatch.setattr("lmd.evaluation.wall_gains.MOST_CELLS", 50_000)  # the bound holds whenever it stops
+    monkeypatch.setattr("lmd.evaluation.wall_gains.MOST_CELLS", 20_000)  # the bound holds whenever it stops
     search, plates = Search(3.0, 100, 0.02), few.scene.plates
     bound = average_upper_bound(few, 3, search)
     size = len(few.evaluator.positions)
@@ -184,7 +184,7 @@ def test_no_choice_exceeds_the_bound_of_a_selection(few):
     bound = selection_upper_bound(few, 3, SPACING)
     poses = candidates(few.scene.plates, np.array(FEW.edges), SPACING)
     reached = []
-    for chosen in list(choices(few, poses))[::20]:
+    for chosen in list(choices(few, poses))[::80]:
         selection = few.objective.selection(few.fitness_evaluator, few.fitness_relevance)
         reached.append(0.0)
         for j in chosen:

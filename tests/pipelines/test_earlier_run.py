@@ -4,7 +4,7 @@ import importlib
 import json
 import sys
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import composing
@@ -28,13 +28,19 @@ BOMB = b"a: &a [1, 1, 1, 1]\nb: &b [*a, *a, *a, *a, *a, *a]\nc: [*b, *b, *b, *b,
 LANDMARKS = "id,x,y,z,nx,ny,nz\n0,0,1,1,1,0,0\n1,6,2,1,-1,0,0\n"
 
 
+@cache
+def lab():
+    """What a run records that was told `LAB`."""
+    return OmegaConf.to_yaml(composing.composed("optimise", *LAB, "deployment.count=2"))
+
+
 @pytest.fixture
 def earlier(tmp_path, monkeypatch):
     """What a run leaves that was told `LAB`."""
     monkeypatch.chdir(tmp_path)
     run = tmp_path / "a run, of old"
     (run / ".hydra").mkdir(parents=True)
-    OmegaConf.save(composing.composed("optimise", *LAB, "deployment.count=2"), run / ".hydra" / "config.yaml")
+    (run / ".hydra" / "config.yaml").write_text(lab())
     (run / "landmarks.csv").write_text(LANDMARKS)
     return run
 

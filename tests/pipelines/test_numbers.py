@@ -1,8 +1,8 @@
 """Every number of every configuration: what cannot be is refused by one sentence that names its key."""
 
 import importlib
+import pickle
 import warnings
-from copy import deepcopy
 from pathlib import Path
 
 import composing
@@ -39,16 +39,15 @@ PIPELINES = {
     "sync": [],
 }
 FUNCTIONS = {"calibrate_detector": "calibrate", "estimate_pdf": "estimate"}
-# Options of groups that no pipeline has by default: the pipeline, the group, overrides that choose and complete it.
+# Options of groups that no pipeline has by default, nor one of the same class: the pipeline, the group, overrides that
+# choose and complete it.
 OPTIONS = [
     *(
         ("optimise", "optimiser", [f"optimiser={path.stem}"])
         for path in sorted(Path(CONF, "optimiser").glob("*.yaml"))
-        if path.stem != "camera_annealing"  # of place_cameras
+        if path.stem not in ("annealing", "camera_annealing")  # of optimise and place_cameras
     ),
-    *(("optimise", "room", [f"room={name}"]) for name in ("hall", "lab", "paper_experiment")),
     ("optimise", "room", ["room=floor_plan", "room.spacing=1"]),
-    *(("optimise", "camera", [f"camera={name}"]) for name in ("hall", "lab", "paper_experiment")),
     *(("optimise", "pdf", [f"pdf={name}"]) for name in ("grid_288", "sphere", "yaw")),
     ("optimise", "visibility", ["visibility=fiducial", "tag=printed", "deployment.count=20"]),
     ("optimise", "tag", ["visibility=fiducial", "tag=printed", "deployment.count=20"]),
@@ -100,31 +99,46 @@ def composed(pipeline, overrides, folder):
     with open_dict(whole):
         whole.hydra.runtime.output_dir = str(folder)
     HydraConfig.instance().set_config(whole)
-    cfg = deepcopy(whole)
+    cfg = copy(whole)
     OmegaConf.set_struct(cfg, False)
     cfg.pop("hydra")
     return cfg
 
 
-def entries(node, prefix=""):
-    """The keys of all numbers, of what is null and of what has keys of its own, with their values."""
+def copy(cfg):
+    """As deepcopy makes it, in a tenth of the time."""
+    return pickle.loads(pickle.dumps(cfg))
+
+
+def entries(node, prefix="", owner=""):
+    """All numbers, what is null and what has keys of its own: the key, what it is to which class, and the value."""
+    owner = node.get("_target_", owner) if OmegaConf.is_dict(node) else owner
     for key in node if OmegaConf.is_dict(node) else range(len(node)):
         value, path = node[key], f"{prefix}{key}"
         if OmegaConf.is_interpolation(node, key):
             continue
         if OmegaConf.is_config(value):
+            kind = f"{owner}.{key if OmegaConf.is_dict(node) else 'row'}"
             if OmegaConf.is_dict(value):
-                yield path, value
-            yield from entries(value, f"{path}.")
+                yield path, kind, value
+            yield from entries(value, f"{path}.", kind)
         elif value is None or (isinstance(value, int | float) and not isinstance(value, bool)):
-            yield path, value
+            yield path, f"{owner}.{key} {type(value)}", value
+
+
+def numbers(node, prefix=""):
+    """Values to replace, by their keys: of several objects of one class, or rows of one table, those of the first."""
+    first = {}
+    for key, kind, value in entries(node, prefix):
+        first.setdefault(kind, (key, value))
+    return dict(first.values())
 
 
 def wrong(pipeline, cfg, key, value, monkeypatch):
     """What is wrong with how a pipeline takes a value, None for nothing."""
-    changed = deepcopy(cfg)
+    changed = copy(cfg)
     OmegaConf.update(changed, key, value)
-    monkeypatch.setattr("pipelines.deployments.recompose", lambda *_: deepcopy(changed))
+    monkeypatch.setattr("pipelines.deployments.recompose", lambda *_: copy(changed))
     function = getattr(importlib.import_module(f"pipelines.{pipeline}"), FUNCTIONS.get(pipeline, pipeline))
     try:
         with warnings.catch_warnings(action="error"):
@@ -154,7 +168,7 @@ def test_every_number_of_every_pipeline(monkeypatch, tmp_path):
     seen, found = {"tracked_as", "run"}, []
     for pipeline in PIPELINES:
         cfg = composed(pipeline, [], tmp_path)
-        keys = {key: value for key, value in entries(cfg) if key not in seen and not key.startswith("tracking")}
+        keys = {key: value for key, value in numbers(cfg).items() if key not in seen and not key.startswith("tracking")}
         seen |= {*keys}
         found += [f"{pipeline} {sentence}" for sentence in all_wrong(pipeline, cfg, keys, monkeypatch)]
     assert not found, "\n".join(found)
@@ -167,6 +181,6 @@ def test_every_number_of_every_pipeline(monkeypatch, tmp_path):
 )
 def test_every_number_of_every_option(pipeline, group, overrides, monkeypatch, tmp_path):
     cfg = composed(pipeline, overrides, tmp_path)
-    keys = {key: value for key, value in entries(cfg[group], f"{group}.") if not key.startswith(FOREIGN)}
+    keys = {key: value for key, value in numbers(cfg[group], f"{group}.").items() if not key.startswith(FOREIGN)}
     found = all_wrong(pipeline, cfg, keys, monkeypatch)
     assert not found, "\n".join(found)

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import shapely
+from examples import SHARE
 from floor_plans import L_SHAPE, PILLAR, blocks, lab, plan_of, random_boxes, star
 from numpy.testing import assert_array_equal
 
@@ -9,7 +10,7 @@ from lmd.space.floor_plan import FloorPlan
 from lmd.space.parts import Obstacle
 from lmd.space.surface import PLACEMENT_TOLERANCE
 
-LINES = 100_000
+LINES = SHARE * 100_000
 
 
 def on_ground(points, z=1.0):
@@ -69,7 +70,7 @@ def test_lines_between_boxes_are_those_of_a_mesh():
         boxes = random_boxes(rng, 8, size)
         blockers = Blockers.of([Obstacle(*box.tolist()).body for box in boxes])
         mesh = trimesh.util.concatenate([trimesh.creation.box(bounds=box) for box in boxes])
-        points = rng.uniform(0.0, 1.0, (2, 12_000, 3)) * size
+        points = rng.uniform(0.0, 1.0, (2, 4000, 3)) * size
         starts, ends = points[:, ~blockers.inside(points).any(axis=0)]
         hits, ray, _ = mesh.ray.intersects_location(starts, ends - starts)
         before = np.linalg.norm(hits - starts[ray], axis=1) < np.linalg.norm(ends - starts, axis=1)[ray]
