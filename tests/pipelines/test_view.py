@@ -54,6 +54,7 @@ def planner(work):
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
     driver = chromium.start(tmp_path_factory.mktemp("profile"))
+    chromium.draw_little(driver)
     yield driver
     driver.quit()
 
