@@ -211,23 +211,30 @@ def run(wanted: list[str], seconds: float, workers: int) -> None:
 def page(known: dict[tuple[Cell, str], str]) -> Iterator[str]:
     """The lines of docs/matrix.md."""
     reasons = list(dict.fromkeys(found for found in known.values() if found != WORKS))
-    every = len(cells()) * len(COMMANDS)
     yield "# What works with what"
     yield ""
-    yield "Made by `python benchmarks/matrix.py`, which runs each command with a tiny budget."
-    yield f"So far {len(known)} of {every} have been run: {sum(f == WORKS for f in known.values())} work. A number"
-    yield "is the reason below for which a command refuses, an empty place has not been run."
+    yield "Each command was run with a tiny budget in every cell of:"
+    yield ""
+    yield from (f"- {part}: {', '.join(options)}" for part, options in PARTS.items())
+    yield f"- command: {', '.join(COMMANDS)}"
+    yield ""
+    works, every = sum(found == WORKS for found in known.values()), len(cells()) * len(COMMANDS)
+    yield f"{works:,} of the {every:,} work. `docs/results/matrix.csv` has all outcomes, `python benchmarks/matrix.py`"
+    yield "the settings, and runs what is missing. The optimisers are the default and random search; `milp` refuses"
+    yield "some of these cells, as its program is that of plain coverage with one camera."
+    if works == every:
+        return
+    yield "In other cells a number is the reason below, and an empty place has not been run."
     yield ""
     yield "| " + " | ".join([*PARTS, *COMMANDS]) + " |"
     yield "| " + " | ".join(["---"] * (len(PARTS) + len(COMMANDS))) + " |"
     for cell in cells():
         told = [known.get((cell, command)) for command in COMMANDS]
-        if any(told):
+        if set(told) != {WORKS}:
             marks = ["" if t is None else "✓" if t == WORKS else str(1 + reasons.index(t)) for t in told]
             yield "| " + " | ".join([*cell, *marks]) + " |"
     yield ""
-    for number, reason in enumerate(reasons, 1):
-        yield f"{number}. {reason}"
+    yield from (f"{number}. {reason}" for number, reason in enumerate(reasons, 1))
 
 
 def main() -> None:

@@ -76,6 +76,11 @@ def distorted_cameras(draw, models=(*BENT, *FISHEYE)):
     return replace(camera, distortion=_scaled(lens, sizes), distortion_model=model, image_circle=circle)
 
 
+def is_bent(camera):
+    """Whether it has a lens that distorts; one of coefficients that are all zero is none."""
+    return camera.lens is not None
+
+
 def _scaled(numbers, sizes):
     return tuple(number * size for number, size in zip(numbers, sizes, strict=False))
 

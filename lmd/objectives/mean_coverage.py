@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from typing_extensions import override
 
 from lmd.core.checks import FloatArray
 from lmd.objectives.base import Headline
@@ -21,14 +22,14 @@ class MeanCoverage(Coverage):
     counted = "views"
 
     @property
+    @override
     def name(self) -> str:
-        """See `Objective.name`."""
         return f"mean n={self.n}"
 
+    @override
     def fitness(self, values: FloatArray, relevance: FloatArray) -> FloatArray:
-        """See `Objective.fitness`."""
         return np.asarray((values * relevance).sum(axis=-1) / relevance.sum())
 
+    @override
     def target(self, relevance: FloatArray) -> Mean:  # type: ignore[override] # another target, as protocols allow
-        """See `Objective.target`."""
         return Mean(relevance)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from lmd.cameras.mounts import MountSpace
 from lmd.cameras.problem import CameraProblem
@@ -56,8 +57,8 @@ class Alternating(Optimiser):
         self.posed: Problem  # what that maximises
         self.space: MountSpace  # of the cameras
 
+    @override
     def state(self) -> dict[str, Any]:
-        """See `Optimiser.state`."""
         best = self.best
         return {
             **self.ledger.state(),
@@ -68,8 +69,8 @@ class Alternating(Optimiser):
             "inner": None if self.inner is None else self.inner.state(),
         }
 
+    @override
     def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
-        """See `Optimiser.restore`."""
         cameras = _cameras(problem)
         self.space = cameras.space
         self.ledger = Ledger.of(state)
@@ -85,8 +86,8 @@ class Alternating(Optimiser):
             if len(self.inner.ledger.history) != len(self.ledger.history) - self.began:
                 raise InputError("inner has another history than the turn that is on.", "inner")
 
+    @override
     def check(self, problem: Problem) -> None:
-        """See `Optimiser.check`."""
         self.cameras(self.seed).check(_cameras(problem))
         incremental(problem.objective)
 
@@ -95,8 +96,8 @@ class Alternating(Optimiser):
         reached = [*self.reached, *([self.ledger.best_fitness] if self.inner else [])]
         return {f"round_{1 + i // 2}_{('cameras', 'tags')[i % 2]}": fitness for i, fitness in enumerate(reached)}
 
+    @override
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
-        """See `Optimiser.run`."""
         cameras = _cameras(problem)
         self.space = cameras.space
 
@@ -117,13 +118,13 @@ class Alternating(Optimiser):
             self.inner, self.began = None, len(self.ledger.history)
         return self.result(problem, "budget")
 
+    @override
     def found(self, problem: Problem) -> Deployment | None:
-        """See `Optimiser.found`."""
         self._follow()
         return self._best().tags if self.ledger.history else None
 
+    @override
     def found_rig(self, problem: Problem) -> Rig | None:
-        """See `Optimiser.found_rig`."""
         return self._best().rig if self.ledger.history else None
 
     def _begin_turn(self, cameras: CameraProblem) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from lmd.cameras.problem import CameraProblem
 from lmd.core.checks import FloatArray, InputError, seed_number
@@ -193,8 +194,8 @@ class AskTell(Optimiser):
         else:  # the method cannot learn from half a batch
             self._note(genes, fitness)
 
+    @override
     def state(self) -> dict[str, Any]:
-        """See `Optimiser.state`."""
         return {
             "checksums": np.array([checksum for checksum, _ in self.told], dtype=np.uint32),
             "batches": np.array([len(fitness) for _, fitness in self.told], dtype=np.int64),
@@ -202,8 +203,9 @@ class AskTell(Optimiser):
             "wall_time": np.array([record.wall_time for record in self.ledger.history], dtype=np.float64),
         }
 
+    @override
     def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
-        """See `Optimiser.restore`: the method is asked and told again, which takes as long as it did."""
+        """The method is asked and told again, which takes as long as it did."""
         checksums = array("checksums", state["checksums"], np.uint32, None)
         seconds = array("wall_time", state["wall_time"], np.float64, len(checksums), low=0.0)
         batches = array("batches", state["batches"], np.int64, len(checksums), low=1)
@@ -233,8 +235,9 @@ class AskTell(Optimiser):
         draws = self.start_size if genome.varies else 1
         self.start = np.stack([genome.draw_genes(self.rng) for _ in range(draws)])
 
+    @override
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
-        """See `Optimiser.run`. A batch that would exceed the budget is cut short."""
+        """A batch that would exceed the budget is cut short."""
         ledger, genome = self.ledger, self._genome(problem)
         if not ledger.evaluations:
             self._draw_start(problem)
@@ -252,12 +255,12 @@ class AskTell(Optimiser):
                 break
         return self.result(problem, stopped)
 
+    @override
     def found(self, problem: Problem) -> Deployment | None:
-        """See `Optimiser.found`."""
         return None if self.best_genes is None else self._genome(problem).deployment(self.best_genes)
 
+    @override
     def found_rig(self, problem: Problem) -> Rig | None:
-        """See `Optimiser.found_rig`."""
         return None if self.best_genes is None else self._genome(problem).rig(self.best_genes)
 
     def _genome(self, problem: Problem) -> Genome:

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from lmd.cameras.problem import CameraProblem
 from lmd.core.checks import FloatArray, InputError, real, vector
@@ -56,13 +57,13 @@ class CameraAnnealing(Optimiser):
         self.here: FloatArray | None = None  # genes of the cameras where the walk is, (C, G)
         self.best: FloatArray | None = None  # those with the best fitness
 
+    @override
     def state(self) -> dict[str, Any]:
-        """See `Optimiser.state`."""
         places = {"here": self.here, "best": self.best}
         return {**self.ledger.state(), **places, "rng": generator_state(self.rng)}
 
+    @override
     def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
-        """See `Optimiser.restore`."""
         cameras = _cameras(problem)
         space = cameras.space
         self.ledger = Ledger.of(state)
@@ -74,12 +75,13 @@ class CameraAnnealing(Optimiser):
             )
             self.rng = generator("rng", state["rng"])
 
+    @override
     def check(self, problem: Problem) -> None:
-        """See `Optimiser.check`."""
         _cameras(problem)
 
+    @override
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
-        """See `Optimiser.run`; a sweep over all cameras is an evaluation."""
+        """A sweep over all cameras is an evaluation."""
         cameras, ledger, stopped = _cameras(problem), self.ledger, "budget"
         began = clock() - ledger.seconds
         if self.here is None:
@@ -96,12 +98,12 @@ class CameraAnnealing(Optimiser):
                 break
         return self.result(problem, stopped)
 
+    @override
     def found(self, problem: Problem) -> Deployment | None:
-        """See `Optimiser.found`."""
         return None if self.best is None else _cameras(problem).tags
 
+    @override
     def found_rig(self, problem: Problem) -> Rig | None:
-        """See `Optimiser.found_rig`."""
         return None if self.best is None else _cameras(problem).rig(self.best.reshape(-1))
 
     def _swept(self, problem: CameraProblem, used: float, energy: float) -> tuple[float, float]:

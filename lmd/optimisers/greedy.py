@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from lmd.core.checks import InputError, real
 from lmd.objectives.base import Objective, selectable
@@ -45,8 +46,8 @@ class Greedy(Annealing):
         super().__init__(stacked=single, single=single, sampled=single, given=single, stacked_share=0.0, seed=seed)
         self.spacing = real("spacing", spacing, above=0.0)
 
+    @override
     def check(self, problem: Problem) -> None:
-        """See `Optimiser.check`."""
         super().check(problem)
         selectable(problem.objective)
 

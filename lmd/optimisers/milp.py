@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import Bounds, LinearConstraint, OptimizeResult, milp
 from scipy.sparse import block_array, block_diag, coo_array, csr_array, eye_array
+from typing_extensions import override
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, real
 from lmd.core.compiled import clock
@@ -69,13 +70,13 @@ class Milp(Optimiser):
         self.best: Deployment | None = None
         self.proven: dict[str, float] = {}
 
+    @override
     def state(self) -> dict[str, Any]:
-        """See `Optimiser.state`."""
         best = None if self.best is None else deployment_state(self.best)
         return {**self.ledger.state(), "best": best}
 
+    @override
     def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
-        """See `Optimiser.restore`."""
         self.ledger = Ledger.of(state)
         if self.ledger.history:
             self.best = deployment("best", state["best"], problem, problem.count)
@@ -84,8 +85,8 @@ class Milp(Optimiser):
         """The bound, what the solver's choice reaches where nobody hides anybody, and how far the result is below."""
         return self.proven
 
+    @override
     def check(self, problem: Problem) -> None:
-        """See `Optimiser.check`."""
         objective = problem.objective
         if not isinstance(objective, Coverage) or objective.sampling is not None:
             raise InputError("the integer program is that of plain coverage at the grid's own positions.")
@@ -102,8 +103,8 @@ class Milp(Optimiser):
         if any(len(of) * _copies(problem) < count for of, count in _by_size(problem, lattice_poses)):
             raise InputError(f"{lattice}: too few for {problem.free_count} landmarks.")
 
+    @override
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
-        """See `Optimiser.run`."""
         self.check(problem)
         ledger, poses = self.ledger, self._poses(problem)
         began = clock() - ledger.seconds
@@ -149,8 +150,8 @@ class Milp(Optimiser):
         self.proven["lattice_gap"] = self.proven["lattice_bound"] - ledger.best_fitness
         return self.result(problem, "proven" if solved.status == PROVEN else "budget")
 
+    @override
     def found(self, problem: Problem) -> Deployment | None:
-        """See `Optimiser.found`."""
         return self.best
 
     def _poses(self, problem: Problem) -> Deployment:

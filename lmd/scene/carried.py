@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from typing_extensions import override
 
 from lmd.core.checks import FloatArray
 from lmd.geometry.frames import angles_of, rotation
@@ -58,16 +59,16 @@ class CarriedPdf(OrientationPdf):
         name = f"{body.name}, carried by a rig"
         return cls(yaw, pitch, body.weight, name, None, None, roll, there, body, rig, offsets, there)
 
+    @override
     def finer(self) -> OrientationPdf:
-        """See `OrientationPdf.finer`."""
         return CarriedPdf.of(self.body.finer(), self.rig, self.within)
 
+    @override
     def stratified(self, divisions: int, rng: np.random.Generator) -> OrientationPdf:
-        """See `OrientationPdf.stratified`."""
         return CarriedPdf.of(self.body.stratified(divisions, rng), self.rig, self.within)
 
+    @override
     def draw(self, size: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """See `OrientationPdf.draw`."""
         return _turned(self.rig, *self.body.draw(size, rng))[0]
 
 

@@ -126,12 +126,17 @@ class OrientationPdf:
         """Orientations drawn from the continuous distribution, equally likely, or itself where there is none.
 
         One is drawn in each of 2 divisions x divisions cells of equal probability: unbiased like independent draws, but
-        the P_n of a union of caps errs by divisions^-1.5 instead of divisions^-1, times a number well below 1.
+        the P_n of a union of caps errs by divisions^-1.5 instead of divisions^-1, times a number well below 1. Where
+        only one of the two numbers matters, as to a PDF of the yaw, 2 divisions^1.5 equal parts of it do as well.
         """
         if self.continuous is None:
             return self
-        cells = np.stack(np.meshgrid(np.arange(2 * divisions), np.arange(divisions), indexing="ij"), axis=-1)
-        points = (cells + rng.random(cells.shape)) / (2 * divisions, divisions)
+        yaws, pitches = 2 * divisions, divisions
+        along = self.continuous(np.array([[0.5, 0.0], [0.5, 1.0]]))
+        if not np.ptp(along, axis=1).any() and not np.ptp(np.asarray(self.roll)):
+            yaws, pitches = round(2.0 * divisions**1.5), 1
+        cells = np.stack(np.meshgrid(np.arange(yaws), np.arange(pitches), indexing="ij"), axis=-1)
+        points = (cells + rng.random(cells.shape)) / (yaws, pitches)
         yaw, pitch = self.continuous(points.reshape(-1, 2))
         weight = np.full(len(yaw), 1.0 / len(yaw))
         return OrientationPdf(yaw, pitch, weight, f"{self.name}, stratified", roll=self._draw_roll(len(yaw), rng))

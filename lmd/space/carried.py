@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from typing_extensions import override
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.space.changed import Changed
@@ -78,33 +79,36 @@ class Carried(Changed):
         return f"{self._room!r}, for a camera that is carried"
 
     @property
+    @override
     def relevance(self) -> Weighing:
-        """See `Space.relevance`."""
         return CarriedWeighing(self._room.relevance, self._offsets)
 
+    @override
     def grid(self) -> FloatArray:
-        """See `Space.grid`: beside each position of the body one of the camera."""
+        """Beside each position of the body one of the camera."""
         grid = self._room.grid()
         return grid + self._offsets.each[self._offsets.spread(len(grid))]
 
+    @override
     def finer(self) -> "Carried":
-        """See `Space.finer`."""
         return Carried(Offsets(self._room.finer(), self._offsets.each, self._offsets.probability))
 
+    @override
     def jittered_grid(self, repeats: int, rng: np.random.Generator) -> FloatArray:
-        """See `Space.jittered_grid`."""
         return self._beside(self._room.jittered_grid(repeats, rng), rng)
 
+    @override
     def sample(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """See `Space.sample`: uniform for the body."""
+        """Uniform for the body."""
         return self._beside(self._room.sample(size, rng), rng)
 
+    @override
     def sample_evenly(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """See `Space.sample_evenly`."""
         return self._beside(self._room.sample_evenly(size, rng), rng)
 
+    @override
     def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """See `Space.passable`: by where the body is on average."""
+        """By where the body is on average."""
         mean = self._offsets.probability @ self._offsets.each
         return self._room.passable(starts - mean, ends - mean)
 

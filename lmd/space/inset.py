@@ -1,5 +1,7 @@
 """A room as the centres of plates may use it: its surfaces end half a plate before their edges."""
 
+from typing_extensions import override
+
 from lmd.space.changed import Changed
 from lmd.space.space import Space
 from lmd.space.surface import Surface
@@ -20,6 +22,7 @@ class Inset(Changed):
         super().__init__(room)
         self._surfaces = tuple(surface.inset(margin) for surface in room.surfaces())
 
+    @override
     def surfaces(self) -> tuple[Surface, ...]:
-        """See `Space.surfaces`, in the order of the room's."""
+        """In the order of the room's."""
         return self._surfaces

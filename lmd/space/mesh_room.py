@@ -5,6 +5,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, choice
 from lmd.space.cuboid import box_edges
@@ -69,16 +70,16 @@ class MeshRoom(Gridded):
         self.surfaces()  # raises where nothing may hang
 
     @cached_property
+    @override
     def box(self) -> tuple[FloatArray, FloatArray]:
-        """See `Gridded.box`."""
         if self.reachable.low is not None:
             return np.array(self.reachable.low), np.array(self.reachable.high)
         (low, high), clearance = self.scan.bounds, self.reachable.clearance
         bottom, top = self.reachable.height
         return np.append(low[:2] + clearance, bottom), np.append(high[:2] - clearance, top)
 
+    @override
     def reaches(self, points: FloatArray) -> BoolArray:
-        """See `Gridded.reaches`."""
         reached = self.scan.keeps_away(points, self.reachable.clearance)
         reached[reached] = self.scan.interior.contains(points[reached])
         return reached
@@ -87,16 +88,17 @@ class MeshRoom(Gridded):
     def _surfaces(self) -> tuple[Surface, ...]:
         return self.scan.carriers(self.grid())
 
+    @override
     def surfaces(self) -> tuple[Surface, ...]:
-        """See `Space.surfaces`."""
         return self._surfaces
 
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """See `Space.bounds`."""
         return self.scan.bounds
 
+    @override
     def contains(self, points: FloatArray) -> BoolArray:
-        """See `Space.contains`; where landmarks may hang is in the room, also in a niche that is not seen from afar."""
+        """Where landmarks may hang is in the room, also in a niche that is not seen from afar."""
         low, high = self.bounds()
         within = (points >= low - PLACEMENT_TOLERANCE) & (points <= high + PLACEMENT_TOLERANCE)
         found = np.asarray(within.all(axis=-1) & self.scan.interior.contains(points))

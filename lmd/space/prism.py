@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, choice
 from lmd.space.blockers import Blockers
@@ -68,18 +69,18 @@ class Prism(Gridded):
             )
 
     @cached_property
+    @override
     def box(self) -> tuple[FloatArray, FloatArray]:
-        """See `Gridded.box`."""
         vertices, clearance = np.array(self.plan.outline), self.reachable.clearance
         low, high = self.reachable.height
         return np.append(vertices.min(axis=0) + clearance, low), np.append(vertices.max(axis=0) - clearance, high)
 
+    @override
     def reaches(self, points: FloatArray) -> BoolArray:
-        """See `Gridded.reaches`."""
         return self.plan.contains(points, self.reachable.clearance)
 
+    @override
     def surfaces(self) -> tuple[Surface, ...]:
-        """See `Space.surfaces`."""
         return self.plan.carriers
 
     def bounds(self) -> tuple[FloatArray, FloatArray]:
@@ -87,8 +88,8 @@ class Prism(Gridded):
         vertices = np.array(self.plan.outline)
         return np.append(vertices.min(axis=0), 0.0), np.append(vertices.max(axis=0), self.plan.height)
 
+    @override
     def contains(self, points: FloatArray) -> BoolArray:
-        """See `Space.contains`."""
         return self.plan.contains(points)
 
     def blockers(self) -> Blockers | None:

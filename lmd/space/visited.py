@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
+from typing_extensions import override
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.space.changed import Changed
@@ -85,25 +86,29 @@ class Visited(Changed):
         return _Cells(of, seconds, chosen)
 
     @property
+    @override
     def relevance(self) -> Weighing:
-        """See `Space.relevance`: seconds."""
+        """Seconds."""
         return TimeSpent(self.grid(), self._cells.seconds, self._room.relevance)
 
+    @override
     def grid(self) -> FloatArray:
-        """See `Space.grid`: in each cell that was visited the record nearest to the mean of those in it."""
+        """In each cell that was visited the record nearest to the mean of those in it."""
         return self._positions[self._cells.chosen]
 
+    @override
     def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """See `Space.passable`: where the camera was, it may have been nearer to things than the room's clearance."""
+        """Where the camera was, it may have been nearer to things than the room's clearance."""
         return self.clear(starts, ends)
 
+    @override
     def finer(self) -> "Visited":
-        """See `Space.finer`."""
         half = tuple(np.broadcast_to(self._spacing, 3) / 2.0)
         return Visited(self._room, self._positions, self._seconds, half)
 
+    @override
     def jittered_grid(self, repeats: int, rng: np.random.Generator) -> FloatArray:
-        """See `Space.jittered_grid`: records in each cell, drawn by how long they lasted."""
+        """Records in each cell, drawn by how long they lasted."""
         of, total, _ = self._cells
         by_cell = np.argsort(of, kind="stable")
         ends = np.cumsum(self._seconds[by_cell])
@@ -111,16 +116,18 @@ class Visited(Changed):
         drawn = np.searchsorted(ends, ends[last] - latin_hypercube(repeats, total.shape, rng) * total)
         return np.asarray(self._positions[by_cell[np.minimum(drawn, last)]]).reshape(-1, 3)
 
+    @override
     def sample(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """See `Space.sample`: of the records, by how long they lasted."""
+        """Of the records, by how long they lasted."""
         return self._positions[rng.choice(len(self._seconds), size, p=self._seconds / self._seconds.sum())]
 
+    @override
     def sample_evenly(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """See `Space.sample_evenly`: a record from each of so many equal parts of the time."""
+        """A record from each of so many equal parts of the time."""
         ends = np.cumsum(self._seconds)
         times = (np.arange(size) + rng.random(size)) / size * ends[-1]
         return np.asarray(self._positions[np.searchsorted(ends[:-1], times, side="right")])
 
+    @override
     def describe(self) -> str:
-        """See `Space.describe`."""
         return f"{self._room.describe()} along a recording"

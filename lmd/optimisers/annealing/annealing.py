@@ -19,6 +19,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from lmd.core.checks import FloatArray, InputError, boolean, integer, real
 from lmd.core.compiled import clock
@@ -117,8 +118,8 @@ class Annealing(Optimiser):
         """Share of the budget before the single stage."""
         return 0.0 if self.angles is None else self.stacked_share
 
+    @override
     def state(self) -> dict[str, Any]:
-        """See `Optimiser.state`."""
         history = self.ledger.state()
         if not self.spent:
             return history
@@ -133,8 +134,8 @@ class Annealing(Optimiser):
             "in_stacks": self.in_stacks,
         }
 
+    @override
     def restore(self, state: Mapping[str, Any], problem: Problem) -> None:
-        """See `Optimiser.restore`."""
         count = problem.count
         self.ledger = Ledger.of(state)
         if not self.ledger.history:
@@ -159,13 +160,13 @@ class Annealing(Optimiser):
             self.ascent = Ascent(count)
             self.ascent.restore(state["ascent"])
 
+    @override
     def check(self, problem: Problem) -> None:
-        """See `Optimiser.check`."""
         super().check(problem)
         incremental(problem.objective)
 
+    @override
     def run(self, problem: Problem, budget: Budget, callback: Callback | None = None) -> Result:
-        """See `Optimiser.run`."""
         self.check(problem)
         ledger, count = self.ledger, problem.count
         began = clock() - ledger.seconds
@@ -196,8 +197,8 @@ class Annealing(Optimiser):
                 break
         return self.result(problem, stopped)
 
+    @override
     def found(self, problem: Problem) -> Deployment | None:
-        """See `Optimiser.found`."""
         return self.best
 
     def _walk(self, problem: Problem, surrogate: Surrogate, used: float, left: float) -> tuple[int, Deployment | None]:

@@ -14,6 +14,7 @@ from hydra.plugins.launcher import Launcher
 from hydra.plugins.sweeper import Sweeper
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf
+from typing_extensions import override
 
 from .summary import SEED
 
@@ -45,15 +46,15 @@ class Search(Sweeper):
         self.launcher: Launcher | None = None
         self.config: DictConfig | None = None
 
+    @override
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
-        """See `hydra.plugins.sweeper.Sweeper`."""
         self.hydra_context, self.config = hydra_context, config
         self.launcher = Plugins.instance().instantiate_launcher(
             hydra_context=hydra_context, task_function=task_function, config=config
         )
 
+    @override
     def sweep(self, arguments: list[str]) -> None:
-        """See `hydra.plugins.sweeper.Sweeper`."""
         from lmd.core.checks import InputError
 
         try:
