@@ -21,6 +21,10 @@ FLAGS = (
     "--window-size=1400,900",
     f"--host-resolver-rules=MAP {FOREIGN} 127.0.0.1",  # as its owner may have names servers say
 )
+FRAMES = """
+requestAnimationFrame = draw => setTimeout(() => draw(performance.now()), 250);
+cancelAnimationFrame = clearTimeout;
+"""
 REASON = "needs Chromium and its driver (Debian: apt-get install chromium chromium-driver)"
 needs_chromium = pytest.mark.skipif(not (CHROMIUM and DRIVER), reason=REASON)
 
@@ -37,6 +41,12 @@ def start(profile):
     driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(executable_path=DRIVER))
     driver.set_page_load_timeout(120)
     return driver
+
+
+def draw_little(driver):
+    """Let pages that never stop drawing do it four times a second, in a small window: the processor does it all."""
+    driver.set_window_size(1000, 640)
+    driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": FRAMES})
 
 
 def complaints(driver):

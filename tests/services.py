@@ -1,6 +1,5 @@
 """Services that tests start for themselves, on the loopback."""
 
-import os
 import socket
 import subprocess
 import sys
@@ -8,7 +7,8 @@ import time
 import urllib.request
 from contextlib import contextmanager
 
-from processes import hearing
+import pytest
+from processes import ROOT, hearing, start
 
 
 def free_port():
@@ -42,6 +42,13 @@ def service(command, ready, log, **options):
     """A process that runs while this is entered, from the moment it is `ready()`."""
     with log.open("w") as output:
         process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, preexec_fn=hearing, **options)
+    with _ending(process, ready, log):
+        yield
+
+
+@contextmanager
+def _ending(process, ready, log):
+    """While this is entered, a process runs that is `ready()`."""
     try:
         wait_until(ready, process, log.read_text)
         yield
@@ -61,14 +68,27 @@ def mlflow_server(store, home, workers=1, further=()):
         further: arguments of the command.
     """
     port = free_port()
-    command = [
-        sys.executable, "-m", "mlflow", "server", "--backend-store-uri", store, "--artifacts-destination", home,
+    arguments = [
+        "server", "--backend-store-uri", store, "--artifacts-destination", str(home),
         "--host", "127.0.0.1", "--port", str(port), "--workers", str(workers),
         "--uvicorn-opts", "--timeout-worker-healthcheck 60",  # on a machine that is busy, five seconds are not enough
         *further,
     ]  # fmt: skip
-    address = f"http://127.0.0.1:{port}"
-    health = f"{address}/health"
-    environ = os.environ | {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}  # four more processes for jobs of its own
-    with service(command, lambda: urllib.request.urlopen(health).status == 200, home / "log", cwd=home, env=environ):
-        yield address
+    address, log = f"http://127.0.0.1:{port}", home / "log"
+
+    def ready():
+        return urllib.request.urlopen(f"{address}/health").status == 200
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MLFLOW_SERVER_ENABLE_JOB_EXECUTION", "false")  # four more processes for jobs of its own
+        if workers > 1:
+            running = service([sys.executable, "-m", "mlflow", *arguments], ready, log, cwd=home)
+        else:
+            line = [sys.executable, "-m", "mlflow_in_one", *arguments]
+            with log.open("w") as output:
+                process = start(
+                    line, cwd=home, folders=[ROOT / "tests"], stdout=output.fileno(), stderr=output.fileno()
+                )
+            running = _ending(process, ready, log)
+        with running:
+            yield address

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from processes import environment
 from small import problem
 
 import lmd
@@ -64,7 +65,8 @@ def test_any_deployment_in_the_room_is_scored_and_one_outside_is_not():
 def test_the_example_of_the_page_runs_with_a_small_budget(tmp_path):
     (code,) = re.findall(r"```python\n(.*?)```", FROM_PYTHON, flags=re.DOTALL)
     code = code.replace("evaluations=3000", "evaluations=300")
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True, capture_output=True, text=True)
+    line = [sys.executable, "-c", code]
+    done = subprocess.run(line, cwd=tmp_path, env=environment(), check=True, capture_output=True, text=True)
     assert "'grid_free_qualified_ratio'" in done.stdout
     assert len(pd.read_csv(tmp_path / "landmarks.csv")) == 90
     assert (tmp_path / "scene.png").stat().st_size > 30_000

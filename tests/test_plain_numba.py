@@ -7,19 +7,20 @@ import sys
 import pytest
 from examples import SHARE
 from processes import ROOT, environment
-
-from lmd.core.compiled import PLAIN
-
-CODE = """
-import json, sys
 from small import problem
+
 import lmd
 from lmd.core import compiled
+from lmd.core.compiled import PLAIN
 from lmd.optimisers.random_search import RandomSearch
-optimiser = {} if sys.argv[1] == "walk" else {"optimiser": RandomSearch()}
-found = lmd.optimise(problem(), evaluations=60, **optimiser)
-print(json.dumps([compiled._inside is None, found.fitness, found.deployment.positions.tolist()]))
-"""
+
+OPTIMISERS = {"walk": None, "evaluate": RandomSearch}
+
+
+def found_by(method):
+    optimiser = OPTIMISERS[method] and OPTIMISERS[method]()
+    found = lmd.optimise(problem(), evaluations=60, optimiser=optimiser)
+    return [compiled._inside is None, found.fitness, found.deployment.positions.tolist()]
 
 
 @pytest.mark.slow
@@ -32,13 +33,10 @@ print(json.dumps([compiled._inside is None, found.fitness, found.deployment.posi
     ],
 )
 def test_without_numbas_inside_the_results_are_the_same(method, tmp_path):
-    found = []
-    for variables in ({}, {PLAIN: "1"}):
-        environ = environment(ROOT / "tests") | variables
-        line = [sys.executable, "-c", CODE, method]
-        done = subprocess.run(line, cwd=tmp_path, env=environ, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-        found.append(json.loads(done.stdout))
-    (known, *kept), (plain, *anew) = found
+    code = f"import json, test_plain_numba; print(json.dumps(test_plain_numba.found_by({method!r})))"
+    line, environ = [sys.executable, "-c", code], environment(ROOT / "tests") | {PLAIN: "1"}
+    done = subprocess.run(line, cwd=tmp_path, env=environ, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    (known, *kept), (plain, *anew) = found_by(method), json.loads(done.stdout)
     assert (known, plain) == (False, True)
     assert kept == anew

@@ -22,7 +22,7 @@ from pipelines.deployments import composed_deployments, read_deployment_as_a_lis
 from pipelines.earlier_run import GROUPS, read_earlier_run
 from pipelines.ladder import Ladder
 
-QUICK = ("tracking=none", "validate=false", "localisation=false")
+QUICK = ("tracking=none", "validate=false", "picture=false", "localisation=false", "losses=false")
 LAB = ("room=lab", "room.spacing=1", "camera=lab", "pdf=yaw", "pdf.pitch=0.1", "objective.n=1", "objective.thold_p=0.4")
 BOMB = b"a: &a [1, 1, 1, 1]\nb: &b [*a, *a, *a, *a, *a, *a]\nc: [*b, *b, *b, *b, *b, *b]\n"
 LANDMARKS = "id,x,y,z,nx,ny,nz\n0,0,1,1,1,0,0\n1,6,2,1,-1,0,0\n"
@@ -112,7 +112,7 @@ def test_a_run_and_an_experiment_that_choose_the_same_get_one_sentence(earlier):
 def test_an_experiment_that_chooses_nothing_of_the_problem_goes_with_a_run(earlier):
     (earlier.parent / "mine" / "experiment").mkdir(parents=True)
     (earlier.parent / "mine" / "experiment" / "short.yaml").write_text("# @package _global_\nseed: 3\n")
-    given = ("--config-dir", "mine", f"run='{earlier}'", "experiment=short", *QUICK, "losses=false")
+    given = ("--config-dir", "mine", f"run='{earlier}'", "experiment=short", *QUICK)
     done = call("evaluate", *given, cwd=earlier.parent, settings=())
     assert done.returncode == 0, done.stderr
 
@@ -286,7 +286,7 @@ def test_a_run_is_scored_flown_and_improved_where_it_was(earlier):
     for pipeline, overrides in (
         ("evaluate", [*QUICK, "hydra.run.dir=score"]),
         ("evaluate", [*QUICK, *sweep]),
-        ("optimise", [*QUICK[:2], "budget.evaluations=5", "hydra.run.dir=better"]),
+        ("optimise", [*QUICK[:3], "budget.evaluations=5", "hydra.run.dir=better"]),
         ("observe", ["tracking=none", "seeds=1", "trajectory.duration=2", "hydra.run.dir=flown"]),
     ):
         done = call(pipeline, run, *overrides, cwd=cwd, settings=())

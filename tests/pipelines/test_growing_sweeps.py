@@ -10,11 +10,12 @@ from mlflow import MlflowClient
 from processes import call
 
 pytestmark = pytest.mark.slow
+QUICK = ("localisation=false", "losses=false")
 
 
 def sweep_n(cwd, values):
     overrides = ("hydra.mode=MULTIRUN", f"objective.n={values}", "validate=true", "tracking.uri=sqlite:///store.db")
-    return call("evaluate", *overrides, cwd=cwd)
+    return call("evaluate", *overrides, *QUICK, cwd=cwd)
 
 
 @pytest.fixture(scope="module")
@@ -67,13 +68,12 @@ def test_a_sweep_that_cannot_be_composed_leaves_nothing(tmp_path):
 
 
 def test_a_stored_sweep_can_be_narrowed_and_its_files_used_as_they_are(tmp_path):
-    done = call(
-        "evaluate", "experiment=table2_baselines", "seed=0", "deployment=uniform", "tracking=none", cwd=tmp_path
-    )
+    quick = ("tracking=none", *QUICK)
+    done = call("evaluate", "experiment=table2_baselines", "seed=0", "deployment=uniform", *quick, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     (landmarks,) = tmp_path.glob("outputs/evaluate_sweep/table2_baselines-*/*/landmarks.csv")
     path = f"deployment.path={landmarks.relative_to(tmp_path)}"
-    done = call("evaluate", "experiment=table3", path, "tracking=none", cwd=tmp_path)
+    done = call("evaluate", "experiment=table3", path, *quick, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     (jobs,) = tmp_path.glob("outputs/evaluate_sweep/table3-*/jobs.csv")
     rows = pd.read_csv(jobs)

@@ -16,6 +16,7 @@ from pipelines.evaluate import read_mounting_error
 PLAN = "id,x,y,z,nx,ny,nz\n3,0,2,3,1,0,0\n5,0,2.25,3,1,0,0\n8,7.5,2,3,-1,0,0\n"
 MEASURED = "id,x,y,z,nx,ny,nz\n8,7.5,2,3,-1,0,0\n5,0,2.25,3,1,0,0\n3,0,2.03,3.04,1,0,0\n"
 SMALL = ["room.spacing=1.5", "hydra.run.dir=run", "tag.edge=0.2", "deployment=file", "deployment.path=plan.csv"]
+QUICK = ("validate=false", "picture=false", "localisation=false", "losses=false")
 
 
 @pytest.fixture
@@ -52,7 +53,7 @@ def test_a_mounting_error_may_be_a_mapping(monkeypatch, error, expected):
 @pytest.mark.slow
 def test_a_mounting_error_is_a_number_or_more(folder):
     done = processes.call("evaluate", "deployment.mounting_error=0.005", "deployment.mounting_error.tilt=0.01",
-                          "deployment.mounting_error.draws=5", cwd=folder, settings=SMALL)  # fmt: skip
+                          "deployment.mounting_error.draws=5", *QUICK, cwd=folder, settings=SMALL)  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "tags off by 5 mm along their surface, turned by 0 and tilted by 10 mrad (1 sigma); 5 draws" in done.stdout
     table = pd.read_csv(folder / "run" / "mounting.csv", index_col="figure")
@@ -68,7 +69,7 @@ def test_measured_places_are_scored_in_place_of_the_plan(folder):
     survey = folder / "run" / "measured.csv"  # beside what comes out
     survey.parent.mkdir()
     survey.write_text(MEASURED)
-    done = processes.call("evaluate", f"deployment.measured={survey}", cwd=folder, settings=SMALL)
+    done = processes.call("evaluate", f"deployment.measured={survey}", *QUICK, cwd=folder, settings=SMALL)
     assert done.returncode == 0, done.stderr
     assert "at most 50.0 mm" in done.stdout
     assert survey.read_text() == MEASURED

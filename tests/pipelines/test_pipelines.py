@@ -15,6 +15,7 @@ from processes import ROOT, call, environment, help_of, loading, refused
 
 FILES = ["convergence.png", "history.csv", "landmarks.csv", "metrics.json", "scene.html", "scene.png"]
 pytestmark = [pytest.mark.slow, pytest.mark.long]
+QUICK = ("localisation=false", "losses=false")  # of an evaluation
 HEADER = "id,x,y,z,nx,ny,nz\n"
 
 
@@ -98,7 +99,7 @@ def test_mlflow_has_the_run(optimised):
 def test_evaluating_what_was_optimised_gives_the_same_metrics(optimised):
     cwd, _ = optimised
     overrides = ("deployment=file", "deployment.path=run/landmarks.csv", "hydra.run.dir=score", "tracking=none")
-    done = call("evaluate", *overrides, cwd=cwd)
+    done = call("evaluate", *overrides, *QUICK, cwd=cwd)
     assert done.returncode == 0, done.stderr
     before, after = read_metrics(cwd / "run"), read_metrics(cwd / "score")
     for key in ("qualified_ratio", "average_coverage_probability", "settings"):
@@ -121,7 +122,7 @@ def test_a_run_is_validated_off_its_grid(tmp_path):
         "objective.sampling.positions=4",
         "tracking.uri=sqlite:///store.db",
     )
-    done = call("evaluate", *overrides, "hydra.run.dir=run", cwd=tmp_path)
+    done = call("evaluate", *overrides, *QUICK, "hydra.run.dir=run", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     metrics = read_metrics(tmp_path / "run")
     validation = metrics["validation"]
@@ -148,7 +149,7 @@ def test_where_nothing_is_covered_the_terminal_says_why(optimised, tmp_path):
     cwd, out = optimised
     assert "criterion" not in out
     assert 0.0 < read_metrics(cwd / "run")["criteria"]["covered"] < 1.0
-    overrides = ("visibility.thold=1.2", "localisation=false", "tracking.uri=sqlite:///store.db")
+    overrides = ("visibility.thold=1.2", *QUICK, "tracking.uri=sqlite:///store.db")
     done = call("evaluate", *overrides, "hydra.run.dir=run", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert re.search(r"\ncriterion .*\nresolution .* depth up to 0\.72 m \(thold = 1\.2 pixel/mm\)\n", done.stdout)
@@ -245,7 +246,7 @@ def test_ids_and_notes_go_through_the_pipelines(tmp_path):
     (tmp_path / "lab.csv").write_text(table)
     quick = ("objective.thold_p=0.05", "tracking=none", "page=false")
     for pipeline, *overrides in (
-        ("evaluate", "deployment=file", "deployment.path=lab.csv", "objective.n=1", "hydra.run.dir=scored"),
+        ("evaluate", "deployment=file", "deployment.path=lab.csv", "objective.n=1", *QUICK, "hydra.run.dir=scored"),
         ("optimise", "run=scored", "budget.evaluations=1e2", "seed=1e0", "hydra.run.dir=moved"),
     ):
         done = call(pipeline, *overrides, *quick, cwd=tmp_path)

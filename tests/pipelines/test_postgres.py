@@ -106,7 +106,13 @@ def test_processes_that_record_at_once_lose_nothing(server, tmp_path):
 
 
 def test_a_parallel_sweep_is_recorded_on_the_server(server, tmp_path):
-    overrides = ["objective.n=2,3", "hydra.mode=MULTIRUN", "hydra/launcher=joblib", "page=false"]
+    overrides = (
+        "objective.n=2,3",
+        "hydra.mode=MULTIRUN",
+        "hydra/launcher=joblib",
+        "localisation=false",
+        "losses=false",
+    )
     done = call("evaluate", *overrides, f"tracking.uri={server}", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     client = MlflowClient(tracking_uri=server)

@@ -73,7 +73,7 @@ def test_a_rig_is_optimised_and_judged(tmp_path):  # other optimisers, and losse
     done = call("optimise", *common, "budget.evaluations=60", "hydra.run.dir=run", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     found = json.loads((tmp_path / "run" / "metrics.json").read_text())
-    settings = ("tracking=none", "validate=false", "losses=false")
+    settings = ("tracking=none", "validate=false", "losses=false", "picture=false")
     done = call("evaluate", "run=run", "hydra.run.dir=again", cwd=tmp_path, settings=settings)
     assert done.returncode == 0, done.stderr
     again = json.loads((tmp_path / "again" / "metrics.json").read_text())

@@ -94,9 +94,11 @@ def test_the_same_again_searches_nothing_and_other_settings_search_anew(done):
 
 
 def test_the_number_of_workers_does_not_matter(done, tmp_path):
-    alone = tradeoff(tmp_path, *COUNTS, "edges=[0.1,0.4]", "workers=1", "tracking=none")
+    alone = tradeoff(tmp_path, *COUNTS, "edges=[0.1]", "workers=1", "tracking=none")
     assert alone.returncode == 0, alone.stderr
-    assert (tmp_path / "run" / "points.csv").read_text() == (done[0] / "run" / "points.csv").read_text()
+    header, *by_two = (done[0] / "run" / "points.csv").read_text().splitlines()
+    expected = [header, *(row for row in by_two if row.startswith("0.1,"))]
+    assert (tmp_path / "run" / "points.csv").read_text().splitlines() == expected
 
 
 def test_what_was_finished_when_it_was_interrupted_is_kept(tmp_path):

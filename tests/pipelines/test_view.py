@@ -54,6 +54,7 @@ def planner(work):
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
     driver = chromium.start(tmp_path_factory.mktemp("profile"))
+    chromium.draw_little(driver)
     yield driver
     driver.quit()
 
@@ -89,7 +90,8 @@ def test_a_tag_is_dragged_and_saved_and_the_figures_are_those_of_evaluate(planne
     assert saved.ids.tolist() == [7, 3, 9, 4]
     assert saved.labels.columns["note"][0] == "by the door"
 
-    done = call("evaluate", "run=out", "tracking=none", cwd=work, settings=())
+    quick = ("localisation=false", "losses=false", "picture=false")
+    done = call("evaluate", "run=out", "tracking=none", cwd=work, settings=quick)
     assert done.returncode == 0, done.stderr
     said = {key: line[len(key) :].strip() for line in done.stdout.splitlines() for key in shown if line.startswith(key)}
     assert said == shown
@@ -183,7 +185,8 @@ def test_a_camera_of_a_rig_is_dragged_and_saved_and_evaluate_takes_it(browser, w
         (x, y, z), other = (mount["translation"] for mount in read_mounts(work / "out" / "rig.yaml"))
         assert (x, y, other) == (0.22, 0.0, [-0.22, 0.0, 0.1])
         assert 0.2 < z < 0.45
-        done = call("evaluate", "run=out", "tracking=none", cwd=work, settings=SMALL[2:])
+        quick = (*SMALL[2:], "localisation=false", "losses=false")
+        done = call("evaluate", "run=out", "tracking=none", cwd=work, settings=quick)
         assert done.returncode == 0, done.stderr
         assert all(f"{key} " in done.stdout and text in done.stdout for key, text in shown.items())
         page.press("Undo")

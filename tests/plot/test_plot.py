@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 from paper import paper_scene
+from processes import environment
 from scipy.spatial import cKDTree
 
 from lmd.objectives.coverage import Coverage
@@ -138,7 +139,7 @@ def test_plotting_libraries_load_late_and_pyplot_never(tmp_path, deployment):
         lmd.save_scene_figure("a.png", problem, start.draw(room, np.random.default_rng()), "T")
         assert "matplotlib.pyplot" not in sys.modules
     """
-    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment(), check=True)
 
 
 def test_page_is_self_contained_and_holds_landmarks_positions_and_both_buttons(tmp_path, deployment):
