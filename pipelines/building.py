@@ -144,6 +144,7 @@ def camera_of(node: DictConfig) -> "Camera | Rig":
     Raises:
         InputError: the rig is none, or a camera is refused; that of the group is made only where a mount has none.
     """
+    from lmd.scene.rig import cameras_of
     from lmd.scene.rig_sources import brings_cameras, rig_of
 
     alone = deepcopy(node)
@@ -151,9 +152,13 @@ def camera_of(node: DictConfig) -> "Camera | Rig":
         alone.pop("rig", None)
     mounts = mounts_of(node)
     if mounts is None:
-        return instantiate(alone)  # type: ignore[no-any-return]
-    with keyed("camera"):
-        return rig_of(mounts, None if brings_cameras(mounts) else instantiate(alone))
+        made = instantiate(alone)
+    else:
+        with keyed("camera"):
+            made = rig_of(mounts, None if brings_cameras(mounts) else instantiate(alone))
+    for camera in cameras_of(made):
+        note(camera.note)
+    return made  # type: ignore[no-any-return]
 
 
 def mounts_of(node: DictConfig) -> Any:

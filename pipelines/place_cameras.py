@@ -10,6 +10,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from .app import choices, run_directory
 from .building import budget_of, build_optimiser, build_problem, camera_of, instantiate, keyed, settings_of
 from .earlier_run import RIG, read_earlier_robot
+from .notes import note
 from .operations.signals import Stopped, stop
 from .optimise import checkpoint_of, figure_returned, run_optimiser, tell_how_to_go_on
 from .outputs import all_or_none
@@ -115,6 +116,7 @@ def build_camera_problem(cfg: DictConfig) -> "tuple[CameraProblem, dict[Camera, 
             if camera is None:
                 raise InputError(f"cameras.lenses[{i}] must be a calibration file, got null.")
             sources[camera] = source
+            note(camera.note)
         lenses = list(sources)
     else:
         lenses = [instantiate(alone)]

@@ -15,7 +15,7 @@ from typing import Any
 
 from lmd.core.checks import InputError, vector
 from lmd.core.files import flat, parse_keys, read_text
-from lmd.geometry.central_models import MODELS, PINHOLE, restated
+from lmd.geometry.central_models import GOOD_PIXELS, MODELS, PINHOLE, restated
 from lmd.geometry.lens import EQUIDISTANT
 
 Keys = Mapping[str, Any]
@@ -44,6 +44,7 @@ LENS_MODELS = {
 }
 # Of the first pixel, from the image's border: ROS and OpenCV count from the centre, COLMAP from the border.
 PIXEL_CENTRE = 0.5
+NOTE = "(note)"  # among the keys of ROS: what to say of the lens
 MRCAL_LENSES = {"PINHOLE": 0, "OPENCV4": 4, "OPENCV5": 5, "OPENCV8": 8, "OPENCV12": 12}
 BROWN_CONRADY = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 FISHEYE_COEFFICIENTS = ("k1", "k2", "k3", "k4")
@@ -211,7 +212,9 @@ def _central(size: Any, values: Keys, model: str) -> Keys:
     """The keys of ROS from the parameters of a model that is restated, by name: fx, fy, cx, cy, xi, ..., k1, ..."""
     lens = restated(model, values, size)
     pinhole = zip(PINHOLE, (*lens.focal_pixels, *lens.principal_point), strict=True)
-    return _ros(size, _matrix(dict(pinhole)), list(lens.coefficients), lens.model)
+    keys = _ros(size, _matrix(dict(pinhole)), list(lens.coefficients), lens.model)
+    off = f"its lens of the model {model} is taken for {lens.model}, which is up to {lens.worst:.2f} pixels off"
+    return {**keys, NOTE: off} if lens.worst > GOOD_PIXELS else keys
 
 
 def known_lens(model: Any, known: Iterable[str]) -> str:

@@ -1,7 +1,7 @@
 """The camera of the paper: intrinsics as on a data sheet, and what they imply; its lens may distort."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -40,6 +40,7 @@ class Camera:
         distortion_model: `plumb_bob`, `rational_polynomial` or `equidistant`, see `lmd.geometry.lens.Lens`.
         image_circle: diameter of the round image behind a lens that distorts, pixels: a fisheye's is often smaller than
             the sensor. Infinity, the default, where all of the sensor is in it.
+        note: what whoever uses it should know of where its numbers come from.
 
     Raises:
         InputError: a value is not positive, or for the aperture negative, the image has no whole number of pixels, the
@@ -58,6 +59,7 @@ class Camera:
     distortion: tuple[float, ...] = ()
     distortion_model: str = "plumb_bob"
     image_circle: float = math.inf
+    note: str = field(default="", compare=False, repr=False)
 
     def __post_init__(self) -> None:
         check_fields(self, real, "focal_length", "pixel_width", "pixel_height", above=0.0)

@@ -6,12 +6,12 @@ say only the principal point changes.
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from lmd.core.checks import InputError, check_fields, integer, real, said_of, vector
 from lmd.geometry.lens import lens_of
-from lmd.scene.calibration_files import LENS_MODELS, PIXEL_CENTRE, known_lens, read_cameras
+from lmd.scene.calibration_files import LENS_MODELS, NOTE, PIXEL_CENTRE, known_lens, read_cameras
 from lmd.scene.camera import Camera
 
 SIZE = ("image_width", "image_height")
@@ -27,6 +27,7 @@ class Calibration:
         focal_pixels: (f / s_u, f / s_v).
         principal_point: (c_x, c_y), from the centre of the first pixel, as OpenCV counts.
         distortion, distortion_model: of the lens, see `lmd.geometry.lens.Lens`.
+        note: what whoever uses it should know of where it was read.
 
     Raises:
         InputError: a value is out of range, or the lens is none of these.
@@ -38,6 +39,7 @@ class Calibration:
     principal_point: tuple[float, ...]
     distortion: tuple[float, ...] = ()
     distortion_model: str = "plumb_bob"
+    note: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
         check_fields(self, integer, "image_width", "image_height", low=1)
@@ -74,6 +76,7 @@ class Calibration:
             aperture=0.0 if aperture is None else aperture,
             distortion=self.distortion,
             distortion_model=self.distortion_model,
+            note=self.note,
             **lens,
         )
 
@@ -133,7 +136,7 @@ def read_calibration(
         found = _calibration(restated[chosen], size, distortion_model)
     if size not in (None, known := (found.image_width, found.image_height)):
         raise InputError(f"image_size must be {list(known)}, as {path} has it, got {list(size)}.", "image_size")
-    return found
+    return replace(found, note=f"{path}: {found.note}") if found.note else found
 
 
 def _calibration(keys: Mapping[str, Any], size: tuple[float, ...] | None, asked: str | None) -> Calibration:
@@ -151,7 +154,8 @@ def _calibration(keys: Mapping[str, Any], size: tuple[float, ...] | None, asked:
     model = LENS_MODELS[known_lens(name, LENS_MODELS)]
     if asked is not None and LENS_MODELS[known_lens(asked, LENS_MODELS)] != model:
         raise InputError(f"distortion_model must be {name}, as the file has it, got {asked}.", "distortion_model")
-    return Calibration(width, height, (focal_u, focal_v), (centre_u, centre_v), lens, model)
+    note = keys.get(NOTE, "")
+    return Calibration(width, height, (focal_u, focal_v), (centre_u, centre_v), lens, model, note)
 
 
 def _entry(keys: Any, *path: str) -> Any:

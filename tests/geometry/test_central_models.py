@@ -1,17 +1,21 @@
 """Lenses of other models, restated: what a pixel looks at by the closed inverses of their papers, and by ours."""
 
 import json
+import re
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import yaml
+from composing import composed
 from numpy.testing import assert_allclose
 
 from lmd.core.checks import InputError
 from lmd.geometry.central_models import restated
 from lmd.geometry.lens import Lens
 from lmd.scene.camera_calibration import calibrated_camera, read_calibration
+from pipelines.building import camera_of
 
 EUROC = Path(__file__).parents[2] / ".." / "shared" / "real" / "calibration" / "basalt_euroc_ds.json"
 SIZE = (640, 480)
@@ -90,12 +94,24 @@ def test_kalibr_vins_and_basalt_say_the_same_of_one_camera(write):
     vins += "projection_parameters:\n   gamma1: 1015.0\n   gamma2: 1014.0\n   u0: 311.0\n   v0: 243.0\n"
     one, other = read_calibration(write(json.dumps({"cam0": kalibr}))), read_calibration(write(vins))
     assert one == other
+    said = r"its lens of the model omni is taken for rational_polynomial, which is up to 0\.[12]\d pixels off"
+    assert re.search(said, one.camera().note)
     sphere = {"xi": -0.24, "alpha": 0.57}
     kalibr = {"camera_model": "ds", "distortion_model": "none", "resolution": SIZE,
               "intrinsics": [*sphere.values(), *NARROW.values()]}  # fmt: skip
     basalt = {"intrinsics": [{"camera_type": "ds", "intrinsics": NARROW | sphere}], "resolution": [SIZE]}
     one, other = (read_calibration(write(json.dumps(keys))) for keys in ({"cam0": kalibr}, {"value0": basalt}))
     assert one == other
+    assert one.note == ""  # as near as pixels are measured
+
+
+def test_the_terminal_says_how_far_a_lens_is_off(write, capsys):
+    own = {"model_type": "MEI", "image_width": 640, "image_height": 480, "mirror_parameters": {"xi": 1.97},
+           "distortion_parameters": TANGENTIAL,
+           "projection_parameters": {"gamma1": 1015.0, "gamma2": 1014.0, "u0": 311.0, "v0": 243.0}}  # fmt: skip
+    path = write(yaml.safe_dump(own), "vins.yaml")
+    camera_of(composed("optimise", "camera=calibration", f"camera.path='{path}'").camera)
+    assert re.search(r"^note: .*vins\.yaml: its lens .* pixels off$", capsys.readouterr().err, re.MULTILINE)
 
 
 def test_a_real_double_sphere_looks_where_another_calibration_of_the_camera_does():
