@@ -29,6 +29,7 @@ Shapes: A orientations, K tags. Lengths are metres, frames world unless said oth
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -189,6 +190,7 @@ class Fiducial:
         }
 
 
+@lru_cache
 def _through(lens: Lens, widest: float, flat: FiducialSight) -> LensSight:
     """What is seen through a lens up to the angle `widest`, rad; `flat` as if it did not distort."""
     bounds = lens.stretch(widest)
