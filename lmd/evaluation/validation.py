@@ -33,9 +33,9 @@ class Sample:
     """The random poses of a validation: `groups` times `positions` positions, each seen in many orientations.
 
     The positions of a group are spread evenly, from a random shift. They share their orientations, one in each of
-    2 `divisions` x `divisions` cells of equal probability. With thousands of these P_n is without bias, and its noise
-    moves as many positions over the threshold as below it. Another group has another shift and other orientations, so
-    errors average out, and the spread of the groups shows what is left.
+    2 `divisions` x `divisions` cells of equal probability, or fewer of the yaw alone. With thousands of these P_n is
+    without bias, and its noise moves as many positions over the threshold as below it. Another group has another shift
+    and other orientations, so errors average out, and the spread of the groups shows what is left.
 
     Args:
         groups: at least 2.

@@ -20,7 +20,8 @@ class Sampling:
     Args:
         positions: drawn in the cell of each position of the room's grid, whose relevance they share.
         divisions: orientations are drawn one in each of 2 `divisions` x `divisions` cells of equal probability, from
-            the continuous distribution that the PDF stands for; a PDF from samples is taken as it is.
+            the continuous distribution that the PDF stands for, fewer of the yaw alone
+            (`lmd.scene.pdf.OrientationPdf.stratified`); a PDF from samples is taken as it is.
 
     Raises:
         InputError: a number is less than 1, or there is not enough memory for so many orientations.
