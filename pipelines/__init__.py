@@ -1,12 +1,12 @@
 """Command-line entry points: thin Hydra applications over `lmd`."""
 
-import signal
+import _signal  # type: ignore[import-not-found]  # built in: while `signal` is imported, an interrupt is a traceback
+import os
 import sys
-from pathlib import Path
 
 # Where this process is one of the applications (python's -m has not named it yet), a signal is heard from here on.
-if sys.argv[:1] == ["-m"] or Path(*sys.argv[:1]).name.startswith("lmd-"):
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # no traceback while what hears it is imported
+if sys.argv[:1] == ["-m"] or os.path.basename("".join(sys.argv[:1])).startswith("lmd-"):
+    _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # no traceback while what hears it is imported
 
     from .operations.signals import stop
 
