@@ -61,6 +61,31 @@ def at_least_so_far(reached, digit, n, j):  # type: ignore[no-untyped-def]
     return reached & digit if n >> j & 1 else reached | digit
 
 
+@inlined
+def add_set(digits, axes, goes):  # type: ignore[no-untyped-def]
+    """Count one less in `digits` `(J,)`, the lowest first, at `axes` that are in `goes`, one more at the others."""
+    for j in range(np.uint64(len(digits))):
+        digits[j], axes = add_digit(digits[j], axes, goes)
+
+
+@inlined
+def exactly(digits, n):  # type: ignore[no-untyped-def]
+    """The axes where the counts `digits` `(J,)` equal n."""
+    equal = ALL
+    for j in range(np.uint64(len(digits))):
+        equal = equal_so_far(equal, digits[j], n, j)
+    return equal
+
+
+@inlined
+def at_least(digits, n):  # type: ignore[no-untyped-def]
+    """The axes where the counts `digits` `(J,)` are at least n."""
+    reached = ALL
+    for j in range(np.uint64(len(digits))):
+        reached = at_least_so_far(reached, digits[j], n, j)
+    return reached
+
+
 def in_words(values: np.ndarray) -> np.ndarray:
     """Fill the last axis of `values` `(..., D)` up with zeros to whole words."""
     missing = -values.shape[-1] % BITS

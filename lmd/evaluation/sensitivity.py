@@ -20,8 +20,9 @@ from lmd.core.threads import at_once
 from lmd.evaluation.accuracy import as_localisation
 from lmd.evaluation.rig_sensitivity import RigMoments
 from lmd.evaluation.validation import Sample, sampled_evaluators
+from lmd.incremental.counts import counts_of
 from lmd.incremental.field import in_order
-from lmd.incremental.move import counts_of, overlook
+from lmd.incremental.move import overlook
 from lmd.objectives.localisation import Localisation
 from lmd.objectives.localisation.field import LocalisationField
 from lmd.objectives.localisation.move import localisation_state

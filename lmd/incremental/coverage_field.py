@@ -5,8 +5,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lmd.core.bits import BITS, packed
+from lmd.incremental.counts import counts_of
 from lmd.incremental.field import accept, bound, settle, undo
-from lmd.incremental.move import carry_out, counts_of, state_of, take_back
+from lmd.incremental.move import carry_out, state_of, take_back
 from lmd.incremental.state import Scratch, State, scratch_of
 from lmd.incremental.trial import bound_move, finish_move
 from lmd.scene.criteria import horizon_of, largest

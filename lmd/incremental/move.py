@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.bits import ALL, BITS, ONE, ZERO, add_digit, at_least_so_far, equal_so_far, lowest, unpacked
-from lmd.core.compiled import borrowing, inlined, inner
+from lmd.core.bits import ALL, BITS, ZERO
+from lmd.core.compiled import borrowing, inner
 from lmd.core.memory import check_views
+from lmd.incremental.counts import given_counts, ripple, sum_up
+from lmd.incremental.field import places_of
 from lmd.incremental.hiding import exchange_hiding, find_new, flips_with, swap
 from lmd.incremental.nearby import look_around
 from lmd.incremental.state import State, scratch_of
@@ -20,7 +22,6 @@ from lmd.scene.criteria import covering, frame_of, sized
 from lmd.scene.deployment import Deployment
 from lmd.sight.blocks import BLOCK
 from lmd.sight.directions import NOWHERE
-from lmd.sight.kernels import weights_row
 
 # What is kept of a landmark in a view: a bit whether it is covered, and as much again of what hides it.
 LANDMARK_BYTES = 0.25
@@ -51,17 +52,6 @@ def _find_cap(k, positions, field, scratch):
             caps[p, w] = cap
 
 
-@inlined
-def ripple(p, w, changed, goes, n, counts, short, just):
-    """Count a landmark less at those axes `changed` that are in `goes`, one more at the others, digit by digit."""
-    one, two = ALL, ALL
-    for j in range(np.uint64(counts.shape[2])):
-        digit, changed = add_digit(counts[p, w, j], changed, goes)
-        counts[p, w, j] = digit
-        one, two = equal_so_far(one, digit, n - 1, j), equal_so_far(two, digit, n, j)
-    short[p, w], just[p, w] = one, two
-
-
 @inner
 def _recount(k, positions, sign, field, state, scratch):
     """Exchange the cap of landmark k for the other in `scratch` at `positions`, and update the counts.
@@ -69,10 +59,10 @@ def _recount(k, positions, sign, field, state, scratch):
     `sign` says whether other landmarks turn as in `turns`, or, with -1, back.
     """
     n, caps, other = field.n, state.caps, scratch.cap
-    reachable, hidden, counts, short, just = state.reachable, state.hidden, state.counts, state.short, state.just
+    reachable, hidden, counts = state.reachable, state.hidden, state.counts
     reached, count_hidden, flips = scratch.new.reached, scratch.after.count_hidden, scratch.flips
     found, who, change = scratch.turns
-    words = np.uint64(counts.shape[1])
+    words = np.uint64(caps.shape[2])
     for p in positions:
         shown = ALL if reachable[k, p] & (hidden[k, p] == 0) else ZERO
         seen = ALL if reached[p] & (count_hidden[p] == 0) else ZERO
@@ -81,7 +71,7 @@ def _recount(k, positions, sign, field, state, scratch):
             caps[k, p, w], other[p, w] = new, old
             changed = (old & shown) ^ (new & seen)
             if changed:
-                ripple(p, w, changed, old & shown, n, counts, short, just)
+                ripple(p, w, changed, old & shown, n, counts)
         if not flips[p]:
             continue
         b, q = p // np.uint64(BLOCK), p % np.uint64(BLOCK)
@@ -90,7 +80,7 @@ def _recount(k, positions, sign, field, state, scratch):
             was, now = hidden[i, p], hidden[i, p] + sign * change[b, m, q]
             if flips_with(reachable[i, p], was, now):
                 for w in range(words):
-                    ripple(p, w, caps[i, p, w], ALL if was == 0 else ZERO, n, counts, short, just)
+                    ripple(p, w, caps[i, p, w], ALL if was == 0 else ZERO, n, counts)
 
 
 @inner
@@ -138,25 +128,10 @@ def take_back(field, k, state, scratch):
     _exchange(k, BACK, field, state, scratch)
 
 
-@inner
-def sum_up(field, state):
-    """Find P_n from the counts."""
-    counts, units = state.counts, state.units
-    for p in range(np.uint64(len(units))):
-        units[p], row = 0, weights_row(field.weights, p)
-        for w in range(np.uint64(counts.shape[1])):
-            has = ALL
-            for j in range(np.uint64(counts.shape[2])):
-                has = at_least_so_far(has, counts[p, w, j], field.n, j)
-            while has:
-                units[p] += field.weights[row, w * np.uint64(BITS) + lowest(has)]
-                has &= has - ONE
-
-
 @borrowing
 def overlook(missed, field, state):
     """Take the sets of axes `missed` `(K, Q, W)` out of the caps; landmarks hide each other as before."""
-    caps, counts, short, just = state.caps, state.counts, state.short, state.just
+    caps = state.caps
     for k in range(np.uint64(caps.shape[0])):
         for p in range(np.uint64(caps.shape[1])):
             shown = state.reachable[k, p] & (state.hidden[k, p] == 0)
@@ -164,7 +139,7 @@ def overlook(missed, field, state):
                 gone = caps[k, p, w] & missed[k, p, w]
                 caps[k, p, w] ^= gone
                 if shown and gone:
-                    ripple(p, w, gone, ALL, field.n, counts, short, just)
+                    ripple(p, w, gone, ALL, field.n, state.counts)
     sum_up(field, state)
 
 
@@ -192,41 +167,13 @@ def state_of(field: Any, deployment: Deployment) -> State:
     positions, count, words = field.positions.shape[1], len(deployment), field.given.shape[1]
     check_views(LANDMARK_BYTES, positions, BITS * words, count)
     state = State(
-        landmarks=deployment.positions.T.copy(order="C"),
-        normals=deployment.normals.T.copy(order="C"),
-        surfaces=deployment.surfaces.copy(),
+        **places_of(deployment)._asdict(),
         caps=np.zeros((count, positions, words), dtype=np.uint64),
         reachable=np.zeros((count, positions), dtype=np.bool_),
         hidden=np.zeros((count, positions), dtype=np.int16),
         hiding=np.zeros((count, positions), dtype=np.int16),
-        **given_counts(field.given, count, field.n),
+        counts=given_counts(field.given, count, field.n),
+        units=np.zeros(positions, dtype=np.int64),
     )
     _fill(field, state, scratch_of(state))
     return state
-
-
-def given_counts(given: np.ndarray, count: int, n: int) -> dict[str, np.ndarray]:
-    """counts, short, just and units of a `State` with room for `count` landmarks, of which none has come yet.
-
-    Args:
-        given: sets of axes `(Q, W)` at which one landmark is covered all the same.
-        count: K.
-        n: landmarks that must be covered.
-    """
-    counts = np.zeros((*given.shape, max(count + bool(given.any()), n).bit_length()), dtype=np.uint64)
-    counts[:, :, 0] = given
-    return {
-        "counts": counts,
-        "short": {1: ~given, 2: given.copy()}.get(n, np.zeros_like(given)),
-        "just": given.copy() if n == 1 else np.zeros_like(given),
-        "units": np.zeros(len(given), dtype=np.int64),
-    }
-
-
-def counts_of(state: Any, axes: int) -> np.ndarray:
-    """Landmarks covered at each position and each of so many `axes`, `(Q, axes)`."""
-    digits = unpacked(state.counts.transpose(2, 0, 1), axes)
-    counts = np.zeros(digits.shape[1:], dtype=np.int16)
-    for digit in digits[::-1]:
-        counts = 2 * counts + digit
-    return counts

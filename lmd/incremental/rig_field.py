@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lmd.core.bits import BITS, packed
+from lmd.incremental.counts import counts_of
 from lmd.incremental.field import accept, bound, settle, undo
-from lmd.incremental.move import counts_of
 from lmd.incremental.rig_move import carry_out_rig, rig_state_of, take_back_rig
 from lmd.incremental.rig_state import RigScratch, RigState, Stations, rig_scratch_of
 from lmd.incremental.rig_trial import bound_rig_move, finish_rig_move

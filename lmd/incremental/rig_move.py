@@ -7,8 +7,9 @@ import numpy as np
 from lmd.core.bits import ALL, BITS
 from lmd.core.compiled import borrowing, inlined, inner
 from lmd.core.memory import check_views
+from lmd.incremental.counts import given_counts, ripple, sum_up
 from lmd.incremental.field import places_of
-from lmd.incremental.move import exchange_place, given_counts, ripple, sum_up
+from lmd.incremental.move import exchange_place
 from lmd.incremental.nearby import list_blocks
 from lmd.incremental.rig_pairs import ARRIVES, find_pairs
 from lmd.incremental.rig_state import RigState, StationState, rig_scratch_of
@@ -26,7 +27,7 @@ def _show(i, q, w, now, n, state):
     """Let `now` be the orientations of word w with which landmark i is seen; returns what they were."""
     was = state.shown[i, q, w]
     if now != was:
-        ripple(q, w, now ^ was, was, n, state.counts, state.short, state.just)
+        ripple(q, w, now ^ was, was, n, state.counts)
         state.shown[i, q, w] = now
     return was
 
@@ -120,7 +121,8 @@ def rig_state_of(field: Any, deployment: Deployment) -> RigState:
         **places_of(deployment)._asdict(),
         parts=tuple(StationState(*both) for both in caps),
         shown=np.zeros((count, size, words), dtype=np.uint64),
-        **given_counts(field.given, count, field.n),
+        counts=given_counts(field.given, count, field.n),
+        units=np.zeros(size, dtype=np.int64),
     )
     _fill(field, state, rig_scratch_of(state, centres))
     return state

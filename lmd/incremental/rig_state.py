@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lmd.core.bits import LANES
+from lmd.incremental.counts import Counts
 from lmd.sight.blocks import BLOCK
 from lmd.sight.stations import Part
 
@@ -42,10 +43,8 @@ class RigState(NamedTuple):
     """What the cameras of each part have in view."""
     shown: np.ndarray
     """`(K, Q, W)` the orientations with which some camera sees a landmark."""
-    counts: np.ndarray
-    """As in `State`, as are `short`, `just` and `units`."""
-    short: np.ndarray
-    just: np.ndarray
+    counts: Counts
+    """As in `State`, as are the `units`."""
     units: np.ndarray
 
 
@@ -151,7 +150,7 @@ def rig_scratch_of(state: RigState, centres: tuple[int, ...]) -> RigScratch:
         known=np.zeros((size, count), dtype=np.bool_),
         places=np.empty(size, dtype=np.uint64),
         touched=np.zeros(size, dtype=np.bool_),
-        digits=np.empty_like(state.counts),
+        digits=np.empty_like(state.counts.digits),
         aimed=np.empty(blocks, dtype=np.bool_),
         blocks=np.empty(blocks + 1, dtype=np.uint64),
         spans=np.empty((blocks, 2), dtype=np.uint64),

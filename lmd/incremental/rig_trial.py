@@ -12,7 +12,7 @@ only where P_n depends on them, with n - 1 other landmarks in view. `rig_move.ca
 import numpy as np
 from numba import literal_unroll
 
-from lmd.core.bits import ALL, BITS, ONE, ZERO, add_digit, at_least_so_far, equal_so_far, lowest
+from lmd.core.bits import ALL, BITS, ONE, ZERO, add_set, at_least, exactly, lowest
 from lmd.core.compiled import allocating, inlined, inner
 from lmd.incremental.nearby import list_blocks
 from lmd.incremental.rig_pairs import COMES, LEAVES, find_pairs, find_veils
@@ -124,17 +124,10 @@ def shown_by(i, q, w, state, scratch):
     return shown
 
 
-@inlined
-def _add(q, w, changed, goes, digits):
-    """Count one less in `digits` at the orientations `changed` that are in `goes`, one more at the others."""
-    for j in range(np.uint64(digits.shape[2])):
-        digits[q, w, j], changed = add_digit(digits[q, w, j], changed, goes)
-
-
 @inner
 def _ask(k, state, scratch):
     """Find where P_n depends on landmark k, no pair turning: where n - 1 others are seen."""
-    shown, asked, short, just = state.shown, scratch.asked, state.short, state.just
+    shown, asked, short, just = state.shown, scratch.asked, state.counts.short, state.counts.just
     for s in range(scratch.near[1]):
         for q in range(scratch.spans[s, 0], scratch.spans[s, 1]):
             for w in range(np.uint64(asked.shape[1])):
@@ -145,20 +138,20 @@ def _ask(k, state, scratch):
 @inner
 def _count_others(k, state, scratch):
     """Count in `digits` the landmarks but k at positions that are touched, the pairs having turned."""
-    counts, shown, digits = state.counts, state.shown, scratch.digits
+    counts, shown, digits = state.counts.digits, state.shown, scratch.digits
     words = np.uint64(shown.shape[2])
     for e in range(scratch.found[1]):
         q = scratch.places[e]
         for w in range(words):
             for j in range(np.uint64(digits.shape[2])):
                 digits[q, w, j] = counts[q, w, j]
-            _add(q, w, shown[k, q, w], ALL, digits)
+            add_set(digits[q, w], shown[k, q, w], ALL)
     for e in range(scratch.found[0]):
         i, q = np.uint64(scratch.who[e]), np.uint64(scratch.where[e])
         for w in range(words):
             was, now = shown[i, q, w], shown_by(i, q, w, state, scratch)
             if was != now:
-                _add(q, w, was ^ now, was, digits)
+                add_set(digits[q, w], was ^ now, was)
 
 
 @inner
@@ -169,11 +162,7 @@ def ask_again(k, n, or_more, state, scratch):
     for e in range(scratch.found[1]):
         q = scratch.places[e]
         for w in range(np.uint64(asked.shape[1])):
-            equal, least = ALL, ALL
-            for j in range(np.uint64(digits.shape[2])):
-                equal = equal_so_far(equal, digits[q, w, j], n - 1, j)
-                least = at_least_so_far(least, digits[q, w, j], n - 1, j)
-            asked[q, w] = least if or_more else equal
+            asked[q, w] = at_least(digits[q, w], n - 1) if or_more else exactly(digits[q, w], n - 1)
 
 
 @inner
@@ -195,18 +184,15 @@ def _join(positions, scratch):
 @inner
 def _find_units(k, positions, n, weights, state, scratch):
     """Find P_n at `positions` with the sets in `fresh` for landmark k and the pairs as they turn."""
-    counts, shown, fresh, asked, digits = state.counts, state.shown, scratch.fresh, scratch.asked, scratch.digits
+    shown, fresh, asked = state.shown, scratch.fresh, scratch.asked
     for q in positions:
         change = np.int64(0)
         for w in range(np.uint64(fresh.shape[1])):
             seen = fresh[q, w] & asked[q, w]
             had = shown[k, q, w] & asked[q, w]
             if scratch.touched[q]:
-                had, has = ALL, ALL
-                for j in range(np.uint64(counts.shape[2])):
-                    had = at_least_so_far(had, counts[q, w, j], n, j)
-                    has = at_least_so_far(has, digits[q, w, j], n, j)
-                seen |= has
+                had = state.counts.enough[q, w]
+                seen |= at_least(scratch.digits[q, w], n)
             change += sum_weights(had, seen, weights, q, w)
         scratch.units[q] = state.units[q] + change
 

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lmd.core.bits import LANES
+from lmd.incremental.counts import Counts
 from lmd.sight.blocks import BLOCK
 
 
@@ -25,12 +26,8 @@ class State(NamedTuple):
     """`(K, Q)` how many others within the horizon hide it."""
     hiding: np.ndarray
     """`(K, Q)` how many others it hides."""
-    counts: np.ndarray
-    """`(Q, W, J)` the number of landmarks covered, binary digit by binary digit, the lowest first."""
-    short: np.ndarray
-    """`(Q, W)` the axes that cover n - 1 landmarks."""
-    just: np.ndarray
-    """`(Q, W)` the axes that cover n landmarks."""
+    counts: Counts
+    """How many landmarks are covered."""
     units: np.ndarray
     """`(Q,)` P_n, as whole numbers."""
 
@@ -181,7 +178,7 @@ def surroundings(count: int, size: int) -> dict[str, Any]:
 def scratch_of(state: State) -> Scratch:
     """Working memory for moves of `state`."""
     count, size = state.reachable.shape
-    words, digits = state.counts.shape[1:]
+    words, digits = state.counts.digits.shape[1:]
     inner, outer = np.empty((2, size), dtype=np.int32)
     unsure, places = np.empty((2, size * words + 1), dtype=np.uint64)
     names, goes = np.empty((2, count + 1), dtype=np.uint64)

@@ -25,14 +25,14 @@ another cap, so what it finds is never below P_n:
 
 import numpy as np
 
-from lmd.core.bits import ALL, BITS, HALF, LOWER, ONE, ZERO, add_digit, at_least_so_far, equal_so_far, lowest
+from lmd.core.bits import ALL, BITS, HALF, LOWER, ONE, ZERO, add_set, at_least, exactly, lowest
 from lmd.core.compiled import inner
 from lmd.incremental.hiding import find_flips, find_new, find_old, flips_with
 from lmd.incremental.nearby import look_around
 from lmd.scene.criteria import covers_one, frame_of, sized
 from lmd.sight.blocks import BLOCK
 from lmd.sight.directions import NOWHERE
-from lmd.sight.kernels import weights_row
+from lmd.sight.kernels import sum_weights, weights_row
 
 # Indices are unsigned where it counts: signed ones cost extra instructions, as they might be negative.
 
@@ -44,9 +44,8 @@ def _try_caps(k, field, state, scratch):
     certain, possible = field.certain, field.possible
     target = scratch.target
     frame = frame_of(sight, target[3], target[4], target[5])
-    caps, reachable, hidden, short, just, before = (
-        state.caps, state.reachable, state.hidden, state.short, state.just, state.units
-    )  # fmt: skip
+    caps, reachable, hidden, before = state.caps, state.reachable, state.hidden, state.units
+    short, just = state.counts.short, state.counts.just
     x, y, z, low, high, sure, cell, reached = scratch.new
     flips, units = scratch.flips, scratch.units
     old, inner, outer = scratch.mask, scratch.inner, scratch.outer
@@ -95,7 +94,8 @@ def _try_flips(k, positions, field, state, scratch):
     certain, possible = field.certain, field.possible
     target = scratch.target
     frame = frame_of(sight, target[3], target[4], target[5])
-    caps, reachable, hidden, counts, before = state.caps, state.reachable, state.hidden, state.counts, state.units
+    caps, reachable, hidden, before = state.caps, state.reachable, state.hidden, state.units
+    counts, enough = state.counts.digits, state.counts.enough
     x, y, z, low, high, sure, cell, reached = scratch.new
     count_hidden, units, digits = scratch.after.count_hidden, scratch.units, scratch.digits
     names, goes = scratch.names, scratch.goes
@@ -113,20 +113,13 @@ def _try_flips(k, positions, field, state, scratch):
         flipped += np.uint64(reachable[k, p] & (hidden[k, p] == 0))
         row = np.uint64(cell[p] if reached[p] & (count_hidden[p] == 0) else NOWHERE)
         px, py, pz, least = x[p], y[p], z[p], low[p]
-        units[p], row_of = before[p], weights_row(weights, p)
+        units[p] = before[p]
         for w in range(np.uint64(counts.shape[1])):
-            had, has, almost = ALL, ALL, ALL
             for j in range(size):
                 digits[j] = counts[p, w, j]
-                had = at_least_so_far(had, digits[j], n, j)
             for m in range(flipped):
-                carry = caps[names[m], p, w]
-                for j in range(size):
-                    digits[j], carry = add_digit(digits[j], carry, goes[m])
-            for j in range(size):
-                has = at_least_so_far(has, digits[j], n, j)
-                almost = equal_so_far(almost, digits[j], n - 1, j)
-            left = almost & possible[row, w]
+                add_set(digits, caps[names[m], p, w], goes[m])
+            has, left = at_least(digits, n), exactly(digits, n - 1) & possible[row, w]
             while left:
                 bit = lowest(left)
                 a = w * np.uint64(BITS) + bit
@@ -134,12 +127,7 @@ def _try_flips(k, positions, field, state, scratch):
                 inside = covers_one(sight, px, py, pz, frame, least, high[p], sure[p], central, axes, a)
                 has |= np.uint64(inside) << bit
                 left &= left - ONE
-            left = had ^ has
-            while left:
-                bit = lowest(left)
-                weight = weights[row_of, w * np.uint64(BITS) + bit]
-                units[p] += weight if has >> bit & ONE else -weight
-                left &= left - ONE
+            units[p] += sum_weights(enough[p, w], has, weights, p, w)
 
 
 @inner

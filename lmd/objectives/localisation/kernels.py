@@ -6,7 +6,7 @@ the landmarks' numbers (`information`, `ambiguity`) are summed, and the sums dec
 
 import numpy as np
 
-from lmd.core.bits import ALL, BITS, LANES, ONE, ZERO, add_digit, at_least_so_far, lowest
+from lmd.core.bits import BITS, LANES, ONE, ZERO, add_digit, at_least, lowest
 from lmd.core.compiled import inlined, kernel
 from lmd.geometry.squares import upright_sides
 from lmd.objectives.localisation.ambiguity import count_tag, tells, told_apart
@@ -118,10 +118,7 @@ def localise_range(
                         j += ONE
             total, useful, row_of = np.int64(0), np.uint64(0), weights_row(weights, p)
             for i in range(words):
-                has = ALL
-                for j in range(np.uint64(places)):
-                    has = at_least_so_far(has, digits[i, j], n, j)
-                enough[i] = has
+                enough[i] = has = at_least(digits[i], n)
                 while has:
                     a = i * np.uint64(BITS) + lowest(has)
                     has &= has - ONE

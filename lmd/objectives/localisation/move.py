@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.bits import ALL, ONE, ZERO, at_least_so_far, lowest
+from lmd.core.bits import ONE, ZERO, lowest
 from lmd.core.compiled import borrowing, inner
 from lmd.incremental.move import list_touched
 from lmd.incremental.state import State
@@ -44,17 +44,16 @@ def exchange(first, last, state, scratch):
         state.located[p], scratch.located[p] = scratch.located[p], state.located[p]
         for w in range(state.localised.shape[1]):
             state.localised[p, w], scratch.localised[p, w] = scratch.localised[p, w], state.localised[p, w]
-            state.enough[p, w], scratch.enough[p, w] = scratch.enough[p, w], state.enough[p, w]
 
 
 @borrowing
 def _fill(field, state, scratch):
     """Sum up what all landmarks tell, and find the values."""
-    known, weights, n, row, sums = state.coverage, field.coverage.weights, field.coverage.n, scratch.row, state.sums
+    known, weights, row, sums = state.coverage, field.coverage.weights, scratch.row, state.sums
     sight, axes = field.coverage.sight, field.coverage.axes
     offsets, moments, goes = scratch.offsets, scratch.moments, scratch.goes
     landmarks, normals, positions = state.landmarks, state.normals, field.coverage.positions
-    words, size = np.uint64(state.localised.shape[1]), np.uint64(known.counts.shape[2])
+    words = np.uint64(state.localised.shape[1])
     for p in range(np.uint64(len(state.units))):
         for i in range(np.uint64(known.caps.shape[0]) if field.asks else ZERO):
             if known.reachable[i, p] & (known.hidden[i, p] == 0):
@@ -73,9 +72,7 @@ def _fill(field, state, scratch):
                         view, a = (p * words + w) * VIEW + bit, w * VIEW + bit
                         add_shares(field.precision, sums, view, ZERO, a, 1.0, sight, axes, offsets, moments, goes)
         for w in range(words):
-            has = ALL
-            for j in range(size):
-                has = at_least_so_far(has, known.counts[p, w, j], n, j)
+            has = known.counts.enough[p, w]
             left, good = has if field.asks else ZERO, ZERO if field.asks else has
             while left:
                 bit = lowest(left)
@@ -84,7 +81,7 @@ def _fill(field, state, scratch):
                 for j in range(np.uint64(WIDTH)):
                     row[ZERO, j] = state.sums[v, j]
                 good |= np.uint64(row_meets(field.precision, row)) << bit
-            state.enough[p, w], state.localised[p, w] = has, good
+            state.localised[p, w] = good
             state.located[p] += sum_weights(ZERO, good, weights, p, w)
         state.units[p] = mixed(state.located[p], known.units[p], field.weight)
 

@@ -73,14 +73,14 @@ def has_one_pose(precision, sums, v, step):
 
 
 @inlined
-def several(q, w, was, now, counts):
-    """The orientations of word w of position q with which two landmarks or more are seen.
+def several(was, now, digits):
+    """The orientations with which two landmarks or more are seen.
 
-    The counts `(Q, W, J)`, binary digits, have a landmark where it `was` seen; it is `now`.
+    The counts `digits` `(J,)` have a landmark where it `was` seen; it is `now`.
     """
     found, change = ZERO, was ^ now
-    for j in range(np.uint64(counts.shape[2])):
-        digit, change = add_digit(counts[q, w, j], change, was)
+    for j in range(np.uint64(len(digits))):
+        digit, change = add_digit(digits[j], change, was)
         found |= digit if j else ZERO
     return found
 

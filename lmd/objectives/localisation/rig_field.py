@@ -25,14 +25,13 @@ from lmd.sight.evaluator import Evaluator
 class RigLocalisationScratch(NamedTuple):
     """The move tried last, and working memory.
 
-    units, located, enough, localised: as in the state, after the move; coverage: the scratch of coverage. Once the move
-    is carried out, these are those of before. lost, gained: the orientations with which the move takes a landmark from
+    units, located, localised: as in the state, after the move; coverage: the scratch of coverage. Once the move is
+    carried out, these are those of before. lost, gained: the orientations with which the move takes a landmark from
     some camera, and gives it one, `(Q, W)`. slots: the views that are worked on.
     """
 
     units: np.ndarray
     located: np.ndarray
-    enough: np.ndarray
     localised: np.ndarray
     coverage: RigScratch
     lost: np.ndarray
@@ -74,11 +73,10 @@ class RigLocalisationField(NamedTuple):
         return RigLocalisationScratch(
             units=state.units.copy(),
             located=state.located.copy(),
-            enough=state.enough.copy(),
             localised=state.localised.copy(),
             coverage=self.coverage.scratch(state.coverage),
-            lost=np.zeros_like(state.enough),
-            gained=np.zeros_like(state.enough),
+            lost=np.zeros_like(state.localised),
+            gained=np.zeros_like(state.localised),
             slots=new_slots(),
         )
 

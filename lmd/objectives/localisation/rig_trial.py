@@ -9,7 +9,7 @@ orientation, so what a landmark tells it is found for each view anew, of those a
 import numpy as np
 from numba import literal_unroll
 
-from lmd.core.bits import ALL, ZERO, at_least_so_far
+from lmd.core.bits import ALL, ZERO, at_least
 from lmd.core.compiled import inlined, inner, kernel
 from lmd.geometry.squares import upright_sides
 from lmd.incremental.rig_move import see_whole, take_back_rig
@@ -138,26 +138,23 @@ def _sum_up(q, located, covered, weight, values):
 def _decide(k, positions, field, state, scratch):
     """Find the values at `positions`, with what `fresh` has of landmark k and the pairs as they turn."""
     known, trial, n, weights = state.coverage, scratch.coverage, field.coverage.n, field.coverage.weights
-    shown, short, just, fresh, digits = known.shown, known.short, known.just, trial.fresh, trial.digits
+    shown, counts, fresh, digits = known.shown, known.counts, trial.fresh, trial.digits
     if field.asks:
         _find_turns(k, positions, state, scratch)
     for q in positions:
         located, covered = state.located[q], known.units[q]
         for w in range(np.uint64(fresh.shape[1])):
-            was, now, before = shown[k, q, w], fresh[q, w], state.enough[q, w]
-            has = (before & ~(was & ~now & just[q, w])) | (now & ~was & short[q, w])
+            was, now, before = shown[k, q, w], fresh[q, w], counts.enough[q, w]
+            has = (before & ~(was & ~now & counts.just[q, w])) | (now & ~was & counts.short[q, w])
+            if trial.touched[q]:
+                has = at_least(digits[q, w], n) | (now & trial.asked[q, w])
             two = ALL
             if asks_apart(field.precision):
-                two = several(q, w, ZERO, now, digits) if trial.touched[q] else several(q, w, was, now, known.counts)
-            if trial.touched[q]:
-                has = ALL
-                for j in range(np.uint64(digits.shape[2])):
-                    has = at_least_so_far(has, digits[q, w, j], n, j)
-                has |= now & trial.asked[q, w]
+                two = several(ZERO, now, digits[q, w]) if trial.touched[q] else several(was, now, counts.digits[q, w])
             good = _localised(k, q, w, has, two, field, state, scratch) if field.asks else has
             covered += sum_weights(before, has, weights, q, w)
             located += sum_weights(state.localised[q, w], good, weights, q, w)
-            scratch.enough[q, w], scratch.localised[q, w] = has, good
+            scratch.localised[q, w] = good
         _sum_up(q, located, covered, field.weight, scratch)
 
 
@@ -167,15 +164,15 @@ def _ask(k, state, scratch):
 
     It does where n - 1 others are seen or more, unless the view is localised and k is not among what it shows.
     """
-    asked, shown, short = scratch.coverage.asked, state.coverage.shown, state.coverage.short
+    asked, shown, counts = scratch.coverage.asked, state.coverage.shown, state.coverage.counts
     spans = scratch.coverage.spans
     for s in range(scratch.coverage.near[1]):
         for q in range(spans[s, 0], spans[s, 1]):
             scratch.located[q], scratch.coverage.units[q] = state.located[q], state.coverage.units[q]
             for w in range(np.uint64(asked.shape[1])):
-                mine, enough, localised = shown[k, q, w], state.enough[q, w], state.localised[q, w]
-                asked[q, w] = (enough & (mine | ~localised)) | (short[q, w] & ~mine)
-                scratch.enough[q, w], scratch.localised[q, w] = enough, localised
+                mine, localised = shown[k, q, w], state.localised[q, w]
+                asked[q, w] = (counts.enough[q, w] & (mine | ~localised)) | (counts.short[q, w] & ~mine)
+                scratch.localised[q, w] = localised
 
 
 @inner
@@ -280,20 +277,19 @@ def _met_anew(q, w, field, state, scratch):
         _add_shown(mounts, q, w, field, state, scratch)
     add_up(field.precision, slots)
     give_sums(state.sums, first, field.precision, slots, count)
-    return met_slots(field.precision, slots, count, several(q, w, ZERO, ZERO, state.coverage.counts))
+    return met_slots(field.precision, slots, count, several(ZERO, ZERO, state.coverage.counts.digits[q, w]))
 
 
 @kernel
 def sum_up_anew(field, state, scratch):
     """Sum up what all landmarks tell, and find the values."""
-    known, n, weights = state.coverage, field.coverage.n, field.coverage.weights
+    known, weights = state.coverage, field.coverage.weights
     for q in range(np.uint64(len(state.units))):
         located = np.int64(0)
-        for w in range(np.uint64(state.enough.shape[1])):
-            has = ALL
-            for j in range(np.uint64(known.counts.shape[2])):
-                has = at_least_so_far(has, known.counts[q, w, j], n, j)
-            good = has & _met_anew(q, w, field, state, scratch) if field.asks else has
-            state.enough[q, w], state.localised[q, w] = has, good
+        for w in range(np.uint64(state.localised.shape[1])):
+            good = known.counts.enough[q, w]
+            if field.asks:
+                good &= _met_anew(q, w, field, state, scratch)
+            state.localised[q, w] = good
             located += sum_weights(ZERO, good, weights, q, w)
         _sum_up(q, located, known.units[q], field.weight, state)

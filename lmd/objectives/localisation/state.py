@@ -21,8 +21,6 @@ class LocalisationState(NamedTuple):
     """`(Q,)` the values, as whole numbers."""
     located: np.ndarray
     """`(Q,)` L, as whole numbers."""
-    enough: np.ndarray
-    """`(Q, W)` the axes from which at least n landmarks are covered."""
     localised: np.ndarray
     """`(Q, W)` the axes from which the camera is localised."""
     sums: np.ndarray
@@ -35,13 +33,12 @@ class LocalisationState(NamedTuple):
 class LocalisationScratch(NamedTuple):
     """The move tried last, and working memory.
 
-    Once the move is carried out, `units`, `located`, `enough` and `localised` are those of before.
+    Once the move is carried out, `units`, `located` and `localised` are those of before.
     """
 
     units: np.ndarray
-    """`(Q,)` as in the state, after the move; so are `located`, `enough` and `localised`."""
+    """`(Q,)` as in the state, after the move; so are `located` and `localised`."""
     located: np.ndarray
-    enough: np.ndarray
     localised: np.ndarray
     coverage: Scratch
     """The scratch of coverage. Its `cap` is filled for all positions that reach the new place; its `units` are P_n."""
@@ -49,8 +46,10 @@ class LocalisationScratch(NamedTuple):
     """`(Q, WIDTH)` moments of the landmark at its old place, where it is seen."""
     new: np.ndarray
     """`(Q, WIDTH)` the same at the new place."""
+    enough: np.ndarray
+    """`(Q, W)` the axes that cover n landmarks or more after the move. This and what follows is working memory."""
     first: np.ndarray
-    """`(Q + 1,)` the first of the `views` of each position. This and what follows is working memory."""
+    """`(Q + 1,)` the first of the `views` of each position."""
     views: np.ndarray
     """`(64 Q W + 1,)` views to be decided."""
     leaving: np.ndarray
@@ -77,7 +76,7 @@ def blank_state(known: Any, width: int, each: float) -> LocalisationState:
         width: of the sums.
         each: bytes that a view takes, sums and lists; 0 where nothing is asked of it, and no sums are kept.
     """
-    size, words = known.short.shape
+    size, words = known.counts.enough.shape
     check_views(each, size, BITS * words)
     return LocalisationState(
         landmarks=known.landmarks,
@@ -85,7 +84,6 @@ def blank_state(known: Any, width: int, each: float) -> LocalisationState:
         surfaces=known.surfaces,
         units=np.zeros(size, dtype=np.int64),
         located=np.zeros(size, dtype=np.int64),
-        enough=np.zeros((size, words), dtype=np.uint64),
         localised=np.zeros((size, words), dtype=np.uint64),
         sums=np.zeros((BITS * size * words if each else 1, width)),
         coverage=known,
@@ -99,11 +97,11 @@ def localisation_scratch(state: LocalisationState) -> LocalisationScratch:
     return LocalisationScratch(
         units=state.units.copy(),
         located=state.located.copy(),
-        enough=state.enough.copy(),
         localised=state.localised.copy(),
         coverage=scratch_of(state.coverage),
         old=np.zeros((size, WIDTH)),
         new=np.zeros((size, WIDTH)),
+        enough=np.zeros_like(state.localised),
         first=np.zeros(size + 1, dtype=np.uint64),
         views=np.zeros(BITS * words * size + 1, dtype=np.uint64),
         leaving=leaving,

@@ -14,7 +14,7 @@ decides anew at the positions where either happens.
 
 import numpy as np
 
-from lmd.core.bits import ALL, BITS, ONE, ZERO, add_digit, at_least_so_far, lowest, prefetch
+from lmd.core.bits import ALL, BITS, ONE, ZERO, add_set, at_least, lowest, prefetch
 from lmd.core.compiled import inlined, inner
 from lmd.incremental.hiding import flips_with
 from lmd.incremental.move import list_touched
@@ -91,12 +91,13 @@ def _list_views(k, field, state, scratch):
     of the time.
     """
     asks, sight, axes, positions = field.asks, field.coverage.sight, field.coverage.axes, field.coverage.positions
-    caps, short, just = state.coverage.caps, state.coverage.short, state.coverage.just
+    caps, counts = state.coverage.caps, state.coverage.counts
+    enough, short, just = counts.enough, counts.short, counts.just
     reachable, hidden, flips = state.coverage.reachable, state.coverage.hidden, scratch.coverage.flips
     reached, cap = scratch.coverage.new.reached, scratch.coverage.cap
     x, y, z = scratch.coverage.new.x, scratch.coverage.new.y, scratch.coverage.new.z
     ax, ay, az = state.landmarks[0, k], state.landmarks[1, k], state.landmarks[2, k]
-    enough, after, known, localised, sums = state.enough, scratch.enough, state.localised, scratch.localised, state.sums
+    after, known, localised, sums = scratch.enough, state.localised, scratch.localised, state.sums
     first, views, leaving, coming = scratch.first, scratch.views, scratch.leaving, scratch.coming
     words, count = np.uint64(caps.shape[2]), ZERO
     for p in range(np.uint64(len(flips))):
@@ -187,7 +188,7 @@ def _sum_up(places, field, state, scratch):
     """Find the values at `places` from the sets of axes."""
     weights, covered = field.coverage.weights, scratch.coverage.units
     known = state.coverage.units
-    enough, after, was, localised = state.enough, scratch.enough, state.localised, scratch.localised
+    enough, after, was, localised = state.coverage.counts.enough, scratch.enough, state.localised, scratch.localised
     for p in places:
         seen, located = known[p], state.located[p]
         for w in range(np.uint64(localised.shape[1])):
@@ -252,7 +253,7 @@ def add_shares(precision, sums, v, e, a, sign, sight, axes, offsets, moments, go
 @inner
 def _try_flips(k, places, field, state, scratch):
     """Find the values at the positions `places`, where other landmarks may appear or disappear."""
-    counts, digits, n = state.coverage.counts, scratch.coverage.digits, field.coverage.n
+    counts, digits, n = state.coverage.counts.digits, scratch.coverage.digits, field.coverage.n
     caps, row, localised, enough = scratch.caps, scratch.row, scratch.localised, scratch.enough
     sight, axes = field.coverage.sight, field.coverage.axes
     offsets, moments, goes = scratch.offsets, scratch.moments, scratch.goes
@@ -260,16 +261,13 @@ def _try_flips(k, places, field, state, scratch):
     for p in places:
         changes = list_changes(k, p, field, state, scratch)
         for w in range(words):
-            has, changed = ALL, ZERO
+            changed = ZERO
             for j in range(size):
                 digits[j] = counts[p, w, j]
             for e in range(changes):
-                carry = caps[e, w]
-                changed |= carry
-                for j in range(size):
-                    digits[j], carry = add_digit(digits[j], carry, scratch.goes[e])
-            for j in range(size):
-                has = at_least_so_far(has, digits[j], n, j)
+                changed |= caps[e, w]
+                add_set(digits, caps[e, w], goes[e])
+            has = at_least(digits, n)
             good = state.localised[p, w] & has & ~changed if field.asks else has
             left = has & changed if field.asks else ZERO
             while left:

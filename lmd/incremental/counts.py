@@ -1,0 +1,68 @@
+"""How many landmarks are covered: the counts that coverage and localisation share, of one camera and of a rig."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lmd.core.bits import ALL, ZERO, add_digit, at_least_so_far, equal_so_far, unpacked
+from lmd.core.compiled import inlined, inner
+from lmd.sight.kernels import sum_weights
+
+
+class Counts(NamedTuple):
+    """Landmarks covered from each of Q positions, as W words of axes."""
+
+    digits: np.ndarray
+    """`(Q, W, J)` how many, binary digit by binary digit, the lowest first."""
+    short: np.ndarray
+    """`(Q, W)` the axes that cover n - 1 landmarks."""
+    just: np.ndarray
+    """`(Q, W)` the axes that cover n landmarks."""
+    enough: np.ndarray
+    """`(Q, W)` the axes that cover n landmarks or more."""
+
+
+def given_counts(given: np.ndarray, count: int, n: int) -> Counts:
+    """Counts with room for `count` landmarks, of which none has come yet.
+
+    Args:
+        given: sets of axes `(Q, W)` at which one landmark is covered all the same.
+        count: K.
+        n: landmarks that must be covered.
+    """
+    digits = np.zeros((*given.shape, max(count + bool(given.any()), n).bit_length()), dtype=np.uint64)
+    digits[:, :, 0] = given
+    none = np.zeros_like(given)
+    just, enough = (given.copy(), given.copy()) if n == 1 else (none, none.copy())
+    return Counts(digits, {1: ~given, 2: given.copy()}.get(n, none.copy()), just, enough)
+
+
+@inlined
+def ripple(p, w, changed, goes, n, counts):
+    """Count a landmark less at those axes `changed` that are in `goes`, one more at the others, digit by digit."""
+    digits, one, two, more = counts.digits, ALL, ALL, ALL
+    for j in range(np.uint64(digits.shape[2])):
+        digit, changed = add_digit(digits[p, w, j], changed, goes)
+        digits[p, w, j] = digit
+        one, two = equal_so_far(one, digit, n - 1, j), equal_so_far(two, digit, n, j)
+        more = at_least_so_far(more, digit, n, j)
+    counts.short[p, w], counts.just[p, w], counts.enough[p, w] = one, two, more
+
+
+@inner
+def sum_up(field, state):
+    """Find P_n from the counts."""
+    units, enough = state.units, state.counts.enough
+    for p in range(np.uint64(len(units))):
+        units[p] = 0
+        for w in range(np.uint64(enough.shape[1])):
+            units[p] += sum_weights(ZERO, enough[p, w], field.weights, p, w)
+
+
+def counts_of(state: Any, axes: int) -> np.ndarray:
+    """Landmarks covered at each position and each of so many `axes`, `(Q, axes)`."""
+    digits = unpacked(state.counts.digits.transpose(2, 0, 1), axes)
+    counts = np.zeros(digits.shape[1:], dtype=np.int16)
+    for digit in digits[::-1]:
+        counts = 2 * counts + digit
+    return counts
