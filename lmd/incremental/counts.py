@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.bits import ALL, ZERO, add_digit, at_least_so_far, equal_so_far, unpacked
+from lmd.core.bits import ALL, ZERO, add_digit, equal_so_far, unpacked
 from lmd.core.compiled import inlined, inner
 from lmd.sight.kernels import sum_weights
 
@@ -40,13 +40,13 @@ def given_counts(given: np.ndarray, count: int, n: int) -> Counts:
 @inlined
 def ripple(p, w, changed, goes, n, counts):
     """Count a landmark less at those axes `changed` that are in `goes`, one more at the others, digit by digit."""
-    digits, one, two, more = counts.digits, ALL, ALL, ALL
+    digits, short, just, enough, one, two = counts.digits, counts.short, counts.just, counts.enough, ALL, ALL
+    enough[p, w] = (enough[p, w] & ~(changed & goes & just[p, w])) | (changed & ~goes & short[p, w])
     for j in range(np.uint64(digits.shape[2])):
         digit, changed = add_digit(digits[p, w, j], changed, goes)
         digits[p, w, j] = digit
         one, two = equal_so_far(one, digit, n - 1, j), equal_so_far(two, digit, n, j)
-        more = at_least_so_far(more, digit, n, j)
-    counts.short[p, w], counts.just[p, w], counts.enough[p, w] = one, two, more
+    short[p, w], just[p, w] = one, two
 
 
 @inner

@@ -21,11 +21,15 @@ import math
 
 import numpy as np
 
-from lmd.core.bits import LANES, ONE, lowest
+from lmd.core.bits import ALL, LANES, ONE, ZERO, lowest
 from lmd.core.compiled import inlined, inner
 from lmd.incremental.nearby import is_near
 from lmd.scene.criteria import TOLERANCE, hide_between, sized
 from lmd.sight.blocks import BLOCK, SINGLE_ERROR
+
+# Signs of a move that is carried out, and of one that is taken back. Of Python's numbers each is a type of its own for
+# numba, which would compile what it is handed to twice.
+FORTH, BACK = np.int64(1), np.int64(-1)
 
 
 @inlined
@@ -142,6 +146,23 @@ def flips_with(reachable, was, now):
     return reachable & ((was == 0) != (now == 0))
 
 
+@inlined
+def list_turning(p, sign, state, scratch):
+    """List in `names` and `goes` the landmarks that appear or disappear at position p, and return how many.
+
+    `sign` is `FORTH` or `BACK`.
+    """
+    reachable, hidden, names, goes = state.reachable, state.hidden, scratch.names, scratch.goes
+    found, who, change = scratch.turns
+    b, q, count = p // np.uint64(BLOCK), p % np.uint64(BLOCK), ZERO
+    for m in range(np.uint64(found[b])):
+        i = np.uint64(who[b, m])
+        was, now = hidden[i, p], hidden[i, p] + sign * change[b, m, q]
+        names[count], goes[count] = i, ALL if was == 0 else ZERO
+        count += np.uint64(flips_with(reachable[i, p], was, now))
+    return count
+
+
 @inner
 def find_turns(blocks, before, after, turns, slot):
     """Merge what a landmark hides `before` and `after` a move into how many more others hide each of the others."""
@@ -214,7 +235,7 @@ def swap(one, other, first, last):
 def exchange_hiding(k, sign, sight, state, scratch):
     """Exchange from where landmark k is reached, and who hides whom, for what `scratch` has of its other place.
 
-    `sign` as in `move`.
+    `sign` is `FORTH` or `BACK`.
     """
     hidden, hiding, before, after = state.hidden, state.hiding, scratch.before, scratch.after
     found, who, change = scratch.turns

@@ -15,26 +15,21 @@ from lmd.core.compiled import borrowing, inner
 from lmd.core.memory import check_views
 from lmd.incremental.counts import given_counts, ripple, sum_up
 from lmd.incremental.field import places_of
-from lmd.incremental.hiding import exchange_hiding, find_new, flips_with, swap
+from lmd.incremental.hiding import BACK, FORTH, exchange_hiding, find_new, list_turning, swap
 from lmd.incremental.nearby import look_around
 from lmd.incremental.state import State, scratch_of
 from lmd.scene.criteria import covering, frame_of, sized
 from lmd.scene.deployment import Deployment
-from lmd.sight.blocks import BLOCK
 from lmd.sight.directions import NOWHERE
 
 # What is kept of a landmark in a view: a bit whether it is covered, and as much again of what hides it.
 LANDMARK_BYTES = 0.25
 
-# Signs of a move that is carried out, and of one that is taken back. Of Python's numbers each is a type of its own for
-# numba, which would compile what it is handed to twice.
-FORTH, BACK = np.int64(1), np.int64(-1)
-
 # Indices are unsigned where it counts: signed ones cost extra instructions, as they might be negative.
 
 
 @inner
-def _find_cap(k, positions, field, scratch):
+def find_cap(k, positions, field, scratch):
     """Find the axes that cover landmark k in the place tried at `positions`, nobody hiding it."""
     sight, axes, certain, possible = sized(field.sight, k), field.axes, field.certain, field.possible
     x, y, z, low, high, sure, cell, reached = scratch.new
@@ -61,12 +56,11 @@ def _recount(k, positions, sign, field, state, scratch):
     n, caps, other = field.n, state.caps, scratch.cap
     reachable, hidden, counts = state.reachable, state.hidden, state.counts
     reached, count_hidden, flips = scratch.new.reached, scratch.after.count_hidden, scratch.flips
-    found, who, change = scratch.turns
     words = np.uint64(caps.shape[2])
     for p in positions:
         shown = ALL if reachable[k, p] & (hidden[k, p] == 0) else ZERO
         seen = ALL if reached[p] & (count_hidden[p] == 0) else ZERO
-        for w in range(words):
+        for w in range(words if reachable[k, p] | reached[p] else ZERO):
             old, new = caps[k, p, w], other[p, w]
             caps[k, p, w], other[p, w] = new, old
             changed = (old & shown) ^ (new & seen)
@@ -74,13 +68,9 @@ def _recount(k, positions, sign, field, state, scratch):
                 ripple(p, w, changed, old & shown, n, counts)
         if not flips[p]:
             continue
-        b, q = p // np.uint64(BLOCK), p % np.uint64(BLOCK)
-        for m in range(found[b]):
-            i = np.uint64(who[b, m])
-            was, now = hidden[i, p], hidden[i, p] + sign * change[b, m, q]
-            if flips_with(reachable[i, p], was, now):
-                for w in range(words):
-                    ripple(p, w, caps[i, p, w], ALL if was == 0 else ZERO, n, counts)
+        for m in range(list_turning(p, sign, state, scratch)):
+            for w in range(words):
+                ripple(p, w, caps[scratch.names[m], p, w], scratch.goes[m], n, counts)
 
 
 @inner
@@ -106,7 +96,7 @@ def exchange_place(k, state, scratch):
 
 
 @inner
-def _exchange(k, sign, field, state, scratch):
+def exchange_move(k, sign, field, state, scratch):
     """Exchange landmark k for what `scratch` has of its other place."""
     _recount(np.uint64(k), scratch.listed[: list_touched(k, state, scratch)], sign, field, state, scratch)
     exchange_hiding(k, sign, field.sight, state, scratch)
@@ -118,14 +108,14 @@ def _exchange(k, sign, field, state, scratch):
 @inner
 def carry_out(field, k, state, scratch):
     """Move landmark k to where it was tried last; no other move may have been tried or carried out since."""
-    _find_cap(k, scratch.listed[: list_touched(k, state, scratch)], field, scratch)
-    _exchange(k, FORTH, field, state, scratch)
+    find_cap(k, scratch.listed[: list_touched(k, state, scratch)], field, scratch)
+    exchange_move(k, FORTH, field, state, scratch)
 
 
 @inner
 def take_back(field, k, state, scratch):
     """Undo the last `carry_out` with this `scratch`, all later ones being undone."""
-    _exchange(k, BACK, field, state, scratch)
+    exchange_move(k, BACK, field, state, scratch)
 
 
 @borrowing
@@ -154,7 +144,7 @@ def _fill(field, state, scratch):
         if field.sight.reach >= 0.0:
             find_new(k, field, state, scratch)
         positions = scratch.listed[: list_touched(k, state, scratch)]
-        _find_cap(k, positions, field, scratch)
+        find_cap(k, positions, field, scratch)
         _recount(np.uint64(k), positions, FORTH, field, state, scratch)
         for p in range(np.uint64(len(scratch.new.reached))):
             state.reachable[k, p] = scratch.new.reached[p]

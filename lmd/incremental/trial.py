@@ -27,10 +27,9 @@ import numpy as np
 
 from lmd.core.bits import ALL, BITS, HALF, LOWER, ONE, ZERO, add_set, at_least, exactly, lowest
 from lmd.core.compiled import inner
-from lmd.incremental.hiding import find_flips, find_new, find_old, flips_with
+from lmd.incremental.hiding import FORTH, find_flips, find_new, find_old, list_turning
 from lmd.incremental.nearby import look_around
 from lmd.scene.criteria import covers_one, frame_of, sized
-from lmd.sight.blocks import BLOCK
 from lmd.sight.directions import NOWHERE
 from lmd.sight.kernels import sum_weights, weights_row
 
@@ -99,16 +98,9 @@ def _try_flips(k, positions, field, state, scratch):
     x, y, z, low, high, sure, cell, reached = scratch.new
     count_hidden, units, digits = scratch.after.count_hidden, scratch.units, scratch.digits
     names, goes = scratch.names, scratch.goes
-    found, who, change = scratch.turns
     size = np.uint64(counts.shape[2])
     for p in positions:
-        b, q = p // np.uint64(BLOCK), p % np.uint64(BLOCK)
-        flipped = ZERO
-        for m in range(np.uint64(found[b])):
-            i = np.uint64(who[b, m])
-            was, now = hidden[i, p], hidden[i, p] + change[b, m, q]
-            names[flipped], goes[flipped] = i, ALL if was == 0 else ZERO
-            flipped += np.uint64(flips_with(reachable[i, p], was, now))
+        flipped = list_turning(p, FORTH, state, scratch)
         names[flipped], goes[flipped] = k, ALL
         flipped += np.uint64(reachable[k, p] & (hidden[k, p] == 0))
         row = np.uint64(cell[p] if reached[p] & (count_hidden[p] == 0) else NOWHERE)
@@ -119,7 +111,9 @@ def _try_flips(k, positions, field, state, scratch):
                 digits[j] = counts[p, w, j]
             for m in range(flipped):
                 add_set(digits, caps[names[m], p, w], goes[m])
-            has, left = at_least(digits, n), exactly(digits, n - 1) & possible[row, w]
+            has, left = at_least(digits, n), possible[row, w]
+            if left:
+                left &= exactly(digits, n - 1)
             while left:
                 bit = lowest(left)
                 a = w * np.uint64(BITS) + bit
@@ -146,6 +140,17 @@ def begin_move(k, pose, surface, field, state, scratch):
 
 
 @inner
+def list_flips(scratch):
+    """List the positions where another landmark appears or disappears in `scratch.listed`; returns how many."""
+    count = ZERO
+    for s in range(scratch.near[1]):
+        for p in range(scratch.spans[s, 0], scratch.spans[s, 1]):
+            scratch.listed[count] = p
+            count += np.uint64(scratch.flips[p])
+    return count
+
+
+@inner
 def complete_move(k, field, state, scratch):
     """Find who hides whom with landmark k at its new place; lists where that changes anything.
 
@@ -167,15 +172,9 @@ def complete_move(k, field, state, scratch):
 @inner
 def bound_move(field, k, pose, surface, state, scratch):
     """Find what P_n is at most with landmark k at `pose` `(6,)`, position and normal, on a surface: `scratch.units`."""
-    flips, listed = scratch.flips, scratch.listed
     begin_move(k, pose, surface, field, state, scratch)
     _try_caps(np.uint64(k), field, state, scratch)
-    count = ZERO
-    for s in range(scratch.near[1]):
-        for p in range(scratch.spans[s, 0], scratch.spans[s, 1]):
-            listed[count] = p
-            count += np.uint64(flips[p])
-    _try_flips(np.uint64(k), listed[:count], field, state, scratch)
+    _try_flips(np.uint64(k), scratch.listed[: list_flips(scratch)], field, state, scratch)
 
 
 @inner

@@ -4,10 +4,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.bits import ZERO
 from lmd.incremental.coverage_field import CoverageField
 from lmd.incremental.field import accept, bound, settle, undo
-from lmd.incremental.move import carry_out, take_back
+from lmd.incremental.hiding import FORTH
+from lmd.incremental.move import exchange_move, take_back
 from lmd.objectives.localisation.move import change_sums, exchange, localisation_state
 from lmd.objectives.localisation.state import LocalisationScratch, LocalisationState, localisation_scratch
 from lmd.objectives.localisation.trial import bound_move, finish_move
@@ -53,12 +53,12 @@ settle.register(LocalisationField)(finish_move)
 @accept.register(LocalisationField)
 def _accept(field, k, state, scratch):  # type: ignore[no-untyped-def]
     change_sums(k, 1.0, field, state, scratch)
-    carry_out(field.coverage, k, state.coverage, scratch.coverage)
-    exchange(ZERO, np.uint64(len(state.units)), state, scratch)
+    exchange_move(k, FORTH, field.coverage, state.coverage, scratch.coverage)  # the trial found the cap
+    exchange(state, scratch)
 
 
 @undo.register(LocalisationField)
 def _undo(field, k, state, scratch):  # type: ignore[no-untyped-def]
     take_back(field.coverage, k, state.coverage, scratch.coverage)
     change_sums(k, -1.0, field, state, scratch)
-    exchange(ZERO, np.uint64(len(state.units)), state, scratch)
+    exchange(state, scratch)

@@ -13,6 +13,7 @@ from lmd.incremental.field import smoothed, worth
 from lmd.objectives.base import AtLeast, Headline, Selection
 from lmd.objectives.coverage import Threshold
 from lmd.objectives.localisation.ambiguity import ResolvedPrecision, resolved
+from lmd.objectives.localisation.changes import mixed
 from lmd.objectives.localisation.field import LocalisationField
 from lmd.objectives.localisation.information import (
     PosePrecision,
@@ -25,7 +26,6 @@ from lmd.objectives.localisation.information import (
 from lmd.objectives.localisation.log_det import LogDeterminant
 from lmd.objectives.localisation.rig_field import RigLocalisationField, rig_localisation_field
 from lmd.objectives.localisation.rig_log_det import RigLogDeterminant
-from lmd.objectives.localisation.trial import mixed
 from lmd.objectives.localisation.views import localised_views
 from lmd.objectives.sampling import Sampling
 from lmd.scene.criteria import TOLERANCE

@@ -16,6 +16,7 @@ from lmd.incremental.rig_move import see_whole, take_back_rig
 from lmd.incremental.rig_pairs import COMES, find_pairs
 from lmd.incremental.rig_trial import ask_again, begin_rig_move, list_near, see_anew
 from lmd.objectives.localisation.ambiguity import asks_apart
+from lmd.objectives.localisation.changes import mixed
 from lmd.objectives.localisation.information import half_of
 from lmd.objectives.localisation.move import exchange
 from lmd.objectives.localisation.rig_ambiguity import several
@@ -29,7 +30,6 @@ from lmd.objectives.localisation.slots import (
     met_slots,
     take_sums,
 )
-from lmd.objectives.localisation.trial import mixed
 from lmd.sight.kernels import sum_weights
 
 
@@ -220,19 +220,12 @@ def _change_sums(k, sign, field, state, scratch):
 
 
 @inner
-def _exchange(state, scratch):
-    """Exchange what state and scratch know of the values near the move."""
-    for s in range(scratch.coverage.near[1]):
-        exchange(scratch.coverage.spans[s, 0], scratch.coverage.spans[s, 1], state, scratch)
-
-
-@inner
 def carry_out_localised(field, k, state, scratch):
     """See `rig_move.carry_out_rig`."""
     see_whole(k, field.coverage, state.coverage, scratch.coverage)
     _change_sums(np.uint64(k), 1.0, field, state, scratch)
     take_back_rig(field.coverage, k, state.coverage, scratch.coverage)
-    _exchange(state, scratch)
+    exchange(state, scratch)
 
 
 @inner
@@ -240,7 +233,7 @@ def take_back_localised(field, k, state, scratch):
     """See `rig_move.take_back_rig`."""
     take_back_rig(field.coverage, k, state.coverage, scratch.coverage)
     _change_sums(np.uint64(k), -1.0, field, state, scratch)
-    _exchange(state, scratch)
+    exchange(state, scratch)
 
 
 @inner

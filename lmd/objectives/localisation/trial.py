@@ -14,73 +14,34 @@ decides anew at the positions where either happens.
 
 import numpy as np
 
-from lmd.core.bits import ALL, BITS, ONE, ZERO, add_set, at_least, lowest, prefetch
-from lmd.core.compiled import inlined, inner
-from lmd.incremental.hiding import flips_with
-from lmd.incremental.move import list_touched
-from lmd.incremental.trial import begin_move, complete_move
-from lmd.objectives.localisation.ambiguity import count_tag, tells, told_apart
-from lmd.objectives.localisation.information import WIDTH, half_of, meets, share_of
-from lmd.objectives.localisation.kernels import landmark_moments, meets_row
-from lmd.scene.criteria import covering, frame_of, pixel_density, sized
-from lmd.sight.blocks import BLOCK
-from lmd.sight.directions import NOWHERE
+from lmd.core.bits import ALL, ONE, ZERO, add_set, at_least, lowest, prefetch
+from lmd.core.compiled import inner
+from lmd.incremental.move import find_cap, list_touched
+from lmd.incremental.trial import begin_move, complete_move, list_flips
+from lmd.objectives.localisation.ambiguity import tells
+from lmd.objectives.localisation.changes import VIEW, add_shares, list_changes, mixed, moments_of, row_meets
+from lmd.objectives.localisation.information import WIDTH, meets, share_of
+from lmd.scene.criteria import pixel_density
 from lmd.sight.kernels import sum_weights
 
 GROUP = 8  # views decided at a time
-VIEW = np.uint64(BITS)
-
-
-@inlined
-def mixed(located, covered, weight):
-    """(1 - weight) L + weight P_n in whole units; never falls as either rises."""
-    return located + np.int64(weight * (covered - located))
 
 
 @inner
-def moments_of(x, y, z, nx, ny, nz, precision, k, moments):
-    """Write the moments of landmark k at an offset into `moments` `(WIDTH,)`."""
-    (
-        moments[0], moments[1], moments[2], moments[3], moments[4], moments[5], moments[6], moments[7], moments[8],
-        moments[9], moments[10], moments[11], moments[12], moments[13], moments[14],
-    ) = landmark_moments(x, y, z, nx, ny, nz, precision, k)  # fmt: skip
-    moments[15] = told_apart(precision, half_of(precision, k), x, y, z, nx, ny, nz)
-
-
-@inner
-def row_meets(precision, row):
-    """`meets_row` with `row` `(1, WIDTH)`, not inlined."""
-    return meets_row(precision, row, 0)
-
-
-@inner
-def _look(k, field, state, scratch):
-    """Fill `old` and `new`, and the cap of the new place at all positions that reach it."""
-    cover, trial = field.coverage, scratch.coverage
-    sight, axes, positions = sized(cover.sight, k), cover.axes, cover.positions
-    certain, possible = cover.certain, cover.possible
-    x, y, z, low, high, sure, cell, reached = trial.new
-    reachable, cap, target = state.coverage.reachable, trial.cap, trial.target
-    nx, ny, nz = target[3], target[4], target[5]
-    frame = frame_of(sight, nx, ny, nz)
-    ax, ay, az = state.landmarks[0, k], state.landmarks[1, k], state.landmarks[2, k]
-    mx, my, mz = state.normals[0, k], state.normals[1, k], state.normals[2, k]
-    for p in range(np.uint64(len(reached))):
-        if reachable[k, p] and field.asks:
-            ox, oy, oz = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
-            moments_of(ox, oy, oz, mx, my, mz, field.precision, k, scratch.old[p])
-        if not reached[p]:
-            continue
-        px, py, pz = x[p], y[p], z[p]
-        if field.asks:
-            moments_of(px, py, pz, nx, ny, nz, field.precision, k, scratch.new[p])
-        given, outer = np.uint64(cell[p] if sure[p] == np.inf else NOWHERE), np.uint64(cell[p])
-        for w in range(np.uint64(cap.shape[1])):
-            found, well = certain[given, w], certain[outer, w]
-            left = possible[outer, w] & ~found
-            if left:
-                found |= covering(sight, left, w, px, py, pz, frame, low[p], high[p], sure[p], well, axes)
-            cap[p, w] = found
+def _find_moments(k, places, field, state, scratch):
+    """Fill `old` and `new` at the positions `places`."""
+    positions, precision, landmarks, normals = field.coverage.positions, field.precision, state.landmarks, state.normals
+    reachable, new, target = state.coverage.reachable, scratch.coverage.new, scratch.coverage.target
+    ax, ay, az, mx, my, mz = (
+        landmarks[0, k], landmarks[1, k], landmarks[2, k], normals[0, k], normals[1, k], normals[2, k]
+    )  # fmt: skip
+    for p in places:
+        if reachable[k, p]:
+            x, y, z = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
+            moments_of(x, y, z, mx, my, mz, precision, k, scratch.old[p])
+        if new.reached[p]:
+            x, y, z = new.x[p], new.y[p], new.z[p]
+            moments_of(x, y, z, target[3], target[4], target[5], precision, k, scratch.new[p])
 
 
 @inner
@@ -174,13 +135,11 @@ def _decide_views(field, state, scratch):
 
 
 @inner
-def _list_places(k, state, scratch):
-    """List the positions that a move of landmark k may change; the values of the others are copied."""
-    units, located, covered = scratch.units, scratch.located, scratch.coverage.units
-    known = state.coverage.units
+def _copy_values(state, scratch):
+    """Copy all values."""
+    units, located, covered, known = scratch.units, scratch.located, scratch.coverage.units, state.coverage.units
     for p in range(len(units)):
         units[p], located[p], covered[p] = state.units[p], state.located[p], known[p]
-    return list_touched(k, state.coverage, scratch.coverage)
 
 
 @inner
@@ -195,59 +154,6 @@ def _sum_up(places, field, state, scratch):
             seen += sum_weights(enough[p, w], after[p, w], weights, p, w)
             located += sum_weights(was[p, w], localised[p, w], weights, p, w)
         covered[p], scratch.located[p], scratch.units[p] = seen, located, mixed(located, seen, field.weight)
-
-
-@inlined
-def _note_change(count, gone, x, y, z, moments, m, caps, i, p, scratch):
-    """Write down that the cap `caps[i, p]` `(W,)` comes, or is `gone`, with the moments in row m."""
-    scratch.goes[count] = ALL if gone else ZERO
-    scratch.offsets[count, 0], scratch.offsets[count, 1], scratch.offsets[count, 2] = x, y, z
-    for j in range(np.uint64(WIDTH)):
-        scratch.moments[count, j] = moments[m, j]
-    for w in range(np.uint64(caps.shape[2])):
-        scratch.caps[count, w] = caps[i, p, w]
-
-
-@inlined
-def list_changes(k, p, field, state, scratch):
-    """Write down which caps come or go at position p, and return how many: of landmark k, and of those that flip."""
-    landmarks, normals, positions = state.landmarks, state.normals, field.coverage.positions
-    reachable, hidden, caps = state.coverage.reachable, state.coverage.hidden, state.coverage.caps
-    reached, count_hidden, cap = scratch.coverage.new.reached, scratch.coverage.after.count_hidden, scratch.coverage.cap
-    px, py, pz, count = positions[0, p], positions[1, p], positions[2, p], ZERO
-    if reachable[k, p] & (hidden[k, p] == 0):
-        x, y, z = landmarks[0, k] - px, landmarks[1, k] - py, landmarks[2, k] - pz
-        _note_change(count, True, x, y, z, scratch.old, p, caps, k, p, scratch)
-        count += ONE
-    if reached[p] & (count_hidden[p] == 0):
-        x, y, z = scratch.coverage.new.x[p], scratch.coverage.new.y[p], scratch.coverage.new.z[p]
-        _note_change(count, False, x, y, z, scratch.new, p, cap.reshape((1, cap.shape[0], cap.shape[1])), 0, p, scratch)
-        count += ONE
-    if scratch.coverage.flips[p]:
-        found, who, change = scratch.coverage.turns
-        b, q = p // np.uint64(BLOCK), p % np.uint64(BLOCK)
-        for m in range(np.uint64(found[b])):
-            i = np.uint64(who[b, m])
-            was, now = hidden[i, p], hidden[i, p] + change[b, m, q]
-            if flips_with(reachable[i, p], was, now):
-                x, y, z = landmarks[0, i] - px, landmarks[1, i] - py, landmarks[2, i] - pz
-                moments_of(x, y, z, normals[0, i], normals[1, i], normals[2, i], field.precision, i, scratch.row[0])
-                _note_change(count, was == 0, x, y, z, scratch.row, ZERO, caps, i, p, scratch)
-                count += ONE
-    return count
-
-
-@inlined
-def add_shares(precision, sums, v, e, a, sign, sight, axes, offsets, moments, goes):
-    """Add what change e of a position adds to axis a, or takes, to row v of `sums`; the arrays are those of a scratch.
-
-    Inlined: to hand on field, state and scratch costs more than the work itself.
-    """
-    weight = pixel_density(sight, offsets[e, 0], offsets[e, 1], offsets[e, 2], axes, a)
-    factor = -sign if goes[e] else sign
-    for j in range(np.uint64(sums.shape[1])):
-        sums[v, j] += factor * share_of(moments[e, j], weight)
-    count_tag(precision, sums, v, factor)
 
 
 @inner
@@ -281,7 +187,7 @@ def _try_flips(k, places, field, state, scratch):
                         add_shares(
                             field.precision, row, ZERO, e, w * VIEW + bit, 1.0, sight, axes, offsets, moments, goes
                         )
-                good |= np.uint64(row_meets(field.precision, row)) << bit
+                good |= np.uint64(row_meets(field.precision, row, ZERO)) << bit
             enough[p, w], localised[p, w] = has, good
     _sum_up(places, field, state, scratch)
 
@@ -289,17 +195,17 @@ def _try_flips(k, places, field, state, scratch):
 @inner
 def bound_move(field, k, pose, surface, state, scratch):
     """Find what the values are at most with landmark k at `pose` `(6,)` on a surface: `scratch.units`."""
-    flips, listed = scratch.coverage.flips, scratch.coverage.listed
-    begin_move(k, pose, surface, field.coverage, state.coverage, scratch.coverage)
-    _look(k, field, state, scratch)
+    cover, known, trial = field.coverage, state.coverage, scratch.coverage
+    begin_move(k, pose, surface, cover, known, trial)
+    places = trial.listed[: list_touched(k, known, trial)]
+    find_cap(k, places, cover, trial)
+    if field.asks:
+        _find_moments(np.uint64(k), places, field, state, scratch)
     _list_views(np.uint64(k), field, state, scratch)
     _decide_views(field, state, scratch)
-    _sum_up(listed[: _list_places(k, state, scratch)], field, state, scratch)
-    count = ZERO
-    for p in range(np.uint64(len(flips))):
-        listed[count] = p
-        count += np.uint64(flips[p])
-    _try_flips(np.uint64(k), listed[:count], field, state, scratch)
+    _copy_values(state, scratch)
+    _sum_up(places, field, state, scratch)
+    _try_flips(np.uint64(k), trial.listed[: list_flips(trial)], field, state, scratch)
 
 
 @inner

@@ -1,0 +1,105 @@
+"""What a move changes in the views: the landmarks that come or go at a position, and what they tell."""
+
+import numpy as np
+
+from lmd.core.bits import ALL, BITS, ONE, ZERO, lowest
+from lmd.core.compiled import inlined, inner
+from lmd.incremental.hiding import FORTH, list_turning
+from lmd.objectives.localisation.ambiguity import count_tag, told_apart
+from lmd.objectives.localisation.information import WIDTH, half_of, share_of
+from lmd.objectives.localisation.kernels import landmark_moments, meets_row
+from lmd.scene.criteria import pixel_density
+
+VIEW = np.uint64(BITS)
+
+
+@inlined
+def mixed(located, covered, weight):
+    """(1 - weight) L + weight P_n in whole units; never falls as either rises."""
+    return located + np.int64(weight * (covered - located))
+
+
+@inner
+def moments_of(x, y, z, nx, ny, nz, precision, k, moments):
+    """Write the moments of landmark k at an offset into `moments` `(WIDTH,)`."""
+    (
+        moments[0], moments[1], moments[2], moments[3], moments[4], moments[5], moments[6], moments[7], moments[8],
+        moments[9], moments[10], moments[11], moments[12], moments[13], moments[14],
+    ) = landmark_moments(x, y, z, nx, ny, nz, precision, k)  # fmt: skip
+    moments[15] = told_apart(precision, half_of(precision, k), x, y, z, nx, ny, nz)
+
+
+@inner
+def row_meets(precision, sums, v):
+    """`meets_row`, not inlined."""
+    return meets_row(precision, sums, v)
+
+
+@inlined
+def _note_change(count, goes, x, y, z, moments, cap, scratch):
+    """Write down that a `cap` `(W,)` comes, or goes, of a landmark at an offset with these `moments` `(WIDTH,)`."""
+    scratch.goes[count] = goes
+    scratch.offsets[count, 0], scratch.offsets[count, 1], scratch.offsets[count, 2] = x, y, z
+    for j in range(np.uint64(WIDTH)):
+        scratch.moments[count, j] = moments[j]
+    for w in range(np.uint64(len(cap))):
+        scratch.caps[count, w] = cap[w]
+
+
+@inlined
+def note_landmark(count, goes, i, p, field, state, scratch):
+    """Write down that landmark i comes, or `goes`, at position p, as change `count` there."""
+    landmarks, normals, positions, moments = state.landmarks, state.normals, field.coverage.positions, scratch.row[0]
+    x, y, z = landmarks[0, i] - positions[0, p], landmarks[1, i] - positions[1, p], landmarks[2, i] - positions[2, p]
+    moments_of(x, y, z, normals[0, i], normals[1, i], normals[2, i], field.precision, i, moments)
+    _note_change(count, goes, x, y, z, moments, state.coverage.caps[i, p], scratch)
+
+
+@inlined
+def list_changes(k, p, field, state, scratch):
+    """Write down which caps come or go at position p, and return how many: of landmark k, and of those that flip."""
+    known, trial, positions, count = state.coverage, scratch.coverage, field.coverage.positions, ZERO
+    if known.reachable[k, p] & (known.hidden[k, p] == 0):
+        x, y, z = (
+            state.landmarks[0, k] - positions[0, p], state.landmarks[1, k] - positions[1, p],
+            state.landmarks[2, k] - positions[2, p],
+        )  # fmt: skip
+        _note_change(count, ALL, x, y, z, scratch.old[p], known.caps[k, p], scratch)
+        count += ONE
+    if trial.new.reached[p] & (trial.after.count_hidden[p] == 0):
+        x, y, z = trial.new.x[p], trial.new.y[p], trial.new.z[p]
+        _note_change(count, ZERO, x, y, z, scratch.new[p], trial.cap[p], scratch)
+        count += ONE
+    if trial.flips[p]:
+        for m in range(list_turning(p, FORTH, known, trial)):
+            note_landmark(count, trial.goes[m], trial.names[m], p, field, state, scratch)
+            count += ONE
+    return count
+
+
+@inlined
+def add_change(e, p, sign, field, state, scratch):
+    """Add to the sums what change e of position p adds to all views in its cap, or takes, times `sign`."""
+    sight, axes, caps = field.coverage.sight, field.coverage.axes, scratch.caps
+    offsets, moments, goes = scratch.offsets, scratch.moments, scratch.goes
+    words = np.uint64(caps.shape[1])
+    for w in range(words):
+        left = caps[e, w]
+        while left:
+            bit = lowest(left)
+            left &= left - ONE
+            view, a = (p * words + w) * VIEW + bit, w * VIEW + bit
+            add_shares(field.precision, state.sums, view, e, a, sign, sight, axes, offsets, moments, goes)
+
+
+@inlined
+def add_shares(precision, sums, v, e, a, sign, sight, axes, offsets, moments, goes):
+    """Add what change e of a position adds to axis a, or takes, to row v of `sums`; the arrays are those of a scratch.
+
+    Inlined: to hand on field, state and scratch costs more than the work itself.
+    """
+    weight = pixel_density(sight, offsets[e, 0], offsets[e, 1], offsets[e, 2], axes, a)
+    factor = -sign if goes[e] else sign
+    for j in range(np.uint64(sums.shape[1])):
+        sums[v, j] += factor * share_of(moments[e, j], weight)
+    count_tag(precision, sums, v, factor)
