@@ -23,7 +23,7 @@ import numpy as np
 
 from lmd.core.bits import ALL, LANES, ONE, ZERO, lowest
 from lmd.core.compiled import inlined, inner
-from lmd.incremental.nearby import is_near
+from lmd.incremental.nearby import is_near, pose_of, target_of
 from lmd.scene.criteria import TOLERANCE, hide_between, sized
 from lmd.sight.blocks import BLOCK, SINGLE_ERROR
 
@@ -40,7 +40,7 @@ def line_radius(sight):
 
 @inner
 def find_ways(ax, ay, az, landmarks, horizon, others, ways):
-    """List the landmarks within the horizon of (ax, ay, az), and the ways to them; see `state.Scratch`.
+    """List the landmarks within the horizon of (ax, ay, az), and the ways to them; see `Nearby`.
 
     Returns:
         how many there are, filled up to whole words.
@@ -90,18 +90,15 @@ def near_line(start, mx, my, mz, hx, hy, hz, radius, ways):
 
 
 @inner
-def find_neighbours(
-    k, ax, ay, az, nx, ny, nz, field, landmarks, normals, blocks, wanted, others, ways, neighbours
-):  # fmt: skip
-    """Fill `neighbours` of a place (ax, ay, az) of landmark k, in the `wanted` ones of `blocks`.
-
-    (nx, ny, nz) is its normal there; others, ways: see `state.Scratch`.
-    """
+def find_neighbours(k, place, field, state, near, wanted, neighbours):
+    """Fill `neighbours` of a place of landmark k, position and normal, in the `wanted` ones of the blocks `near`."""
     positions, centres, halves, sight = field.positions, field.centres, field.halves, field.sight
+    landmarks, normals, others, ways = state.landmarks, state.normals, near.others, near.ways
+    ax, ay, az, nx, ny, nz = place
     found, who, hides, hidden_by, count_hides, count_hidden = neighbours
     mine = sized(sight, k)
     radius, filled = line_radius(sight), find_ways(ax, ay, az, landmarks, field.horizon, others, ways)
-    for b in blocks:
+    for b in near.blocks[: near.found[0]]:
         found[b] = 0
         if not wanted[b]:
             continue
@@ -186,34 +183,26 @@ def find_turns(blocks, before, after, turns, slot):
 @inner
 def find_old(k, field, state, scratch):
     """Fill `before` with what landmark k hides, and is hidden by, where it is."""
-    landmarks, normals, hiding, hidden = state.landmarks, state.normals, state.hiding, state.hidden
-    blocks, wanted = scratch.blocks[: scratch.near[0]], scratch.wanted
-    for b in blocks:
+    hiding, hidden, near, wanted = state.hiding, state.hidden, scratch.near, scratch.near.wanted
+    for b in near.blocks[: near.found[0]]:
         some = np.int16(0)
         for p in range(b * np.uint64(BLOCK), (b + ONE) * np.uint64(BLOCK)):
             some |= hiding[k, p] | hidden[k, p]
         wanted[b] = some != 0  # nearly everywhere there are none: then there is nothing to find again
-    find_neighbours(
-        k, landmarks[0, k], landmarks[1, k], landmarks[2, k], normals[0, k], normals[1, k], normals[2, k],
-        field, landmarks, normals, blocks, wanted, scratch.others, scratch.ways, scratch.before,
-    )  # fmt: skip
+    find_neighbours(k, pose_of(k, state), field, state, near, wanted, scratch.before)
 
 
 @inner
 def find_new(k, field, state, scratch):
     """Fill `after` with what landmark k hides, and is hidden by, at the place tried."""
-    target, blocks = scratch.target, scratch.blocks[: scratch.near[0]]
-    find_neighbours(
-        k, target[0], target[1], target[2], target[3], target[4], target[5],
-        field, state.landmarks, state.normals, blocks, scratch.aimed, scratch.others, scratch.ways, scratch.after,
-    )  # fmt: skip
+    find_neighbours(k, target_of(scratch), field, state, scratch.near, scratch.near.aimed, scratch.after)
 
 
 @inner
 def find_flips(state, scratch):
     """Fill `turns` from `before` and `after`; set `flips` where another landmark appears or disappears."""
     reachable, hidden, flips = state.reachable, state.hidden, scratch.flips
-    blocks = scratch.blocks[: scratch.near[0]]
+    blocks = scratch.near.blocks[: scratch.near.found[0]]
     find_turns(blocks, scratch.before, scratch.after, scratch.turns, scratch.slot)
     found, who, change = scratch.turns
     for b in blocks:
@@ -240,7 +229,7 @@ def exchange_hiding(k, sign, sight, state, scratch):
     hidden, hiding, before, after = state.hidden, state.hiding, scratch.before, scratch.after
     found, who, change = scratch.turns
     if sight.reach >= 0.0:
-        for b in scratch.blocks[: scratch.near[0]]:
+        for b in scratch.near.blocks[: scratch.near.found[0]]:
             for q in range(np.uint64(BLOCK if found[b] + before.found[b] + after.found[b] else 0)):
                 p = b * np.uint64(BLOCK) + q
                 for m in range(found[b]):
@@ -249,8 +238,8 @@ def exchange_hiding(k, sign, sight, state, scratch):
                     hiding[before.who[b, m], p] -= sign * before.hidden_by[b, m, q]
                 for m in range(after.found[b]):
                     hiding[after.who[b, m], p] += sign * after.hidden_by[b, m, q]
-    for s in range(scratch.near[1]):
-        first, last = scratch.spans[s, 0], scratch.spans[s, 1]
+    for s in range(scratch.near.found[1]):
+        first, last = scratch.near.spans[s, 0], scratch.near.spans[s, 1]
         swap(state.reachable[k], scratch.new.reached, first, last)
         swap(hidden[k], after.count_hidden, first, last)
         swap(hiding[k], after.count_hides, first, last)

@@ -78,8 +78,8 @@ def list_touched(k, state, scratch):
     """List the positions at which a move of landmark k may change anything in `scratch.listed`; returns how many."""
     reachable, reached, flips, listed = state.reachable, scratch.new.reached, scratch.flips, scratch.listed
     count = ZERO
-    for s in range(scratch.near[1]):
-        for p in range(scratch.spans[s, 0], scratch.spans[s, 1]):
+    for s in range(scratch.near.found[1]):
+        for p in range(scratch.near.spans[s, 0], scratch.near.spans[s, 1]):
             listed[count] = p
             count += np.uint64(reachable[k, p] | reached[p] | flips[p])
     return count
@@ -100,8 +100,8 @@ def exchange_move(k, sign, field, state, scratch):
     """Exchange landmark k for what `scratch` has of its other place."""
     _recount(np.uint64(k), scratch.listed[: list_touched(k, state, scratch)], sign, field, state, scratch)
     exchange_hiding(k, sign, field.sight, state, scratch)
-    for s in range(scratch.near[1]):
-        swap(state.units, scratch.units, scratch.spans[s, 0], scratch.spans[s, 1])
+    for s in range(scratch.near.found[1]):
+        swap(state.units, scratch.units, scratch.near.spans[s, 0], scratch.near.spans[s, 1])
     exchange_place(k, state, scratch)
 
 

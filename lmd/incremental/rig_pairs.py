@@ -12,6 +12,7 @@ from numba import literal_unroll
 from lmd.core.bits import BITS, LANES, ONE, ZERO, lowest
 from lmd.core.compiled import inlined, inner
 from lmd.incremental.hiding import find_ways, line_radius, near_line
+from lmd.incremental.nearby import pose_of, target_of
 from lmd.sight.blocks import BLOCK
 from lmd.sight.stations import hides_from, line_room, may_hide_around
 
@@ -30,22 +31,15 @@ def _hidden_bits(part, m, w, bits, i, k, px, py, pz, one, other):
     return found
 
 
-@inlined
-def _pose(k, state):
-    """Position and normal of landmark k."""
-    landmarks, normals = state.landmarks, state.normals
-    return landmarks[0, k], landmarks[1, k], landmarks[2, k], normals[0, k], normals[1, k], normals[2, k]
-
-
 @inner
 def _drop_hidden(part, c, i, k, q, px, py, pz, state, flipped):
     """Take out of what is `flipped` of landmark i from position q with what another one but k hides it."""
-    other, width = _pose(i, state), line_radius(part.sight)
+    other, width = pose_of(i, state), line_radius(part.sight)
     x, y, z = (
         other[0] - (px + part.centres[c, 0]), other[1] - (py + part.centres[c, 1]), other[2] - (pz + part.centres[c, 2])
     )  # fmt: skip
     for j in range(np.uint64(len(state.surfaces))):
-        one = _pose(j, state)
+        one = pose_of(j, state)
         ax, ay, az = x + (one[0] - other[0]), y + (one[1] - other[1]), z + (one[2] - other[2])
         if may_hide_around(ax, ay, az, x, y, z, part.radius[c], width) and j != i and j != k:
             for m in range(part.mounts[c], part.mounts[c + 1]):
@@ -65,7 +59,7 @@ def _touch(q, rig):
 @inlined
 def _find_pair(part, c, i, k, q, px, py, pz, place, how, mine, other, state, rig):
     """Find what landmark k at a `place` hides of landmark i from position q, and note it down."""
-    pose, changed = _pose(i, state), False
+    pose, changed = pose_of(i, state), False
     for m in range(part.mounts[c], part.mounts[c + 1]):
         for w in range(np.uint64(mine.caps.shape[3])):
             # Little more is read than is needed: these sets are too many for the cache.
@@ -90,25 +84,23 @@ def _find_pair(part, c, i, k, q, px, py, pz, place, how, mine, other, state, rig
 def _find_pairs(k, how, stations, field, state, rig):
     """Find whom landmark k hides where it is, or where it is tried, and there who may hide it: see `LEAVES`."""
     part, mine, other, size = stations.part, state.parts[stations.number], rig.parts[stations.number], len(rig.touched)
-    body, target, width = field.positions, rig.target, line_radius(part.sight)
-    place = _pose(k, state)
-    if how != LEAVES:
-        place = target[0], target[1], target[2], target[3], target[4], target[5]
+    body, width = field.positions, line_radius(part.sight)
+    place = pose_of(k, state) if how == LEAVES else target_of(rig)
     ax, ay, az = place[0], place[1], place[2]
-    filled = find_ways(ax, ay, az, state.landmarks, part.horizon, rig.others, rig.ways)
+    filled = find_ways(ax, ay, az, state.landmarks, part.horizon, rig.near.others, rig.near.ways)
     for c in range(len(part.centres)):
         cx, cy, cz, radius = part.centres[c, 0], part.centres[c, 1], part.centres[c, 2], part.radius[c]
-        for e in range(rig.near[0]):
-            b = rig.blocks[e]
+        for e in range(rig.near.found[0]):
+            b = rig.near.blocks[e]
             mx, my, mz = ax - field.centres[0, b] - cx, ay - field.centres[1, b] - cy, az - field.centres[2, b] - cz
             hx, hy, hz = (
                 np.float32(field.halves[0, b] + radius), np.float32(field.halves[1, b] + radius),
                 np.float32(field.halves[2, b] + radius),
             )  # fmt: skip
             for start in range(np.uint64(0), np.uint64(filled), np.uint64(LANES)):
-                close = near_line(start, mx, my, mz, hx, hy, hz, width, rig.ways)
+                close = near_line(start, mx, my, mz, hx, hy, hz, width, rig.near.ways)
                 while close:
-                    i = rig.others[start + lowest(np.uint64(close))]
+                    i = rig.near.others[start + lowest(np.uint64(close))]
                     close &= close - np.uint32(1)
                     lx, ly, lz = state.landmarks[0, i], state.landmarks[1, i], state.landmarks[2, i]
                     ex, ey, ez, lanes = lx - ax, ly - ay, lz - az, np.uint32(0)
@@ -135,8 +127,7 @@ def _find_pairs(k, how, stations, field, state, rig):
 def find_veils(k, stations, field, state, rig):
     """Find in `veil` with which of the orientations of `cap` that are `asked` rivals hide the place tried."""
     part, other, size, body = stations.part, rig.parts[stations.number], np.uint64(len(rig.touched)), field.positions
-    target = rig.target
-    place = target[0], target[1], target[2], target[3], target[4], target[5]
+    place = target_of(rig)
     for e in range(other.rivals[0]):
         i, c, q = np.uint64(other.who[e]), other.where[e] // size, other.where[e] % size
         for m in range(part.mounts[c], part.mounts[c + np.uint64(1)]):
@@ -144,7 +135,7 @@ def find_veils(k, stations, field, state, rig):
                 bits = other.cap[q, m, w] & rig.asked[q, w] & ~other.veil[q, m, w]
                 if bits:
                     px, py, pz = body[0, q], body[1, q], body[2, q]
-                    found = _hidden_bits(part, m, w, bits, i, k, px, py, pz, _pose(i, state), place)
+                    found = _hidden_bits(part, m, w, bits, i, k, px, py, pz, pose_of(i, state), place)
                     if found:
                         other.veil[q, m, w] |= found
                         _touch(q, rig)

@@ -4,9 +4,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.bits import LANES
 from lmd.incremental.counts import Counts
-from lmd.sight.blocks import BLOCK
+from lmd.incremental.nearby import Nearby, nearby_of
 from lmd.sight.stations import Part
 
 
@@ -113,21 +112,15 @@ class RigScratch(NamedTuple):
     """`(Q,)` whether a position is among them."""
     digits: np.ndarray
     """`(Q, W, J)` the counts there."""
-    aimed: np.ndarray
-    """What `nearby` and `hiding` work on, down to `listed`: as in `Scratch`."""
-    blocks: np.ndarray
-    spans: np.ndarray
-    near: np.ndarray
-    wanted: np.ndarray
-    others: np.ndarray
-    ways: np.ndarray
+    near: Nearby
+    """As in `Scratch`, as is `listed`."""
     listed: np.ndarray
 
 
 def rig_scratch_of(state: RigState, centres: tuple[int, ...]) -> RigScratch:
     """Working memory for moves of `state`, of parts with so many centres."""
     count, size = state.shown.shape[:2]
-    blocks, parts = size // BLOCK, []
+    parts = []
     for part, around in zip(state.parts, centres, strict=True):
         cap, veil = np.zeros((2, *part.caps.shape[1:]), dtype=np.uint64)
         who, where = np.empty((2, count * around * size), dtype=np.uint32)
@@ -151,12 +144,6 @@ def rig_scratch_of(state: RigState, centres: tuple[int, ...]) -> RigScratch:
         places=np.empty(size, dtype=np.uint64),
         touched=np.zeros(size, dtype=np.bool_),
         digits=np.empty_like(state.counts.digits),
-        aimed=np.empty(blocks, dtype=np.bool_),
-        blocks=np.empty(blocks + 1, dtype=np.uint64),
-        spans=np.empty((blocks, 2), dtype=np.uint64),
-        near=np.zeros(2, dtype=np.int64),
-        wanted=np.empty(blocks, dtype=np.bool_),
-        others=np.empty(count + 1, dtype=np.uint64),
-        ways=np.zeros((4, (count // LANES + 1) * LANES), dtype=np.float32),
+        near=nearby_of(count, size),
         listed=np.empty(size + 1, dtype=np.uint64),
     )

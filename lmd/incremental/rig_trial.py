@@ -14,7 +14,7 @@ from numba import literal_unroll
 
 from lmd.core.bits import ALL, BITS, ONE, ZERO, add_set, at_least, exactly, lowest
 from lmd.core.compiled import allocating, inlined, inner
-from lmd.incremental.nearby import list_blocks
+from lmd.incremental.nearby import list_blocks, target_of
 from lmd.incremental.rig_pairs import COMES, LEAVES, find_pairs, find_veils
 from lmd.scene.criteria import frame_of, sized
 from lmd.sight.kernels import sum_weights
@@ -37,8 +37,7 @@ def _find_caps(k, stations, positions, body, scratch, rig):
         scratch.left_over,
     )  # fmt: skip
     words, size, half = np.uint64(asked.shape[1]), len(part.places), np.uint64(part.tables.shape[1] // 2)
-    target = rig.target
-    tx, ty, tz, nx, ny, nz = target[0], target[1], target[2], target[3], target[4], target[5]
+    tx, ty, tz, nx, ny, nz = target_of(rig)
     sight = sized(part.sight, k)
     clear, frame, ends = is_clear(obstacles), frame_of(sight, nx, ny, nz), no_ends(obstacles, 1)
     if not clear:
@@ -128,8 +127,8 @@ def shown_by(i, q, w, state, scratch):
 def _ask(k, state, scratch):
     """Find where P_n depends on landmark k, no pair turning: where n - 1 others are seen."""
     shown, asked, short, just = state.shown, scratch.asked, state.counts.short, state.counts.just
-    for s in range(scratch.near[1]):
-        for q in range(scratch.spans[s, 0], scratch.spans[s, 1]):
+    for s in range(scratch.near.found[1]):
+        for q in range(scratch.near.spans[s, 0], scratch.near.spans[s, 1]):
             for w in range(np.uint64(asked.shape[1])):
                 mine = shown[k, q, w]
                 asked[q, w] = (short[q, w] & ~mine) | (just[q, w] & mine)
@@ -213,8 +212,8 @@ def see_anew(k, parts, positions, field, state, scratch):
 def list_near(scratch, all_of_them):
     """List the positions near the place left and the place tried, all or those that are asked or touched."""
     listed, count = scratch.listed, ZERO
-    for s in range(scratch.near[1]):
-        for q in range(scratch.spans[s, 0], scratch.spans[s, 1]):
+    for s in range(scratch.near.found[1]):
+        for q in range(scratch.near.spans[s, 0], scratch.near.spans[s, 1]):
             some = ZERO
             for w in range(np.uint64(scratch.asked.shape[1])):
                 some |= scratch.asked[q, w]

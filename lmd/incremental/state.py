@@ -1,11 +1,11 @@
 """What the moves of single landmarks work on: the coverage of one deployment, and working memory."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from lmd.core.bits import LANES
 from lmd.incremental.counts import Counts
+from lmd.incremental.nearby import Nearby, nearby_of
 from lmd.sight.blocks import BLOCK
 
 
@@ -106,20 +106,8 @@ class Scratch(NamedTuple):
     """What follows for the others."""
     flips: np.ndarray
     """`(Q,)` whether another landmark appears or disappears."""
-    aimed: np.ndarray
-    """`(Q / BLOCK,)` whether a block is near the target. This and what follows is working memory."""
-    blocks: np.ndarray
-    """`(Q / BLOCK + 1,)` that the move may matter to."""
-    spans: np.ndarray
-    """`(Q / BLOCK, 2)` of positions that these are: the first, and the one behind the last."""
-    near: np.ndarray
-    """`(2,)` how many blocks and spans there are."""
-    wanted: np.ndarray
-    """`(Q / BLOCK,)` blocks to look for neighbours in."""
-    others: np.ndarray
-    """`(K + 1,)` landmarks nearby."""
-    ways: np.ndarray
-    """`(4, K + 1)`, filled up to whole words: the way to each of them, and how long it is."""
+    near: Nearby
+    """Where the move may matter. This and what follows is working memory."""
     slot: np.ndarray
     """`(K,)` of each landmark in `turns`, -1 for none."""
     listed: np.ndarray
@@ -142,8 +130,10 @@ class Scratch(NamedTuple):
     """`(J,)` of a count."""
 
 
-def surroundings(count: int, size: int) -> dict[str, Any]:
-    """The fields of a `Scratch` that `nearby` and `hiding` work on, for K landmarks and Q positions."""
+def scratch_of(state: State) -> Scratch:
+    """Working memory for moves of `state`."""
+    count, size = state.reachable.shape
+    words, digits = state.counts.digits.shape[1:]
     blocks = size // BLOCK
 
     def neighbours() -> Neighbours:
@@ -153,41 +143,26 @@ def surroundings(count: int, size: int) -> dict[str, Any]:
         return Neighbours(np.zeros(blocks, dtype=np.int64), who, hides, hidden_by, count_hides, count_hidden)
 
     x, y, z, low, high, sure = np.empty((6, size))
-    return {
-        "new": Sighting(x, y, z, low, high, sure, np.empty(size, dtype=np.int32), np.zeros(size, dtype=np.bool_)),
-        "before": neighbours(),
-        "after": neighbours(),
-        "turns": Turns(
-            found=np.zeros(blocks, dtype=np.int64),
-            who=np.empty((blocks, count), dtype=np.int32),
-            change=np.empty((blocks, count, BLOCK), dtype=np.int8),
-        ),
-        "flips": np.zeros(size, dtype=np.bool_),
-        "aimed": np.empty(blocks, dtype=np.bool_),
-        "blocks": np.empty(blocks + 1, dtype=np.uint64),
-        "spans": np.empty((blocks, 2), dtype=np.uint64),
-        "near": np.zeros(2, dtype=np.int64),
-        "wanted": np.empty(blocks, dtype=np.bool_),
-        "others": np.empty(count + 1, dtype=np.uint64),
-        "ways": np.zeros((4, (count // LANES + 1) * LANES), dtype=np.float32),
-        "slot": np.full(count, -1, dtype=np.int64),
-        "listed": np.empty(size + 1, dtype=np.uint64),
-    }
-
-
-def scratch_of(state: State) -> Scratch:
-    """Working memory for moves of `state`."""
-    count, size = state.reachable.shape
-    words, digits = state.counts.digits.shape[1:]
     inner, outer = np.empty((2, size), dtype=np.int32)
     unsure, places = np.empty((2, size * words + 1), dtype=np.uint64)
     names, goes = np.empty((2, count + 1), dtype=np.uint64)
     return Scratch(
-        **surroundings(count, size),
         target=np.empty(6),
         surface=np.empty(1, dtype=np.int64),
         units=state.units.copy(),
+        new=Sighting(x, y, z, low, high, sure, np.empty(size, dtype=np.int32), np.zeros(size, dtype=np.bool_)),
         cap=np.zeros((size, words), dtype=np.uint64),
+        before=neighbours(),
+        after=neighbours(),
+        turns=Turns(
+            found=np.zeros(blocks, dtype=np.int64),
+            who=np.empty((blocks, count), dtype=np.int32),
+            change=np.empty((blocks, count, BLOCK), dtype=np.int8),
+        ),
+        flips=np.zeros(size, dtype=np.bool_),
+        near=nearby_of(count, size),
+        slot=np.full(count, -1, dtype=np.int64),
+        listed=np.empty(size + 1, dtype=np.uint64),
         mask=np.empty(size, dtype=np.uint64),
         inner=inner,
         outer=outer,

@@ -49,7 +49,7 @@ def _try_caps(k, field, state, scratch):
     flips, units = scratch.flips, scratch.units
     old, inner, outer = scratch.mask, scratch.inner, scratch.outer
     listed, unsure, places = scratch.listed, scratch.unsure, scratch.places
-    spans, near = scratch.spans, scratch.near
+    spans, near = scratch.near.spans, scratch.near.found
     count, found, size = ZERO, ZERO, np.uint64(caps.shape[2])
     for p in range(np.uint64(len(units))):
         units[p] = before[p]
@@ -140,30 +140,19 @@ def begin_move(k, pose, surface, field, state, scratch):
 
 
 @inner
-def list_flips(scratch):
-    """List the positions where another landmark appears or disappears in `scratch.listed`; returns how many."""
-    count = ZERO
-    for s in range(scratch.near[1]):
-        for p in range(scratch.spans[s, 0], scratch.spans[s, 1]):
-            scratch.listed[count] = p
-            count += np.uint64(scratch.flips[p])
-    return count
+def complete_move(k, field, state, scratch):
+    """Find who hides whom with landmark k at its new place."""
+    find_new(k, field, state, scratch)
+    find_flips(state, scratch)
 
 
 @inner
-def complete_move(k, field, state, scratch):
-    """Find who hides whom with landmark k at its new place; lists where that changes anything.
-
-    Returns:
-        how many positions are in `scratch.listed`.
-    """
-    flips, listed = scratch.flips, scratch.listed
-    reached, count_hidden = scratch.new.reached, scratch.after.count_hidden
-    find_new(k, field, state, scratch)
-    find_flips(state, scratch)
-    count = ZERO
-    for s in range(scratch.near[1]):
-        for p in range(scratch.spans[s, 0], scratch.spans[s, 1]):
+def list_flips(scratch):
+    """List in `listed` where another landmark appears or disappears or hides the place tried; returns how many."""
+    flips, listed, spans = scratch.flips, scratch.listed, scratch.near.spans
+    reached, count_hidden, count = scratch.new.reached, scratch.after.count_hidden, ZERO
+    for s in range(scratch.near.found[1]):
+        for p in range(spans[s, 0], spans[s, 1]):
             listed[count] = p
             count += np.uint64(flips[p] | (reached[p] & (count_hidden[p] != 0)))
     return count
@@ -181,5 +170,5 @@ def bound_move(field, k, pose, surface, state, scratch):
 def finish_move(field, k, state, scratch):
     """Make what `bound_move` found exact."""
     if field.sight.reach >= 0.0:
-        count = complete_move(k, field, state, scratch)
-        _try_flips(np.uint64(k), scratch.listed[:count], field, state, scratch)
+        complete_move(k, field, state, scratch)
+        _try_flips(np.uint64(k), scratch.listed[: list_flips(scratch)], field, state, scratch)

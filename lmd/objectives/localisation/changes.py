@@ -5,6 +5,7 @@ import numpy as np
 from lmd.core.bits import ALL, BITS, ONE, ZERO, lowest
 from lmd.core.compiled import inlined, inner
 from lmd.incremental.hiding import FORTH, list_turning
+from lmd.incremental.nearby import pose_of
 from lmd.objectives.localisation.ambiguity import count_tag, told_apart
 from lmd.objectives.localisation.information import WIDTH, half_of, share_of
 from lmd.objectives.localisation.kernels import landmark_moments, meets_row
@@ -49,9 +50,9 @@ def _note_change(count, goes, x, y, z, moments, cap, scratch):
 @inlined
 def note_landmark(count, goes, i, p, field, state, scratch):
     """Write down that landmark i comes, or `goes`, at position p, as change `count` there."""
-    landmarks, normals, positions, moments = state.landmarks, state.normals, field.coverage.positions, scratch.row[0]
-    x, y, z = landmarks[0, i] - positions[0, p], landmarks[1, i] - positions[1, p], landmarks[2, i] - positions[2, p]
-    moments_of(x, y, z, normals[0, i], normals[1, i], normals[2, i], field.precision, i, moments)
+    (ax, ay, az, nx, ny, nz), positions, moments = pose_of(i, state), field.coverage.positions, scratch.row[0]
+    x, y, z = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
+    moments_of(x, y, z, nx, ny, nz, field.precision, i, moments)
     _note_change(count, goes, x, y, z, moments, state.coverage.caps[i, p], scratch)
 
 
@@ -60,10 +61,8 @@ def list_changes(k, p, field, state, scratch):
     """Write down which caps come or go at position p, and return how many: of landmark k, and of those that flip."""
     known, trial, positions, count = state.coverage, scratch.coverage, field.coverage.positions, ZERO
     if known.reachable[k, p] & (known.hidden[k, p] == 0):
-        x, y, z = (
-            state.landmarks[0, k] - positions[0, p], state.landmarks[1, k] - positions[1, p],
-            state.landmarks[2, k] - positions[2, p],
-        )  # fmt: skip
+        ax, ay, az, _, _, _ = pose_of(k, state)
+        x, y, z = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
         _note_change(count, ALL, x, y, z, scratch.old[p], known.caps[k, p], scratch)
         count += ONE
     if trial.new.reached[p] & (trial.after.count_hidden[p] == 0):

@@ -29,8 +29,8 @@ def change_sums(k, sign, field, state, scratch):
 @inner
 def exchange(state, scratch):
     """Exchange what state and scratch know of the values near the move, for one camera and for rigs."""
-    for s in range(scratch.coverage.near[1]):
-        for p in range(scratch.coverage.spans[s, 0], scratch.coverage.spans[s, 1]):
+    for s in range(scratch.coverage.near.found[1]):
+        for p in range(scratch.coverage.near.spans[s, 0], scratch.coverage.near.spans[s, 1]):
             state.units[p], scratch.units[p] = scratch.units[p], state.units[p]
             state.located[p], scratch.located[p] = scratch.located[p], state.located[p]
             for w in range(state.localised.shape[1]):

@@ -12,6 +12,7 @@ from numba import literal_unroll
 from lmd.core.bits import ALL, ZERO, at_least
 from lmd.core.compiled import inlined, inner, kernel
 from lmd.geometry.squares import upright_sides
+from lmd.incremental.nearby import pose_of, target_of
 from lmd.incremental.rig_move import see_whole, take_back_rig
 from lmd.incremental.rig_pairs import COMES, find_pairs
 from lmd.incremental.rig_trial import ask_again, begin_rig_move, list_near, see_anew
@@ -42,8 +43,7 @@ def _tag(half, x, y, z, nx, ny, nz):
 @inlined
 def _tag_of(i, precision, state):
     """The same of landmark i."""
-    landmarks, normals, half = state.landmarks, state.normals, half_of(precision, i)
-    return _tag(half, landmarks[0, i], landmarks[1, i], landmarks[2, i], normals[0, i], normals[1, i], normals[2, i])
+    return _tag(half_of(precision, i), *pose_of(i, state))
 
 
 @inlined
@@ -57,10 +57,9 @@ def _place(q, field):
 def _add_changes(mounts, k, q, w, sign, field, state, scratch):
     """Add to the views taken what the move changes for the cameras of a part, times `sign`: see `add_landmark`."""
     trial, slots, count = scratch.coverage, scratch.slots, len(mounts.axes)
-    mine, other, target = state.coverage.parts[mounts.number], trial.parts[mounts.number], trial.target
+    mine, other = state.coverage.parts[mounts.number], trial.parts[mounts.number]
     place, precision = _place(q, field), field.precision
-    old, half = _tag_of(k, precision, state), half_of(precision, k)
-    new = _tag(half, target[0], target[1], target[2], target[3], target[4], target[5])
+    old, new = _tag_of(k, precision, state), _tag(half_of(precision, k), *target_of(trial))
     for m in range(count):
         goes, comes = mine.caps[k, q, m, w] & ~mine.veiled[k, q, m, w], other.cap[q, m, w] & ~other.veil[q, m, w]
         add_landmark(mounts, m, w, goes, place, old, -sign, precision, slots)
@@ -75,15 +74,10 @@ def _add_changes(mounts, k, q, w, sign, field, state, scratch):
 
 
 @inner
-def _find_turns_of(k, positions, mine, other, trial, lost, gained):
-    """See `_find_turns`, of a part."""
-    caps, veiled, flipped, cap, veil = mine.caps, mine.veiled, other.flipped, other.cap, other.veil
+def _find_turns_of(mine, flipped, trial, lost, gained):
+    """See `_find_turns`, of the pairs as a part sees them."""
+    caps, veiled = mine.caps, mine.veiled
     mounts, words = caps.shape[2], np.uint64(caps.shape[3])
-    for q in positions:
-        for m in range(mounts):
-            for w in range(words):
-                lost[q, w] |= caps[k, q, m, w] & ~veiled[k, q, m, w]
-                gained[q, w] |= cap[q, m, w] & ~veil[q, m, w]
     for e in range(trial.found[0]):  # their positions are among those that are touched, all of which are in `positions`
         i, q = np.uint64(trial.who[e]), np.uint64(trial.where[e])
         for m in range(mounts):
@@ -98,10 +92,10 @@ def _find_turns(k, positions, state, scratch):
     """Find with which orientations the cameras lose a landmark at `positions`, and gain one."""
     for q in positions:
         for w in range(np.uint64(scratch.lost.shape[1])):
-            scratch.lost[q, w] = scratch.gained[q, w] = ZERO
+            scratch.lost[q, w], scratch.gained[q, w] = state.coverage.shown[k, q, w], scratch.coverage.fresh[q, w]
     for j in range(len(state.coverage.parts)):
-        mine, other = state.coverage.parts[j], scratch.coverage.parts[j]
-        _find_turns_of(k, positions, mine, other, scratch.coverage, scratch.lost, scratch.gained)
+        mine, flipped = state.coverage.parts[j], scratch.coverage.parts[j].flipped
+        _find_turns_of(mine, flipped, scratch.coverage, scratch.lost, scratch.gained)
 
 
 @inner
@@ -165,8 +159,8 @@ def _ask(k, state, scratch):
     It does where n - 1 others are seen or more, unless the view is localised and k is not among what it shows.
     """
     asked, shown, counts = scratch.coverage.asked, state.coverage.shown, state.coverage.counts
-    spans = scratch.coverage.spans
-    for s in range(scratch.coverage.near[1]):
+    spans = scratch.coverage.near.spans
+    for s in range(scratch.coverage.near.found[1]):
         for q in range(spans[s, 0], spans[s, 1]):
             scratch.located[q], scratch.coverage.units[q] = state.located[q], state.coverage.units[q]
             for w in range(np.uint64(asked.shape[1])):
@@ -237,16 +231,6 @@ def take_back_localised(field, k, state, scratch):
 
 
 @inner
-def _shown(mine, q, w):
-    """The orientations of word w with which the cameras of a part see any landmark from position q."""
-    seen = ZERO
-    for i in range(mine.caps.shape[0]):
-        for m in range(mine.caps.shape[2]):
-            seen |= mine.caps[i, q, m, w] & ~mine.veiled[i, q, m, w]
-    return seen
-
-
-@inner
 def _add_shown(mounts, q, w, field, state, scratch):
     """Add to the views taken what all landmarks tell the cameras of a part."""
     mine, place, precision, slots = (
@@ -263,8 +247,8 @@ def _add_shown(mounts, q, w, field, state, scratch):
 def _met_anew(q, w, field, state, scratch):
     """Sum up what all landmarks tell in word w, and find where it is enough."""
     seen, slots, first = ZERO, scratch.slots, (q * np.uint64(state.localised.shape[1]) + w) * VIEW
-    for j in range(len(state.coverage.parts)):
-        seen |= _shown(state.coverage.parts[j], q, w)
+    for i in range(len(state.surfaces)):
+        seen |= state.coverage.shown[i, q, w]
     count = fill_slots(seen, field.precision, slots)
     for mounts in literal_unroll(field.mounts):
         _add_shown(mounts, q, w, field, state, scratch)

@@ -17,6 +17,7 @@ import numpy as np
 from lmd.core.bits import ALL, ONE, ZERO, add_set, at_least, lowest, prefetch
 from lmd.core.compiled import inner
 from lmd.incremental.move import find_cap, list_touched
+from lmd.incremental.nearby import pose_of
 from lmd.incremental.trial import begin_move, complete_move, list_flips
 from lmd.objectives.localisation.ambiguity import tells
 from lmd.objectives.localisation.changes import VIEW, add_shares, list_changes, mixed, moments_of, row_meets
@@ -30,11 +31,9 @@ GROUP = 8  # views decided at a time
 @inner
 def _find_moments(k, places, field, state, scratch):
     """Fill `old` and `new` at the positions `places`."""
-    positions, precision, landmarks, normals = field.coverage.positions, field.precision, state.landmarks, state.normals
+    positions, precision = field.coverage.positions, field.precision
     reachable, new, target = state.coverage.reachable, scratch.coverage.new, scratch.coverage.target
-    ax, ay, az, mx, my, mz = (
-        landmarks[0, k], landmarks[1, k], landmarks[2, k], normals[0, k], normals[1, k], normals[2, k]
-    )  # fmt: skip
+    ax, ay, az, mx, my, mz = pose_of(k, state)
     for p in places:
         if reachable[k, p]:
             x, y, z = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
@@ -212,5 +211,6 @@ def bound_move(field, k, pose, surface, state, scratch):
 def finish_move(field, k, state, scratch):
     """Make what `bound_move` found exact."""
     if field.coverage.sight.reach >= 0.0:
-        count = complete_move(k, field.coverage, state.coverage, scratch.coverage)
-        _try_flips(np.uint64(k), scratch.coverage.listed[:count], field, state, scratch)
+        complete_move(k, field.coverage, state.coverage, scratch.coverage)
+        places = scratch.coverage.listed[: list_flips(scratch.coverage)]
+        _try_flips(np.uint64(k), places, field, state, scratch)
