@@ -38,15 +38,21 @@ def given_counts(given: np.ndarray, count: int, n: int) -> Counts:
 
 
 @inlined
+def enough_with(p, w, was, now, counts):
+    """The axes that cover n or more once one landmark, which `was` covered at some axes, is covered at others `now`."""
+    return (counts.enough[p, w] & ~(was & ~now & counts.just[p, w])) | (now & ~was & counts.short[p, w])
+
+
+@inlined
 def ripple(p, w, changed, goes, n, counts):
     """Count a landmark less at those axes `changed` that are in `goes`, one more at the others, digit by digit."""
-    digits, short, just, enough, one, two = counts.digits, counts.short, counts.just, counts.enough, ALL, ALL
-    enough[p, w] = (enough[p, w] & ~(changed & goes & just[p, w])) | (changed & ~goes & short[p, w])
+    digits, one, two = counts.digits, ALL, ALL
+    counts.enough[p, w] = enough_with(p, w, changed & goes, changed & ~goes, counts)
     for j in range(np.uint64(digits.shape[2])):
         digit, changed = add_digit(digits[p, w, j], changed, goes)
         digits[p, w, j] = digit
         one, two = equal_so_far(one, digit, n - 1, j), equal_so_far(two, digit, n, j)
-    short[p, w], just[p, w] = one, two
+    counts.short[p, w], counts.just[p, w] = one, two
 
 
 @inner

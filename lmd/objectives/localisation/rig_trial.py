@@ -12,6 +12,7 @@ from numba import literal_unroll
 from lmd.core.bits import ALL, ZERO, at_least
 from lmd.core.compiled import inlined, inner, kernel
 from lmd.geometry.squares import upright_sides
+from lmd.incremental.counts import enough_with
 from lmd.incremental.nearby import pose_of, target_of
 from lmd.incremental.rig_move import see_whole, take_back_rig
 from lmd.incremental.rig_pairs import COMES, find_pairs
@@ -139,7 +140,7 @@ def _decide(k, positions, field, state, scratch):
         located, covered = state.located[q], known.units[q]
         for w in range(np.uint64(fresh.shape[1])):
             was, now, before = shown[k, q, w], fresh[q, w], counts.enough[q, w]
-            has = (before & ~(was & ~now & counts.just[q, w])) | (now & ~was & counts.short[q, w])
+            has = enough_with(q, w, was, now, counts)
             if trial.touched[q]:
                 has = at_least(digits[q, w], n) | (now & trial.asked[q, w])
             two = ALL

@@ -16,6 +16,7 @@ import numpy as np
 
 from lmd.core.bits import ALL, ONE, ZERO, add_set, at_least, lowest, prefetch
 from lmd.core.compiled import inner
+from lmd.incremental.counts import enough_with
 from lmd.incremental.move import find_cap, list_touched
 from lmd.incremental.nearby import pose_of
 from lmd.incremental.trial import begin_move, complete_move, list_flips
@@ -52,7 +53,6 @@ def _list_views(k, field, state, scratch):
     """
     asks, sight, axes, positions = field.asks, field.coverage.sight, field.coverage.axes, field.coverage.positions
     caps, counts = state.coverage.caps, state.coverage.counts
-    enough, short, just = counts.enough, counts.short, counts.just
     reachable, hidden, flips = state.coverage.reachable, state.coverage.hidden, scratch.coverage.flips
     reached, cap = scratch.coverage.new.reached, scratch.coverage.cap
     x, y, z = scratch.coverage.new.x, scratch.coverage.new.y, scratch.coverage.new.z
@@ -63,7 +63,7 @@ def _list_views(k, field, state, scratch):
     for p in range(np.uint64(len(flips))):
         first[p] = count
         for w in range(words):
-            localised[p, w], after[p, w] = known[p, w], enough[p, w]
+            localised[p, w], after[p, w] = known[p, w], counts.enough[p, w]
         shown, seen = ALL if reachable[k, p] & (hidden[k, p] == 0) else ZERO, ALL if reached[p] else ZERO
         if flips[p] or not shown | seen:
             continue
@@ -71,7 +71,7 @@ def _list_views(k, field, state, scratch):
         ox, oy, oz = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
         for w in range(words):
             was, now = caps[k, p, w] & shown, cap[p, w] & seen
-            has = (enough[p, w] & ~(was & ~now & just[p, w])) | (now & ~was & short[p, w])
+            has = enough_with(p, w, was, now, counts)
             good = known[p, w]
             left = has & ((was & now) | (was & good) | (now & ~good)) if asks else ZERO
             after[p, w], localised[p, w] = has, good & has & ~left if asks else has
