@@ -197,11 +197,8 @@ def _in_place(start: Deployment, count: int, edges: FloatArray | None, found: De
     """
     free = np.zeros(count) if edges is None else edges
     new = np.zeros(len(found)) if found.edges is None else found.edges
-    names, fixed = ("positions", "normals", "surfaces"), len(start) - len(free)
-    parts = [getattr(start, name).copy() for name in names]
+    fixed = len(start) - len(free)
     for edge in np.unique(new):
         these = np.flatnonzero(new == edge)
-        own = fixed + np.flatnonzero(free == edge)[: len(these)]
-        for part, name in zip(parts, names, strict=True):
-            part[own] = getattr(found, name)[these]
-    return Deployment(*parts)
+        start = start.put(fixed + np.flatnonzero(free == edge)[: len(these)], found[these])
+    return Deployment(start.positions, start.normals, start.surfaces)

@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, choice, vector
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, choice, vector
 from lmd.space.grid import (
     KINDS,
     cell_borders,
@@ -48,8 +48,8 @@ class Cuboid:
     relevance: Relevance = field(default_factory=Relevance)
 
     def __post_init__(self) -> None:
-        size = vector("size", self.size, 3, above=0.0)
-        reachable = vector("reachable_size", self.reachable_size, 3, above=0.0)
+        check_fields(self, vector, "size", "reachable_size", size=3, above=0.0)
+        size, reachable = self.size, self.reachable_size
         if any(inner > outer for inner, outer in zip(reachable, size, strict=True)):
             raise InputError(f"reachable_size = {list(reachable)} exceeds size = {list(size)}.", "reachable_size")
         choice("positions", self.positions, KINDS)
@@ -59,8 +59,6 @@ class Cuboid:
         if not walls or len(set(walls)) != len(walls):
             raise InputError(f"walls must list at least one wall, each once, got {self.walls!r}.", "walls")
         object.__setattr__(self, "spacing", checked_spacing(self.spacing, reachable))
-        object.__setattr__(self, "size", size)
-        object.__setattr__(self, "reachable_size", reachable)
         object.__setattr__(self, "walls", tuple(self.walls))
 
     @property
