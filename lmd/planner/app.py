@@ -180,9 +180,8 @@ class Planner:
 
     def _select(self, index: int) -> None:
         ids = self._session.deployment.ids
-        self._selected = int(
-            ids[min(operator.index(index), len(ids) - 1)]
-        )  # a tag may be gone that a browser still shows
+        # A tag may be gone that a browser still shows.
+        self._selected = int(ids[min(operator.index(index), len(ids) - 1)])
         self._show_tags()
 
     def _click_surface(self, event: Any) -> None:
