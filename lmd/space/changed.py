@@ -4,8 +4,11 @@ from collections.abc import Callable
 from functools import wraps
 from typing import Any, TypeVar, cast
 
+from typing_extensions import override
+
 from lmd.space.relevance import Weighing
 from lmd.space.space import Space
+from lmd.space.surface import Surface
 
 Method = TypeVar("Method", bound=Callable[..., Any])
 
@@ -52,3 +55,26 @@ class Changed:
     outline = _asked(Space.outline)
     fixtures = _asked(Space.fixtures)
     describe = _asked(Space.describe)
+
+
+class Inset(Changed):
+    """A room whose surfaces end before their edges, as by half a plate for the centres of plates.
+
+    Those of `surfaces_of`, `surface_near` and `faces` stay the room's, to their edges.
+
+    Args:
+        room: the room.
+        margin: by which every edge of every surface is moved inwards, metres.
+
+    Raises:
+        InputError: a surface has nothing left.
+    """
+
+    def __init__(self, room: Space, margin: float) -> None:
+        super().__init__(room)
+        self._surfaces = tuple(surface.inset(margin) for surface in room.surfaces())
+
+    @override
+    def surfaces(self) -> tuple[Surface, ...]:
+        """In the order of the room's."""
+        return self._surfaces
