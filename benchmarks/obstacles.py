@@ -77,7 +77,7 @@ def as_mesh(parts: list[trimesh.Trimesh]) -> Space:
     whole = trimesh.util.concatenate(parts)
     with tempfile.NamedTemporaryFile(suffix=".stl") as file:
         whole.export(file.name)
-        return from_mesh(file.name, {"height": [0.75, 5.25]}, 0.5)
+        return from_mesh(file.name, {"height": [0.75, 5.25]}, 0.5, up="z")
 
 
 def tasks(room: Space, visibility: Criteria) -> tuple[int, dict[str, Callable[[], object]]]:

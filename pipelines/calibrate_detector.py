@@ -72,10 +72,12 @@ VIEWS_STREAM = 0x7669657773
 
 def to_markdown(figures: dict[str, dict[str, float]]) -> str:
     """A row for each detector: its limits, and how well they predict what they were not fitted to."""
+    from lmd.core.words import markdown_table
+
     head = ["detector", "views", "a", "k", "m [px]", "b [degrees]", "held-out accuracy / precision / recall"]
     head += [f"rooms: P(>= {n}) predicted / detected" for n in range(1, 5)]
     head += ["rooms: precision / recall", "rooms: frames agree on >= 2"]
-    lines = [" | ".join(head), " | ".join(["---"] * len(head))]
+    rows = []
     for name, row in figures.items():
         cells = [name, f"{row['views']:.0f}", f"{row['pitch']:.2g}", f"{row['blur']:.2g}", f"{row['edge']:.3g}"]
         cells += [f"{row['incidence']:.0f}"]
@@ -85,8 +87,8 @@ def to_markdown(figures: dict[str, dict[str, float]]) -> str:
             cells += [f"{row['room_precision']:.3f} / {row['room_recall']:.3f}", f"{row['room_agreement_2']:.1%}"]
         else:
             cells += ["–"] * 6
-        lines.append(" | ".join(cells))
-    return "\n".join(f"| {line} |" for line in lines) + "\n"
+        rows.append(cells)
+    return markdown_table(head, rows) + "\n"
 
 
 def read_survey() -> None:

@@ -54,10 +54,13 @@ def evaluate(cfg: DictConfig) -> float:
     history = [Record(1, problem.metrics(deployment)["fitness"], clock() - began)]
     subject = choices()["deployment"]
     with tracked(cfg, subject, title_of(problem, subject)) as tracker:
-        summary: dict[str, Any] = localise(problem, deployment, seed, tracker) if cfg.localisation else {}
+        drawn = bool(cfg.picture)
+        summary: dict[str, Any] = localise(problem, deployment, seed, tracker, drawn) if cfg.localisation else {}
         texts = []
         for name, study, draw, about in studies(cfg, problem, plan, deployment, error, seed):
-            tracker.log_artifacts(write_study(run_directory(), name, study, draw, title_of(problem, about)))
+            tracker.log_artifacts(
+                write_study(run_directory(), name, study, draw if drawn else None, title_of(problem, about))
+            )
             figures = study.metrics()
             if name == "losses":  # figures of the deployment like its fitness
                 summary |= figures
@@ -70,8 +73,10 @@ def evaluate(cfg: DictConfig) -> float:
         return figures["fitness"]
 
 
-def localise(problem: "Problem", deployment: "Deployment", seed: int, tracker: "Tracker") -> dict[str, float]:
-    """Write and log the maps of how well a single frame is localised; returns the figures."""
+def localise(
+    problem: "Problem", deployment: "Deployment", seed: int, tracker: "Tracker", drawn: bool
+) -> dict[str, float]:
+    """Write and log the maps of how well one frame is localised, the bounds drawn too if asked; returns the figures."""
     from lmd.estimation.cramer_rao import cramer_rao_map
     from lmd.evaluation.accuracy import accuracy_metrics, save_accuracy_map
     from lmd.plot.localisation import save_cramer_rao_map
@@ -79,12 +84,12 @@ def localise(problem: "Problem", deployment: "Deployment", seed: int, tracker: "
     from .tracked_run import title_of
 
     bounds = cramer_rao_map(problem.scene, problem.evaluator, deployment)
-    table, picture = (run_directory() / f"localisation.{kind}" for kind in ("csv", "png"))
-    bounds.to_csv(table)
-    save_cramer_rao_map(picture, problem.scene.room, bounds, title_of(problem, "Cramer-Rao bound of one frame,"))
-    accuracy = run_directory() / "accuracy.csv"
-    save_accuracy_map(accuracy, problem, deployment)
-    tracker.log_artifacts([table, picture, accuracy])
+    files = [run_directory() / name for name in ("localisation.csv", "accuracy.csv", "localisation.png")[: 2 + drawn]]
+    bounds.to_csv(files[0])
+    save_accuracy_map(files[1], problem, deployment)
+    for picture in files[2:]:
+        save_cramer_rao_map(picture, problem.scene.room, bounds, title_of(problem, "Cramer-Rao bound of one frame,"))
+    tracker.log_artifacts(files)
     return bounds.metrics() | accuracy_metrics(problem, deployment, seed)
 
 

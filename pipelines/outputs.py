@@ -9,7 +9,6 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import fields
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -132,14 +131,10 @@ def _write_what_fits(directory: Path, writers: Mapping[str, Callable[[Path], obj
     files, failed = [], []
     for name, write in writers.items():
         try:
-            files += all_or_none(directory, partial(_write_below, write, name))
+            files += write_all(directory, {name: write})
         except OSError as error:
             failed.append(f"{name} could not be written ({error.strerror or error})")
     return files, failed
-
-
-def _write_below(write: Callable[[Path], object], name: str, folder: Path) -> None:
-    write(folder / name)
 
 
 def all_or_none(directory: Path, write: Callable[[Path], object]) -> list[Path]:

@@ -1,7 +1,6 @@
 """Report on the stored sweeps: `python -m pipelines.report [tracking.uri=...] [sweeps=[ID,...]] [save_as=PATH]`."""
 
 import shutil
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +10,7 @@ from omegaconf.errors import OmegaConfBaseException
 from .app import run_directory, save_path
 from .building import build_problem
 from .earlier_run import GROUPS
+from .outputs import all_or_none
 from .pipeline import Pipeline, alone
 from .trust import Trust, read_yaml
 
@@ -31,7 +31,7 @@ def report(cfg: DictConfig) -> None:
     from lmd.core.checks import InputError
 
     from .operations.tracking import MlflowReader
-    from .reproduction.document import to_html, to_markdown
+    from .reproduction.document import Section, to_html, to_markdown
     from .reproduction.sections import sections
     from .reproduction.source import Source
 
@@ -42,21 +42,21 @@ def report(cfg: DictConfig) -> None:
     reader = MlflowReader(cfg.tracking.uri, cfg.tracking.experiment_name)
     runs = _chosen(reader.runs(), cfg.sweeps)
     directory, trust = run_directory(), Trust.given()
-    with tempfile.TemporaryDirectory(dir=directory, prefix=".partial_") as name:
-        partial = Path(name)
-        found = sections(Source(reader, runs, lambda run_id: _load(reader, run_id, trust), partial))
-        pictures = sorted(path.name for path in partial.iterdir())
+    found: list[Section] = []
+
+    def write(partial: Path) -> None:
+        found.extend(sections(Source(reader, runs, lambda run_id: _load(reader, run_id, trust), partial)))
         (partial / "report.html").write_text(to_html(TITLE, found), encoding="utf-8")
         (partial / "report.md").write_text(f"# {TITLE}\n\n{to_markdown(found, '')}", encoding="utf-8")
-        for path in sorted(partial.iterdir()):
-            shutil.move(path, directory / path.name)
+
+    files = all_or_none(directory, write)
     print(f"report  {directory / 'report.html'}\n        {directory / 'report.md'}")
     if save_as is not None:
         page = Path(f"{save_as}.md")
         folder = page.with_suffix("")
         folder.mkdir(parents=True, exist_ok=True)
-        for picture in pictures:
-            shutil.copy(directory / picture, folder)
+        for picture in (file for file in files if file.suffix == ".png"):
+            shutil.copy(picture, folder)
         page.write_text(f"{kept}{MARK}\n\n{to_markdown(found, f'{folder.name}/')}", encoding="utf-8")
         print(f"        {page}")
 

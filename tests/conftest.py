@@ -18,17 +18,34 @@ settings.register_profile("lmd", examples(DEFAULT))
 settings.load_profile("lmd")
 
 
-PLENTY = 2**30  # bytes in memory
+PLENTY, GROWN = 2**30, 2**27  # bytes in memory
 
 
 @pytest.fixture(autouse=True, scope="module")
 def give_memory_back():
-    """After each file: compiling leaves garbage, for which Python looks too seldom, and C keeps what is free."""
+    """After a file: compiling leaves garbage, for which Python looks too seldom, and C keeps what is free.
+
+    Looking takes a second where there is much, so it is done again only once as much has come as is worth that.
+    """
     yield
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    if pages * os.sysconf("SC_PAGE_SIZE") > PLENTY:
+    if _in_memory() > _limit[0]:
         gc.collect()
         ctypes.CDLL(None).malloc_trim(0)
+        _limit[0] = max(PLENTY, _in_memory() + GROWN)
+
+
+_limit = [PLENTY]
+
+
+def _in_memory():
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+def pytest_collection_finish():
+    """What is imported by now stays: looking for garbage need not look at it."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_xdist_auto_num_workers():

@@ -13,6 +13,7 @@ from hydra._internal.hydra import Hydra
 from mlflow.store.db import utils
 
 from pipelines.app import CONF
+from pipelines.hyperparameters import FileConfigSource
 from pipelines.operations.sweeps.forks import READY_MODULE, TRACKED
 
 PIPELINES = (
@@ -40,9 +41,12 @@ make_tables = utils._initialize_tables
 
 
 def _compose():
-    """Let Hydra find its plugins, and its parser learn the grammar."""
+    """Let Hydra find its plugins, its parser learn the grammar, and its loader read what there is."""
     with initialize_config_dir(CONF, version_base="1.3"):
         compose("optimise", ["room.spacing=1.5", "deployment=uniform"], return_hydra_config=True)
+    files = FileConfigSource("main", f"file://{CONF}")
+    for path in Path(CONF).rglob("*.yaml"):
+        files.load_config(str(path.relative_to(CONF)))
 
 
 def _look_for_a_mode_only_where_one_may_be_set():

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, choice, real, vector
+from lmd.core.checks import BoolArray, FloatArray, InputError, check_fields, choice, real, vector
 from lmd.space.keep_out import KeepOut
 from lmd.space.parts import all_made, checked_names
 from lmd.space.surface import Surface, free_of
@@ -39,11 +39,9 @@ class Box:
     name: str = ""
 
     def __post_init__(self) -> None:
-        low, high = vector("low", self.low, 3), vector("high", self.high, 3)
-        if any(a >= b for a, b in zip(low, high, strict=True)):
-            raise InputError(f"low = {list(low)} must be below high = {list(high)}.", "low")
-        object.__setattr__(self, "low", low)
-        object.__setattr__(self, "high", high)
+        check_fields(self, vector, "low", "high", size=3)
+        if any(a >= b for a, b in zip(self.low, self.high, strict=True)):
+            raise InputError(f"low = {list(self.low)} must be below high = {list(self.high)}.", "low")
         object.__setattr__(self, "faces", checked_names("faces", self.faces, FACES) if self.faces else ())
 
     def surfaces(self) -> list[Surface]:

@@ -14,7 +14,7 @@ from llvmlite.binding.ffi import lib
 from numba import types
 from numba.core import errors
 from numba.core.caching import FunctionCache, IndexDataCacheFile
-from numba.core.codegen import JITCodeLibrary
+from numba.core.codegen import CPUCodegen, JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.targetconfig import TargetConfig
@@ -104,6 +104,16 @@ TargetConfig.__hash__ = lambda self: _hash_of(type(self))  # type: ignore[method
 if scheme := getattr(errors, "HighlightColorScheme", None):
     scheme._markup = lambda _, message, *__, **___: message
 lib._lock._cblist.clear()
+
+_function_passes = CPUCodegen._function_pass_manager
+
+
+def _cheap_function_passes(self: CPUCodegen, **options: Any) -> Any:
+    """As numba's, at the lowest level: what is linked into a kernel is optimised with it once more, and fully."""
+    return _function_passes(self, opt=1, **options)
+
+
+CPUCodegen._function_pass_manager = _cheap_function_passes  # type: ignore[method-assign] # a tenth of compiling
 
 
 def load_compiler() -> None:

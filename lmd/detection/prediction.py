@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.detection.frames import overlapping
@@ -72,6 +73,11 @@ class Prediction:
         return overlapping(self.renderer.room)
 
 
+def _beside(name: str) -> cached_property[NDArray[Any]]:
+    """What the predictions of all cameras of a `RigPrediction` say, beside each other."""
+    return cached_property(lambda rig: np.concatenate([getattr(part, name) for part in rig.parts], axis=1))
+
+
 @dataclass(frozen=True)
 class RigPrediction:
     """N moments of a rig: the predictions of its C cameras beside each other, as of C K tags.
@@ -91,39 +97,18 @@ class RigPrediction:
         parts = tuple(part.moved(poses @ at) for part, at in zip(self.parts, self.mounted, strict=True))
         return replace(self, parts=parts, poses=poses)
 
-    def _beside(self, name: str) -> Any:
-        return np.concatenate([getattr(part, name) for part in self.parts], axis=1)
-
-    @cached_property
-    def visible(self) -> BoolArray:
-        """See `Prediction`, `(N, C K)`, as all that follow."""
-        return np.asarray(self._beside("visible"))
+    # See `Prediction`, each `(N, C K)`.
+    visible = _beside("visible")
+    corners = _beside("corners")
+    whole = _beside("whole")
+    pitch = _beside("pitch")
+    incidence = _beside("incidence")
 
     @cached_property
     def met(self) -> Mapping[str, BoolArray]:
         """See `Prediction`."""
         names = self.parts[0].met
         return {name: np.concatenate([part.met[name] for part in self.parts], axis=1) for name in names}
-
-    @cached_property
-    def corners(self) -> FloatArray:
-        """See `Prediction`."""
-        return np.asarray(self._beside("corners"))
-
-    @cached_property
-    def whole(self) -> BoolArray:
-        """See `Prediction`."""
-        return np.asarray(self._beside("whole"))
-
-    @cached_property
-    def pitch(self) -> FloatArray:
-        """See `Prediction`."""
-        return np.asarray(self._beside("pitch"))
-
-    @cached_property
-    def incidence(self) -> FloatArray:
-        """See `Prediction`."""
-        return np.asarray(self._beside("incidence"))
 
     @cached_property
     def overlapping(self) -> BoolArray:

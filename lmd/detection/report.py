@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 
 from lmd.core.checks import BoolArray, FloatArray
+from lmd.core.words import markdown_table
 from lmd.detection.evaluation import TAG_NUMBERS, agreement, at_least, corner_error, precision_recall, quantiles_by
 from lmd.detection.frames import Sightings
 from lmd.detection.pose import body_from_corners, pose_error
@@ -191,9 +192,4 @@ def to_markdown(table: pd.DataFrame) -> str:
         ])  # fmt: skip
         counts = ["left_out", *(f"left_out_{c}" for c in criteria), "overrated", "overrated_cut"]
         wrong.append([*names, *(f"{row[key]:,.0f}" for key in (*counts, "overrated_overlapping"))])
-    return f"{_table([*head, *looks], rows)}\n{_table(blame, wrong)}"
-
-
-def _table(head: list[str], rows: list[list[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+    return f"{markdown_table([*head, *looks], rows)}\n\n{markdown_table(blame, wrong)}\n"

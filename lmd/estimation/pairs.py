@@ -5,6 +5,7 @@ import pandas as pd
 from scipy.stats import wilcoxon
 
 from lmd.core.checks import FloatArray
+from lmd.core.words import markdown_table
 
 PAIRED_FIGURE = "within_20mm"
 
@@ -54,9 +55,8 @@ def _p_value(differences: FloatArray) -> float:
 def to_markdown(pairs: pd.DataFrame) -> str:
     """`paired` as a Markdown table."""
     head = ["deployment", "against", "estimator", "position error", "smaller in", "p", "more frames within 20 mm", "p"]
-    lines = [" | ".join(head), " | ".join(["---"] * len(head))]
-    for row in pairs.to_dict("records"):
-        lines.append(" | ".join([
+    rows = [
+        [
             row["deployment"],
             row["against"],
             row["estimator"],
@@ -65,5 +65,7 @@ def to_markdown(pairs: pd.DataFrame) -> str:
             f"{row['position_p']:.2g}",
             f"{100.0 * row[f'{PAIRED_FIGURE}_gain']:+.1f} points",
             f"{row[f'{PAIRED_FIGURE}_p']:.2g}",
-        ]))  # fmt: skip
-    return "\n".join(f"| {line} |" for line in lines) + "\n"
+        ]
+        for row in pairs.to_dict("records")
+    ]
+    return markdown_table(head, rows) + "\n"

@@ -9,6 +9,7 @@ import pandas as pd
 
 from lmd.core.checks import FloatArray, InputError, IntArray, argument_of, check_fields, real
 from lmd.core.memory import check_memory
+from lmd.core.words import markdown_table
 from lmd.estimation.errors import Errors, pose_errors
 from lmd.estimation.estimators import Estimator
 from lmd.estimation.flights import TrajectorySource
@@ -245,11 +246,11 @@ def to_markdown(figures: pd.DataFrame, n: int) -> str:
     head = ["deployment", "estimator", *(f"time with >= {m} in view" for m in sorted({n, 3}))]
     head += ["mean Er (10 to 90 %)", "settled after [s]", "position [mm]", "attitude [mrad]", "available"]
     head.append(f"of all frames within {' / '.join(f'{1e3 * limit:g}' for limit in ERROR_LIMITS)} mm")
-    lines = [" | ".join(head), " | ".join(["---"] * len(head))]
+    rows = []
     for (name, estimator), runs in figures.groupby(["deployment", "estimator"], sort=False):
         middle = runs.median(numeric_only=True)
         low, high = runs.mean_error.quantile(QUANTILES[0]), runs.mean_error.quantile(QUANTILES[2])
-        lines.append(" | ".join([
+        rows.append([
             f"{name}",
             f"{estimator}",
             *(f"{runs[f'share_visible_{m}'].mean():.2%}" for m in sorted({n, 3})),
@@ -259,8 +260,8 @@ def to_markdown(figures: pd.DataFrame, n: int) -> str:
             f"{1e3 * middle.attitude_error:.3g}",
             f"{runs.available.mean():.1%}",
             " / ".join(f"{100.0 * runs[name].mean():.1f}" for name in within()) + " %",
-        ]))  # fmt: skip
-    return "\n".join(f"| {line} |" for line in lines) + "\n"
+        ])  # fmt: skip
+    return markdown_table(head, rows) + "\n"
 
 
 def within() -> dict[str, float]:

@@ -91,10 +91,7 @@ class MountingError:
         apart = problem.scene.plates.apart(moved[on], fixed=int((on < problem.fixed_count).sum()))
         if apart is None:
             raise InputError(f"position = {self.position:g} m leaves no room for all papers.", "position")
-        changed = {name: getattr(moved, name).copy() for name in ("positions", "normals", "surfaces")}
-        for name, array in changed.items():
-            array[on] = getattr(apart, name)
-        return replace(moved, **changed)
+        return moved.put(on, apart)
 
 
 @dataclass(frozen=True)

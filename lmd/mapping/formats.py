@@ -8,21 +8,12 @@ from typing import Any, NamedTuple
 
 from lmd.core.checks import ONE_TURN, InputError, check_fields, choice, real
 from lmd.core.optional import optional
-from lmd.mapping.apriltag_ros import write_apriltag_ros, write_apriltag_ros2
-from lmd.mapping.aruco import write_aruco
-from lmd.mapping.clover import write_clover
-from lmd.mapping.duckietown import check_on_floor, write_duckietown
-from lmd.mapping.fiducial_vlam import write_fiducial_vlam
-from lmd.mapping.frc971 import write_frc971
-from lmd.mapping.limelight import write_limelight
+from lmd.mapping import tag_map_writers as maps
 from lmd.mapping.paper import PAPERS
 from lmd.mapping.plan import write_plan
-from lmd.mapping.rtabmap import write_rtabmap
 from lmd.mapping.sheets import check_sheets, write_sheets
 from lmd.mapping.tables import write_csv, write_json
 from lmd.mapping.tag_map import TagMap
-from lmd.mapping.tagslam import write_tagslam
-from lmd.mapping.wpilib import write_wpilib
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import FAMILIES, Tag
 from lmd.space.space import Space
@@ -53,19 +44,19 @@ class Format(NamedTuple):
 
 
 FORMATS = {
-    "wpilib": Format("tags.wpilib.json", write_wpilib, only_apriltag=True, edges=NONE),
-    "apriltag_ros": Format("tags.apriltag_ros.yaml", write_apriltag_ros, only_apriltag=True),
-    "apriltag_ros2": Format("tags.apriltag_ros2.yaml", write_apriltag_ros2, only_apriltag=True),
-    "tagslam": Format("tags.tagslam.yaml", write_tagslam, only_apriltag=True),
-    "aruco": Format("tags.aruco.yaml", write_aruco),
+    "wpilib": Format("tags.wpilib.json", maps.write_wpilib, only_apriltag=True, edges=NONE),
+    "apriltag_ros": Format("tags.apriltag_ros.yaml", maps.write_apriltag_ros, only_apriltag=True),
+    "apriltag_ros2": Format("tags.apriltag_ros2.yaml", maps.write_apriltag_ros2, only_apriltag=True),
+    "tagslam": Format("tags.tagslam.yaml", maps.write_tagslam, only_apriltag=True),
+    "aruco": Format("tags.aruco.yaml", maps.write_aruco),
     "csv": Format("tags.csv", write_csv),
     "json": Format("tags.json", write_json),
-    "clover": Format("tags.clover.txt", write_clover),
-    "fiducial_vlam": Format("tags.fiducial_vlam.yaml", write_fiducial_vlam, edges=ONE),
-    "rtabmap": Format("tags.rtabmap.txt", write_rtabmap, edges=ONE),
-    "limelight": Format("tags.fmap", write_limelight, only_apriltag=True),
-    "frc971": Format("tags.frc971.json", write_frc971, only_apriltag=True, edges=NONE),
-    "duckietown": Format("tags.duckietown.yaml", write_duckietown, only_apriltag=True, check=check_on_floor),
+    "clover": Format("tags.clover.txt", maps.write_clover),
+    "fiducial_vlam": Format("tags.fiducial_vlam.yaml", maps.write_fiducial_vlam, edges=ONE),
+    "rtabmap": Format("tags.rtabmap.txt", maps.write_rtabmap, edges=ONE),
+    "limelight": Format("tags.fmap", maps.write_limelight, only_apriltag=True),
+    "frc971": Format("tags.frc971.json", maps.write_frc971, only_apriltag=True, edges=NONE),
+    "duckietown": Format("tags.duckietown.yaml", maps.write_duckietown, only_apriltag=True, check=maps.check_on_floor),
     "plan": Format("plan.pdf", write_plan, on_paper=True),
     "sheets": Format("sheets.pdf", write_sheets, on_paper=True),
 }

@@ -78,11 +78,13 @@ def draw_floor_plan(canvas: Any, tags: TagMap, left: float, top: float, scale: i
         _draw_tag(canvas, place(tags.deployment.positions[k]), tags.deployment.normals[k])
     below = float(origin[1]) - AROUND
     kinds = [kind for kind in KINDS if any(fixture.kind == kind for fixture in fixtures)]
-    _draw_axes(canvas, left, below - 2.0)
+    for angle, name in ((0.0, "x"), (math.pi / 2.0, "y")):
+        _draw_arrow(canvas, left, below - 2.0, 0.7 * ARROW, angle, name)
     draw_legend(canvas, left + 16.0, below, kinds)
     if north is not None:
-        right = float(place(high)[0]) + AROUND
-        _draw_north(canvas, right + ARROW, top - ARROW, north)
+        right = float(place(high)[0]) + AROUND + ARROW
+        start = right - 0.5 * ARROW * math.cos(north), top - ARROW - 0.5 * ARROW * math.sin(north)
+        _draw_arrow(canvas, *start, ARROW, north, "N")
 
 
 def numbers_of(places: IntArray) -> str:
@@ -139,13 +141,3 @@ def _draw_arrow(canvas: Any, x: float, y: float, length: float, angle: float, na
     beyond = length + NAME
     place = x + beyond * math.cos(angle), y + beyond * math.sin(angle) - 0.35 * NAME
     write_text(canvas, *place, name, size=NAME, bold=True, align="centre")
-
-
-def _draw_axes(canvas: Any, x: float, y: float) -> None:
-    for angle, name in ((0.0, "x"), (math.pi / 2.0, "y")):
-        _draw_arrow(canvas, x, y, 0.7 * ARROW, angle, name)
-
-
-def _draw_north(canvas: Any, x: float, y: float, north: float) -> None:
-    start = x - 0.5 * ARROW * math.cos(north), y - 0.5 * ARROW * math.sin(north)
-    _draw_arrow(canvas, *start, ARROW, north, "N")

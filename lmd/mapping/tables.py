@@ -1,6 +1,5 @@
 """Plain tables of the tags, for whoever writes the reader: poses, and corners."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +7,7 @@ import numpy as np
 
 from lmd.core.tables import write_table
 from lmd.mapping.tag_map import QUATERNION, TagMap
+from lmd.mapping.tag_map_writers import write_document
 from lmd.scene.deployment import COLUMNS, UP_COLUMNS
 from lmd.scene.edges import EDGE
 from lmd.scene.labels import ID
@@ -50,4 +50,4 @@ def write_json(path: Path, tags: TagMap) -> None:
             for number, size, position, quaternion, corners in rows
         ],
     }
-    path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    write_document(path, document)

@@ -4,7 +4,7 @@ import numpy as np
 
 from lmd.core.checks import InputError
 from lmd.objectives.base import Objective, selectable
-from lmd.optimisers.selection import GRID_SPACING, Money, Paper, Stock, candidates, select
+from lmd.optimisers.selection import GRID_SPACING, Limited, Stock, candidates, select
 from lmd.scene.deployment import Deployment
 from lmd.scene.plates import Plates
 from lmd.scene.scene import Scene
@@ -53,7 +53,6 @@ def composition(
 def stock_of_sizes(tag: Tag, plates: Plates, limit: float) -> Stock:
     """Tags of any of the edges of `tag`, as many as `limit` of paper suffices for, or of cost if it has a budget."""
     if tag.budget is None:
-        return Paper(limit, plates)
-    assert tag.edges is not None, "a budget comes with costs, and these with edges"
-    assert tag.costs is not None, "a budget comes with costs"
-    return Money(limit, dict(zip(tag.edges, tag.costs, strict=True)))
+        return Limited(limit, lambda poses: plates.papers(poses) ** 2)
+    costs = dict(zip(tag.edges or (), tag.costs or (), strict=True))  # a budget comes with both
+    return Limited(limit, lambda poses: np.array([costs[edge] for edge in poses.edges_of(tag).tolist()]))

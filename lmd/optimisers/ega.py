@@ -4,7 +4,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, choice, integer, real
 from lmd.optimisers.base import AskTell
-from lmd.optimisers.operators import exchange, recombination_range, reset, run_of_genes
+from lmd.optimisers.operators import exchange, filled_up, recombination_range, reset, run_of_genes
 
 
 class EGA(AskTell):
@@ -64,8 +64,7 @@ class EGA(AskTell):
 
     def _ask(self) -> FloatArray:
         if self.population is None:
-            missing = self.population_size - len(self.start)
-            return np.vstack([self.start, self.rng.random((missing, self.dim))])
+            return filled_up(self.start, self.population_size, self.rng)
         pool = self.population[1 : self.population_size - self.eliminated]
         newcomers = self.rng.random((self.eliminated, self.dim))
         return np.vstack([self._mutate(self._recombine(pool)), newcomers])

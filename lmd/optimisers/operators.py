@@ -1,8 +1,14 @@
-"""The operators the paper's genetic algorithms share (Sec. IV-B)."""
+"""The operators the paper's genetic algorithms share (Sec. IV-B), and what other optimisers begin with, too."""
 
 import numpy as np
 
 from lmd.core.checks import FloatArray, real
+
+
+def filled_up(start: FloatArray, size: int, rng: np.random.Generator) -> FloatArray:
+    """`(size, dim)`: the start, cut or filled up with uniform genes."""
+    missing = max(size - len(start), 0)
+    return np.vstack([start[:size], rng.random((missing, start.shape[1]))])
 
 
 def recombination_range(shortest: float, longest: float) -> tuple[float, float]:

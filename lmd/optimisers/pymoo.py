@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, integer
-from lmd.optimisers.wrapped import Session, Wrapped, filled_up
+from lmd.optimisers.operators import filled_up
+from lmd.optimisers.wrapped import Session, Wrapped
 
 
 class Pymoo(Wrapped):

@@ -1,9 +1,8 @@
 """Random search: what any optimiser has to beat."""
 
-import numpy as np
-
 from lmd.core.checks import FloatArray, integer
 from lmd.optimisers.base import AskTell
+from lmd.optimisers.operators import filled_up
 
 
 class RandomSearch(AskTell):
@@ -24,7 +23,7 @@ class RandomSearch(AskTell):
 
     def _ask(self) -> FloatArray:
         if not self.ledger.evaluations:
-            return np.vstack([self.start, self.rng.random((self.batch - 1, self.dim))])
+            return filled_up(self.start, self.batch, self.rng)
         return self.rng.random((self.batch, self.dim))
 
     def _tell(self, genes: FloatArray, fitness: FloatArray) -> None:

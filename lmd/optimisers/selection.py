@@ -9,7 +9,7 @@ chosen. Where only the paper or the cost of all is given, candidates compete by 
 """
 
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import Protocol
@@ -72,41 +72,20 @@ class Tags:
 
 
 @dataclass(frozen=True)
-class Paper:
-    """So many square metres of paper for tags of any of the sizes of `plates`."""
-
-    area: float
-    plates: Plates
-
-    def prices(self, poses: Deployment) -> FloatArray:
-        """See `Stock.prices`."""
-        return self.plates.papers(poses) ** 2
-
-    def none_left(self, poses: Deployment, chosen: Sequence[int]) -> BoolArray:
-        """See `Stock.none_left`."""
-        return _too_dear(self.prices(poses), chosen, self.area)
-
-
-@dataclass(frozen=True)
-class Money:
-    """What tags may cost in all, and the cost of one of each edge."""
+class Limited:
+    """Tags of any size whose prices, square metres of paper or costs, may be `total` in all."""
 
     total: float
-    costs: Mapping[float, float]
+    prices_of: Callable[[Deployment], FloatArray]
 
     def prices(self, poses: Deployment) -> FloatArray:
         """See `Stock.prices`."""
-        assert poses.edges is not None, "candidates have sizes"
-        return np.array([self.costs[edge] for edge in poses.edges.tolist()])
+        return self.prices_of(poses)
 
     def none_left(self, poses: Deployment, chosen: Sequence[int]) -> BoolArray:
         """See `Stock.none_left`."""
-        return _too_dear(self.prices(poses), chosen, self.total)
-
-
-def _too_dear(prices: FloatArray, chosen: Sequence[int], total: float) -> BoolArray:
-    """For which of the poses what is left of the total after those `chosen` does not suffice, `(N,)`."""
-    return np.asarray(prices > total * (1.0 + ROUNDING) - prices[list(chosen)].sum())
+        prices = self.prices(poses)
+        return np.asarray(prices > self.total * (1.0 + ROUNDING) - prices[list(chosen)].sum())
 
 
 def stock_of(problem: Problem) -> Stock:
@@ -218,11 +197,8 @@ def _in_place(start: Deployment, count: int, edges: FloatArray | None, found: De
     """
     free = np.zeros(count) if edges is None else edges
     new = np.zeros(len(found)) if found.edges is None else found.edges
-    names, fixed = ("positions", "normals", "surfaces"), len(start) - len(free)
-    parts = [getattr(start, name).copy() for name in names]
+    fixed = len(start) - len(free)
     for edge in np.unique(new):
         these = np.flatnonzero(new == edge)
-        own = fixed + np.flatnonzero(free == edge)[: len(these)]
-        for part, name in zip(parts, names, strict=True):
-            part[own] = getattr(found, name)[these]
-    return Deployment(*parts)
+        start = start.put(fixed + np.flatnonzero(free == edge)[: len(these)], found[these])
+    return Deployment(start.positions, start.normals, start.surfaces)

@@ -4,7 +4,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, integer, real
 from lmd.optimisers.base import AskTell
-from lmd.optimisers.operators import exchange, recombination_range, reset
+from lmd.optimisers.operators import exchange, filled_up, recombination_range, reset
 
 
 class SGA(AskTell):
@@ -44,8 +44,7 @@ class SGA(AskTell):
 
     def _ask(self) -> FloatArray:
         if self.population is None:
-            missing = self.population_size - len(self.start)
-            return np.vstack([self.start, self.rng.random((missing, self.dim))])
+            return filled_up(self.start, self.population_size, self.rng)
         parents = self.population[self._roulette()]
         children = exchange(self.rng, parents, self.recombination_min, self.recombination_max)
         return reset(self.rng, children, self.mutation_probability)

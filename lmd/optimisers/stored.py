@@ -12,7 +12,7 @@ from numpy.typing import DTypeLike
 
 from lmd.core.checks import FloatArray, InputError, integer
 from lmd.problem import Problem
-from lmd.scene.deployment import Deployment
+from lmd.scene.deployment import HUNG, Deployment
 from lmd.space.surface import NEAR_SURFACE
 
 LARGEST = sys.float_info.max
@@ -73,7 +73,7 @@ def generator(name: str, state: Mapping[str, Any]) -> np.random.Generator:
 
 def deployment_state(deployment: Deployment) -> dict[str, Any]:
     """A deployment as data, without the labels: they are the problem's (`Problem.labelled`)."""
-    return {name: getattr(deployment, name) for name in ("positions", "normals", "surfaces")}
+    return {name: getattr(deployment, name) for name in HUNG}
 
 
 def deployment(name: str, state: Mapping[str, Any], problem: Problem, count: int) -> Deployment:

@@ -112,9 +112,3 @@ def _global_state_of(seed: int) -> tuple[Any, Any]:
     """The global state that seeding with `seed` would give."""
     legacy = np.random.RandomState(seed % 2**32)
     return random.Random(seed).getstate(), legacy.get_state()
-
-
-def filled_up(start: FloatArray, size: int, rng: np.random.Generator) -> FloatArray:
-    """`(size, dim)`: the start, cut or filled up with uniform genes."""
-    missing = max(size - len(start), 0)
-    return np.vstack([start[:size], rng.random((missing, start.shape[1]))])

@@ -11,7 +11,6 @@ import logging
 import operator
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,20 +21,17 @@ from lmd.optimisers.base import Optimiser
 from lmd.optimisers.ledger import Budget
 from lmd.planner.access import HOST, Access
 from lmd.planner.acts import Acts, in_order
-from lmd.planner.additions import Additions, additions
 from lmd.planner.captions import MOST_CAPTIONS
-from lmd.planner.off_grid import off_grid
-from lmd.planner.panel import ADDITIONS, DELETE, UNDO, Panel
+from lmd.planner.later import Later
+from lmd.planner.panel import DELETE, UNDO, Panel
 from lmd.planner.picture import Picture
 from lmd.planner.plan import Plan
 from lmd.planner.pointing import pointed_at
 from lmd.planner.robot import robot_of
-from lmd.planner.session import Posed, Session
+from lmd.planner.session import Session
 from lmd.planner.surveyed import Found
-from lmd.planner.worker import Wanted, Worker
 from lmd.space.surface import SurfaceArrays
 
-TO_COME = {"off the grid": "..."}
 IDLE_SECONDS = 0.5  # seconds in which nothing is done, before what takes longer is worked out
 
 
@@ -67,13 +63,12 @@ class Planner:
     ) -> None:
         viser = optional("viser", "view")
         self._session = session
-        self._save_files, self._optimiser, self._seed = save, optimiser, seed
+        self._save_files, self._optimiser = save, optimiser
         self._acts = Acts()
         self._surfaces = SurfaceArrays.of(session.problem.scene.plates.hanging.surfaces())
         self._selected: int | None = None
         self._dragged: int | None = None
         self._pointer: Any = None  # the latest event of a drag that has not been looked at
-        self._additions: Additions | None = None
         logging.getLogger("websockets.server").setLevel(logging.WARNING)
         self._access = Access()
         with contextlib.redirect_stdout(io.StringIO()), self._access.checking():  # it prints a banner
@@ -87,7 +82,7 @@ class Planner:
         few, sizes = len(session.deployment) <= MOST_CAPTIONS, session.problem.scene.tag.sizes
         self._panel = Panel(self._server.gui, value, budget, ids=few, edges=sizes)
         self._robot = robot_of(self._server, self._picture.depth, session, self._acts, self._show)
-        self._worker = Worker(self._work, lambda *failure: self._acts.put(partial(self._take_failure, *failure)))
+        self._later = Later(session, self._acts, self._panel, self._picture, seed)
         self._listen()
         self._show()
 
@@ -110,7 +105,7 @@ class Planner:
 
     def close(self) -> None:
         """End what is at work when nobody does anything, which may take a while, and the server."""
-        self._worker.close()
+        self._later.close()
         with contextlib.redirect_stdout(io.StringIO()):
             self._server.stop()
 
@@ -128,7 +123,7 @@ class Planner:
             (panel.positions.on_update, self._show_or_hide),
             (panel.names.on_update, self._show_or_hide),
             (panel.ids.on_update, self._show_or_hide),
-            (panel.additions.on_update, self._show_additions),
+            (panel.additions.on_update, self._later.show_additions),
             (self._picture.cells.on_click, self._click_surface),
             (self._picture.balls.on_click, self._click_position),
         ):
@@ -138,7 +133,7 @@ class Planner:
         if self._session.search is not None:
             self._show_search()
         elif self._dragged is None:
-            self._worker.ask(self._session.posed)
+            self._later.begin()
 
     def _point(self, event: Any) -> None:
         """Note a drag, in a thread of viser's; of the places on its way only the latest matters."""
@@ -180,9 +175,8 @@ class Planner:
 
     def _select(self, index: int) -> None:
         ids = self._session.deployment.ids
-        self._selected = int(
-            ids[min(operator.index(index), len(ids) - 1)]
-        )  # a tag may be gone that a browser still shows
+        # A tag may be gone that a browser still shows.
+        self._selected = int(ids[min(operator.index(index), len(ids) - 1)])
         self._show_tags()
 
     def _click_surface(self, event: Any) -> None:
@@ -192,8 +186,8 @@ class Planner:
             self._selected = self._session.add(*place, self._panel.edge)
             self._panel.say(f"tag {self._selected} was added")
             self._show()
-        elif self._additions is not None:
-            self._panel.say_additions(self._additions, event.instance_index)
+        elif self._later.additions is not None:
+            self._panel.say_additions(self._later.additions, event.instance_index)
 
     @property
     def _chosen(self) -> int:
@@ -231,7 +225,7 @@ class Planner:
             self._session.search.stop()
             return
         self._session.optimise(self._optimiser(), self._panel.budget, done=lambda: self._acts.put(self._take))
-        self._worker.ask(None)
+        self._later.stop()
         self._panel.say("optimising")
         self._show_search()
 
@@ -264,7 +258,7 @@ class Planner:
 
     def _show(self) -> None:
         """Show a plan that has changed, and figures that follow from it at once."""
-        self._worker.ask(None)
+        self._later.stop()
         session, problem = self._session, self._session.problem
         with self._server.atomic():
             self._show_tags()
@@ -272,8 +266,7 @@ class Planner:
             self._picture.show_values(session.values())
             positions, count = len(problem.relevance), len(session.deployment)
             self._panel.show_figures(problem.objective.describe(session.metrics(), positions, count))
-            if self._seed is not None:
-                self._panel.show_off_grid(TO_COME)
+            self._later.announce()
         self._server.flush()
 
     def _show_tags(self) -> None:
@@ -298,12 +291,6 @@ class Planner:
         self._picture.captions.show_names(self._panel.names.value)
         self._show_tags()
 
-    def _show_additions(self, _: Any = None) -> None:
-        key = ADDITIONS.get(self._panel.additions.value)
-        gains = None if self._additions is None or key is None else getattr(self._additions, key)
-        self._picture.show_additions(gains)
-        self._panel.show_legend(None if gains is None else float(np.nanmax(gains, initial=0.0)))
-
     def _show_search(self) -> None:
         """Show where a search is."""
         search = self._session.search
@@ -312,32 +299,3 @@ class Planner:
         if search.progress is not None:
             plan = replace(self._session.plan, deployment=search.progress.best)
             self._picture.show_tags(plan, self._selected, None, self._panel.ids.value)
-
-    # What is worked out when nobody does anything.
-
-    def _work(self, posed: Posed, wanted: Wanted) -> None:
-        """Find figures off the grid, what tags would add, then exacter figures; in the thread of the worker."""
-        seed = self._seed
-        figures = iter(()) if seed is None else off_grid(*posed, seed, wanted)
-        self._hand_over(posed, next(figures, None))
-        found = additions(*posed, self._picture.candidates.poses, wanted)
-        if found is not None:
-            self._acts.put(partial(self._take_additions, found))
-        self._hand_over(posed, next(figures, None))
-
-    def _hand_over(self, posed: Posed, rows: dict[str, str] | None) -> None:
-        if rows is not None:
-            self._acts.put(partial(self._take_off_grid, posed, rows))
-
-    def _take_additions(self, found: Additions) -> None:
-        self._additions = found
-        self._show_additions()
-
-    def _take_off_grid(self, posed: Posed, rows: dict[str, str]) -> None:
-        if posed is self._session.posed:
-            self._panel.show_off_grid(rows)
-
-    def _take_failure(self, posed: Posed, why: str) -> None:
-        if posed is self._session.posed:
-            self._panel.show_off_grid({})  # nothing is to come
-            self._panel.say(why, refused=True)

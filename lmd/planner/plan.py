@@ -106,10 +106,7 @@ class Plan:
         edges = self.deployment.edges
         own = None if edges is None else edges[k : k + 1]
         there = placed(plates, self.deployment[rest] if rest.size else None, surface, at, own)
-        parts = {name: getattr(self.deployment, name).copy() for name in ("positions", "normals", "surfaces")}
-        for name, values in parts.items():
-            values[k] = getattr(there, name)[0]
-        return replace(self, deployment=replace(self.deployment, **parts))
+        return replace(self, deployment=self.deployment.put(slice(k, k + 1), there))
 
     def resized(self, plates: Plates, number: int, edge: float) -> "Plan":
         """The plan with a tag of another edge, metres, at the free place nearest to where it was.

@@ -2,7 +2,6 @@
 
 import threading
 from collections.abc import Callable
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -94,14 +93,6 @@ class Search:
         if before is not None and ledger.best_fitness <= before.fitness:
             self.progress = before._replace(used=used)
         elif (found := optimiser.found(self._problem)) is not None:
-            self.progress = Progress(used, ledger.best_fitness, self._as_planned(found))
+            best = self.plan.deployment.put(self.plan.free, self._problem.free(found))  # in the order of the plan
+            self.progress = Progress(used, ledger.best_fitness, best)
         return self._told.is_set()
-
-    def _as_planned(self, found: Deployment) -> Deployment:
-        """What was found, with the tags in the order of the plan and with their labels."""
-        parts = {}
-        for name in ("positions", "normals", "surfaces"):
-            values = getattr(self.plan.deployment, name).copy()
-            values[self.plan.free] = getattr(self._problem.free(found), name)
-            parts[name] = values
-        return replace(self.plan.deployment, **parts)

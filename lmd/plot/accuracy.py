@@ -26,7 +26,9 @@ def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Probl
     from matplotlib import colormaps
     from matplotlib.colors import LogNorm
 
-    plans = [1e3 * _plan(problem, deployment) for problem, deployment in deployments.values()]
+    # The medians as tables, y by x, in millimetres; NaN where the grid has no position.
+    each = (plan_of_errors(problem, deployment) for problem, deployment in deployments.values())
+    plans = [1e3 * one.pivot(index="y", columns="x", values="predicted_error_median") for one in each]
     known = np.concatenate([plan.to_numpy().ravel() for plan in plans])
     known = known[np.isfinite(known)]
     low, high = (known.min(), known.max()) if len(known) else (1.0, 10.0)
@@ -56,8 +58,3 @@ def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Probl
     bar.set_ticks(ticks.tolist(), labels=[f"{tick:g}" for tick in ticks])
     bar.minorticks_off()
     figure.savefig(path)
-
-
-def _plan(problem: Problem, deployment: Deployment) -> Any:
-    """The medians as a table, y by x, metres; NaN where the grid has no position."""
-    return plan_of_errors(problem, deployment).pivot(index="y", columns="x", values="predicted_error_median")

@@ -16,6 +16,7 @@ from lmd.scene.tag import Tag
 from lmd.space.space import Space
 from lmd.space.surface import FILE_TOLERANCE, PLACEMENT_TOLERANCE, SurfaceArrays
 
+HUNG = ("positions", "normals", "surfaces")  # the arrays that say where and how landmarks hang
 COLUMNS = ("x", "y", "z", "nx", "ny", "nz")
 UP_COLUMNS = ("ux", "uy", "uz")
 # An up printed with a few decimals is still upright, and in the plane of its tag.
@@ -93,9 +94,16 @@ class Deployment:
         """The number of each landmark, `(K,)`, all different."""
         return np.arange(len(self)) if self.labels is None else self.labels.ids
 
+    def put(self, chosen: slice | IntArray, there: "Deployment") -> "Deployment":
+        """The same landmarks, but those that `chosen` selects hang where the landmarks of `there` do."""
+        parts = {name: getattr(self, name).copy() for name in HUNG}
+        for name, values in parts.items():
+            values[chosen] = getattr(there, name)
+        return replace(self, **parts)
+
     def __add__(self, other: "Deployment") -> "Deployment":
         """The landmarks of both, numbered from 0."""
-        parts = ((getattr(self, name), getattr(other, name)) for name in ("positions", "normals", "surfaces"))
+        parts = ((getattr(self, name), getattr(other, name)) for name in HUNG)
         edges = joined([(len(each), each.edges) for each in (self, other)])
         both = replace(Deployment(*(np.concatenate(part) for part in parts)), edges=edges)
         if self.surveyed is None and other.surveyed is None:

@@ -12,8 +12,6 @@ from lmd.geometry.se3 import are_rotations, inverse, nearest_rotations, pose_of,
 
 Keys = Mapping[str, Any]
 CHAINED = re.compile(r"cam\d+")
-# From the camera's axes (x right, y down, z the optical axis) to x along the optical axis, y left and z up.
-LEVEL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
 def read_mount(path: Any, name: str | None = None) -> FloatArray:

@@ -18,7 +18,7 @@ from lmd.scene.edges import edges_or
 from lmd.scene.fixed import beside
 from lmd.scene.pushing import TOUCHING, push
 from lmd.scene.tag import Tag
-from lmd.space.inset import Inset
+from lmd.space.changed import Inset
 from lmd.space.space import Space
 from lmd.space.surface import FILE_TOLERANCE, SurfaceArrays
 

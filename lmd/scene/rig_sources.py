@@ -10,8 +10,8 @@ from lmd.core.checks import InputError, argument_of
 from lmd.core.files import read_keys
 from lmd.scene.camera import Camera
 from lmd.scene.camera_calibration import OPTICS, calibrated_camera
-from lmd.scene.extrinsics import LEVEL, read_chain
-from lmd.scene.rig import ANGLES, Mount, Rig
+from lmd.scene.extrinsics import read_chain
+from lmd.scene.rig import ANGLES, OPTICAL, Mount, Rig
 
 KEYS = ("translation", *ANGLES, "quaternion", "camera")
 CAMERA_KEYS = ("path", "name", "image_size", "distortion_model", *OPTICS)
@@ -92,8 +92,8 @@ def _chained(given: Mapping[str, Any]) -> Rig:
         first = Mount(cameras[0], **where)
     mounts = [first]
     for camera, pose in zip(cameras[1:], list(poses.values())[1:], strict=True):
-        place = np.array(first.translation) + first.rotation @ LEVEL @ pose[:3, 3]
-        turn = Rotation.from_matrix(first.rotation @ LEVEL @ pose[:3, :3] @ LEVEL.T)
+        place = np.array(first.translation) + first.rotation @ OPTICAL @ pose[:3, 3]
+        turn = Rotation.from_matrix(first.rotation @ OPTICAL @ pose[:3, :3] @ OPTICAL.T)
         mounts.append(Mount(camera, tuple(place.tolist()), quaternion=tuple(turn.as_quat().tolist())))
     return Rig(tuple(mounts))
 

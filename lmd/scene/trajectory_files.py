@@ -11,13 +11,14 @@ from lmd.core.checks import ONE_TURN, FloatArray, InputError, choice, real, said
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.geometry.se3 import act, laid_over, pose_of, poses_from_rows
 from lmd.geometry.trajectory import Trajectory
-from lmd.scene.extrinsics import LEVEL, read_mount
+from lmd.scene.extrinsics import read_mount
+from lmd.scene.rig import OPTICAL
 from lmd.scene.trajectory_readers import read_rows
 from lmd.space.inside import check_positions
 from lmd.space.space import Space
 
 # From the camera's axes (x right, y down, z the optical axis) to those that an orientation is about.
-FRAMES = {"optical": np.eye(3), "body": LEVEL}
+FRAMES = {"optical": np.eye(3), "body": OPTICAL}
 FEWEST = 3  # points that say how two frames lie to each other
 # How far points of two frames may miss each other, in parts of their extent, and how thin their triangle may be.
 MISS, THIN = 0.05, 0.02

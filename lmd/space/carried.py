@@ -7,7 +7,6 @@ from typing_extensions import override
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.space.changed import Changed
-from lmd.space.cuboid import Cuboid
 from lmd.space.gridded import Gridded
 from lmd.space.relevance import Weighing
 from lmd.space.space import Space
@@ -119,13 +118,9 @@ class Carried(Changed):
 
 def _may_be(room: Space, points: FloatArray) -> BoolArray:
     """Whether a body may be at points `(..., 3)`, `(...)`."""
-    if isinstance(room, Cuboid):
-        low, high = room.reachable_low, room.reachable_high
-    elif isinstance(room, Gridded):
-        low, high = room.box
-    else:
+    if not isinstance(room, Gridded):
         return np.ones(points.shape[:-1], dtype=np.bool_)
+    low, high = room.box
     within = np.asarray(((points >= low - ON_BORDER) & (points <= high + ON_BORDER)).all(axis=-1))
-    if isinstance(room, Gridded):
-        within[within] = room.reaches(points[within])
+    within[within] = room.reaches(points[within])
     return within

@@ -1,16 +1,26 @@
 """A space that is a room but for what a subclass says otherwise."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, TypeVar, cast
 
-import numpy as np
+from typing_extensions import override
 
-from lmd.core.checks import BoolArray, FloatArray, IntArray
-from lmd.space.blockers import Blockers
-from lmd.space.fixture import Fixture
 from lmd.space.relevance import Weighing
 from lmd.space.space import Space
 from lmd.space.surface import Surface
-from lmd.space.triangles import Triangles
+
+Method = TypeVar("Method", bound=Callable[..., Any])
+
+
+def _asked(method: Method) -> Method:
+    """A method of `Space` by which `Changed` asks its room."""
+
+    @wraps(method)
+    def ask(changed: "Changed", *arguments: Any, **named: Any) -> Any:
+        return getattr(changed._room, method.__name__)(*arguments, **named)
+
+    return cast(Method, ask)
 
 
 class Changed:
@@ -23,75 +33,48 @@ class Changed:
     def __init__(self, room: Space) -> None:
         self._room = room
 
-    def surfaces(self) -> tuple[Surface, ...]:
-        """See `Space.surfaces`."""
-        return self._room.surfaces()
-
     @property
     def relevance(self) -> Weighing:
         """See `Space.relevance`."""
         return self._room.relevance
 
-    def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
-        """See `Space.surfaces_of`."""
-        return self._room.surfaces_of(positions, normals)
+    surfaces = _asked(Space.surfaces)
+    surfaces_of = _asked(Space.surfaces_of)
+    surface_near = _asked(Space.surface_near)
+    bounds = _asked(Space.bounds)
+    contains = _asked(Space.contains)
+    blockers = _asked(Space.blockers)
+    faces = _asked(Space.faces)
+    passable = _asked(Space.passable)
+    clear = _asked(Space.clear)
+    grid = _asked(Space.grid)
+    finer = _asked(Space.finer)
+    jittered_grid = _asked(Space.jittered_grid)
+    sample = _asked(Space.sample)
+    sample_evenly = _asked(Space.sample_evenly)
+    outline = _asked(Space.outline)
+    fixtures = _asked(Space.fixtures)
+    describe = _asked(Space.describe)
 
-    def surface_near(self, positions: FloatArray, normals: FloatArray) -> IntArray:
-        """See `Space.surface_near`."""
-        return self._room.surface_near(positions, normals)
 
-    def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """See `Space.bounds`."""
-        return self._room.bounds()
+class Inset(Changed):
+    """A room whose surfaces end before their edges, as by half a plate for the centres of plates.
 
-    def contains(self, points: FloatArray) -> BoolArray:
-        """See `Space.contains`."""
-        return self._room.contains(points)
+    Those of `surfaces_of`, `surface_near` and `faces` stay the room's, to their edges.
 
-    def blockers(self) -> Blockers | Triangles | None:
-        """See `Space.blockers`."""
-        return self._room.blockers()
+    Args:
+        room: the room.
+        margin: by which every edge of every surface is moved inwards, metres.
 
-    def faces(self) -> tuple[Surface, ...]:
-        """See `Space.faces`."""
-        return self._room.faces()
+    Raises:
+        InputError: a surface has nothing left.
+    """
 
-    def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """See `Space.passable`."""
-        return self._room.passable(starts, ends)
+    def __init__(self, room: Space, margin: float) -> None:
+        super().__init__(room)
+        self._surfaces = tuple(surface.inset(margin) for surface in room.surfaces())
 
-    def clear(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """See `Space.clear`."""
-        return self._room.clear(starts, ends)
-
-    def grid(self) -> FloatArray:
-        """See `Space.grid`."""
-        return self._room.grid()
-
-    def finer(self) -> Space:
-        """See `Space.finer`."""
-        return self._room.finer()
-
-    def jittered_grid(self, repeats: int, rng: np.random.Generator) -> FloatArray:
-        """See `Space.jittered_grid`."""
-        return self._room.jittered_grid(repeats, rng)
-
-    def sample(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """See `Space.sample`."""
-        return self._room.sample(size, rng)
-
-    def sample_evenly(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """See `Space.sample_evenly`."""
-        return self._room.sample_evenly(size, rng)
-
-    def outline(self) -> Mapping[str, FloatArray]:
-        """See `Space.outline`."""
-        return self._room.outline()
-
-    def fixtures(self) -> Sequence[Fixture]:
-        """See `Space.fixtures`."""
-        return self._room.fixtures()
-
-    def describe(self) -> str:
-        """See `Space.describe`."""
-        return self._room.describe()
+    @override
+    def surfaces(self) -> tuple[Surface, ...]:
+        """In the order of the room's."""
+        return self._surfaces

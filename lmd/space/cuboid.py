@@ -1,30 +1,23 @@
 """A cuboid room with walls that may carry landmarks, and a reachable box inside it."""
 
 import itertools
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
+from typing_extensions import override
 
-from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, choice, vector
-from lmd.space.grid import (
-    KINDS,
-    cell_borders,
-    checked_spacing,
-    combined,
-    grid_axes,
-    grid_counts,
-    kronecker,
-    latin_hypercube,
-)
+from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, choice, vector
+from lmd.space.grid import KINDS, checked_spacing, grid_counts, kronecker
+from lmd.space.gridded import Gridded
 from lmd.space.relevance import Relevance
-from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, SurfaceArrays, surface_near
+from lmd.space.surface import PLACEMENT_TOLERANCE, Surface, SurfaceArrays
 
 WALLS = ("x_min", "x_max", "y_min", "y_max", "floor", "ceiling")
 
 
 @dataclass(frozen=True)
-class Cuboid:
+class Cuboid(Gridded):
     """A cuboid room with a centred reachable box (Sec. V-A of the paper); a `lmd.space.space.Space`.
 
     Args:
@@ -48,8 +41,8 @@ class Cuboid:
     relevance: Relevance = field(default_factory=Relevance)
 
     def __post_init__(self) -> None:
-        size = vector("size", self.size, 3, above=0.0)
-        reachable = vector("reachable_size", self.reachable_size, 3, above=0.0)
+        check_fields(self, vector, "size", "reachable_size", size=3, above=0.0)
+        size, reachable = self.size, self.reachable_size
         if any(inner > outer for inner, outer in zip(reachable, size, strict=True)):
             raise InputError(f"reachable_size = {list(reachable)} exceeds size = {list(size)}.", "reachable_size")
         choice("positions", self.positions, KINDS)
@@ -59,8 +52,6 @@ class Cuboid:
         if not walls or len(set(walls)) != len(walls):
             raise InputError(f"walls must list at least one wall, each once, got {self.walls!r}.", "walls")
         object.__setattr__(self, "spacing", checked_spacing(self.spacing, reachable))
-        object.__setattr__(self, "size", size)
-        object.__setattr__(self, "reachable_size", reachable)
         object.__setattr__(self, "walls", tuple(self.walls))
 
     @property
@@ -73,67 +64,51 @@ class Cuboid:
         """Upper corner of the reachable box, `(3,)`, metres."""
         return np.asarray((np.asarray(self.size) + np.asarray(self.reachable_size)) / 2.0)
 
+    @override
     def grid_shape(self) -> tuple[int, int, int]:
-        """Number of positions along x, y, z."""
         return grid_counts(np.asarray(self.reachable_size), self.spacing, self.positions)
 
-    def grid(self) -> FloatArray:
-        """Discrete positions Omega_d, `(P, 3)` in the world frame, metres; z varies fastest."""
-        return combined(self._grid_axes())
+    @property
+    @override
+    def box(self) -> tuple[FloatArray, FloatArray]:
+        return self.reachable_low, self.reachable_high
 
-    def finer(self) -> "Cuboid":
-        """The same room with half the spacing."""
-        return replace(self, spacing=tuple(np.broadcast_to(self.spacing, 3) / 2.0))
+    @override
+    def reaches(self, points: FloatArray) -> BoolArray:
+        return np.ones(points.shape[:-1], dtype=np.bool_)
 
-    def jittered_grid(self, repeats: int, rng: np.random.Generator) -> FloatArray:
-        """See `Space.jittered_grid`; the cell of a position is the part of the reachable box that is nearest to it."""
-        low, high = cell_borders(self._grid_axes(), self.reachable_low, self.reachable_high)
-        return (low + latin_hypercube(repeats, low.shape, rng) * (high - low)).reshape(-1, 3)
-
-    def _grid_axes(self) -> list[FloatArray]:
-        """Coordinates of the grid along x, y, z, metres."""
-        return grid_axes(self.reachable_low, self.reachable_high, self.grid_shape(), self.positions)
-
-    def sample(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """Positions drawn uniformly from the reachable box, `(size, 3)`, metres."""
-        return rng.uniform(self.reachable_low, self.reachable_high, (size, 3))
-
+    @override
     def sample_evenly(self, size: int, rng: np.random.Generator) -> FloatArray:
-        """See `Space.sample_evenly`."""
         return self.reachable_low + kronecker(rng.random(3))(size) * (self.reachable_high - self.reachable_low)
 
+    @override
     def surfaces(self) -> tuple[Surface, ...]:
         """The walls that may carry landmarks, in the order of `walls`."""
         walls = _walls(self.size)
         return tuple(walls[name] for name in self.walls)
 
+    @override
     def surfaces_of(self, positions: FloatArray, normals: FloatArray) -> IntArray:
-        """See `Space.surfaces_of`; at an edge between two walls, the one whose normal is nearer to the landmark's."""
+        """At an edge between two walls, the one whose normal is nearer to the landmark's."""
         walls = SurfaceArrays.of(self.surfaces())
         on_wall = (np.abs(walls.depth(positions)) <= PLACEMENT_TOLERANCE) & self.contains(positions)[..., None]
         nearest = np.argmax(np.where(on_wall, normals @ walls.normal.T, -np.inf), axis=-1)
         return np.where(on_wall.any(axis=-1), nearest, -1)
 
-    def surface_near(self, positions: FloatArray, normals: FloatArray) -> IntArray:
-        """See `Space.surface_near`."""
-        return surface_near(self.surfaces(), positions, normals)
-
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """See `Space.bounds`."""
         return np.zeros(3), np.asarray(self.size)
 
+    @override
     def contains(self, points: FloatArray) -> BoolArray:
         """Whether points `(..., 3)` lie in the closed room, `(...)` bool."""
         p = np.asarray(points)
         inside = (p >= -PLACEMENT_TOLERANCE) & (p <= np.asarray(self.size) + PLACEMENT_TOLERANCE)
         return np.asarray(inside.all(axis=-1))
 
+    @override
     def blockers(self) -> None:
         """See `Space.blockers`: a cuboid is convex and empty."""
-
-    def clear(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """See `Space.clear`."""
-        return np.ones(np.broadcast_shapes(starts.shape, ends.shape)[:-1], dtype=np.bool_)
 
     def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
         """See `Space.passable`."""

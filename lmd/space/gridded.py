@@ -9,14 +9,23 @@ from typing import Any, Self
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
+from lmd.space.blockers import Blockers
 from lmd.space.grid import cell_borders, combined, grid_axes, grid_counts, kronecker, latin_hypercube
 from lmd.space.surface import FILE_TOLERANCE, PLACEMENT_TOLERANCE, Surface, SurfaceArrays, surface_near
+from lmd.space.triangles import Triangles
 
 # Draws of a position that is in the reachable volume, before its grid position is taken instead.
 MOST_DRAWS = 100
 LEAST_SHARE = 1e-4  # of the box around it that the reachable volume fills
 # Normals whose products with a third differ by less are the same.
 SAME_WAY = 1e-6
+
+
+def clear_of(blockers: Blockers | Triangles | None, starts: FloatArray, ends: FloatArray) -> BoolArray:
+    """Whether none of what blocks stands between points `(..., 3)`, `(...)`."""
+    if blockers is None:
+        return np.ones(np.broadcast_shapes(starts.shape, ends.shape)[:-1], dtype=np.bool_)
+    return blockers.clear(starts, ends)
 
 
 class Gridded(ABC):
@@ -43,9 +52,21 @@ class Gridded(ABC):
     def surfaces(self) -> tuple[Surface, ...]:
         """See `Space.surfaces`."""
 
-    def _grid_axes(self) -> list[FloatArray]:
+    @abstractmethod
+    def blockers(self) -> Blockers | Triangles | None:
+        """See `Space.blockers`."""
+
+    def clear(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
+        """See `Space.clear`."""
+        return clear_of(self.blockers(), starts, ends)
+
+    def grid_shape(self) -> tuple[int, int, int]:
+        """Number of positions along x, y, z of the box."""
         low, high = self.box
-        return grid_axes(low, high, grid_counts(high - low, self.spacing, self.positions), self.positions)
+        return grid_counts(high - low, self.spacing, self.positions)
+
+    def _grid_axes(self) -> list[FloatArray]:
+        return grid_axes(*self.box, self.grid_shape(), self.positions)
 
     @cached_property
     def _grid(self) -> tuple[FloatArray, BoolArray]:

@@ -105,13 +105,9 @@ class MeshRoom(Gridded):
         found[~found] = self._carried(points[~found])[2].any(axis=-1)
         return found
 
+    @override
     def blockers(self) -> Triangles:
-        """See `Space.blockers`."""
         return self.scan.triangles
-
-    def clear(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """See `Space.clear`."""
-        return self.scan.triangles.clear(starts, ends)
 
     def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
         """See `Space.passable`: the whole way keeps the clearance."""

@@ -52,16 +52,14 @@ class Obstacle:
     name: str | None = None
 
     def __post_init__(self) -> None:
-        low, high = vector("low", self.low, 3), vector("high", self.high, 3)
-        if any(a >= b for a, b in zip(low, high, strict=True)):
-            raise InputError(f"low = {list(low)} must be below high = {list(high)} along x, y and z.", "low")
+        check_fields(self, vector, "low", "high", size=3)
+        if any(a >= b for a, b in zip(self.low, self.high, strict=True)):
+            raise InputError(f"low = {list(self.low)} must be below high = {list(self.high)} along x, y and z.", "low")
         if isinstance(self.faces, str) or not isinstance(self.faces, Sequence):
             raise InputError(f"faces must be a list, got {self.faces!r}.", "faces")
         for i, face in enumerate(self.faces):
             choice(f"faces[{i}]", face, FACES)
         check_name(self.name)
-        object.__setattr__(self, "low", low)
-        object.__setattr__(self, "high", high)
         object.__setattr__(self, "faces", tuple(self.faces))
 
     @property
@@ -144,11 +142,9 @@ class FreeVolume:
         if self.height is not None:
             object.__setattr__(self, "height", Reachable(self.height).height)
             return
-        low, high = vector("low", self.low, 3), vector("high", self.high, 3)
-        if any(a > b for a, b in zip(low, high, strict=True)):
-            raise InputError(f"low = {list(low)} exceeds high = {list(high)}.", "low")
-        object.__setattr__(self, "low", low)
-        object.__setattr__(self, "high", high)
+        check_fields(self, vector, "low", "high", size=3)
+        if self.low and self.high and any(a > b for a, b in zip(self.low, self.high, strict=True)):
+            raise InputError(f"low = {list(self.low)} exceeds high = {list(self.high)}.", "low")
 
 
 def made(name: str, kind: type[T], value: Any) -> T:

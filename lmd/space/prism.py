@@ -14,7 +14,7 @@ from lmd.space.cuboid import box_edges
 from lmd.space.fixture import Fixture
 from lmd.space.floor_plan import FloorPlan
 from lmd.space.grid import KINDS, checked_spacing
-from lmd.space.gridded import Gridded
+from lmd.space.gridded import Gridded, clear_of
 from lmd.space.parts import Reachable, made
 from lmd.space.polygon import edges
 from lmd.space.relevance import Relevance
@@ -92,18 +92,14 @@ class Prism(Gridded):
     def contains(self, points: FloatArray) -> BoolArray:
         return self.plan.contains(points)
 
+    @override
     def blockers(self) -> Blockers | None:
-        """See `Space.blockers`."""
         return self.plan.blockers
-
-    def clear(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
-        """See `Space.clear`."""
-        return _clear(self.plan.blockers, starts, ends)
 
     def passable(self, starts: FloatArray, ends: FloatArray) -> BoolArray:
         """See `Space.passable`: the whole way keeps the clearance."""
         blockers = self.plan.blockers
-        return _clear(blockers and blockers.grown(self.reachable.clearance), starts, ends)
+        return clear_of(blockers and blockers.grown(self.reachable.clearance), starts, ends)
 
     def faces(self) -> tuple[Surface, ...]:
         """See `Space.faces`."""
@@ -126,12 +122,6 @@ class Prism(Gridded):
         """See `Space.describe`."""
         low, high = self.bounds()
         return f"room over a floor plan of {' x '.join(f'{length:g}' for length in high - low)} m"
-
-
-def _clear(blockers: Blockers | None, starts: FloatArray, ends: FloatArray) -> BoolArray:
-    if blockers is None:
-        return np.ones(np.broadcast_shapes(starts.shape, ends.shape)[:-1], dtype=np.bool_)
-    return blockers.clear(starts, ends)
 
 
 def _prism_edges(ring: Sequence[Sequence[float]], low: float, high: float) -> FloatArray:

@@ -9,7 +9,6 @@ from lmd.core.checks import FloatArray, InputError, IntArray, boolean, check_fie
 from lmd.core.tables import read_table
 from lmd.geometry.se3 import inverse, laid_over, pose_of
 from lmd.scene.deployment import Deployment
-from lmd.survey.boards import Boards
 from lmd.survey.residuals import Prior
 from lmd.survey.student import DEGREES_OF_FREEDOM
 
@@ -92,45 +91,6 @@ class Points:
         """
         rows = read_table(path, name="points").numbers(("id", "x", "y", "z"), None)
         return cls(rows[:, 0].astype(np.int64), rows[:, 1:])
-
-
-def prior_of(
-    ids: IntArray,
-    plan: Deployment | None,
-    hanging: Hanging,
-    fixed: Deployment | None,
-    points: Points | None = None,
-    boards: Boards | None = None,
-    mounts: FloatArray | None = None,
-) -> Prior:
-    """What a plan, tags whose places are exact, and measured centres say of the tags with these `ids` `(K,)`.
-
-    Args:
-        ids: ascending.
-        plan: where tags should hang; None for none.
-        hanging: how far from there they may.
-        fixed: where some hang exactly; None for none.
-        points: where the centres of some are; None for none.
-        boards: how some are to each other; None for none.
-        mounts: of the cameras, see `Prior`; None where they are to be found.
-    """
-    tags, information = np.tile(np.eye(4), (len(ids), 1, 1)), np.zeros((len(ids), 6))
-
-    def shared(known: IntArray) -> tuple[IntArray, IntArray]:
-        """Where tags that are known are among `ids`, and among themselves."""
-        _, of, among = np.intersect1d(ids, known, return_indices=True)
-        return of, among
-
-    if plan is not None:
-        of, among = shared(plan.ids)
-        tags[of], information[of] = poses_of(plan)[among], hanging.deviations**-2.0
-    if points is not None:
-        of, among = shared(points.ids)
-        tags[of, :3, 3], information[of, 3:] = points.places[among], TAPE_SIGMA_M**-2.0
-    if fixed is not None:
-        of, among = shared(fixed.ids)
-        tags[of], information[of] = poses_of(fixed)[among], EXACT_SIGMA**-2.0
-    return Prior(tags, information, None if boards is None else boards.among(ids), mounts)
 
 
 def aligned(tags: FloatArray, prior: Prior) -> FloatArray | None:

@@ -16,7 +16,8 @@ from lmd.survey.estimate import Estimate, estimate
 from lmd.survey.faults import Faults, settled
 from lmd.survey.held_out import Localised, held_out
 from lmd.survey.intrinsics import Calibrated, calibrated, judged
-from lmd.survey.known import Hanging, Points, levelled, poses_of, prior_of
+from lmd.survey.known import EXACT_SIGMA, TAPE_SIGMA_M, Hanging, Points, levelled, poses_of
+from lmd.survey.residuals import Prior
 from lmd.survey.sightings import Sightings, sightings_of
 
 # A tag of which nothing is known is believed if so many sightings agree where it hangs: ids are misread.
@@ -75,9 +76,29 @@ class Known:
         if self.plan is None:
             return None
         poses = np.full((len(ids), 4, 4), np.nan)
-        _, of, among = np.intersect1d(ids, self.plan.ids, return_indices=True)
+        of, among = _shared(ids, self.plan.ids)
         poses[of] = poses_of(self.plan)[among]
         return poses
+
+    def prior(self, ids: IntArray) -> Prior:
+        """What is known of the tags with these `ids` `(K,)`, ascending, and of the cameras."""
+        tags, information = np.tile(np.eye(4), (len(ids), 1, 1)), np.zeros((len(ids), 6))
+        if self.plan is not None:
+            of, among = _shared(ids, self.plan.ids)
+            tags[of], information[of] = poses_of(self.plan)[among], self.hanging.deviations**-2.0
+        if self.points is not None:
+            of, among = _shared(ids, self.points.ids)
+            tags[of, :3, 3], information[of, 3:] = self.points.places[among], TAPE_SIGMA_M**-2.0
+        if self.fixed is not None:
+            of, among = _shared(ids, self.fixed.ids)
+            tags[of], information[of] = poses_of(self.fixed)[among], EXACT_SIGMA**-2.0
+        return Prior(tags, information, None if self.boards is None else self.boards.among(ids), self.mounts)
+
+
+def _shared(ids: IntArray, known: IntArray) -> tuple[IntArray, IntArray]:
+    """Where tags that are known are among `ids`, and among themselves."""
+    _, of, among = np.intersect1d(ids, known, return_indices=True)
+    return of, among
 
 
 @dataclass(frozen=True)
@@ -165,8 +186,7 @@ def survey(
         return sightings_of(detected, through, ids, known.edges(ids, tag), tag.modules, errors)
 
     sightings, refined = sighted(cameras), tuple(cameras)
-    prior = prior_of(ids, known.plan, known.hanging, known.fixed, known.points, known.boards, known.mounts)
-    found = estimate(sightings, prior, known.origin)
+    found = estimate(sightings, known.prior(ids), known.origin)
     if calibrate:
         found, refined = calibrated(found, cameras, sighted)
         sightings = found.sightings

@@ -16,14 +16,13 @@ from strategies import fiducial_scenes, scenes, scenes_with_boundary_landmarks, 
 
 from lmd.core.checks import InputError
 from lmd.evaluation.bounds import (
-    Relaxation,
     Search,
     affordable,
     average_upper_bound,
     fewest_landmarks,
     fitness_upper_bound,
-    smoothed_min,
 )
+from lmd.evaluation.relaxation import Relaxation, smoothed_min
 from lmd.evaluation.selection_bound import selection_upper_bound
 from lmd.evaluation.time_limit import TimeLimit
 from lmd.evaluation.wall_gains import largest_gain

@@ -17,12 +17,12 @@ from lmd.evaluation.selection_bound import selection_upper_bound
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.annealing import Annealing, Stage
 from lmd.optimisers.annealing.surrogate import Surrogate
-from lmd.optimisers.composition import composition
+from lmd.optimisers.composition import composition, stock_of_sizes
 from lmd.optimisers.greedy import Greedy, GreedyDeployment
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.milp import Milp
 from lmd.optimisers.random_search import RandomSearch
-from lmd.optimisers.selection import Paper, Tags, candidates, select
+from lmd.optimisers.selection import Tags, candidates, select
 from lmd.problem import Problem
 from lmd.scene import pdf
 from lmd.scene.deployment_sources import RandomDeployment
@@ -91,7 +91,7 @@ def test_selection_takes_no_more_of_a_size_than_there_are():
 def test_selection_takes_no_more_paper_than_there_is_and_leaves_less_than_a_tag():
     plates, evaluator, area = scene(TAG).plates, Evaluator(scene(TAG).sized(OWN), threads=1), 0.3
     poses, relevance = candidates(plates, np.array(EDGES), 0.8), np.ones(len(evaluator.positions))
-    chosen, _ = select(COVERAGE.selection(evaluator, relevance), poses, Paper(area, plates), plates)
+    chosen, _ = select(COVERAGE.selection(evaluator, relevance), poses, stock_of_sizes(TAG, plates, area), plates)
     used = (plates.papers(poses[chosen]) ** 2).sum()
     assert area - plates.edge**2 < used <= area
     counts = composition(scene(replace(TAG, counts=None, paper=area)), COVERAGE, threads=1)

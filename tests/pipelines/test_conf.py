@@ -23,6 +23,7 @@ from pipelines.app import CONF, flat_settings
 from pipelines.building import build_optimiser, build_problem, camera_of, instantiate
 from pipelines.deployments import any_deployment
 from pipelines.hyperparameters import GROUPS as COMPLETED
+from pipelines.hyperparameters import FileConfigSource
 
 ONLY_OBSERVE = ("trajectory", "detector", "estimator", "odometry")
 ONLY_RENDERED = ("detectors", "imaging", "views")
@@ -300,3 +301,13 @@ def test_the_doors_and_windows_of_the_lab_are_where_they_always_were():
     np.testing.assert_allclose(door, [[4.8, 0.0, 0.0], [5.7, 0.0, 2.1]], atol=1e-9)
     np.testing.assert_allclose(one, [[0.0, 1.3, 0.9], [0.0, 2.5, 2.1]], atol=1e-9)
     np.testing.assert_allclose(other, [[6.0, 0.4, 0.9], [6.0, 1.6, 2.1]], atol=1e-9)
+
+
+def test_a_file_is_read_anew_where_it_changed(tmp_path):
+    files = FileConfigSource("main", f"file://{tmp_path}")
+    for text, value in (("x: 1", 1), ("x: 22", 22)):
+        (tmp_path / "one.yaml").write_text(text)
+        for _ in range(2):
+            loaded = files.load_config("one").config
+            assert loaded.x == value
+            loaded.x = 5  # as Hydra may

@@ -61,7 +61,8 @@ def test_a_mounting_error_is_a_number_or_more(folder):
     figures, (metrics, artifacts) = written(folder)["mounting"], logged(folder)
     assert figures["fitness/50"] == pytest.approx(table.loc["fitness", "50 %"])
     assert {key: metrics[f"mounting/{key}"] for key in figures} == figures
-    assert {"mounting.csv", "mountings.csv", "mounting_views.csv", "mounting.png"} <= artifacts
+    assert {"mounting.csv", "mountings.csv", "mounting_views.csv"} <= artifacts
+    assert not list((folder / "run").glob("*.png"))  # QUICK has picture=false
 
 
 @pytest.mark.slow
@@ -69,7 +70,8 @@ def test_measured_places_are_scored_in_place_of_the_plan(folder):
     survey = folder / "run" / "measured.csv"  # beside what comes out
     survey.parent.mkdir()
     survey.write_text(MEASURED)
-    done = processes.call("evaluate", f"deployment.measured={survey}", *QUICK, cwd=folder, settings=SMALL)
+    asked = (f"deployment.measured={survey}", *QUICK, "picture=true")
+    done = processes.call("evaluate", *asked, cwd=folder, settings=SMALL)
     assert done.returncode == 0, done.stderr
     assert "at most 50.0 mm" in done.stdout
     assert survey.read_text() == MEASURED

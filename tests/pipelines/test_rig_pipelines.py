@@ -78,3 +78,5 @@ def test_a_rig_is_optimised_and_judged(tmp_path):  # other optimisers, and losse
     assert done.returncode == 0, done.stderr
     again = json.loads((tmp_path / "again" / "metrics.json").read_text())
     assert again["qualified_ratio"] == found["qualified_ratio"]
+    assert (tmp_path / "again" / "localisation.csv").is_file()
+    assert not list((tmp_path / "again").glob("*.png"))

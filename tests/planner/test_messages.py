@@ -79,7 +79,7 @@ def test_odd_messages_end_nothing_and_shut_nobody_out(monkeypatch):
 
     say = Panel.say
     monkeypatch.setattr(Panel, "say", lambda *args, refused=False: (said.append(refused), say(*args, refused=refused)))
-    monkeypatch.setattr("lmd.planner.app.additions", lambda *_: None)
+    monkeypatch.setattr("lmd.planner.later.additions", lambda *_: None)
     session = Session(planned, planned.draw(np.random.default_rng(0)))
     planner = Planner(session, 0, save, RandomSearch, Budget(1), seed=None)
     before, mine = session.plan, urlsplit(planner.address)

@@ -14,7 +14,8 @@ from lmd.core.checks import InputError
 from lmd.objectives.coverage import Coverage
 from lmd.optimisers.ledger import Budget
 from lmd.optimisers.random_search import RandomSearch
-from lmd.planner.app import TO_COME, Planner
+from lmd.planner.app import Planner
+from lmd.planner.later import TO_COME
 from lmd.planner.panel import Panel
 from lmd.planner.picture import BALL_RADIUS, Picture
 from lmd.planner.session import Session
@@ -61,7 +62,7 @@ def test_of_recorded_poses_it_shows_the_figures_held_out(planner, monkeypatch, w
         if rows != TO_COME:
             raise Shown(rows)
 
-    monkeypatch.setattr("lmd.planner.app.additions", lambda *_: None)
+    monkeypatch.setattr("lmd.planner.later.additions", lambda *_: None)
     monkeypatch.setattr(Panel, "show_off_grid", show)
     with pytest.raises(Shown) as shown:
         planner(recorded(write)).run()
@@ -76,7 +77,7 @@ def test_what_cannot_be_worked_out_is_said(planner, monkeypatch):
         if refused:
             raise Shown(text)
 
-    monkeypatch.setattr("lmd.planner.app.additions", fail)
+    monkeypatch.setattr("lmd.planner.later.additions", fail)
     monkeypatch.setattr(Panel, "say", say)
     with pytest.raises(Shown, match=r"^that is too big\.$"):
         planner(problem()).run()

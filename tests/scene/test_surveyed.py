@@ -30,8 +30,8 @@ from lmd.scene.plates import Plates
 from lmd.scene.scene import Scene
 from lmd.scene.tag import Tag
 from lmd.sight.models.paper import Visibility
+from lmd.space.changed import Inset
 from lmd.space.floor_plan import FloorPlan
-from lmd.space.inset import Inset
 
 SEEN = Visibility(thold=0.05, nu=0.0, occlusion="none")
 TAG = Tag(0.1)

@@ -9,8 +9,9 @@ from scipy.stats import chi2
 from lmd.geometry.se3 import camera_pose, exp, inverse, log
 from lmd.scene.deployment import Deployment
 from lmd.survey.estimate import estimate
-from lmd.survey.known import Hanging, poses_of, prior_of
+from lmd.survey.known import poses_of
 from lmd.survey.residuals import Poses, Prior, errors_at, linearise
+from lmd.survey.survey import Known
 
 COUNT, FRAMES, SIGMA = 24, 80, 0.2
 NOTHING = Prior(np.tile(np.eye(4), (COUNT, 1, 1)), np.zeros((COUNT, 6)))
@@ -56,7 +57,7 @@ def test_derivatives_are_those_of_the_residuals():
 
 def test_the_map_of_tags_that_hang_off_their_plan_is_found():
     plan, true, detected = walked(3)
-    prior = prior_of(np.arange(COUNT), deployment_of(plan), Hanging(), None)
+    prior = Known(deployment_of(plan)).prior(np.arange(COUNT))
     found = estimate(walks.sightings(detected, np.arange(COUNT)), prior)
     assert found.mapped.tolist() == list(range(COUNT))
     assert not found.misfits.any()
@@ -94,7 +95,7 @@ def test_a_tenth_of_wrong_ids_does_no_harm(planned):
     rng = np.random.default_rng(8)
     wrong = rng.random(len(detected)) < 0.1
     ids = np.where(wrong, (detected.ids + rng.integers(1, COUNT, len(wrong))) % COUNT, detected.ids)
-    prior = prior_of(np.arange(COUNT), deployment_of(plan), Hanging(), None) if planned else NOTHING
+    prior = Known(deployment_of(plan)).prior(np.arange(COUNT)) if planned else NOTHING
     found = estimate(walks.sightings(replace(detected, ids=ids), np.arange(COUNT)), prior)
     assert len(found.mapped) == COUNT
     assert np.median(off(found.poses.tags, true)) < 2.0

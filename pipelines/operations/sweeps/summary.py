@@ -59,17 +59,19 @@ def best_and_median(sweep: Sweep, found: Found) -> dict[str, float]:
 
 def description(sweep: Sweep, found: Found) -> str:
     """What varied, and the best and the median of every group of jobs, in Markdown."""
+    from lmd.core.words import markdown_table
+
     keys, groups = _groups(sweep, found)
     counts = {key: len({job.varied[key] for _, job, _ in found if key in job.varied}) for key in sweep.varied}
     varied = ", ".join(f"`{key}` ({count} values)" for key, count in counts.items())
     told = {key: label for key, label in TOLD.items() if _values(found, key)}
     head = [*keys, "jobs finished", *(f"{label}: {what}" for label in told.values() for what in ("best", "median"))]
-    lines = [head, ["---"] * len(head)]
+    rows = []
     for group, members in groups.items():
         values = [_values(members, key) for key in told]
         figures = [f"{figure(each):.2%}" if each else "" for each in values for figure in (max, median)]
-        lines.append([*group, f"{sum(job.status == 'finished' for _, job, _ in members)} of {len(members)}", *figures])
-    return "\n".join([f"varies: {varied or 'nothing'}", "", *(f"| {' | '.join(line)} |" for line in lines)])
+        rows.append([*group, f"{sum(job.status == 'finished' for _, job, _ in members)} of {len(members)}", *figures])
+    return "\n".join([f"varies: {varied or 'nothing'}", "", markdown_table(head, rows)])
 
 
 def pivots(sweep: Sweep, found: Found) -> "dict[str, pd.DataFrame]":

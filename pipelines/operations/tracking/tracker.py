@@ -5,6 +5,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+from typing_extensions import override
+
 PARENT_TAG = "mlflow.parentRunId"  # names the run that this one is shown below
 
 
@@ -81,41 +83,26 @@ class Tracker(Protocol):
         """Lines that tell where the runs below this one are seen, grouped by params; none if the store is lost."""
 
 
-class NoTracker:
-    """Records nothing (`tracking=none`)."""
+class NoTracker(Tracker):
+    """Records nothing (`tracking=none`): what it is told leads to nothing."""
 
-    run_id = None
+    @property
+    @override
+    def run_id(self) -> None:
+        """There is none."""
 
-    def start(self, run: RunStart, run_id: str | None = None) -> None:
-        """Do nothing."""
-
+    @override
     def goes_on(self, run_id: str, folder: Path, params: Mapping[str, Any]) -> bool:
-        """Nothing that is recorded can go on."""
         return False
 
-    def discard(self) -> None:
-        """Do nothing."""
-
+    @override
     def end_lost(self, tags: Mapping[str, str], reason: str) -> bool:
-        """Do nothing."""
         return True
 
-    def log_curve(self, metric: str, points: Iterable[tuple[int, float, float]]) -> None:
-        """Do nothing."""
-
-    def log_metrics(self, metrics: Mapping[str, float]) -> None:
-        """Do nothing."""
-
-    def log_artifacts(self, paths: Iterable[Path]) -> None:
-        """Do nothing."""
-
-    def finish(self, status: str, reason: str = "") -> None:
-        """Do nothing."""
-
+    @override
     def describe(self) -> str:
-        """See `Tracker.describe`."""
         return "not tracked (tracking=none)"
 
+    @override
     def views(self, params: Sequence[str]) -> list[str]:
-        """Nothing is seen."""
         return []
