@@ -121,7 +121,8 @@ def _try_flips(k, positions, field, state, scratch):
                 inside = covers_one(sight, px, py, pz, frame, least, high[p], sure[p], central, axes, a)
                 has |= np.uint64(inside) << bit
                 left &= left - ONE
-            units[p] += sum_weights(enough[p, w], has, weights, p, w)
+            if has != enough[p, w]:
+                units[p] += sum_weights(enough[p, w], has, weights, p, w)
 
 
 @inner

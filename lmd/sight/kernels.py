@@ -17,7 +17,7 @@ on how it is shared.
 import numpy as np
 
 from lmd.core.bits import ALL, BITS, ONE, ZERO, lowest
-from lmd.core.compiled import inlined, kernel
+from lmd.core.compiled import inlined, inner, kernel
 from lmd.scene.criteria import covering, covers, frame_of, sized
 from lmd.sight.blocks import BLOCK
 from lmd.sight.obstacles import is_clear, no_ends
@@ -34,7 +34,7 @@ def weights_row(weights, p):
     return np.uint64(p) if len(weights) > 1 else np.uint64(0)
 
 
-@inlined
+@inner
 def sum_weights(before, after, weights, p, w):
     """What the axes of word w weigh at position p that are in the set `after`, less those in `before`."""
     change, left, row = np.int64(0), before ^ after, weights_row(weights, p)
