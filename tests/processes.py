@@ -21,6 +21,7 @@ from pipelines.operations.sweeps.forks import Descriptor, context, run_module
 ROOT = Path(__file__).parents[1]
 SMALL = ("room.spacing=1.5", "objective.thold_p=0.5", "validate=false", "picture=false")
 LIMIT = 120  # seconds that a test waits for a process
+WHOLE = 5 * LIMIT  # for one that runs to its end, and may compile before, on a machine that does other things
 
 
 def environment(*folders):
@@ -36,7 +37,7 @@ def call(pipeline, *overrides, cwd, settings=SMALL, folders=(), fresh=False):
     """Run a pipeline to its end, whatever that is."""
     line = command(pipeline, *overrides, settings=settings)
     process = start(line, cwd=cwd, folders=folders, fresh=fresh, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    out, err = process.communicate(timeout=5 * LIMIT)
+    out, err = process.communicate(timeout=WHOLE)
     return subprocess.CompletedProcess(line, process.returncode, out, err)
 
 

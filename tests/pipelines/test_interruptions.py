@@ -10,7 +10,7 @@ import time
 import pandas as pd
 import pytest
 from endless import ENDLESS, SETTINGS, ended, metrics_in, runs, wait_for
-from processes import ROOT, command, environment
+from processes import ROOT, WHOLE, command, environment
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 
@@ -59,7 +59,7 @@ def test_told_to_stop_before_there_is_anything_it_leaves_nothing(begin, number, 
     process = begin(command("optimise", *SETTINGS, *ENDLESS), tmp_path, fresh=True)
     time.sleep(delay)
     process.send_signal(number)
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=WHOLE)
     # Before it reads our first line, Python has a traceback of its own, and an exit code of its own while it starts.
     assert "Traceback" not in err or f"{ROOT}/pipelines" not in err
     codes = {128 + number, -number} | ({1} if "Traceback" in err and f"{ROOT}/pipelines" not in err else set())
@@ -107,7 +107,7 @@ def test_a_closed_terminal_is_no_reason_to_lose_the_result(begin, tmp_path):
     wait_for(tmp_path / "run" / "checkpoint.npz", process)
     os.close(ours)
     process.send_signal(signal.SIGHUP)
-    assert process.wait(timeout=120) == 128 + signal.SIGHUP
+    assert process.wait(timeout=WHOLE) == 128 + signal.SIGHUP
     assert (tmp_path / "run" / "scene.png").exists()
     (run,) = runs(tmp_path)
     assert run.info.status == "KILLED"

@@ -10,7 +10,7 @@ import pytest
 import slurm
 from faulty_sweeps import by_fault, prepared, statuses
 from mlflow import MlflowClient
-from processes import command, start
+from processes import WHOLE, command, start
 from services import mlflow_server, wait_until
 
 # Takes its time until the file `repaired` is there; as `late` it hangs in a batch once it has a checkpoint.
@@ -64,7 +64,7 @@ def cut(cwd, server, sweep):
     wait_until(lambda: queue(f"--jobs={IDS['late']}", "--noheader", "--format=%T") == "TIMEOUT\n", process, queue)
     # SLURM has killed the process that waited for this one. With control groups, which a test cannot have, both die.
     os.kill(batches(cwd, "late")[-1][0], signal.SIGKILL)
-    out, err = process.communicate(timeout=120)
+    out, err = process.communicate(timeout=WHOLE)
     return process.returncode, out, err, table(cwd), runs(server)
 
 
@@ -123,7 +123,7 @@ def test_the_same_sweep_again_does_what_is_missing_from_the_checkpoints(cut, cwd
     *_, (_, before) = cut
     (cwd / "repaired").touch()
     process = sweep()
-    out, err = process.communicate(timeout=120)
+    out, err = process.communicate(timeout=WHOLE)
     assert process.returncode == 0, err
     assert "going on after 1 finished jobs" in out
     assert "4 of 4 jobs finished" in out
