@@ -30,30 +30,30 @@ class FileConfigSource(file_config_source.FileConfigSource):
     It has the name of the one it replaces: by that, Hydra knows in another process that there is one already.
     """
 
-    _loaded: ClassVar[dict[tuple[Any, ...], bytes]] = {}
+    _read_before: ClassVar[dict[tuple[Any, ...], bytes]] = {}
 
     def load_config(self, config_path: str) -> ConfigResult:
         """Load a file; see `hydra.plugins.config_source.ConfigSource`.
 
         Hydra composes twice for each command, and reading files takes a quarter of that, so each is read once.
         """
-        path = Path(self.path, self._normalize_file_name(config_path))
-        if not path.is_file():
-            return super().load_config(config_path)  # which says that there is none
-        state = path.stat()
-        key = (self.provider, path, state.st_mtime_ns, state.st_size, bool(HELP.intersection(sys.argv)))
-        if key not in self._loaded:
-            self._loaded[key] = pickle.dumps(self._load(config_path))  # Hydra changes what it gets
-        return pickle.loads(self._loaded[key])  # type: ignore[no-any-return]
-
-    def _load(self, config_path: str) -> ConfigResult:
-        loaded = super().load_config(config_path)
+        loaded = self._read(config_path)
         file = loaded.config
         if config_path.split("/")[0] in GROUPS and not HELP.intersection(sys.argv) and isinstance(file, DictConfig):
             builds_on = [entry for entry in file.get("defaults", []) if not str(entry).startswith("{'override ")]
             if not builds_on:  # where it does, those files are completed, and this one changes them
                 loaded.config = OmegaConf.merge(completed(file), file)
         return loaded
+
+    def _read(self, config_path: str) -> ConfigResult:
+        path = Path(self.path, self._normalize_file_name(config_path))
+        if not path.is_file():
+            return super().load_config(config_path)  # which says that there is none
+        state = path.stat()
+        key = (self.provider, path, state.st_mtime_ns, state.st_size)
+        if key not in self._read_before:
+            self._read_before[key] = pickle.dumps(super().load_config(config_path))  # Hydra changes what it gets
+        return pickle.loads(self._read_before[key])  # type: ignore[no-any-return]
 
 
 def completed(node: DictConfig) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from contracts.field import copied
 from paper import paper_room, paper_scene
 from small import make, problem
 
@@ -164,7 +165,7 @@ def test_walkers_that_go_on_know_what_the_others_did(in_stacks, count):
         assert not before or all(now.state is then.state for now, then in zip(surrogate._walkers, before, strict=True))
         surrogate.walk(0, SINGLE_STAGE.settings(0.0, 0.1), rng)  # where it begins
         for walker in surrogate._walkers:
-            for array, fresh in zip(walker.state, surrogate._field.state(here), strict=True):
+            for array, fresh in zip(copied(walker.state), copied(surrogate._field.state(here)), strict=True):
                 np.testing.assert_array_equal(array, fresh)
         surrogate.walk(300, SINGLE_STAGE.settings(0.0, 0.1), rng)
         before, here = surrogate._walkers, surrogate.here()
