@@ -48,6 +48,11 @@ def pytest_collection_finish():
     gc.freeze()
 
 
+def pytest_sessionfinish():
+    """Nor need the process when it ends."""
+    gc.freeze()
+
+
 def pytest_xdist_auto_num_workers():
     """Three more than processors: every other test waits for a process, a server, a browser or a cluster."""
     return available_threads() + 3
