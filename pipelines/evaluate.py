@@ -84,12 +84,12 @@ def localise(
     from .tracked_run import title_of
 
     bounds = cramer_rao_map(problem.scene, problem.evaluator, deployment)
-    files = [run_directory() / name for name in ("localisation.csv", "accuracy.csv", "localisation.png")[: 2 + drawn]]
-    bounds.to_csv(files[0])
-    save_accuracy_map(files[1], problem, deployment)
-    for picture in files[2:]:
+    table, accuracy, picture = (run_directory() / f for f in ("localisation.csv", "accuracy.csv", "localisation.png"))
+    bounds.to_csv(table)
+    save_accuracy_map(accuracy, problem, deployment)
+    if drawn:
         save_cramer_rao_map(picture, problem.scene.room, bounds, title_of(problem, "Cramer-Rao bound of one frame,"))
-    tracker.log_artifacts(files)
+    tracker.log_artifacts([table, accuracy, *([picture] if drawn else [])])
     return bounds.metrics() | accuracy_metrics(problem, deployment, seed)
 
 

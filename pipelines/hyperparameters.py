@@ -35,7 +35,7 @@ class FileConfigSource(file_config_source.FileConfigSource):
     def load_config(self, config_path: str) -> ConfigResult:
         """Load a file; see `hydra.plugins.config_source.ConfigSource`.
 
-        Hydra composes twice for each command, and reading files takes a quarter of that, so each is read once.
+        Hydra composes twice for each command; a file is read and parsed once.
         """
         loaded = self._read(config_path)
         file = loaded.config

@@ -109,7 +109,7 @@ _function_passes = CPUCodegen._function_pass_manager
 
 
 def _cheap_function_passes(self: CPUCodegen, **options: Any) -> Any:
-    """As numba's, at the lowest level: what is linked into a kernel is optimised with it once more, and fully."""
+    """As numba's, at level 1: what is linked into a kernel is optimised with it again. At level 0 that takes longer."""
     return _function_passes(self, opt=1, **options)
 
 
