@@ -10,9 +10,8 @@ from hypothesis import settings
 
 from lmd.core.threads import available_threads
 from pipelines import workers
-from pipelines.app import GARBAGE
 
-gc.set_threshold(GARBAGE)  # compiling makes many objects, too
+gc.disable()  # see pytest_runtest_logfinish
 
 settings.register_profile("lmd", examples(DEFAULT))
 settings.load_profile("lmd")
@@ -21,15 +20,14 @@ settings.load_profile("lmd")
 PLENTY, GROWN = 2**30, 2**27  # bytes in memory
 
 
-@pytest.fixture(autouse=True, scope="module")
-def give_memory_back():
-    """After a file: compiling leaves garbage, for which Python looks too seldom, and C keeps what is free.
+def pytest_runtest_logfinish():
+    """After a test: compiling leaves garbage, and C keeps what is free.
 
-    Looking takes a second where there is much, so it is done again only once as much has come as is worth that.
+    Left to itself, Python would look for garbage too often among what stays, and too seldom where there is much.
     """
-    yield
     if _in_memory() > _limit[0]:
         gc.collect()
+        gc.freeze()
         ctypes.CDLL(None).malloc_trim(0)
         _limit[0] = max(PLENTY, _in_memory() + GROWN)
 
@@ -51,6 +49,17 @@ def pytest_collection_finish():
 def pytest_sessionfinish():
     """Nor need the process when it ends."""
     gc.freeze()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_configure_node(node):
+    """The processes of all workers' tests are forked from one."""
+    node.workerinput["server"] = processes.ensure_warm()
+
+
+def pytest_configure(config):
+    if hasattr(config, "workerinput"):
+        processes.use_server(config.workerinput["server"])
 
 
 def pytest_xdist_auto_num_workers():

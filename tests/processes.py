@@ -101,11 +101,21 @@ def start(line, *, cwd, folders=(), fresh=False, ignoring=(), **streams):
 
 
 def ensure_warm():
-    """Let processes of this one's fork server come from one that is warm."""
+    """Let processes of this one's fork server come from one that is warm; returns that server's address."""
+    server = forkserver._forkserver
     with pytest.MonkeyPatch.context() as patch:  # where it finds its modules
         patch.setenv("PYTHONPATH", os.pathsep.join(map(str, (ROOT, ROOT / "tests"))))
         context.set_forkserver_preload(["warm"])
-        forkserver.ensure_running()
+        server.ensure_running()
+    return server._forkserver_address
+
+
+def use_server(address):
+    """Let processes of this one come from the fork server at `address`, which another process keeps running."""
+    server = forkserver._forkserver
+    server._forkserver_address = address
+    server._forkserver_alive_fd = os.open(os.devnull, os.O_RDONLY)
+    server.ensure_running = resource_tracker.ensure_running
 
 
 class Forked:

@@ -8,7 +8,7 @@ import tempfile
 from contextlib import closing
 from pathlib import Path
 
-from hydra import compose, initialize_config_dir
+from composing import composed
 from hydra._internal.hydra import Hydra
 from mlflow.store.db import utils
 
@@ -42,8 +42,7 @@ make_tables = utils._initialize_tables
 
 def _compose():
     """Let Hydra find its plugins, its parser learn the grammar, and its loader read what there is."""
-    with initialize_config_dir(CONF, version_base="1.3"):
-        compose("optimise", ["room.spacing=1.5", "deployment=uniform"], return_hydra_config=True)
+    composed("optimise", "room.spacing=1.5", "deployment=uniform", return_hydra_config=True)
     files = FileConfigSource("main", f"file://{CONF}")
     for path in Path(CONF).rglob("*.yaml"):
         files.load_config(str(path.relative_to(CONF)))
