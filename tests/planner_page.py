@@ -45,7 +45,7 @@ class Page:
         began = time.monotonic()
         while not is_so():
             assert time.monotonic() - began < LIMIT, self.script("document.body.innerText")
-            time.sleep(0.1)
+            time.sleep(0.3)
 
     def is_settled(self):
         """Whether nothing is worked out any more."""
