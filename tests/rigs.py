@@ -43,7 +43,8 @@ def rigs(draw, any_camera=cameras()):  # noqa: B008
 
 @st.composite
 def rig_scenes_with_deployments(draw, fiducial=False, room=None):
-    room = draw(rooms() if room is None else room)
+    # The reference looks from each place of each camera, of which there are as many as orientations.
+    room = draw(rooms(cells=2) if room is None else room)
     seen = draw(fiducials() if fiducial else visibilities())
     # Tags are seen through lenses that distort, where the test of the image takes long to compile: once.
     rig = draw(rigs(distorted_cameras(BENT).filter(is_bent) if fiducial else cameras()))

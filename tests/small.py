@@ -1,5 +1,6 @@
 """A problem that takes no time, and the configured optimisers."""
 
+from copy import deepcopy
 from dataclasses import replace
 from functools import cache
 
@@ -15,8 +16,13 @@ from pipelines.building import build_optimiser
 composed = cache(composing.composed)
 
 
-def make(name, seed=0):
+@cache
+def _built(name, seed):
     return build_optimiser(composed("optimise", f"optimiser={name}"), seed)
+
+
+def make(name, seed=0):
+    return deepcopy(_built(name, seed))  # in a tenth of the time
 
 
 def problem(start=None, threads=1, fixed=None, tag=None, **room):

@@ -96,15 +96,15 @@ def visibilities(draw):
 
 
 @st.composite
-def rooms(draw, spacings=(0.4, 0.7, 1.1)):
+def rooms(draw, spacings=(0.4, 0.7, 1.1), cells=3):
+    """Rooms with at most so many cells along an axis, which keeps a scene small."""
     size = draw(st.tuples(*[st.floats(1.0, 6.0)] * 3))
     shares = draw(st.tuples(*[st.sampled_from([0.1, 0.3, 1.0])] * 3))
     return Cuboid(
         size=size,
         reachable_size=tuple(s * share for s, share in zip(size, shares, strict=True)),
-        # At most three cells along an axis keep a scene small.
         spacing=tuple(
-            max(draw(st.sampled_from(spacings)), s * share / 3.0) for s, share in zip(size, shares, strict=True)
+            max(draw(st.sampled_from(spacings)), s * share / cells) for s, share in zip(size, shares, strict=True)
         ),
         positions=draw(st.sampled_from(["cells", "vertices"])),
     )

@@ -20,7 +20,7 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, InputError, check_fields, choice, real
 from lmd.estimation.errors import Errors, pose_errors
 from lmd.estimation.recording import Recording
-from lmd.geometry.se3 import act, adjoint, exp, inverse, project, vee
+from lmd.geometry.se3 import act, adjoint, cross, exp, inverse, project, vee
 
 FORMS = ("right", "left")
 # The step times the sum of the gains from which on the correction overshoots to ever larger errors.
@@ -87,7 +87,7 @@ class Observer:
 
     def _twist(self, arms: FloatArray, forces: FloatArray, gain: FloatArray) -> FloatArray:
         """(l^-2 k sum arm x force, k sum force), `(..., 6)`."""
-        turning = np.cross(arms, forces).sum(axis=-2) / self.length**2
+        turning = cross(arms, forces).sum(axis=-2) / self.length**2
         return np.concatenate([gain * turning, gain * forces.sum(axis=-2)], axis=-1)
 
     def estimates(self, recording: Recording, start: FloatArray) -> FloatArray:

@@ -182,12 +182,16 @@ class Deployment:
 
     def belonging(self, room: Space) -> IntArray:
         """The surface of `room` that each hangs on, or else belongs to (`Space.surface_near`), -1 for none, `(K,)`."""
+        if (self.surfaces >= 0).all():
+            return self.surfaces
         return np.where(self.surfaces < 0, room.surface_near(self.positions, self.normals), self.surfaces)
 
     def before(self, room: Space) -> "Deployment":
         """The same landmarks, those that belong to no surface of `room` with the one they are nearest to."""
         own = self.belonging(room)
-        return replace(self, surfaces=np.where(own < 0, self._distance(room).argmin(axis=0), own))
+        if (own < 0).any():
+            own = np.where(own < 0, self._distance(room).argmin(axis=0), own)
+        return replace(self, surfaces=own)
 
     def _distance(self, room: Space) -> FloatArray:
         """From each surface of `room` to each landmark, `(W, K)`, metres."""

@@ -71,6 +71,6 @@ def cost(is_qualified: BoolArray, relevance: FloatArray) -> float:
 
 def counts(scene: Scene, deployment: Deployment) -> IntArray:
     """Landmarks covered at every grid position and orientation of the PDF, `(P, A)`."""
-    # Orientations that are the same (poles, the seam) use the same bits.
-    axes = scene.orientations.axes[scene.orientations.index_of]
-    return np.stack([cap_count(coverage_caps(scene, deployment, p, axes)) for p in scene.room.grid()])
+    axes, index_of, _ = scene.orientations  # those that are the same (poles, the seam) are asked once
+    counted = [cap_count(coverage_caps(scene, deployment, p, axes)) for p in scene.room.grid()]
+    return np.stack(counted)[:, index_of]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lmd.core.checks import FloatArray, IntArray
-from lmd.geometry.se3 import inverse, log
+from lmd.geometry.se3 import cross, inverse, log
 from lmd.survey.sightings import Sightings
 from lmd.survey.student import RESIDUALS
 
@@ -115,15 +115,15 @@ def linearise(sightings: Sightings, tags: FloatArray, frames: FloatArray, mounts
 
     return Linearised(
         error.reshape(len(sightings), RESIDUALS),
-        rows(np.cross(sightings.corners[:, :, None], at_tag), at_tag),
-        rows(np.cross(at_body, body[:, :, None]), -at_body),
-        rows(np.cross(slope, seen[:, :, None]), -slope),
+        rows(cross(sightings.corners[:, :, None], at_tag), at_tag),
+        rows(cross(at_body, body[:, :, None]), -at_body),
+        rows(cross(slope, seen[:, :, None]), -slope),
     )
 
 
 def summed(values: FloatArray, owner: IntArray, count: int) -> FloatArray:
     """The sums of values `(N, ...)` over what each of `count` owners has, `(count, ...)`."""
-    from scipy.sparse import csr_array
+    from scipy.sparse import csc_array
 
-    matrix = csr_array((np.ones(len(owner)), (owner, np.arange(len(owner)))), shape=(count, len(owner)))
+    matrix = csc_array((np.ones(len(owner)), owner, np.arange(len(owner) + 1)), shape=(count, len(owner)))
     return np.asarray((matrix @ values.reshape(len(owner), -1)).reshape(count, *values.shape[1:]))

@@ -107,7 +107,7 @@ def test_every_black_box_and_our_own_method_place_cameras(name):
 
 
 def test_annealing_beats_random_search_at_the_same_cost():
-    ours, random = (make(name).run(problem(MeanCoverage(2, 0.5), 3), Budget(120)) for name in
+    ours, random = (make(name).run(problem(MeanCoverage(2, 0.5), 3), Budget(60)) for name in
                     ("camera_annealing", "random_search"))  # fmt: skip
     assert ours.fitness > random.fitness
 

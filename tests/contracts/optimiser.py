@@ -38,7 +38,7 @@ def check_optimiser(make, problem, folder, evaluations=130):
     check_improvement(make, problem, evaluations)
     check_seeds(make, problem, whole)
     check_fixed(make, problem)
-    check_failures(make, problem, evaluations)
+    check_failures(make, problem, evaluations // 2)
     check_going_on(make, problem, whole, folder)
 
 

@@ -173,7 +173,7 @@ def test_figures_count_what_happened(seen):
 
 @pytest.mark.parametrize("lens", [(-0.25, 0.05, 0.003, -0.004), (0.25, 0.05, 0.003, -0.004)])
 def test_what_a_detector_sees_through_a_lens_that_distorts_is_foreseen(lens):
-    bent, tag, deployment, poses = replace(CAMERA, distortion=lens), Tag(0.12), uniform(60), draw_poses(SCENE, 16, 0)
+    bent, tag, deployment, poses = replace(CAMERA, distortion=lens), Tag(0.12), uniform(60), draw_poses(SCENE, 10, 0)
     renderer = Renderer(bent, tagged_room(ROOM, deployment, tag), IMAGING)
     found = look(renderer, {"apriltag": AprilTagDetector()}, poses, 0, 7)["apriltag"].detected
     right = []
@@ -200,7 +200,7 @@ def test_limits_foresee_whole_frames(seen):
 
 
 def test_motion_blur_lowers_detections_as_predicted():
-    deployment, poses, tag = uniform(40), draw_poses(SCENE, 20, 0), Tag(0.15)
+    deployment, poses, tag = uniform(40), draw_poses(SCENE, 16, 0), Tag(0.15)
     counts = []
     for blur in (0.0, 5.0):
         renderer = Renderer(CAMERA, tagged_room(ROOM, deployment, tag), replace(IMAGING, motion_blur=blur))

@@ -38,8 +38,10 @@ def corrected(observer, estimate, pose, seen, steps, step=STEP, sign=1.0, landma
     path = [estimate]
     for _ in range(steps):
         args = (path[-1], landmarks, measured(pose, landmarks), seen)
-        descent = undamped.correction(*args)
-        twist = descent + sign * (observer.correction(*args) - descent)
+        twist = observer.correction(*args)
+        if sign != 1.0:
+            descent = undamped.correction(*args)
+            twist = descent + sign * (twist - descent)
         path.append(path[-1] @ se3.exp(step * twist))
     return np.array(path)
 
@@ -137,8 +139,8 @@ def test_a_right_estimate_stays_right(form):
 
 @both_forms
 def test_the_pose_is_found_from_random_initial_attitudes(form):
-    poses = moving(2000, TWIST)
-    seen = RNG.random((2000, 12)) < 0.4
+    poses = moving(1000, TWIST)
+    seen = RNG.random((1000, 12)) < 0.4
     for angle in (0.5, 1.5, 2.5):
         errors = Observer(form).errors(recording(poses, seen), random_pose(angle)[None])
         assert errors.frobenius[0, -1] < 1e-10
@@ -151,7 +153,7 @@ def test_the_pose_is_found_from_random_initial_attitudes(form):
 def test_one_or_two_landmarks_bring_the_cost_to_zero_but_not_the_pose(form, seen):
     pose = random_pose()
     start = pose @ se3.exp(np.array([0.4, -0.3, 0.5, 0.5, 0.2, -0.4]))
-    path = corrected(Observer(form), start, pose, seen, 3000)
+    path = corrected(Observer(form), start, pose, seen, 1000)
     assert costs(path[-1:], pose, seen)[0] < 1e-12
     assert ((path[-1] - pose) ** 2).sum() > 1e-2
 
@@ -217,17 +219,17 @@ def test_the_error_of_the_right_invariant_form_does_not_depend_on_the_motion():
 @both_forms
 def test_views_that_each_leave_the_pose_open_fix_it_together(form):
     pose = random_pose()
-    poses = np.tile(pose, (2000, 1, 1))
+    poses = np.tile(pose, (1000, 1, 1))
     first, second = some(0, 1), some(2, 3)
     start = (pose @ se3.exp(np.array([0.2, -0.1, 0.2, 0.1, 0.2, -0.1])))[None]
 
     def last_error(seen):
         return Observer(form).errors(recording(poses, seen), start).frobenius[0, -1]
 
-    turns = np.where((np.arange(2000) // 20 % 2 == 0)[:, None], first, second)
+    turns = np.where((np.arange(1000) // 20 % 2 == 0)[:, None], first, second)
     assert last_error(turns) < 1e-6
-    assert last_error(np.tile(first, (2000, 1))) > 1e-4
-    assert last_error(np.tile(second, (2000, 1))) > 1e-4
+    assert last_error(np.tile(first, (1000, 1))) > 1e-4
+    assert last_error(np.tile(second, (1000, 1))) > 1e-4
 
 
 @both_forms

@@ -116,7 +116,7 @@ def test_missed_tags_are_missed():
 @pytest.mark.slow
 @pytest.mark.parametrize("evaluator", LENSES.values(), ids=LENSES)
 def test_a_real_detector_measures_where_tags_are(evaluator):
-    camera, frames = evaluator.scene.camera, slice(0, 400, 80)
+    camera, frames = evaluator.scene.camera, slice(0, 400, 160)
     coarse = replace(  # a quarter of its pixels: a lens that distorts is traced for each
         camera,
         pixel_width=2.0 * camera.pixel_width,
@@ -128,7 +128,7 @@ def test_a_real_detector_measures_where_tags_are(evaluator):
     evaluator = Evaluator(replace(SCENE, camera=coarse), threads=1)
     recording = record(RenderedDetector(TAG, ArucoDetector(), Imaging()), [flight(frames, evaluator=evaluator)])
     seen, points = recording.seen[0], recording.points[0]
-    assert seen.shape == (5, 90)
+    assert seen.shape == (3, 90)
     assert seen.sum(axis=1).min() >= 1
     expected = se3.act(se3.inverse(FLIGHT.poses[frames]), UNIFORM.positions)
     off = np.linalg.norm(points - expected, axis=-1)[seen] / np.linalg.norm(expected, axis=-1)[seen]
@@ -175,7 +175,7 @@ def test_rendered_flights_are_the_same_in_processes():
 
 @pytest.mark.slow
 def test_an_open_shutter_blurs_what_moves():
-    frames = slice(60, 140, 20)
+    frames = slice(60, 140, 40)
     counts = [
         record(RenderedDetector(Tag(0.1), ArucoDetector(), Imaging(), shutter=shutter), [flight(frames)]).seen.sum()
         for shutter in (0.0, 0.05)

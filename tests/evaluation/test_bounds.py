@@ -48,9 +48,16 @@ def small_problem(count=12, n=2, thold_p=0.3, threads=None, relevance=None, **vi
     return Problem(scene, Coverage(n, thold_p), RandomDeployment(count), threads=threads)
 
 
-def exact_bound(problem, poses, count, threshold, shares):
+@pytest.fixture(scope="module")
+def cover():
+    """What each pose of the coarse grid covers, whatever is to be reached with how many of them."""
+    scene = small_problem().scene
+    return cover_matrix(scene, candidate_poses(scene.room, COARSE.spacing))
+
+
+def exact_bound(problem, cover, count, threshold, shares):
     """max F over the grid by HiGHS: variables x (poses), m (position, axis), q (positions)."""
-    cover, weights = cover_matrix(problem.scene, poses), problem.scene.pdf.by_axis.weight
+    weights = problem.scene.pdf.by_axis.weight
     size, axes = len(shares), len(weights)
     rows = block_array(
         [
@@ -58,9 +65,9 @@ def exact_bound(problem, poses, count, threshold, shares):
             [None, csr_array(-kron(eye_array(size), weights[None]) / threshold), eye_array(size)],
         ]
     )
-    cost = np.concatenate([np.zeros(len(poses) + size * axes), -shares])
-    total = np.concatenate([np.ones(len(poses)), np.zeros(size * axes + size)])[None]
-    bounds = [(0, None)] * len(poses) + [(None, 1)] * (size * axes + size)
+    cost = np.concatenate([np.zeros(len(cover) + size * axes), -shares])
+    total = np.concatenate([np.ones(len(cover)), np.zeros(size * axes + size)])[None]
+    bounds = [(0, None)] * len(cover) + [(None, 1)] * (size * axes + size)
     solved = linprog(cost, rows, np.zeros(rows.shape[0]), total, [count], bounds, method="highs")
     assert solved.success
     return -solved.fun
@@ -169,12 +176,12 @@ def test_nothing_localises_more_often_than_the_bounds_allow(climbs):
 
 
 @pytest.mark.parametrize(("n", "count"), [(1, 6), (2, 12), (3, 12)])
-def test_both_bounds_agree_with_a_linear_program(n, count):
+def test_both_bounds_agree_with_a_linear_program(n, count, cover):
     problem = small_problem(count, n, 0.3)
-    poses, size = candidate_poses(problem.scene.room, COARSE.spacing), len(problem.relevance)
+    size = len(problem.relevance)
     shares = np.full(size, 1.0 / size)
     for method, threshold in ((average_upper_bound, 1.0), (fitness_upper_bound, 0.3)):
-        bound, exact = method(problem, count, COARSE), exact_bound(problem, poses, count, threshold, shares)
+        bound, exact = method(problem, count, COARSE), exact_bound(problem, cover, count, threshold, shares)
         assert bound.fractional <= exact + 1e-9
         assert exact - 1e-9 <= bound.grid <= exact + 1e-3
 

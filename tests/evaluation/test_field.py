@@ -24,22 +24,24 @@ def composed(*overrides):
 
 
 def tags():
-    """Places and normals of FIRST's drawing, inches and degrees."""
+    """Places, normals and corners by FIRST's drawing, inches and degrees."""
     with Path(CONF, "fields/frc_2025.csv").open() as file:
         for _, *place, yaw, pitch in list(csv.reader(file))[1:]:
             a, b = math.radians(float(yaw)), math.radians(float(pitch))
             normal = [math.cos(a) * math.cos(b), math.sin(a) * math.cos(b), -math.sin(b)]
-            yield np.array(place, dtype=float) * 0.0254, np.array(normal)
+            place, normal = np.array(place, dtype=float) * 0.0254, np.array(normal)
+            side = np.cross([0.0, 0.0, 1.0], normal) / np.hypot(*normal[:2])
+            up = np.cross(normal, side)
+            square = [place + HALF * (i * side + j * up) for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+            yield place, normal, np.array(square)
 
 
-def reads(place, normal, eye, ahead, right, reefs):
+def reads(place, normal, square, eye, ahead, right, reefs):
     """Whether a camera with AprilTag reads a tag: the limits are those of the model, the geometry is not."""
     offset = eye - place
     if normal @ offset <= math.cos(math.radians(85.0)) * np.linalg.norm(offset):
         return False
-    side = np.cross([0.0, 0.0, 1.0], normal) / np.hypot(*normal[:2])
-    up = np.cross(normal, side)
-    seen = np.array([place + HALF * (i * side + j * up) for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))]) - eye
+    seen = square - eye
     depth = seen @ ahead
     if (depth <= 0.05).any():
         return False

@@ -22,11 +22,12 @@ UNIFORM = UniformDeployment(30).draw(paper_room(), np.random.default_rng(0))
 def looks(scene, deployment, seed=0, positions=256):
     """The share of covered looks by the model's own `covered`, from the same poses."""
     rng = np.random.default_rng([seed, CAUSES_STREAM])
-    places = np.repeat(scene.room.sample(positions, rng), VIEWS, axis=0)
-    poses = camera_pose(places, *scene.pdf.draw(len(places), rng))
+    places = scene.room.sample(positions, rng)
+    axes = axis_and_right(camera_pose(np.zeros(3), *scene.pdf.draw(VIEWS * positions, rng)))
     landmarks = deployment.positions, deployment.normals
     seen = [
-        scene.visibility.covered(scene.camera, pose[:3, 3], axis_and_right(pose[None]), *landmarks) for pose in poses
+        scene.visibility.covered(scene.camera, place, views, *landmarks)
+        for place, views in zip(places, np.split(axes, positions), strict=True)
     ]
     return float(np.mean(seen))
 

@@ -61,6 +61,13 @@ CASES = {
 }  # fmt: skip
 
 
+@pytest.fixture
+def coarse(monkeypatch):
+    """A lens is fitted to a sixteenth of the directions, where it matters only that it is the same or far off."""
+    monkeypatch.setattr("lmd.geometry.central_models.ANGLES", 40)
+    monkeypatch.setattr("lmd.geometry.central_models.AROUND", 36)
+
+
 @pytest.mark.parametrize(("name", "ray", "pinhole", "own"), CASES.values(), ids=CASES)
 def test_a_pixel_looks_where_the_inverse_of_the_model_says(name, ray, pinhole, own):
     lens = restated(name, pinhole | own, SIZE)
@@ -84,6 +91,7 @@ def test_a_lens_that_none_comes_near_to_is_refused():
         restated("ds", NARROW | {"cx": -900.0, "xi": 0.1, "alpha": 0.5}, SIZE)
 
 
+@pytest.mark.usefixtures("coarse")
 def test_kalibr_vins_and_basalt_say_the_same_of_one_camera(write):
     own = {"xi": 1.97, **TANGENTIAL}
     pinhole = {"fx": 1015.0, "fy": 1014.0, "cx": 311.0, "cy": 243.0}
@@ -94,7 +102,7 @@ def test_kalibr_vins_and_basalt_say_the_same_of_one_camera(write):
     vins += "projection_parameters:\n   gamma1: 1015.0\n   gamma2: 1014.0\n   u0: 311.0\n   v0: 243.0\n"
     one, other = read_calibration(write(json.dumps({"cam0": kalibr}))), read_calibration(write(vins))
     assert one == other
-    said = r"its lens of the model omni is taken for rational_polynomial, which is up to 0\.[12]\d pixels off"
+    said = r"its lens of the model omni is taken for rational_polynomial, which is up to 0\.0[5-9] pixels off"
     assert re.search(said, one.camera().note)
     sphere = {"xi": -0.24, "alpha": 0.57}
     kalibr = {"camera_model": "ds", "distortion_model": "none", "resolution": SIZE,
@@ -105,6 +113,7 @@ def test_kalibr_vins_and_basalt_say_the_same_of_one_camera(write):
     assert one.note == ""  # as near as pixels are measured
 
 
+@pytest.mark.usefixtures("coarse")
 def test_the_terminal_says_how_far_a_lens_is_off(write, capsys):
     own = {"model_type": "MEI", "image_width": 640, "image_height": 480, "mirror_parameters": {"xi": 1.97},
            "distortion_parameters": TANGENTIAL,

@@ -110,7 +110,7 @@ def test_after_thousands_of_moves_the_sums_are_those_of_a_rebuild(visibility):
     field = objective.field(evaluator)
     state = field.state(deployment)
     scratch = field.scratch(state)
-    targets = RandomDeployment(3_000).draw(scene.room, rng)
+    targets = RandomDeployment(2_000).draw(scene.room, rng)
     for i, pose in enumerate(poses_of(targets)):
         move(field, i % count, pose, targets.surfaces[i], state, scratch)
     check_rebuilt(objective, evaluator, field, state)

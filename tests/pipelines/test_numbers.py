@@ -6,6 +6,7 @@ import warnings
 from pathlib import Path
 
 import composing
+import hydra
 import pytest
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import OmegaConf, open_dict
@@ -75,6 +76,21 @@ def _begin(*_args, **_kwargs):
     raise BeganError
 
 
+def _remembering(instantiate):
+    """A function that builds what nodes describe: once only, as a wrong value changes one of them and no other."""
+    built = {}
+
+    def remembered(node, **given):
+        if given != {"_convert_": "all"}:  # an optimiser, which is told its encoding later
+            return instantiate(node, **given)
+        key = repr(OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node)
+        if key not in built:
+            built[key] = instantiate(node, **given)
+        return built[key]
+
+    return remembered
+
+
 @pytest.fixture(autouse=True)
 def _nothing_begins(monkeypatch, tmp_path):
     """What is checked runs; what computes, records or serves does not."""
@@ -85,6 +101,7 @@ def _nothing_begins(monkeypatch, tmp_path):
         "lmd.survey.survey.survey",
     ):
         monkeypatch.setattr(name, _begin)
+    monkeypatch.setattr("hydra.utils.instantiate", _remembering(hydra.utils.instantiate))
     monkeypatch.setattr("lmd.planner.session.Session.warm_up", lambda _: None)
     monkeypatch.setattr("pipelines.compare._compose", lambda _, cfg, __: cfg)
     (tmp_path / "outputs").mkdir()
@@ -134,9 +151,9 @@ def numbers(node, prefix=""):
     return dict(first.values())
 
 
-def wrong(pipeline, cfg, key, value, monkeypatch):
+def wrong(pipeline, pickled, key, value, monkeypatch):
     """What is wrong with how a pipeline takes a value, None for nothing."""
-    changed = copy(cfg)
+    changed = pickle.loads(pickled)
     OmegaConf.update(changed, key, value)
     monkeypatch.setattr("pipelines.deployments.recompose", lambda *_: copy(changed))
     function = getattr(importlib.import_module(f"pipelines.{pipeline}"), FUNCTIONS.get(pipeline, pipeline))
@@ -155,12 +172,12 @@ def wrong(pipeline, cfg, key, value, monkeypatch):
 
 
 def all_wrong(pipeline, cfg, keys, monkeypatch):
-    found = []
+    found, pickled = [], pickle.dumps(cfg)
     for key, value in keys.items():
         values = (
             [None] if OmegaConf.is_config(value) else VALUES if value is None or isinstance(value, int) else VALUES[:4]
         )
-        found += [wrong(pipeline, cfg, key, tried, monkeypatch) for tried in values]
+        found += [wrong(pipeline, pickled, key, tried, monkeypatch) for tried in values]
     return [sentence for sentence in found if sentence]
 
 

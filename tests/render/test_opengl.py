@@ -100,16 +100,16 @@ def by_opengl(context, camera, room, pose, imaging):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "lens",
+    ("lens", "roll"),
     [
-        (),
-        (-0.2, 0.03, 0.004, -0.005),
-        (0.2, 0.05, -0.004, 0.003),
-        (0.1, -0.04, 0.001, 0.0, 0.004, 0.3, -0.07, 0.006, 0.01, 0.0, -0.02, 0.01),
-        "fisheye",
+        ((), 0.0),
+        ((), 0.5),
+        ((-0.2, 0.03, 0.004, -0.005), 0.5),
+        ((0.2, 0.05, -0.004, 0.003), 0.5),
+        ((0.1, -0.04, 0.001, 0.0, 0.004, 0.3, -0.07, 0.006, 0.01, 0.0, -0.02, 0.01), 0.5),
+        ("fisheye", 0.5),
     ],
 )
-@pytest.mark.parametrize("roll", [0.0, 0.5])
 def test_frames_are_those_of_opengl(context, room, lens, roll):
     model = {"distortion": FISHEYE, "distortion_model": "equidistant"} if lens == "fisheye" else {"distortion": lens}
     camera, pose = replace(CAMERA, **model), camera_pose([0.0, 0.0, 0.0], np.pi / 2, 0.0, roll)

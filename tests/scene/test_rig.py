@@ -94,7 +94,7 @@ def test_two_landmarks_may_be_seen_by_one_camera_each():
 
 def test_a_camera_beside_the_body_sees_past_a_pillar():
     pillar = {"low": [2.0, 0.9, 0.0], "high": [2.2, 1.1, 2.5]}
-    room = Prism(FloorPlan(L_SHAPE, 2.5, obstacles=[pillar]), Reachable((1.0, 1.0), 0.3), 0.25)
+    room = Prism(FloorPlan(L_SHAPE, 2.5, obstacles=[pillar]), Reachable((1.0, 1.0), 0.3), 0.5)
     mark = Deployment([[3.0, 1.0, 1.0]], [[-1.0, 0.0, 0.0]])
     body, forward = np.array([1.5, 1.0, 1.0]), np.array([[1.0, 0.0, 0.0, 0.0, -1.0, 0.0]])
     for aside, seen in ((0.0, False), (0.1, False), (0.3, True), (-0.3, True)):

@@ -56,7 +56,7 @@ def test_a_state_knows_how_many_hide_each_landmark_and_how_many_it_hides(case):
 @pytest.mark.parametrize("occlusion", ["paper", "line_of_sight"])
 def test_so_it_is_in_a_room_of_many_blocks_full_of_landmarks(occlusion):
     scene = paper_scene(paper_room(spacing=1.0), occlusion=occlusion, nu=0.3)
-    check(scene, RandomDeployment(60).draw(scene.room, np.random.default_rng(0)))
+    check(scene, RandomDeployment(40).draw(scene.room, np.random.default_rng(0)))
 
 
 @given(scenes_with_deployments(), st.data())

@@ -9,7 +9,7 @@ from lmd.survey.estimate import estimate
 from lmd.survey.faults import settled
 from lmd.survey.residuals import Prior
 
-COUNT, FRAMES, SIGMA = 24, 80, 0.2
+COUNT, FRAMES, SIGMA = 24, 64, 0.2
 IDS = np.arange(COUNT)
 NOTHING = Prior(np.tile(np.eye(4), (COUNT, 1, 1)), np.zeros((COUNT, 6)))
 MOVED = 5

@@ -19,7 +19,7 @@ from lmd.survey.intrinsics import camera_info, parameters, slopes, spreads, with
 from lmd.survey.report import document, to_text
 from lmd.survey.survey import Known, survey
 
-COUNT, FRAMES, SIGMA = 24, 50, 0.2
+COUNT, FRAMES, SIGMA = 24, 40, 0.2
 TRUE = replace(walks.CAMERA, distortion=(-0.1, 0.03, 0.0005, -0.0003, 0.0))
 # The focal length is 4 % off, and the lens is little known.
 GIVEN = with_parameters(TRUE, parameters(TRUE) * [1.04, 1.04, *[1.0] * 7] + [0, 0, 4, -3, 0.02, -0.01, 0, 0, 0])

@@ -9,6 +9,7 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray
 from lmd.geometry.lens_models import density_of
+from lmd.geometry.se3 import cross
 from lmd.geometry.squares import upright
 from lmd.objectives.localisation.ambiguity import ResolvedPrecision, asks_apart, telling, tells
 from lmd.objectives.localisation.body import about_body, body_meets, gain_of
@@ -27,7 +28,6 @@ from lmd.scene.criteria import largest
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
-from lmd.sight.models.fiducial import cross
 from lmd.sight.models.paper import dot
 from lmd.sight.reference import cap_count, coverage_caps, n_ple_cap, station_caps
 
@@ -85,9 +85,11 @@ def body_information(
     asked: Any,
     position: FloatArray,
     axes: FloatArray,
-) -> FloatArray:
-    """What all cameras of a rig tell of its body in each of its orientations, `(A, width_of(asked))`."""
-    sums = np.zeros((len(axes), width_of(asked)))
+) -> tuple[FloatArray, BoolArray]:
+    """What all cameras of a rig tell of its body in each of its orientations, `(A, width_of(asked))`, and which
+    landmarks they cover, `(A, K)`.
+    """
+    sums, covered = np.zeros((len(axes), width_of(asked))), np.zeros((len(axes), len(deployment)), dtype=np.bool_)
     right, up = upright(deployment.normals)
     half = np.reshape(half_of(asked, slice(None)), (-1, 1))
     sides = (half * right, half * up)
@@ -95,6 +97,7 @@ def body_information(
     for station in scene.stations(axes):
         camera, arm, there, turned = station
         caps = station_caps(scene, deployment, position, station)
+        covered[there] |= caps
         offset = deployment.positions - (position + arm)
         with np.errstate(all="ignore"):
             tags = *offset.T, *sides[0].T, *sides[1].T
@@ -105,7 +108,7 @@ def body_information(
             weight = gain_of(camera, scene.cameras[0]) * _density(lens, turned, offset)
             shares = [np.where(caps, formulas[2](each, weight), 0.0).sum(axis=1) for each in moment]
         sums[there, : len(shares)] += np.stack(shares, axis=1)
-    return sums
+    return sums, covered
 
 
 def _density(lens: Any, axes: FloatArray, offset: FloatArray) -> FloatArray:
@@ -122,18 +125,19 @@ def localised(
 ) -> BoolArray:
     """Which views are localised, `(A,)`."""
     asked = objective.precision(scene)
-    count = cap_count(coverage_caps(scene, deployment, position, axes))
-    enough = n_ple_cap(count, objective.n)
-    if not asked.asks:
-        return enough
-    if isinstance(scene.camera, Rig):
-        sums, several = body_information(scene, deployment, asked, position, axes), n_ple_cap(count, 2)
+    if asked.asks and isinstance(scene.camera, Rig):
+        sums, covered = body_information(scene, deployment, asked, position, axes)
+        count = cap_count(covered)
+        enough, several = n_ple_cap(count, objective.n), n_ple_cap(count, 2)
         one_pose: Any = has_one_pose.py_func
         met = [
             body_meets(asked, row, 0, 1) & (two | one_pose(asked, row, 0, 1))
             for row, two in zip(sums, several, strict=True)
         ]
         return np.asarray(enough & met)
+    enough = n_ple_cap(cap_count(coverage_caps(scene, deployment, position, axes)), objective.n)
+    if not asked.asks:
+        return enough
     with np.errstate(all="ignore"):
         found = enough & meets(asked, *view_information(scene, deployment, asked, position, axes))
         if isinstance(_each(asked), ResolvedPrecision):

@@ -36,6 +36,7 @@ import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, check_fields, real
 from lmd.geometry.lens import EQUIDISTANT, Lens
+from lmd.geometry.se3 import cross
 from lmd.geometry.squares import VERTICAL_TOLERANCE, upright
 from lmd.scene.camera import MM_PER_M, Camera
 from lmd.scene.criteria import TOLERANCE, sized
@@ -232,9 +233,3 @@ def _pinholes(lens: Lens, widest: float, flat: FiducialSight) -> tuple[FiducialS
         )
 
     return pinhole(shorter, rates.least_area), pinhole(longer, rates.most_area)
-
-
-def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """a x b over the last axis, term by term."""
-    (ax, ay, az), (bx, by, bz) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
