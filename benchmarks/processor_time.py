@@ -55,6 +55,14 @@ def _now() -> tuple[float, ...]:
     return time.process_time(), compiling.seconds, waited.ru_utime + waited.ru_stime, _forked()
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_configure() -> None:
+    """Let each worker fork from a server of its own, whose time is that of its tests."""
+    server = forkserver._forkserver  # type: ignore[attr-defined]
+    vars(server).clear()
+    server.__init__()
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Iterator[Any]:
     """Note what a test has spent, with its fixtures."""
