@@ -60,9 +60,9 @@ def sweep(cwd, faults, *overrides, tracking=STORE):
     return call("optimise", *settings(cwd, faults, tracking), *overrides, cwd=cwd, folders=[cwd])
 
 
-def start_sweep(cwd, faults, *overrides):
+def start_sweep(cwd, faults, *overrides, tracking=STORE):
     """Start a sweep and wait until its slow job is at work."""
-    line = command("optimise", *settings(cwd, faults), *overrides)
+    line = command("optimise", *settings(cwd, faults, tracking), *overrides)
     process = start(line, cwd=cwd, folders=[cwd], stderr=subprocess.PIPE)
     deadline = time.monotonic() + 120
     while not (cwd / "pid").exists() and time.monotonic() < deadline:

@@ -37,7 +37,7 @@ def test_a_sweep_killed_with_its_job_goes_on_with_what_is_missing(work):
 
 
 def test_the_jobs_of_a_sweep_that_is_killed_under_joblib_stop(work):
-    process = start_sweep(work, "slow", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
+    process = start_sweep(work, "slow", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", tracking="tracking=none")
     process.kill()
     process.wait(timeout=60)
     (record,) = work.glob("outputs/optimise_sweep/*/*/job.json")
