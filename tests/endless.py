@@ -7,7 +7,7 @@ from mlflow import MlflowClient
 from processes import WHOLE
 
 SETTINGS = ("optimiser=ega", "deployment.count=40", "tracking.uri=sqlite:///store.db")
-ENDLESS = ("budget.evaluations=100000000", "checkpoint_seconds=0.2", "hydra.run.dir=run")
+ENDLESS = ("budget.evaluations=100000000", "checkpoint_seconds=0.2", "threads=1", "hydra.run.dir=run")
 
 
 def wait_for(path, process):

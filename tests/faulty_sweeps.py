@@ -38,6 +38,7 @@ if self.fault == "slow":
     time.sleep(0.3)
 """
 PARENT = "mlflow.parentRunId"
+STORE = "tracking.uri=sqlite:///store.db"
 
 
 def prepared(cwd, fails=FAILS):
@@ -48,20 +49,20 @@ def prepared(cwd, fails=FAILS):
     return cwd
 
 
-def settings(cwd, faults):
+def settings(cwd, faults, tracking=STORE):
     return [
         "hydra.mode=MULTIRUN", f"hydra.searchpath=[file://{cwd}/mine]", "deployment.count=20",
-        "budget.evaluations=400", "tracking.uri=sqlite:///store.db", "optimiser=faulty", f"optimiser.fault={faults}",
+        "budget.evaluations=400", tracking, "optimiser=faulty", f"optimiser.fault={faults}",
     ]  # fmt: skip
 
 
-def sweep(cwd, faults, *overrides):
-    return call("optimise", *settings(cwd, faults), *overrides, cwd=cwd, folders=[cwd])
+def sweep(cwd, faults, *overrides, tracking=STORE):
+    return call("optimise", *settings(cwd, faults, tracking), *overrides, cwd=cwd, folders=[cwd])
 
 
-def start_sweep(cwd, faults, *overrides):
+def start_sweep(cwd, faults, *overrides, tracking=STORE):
     """Start a sweep and wait until its slow job is at work."""
-    line = command("optimise", *settings(cwd, faults), *overrides)
+    line = command("optimise", *settings(cwd, faults, tracking), *overrides)
     process = start(line, cwd=cwd, folders=[cwd], stderr=subprocess.PIPE)
     deadline = time.monotonic() + 120
     while not (cwd / "pid").exists() and time.monotonic() < deadline:

@@ -58,19 +58,18 @@ def _ending(process, ready, log):
 
 
 @contextmanager
-def mlflow_server(store, home, workers=1, further=()):
-    """The address of an mlflow server that keeps its runs in `store`, as docs/sweeps.md starts it.
+def mlflow_server(store, home, further=()):
+    """The address of an mlflow server that keeps its runs in `store`, as docs/sweeps.md starts it, in one process.
 
     Args:
         store: address of the database.
         home: folder of the server.
-        workers: how many processes answer.
         further: arguments of the command.
     """
     port = free_port()
     arguments = [
         "server", "--backend-store-uri", store, "--artifacts-destination", str(home),
-        "--host", "127.0.0.1", "--port", str(port), "--workers", str(workers),
+        "--host", "127.0.0.1", "--port", str(port), "--workers", "1",
         "--uvicorn-opts", "--timeout-worker-healthcheck 60",  # on a machine that is busy, five seconds are not enough
         *further,
     ]  # fmt: skip
@@ -81,14 +80,8 @@ def mlflow_server(store, home, workers=1, further=()):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("MLFLOW_SERVER_ENABLE_JOB_EXECUTION", "false")  # four more processes for jobs of its own
-        if workers > 1:
-            running = service([sys.executable, "-m", "mlflow", *arguments], ready, log, cwd=home)
-        else:
-            line = [sys.executable, "-m", "mlflow_in_one", *arguments]
-            with log.open("w") as output:
-                process = start(
-                    line, cwd=home, folders=[ROOT / "tests"], stdout=output.fileno(), stderr=output.fileno()
-                )
-            running = _ending(process, ready, log)
-        with running:
+        line = [sys.executable, "-m", "mlflow_in_one", *arguments]
+        with log.open("w") as output:
+            process = start(line, cwd=home, folders=[ROOT / "tests"], stdout=output.fileno(), stderr=output.fileno())
+        with _ending(process, ready, log):
             yield address

@@ -64,7 +64,7 @@ def test_any_deployment_in_the_room_is_scored_and_one_outside_is_not():
 @pytest.mark.slow
 def test_the_example_of_the_page_runs_with_a_small_budget(tmp_path):
     (code,) = re.findall(r"```python\n(.*?)```", FROM_PYTHON, flags=re.DOTALL)
-    code = code.replace("evaluations=3000", "evaluations=300")
+    code = code.replace("evaluations=3000", "evaluations=60")
     line = [sys.executable, "-c", code]
     done = subprocess.run(line, cwd=tmp_path, env=environment(), check=True, capture_output=True, text=True)
     assert "'grid_free_qualified_ratio'" in done.stdout

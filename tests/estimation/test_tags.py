@@ -162,7 +162,7 @@ def test_the_larger_of_two_detections_with_one_id_is_believed_and_strange_ids_ar
 @pytest.mark.slow
 def test_rendered_flights_are_the_same_in_processes():
     detector = RenderedDetector(TAG, ArucoDetector(), Imaging())
-    frames = slice(0, 120, 40)
+    frames = slice(0, 80, 40)
     alone = record(detector, [flight(frames, 1), flight(frames, 2)])
     each = partial(in_processes, workers=2, name=str, ordered=True)
     shared = record(detector, [flight(frames, 1), flight(frames, 2)], each=each)

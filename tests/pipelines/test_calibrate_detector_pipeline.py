@@ -16,7 +16,7 @@ from lmd.scene.camera import Camera
 from lmd.scene.tag import Tag
 from lmd.sight.models.fiducial import Fiducial
 
-SMALL = ["room.spacing=3", *CAMERA, "tag.edge=0.3", "views.count=300", "poses=10", "hydra.run.dir=run", "tracking=none"]
+SMALL = ["room.spacing=3", *CAMERA, "tag.edge=0.3", "views.count=200", "poses=10", "hydra.run.dir=run", "tracking=none"]
 pytestmark = pytest.mark.slow
 
 

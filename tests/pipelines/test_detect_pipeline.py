@@ -105,7 +105,7 @@ def test_any_number_of_workers_gives_the_same(detected, tmp_path):
 
 def test_a_deployment_may_have_a_tag_of_its_own(tmp_path):
     entries = "deployments=[uniform,'tiny: uniform tag.edge=0.02']"
-    done = call(entries, "imaging=clean", "pictures=0", "nudge=[0,0]", "tracking=none", cwd=tmp_path)
+    done = call(entries, "imaging=clean", "pictures=0", "poses=12", "nudge=[0,0]", "tracking=none", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     figures = figures_of(tmp_path)
     assert figures.predicted_2["uniform", "aruco"] == figures.predicted_2["tiny", "aruco"]

@@ -14,6 +14,7 @@ from processes import ROOT, WHOLE, command, environment
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 
+UNTRACKED = (*SETTINGS[:2], "tracking=none")  # a process that has imported nothing takes seconds for mlflow
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -114,15 +115,15 @@ def test_a_closed_terminal_is_no_reason_to_lose_the_result(begin, tmp_path):
 
 
 def test_under_nohup_a_closed_terminal_is_ignored(endless):
-    process = endless(line=["nohup"])
+    process = endless(line=["nohup"], settings=UNTRACKED)
     process.send_signal(signal.SIGHUP)
-    time.sleep(1.0)
+    time.sleep(0.3)
     assert process.poll() is None
     process.send_signal(signal.SIGTERM)
     assert ended(process)[0] == 128 + signal.SIGTERM
 
 
 def test_ctrl_c_reaches_a_run_whose_shell_ignores_it(endless):
-    process = endless(ignoring=[signal.SIGINT], fresh=True)
+    process = endless(ignoring=[signal.SIGINT], fresh=True, settings=UNTRACKED)
     process.send_signal(signal.SIGINT)
     assert ended(process)[0] == 128 + signal.SIGINT

@@ -15,7 +15,7 @@ from processes import call, command
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 
-KILLS = max(6, round(24 * SHARE))
+KILLS = max(5, round(18 * SHARE))
 TAGS = ("deployment=uniform", "deployment.count=12", "pdf=yaw", "pdf.divisions=3")
 IN_TURN = (*TAGS, "rounds=2", "tag_evaluations=300")
 KILLED = [

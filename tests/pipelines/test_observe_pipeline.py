@@ -141,7 +141,8 @@ def test_evaluate_maps_where_localisation_is_weak(tmp_path):
 def test_a_real_detector_reads_rendered_frames(tmp_path):
     camera = ["camera.pixel_width=0.0116", "camera.pixel_height=0.0116", "camera.principal_point=[400,300]",
               "camera.image_width=800", "camera.image_height=600"]  # fmt: skip
-    flight = ["seeds=2", "detector=rendered", "tag.edge=0.3", "film=2", "workers=2", "tracking=none"]
+    flight = ["seeds=2", "detector=rendered", "tag.edge=0.3", "film=2", "workers=2", "tracking=none",
+              "trajectory.duration=2"]  # fmt: skip
     done = call("deployment=uniform", *camera, *flight, "estimator=[observer,pnp]", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     figures = pd.read_csv(tmp_path / "run" / "figures.csv")

@@ -124,5 +124,6 @@ def test_an_installed_command_works_in_an_empty_folder(commands, tmp_path):
 
 @pytest.mark.slow
 def test_an_installed_sweep_takes_an_optimiser_from_a_folder_of_ones_own(commands, work):
-    out = call(commands / "lmd-optimise", "-m", "--config-dir", ".", "optimiser=mine", "seed=1,2", cwd=work)
+    out = call(commands / "lmd-optimise", "-m", "--config-dir", ".", "optimiser=mine", "seed=1,2", "tracking=none",
+               cwd=work)  # fmt: skip
     assert "2 of 2 jobs finished" in out

@@ -56,7 +56,7 @@ def test_a_run_loads_nothing_that_only_others_need(pipeline, more, tmp_path):
     """Each of these takes a tenth of a second or more."""
     slow = [f"scipy.{part}" for part in ("optimize", "spatial", "sparse", "stats")]
     slow += ["pandas", "plotly", "mlflow", "pymoo", "nevergrad", "cv2"]
-    run = [*more, "tracking=none", "validate=true", "picture=true", "hydra.run.dir=run"]
+    run = [*more, "room.spacing=1.5", "tracking=none", "validate=true", "picture=true", "hydra.run.dir=run"]
     assert loading(pipeline, *run, slow=slow, cwd=tmp_path).splitlines()[-1] == "[]"
     assert (tmp_path / "run" / "scene.png").stat().st_size > 0
 
@@ -319,7 +319,7 @@ _lmd; echo "${{COMPREPLY[@]}}"
 
 
 def test_the_lab_is_optimised_by_one_word(tmp_path):
-    settings = ("room.spacing=1", "deployment.count=12", "tracking=none", "hydra.run.dir=run")
+    settings = ("room.spacing=1", "deployment.count=12", "tracking=none", "picture=false", "hydra.run.dir=run")
     done = call("optimise", "experiment=lab", "budget.evaluations=60", cwd=tmp_path, settings=settings)
     assert done.returncode == 0, done.stderr
     metrics, table = read_metrics(tmp_path / "run"), pd.read_csv(tmp_path / "run" / "landmarks.csv")

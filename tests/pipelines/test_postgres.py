@@ -68,7 +68,7 @@ def database():
 @pytest.fixture(scope="module")
 def server(database, tmp_path_factory):
     """The address of an mlflow server that keeps its runs in `database`, as docs/sweeps.md starts it."""
-    with mlflow_server(database, tmp_path_factory.mktemp("server"), workers=2) as address:
+    with mlflow_server(database, tmp_path_factory.mktemp("server")) as address:
         yield address
 
 

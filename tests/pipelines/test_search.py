@@ -8,6 +8,7 @@ from processes import call
 pytestmark = pytest.mark.slow
 SEARCH = (
     *("experiment=debug", "hparams_search=ega", "hydra/sweeper=search", "deployment.count=6", "budget.evaluations=31"),
+    "picture=false",
     # The first proposal is in the middle, the second above it: from 30 on nothing would survive.
     *(
         "optimiser.population=30",

@@ -15,6 +15,7 @@ from ..signals import stop
 
 READY_MODULE = f"{__package__}.ready"
 TRACKED = ("mlflow.store.tracking.sqlalchemy_store", "sqlalchemy.dialects.sqlite")  # what a store in a file needs
+SERVED = ("mlflow.tracking.client", "mlflow.store.tracking.rest_store")  # what a server needs
 ATTEMPTS = 20  # to start a process
 PAUSE_SECONDS = 0.05  # seconds between them
 SERVER_DIED = 255  # which Python says of a process of a server that is gone
@@ -31,7 +32,7 @@ class Process:
         environment: all of its variables; some packages read those that the server had when it imported them.
         output: descriptor that gets what it prints.
         kept: descriptors that it keeps open besides.
-        tracked: whether it talks to mlflow.
+        store: address of the mlflow store that it records in, if any.
     """
 
     def __init__(
@@ -41,11 +42,12 @@ class Process:
         environment: Mapping[str, str],
         output: int,
         kept: Iterable[int] = (),
-        tracked: bool = False,
+        store: str | None = None,
     ) -> None:
         self._its_stdin, stdin = os.pipe()
         self.stdin = os.fdopen(stdin, "wb")
-        self._preloaded = [*(TRACKED if tracked else ()), READY_MODULE]
+        records = () if store is None else SERVED if store.startswith("http") else TRACKED
+        self._preloaded = [*records, READY_MODULE]
         streams = {0: self._its_stdin, 1: output, 2: output}
         self._asked = pipeline, list(arguments), dict(environment), streams, tuple(kept)
         self._process: Any = None

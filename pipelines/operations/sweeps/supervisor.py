@@ -162,7 +162,7 @@ def _execute(cfg: DictConfig, arguments: list[str], folder: JobFolder, lock: int
     The process has a session of its own, so that Ctrl-C reaches it once and through the pipe only, and it inherits the
     lock of its folder, which so stays held should the sweep be killed.
     """
-    threads = _threads(cfg)
+    threads, uri = _threads(cfg), cfg.tracking.get("uri")
     if threads is not None:  # for the server, too: what it imports reads them then
         os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
     with folder.output.open("ab") as output:
@@ -172,7 +172,7 @@ def _execute(cfg: DictConfig, arguments: list[str], folder: JobFolder, lock: int
             os.environ | {"HYDRA_FULL_ERROR": "1", JOB_VARIABLE: str(folder.path)},
             output.fileno(),
             () if lock is None else (lock,),
-            tracked="uri" in cfg.tracking,
+            store=None if uri is None else str(uri),
         )
         with closing(process), _told_by_slurm():
             try:
