@@ -7,7 +7,7 @@ from floor_plans import lab
 from hypothesis import given
 from hypothesis import strategies as st
 from rigs import rig_scenes_with_deployments, rigs
-from strategies import deployments, seeds
+from strategies import deployments, rooms, seeds
 
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.pdf import level_flight
@@ -22,8 +22,11 @@ def test_after_any_moves_a_rig_counts_what_the_reference_counts(data, case, n, s
     check_every_path(scene, deployment, data.draw(deployments(scene.room, most=8)), n, np.random.default_rng(seed))
 
 
+tagged = rig_scenes_with_deployments(fiducial=True, room=rooms(cells=1))  # whose reference takes longest
+
+
 @examples(30)
-@given(data=st.data(), case=rig_scenes_with_deployments(fiducial=True), n=st.integers(1, 3), seed=seeds)
+@given(data=st.data(), case=tagged, n=st.integers(1, 3), seed=seeds)
 def test_after_any_moves_of_tags_a_rig_counts_what_the_reference_counts(data, case, n, seed):
     scene, deployment = case
     check_every_path(scene, deployment, data.draw(deployments(scene.room, most=8)), n, np.random.default_rng(seed))
