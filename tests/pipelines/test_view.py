@@ -21,7 +21,7 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.rig_sources import read_mounts
 from pipelines.view import UNSAVED as BEGIN
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long]
 
 OVERRIDES = ("deployment.path=mine.csv", "hydra.run.dir=out")
 ENDLESS = "budget.evaluations=100000000"  # searches go on until they are stopped
