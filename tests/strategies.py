@@ -89,7 +89,8 @@ def _scaled(numbers, sizes):
 def visibilities(draw):
     return Visibility(
         thold=draw(st.floats(0.05, 1.0)),
-        nu=draw(st.one_of(st.sampled_from([0.0, 0.05, 0.1, 0.5]), st.floats(0.0, 0.5))),
+        # Boundaries are as far from a camera as nu: below 1e-150 m, the square of that is zero.
+        nu=draw(st.one_of(st.sampled_from([0.0, 0.05, 0.1, 0.5]), st.floats(1e-6, 0.5))),
         occlusion=draw(st.sampled_from(OCCLUSION_MODES)),
         circle_of_confusion=draw(st.sampled_from([1.0, 4.0, 10.0])),
     )
