@@ -63,8 +63,8 @@ def pytest_configure(config):
 
 
 def pytest_xdist_auto_num_workers():
-    """Three more than processors: every other test waits for a process, a server, a browser or a cluster."""
-    return available_threads() + 3
+    """Two more than processors: some tests wait for a process, a server, a browser or a cluster."""
+    return available_threads() + 2
 
 
 def pytest_collection_modifyitems(items):
