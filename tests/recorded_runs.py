@@ -3,6 +3,7 @@
 import tempfile
 from pathlib import Path
 
+import stores  # noqa: F401 - new ones get their tables from it
 from mlflow import MlflowClient
 
 from pipelines.operations.tracking import MlflowTracker, RunStart

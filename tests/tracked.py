@@ -4,6 +4,7 @@ import sys
 
 import numpy as np
 import pytest
+import stores  # noqa: F401 - new ones get their tables from it
 from composing import composed
 from omegaconf import OmegaConf
 

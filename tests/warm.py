@@ -2,12 +2,9 @@
 
 import gc
 import importlib
-import logging
-import sqlite3
-import tempfile
-from contextlib import closing
 from pathlib import Path
 
+import stores
 from composing import composed
 from hydra._internal.hydra import Hydra
 from mlflow.store.db import utils
@@ -35,9 +32,6 @@ LIBRARIES = (
 )
 for name in (READY_MODULE, *TRACKED, "mlflow.tracking.client", *LIBRARIES, *(f"pipelines.{p}" for p in PIPELINES)):
     importlib.import_module(name)
-
-
-make_tables = utils._initialize_tables
 
 
 def _compose():
@@ -69,31 +63,9 @@ def _load_kernels():
     lmd.optimise(problem(), evaluations=60)
 
 
-def _copy_tables():
-    """Let new stores in a file get mlflow's tables from one that has them: making them takes two seconds."""
-    from sqlalchemy import create_engine
-
-    logging.getLogger(utils.__name__).setLevel(logging.WARNING)  # it announces every new table
-    path = Path(tempfile.mkdtemp()) / "empty.db"
-    engine = create_engine(f"sqlite:///{path}")
-    make_tables(engine)
-    engine.dispose()
-    tables = sqlite3.connect(path, check_same_thread=False)
-
-    def copy(engine):
-        if engine.dialect.name != "sqlite" or not engine.url.database:
-            make_tables(engine)
-            return
-        with closing(sqlite3.connect(engine.url.database)) as store:
-            tables.backup(store)
-
-    utils._initialize_tables = copy
-    latest = utils._get_latest_schema_revision()
-    utils._get_latest_schema_revision = lambda: latest  # which all of mlflow's migrations are loaded for
-
-
 _compose()
 _look_for_a_mode_only_where_one_may_be_set()
 _load_kernels()
-_copy_tables()
+stores.tables()
+utils._get_latest_schema_revision()
 gc.freeze()  # what all share stays shared

@@ -1,9 +1,9 @@
-import sys
 import time
 from pathlib import Path
 
 import psutil
 import pytest
+import stores
 from mlflow import MlflowClient
 from mlflow.store.db import utils
 from processes import ensure_warm
@@ -16,8 +16,7 @@ from pipelines.operations.tracking.hand_in import GONE
 from pipelines.operations.tracking.processes import is_gone, this_process
 from pipelines.operations.tracking.store import DESCRIPTION
 
-# mlflow makes its tables anew for each store
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("folder")]
+pytestmark = pytest.mark.usefixtures("folder")
 
 
 def test_a_run_keeps_its_params_tags_metrics_and_name(uri):
@@ -98,7 +97,7 @@ def test_a_store_that_cannot_be_used_is_named():
 
 
 def start_together(uri, barrier, ids):
-    utils._initialize_tables = sys.modules["warm"].make_tables  # mlflow's own way
+    utils._initialize_tables = stores.make_tables  # mlflow's own way
     barrier.wait()
     ids.put(started(uri).run_id)
 
