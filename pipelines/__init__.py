@@ -1,13 +1,16 @@
 """Command-line entry points: thin Hydra applications over `lmd`."""
 
-import _signal  # type: ignore[import-not-found]  # built in: while `signal` is imported, an interrupt is a traceback
-import os
-import sys
+try:
+    import _signal  # type: ignore[import-not-found]  # built in: while `signal` is imported, an interrupt is a traceback
+    import os
+    import sys
 
-# Where this process is one of the applications (python's -m has not named it yet), a signal is heard from here on.
-if sys.argv[:1] == ["-m"] or os.path.basename("".join(sys.argv[:1])).startswith("lmd-"):
-    _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # no traceback while what hears it is imported
+    # Where this process is one of the applications (python's -m has not named it yet), a signal is heard from here on.
+    if sys.argv[:1] == ["-m"] or os.path.basename("".join(sys.argv[:1])).startswith("lmd-"):
+        _signal.signal(_signal.SIGINT, _signal.SIG_DFL)  # no traceback while what hears it is imported
 
-    from .operations.signals import stop
+        from .operations.signals import stop
 
-    stop.listen()
+        stop.listen()
+except KeyboardInterrupt:  # it came on these lines
+    raise SystemExit(130) from None
