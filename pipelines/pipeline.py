@@ -11,6 +11,7 @@ from functools import wraps
 from pathlib import Path
 
 import hydra
+from hydra._internal.hydra import Hydra
 from omegaconf import DictConfig
 
 from .app import CONF, GARBAGE, PACKAGE, command_of, ends_reported
@@ -123,6 +124,8 @@ class Pipeline:
         sys.argv[1:] = [over_defaults(quoted(argument)) for argument in sys.argv[1:]]
         if HELP.intersection(sys.argv):
             sys.argv.append("hydra.help.template=${lmd.help:}")
+            # For another template Hydra would read all files twice, which is most of what it takes.
+            Hydra.format_config_groups = lambda *_: ""  # type: ignore[method-assign]
         _refuse_launcher_that_is_missing()
         _refuse_run(self.name)
         experiment = _experiment_of_another(self.name)

@@ -52,26 +52,6 @@ def refused(pipeline, *overrides, message, cwd, settings=SMALL):
     assert sorted(cwd.iterdir()) == before
 
 
-def help_of(pipeline, *slow, cwd):
-    """What `--help` prints, followed by the list of those of the `slow` packages that it loaded."""
-    return loading(pipeline, "--help", slow=slow, cwd=cwd)
-
-
-def loading(pipeline, *arguments, slow, cwd):
-    """What a command prints, followed by the list of those of the `slow` packages that it loaded."""
-    code = f"""
-import sys
-from pipelines.{pipeline} import main
-sys.argv = {[pipeline, *arguments]}
-try:
-    main()
-finally:
-    print([name for name in {slow} if name in sys.modules])
-"""
-    line = [sys.executable, "-c", code]
-    return subprocess.run(line, cwd=cwd, env=environment(), capture_output=True, text=True, check=False).stdout
-
-
 def hearing():
     """Hear signals as a process in the foreground does, whatever this one was made to ignore."""
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM, signal.SIGPIPE):

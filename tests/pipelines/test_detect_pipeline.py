@@ -137,10 +137,3 @@ def test_bad_input_gets_one_sentence_and_leaves_nothing(case, tmp_path):
     processes.refused(
         "detect", "deployments=[uniform]", *overrides, "tracking=none", message=message, cwd=tmp_path, settings=SMALL
     )
-
-
-def test_help_lists_the_groups_without_loading_the_model(tmp_path):
-    shown = processes.help_of("detect", "numba", "mlflow", "matplotlib", "pandas", "cv2", "numpy", cwd=tmp_path)
-    assert "detectors: apriltag, apriltag_decimate2, aruco, aruco_fine" in shown
-    assert "imaging: clean, nominal" in shown
-    assert shown.rstrip().endswith("[]")

@@ -4,7 +4,7 @@ import json
 
 import pytest
 from omegaconf import OmegaConf
-from processes import SMALL, call, help_of, refused
+from processes import SMALL, call, refused
 
 from lmd.mapping.formats import formats_of
 from lmd.scene.tag import Tag
@@ -130,7 +130,3 @@ def test_a_map_of_one_stack_becomes_that_of_another(work):
 )
 def test_what_cannot_be_written_is_refused_in_one_sentence(pipeline, overrides, message, work):
     refused(pipeline, "tracking=none", "hydra.run.dir=out", *overrides, message=message, cwd=work, settings=TAGS)
-
-
-def test_help_is_quick(tmp_path):
-    assert help_of("export", "mlflow", "scipy", "cv2", "reportlab", cwd=tmp_path).endswith("[]\n")

@@ -3,14 +3,13 @@
 import os
 import re
 import signal
-import subprocess
 import sys
 import time
 
 import pandas as pd
 import pytest
 from endless import ENDLESS, SETTINGS, ended, metrics_in, runs, wait_for
-from processes import ROOT, WHOLE, command, environment
+from processes import ROOT, WHOLE, command
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 
@@ -50,11 +49,7 @@ def test_told_twice_it_stops_at_once_and_keeps_the_best(endless, tmp_path):
 
 @pytest.mark.parametrize(
     ("number", "delay"),
-    [
-        *((signal.SIGINT, delay) for delay in (0.05, 0.3, 0.8, 1.5, 2.5)),
-        *((signal.SIGTERM, delay) for delay in (0.3, 1.5)),
-        *((signal.SIGHUP, delay) for delay in (0.8, 2.5)),
-    ],
+    [*((signal.SIGINT, delay) for delay in (0.05, 0.3, 0.8, 2.5)), (signal.SIGTERM, 1.5), (signal.SIGHUP, 0.8)],
 )
 def test_told_to_stop_before_there_is_anything_it_leaves_nothing(begin, number, delay, tmp_path):
     process = begin(command("optimise", *SETTINGS, *ENDLESS), tmp_path, fresh=True)
@@ -76,26 +71,23 @@ def test_told_to_stop_before_there_is_anything_it_leaves_nothing(begin, number, 
     ("library", "function"),
     [("hydra._internal.config_loader_impl.ConfigLoaderImpl", "load_configuration"), ("pipelines.building", "deepcopy")],
 )
-def test_told_to_stop_within_a_library_that_fails_of_it_it_says_so_and_no_more(library, function, tmp_path):
+def test_told_to_stop_within_a_library_that_fails_of_it_it_says_so_and_no_more(library, function, begin, tmp_path):
     """Hydra while it composes, and OmegaConf while objects are made, are left with a configuration half done."""
-    code = f"""
-import signal, sys, hydra.core.utils, hydra._internal.config_loader_impl, pipelines.building
+    (tmp_path / "halved.py").write_text(
+        f"""
+import signal, hydra.core.utils, hydra._internal.config_loader_impl, pipelines.building
 from pipelines.optimise import main
-from pipelines.operations.signals import stop
 def halved(*args, **kwargs):
     try:
         signal.raise_signal(signal.SIGTERM)
     finally:
         raise AttributeError("half done")
 {library}.{function} = halved
-stop.listen()
-sys.argv = {["optimise", *SETTINGS, "hydra.run.dir=run"]}
-main()
 """
-    line = [sys.executable, "-c", code]
-    done = subprocess.run(line, cwd=tmp_path, env=environment(), capture_output=True, text=True, check=False)
-    assert done.returncode == 128 + signal.SIGTERM, done.stderr
-    assert done.stderr.split("\n\n") == ["\nstopping", "while stopping: AttributeError: half done\n"]
+    )
+    code, _, err = ended(begin([sys.executable, "-m", "halved", *SETTINGS, "hydra.run.dir=run"], tmp_path))
+    assert code == 128 + signal.SIGTERM, err
+    assert err.split("\n\n") == ["\nstopping", "while stopping: AttributeError: half done\n"]
     assert not (tmp_path / "run").exists()
 
 

@@ -197,10 +197,3 @@ def test_a_trajectory_file_is_flown_by_every_seed(tmp_path):
     figures = pd.read_csv(tmp_path / "run" / "figures.csv")
     assert figures.mean_visible[0] == figures.mean_visible[1]
     assert figures.mean_error[0] != figures.mean_error[1]
-
-
-def test_help_lists_the_groups_without_loading_the_model(tmp_path):
-    shown = processes.help_of("observe", "numba", "mlflow", "matplotlib", "pandas", "cv2", "gtsam", cwd=tmp_path)
-    assert "estimator: bound, iekf, left_observer, observer, pnp" in shown
-    assert "trajectory: file, random_motion, waypoints" in shown
-    assert shown.rstrip().endswith("[]")

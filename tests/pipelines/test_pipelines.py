@@ -11,7 +11,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from mlflow import MlflowClient
-from processes import ROOT, call, environment, help_of, loading, refused
+from processes import ROOT, call, environment, refused
 
 FILES = ["convergence.png", "history.csv", "landmarks.csv", "metrics.json", "scene.html", "scene.png"]
 pytestmark = [pytest.mark.slow, pytest.mark.long]
@@ -46,19 +46,6 @@ def test_a_run_leaves_its_files_and_nothing_else(optimised):
     left = {path.name for path in (cwd / "run").iterdir()}
     assert left == {*FILES, ".hydra", "checkpoint.npz"}
     assert all((cwd / "run" / name).stat().st_size for name in FILES)
-
-
-@pytest.mark.parametrize(
-    ("pipeline", "more"),
-    [("optimise", ["budget.evaluations=1"]), ("evaluate", ["deployment=random", "localisation=false"])],
-)
-def test_a_run_loads_nothing_that_only_others_need(pipeline, more, tmp_path):
-    """Each of these takes a tenth of a second or more."""
-    slow = [f"scipy.{part}" for part in ("optimize", "spatial", "sparse", "stats")]
-    slow += ["pandas", "plotly", "mlflow", "pymoo", "nevergrad", "cv2"]
-    run = [*more, "room.spacing=1.5", "tracking=none", "validate=true", "picture=true", "hydra.run.dir=run"]
-    assert loading(pipeline, *run, slow=slow, cwd=tmp_path).splitlines()[-1] == "[]"
-    assert (tmp_path / "run" / "scene.png").stat().st_size > 0
 
 
 def test_the_files_follow_the_contract(optimised):
@@ -276,17 +263,6 @@ def test_a_bad_pdf_gets_one_sentence(table, message, tmp_path):
     assert done.returncode == 1
     assert done.stderr.startswith("error: ")
     assert message in done.stderr
-
-
-@pytest.mark.parametrize("pipeline", ["optimise", "evaluate"])
-def test_help_lists_the_groups_without_loading_the_model(pipeline, tmp_path):
-    shown = help_of(pipeline, "numba", "mlflow", "matplotlib", "pandas", cwd=tmp_path)
-    assert "deployment: file, greedy, random, uniform" in shown
-    assert shown.rstrip().endswith("[]")
-    groups = [line.partition(":")[0] for line in shown.splitlines() if re.match(r"\w+: ", line)]
-    assert len(groups) == len(set(groups))
-    assert "trajectory" not in groups
-    assert ("hparams_search" in groups) == (pipeline == "optimise")
 
 
 @pytest.mark.parametrize(

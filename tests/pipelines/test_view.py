@@ -15,7 +15,7 @@ import pytest
 from paper import paper_room
 from planned import LANDMARKS, SETTINGS, UNSAVED
 from planner_page import LIMIT, Page
-from processes import SMALL, call, command, help_of, refused, start
+from processes import SMALL, call, command, refused, start
 
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig_sources import read_mounts
@@ -233,7 +233,3 @@ def test_a_port_that_is_taken_is_refused(work):
         taken.listen()
         port = taken.getsockname()[1]
         refused("view", *OVERRIDES, f"port={port}", message=f"port {port} is taken.", cwd=work, settings=SETTINGS)
-
-
-def test_help_is_quick(tmp_path):
-    assert help_of("view", "mlflow", "scipy", "viser", "matplotlib", cwd=tmp_path).endswith("[]\n")
