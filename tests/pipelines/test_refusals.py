@@ -9,8 +9,23 @@ from processes import refused
 from lmd.core.checks import InputError
 from pipelines.building import build_optimiser, build_problem, instantiate, keyed
 
-# Overrides of `observe`, which composes most groups, and how the refusal begins.
+# Overrides of `evaluate`, and how the refusal begins.
 REFUSED = {
+    "objective.thold_p=1.2": "objective.thold_p must be in [0, 1], got 1.2.",
+    "room.size=[1,2]": "room.size must be a list of 3 numbers, got [1, 2].",
+    "+camera.zoom=2": "camera.zoom is no setting that is known",
+    "room.spacing=1e-3": "room.spacing = 0.001 makes 9.45e+10 positions, which would take",
+    "room.spacing=null": "room.spacing must be a number, got None.",
+    "room.relevance.regions=[{low: [20, 20, 20], high: [21, 21, 21], weight: 3}]": (
+        "room.relevance.regions[0] from [20, 20, 20] to [21, 21, 21] holds no position"
+    ),
+    "camera.image_width=1640.5": "camera.image_width must be a whole number, got 1640.5.",
+    "encoding.flush=foo": "encoding.flush must be true or false, got 'foo'.",
+    "validate=foo": "validate must be true or false, got 'foo'.",
+    "page=3": "page must be true or false, got 3.",
+    "sensitivity=maybe": "sensitivity must be true or false, got 'maybe'.",
+    "localisation=1": "localisation must be true or false, got 1.",
+    "tag.edge=100": "tag.edge is too large: surface x_min is 5 m wide",
     "camera.focal_length=-2": "camera.focal_length must be greater than 0, got -2.",
     "room.relevance.background=-1": "room.relevance.background must be at least 0, got -1.",
     "room.relevance.path=none.csv": "room.relevance.path: there is no file 'none.csv'.",
@@ -22,8 +37,9 @@ REFUSED = {
     "objective.n=91": "objective.n = 91 exceeds the number of landmarks, 90.",
     "deployment.count=0": "deployment.count must be at least 1, got 0.",
     "threads=0": "threads must be in [1, 1024], got 0.",
-    "encoding.kind=tree": "encoding.kind must be one of",
+    "encoding.kind=tree": "encoding.kind must be one of wall, paper, got 'tree'.",
 }
+# Of `observe`.
 PARTS = {
     "trajectory.pace.speed=0": "trajectory.pace.speed must be greater than 0, got 0.",
     "estimator.iekf.least_turn_noise=0": "estimator.iekf.least_turn_noise must be greater than 0, got 0.",
@@ -36,7 +52,7 @@ PARTS = {
 @pytest.mark.parametrize("override", REFUSED)
 def test_a_problem_that_is_refused_names_the_whole_key(override):
     with pytest.raises(InputError, match="^" + re.escape(REFUSED[override])):
-        build_problem(composed("optimise", "objective=robust", "deployment=uniform", override))
+        build_problem(composed("evaluate", "objective=robust", "deployment=uniform", override))
 
 
 @pytest.mark.parametrize("override", PARTS)
