@@ -20,6 +20,7 @@ PIPELINES = (
 # What they import when they need it, if it takes long.
 LIBRARIES = (
     *("PIL.PngImagePlugin", "cv2", "pandas", "plotly.graph_objects", "psutil", "pyapriltags", "pymoo.core.algorithm"),
+    *("mlflow.store.tracking.sqlalchemy_workspace_store", "nevergrad", "pyarrow.pandas_compat", "shapely.affinity"),
     *("reportlab.pdfgen.canvas", "scipy.ndimage", "scipy.optimize", "scipy.spatial", "scipy.stats"),
     *("lmd.detection.evaluation", "lmd.mapping.formats", "lmd.mapping.sheets", "lmd.estimation.study", "lmd.plot.page"),
     *(
@@ -29,6 +30,8 @@ LIBRARIES = (
         "lmd.plot.detection",
         "lmd.plot.localisation",
     ),
+    *("lmd.estimation.observer", "lmd.evaluation.tradeoff", "lmd.optimisers.checkpoint", "lmd.optimisers.composition"),
+    *("lmd.scene.carried", "lmd.scene.rig_sources", "pipelines.operations.sweeps.callback", "pipelines.progress"),
 )
 for name in (READY_MODULE, *TRACKED, "mlflow.tracking.client", *LIBRARIES, *(f"pipelines.{p}" for p in PIPELINES)):
     importlib.import_module(name)
