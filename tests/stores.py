@@ -2,12 +2,13 @@
 
 import logging
 import sqlite3
-import tempfile
 from contextlib import closing
 from functools import cache
 from pathlib import Path
 
+from filelock import FileLock
 from mlflow.store.db import utils
+from mlflow.version import VERSION
 from sqlalchemy import create_engine
 
 make_tables = utils._initialize_tables
@@ -15,13 +16,19 @@ make_tables = utils._initialize_tables
 
 @cache
 def tables():
-    """A database with mlflow's tables and no runs."""
-    logging.getLogger(utils.__name__).setLevel(logging.WARNING)  # it announces every new table
-    path = Path(tempfile.mkdtemp()) / "empty.db"
-    engine = create_engine(f"sqlite:///{path}")
-    make_tables(engine)
-    engine.dispose()
-    return sqlite3.connect(path, check_same_thread=False)
+    """A database with mlflow's tables and no runs, which one process makes for all and for the next time."""
+    path = Path(__file__).parents[1] / ".pytest_cache" / f"mlflow_{VERSION}.db"
+    path.parent.mkdir(exist_ok=True)
+    with FileLock(f"{path}.lock"):
+        if not path.exists():
+            logging.getLogger(utils.__name__).setLevel(logging.WARNING)  # it announces every new table
+            partial = path.with_suffix(".partial")
+            partial.unlink(missing_ok=True)
+            engine = create_engine(f"sqlite:///{partial}")
+            make_tables(engine)
+            engine.dispose()
+            partial.rename(path)
+    return sqlite3.connect(f"file:{path}?mode=ro", uri=True, check_same_thread=False)
 
 
 def _copy_tables(engine):

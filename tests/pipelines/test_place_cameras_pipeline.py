@@ -65,12 +65,12 @@ def test_cameras_are_placed_scored_and_gone_on_from(tmp_path):
     rig = camera_of(composed(f"camera.rig={tmp_path}/run/rig.yaml").camera)
     assert isinstance(rig, Rig)
     assert len(rig.mounts) == 2
-    quiet = ("tracking=none", "validate=false", "localisation=false", "losses=false", "picture=false")
-    done = call("evaluate", "run=run", "hydra.run.dir=again", cwd=tmp_path, settings=quiet)
+    quick, quiet = ("localisation=false", "losses=false"), ("tracking=none", "validate=false", "picture=false")
+    done = call("evaluate", "run=run", *quick, "hydra.run.dir=again", cwd=tmp_path, settings=quiet)
     assert done.returncode == 0, done.stderr
     assert json.loads((tmp_path / "again" / "metrics.json").read_text())["fitness"] == found["fitness"]
-    more = ("run=run", "rounds=2", "tag_evaluations=12", "budget.evaluations=6", "tracking=none")
-    done = call("place_cameras", *more, "hydra.run.dir=rounds", cwd=tmp_path, settings=("validate=false", "picture=false"))
+    more = ("run=run", "rounds=2", "tag_evaluations=12", "budget.evaluations=6", "hydra.run.dir=rounds")
+    done = call("place_cameras", *more, cwd=tmp_path, settings=quiet)
     assert done.returncode == 0, done.stderr
     assert "margin: 0.05" in (tmp_path / "rounds" / ".hydra" / "config.yaml").read_text()  # the body is that of the run
     turns = json.loads((tmp_path / "rounds" / "metrics.json").read_text())
