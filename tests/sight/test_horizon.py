@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 from by_position import with_probabilities
-from contracts.criterion import check_every_path
 from examples import examples
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numba import njit
 from paper import paper_camera, paper_scene
 from strategies import cameras, distorted_cameras, fiducials, pdfs, rolled_pdfs, seeds, unit_vectors, visibilities
+from test_fiducial import check_paths
 
 from lmd.scene.criteria import from_position, horizon_of
 from lmd.scene.deployment import NORMAL_TOLERANCE, Deployment
@@ -49,7 +49,7 @@ def test_in_a_hall_every_fast_path_counts_what_the_reference_does(scene, n, seed
     # Some stand before others, and hide them.
     before = drawn.positions[:10] + 0.1 * drawn.normals[:10] + rng.normal(scale=0.05, size=(10, 3))
     normals = np.vstack([drawn.normals, drawn.normals[:10]])
-    check_every_path(scene, Deployment(np.vstack([drawn.positions, before]), normals), targets, n, rng)
+    check_paths(scene, Deployment(np.vstack([drawn.positions, before]), normals), targets, n, rng)
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 5])
