@@ -100,6 +100,7 @@ class Adjustment:
         unknowns = 6 * (len(seen) + len(np.unique(sightings.tag)) + self.mounts)
         self.share = max(1.0 - unknowns / (RESIDUALS * len(sightings)), LEAST_SHARE)  # of squares that a fit leaves
         ends = np.append(first[::FRAME_CHUNK], len(sightings))
+        self._last: tuple[FloatArray, FloatArray] | None = None
         self.chunks = [self._chunk(slice(*between)) for between in pairwise(ends)]
 
     def _chunk(self, own: slice) -> Chunk:
@@ -107,13 +108,19 @@ class Adjustment:
         seen, of = np.unique(some.frame, return_inverse=True)
         return Chunk(some, seen, of, summing(of, len(seen)))
 
+    def _off(self, tags: FloatArray) -> FloatArray:
+        """`Prior.off`, remembered of the last tags: a step begins where the one before has led."""
+        if self._last is None or self._last[0] is not tags:
+            self._last = tags, self.prior.off(tags)
+        return self._last[1]
+
     def squares(self, error: FloatArray, floor: float) -> FloatArray:
         """chi^2 of each sighting, `(N,)`, by its squared error."""
         return np.asarray(error / (self.sightings.noise**2 + floor**2))
 
     def costs(self, poses: Poses) -> list[float]:
         """What the priors add to what is minimised."""
-        costs = [_cost(self.prior.squares(self.prior.off(poses.tags)), 6)]
+        costs = [_cost(self.prior.squares(self._off(poses.tags)), 6)]
         if self.prior.sheets is not None:
             costs.append(_cost(self.prior.sheets.fitted(poses.tags).squares, 6))
         return costs
@@ -240,12 +247,15 @@ class Adjustment:
             # H_kf L^-T, whose product with itself is H_kf H_ff^-1 H_fk.
             half = np.linalg.solve(lower, panel.reshape(len(seen), 6, 6 * len(rows)))
             wide = np.ascontiguousarray(half.reshape(6 * len(seen), 6 * len(rows)).T)
-            index = (6 * rows[:, None] + np.arange(6)).ravel()
-            matrix[np.ix_(index, index)] -= wide @ wide.T
+            if len(rows) == self.kept:
+                matrix -= wide @ wide.T
+            else:
+                index = (6 * rows[:, None] + np.arange(6)).ravel()
+                matrix[np.ix_(index, index)] -= wide @ wide.T
             reduced = solved(lower, gradient)
             right[rows] -= (wide @ reduced.ravel()).reshape(-1, 6)
             blocks.append(Eliminated(chunk, block, gradient, crosses))
-        off = self.prior.off(poses.tags)
+        off = self._off(poses.tags)
         known = self.prior.information
         if weight is None:
             known = known * weight_of(self.prior.squares(off), 6)[:, None]
@@ -309,7 +319,7 @@ def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
     spoken = np.diag(matrix) > 0.0
     result = np.zeros(right.size)
     index = np.flatnonzero(spoken)
-    some = matrix[np.ix_(index, index)]
+    some = matrix.copy() if spoken.all() else matrix[np.ix_(index, index)]
     some[np.diag_indices_from(some)] *= 1.0 + LEAST_DAMPING
     result[index] = np.linalg.solve(some, right.ravel()[index])
     return result
