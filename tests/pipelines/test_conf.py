@@ -69,10 +69,15 @@ OPTIMISERS = [option for group, option in GROUPS if group == "optimiser"]
 OTHERS = [choice for choice in GROUPS if choice[0] != "optimiser"]
 
 
-@pytest.mark.parametrize("number", range(max(len(OPTIMISERS), len(OTHERS))))
-def test_every_option_composes_and_builds(number):
-    """An optimiser and an option of another group at a time, as neither asks for the other."""
-    (group, option), optimiser = OTHERS[number % len(OTHERS)], OPTIMISERS[number % len(OPTIMISERS)]
+# As neither asks for the other, one composition is for both.
+PAIRS = [
+    (*OTHERS[number % len(OTHERS)], OPTIMISERS[number % len(OPTIMISERS)])
+    for number in range(max(len(OPTIMISERS), len(OTHERS)))
+]
+
+
+@pytest.mark.parametrize(("group", "option", "optimiser"), PAIRS)
+def test_every_option_composes_and_builds(group, option, optimiser):
     few = ["deployment.count=4"] if option == "greedy" else []
     cfg = composed("optimise", f"{group}={option}", f"optimiser={optimiser}", *few)
     instantiate(cfg.optimiser, seed=0)
