@@ -2,36 +2,34 @@
 
 import gc
 import importlib
+import pkgutil
 from pathlib import Path
 
 import stores
 from composing import composed
 from hydra._internal.hydra import Hydra
 from mlflow.store.db import utils
+from PIL import Image
 
+import lmd
+import pipelines
 from pipelines.app import CONF
 from pipelines.hyperparameters import FileConfigSource
-from pipelines.operations.sweeps.forks import READY_MODULE, TRACKED
+from pipelines.operations.sweeps.forks import TRACKED
 
-PIPELINES = (
-    *("accuracy", "bound", "calibrate_detector", "compare", "detect", "estimate_pdf", "evaluate", "export"),
-    *("observe", "optimise", "report", "runs", "size", "survey", "sync", "tradeoff", "view"),
-)
-# What they import when they need it, if it takes long.
+# What is imported when it is needed. The page of runs is mlflow's server, which nobody else needs.
 LIBRARIES = (
-    *("PIL.PngImagePlugin", "cv2", "pandas", "plotly.graph_objects", "psutil", "pyapriltags", "pymoo.core.algorithm"),
-    *("reportlab.pdfgen.canvas", "scipy.ndimage", "scipy.optimize", "scipy.spatial", "scipy.stats"),
-    *("lmd.detection.evaluation", "lmd.mapping.formats", "lmd.mapping.sheets", "lmd.estimation.study", "lmd.plot.page"),
-    *(
-        "lmd.detection.board",
-        "lmd.evaluation.maps",
-        "lmd.evaluation.losses",
-        "lmd.plot.detection",
-        "lmd.plot.localisation",
-    ),
+    *("PIL.PngImagePlugin", "cv2", "hydra._internal.logging_config", "mlflow.tracking.client"),
+    *("mlflow.store.tracking.sqlalchemy_workspace_store", "multiprocessing.synchronize", "nevergrad"),
+    *("numba.core.boxing", "numba.core.runtime.context", "pandas", "pandas.core.methods.to_dict"),
+    *("pandas.core.reshape.reshape", "pandas.io.formats.csvs", "pandas.io.formats.string", "plotly.graph_objects"),
+    *("psutil", "pyapriltags", "pyarrow.pandas_compat", "pymoo.core.algorithm", "reportlab.pdfgen.canvas"),
+    *("scipy.ndimage", "scipy.optimize", "scipy.spatial", "scipy.stats", "zstandard"),
 )
-for name in (READY_MODULE, *TRACKED, "mlflow.tracking.client", *LIBRARIES, *(f"pipelines.{p}" for p in PIPELINES)):
+OWN = [found.name for own in (lmd, pipelines) for found in pkgutil.walk_packages(own.__path__, f"{own.__name__}.")]
+for name in (*LIBRARIES, *TRACKED, *(name for name in OWN if name != "pipelines.operations.tracking.ui")):
     importlib.import_module(name)
+Image.preinit()
 
 
 def _compose():

@@ -14,6 +14,7 @@ from llvmlite.binding.ffi import lib
 from numba import types
 from numba.core import errors
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.callwrapper import PyCallWrapper
 from numba.core.codegen import CPUCodegen, JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher, cpu_target
@@ -114,6 +115,19 @@ def _cheap_function_passes(self: CPUCodegen, **options: Any) -> Any:
 
 
 CPUCodegen._function_pass_manager = _cheap_function_passes  # type: ignore[method-assign] # a tenth of compiling
+
+_called_from_python = PyCallWrapper.build
+
+
+def _left_as_written(self: PyCallWrapper) -> Any:
+    """As numba's, but not optimised: hundreds of arrays are taken out of Python's objects once for many moves."""
+    wrapper, api = _called_from_python(self)
+    for attribute in ("noinline", "optnone"):
+        wrapper.attributes.add(attribute)
+    return wrapper, api
+
+
+PyCallWrapper.build = _left_as_written  # type: ignore[method-assign] # an eighth of compiling what calls the others
 
 
 def load_compiler() -> None:
