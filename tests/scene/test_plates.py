@@ -161,7 +161,7 @@ def test_nor_does_annealing_on_samples():
 
 def test_greedy_chooses_no_plates_that_overlap():
     problem = problem_of(RandomDeployment(40))
-    start = GreedyDeployment(40, problem.scene, problem.objective, spacing=0.2, threads=1)
+    start = GreedyDeployment(40, problem.scene, problem.objective, spacing=0.25, threads=1)
     assert not overlaps(start.draw(problem.scene.room, np.random.default_rng(0)), problem.scene.room, EDGE)
     with pytest.raises(InputError, match=r"^spacing = 0\.\d+ leaves room for \d+ plates of 0\.3 m, too few for 900\."):
         GreedyDeployment(900, problem.scene, problem.objective, threads=1).draw(problem.scene.room, None)
