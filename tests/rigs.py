@@ -12,6 +12,7 @@ from strategies import (
     fiducials,
     is_bent,
     pdfs,
+    pdfs_of,
     rolled_pdfs,
     rooms,
     visibilities,
@@ -48,5 +49,6 @@ def rig_scenes_with_deployments(draw, fiducial=False, room=None):
     seen = draw(fiducials() if fiducial else visibilities())
     # Tags are seen through lenses that distort, where the test of the image takes long to compile: once.
     rig = draw(rigs(distorted_cameras(BENT).filter(is_bent) if fiducial else cameras()))
-    scene = Scene(room, rig, draw(rolled_pdfs() if fiducial else pdfs), seen)
+    few = pdfs_of(4)  # with rolls they are still more than a word of bits holds
+    scene = Scene(room, rig, draw(rolled_pdfs(few) if fiducial else pdfs), seen)
     return scene, draw(deployments(room, most=8))

@@ -118,19 +118,24 @@ def sampled_pdfs(draw):
     return pdf.OrientationPdf(*np.array(angles).T, weight / weight.sum())
 
 
-divisions = st.integers(4, 6)
-pdfs = st.one_of(
-    st.builds(pdf.grid_with_ends, divisions),
-    st.builds(pdf.grid_of_cells, divisions),
-    st.builds(pdf.solid_angle, divisions),
-    st.builds(pdf.level_flight, divisions, pitch=pitches),
-    sampled_pdfs(),
-)
+def pdfs_of(most):
+    """PDFs with so many divisions at most."""
+    divisions = st.integers(4, most)
+    return st.one_of(
+        st.builds(pdf.grid_with_ends, divisions),
+        st.builds(pdf.grid_of_cells, divisions),
+        st.builds(pdf.solid_angle, divisions),
+        st.builds(pdf.level_flight, divisions, pitch=pitches),
+        sampled_pdfs(),
+    )
+
+
+pdfs = pdfs_of(6)
 
 
 @st.composite
-def rolled_pdfs(draw):
-    drawn = draw(pdfs)
+def rolled_pdfs(draw, kinds=pdfs):
+    drawn = draw(kinds)
     roll = np.array([draw(st.floats(-math.pi, math.pi)) for _ in range(draw(st.integers(1, 3)))])
     return pdf.OrientationPdf(drawn.yaw, drawn.pitch, drawn.weight, roll=np.resize(roll, len(drawn.weight)))
 

@@ -1,5 +1,6 @@
 """How kernels are compiled, and when what was compiled before may be used again."""
 
+import gc
 import hashlib
 import os
 import sys
@@ -58,6 +59,11 @@ OVERLOAD: Any = _CALLED | ({} if _inside is None else _inside.OVERLOAD)
 OVERLOAD_INLINED: Any = OVERLOAD | {"forceinline": True}
 
 
+# When Python looks for garbage while it compiles: most of what that makes stays, and looking as often as it does by
+# default would take a twelfth of the time.
+_SELDOM = (20_000, 50, 1_000)
+
+
 class _Compiling(Listener):
     """How long this process has waited for the compiler, in any of its threads; says what it waits for."""
 
@@ -66,6 +72,7 @@ class _Compiling(Listener):
         self._compiling = 0  # kernels, of which most are parts of others
         self._began = self._spent = 0.0
         self._kernels = 0  # whose compiling has begun
+        self._thresholds = gc.get_threshold()
         self.homeless = False  # whether no folder can be written to in which kernels could be kept
 
     def on_start(self, event: Event) -> None:
@@ -73,6 +80,8 @@ class _Compiling(Listener):
         with self._lock:
             if not self._compiling:
                 self._began = time.perf_counter()
+                self._thresholds = gc.get_threshold()
+                gc.set_threshold(*_SELDOM)
                 self._tell(event.data["dispatcher"].py_func)
             self._compiling += 1
 
@@ -92,6 +101,7 @@ class _Compiling(Listener):
             self._compiling -= 1
             if not self._compiling:
                 self._spent += time.perf_counter() - self._began
+                gc.set_threshold(*self._thresholds)
 
     @property
     def active(self) -> bool:

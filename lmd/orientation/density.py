@@ -8,11 +8,12 @@ is chosen (the one-standard-error rule, on paired differences).
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, gaussian_filter1d
 from scipy.stats import circmean, norm, truncnorm, vonmises
 
 from lmd.core.checks import FloatArray
@@ -143,21 +144,25 @@ def kernel_density(index: tuple[IntArray, ...], axes: tuple[Axis, ...]) -> tuple
     def counted(chosen: IntArray) -> FloatArray:
         return np.bincount(chosen, minlength=int(np.prod(shape))).reshape(shape).astype(np.float64)
 
-    def smoothed(counts: FloatArray, bandwidths: tuple[float, ...]) -> FloatArray:
-        return np.asarray(gaussian_filter(counts, bandwidths, mode=mode) / counts.sum())
-
     held_out = _folds(len(cell))
     rest = [counted(np.delete(cell, fold)) for fold in held_out]
 
+    @cache
+    def along_first(part: int, bandwidth: float) -> FloatArray:
+        return np.asarray(gaussian_filter1d(rest[part], bandwidth, axis=0, mode=mode[0]))
+
+    def log_likelihood(part: int, bandwidths: tuple[float, ...]) -> float:
+        density, count = along_first(part, bandwidths[0]), rest[part].sum()
+        for axis, bandwidth in enumerate(bandwidths[1:], start=1):
+            density = gaussian_filter1d(density, bandwidth, axis=axis, mode=mode[axis])
+        return float(_log_likelihood(density / count, count, cell[held_out[part]]).sum())
+
     def score(bandwidths: tuple[float, ...]) -> float:
-        parts = zip(rest, held_out, strict=True)
-        return float(
-            sum(_log_likelihood(smoothed(counts, bandwidths), counts.sum(), cell[fold]).sum() for counts, fold in parts)
-        )
+        return sum(log_likelihood(part, bandwidths) for part in range(len(rest)))
 
     best = max(product(BANDWIDTHS, repeat=len(axes)), key=score)
     widths = tuple(float(b * axis.width) for b, axis in zip(best, axes, strict=True))
-    return smoothed(counted(cell), best), widths
+    return np.asarray(gaussian_filter(counted(cell), best, mode=mode) / len(cell)), widths
 
 
 def compare(angle: FloatArray, axis: Axis, families: Sequence[Family]) -> tuple[Density, tuple[Candidate, ...]]:

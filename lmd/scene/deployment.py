@@ -154,11 +154,9 @@ class Deployment:
             near: whether landmarks may stand a little before a surface, see `Space.surface_near`.
         """
         surfaces, some = room.surfaces(), f"of {len(self)} landmarks do"
-        distance = self._distance(room)
-        touching = np.where(distance.min(axis=0) > 0.0, -1, distance.argmin(axis=0))
-        own = self.belonging(room) if near else np.where(self.surfaces < 0, touching, self.surfaces)
+        own = self.belonging(room) if near else self._touching(room)
         if (floating := np.flatnonzero(own < 0)).size:
-            first = int(floating[0])
+            first, distance = int(floating[0]), self._distance(room)
             nearest = int(np.argmin(distance[:, first]))
             return (
                 f"landmark {self._place(first)} hangs in mid-air, {distance[nearest, first]:.4g} m from the nearest "
@@ -186,9 +184,20 @@ class Deployment:
             return self.surfaces
         return np.where(self.surfaces < 0, room.surface_near(self.positions, self.normals), self.surfaces)
 
+    def _touching(self, room: Space) -> IntArray:
+        """The surface of `room` that each hangs on, or else is exactly in the plane of, -1 for none, `(K,)`."""
+        if (self.surfaces >= 0).all():
+            return self.surfaces
+        distance = self._distance(room)
+        return np.where(
+            self.surfaces < 0, np.where(distance.min(axis=0) > 0.0, -1, distance.argmin(axis=0)), self.surfaces
+        )
+
     def before(self, room: Space) -> "Deployment":
         """The same landmarks, those that belong to no surface of `room` with the one they are nearest to."""
         own = self.belonging(room)
+        if own is self.surfaces:
+            return self
         if (own < 0).any():
             own = np.where(own < 0, self._distance(room).argmin(axis=0), own)
         return replace(self, surfaces=own)

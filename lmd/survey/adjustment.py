@@ -15,15 +15,16 @@ Sources: Triggs et al., "Bundle Adjustment - A Modern Synthesis"; Lange et al., 
 Distribution".
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import exp, nearest_rotations, pose_of
-from lmd.survey.residuals import Linearised, Poses, Prior, errors_at, gathered, linearise, summed
+from lmd.survey.residuals import Linearised, Poses, Prior, errors_at, gathered, linearise, summing
 from lmd.survey.sightings import Sightings
 from lmd.survey.student import DEGREES_OF_FREEDOM, RESIDUALS, solved, weight_of
 
@@ -55,13 +56,23 @@ class Adjusted:
     squares: FloatArray
 
 
-class Eliminated(NamedTuple):
-    """Some frames that were eliminated: f of them, with n sightings."""
+class Chunk(NamedTuple):
+    """Some frames that are eliminated together: f of them, with n sightings."""
 
+    some: Sightings
+    """The sightings."""
     seen: IntArray
     """`(f,)` the frames."""
     of: IntArray
     """`(n,)` which of these each sighting is of."""
+    summed: Callable[[FloatArray], FloatArray]
+    """Sums by frame."""
+
+
+class Eliminated(NamedTuple):
+    """A chunk that was eliminated."""
+
+    chunk: Chunk
     block: FloatArray
     """`(f, 6, 6)` H_ff."""
     gradient: FloatArray
@@ -88,31 +99,43 @@ class Adjustment:
         seen, first = np.unique(sightings.frame, return_index=True)
         unknowns = 6 * (len(seen) + len(np.unique(sightings.tag)) + self.mounts)
         self.share = max(1.0 - unknowns / (RESIDUALS * len(sightings)), LEAST_SHARE)  # of squares that a fit leaves
-        self.first = np.append(first, len(sightings))
+        ends = np.append(first[::FRAME_CHUNK], len(sightings))
+        self._last: tuple[FloatArray, FloatArray] | None = None
+        self.chunks = [self._chunk(slice(*between)) for between in pairwise(ends)]
 
-    def chunks(self) -> Iterator[slice]:
-        """The sightings of some frames at a time."""
-        for start in range(0, len(self.first) - 1, FRAME_CHUNK):
-            yield slice(self.first[start], self.first[min(start + FRAME_CHUNK, len(self.first) - 1)])
+    def _chunk(self, own: slice) -> Chunk:
+        some = self.sightings.of(own)
+        seen, of = np.unique(some.frame, return_inverse=True)
+        return Chunk(some, seen, of, summing(of, len(seen)))
 
-    def squares(self, poses: Poses, floor: float) -> FloatArray:
-        """chi^2 of each sighting, `(N,)`."""
-        return errors_at(self.sightings, poses) / (self.sightings.noise**2 + floor**2)
+    def _off(self, tags: FloatArray) -> FloatArray:
+        """`Prior.off`, remembered of the last tags: a step begins where the one before has led."""
+        if self._last is None or self._last[0] is not tags:
+            self._last = tags, self.prior.off(tags)
+        return self._last[1]
 
-    def cost(self, poses: Poses, floor: float) -> float:
-        """What is minimised."""
-        cost = _cost(self.squares(poses, floor)) + _cost(self.prior.squares(poses.tags), 6)
+    def squares(self, error: FloatArray, floor: float) -> FloatArray:
+        """chi^2 of each sighting, `(N,)`, by its squared error."""
+        return np.asarray(error / (self.sightings.noise**2 + floor**2))
+
+    def costs(self, poses: Poses) -> list[float]:
+        """What the priors add to what is minimised."""
+        costs = [_cost(self.prior.squares(self._off(poses.tags)), 6)]
         if self.prior.sheets is not None:
-            cost += _cost(self.prior.sheets.fitted(poses.tags).squares, 6)
-        return cost
+            costs.append(_cost(self.prior.sheets.fitted(poses.tags).squares, 6))
+        return costs
 
-    def floor(self, poses: Poses, most: float) -> float:
-        """The floor that the residuals speak of, pixels, at most `most`."""
-        error = errors_at(self.sightings, poses)
+    def cost(self, error: FloatArray, costs: Sequence[float], floor: float) -> float:
+        """What is minimised, by the squared errors of sightings and what the priors add."""
+        return sum(costs, _cost(self.squares(error, floor)))
+
+    def floor(self, error: FloatArray, most: float) -> float:
+        """The floor that the squared errors of sightings speak of, pixels, at most `most`."""
+        shared, variance = error / self.share, self.sightings.noise**2
         low, high = 0.0, most
         for _ in range(40):
             middle = (low + high) / 2.0
-            square = error / self.share / (self.sightings.noise**2 + middle**2)
+            square = shared / (variance + middle**2)
             if (weight_of(square) * square).mean() > NORMAL_MEAN:
                 low = middle
             else:
@@ -126,7 +149,7 @@ class Adjustment:
         (w + 2 w' chi^2 / 8) is what the slope of the equations loses, that of w^2 chi^2 / 8 is the variance of their
         right side, and the covariance is that of least squares times the second over the first squared.
         """
-        square = self.squares(poses, floor) / self.share
+        square = self.squares(errors_at(self.sightings, poses), floor) / self.share
         weight = weight_of(square)
         slope = (weight - 2.0 / RESIDUALS * square * weight / (DEGREES_OF_FREEDOM + square)).mean()
         spread = (weight**2 * square).mean() / RESIDUALS
@@ -154,9 +177,10 @@ class Adjustment:
         frames = poses.frames.copy()
         count = len(self.sightings.ids)
         for part in blocks:
+            seen = part.chunk.seen
             pull = sum(np.einsum("nij,ni->nj", cross, kept[index]) for index, cross in part.crosses)
-            rest = part.gradient - summed(np.asarray(pull), part.of, len(part.seen))
-            frames[part.seen] = frames[part.seen] @ exp(solved(part.block, rest))
+            rest = part.gradient - part.chunk.summed(np.asarray(pull))
+            frames[seen] = frames[seen] @ exp(solved(part.block, rest))
         tags = poses.tags @ exp(kept[:count])
         mounts = poses.mounts.copy()
         mounts[1 : 1 + self.mounts] = mounts[1 : 1 + self.mounts] @ exp(kept[count : self.placed])
@@ -185,52 +209,56 @@ class Adjustment:
             damping: by which diagonals grow, relative.
             weight: of every sighting; None for those of Student's distribution, of priors too.
         """
-        sightings, count = self.sightings, len(self.sightings.ids)
+        count = len(self.sightings.ids)
         matrix = np.zeros((6 * self.kept, 6 * self.kept))
         cells = matrix.reshape(self.kept, 6, self.kept, 6).transpose(0, 2, 1, 3)
         right = np.zeros((self.kept, 6))
         diagonal = np.zeros((self.kept, 6, 6))
         blocks = []
-        for own in self.chunks():
-            some = sightings.of(np.arange(own.start, own.stop))
+        for chunk in self.chunks:
+            some, seen, of, by_frame = chunk
             at = linearise(some, *gathered(some, poses))
             variance = some.noise**2 + floor**2
             trust = weight_of((at.error**2).sum(axis=1) / variance) if weight is None else weight
             inverse_variance = trust / variance
-            seen, of = np.unique(some.frame, return_inverse=True)
 
             def product(one: FloatArray, other: FloatArray, scale: FloatArray = inverse_variance) -> FloatArray:
                 return np.asarray((np.swapaxes(one, 1, 2) * scale[:, None, None]) @ other)
 
             error = -at.error[..., None]
-            block = summed(product(at.by_frame, at.by_frame), of, len(seen))
+            block = by_frame(product(at.by_frame, at.by_frame))
             block += (damping + LEAST_DAMPING) * block * np.eye(6) + LEAST_DAMPING * np.eye(6)
-            gradient = summed(product(at.by_frame, error)[..., 0], of, len(seen))
+            gradient = by_frame(product(at.by_frame, error)[..., 0])
             unknowns = self.unknowns(some, at)
             crosses = [(index, product(slope, at.by_frame)) for index, slope in unknowns]
             rows = np.unique(np.concatenate([index for index, _ in unknowns]))
-            panel = np.zeros((len(rows), len(seen), 6, 6))
+            panel = np.zeros((len(seen), 6, len(rows), 6))  # H_fk
+            turned = panel.transpose(2, 0, 3, 1)
             for k, (index, slope) in enumerate(unknowns):
-                np.add.at(panel, (np.searchsorted(rows, index), of), crosses[k][1])
-                diagonal += summed(product(slope, slope), index, self.kept)
-                right += summed(product(slope, error)[..., 0], index, self.kept)
+                np.add.at(turned, (np.searchsorted(rows, index), of), crosses[k][1])
+                summed = summing(index, self.kept)
+                diagonal += summed(product(slope, slope))
+                right += summed(product(slope, error)[..., 0])
                 for other, beside in unknowns[:k]:
                     both = product(slope, beside)
                     np.add.at(cells, (index, other), both)
                     np.add.at(cells, (other, index), np.swapaxes(both, 1, 2))
             lower = np.asarray(np.linalg.cholesky(block), dtype=np.float64)
             # H_kf L^-T, whose product with itself is H_kf H_ff^-1 H_fk.
-            half = np.swapaxes(np.linalg.solve(lower[None], np.swapaxes(panel, 2, 3)), 2, 3)
-            wide = half.transpose(0, 2, 1, 3).reshape(6 * len(rows), 6 * len(seen))
-            index = (6 * rows[:, None] + np.arange(6)).ravel()
-            matrix[np.ix_(index, index)] -= wide @ wide.T
+            half = np.linalg.solve(lower, panel.reshape(len(seen), 6, 6 * len(rows)))
+            wide = np.ascontiguousarray(half.reshape(6 * len(seen), 6 * len(rows)).T)
+            if len(rows) == self.kept:
+                matrix -= wide @ wide.T
+            else:
+                index = (6 * rows[:, None] + np.arange(6)).ravel()
+                matrix[np.ix_(index, index)] -= wide @ wide.T
             reduced = solved(lower, gradient)
             right[rows] -= (wide @ reduced.ravel()).reshape(-1, 6)
-            blocks.append(Eliminated(seen, of, block, gradient, crosses))
-        off = self.prior.off(poses.tags)
+            blocks.append(Eliminated(chunk, block, gradient, crosses))
+        off = self._off(poses.tags)
         known = self.prior.information
         if weight is None:
-            known = known * weight_of(self.prior.squares(poses.tags), 6)[:, None]
+            known = known * weight_of(self.prior.squares(off), 6)[:, None]
         diagonal[:count] += known[..., None] * np.eye(6)
         right[:count] -= known * off
         if (sheets := self.prior.sheets) is not None:
@@ -243,8 +271,8 @@ class Adjustment:
             np.subtract.at(cells, (sheets.tag[one], sheets.tag[other]), sheets.couplings(weights))
         diagonal[self.placed :] += np.eye(6)  # the unit of intrinsics is what they may be off
         diagonal += damping * diagonal * np.eye(6)
-        for k in range(self.kept):
-            matrix[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] += diagonal[k]
+        each = np.arange(self.kept)
+        cells[each, each] += diagonal
         return matrix, right, blocks
 
     def run(self, poses: Poses, floor: float, steps: int) -> Adjusted:
@@ -255,21 +283,23 @@ class Adjustment:
             floor: where to begin, pixels; it is found.
         """
         damping, most = FIRST_DAMPING, floor
-        cost = self.cost(poses, floor)
+        error, costs = errors_at(self.sightings, poses), self.costs(poses)
+        cost = self.cost(error, costs, floor)
         for _ in range(steps):
             tried = self.step(poses, floor, damping)
-            found = self.cost(tried, floor)
+            off, costs = errors_at(self.sightings, tried), self.costs(tried)
+            found = self.cost(off, costs, floor)
             if found > cost or not np.isfinite(found):
                 damping *= 10.0
                 if damping > MOST_DAMPING:
                     break
                 continue
-            gained, poses, damping = cost - found, tried, max(damping / 10.0, LEAST_DAMPING)
-            before, floor = floor, self.floor(poses, most)
-            cost = self.cost(poses, floor)
+            gained, poses, error, damping = cost - found, tried, off, max(damping / 10.0, LEAST_DAMPING)
+            before, floor = floor, self.floor(error, most)
+            cost = self.cost(error, costs, floor)
             if gained < LEAST_GAIN * len(self.sightings) and abs(floor - before) < 1e-3 * before + 1e-6:
                 break
-        return Adjusted(_orthonormal(poses), floor, self.squares(poses, floor))
+        return Adjusted(_orthonormal(poses), floor, self.squares(error, floor))
 
 
 def _orthonormal(poses: Poses) -> Poses:
@@ -289,7 +319,7 @@ def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
     spoken = np.diag(matrix) > 0.0
     result = np.zeros(right.size)
     index = np.flatnonzero(spoken)
-    some = matrix[np.ix_(index, index)]
+    some = matrix.copy() if spoken.all() else matrix[np.ix_(index, index)]
     some[np.diag_indices_from(some)] *= 1.0 + LEAST_DAMPING
     result[index] = np.linalg.solve(some, right.ravel()[index])
     return result

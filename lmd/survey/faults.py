@@ -14,7 +14,7 @@ from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import angle_between, exp
 from lmd.survey.estimate import MISFIT_CHI_SQUARE, ONE_THREAD, Estimate, adjusted
 from lmd.survey.proposals import proposals
-from lmd.survey.residuals import Poses, errors_at, linearise, summed
+from lmd.survey.residuals import Poses, errors_at, linearise, summing
 from lmd.survey.start import Placing, agreeing
 from lmd.survey.student import RESIDUALS, solved, weight_of
 
@@ -149,7 +149,7 @@ def _sizes(found: Estimate) -> tuple[dict[int, float], Poses]:
         placing.frames = _views(found.poses)
         placing.settle(np.arange(lost.size), by_frame=False, fewest=0, share=0.0)
         tags[astray] = placing.tags[astray]
-    told, growth = some.edges, np.zeros(count)
+    told, growth, summed = some.edges, np.zeros(count), summing(some.tag, count)
     for _ in range(SIZE_STEPS):
         scaled = replace(some, edges=told * np.exp(growth))
         at = linearise(scaled, tags[some.tag], found.poses.frames[some.frame], found.poses.mounts[some.camera])
@@ -159,8 +159,8 @@ def _sizes(found: Estimate) -> tuple[dict[int, float], Poses]:
         variance = some.noise**2 + found.floor**2
         weight = weight_of((at.error**2).sum(axis=1) / variance) / variance
         turned = np.swapaxes(slope, 1, 2) * weight[:, None, None]
-        matrix = summed(turned @ slope, some.tag, count) + np.diag([1e-6] * 6 + [1e-2])
-        step = -solved(matrix, summed((turned @ at.error[..., None])[..., 0], some.tag, count))
+        matrix = summed(turned @ slope) + np.diag([1e-6] * 6 + [1e-2])
+        step = -solved(matrix, summed((turned @ at.error[..., None])[..., 0]))
         tags, growth = tags @ exp(step[:, :6]), growth + np.clip(step[:, 6], -0.2, 0.2)
     sigma = np.sqrt(np.linalg.inv(matrix)[:, 6, 6])
     other = (np.abs(growth) > SIZE_DIFFERS) & (np.abs(growth) > SIZE_SIGMAS * sigma)

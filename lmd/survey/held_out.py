@@ -9,7 +9,7 @@ from lmd.core.checks import FloatArray
 from lmd.geometry.se3 import exp
 from lmd.survey.adjustment import LEAST_DAMPING
 from lmd.survey.estimate import ONE_THREAD, Estimate, adjusted, twice_in_frame
-from lmd.survey.residuals import Poses, errors_at, gathered, linearise, summed
+from lmd.survey.residuals import Poses, errors_at, gathered, linearise, summing
 from lmd.survey.sightings import Sightings
 from lmd.survey.student import solved, weight_of
 
@@ -71,13 +71,14 @@ def _resected(sightings: Sightings, poses: Poses, floor: float) -> FloatArray:
     """The frames with everything else fixed, `(F, 4, 4)`, from where `poses` has them."""
     frames = poses.frames
     seen, of = np.unique(sightings.frame, return_inverse=True)
+    summed = summing(of, len(seen))
     for _ in range(RESECTION_STEPS):
         at = linearise(sightings, *gathered(sightings, replace(poses, frames=frames)))
         variance = sightings.noise**2 + floor**2
         weight = weight_of((at.error**2).sum(axis=1) / variance) / variance
         turned = np.swapaxes(at.by_frame, 1, 2) * weight[:, None, None]
-        matrix = summed(turned @ at.by_frame, of, len(seen)) + LEAST_DAMPING * np.eye(6)
-        right = summed((turned @ at.error[..., None])[..., 0], of, len(seen))
+        matrix = summed(turned @ at.by_frame) + LEAST_DAMPING * np.eye(6)
+        right = summed((turned @ at.error[..., None])[..., 0])
         frames = frames.copy()
         frames[seen] = frames[seen] @ exp(-solved(matrix, right))
     return frames

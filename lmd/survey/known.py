@@ -105,7 +105,7 @@ def aligned(tags: FloatArray, prior: Prior) -> FloatArray | None:
         return _laid_over(tags, prior, np.flatnonzero(prior.information.any(axis=1) & there))
     motions = prior.tags[known] @ inverse(tags[known])
     some = Prior(prior.tags[known], prior.information[known])
-    costs = [np.log1p(some.squares(motion @ tags[known]) / DEGREES_OF_FREEDOM).sum() for motion in motions]
+    costs = [np.log1p(some.squares(some.off(motion @ tags[known])) / DEGREES_OF_FREEDOM).sum() for motion in motions]
     return np.asarray(motions[int(np.argmin(costs))])
 
 

@@ -3,7 +3,9 @@
 The residuals e are those of `lmd.survey.sightings`, pixels; `lmd.survey.adjustment` says what is made of them.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -58,9 +60,9 @@ class Prior:
         twists[known] = log(inverse(self.tags[known]) @ tags[known])
         return twists
 
-    def squares(self, tags: FloatArray) -> FloatArray:
-        """chi^2 of each, `(K,)`."""
-        return np.asarray((self.information * self.off(tags) ** 2).sum(axis=1))
+    def squares(self, off: FloatArray) -> FloatArray:
+        """chi^2 of each, `(K,)`, by how far `off` they are."""
+        return np.asarray((self.information * off**2).sum(axis=1))
 
 
 def in_cameras(sightings: Sightings, tags: FloatArray, frames: FloatArray, mounts: FloatArray) -> FloatArray:
@@ -89,16 +91,45 @@ def gathered(sightings: Sightings, poses: Poses) -> tuple[FloatArray, FloatArray
 
 @dataclass(frozen=True)
 class Linearised:
-    """Residuals `(N, 8)` and how they change with right-hand twists of the poses, `(N, 8, 6)` each."""
+    """Residuals and how they change with right-hand twists of the poses: X becomes X exp(twist).
+
+    Args:
+        error: the residuals, `(N, 8)`.
+        corners, body, seen: the corners in the frames of the tag, the body and the camera, `(N, 4, 3)`.
+        slope, at_body: how residuals change as a corner moves in the camera's frame and in the body's, `(N, 4, 2, 3)`.
+        turn: of the tag to the body, `(N, 3, 3)`.
+    """
 
     error: FloatArray
-    by_tag: FloatArray
-    by_frame: FloatArray
-    by_mount: FloatArray
+    corners: FloatArray
+    body: FloatArray
+    seen: FloatArray
+    slope: FloatArray
+    at_body: FloatArray
+    turn: FloatArray
+
+    @cached_property
+    def by_tag(self) -> FloatArray:
+        """How residuals change with the pose of the tag, `(N, 8, 6)`."""
+        at_tag = self.at_body @ self.turn[:, None]
+        return self._rows(cross(self.corners[:, :, None], at_tag), at_tag)
+
+    @cached_property
+    def by_frame(self) -> FloatArray:
+        """With that of the body."""
+        return self._rows(cross(self.at_body, self.body[:, :, None]), -self.at_body)
+
+    @cached_property
+    def by_mount(self) -> FloatArray:
+        """With that of the camera on the body."""
+        return self._rows(cross(self.slope, self.seen[:, :, None]), -self.slope)
+
+    def _rows(self, turn: FloatArray, way: FloatArray) -> FloatArray:
+        return np.concatenate([turn, way], axis=-1).reshape(len(self.error), RESIDUALS, 6)
 
 
 def linearise(sightings: Sightings, tags: FloatArray, frames: FloatArray, mounts: FloatArray) -> Linearised:
-    """The residuals at poses `(N, 4, 4)` of each sighting: X becomes X exp(twist)."""
+    """The residuals at poses `(N, 4, 4)` of each sighting."""
     to_body = inverse(frames) @ tags
     body = sightings.corners @ np.swapaxes(to_body[:, :3, :3], 1, 2) + to_body[:, None, :3, 3]
     turned = mounts[:, :3, :3]
@@ -108,22 +139,17 @@ def linearise(sightings: Sightings, tags: FloatArray, frames: FloatArray, mounts
     slope = (sightings.tangents - error[..., None] * sightings.directions[..., None, :]) / np.maximum(depth, NEAREST)
     slope *= depth > NEAREST
     at_body = slope @ np.swapaxes(turned, 1, 2)[:, None]
-    at_tag = at_body @ to_body[:, None, :3, :3]
-
-    def rows(turn: FloatArray, way: FloatArray) -> FloatArray:
-        return np.concatenate([turn, way], axis=-1).reshape(len(sightings), RESIDUALS, 6)
-
-    return Linearised(
-        error.reshape(len(sightings), RESIDUALS),
-        rows(cross(sightings.corners[:, :, None], at_tag), at_tag),
-        rows(cross(at_body, body[:, :, None]), -at_body),
-        rows(cross(slope, seen[:, :, None]), -slope),
-    )
+    error = error.reshape(len(sightings), RESIDUALS)
+    return Linearised(error, sightings.corners, body, seen, slope, at_body, to_body[:, :3, :3])
 
 
-def summed(values: FloatArray, owner: IntArray, count: int) -> FloatArray:
-    """The sums of values `(N, ...)` over what each of `count` owners has, `(count, ...)`."""
+def summing(owner: IntArray, count: int) -> Callable[[FloatArray], FloatArray]:
+    """A function from values `(N, ...)` to their sums over what each of `count` owners has, `(count, ...)`."""
     from scipy.sparse import csc_array
 
     matrix = csc_array((np.ones(len(owner)), owner, np.arange(len(owner) + 1)), shape=(count, len(owner)))
-    return np.asarray((matrix @ values.reshape(len(owner), -1)).reshape(count, *values.shape[1:]))
+
+    def summed(values: FloatArray) -> FloatArray:
+        return np.asarray((matrix @ values.reshape(len(owner), -1)).reshape(count, *values.shape[1:]))
+
+    return summed

@@ -56,7 +56,7 @@ class Sightings:
     def __len__(self) -> int:
         return len(self.frame)
 
-    def of(self, chosen: IntArray | BoolArray) -> "Sightings":
+    def of(self, chosen: IntArray | BoolArray | slice) -> "Sightings":
         """The sightings that `chosen` selects; tags and frames keep their numbers."""
         names = ("frame", "camera", "tag", "image", "directions", "tangents", "sizes", "noise", "lens")
         rest = (getattr(self, name)[chosen] for name in names)

@@ -17,7 +17,7 @@ from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.geometry.se3 import exp, inverse
 from lmd.survey.adjustment import Adjustment
 from lmd.survey.proposals import Proposals, proposals
-from lmd.survey.residuals import Poses, Prior, errors_at, in_cameras, linearise, residuals, summed
+from lmd.survey.residuals import Poses, Prior, errors_at, in_cameras, linearise, residuals, summing
 from lmd.survey.sightings import Sightings
 from lmd.survey.student import solved
 
@@ -230,14 +230,14 @@ class _Trial:
     def improved(self, poses: FloatArray, owner: IntArray) -> FloatArray:
         """The poses after some steps of Gauss and Newton with weights that grow narrow."""
         pairs, pose = self._pairs(owner)
-        some = self.some.of(pairs)
+        some, summed = self.some.of(pairs), summing(pose, len(poses))
         for scale in np.geomspace(WIDE, NARROW, IMPROVING_STEPS):
             linear = linearise(some, *self._placed(poses, pairs, pose))
             slope = linear.by_frame if self.by_frame else linear.by_tag
             weight = 1.0 / (1.0 + (linear.error**2).mean(axis=1) / scale**2)
             turned = np.swapaxes(slope, 1, 2) * weight[:, None, None]
-            matrix = summed(turned @ slope, pose, len(poses)) + 1e-6 * np.eye(6)
-            right = summed((turned @ linear.error[..., None])[..., 0], pose, len(poses))
+            matrix = summed(turned @ slope) + 1e-6 * np.eye(6)
+            right = summed((turned @ linear.error[..., None])[..., 0])
             poses = np.asarray(poses @ exp(-solved(matrix, right)))
         return poses
 

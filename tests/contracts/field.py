@@ -84,7 +84,8 @@ def copied(state):
 
 def assert_same(state, before, message):
     for array, was in zip(copied(state), before, strict=True):
-        np.testing.assert_array_equal(array, was, message)
+        if array.tobytes() != was.tobytes():  # in a tenth of the time
+            np.testing.assert_array_equal(array, was, message)
 
 
 def _step(which, field, k, state, scratch, pose=(0.0,) * 6, surface=-1):

@@ -1,4 +1,5 @@
 import ast
+import gc
 import math
 import pickle
 from pathlib import Path
@@ -109,6 +110,16 @@ def test_the_clock_stands_still_while_kernels_and_their_parts_are_compiled(compi
     ]
 
 
+def test_garbage_is_looked_for_as_often_as_before_once_kernels_are_compiled(compiling):
+    (listener, _), often = compiling, gc.get_threshold()
+    event = SimpleNamespace(data={"dispatcher": _sum_of_roots})
+    for happens in (listener.on_start, listener.on_start, listener.on_end):
+        happens(event)
+        assert gc.get_threshold()[0] > often[0]
+    listener.on_end(event)
+    assert gc.get_threshold() == often
+
+
 def test_where_nothing_can_be_written_kernels_are_compiled_all_the_same(monkeypatch, capsys):
     def refuse(*_):
         raise RuntimeError("no locator available")
@@ -117,7 +128,9 @@ def test_where_nothing_can_be_written_kernels_are_compiled_all_the_same(monkeypa
     monkeypatch.setattr(compiled, "_compiling", compiled._Compiling())
     double = kernel(lambda x: 2.0 * x)
     assert double(1.5) == 3.0
-    compiled._compiling.on_start(SimpleNamespace(data={"dispatcher": double}))
+    event = SimpleNamespace(data={"dispatcher": double})
+    compiled._compiling.on_start(event)
+    compiled._compiling.on_end(event)
     assert "it cannot be kept, as no folder can be written to; NUMBA_CACHE_DIR=DIR" in capsys.readouterr().err
 
 

@@ -172,10 +172,12 @@ def test_walkers_that_go_on_know_what_the_others_did(in_stacks, count):
         assert (here.positions != start.positions).any()
 
 
-@pytest.mark.parametrize("sampling", [None, Sampling(positions=2, divisions=6)])
-@pytest.mark.parametrize("start", [UniformDeployment(9), RandomDeployment(30)])
+@pytest.mark.parametrize("sampled", [False, True])
 @pytest.mark.parametrize("n", [1, 2])
-def test_walkers_lead_to_the_same_place_on_any_number_of_threads(n, start, sampling):
+def test_walkers_lead_to_the_same_place_on_any_number_of_threads(n, sampled):
+    """Each n and each start with samples or without, in half of the runs that all three would take."""
+    sampling = Sampling(positions=2, divisions=6) if sampled else None
+    start = UniformDeployment(9) if sampled == (n == 1) else RandomDeployment(30)
     scene, found = problem().scene, []
     for threads in (1, 3):
         p = Problem(scene, Coverage(n, 0.3, sampling), start, threads)

@@ -41,12 +41,19 @@ def best_of_all(p, spacing=SPACING):
     plates = p.scene.plates
     poses = candidate_poses(plates.hanging, spacing)
     choices = combinations if plates.edge else combinations_with_replacement
-    chosen = [
-        p.complete(poses[list(each)])
+    chosen = np.array([
+        each
         for each in choices(range(len(poses)), p.free_count)
         if not plates.edge or not any(plates.touched(poses[[i]], poses[[j]])[0] for i, j in combinations(each, 2))
-    ]
-    return p.fitness(np.stack([d.positions for d in chosen]), np.stack([d.normals for d in chosen])).max()
+    ])  # fmt: skip
+    positions, normals = poses.positions[chosen], poses.normals[chosen]
+    if p.fixed is not None:
+        there = p.fixed.positions, p.fixed.normals
+        positions, normals = (
+            np.concatenate([np.broadcast_to(first, (len(chosen), *first.shape)), then], axis=1)
+            for first, then in zip(there, (positions, normals), strict=True)
+        )
+    return p.fitness(positions, normals).max()
 
 
 HERE = Relevance(regions=[{"low": [0.0, 0.0, 0.0], "high": [1.5, 1.5, 2.5], "weight": 3.0}])

@@ -39,6 +39,16 @@ def test_a_rig_is_climbed_and_scored_alike(name, sampling):
     result = make(name).run(rigged, Budget(80))
     assert result.fitness == rigged.fitness_of(result.deployment)
     assert result.fitness > rigged.fitness_of(rigged.draw(np.random.default_rng(0)))
-    left = losses(rigged, result.deployment)
-    assert left.without[0, 0] == pytest.approx(rigged.fitness_of(result.deployment[1:]), abs=1e-12)
-    assert left.without[0, 1] == pytest.approx(rigged.fitness_of(result.deployment[2:]), abs=1e-12)
+
+
+@pytest.mark.parametrize("sampling", [None, Sampling(2, 4)])
+def test_what_a_rig_loses_is_what_is_missing_without(sampling):
+    """Of two kinds of cameras, for which moves are compiled."""
+    mounts = BACK_TO_BACK.mounts
+    two = Rig((mounts[0], replace(mounts[1], camera=replace(CAMERA, focal_length=1.2 * CAMERA.focal_length))))
+    rigged = problem(two, sampling)
+    drawn = rigged.draw(np.random.default_rng(0))
+    left = losses(rigged, drawn)
+    assert left.fitness == rigged.fitness_of(drawn)
+    assert left.without[0, 0] == pytest.approx(rigged.fitness_of(drawn[1:]), abs=1e-12) != left.fitness
+    assert left.without[0, 1] == pytest.approx(rigged.fitness_of(drawn[2:]), abs=1e-12) != left.without[0, 0]

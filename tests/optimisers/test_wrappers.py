@@ -187,7 +187,7 @@ def test_every_variant_of_pycma_gets_better(variant):
 )
 def test_scipy_gets_better(minimise):
     optimiser = Scipy(minimise)
-    run(optimiser, 400)
+    run(optimiser, 250)
     assert optimiser.ledger.best_fitness > -2.0
 
 

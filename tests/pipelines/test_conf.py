@@ -65,9 +65,21 @@ NEEDS_MORE = {
 }
 
 
-@pytest.mark.parametrize(("group", "option"), GROUPS)
-def test_every_option_composes_and_builds(group, option):
-    cfg = composed("optimise", f"{group}={option}")
+OPTIMISERS = [option for group, option in GROUPS if group == "optimiser"]
+OTHERS = [choice for choice in GROUPS if choice[0] != "optimiser"]
+
+
+# As neither asks for the other, one composition is for both.
+PAIRS = [
+    (*OTHERS[number % len(OTHERS)], OPTIMISERS[number % len(OPTIMISERS)])
+    for number in range(max(len(OPTIMISERS), len(OTHERS)))
+]
+
+
+@pytest.mark.parametrize(("group", "option", "optimiser"), PAIRS)
+def test_every_option_composes_and_builds(group, option, optimiser):
+    few = ["deployment.count=4"] if option == "greedy" else []
+    cfg = composed("optimise", f"{group}={option}", f"optimiser={optimiser}", *few)
     instantiate(cfg.optimiser, seed=0)
     instantiate(cfg.tracking)
     if (group, option) not in NEEDS_MORE:

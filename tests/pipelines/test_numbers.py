@@ -1,5 +1,6 @@
 """Every number of every configuration: what cannot be is refused by one sentence that names its key."""
 
+import copy
 import importlib
 import pickle
 import warnings
@@ -23,7 +24,7 @@ UNIFORM = [*SMALL, "deployment=uniform"]
 PIPELINES = {
     "optimise": SMALL,
     "evaluate": SMALL,
-    "place_cameras": [*UNIFORM, "body.boxes=[{low: [-0.1, -0.1, 0], high: [0.1, 0.1, 0.1]}]"],
+    "place_cameras": [*UNIFORM, "body.boxes=[{low: [-0.1, -0.1, 0], high: [0.1, 0.1, 0.1]}]", "pdf.divisions=6"],
     "export": [*UNIFORM, "tag.edge=0.1"],
     "bound": SMALL,
     "tradeoff": [*SMALL, "counts=[6]"],
@@ -32,7 +33,7 @@ PIPELINES = {
     "accuracy": [*UNIFORM, "deployments=[uniform]"],
     "detect": [*UNIFORM, "deployments=[uniform]", "detectors=[apriltag]", "frames=2"],
     "calibrate_detector": [*SMALL, "frames=2"],
-    "estimate_pdf": ["recording=simulated"],
+    "estimate_pdf": ["recording=simulated", "recording.duration=60"],
     "survey": ["camera=lab", "detections=seen.csv"],
     "view": SMALL,
     "runs": [],
@@ -76,19 +77,12 @@ def _begin(*_args, **_kwargs):
     raise BeganError
 
 
-def _remembering(instantiate):
-    """A function that builds what nodes describe: once only, as a wrong value changes one of them and no other."""
-    built = {}
-
-    def remembered(node, **given):
-        if given != {"_convert_": "all"}:  # an optimiser, which is told its encoding later
-            return instantiate(node, **given)
-        key = repr(OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node)
-        if key not in built:
-            built[key] = instantiate(node, **given)
-        return built[key]
-
-    return remembered
+def _remembered(node, _built={}, _instantiate=hydra.utils.instantiate, **given):  # noqa: B006
+    """What a node describes, built once only, as a wrong value changes one of them and no other."""
+    key = repr((OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node, given))
+    if key not in _built:
+        _built[key] = _instantiate(node, **given)
+    return copy.copy(_built[key]) if "seed" in given else _built[key]  # an optimiser is told its encoding later
 
 
 @pytest.fixture(autouse=True)
@@ -101,7 +95,7 @@ def _nothing_begins(monkeypatch, tmp_path):
         "lmd.survey.survey.survey",
     ):
         monkeypatch.setattr(name, _begin)
-    monkeypatch.setattr("hydra.utils.instantiate", _remembering(hydra.utils.instantiate))
+    monkeypatch.setattr("hydra.utils.instantiate", _remembered)
     monkeypatch.setattr("lmd.planner.session.Session.warm_up", lambda _: None)
     monkeypatch.setattr("pipelines.compare._compose", lambda _, cfg, __: cfg)
     (tmp_path / "outputs").mkdir()
@@ -116,13 +110,13 @@ def composed(pipeline, overrides, folder):
     with open_dict(whole):
         whole.hydra.runtime.output_dir = str(folder)
     HydraConfig.instance().set_config(whole)
-    cfg = copy(whole)
+    cfg = copied(whole)
     OmegaConf.set_struct(cfg, False)
     cfg.pop("hydra")
     return cfg
 
 
-def copy(cfg):
+def copied(cfg):
     """As deepcopy makes it, in a tenth of the time."""
     return pickle.loads(pickle.dumps(cfg))
 
@@ -155,7 +149,7 @@ def wrong(pipeline, pickled, key, value, monkeypatch):
     """What is wrong with how a pipeline takes a value, None for nothing."""
     changed = pickle.loads(pickled)
     OmegaConf.update(changed, key, value)
-    monkeypatch.setattr("pipelines.deployments.recompose", lambda *_: copy(changed))
+    monkeypatch.setattr("pipelines.deployments.recompose", lambda *_: copied(changed))
     function = getattr(importlib.import_module(f"pipelines.{pipeline}"), FUNCTIONS.get(pipeline, pipeline))
     try:
         with warnings.catch_warnings(action="error"):

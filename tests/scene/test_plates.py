@@ -10,6 +10,7 @@ from strategies import rooms, seeds
 
 from lmd.core.checks import InputError
 from lmd.objectives.coverage import Coverage
+from lmd.objectives.localisation import Localisation
 from lmd.objectives.sampling import Sampling
 from lmd.optimisers.annealing import Annealing
 from lmd.optimisers.ega import EGA
@@ -35,7 +36,9 @@ TAG = Tag(EDGE / 1.25)  # its paper is 30 cm wide
 def problem_of(start, visibility=None, sampling=None):
     room, angles = paper_room(spacing=1.5), pdf.grid_with_ends(6)
     scene = Scene(room, paper_camera(), angles, visibility or Visibility(thold=0.28), TAG)
-    return Problem(scene, Coverage(2, 0.4, sampling), start, threads=1)
+    # What tags are seen by is compiled for localisation, as commands are.
+    objective = Localisation(tolerance=0.2, sampling=None) if visibility else Coverage(2, 0.4, sampling)
+    return Problem(scene, objective, start, threads=1)
 
 
 def overlaps(deployment, room, edge):
@@ -144,7 +147,7 @@ def test_no_optimiser_returns_plates_that_overlap(start, method, visibility):
     problem = problem_of(start, visibility)
     for draw in range(3):
         assert not overlaps(problem.draw(np.random.default_rng(draw)), problem.scene.room, EDGE)
-    result = optimise(problem, evaluations=200, optimiser=METHODS[method]())
+    result = optimise(problem, evaluations=100, optimiser=METHODS[method]())
     assert not overlaps(result.deployment, problem.scene.room, EDGE)
     assert problem.fitness_of(result.deployment) == result.fitness
     assert evaluate(problem, result.deployment.hung(problem.scene.room))["fitness"] == result.fitness
@@ -158,7 +161,7 @@ def test_nor_does_annealing_on_samples():
 
 def test_greedy_chooses_no_plates_that_overlap():
     problem = problem_of(RandomDeployment(40))
-    start = GreedyDeployment(40, problem.scene, problem.objective, spacing=0.2, threads=1)
+    start = GreedyDeployment(40, problem.scene, problem.objective, spacing=0.25, threads=1)
     assert not overlaps(start.draw(problem.scene.room, np.random.default_rng(0)), problem.scene.room, EDGE)
     with pytest.raises(InputError, match=r"^spacing = 0\.\d+ leaves room for \d+ plates of 0\.3 m, too few for 900\."):
         GreedyDeployment(900, problem.scene, problem.objective, threads=1).draw(problem.scene.room, None)

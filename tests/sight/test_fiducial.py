@@ -134,9 +134,7 @@ def test_every_path_counts_what_the_reference_counts(data, scene, n, seed):
 @pytest.mark.parametrize("edge", [0.05, 0.1, 0.3])
 def test_every_path_is_exact_in_the_papers_room(detector, lens, edge):
     rng = np.random.default_rng(0)
-    orientations = pdf.OrientationPdf(
-        *rng.uniform(-1.5, 1.5, (2, 150)), np.full(150, 1 / 150), roll=rng.normal(size=150)
-    )
+    orientations = pdf.OrientationPdf(*rng.uniform(-1.5, 1.5, (2, 64)), np.full(64, 1 / 64), roll=rng.normal(size=64))
     scene = fiducial_scene(paper_room(spacing=1.5), orientations, edge, lens, detector=detector)
     deployment, targets = (RandomDeployment(40).draw(scene.room, rng) for _ in range(2))
     for one in (deployment, tilted(deployment, rng)):

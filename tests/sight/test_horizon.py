@@ -5,13 +5,12 @@ import math
 import numpy as np
 import pytest
 from by_position import with_probabilities
-from contracts.criterion import check_every_path
 from examples import examples
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from numba import njit
 from paper import paper_camera, paper_scene
 from strategies import cameras, distorted_cameras, fiducials, pdfs, rolled_pdfs, seeds, unit_vectors, visibilities
+from test_fiducial import check_paths
 
 from lmd.scene.criteria import from_position, horizon_of
 from lmd.scene.deployment import NORMAL_TOLERANCE, Deployment
@@ -49,33 +48,41 @@ def test_in_a_hall_every_fast_path_counts_what_the_reference_does(scene, n, seed
     # Some stand before others, and hide them.
     before = drawn.positions[:10] + 0.1 * drawn.normals[:10] + rng.normal(scale=0.05, size=(10, 3))
     normals = np.vstack([drawn.normals, drawn.normals[:10]])
-    check_every_path(scene, Deployment(np.vstack([drawn.positions, before]), normals), targets, n, rng)
+    check_paths(scene, Deployment(np.vstack([drawn.positions, before]), normals), targets, n, rng)
+
+
+@pytest.fixture(scope="module")
+def hall():
+    """A scene, landmarks in it and what the reference counts of them."""
+    room = Cuboid((62.0, 22.0, 4.0), (60.0, 20.0, 0.5), (1.5, 1.5, 0.5))
+    scene = with_probabilities(paper_scene(room, occlusion="line_of_sight"), 0)
+    drawn = RandomDeployment(200).draw(room, np.random.default_rng(0))
+    return scene, drawn, reference.counts(scene, drawn)
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 5])
-def test_regions_that_see_other_landmarks_count_what_the_reference_does(threads):
+def test_regions_that_see_other_landmarks_count_what_the_reference_does(hall, threads):
     """Several of them, cut by threads anywhere, with positions in any order that have weights of their own."""
-    hall = Cuboid((62.0, 22.0, 4.0), (60.0, 20.0, 0.5), (1.5, 1.5, 0.5))
-    scene = with_probabilities(paper_scene(hall, occlusion="line_of_sight"), 0)
-    rng, grid = np.random.default_rng(0), hall.grid()
-    shuffled = rng.permutation(len(grid))
-    evaluator, drawn = Evaluator(scene, grid[shuffled], threads), RandomDeployment(200).draw(hall, rng)
+    scene, drawn, counts = hall
+    grid = scene.room.grid()
+    shuffled = np.random.default_rng(1).permutation(len(grid))
+    evaluator = Evaluator(scene, grid[shuffled], threads)
     assert len(grid) > 2 * REGION
     order, horizon = evaluator.blocks[0][: len(grid)], horizon_of(scene.sight)
     corners = [box_around(evaluator.positions, order[o : o + REGION]) for o in range(0, len(grid), REGION)]
     poses, names = np.vstack([drawn.positions.T, drawn.normals.T]), np.arange(200)
     near = [gather(*corner, horizon, 200, poses, names, np.empty((6, 200)), np.empty(200, int)) for corner in corners]
     assert max(near) < 200
-    expected = reference.counts(scene, drawn)[shuffled]
+    expected = counts[shuffled]
     np.testing.assert_array_equal(evaluator.counts(drawn), expected)
     for n in (1, 2):
         wanted = reference.coverage_probability(expected, scene.pdf, n, grid[shuffled])
         np.testing.assert_allclose(evaluator.probabilities(drawn, n), wanted, atol=1e-12)
 
 
-@njit(error_model="numpy")
 def _is_reached(sight, offset, normal):
-    return from_position(sight, offset[0], offset[1], offset[2], normal[0], normal[1], normal[2], 0.0)[0]
+    with np.errstate(all="ignore"):
+        return from_position(sight, *offset, *normal, 0.0)[0]
 
 
 @given(

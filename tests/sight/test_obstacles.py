@@ -13,6 +13,7 @@ from strategies import cameras, fiducials, pdfs, rolled_pdfs, seeds, visibilitie
 
 from lmd.geometry.se3 import axis_and_right, camera_pose
 from lmd.objectives.coverage import Coverage
+from lmd.objectives.localisation import Localisation
 from lmd.optimisers.annealing import Annealing
 from lmd.optimisers.ledger import Budget
 from lmd.problem import Problem
@@ -100,10 +101,11 @@ def test_a_cuboid_written_as_a_floor_plan_is_the_cuboid(fiducial):
     plan = FloorPlan([[0, 0], [6, 0], [6, 4], [0, 4]], 2.5, surfaces=list(names.values()))
     prism = Prism(plan, Reachable((0.5, 2.0), 0.25), 0.5)
     assert_array_equal(prism.grid(), cuboid.grid())
-    found = []
+    localised = Localisation(tolerance=0.2, sampling=None)  # whose walk is compiled for commands, too
+    found, objective = [], localised if fiducial else Coverage(2, 0.5)
     for room in (cuboid, prism):
         scene = lab_scene(fiducial, room)
-        problem = Problem(scene, Coverage(2, 0.5), RandomDeployment(12), threads=1)
+        problem = Problem(scene, objective, RandomDeployment(12), threads=1)
         deployment = Annealing(seed=5).run(problem, Budget(80)).deployment
         found.append((deployment, Evaluator(scene, threads=1).counts(deployment)))
     (here, counts), (there, others) = found
