@@ -1,7 +1,9 @@
 """mlflow's stores in files get their tables from one that has them: making them takes a second or two."""
 
 import logging
+import os
 import sqlite3
+import tempfile
 from contextlib import closing
 from functools import cache
 from pathlib import Path
@@ -17,8 +19,10 @@ make_tables = utils._initialize_tables
 @cache
 def tables():
     """A database with mlflow's tables and no runs, which one process makes for all and for the next time."""
-    path = Path(__file__).parents[1] / ".pytest_cache" / f"mlflow_{VERSION}.db"
-    path.parent.mkdir(exist_ok=True)
+    root = Path(__file__).parents[1]
+    folder = root / ".pytest_cache" if os.access(root, os.W_OK) else Path(tempfile.mkdtemp())
+    folder.mkdir(exist_ok=True)
+    path = folder / f"mlflow_{VERSION}.db"
     with FileLock(f"{path}.lock"):
         if not path.exists():
             logging.getLogger(utils.__name__).setLevel(logging.WARNING)  # it announces every new table

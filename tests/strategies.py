@@ -73,7 +73,8 @@ def distorted_cameras(draw, models=(*BENT, *FISHEYE)):
     sizes = [*radial, 0.005 / radius, 0.005 / radius, 0.01 / radius**6]
     if model == "rational_polynomial":
         sizes += [*radial, 0.01 / radius**6, *(0.005 / radius, 0.005 / radius**3) * 2]
-    return replace(camera, distortion=_scaled(lens, sizes), distortion_model=model, image_circle=circle)
+    bent = replace(camera, distortion=_scaled(lens, sizes), distortion_model=model)
+    return replace(bent, image_circle=circle) if is_bent(bent) else bent  # a pinhole's image has no end
 
 
 def is_bent(camera):

@@ -81,7 +81,7 @@ class _Compiling(Listener):
             if not self._compiling:
                 self._began = time.perf_counter()
                 self._thresholds = gc.get_threshold()
-                gc.set_threshold(*_SELDOM)
+                gc.set_threshold(*map(max, self._thresholds, _SELDOM))
                 self._tell(event.data["dispatcher"].py_func)
             self._compiling += 1
 

@@ -110,8 +110,17 @@ def test_the_clock_stands_still_while_kernels_and_their_parts_are_compiled(compi
     ]
 
 
-def test_garbage_is_looked_for_as_often_as_before_once_kernels_are_compiled(compiling):
-    (listener, _), often = compiling, gc.get_threshold()
+@pytest.fixture
+def often():
+    """How often Python looks for garbage by default."""
+    before = gc.get_threshold()
+    gc.set_threshold(700, 10, 10)
+    yield 700, 10, 10
+    gc.set_threshold(*before)
+
+
+def test_garbage_is_looked_for_as_often_as_before_once_kernels_are_compiled(compiling, often):
+    listener, _ = compiling
     event = SimpleNamespace(data={"dispatcher": _sum_of_roots})
     for happens in (listener.on_start, listener.on_start, listener.on_end):
         happens(event)

@@ -8,6 +8,7 @@ from by_position import with_probabilities
 from examples import examples
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from numba import njit
 from paper import paper_camera, paper_scene
 from strategies import cameras, distorted_cameras, fiducials, pdfs, rolled_pdfs, seeds, unit_vectors, visibilities
 from test_fiducial import check_paths
@@ -80,9 +81,9 @@ def test_regions_that_see_other_landmarks_count_what_the_reference_does(hall, th
         np.testing.assert_allclose(evaluator.probabilities(drawn, n), wanted, atol=1e-12)
 
 
+@njit(error_model="numpy")
 def _is_reached(sight, offset, normal):
-    with np.errstate(all="ignore"):
-        return from_position(sight, *offset, *normal, 0.0)[0]
+    return from_position(sight, offset[0], offset[1], offset[2], normal[0], normal[1], normal[2], 0.0)[0]
 
 
 @given(
