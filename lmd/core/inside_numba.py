@@ -10,12 +10,13 @@ from functools import cache, cached_property
 from typing import Any
 
 from filelock import FileLock, Timeout
+from llvmlite.binding import Linkage
 from llvmlite.binding.ffi import lib
 from numba import types
 from numba.core import errors
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.callwrapper import PyCallWrapper
-from numba.core.codegen import CPUCodegen, JITCodeLibrary
+from numba.core.codegen import CPUCodegen, CPUCodeLibrary, JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.targetconfig import TargetConfig
@@ -48,15 +49,24 @@ class Inner(CPUDispatcher):
 
 
 class _InnerLibrary(JITCodeLibrary):
-    """The code of an inner function for LLVM, which tidies it up by itself, to be linked into that of kernels."""
+    """The code of an inner function for LLVM, which tidies it up by itself.
+
+    Kernels are linked with it, and with what it calls: if that were linked into it, there would be a copy of each
+    function for every one that calls it, and so on.
+    """
 
     def finalize(self) -> None:
-        """Link what the function calls, and leave it at that."""
+        """Note what kernels are linked with."""
         self._raise_if_finalized()
-        for library in dict.fromkeys(self._linking_libraries):
+        for library in self._linking_libraries:
             self._reload_init.update(library._reload_init)
-            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        for function in self._final_module.functions:
+            if not function.is_declaration and function.linkage == Linkage.external:
+                function.linkage = "linkonce_odr"  # dropped where nobody calls it any more
         self._finalized = True
+
+    def _get_module_for_linking(self) -> Any:
+        return self._final_module
 
     def get_pointer_to_function(self, name: str) -> int:
         """None: there is no machine code."""
@@ -69,6 +79,19 @@ class _InnerLibrary(JITCodeLibrary):
 
     def set_env(self, name: str, environment: Any) -> None:
         """Where machine code finds what it needs of Python: there is none."""
+
+
+_add_library = CPUCodeLibrary.add_linking_library
+
+
+def _add_with_what_it_calls(self: CPUCodeLibrary, library: CPUCodeLibrary) -> None:
+    """As numba's; what an inner function calls comes with it, after all that call it: LLVM leaves out the rest."""
+    _add_library(self, library)
+    called = library._linking_libraries if isinstance(library, _InnerLibrary) else []
+    self._linking_libraries = list(dict.fromkeys([*self._linking_libraries, *called][::-1]))[::-1]
+
+
+CPUCodeLibrary.add_linking_library = _add_with_what_it_calls  # type: ignore[method-assign]
 
 
 class _InnerCompiler(Compiler):
