@@ -86,6 +86,31 @@ def test_inner_functions_are_parts_of_kernels_and_can_be_called_from_python():
             attempt()
 
 
+@inner
+def _next(x):
+    return x * x + 1
+
+
+@inner
+def _never_next(x):
+    return _next(x) if x - x > 0 else x  # LLVM sees that it never is
+
+
+@inner
+def _second_next(x):
+    return _next(_next(x))
+
+
+@kernel
+def _both(x):
+    return _never_next(x) + _second_next(x)
+
+
+def test_what_an_inner_function_calls_is_linked_where_another_that_could_does_not():
+    """Else the process would die: LLVM leaves out of a kernel what nothing in it calls by then."""
+    assert _both(2) == 28
+
+
 @pytest.fixture
 def compiling(monkeypatch):
     """A listener of its own, and a clock that is set by hand."""
