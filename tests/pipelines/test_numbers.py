@@ -77,12 +77,15 @@ def _begin(*_args, **_kwargs):
     raise BeganError
 
 
-def _remembered(node, _built={}, _instantiate=hydra.utils.instantiate, **given):  # noqa: B006
+INSTANTIATE, BUILT = hydra.utils.instantiate, {}
+
+
+def _remembered(node, **given):
     """What a node describes, built once only, as a wrong value changes one of them and no other."""
     key = repr((OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node, given))
-    if key not in _built:
-        _built[key] = _instantiate(node, **given)
-    return copy.copy(_built[key]) if "seed" in given else _built[key]  # an optimiser is told its encoding later
+    if key not in BUILT:
+        BUILT[key] = INSTANTIATE(node, **given)
+    return copy.copy(BUILT[key]) if "seed" in given else BUILT[key]  # an optimiser is told its encoding later
 
 
 @pytest.fixture(autouse=True)
