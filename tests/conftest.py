@@ -3,6 +3,8 @@ import gc
 import os
 from pathlib import Path
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before it is loaded: workers and what they start share processors
+
 import processes
 import pytest
 from examples import DEFAULT, examples

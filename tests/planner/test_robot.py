@@ -20,15 +20,15 @@ from lmd.scene import pdf
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.scene.rig import Mount, Rig
 
-CAMERA = paper_camera()
-RIG = Rig((Mount(CAMERA, (0.22, 0.0, 0.1)), Mount(CAMERA, (-0.22, 0.05, 0.1), yaw=3.0, pitch=-0.2)))
+CAMERA, OTHER = paper_camera(), paper_camera(focal_length=6.0)  # two kinds, as in the contract of a criterion
+RIG = Rig((Mount(CAMERA, (0.22, 0.0, 0.1)), Mount(OTHER, (-0.22, 0.05, 0.1), yaw=3.0, pitch=-0.2)))
 BOX = {"low": [-0.2, -0.15, 0.0], "high": [0.2, 0.15, 0.2]}
 KEPT_OUT = {"surface": "left", "from_left": [0.0, 0.2], "from_below": [0.0, 0.2]}
 LEVEL = np.eye(3)
 
 
 def space(apart=0.08, **body):
-    return MountSpace(Body([BOX], **body), (CAMERA,), 2, (-np.pi, np.pi), (-1.5, 1.5), (-np.pi, np.pi), apart)
+    return MountSpace(Body([BOX], **body), (CAMERA, OTHER), 2, (-np.pi, np.pi), (-1.5, 1.5), (-np.pi, np.pi), apart)
 
 
 def session(where=None, rig=RIG):
