@@ -171,6 +171,8 @@ def read_headless(path: Any, *, name: str) -> Headless | None:
     rows = [(i, [value.strip() for value in line.split(",")] if commas else line.split()) for i, line in lines]
     if not rows or not _is_number(rows[0][1][0]):
         return None
+    if commas and not any(row[-1] for _, row in rows):  # a comma ends each line
+        rows = [(i, row[:-1]) for i, row in rows]
     before = [line.strip().lstrip(COMMENT).strip() for line in text.splitlines()[: rows[0][0] - 1]]
     return Headless(str(path), [comment for comment in before if comment], commas, rows)
 

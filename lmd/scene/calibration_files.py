@@ -3,20 +3,21 @@
 Which format a file has follows from its content. Sources: `sensor_msgs/CameraInfo`, "YAML formats" of Kalibr, the
 calibration samples of OpenCV, `CameraCalibrationCoefficients` of PhotonVision, `cameracalibration.cpp` of WPIcal,
 "Cameras" of COLMAP's output format, Basalt's `calibration.hpp`, "lens models" of mrcal, ORB-SLAM3's
-"Calibration_Tutorial", `calibration.fbs` of frc971, `CameraFactory` of camodocal (VINS), `sensor.yaml` of EuRoC.
+"Calibration_Tutorial", stella_vslam's examples, `calibration.fbs` of frc971, `CameraFactory` of camodocal (VINS),
+`sensor.yaml` of EuRoC.
 Lenses of other models are restated, see `lmd.geometry.central_models`.
 """
 
 import ast
 import re
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from lmd.core.checks import InputError, vector
-from lmd.core.files import flat, parse_keys, read_text
+from lmd.core.files import parse_keys, read_text
 from lmd.geometry.central_models import GOOD_PIXELS, MODELS, PINHOLE, restated
 from lmd.geometry.lens import EQUIDISTANT
+from lmd.scene.opencv_calibrations import opencv, opencv_xml
 
 Keys = Mapping[str, Any]
 COLMAP_CAMERA = re.compile(r"^\d+[ \t]+[A-Z_]+[ \t]+\d+[ \t]+\d+[ \t]+\S.*$", re.MULTILINE)
@@ -40,6 +41,7 @@ LENS_MODELS = {
     "rational_polynomial": "rational_polynomial",
     "equidistant": EQUIDISTANT,
     "fisheye": EQUIDISTANT,
+    "kannala_brandt": EQUIDISTANT,
     "radial-tangential": "plumb_bob",
 }
 # Of the first pixel, from the image's border: ROS and OpenCV count from the centre, COLMAP from the border.
@@ -54,22 +56,6 @@ CAMODOCAL_UNIFIED = {"fx": "gamma1", "fy": "gamma2", "cx": "u0", "cy": "v0"}
 KALIBR_CAMERA = re.compile(r"cam\d+")
 # Some calibrations hold every point that was seen, or the images. A literal of Python takes more memory than JSON.
 LARGEST, LARGEST_LITERAL = 1 << 25, 1 << 20
-# What OpenCV's samples of other years and scripts of its users call the keys of ROS, in small letters.
-OPENCV_NAMES = {
-    "image_width": ("image_width",),
-    "image_height": ("image_height",),
-    "camera_matrix": ("camera_matrix", "cameramatrix", "mtx", "k"),
-    "distortion_coefficients": (
-        "distortion_coefficients",
-        "dist_coeffs",
-        "dist_coeff",
-        "distcoeffs",
-        "distortion",
-        "dist",
-        "d",
-    ),
-}
-OPENCV_SIZES = ("image_size", "img_size")
 
 
 def read_cameras(path: Any, only: str | None = None) -> dict[str, Keys]:
@@ -88,14 +74,16 @@ def read_cameras(path: Any, only: str | None = None) -> dict[str, Keys]:
             return _colmap(rows)
         if re.search(r"^[{\s]*['\"]lensmodel['\"]\s*:", text, re.MULTILINE):
             return {"": _mrcal(text)}
-        keys = _opencv_xml(text) if text.lstrip().startswith("<") else parse_keys(path, text, "path")
+        keys = opencv_xml(text) if text.lstrip().startswith("<") else parse_keys(path, text, "path")
+        if isinstance(section := keys.get("Camera"), Mapping):  # stella_vslam's, as OpenVSLAM's with dots
+            keys = {**keys, **{f"Camera.{name}": value for name, value in section.items()}}
         if chain := {name: keys[name] for name in keys if KALIBR_CAMERA.fullmatch(name)}:
             asked = {only: chain[only]} if only in chain else chain
             return {name: _kalibr(f"{name}.", camera) for name, camera in asked.items()}
         for marks, reader in READERS:
             if marks <= keys.keys():
                 return reader(keys)
-        return {"": _opencv(keys)}
+        return {"": opencv(keys)}
     except InputError as error:
         raise error if error.argument == "path" else InputError(f"{path}: {error}") from None
     except (KeyError, IndexError, TypeError, ValueError) as error:
@@ -107,46 +95,6 @@ def _ros(size: Any, matrix: Any, lens: Any, model: str = "plumb_bob") -> Keys:
     keys = {"camera_matrix": {"data": matrix}, "distortion_model": model, "distortion_coefficients": {"data": lens}}
     sizes = zip(("image_width", "image_height"), size, strict=True)
     return keys | {name: value for name, value in sizes if value is not None}
-
-
-def _opencv_xml(text: str) -> dict[str, Any]:
-    """The numbers and matrices of OpenCV's `FileStorage`; entities could stand for gigabytes, so none are taken."""
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise InputError("an XML file with a document type or entities is not taken.")
-    try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise InputError(f"it cannot be read as XML ({error}).") from None
-    keys: dict[str, Any] = {}
-    for child in root:
-        data = child.find("data")
-        if data is not None and child.get("type_id") == "opencv-matrix":
-            keys[child.tag] = {"data": [float(number) for number in (data.text or "").split()]}
-        elif re.fullmatch(r"\s*\d{1,9}\s*", child.text or ""):
-            keys[child.tag] = int(child.text or "")
-    return keys
-
-
-def _opencv(keys: Keys) -> Keys:
-    """The keys of ROS from those of OpenCV's samples and scripts, where a matrix may be a list of rows."""
-    plain = {key.lower(): value for key, value in keys.items()}
-    found = dict(keys)
-    for name, others in OPENCV_NAMES.items():
-        values = [plain[other] for other in others if other in plain]
-        if values and name not in keys:
-            found[name] = values[0]
-    for name in ("camera_matrix", "distortion_coefficients"):
-        if isinstance(found.get(name), list):
-            found[name] = {"data": flat(found[name])}
-    for name in OPENCV_SIZES:
-        if isinstance(size := keys.get(name), list) and len(size) == 2:
-            found = dict(zip(("image_width", "image_height"), size, strict=True)) | found
-    if "camera_matrix" not in found and "distortion_coefficients" not in found:
-        raise InputError(
-            f"it is no calibration that is known here, it has {', '.join(keys)[:200] or 'no keys'}: write it as ROS "
-            "does, with image_width, image_height, camera_matrix, distortion_model and distortion_coefficients."
-        )
-    return found
 
 
 def _kalibr(prefix: str, camera: Any, lens: str = "distortion_coeffs") -> Keys:
@@ -294,6 +242,14 @@ def _orb_slam(keys: Keys) -> dict[str, Keys]:
     return {"": _named((values.get("width"), values.get("height")), values, fisheye)}
 
 
+def _stella_vslam(keys: Keys) -> dict[str, Keys]:
+    """As OpenVSLAM's."""
+    known = {"perspective": False, "fisheye": True}
+    fisheye = known[known_lens(keys["Camera.model"], known)]
+    values = {key.removeprefix("Camera."): value for key, value in keys.items()}
+    return {"": _named((values.get("cols"), values.get("rows")), values, fisheye)}
+
+
 # By the keys that only files of this format have.
 READERS: tuple[tuple[frozenset[str], Callable[[Keys], dict[str, Keys]]], ...] = (
     (frozenset({"width", "height", "K", "D"}), _message),
@@ -302,8 +258,10 @@ READERS: tuple[tuple[frozenset[str], Callable[[Keys], dict[str, Keys]]], ...] = 
     (frozenset({"intrinsics", "dist_coeffs"}), _frc971),
     (frozenset({"value0"}), _basalt),
     (frozenset({"Camera.type"}), _orb_slam),
+    (frozenset({"Camera.model"}), _stella_vslam),
     (frozenset({"Camera.fx"}), _orb_slam),
     (frozenset({"cameras", "camera_params"}), _okvis),
+    (frozenset({"cameras", "camera_parameters"}), _okvis),  # OKVIS2
     (frozenset({"model_type", "projection_parameters"}), _camodocal),
     (frozenset({"model_type", "mirror_parameters"}), _camodocal),
     (frozenset({"camera_model", "intrinsics", "distortion_model", "resolution"}), _euroc),

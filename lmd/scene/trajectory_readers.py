@@ -1,6 +1,7 @@
 """Formats of trajectories, chosen by what a file holds: TUM's, EuRoC's, KITTI's, CSVs whose header names columns."""
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,15 +15,17 @@ POSITION = ("x", "y", "z")
 ANGLES = ("time", *POSITION, "yaw", "pitch")
 QUATERNIONS = ("time", *ROW)  # the order of TUM's trajectories
 EUROC = ("time", *POSITION, "qw", "qx", "qy", "qz")
+VELOCITIES = ("vx", "vy", "vz")  # which VINS writes behind a pose in EuRoC's order
 KITTI = tuple(f"m{row}{column}" for row in range(3) for column in range(4))  # [R p], row by row
 # Numbers after a pose of TUM's: covariances of rotation and position, or of all six, as halves or in full.
 COVARIANCES = (12, 21, 36)
 NANOSECONDS = 1e16  # a time beyond it counts them: seconds would be 300 million years
 # The names of columns with units, prefixes and frames, as EuRoC's, TUM's and ROS's tools write them.
 _UNIT = re.compile(r"[\[(].*?[\])]")
-_TIME = re.compile(r"[%_]*(time(_?stamp)?s?|stamp|t)", re.IGNORECASE)
-_PLACE = re.compile(r"(?:(?:p|t|pos|(?:.*[._/])?position)[._/]?)?(?:rs_r_)?([xyz])", re.IGNORECASE)
-_TURN = re.compile(r"(?:q|quat|quaternion|(?:.*[._/])?orientation)[._/]?(?:rs_)?([wxyz])", re.IGNORECASE)
+_TIME = re.compile(r"[%_]*(time(_?stamp)?s?|stamp|t)(_?n?s(ec)?)?", re.IGNORECASE)
+# Between the letter and the axis EuRoC and OKVIS write their frames: of RS in R, or of WS in W.
+_PLACE = re.compile(r"(?:(?:p|t|pos|(?:.*[._/])?position)[._/]?)?(?:(?:rs_r|ws_w)_)?([xyz])", re.IGNORECASE)
+_TURN = re.compile(r"(?:q|quat|quaternion|(?:.*[._/])?orientation)[._/]?(?:rs_|ws_)?([wxyz])", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -78,9 +81,18 @@ def _canonical(name: str) -> str:
     return "q" + turn[1].lower() if (turn := _TURN.fullmatch(plain)) is not None else plain
 
 
+def _columns(names: Iterable[str]) -> list[str]:
+    """What columns are called here; of several times the first is it."""
+    columns: list[str] = []
+    for name in names:
+        column = _canonical(name)
+        columns.append(name if column == "time" and column in columns else column)
+    return columns
+
+
 def _named(table: Table) -> Table:
     """A table with its columns by the names that they have here; those of EuRoC stand beside others."""
-    names = {column: _canonical(column) for column in table.texts}
+    names = dict(zip(table.texts, _columns(table.texts), strict=True))
     if len(set(names.values())) < len(names) or not set(QUATERNIONS) <= set(names.values()):
         return table
     return Table(table.path, table.lines, {names[column]: texts for column, texts in table.texts.items()})
@@ -89,12 +101,16 @@ def _named(table: Table) -> Table:
 def _without_header(text: Headless) -> Table:
     """The columns of a text, named by the comment above it or, without one, by how many there are."""
     for comment in text.comments:
-        columns = [_canonical(name) for name in re.split(r"[,\s]+", _UNIT.sub("", comment).strip())]
+        columns = _columns(re.split(r"[,\s]+", _UNIT.sub("", comment).strip()))
+        if "time" not in columns and columns[0] not in ROW:  # whatever it is called
+            columns[0] = "time"
         if len(columns) == text.width and set(QUATERNIONS) <= set(columns) and len(set(columns)) == len(columns):
             return text.table(columns)
     first = text.rows[0][1][0]
     order = EUROC if text.commas and abs(float(first)) > NANOSECONDS else QUATERNIONS
     more = text.width - len(order)
+    if order == EUROC and more == len(VELOCITIES):
+        return text.table([*order, *VELOCITIES])
     return text.table([*order, *(f"column {len(order) + i + 1}" for i in range(more if more in COVARIANCES else 0))])
 
 

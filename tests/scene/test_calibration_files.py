@@ -45,6 +45,15 @@ FILES = {
     "   k1: -0.2\n   k2: 0.05\n   p1: 0.001\n   p2: -0.002\n   k3: 0.01\n"
     "projection_parameters:\n   fx:600.0\n   fy: 610.0\n   cx: 320.0\n   cy: 240.0\n",
     "message": json.dumps({"width": 640, "height": 480, "K": MATRIX, "D": LENS}),
+    "another script": json.dumps(
+        {
+            "model": "Raspberry Pi 3 wide",
+            "image_size": [640, 480],
+            "fisheye": False,
+            "camera_matrix": SCRIPT["camera_matrix"],
+            "distortion_coeffs": LENS,
+        }
+    ),
     "message of ROS 2": json.dumps({"width": 640, "height": 480, "k": MATRIX, "d": [*LENS, 0.0, 0.0, 0.0]}),
     "PhotonVision": json.dumps(
         {
@@ -58,9 +67,15 @@ FILES = {
     "ORB-SLAM3": '%YAML:1.0\nCamera.type: "PinHole"\nCamera1.fx: 600.0\nCamera1.fy: 610.0\nCamera1.cx: 320.0\n'
     "Camera1.cy: 240.0\nCamera1.k1: -0.2\nCamera1.k2: 0.05\nCamera1.p1: 0.001\nCamera1.p2: -0.002\nCamera1.k3: 0.01\n"
     "Camera.width: 640\nCamera.height: 480\n",
+    "OpenVSLAM": 'Camera.model: "perspective"\nCamera.fx: 600.0\nCamera.fy: 610.0\nCamera.cx: 320.0\nCamera.cy: 240.0\n'
+    "Camera.k1: -0.2\nCamera.k2: 0.05\nCamera.p1: 0.001\nCamera.p2: -0.002\nCamera.k3: 0.01\n"
+    "Camera.cols: 640\nCamera.rows: 480\n",
+    "stella_vslam": "Camera:\n  {model: perspective, fx: 600.0, fy: 610.0, cx: 320.0, cy: 240.0, k1: -0.2, k2: 0.05,\n"
+    "   p1: 0.001, p2: -0.002, k3: 0.01, cols: 640, rows: 480}\nMapping: {backend: g2o}\n",
     "mrcal": MRCAL.format("OPENCV5", "-0.2, 0.05, 0.001, -0.002, 0.01"),
     "frc971": json.dumps({"intrinsics": MATRIX, "dist_coeffs": LENS, "image_width": 640, "image_height": 480}),
 }
+FILES["OKVIS2"] = FILES["OKVIS"].replace("camera_params", "camera_parameters")
 
 
 @pytest.mark.parametrize("kind", FILES)
@@ -104,6 +119,11 @@ def basalt(kind, names, lens):
             FISHEYE,
         ),
         (
+            "Camera: {model: fisheye, fx: 600.0, fy: 610.0, cx: 320.0, cy: 240.0, k1: 0.01, k2: -0.02, k3: 0.005,"
+            " k4: -0.001, cols: 640, rows: 480}\n",
+            FISHEYE,
+        ),
+        (
             "model_type: KANNALA_BRANDT\nimage_width: 640\nimage_height: 480\nprojection_parameters:\n"
             "  {k2: 0.01, k3: -0.02, k4: 0.005, k5: -0.001, mu: 600.0, mv: 610.0, u0: 320.0, v0: 240.0}\n",
             FISHEYE,
@@ -118,6 +138,22 @@ def test_rational_lenses_and_fisheyes_are_taken_as_they_are(text, lens, write):
 
 
 @pytest.mark.parametrize(
+    "said",
+    [
+        {"model": "Fisheye"},
+        {"camera_model": "equidistant"},
+        {"fisheye": True},
+        {"fisheye_model": 1},
+        {"distortion_model": "kannala_brandt"},
+    ],
+)
+def test_a_script_may_say_in_words_of_its_own_that_it_is_a_fisheye(said, write):
+    keys = {"camera_matrix": SCRIPT["camera_matrix"], "D": FISHEYE, "image_size": [640, 480]}
+    found = read_calibration(write(json.dumps(keys | said)))
+    assert (found.distortion_model, found.distortion) == ("equidistant", tuple(FISHEYE))
+
+
+@pytest.mark.parametrize(
     ("text", "message"),
     [
         ("<!DOCTYPE a [<!ENTITY b 'c'>]><a>&b;</a>", "an XML file with a document type or entities is not taken."),
@@ -126,6 +162,11 @@ def test_rational_lenses_and_fisheyes_are_taken_as_they_are(text, lens, write):
         (FILES["Basalt"].replace("pinhole-radtan8", "ds"), "the key or value 'xi' is missing or wrong"),
         (FILES["COLMAP"].replace("FULL_OPENCV", "FOV"), "the lens model 'FOV' is not known here"),
         (FILES["ORB-SLAM3"].replace("PinHole", "Stereo"), "the lens model 'Stereo' is not known here"),
+        (
+            FILES["OpenVSLAM"].replace("perspective", "radial_division"),
+            "the lens model 'radial_division' is not known here",
+        ),
+        (FILES["another script"].replace("Raspberry Pi 3 wide", "MEI"), "the lens model 'mei' is not known here"),
         (FILES["VINS"].replace("PINHOLE", "SCARAMUZZA"), "the lens model 'SCARAMUZZA' is not known here"),
         ("cams: [{a: 1}]\n", "it is no calibration that is known here, it has cams: write it as ROS does, with"),
         (f"{{'lensmodel': {'0' * (1 << 20)}}}", "a cameramodel has at most 1048576 characters"),

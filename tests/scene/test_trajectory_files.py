@@ -34,6 +34,7 @@ EUROC_HEAD = (
     "#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z [], "
     "v_RS_R_x [m s^-1], v_RS_R_y [m s^-1], v_RS_R_z [m s^-1]\n"
 )
+OKVIS_HEAD = "timestamp, p_WS_W_x, p_WS_W_y, p_WS_W_z, q_WS_x, q_WS_y, q_WS_z, q_WS_w, v_WS_W_x, v_WS_W_y, v_WS_W_z\n"
 ROS_HEAD = (
     "%time,field.header.seq,field.header.stamp,field.pose.pose.position.x,field.pose.pose.position.y,"
     "field.pose.pose.position.z,field.pose.pose.orientation.x,field.pose.pose.orientation.y,"
@@ -54,6 +55,12 @@ KITTI = text(*np.concatenate([TURN.as_matrix(), AT[:, :, None]], axis=2).reshape
         text(NS, *AT.T, X, Y, Z, W),  # as ORB-SLAM3 writes it
         text(NS, *AT.T, W, X, Y, Z, *AT.T, between=",", head=EUROC_HEAD),
         text(NS, *AT.T, W, X, Y, Z, between=", "),
+        text(NS, *AT.T, W, X, Y, Z, [""] * 3, between=","),  # as VINS writes it
+        text(NS, *AT.T, W, X, Y, Z, *AT.T, [""] * 3, between=","),
+        text(NS, *AT.T, X, Y, Z, W, *AT.T, between=",", head=OKVIS_HEAD),
+        text(NS, *AT.T, X, Y, Z, W, between=",", head="#timestamp_ns,tx,ty,tz,qx,qy,qz,qw\n"),
+        text(TIME, *AT.T, W, X, Y, Z, head="# moment tx ty tz qw qx qy qz\n"),
+        text(TIME, COUNT, *AT.T, X, Y, Z, W, between=",", head="timestamp,time_ns,x,y,z,qx,qy,qz,qw\n"),
         text(NS, *AT.T, W, X, Y, Z, between=",", head="timestamp,x,y,z,qw,qx,qy,qz\n"),
         text(NS, COUNT, NS, *AT.T, X, Y, Z, W, COUNT, between=",", head=ROS_HEAD),
         text(TIME, X, Y, Z, W, *AT.T, COUNT, between=",", head="time,qx,qy,qz,qw,x,y,z,speed\n"),
