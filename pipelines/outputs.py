@@ -31,8 +31,8 @@ RESERVED_BYTES = 1 << 16  # bytes; more than the landmarks and figures of a thou
 class RunDirectory(HydraCallback):
     """Hydra callback around the directory that Hydra makes for a run.
 
-    A run does not begin on a full disk, where Hydra itself would fail half-way; and one that was stopped before
-    anything came of it leaves no directory.
+    A run does not begin on a full disk or where it may not write, where Hydra itself would fail half-way; and one that
+    was stopped before anything came of it leaves no directory.
     """
 
     def on_run_start(self, config: DictConfig, **kwargs: Any) -> None:
@@ -50,10 +50,17 @@ class RunDirectory(HydraCallback):
         there = directory.resolve()
         while not there.exists():
             there = there.parent
-        free = shutil.disk_usage(there).free
-        if free < LEAST_FREE:
-            print(f"error: {directory.resolve()}: no space is left there ({free} bytes)", file=sys.stderr)
-            sys.exit(1)
+        usage = shutil.disk_usage(there)
+        if not there.is_dir():
+            problem = f"{there} is no folder"
+        elif not os.access(there, os.W_OK | os.X_OK):
+            problem = f"{there} cannot be written to"
+        elif usage.free < LEAST_FREE:
+            problem = f"no space is left there ({usage.free} bytes)"
+        else:
+            return
+        print(f"error: {directory.resolve()}: {problem}", file=sys.stderr)
+        sys.exit(1)
 
 
 def write_figures(

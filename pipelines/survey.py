@@ -1,5 +1,6 @@
 """Where tags hang, from photographs of them: `python -m pipelines.survey run=DIR photographs=DIR camera.path=FILE`."""
 
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from lmd.detection.detectors import Detections, Detector
-    from lmd.detection.images import Images
+    from lmd.detection.images import Images, Photographs
     from lmd.mapping.detections import DetectedTags
     from lmd.scene.camera import Camera
     from lmd.scene.rig import Rig
@@ -156,7 +157,7 @@ def _detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector"
         InputError: nothing, or both, is given, or a file cannot be read.
     """
     from lmd.core.checks import InputError
-    from lmd.detection.images import Photographs, Video
+    from lmd.detection.images import Video
     from lmd.mapping.detections import DetectedTags, read_detections
 
     if (cfg.photographs is None) == (cfg.detections is None):
@@ -164,19 +165,31 @@ def _detected(cfg: DictConfig, cameras: "Sequence[Camera]", detector: "Detector"
     if cfg.detections is not None:
         return read_detections(cfg.detections)
     given = Path(str(cfg.photographs))
+    if not given.exists():
+        raise InputError(f"photographs: there is no folder or video {str(given)!r}.")
     with keyed():
         if len(cameras) > 1:
             folders = sorted(folder for folder in given.glob("*") if folder.is_dir())
             if len(folders) != len(cameras):
                 text = f"photographs must be a folder with one folder for each of {len(cameras)} cameras"
                 raise InputError(f"{text}, {str(given)!r} has {len(folders)}.")
-            views = {folder.name: Photographs(folder, "photographs") for folder in folders}
+            views = {folder.name: _photographs(folder) for folder in folders}
             pairs = zip(views.items(), cameras, strict=True)
             return DetectedTags.together(
                 {name: detected_in(images, camera, detector, modules, cfg.workers) for (name, images), camera in pairs}
             )
-        images: Images = Photographs(given, "photographs") if given.is_dir() else Video(given, cfg.rate, "photographs")
+        images: Images = _photographs(given) if given.is_dir() else Video(given, cfg.rate, "photographs")
     return detected_in(images, cameras[0], detector, modules, cfg.workers)
+
+
+def _photographs(folder: Path) -> "Photographs":
+    """The images of a folder; says which it leaves out."""
+    from lmd.detection.images import Photographs
+
+    images = Photographs(folder, "photographs")
+    if left := images.unread:
+        print(f"warning: photographs: {len(left)} images of {folder} are not read, such as {left[0]}", file=sys.stderr)
+    return images
 
 
 class Job(NamedTuple):
@@ -207,6 +220,7 @@ def detected_in(
     """
     import numpy as np
 
+    from lmd.core.checks import InputError
     from lmd.detection.sharpness import blurred
     from lmd.mapping.detections import DetectedTags
 
@@ -225,6 +239,8 @@ def detected_in(
             found += [detections for detections, _ in part]
             blurs += [blur for _, blur in part]
             progress.update(len(part))
+    if not any(len(one) for one in found):
+        raise InputError(f"photographs: no tag is found in any of {count} images; tag.family says which to look for.")
     smeared = np.flatnonzero(blurred(np.array(blurs)))
     return DetectedTags.in_frames(images.names, found).without({images.names[k]: blurs[k] for k in smeared})
 

@@ -16,7 +16,8 @@ from lmd.render.imaging import UInt8Array
 from lmd.render.optics import image_size
 from lmd.scene.camera import Camera
 
-IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+UNREAD = (".heic", ".heif", ".avif", ".dng", ".raw", ".cr2", ".cr3", ".nef", ".arw", ".gif")  # which cameras write
 
 
 class Images(Protocol):
@@ -61,6 +62,11 @@ class Photographs:
     def paths(self) -> list[Path]:
         """The files."""
         return sorted(path for path in Path(self.folder).iterdir() if path.suffix.lower() in IMAGES)
+
+    @property
+    def unread(self) -> list[str]:
+        """The names of images of formats that are not read."""
+        return sorted(path.name for path in Path(self.folder).iterdir() if path.suffix.lower() in UNREAD)
 
     @property
     def names(self) -> list[str]:
@@ -154,9 +160,11 @@ def read_image(path: Path, camera: Camera, argument: str) -> UInt8Array:
     content = read_bytes(path, argument)
     size = image_size(camera)
     written = _pixels(content)
-    # A camera that was held upright says so in the image, which is turned when it is read.
     if written in (size, size[::-1]):
-        image: UInt8Array | None = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE)
+        # How the camera was held stands in the image. A calibration is of the pixels as the sensor has them, however
+        # that was held, unless its size says that they were turned before.
+        turned = cv2.IMREAD_GRAYSCALE | (cv2.IMREAD_IGNORE_ORIENTATION if written == size else 0)
+        image: UInt8Array | None = cv2.imdecode(np.frombuffer(content, np.uint8), turned)
         written = None if image is None else image.shape[::-1]
         if image is not None and written == size:
             return image

@@ -106,7 +106,11 @@ def estimate(sightings: Sightings, prior: Prior, origin: int | None = None) -> E
 
 
 def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, floor: float) -> Estimate:
-    """The estimate near some poses; arguments as of `Estimate`."""
+    """The estimate near some poses; arguments as of `Estimate`.
+
+    Raises:
+        InputError: no sightings agree.
+    """
     of_map = (group[sightings.tag] == 0) & np.isfinite(poses.frames[sightings.frame, 0, 0])
     of_map = used = twice_in_frame(sightings, of_map)
     misfits = np.zeros(len(sightings), dtype=bool)
@@ -117,6 +121,12 @@ def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, 
     prior = replace(prior, information=information, sheets=sheets)
     for steps in (STEPS, FINAL_STEPS):
         used = twice_in_frame(sightings, used)
+        if not used.any():
+            raise InputError(
+                "detections: no two tags of a frame agree with one pose of the camera; are the corners in another "
+                "order, or the calibration another one?",
+                "detections",
+            )
         adjustment = Adjustment(sightings.of(used), prior)
         found = adjustment.run(poses, floor, steps)
         poses, floor = found.poses, found.floor

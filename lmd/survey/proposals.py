@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lmd.core.checks import FloatArray
+from lmd.core.checks import FloatArray, InputError
 from lmd.core.optional import optional
 from lmd.geometry.se3 import pose_of
 from lmd.survey.residuals import in_cameras, residuals
@@ -31,6 +31,9 @@ def proposals(sightings: Sightings) -> Proposals:
     """The poses that each sighting allows by itself.
 
     They are found in the image of a camera turned towards the tag, in which any direction has a place.
+
+    Raises:
+        InputError: corners are not in order.
     """
     cv2 = optional("cv2", "estimators")
     axis = sightings.directions.mean(axis=1)
@@ -43,6 +46,10 @@ def proposals(sightings: Sightings) -> Proposals:
     found = np.empty((len(sightings), 2, 4, 4))
     for index, (corners, image) in enumerate(zip(sightings.corners, flat, strict=True)):
         _, turns, ways, _ = cv2.solvePnPGeneric(corners, image, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
+        if not turns:
+            seen = f"tag {sightings.ids[sightings.tag[index]]}"
+            text = f"detections: the corners of {seen} are once those of no square; they go around the tag."
+            raise InputError(text, "detections")
         for which in range(2):
             turn = cv2.Rodrigues(turns[which % len(turns)])[0]
             found[index, which] = pose_of(turn, np.ravel(ways[which % len(ways)]))

@@ -133,6 +133,8 @@ class Placing:
             owner = self.sightings.frame if by_frame else self.sightings.tag
             error = errors_at(self.sightings, self.poses)
             known = np.isfinite(error)
+            if not known.any():  # no frame shows the tags that were placed by their plan
+                return
             disagree = known & (error > MUCH_WORSE * np.median(error[known]))
             share = np.bincount(owner, disagree) / np.maximum(np.bincount(owner, known), 1)
             self.settle(np.flatnonzero(known & (share[owner] > DISPUTED)), by_frame, fewest=FEWEST)
@@ -140,6 +142,8 @@ class Placing:
     def adjust(self, steps: int) -> None:
         """Adjust all that is placed; the first tag of each group stays."""
         both = self.placed(self.tags)[self.sightings.tag] & self.placed(self.frames)[self.sightings.frame]
+        if not both.any():
+            return
         _, first = np.unique(self.group, return_index=True)
         information = np.zeros((len(self.tags), 6))
         information[first[self.group[first] >= 0]] = 1.0 / ANCHOR_SIGMA**2

@@ -175,7 +175,7 @@ def survey(
         calibrate: whether the intrinsics of the cameras are found, too.
 
     Raises:
-        InputError: the detections do not connect two tags, or are of other tags or cameras.
+        InputError: the detections do not connect two tags, place none, or are of other tags or cameras.
     """
     often, counts = np.unique(detected.ids[detected.ids < tag.ids], return_counts=True)
     ids = np.union1d(known.ids, often[counts >= FEWEST_BELIEVED])
@@ -196,6 +196,9 @@ def survey(
         found = found.moved(levelled(found.poses.tags, np.flatnonzero(np.isin(ids, known.floor)), first))
     used = np.bincount(sightings.tag[found.used], minlength=len(ids))
     placed = (found.group == 0) & (used >= np.where(np.isin(ids, known.ids), 1, FEWEST_BELIEVED))
+    if not placed.any():
+        text = f"detections: no tag is placed, as no {FEWEST_BELIEVED} sightings of one agree: more frames are needed."
+        raise InputError(text, "detections")
     localised = held_out(found, known.planned(ids))
     return Survey(
         detected, known, found, faults, placed, localised, judged(found, cameras, refined) if calibrate else ()

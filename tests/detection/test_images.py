@@ -1,6 +1,7 @@
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from lmd.core.checks import InputError
 from lmd.detection.images import Photographs, Video
@@ -45,11 +46,27 @@ def test_what_is_no_video_is_refused(tmp_path):
         Video(tmp_path / "none.mp4", 5)
 
 
+@pytest.mark.parametrize(
+    ("height", "width", "held", "brightest"),
+    [(240, 320, 3, (0, 0)), (240, 320, 6, (0, 0)), (320, 240, 6, (0, -1))],  # 6: to be turned clockwise
+)
+def test_pixels_are_those_of_the_sensor_unless_only_turned_ones_fit(tmp_path, height, width, held, brightest):
+    pixels, exif = np.zeros((height, width), dtype=np.uint8), Image.Exif()
+    pixels[:8, :8], exif[0x0112] = 255, held
+    Image.fromarray(pixels).save(tmp_path / "1.jpg", exif=exif)
+    (image,) = Photographs(tmp_path).read(0, 1, CAMERA)
+    assert image.shape == (240, 320)
+    assert image[brightest] > 200
+    assert image.mean() < 2.0
+
+
 def test_photographs_come_by_name(tmp_path):
     for number in (2, 1):
         cv2.imwrite(str(tmp_path / f"{number}.png"), np.full((240, 320), 100 * number, dtype=np.uint8))
-    (tmp_path / "notes.txt").write_text("")
+    for name in ("notes.txt", "3.HEIC"):
+        (tmp_path / name).write_text("")
     images = Photographs(tmp_path)
+    assert images.unread == ["3.HEIC"]
     assert images.names == ["1.png", "2.png"]
     assert [image.mean() for image in images.read(0, 2, CAMERA)] == [100.0, 200.0]
     assert [image.mean() for image in images.read(1, 2, CAMERA)] == [200.0]

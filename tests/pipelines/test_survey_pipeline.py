@@ -11,10 +11,14 @@ import processes
 import pytest
 import walks
 
+from lmd.core.checks import InputError
+from lmd.detection.detectors import Detections
+from lmd.detection.images import Photographs
 from lmd.geometry.se3 import exp
 from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
+from pipelines.survey import detected_in
 
 CAMERA = Camera(2.2, 0.0075, 0.0075, (320.0, 240.0), 640, 480, 0.0)
 EDGE, COUNT, FRAMES = 0.25, 16, 20
@@ -191,11 +195,24 @@ def test_an_audit_names_the_tag_that_is_not_found_where_it_is_predicted(room):
         assert cv2.imread(str(cwd / "audit" / f"{name}.png")) is not None
 
 
+class Blind:
+    """Finds no tag."""
+
+    def detect(self, image):
+        return Detections(np.empty(0, dtype=np.int64), np.empty((0, 4, 2)))
+
+
+def test_photographs_without_a_tag_say_so(tmp_path):
+    cv2.imwrite(str(tmp_path / "1.png"), np.zeros((480, 640), dtype=np.uint8))
+    with pytest.raises(InputError, match=r"^photographs: no tag is found in any of 1 images; tag\.family says"):
+        detected_in(Photographs(tmp_path), CAMERA, Blind(), 8, workers=1)
+
+
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
         (["photographs=null"], "photographs=DIR, a folder or a video, or detections=FILE.csv must be given"),
-        (["photographs=nowhere"], "photographs: there is no file 'nowhere'"),
+        (["photographs=nowhere"], "photographs: there is no folder or video 'nowhere'"),
         (["photographs=plan.csv"], "photographs: 'plan.csv' cannot be read as a video"),
         (["survey.place=0"], "survey.place must"),
         (["export=[wpilib]"], "export needs the room that the tags hang in"),

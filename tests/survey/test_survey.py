@@ -162,6 +162,25 @@ def test_an_id_that_was_read_once_is_not_believed(room):
     assert set(found.ids.tolist()) == set(range(COUNT))
 
 
+@pytest.mark.parametrize("planned", [False, True])
+def test_corners_that_do_not_go_around_a_tag_are_refused(room, planned):
+    _, plan, detected = room
+    crossed = replace(detected, corners=detected.corners[:, [0, 2, 1, 3]])
+    with pytest.raises(InputError, match=r"^detections: (the corners of tag \d+ are|no two tags of a frame agree)"):
+        surveyed(crossed, plan=plan if planned else None)
+
+
+def test_frames_that_contradict_each_other_place_no_tag(room):
+    *_, detected = room
+    few, rng = detected.of(np.flatnonzero(detected.frame < 4)), np.random.default_rng(3)
+    corners = few.corners.copy()
+    for frame in range(4):
+        (own,) = np.nonzero(few.frame == frame)
+        corners[own] = corners[rng.permutation(own)]
+    with pytest.raises(InputError, match=r"^detections: no tag is placed, as no 2 sightings of one agree"):
+        surveyed(replace(few, corners=corners))
+
+
 def test_detections_of_other_tags_are_refused(room):
     _, plan, detected = room
     with pytest.raises(InputError, match=r"^detections has no tag of the plan, and no other one twice\.$"):
