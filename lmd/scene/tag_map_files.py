@@ -3,8 +3,8 @@
 Which format a file has follows from its content. `lmd.scene.tag_map_readers` has those in YAML and JSON; here are the
 texts.
 
-Sources: `convert_apriltag_layouts.py` of WPILib; `ArucoMap::addMarker` of CopterExpress/clover; `Marker/Priors` of
-RTAB-Map.
+Sources: `convert_apriltag_layouts.py` of WPILib; `ArucoMap::addMarker` of CopterExpress/clover; `Map::saveMap` of
+UbiquityRobotics/fiducials; `Marker/Priors` of RTAB-Map.
 """
 
 import re
@@ -25,6 +25,7 @@ from lmd.scene.tag_map_readers import HALF_TURN, OUT_RIGHT_UP, READERS, PlacedTa
 
 LARGEST_MAP = 1 << 22  # characters of YAML or JSON; a tag has some hundred
 INCH = 0.0254  # metres
+FIDUCIAL_SLAM_VALUES = 9  # at least, in a line; Clover has at most 8
 EDGE_DIGITS = 12  # the rest is rounding: of millimetres as metres, or of the sides of a square
 IS_JSON = re.compile(r"(\s|//[^\n]*\n|/\*.*?\*/)*{", re.DOTALL)  # comments may come first
 
@@ -84,7 +85,8 @@ def _tags_of(path: Any, text: str, name: str) -> tuple[list[PlacedTag] | None, b
     if "|" in text or (len(lines) == 1 and len(first.split()) == 7 and "," not in first):
         return _rtabmap(text), True
     if re.match(r"\s*\d+\s+[-+.\d]", first):
-        return [_clover(line) for line in lines], True
+        read = _clover if len(_values(first)) < FIDUCIAL_SLAM_VALUES else _fiducial_slam
+        return [read(line) for line in lines], True
     header = [column.strip().lower() for column in first.split(",")]
     if header[:4] == ["id", "x", "y", "z"] and "rotation" in "".join(header[4:]):
         return _wpilib_csv(path, name), False
@@ -102,9 +104,23 @@ def _wpilib_csv(path: Any, name: str) -> list[PlacedTag]:
     return found
 
 
+def _values(line: str) -> list[str]:
+    """Before a comment."""
+    return line.split(COMMENT)[0].split()
+
+
+def _fiducial_slam(line: str) -> PlacedTag:
+    """`id x y z roll pitch yaw variance observations`, degrees, and the tags that were seen with it."""
+    number, *values = _values(line)
+    if len(values) < FIDUCIAL_SLAM_VALUES - 1 or not values[7].isdecimal():
+        raise InputError(f"{line.strip()!r} must be: id x y z roll pitch yaw variance observations, as the first line.")
+    pose = np.array([float(value) for value in values[:6]])
+    return PlacedTag(number_of(int(number)), pose[:3], roll_pitch_yaw(np.radians(pose[3:])))
+
+
 def _clover(line: str) -> PlacedTag:
     """`id length x y z yaw pitch roll`, of which what follows y may be missing."""
-    number, edge, *values = line.split(COMMENT)[0].split()
+    number, edge, *values = _values(line)
     if not 2 <= len(values) <= 6:
         raise InputError(f"{line.strip()!r} must be: id length x y z yaw pitch roll.")
     x, y, z, yaw, pitch, roll = np.pad([float(value) for value in values], (0, 6 - len(values)))

@@ -171,6 +171,17 @@ aruco_bc_markers:
         read(text.format(kind=1).replace("1.2, 1.2", "1.4, 1.2"))
 
 
+def test_fiducial_slam_saves_degrees_and_what_it_saw_beside_a_tag(read):
+    # Upright on a wall behind y = 2, as by a turn about x by 90 degrees: it looks along -y.
+    found = read("7 1.0 2.0 0.5 90.0 0.0 0.0 0.04 31 8 9\n8 1.0 2.0 1.5 90.0 0.0 90.0 0.01 5\n")
+    assert found.ids.tolist() == [7, 8]
+    assert_allclose(found.positions, [[1.0, 2.0, 0.5], [1.0, 2.0, 1.5]])
+    assert_allclose(found.normals, [[0, -1, 0], [1, 0, 0]], atol=1e-9)
+    assert_allclose(found.ups, [UP, UP], atol=1e-9)
+    with pytest.raises(InputError, match=r"'8 1 2' must be: id x y z roll pitch yaw variance observations"):
+        read("7 1.0 2.0 0.5 90.0 0.0 0.0 0.04 31\n8 1 2\n")
+
+
 def test_clover_leaves_out_what_is_zero(read):
     found = read("# a map\n8\t0.3\t1\t2\n\n9 0.22 1 2 0.5 1.5707963267948966 0 0\n")
     assert_allclose(found.positions, [[1, 2, 0], [1, 2, 0.5]])
@@ -211,7 +222,7 @@ objects:
         ("tag_bundles: [3]", "a mapping was expected where there is none"),
         ("/**: {ros__parameters: {family: 36h11}}", r"no tag map that is known here .*: it has /\*\*"),
         ("1 0.3 a 2", "could not convert string to float"),
-        ("1 0.3 1 2 3 4 5 6 7", "must be: id length x y z yaw pitch roll"),
+        ("1 0.3 1 2 3 4 5 6 7.5", "must be: id x y z roll pitch yaw variance observations"),
         ("1 0 0 0 0 0 0 0\n", "length must be greater than 0"),
         ("1 0.1 0 0\n1 0.1 1 0\n", "id 1 belongs to 2 landmarks"),
         (json.dumps(WPILIB).replace('"Z": 1.0', '"Z": 2.0'), "must have length 1, it has 2"),
