@@ -94,7 +94,8 @@ def read_table(path: Any, *, name: str) -> Table:
         name: the argument the path came from, for messages.
 
     Raises:
-        InputError: the file is missing or no CSV, has too many columns or two of a name, or a row of another length.
+        InputError: the file is missing or no CSV, has semicolons in place of commas, too many columns or two of a name,
+            or a row of another length.
     """
     content = _lines(read_text(path, name))
     try:
@@ -105,6 +106,8 @@ def read_table(path: Any, *, name: str) -> Table:
     if not rows:
         return Table(str(path), (), {})
     (_, header), *body = rows
+    if len(header) == 1 and ";" in header[0]:  # as spreadsheets write them where a comma is the sign for decimals
+        raise InputError(f"{path} has semicolons between its columns: save it with commas, and with points in numbers.")
     if len(header) > MOST_COLUMNS:
         raise InputError(f"{path} has {len(header)} columns, more than {MOST_COLUMNS}; the first line is its header.")
     for i, column in enumerate(header):
