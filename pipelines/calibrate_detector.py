@@ -46,6 +46,9 @@ def calibrate(cfg: DictConfig) -> None:
                 views = source.views(subject.problem.scene.cameras, tag, detector, renderer.imaging, rng)
                 fitted[name] = views, fit(views, rng, margin)
             spans[name] = intervals(views, rng, margin) if source.photographs else {}
+            if views.seen.all():
+                text = f"warning: views: {name} finds all of {len(views)} tags, so they tell no limit of it"
+                print(f"{text}; images are needed in which it misses some", file=sys.stderr)
         seen = sightings({"room": subject}, seed, cfg.workers)["room"] if count else {}
         calibrations: dict[str, Calibration] = {}
         for name, (views, limits) in fitted.items():

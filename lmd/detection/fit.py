@@ -39,15 +39,10 @@ def fit(views: Views, rng: np.random.Generator, margin: float) -> Fit:
         margin: of the limits, pixels; views lie wholly in the image, so they do not tell.
 
     Raises:
-        InputError: there are fewer than two views, all or none of them are seen, or the margin is negative.
+        InputError: there are fewer than two views, or the margin is negative.
     """
     if len(views) < 2:
         raise InputError(f"views must be at least 2, got {len(views)}.")
-    if views.seen.all() or not views.seen.any():
-        raise InputError(
-            f"views: the detector finds {'all' if views.seen.all() else 'none'} of {len(views)} tags, which tells no "
-            "limit: images are needed in which it finds some and misses others."
-        )
     order = rng.permutation(len(views))
     train, held_out = views[order[::2]], views[order[1::2]]
     limits = _best(train, margin)

@@ -1,6 +1,7 @@
 """`pipelines.survey` as a user meets it: a process, its messages, its exit code and the files it leaves."""
 
 import json
+import re
 import shutil
 
 import cv2
@@ -121,6 +122,9 @@ def test_a_detector_is_calibrated_on_the_frames_of_a_survey(room):
     cwd, _, _ = room
     done = processes.call("calibrate_detector", "survey=out", cwd=cwd, settings=["tracking=none", "hydra.run.dir=fit"])
     assert done.returncode == 0, done.stderr
+    assert re.search(
+        r"^warning: views: apriltag finds all of \d+ tags, so they tell no limit", done.stderr, re.MULTILINE
+    )
     text = (cwd / "fit" / "36h11_apriltag.yaml").read_text()
     assert "views=survey" in text
     assert "# Measured on " in text
