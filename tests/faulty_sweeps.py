@@ -24,7 +24,7 @@ class Faulty(RandomSearch):
 """
 # It fails in the way it is told to, once it has evaluated something, until the file `repaired` is there.
 FAILS = """\
-print("threads", *(os.environ.get(f"{name}_NUM_THREADS") for name in ("NUMBA", "OMP", "OPENBLAS")))
+print("threads", *(os.environ.get(f"{name}_NUM_THREADS") for name in ("NUMBA", "OMP", "MKL")))
 if Path("repaired").exists():
     return
 if self.fault == "raise":

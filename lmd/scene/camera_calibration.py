@@ -149,8 +149,7 @@ def _calibration(keys: Mapping[str, Any], size: tuple[float, ...] | None, asked:
     width, height = (keys.get(name, None if size is None else size[i]) for i, name in enumerate(SIZE))
     if width is None or height is None:
         raise InputError(f"{' or '.join(SIZE)} is missing: give image_size, [width, height] in pixels.")
-    # OpenCV's own sample says by a flag of its own that it is a fisheye.
-    name = "fisheye" if keys.get("fisheye_model", 0) else keys.get("distortion_model", asked or "plumb_bob")
+    name = keys.get("distortion_model", asked or "plumb_bob")
     model = LENS_MODELS[known_lens(name, LENS_MODELS)]
     if asked is not None and LENS_MODELS[known_lens(asked, LENS_MODELS)] != model:
         raise InputError(f"distortion_model must be {name}, as the file has it, got {asked}.", "distortion_model")

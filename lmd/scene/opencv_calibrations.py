@@ -27,7 +27,7 @@ OPENCV_NAMES = {
 OPENCV_SIZES = ("image_size", "img_size")
 # What scripts call the model of the lens, where others have the name of a product; and those of wide lenses.
 OPENCV_LENSES = ("lens_model", "camera_model", "camera_type", "model")
-OPENCV_FISHEYES = ("fisheye", "is_fisheye")
+OPENCV_FISHEYES = ("fisheye_model", "fisheye", "is_fisheye")  # 1 or true; OpenCV's own sample has the first
 WIDE = re.compile(r"fish|omni|equidist|kannala|unified|double.?sphere|scaramuzza|^(mei|ds|eucm|kb4?|fov)$")
 
 
@@ -64,8 +64,8 @@ def opencv(keys: Mapping[str, Any]) -> Mapping[str, Any]:
         for model in (str(plain[name]).lower() for name in OPENCV_LENSES if name in plain):
             if WIDE.search(model):
                 found["distortion_model"] = model
-    if any(plain.get(name) is True for name in OPENCV_FISHEYES):
-        found["fisheye_model"] = 1
+    if any(plain.get(name) == 1 for name in OPENCV_FISHEYES):
+        found["distortion_model"] = "fisheye"
     for name in OPENCV_SIZES:
         if isinstance(size := keys.get(name), list) and len(size) == 2:
             found = dict(zip(("image_width", "image_height"), size, strict=True)) | found

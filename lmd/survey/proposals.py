@@ -48,7 +48,7 @@ def proposals(sightings: Sightings) -> Proposals:
         _, turns, ways, _ = cv2.solvePnPGeneric(corners, image, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
         if not turns:
             seen = f"tag {sightings.ids[sightings.tag[index]]}"
-            text = f"detections: the corners of {seen} are once those of no square; they go around the tag."
+            text = f"detections: the corners of {seen} are those of no square in a frame; they go around the tag."
             raise InputError(text, "detections")
         for which in range(2):
             turn = cv2.Rodrigues(turns[which % len(turns)])[0]

@@ -165,7 +165,8 @@ def test_an_id_that_was_read_once_is_not_believed(room):
 @pytest.mark.parametrize("planned", [False, True])
 def test_corners_that_do_not_go_around_a_tag_are_refused(room, planned):
     _, plan, detected = room
-    crossed = replace(detected, corners=detected.corners[:, [0, 2, 1, 3]])
+    few = detected.of(np.flatnonzero(detected.frame < 10))
+    crossed = replace(few, corners=few.corners[:, [0, 2, 1, 3]])
     with pytest.raises(InputError, match=r"^detections: (the corners of tag \d+ are|no two tags of a frame agree)"):
         surveyed(crossed, plan=plan if planned else None)
 
