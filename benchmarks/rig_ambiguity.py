@@ -100,9 +100,9 @@ class Cameras:
         total = np.zeros(5)
         for turn, centre, focal in zip(self.turns, self.centres, self.focal, strict=True):
             half = self.edge / 2.0
-            numbers = mirrored_numbers.py_func(*-centre, half, 0.0, 0.0, 0.0, half, 0.0, 1.0)
+            numbers = mirrored_numbers(*-centre, half, 0.0, 0.0, 0.0, half, 0.0, 1.0)
             total += focal**2 * np.array(numbers) / (turn @ -centre)[2] ** 3
-        return float(np.sqrt(total[0])), float(np.sqrt(told_by_all.py_func(*total, 1.0)))
+        return float(np.sqrt(total[0])), float(np.sqrt(told_by_all(*total, 1.0)))
 
 
 def cameras(edge: float, distance: float, incidence: float, spots: FloatArray, rng: np.random.Generator) -> Cameras:

@@ -132,13 +132,13 @@ class Ladder:
         content_of: Callable[[dict[str, Any]], Content],
     ) -> Content:
         """What was computed before from the same configuration and deployment by the same code, or is computed now."""
-        from lmd.core.compiled import sources
+        from lmd.core.sources import package_digest
 
         settings = flat_settings(self.point(at), *SAME_WHEN_RESUMED, "budget")
         arrays = None if given is None else [getattr(given, name).tolist() for name in ARRAYS]
         if arrays and given and given.edges is not None:
             arrays.append(given.edges.tolist())
-        path = Path(self.cfg.kept) / f"{digest(settings, what, arrays, sources())}.json"
+        path = Path(self.cfg.kept) / f"{digest(settings, what, arrays, package_digest())}.json"
         found = read_document(path, content_of)
         if found is not None:
             return found

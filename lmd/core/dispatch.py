@@ -61,10 +61,9 @@ def _dispatched(declaration: Function, otherwise: Function | None, options: Any)
         return remember
 
     def resolve(first: Any, *_: Any) -> Function | None:
-        function = table.get(getattr(first, "instance_class", object)) or otherwise
-        return getattr(function, "py_func", function)  # of an inner function
+        return table.get(getattr(first, "instance_class", object)) or otherwise
 
     call.__name__, call.__doc__, call.__module__ = declaration.__name__, declaration.__doc__, declaration.__module__
-    call.register = register  # type: ignore[attr-defined]
+    call.register, call.registered = register, table  # type: ignore[attr-defined]
     overload(call, strict=False, jit_options=options)(resolve)
     return cast(Dispatched, call)

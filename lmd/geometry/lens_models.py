@@ -1,6 +1,6 @@
 """Models of lenses as scalar functions: where a point is imaged, and how its image moves with it.
 
-A model is a named tuple of its coefficients, as OpenCV names them. Its functions are arithmetic on numbers or on arrays
+A model is a named tuple of its coefficients, as OpenCV names them. Its functions are inlined on numbers or on arrays
 alike: kernels compile what NumPy is given, so that both decide by the same bits. Points (u, v, w) are in the camera's
 frame: right, down, along the optical axis. Images are in focal lengths from the principal point.
 

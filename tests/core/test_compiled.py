@@ -1,59 +1,18 @@
-import ast
+import contextlib
 import gc
 import math
 import pickle
-from pathlib import Path
-from types import SimpleNamespace
+import subprocess
+import sys
+from itertools import count
 
+import numba
 import numpy as np
 import pytest
-from processes import call
+from processes import ROOT, environment
 
-import lmd
-from lmd.core import compiled, inside_numba
-from lmd.core.compiled import inlined, inner, kernel
-
-PACKAGE = Path(lmd.__file__).parent
-DECORATORS = (
-    *("kernel", "inner", "inlined", "allocating", "intrinsic", "register"),
-    *("dispatched", "dispatched_call", "overridable"),
-)
-
-
-def is_compiled(function):
-    """Whether a decorator makes it a part of a kernel."""
-    texts = [ast.unparse(decorator).partition("(")[0] for decorator in function.decorator_list]
-    return any(text.split(".")[-1] in DECORATORS for text in texts)
-
-
-def names_in(nodes):
-    return {node.id for part in nodes for node in ast.walk(part) if isinstance(node, ast.Name)}
-
-
-def made_of(tree):
-    """The modules of `lmd` from which what is compiled in a file takes functions and constants."""
-    functions = [node for node in tree.body if isinstance(node, ast.FunctionDef) and is_compiled(node)]
-    used = names_in(part for function in functions for part in function.body)
-    constants = [node for node in tree.body if isinstance(node, ast.Assign | ast.AnnAssign)]
-    while more := names_in(c.value for c in constants if c.value and names_in([c]) & used) - used:
-        used |= more
-    imports = [node for node in tree.body if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("lmd")]
-    return functions, {node.module for node in imports for alias in node.names if (alias.asname or alias.name) in used}
-
-
-def makes_stale(path):
-    return any(path.with_suffix("").is_relative_to(PACKAGE / source) for source in compiled.SOURCES)
-
-
-def test_all_that_kernels_are_made_of_makes_them_stale():
-    found = {path: made_of(ast.parse(path.read_text())) for path in PACKAGE.rglob("*.py")}
-    sources = {path: modules for path, (functions, modules) in found.items() if functions}
-    assert len(sources) > 15
-    for path, modules in sources.items():
-        assert makes_stale(path), f"{path} is compiled"
-        for module in modules:
-            source = PACKAGE.parent / module.replace(".", "/")
-            assert makes_stale(source), f"{path} compiles parts of {module}"
+from lmd.core import compile_clock, compiled, inside_numba
+from lmd.core.compiled import allocating, borrowing, inlined, inner, kernel
 
 
 @inlined
@@ -76,11 +35,11 @@ def _sum_of_roots(values):
     return total
 
 
-def test_inner_functions_are_parts_of_kernels_and_can_be_called_from_python():
+def test_inner_functions_are_parts_of_kernels_and_python_for_python():
     values = np.array([0.0, 2.0, 8.0, 32.0])
     assert _sum_of_roots(values) == 7.0
     assert [_root_of_half(x) for x in values] == [0.0, 1.0, 2.0, 4.0]
-    assert _half(3.0) == 1.5
+    assert _half(values).tolist() == [0.0, 1.0, 4.0, 16.0]
     for attempt in (lambda: _sum_of_roots(-values), lambda: _root_of_half(-1.0)):
         with pytest.raises(ValueError, match="negative"):
             attempt()
@@ -111,25 +70,99 @@ def test_what_an_inner_function_calls_is_linked_where_another_that_could_does_no
     assert _both(2) == 28
 
 
+@numba.njit
+def _of_a_user(x):
+    return _second_next(x) + _root_of_half(8.0)
+
+
+def test_a_numba_function_of_a_user_calls_inner_functions():
+    assert _of_a_user(2) == 28.0
+
+
+@inner
+def _slices(a, n):
+    return a[:n], a[n:]
+
+
+@inner
+def _given(a):
+    return a
+
+
+@kernel
+def _hand_on_slices(a):
+    return _slices(a, 2)
+
+
+@kernel
+def _hand_on_what_was_given(a):
+    return _given(a)
+
+
+@kernel
+def _return_slices(a):
+    return a[:2], a[2:]
+
+
+@borrowing
+def _return_what_is_borrowed(a):
+    return a
+
+
+@pytest.mark.parametrize(
+    ("refused", "name"),
+    [
+        (_hand_on_slices, "_slices"),
+        (_hand_on_what_was_given, "_given"),
+        (_return_slices, "_return_slices"),
+        (_return_what_is_borrowed, "_return_what_is_borrowed"),
+    ],
+)
+def test_arrays_that_nothing_would_hold_are_not_returned(refused, name):
+    """The memory would be freed while it is used, and the process would die."""
+    with pytest.raises(TypeError, match=rf"\.{name} \(.*test_compiled.py, line \d+\) returns arrays that nothing"):
+        refused(np.arange(5.0))
+    assert not compile_clock.CLOCK.active
+
+
+@allocating
+def _doubled(a):
+    return a * 2.0, a * 4.0
+
+
+@kernel
+def _sum_of_doubled(a):
+    one, other = _doubled(a)
+    return one.sum() + other.sum()
+
+
+@kernel
+def _copied(a):
+    return a.copy()
+
+
+def test_arrays_that_are_counted_are_returned():
+    assert _sum_of_doubled(np.arange(4.0)) == 36.0
+    assert _copied(np.arange(3.0)).tolist() == [0.0, 1.0, 2.0]
+
+
 @pytest.fixture
-def compiling(monkeypatch):
-    """A listener of its own, and a clock that is set by hand."""
-    now = [0.0]
-    monkeypatch.setattr(compiled.time, "perf_counter", lambda: now[0])
-    return compiled._Compiling(), now
+def clock(monkeypatch):
+    """A clock by itself, on a time that advances by one whenever it is read."""
+    time = count(10)
+    monkeypatch.setattr(compile_clock.time, "perf_counter", lambda: float(next(time)))
+    return compile_clock.CompileClock()
 
 
-def test_the_clock_stands_still_while_kernels_and_their_parts_are_compiled(compiling, capsys):
-    listener, now = compiling
-    readings, event = [], SimpleNamespace(data={"dispatcher": _sum_of_roots})
-    for moment, happens in enumerate((listener.on_start, listener.on_start, listener.on_end, listener.on_end)):
-        now[0] = 10.0 * (moment + 1)
-        happens(event)
-        now[0] += 1.0
-        readings.append(listener.clock())
-    assert readings == [10.0, 10.0, 10.0, 11.0]
-    told = capsys.readouterr().err.splitlines()
-    assert told == [
+def test_the_clock_stands_still_while_kernels_and_their_parts_are_compiled(clock, capsys):
+    assert clock.read() == 10.0
+    with clock.stopped(_sum_of_roots.py_func):
+        assert (clock.read(), clock.active) == (11.0, True)
+        with clock.stopped(_root_of_half):
+            assert clock.read() == 11.0
+        assert clock.read() == 11.0
+    assert (clock.read(), clock.active) == (12.0, False)
+    assert capsys.readouterr().err.splitlines() == [
         "compiling what this needs; it is kept for the next time",
         "compiling kernel 1, 0 s so far: test_compiled._sum_of_roots",
     ]
@@ -144,37 +177,35 @@ def often():
     gc.set_threshold(*before)
 
 
-def test_garbage_is_looked_for_as_often_as_before_once_kernels_are_compiled(compiling, often):
-    listener, _ = compiling
-    event = SimpleNamespace(data={"dispatcher": _sum_of_roots})
-    for happens in (listener.on_start, listener.on_start, listener.on_end):
-        happens(event)
-        assert gc.get_threshold()[0] > often[0]
-    listener.on_end(event)
+def test_garbage_is_looked_for_as_often_as_before_once_a_kernel_is_compiled_or_is_not(clock, often):
+    thresholds = []
+    with contextlib.suppress(ZeroDivisionError), clock.stopped(_sum_of_roots.py_func):
+        thresholds += gc.get_threshold()
+        raise ZeroDivisionError
+    assert thresholds[0] > often[0]
     assert gc.get_threshold() == often
+    assert not clock.active
 
 
 def test_where_nothing_can_be_written_kernels_are_compiled_all_the_same(monkeypatch, capsys):
     def refuse(*_):
         raise RuntimeError("no locator available")
 
-    monkeypatch.setattr(inside_numba, "_Cache", refuse)
-    monkeypatch.setattr(compiled, "_compiling", compiled._Compiling())
+    monkeypatch.setattr(inside_numba, "Cache", refuse)
+    monkeypatch.setattr(compiled, "CLOCK", compile_clock.CompileClock())
+    monkeypatch.setattr(compile_clock, "CLOCK", compiled.CLOCK)
     double = kernel(lambda x: 2.0 * x)
     assert double(1.5) == 3.0
-    event = SimpleNamespace(data={"dispatcher": double})
-    compiled._compiling.on_start(event)
-    compiled._compiling.on_end(event)
     assert "it cannot be kept, as no folder can be written to; NUMBA_CACHE_DIR=DIR" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("damage", [b"", b"cgone.module\nClass\n.", b"cmath\ngone\n.", b"\x80"])
-def test_what_was_kept_and_cannot_be_read_is_compiled_anew(tmp_path, damage):
+def test_an_index_that_cannot_be_read_is_written_anew(tmp_path, damage):
     index = inside_numba._Index(str(tmp_path), "kernel", "stamp")
     index.save("key", "machine code")
     assert index.load("key") == "machine code"
     path = tmp_path / "kernel.nbi"
-    version = pickle.dumps(index._version, protocol=-1)
+    version = pickle.dumps(numba.__version__, protocol=-1)
     assert path.read_bytes().startswith(version)
     path.write_bytes(version + damage)
     assert index.load("key") is None
@@ -182,10 +213,46 @@ def test_what_was_kept_and_cannot_be_read_is_compiled_anew(tmp_path, damage):
     assert index.load("key") == "machine code"
 
 
-def test_without_the_compiler_there_is_a_sentence(tmp_path, monkeypatch):
+MINE = """
+from typing import NamedTuple
+
+from factors import FACTOR
+from lmd.incremental.field import worth
+
+
+class Mine(NamedTuple):
+    weight: float
+
+
+@worth.register(Mine)
+def _worth(target, p, units):
+    return target.weight * units * FACTOR
+"""
+CALL = """
+import numpy as np
+from mine import Mine
+from lmd.incremental.field import total_worth
+
+print(total_worth(Mine(2.0), np.arange(4)))
+"""
+
+
+def test_kernels_for_a_class_of_a_user_are_kept_until_its_code_changes(tmp_path, monkeypatch):
+    """5 s of processor time: four processes, of which two compile."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    (tmp_path / "mine.py").write_text(MINE)
+    for factor, compiles in ((1, True), (1, False), (10, True), (10, False)):
+        (tmp_path / "factors.py").write_text(f"FACTOR = {factor}\n")
+        line = [sys.executable, "-B", "-c", CALL]
+        done = subprocess.run(line, cwd=tmp_path, env=environment(tmp_path), capture_output=True, text=True, check=True)
+        assert float(done.stdout) == 12.0 * factor
+        assert ("compiling kernel 1" in done.stderr) == compiles
+
+
+def test_code_is_compiled_as_plain_python_where_the_compiler_is_disabled(tmp_path, monkeypatch):
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
-    done = call("optimise", cwd=tmp_path, fresh=True)
-    assert (done.returncode, done.stderr.splitlines()) == (
-        1,
-        ["error: NUMBA_DISABLE_JIT is set, but lmd's kernels are for the compiler: unset it."],
-    )
+    code = "import test_compiled as t; import numpy as np; print(t._sum_of_roots(np.arange(4.0)), t._both(2))"
+    environ = environment(ROOT / "tests", ROOT / "tests" / "core")
+    line = [sys.executable, "-c", code]
+    done = subprocess.run(line, cwd=tmp_path, env=environ, capture_output=True, text=True, check=True)
+    assert done.stdout.split()[1] == "28"

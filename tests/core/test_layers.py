@@ -68,8 +68,8 @@ def _compare(bundle, found):
 
 
 @pytest.mark.parametrize("compare", [_compared, _compare])
-def test_what_goes_by_its_address_stays_what_it_was(compare):
-    """Named tuples as large as this are not handed over number by number."""
+def test_layers_that_are_handed_on_stay_what_they_were(compare):
+    """Named tuples of hundreds of numbers go to inner functions."""
     known = layers(State(**{name: np.zeros(1, dtype=np.int64) for name in State._fields}), 6)
     known.units[:, 0] = range(6)
     found = np.zeros(6, dtype=np.int64)

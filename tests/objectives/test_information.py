@@ -73,13 +73,13 @@ def test_the_fifteen_numbers_are_those_of_the_matrix():
     for pose, information, _ in views(50, rng, deployment, 2):
         matrix = view_matrices(SCENE, deployment, pose[:3, 3], axis_and_right(pose[None]))[0].sum(axis=0)
         inverse = np.linalg.inv(matrix)
-        value, fixed = variance.py_func(*information)
+        value, fixed = variance(*information)
         assert fixed
         assert value == pytest.approx(np.trace(inverse[:3, :3]), rel=1e-4)
         a, g, c = information[:6], information[6:9], information[9:]
-        turned, _ = variance.py_func(*c, *g, *a)
+        turned, _ = variance(*c, *g, *a)
         assert turned == pytest.approx(np.trace(inverse[3:, 3:]), rel=1e-4)
-        assert log_det.py_func(*information) == pytest.approx(np.linalg.slogdet(matrix)[1], rel=1e-6)
+        assert log_det(*information) == pytest.approx(np.linalg.slogdet(matrix)[1], rel=1e-6)
 
 
 def test_it_stands_for_the_information_of_the_pixels():
@@ -87,7 +87,7 @@ def test_it_stands_for_the_information_of_the_pixels():
     deployment = UniformDeployment(90).draw(SCENE.room, rng)
     scale, exact, predicted = deviation_per_variance(SCENE.camera, NOISE), [], []
     for pose, information, points in views(1500, rng, deployment, 2):
-        predicted.append(scale * np.sqrt(variance.py_func(*information)[0]))
+        predicted.append(scale * np.sqrt(variance(*information)[0]))
         exact.append(NOISE * np.sqrt(np.trace(pixel_covariance(pose, points)[:3, :3])))
     ratio = np.array(predicted) / np.array(exact)
     assert np.median(ratio) == pytest.approx(1.0, abs=0.01)
@@ -117,7 +117,7 @@ def test_behind_a_lens_it_stands_for_the_information_of_its_pixels(lens):
     deployment = UniformDeployment(90).draw(SCENE.room, rng)
     scale, exact, predicted = deviation_per_variance(camera, NOISE), [], []
     for pose, information, points in views(400, rng, deployment, 2, scene):
-        predicted.append(scale * np.sqrt(variance.py_func(*information)[0]))
+        predicted.append(scale * np.sqrt(variance(*information)[0]))
         exact.append(NOISE * np.sqrt(np.trace(lens_covariance(camera, pose, points)[3:, 3:])))
     ratio = np.array(predicted) / np.array(exact)
     assert np.median(ratio) == pytest.approx(1.0, abs=0.02)

@@ -50,9 +50,9 @@ def residual(poses, edge):
     total = np.zeros(5)
     for camera, pose in zip(CAMERAS, poses, strict=False):
         offset, depth = -pose[:3, 3], -pose[:3, 2] @ pose[:3, 3]
-        numbers = mirrored_numbers.py_func(*offset, *(edge / 2.0 * RIGHT), *(edge / 2.0 * UP), 1.0)
+        numbers = mirrored_numbers(*offset, *(edge / 2.0 * RIGHT), *(edge / 2.0 * UP), 1.0)
         total += np.prod(camera.focal_pixels) * np.array(numbers) / depth**3
-    return np.sqrt(told_by_all.py_func(*total, 1.0))
+    return np.sqrt(told_by_all(*total, 1.0))
 
 
 def other_residual(poses, edge):
@@ -96,7 +96,7 @@ def test_the_closed_form_is_the_residual_of_the_other_pose_in_all_images(baselin
 
 def test_a_camera_alone_tells_as_much_as_without_a_rig():
     tag = 1.0, 2.0, 0.5, *(0.05 * RIGHT), *(0.05 * UP), 1e-5
-    assert told_by_all.py_func(*mirrored_numbers.py_func(*tag), 1e-5) == pytest.approx(telling.py_func(*tag), rel=1e-9)
+    assert told_by_all(*mirrored_numbers(*tag), 1e-5) == pytest.approx(telling(*tag), rel=1e-9)
 
 
 def test_cameras_farther_apart_tell_more():

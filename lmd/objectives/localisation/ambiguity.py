@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lmd.core.compiled import arithmetic
+from lmd.core.compiled import inlined
 from lmd.core.dispatch import overridable
 from lmd.geometry.squares import upright_sides
 from lmd.objectives.localisation.information import PosePrecision, Precision, SizedPrecision, meets
@@ -94,7 +94,7 @@ def _square_of_other(precision):
     return square_of(precision.of)
 
 
-@arithmetic
+@inlined
 def mirrored_square(x, y, z, rx, ry, rz, ux, uy, uz):
     """S of a tag times its distance cubed, in units of f^2; arguments as in `information.moments`."""
     squared = x * x + y * y + z * z
@@ -103,7 +103,7 @@ def mirrored_square(x, y, z, rx, ry, rz, ux, uy, uz):
     return 16.0 * ((rx * rx + ry * ry + rz * rz) * (p + q) - 4.0 * (p * q)) / np.sqrt(squared)
 
 
-@arithmetic
+@inlined
 def telling(x, y, z, rx, ry, rz, ux, uy, uz, square):
     """S over what it must be, times the distance cubed."""
     squared = x * x + y * y + z * z

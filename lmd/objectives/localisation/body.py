@@ -13,7 +13,7 @@ rounded as for a single camera, which makes sums exact in any order.
 
 import numpy as np
 
-from lmd.core.compiled import arithmetic
+from lmd.core.compiled import inlined
 from lmd.core.dispatch import dispatched
 from lmd.objectives.localisation.information import SINGULAR, PosePrecision, Precision, SizedPrecision
 from lmd.scene.camera import Camera
@@ -27,7 +27,7 @@ def gain_of(camera: Camera, first: Camera) -> float:
     return float(np.prod(camera.focal_pixels)) / float(np.prod(first.focal_pixels))
 
 
-@arithmetic
+@inlined
 def about_body(moments, x, y, z):
     """The 21 numbers of the body from the 15 `information.moments` of a camera at the offset (x, y, z) from it."""
     axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz = moments
@@ -43,7 +43,7 @@ def about_body(moments, x, y, z):
     )  # fmt: skip
 
 
-@arithmetic
+@inlined
 def body_schur(
     cxx, cxy, cxz, cyy, cyz, czz, bxx, bxy, bxz, byx, byy, byz, bzx, bzy, bzz, axx, axy, axz, ayy, ayz, azz
 ):  # fmt: skip
@@ -71,14 +71,14 @@ def body_schur(
     return det, minors, sxx * nxx + sxy * nxy + sxz * nxz, trace
 
 
-@arithmetic
+@inlined
 def _variance(det, minors, rest, trace):
     """tr S^-1, and whether it is one: False where something is left open."""
     fixed = (det > SINGULAR * (trace * trace * trace)) & (minors > 0.0) & (rest > 0.0)
     return minors * det / rest, fixed
 
 
-@arithmetic
+@inlined
 def _of_position(sums, v, step):
     """`body_schur` of the position, of the numbers `sums[v]`, `sums[v + step]`, and so on."""
     return body_schur(
@@ -89,14 +89,14 @@ def _of_position(sums, v, step):
     )  # fmt: skip
 
 
-@arithmetic
+@inlined
 def position_variance(sums, v, step):
     """The trace of the covariance of the position, and whether it has one; arguments as in `_of_position`."""
     det, minors, rest, trace = _of_position(sums, v, step)
     return _variance(det, minors, rest, trace)
 
 
-@arithmetic
+@inlined
 def rotation_variance(sums, v, step):
     """The same of the rotation: C and A' exchanged, and B turned over."""
     det, minors, rest, trace = body_schur(
@@ -108,7 +108,7 @@ def rotation_variance(sums, v, step):
     return _variance(det, minors, rest, trace)
 
 
-@arithmetic
+@inlined
 def body_log_det(sums, v, step):
     """The logarithm of the determinant of the whole information, det A det S."""
     det, _, rest, _ = _of_position(sums, v, step)

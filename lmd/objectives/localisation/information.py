@@ -25,7 +25,7 @@ landmark, position *and* orientation. Pixels count as square with the geometric 
 A landmark that is a point counts as one corner. Two points leave a turn about the line through them open. One tag alone
 has two poses that look nearly alike, of which these formulas know nothing: see `ambiguity`.
 
-The functions here are arithmetic on numbers or on arrays alike: kernels compile what the reference calls, so that both
+The functions here are inlined on numbers or on arrays alike: kernels compile what the reference calls, so that both
 decide by the same bits. Each landmark's share of a view is rounded to a multiple of `QUANTUM`: sums of such are exact
 in any order, so that landmarks may be added and taken away again.
 """
@@ -35,7 +35,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.compiled import arithmetic
+from lmd.core.compiled import inlined
 from lmd.core.dispatch import dispatched, overridable
 from lmd.scene.camera import Camera
 from lmd.scene.criteria import TOLERANCE
@@ -151,7 +151,7 @@ def precision(
     return asked
 
 
-@arithmetic
+@inlined
 def moments(x, y, z, rx, ry, rz, ux, uy, uz, share):
     """A, g and C of a landmark's four corners times r^3, as 15 numbers.
 
@@ -180,13 +180,13 @@ def moments(x, y, z, rx, ry, rz, ux, uy, uz, share):
     )  # fmt: skip
 
 
-@arithmetic
+@inlined
 def share_of(moment, weight):
     """What a landmark adds to one of the 15 numbers of a view: its moment times `pixel_density`, rounded."""
     return (moment * weight + ROUNDER) - ROUNDER
 
 
-@arithmetic
+@inlined
 def schur(
     axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
 ):  # fmt: skip
@@ -202,7 +202,7 @@ def schur(
     return det, minors, sxx * nxx + sxy * nxy + sxz * nxz
 
 
-@arithmetic
+@inlined
 def variance(
     axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
 ):  # fmt: skip
@@ -213,7 +213,7 @@ def variance(
     return minors * det / rest, fixed
 
 
-@arithmetic
+@inlined
 def log_det(
     axx, axy, axz, ayy, ayz, azz, gx, gy, gz, cxx, cxy, cxz, cyy, cyz, czz
 ):  # fmt: skip

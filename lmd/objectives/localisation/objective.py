@@ -134,7 +134,7 @@ class Localisation(AtLeast):
     def values(self, evaluator: Evaluator, positions: FloatArray, normals: FloatArray) -> FloatArray:
         """See `Objective.values`."""
         views = localised_views(evaluator, positions, normals, self.n, self.precision(evaluator.scene))
-        mixture: Any = mixed.py_func
+        mixture: Any = mixed
         return np.asarray(mixture(views.localised, views.covered, self.coverage_weight) / PROBABILITY_ONE)
 
     def fitness(self, values: FloatArray, relevance: FloatArray) -> FloatArray:

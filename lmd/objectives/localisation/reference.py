@@ -41,9 +41,9 @@ def view_information(
 ) -> FloatArray:
     """A, g and C of each view, `(15, A)`, of the landmarks that it covers."""
     caps, (*args, weight) = _seen(scene, deployment, asked, position, axes)
-    formulas: Any = moments.py_func
+    formulas: Any = moments
     with np.errstate(all="ignore"):  # of a landmark that is not covered the depth may be anything
-        shares = [share_of.py_func(each, weight) for each in formulas(*args, asked.share)]
+        shares = [share_of(each, weight) for each in formulas(*args, asked.share)]
     return np.stack([np.where(caps, share, 0.0).sum(axis=1) for share in shares])
 
 
@@ -56,9 +56,9 @@ def told(
 ) -> FloatArray:
     """What each view has to tell two poses apart, `(A,)`: see `ambiguity.ENOUGH`."""
     caps, (*args, weight) = _seen(scene, deployment, asked, position, axes)
-    formula: Any = telling.py_func
+    formula: Any = telling
     with np.errstate(all="ignore"):
-        share = share_of.py_func(formula(*args, _each(asked).square), weight)
+        share = share_of(formula(*args, _each(asked).square), weight)
     return np.asarray(np.where(caps, 1.0 + share, 0.0).sum(axis=1))
 
 
@@ -93,7 +93,7 @@ def body_information(
     right, up = upright(deployment.normals)
     half = np.reshape(half_of(asked, slice(None)), (-1, 1))
     sides = (half * right, half * up)
-    formulas: tuple[Any, ...] = moments.py_func, about_body.py_func, share_of.py_func, mirrored_numbers.py_func
+    formulas: tuple[Any, ...] = moments, about_body, share_of, mirrored_numbers
     for station in scene.stations(axes):
         camera, arm, there, turned = station
         caps = station_caps(scene, deployment, position, station)
@@ -129,11 +129,12 @@ def localised(
         sums, covered = body_information(scene, deployment, asked, position, axes)
         count = cap_count(covered)
         enough, several = n_ple_cap(count, objective.n), n_ple_cap(count, 2)
-        one_pose: Any = has_one_pose.py_func
-        met = [
-            body_meets(asked, row, 0, 1) & (two | one_pose(asked, row, 0, 1))
-            for row, two in zip(sums, several, strict=True)
-        ]
+        one_pose: Any = has_one_pose
+        with np.errstate(all="ignore"):  # where something is left open, it is divided by zero
+            met = [
+                body_meets(asked, row, 0, 1) & (two | one_pose(asked, row, 0, 1))
+                for row, two in zip(sums, several, strict=True)
+            ]
         return np.asarray(enough & met)
     enough = n_ple_cap(cap_count(coverage_caps(scene, deployment, position, axes)), objective.n)
     if not asked.asks:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from lmd.core.bits import ZERO, add_digit
-from lmd.core.compiled import arithmetic, inlined
+from lmd.core.compiled import inlined
 from lmd.geometry.squares import upright_sides
 from lmd.objectives.localisation.ambiguity import ResolvedPrecision, asks_apart, square_of, telling
 from lmd.objectives.localisation.body import BODY_NUMBERS, BODY_WIDTH, about_body, body_meets
@@ -47,7 +47,7 @@ def _meets_other(precision, sums, v, step):
     return body_meets(precision.of, sums, v, step)
 
 
-@arithmetic
+@inlined
 def mirrored_numbers(x, y, z, rx, ry, rz, ux, uy, uz, square):
     """S over `square`, M and h of a tag times its distance cubed, S and M in units of f^2; others as in `moments`."""
     squared = x * x + y * y + z * z
@@ -56,7 +56,7 @@ def mirrored_numbers(x, y, z, rx, ry, rz, ux, uy, uz, square):
     return telling(x, y, z, rx, ry, rz, ux, uy, uz, square), m * np.sqrt(squared), m * x, m * y, m * z
 
 
-@arithmetic
+@inlined
 def told_by_all(told, m, hx, hy, hz, square):
     """S over `square`, of the sums of these numbers of a single tag."""
     return told + (m - (hx * hx + hy * hy + hz * hz) / np.maximum(m, QUANTUM)) / square

@@ -1,0 +1,51 @@
+"""numba is to others what it was before they imported `lmd`."""
+
+import subprocess
+import sys
+
+import pytest
+from examples import SHARE
+from processes import ROOT, environment
+
+
+def ran(*arguments, cwd):
+    line = [sys.executable, *arguments]
+    return subprocess.run(line, cwd=cwd, env=environment(ROOT / "tests"), capture_output=True, text=True, check=False)
+
+
+@pytest.mark.slow
+def test_numba_and_llvmlite_are_left_as_they_were(tmp_path):
+    """7 s of processor time."""
+    done = ran("-m", "others_numba", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == "changed: []"
+
+
+@pytest.mark.slow
+def test_programs_of_others_give_the_same(tmp_path):
+    """15 s of processor time, as numba compiles what they use."""
+    done = ran("-m", "others_programs", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == ["3.5", "49", "3", "[2.0, 3.0]", "42", "100.0", "5", "4", "1.0"]
+    told = [line for line in done.stderr.splitlines() if "compiling kernel" in line]
+    assert not any("others_programs" in line or "numba" in line for line in told)
+
+
+# Of numba's own tests; those of the second line take 70 s.
+QUICK = ("test_compiler_lock", "test_tuples.TestTupleReturn", "test_tuples.TestNamedTuple", "test_event")
+LONG = ("test_tuples", "test_dispatcher", "test_jitclasses")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "names",
+    [QUICK, pytest.param(LONG, marks=pytest.mark.skipif(SHARE < 1.0, reason="in make test-thorough"))],
+    ids=["quick", "long"],
+)
+def test_numbas_own_tests_pass_in_a_process_that_has_used_this(names, tmp_path):
+    """10 s of processor time."""
+    modules = [f"numba.tests.{name}" for name in names]
+    code = f"import unittest, used; unittest.main(None, argv={['', *modules]})"
+    done = ran("-c", code, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert "\nOK" in done.stderr
