@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
+from numba.extending import intrinsic, overload
 
-from lmd.core.compiled import inlined
+from lmd.core.compiled import OVERLOAD_INLINED, inlined
 
 BITS = 64
 LANES = 32  # axes or landmarks tested at a time, a bit of a word each
@@ -15,10 +15,17 @@ ZERO, ONE, ALL = np.uint64(0), np.uint64(1), np.uint64(2**64 - 1)
 HALF, LOWER = np.uint64(32), np.uint64(2**32 - 1)  # two numbers in one word: a << HALF | b
 
 
-@intrinsic
-def lowest(_typing_context: Any, word: Any) -> Any:
-    """Index of the lowest bit that is set in a word other than 0: one instruction."""
+def lowest(word: Any) -> np.uint64:
+    """Index of the lowest bit that is set in a word other than 0; compiled, one instruction."""
+    return np.uint64((int(word) & -int(word)).bit_length() - 1)
 
+
+def prefetch(array: Any, index: Any) -> None:
+    """Ask for two lines of the cache, 16 numbers of 64 bits from this one on of an array in C order, needed soon."""
+
+
+@intrinsic
+def _trailing_zeros(_typing_context: Any, word: Any) -> Any:
     def codegen(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
 
@@ -26,9 +33,7 @@ def lowest(_typing_context: Any, word: Any) -> Any:
 
 
 @intrinsic
-def prefetch(_typing_context: Any, array: Any, index: Any) -> Any:
-    """Ask for two lines of the cache, 16 numbers of 64 bits from this one on of an array in C order, needed soon."""
-
+def _prefetch_lines(_typing_context: Any, array: Any, index: Any) -> Any:
     def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         array = context.make_array(signature.args[0])(context, builder, arguments[0])
         integer, pointer = ir.IntType(32), ir.IntType(8).as_pointer()
@@ -41,6 +46,16 @@ def prefetch(_typing_context: Any, array: Any, index: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(array, index), codegen
+
+
+@overload(lowest, jit_options=OVERLOAD_INLINED)
+def _lowest(word):  # type: ignore[no-untyped-def] # noqa: ARG001
+    return lambda word: _trailing_zeros(word)
+
+
+@overload(prefetch, jit_options=OVERLOAD_INLINED)
+def _prefetch(array, index):  # type: ignore[no-untyped-def] # noqa: ARG001
+    return lambda array, index: _prefetch_lines(array, index)
 
 
 @inlined
