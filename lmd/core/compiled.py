@@ -158,7 +158,7 @@ def allocating(function: Callable[..., Any]) -> Any:
 
 
 def _made_inner(function: Callable[..., Any], options: Any) -> Any:
-    return numba.njit(**_OPTIONS)(function) if _inside is None else _inside.Inner(function, options, kernel)
+    return numba.njit(**_OPTIONS)(function) if _inside is None else _inside.Inner(function, options)
 
 
 def inlined(function: Callable[..., Any]) -> Any:
@@ -179,7 +179,7 @@ def arithmetic(function: Callable[..., Any]) -> Any:
 def _made_inlined(function: Callable[..., Any], options: Any) -> Any:
     if _inside is None:
         return numba.njit(**_OPTIONS, forceinline=True)(function)
-    return _inside.Inner(function, options, kernel)
+    return _inside.Inner(function, options)
 
 
 def for_kernels(array: Any) -> Any:

@@ -6,7 +6,7 @@ Only `lmd.core.compiled` uses this, and only with versions of numba for which it
 import hashlib
 import pickle
 from collections.abc import Callable
-from functools import cache, cached_property
+from functools import cache
 from typing import Any
 
 from filelock import FileLock, Timeout
@@ -27,25 +27,19 @@ PATIENCE_SECONDS = 60.0  # to wait for another process that compiles the same ke
 
 
 class Inner(CPUDispatcher):
-    """An inner function for kernels; Python, which tests call it from, gets it as a kernel of its own.
+    """An inner function for kernels; where Python calls it, it runs as plain Python.
 
     Args:
         function: what it does.
         options: of numba.
-        kernel: makes a kernel.
     """
 
-    def __init__(self, function: Callable[..., Any], options: Any, kernel: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., Any], options: Any) -> None:
         super().__init__(function, targetoptions=options, pipeline_class=_InnerCompiler)
-        self._make = kernel
-
-    @cached_property
-    def _kernel(self) -> Any:
-        return self._make(self.py_func)
 
     def __call__(self, *arguments: Any) -> Any:
         """What the function returns."""
-        return self._kernel(*arguments)
+        return self.py_func(*arguments)
 
 
 class _InnerLibrary(JITCodeLibrary):
