@@ -182,8 +182,7 @@ class Scene:
             name = type(self.visibility).__name__
             raise InputError(
                 f"{what} needs the compiled half of {name}, which has none: give it `sight`, see CONTRIBUTING.md, "
-                '"Compile a criterion".',
-                "visibility",
+                '"Compile a criterion".'
             )
 
     @cached_property
