@@ -133,24 +133,31 @@ def decided(
     Args:
         asked: the precision, see `Localisation.precision`.
     """
-    if isinstance(scene.camera, Rig):
-        sums, covered = body_information(scene, deployment, asked, position, axes)
-        count = cap_count(covered)
-        with np.errstate(all="ignore"):
-            value, fixed = position_variance(sums.T, 0, 1)
-            apart = n_ple_cap(count, 2) | has_one_pose(asked, sums.T, 0, 1)
-            met = body_meets(asked, sums.T, 0, 1) & apart
-    else:
-        count = cap_count(coverage_caps(scene, deployment, position, axes))
-        information, apart = view_information(scene, deployment, asked, position, axes), np.bool_(True)
-        with np.errstate(all="ignore"):
-            value, fixed = variance(*information)
+    enough = n_ple_cap(cap_count(coverage_caps(scene, deployment, position, axes)), n)
+    found, variances = enough.copy(), np.full(len(axes), np.inf)
+    if enough.any():
+        met, variances[enough] = _judged(scene, deployment, asked, position, axes[enough])
+        if asked.asks:
+            found[enough] = met
+    return enough, found, variances
+
+
+def _judged(
+    scene: Scene, deployment: Deployment, asked: Any, position: FloatArray, axes: FloatArray
+) -> tuple[BoolArray, FloatArray]:
+    """Which views are what is `asked`, and the variance of the position in each, `(A,)` each."""
+    with np.errstate(all="ignore"):
+        if isinstance(scene.camera, Rig):
+            sums, covered = body_information(scene, deployment, asked, position, axes)
+            one_pose = n_ple_cap(cap_count(covered), 2) | has_one_pose(asked, sums.T, 0, 1)
+            (value, fixed), met = position_variance(sums.T, 0, 1), body_meets(asked, sums.T, 0, 1)
+        else:
+            sums = view_information(scene, deployment, asked, position, axes)
+            one_pose = np.ones(len(axes), dtype=np.bool_)
             if asks_apart(asked):
-                apart = tells(asked, told(scene, deployment, asked, position, axes))
-            met = meets(asked, *information) & apart
-    enough = n_ple_cap(count, n)
-    found = enough & met if asked.asks else enough
-    return enough, np.asarray(found), np.where(enough & fixed & apart, value, np.inf)
+                one_pose = np.asarray(tells(asked, told(scene, deployment, asked, position, axes)))
+            (value, fixed), met = variance(*sums), meets(asked, *sums)
+    return np.asarray(met & one_pose), np.where(fixed & one_pose, value, np.inf)
 
 
 def localised(
