@@ -7,7 +7,6 @@ import sys
 from functools import cache
 
 import numpy as np
-from tqdm import tqdm
 
 from lmd.core.bits import in_words
 from lmd.core.checks import BoolArray, FloatArray
@@ -22,7 +21,7 @@ from lmd.sight.reference import cap_count, coverage_caps, n_ple_cap, station_cap
 def _tell(name: str) -> None:
     """Say once in a process that the visibility model with this name has no compiled half."""
     text = f'note: {name} has no compiled half, so its NumPy decides; see CONTRIBUTING.md, "Compile a criterion"'
-    tqdm.write(text, file=sys.stderr)
+    print(text, file=sys.stderr)
 
 
 class ReferenceViews:
