@@ -20,8 +20,9 @@ from lmd.sight.reference import cap_count, coverage_caps, n_ple_cap, station_cap
 @cache
 def _tell(name: str) -> None:
     """Say once in a process that the visibility model with this name has no compiled half."""
-    text = f'note: {name} has no compiled half, so its NumPy decides; see CONTRIBUTING.md, "Compile a criterion"'
-    print(text, file=sys.stderr)
+    slow = "an evaluation takes some 100 times as long, a move of annealing some 1000 times"
+    cure = 'see CONTRIBUTING.md, "Compile a criterion"'
+    print(f"note: {name} has no compiled half, so its NumPy decides: {slow}; {cure}", file=sys.stderr)
 
 
 class ReferenceViews:
