@@ -15,7 +15,7 @@ import composing
 import numpy as np
 import pytest
 import yaml
-from contracts.criterion import check_slack, tilted
+from contracts.criterion import check_criterion, check_slack, tilted
 from contracts.estimator import check_estimator
 from contracts.format import check_format
 from contracts.objective import check_objective
@@ -92,7 +92,7 @@ def of(name):
 
 def test_the_guides_have_an_example_of_each_part():
     assert {Path(name).stem for name in MODULES} == {
-        "near", "seen", "rotunda", "climbing", "theirs", "reckoning", "frames", "tag_map_readers", "sizes"
+        "near", "near_sight", "seen", "rotunda", "climbing", "theirs", "reckoning", "frames", "tag_map_readers", "sizes"
     }  # fmt: skip
 
 
@@ -121,22 +121,30 @@ def composed(guides, *overrides, app="optimise"):
     return composing.composed(app, f"hydra.searchpath=[file://{guides}/mine]", *overrides)
 
 
-def near_scene():
-    return Scene(paper_room(spacing=1.5), paper_camera(), pdf.grid_with_ends(6), of("near").Near(3.0))
+def compiled_near(reach=3.0):
+    return of("near_sight").CompiledNear(reach)
+
+
+def near_scene(criteria=None):
+    return Scene(paper_room(spacing=1.5), paper_camera(), pdf.grid_with_ends(6), criteria or compiled_near())
 
 
 def test_the_criterion_keeps_its_contract(guides):
     exec(block("from contracts.criterion"), {})
 
 
+def test_the_compiled_criterion_keeps_its_contract(guides):
+    check_criterion(compiled_near(), paper_camera())
+
+
 def test_a_criterion_that_ignores_slack_is_found_out(guides):
-    near, scene = of("near"), near_scene()
+    near, scene = of("near_sight"), near_scene()
     cosine = near.COSINE
 
     class CarelessSight(near.NearSight):
         """Answers for the middle of a piece of wall only."""
 
-    class Careless(near.Near):
+    class Careless(near.CompiledNear):
         def sight(self, camera):
             return CarelessSight(self.range)
 
@@ -204,8 +212,16 @@ def test_the_pipeline_runs_beside_the_others(guides):
     assert tomllib.loads(block("lmd-sizes")) == {"lmd-sizes": "lmd.pipelines.sizes:main"}
 
 
-def test_the_parts_are_choices_on_the_command_line(guides):
-    chosen = ["visibility=near", "objective=seen", "room=rotunda", "room.spacing=2", "pdf.divisions=6", "threads=1"]
+@pytest.mark.parametrize(("visibility", "kind"), [("near", "Near"), ("compiled_near", "CompiledNear")])
+def test_the_parts_are_choices_on_the_command_line(guides, visibility, kind):
+    chosen = [
+        f"visibility={visibility}",
+        "objective=seen",
+        "room=rotunda",
+        "room.spacing=2",
+        "pdf.divisions=6",
+        "threads=1",
+    ]
     names = []
     for optimiser in ("hill", "annealing"):
         cfg = composed(guides, *chosen, f"optimiser={optimiser}", "deployment.count=10")
@@ -215,7 +231,7 @@ def test_the_parts_are_choices_on_the_command_line(guides):
         names.append(type(method).__name__)
     assert names == ["HillClimber", "Annealing"]
     assert [type(part).__name__ for part in (p.scene.visibility, p.objective, p.scene.room)] == [
-        "Near", "MeanSeen", "Rotunda"
+        kind, "MeanSeen", "Rotunda"
     ]  # fmt: skip
     text = yaml.safe_load(FILES["mine/estimator/reckoning.yaml"])
     assert text["reckoning"]["_target_"] == "reckoning.DeadReckoning"

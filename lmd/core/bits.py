@@ -50,12 +50,12 @@ def _prefetch_lines(_typing_context: Any, array: Any, index: Any) -> Any:
 
 @overload(lowest, jit_options=OVERLOAD_INLINED)
 def _lowest(word):  # type: ignore[no-untyped-def] # noqa: ARG001
-    return lambda word: _trailing_zeros(word)
+    return lambda word: _trailing_zeros(word)  # type: ignore[call-arg]
 
 
 @overload(prefetch, jit_options=OVERLOAD_INLINED)
 def _prefetch(array, index):  # type: ignore[no-untyped-def] # noqa: ARG001
-    return lambda array, index: _prefetch_lines(array, index)
+    return lambda array, index: _prefetch_lines(array, index)  # type: ignore[call-arg]
 
 
 @inlined

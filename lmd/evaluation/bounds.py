@@ -150,7 +150,11 @@ def affordable(problem: Problem, count: int, search: Search) -> Search:
     """The search with its poses as far apart as it takes for its time to suffice, by what a look at some of them takes.
 
     Where the time has no limit it is the same.
+
+    Raises:
+        InputError: the visibility model has no compiled half.
     """
+    problem.scene.check_compiled("an upper bound")
     spacing, evaluator, each = search.spacing, problem.evaluator, 0.0
     widest = max(max(wall.extent) for wall in problem.scene.room.surfaces())
     while search.limit.seconds < math.inf:
@@ -172,6 +176,7 @@ def _at_most_coverage(problem: Problem) -> Coverage | Localisation:
             f"there is no upper bound for the objective {type(problem.objective).__name__}, only for Coverage and "
             "Localisation."
         )
+    problem.scene.check_compiled("an upper bound")
     return problem.objective
 
 

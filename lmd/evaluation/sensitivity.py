@@ -31,7 +31,7 @@ from lmd.objectives.localisation.views import localised_views
 from lmd.objectives.without import without_landmarks
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
-from lmd.scene.rig import Rig
+from lmd.scene.rig import Mount, Rig
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator, averaged
 from lmd.sight.kernels import PROBABILITY_ONE
@@ -195,9 +195,14 @@ def _measure(
     number, evaluator = group
     assumed = np.array([_shares(variant, evaluator) for variant in variants])
     rng = np.random.default_rng([seed, MISSES_STREAM, number])
-    if isinstance(evaluator.scene.camera, Rig):
-        rig = RigMoments(evaluator, deployment, objective.n, objective.precision(evaluator.scene))
-        return assumed, rig.missed(MISS_PROBABILITIES, rng), rig.lost(), rig.without_cameras()
+    camera = evaluator.scene.camera
+    if isinstance(camera, Rig) or evaluator.by_reference:
+        # A rig of one camera at the body's origin has the figures of that camera.
+        scene = evaluator.scene if isinstance(camera, Rig) else replace(evaluator.scene, camera=Rig((Mount(camera),)))
+        moved = Evaluator(scene, evaluator.positions, evaluator.threads)
+        rig = RigMoments(moved, deployment, objective.n, objective.precision(scene))
+        failed = rig.without_cameras() if isinstance(camera, Rig) else np.empty((0, 2))
+        return assumed, rig.missed(MISS_PROBABILITIES, rng), rig.lost(), failed
     field = objective.field(evaluator)
     assert isinstance(field, LocalisationField)  # that of a single camera
     return assumed, missed_shares(field, deployment, rng)[:, :2], lost_shares(field, deployment), np.empty((0, 2))

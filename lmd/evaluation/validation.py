@@ -21,11 +21,13 @@ from lmd.core.checks import BoolArray, FloatArray, integer
 from lmd.evaluation.held_out import describe_held_out, held_out_metrics
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
+from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
 
 # Keeps the sample apart from every other use of the same seed.
 VALIDATION_STREAM = 0x76616C
+MOST_OF_A_RIG = 64, 8  # positions in a group, and divisions, where a rig's criteria have no compiled half
 
 
 @dataclass(frozen=True)
@@ -129,7 +131,13 @@ def sampled_values(
 
 
 def sampled_evaluators(scene: Scene, seed: int, sample: Sample, threads: int) -> Iterator[Evaluator]:
-    """An evaluator at the random positions of each group of a sample, with the orientations that these share."""
+    """An evaluator at the random positions of each group of a sample, with the orientations that these share.
+
+    Of a rig whose criteria have no compiled half each orientation is asked by itself: of it the groups are smaller.
+    """
+    if isinstance(scene.camera, Rig) and not scene.is_compiled:
+        most, finest = MOST_OF_A_RIG
+        sample = Sample(sample.groups, min(sample.positions, most), min(sample.divisions, finest))
     rng = np.random.default_rng([seed, VALIDATION_STREAM])
     for _ in range(sample.groups):
         positions = scene.room.sample_evenly(sample.positions, rng)

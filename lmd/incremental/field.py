@@ -5,10 +5,12 @@ move; what does is in its state, and a move that is only tried leaves its traces
 
     bound -> settle -> accept (-> undo),
 
-and may be dropped after each of the first two. The value of each position is a probability in whole units, of which
+and may be dropped after each of the first two. A field of another class registers plain Python, and kernels run as such
+for it (`runner`). The value of each position is a probability in whole units, of which
 `PROBABILITY_ONE` are 1: sums of integers are exact, so updating ends at the same values as computing anew.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -60,6 +62,12 @@ class Stacking(Protocol):
 def stack_of(field: Field) -> int:
     """How many landmarks are in a stack; 0 if the field has none."""
     return field.stack if isinstance(field, Stacking) else 0
+
+
+def runner(field: Field, function: Any) -> Callable[..., Any]:
+    """A kernel that takes a field, or the plain Python of it for one that is no named tuple."""
+    chosen: Callable[..., Any] = function if isinstance(field, tuple) else getattr(function, "py_func", function)
+    return chosen
 
 
 BOUND, SETTLE, ACCEPT, UNDO = range(4)  # the steps of a move

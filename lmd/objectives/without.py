@@ -9,7 +9,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray
 from lmd.core.layers import layers
-from lmd.incremental.field import ACCEPT, BOUND, UNDO, Field, Target, perform, total_worth
+from lmd.incremental.field import ACCEPT, BOUND, UNDO, Field, Target, perform, runner, total_worth
 from lmd.scene.deployment import Deployment
 
 # Out of reach, and with its back to every camera: position, metres, and normal.
@@ -32,7 +32,7 @@ def without_landmarks(field: Field, target: Target, deployment: Deployment) -> F
     for i in range(count):
         others = [(BOUND, j, -1, 1) for j in range(i + 1, count)]
         steps = np.array([(BOUND, i, -1, 0), (ACCEPT, i, -1, 0), *others, (UNDO, i, -1, 0)])
-        perform(steps, poses, field, state, scratches, units)
+        runner(field, perform)(steps, poses, field, state, scratches, units)
         for j in range(i, count):
             fitness[i, j] = fitness[j, i] = total_worth(target, units[1 + j - i])
     return fitness

@@ -13,8 +13,9 @@ import numpy as np
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import kernel
 from lmd.core.layers import layers
-from lmd.incremental.field import BOUND, SETTLE, in_order, perform, total_worth
+from lmd.incremental.field import BOUND, SETTLE, in_order, perform, runner, total_worth
 from lmd.objectives.base import incremental
+from lmd.objectives.reference_field import field_of
 from lmd.objectives.without import AWAY
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
@@ -77,7 +78,7 @@ def additions(
     objective = incremental(problem.objective)
     # Out of reach, it changes nothing of what the others are worth.
     more = deployment + Deployment(AWAY[None, :3], AWAY[None, 3:])
-    field = objective.field(problem.evaluator.sized(more.edges))
+    field = field_of(problem.objective, problem.evaluator.sized(more.edges))
     target = objective.target(in_order(field, problem.relevance))
     state = field.state(more)
     scratches, places = layers(field.scratch(state), 1), np.hstack([poses.positions, poses.normals])
@@ -90,7 +91,7 @@ def additions(
             return None
         part = slice(first, first + CANDIDATE_BATCH)
         tried = steps[part].reshape(-1, 4)
-        perform(tried, np.repeat(places[part], 2, axis=0), field, state, scratches, units)
+        runner(field, perform)(tried, np.repeat(places[part], 2, axis=0), field, state, scratches, units)
         _add_up(units[1 : len(tried) : 2], target, fitness[part], value[part])
     before = float((target.relevance * (state.units / PROBABILITY_ONE)).sum())
     taken = np.zeros(len(poses), dtype=np.bool_)

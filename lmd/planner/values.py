@@ -6,8 +6,8 @@ import numpy as np
 
 from lmd.core.checks import FloatArray
 from lmd.core.layers import layers
-from lmd.incremental.field import NO_UNITS, moved, perform, places_of
-from lmd.objectives.base import incremental
+from lmd.incremental.field import NO_UNITS, moved, perform, places_of, runner
+from lmd.objectives.reference_field import field_of
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
@@ -59,12 +59,12 @@ class _Followed:
     """The values at the positions of one evaluator."""
 
     def __init__(self, problem: Problem, evaluator: Evaluator, deployment: Deployment) -> None:
-        self._objective, self._evaluator = incremental(problem.objective), evaluator
+        self._objective, self._evaluator = problem.objective, evaluator
         self._begin(deployment)
 
     def _begin(self, deployment: Deployment) -> None:
         self._edges = deployment.edges_of(self._evaluator.scene.tag)
-        self._field = self._objective.field(self._evaluator.sized(self._edges))
+        self._field = field_of(self._objective, self._evaluator.sized(self._edges))
         state: Any = self._field.state(deployment)
         self._state, self._scratches = state, layers(self._field.scratch(state), 1)
 
@@ -72,7 +72,7 @@ class _Followed:
         """Move what hangs elsewhere."""
         if np.array_equal(deployment.edges_of(self._evaluator.scene.tag), self._edges):
             steps, poses = moved(places_of(deployment), self._state)
-            perform(steps, poses, self._field, self._state, self._scratches, NO_UNITS)
+            runner(self._field, perform)(steps, poses, self._field, self._state, self._scratches, NO_UNITS)
         else:
             self._begin(deployment)
 

@@ -10,13 +10,14 @@ A model has two sides:
 
 - the thresholds that a user sets, a `Criteria`; its `covered` is the reference, NumPy, formula by formula;
 - the same compiled for one camera, a named tuple of numbers with the fields and methods of `Sight`, which registers its
-  functions with those below. Both must decide alike, bit for bit.
+  functions with those below. Both must decide alike, bit for bit. A `Covering` has no such half.
 
 What prunes goes by less: bands of axes by a cone that holds every axis that covers a landmark (`low`), tables of
 directions by what is in view at all (`in_view`).
 """
 
 import math
+from abc import ABC, abstractmethod
 from typing import Any, Protocol
 
 import numpy as np
@@ -82,7 +83,7 @@ class Criteria(Protocol):
         """How far apart neighbouring landmarks had better be, so that none hides the other, metres."""
 
     def sight(self, camera: Camera) -> Any:
-        """These criteria compiled for a camera, a `Sight`."""
+        """These criteria compiled for a camera, a `Sight`; None where there is only the reference."""
 
     def covered(
         self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
@@ -94,6 +95,26 @@ class Criteria(Protocol):
             axes: its optical axes and the image's right, `(A, 6)`: two unit vectors.
             landmarks, normals: `(K, 3)` positions, metres, and unit normals.
         """
+
+
+class Covering(ABC):
+    """Criteria in NumPy alone: a class that derives from this writes `covered`, see `Criteria`.
+
+    All figures come from `covered` then (`lmd.sight.by_reference`), which takes longer than the compiled half.
+    """
+
+    needs_roll = True
+    spacing = 0.0
+
+    def sight(self, camera: Camera) -> Any:
+        """None: there is no compiled half."""
+        return None
+
+    @abstractmethod
+    def covered(
+        self, camera: Camera, position: FloatArray, axes: FloatArray, landmarks: FloatArray, normals: FloatArray
+    ) -> BoolArray:
+        """See `Criteria.covered`."""
 
 
 def horizon_of(sight: Sight) -> float:
@@ -272,7 +293,7 @@ def depth_first(sight, left, w, x, y, z, frame, low, high, sure, well, axes):  #
     cap = left & well & shallow
     left &= ~cap
     while left:
-        bit: Any = lowest(left)  # type: ignore[call-arg]
+        bit: Any = lowest(left)
         a, central = w * np.uint64(BITS) + bit, (well >> bit & ONE) != ZERO
         cap |= np.uint64(covers_one(sight, x, y, z, frame, low, high, sure, central, axes, a)) << bit
         left &= left - ONE

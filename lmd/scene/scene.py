@@ -171,7 +171,21 @@ class Scene:
         total = np.bincount(index.reshape(-1), weights=rows.reshape(-1), minlength=len(rows) * len(axes))
         return np.asarray(total.reshape(len(rows), len(axes)), dtype=np.float64)
 
+    @property
+    def is_compiled(self) -> bool:
+        """Whether the visibility model has a compiled half."""
+        return self.visibility.sight(self.cameras[0]) is not None
+
+    def check_compiled(self, what: str) -> None:
+        """Raise `InputError` if the visibility model has no compiled half, which `what`, the subject, needs."""
+        if not self.is_compiled:
+            name = type(self.visibility).__name__
+            raise InputError(
+                f"{what} needs the compiled half of {name}, which has none: give it `sight`, see CONTRIBUTING.md, "
+                '"Compile a criterion".'
+            )
+
     @cached_property
     def sight(self) -> Any:
-        """The visibility model compiled for the single camera, a `lmd.scene.criteria.Sight`."""
+        """The visibility model compiled for the single camera, see `lmd.scene.criteria.Criteria.sight`."""
         return self.visibility.sight(self.single_camera("this"))

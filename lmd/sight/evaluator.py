@@ -18,11 +18,12 @@ from lmd.scene.scene import Scene
 from lmd.sight import kernels
 from lmd.sight.bands import height_index
 from lmd.sight.blocks import BLOCK, in_blocks
+from lmd.sight.by_reference import ReferenceViews
 from lmd.sight.directions import tables
 from lmd.sight.kernels import PROBABILITY_ONE
 from lmd.sight.obstacles import obstacles_at
 from lmd.sight.rig_views import RigViews
-from lmd.sight.stations import parts_of, with_sight
+from lmd.sight.stations import Part, parts_of, with_sight
 
 SIZES = 16  # sets of edges whose evaluators are kept
 COUNT_BYTES = 4  # of a view, twice two: the counts of axes, and of orientations of the PDF
@@ -62,9 +63,14 @@ class Evaluator:
         self.bands = height_index(axes[:, 2])
         self.weights = in_units(in_words(scene.probability(self.positions)))
         self._sized: dict[tuple[float, ...], Evaluator] = {}
+        self.parts: tuple[Part, ...] = ()
+        self.views: RigViews | ReferenceViews | None = None  # instead of the kernels for a single camera
+        if not scene.is_compiled:
+            self.views = ReferenceViews(scene, self.positions)
+            return
         blockers, self.parts = scene.room.blockers(), parts_of(scene)
         if self.parts:
-            self.rig_views = RigViews(self.parts, blockers, self.positions, self.threads)
+            self.views = RigViews(self.parts, blockers, self.positions, self.threads)
         else:
             self.sight, self.obstacles = scene.sight, obstacles_at(blockers, self.positions)
 
@@ -82,16 +88,22 @@ class Evaluator:
         elif key not in self._sized:
             other = copy.copy(self)
             other.scene, other._sized = scene, {}
-            if self.parts:
+            if self.by_reference:
+                other.views = ReferenceViews(scene, self.positions)
+            elif isinstance(self.views, RigViews):
                 kinds = dict.fromkeys(scene.cameras)
                 sights = (scene.visibility.sight(kind) for kind in kinds)
                 other.parts = tuple(with_sight(part, sight) for part, sight in zip(self.parts, sights, strict=True))
-                blockers = self.rig_views.blockers
-                other.rig_views = RigViews(other.parts, blockers, self.positions, self.threads)
+                other.views = RigViews(other.parts, self.views.blockers, self.positions, self.threads)
             else:
                 other.sight = scene.sight
             self._sized[key] = other
         return self._sized[key]
+
+    @property
+    def by_reference(self) -> bool:
+        """Whether the visibility model has no compiled half."""
+        return isinstance(self.views, ReferenceViews)
 
     @property
     def probability(self) -> FloatArray:
@@ -145,11 +157,11 @@ class Evaluator:
             self.check_memory(COUNT_BYTES * len(positions))
         units = np.empty((len(positions), size), dtype=np.int64)
         counts = np.zeros((len(positions), size, axes) if keep else (0, 0, 0), dtype=np.int16)
-        if self.parts:
+        if self.views is not None:
             self.scene.check_count(positions.shape[1])
             for b, (landmarks, facing) in enumerate(zip(positions, normals, strict=True)):
                 kept = counts[b] if keep else counts[0:0].reshape(0, 0)
-                units[b] = self.rig_views.evaluate(landmarks, facing, self.weights, n, kept)
+                units[b] = self.views.evaluate(landmarks, facing, self.weights, n, kept)
             return units, counts
         self.by_blocks(kernels.evaluate_range, (*self.batch(positions, normals), n, units, counts, keep))
         return units, counts

@@ -191,8 +191,8 @@ def gains(evaluator: Evaluator, poses: Deployment, prices: FloatArray, slack: Fl
     positions = for_kernels(evaluator.positions.T)
     for e, index in by_edge(evaluator, poses):
         where, out = (poses.positions[index], poses.normals[index]), np.empty(len(index))
-        if e.parts:
-            out = e.rig_views.gains(*where, prices, slack[index])
+        if e.views is not None:
+            out = e.views.gains(*where, prices, slack[index])
         else:
             fixed = (*where, slack[index], prices, positions, e.sight, e.obstacles, e.axes, e.bands, out)
             shared(_gains, len(index), e.threads, fixed)
@@ -213,8 +213,8 @@ def covered_amounts(evaluator: Evaluator, poses: Deployment, amounts: FloatArray
     out = np.zeros((len(evaluator.positions), evaluator.axes.shape[1]))
     for e, index in by_edge(evaluator, poses):
         these = poses.positions[index], poses.normals[index], amounts[index]
-        if e.parts:
-            out += e.rig_views.covered_amounts(*these)
+        if e.views is not None:
+            out += e.views.covered_amounts(*these)
         else:
             fixed = (*these, e.positions, e.sight, e.obstacles, e.axes, e.bands, out)
             shared(_cover, len(e.positions), e.threads, fixed)

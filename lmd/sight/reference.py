@@ -1,7 +1,7 @@
 """The coverage model of the paper on top of the criteria: the oracle every faster path must agree with.
 
 float64 NumPy, one function per definition; the criteria themselves are the `covered` of the scene's visibility model.
-Only tests and pictures import this.
+Only tests, pictures and what stands in for a compiled half (`by_reference`) import this.
 
 Shapes: A orientations, K landmarks, P positions.
 Source: Lei et al., "Optimization of Directional Landmark Deployment for Visual Observer on SE(3)", Sec. III-IV.

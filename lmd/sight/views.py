@@ -4,8 +4,6 @@ The decisions are those of the fast path and hence of the reference, operation b
 is what a moving camera sees.
 """
 
-from typing import Any
-
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray
@@ -16,6 +14,7 @@ from lmd.scene.criteria import covers, sized
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 from lmd.scene.scene import Scene
+from lmd.sight.by_reference import seen_from
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.obstacles import is_clear, no_ends, obstacles_at
 from lmd.sight.viewpoint import is_shown, look, take, viewpoint_for
@@ -56,10 +55,10 @@ def visible_to_each(evaluator: Evaluator, deployment: Deployment, positions: Flo
     evaluator = evaluator.sized(deployment.edges)
     scene, axes = evaluator.scene, np.pad(axes, [(0, 0), (0, 6 - axes.shape[1])])
     if not isinstance(scene.camera, Rig):
-        return _visible(scene, evaluator.sight, deployment, positions, axes)[None]
+        return _visible(scene, scene.camera, deployment, positions, axes)[None]
     views = zip(scene.camera.cameras, *scene.camera.views(axes), strict=True)
     return np.stack([
-        _visible(scene, scene.visibility.sight(camera), deployment, positions + offsets, turned)
+        _visible(scene, camera, deployment, positions + offsets, turned)
         for camera, offsets, turned in views
     ])  # fmt: skip
 
@@ -67,12 +66,17 @@ def visible_to_each(evaluator: Evaluator, deployment: Deployment, positions: Flo
 def visible_through(scene: Scene, camera: Camera, deployment: Deployment, poses: FloatArray) -> BoolArray:
     """The same for one of its cameras that is at `poses` `(N, 4, 4)`, see `lmd.geometry.se3.camera_pose`, `(N, K)`."""
     scene = scene.sized(deployment.edges)
-    return _visible(scene, scene.visibility.sight(camera), deployment, poses[:, :3, 3], axis_and_right(poses))
+    return _visible(scene, camera, deployment, poses[:, :3, 3], axis_and_right(poses))
 
 
-def _visible(scene: Scene, sight: Any, deployment: Deployment, positions: FloatArray, axes: FloatArray) -> BoolArray:
-    """`visible` for a camera with a compiled model of sight, axes `(N, 6)`."""
+def _visible(
+    scene: Scene, camera: Camera, deployment: Deployment, positions: FloatArray, axes: FloatArray
+) -> BoolArray:
+    """`visible` for one camera, axes `(N, 6)`."""
     scene.check_count(len(deployment))
+    sight = scene.visibility.sight(camera)
+    if sight is None:
+        return seen_from(scene, camera, deployment, positions, axes)
     seen = np.zeros((len(positions), len(deployment)), dtype=np.bool_)
     landmarks, normals = (for_kernels(v.T[None]) for v in (deployment.positions, deployment.normals))
     positions, axes = for_kernels(positions), for_kernels(axes.T)

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from lmd.incremental.field import ACCEPT, BOUND, NO_UNITS, SETTLE, UNDO, perform
+from lmd.incremental.field import ACCEPT, BOUND, NO_UNITS, SETTLE, UNDO, perform, runner
+from lmd.objectives.reference_field import field_of
 from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE
@@ -26,7 +27,7 @@ def check_field(objective, scene, deployment, targets, rng):
         the deployment after the moves that were carried out.
     """
     evaluator = Evaluator(scene, threads=1)
-    field = objective.field(evaluator)
+    field = field_of(objective, evaluator)
     state = field.state(deployment)
     scratch = field.scratch(state)
     for pose in poses_of(targets):
@@ -90,7 +91,8 @@ def assert_same(state, before, message):
 
 def _step(which, field, k, state, scratch, pose=(0.0,) * 6, surface=-1):
     """By `perform`, so that a field is compiled once for all tests; layers share the memory of the scratch."""
-    perform(np.array([(which, k, surface, 0)]), np.array([pose]), field, state, _alone(scratch), NO_UNITS)
+    steps, poses = np.array([(which, k, surface, 0)]), np.array([pose])
+    runner(field, perform)(steps, poses, field, state, _alone(scratch), NO_UNITS)
 
 
 def _alone(scratch):

@@ -8,6 +8,7 @@ from lmd.core.checks import InputError
 from lmd.evaluation.validation import Sample, validation_metrics
 from lmd.incremental.field import in_order, smoothed, total_worth
 from lmd.objectives.base import Incremental, Selectable
+from lmd.objectives.reference_field import field_of
 from lmd.problem import Problem
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.sight.evaluator import Evaluator
@@ -84,7 +85,7 @@ def check_words(objective, scene, deployment):
 
 def check_target(objective, evaluator, batch, relevance):
     """What a target makes of the values of a field is the fitness; smoothed, it never falls and has a bound."""
-    field = objective.field(evaluator)
+    field = field_of(objective, evaluator)
     weights = in_order(field, relevance)
     target = objective.target(weights)
     for each in batch:

@@ -60,7 +60,12 @@ def expected_units(scene, deployment, objective, positions):
     axes, weights = scene.orientations.axes, evaluator.weights[0, : len(scene.orientations.axes)]
     covering = replace(objective, tolerance=np.inf, rotation_tolerance=None)
     return (
-        np.array([weights[reference.localised(scene, deployment, each, p, axes)].sum() for p in positions])
+        np.array(
+            [
+                weights[reference.localised(scene, deployment, each.n, each.precision(scene), p, axes)].sum()
+                for p in positions
+            ]
+        )
         for each in (objective, covering)
     )
 

@@ -128,7 +128,12 @@ objectives = st.builds(Localisation, n=st.just(1), tolerance=st.sampled_from([0.
 def test_the_reference_evaluations_and_any_moves_agree_to_the_bit(data, case, objective, edge, seed):
     scene, deployment = replace(case[0], tag=Tag(edge)), case[1]
     evaluator, axes, asked = Evaluator(scene, threads=1), scene.orientations.axes, objective.precision(scene)
-    expected = np.array([reference.localised(scene, deployment, objective, p, axes) for p in evaluator.positions])
+    expected = np.array(
+        [
+            reference.localised(scene, deployment, objective.n, objective.precision(scene), p, axes)
+            for p in evaluator.positions
+        ]
+    )
     views = localised_views(evaluator, deployment.positions[None], deployment.normals[None], 1, asked)
     np.testing.assert_array_equal(views.localised[0], expected @ evaluator.weights[0, : len(axes)])
     moments = moments_of(evaluator, deployment)

@@ -122,7 +122,10 @@ def check_evaluation(scene, deployment, objective):
     views = localised_views(
         evaluator, deployment.positions[None], deployment.normals[None], objective.n, objective.precision(scene)
     )
-    located = [reference.localised(scene, deployment, objective, p, axes) for p in evaluator.positions]
+    located = [
+        reference.localised(scene, deployment, objective.n, objective.precision(scene), p, axes)
+        for p in evaluator.positions
+    ]
     np.testing.assert_array_equal(views.localised[0], np.array(located) @ evaluator.weights[0, : len(axes)])
 
 

@@ -51,7 +51,9 @@ def test_localised_views_are_those_of_the_reference(data, scene, tolerance):
     deployment, objective = data.draw(deployments(scene.room)), Localisation(tolerance=tolerance)
     expected = units_by_the_reference(
         scene,
-        lambda p, axes: localisation_reference.localised(scene, deployment, objective, p, axes),
+        lambda p, axes: localisation_reference.localised(
+            scene, deployment, objective.n, objective.precision(scene), p, axes
+        ),
     )
     for threads in (1, 3):
         evaluator = Evaluator(scene, threads=threads)

@@ -81,7 +81,9 @@ def test_views_are_localised_as_the_reference_says_and_by_moves():
         evaluator, deployment.positions[None], deployment.normals[None], 1, objective.precision(scene)
     )
     for p in range(0, len(evaluator.positions), 10):
-        good = localisation.localised(scene, deployment, objective, evaluator.positions[p], axes)
+        good = localisation.localised(
+            scene, deployment, objective.n, objective.precision(scene), evaluator.positions[p], axes
+        )
         assert views.localised[0, p] == evaluator.weights[0, : len(axes)][good].sum()
     assert 0 < views.localised.sum() < views.covered.sum()
 

@@ -13,6 +13,7 @@ from lmd.incremental.field import smoothed, worth
 from lmd.objectives.base import AtLeast, Headline, Selection
 from lmd.objectives.coverage import Threshold
 from lmd.objectives.localisation.ambiguity import ResolvedPrecision, resolved
+from lmd.objectives.localisation.by_reference import ReferenceLogDeterminant
 from lmd.objectives.localisation.changes import mixed
 from lmd.objectives.localisation.field import LocalisationField
 from lmd.objectives.localisation.information import (
@@ -193,8 +194,11 @@ class Localisation(AtLeast):
         scale = deviation_per_variance(scene.cameras[0], self.pixel_noise)
         prior = PRIOR_TOLERANCES * self.tolerance if math.isfinite(self.tolerance) else PRIOR_POSITION
         known = (scale / prior) ** 2, (scale / PRIOR_ROTATION) ** 2
-        made = RigLogDeterminant if evaluator.parts else LogDeterminant
-        return made(evaluator, relevance, replace(self, ambiguity="ignored").precision, *known)
+        made: type[Any] = RigLogDeterminant if evaluator.parts else LogDeterminant
+        if evaluator.by_reference:
+            made = ReferenceLogDeterminant
+        selection: Selection = made(evaluator, relevance, replace(self, ambiguity="ignored").precision, *known)
+        return selection
 
 
 def localisation(fitness: str = "mean", **settings: Any) -> Localisation:

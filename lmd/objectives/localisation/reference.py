@@ -1,4 +1,6 @@
-"""Localisation formula by formula: the oracle that every faster path must agree with. Only tests import this.
+"""Localisation formula by formula: the oracle that every faster path must agree with.
+
+Only tests import this, and `by_reference`.
 
 Shapes: A orientations, K landmarks, P positions.
 """
@@ -12,17 +14,18 @@ from lmd.geometry.lens_models import density_of
 from lmd.geometry.se3 import cross
 from lmd.geometry.squares import upright
 from lmd.objectives.localisation.ambiguity import ResolvedPrecision, asks_apart, telling, tells
-from lmd.objectives.localisation.body import about_body, body_meets, gain_of
+from lmd.objectives.localisation.body import about_body, body_log_det, body_meets, gain_of, position_variance
 from lmd.objectives.localisation.information import (
     PosePrecision,
     Precision,
     SizedPrecision,
     half_of,
+    log_det,
     meets,
     moments,
     share_of,
+    variance,
 )
-from lmd.objectives.localisation.objective import Localisation
 from lmd.objectives.localisation.rig_ambiguity import has_one_pose, mirrored_numbers, width_of
 from lmd.scene.criteria import largest
 from lmd.scene.deployment import Deployment
@@ -120,27 +123,59 @@ def _density(lens: Any, axes: FloatArray, offset: FloatArray) -> FloatArray:
     return np.asarray(density_of(lens, *(dot(side, offset) for side in (right, cross(axis, right), axis))))
 
 
-def localised(
-    scene: Scene, deployment: Deployment, objective: Localisation, position: FloatArray, axes: FloatArray
-) -> BoolArray:
-    """Which views are localised, `(A,)`."""
-    asked = objective.precision(scene)
-    if asked.asks and isinstance(scene.camera, Rig):
-        sums, covered = body_information(scene, deployment, asked, position, axes)
-        count = cap_count(covered)
-        enough, several = n_ple_cap(count, objective.n), n_ple_cap(count, 2)
-        one_pose: Any = has_one_pose
-        with np.errstate(all="ignore"):  # where something is left open, it is divided by zero
-            met = [
-                body_meets(asked, row, 0, 1) & (two | one_pose(asked, row, 0, 1))
-                for row, two in zip(sums, several, strict=True)
-            ]
-        return np.asarray(enough & met)
-    enough = n_ple_cap(cap_count(coverage_caps(scene, deployment, position, axes)), objective.n)
-    if not asked.asks:
-        return enough
+def decided(
+    scene: Scene, deployment: Deployment, n: int, asked: Any, position: FloatArray, axes: FloatArray
+) -> tuple[BoolArray, BoolArray, FloatArray]:
+    """Which views cover n landmarks, and which of these are localised, `(A,)` each.
+
+    Also the variance of the position in each, in the units of `variance`, infinite where not enough is seen, `(A,)`.
+
+    Args:
+        asked: the precision, see `Localisation.precision`.
+    """
+    enough = n_ple_cap(cap_count(coverage_caps(scene, deployment, position, axes)), n)
+    found, variances = enough.copy(), np.full(len(axes), np.inf)
+    if enough.any():
+        met, variances[enough] = _judged(scene, deployment, asked, position, axes[enough])
+        if asked.asks:
+            found[enough] = met
+    return enough, found, variances
+
+
+def _judged(
+    scene: Scene, deployment: Deployment, asked: Any, position: FloatArray, axes: FloatArray
+) -> tuple[BoolArray, FloatArray]:
+    """Which views are what is `asked`, and the variance of the position in each, `(A,)` each."""
     with np.errstate(all="ignore"):
-        found = enough & meets(asked, *view_information(scene, deployment, asked, position, axes))
-        if isinstance(_each(asked), ResolvedPrecision):
-            found &= tells(asked, told(scene, deployment, asked, position, axes))
-        return np.asarray(found)
+        if isinstance(scene.camera, Rig):
+            sums, covered = body_information(scene, deployment, asked, position, axes)
+            one_pose = n_ple_cap(cap_count(covered), 2) | has_one_pose(asked, sums.T, 0, 1)
+            (value, fixed), met = position_variance(sums.T, 0, 1), body_meets(asked, sums.T, 0, 1)
+        else:
+            sums = view_information(scene, deployment, asked, position, axes)
+            one_pose = np.ones(len(axes), dtype=np.bool_)
+            if asks_apart(asked):
+                one_pose = np.asarray(tells(asked, told(scene, deployment, asked, position, axes)))
+            (value, fixed), met = variance(*sums), meets(asked, *sums)
+    return np.asarray(met & one_pose), np.where(fixed & one_pose, value, np.inf)
+
+
+def localised(
+    scene: Scene, deployment: Deployment, n: int, asked: Any, position: FloatArray, axes: FloatArray
+) -> BoolArray:
+    """Which views are localised, `(A,)`; arguments as in `decided`."""
+    return decided(scene, deployment, n, asked, position, axes)[1]
+
+
+def log_det_of(scene: Scene, sums: FloatArray) -> FloatArray:
+    """The `log_det` of the information of views, `(A,)`, of sums `(width, A)` as in `information_of`."""
+    return np.asarray(body_log_det(sums, 0, 1) if isinstance(scene.camera, Rig) else log_det(*sums))
+
+
+def information_of(
+    scene: Scene, deployment: Deployment, asked: Any, position: FloatArray, axes: FloatArray
+) -> FloatArray:
+    """What each view tells, `(width, A)`: of the camera, `view_information`, or of a rig, `body_information`."""
+    if isinstance(scene.camera, Rig):
+        return body_information(scene, deployment, asked, position, axes)[0].T
+    return view_information(scene, deployment, asked, position, axes)

@@ -21,6 +21,7 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import sum_weights
+from lmd.sight.rig_views import RigViews
 from lmd.sight.stations import Part
 from lmd.sight.views import visible_to_each
 
@@ -52,8 +53,9 @@ def rig_views(
         if keep:
             kept[b, here] = variances
 
+    assert isinstance(evaluator.views, RigViews)
     for b in range(len(positions)):
-        parts = evaluator.rig_views.parts_among(positions[b], normals[b])
+        parts = evaluator.views.parts_among(positions[b], normals[b])
         deployed = Deployment(positions[b], normals[b]), tags_of(precision, positions[b], normals[b])
         in_parts(evaluator.threads, partial(work, b, parts, *deployed), size, pieces)
     return covered, localised, kept

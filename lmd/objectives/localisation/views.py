@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lmd.core.checks import FloatArray
+from lmd.objectives.localisation.by_reference import reference_views
 from lmd.objectives.localisation.kernels import localise_range
 from lmd.objectives.localisation.rig import rig_views
 from lmd.scene.rig import Rig
@@ -35,6 +36,8 @@ def localised_views(
     e, batch, size = evaluator, len(positions), len(evaluator.positions)
     if keep:
         e.check_memory(8 * batch)
+    if e.by_reference:
+        return Views(*reference_views(e, positions, normals, n, precision, keep))
     if isinstance(e.scene.camera, Rig):
         return Views(*rig_views(e, positions, normals, n, precision, keep))
     covered, localised = np.zeros((2, batch, size), dtype=np.int64)

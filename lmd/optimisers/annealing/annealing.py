@@ -25,6 +25,7 @@ from lmd.core.checks import FloatArray, InputError, boolean, integer, real
 from lmd.core.compiled import clock
 from lmd.incremental.field import stack_of
 from lmd.objectives.base import Selectable, incremental
+from lmd.objectives.reference_field import field_of
 from lmd.optimisers.annealing.ascent import PLACES_TRIED, Ascent
 from lmd.optimisers.annealing.stacks import STACK_SPREAD, count_stacks, pulled_apart
 from lmd.optimisers.annealing.stage import Stage, changed
@@ -144,7 +145,7 @@ class Annealing(Optimiser):
         self.rng = generator("rng", state["rng"])
         self.in_stacks = boolean("in_stacks", state["in_stacks"])
         if self.in_stacks or state["angles"] is not None:
-            stacks = count_stacks(problem, stack_of(incremental(problem.objective).field(problem.fitness_evaluator)))
+            stacks = count_stacks(problem, stack_of(field_of(problem.objective, problem.fitness_evaluator)))
             self.angles = array("angles", state["angles"], np.float64, stacks)
         self.start = deployment("start", state["start"], problem, count)
         self.here = deployment("here", state["here"], problem, stacks if self.in_stacks else count)

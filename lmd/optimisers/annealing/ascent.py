@@ -18,8 +18,9 @@ import numpy as np
 from lmd.core.checks import FloatArray, integer
 from lmd.core.compiled import kernel
 from lmd.core.threads import at_once
-from lmd.incremental.field import bound, in_order, settle, smoothed
+from lmd.incremental.field import bound, in_order, runner, settle, smoothed
 from lmd.objectives.base import incremental
+from lmd.objectives.reference_field import field_of
 from lmd.optimisers.stored import WORD, array
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
@@ -89,10 +90,11 @@ class Ascent:
         def slopes(seed: int) -> FloatArray:
             sample = problem.resampled(0.0, np.random.default_rng(seed))
             assert sample is not None, "the objective has a sampling"
-            field = incremental(problem.objective).field(sample[0])
+            field = field_of(problem.objective, sample[0])
             target = incremental(problem.objective).target(in_order(field, sample[1]))
             state, out = field.state(here), np.zeros((len(here), 2))
-            _slopes(problem.fixed_count, field, state, field.scratch(state), target, surfaces, out)
+            scratch = field.scratch(state)
+            runner(field, _slopes)(problem.fixed_count, field, state, scratch, target, surfaces, out)
             return out
 
         slope = sum(at_once(problem.evaluator.threads, slopes, seeds)) / samples

@@ -9,8 +9,9 @@ import numpy as np
 from lmd.core.checks import FloatArray, IntArray
 from lmd.core.layers import layer, layers
 from lmd.core.threads import at_once
-from lmd.incremental.field import Field, Places, Stacking, in_order, places_of, stack_of, total_worth
+from lmd.incremental.field import Field, Places, Stacking, in_order, places_of, runner, stack_of, total_worth
 from lmd.objectives.base import incremental
+from lmd.objectives.reference_field import field_of
 from lmd.optimisers.annealing.proposals import Papers
 from lmd.optimisers.annealing.walk import Best, Settings, walk
 from lmd.problem import Problem
@@ -69,9 +70,9 @@ class Surrogate:
 
     def _survey(self, evaluator: Evaluator, relevance: FloatArray) -> None:
         """Lay out positions, orientations and relevance for the walk."""
-        objective = incremental(self._problem.objective)
-        self._true = objective.field(evaluator)
-        self._target = objective.target(in_order(self._true, relevance))
+        objective = self._problem.objective
+        self._true = field_of(objective, evaluator)
+        self._target = incremental(objective).target(in_order(self._true, relevance))
 
     @property
     def stack(self) -> int:
@@ -156,9 +157,11 @@ class Surrogate:
         rngs = [rng] if number == 1 else [np.random.default_rng(seed) for seed in rng.integers(2**63, size=number)]
         shares = np.diff(np.linspace(0, moves, number + 1).astype(int))
 
+        step = runner(self._field, walk)
+
         def go(walker: Walker, share: int, own: np.random.Generator) -> None:
             w, place = walker, (self._target, self._surfaces, self._papers)
-            walk(share, w.places, w.members, w.group, self._field, w.state, w.scratches, *place, settings, own, w.best)
+            step(share, w.places, w.members, w.group, self._field, w.state, w.scratches, *place, settings, own, w.best)
 
         at_once(self._threads, go, self._walkers, shares, rngs)
         self._walkers = [replace(walker, places=NOWHERE) for walker in self._walkers]  # the next one goes on from there

@@ -1,0 +1,114 @@
+"""The field of any objective where the visibility model has no compiled half: each move is a whole evaluation.
+
+It runs as plain Python (`lmd.incremental.field.runner`), and has no stacks: what landmarks would be without hiding one
+another is not known.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from lmd.core.checks import FloatArray, IntArray
+from lmd.incremental.field import Field, accept, bound, places_of, settle, undo
+from lmd.objectives.base import Objective, incremental
+from lmd.scene.deployment import Deployment
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.kernels import PROBABILITY_ONE
+
+
+class ReferenceState(NamedTuple):
+    """Where K landmarks are, and what that is worth at Q positions."""
+
+    landmarks: np.ndarray
+    """`(3, K)`, metres."""
+    normals: np.ndarray
+    """`(3, K)`."""
+    surfaces: np.ndarray
+    """`(K,)`."""
+    units: np.ndarray
+    """`(Q,)` the values."""
+
+
+class ReferenceScratch(NamedTuple):
+    """A move that is tried; once it is carried out, where the landmark was, and the values before."""
+
+    pose: np.ndarray
+    """`(6,)` position and normal."""
+    surface: np.ndarray
+    """`(1,)`."""
+    units: np.ndarray
+    """`(Q,)` the values."""
+
+
+@dataclass(frozen=True)
+class ReferenceField:
+    """A `lmd.incremental.field.Field` whose values are the objective's own, for Q positions of an evaluator.
+
+    Args:
+        objective: says what the positions are worth.
+        evaluator: has the positions.
+    """
+
+    objective: Objective
+    evaluator: Evaluator
+
+    @property
+    def size(self) -> int:
+        """See `Field.size`."""
+        return len(self.evaluator.positions)
+
+    @property
+    def index_of(self) -> IntArray:
+        """See `Field.index_of`."""
+        return np.arange(self.size)
+
+    def state(self, deployment: Deployment) -> ReferenceState:
+        """See `Field.state`."""
+        places = places_of(deployment)
+        return ReferenceState(*places, self.units(places.landmarks, places.normals))
+
+    def scratch(self, state: ReferenceState) -> ReferenceScratch:
+        """See `Field.scratch`."""
+        return ReferenceScratch(np.empty(6), np.empty(1, dtype=np.int64), state.units.copy())
+
+    def units(self, landmarks: FloatArray, normals: FloatArray) -> np.ndarray:
+        """The values in whole units, `(Q,)`, of landmarks `(3, K)`."""
+        values = self.objective.values(self.evaluator, landmarks.T[None], normals.T[None])[0]
+        return np.asarray(np.rint(values * PROBABILITY_ONE), dtype=np.int64)
+
+
+def field_of(objective: Objective, evaluator: Evaluator) -> Field:
+    """The field of an objective.
+
+    Raises:
+        InputError: it has none.
+    """
+    with_field = incremental(objective)
+    return ReferenceField(objective, evaluator) if evaluator.by_reference else with_field.field(evaluator)
+
+
+@bound.register(ReferenceField)
+def _try(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-def]
+    landmarks, normals = state.landmarks.copy(), state.normals.copy()
+    landmarks[:, k], normals[:, k] = pose[:3], pose[3:]
+    scratch.pose[:], scratch.surface[0], scratch.units[:] = pose, surface, field.units(landmarks, normals)
+
+
+@settle.register(ReferenceField)
+def _leave(field, k, state, scratch):  # type: ignore[no-untyped-def]
+    """The values tried are exact."""
+
+
+@accept.register(ReferenceField)
+@undo.register(ReferenceField)
+def _exchange(field, k, state, scratch):  # type: ignore[no-untyped-def] # noqa: ARG001
+    """Exchange what the state has of landmark k, and its values, with those of the scratch."""
+    pairs = (
+        (state.landmarks[:, k], scratch.pose[:3]),
+        (state.normals[:, k], scratch.pose[3:]),
+        (state.surfaces[k : k + 1], scratch.surface),
+        (state.units, scratch.units),
+    )
+    for one, other in pairs:
+        one[:], other[:] = other.copy(), one.copy()

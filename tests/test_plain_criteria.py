@@ -1,0 +1,203 @@
+"""Criteria in NumPy alone: the figures are those of the compiled half, and what needs it says so."""
+
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+from contracts.criterion import check_gains, tilted
+from contracts.objective import check_objective
+from contracts.optimiser import check_going_on
+from paper import paper_camera, paper_room, paper_scene
+
+from lmd.core.checks import InputError
+from lmd.evaluation.accuracy import accuracy_metrics
+from lmd.evaluation.bounds import Search, affordable, average_upper_bound, fitness_upper_bound
+from lmd.evaluation.losses import losses
+from lmd.evaluation.sensitivity import sensitivity
+from lmd.evaluation.validation import Sample, validation_metrics
+from lmd.objectives.coverage import Coverage
+from lmd.objectives.localisation import Localisation
+from lmd.objectives.localisation.views import localised_views
+from lmd.objectives.mean_coverage import MeanCoverage
+from lmd.optimisers.annealing import Annealing
+from lmd.optimisers.ega import EGA
+from lmd.optimisers.greedy import Greedy
+from lmd.optimisers.ledger import Budget
+from lmd.planner.additions import additions
+from lmd.planner.session import Session
+from lmd.problem import Problem
+from lmd.scene import pdf
+from lmd.scene.criteria import Covering
+from lmd.scene.deployment_sources import GivenDeployment, RandomDeployment
+from lmd.scene.rig import Mount, Rig
+from lmd.scene.tag import Tag
+from lmd.sight import by_reference
+from lmd.sight.evaluator import Evaluator
+from lmd.sight.models.paper import Visibility
+from lmd.sight.views import visible_to_each
+
+CAMERA = paper_camera()
+RIG = Rig((Mount(CAMERA, (0.1, 0.0, 0.0)), Mount(paper_camera(focal_length=6.0), yaw=2.0)))
+SAMPLE = Sample(2, 10, 4)
+POSITION_ONLY = Localisation(2, tolerance=0.05, sampling=None)
+LOCALISATIONS = (POSITION_ONLY, replace(POSITION_ONLY, n=1), replace(POSITION_ONLY, n=1, rotation_tolerance=0.01))
+
+
+class Plain(Visibility):
+    """The paper's criteria without their compiled half."""
+
+    def sight(self, camera):
+        return None
+
+
+class Ahead(Covering):
+    """What is ahead within two metres."""
+
+    def covered(self, camera, position, axes, landmarks, normals):
+        away = landmarks - position
+        return (axes[:, :3] @ away.T > 0.0) & ((away**2).sum(axis=1) < 4.0)
+
+
+def plain(scene):
+    return replace(scene, visibility=Plain(**asdict(scene.visibility)))
+
+
+def both(camera=CAMERA):
+    """The same scene with and without a compiled half, with tags that hide each other."""
+    scene = paper_scene(paper_room(spacing=2.0), camera, pdf.grid_with_ends(4), thold=0.2, nu=0.3)
+    scene = replace(scene, tag=Tag(0.2))
+    return scene, plain(scene)
+
+
+def hung(scene, count=12, seed=0):
+    return scene.plates.draw(RandomDeployment(count), np.random.default_rng(seed))
+
+
+def problems(objective, count=12):
+    return [Problem(s, objective, GivenDeployment(hung(s, count)), threads=1) for s in both()]
+
+
+@pytest.mark.parametrize("camera", [CAMERA, RIG], ids=["camera", "rig"])
+def test_counts_units_and_single_views_are_those_of_the_compiled_half(camera):
+    rng, found = np.random.default_rng(1), []
+    axes = both(camera)[0].orientations.axes
+    positions = rng.uniform(1.5, 3.5, (len(axes), 3))
+    for scene in both(camera):
+        evaluator, deployment = Evaluator(scene, threads=1), hung(scene)
+        units = evaluator.units(deployment.positions[None], deployment.normals[None], 2)
+        found.append((evaluator.counts(deployment), units, visible_to_each(evaluator, deployment, positions, axes)))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, other)
+        assert one.any()
+
+
+@pytest.mark.parametrize("camera", [CAMERA, RIG], ids=["camera", "rig"])
+def test_single_poses_gain_what_they_cover_alone(camera):
+    _, scene = both(camera)
+    rng = np.random.default_rng(2)
+    assert check_gains(scene, tilted(hung(scene, 4), rng), rng)
+
+
+@pytest.mark.parametrize("objective", LOCALISATIONS, ids=["several", "one", "turned"])
+@pytest.mark.parametrize("camera", [CAMERA, RIG], ids=["camera", "rig"])
+def test_views_are_localised_as_the_compiled_half_says(camera, objective):
+    found, gains = [], []
+    for scene in both(camera):
+        evaluator, deployment = Evaluator(scene, threads=1), hung(scene)
+        landmarks = deployment.positions[None], deployment.normals[None]
+        found.append(localised_views(evaluator, *landmarks, objective.n, objective.precision(scene), keep=True))
+        selection = objective.selection(evaluator, np.ones(len(evaluator.positions)))
+        selection.add(deployment[:1])
+        gains.append(selection.gains(deployment[1:4]))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert 0 < found[0].localised.sum() <= found[0].covered.sum()
+    np.testing.assert_allclose(*gains, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("objective", [Coverage(1, 0.5), MeanCoverage(1, 0.5), replace(POSITION_ONLY, n=1)])
+@pytest.mark.parametrize("walkers", [1, 2])
+def test_annealing_walks_as_with_the_compiled_half(objective, walkers):
+    found = [Annealing(walkers=walkers).run(p, Budget(12)) for p in problems(objective)]
+    np.testing.assert_array_equal(*(result.deployment.positions for result in found))
+    assert found[0].fitness == found[1].fitness > found[0].history[0].best_fitness
+
+
+def test_threads_change_nothing():
+    scene = both()[1]
+    for objective in (Coverage(2, 0.3), Localisation(2, tolerance=0.05)):
+        found = [
+            Annealing().run(Problem(scene, objective, RandomDeployment(10), threads), Budget(6)) for threads in (1, 3)
+        ]
+        np.testing.assert_array_equal(*(result.deployment.positions for result in found))
+
+
+@pytest.mark.parametrize("kind", [Annealing, Greedy, EGA])
+def test_optimisers_improve_on_their_start(kind):
+    problem = Problem(both()[1], Coverage(2, 0.3), RandomDeployment(10), threads=1)
+    result = kind().run(problem, Budget(60))
+    assert result.fitness == problem.metrics(result.deployment)["fitness"] > result.history[0].best_fitness
+
+
+def test_annealing_goes_on_from_a_checkpoint(tmp_path):
+    def make():
+        return Annealing(walkers=1)
+
+    def problem():
+        return Problem(both()[1], Coverage(2, 0.3), RandomDeployment(10), threads=1)
+
+    check_going_on(make, problem, make().run(problem(), Budget(10)), tmp_path)
+
+
+@pytest.mark.parametrize("objective", [Coverage(2, 0.3), replace(POSITION_ONLY, n=1)])
+def test_figures_of_an_evaluation_are_those_of_the_compiled_half(objective):
+    found = []
+    for problem in problems(objective, 6):
+        deployment = problem.draw(np.random.default_rng(0))
+        session = Session(problem, deployment)
+        session.drag(int(deployment.ids[0]), int(deployment.surfaces[1]), np.array([1.0, 1.0]))
+        found.append({
+            **problem.metrics(deployment),
+            **validation_metrics(problem, deployment, 0, SAMPLE),
+            **losses(problem, deployment).metrics(),
+            **accuracy_metrics(problem, deployment, 0, SAMPLE),
+            **{f"dragged {key}": value for key, value in session.metrics().items()},
+            "added": additions(problem, deployment, hung(problem.scene, 1, 5)).value[0],
+        })  # fmt: skip
+    assert found[0] == pytest.approx(found[1], rel=1e-9, abs=1e-12)
+
+
+def test_sensitivity_is_that_of_the_compiled_half_but_for_the_draw():
+    """Which landmarks are missed in which view is drawn in another order."""
+    one, other = (
+        sensitivity(p, p.draw(np.random.default_rng(0)), 0, SAMPLE) for p in problems(replace(POSITION_ONLY, n=1), 5)
+    )
+    for table in ("assumptions", "tags", "lost"):
+        left, right = (getattr(each, table).select_dtypes("number").to_numpy() for each in (one, other))
+        np.testing.assert_allclose(left, right, rtol=1e-9, atol=1e-12)
+    assert other.cameras is None
+
+
+def test_an_objective_keeps_its_contract_with_a_criterion_of_two_lines():
+    scene = replace(both()[1], visibility=Ahead())
+    check_objective(Coverage(1, 0.5), scene, 12)
+
+
+def test_it_is_said_once_that_there_is_no_compiled_half(capsys):
+    by_reference._tell.cache_clear()
+    for _ in range(2):
+        for scene in both():
+            Evaluator(scene, threads=1)
+    told = capsys.readouterr()
+    assert told.out == ""
+    (line,) = told.err.splitlines()
+    assert line.startswith("note: Plain has no compiled half, so its NumPy decides: an evaluation takes some 100 times")
+    assert line.endswith('; see CONTRIBUTING.md, "Compile a criterion"')
+
+
+def test_bounds_say_that_they_need_the_compiled_half():
+    problem = Problem(both()[1], Coverage(2, 0.3), RandomDeployment(10), threads=1)
+    search = Search(1.0, 10, 0.1)
+    for bound in (affordable, average_upper_bound, fitness_upper_bound):
+        with pytest.raises(InputError, match=r"^an upper bound needs the compiled half of Plain, which has none"):
+            bound(problem, 10, search)
