@@ -22,7 +22,7 @@ if numba.config.DISABLE_JIT:  # type: ignore[attr-defined] # it is made of the e
 
 # Packages and modules with code that is compiled, or constants of it.
 SOURCES = (
-    *("core/bits", "core/by_address", "core/compiled", "core/dispatch", "core/inside_numba", "core/layers", "geometry"),
+    *("core/bits", "core/compiled", "core/dispatch", "core/inside_numba", "core/layers", "geometry"),
     *("space/allowed", "space/triangles", "scene/criteria", "scene/pushing", "sight", "incremental", "objectives"),
     *("optimisers/annealing", "planner/additions"),
 )

@@ -21,8 +21,6 @@ from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.targetconfig import TargetConfig
 
-from lmd.core import by_address  # noqa: F401
-
 PATIENCE_SECONDS = 60.0  # to wait for another process that compiles the same kernel: longer than any takes
 
 

@@ -68,8 +68,7 @@ def _compare(bundle, found):
 
 
 @pytest.mark.parametrize("compare", [_compared, _compare])
-def test_what_goes_by_its_address_stays_what_it_was(compare):
-    """Named tuples as large as this are not handed over number by number."""
+def test_a_layer_stays_what_it_was_as_others_are_taken(compare):
     known = layers(State(**{name: np.zeros(1, dtype=np.int64) for name in State._fields}), 6)
     known.units[:, 0] = range(6)
     found = np.zeros(6, dtype=np.int64)
