@@ -123,7 +123,7 @@ def find_neighbours(k, place, field, poses, scratch, which, wanted):
     ax, ay, az, nx, ny, nz = place
     others, found, who = lists[OTHERS], lists[FOUND + which], scratch.who[which]
     hides, hidden_by = scratch.pairs[2 * which + HIDING], scratch.pairs[2 * which + HIDDEN]
-    count_hides, count_hidden = scratch.hides[2 * which + HIDING], scratch.hides[2 * which + HIDDEN]
+    count_hides, count_hidden = scratch.shorts[2 * which + HIDING], scratch.shorts[2 * which + HIDDEN]
     mine = sized(sight, k)
     radius, filled = line_radius(sight), find_ways(ax, ay, az, poses, field.horizon, others, ways)
     for b in lists[BLOCKS][: scratch.numbers[BLOCK_COUNT]]:
@@ -272,5 +272,5 @@ def exchange_hiding(k, sign, sight, state, scratch):
     for s in range(scratch.numbers[SPAN_COUNT]):
         first, last = lists[FIRST, s], lists[LAST, s]
         swap(state.reachable[k], scratch.flags[REACHED], first, last)
-        swap(hidden[k], scratch.hides[AFTER_HIDDEN], first, last)
-        swap(hiding[k], scratch.hides[AFTER_HIDING], first, last)
+        swap(hidden[k], scratch.shorts[AFTER_HIDDEN], first, last)
+        swap(hiding[k], scratch.shorts[AFTER_HIDING], first, last)

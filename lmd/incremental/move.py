@@ -20,7 +20,6 @@ from lmd.incremental.nearby import look_around
 from lmd.incremental.state import (
     AFTER_HIDDEN,
     AFTER_HIDING,
-    CELL,
     FIRST,
     FLIPS,
     GOES,
@@ -57,7 +56,7 @@ def find_cap(k, positions, field, scratch):
     sight, axes, certain, possible = sized(field.sight, k), field.axes, field.tables[CERTAIN], field.tables[POSSIBLE]
     target, caps, seen = scratch.target, scratch.cap, scratch.seen
     x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
-    cell, reached = scratch.cells[CELL], scratch.flags[REACHED]
+    cell, reached = scratch.cell, scratch.flags[REACHED]
     frame = frame_of(sight, target[3], target[4], target[5])
     for p in positions:
         row = np.uint64(cell[p] if reached[p] else NOWHERE)
@@ -79,7 +78,7 @@ def _recount(k, positions, sign, field, state, scratch):
     """
     n, caps, other, names, goes = field.n, state.caps, scratch.cap, scratch.lists[NAMES], scratch.lists[GOES]
     reachable, hidden, counts = state.reachable, state.hides[HIDDEN], state.counts
-    reached, count_hidden, flips = scratch.flags[REACHED], scratch.hides[AFTER_HIDDEN], scratch.flags[FLIPS]
+    reached, count_hidden, flips = scratch.flags[REACHED], scratch.shorts[AFTER_HIDDEN], scratch.flags[FLIPS]
     words = np.uint64(caps.shape[2])
     for p in positions:
         shown = ALL if reachable[k, p] & (hidden[k, p] == 0) else ZERO
@@ -161,7 +160,7 @@ def overlook(missed, field, state):
 @borrowing
 def _fill(field, state, scratch):
     """Let the landmarks of `state` come, one after the other."""
-    poses, hides, after = state.poses, state.hides, scratch.hides
+    poses, hides, after = state.poses, state.hides, scratch.shorts
     reachable, reached = state.reachable, scratch.flags[REACHED]
     for k in range(poses.shape[1]):
         for i in range(6):

@@ -14,7 +14,6 @@ from lmd.incremental.state import (
     AIMED,
     BLOCK_COUNT,
     BLOCKS,
-    CELL,
     FIRST,
     FLIPS,
     FOUND,
@@ -65,7 +64,7 @@ def _forget(scratch):  # type: ignore[no-untyped-def]
     blocks, first, last = scratch.lists[BLOCKS], scratch.lists[FIRST], scratch.lists[LAST]
     one, two, three = scratch.lists[FOUND], scratch.lists[FOUND + 1], scratch.lists[FOUND + 2]
     reached, flips = scratch.flags[REACHED], scratch.flags[FLIPS]
-    hides, hidden = scratch.hides[AFTER_HIDING], scratch.hides[AFTER_HIDDEN]
+    hides, hidden = scratch.shorts[AFTER_HIDING], scratch.shorts[AFTER_HIDDEN]
     for m in range(scratch.numbers[BLOCK_COUNT]):
         b = blocks[m]
         one[b] = two[b] = three[b] = 0
@@ -106,7 +105,7 @@ def look_around(k, field, state, scratch):  # type: ignore[no-untyped-def]
     list_blocks(k, field, state, scratch)
     positions, sight, seen = field.positions, sized(field.sight, k), scratch.seen
     x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
-    cell, reached, first, last = scratch.cells[CELL], scratch.flags[REACHED], scratch.lists[FIRST], scratch.lists[LAST]
+    cell, reached, first, last = scratch.cell, scratch.flags[REACHED], scratch.lists[FIRST], scratch.lists[LAST]
     ax, ay, az, nx, ny, nz = target_of(scratch)
     for s in range(scratch.numbers[SPAN_COUNT]):
         for p in range(first[s], last[s]):

@@ -12,16 +12,17 @@ from lmd.core.bits import ALL, LANES
 from lmd.incremental.counts import Counts
 from lmd.sight.blocks import BLOCK
 
-# Rows of `State.hides`, and of the pairs of rows of `Scratch.hides` and `Scratch.pairs`.
+# Rows of `State.hides`, and of the pairs of rows of `Scratch.shorts` and `Scratch.pairs`.
 HIDDEN = 0  # others hide the landmark, or the place
 HIDING = 1  # it hides them
 
-# Rows of `Scratch.who`, of `FOUND` in `Scratch.lists`; the first two of the pairs of rows of `hides` and `pairs`.
+# Rows of `Scratch.who`, of `FOUND` in `Scratch.lists`; the first two of the pairs of rows of `shorts` and `pairs`.
 # Of numpy: of Python's numbers each may be a type of its own for numba.
 BEFORE = np.int64(0)  # neighbours of the place left
 AFTER = np.int64(1)  # neighbours of the place tried
 TURNS = np.int64(2)  # landmarks that more or fewer others hide after the move
-AFTER_HIDDEN, AFTER_HIDING = 2 + HIDDEN, 2 + HIDING  # of `Scratch.hides` and `Scratch.pairs`
+AFTER_HIDDEN, AFTER_HIDING = 2 + HIDDEN, 2 + HIDING  # of `Scratch.shorts` and `Scratch.pairs`
+OUTER = 4  # of `Scratch.shorts`: the row of the tables with the axes that may have the landmark in view, or `NOWHERE`
 CHANGE = 4  # of `Scratch.pairs`: by how many more others a landmark of `TURNS` is hidden
 
 # Rows of `Scratch.numbers`.
@@ -33,11 +34,6 @@ SURFACE = 2  # that the place tried lies on
 X, Y, Z = 0, 1, 2  # its offset from the position, metres
 LOW, HIGH = 3, 4  # the least and the greatest depth at which it may be covered, metres
 SURE = 5  # up to this depth, from `LOW` on, every axis that has it well in view covers it, metres
-
-# Rows of `Scratch.cells`, of the tables of directions.
-CELL = 0  # in which its direction is
-INNER = 1  # the row of the axes that have it well in view
-OUTER = 2  # the row of the axes that may have it in view
 
 # Rows of `Scratch.flags`; a rig has the first two.
 AIMED = 0  # by block: it is near the place tried
@@ -56,11 +52,9 @@ NAMES = 6  # landmarks whose caps come or go
 GOES = 7  # of these: all bits of a word if the cap goes, none if it comes
 SLOT = 8  # by landmark: where it is in `TURNS`, `ALL` for nowhere
 DIGITS = 9  # binary digits of a count, the lowest first
-FOUND = 10  # by block, three rows: how many landmarks of `BEFORE`, `AFTER` and `TURNS` there are
-
-# Rows of `Scratch.words`.
-UNSURE = 0  # sets of axes to be tested
-PLACES = 1  # where these are, a position and a word: p << HALF | w
+UNSURE = 10  # sets of axes to be tested
+PLACES = 11  # where these are, a position and a word: p << HALF | w
+FOUND = 12  # by block, three rows: how many landmarks of `BEFORE`, `AFTER` and `TURNS` there are
 
 
 class State(NamedTuple):
@@ -85,7 +79,7 @@ class State(NamedTuple):
 class Scratch(NamedTuple):
     """The move tried last, and working memory.
 
-    Once the move is carried out, `target`, `SURFACE`, `units`, `cap`, `REACHED` and what `hides` has of `AFTER` are
+    Once the move is carried out, `target`, `SURFACE`, `units`, `cap`, `REACHED` and what `shorts` has of `AFTER` are
     those of the place left.
     """
 
@@ -97,14 +91,17 @@ class Scratch(NamedTuple):
     """`(Q,)` P_n with the landmark there."""
     seen: np.ndarray
     """`(6, Q)`: `X`, `Y`, `Z`, `LOW`, `HIGH`, `SURE`."""
-    cells: np.ndarray
-    """`(3, Q)` int32: `CELL`, `INNER`, `OUTER`."""
+    cell: np.ndarray
+    """`(Q,)` int32, of the tables of directions, in which its direction is."""
     flags: np.ndarray
     """`(4, Q)` bool: `AIMED`, `WANTED`, `REACHED`, `FLIPS`."""
     cap: np.ndarray
     """`(Q, W)` the axes that cover the landmark at the place tried."""
-    hides: np.ndarray
-    """`(4, Q)` int16: how many landmarks hide the place left, how many it hides, and both of the place tried."""
+    shorts: np.ndarray
+    """`(5, Q)` int16: how many landmarks hide the place left, how many it hides, both of the place tried, and `OUTER`.
+
+    A loop that writes to two rows of an array, or reads one and writes another, may not vectorise: so `OUTER` is here.
+    """
     who: np.ndarray
     """`(3, Q / BLOCK, K)` int32: the landmarks of `BEFORE`, `AFTER` and `TURNS`, by block of positions."""
     pairs: np.ndarray
@@ -113,14 +110,12 @@ class Scratch(NamedTuple):
     ways: np.ndarray
     """`(4, K + 1)`, filled up to whole words: the way to each of the `OTHERS`, and how long it is, metres."""
     lists: np.ndarray
-    """`(13, max(Q, K) + 1)` uint64: `LISTED` to `FOUND`."""
-    words: np.ndarray
-    """`(2, Q W + 1)` uint64: `UNSURE`, `PLACES`."""
+    """`(15, max(Q W, K) + 1)` uint64: `LISTED` to `FOUND`."""
 
 
-def lists_of(number: int, count: int, size: int) -> np.ndarray:
-    """So many lists with room for K landmarks or Q positions."""
-    return np.zeros((number, max(count, size) + 1), dtype=np.uint64)
+def lists_of(number: int, *sizes: int) -> np.ndarray:
+    """So many lists with room for so many landmarks, positions or words, and for one more."""
+    return np.zeros((number, max(sizes) + 1), dtype=np.uint64)
 
 
 def ways_of(count: int) -> np.ndarray:
@@ -132,20 +127,19 @@ def scratch_of(state: State) -> Scratch:
     """Working memory for moves of `state`."""
     count, size = state.reachable.shape
     words, blocks = state.counts.digits.shape[1], size // BLOCK
-    lists = lists_of(FOUND + 3, count, size)
+    lists = lists_of(FOUND + 3, count, size * words)
     lists[SLOT] = ALL
     return Scratch(
         target=np.empty(6),
         numbers=np.zeros(3, dtype=np.int64),
         units=state.units.copy(),
         seen=np.empty((6, size)),
-        cells=np.empty((3, size), dtype=np.int32),
+        cell=np.empty(size, dtype=np.int32),
         flags=np.zeros((4, size), dtype=np.bool_),
         cap=np.zeros((size, words), dtype=np.uint64),
-        hides=np.zeros((4, size), dtype=np.int16),
+        shorts=np.zeros((5, size), dtype=np.int16),
         who=np.empty((3, blocks, count), dtype=np.int32),
         pairs=np.empty((5, blocks, count, BLOCK), dtype=np.int8),
         ways=ways_of(count),
         lists=lists,
-        words=np.empty((2, size * words + 1), dtype=np.uint64),
     )

@@ -32,14 +32,12 @@ from lmd.incremental.hiding import FORTH, find_flips, find_new, find_old, list_t
 from lmd.incremental.nearby import look_around
 from lmd.incremental.state import (
     AFTER_HIDDEN,
-    CELL,
     DIGITS,
     FIRST,
     FLIPS,
     GOES,
     HIDDEN,
     HIGH,
-    INNER,
     LAST,
     LISTED,
     LOW,
@@ -68,14 +66,14 @@ def _try_caps(k, field, state, scratch):
     """Bound P_n where landmark k comes or goes and no other appears; copy it elsewhere."""
     sight, axes, weights = sized(field.sight, k), field.axes, field.weights
     certain, possible = field.tables[CERTAIN], field.tables[POSSIBLE]
-    target, seen, cells, flags, lists = scratch.target, scratch.seen, scratch.cells, scratch.flags, scratch.lists
+    target, seen, flags, lists = scratch.target, scratch.seen, scratch.flags, scratch.lists
     frame = frame_of(sight, target[3], target[4], target[5])
     caps, reachable, hidden, before = state.caps, state.reachable, state.hides[HIDDEN], state.units
     short, just = state.counts.sets[SHORT], state.counts.sets[JUST]
     x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
-    cell, inner, outer, reached, flips = cells[CELL], cells[INNER], cells[OUTER], flags[REACHED], flags[FLIPS]
+    cell, outer, reached, flips = scratch.cell, scratch.shorts[OUTER], flags[REACHED], flags[FLIPS]
     old, listed, firsts, lasts = lists[OLD], lists[LISTED], lists[FIRST], lists[LAST]
-    units, unsure, places = scratch.units, scratch.words[UNSURE], scratch.words[PLACES]
+    units, unsure, places = scratch.units, lists[UNSURE], lists[PLACES]
     count, found, size = ZERO, ZERO, np.uint64(caps.shape[2])
     for p in range(np.uint64(len(units))):
         units[p] = before[p]
@@ -84,14 +82,14 @@ def _try_caps(k, field, state, scratch):
         for p in range(first, last):
             shown = reached[p] & (not flips[p])
             outer[p] = cell[p] if shown else NOWHERE
-            inner[p] = cell[p] if shown & (sure[p] == np.inf) else NOWHERE
             old[p] = ALL if reachable[k, p] & (hidden[k, p] == 0) & (not flips[p]) else ZERO
         for p in range(first, last):
             listed[count] = p
             count += np.uint64((old[p] != ZERO) | (outer[p] != NOWHERE))
     for m in range(count):
         p = listed[m]
-        i, o = np.uint64(inner[p]), np.uint64(outer[p])
+        o = np.uint64(outer[p])
+        i = o if sure[p] == np.inf else np.uint64(NOWHERE)
         for w in range(size):
             was = caps[k, p, w] & old[p]
             unsure[found] = (short[p, w] & ~was & possible[o, w]) | (just[p, w] & was & ~certain[i, w])
@@ -117,12 +115,12 @@ def _try_flips(k, positions, field, state, scratch):
     """Find P_n at `positions`, where other landmarks may appear or disappear."""
     sight, axes, weights, n = sized(field.sight, k), field.axes, field.weights, field.n
     certain, possible = field.tables[CERTAIN], field.tables[POSSIBLE]
-    target, seen, cells, flags, lists = scratch.target, scratch.seen, scratch.cells, scratch.flags, scratch.lists
+    target, seen, flags, lists = scratch.target, scratch.seen, scratch.flags, scratch.lists
     frame = frame_of(sight, target[3], target[4], target[5])
     caps, reachable, hidden, before = state.caps, state.reachable, state.hides[HIDDEN], state.units
     counts, enough = state.counts.digits, state.counts.sets[ENOUGH]
     x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
-    cell, reached, count_hidden, units = cells[CELL], flags[REACHED], scratch.hides[AFTER_HIDDEN], scratch.units
+    cell, reached, count_hidden, units = scratch.cell, flags[REACHED], scratch.shorts[AFTER_HIDDEN], scratch.units
     size = np.uint64(counts.shape[2])
     names, goes, digits = lists[NAMES], lists[GOES], lists[DIGITS][:size]
     for p in positions:
@@ -177,7 +175,7 @@ def complete_move(k, field, state, scratch):
 def list_flips(scratch):
     """List in `LISTED` where another landmark appears or disappears or hides the place tried; returns how many."""
     flips, listed, first, last = scratch.flags[FLIPS], scratch.lists[LISTED], scratch.lists[FIRST], scratch.lists[LAST]
-    reached, count_hidden, count = scratch.flags[REACHED], scratch.hides[AFTER_HIDDEN], ZERO
+    reached, count_hidden, count = scratch.flags[REACHED], scratch.shorts[AFTER_HIDDEN], ZERO
     for s in range(scratch.numbers[SPAN_COUNT]):
         for p in range(first[s], last[s]):
             listed[count] = p

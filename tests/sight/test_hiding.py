@@ -75,7 +75,7 @@ def test_a_trial_finds_what_its_place_hides_and_who_hides_it(case, data):
     settle(field, k, state, scratch)
     moved = deployment.positions.copy()
     moved[k] = target
-    hidden, hiding = scratch.hides[AFTER_HIDDEN], scratch.hides[AFTER_HIDING]
+    hidden, hiding = scratch.shorts[AFTER_HIDDEN], scratch.shorts[AFTER_HIDING]
     found, who = scratch.lists[FOUND + AFTER], scratch.who[AFTER]
     for p in range(0, field.positions.shape[1], 5):
         hides = hidden_by_each(scene, moved, field.positions[:, p]) & counted(field, moved, p // BLOCK)

@@ -70,7 +70,7 @@ def list_changes(k, p, field, state, scratch):
         x, y, z = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
         _note_change(count, ALL, x, y, z, scratch.told[LEFT, p], known.caps[k, p], scratch)
         count += ONE
-    if trial.flags[REACHED, p] & (trial.hides[AFTER_HIDDEN, p] == 0):
+    if trial.flags[REACHED, p] & (trial.shorts[AFTER_HIDDEN, p] == 0):
         _note_change(count, ZERO, seen[X, p], seen[Y, p], seen[Z, p], scratch.told[TRIED, p], trial.cap[p], scratch)
         count += ONE
     if trial.flags[FLIPS, p]:

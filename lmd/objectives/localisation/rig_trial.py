@@ -98,9 +98,7 @@ def _find_turns_of(mine, flipped, trial, lost, gained):
     """See `_find_turns`, of the pairs as a part sees them."""
     caps, veiled, who, where = mine[CAPS], mine[VEILED], trial.pairs[WHO], trial.pairs[WHERE]
     mounts, words = caps.shape[2], np.uint64(caps.shape[3])
-    for e in range(
-        trial.numbers[PAIR_COUNT]
-    ):  # their positions are among those that are touched, all of which are in `positions`
+    for e in range(trial.numbers[PAIR_COUNT]):  # at positions that are touched, all of which are in `positions`
         i, q = np.uint64(who[e]), np.uint64(where[e])
         for m in range(mounts):
             for w in range(words):
