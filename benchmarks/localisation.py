@@ -15,7 +15,7 @@ import numpy as np
 from hydra import compose, initialize_config_dir
 from numba import njit
 
-from lmd.incremental.field import bound, settle
+from lmd.incremental.field import bound, placed, settle
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.localisation import Localisation
 from lmd.pipelines.app import CONF
@@ -44,7 +44,7 @@ def best_of(repeats: int, work: Callable[[], object]) -> float:
 def try_all(poses, surfaces, field, state, scratch):  # type: ignore[no-untyped-def]
     """Try to move the landmarks in turn to each of the poses `(M, 6)`."""
     for i in range(len(poses)):
-        k = i % state.landmarks.shape[1]
+        k = i % len(placed(state).surfaces)
         bound(field, k, poses[i], surfaces[i], state, scratch)
         settle(field, k, state, scratch)
 

@@ -70,7 +70,7 @@ def paper_scene() -> Scene:
 def move_all(poses, surfaces, field, state, scratch, steps):  # type: ignore[no-untyped-def]
     """Move the landmarks in turn to each of the poses `(M, 6)`, as an optimiser does: the first of `STEPS`."""
     for i in range(len(poses)):
-        k = i % state.landmarks.shape[1]
+        k = i % state.poses.shape[1]
         bound_move(field, k, poses[i], surfaces[i], state, scratch)
         if steps > 1:
             finish_move(field, k, state, scratch)

@@ -8,18 +8,19 @@ from lmd.core.bits import ALL, ZERO, add_digit, equal_so_far, unpacked
 from lmd.core.compiled import inlined, inner
 from lmd.sight.kernels import sum_weights
 
+# Rows of `Counts.sets`: the axes that cover
+SHORT = 0  # n - 1 landmarks
+JUST = 1  # n landmarks
+ENOUGH = 2  # n landmarks or more
+
 
 class Counts(NamedTuple):
     """Landmarks covered from each of Q positions, as W words of axes."""
 
     digits: np.ndarray
     """`(Q, W, J)` how many, binary digit by binary digit, the lowest first."""
-    short: np.ndarray
-    """`(Q, W)` the axes that cover n - 1 landmarks."""
-    just: np.ndarray
-    """`(Q, W)` the axes that cover n landmarks."""
-    enough: np.ndarray
-    """`(Q, W)` the axes that cover n landmarks or more."""
+    sets: np.ndarray
+    """`(3, Q, W)`: `SHORT`, `JUST`, `ENOUGH`."""
 
 
 def given_counts(given: np.ndarray, count: int, n: int) -> Counts:
@@ -33,32 +34,34 @@ def given_counts(given: np.ndarray, count: int, n: int) -> Counts:
     digits = np.zeros((*given.shape, max(count + bool(given.any()), n).bit_length()), dtype=np.uint64)
     digits[:, :, 0] = given
     none = np.zeros_like(given)
-    just, enough = (given.copy(), given.copy()) if n == 1 else (none, none.copy())
-    return Counts(digits, {1: ~given, 2: given.copy()}.get(n, none.copy()), just, enough)
+    just = given if n == 1 else none
+    return Counts(digits, np.stack([{1: ~given, 2: given}.get(n, none), just, just]))
 
 
 @inlined
 def enough_with(p, w, was, now, counts):
     """The axes that cover n or more once one landmark, which `was` covered at some axes, is covered at others `now`."""
-    return (counts.enough[p, w] & ~(was & ~now & counts.just[p, w])) | (now & ~was & counts.short[p, w])
+    short, just, enough = counts.sets[SHORT], counts.sets[JUST], counts.sets[ENOUGH]
+    return (enough[p, w] & ~(was & ~now & just[p, w])) | (now & ~was & short[p, w])
 
 
 @inlined
 def ripple(p, w, changed, goes, n, counts):
     """Count a landmark less at those axes `changed` that are in `goes`, one more at the others, digit by digit."""
     digits, one, two = counts.digits, ALL, ALL
-    counts.enough[p, w] = enough_with(p, w, changed & goes, changed & ~goes, counts)
+    short, just, enough = counts.sets[SHORT], counts.sets[JUST], counts.sets[ENOUGH]
+    enough[p, w] = enough_with(p, w, changed & goes, changed & ~goes, counts)
     for j in range(np.uint64(digits.shape[2])):
         digit, changed = add_digit(digits[p, w, j], changed, goes)
         digits[p, w, j] = digit
         one, two = equal_so_far(one, digit, n - 1, j), equal_so_far(two, digit, n, j)
-    counts.short[p, w], counts.just[p, w] = one, two
+    short[p, w], just[p, w] = one, two
 
 
 @inner
 def sum_up(field, state):
     """Find P_n from the counts."""
-    units, enough = state.units, state.counts.enough
+    units, enough = state.units, state.counts.sets[ENOUGH]
     for p in range(np.uint64(len(units))):
         units[p] = 0
         for w in range(np.uint64(enough.shape[1])):

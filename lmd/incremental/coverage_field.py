@@ -24,10 +24,8 @@ class CoverageField(NamedTuple):
     """`(3, Q)` in blocks of `BLOCK` neighbours, the last block filled up with copies; metres."""
     index_of: np.ndarray
     """`(P,)` where each position of the evaluator is among them."""
-    centres: np.ndarray
-    """`(3, Q / BLOCK)` of boxes around the blocks."""
-    halves: np.ndarray
-    """`(3, Q / BLOCK)` half the sides of these boxes."""
+    boxes: np.ndarray
+    """`(6, Q / BLOCK)` around the blocks: centres, and half the sides, metres."""
     horizon: float
     """See `criteria.horizon_of`."""
     sight: Any
@@ -36,10 +34,8 @@ class CoverageField(NamedTuple):
     """What of the room stands in the way, or None."""
     axes: np.ndarray
     """`(6, 64 W)` optical axis and right, filled up with zeros to whole words."""
-    certain: np.ndarray
-    """Which axes surely have a direction in view, see `directions.tables`."""
-    possible: np.ndarray
-    """Which axes may have it in view, see `directions.tables`."""
+    tables: np.ndarray
+    """`(2, cells + 1, W)`: `CERTAIN`, `POSSIBLE` of `lmd.sight.directions`."""
     given: np.ndarray
     """`(Q, W)` axes at which one landmark is covered beside those of a state."""
     weights: np.ndarray
@@ -88,11 +84,11 @@ undo.register(CoverageField)(take_back)
 def coverage_field(evaluator: Evaluator, n: int) -> CoverageField:
     """The field of P_n at the positions of an evaluator."""
     e, (order, index_of) = evaluator, evaluator.blocks
-    centres, halves = boxes_around(e.positions[order])
+    boxes = np.vstack(boxes_around(e.positions[order]))
     positions = np.ascontiguousarray(e.positions[order].T)
     horizon, given = horizon_of(e.sight), np.zeros((len(order), e.tables[0].shape[1]), dtype=np.uint64)
     obstacles = obstacles_at(e.scene.room.blockers(), e.positions[order])
     weights = e.weights[order] if len(e.weights) > 1 else e.weights
     return CoverageField(
-        positions, index_of, centres, halves, horizon, e.sight, obstacles, e.axes, *e.tables, given, weights, n
+        positions, index_of, boxes, horizon, e.sight, obstacles, e.axes, np.stack(e.tables), given, weights, n
     )

@@ -17,7 +17,7 @@ import numpy as np
 
 from lmd.core.checks import FloatArray, IntArray
 from lmd.core.compiled import borrowing, inner, kernel
-from lmd.core.dispatch import dispatched, dispatched_call
+from lmd.core.dispatch import dispatched, dispatched_call, overridable
 from lmd.core.layers import layer
 from lmd.scene.deployment import Deployment
 
@@ -25,8 +25,8 @@ from lmd.scene.deployment import Deployment
 class Field(Protocol):
     """The fields and methods of such a named tuple; its class registers `bound`, `settle`, `accept` and `undo`.
 
-    A state has `landmarks`, `normals` `(3, K)`, `surfaces` `(K,)` and `units` `(Q,)` int64, the values. A scratch has
-    `units`, those of the move tried last.
+    A state has `poses` `(6, K)`, positions and normals, `surfaces` `(K,)` and `units` `(Q,)` int64, the values. A
+    scratch has `units`, those of the move tried last.
     """
 
     @property
@@ -75,17 +75,22 @@ NO_UNITS = np.empty((0, 0), dtype=np.int64)
 
 
 class Places(NamedTuple):
-    """Where landmarks are: positions and normals `(3, K)`, surfaces `(K,)`."""
+    """Where K landmarks are."""
 
-    landmarks: np.ndarray
-    normals: np.ndarray
+    poses: np.ndarray
+    """`(6, K)` positions, metres, and unit normals."""
     surfaces: np.ndarray
+    """`(K,)` that they hang on."""
+
+    def deployment(self) -> Deployment:
+        """The landmarks."""
+        return Deployment(self.poses[:3].T.copy(), self.poses[3:].T.copy(), self.surfaces.copy())
 
 
 def places_of(deployment: Deployment) -> Places:
     """The places of its landmarks."""
-    positions, normals = (of.T.copy(order="C") for of in (deployment.positions, deployment.normals))
-    return Places(positions, normals, deployment.surfaces.copy())
+    poses = np.ascontiguousarray(np.hstack([deployment.positions, deployment.normals]).T)
+    return Places(poses, deployment.surfaces.copy())
 
 
 class Target(Protocol):
@@ -132,6 +137,12 @@ def worth(target, p, units):  # type: ignore[no-untyped-def]
     """What `units` at position p are worth: summed over the positions, the fitness."""
 
 
+@overridable
+def placed(state):  # type: ignore[no-untyped-def]
+    """What in a state has its `poses` and `surfaces`: the state, but for classes that have them in a part."""
+    return state
+
+
 @kernel
 def total_worth(target, units):  # type: ignore[no-untyped-def]
     """The fitness of a deployment with the values `units`."""
@@ -155,12 +166,12 @@ def lead(places, field, state, scratches, pose):  # type: ignore[no-untyped-def]
 
     `pose` `(6,)` is working memory.
     """
-    scratch = layer(scratches, 0)
+    scratch, known = layer(scratches, 0), placed(state)
     for k in range(len(places.surfaces)):
-        elsewhere = state.surfaces[k] != places.surfaces[k]
-        for i in range(3):
-            pose[i], pose[3 + i] = places.landmarks[i, k], places.normals[i, k]
-            elsewhere |= pose[i] != state.landmarks[i, k] or pose[3 + i] != state.normals[i, k]
+        elsewhere = known.surfaces[k] != places.surfaces[k]
+        for i in range(6):
+            pose[i] = places.poses[i, k]
+            elsewhere |= pose[i] != known.poses[i, k]
         if elsewhere:
             move(field, k, pose, places.surfaces[k], state, scratch)
 
@@ -197,13 +208,13 @@ def perform(steps, poses, field, state, scratches, units):  # type: ignore[no-un
 
 def moved(places: Places, state: Any) -> tuple[IntArray, FloatArray]:
     """The steps, and their poses, for `perform` to move what in `state` is elsewhere than at `places`."""
-    there = np.vstack([places.landmarks, places.normals])
-    elsewhere = (there != np.vstack([state.landmarks, state.normals])).any(axis=0) | (places.surfaces != state.surfaces)
+    known = placed(state)
+    elsewhere = (places.poses != known.poses).any(axis=0) | (places.surfaces != known.surfaces)
     which = np.flatnonzero(elsewhere)
     steps = np.zeros((len(which), 3, 4), dtype=np.int64)
     steps[:, :, 0] = BOUND, SETTLE, ACCEPT
     steps[:, :, 1], steps[:, :, 2] = which[:, None], places.surfaces[which][:, None]
-    return steps.reshape(-1, 4), np.repeat(there.T[which], 3, axis=0)
+    return steps.reshape(-1, 4), np.repeat(places.poses.T[which], 3, axis=0)
 
 
 def in_order(field: Field, relevance: FloatArray) -> FloatArray:

@@ -24,6 +24,30 @@ import numpy as np
 from lmd.core.bits import ALL, LANES, ONE, ZERO, lowest
 from lmd.core.compiled import inlined, inner
 from lmd.incremental.nearby import is_near, pose_of, target_of
+from lmd.incremental.state import (
+    AFTER,
+    AFTER_HIDDEN,
+    AFTER_HIDING,
+    AIMED,
+    BEFORE,
+    BLOCK_COUNT,
+    BLOCKS,
+    CHANGE,
+    FIRST,
+    FLIPS,
+    FOUND,
+    GOES,
+    HIDDEN,
+    HIDING,
+    LAST,
+    NAMES,
+    OTHERS,
+    REACHED,
+    SLOT,
+    SPAN_COUNT,
+    TURNS,
+    WANTED,
+)
 from lmd.scene.criteria import TOLERANCE, hide_between, sized
 from lmd.sight.blocks import BLOCK, SINGLE_ERROR
 
@@ -39,20 +63,20 @@ def line_radius(sight):
 
 
 @inner
-def find_ways(ax, ay, az, landmarks, horizon, others, ways):
-    """List the landmarks within the horizon of (ax, ay, az), and the ways to them; see `Nearby`.
+def find_ways(ax, ay, az, poses, horizon, others, ways):
+    """List the landmarks within the horizon of (ax, ay, az), and the ways to them; see `Scratch`.
 
     Returns:
         how many there are, filled up to whole words.
     """
-    count, most = landmarks.shape[1], np.float32(horizon * (1.0 + SINGLE_ERROR))
+    count, most = poses.shape[1], np.float32(horizon * (1.0 + SINGLE_ERROR))
     for i in range(count):
-        dx, dy, dz = landmarks[0, i] - ax, landmarks[1, i] - ay, landmarks[2, i] - az
+        dx, dy, dz = poses[0, i] - ax, poses[1, i] - ay, poses[2, i] - az
         ways[0, i], ways[1, i], ways[2, i], ways[3, i] = dx, dy, dz, math.sqrt(dx * dx + dy * dy + dz * dz)
         others[i] = i
     if most < np.inf:
         count = 0
-        for i in range(landmarks.shape[1]):
+        for i in range(poses.shape[1]):
             dx, dy, dz, distance = ways[0, i], ways[1, i], ways[2, i], ways[3, i]
             others[count] = i
             ways[0, count], ways[1, count], ways[2, count], ways[3, count] = dx, dy, dz, distance
@@ -90,31 +114,35 @@ def near_line(start, mx, my, mz, hx, hy, hz, radius, ways):
 
 
 @inner
-def find_neighbours(k, place, field, state, near, wanted, neighbours):
-    """Fill `neighbours` of a place of landmark k, position and normal, in the `wanted` ones of the blocks `near`."""
-    positions, centres, halves, sight = field.positions, field.centres, field.halves, field.sight
-    landmarks, normals, others, ways = state.landmarks, state.normals, near.others, near.ways
+def find_neighbours(k, place, field, poses, scratch, which, wanted):
+    """Find whom a place of landmark k hides, position and normal, and who hides it, in the blocks that are `wanted`.
+
+    `which` is `BEFORE` or `AFTER`, `wanted` a row of flags.
+    """
+    positions, boxes, sight, ways, lists = field.positions, field.boxes, field.sight, scratch.ways, scratch.lists
     ax, ay, az, nx, ny, nz = place
-    found, who, hides, hidden_by, count_hides, count_hidden = neighbours
+    others, found, who = lists[OTHERS], lists[FOUND + which], scratch.who[which]
+    hides, hidden_by = scratch.pairs[2 * which + HIDING], scratch.pairs[2 * which + HIDDEN]
+    count_hides, count_hidden = scratch.shorts[2 * which + HIDING], scratch.shorts[2 * which + HIDDEN]
     mine = sized(sight, k)
-    radius, filled = line_radius(sight), find_ways(ax, ay, az, landmarks, field.horizon, others, ways)
-    for b in near.blocks[: near.found[0]]:
+    radius, filled = line_radius(sight), find_ways(ax, ay, az, poses, field.horizon, others, ways)
+    for b in lists[BLOCKS][: scratch.numbers[BLOCK_COUNT]]:
         found[b] = 0
         if not wanted[b]:
             continue
         first, last = b * np.uint64(BLOCK), (b + ONE) * np.uint64(BLOCK)
         for p in range(first, last):
             count_hides[p] = count_hidden[p] = 0
-        mx, my, mz = ax - centres[0, b], ay - centres[1, b], az - centres[2, b]
-        hx, hy, hz = halves[0, b], halves[1, b], halves[2, b]
+        mx, my, mz = ax - boxes[0, b], ay - boxes[1, b], az - boxes[2, b]
+        hx, hy, hz = np.float32(boxes[3, b]), np.float32(boxes[4, b]), np.float32(boxes[5, b])
         kept = 0
         for start in range(np.uint64(0), np.uint64(filled), np.uint64(LANES)):
             close = near_line(start, mx, my, mz, hx, hy, hz, radius, ways)
             while close:
                 i = others[start + lowest(np.uint64(close))]
                 close &= close - np.uint32(1)
-                lx, ly, lz = landmarks[0, i], landmarks[1, i], landmarks[2, i]
-                vx, vy, vz = normals[0, i], normals[1, i], normals[2, i]
+                lx, ly, lz = poses[0, i], poses[1, i], poses[2, i]
+                vx, vy, vz = poses[3, i], poses[4, i], poses[5, i]
                 theirs, some = sized(sight, i), np.int64(0)
                 for p in range(first, last):
                     x, y, z = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
@@ -145,12 +173,12 @@ def flips_with(reachable, was, now):
 
 @inlined
 def list_turning(p, sign, state, scratch):
-    """List in `names` and `goes` the landmarks that appear or disappear at position p, and return how many.
+    """List in `NAMES` and `GOES` the landmarks that appear or disappear at position p, and return how many.
 
     `sign` is `FORTH` or `BACK`.
     """
-    reachable, hidden, names, goes = state.reachable, state.hidden, scratch.names, scratch.goes
-    found, who, change = scratch.turns
+    reachable, hidden, names, goes = state.reachable, state.hides[HIDDEN], scratch.lists[NAMES], scratch.lists[GOES]
+    found, who, change = scratch.lists[FOUND + TURNS], scratch.who[TURNS], scratch.pairs[CHANGE]
     b, q, count = p // np.uint64(BLOCK), p % np.uint64(BLOCK), ZERO
     for m in range(np.uint64(found[b])):
         i = np.uint64(who[b, m])
@@ -161,51 +189,51 @@ def list_turning(p, sign, state, scratch):
 
 
 @inner
-def find_turns(blocks, before, after, turns, slot):
-    """Merge what a landmark hides `before` and `after` a move into how many more others hide each of the others."""
-    found, who, change = turns
-    for b in blocks:
+def find_turns(scratch):
+    """Merge what a landmark hides `BEFORE` and `AFTER` a move into how many more others hide each of the others."""
+    lists, who, pairs = scratch.lists, scratch.who, scratch.pairs
+    found, slot, change, turning = lists[FOUND + TURNS], lists[SLOT], pairs[CHANGE], who[TURNS]
+    for b in lists[BLOCKS][: scratch.numbers[BLOCK_COUNT]]:
         found[b] = 0
-        for m in range(before.found[b] + after.found[b]):
-            new = m >= before.found[b]
-            j = m - before.found[b] if new else m
-            i = after.who[b, j] if new else before.who[b, j]
-            if slot[i] < 0:
-                slot[i], who[b, found[b]] = found[b], i
-                change[b, found[b]] = 0
-                found[b] += 1
-            for q in range(BLOCK):
-                change[b, slot[i], q] += after.hides[b, j, q] if new else -before.hides[b, j, q]
+        for which in (BEFORE, AFTER):
+            mine, hides = who[which], pairs[2 * which + HIDING]
+            for j in range(lists[FOUND + which, b]):
+                i = mine[b, j]
+                if slot[i] == ALL:
+                    slot[i], turning[b, found[b]] = found[b], i
+                    change[b, found[b]] = 0
+                    found[b] += ONE
+                for q in range(BLOCK):
+                    change[b, slot[i], q] += -hides[b, j, q] if which == BEFORE else hides[b, j, q]
         for m in range(found[b]):
-            slot[who[b, m]] = -1
+            slot[turning[b, m]] = ALL
 
 
 @inner
 def find_old(k, field, state, scratch):
-    """Fill `before` with what landmark k hides, and is hidden by, where it is."""
-    hiding, hidden, near, wanted = state.hiding, state.hidden, scratch.near, scratch.near.wanted
-    for b in near.blocks[: near.found[0]]:
+    """Fill `BEFORE` with what landmark k hides, and is hidden by, where it is."""
+    hiding, hidden, wanted = state.hides[HIDING], state.hides[HIDDEN], scratch.flags[WANTED]
+    for b in scratch.lists[BLOCKS][: scratch.numbers[BLOCK_COUNT]]:
         some = np.int16(0)
         for p in range(b * np.uint64(BLOCK), (b + ONE) * np.uint64(BLOCK)):
             some |= hiding[k, p] | hidden[k, p]
         wanted[b] = some != 0  # nearly everywhere there are none: then there is nothing to find again
-    find_neighbours(k, pose_of(k, state), field, state, near, wanted, scratch.before)
+    find_neighbours(k, pose_of(k, state), field, state.poses, scratch, BEFORE, wanted)
 
 
 @inner
 def find_new(k, field, state, scratch):
-    """Fill `after` with what landmark k hides, and is hidden by, at the place tried."""
-    find_neighbours(k, target_of(scratch), field, state, scratch.near, scratch.near.aimed, scratch.after)
+    """Fill `AFTER` with what landmark k hides, and is hidden by, at the place tried."""
+    find_neighbours(k, target_of(scratch), field, state.poses, scratch, AFTER, scratch.flags[AIMED])
 
 
 @inner
 def find_flips(state, scratch):
-    """Fill `turns` from `before` and `after`; set `flips` where another landmark appears or disappears."""
-    reachable, hidden, flips = state.reachable, state.hidden, scratch.flips
-    blocks = scratch.near.blocks[: scratch.near.found[0]]
-    find_turns(blocks, scratch.before, scratch.after, scratch.turns, scratch.slot)
-    found, who, change = scratch.turns
-    for b in blocks:
+    """Fill `TURNS` from `BEFORE` and `AFTER`; set `FLIPS` where another landmark appears or disappears."""
+    reachable, hidden, flips = state.reachable, state.hides[HIDDEN], scratch.flags[FLIPS]
+    find_turns(scratch)
+    found, who, change = scratch.lists[FOUND + TURNS], scratch.who[TURNS], scratch.pairs[CHANGE]
+    for b in scratch.lists[BLOCKS][: scratch.numbers[BLOCK_COUNT]]:
         for m in range(found[b]):
             i = who[b, m]
             for q in range(np.uint64(BLOCK)):
@@ -226,20 +254,23 @@ def exchange_hiding(k, sign, sight, state, scratch):
 
     `sign` is `FORTH` or `BACK`.
     """
-    hidden, hiding, before, after = state.hidden, state.hiding, scratch.before, scratch.after
-    found, who, change = scratch.turns
+    hidden, hiding = state.hides[HIDDEN], state.hides[HIDING]
+    lists, who, pairs = scratch.lists, scratch.who, scratch.pairs
+    before, after, found = lists[FOUND + BEFORE], lists[FOUND + AFTER], lists[FOUND + TURNS]
+    old, new, turning = who[BEFORE], who[AFTER], who[TURNS]
+    hid_old, hid_new, change = pairs[HIDDEN], pairs[AFTER_HIDDEN], pairs[CHANGE]
     if sight.reach >= 0.0:
-        for b in scratch.near.blocks[: scratch.near.found[0]]:
-            for q in range(np.uint64(BLOCK if found[b] + before.found[b] + after.found[b] else 0)):
+        for b in lists[BLOCKS][: scratch.numbers[BLOCK_COUNT]]:
+            for q in range(np.uint64(BLOCK if found[b] + before[b] + after[b] else 0)):
                 p = b * np.uint64(BLOCK) + q
                 for m in range(found[b]):
-                    hidden[who[b, m], p] += sign * change[b, m, q]
-                for m in range(before.found[b]):
-                    hiding[before.who[b, m], p] -= sign * before.hidden_by[b, m, q]
-                for m in range(after.found[b]):
-                    hiding[after.who[b, m], p] += sign * after.hidden_by[b, m, q]
-    for s in range(scratch.near.found[1]):
-        first, last = scratch.near.spans[s, 0], scratch.near.spans[s, 1]
-        swap(state.reachable[k], scratch.new.reached, first, last)
-        swap(hidden[k], after.count_hidden, first, last)
-        swap(hiding[k], after.count_hides, first, last)
+                    hidden[turning[b, m], p] += sign * change[b, m, q]
+                for m in range(before[b]):
+                    hiding[old[b, m], p] -= sign * hid_old[b, m, q]
+                for m in range(after[b]):
+                    hiding[new[b, m], p] += sign * hid_new[b, m, q]
+    for s in range(scratch.numbers[SPAN_COUNT]):
+        first, last = lists[FIRST, s], lists[LAST, s]
+        swap(state.reachable[k], scratch.flags[REACHED], first, last)
+        swap(hidden[k], scratch.shorts[AFTER_HIDDEN], first, last)
+        swap(hiding[k], scratch.shorts[AFTER_HIDING], first, last)

@@ -17,10 +17,32 @@ from lmd.incremental.counts import given_counts, ripple, sum_up
 from lmd.incremental.field import places_of
 from lmd.incremental.hiding import BACK, FORTH, exchange_hiding, find_new, list_turning, swap
 from lmd.incremental.nearby import look_around
-from lmd.incremental.state import State, scratch_of
+from lmd.incremental.state import (
+    AFTER_HIDDEN,
+    AFTER_HIDING,
+    FIRST,
+    FLIPS,
+    GOES,
+    HIDDEN,
+    HIDING,
+    HIGH,
+    LAST,
+    LISTED,
+    LOW,
+    NAMES,
+    REACHED,
+    SPAN_COUNT,
+    SURE,
+    SURFACE,
+    State,
+    X,
+    Y,
+    Z,
+    scratch_of,
+)
 from lmd.scene.criteria import covering, frame_of, sized
 from lmd.scene.deployment import Deployment
-from lmd.sight.directions import NOWHERE
+from lmd.sight.directions import CERTAIN, NOWHERE, POSSIBLE
 
 # What is kept of a landmark in a view: a bit whether it is covered, and as much again of what hides it.
 LANDMARK_BYTES = 0.25
@@ -31,9 +53,10 @@ LANDMARK_BYTES = 0.25
 @inner
 def find_cap(k, positions, field, scratch):
     """Find the axes that cover landmark k in the place tried at `positions`, nobody hiding it."""
-    sight, axes, certain, possible = sized(field.sight, k), field.axes, field.certain, field.possible
-    x, y, z, low, high, sure, cell, reached = scratch.new
-    target, caps = scratch.target, scratch.cap
+    sight, axes, certain, possible = sized(field.sight, k), field.axes, field.tables[CERTAIN], field.tables[POSSIBLE]
+    target, caps, seen = scratch.target, scratch.cap, scratch.seen
+    x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
+    cell, reached = scratch.cell, scratch.flags[REACHED]
     frame = frame_of(sight, target[3], target[4], target[5])
     for p in positions:
         row = np.uint64(cell[p] if reached[p] else NOWHERE)
@@ -51,11 +74,11 @@ def find_cap(k, positions, field, scratch):
 def _recount(k, positions, sign, field, state, scratch):
     """Exchange the cap of landmark k for the other in `scratch` at `positions`, and update the counts.
 
-    `sign` says whether other landmarks turn as in `turns`, or, with -1, back.
+    `sign` says whether other landmarks turn as in `TURNS`, or, with -1, back.
     """
-    n, caps, other = field.n, state.caps, scratch.cap
-    reachable, hidden, counts = state.reachable, state.hidden, state.counts
-    reached, count_hidden, flips = scratch.new.reached, scratch.after.count_hidden, scratch.flips
+    n, caps, other, names, goes = field.n, state.caps, scratch.cap, scratch.lists[NAMES], scratch.lists[GOES]
+    reachable, hidden, counts = state.reachable, state.hides[HIDDEN], state.counts
+    reached, count_hidden, flips = scratch.flags[REACHED], scratch.shorts[AFTER_HIDDEN], scratch.flags[FLIPS]
     words = np.uint64(caps.shape[2])
     for p in positions:
         shown = ALL if reachable[k, p] & (hidden[k, p] == 0) else ZERO
@@ -70,16 +93,17 @@ def _recount(k, positions, sign, field, state, scratch):
             continue
         for m in range(list_turning(p, sign, state, scratch)):
             for w in range(words):
-                ripple(p, w, caps[scratch.names[m], p, w], scratch.goes[m], n, counts)
+                ripple(p, w, caps[names[m], p, w], goes[m], n, counts)
 
 
 @inner
 def list_touched(k, state, scratch):
-    """List the positions at which a move of landmark k may change anything in `scratch.listed`; returns how many."""
-    reachable, reached, flips, listed = state.reachable, scratch.new.reached, scratch.flips, scratch.listed
+    """List the positions at which a move of landmark k may change anything in `LISTED`; returns how many."""
+    reachable, reached, flips = state.reachable, scratch.flags[REACHED], scratch.flags[FLIPS]
+    listed, first, last = scratch.lists[LISTED], scratch.lists[FIRST], scratch.lists[LAST]
     count = ZERO
-    for s in range(scratch.near.found[1]):
-        for p in range(scratch.near.spans[s, 0], scratch.near.spans[s, 1]):
+    for s in range(scratch.numbers[SPAN_COUNT]):
+        for p in range(first[s], last[s]):
             listed[count] = p
             count += np.uint64(reachable[k, p] | reached[p] | flips[p])
     return count
@@ -88,27 +112,27 @@ def list_touched(k, state, scratch):
 @inner
 def exchange_place(k, state, scratch):
     """Exchange where landmark k is for the other place in `scratch`."""
-    landmarks, normals, target = state.landmarks, state.normals, scratch.target
-    for i in range(3):
-        landmarks[i, k], target[i] = target[i], landmarks[i, k]
-        normals[i, k], target[3 + i] = target[3 + i], normals[i, k]
-    state.surfaces[k], scratch.surface[0] = scratch.surface[0], state.surfaces[k]
+    poses, target, surfaces, numbers = state.poses, scratch.target, state.surfaces, scratch.numbers
+    for i in range(6):
+        poses[i, k], target[i] = target[i], poses[i, k]
+    surfaces[k], numbers[SURFACE] = numbers[SURFACE], surfaces[k]
 
 
 @inner
 def exchange_move(k, sign, field, state, scratch):
     """Exchange landmark k for what `scratch` has of its other place."""
-    _recount(np.uint64(k), scratch.listed[: list_touched(k, state, scratch)], sign, field, state, scratch)
+    lists = scratch.lists
+    _recount(np.uint64(k), lists[LISTED][: list_touched(k, state, scratch)], sign, field, state, scratch)
     exchange_hiding(k, sign, field.sight, state, scratch)
-    for s in range(scratch.near.found[1]):
-        swap(state.units, scratch.units, scratch.near.spans[s, 0], scratch.near.spans[s, 1])
+    for s in range(scratch.numbers[SPAN_COUNT]):
+        swap(state.units, scratch.units, lists[FIRST, s], lists[LAST, s])
     exchange_place(k, state, scratch)
 
 
 @inner
 def carry_out(field, k, state, scratch):
     """Move landmark k to where it was tried last; no other move may have been tried or carried out since."""
-    find_cap(k, scratch.listed[: list_touched(k, state, scratch)], field, scratch)
+    find_cap(k, scratch.lists[LISTED][: list_touched(k, state, scratch)], field, scratch)
     exchange_move(k, FORTH, field, state, scratch)
 
 
@@ -124,7 +148,7 @@ def overlook(missed, field, state):
     caps = state.caps
     for k in range(np.uint64(caps.shape[0])):
         for p in range(np.uint64(caps.shape[1])):
-            shown = state.reachable[k, p] & (state.hidden[k, p] == 0)
+            shown = state.reachable[k, p] & (state.hides[HIDDEN, k, p] == 0)
             for w in range(np.uint64(caps.shape[2])):
                 gone = caps[k, p, w] & missed[k, p, w]
                 caps[k, p, w] ^= gone
@@ -136,19 +160,20 @@ def overlook(missed, field, state):
 @borrowing
 def _fill(field, state, scratch):
     """Let the landmarks of `state` come, one after the other."""
-    landmarks, normals, after = state.landmarks, state.normals, scratch.after
-    for k in range(landmarks.shape[1]):
-        for i in range(3):
-            scratch.target[i], scratch.target[3 + i] = landmarks[i, k], normals[i, k]
+    poses, hides, after = state.poses, state.hides, scratch.shorts
+    reachable, reached = state.reachable, scratch.flags[REACHED]
+    for k in range(poses.shape[1]):
+        for i in range(6):
+            scratch.target[i] = poses[i, k]
         look_around(k, field, state, scratch)
         if field.sight.reach >= 0.0:
             find_new(k, field, state, scratch)
-        positions = scratch.listed[: list_touched(k, state, scratch)]
+        positions = scratch.lists[LISTED][: list_touched(k, state, scratch)]
         find_cap(k, positions, field, scratch)
         _recount(np.uint64(k), positions, FORTH, field, state, scratch)
-        for p in range(np.uint64(len(scratch.new.reached))):
-            state.reachable[k, p] = scratch.new.reached[p]
-            state.hidden[k, p], state.hiding[k, p] = after.count_hidden[p], after.count_hides[p]
+        for p in range(np.uint64(len(reached))):
+            reachable[k, p] = reached[p]
+            hides[HIDDEN, k, p], hides[HIDING, k, p] = after[AFTER_HIDDEN, p], after[AFTER_HIDING, p]
     sum_up(field, state)
 
 
@@ -160,8 +185,7 @@ def state_of(field: Any, deployment: Deployment) -> State:
         **places_of(deployment)._asdict(),
         caps=np.zeros((count, positions, words), dtype=np.uint64),
         reachable=np.zeros((count, positions), dtype=np.bool_),
-        hidden=np.zeros((count, positions), dtype=np.int16),
-        hiding=np.zeros((count, positions), dtype=np.int16),
+        hides=np.zeros((2, count, positions), dtype=np.int16),
         counts=given_counts(field.given, count, field.n),
         units=np.zeros(positions, dtype=np.int64),
     )

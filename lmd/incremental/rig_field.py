@@ -27,8 +27,7 @@ class RigField(NamedTuple):
 
     positions: np.ndarray
     index_of: np.ndarray
-    centres: np.ndarray
-    halves: np.ndarray
+    boxes: np.ndarray
     horizon: float
     """From the body's origin, of all parts of the rig, metres."""
     parts: tuple[Stations, ...]
@@ -89,5 +88,5 @@ def rig_field(evaluator: Evaluator, n: int) -> RigField:
     )
     given = np.zeros((len(order), e.axes.shape[1] // BITS), dtype=np.uint64)
     weights = e.weights[order] if len(e.weights) > 1 else e.weights
-    horizon, boxes = max(part.horizon for part in e.parts), boxes_around(ordered)
-    return RigField(np.ascontiguousarray(ordered.T), index_of, *boxes, horizon, parts, given, weights, n)
+    horizon, boxes = max(part.horizon for part in e.parts), np.vstack(boxes_around(ordered))
+    return RigField(np.ascontiguousarray(ordered.T), index_of, boxes, horizon, parts, given, weights, n)

@@ -12,8 +12,19 @@ from lmd.incremental.field import places_of
 from lmd.incremental.move import exchange_place
 from lmd.incremental.nearby import list_blocks
 from lmd.incremental.rig_pairs import ARRIVES, find_pairs
-from lmd.incremental.rig_state import RigState, StationState, rig_scratch_of
+from lmd.incremental.rig_state import (
+    ASKED,
+    CAPS,
+    FRESH,
+    PAIR_COUNT,
+    VEILED,
+    WHERE,
+    WHO,
+    RigState,
+    rig_scratch_of,
+)
 from lmd.incremental.rig_trial import forget, list_near, see_anew, shown_by
+from lmd.incremental.state import LISTED
 from lmd.scene.deployment import Deployment
 
 # Of a landmark and a centre around a position: whether it is a rival of the place tried.
@@ -33,8 +44,9 @@ def _show(i, q, w, now, n, state):
 
 
 @inner
-def _exchange_part(k, positions, caps, veiled, cap, veil):
-    """Exchange what a part has of landmark k at `positions`."""
+def _exchange_part(k, positions, mine, other):
+    """Exchange what a part has of landmark k, `mine`, at `positions` for what its scratch has, the `other`."""
+    caps, veiled, cap, veil = mine[CAPS], mine[VEILED], other[CAPS], other[VEILED]
     for q in positions:
         for m in range(caps.shape[2]):
             for w in range(caps.shape[3]):
@@ -46,8 +58,7 @@ def _exchange_part(k, positions, caps, veiled, cap, veil):
 def _exchange_parts(k, positions, state, scratch):
     """The same of all parts."""
     for j in range(len(state.parts)):
-        mine, other = state.parts[j], scratch.parts[j]  # copied: outside of other loops
-        _exchange_part(k, positions, mine.caps, mine.veiled, other.cap, other.veil)
+        _exchange_part(k, positions, state.parts[j], scratch.parts[j].sets)  # copied: outside of other loops
 
 
 @inner
@@ -55,12 +66,12 @@ def see_whole(k, field, state, scratch):
     """Find all that the cameras see of landmark k in the place tried.
 
     Returns:
-        how many positions there are in `listed`, from where they look.
+        how many positions there are in `LISTED`, from where they look.
     """
-    positions = scratch.listed[: list_near(scratch, True)]
+    positions, asked = scratch.lists[LISTED][: list_near(scratch, True)], scratch.sets[ASKED]
     for q in positions:
-        for w in range(np.uint64(scratch.asked.shape[1])):
-            scratch.asked[q, w] = ALL
+        for w in range(np.uint64(asked.shape[1])):
+            asked[q, w] = ALL
     see_anew(np.uint64(k), field.parts, positions, field, state, scratch)
     return len(positions)
 
@@ -68,20 +79,20 @@ def see_whole(k, field, state, scratch):
 @inner
 def take_back_rig(field, k, state, scratch):
     """Exchange landmark k for what `scratch` has of its other place; to do so twice changes nothing."""
-    k = np.uint64(k)
-    n, words = field.n, np.uint64(scratch.fresh.shape[1])
-    positions = scratch.listed[: list_near(scratch, True)]
+    k, fresh, who, where = np.uint64(k), scratch.sets[FRESH], scratch.pairs[WHO], scratch.pairs[WHERE]
+    n, words = field.n, np.uint64(fresh.shape[1])
+    positions = scratch.lists[LISTED][: list_near(scratch, True)]
     for q in positions:
         state.units[q], scratch.units[q] = scratch.units[q], state.units[q]
         for w in range(words):
-            scratch.fresh[q, w] = _show(k, q, w, scratch.fresh[q, w], n, state)
+            fresh[q, w] = _show(k, q, w, fresh[q, w], n, state)
     _exchange_parts(k, positions, state, scratch)
-    for e in range(scratch.found[0]):
-        i, q = np.uint64(scratch.who[e]), np.uint64(scratch.where[e])
+    for e in range(scratch.numbers[PAIR_COUNT]):
+        i, q = np.uint64(who[e]), np.uint64(where[e])
         for w in range(words):
             _show(i, q, w, shown_by(i, q, w, state, scratch), n, state)
             for j in range(len(state.parts)):
-                veiled, flipped = state.parts[j].veiled, scratch.parts[j].flipped
+                veiled, flipped = state.parts[j][VEILED], scratch.parts[j].flipped
                 for m in range(veiled.shape[2]):
                     veiled[i, q, m, w] ^= flipped[i, q, m, w]
     exchange_place(k, state, scratch)
@@ -97,16 +108,17 @@ def carry_out_rig(field, k, state, scratch):
 @borrowing
 def _fill(field, state, scratch):
     """Let the landmarks of `state` come, one after the other."""
-    for k in range(np.uint64(state.landmarks.shape[1])):
-        for i in range(3):
-            scratch.target[i], scratch.target[3 + i] = state.landmarks[i, k], state.normals[i, k]
+    fresh = scratch.sets[FRESH]
+    for k in range(np.uint64(state.poses.shape[1])):
+        for i in range(6):
+            scratch.target[i] = state.poses[i, k]
         forget(scratch)
         list_blocks(k, field, state, scratch)
         find_pairs(k, ARRIVES, field.parts, field, state, scratch)
-        positions = scratch.listed[: see_whole(k, field, state, scratch)]
+        positions = scratch.lists[LISTED][: see_whole(k, field, state, scratch)]
         for q in positions:
-            for w in range(np.uint64(scratch.fresh.shape[1])):
-                _show(k, q, w, scratch.fresh[q, w], field.n, state)
+            for w in range(np.uint64(fresh.shape[1])):
+                _show(k, q, w, fresh[q, w], field.n, state)
         _exchange_parts(k, positions, state, scratch)
     sum_up(field, state)
 
@@ -116,10 +128,9 @@ def rig_state_of(field: Any, deployment: Deployment) -> RigState:
     count, (size, words), parts = len(deployment), field.given.shape, [stations.part for stations in field.parts]
     centres, mounts = tuple(len(part.centres) for part in parts), [len(part.axes) for part in parts]
     check_views(CENTRE_BYTES * sum(centres) + CAMERA_BYTES * sum(mounts) * BITS * words, size, 1, count)
-    caps = (np.zeros((2, count, size, each, words), dtype=np.uint64) for each in mounts)
     state = RigState(
         **places_of(deployment)._asdict(),
-        parts=tuple(StationState(*both) for both in caps),
+        parts=tuple(np.zeros((2, count, size, each, words), dtype=np.uint64) for each in mounts),
         shown=np.zeros((count, size, words), dtype=np.uint64),
         counts=given_counts(field.given, count, field.n),
         units=np.zeros(size, dtype=np.int64),

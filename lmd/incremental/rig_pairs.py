@@ -13,6 +13,8 @@ from lmd.core.bits import BITS, LANES, ONE, ZERO, lowest
 from lmd.core.compiled import inlined, inner
 from lmd.incremental.hiding import find_ways, line_radius, near_line
 from lmd.incremental.nearby import pose_of, target_of
+from lmd.incremental.rig_state import ASKED, CAPS, PAIR_COUNT, TOUCHED, TOUCHED_COUNT, TOUCHED_LIST, VEILED, WHERE, WHO
+from lmd.incremental.state import BLOCK_COUNT, BLOCKS, OTHERS
 from lmd.sight.blocks import BLOCK
 from lmd.sight.stations import hides_from, line_room, may_hide_around
 
@@ -51,24 +53,25 @@ def _drop_hidden(part, c, i, k, q, px, py, pz, state, flipped):
 @inlined
 def _touch(q, rig):
     """Note a position where others turn or are in the way."""
-    if not rig.touched[q]:
-        rig.touched[q], rig.places[rig.found[1]] = True, q
-        rig.found[1] += 1
+    numbers = rig.numbers
+    if not rig.flags[TOUCHED, q]:
+        rig.flags[TOUCHED, q], rig.lists[TOUCHED_LIST, numbers[TOUCHED_COUNT]] = True, q
+        numbers[TOUCHED_COUNT] += 1
 
 
 @inlined
 def _find_pair(part, c, i, k, q, px, py, pz, place, how, mine, other, state, rig):
     """Find what landmark k at a `place` hides of landmark i from position q, and note it down."""
-    pose, changed = pose_of(i, state), False
+    pose, changed, caps, veiled, numbers = pose_of(i, state), False, mine[CAPS], mine[VEILED], rig.numbers
     for m in range(part.mounts[c], part.mounts[c + 1]):
-        for w in range(np.uint64(mine.caps.shape[3])):
+        for w in range(np.uint64(caps.shape[3])):
             # Little more is read than is needed: these sets are too many for the cache.
-            bits = mine.caps[i, q, m, w] if how == COMES else mine.veiled[i, q, m, w]
+            bits = caps[i, q, m, w] if how == COMES else veiled[i, q, m, w]
             found = _hidden_bits(part, m, w, bits, k, i, px, py, pz, place, pose) if bits else ZERO
             if found == ZERO:
                 continue
             was = flips = other.flipped[i, q, m, w]
-            flips = found if how == LEAVES else (flips & ~found) | (found & ~mine.veiled[i, q, m, w])
+            flips = found if how == LEAVES else (flips & ~found) | (found & ~veiled[i, q, m, w])
             changed |= flips != was
             other.flipped[i, q, m, w] = flips
     if changed and how == LEAVES:
@@ -76,33 +79,33 @@ def _find_pair(part, c, i, k, q, px, py, pz, place, how, mine, other, state, rig
     if changed:
         _touch(q, rig)
         if not rig.known[q, i]:
-            rig.known[q, i], rig.who[rig.found[0]], rig.where[rig.found[0]] = True, i, q
-            rig.found[0] += 1
+            rig.known[q, i], rig.pairs[WHO, numbers[PAIR_COUNT]], rig.pairs[WHERE, numbers[PAIR_COUNT]] = True, i, q
+            numbers[PAIR_COUNT] += 1
 
 
 @inner
 def _find_pairs(k, how, stations, field, state, rig):
     """Find whom landmark k hides where it is, or where it is tried, and there who may hide it: see `LEAVES`."""
-    part, mine, other, size = stations.part, state.parts[stations.number], rig.parts[stations.number], len(rig.touched)
-    body, width = field.positions, line_radius(part.sight)
+    part, mine, other, size = stations.part, state.parts[stations.number], rig.parts[stations.number], len(rig.units)
+    body, boxes, poses, width = field.positions, field.boxes, state.poses, line_radius(part.sight)
+    blocks, others, who, where = rig.lists[BLOCKS], rig.lists[OTHERS], other.pairs[WHO], other.pairs[WHERE]
     place = pose_of(k, state) if how == LEAVES else target_of(rig)
     ax, ay, az = place[0], place[1], place[2]
-    filled = find_ways(ax, ay, az, state.landmarks, part.horizon, rig.near.others, rig.near.ways)
+    filled = find_ways(ax, ay, az, poses, part.horizon, others, rig.ways)
     for c in range(len(part.centres)):
         cx, cy, cz, radius = part.centres[c, 0], part.centres[c, 1], part.centres[c, 2], part.radius[c]
-        for e in range(rig.near.found[0]):
-            b = rig.near.blocks[e]
-            mx, my, mz = ax - field.centres[0, b] - cx, ay - field.centres[1, b] - cy, az - field.centres[2, b] - cz
+        for e in range(rig.numbers[BLOCK_COUNT]):
+            b = blocks[e]
+            mx, my, mz = ax - boxes[0, b] - cx, ay - boxes[1, b] - cy, az - boxes[2, b] - cz
             hx, hy, hz = (
-                np.float32(field.halves[0, b] + radius), np.float32(field.halves[1, b] + radius),
-                np.float32(field.halves[2, b] + radius),
+                np.float32(boxes[3, b] + radius), np.float32(boxes[4, b] + radius), np.float32(boxes[5, b] + radius)
             )  # fmt: skip
             for start in range(np.uint64(0), np.uint64(filled), np.uint64(LANES)):
-                close = near_line(start, mx, my, mz, hx, hy, hz, width, rig.near.ways)
+                close = near_line(start, mx, my, mz, hx, hy, hz, width, rig.ways)
                 while close:
-                    i = rig.near.others[start + lowest(np.uint64(close))]
+                    i = others[start + lowest(np.uint64(close))]
                     close &= close - np.uint32(1)
-                    lx, ly, lz = state.landmarks[0, i], state.landmarks[1, i], state.landmarks[2, i]
+                    lx, ly, lz = poses[0, i], poses[1, i], poses[2, i]
                     ex, ey, ez, lanes = lx - ax, ly - ay, lz - az, np.uint32(0)
                     vx, vy, vz, apart = mx + ex, my + ey, mz + ez, math.sqrt(ex * ex + ey * ey + ez * ez)
                     far = math.sqrt(max(mx * mx + my * my + mz * mz, vx * vx + vy * vy + vz * vz))
@@ -119,25 +122,26 @@ def _find_pairs(k, how, stations, field, state, rig):
                             px, py, pz = body[0, q], body[1, q], body[2, q]
                             _find_pair(part, c, i, k, q, px, py, pz, place, how, mine, other, state, rig)
                         if how != LEAVES:
-                            other.who[other.rivals[0]], other.where[other.rivals[0]] = i, np.uint64(c * size) + q
+                            who[other.rivals[0]], where[other.rivals[0]] = i, np.uint64(c * size) + q
                             other.rivals[0] += 1
 
 
 @inner
 def find_veils(k, stations, field, state, rig):
-    """Find in `veil` with which of the orientations of `cap` that are `asked` rivals hide the place tried."""
-    part, other, size, body = stations.part, rig.parts[stations.number], np.uint64(len(rig.touched)), field.positions
-    place = target_of(rig)
+    """Find in `VEILED` with which of the orientations of `CAPS` that are `ASKED` rivals hide the place tried."""
+    part, other, size, body = stations.part, rig.parts[stations.number], np.uint64(len(rig.units)), field.positions
+    place, asked, cap, veil = target_of(rig), rig.sets[ASKED], other.sets[CAPS], other.sets[VEILED]
+    who, where = other.pairs[WHO], other.pairs[WHERE]
     for e in range(other.rivals[0]):
-        i, c, q = np.uint64(other.who[e]), other.where[e] // size, other.where[e] % size
+        i, c, q = np.uint64(who[e]), where[e] // size, where[e] % size
         for m in range(part.mounts[c], part.mounts[c + np.uint64(1)]):
-            for w in range(np.uint64(other.cap.shape[2])):
-                bits = other.cap[q, m, w] & rig.asked[q, w] & ~other.veil[q, m, w]
+            for w in range(np.uint64(cap.shape[2])):
+                bits = cap[q, m, w] & asked[q, w] & ~veil[q, m, w]
                 if bits:
                     px, py, pz = body[0, q], body[1, q], body[2, q]
                     found = _hidden_bits(part, m, w, bits, i, k, px, py, pz, pose_of(i, state), place)
                     if found:
-                        other.veil[q, m, w] |= found
+                        veil[q, m, w] |= found
                         _touch(q, rig)
 
 

@@ -27,10 +27,35 @@ import numpy as np
 
 from lmd.core.bits import ALL, BITS, HALF, LOWER, ONE, ZERO, add_set, at_least, exactly, lowest
 from lmd.core.compiled import inner
+from lmd.incremental.counts import ENOUGH, JUST, SHORT
 from lmd.incremental.hiding import FORTH, find_flips, find_new, find_old, list_turning
 from lmd.incremental.nearby import look_around
+from lmd.incremental.state import (
+    AFTER_HIDDEN,
+    DIGITS,
+    FIRST,
+    FLIPS,
+    GOES,
+    HIDDEN,
+    HIGH,
+    LAST,
+    LISTED,
+    LOW,
+    NAMES,
+    OLD,
+    OUTER,
+    PLACES,
+    REACHED,
+    SPAN_COUNT,
+    SURE,
+    SURFACE,
+    UNSURE,
+    X,
+    Y,
+    Z,
+)
 from lmd.scene.criteria import covers_one, frame_of, sized
-from lmd.sight.directions import NOWHERE
+from lmd.sight.directions import CERTAIN, NOWHERE, POSSIBLE
 from lmd.sight.kernels import sum_weights, weights_row
 
 # Indices are unsigned where it counts: signed ones cost extra instructions, as they might be negative.
@@ -40,32 +65,31 @@ from lmd.sight.kernels import sum_weights, weights_row
 def _try_caps(k, field, state, scratch):
     """Bound P_n where landmark k comes or goes and no other appears; copy it elsewhere."""
     sight, axes, weights = sized(field.sight, k), field.axes, field.weights
-    certain, possible = field.certain, field.possible
-    target = scratch.target
+    certain, possible = field.tables[CERTAIN], field.tables[POSSIBLE]
+    target, seen, flags, lists = scratch.target, scratch.seen, scratch.flags, scratch.lists
     frame = frame_of(sight, target[3], target[4], target[5])
-    caps, reachable, hidden, before = state.caps, state.reachable, state.hidden, state.units
-    short, just = state.counts.short, state.counts.just
-    x, y, z, low, high, sure, cell, reached = scratch.new
-    flips, units = scratch.flips, scratch.units
-    old, inner, outer = scratch.mask, scratch.inner, scratch.outer
-    listed, unsure, places = scratch.listed, scratch.unsure, scratch.places
-    spans, near = scratch.near.spans, scratch.near.found
+    caps, reachable, hidden, before = state.caps, state.reachable, state.hides[HIDDEN], state.units
+    short, just = state.counts.sets[SHORT], state.counts.sets[JUST]
+    x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
+    cell, outer, reached, flips = scratch.cell, scratch.shorts[OUTER], flags[REACHED], flags[FLIPS]
+    old, listed, firsts, lasts = lists[OLD], lists[LISTED], lists[FIRST], lists[LAST]
+    units, unsure, places = scratch.units, lists[UNSURE], lists[PLACES]
     count, found, size = ZERO, ZERO, np.uint64(caps.shape[2])
     for p in range(np.uint64(len(units))):
         units[p] = before[p]
-    for s in range(near[1]):
-        first, last = spans[s, 0], spans[s, 1]
+    for s in range(scratch.numbers[SPAN_COUNT]):
+        first, last = firsts[s], lasts[s]
         for p in range(first, last):
-            seen = reached[p] & (not flips[p])
-            outer[p] = cell[p] if seen else NOWHERE
-            inner[p] = cell[p] if seen & (sure[p] == np.inf) else NOWHERE
+            shown = reached[p] & (not flips[p])
+            outer[p] = cell[p] if shown else NOWHERE
             old[p] = ALL if reachable[k, p] & (hidden[k, p] == 0) & (not flips[p]) else ZERO
         for p in range(first, last):
             listed[count] = p
             count += np.uint64((old[p] != ZERO) | (outer[p] != NOWHERE))
     for m in range(count):
         p = listed[m]
-        i, o = np.uint64(inner[p]), np.uint64(outer[p])
+        o = np.uint64(outer[p])
+        i = o if sure[p] == np.inf else np.uint64(NOWHERE)
         for w in range(size):
             was = caps[k, p, w] & old[p]
             unsure[found] = (short[p, w] & ~was & possible[o, w]) | (just[p, w] & was & ~certain[i, w])
@@ -90,15 +114,15 @@ def _try_caps(k, field, state, scratch):
 def _try_flips(k, positions, field, state, scratch):
     """Find P_n at `positions`, where other landmarks may appear or disappear."""
     sight, axes, weights, n = sized(field.sight, k), field.axes, field.weights, field.n
-    certain, possible = field.certain, field.possible
-    target = scratch.target
+    certain, possible = field.tables[CERTAIN], field.tables[POSSIBLE]
+    target, seen, flags, lists = scratch.target, scratch.seen, scratch.flags, scratch.lists
     frame = frame_of(sight, target[3], target[4], target[5])
-    caps, reachable, hidden, before = state.caps, state.reachable, state.hidden, state.units
-    counts, enough = state.counts.digits, state.counts.enough
-    x, y, z, low, high, sure, cell, reached = scratch.new
-    count_hidden, units, digits = scratch.after.count_hidden, scratch.units, scratch.digits
-    names, goes = scratch.names, scratch.goes
+    caps, reachable, hidden, before = state.caps, state.reachable, state.hides[HIDDEN], state.units
+    counts, enough = state.counts.digits, state.counts.sets[ENOUGH]
+    x, y, z, low, high, sure = seen[X], seen[Y], seen[Z], seen[LOW], seen[HIGH], seen[SURE]
+    cell, reached, count_hidden, units = scratch.cell, flags[REACHED], scratch.shorts[AFTER_HIDDEN], scratch.units
     size = np.uint64(counts.shape[2])
+    names, goes, digits = lists[NAMES], lists[GOES], lists[DIGITS][:size]
     for p in positions:
         flipped = list_turning(p, FORTH, state, scratch)
         names[flipped], goes[flipped] = k, ALL
@@ -129,9 +153,9 @@ def _try_flips(k, positions, field, state, scratch):
 def begin_move(k, pose, surface, field, state, scratch):
     """Look at landmark k at `pose` `(6,)`, position and normal, on a surface, as if nothing hid or were hidden there.
 
-    Fills `scratch.new`, and `scratch.flips` with what appears as k leaves its place.
+    Fills `seen`, `CELL`, `REACHED`, and `FLIPS` with what appears as k leaves its place.
     """
-    scratch.surface[0] = surface
+    scratch.numbers[SURFACE] = surface
     for i in range(6):
         scratch.target[i] = pose[i]
     look_around(k, field, state, scratch)
@@ -149,11 +173,11 @@ def complete_move(k, field, state, scratch):
 
 @inner
 def list_flips(scratch):
-    """List in `listed` where another landmark appears or disappears or hides the place tried; returns how many."""
-    flips, listed, spans = scratch.flips, scratch.listed, scratch.near.spans
-    reached, count_hidden, count = scratch.new.reached, scratch.after.count_hidden, ZERO
-    for s in range(scratch.near.found[1]):
-        for p in range(spans[s, 0], spans[s, 1]):
+    """List in `LISTED` where another landmark appears or disappears or hides the place tried; returns how many."""
+    flips, listed, first, last = scratch.flags[FLIPS], scratch.lists[LISTED], scratch.lists[FIRST], scratch.lists[LAST]
+    reached, count_hidden, count = scratch.flags[REACHED], scratch.shorts[AFTER_HIDDEN], ZERO
+    for s in range(scratch.numbers[SPAN_COUNT]):
+        for p in range(first[s], last[s]):
             listed[count] = p
             count += np.uint64(flips[p] | (reached[p] & (count_hidden[p] != 0)))
     return count
@@ -164,7 +188,7 @@ def bound_move(field, k, pose, surface, state, scratch):
     """Find what P_n is at most with landmark k at `pose` `(6,)`, position and normal, on a surface: `scratch.units`."""
     begin_move(k, pose, surface, field, state, scratch)
     _try_caps(np.uint64(k), field, state, scratch)
-    _try_flips(np.uint64(k), scratch.listed[: list_flips(scratch)], field, state, scratch)
+    _try_flips(np.uint64(k), scratch.lists[LISTED][: list_flips(scratch)], field, state, scratch)
 
 
 @inner
@@ -172,4 +196,4 @@ def finish_move(field, k, state, scratch):
     """Make what `bound_move` found exact."""
     if field.sight.reach >= 0.0:
         complete_move(k, field, state, scratch)
-        _try_flips(np.uint64(k), scratch.listed[: list_flips(scratch)], field, state, scratch)
+        _try_flips(np.uint64(k), scratch.lists[LISTED][: list_flips(scratch)], field, state, scratch)

@@ -20,10 +20,8 @@ from lmd.sight.kernels import PROBABILITY_ONE
 class ReferenceState(NamedTuple):
     """Where K landmarks are, and what that is worth at Q positions."""
 
-    landmarks: np.ndarray
-    """`(3, K)`, metres."""
-    normals: np.ndarray
-    """`(3, K)`."""
+    poses: np.ndarray
+    """`(6, K)` positions, metres, and unit normals."""
     surfaces: np.ndarray
     """`(K,)`."""
     units: np.ndarray
@@ -66,15 +64,15 @@ class ReferenceField:
     def state(self, deployment: Deployment) -> ReferenceState:
         """See `Field.state`."""
         places = places_of(deployment)
-        return ReferenceState(*places, self.units(places.landmarks, places.normals))
+        return ReferenceState(*places, self.units(places.poses))
 
     def scratch(self, state: ReferenceState) -> ReferenceScratch:
         """See `Field.scratch`."""
         return ReferenceScratch(np.empty(6), np.empty(1, dtype=np.int64), state.units.copy())
 
-    def units(self, landmarks: FloatArray, normals: FloatArray) -> np.ndarray:
-        """The values in whole units, `(Q,)`, of landmarks `(3, K)`."""
-        values = self.objective.values(self.evaluator, landmarks.T[None], normals.T[None])[0]
+    def units(self, poses: FloatArray) -> np.ndarray:
+        """The values in whole units, `(Q,)`, of landmarks with `poses` `(6, K)`."""
+        values = self.objective.values(self.evaluator, poses[:3].T[None], poses[3:].T[None])[0]
         return np.asarray(np.rint(values * PROBABILITY_ONE), dtype=np.int64)
 
 
@@ -90,9 +88,9 @@ def field_of(objective: Objective, evaluator: Evaluator) -> Field:
 
 @bound.register(ReferenceField)
 def _try(field, k, pose, surface, state, scratch):  # type: ignore[no-untyped-def]
-    landmarks, normals = state.landmarks.copy(), state.normals.copy()
-    landmarks[:, k], normals[:, k] = pose[:3], pose[3:]
-    scratch.pose[:], scratch.surface[0], scratch.units[:] = pose, surface, field.units(landmarks, normals)
+    poses = state.poses.copy()
+    poses[:, k] = pose
+    scratch.pose[:], scratch.surface[0], scratch.units[:] = pose, surface, field.units(poses)
 
 
 @settle.register(ReferenceField)
@@ -105,8 +103,7 @@ def _leave(field, k, state, scratch):  # type: ignore[no-untyped-def]
 def _exchange(field, k, state, scratch):  # type: ignore[no-untyped-def] # noqa: ARG001
     """Exchange what the state has of landmark k, and its values, with those of the scratch."""
     pairs = (
-        (state.landmarks[:, k], scratch.pose[:3]),
-        (state.normals[:, k], scratch.pose[3:]),
+        (state.poses[:, k], scratch.pose),
         (state.surfaces[k : k + 1], scratch.surface),
         (state.units, scratch.units),
     )

@@ -23,6 +23,7 @@ from lmd.scene.criteria import Sight, in_view, largest
 
 SIDE = 64
 NOWHERE = SIDE * SIDE  # one row more than there are cells: no axis at all
+CERTAIN, POSSIBLE = 0, 1  # the tables: axes that have every direction of a cell in view, and some
 # Added to rho, rad: far more than rounding moves a direction, a corner or an angle.
 _SLACK = 1e-6
 

@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from lmd.incremental.field import ACCEPT, BOUND, NO_UNITS, SETTLE, UNDO, perform, runner
+from lmd.incremental.field import ACCEPT, BOUND, NO_UNITS, SETTLE, UNDO, Places, perform, placed, runner
 from lmd.objectives.reference_field import field_of
-from lmd.scene.deployment import Deployment
 from lmd.sight.evaluator import Evaluator
 from lmd.sight.kernels import PROBABILITY_ONE
 
@@ -54,7 +53,7 @@ def check_undone_together(field, state, targets):
     """Up to three moves, two of them of the same landmark, are taken back one after the other."""
     done = []
     for i, pose in enumerate(poses_of(targets)[:3]):
-        k, scratch, before = i % 2 % len(state.surfaces), field.scratch(state), copied(state)
+        k, scratch, before = i % 2 % len(placed(state).surfaces), field.scratch(state), copied(state)
         move(field, k, pose, -1, state, scratch)
         done.append((k, scratch, before))
     for k, scratch, before in reversed(done):
@@ -64,7 +63,8 @@ def check_undone_together(field, state, targets):
 
 def check_rebuilt(objective, evaluator, field, state):
     """A state equals one that is built anew, and its values a full evaluation; returns its deployment."""
-    now = Deployment(state.landmarks.T.copy(), state.normals.T.copy(), state.surfaces.copy())
+    known = placed(state)
+    now = Places(known.poses, known.surfaces).deployment()
     assert_same(field.state(now), copied(state), "the state differs from one that is built anew")
     values = objective.values(evaluator, now.positions[None], now.normals[None])[0]
     np.testing.assert_array_equal(state.units[field.index_of] / PROBABILITY_ONE, values)

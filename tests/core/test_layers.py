@@ -68,8 +68,7 @@ def _compare(bundle, found):
 
 
 @pytest.mark.parametrize("compare", [_compared, _compare])
-def test_layers_that_are_handed_on_stay_what_they_were(compare):
-    """Named tuples of hundreds of numbers go to inner functions."""
+def test_a_layer_stays_what_it_was_as_others_are_taken(compare):
     known = layers(State(**{name: np.zeros(1, dtype=np.int64) for name in State._fields}), 6)
     known.units[:, 0] = range(6)
     found = np.zeros(6, dtype=np.int64)

@@ -5,6 +5,7 @@ from paper import paper_room, paper_scene
 from small import make, problem
 
 from lmd.core.checks import InputError
+from lmd.incremental.state import HIDDEN
 from lmd.objectives.coverage import Coverage
 from lmd.objectives.sampling import Sampling
 from lmd.optimisers.annealing import Annealing, Stage
@@ -79,7 +80,7 @@ def test_smaller_plates_hide_less():
     reached = []
     for size in (0.2, 0.5, 1.0):
         surrogate.prepare(deployment, deployment, False, size, 1.0, np.random.default_rng(0))
-        reached.append(int((surrogate._walkers[0].state.hidden > 0).sum()))
+        reached.append(int((surrogate._walkers[0].state.hides[HIDDEN] > 0).sum()))
     assert reached[0] < reached[1] < reached[2]
     assert surrogate._walkers[0].best.fitness[0] == pytest.approx(p.fitness_of(deployment))
 
@@ -129,10 +130,10 @@ def test_walkers_move_landmarks_of_their_own_and_are_put_together(sampling):
     walkers, here = surrogate._walkers, surrogate.here()
     assert sorted(np.concatenate([walker.members for walker in walkers])) == list(range(30))
     for walker in walkers:
-        moved = np.flatnonzero((start.positions != walker.state.landmarks.T).any(axis=1))
+        moved = np.flatnonzero((start.positions != walker.state.poses[:3].T).any(axis=1))
         assert len(moved) > 0
         assert np.isin(moved, walker.members).all()
-        np.testing.assert_array_equal(here.positions[walker.members], walker.state.landmarks.T[walker.members])
+        np.testing.assert_array_equal(here.positions[walker.members], walker.state.poses[:3].T[walker.members])
         np.testing.assert_array_equal(here.surfaces[walker.members], walker.state.surfaces[walker.members])
 
 

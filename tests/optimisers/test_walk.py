@@ -41,7 +41,7 @@ def walked(n, occlusion, stage):
             surrogate._papers,
         )
         module.walk.py_func(200, walker.places, walker.members, walker.group, *here, settings, rng, walker.best)
-    return [*moves.copied(walker.state), *walker.best, rng.random()], len(finished)
+    return [*moves.copied(walker.state), walker.best.fitness, *walker.best.places, rng.random()], len(finished)
 
 
 @pytest.mark.parametrize("occlusion", ["paper", "line_of_sight"])

@@ -134,8 +134,8 @@ def test_stacks_beside_fixed_landmarks_are_as_many_landmarks_on_one_point(data, 
     scratch = field.scratch(state)
     for target in np.hstack([targets.positions, targets.normals]):
         move(field, int(rng.integers(len(stacks))), target, -1, state, scratch)
-        positions = np.vstack([fixed.positions, *[state.landmarks.T] * n])
-        normals = np.vstack([fixed.normals, *[state.normals.T] * n])
+        positions = np.vstack([fixed.positions, *[state.poses[:3].T] * n])
+        normals = np.vstack([fixed.normals, *[state.poses[3:].T] * n])
         units = evaluator.units(positions[None], normals[None], n)[0]
         np.testing.assert_array_equal(state.units[field.index_of], units)
 

@@ -12,7 +12,7 @@ from strategies import scenes_with_deployments
 from lmd.incremental.coverage_field import coverage_field
 from lmd.incremental.hiding import flips_with
 from lmd.incremental.move import state_of
-from lmd.incremental.state import scratch_of
+from lmd.incremental.state import AFTER, AFTER_HIDDEN, AFTER_HIDING, FOUND, HIDDEN, HIDING, scratch_of
 from lmd.scene.deployment_sources import RandomDeployment
 from lmd.sight.blocks import BLOCK
 from lmd.sight.evaluator import Evaluator
@@ -29,7 +29,7 @@ def hidden_by_each(scene, landmarks, position):
 
 def counted(field, landmarks, block):
     """Which landmarks count for which others: those within the horizon of each other and both of the block."""
-    gaps = np.abs(landmarks - field.centres[:, block]) - field.halves[:, block]
+    gaps = np.abs(landmarks - field.boxes[:3, block]) - field.boxes[3:, block]
     near = np.linalg.norm(np.maximum(gaps, 0.0), axis=1) <= field.horizon
     apart = np.linalg.norm(landmarks[:, None] - landmarks, axis=2)
     return (apart <= field.horizon) & near & near[:, None]
@@ -41,8 +41,8 @@ def check(scene, deployment):
     for p in range(0, field.positions.shape[1], 7):
         hides = hidden_by_each(scene, deployment.positions, field.positions[:, p])
         near = hides & counted(field, deployment.positions, p // BLOCK)
-        np.testing.assert_array_equal(state.hidden[:, p], near.sum(axis=1))
-        np.testing.assert_array_equal(state.hiding[:, p], near.sum(axis=0))
+        np.testing.assert_array_equal(state.hides[HIDDEN, :, p], near.sum(axis=1))
+        np.testing.assert_array_equal(state.hides[HIDING, :, p], near.sum(axis=0))
         reached = state.reachable[:, p]
         np.testing.assert_array_equal(near[reached], hides[reached])  # nothing that matters is left out
 
@@ -75,12 +75,13 @@ def test_a_trial_finds_what_its_place_hides_and_who_hides_it(case, data):
     settle(field, k, state, scratch)
     moved = deployment.positions.copy()
     moved[k] = target
-    after = scratch.after
+    hidden, hiding = scratch.shorts[AFTER_HIDDEN], scratch.shorts[AFTER_HIDING]
+    found, who = scratch.lists[FOUND + AFTER], scratch.who[AFTER]
     for p in range(0, field.positions.shape[1], 5):
         hides = hidden_by_each(scene, moved, field.positions[:, p]) & counted(field, moved, p // BLOCK)
-        assert after.count_hidden[p] == hides[k].sum()
-        assert after.count_hides[p] == hides[:, k].sum()
-        named = after.who[p // BLOCK, : after.found[p // BLOCK]]
+        assert hidden[p] == hides[k].sum()
+        assert hiding[p] == hides[:, k].sum()
+        named = who[p // BLOCK, : int(found[p // BLOCK])]
         assert set(np.flatnonzero(hides[k] | hides[:, k])) <= set(named.tolist())
         assert k not in named
 

@@ -6,9 +6,11 @@ from lmd.core.bits import ALL, BITS, ONE, ZERO, lowest
 from lmd.core.compiled import inlined, inner
 from lmd.incremental.hiding import FORTH, list_turning
 from lmd.incremental.nearby import pose_of
+from lmd.incremental.state import AFTER_HIDDEN, FLIPS, GOES, HIDDEN, NAMES, REACHED, X, Y, Z
 from lmd.objectives.localisation.ambiguity import count_tag, told_apart
 from lmd.objectives.localisation.information import WIDTH, half_of, share_of
 from lmd.objectives.localisation.kernels import landmark_moments, meets_row
+from lmd.objectives.localisation.state import CHANGES, LEFT, OFFSETS, TRIED
 from lmd.scene.criteria import pixel_density
 
 VIEW = np.uint64(BITS)
@@ -39,18 +41,20 @@ def row_meets(precision, sums, v):
 @inlined
 def _note_change(count, goes, x, y, z, moments, cap, scratch):
     """Write down that a `cap` `(W,)` comes, or goes, of a landmark at an offset with these `moments` `(WIDTH,)`."""
-    scratch.goes[count] = goes
-    scratch.offsets[count, 0], scratch.offsets[count, 1], scratch.offsets[count, 2] = x, y, z
+    changes, offsets, caps = scratch.told[CHANGES], scratch.told[OFFSETS], scratch.caps
+    offsets[count, 0], offsets[count, 1], offsets[count, 2] = x, y, z
     for j in range(np.uint64(WIDTH)):
-        scratch.moments[count, j] = moments[j]
+        changes[count, j] = moments[j]
     for w in range(np.uint64(len(cap))):
-        scratch.caps[count, w] = cap[w]
+        caps[count, w] = cap[w]
+    caps[count, len(cap)] = goes
 
 
 @inlined
 def note_landmark(count, goes, i, p, field, state, scratch):
     """Write down that landmark i comes, or `goes`, at position p, as change `count` there."""
-    (ax, ay, az, nx, ny, nz), positions, moments = pose_of(i, state), field.coverage.positions, scratch.row[0]
+    (ax, ay, az, nx, ny, nz), positions = pose_of(i, state.coverage), field.coverage.positions
+    moments = scratch.told[CHANGES][-1]
     x, y, z = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
     moments_of(x, y, z, nx, ny, nz, field.precision, i, moments)
     _note_change(count, goes, x, y, z, moments, state.coverage.caps[i, p], scratch)
@@ -60,18 +64,18 @@ def note_landmark(count, goes, i, p, field, state, scratch):
 def list_changes(k, p, field, state, scratch):
     """Write down which caps come or go at position p, and return how many: of landmark k, and of those that flip."""
     known, trial, positions, count = state.coverage, scratch.coverage, field.coverage.positions, ZERO
-    if known.reachable[k, p] & (known.hidden[k, p] == 0):
-        ax, ay, az, _, _, _ = pose_of(k, state)
+    seen = trial.seen
+    if known.reachable[k, p] & (known.hides[HIDDEN, k, p] == 0):
+        ax, ay, az, _, _, _ = pose_of(k, known)
         x, y, z = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
-        _note_change(count, ALL, x, y, z, scratch.old[p], known.caps[k, p], scratch)
+        _note_change(count, ALL, x, y, z, scratch.told[LEFT, p], known.caps[k, p], scratch)
         count += ONE
-    if trial.new.reached[p] & (trial.after.count_hidden[p] == 0):
-        x, y, z = trial.new.x[p], trial.new.y[p], trial.new.z[p]
-        _note_change(count, ZERO, x, y, z, scratch.new[p], trial.cap[p], scratch)
+    if trial.flags[REACHED, p] & (trial.shorts[AFTER_HIDDEN, p] == 0):
+        _note_change(count, ZERO, seen[X, p], seen[Y, p], seen[Z, p], scratch.told[TRIED, p], trial.cap[p], scratch)
         count += ONE
-    if trial.flips[p]:
+    if trial.flags[FLIPS, p]:
         for m in range(list_turning(p, FORTH, known, trial)):
-            note_landmark(count, trial.goes[m], trial.names[m], p, field, state, scratch)
+            note_landmark(count, trial.lists[GOES, m], trial.lists[NAMES, m], p, field, state, scratch)
             count += ONE
     return count
 
@@ -80,8 +84,8 @@ def list_changes(k, p, field, state, scratch):
 def add_change(e, p, sign, field, state, scratch):
     """Add to the sums what change e of position p adds to all views in its cap, or takes, times `sign`."""
     sight, axes, caps = field.coverage.sight, field.coverage.axes, scratch.caps
-    offsets, moments, goes = scratch.offsets, scratch.moments, scratch.goes
-    words = np.uint64(caps.shape[1])
+    offsets, moments, words = scratch.told[OFFSETS], scratch.told[CHANGES], np.uint64(state.localised.shape[1])
+    goes = caps[e, words]
     for w in range(words):
         left = caps[e, w]
         while left:
@@ -93,12 +97,12 @@ def add_change(e, p, sign, field, state, scratch):
 
 @inlined
 def add_shares(precision, sums, v, e, a, sign, sight, axes, offsets, moments, goes):
-    """Add what change e of a position adds to axis a, or takes, to row v of `sums`; the arrays are those of a scratch.
+    """Add what change e of a position adds to axis a, or takes if it `goes`, to row v of `sums`.
 
     Inlined: to hand on field, state and scratch costs more than the work itself.
     """
     weight = pixel_density(sight, offsets[e, 0], offsets[e, 1], offsets[e, 2], axes, a)
-    factor = -sign if goes[e] else sign
+    factor = -sign if goes else sign
     for j in range(np.uint64(sums.shape[1])):
         sums[v, j] += factor * share_of(moments[e, j], weight)
     count_tag(precision, sums, v, factor)

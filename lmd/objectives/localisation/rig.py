@@ -16,7 +16,7 @@ from lmd.core.threads import in_parts
 from lmd.objectives.localisation.body import body_meets, gain_of, position_variance
 from lmd.objectives.localisation.looks import add_of_all, looks_of, seen_by_any
 from lmd.objectives.localisation.rig_ambiguity import add_share, has_one_pose, width_of
-from lmd.objectives.localisation.slots import VIEW, fill_slots, met_slots, new_slots, tags_of
+from lmd.objectives.localisation.slots import ORIENTATION, VIEW, fill_slots, met_slots, new_slots, tags_of
 from lmd.scene.deployment import Deployment
 from lmd.scene.rig import Rig
 from lmd.sight.evaluator import Evaluator
@@ -76,7 +76,7 @@ def _localise(every, positions, tags, weights, n, precision, asks, slots, found,
             nobody asks.
     """
     some, words = np.zeros(max(n, 2), dtype=np.uint64), np.uint64(weights.shape[1]) // VIEW
-    shown = np.empty(len(tags), dtype=np.int64)
+    shown, bits = np.empty(len(tags), dtype=np.int64), slots.lists[ORIENTATION]
     for p in range(np.uint64(len(positions))):
         place = positions[p, 0], positions[p, 1], positions[p, 2]
         for w in range(words):
@@ -99,8 +99,8 @@ def _localise(every, positions, tags, weights, n, precision, asks, slots, found,
                     good = has & met_slots(precision, slots, count, some[1])
                 for v in range(count if len(variances) else ZERO):
                     value, fixed = position_variance(slots.rows, v, VIEW)
-                    fixed &= (some[1] >> slots.bits[v] & ONE != ZERO) | has_one_pose(precision, slots.rows, v, VIEW)
-                    variances[p, w * VIEW + slots.bits[v]] = value if fixed else np.inf
+                    fixed &= (some[1] >> bits[v] & ONE != ZERO) | has_one_pose(precision, slots.rows, v, VIEW)
+                    variances[p, w * VIEW + bits[v]] = value if fixed else np.inf
             found[0, p] += sum_weights(ZERO, has, weights, p, w)
             found[1, p] += sum_weights(ZERO, good, weights, p, w)
 

@@ -25,18 +25,18 @@ from lmd.sight.evaluator import Evaluator
 class RigLocalisationScratch(NamedTuple):
     """The move tried last, and working memory.
 
-    units, located, localised: as in the state, after the move; coverage: the scratch of coverage. Once the move is
-    carried out, these are those of before. lost, gained: the orientations with which the move takes a landmark from
-    some camera, and gives it one, `(Q, W)`. slots: the views that are worked on.
+    Once the move is carried out, `units`, `located`, `LOCALISED` and `coverage` are those of before.
     """
 
     units: np.ndarray
+    """`(Q,)` as in the state, after the move; so is `located`."""
     located: np.ndarray
-    localised: np.ndarray
+    sets: np.ndarray
+    """`(3, Q, W)`: `LOCALISED`, `LOST`, `GAINED`."""
     coverage: RigScratch
-    lost: np.ndarray
-    gained: np.ndarray
+    """The scratch of coverage."""
     slots: Slots
+    """The views that are worked on."""
 
 
 class RigLocalisationField(NamedTuple):
@@ -73,10 +73,8 @@ class RigLocalisationField(NamedTuple):
         return RigLocalisationScratch(
             units=state.units.copy(),
             located=state.located.copy(),
-            localised=state.localised.copy(),
+            sets=np.stack([state.localised, *np.zeros((2, *state.localised.shape), dtype=np.uint64)]),
             coverage=self.coverage.scratch(state.coverage),
-            lost=np.zeros_like(state.localised),
-            gained=np.zeros_like(state.localised),
             slots=new_slots(),
         )
 

@@ -12,7 +12,7 @@ from lmd.core.compiled import kernel
 from lmd.core.threads import in_parts
 from lmd.objectives.localisation.body import BODY_WIDTH, body_log_det
 from lmd.objectives.localisation.looks import Looks, add_of_all, looks_of, seen_by_any
-from lmd.objectives.localisation.slots import VIEW, fill_slots, give_sums, new_slots, tags_of, take_sums
+from lmd.objectives.localisation.slots import ORIENTATION, VIEW, fill_slots, give_sums, new_slots, tags_of, take_sums
 from lmd.scene.deployment import Deployment
 from lmd.scene.scene import Scene
 from lmd.sight.evaluator import Evaluator
@@ -36,7 +36,7 @@ def _gains(every, tags, prices, positions, precision, sums, known, slots, out):
         known: their `body_log_det`, `(P, D)`.
         slots: working memory.
     """
-    words, which = np.uint64(known.shape[1]) // VIEW, np.zeros(1, dtype=np.int64)
+    words, which, bits = np.uint64(known.shape[1]) // VIEW, np.zeros(1, dtype=np.int64), slots.lists[ORIENTATION]
     for j in range(len(out)):
         which[0], out[j] = j, 0.0
         for p in range(np.uint64(len(positions))):
@@ -49,14 +49,14 @@ def _gains(every, tags, prices, positions, precision, sums, known, slots, out):
                 take_sums(sums, first, precision, slots, count)
                 add_of_all(every, p, which, w, place, tags, precision, slots)
                 for v in range(count):
-                    a = w * VIEW + slots.bits[v]
+                    a = w * VIEW + bits[v]
                     out[j] += prices[p, a] * (body_log_det(slots.rows, v, VIEW) - known[p, a])
 
 
 @kernel
 def _choose(every, tags, positions, precision, sums, flat, known, slots):
     """Add the only one of the poses to `sums`, whose numbers are `flat`, and `known`; args as in `_gains`."""
-    words, which = np.uint64(known.shape[1]) // VIEW, np.zeros(1, dtype=np.int64)
+    words, which, bits = np.uint64(known.shape[1]) // VIEW, np.zeros(1, dtype=np.int64), slots.lists[ORIENTATION]
     for p in range(np.uint64(len(positions))):
         place = positions[p, 0], positions[p, 1], positions[p, 2]
         for w in range(words):
@@ -67,8 +67,8 @@ def _choose(every, tags, positions, precision, sums, flat, known, slots):
             add_of_all(every, p, which, w, place, tags, precision, slots)
             give_sums(sums, first, precision, slots, count)
             for v in range(count):
-                row = np.int64((first + slots.bits[v]) * np.uint64(BODY_WIDTH))
-                known[p, w * VIEW + slots.bits[v]] = body_log_det(flat, row, 1)
+                row = np.int64((first + bits[v]) * np.uint64(BODY_WIDTH))
+                known[p, w * VIEW + bits[v]] = body_log_det(flat, row, 1)
 
 
 class RigLogDeterminant:

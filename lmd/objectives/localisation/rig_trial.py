@@ -12,11 +12,24 @@ from numba import literal_unroll
 from lmd.core.bits import ALL, ZERO, at_least
 from lmd.core.compiled import inlined, inner, kernel
 from lmd.geometry.squares import upright_sides
-from lmd.incremental.counts import enough_with
+from lmd.incremental.counts import ENOUGH, SHORT, enough_with
 from lmd.incremental.nearby import pose_of, target_of
 from lmd.incremental.rig_move import see_whole, take_back_rig
 from lmd.incremental.rig_pairs import COMES, find_pairs
+from lmd.incremental.rig_state import (
+    ASKED,
+    CAPS,
+    FRESH,
+    PAIR_COUNT,
+    TOUCHED,
+    TOUCHED_COUNT,
+    TOUCHED_LIST,
+    VEILED,
+    WHERE,
+    WHO,
+)
 from lmd.incremental.rig_trial import ask_again, begin_rig_move, list_near, see_anew
+from lmd.incremental.state import FIRST, LAST, LISTED, SPAN_COUNT
 from lmd.objectives.localisation.ambiguity import asks_apart
 from lmd.objectives.localisation.changes import mixed
 from lmd.objectives.localisation.information import half_of
@@ -32,7 +45,12 @@ from lmd.objectives.localisation.slots import (
     met_slots,
     take_sums,
 )
+from lmd.objectives.localisation.state import LOCALISED
 from lmd.sight.kernels import sum_weights
+
+# Rows of `RigLocalisationScratch.sets` beside `LOCALISED`: the orientations with which the move
+LOST = 1  # takes a landmark from some camera
+GAINED = 2  # gives it one
 
 
 @inlined
@@ -44,7 +62,7 @@ def _tag(half, x, y, z, nx, ny, nz):
 @inlined
 def _tag_of(i, precision, state):
     """The same of landmark i."""
-    return _tag(half_of(precision, i), *pose_of(i, state))
+    return _tag(half_of(precision, i), *pose_of(i, state.coverage))
 
 
 @inlined
@@ -59,28 +77,29 @@ def _add_changes(mounts, k, q, w, sign, field, state, scratch):
     """Add to the views taken what the move changes for the cameras of a part, times `sign`: see `add_landmark`."""
     trial, slots, count = scratch.coverage, scratch.slots, len(mounts.axes)
     mine, other = state.coverage.parts[mounts.number], trial.parts[mounts.number]
+    caps, veiled, cap, veil = mine[CAPS], mine[VEILED], other.sets[CAPS], other.sets[VEILED]
     place, precision = _place(q, field), field.precision
     old, new = _tag_of(k, precision, state), _tag(half_of(precision, k), *target_of(trial))
     for m in range(count):
-        goes, comes = mine.caps[k, q, m, w] & ~mine.veiled[k, q, m, w], other.cap[q, m, w] & ~other.veil[q, m, w]
+        goes, comes = caps[k, q, m, w] & ~veiled[k, q, m, w], cap[q, m, w] & ~veil[q, m, w]
         add_landmark(mounts, m, w, goes, place, old, -sign, precision, slots)
         add_landmark(mounts, m, w, comes, place, new, sign, precision, slots)
-    for i in range(len(state.surfaces) if trial.touched[q] else 0):
+    for i in range(caps.shape[0] if trial.flags[TOUCHED, q] else 0):
         for m in range(count if trial.known[q, i] else 0):
-            veiled, turns = mine.veiled[i, q, m, w], mine.caps[i, q, m, w] & other.flipped[i, q, m, w]
+            was, turns = veiled[i, q, m, w], caps[i, q, m, w] & other.flipped[i, q, m, w]
             if turns:
                 tag = _tag_of(i, precision, state)
-                add_landmark(mounts, m, w, turns & ~veiled, place, tag, -sign, precision, slots)
-                add_landmark(mounts, m, w, turns & veiled, place, tag, sign, precision, slots)
+                add_landmark(mounts, m, w, turns & ~was, place, tag, -sign, precision, slots)
+                add_landmark(mounts, m, w, turns & was, place, tag, sign, precision, slots)
 
 
 @inner
 def _find_turns_of(mine, flipped, trial, lost, gained):
     """See `_find_turns`, of the pairs as a part sees them."""
-    caps, veiled = mine.caps, mine.veiled
+    caps, veiled, who, where = mine[CAPS], mine[VEILED], trial.pairs[WHO], trial.pairs[WHERE]
     mounts, words = caps.shape[2], np.uint64(caps.shape[3])
-    for e in range(trial.found[0]):  # their positions are among those that are touched, all of which are in `positions`
-        i, q = np.uint64(trial.who[e]), np.uint64(trial.where[e])
+    for e in range(trial.numbers[PAIR_COUNT]):  # at positions that are touched, all of which are in `positions`
+        i, q = np.uint64(who[e]), np.uint64(where[e])
         for m in range(mounts):
             for w in range(words):
                 turns = caps[i, q, m, w] & flipped[i, q, m, w]
@@ -91,12 +110,15 @@ def _find_turns_of(mine, flipped, trial, lost, gained):
 @inner
 def _find_turns(k, positions, state, scratch):
     """Find with which orientations the cameras lose a landmark at `positions`, and gain one."""
+    lost, gained, shown, fresh = (
+        scratch.sets[LOST], scratch.sets[GAINED], state.coverage.shown, scratch.coverage.sets[FRESH]
+    )  # fmt: skip
     for q in positions:
-        for w in range(np.uint64(scratch.lost.shape[1])):
-            scratch.lost[q, w], scratch.gained[q, w] = state.coverage.shown[k, q, w], scratch.coverage.fresh[q, w]
+        for w in range(np.uint64(lost.shape[1])):
+            lost[q, w], gained[q, w] = shown[k, q, w], fresh[q, w]
     for j in range(len(state.coverage.parts)):
         mine, flipped = state.coverage.parts[j], scratch.coverage.parts[j].flipped
-        _find_turns_of(mine, flipped, scratch.coverage, scratch.lost, scratch.gained)
+        _find_turns_of(mine, flipped, scratch.coverage, lost, gained)
 
 
 @inner
@@ -111,7 +133,7 @@ def _add_all_changes(k, q, w, sign, field, state, scratch):
 def _localised(k, q, w, has, two, field, state, scratch):
     """The orientations of word w that are localised, of those that cover enough, `has`; `two` cover two or more."""
     sums, slots, known = state.sums, scratch.slots, state.localised[q, w]
-    lost, gained = scratch.lost[q, w], scratch.gained[q, w]
+    lost, gained = scratch.sets[LOST, q, w], scratch.sets[GAINED, q, w]
     left = has & ((lost & gained) | (lost & known) | (gained & ~known))
     good, first = known & has & ~left, (q * np.uint64(state.localised.shape[1]) + w) * VIEW
     if left == ZERO:
@@ -133,23 +155,26 @@ def _sum_up(q, located, covered, weight, values):
 def _decide(k, positions, field, state, scratch):
     """Find the values at `positions`, with what `fresh` has of landmark k and the pairs as they turn."""
     known, trial, n, weights = state.coverage, scratch.coverage, field.coverage.n, field.coverage.weights
-    shown, counts, fresh, digits = known.shown, known.counts, trial.fresh, trial.digits
+    shown, counts, enough, digits = known.shown, known.counts, known.counts.sets[ENOUGH], trial.digits
+    fresh, asked, touched, localised = (
+        trial.sets[FRESH], trial.sets[ASKED], trial.flags[TOUCHED], scratch.sets[LOCALISED]
+    )  # fmt: skip
     if field.asks:
         _find_turns(k, positions, state, scratch)
     for q in positions:
         located, covered = state.located[q], known.units[q]
         for w in range(np.uint64(fresh.shape[1])):
-            was, now, before = shown[k, q, w], fresh[q, w], counts.enough[q, w]
+            was, now, before = shown[k, q, w], fresh[q, w], enough[q, w]
             has = enough_with(q, w, was, now, counts)
-            if trial.touched[q]:
-                has = at_least(digits[q, w], n) | (now & trial.asked[q, w])
+            if touched[q]:
+                has = at_least(digits[q, w], n) | (now & asked[q, w])
             two = ALL
             if asks_apart(field.precision):
-                two = several(ZERO, now, digits[q, w]) if trial.touched[q] else several(was, now, counts.digits[q, w])
+                two = several(ZERO, now, digits[q, w]) if touched[q] else several(was, now, counts.digits[q, w])
             good = _localised(k, q, w, has, two, field, state, scratch) if field.asks else has
             covered += sum_weights(before, has, weights, q, w)
             located += sum_weights(state.localised[q, w], good, weights, q, w)
-            scratch.localised[q, w] = good
+            localised[q, w] = good
         _sum_up(q, located, covered, field.weight, scratch)
 
 
@@ -159,15 +184,16 @@ def _ask(k, state, scratch):
 
     It does where n - 1 others are seen or more, unless the view is localised and k is not among what it shows.
     """
-    asked, shown, counts = scratch.coverage.asked, state.coverage.shown, state.coverage.counts
-    spans = scratch.coverage.near.spans
-    for s in range(scratch.coverage.near.found[1]):
-        for q in range(spans[s, 0], spans[s, 1]):
+    asked, shown = scratch.coverage.sets[ASKED], state.coverage.shown
+    short, enough = state.coverage.counts.sets[SHORT], state.coverage.counts.sets[ENOUGH]
+    first, last, tried = scratch.coverage.lists[FIRST], scratch.coverage.lists[LAST], scratch.sets[LOCALISED]
+    for s in range(scratch.coverage.numbers[SPAN_COUNT]):
+        for q in range(first[s], last[s]):
             scratch.located[q], scratch.coverage.units[q] = state.located[q], state.coverage.units[q]
             for w in range(np.uint64(asked.shape[1])):
                 mine, localised = shown[k, q, w], state.localised[q, w]
-                asked[q, w] = (counts.enough[q, w] & (mine | ~localised)) | (counts.short[q, w] & ~mine)
-                scratch.localised[q, w] = localised
+                asked[q, w] = (enough[q, w] & (mine | ~localised)) | (short[q, w] & ~mine)
+                tried[q, w] = localised
 
 
 @inner
@@ -179,7 +205,7 @@ def bound_localised_move(field, k, pose, surface, state, scratch):
         scratch.units[q] = state.units[q]
     _ask(k, state, scratch)
     ask_again(k, cover.n, True, known, trial)
-    positions = trial.listed[: list_near(trial, False)]
+    positions = trial.lists[LISTED][: list_near(trial, False)]
     see_anew(k, cover.parts, positions, cover, known, trial)
     _decide(k, positions, field, state, scratch)
 
@@ -190,7 +216,7 @@ def finish_localised_move(field, k, state, scratch):
     cover, known, trial, k = field.coverage, state.coverage, scratch.coverage, np.uint64(k)
     find_pairs(k, COMES, cover.parts, cover, known, trial)
     ask_again(k, cover.n, True, known, trial)
-    positions = trial.places[: trial.found[1]]
+    positions = trial.lists[TOUCHED_LIST][: trial.numbers[TOUCHED_COUNT]]
     see_anew(k, cover.parts, positions, cover, known, trial)
     _decide(k, positions, field, state, scratch)
 
@@ -201,11 +227,11 @@ def _change_sums(k, sign, field, state, scratch):
     if not field.asks:
         return
     words, trial, slots = np.uint64(state.localised.shape[1]), scratch.coverage, scratch.slots
-    positions = trial.listed[: list_near(trial, True)]
+    positions = trial.lists[LISTED][: list_near(trial, True)]
     _find_turns(k, positions, state, scratch)
     for q in positions:
         for w in range(words):
-            turns = scratch.lost[q, w] | scratch.gained[q, w]
+            turns = scratch.sets[LOST, q, w] | scratch.sets[GAINED, q, w]
             if turns == ZERO:
                 continue
             count, first = fill_slots(turns, field.precision, slots), (q * words + w) * VIEW
@@ -237,9 +263,10 @@ def _add_shown(mounts, q, w, field, state, scratch):
     mine, place, precision, slots = (
         state.coverage.parts[mounts.number], _place(q, field), field.precision, scratch.slots
     )  # fmt: skip
-    for i in range(mine.caps.shape[0]):
-        for m in range(mine.caps.shape[2]):
-            seen = mine.caps[i, q, m, w] & ~mine.veiled[i, q, m, w]
+    caps, veiled = mine[CAPS], mine[VEILED]
+    for i in range(caps.shape[0]):
+        for m in range(caps.shape[2]):
+            seen = caps[i, q, m, w] & ~veiled[i, q, m, w]
             if seen:
                 add_landmark(mounts, m, w, seen, place, _tag_of(i, precision, state), 1.0, precision, slots)
 
@@ -248,7 +275,7 @@ def _add_shown(mounts, q, w, field, state, scratch):
 def _met_anew(q, w, field, state, scratch):
     """Sum up what all landmarks tell in word w, and find where it is enough."""
     seen, slots, first = ZERO, scratch.slots, (q * np.uint64(state.localised.shape[1]) + w) * VIEW
-    for i in range(len(state.surfaces)):
+    for i in range(state.coverage.shown.shape[0]):
         seen |= state.coverage.shown[i, q, w]
     count = fill_slots(seen, field.precision, slots)
     for mounts in literal_unroll(field.mounts):
@@ -265,7 +292,7 @@ def sum_up_anew(field, state, scratch):
     for q in range(np.uint64(len(state.units))):
         located = np.int64(0)
         for w in range(np.uint64(state.localised.shape[1])):
-            good = known.counts.enough[q, w]
+            good = known.counts.sets[ENOUGH, q, w]
             if field.asks:
                 good &= _met_anew(q, w, field, state, scratch)
             state.localised[q, w] = good

@@ -44,30 +44,30 @@ class Mounts(NamedTuple):
     gain: float
 
 
+# Rows of `Slots.lists`.
+ORIENTATION = 0  # of each view: which orientation of the word it is
+NUMBER = 1  # of each orientation: which view it is
+WHOSE = 2  # of each pair: its view
+TAKEN = 3  # two numbers: the orientations that are views, as bits, and how many pairs are listed
+
+
 class Slots(NamedTuple):
-    """The views.
+    """The views."""
 
-    bits: which orientations they are, `(BITS,)`; number: which view each orientation is, `(BITS,)`; rows: their sums,
-    number j of view v at j BITS + v, `(MIRRORED_WIDTH BITS,)`.
-
-    taken: the orientations, and how many pairs are listed, `(2,)`; whose: the views of these, `(BITS,)`; work: their
-    numbers, see `AT`; met: whether a view is what is asked for, `(BITS,)`.
-    """
-
-    bits: np.ndarray
-    number: np.ndarray
+    lists: np.ndarray
+    """`(4, BITS)` uint64: `ORIENTATION`, `NUMBER`, `WHOSE`, `TAKEN`."""
     rows: np.ndarray
-    taken: np.ndarray
-    whose: np.ndarray
+    """`(MIRRORED_WIDTH BITS,)` their sums, number j of view v at j BITS + v."""
     work: np.ndarray
+    """`(39 BITS,)` numbers of the pairs, see `AT`."""
     met: np.ndarray
+    """`(BITS,)` whether a view is what is asked for."""
 
 
 def new_slots() -> Slots:
     """Working memory."""
-    bits, number, whose = np.zeros((3, BITS), np.uint64)
-    rows, work, taken = np.zeros(MIRRORED_WIDTH * BITS), np.zeros(len(AT) * BITS), np.zeros(2, np.uint64)
-    return Slots(bits, number, rows, taken, whose, work, np.zeros(BITS, np.uint8))
+    lists, met = np.zeros((4, BITS), np.uint64), np.zeros(BITS, np.uint8)
+    return Slots(lists, np.zeros(MIRRORED_WIDTH * BITS), np.zeros(len(AT) * BITS), met)
 
 
 @inlined
@@ -85,8 +85,8 @@ def tags_of(precision: Any, positions: FloatArray, normals: FloatArray) -> Float
 @inner
 def fill_slots(left, precision, slots):
     """Take the orientations `left` of a word, with sums of zero; returns how many there are."""
-    bits, number, rows, count = slots.bits, slots.number, slots.rows, ZERO
-    slots.taken[0], slots.taken[1] = left, ZERO
+    bits, number, rows, count = slots.lists[ORIENTATION], slots.lists[NUMBER], slots.rows, ZERO
+    slots.lists[TAKEN, 0], slots.lists[TAKEN, 1] = left, ZERO
     while left:
         bit = lowest(left)
         bits[count], number[bit] = bit, count
@@ -101,9 +101,9 @@ def fill_slots(left, precision, slots):
 @inner
 def ask_for(sums, first, slots, count):
     """Ask the cache for the rows of `sums` `(V, width)` that `take_sums` takes."""
-    width = np.uint64(sums.shape[1])
+    width, bits = np.uint64(sums.shape[1]), slots.lists[ORIENTATION]
     for v in range(count):
-        at = (first + slots.bits[v]) * width
+        at = (first + bits[v]) * width
         prefetch(sums, at)
         prefetch(sums, at + width // np.uint64(2))
 
@@ -111,7 +111,7 @@ def ask_for(sums, first, slots, count):
 @inner
 def take_sums(sums, first, precision, slots, count):
     """Add to the views their rows of `sums` `(V, width)`, the first orientation of the word has row `first`."""
-    bits, rows = slots.bits, slots.rows
+    bits, rows = slots.lists[ORIENTATION], slots.rows
     for v in range(count):
         for j in range(numbers_of(precision)):
             rows[j * VIEW + v] += sums[first + bits[v], j]
@@ -120,7 +120,7 @@ def take_sums(sums, first, precision, slots, count):
 @inner
 def give_sums(sums, first, precision, slots, count):
     """Add the views to their rows of `sums`."""
-    bits, rows = slots.bits, slots.rows
+    bits, rows = slots.lists[ORIENTATION], slots.rows
     for v in range(count):
         for j in range(numbers_of(precision)):
             sums[first + bits[v], j] += rows[j * VIEW + v]
@@ -129,7 +129,7 @@ def give_sums(sums, first, precision, slots, count):
 @inner
 def met_slots(precision, slots, count, several):
     """The orientations whose view is what `precision` asks for, as bits; `several` those with two landmarks or more."""
-    bits, rows, met, good = slots.bits, slots.rows, slots.met, ZERO
+    bits, rows, met, good = slots.lists[ORIENTATION], slots.rows, slots.met, ZERO
     for v in range(_whole(count)):
         two = several >> bits[v] & ONE != ZERO
         met[v] = body_meets(precision, rows, v, VIEW) & (two | has_one_pose(precision, rows, v, VIEW))
@@ -151,10 +151,11 @@ def add_landmark(mounts, m, w, seen, place, tag, sign, precision, slots):
         precision: has the share of each corner.
         slots: the views.
     """
-    left, filled = seen & slots.taken[0], slots.taken[1]
+    taken = slots.lists[TAKEN]
+    left, filled = seen & taken[0], taken[1]
     if left == ZERO:
         return
-    number, whose, work = slots.number, slots.whose, slots.work
+    number, whose, work = slots.lists[NUMBER], slots.lists[WHOSE], slots.work
     sight, axes, offsets, worth = mounts.sight, mounts.axes[m], mounts.offsets[m], sign * mounts.gain
     (px, py, pz), (lx, ly, lz, rx, ry, rz, ux, uy, uz) = place, tag
     while left:
@@ -171,16 +172,17 @@ def add_landmark(mounts, m, w, seen, place, tag, sign, precision, slots):
         work[AT[10] + i], work[AT[11] + i], work[AT[12] + i] = ux, uy, uz
         filled += ONE
         if filled == VIEW:
-            slots.taken[1] = filled
+            taken[1] = filled
             add_up(precision, slots)
             filled = ZERO
-    slots.taken[1] = filled
+    taken[1] = filled
 
 
 @inner
 def add_up(precision, slots):
     """Add what the listed pairs tell to the views."""
-    rows, work, whose, share, filled = slots.rows, slots.work, slots.whose, precision.share, slots.taken[1]
+    rows, work, whose, taken = slots.rows, slots.work, slots.lists[WHOSE], slots.lists[TAKEN]
+    share, filled = precision.share, taken[1]
     _find_told(work, share, filled)
     if asks_apart(precision):
         _find_mirrored(work, square_of(precision), filled)
@@ -188,7 +190,7 @@ def add_up(precision, slots):
         v = whose[i]
         for j in range(numbers_of(precision)):
             rows[j * VIEW + v] += work[(TOLD + j) * VIEW + i]
-    slots.taken[1] = ZERO
+    taken[1] = ZERO
 
 
 @inner

@@ -6,17 +6,26 @@ import numpy as np
 
 from lmd.core.bits import BITS
 from lmd.core.memory import check_views
+from lmd.incremental.field import placed
 from lmd.incremental.state import Scratch, scratch_of
 from lmd.objectives.localisation.information import WIDTH
+
+# Rows of `LocalisationScratch.sets`; a rig's has the first, too.
+LOCALISED = 0  # as in the state, after the move
+COVERED = 1  # the axes that cover n landmarks or more after the move
+
+# Rows of `LocalisationScratch.told`.
+LEFT, TRIED = 0, 1  # by position: moments of the landmark at the place left, and at the place tried, where it is seen
+CHANGES = 2  # moments of each landmark that comes or goes at a position; the last row is of the view that is decided
+OFFSETS = 3  # from the camera to each of these, metres: the first three numbers of a row
+
+# Rows of `LocalisationScratch.densities`: 1 / z^3 in each of the `views`, 0 where it is not covered.
+LEAVING, COMING = 0, 1  # of the place left, and of the place tried
 
 
 class LocalisationState(NamedTuple):
     """The views that one deployment localises; Q positions in the order of the field, axes in W words."""
 
-    landmarks: np.ndarray
-    """`(3, K)`, those of `coverage`; so are `normals` and `surfaces`."""
-    normals: np.ndarray
-    surfaces: np.ndarray
     units: np.ndarray
     """`(Q,)` the values, as whole numbers."""
     located: np.ndarray
@@ -30,42 +39,35 @@ class LocalisationState(NamedTuple):
     """The state of coverage: a `State`, or of a rig a `RigState`."""
 
 
+@placed.register(LocalisationState)
+def _placed(state):  # type: ignore[no-untyped-def]
+    return state.coverage
+
+
 class LocalisationScratch(NamedTuple):
     """The move tried last, and working memory.
 
-    Once the move is carried out, `units`, `located` and `localised` are those of before.
+    Once the move is carried out, `units`, `located` and `LOCALISED` are those of before.
     """
 
     units: np.ndarray
-    """`(Q,)` as in the state, after the move; so are `located` and `localised`."""
+    """`(Q,)` as in the state, after the move; so is `located`."""
     located: np.ndarray
-    localised: np.ndarray
+    sets: np.ndarray
+    """`(2, Q, W)`: `LOCALISED`, `COVERED`."""
     coverage: Scratch
     """The scratch of coverage. Its `cap` is filled for all positions that reach the new place; its `units` are P_n."""
-    old: np.ndarray
-    """`(Q, WIDTH)` moments of the landmark at its old place, where it is seen."""
-    new: np.ndarray
-    """`(Q, WIDTH)` the same at the new place."""
-    enough: np.ndarray
-    """`(Q, W)` the axes that cover n landmarks or more after the move. This and what follows is working memory."""
+    told: np.ndarray
+    """`(4, max(Q, K + 3), WIDTH)`: `LEFT`, `TRIED`, `CHANGES`, `OFFSETS`. This and what follows is working memory."""
     first: np.ndarray
     """`(Q + 1,)` the first of the `views` of each position."""
     views: np.ndarray
     """`(64 Q W + 1,)` views to be decided."""
-    leaving: np.ndarray
-    """`(64 Q W + 1,)` 1 / z^3 of the old place in each; 0 where it does not cover it."""
-    coming: np.ndarray
-    """`(64 Q W + 1,)` 1 / z^3 of the new place in each; 0 where it does not cover it."""
-    goes: np.ndarray
-    """`(K + 2,)` for landmarks that come or go at a position: all bits of a word if one goes, none if it comes."""
+    densities: np.ndarray
+    """`(2, 64 Q W + 1)`: `LEAVING`, `COMING`."""
     caps: np.ndarray
-    """`(K + 2, W)` the axes that cover each of them."""
-    offsets: np.ndarray
-    """`(K + 2, 3)` from the camera to each, metres."""
-    moments: np.ndarray
-    """`(K + 2, WIDTH)` of each."""
-    row: np.ndarray
-    """`(1, WIDTH)` of the view that is being decided."""
+    """`(K + 2, W + 1)` for landmarks that come or go at a position: the axes that cover each of them, and all bits of a
+    word if it goes, none if it comes."""
 
 
 def blank_state(known: Any, width: int, each: float) -> LocalisationState:
@@ -76,12 +78,9 @@ def blank_state(known: Any, width: int, each: float) -> LocalisationState:
         width: of the sums.
         each: bytes that a view takes, sums and lists; 0 where nothing is asked of it, and no sums are kept.
     """
-    size, words = known.counts.enough.shape
+    size, words = known.counts.sets.shape[1:]
     check_views(each, size, BITS * words)
     return LocalisationState(
-        landmarks=known.landmarks,
-        normals=known.normals,
-        surfaces=known.surfaces,
         units=np.zeros(size, dtype=np.int64),
         located=np.zeros(size, dtype=np.int64),
         localised=np.zeros((size, words), dtype=np.uint64),
@@ -92,23 +91,15 @@ def blank_state(known: Any, width: int, each: float) -> LocalisationState:
 
 def localisation_scratch(state: LocalisationState) -> LocalisationScratch:
     """Working memory for moves of `state`."""
-    count, (size, words) = state.landmarks.shape[1], state.localised.shape
-    leaving, coming = np.zeros((2, BITS * words * size + 1))
+    count, (size, words) = len(state.coverage.surfaces), state.localised.shape
     return LocalisationScratch(
         units=state.units.copy(),
         located=state.located.copy(),
-        localised=state.localised.copy(),
+        sets=np.stack([state.localised, np.zeros_like(state.localised)]),
         coverage=scratch_of(state.coverage),
-        old=np.zeros((size, WIDTH)),
-        new=np.zeros((size, WIDTH)),
-        enough=np.zeros_like(state.localised),
+        told=np.zeros((4, max(size, count + 3), WIDTH)),
         first=np.zeros(size + 1, dtype=np.uint64),
         views=np.zeros(BITS * words * size + 1, dtype=np.uint64),
-        leaving=leaving,
-        coming=coming,
-        goes=np.zeros(count + 2, dtype=np.uint64),
-        caps=np.zeros((count + 2, words), dtype=np.uint64),
-        offsets=np.zeros((count + 2, 3)),
-        moments=np.zeros((count + 2, WIDTH)),
-        row=np.zeros((1, WIDTH)),
+        densities=np.zeros((2, BITS * words * size + 1)),
+        caps=np.zeros((count + 2, words + 1), dtype=np.uint64),
     )

@@ -16,13 +16,15 @@ import numpy as np
 
 from lmd.core.bits import ALL, ONE, ZERO, add_set, at_least, lowest, prefetch
 from lmd.core.compiled import inner
-from lmd.incremental.counts import enough_with
+from lmd.incremental.counts import ENOUGH, enough_with
 from lmd.incremental.move import find_cap, list_touched
-from lmd.incremental.nearby import pose_of
+from lmd.incremental.nearby import pose_of, target_of
+from lmd.incremental.state import DIGITS, FLIPS, HIDDEN, LISTED, REACHED, X, Y, Z
 from lmd.incremental.trial import begin_move, complete_move, list_flips
 from lmd.objectives.localisation.ambiguity import tells
 from lmd.objectives.localisation.changes import VIEW, add_shares, list_changes, mixed, moments_of, row_meets
 from lmd.objectives.localisation.information import WIDTH, meets, share_of
+from lmd.objectives.localisation.state import CHANGES, COMING, COVERED, LEAVING, LEFT, LOCALISED, OFFSETS, TRIED
 from lmd.scene.criteria import pixel_density
 from lmd.sight.kernels import sum_weights
 
@@ -31,17 +33,18 @@ GROUP = 8  # views decided at a time
 
 @inner
 def _find_moments(k, places, field, state, scratch):
-    """Fill `old` and `new` at the positions `places`."""
-    positions, precision = field.coverage.positions, field.precision
-    reachable, new, target = state.coverage.reachable, scratch.coverage.new, scratch.coverage.target
-    ax, ay, az, mx, my, mz = pose_of(k, state)
+    """Fill `LEFT` and `TRIED` at the positions `places`."""
+    positions, precision, seen = field.coverage.positions, field.precision, scratch.coverage.seen
+    reachable, reached = state.coverage.reachable, scratch.coverage.flags[REACHED]
+    left, tried = scratch.told[LEFT], scratch.told[TRIED]
+    ax, ay, az, mx, my, mz = pose_of(k, state.coverage)
+    _, _, _, nx, ny, nz = target_of(scratch.coverage)
     for p in places:
         if reachable[k, p]:
             x, y, z = ax - positions[0, p], ay - positions[1, p], az - positions[2, p]
-            moments_of(x, y, z, mx, my, mz, precision, k, scratch.old[p])
-        if new.reached[p]:
-            x, y, z = new.x[p], new.y[p], new.z[p]
-            moments_of(x, y, z, target[3], target[4], target[5], precision, k, scratch.new[p])
+            moments_of(x, y, z, mx, my, mz, precision, k, left[p])
+        if reached[p]:
+            moments_of(seen[X, p], seen[Y, p], seen[Z, p], nx, ny, nz, precision, k, tried[p])
 
 
 @inner
@@ -52,18 +55,18 @@ def _list_views(k, field, state, scratch):
     of the time.
     """
     asks, sight, axes, positions = field.asks, field.coverage.sight, field.coverage.axes, field.coverage.positions
-    caps, counts = state.coverage.caps, state.coverage.counts
-    reachable, hidden, flips = state.coverage.reachable, state.coverage.hidden, scratch.coverage.flips
-    reached, cap = scratch.coverage.new.reached, scratch.coverage.cap
-    x, y, z = scratch.coverage.new.x, scratch.coverage.new.y, scratch.coverage.new.z
-    ax, ay, az = state.landmarks[0, k], state.landmarks[1, k], state.landmarks[2, k]
-    after, known, localised, sums = scratch.enough, state.localised, scratch.localised, state.sums
-    first, views, leaving, coming = scratch.first, scratch.views, scratch.leaving, scratch.coming
+    caps, counts, enough = state.coverage.caps, state.coverage.counts, state.coverage.counts.sets[ENOUGH]
+    reachable, hidden, cap = state.coverage.reachable, state.coverage.hides[HIDDEN], scratch.coverage.cap
+    reached, flips = scratch.coverage.flags[REACHED], scratch.coverage.flags[FLIPS]
+    x, y, z = scratch.coverage.seen[X], scratch.coverage.seen[Y], scratch.coverage.seen[Z]
+    ax, ay, az, _, _, _ = pose_of(k, state.coverage)
+    after, known, localised, sums = scratch.sets[COVERED], state.localised, scratch.sets[LOCALISED], state.sums
+    first, views, leaving, coming = scratch.first, scratch.views, scratch.densities[LEAVING], scratch.densities[COMING]
     words, count = np.uint64(caps.shape[2]), ZERO
     for p in range(np.uint64(len(flips))):
         first[p] = count
         for w in range(words):
-            localised[p, w], after[p, w] = known[p, w], counts.enough[p, w]
+            localised[p, w], after[p, w] = known[p, w], enough[p, w]
         shown, seen = ALL if reachable[k, p] & (hidden[k, p] == 0) else ZERO, ALL if reached[p] else ZERO
         if flips[p] or not shown | seen:
             continue
@@ -93,10 +96,9 @@ def _list_views(k, field, state, scratch):
 @inner
 def _decide_views(field, state, scratch):
     """Decide the views listed."""
-    precision, sums, old, new = field.precision, state.sums, scratch.old, scratch.new
-    first, views, leaving, coming, localised = (
-        scratch.first, scratch.views, scratch.leaving, scratch.coming, scratch.localised
-    )  # fmt: skip
+    precision, sums, old, new = field.precision, state.sums, scratch.told[LEFT], scratch.told[TRIED]
+    first, views, leaving, coming = scratch.first, scratch.views, scratch.densities[LEAVING], scratch.densities[COMING]
+    localised = scratch.sets[LOCALISED]
     each = np.uint64(localised.shape[1]) * VIEW
     for p in range(np.uint64(len(localised))):
         for start in range(first[p], first[p + ONE], np.uint64(GROUP)):
@@ -146,7 +148,8 @@ def _sum_up(places, field, state, scratch):
     """Find the values at `places` from the sets of axes."""
     weights, covered = field.coverage.weights, scratch.coverage.units
     known = state.coverage.units
-    enough, after, was, localised = state.coverage.counts.enough, scratch.enough, state.localised, scratch.localised
+    enough, was = state.coverage.counts.sets[ENOUGH], state.localised
+    after, localised = scratch.sets[COVERED], scratch.sets[LOCALISED]
     for p in places:
         seen, located = known[p], state.located[p]
         for w in range(np.uint64(localised.shape[1])):
@@ -158,11 +161,14 @@ def _sum_up(places, field, state, scratch):
 @inner
 def _try_flips(k, places, field, state, scratch):
     """Find the values at the positions `places`, where other landmarks may appear or disappear."""
-    counts, digits, n = state.coverage.counts.digits, scratch.coverage.digits, field.coverage.n
-    caps, row, localised, enough = scratch.caps, scratch.row, scratch.localised, scratch.enough
-    sight, axes = field.coverage.sight, field.coverage.axes
-    offsets, moments, goes = scratch.offsets, scratch.moments, scratch.goes
-    words, size = np.uint64(localised.shape[1]), np.uint64(len(digits))
+    counts, caps, n, sight, axes = (
+        state.coverage.counts.digits, scratch.caps, field.coverage.n, field.coverage.sight, field.coverage.axes
+    )  # fmt: skip
+    localised, enough, offsets, moments = (
+        scratch.sets[LOCALISED], scratch.sets[COVERED], scratch.told[OFFSETS], scratch.told[CHANGES]
+    )  # fmt: skip
+    words, size, row = np.uint64(localised.shape[1]), np.uint64(counts.shape[2]), np.uint64(len(moments) - 1)
+    digits = scratch.coverage.lists[DIGITS][:size]
     for p in places:
         changes = list_changes(k, p, field, state, scratch)
         for w in range(words):
@@ -171,7 +177,7 @@ def _try_flips(k, places, field, state, scratch):
                 digits[j] = counts[p, w, j]
             for e in range(changes):
                 changed |= caps[e, w]
-                add_set(digits, caps[e, w], goes[e])
+                add_set(digits, caps[e, w], caps[e, words])
             has = at_least(digits, n)
             good = state.localised[p, w] & has & ~changed if field.asks else has
             left = has & changed if field.asks else ZERO
@@ -180,13 +186,12 @@ def _try_flips(k, places, field, state, scratch):
                 left &= left - ONE
                 v = (p * words + w) * VIEW + bit
                 for j in range(np.uint64(WIDTH)):
-                    row[ZERO, j] = state.sums[v, j]
+                    moments[row, j] = state.sums[v, j]
                 for e in range(changes):
                     if caps[e, w] >> bit & ONE:
-                        add_shares(
-                            field.precision, row, ZERO, e, w * VIEW + bit, 1.0, sight, axes, offsets, moments, goes
-                        )
-                good |= np.uint64(row_meets(field.precision, row, ZERO)) << bit
+                        a, goes = w * VIEW + bit, caps[e, words]
+                        add_shares(field.precision, moments, row, e, a, 1.0, sight, axes, offsets, moments, goes)
+                good |= np.uint64(row_meets(field.precision, moments, row)) << bit
             enough[p, w], localised[p, w] = has, good
     _sum_up(places, field, state, scratch)
 
@@ -196,7 +201,7 @@ def bound_move(field, k, pose, surface, state, scratch):
     """Find what the values are at most with landmark k at `pose` `(6,)` on a surface: `scratch.units`."""
     cover, known, trial = field.coverage, state.coverage, scratch.coverage
     begin_move(k, pose, surface, cover, known, trial)
-    places = trial.listed[: list_touched(k, known, trial)]
+    places = trial.lists[LISTED][: list_touched(k, known, trial)]
     find_cap(k, places, cover, trial)
     if field.asks:
         _find_moments(np.uint64(k), places, field, state, scratch)
@@ -204,7 +209,7 @@ def bound_move(field, k, pose, surface, state, scratch):
     _decide_views(field, state, scratch)
     _copy_values(state, scratch)
     _sum_up(places, field, state, scratch)
-    _try_flips(np.uint64(k), trial.listed[: list_flips(trial)], field, state, scratch)
+    _try_flips(np.uint64(k), trial.lists[LISTED][: list_flips(trial)], field, state, scratch)
 
 
 @inner
@@ -212,5 +217,5 @@ def finish_move(field, k, state, scratch):
     """Make what `bound_move` found exact."""
     if field.coverage.sight.reach >= 0.0:
         complete_move(k, field.coverage, state.coverage, scratch.coverage)
-        places = scratch.coverage.listed[: list_flips(scratch.coverage)]
+        places = scratch.coverage.lists[LISTED][: list_flips(scratch.coverage)]
         _try_flips(np.uint64(k), places, field, state, scratch)

@@ -18,7 +18,7 @@ import numpy as np
 from lmd.core.checks import FloatArray, integer
 from lmd.core.compiled import kernel
 from lmd.core.threads import at_once
-from lmd.incremental.field import bound, in_order, runner, settle, smoothed
+from lmd.incremental.field import bound, in_order, placed, runner, settle, smoothed
 from lmd.objectives.base import incremental
 from lmd.objectives.reference_field import field_of
 from lmd.optimisers.stored import WORD, array
@@ -36,15 +36,16 @@ MOMENT_DECAY = 0.9, 0.999  # share of the mean slope, and of the mean squared sl
 @kernel
 def _slopes(first, field, state, scratch, target, surfaces, out):  # type: ignore[no-untyped-def]
     """Write the slope of the smoothed objective along u and v into `out` `(K, 2)`, for landmarks from `first` on."""
-    units, accepted = scratch.units, state.units
+    units, accepted, known = scratch.units, state.units, placed(state)
+    poses = known.poses
     value, pose, place = np.empty(len(accepted)), np.empty(6), np.empty(2)
     for p in range(len(accepted)):
         value[p] = smoothed(target, p, accepted[p], 0.0, WIDTH, SHARE)
-    for k in range(first, state.landmarks.shape[1]):
-        s = state.surfaces[k]
+    for k in range(first, poses.shape[1]):
+        s = known.surfaces[k]
         place[:] = 0.0
         for i in range(3):
-            offset = state.landmarks[i, k] - surfaces.origin[s, i]
+            offset = poses[i, k] - surfaces.origin[s, i]
             place[0] += offset * surfaces.u[s, i]
             place[1] += offset * surfaces.v[s, i]
         for side in range(2):
@@ -54,7 +55,7 @@ def _slopes(first, field, state, scratch, target, surfaces, out):  # type: ignor
                 away = min(max(place[side] + sign * DIFFERENCE_M, 0.0), surfaces.extent[s, side]) - place[side]
                 for i in range(3):
                     along = surfaces.u[s, i] if side == 0 else surfaces.v[s, i]
-                    pose[i], pose[3 + i] = state.landmarks[i, k] + away * along, state.normals[i, k]
+                    pose[i], pose[3 + i] = poses[i, k] + away * along, poses[3 + i, k]
                 bound(field, k, pose, s, state, scratch)
                 settle(field, k, state, scratch)
                 run += sign * away

@@ -29,7 +29,7 @@ def _reflect(value, extent):
 
 
 @inner
-def _propose(k, state, surfaces, settings, rng):
+def _propose(k, here, surfaces, settings, rng):
     """A new place for landmark k, flush on a surface: index of the surface and coordinates there."""
     kind = rng.random()
     if kind < settings.jump:
@@ -41,18 +41,18 @@ def _propose(k, state, surfaces, settings, rng):
         return surfaces.of_piece[t], a, b
     near, step = k, settings.step
     if kind < settings.jump + settings.join:
-        near, step = int(rng.random() * state.landmarks.shape[1]), settings.near
-    s = state.surfaces[near]
+        near, step = int(rng.random() * here.poses.shape[1]), settings.near
+    s = here.surfaces[near]
     a, b = rng.normal() * step, rng.normal() * step
     for i in range(3):
-        offset = state.landmarks[i, near] - surfaces.origin[s, i]
+        offset = here.poses[i, near] - surfaces.origin[s, i]
         a += offset * surfaces.u[s, i]
         b += offset * surfaces.v[s, i]
     return s, _reflect(a, surfaces.extent[s, 0]), _reflect(b, surfaces.extent[s, 1])
 
 
 @inner
-def gather(k, members, state, group):
+def gather(k, members, poses, group):
     """Fill `group` with landmark k and its nearest neighbours among the `members`."""
     group[0] = k
     for m in range(1, len(group)):
@@ -60,7 +60,7 @@ def gather(k, members, state, group):
         for j in members:
             distance = 0.0
             for i in range(3):
-                distance += (state.landmarks[i, j] - state.landmarks[i, k]) ** 2
+                distance += (poses[i, j] - poses[i, k]) ** 2
             taken = False
             for other in group[:m]:
                 taken = taken or other == j
@@ -69,21 +69,22 @@ def gather(k, members, state, group):
 
 
 @inner
-def propose(group, state, surfaces, papers, settings, rng, new, on):
+def propose(group, here, surfaces, papers, settings, rng, new, on):
     """Write where the landmarks of `group` shall go: position and normal, `(len(group), 6)`, and the surface.
 
-    The first goes to a proposed place, the others keep their offset from it in surface coordinates.
+    The first goes to a proposed place, the others keep their offset from it in surface coordinates. `here` has the
+    `poses` and `surfaces` of all landmarks.
 
     Returns:
         whether all may hang where they would go.
     """
     k = group[0]
-    before = state.surfaces[k]
-    s, a, b = _propose(k, state, surfaces, settings, rng)
+    before = here.surfaces[k]
+    s, a, b = _propose(k, here, surfaces, settings, rng)
     for m in range(len(group)):
         da = db = 0.0
         for i in range(3):
-            offset = state.landmarks[i, group[m]] - state.landmarks[i, k]
+            offset = here.poses[i, group[m]] - here.poses[i, k]
             da += offset * surfaces.u[before, i]
             db += offset * surfaces.v[before, i]
         am, bm = _reflect(a + da, surfaces.extent[s, 0]), _reflect(b + db, surfaces.extent[s, 1])
@@ -116,13 +117,13 @@ def pair_up(k, members, papers, rng, pair):
 
 
 @inner
-def exchange(pair, state, surfaces, papers, new, on):
+def exchange(pair, here, surfaces, papers, new, on):
     """Propose that the landmarks of `pair` exchange their places; arguments and result as of `propose`."""
     for m in range(2):
         other = pair[1 - m]
-        s, a, b = state.surfaces[other], 0.0, 0.0
+        s, a, b = here.surfaces[other], 0.0, 0.0
         for i in range(3):
-            new[m, i], new[m, 3 + i] = state.landmarks[i, other], state.normals[i, other]
+            new[m, i], new[m, 3 + i] = here.poses[i, other], here.poses[3 + i, other]
             offset = new[m, i] - surfaces.origin[s, i]
             a, b = a + offset * surfaces.u[s, i], b + offset * surfaces.v[s, i]
         if not _may_hang(pair[m], s, a, b, papers):
@@ -132,18 +133,18 @@ def exchange(pair, state, surfaces, papers, new, on):
 
 
 @inner
-def overlap(group, on, new, state, surfaces, papers):
+def overlap(group, on, new, here, surfaces, papers):
     """Whether a plate of `group` at its `new` place on its surface would overlap another there."""
-    landmarks, edges = state.landmarks, papers.edges
+    poses, edges = here.poses, papers.edges
     for m in range(len(group)):
         surface, mine = on[m], edges[group[m]]
         u, v = surfaces.u[surface], surfaces.v[surface]
-        for j in range(landmarks.shape[1]):
-            if state.surfaces[j] != surface:
+        for j in range(poses.shape[1]):
+            if here.surfaces[j] != surface:
                 continue
             along = up = 0.0
             for i in range(3):
-                away = landmarks[i, j] - new[m, i]
+                away = poses[i, j] - new[m, i]
                 along, up = along + away * u[i], up + away * v[i]
             if max(abs(along), abs(up)) < (mine + edges[j]) / 2.0:
                 stays = True

@@ -9,7 +9,7 @@ import numpy as np
 from lmd.core.checks import FloatArray, IntArray
 from lmd.core.layers import layer, layers
 from lmd.core.threads import at_once
-from lmd.incremental.field import Field, Places, Stacking, in_order, places_of, runner, stack_of, total_worth
+from lmd.incremental.field import Field, Places, Stacking, in_order, placed, places_of, runner, stack_of, total_worth
 from lmd.objectives.base import incremental
 from lmd.objectives.reference_field import field_of
 from lmd.optimisers.annealing.proposals import Papers
@@ -20,7 +20,7 @@ from lmd.scene.pushing import TOUCHING
 from lmd.sight.evaluator import Evaluator
 from lmd.space.surface import SurfaceArrays
 
-NOWHERE = Places(np.empty((3, 0)), np.empty((3, 0)), np.empty(0, dtype=np.int64))
+NOWHERE = Places(np.empty((6, 0)), np.empty(0, dtype=np.int64))
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ class Surrogate:
         scratches = layers(self._field.scratch(state), max(together, exchanged))
         known = self._true.state(best) if self.is_true else state
         reached = np.array([total_worth(self._target, known.units)])
-        met = Best(reached, known.landmarks.copy(), known.normals.copy(), known.surfaces.copy())
+        met = Best(reached, Places(placed(known).poses.copy(), placed(known).surfaces.copy()))
         return Walker(NOWHERE, members, np.empty(together, dtype=np.int64), state, scratches, met)
 
     def _papers_of(self, count: int, size: float) -> Papers:
@@ -169,15 +169,13 @@ class Surrogate:
 
     def here(self) -> Deployment:
         """Where the walkers are."""
-        state = self._walkers[0].state
-        positions, normals, surfaces = state.landmarks.T.copy(), state.normals.T.copy(), state.surfaces.copy()
+        known = placed(self._walkers[0].state)
+        poses, surfaces = known.poses.copy(), known.surfaces.copy()
         for walker in self._walkers[1:]:
-            mine, state = walker.members, walker.state
-            positions[mine], normals[mine] = state.landmarks.T[mine], state.normals.T[mine]
-            surfaces[mine] = state.surfaces[mine]
-        return Deployment(positions, normals, surfaces)
+            mine, known = walker.members, placed(walker.state)
+            poses[:, mine], surfaces[mine] = known.poses[:, mine], known.surfaces[mine]
+        return Places(poses, surfaces).deployment()
 
     def best(self) -> Deployment:
         """The best deployment met on the true problem since `prepare`, or the one given to it."""
-        best = self._walkers[0].best
-        return Deployment(best.landmarks.T, best.normals.T, best.surfaces)
+        return self._walkers[0].best.places.deployment()

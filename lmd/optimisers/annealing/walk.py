@@ -21,7 +21,7 @@ import numpy as np
 
 from lmd.core.compiled import inner, kernel
 from lmd.core.layers import layer
-from lmd.incremental.field import accept, bound, lead, settle, smoothed, total_worth, undo
+from lmd.incremental.field import Places, accept, bound, lead, placed, settle, smoothed, total_worth, undo
 from lmd.optimisers.annealing.proposals import exchange, gather, overlap, pair_up, propose
 
 # Relative, for the bound: exp may fall by a rounding error or two where its argument rises.
@@ -54,12 +54,12 @@ class Settings(NamedTuple):
 
 
 class Best(NamedTuple):
-    """The best deployment met: fitness `(1,)`, landmarks and normals `(3, K)`, surfaces `(K,)`."""
+    """The best deployment met."""
 
     fitness: np.ndarray
-    landmarks: np.ndarray
-    normals: np.ndarray
-    surfaces: np.ndarray
+    """`(1,)` what it is worth."""
+    places: Places
+    """Where its landmarks are."""
 
 
 @inner
@@ -75,15 +75,15 @@ def _sum_values(units, accepted, value, target, settings, trial):
 
 
 @inner
-def _keep_best(state, target, best):
-    """Update `best` if `state` is better."""
-    fitness = total_worth(target, state.units)
+def _keep_best(units, here, target, best):
+    """Update `best` if the landmarks `here`, with the values `units`, are better."""
+    fitness, places = total_worth(target, units), best.places
     if fitness > best.fitness[0]:
         best.fitness[0] = fitness
-        for k in range(len(state.surfaces)):
-            best.surfaces[k] = state.surfaces[k]
-            for i in range(3):
-                best.landmarks[i, k], best.normals[i, k] = state.landmarks[i, k], state.normals[i, k]
+        for k in range(len(here.surfaces)):
+            places.surfaces[k] = here.surfaces[k]
+            for i in range(6):
+                places.poses[i, k] = here.poses[i, k]
 
 
 @inner
@@ -141,7 +141,8 @@ def walk(moves, places, members, several, field, state, scratches, target, surfa
     # Here, not in a kernel of its own: what moves landmarks is compiled once. And by inner functions alone, as for
     # numba what a kernel calls by itself is something else.
     lead(places, field, state, scratches, np.empty(6))
-    positions, count = len(state.units), len(members)
+    known = placed(state)
+    here, positions, count = Places(known.poses, known.surfaces), len(state.units), len(members)
     accepted = state.units.copy()
     value, trial = np.empty(positions), np.empty(positions)
     single, pair = np.empty(1, dtype=np.int64), np.empty(2, dtype=np.int64)
@@ -158,19 +159,19 @@ def walk(moves, places, members, several, field, state, scratches, target, surfa
         exchanges = sizes > 1 and moves - moved >= 2 and rng.random() < settings.exchange
         if exchanges and pair_up(group[0], members, papers, rng, pair):
             group = pair
-            possible = exchange(group, state, surfaces, papers, new, on)
+            possible = exchange(group, here, surfaces, papers, new, on)
         else:
             if moves - moved >= len(several) > 1 and rng.random() < settings.together:
-                gather(group[0], members, state, several)
+                gather(group[0], members, here.poses, several)
                 group = several
-            possible = propose(group, state, surfaces, papers, settings, rng, new, on)
+            possible = propose(group, here, surfaces, papers, settings, rng, new, on)
         moved += len(group)
-        if not possible or (papers.edges[0] > 0.0 and overlap(group, on, new, state, surfaces, papers)):
+        if not possible or (papers.edges[0] > 0.0 and overlap(group, on, new, here, surfaces, papers)):
             continue
-        known = (total, accepted, value, trial)
-        total, taken = _try(group, on, new, field, state, scratches, target, settings, rng, known)
+        terms = (total, accepted, value, trial)
+        total, taken = _try(group, on, new, field, state, scratches, target, settings, rng, terms)
         if taken:
             for p in range(positions):
                 accepted[p] = state.units[p]
             value, trial = trial, value
-            _keep_best(state, target, best)
+            _keep_best(state.units, here, target, best)
