@@ -11,11 +11,13 @@ from filelock import FileLock, Timeout
 from llvmlite.binding import Linkage
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Flags
 
 from lmd.core.compile_clock import StrictCompiler
 from lmd.core.sources import classes_in, digest_of
 
 PATIENCE_SECONDS = 60.0  # to wait for another process that compiles the same kernel: longer than any takes
+FLAGS_HASH = hash(Flags())  # of the names of all options, so the same for all flags
 PYTHON_WRAPPER = "_ZN7cpython"  # how numba's names of the functions begin through which Python calls compiled code
 
 
@@ -83,6 +85,19 @@ def _called_by(library: Any, found: dict[Any, None]) -> list[Any]:
     return list(found)
 
 
+class _Flags(Flags):
+    """numba's, compared by the options that are set. For each item of an array that is read numba compares all forty."""
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Flags):
+            return False
+        names = self._values.keys() | other._values.keys()
+        return self._values == other._values or all(getattr(self, name) == getattr(other, name) for name in names)
+
+    def __hash__(self) -> int:
+        return FLAGS_HASH
+
+
 class KernelCompiler(StrictCompiler):
     """Compiles kernels; inner functions are linked with them once."""
 
@@ -92,6 +107,7 @@ class KernelCompiler(StrictCompiler):
         library = self.library(target.codegen(), "lmd")
         library.enable_object_caching()
         super().__init__(typing, target, library, *others)
+        self.state.flags = _Flags(self.state.flags)
 
 
 class InnerCompiler(KernelCompiler):
