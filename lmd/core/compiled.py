@@ -80,8 +80,8 @@ def borrowing(function: Callable[..., Any]) -> Any:
 
 
 def _made_kernel(function: Callable[..., Any], options: Any) -> Any:
-    if PYTHON:
-        return function
+    if PYTHON:  # compiled code does not warn of a division by zero, either
+        return np.errstate(all="ignore")(function)
     compiled: Any = numba.njit(pipeline_class=_KERNEL, **options)(function)
     if _numba is not None:
         try:

@@ -46,7 +46,7 @@ def _nearest_free(k, s, a, b, within, surface, at, pieces, start, stop, edge, li
     for i in range(across):
         for j in range(up):
             p, q = lines[0, i], lines[1, j]
-            away = (p - a) ** 2 + (q - b) ** 2
+            away = (p - a) * (p - a) + (q - b) * (q - b)
             if away < shortest and allows(pieces, start, stop, p, q) and _is_free(k, p, q, s, surface, at, edge):
                 shortest, found[0], found[1] = away, p, q
     return shortest < np.inf

@@ -37,7 +37,7 @@ def band_of(x, y, z, low, slack):
     Returns:
         the first and last height bin, to be looked up in `height_index`.
     """
-    distance = math.sqrt(x * x + y * y + z * z)
+    distance = np.sqrt(x * x + y * y + z * z)
     height, cosine = z / distance, min(max(low / distance, -1.0), 1.0)
     sine = math.sqrt(1.0 - cosine * cosine)
     across = math.sqrt(max(0.0, 1.0 - height * height))

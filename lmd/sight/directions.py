@@ -72,7 +72,7 @@ def _fill(sight, centres, angles, axes, shifts, table):
                     ax, ay, az, rx, ry, rz = axes[0, a], axes[1, a], axes[2, a], axes[3, a], axes[4, a], axes[5, a]
                     there = ax * ax + ay * ay + az * az > 0.0
                     ux, uy, uz = x - shifts[0, a], y - shifts[1, a], z - shifts[2, a]
-                    scale = 1.0 / math.sqrt(ux * ux + uy * uy + uz * uz)
+                    scale = 1.0 / np.sqrt(ux * ux + uy * uy + uz * uz)
                     ux, uy, uz = scale * ux, scale * uy, scale * uz
                     seen = in_view(sight, ux, uy, uz, sine, cosine, ax, ay, az, rx, ry, rz) & there
                     half |= np.uint32(seen) << np.uint32(lane)

@@ -124,7 +124,7 @@ def nearest(pieces, start, stop, a, b):  # type: ignore[no-untyped-def]
         low = pieces[t, 2] + share * (pieces[t, 3] - pieces[t, 2])
         high = pieces[t, 4] + share * (pieces[t, 5] - pieces[t, 4])
         q = min(max(b, low), high)
-        away = (p - a) ** 2 + (q - b) ** 2
+        away = (p - a) * (p - a) + (q - b) * (q - b)
         if away < least:
             piece, least, at_a, at_b = t, away, p, q
     return piece, at_a, at_b

@@ -222,7 +222,8 @@ def _distance(triangles, x, y, z, most):  # type: ignore[no-untyped-def]
                 a, b = corners[i, e], corners[i, (e + 1) % 3]
                 ux, uy, uz, vx, vy, vz = b[0] - a[0], b[1] - a[1], b[2] - a[2], x - a[0], y - a[1], z - a[2]
                 t = min(max((ux * vx + uy * vy + uz * vz) / (ux * ux + uy * uy + uz * uz), 0.0), 1.0)
-                least = min(least, (vx - t * ux) ** 2 + (vy - t * uy) ** 2 + (vz - t * uz) ** 2)
+                wx, wy, wz = vx - t * ux, vy - t * uy, vz - t * uz
+                least = min(least, wx * wx + wy * wy + wz * wz)
         node += 1
     return np.sqrt(least)
 

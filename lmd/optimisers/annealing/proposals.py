@@ -60,7 +60,8 @@ def gather(k, members, poses, group):
         for j in members:
             distance = 0.0
             for i in range(3):
-                distance += (poses[i, j] - poses[i, k]) ** 2
+                way = poses[i, j] - poses[i, k]
+                distance += way * way
             taken = False
             for other in group[:m]:
                 taken = taken or other == j

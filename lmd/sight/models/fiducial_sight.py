@@ -6,6 +6,8 @@ The same operations in the same order as the reference there, hence the same bit
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from lmd.core.checks import FloatArray
 from lmd.core.compiled import inlined, inner, kernel
 from lmd.geometry.squares import upright_axes
@@ -103,7 +105,7 @@ def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untype
     # Project the tag onto the sphere around the camera, where its pitch is c / d with the cosine c of the incidence,
     # then from there onto the image plane, which stretches by d / w one way and (d / w)^2 the other. So the smaller
     # singular value of J is between f c / w and f c d / w^2, and least(w) as in `lmd.sight.models.fiducial` bounds w.
-    distance = math.sqrt(x * x + y * y + z * z)
+    distance = np.sqrt(x * x + y * y + z * z)
     nearest = distance - slack
     along = -(nx * x + ny * y + nz * z)
     least = nearest * sight.outer_cosine
@@ -117,7 +119,7 @@ def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untype
         excess = high * high * (sight.sharp * high * high + sight.blurred * out * out) - most * most
         slope = 4.0 * sight.sharp * high * high + 2.0 * sight.blurred * out * (out + sight.defocus * high)
         high = max(high - max(excess, 0.0) / (high * slope), min(sight.in_focus, high))
-    high = min(high, math.sqrt(max(product, 0.0) / (sight.area * least))) * (1.0 + MARGIN)
+    high = min(high, np.sqrt(max(product, 0.0) / (sight.area * least))) * (1.0 + MARGIN)
     # w^2 least(w) <= (fewest / d)^2, a parabola in w; |det J| >= area follows from w^2 d area <= product.
     square = sight.sharp + sight.blurred * sight.defocus * sight.defocus
     middle = sight.blurred * sight.defocus * sight.focus
@@ -125,7 +127,7 @@ def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untype
     inside = middle * middle - square * (sight.blurred * sight.focus * sight.focus - right * right)
     root = math.sqrt(max(inside, 0.0))
     near = (middle - root) / square * (1.0 + MARGIN)
-    far = min((middle + root) / square, math.sqrt(max(product, 0.0) / (sight.area * distance))) * (1.0 - MARGIN)
+    far = min((middle + root) / square, np.sqrt(max(product, 0.0) / (sight.area * distance))) * (1.0 - MARGIN)
     steady = distance * math.sin(sight.inset) >= 1.5 * sight.half  # more than half the diagonal
     sure = far if steady & (inside > 0.0) & (near <= least) else -math.inf
     reached = (along >= sight.facing * nearest) & (along >= 0.0) & resolved & ((slack > 0.0) | (high >= least))

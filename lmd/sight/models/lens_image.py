@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from lmd.core.compiled import inlined
 from lmd.geometry.lens_models import depth_of, image_of, slope_of
 from lmd.scene.criteria import TOLERANCE
@@ -41,7 +43,7 @@ def in_rectangle(sight, u, v, w):  # type: ignore[no-untyped-def]
 @inlined
 def is_inside(sight, u, v, w):  # type: ignore[no-untyped-def]
     """The same, exactly only where the rough image does not tell."""
-    per = 1.0 / math.sqrt(u * u + v * v + w * w)
+    per = 1.0 / np.sqrt(u * u + v * v + w * w)
     room = room_within(sight, u, v, w, per)
     if (w * per > sight.cosine + TOLERANCE) & (abs(room) > sight.off):
         return room > 0.0

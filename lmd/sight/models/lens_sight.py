@@ -13,6 +13,8 @@ a shorter and of a longer focal length, between whose pitches and areas its own 
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from lmd.core.checks import FloatArray
 from lmd.core.dispatch import overridable
 from lmd.geometry.lens_models import BrownConrady, Equidistant, density_of, image_of
@@ -124,7 +126,7 @@ def _half_edge(sight):  # type: ignore[no-untyped-def]
 @from_position.register(LensSight)
 def _from_position(sight, x, y, z, nx, ny, nz, slack):  # type: ignore[no-untyped-def]
     flat = sight.flat
-    distance = math.sqrt(x * x + y * y + z * z)
+    distance = np.sqrt(x * x + y * y + z * z)
     nearest = distance - slack
     along = -(nx * x + ny * y + nz * z)
     # The blur at the least and at the greatest depth.
@@ -216,7 +218,7 @@ def _covers_one(sight, x, y, z, frame, low, high, sure, well, axes, a):  # type:
     inside = well & (sure > -math.inf)
     if not inside:
         # What depends on the landmark alone, the compiler moves out of the loop over axes.
-        per = 1.0 / math.sqrt(x * x + y * y + z * z)
+        per = 1.0 / np.sqrt(x * x + y * y + z * z)
         height, room = 1.0 - w * per, room_within(sight, u, v, w, per)
         if room < -sight.off:
             return False
