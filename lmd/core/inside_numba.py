@@ -86,7 +86,7 @@ def _called_by(library: Any, found: dict[Any, None]) -> list[Any]:
 
 
 class _Flags(Flags):
-    """numba's, compared by the options that are set. For each item of an array that is read numba compares all forty."""
+    """numba's, compared by the options that are set, as this is asked for each item that is read of an array."""
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Flags):
