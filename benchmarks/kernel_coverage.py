@@ -27,23 +27,37 @@ TESTS = (
     *("tests/optimisers/test_walk.py", "tests/optimisers/test_ascent.py", "tests/planner/test_additions.py"),
 )
 EXAMPLES = "0.03"  # of what property tests draw in `make test-thorough`
-LIMIT = 20.0  # processor time of a test, seconds
+LIMIT = 8.0  # processor time of a test, seconds
 
 
-class Patience:
-    """A plugin of pytest that skips a test once it has taken `LIMIT`."""
+class Observed:
+    """A plugin of pytest that observes tests with a tracer, and skips one once it has taken `LIMIT`.
 
-    def __init__(self) -> None:
-        self.given_up: list[str] = []
+    Args:
+        tracer: for `sys.settrace`.
+    """
+
+    def __init__(self, tracer: Any) -> None:
+        self._tracer, self.given_up = tracer, list[str]()
         signal.signal(signal.SIGPROF, self._give_up)
 
     def _give_up(self, *_: object) -> None:
         pytest.skip("too slow without the compiler")
 
     @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_setup(self, item: pytest.Item) -> Iterator[None]:
+        """Prepare a test."""
+        return (yield from self._limited(item))
+
+    @pytest.hookimpl(wrapper=True)
     def pytest_runtest_call(self, item: pytest.Item) -> Iterator[None]:
         """Run a test."""
+        return (yield from self._limited(item))
+
+    def _limited(self, item: pytest.Item) -> Iterator[None]:
         signal.setitimer(signal.ITIMER_PROF, LIMIT)
+        threading.settrace(self._tracer)
+        sys.settrace(self._tracer)
         try:
             return (yield)
         except pytest.skip.Exception as reason:
@@ -51,6 +65,7 @@ class Patience:
                 self.given_up.append(item.nodeid)
             raise
         finally:
+            sys.settrace(None)
             signal.setitimer(signal.ITIMER_PROF, 0.0)
 
 
@@ -131,14 +146,12 @@ def main() -> None:
     os.chdir(HERE)
     import lmd
 
-    lines, patience, start = Lines(), Patience(), time.process_time()
+    lines, start = Lines(), time.process_time()
     for found in pkgutil.walk_packages(lmd.__path__, "lmd."):
         if not found.name.startswith(("lmd.pipelines", "lmd.conf")):
             lines.add(importlib.import_module(found.name))
-    threading.settrace(lines.enter)
-    sys.settrace(lines.enter)
-    status = pytest.main(["-q", "-p", "no:cacheprovider", *(sys.argv[1:] or TESTS)], plugins=[patience])
-    sys.settrace(None)
+    observed = Observed(lines.enter)
+    status = pytest.main(["-v", "-p", "no:cacheprovider", *(sys.argv[1:] or TESTS)], plugins=[observed])
     print(f"\npytest ended with {int(status)}, after {time.process_time() - start:.0f} s of processor time.\n")
     print("| module | lines | reached |\n| --- | --- | --- |")
     missed: list[str] = []
@@ -152,7 +165,7 @@ def main() -> None:
             if own & left:
                 missed.append(f"- `{name}`, `{function}`: {spans(own & left)}; {len(own & left)} of {len(own)}")
     print(f"| all | {whole} | {hit / whole:.1%} |\n\nNot reached:\n\n" + "\n".join(missed))
-    print(f"\nGiven up after {LIMIT:.0f} s:\n\n" + "\n".join(f"- `{name}`" for name in patience.given_up))
+    print(f"\nGiven up after {LIMIT:.0f} s:\n\n" + "\n".join(f"- `{name}`" for name in observed.given_up))
 
 
 if __name__ == "__main__":
