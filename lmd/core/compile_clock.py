@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from numba import types
@@ -34,13 +34,14 @@ class CompileClock:
     def stopped(self, function: Any) -> Iterator[None]:
         """Stop the clock while a function is compiled, and say which one it is unless it is a part of another."""
         with self._lock:
-            if not self._compiling:
-                self._began = time.perf_counter()
-                self._thresholds = gc.get_threshold()
-                gc.set_threshold(*map(max, self._thresholds, GARBAGE_THRESHOLDS))
-                self._tell(function)
             self._compiling += 1
+            if outermost := self._compiling == 1:
+                self._began, self._thresholds = time.perf_counter(), gc.get_threshold()
+                if self._thresholds[0]:
+                    gc.set_threshold(*map(max, self._thresholds, GARBAGE_THRESHOLDS))
         try:
+            if outermost:
+                self._tell(function)
             yield
         finally:
             with self._lock:
@@ -54,8 +55,11 @@ class CompileClock:
 
         lines = [] if self._kernels else [f"compiling what this needs; {self.kept}"]
         self._kernels += 1
-        lines.append(f"compiling kernel {self._kernels}, {self._spent:.0f} s so far: {name_of(function)}")
-        tqdm.write("\n".join(lines), file=sys.stderr)  # above a progress bar
+        lines.append(
+            f"compiling kernel {self._kernels}, {self._spent:.0f} s so far: {name_of(function).partition(' (')[0]}"
+        )
+        with suppress(OSError):  # nobody listens any more
+            tqdm.write("\n".join(lines), file=sys.stderr)  # above a progress bar
 
     @property
     def active(self) -> bool:
@@ -74,23 +78,23 @@ CLOCK = CompileClock()
 class TimedCompiler(Compiler):
     """numba's compiler, which stops `CLOCK`."""
 
-    returns_arrays = True  # whether what is compiled may return arrays in tuples, or such that are not counted
+    returns_arrays = True  # also in tuples, and where they are not counted
 
     def compile_extra(self, func: Any) -> Any:
         """Compile a function.
 
         Raises:
-            TypeError: it returns arrays, and may not.
+            TypeError: it returns arrays, or other memory, and may not.
         """
-        counted = self.state.flags.nrt
+        counted, models = self.state.flags.nrt, self.state.targetctx.data_model_manager
         with CLOCK.stopped(func):
             result = super().compile_extra(func)  # type: ignore[no-untyped-call]
         returned = result.signature.return_type
-        if not self.returns_arrays and has_arrays(returned) and not (counted and isinstance(returned, types.Array)):
-            code = func.__code__
+        held = counted and not isinstance(returned, types.BaseTuple)
+        if not (self.returns_arrays or held) and models[returned].contains_nrt_meminfo():
             raise TypeError(
-                f"{name_of(func)} ({code.co_filename}, line {code.co_firstlineno}) returns arrays that nothing would "
-                "hold: write to arrays that it is given, or return numbers."
+                f"{name_of(func)} returns arrays that nothing would hold: write to arrays that it is given, or return "
+                "numbers."
             )
         return result
 
@@ -101,14 +105,7 @@ class StrictCompiler(TimedCompiler):
     returns_arrays = False
 
 
-def has_arrays(kind: Any) -> bool:
-    """Whether a numba type is an array, or has some as members."""
-    if isinstance(kind, types.Optional):
-        return has_arrays(kind.type)
-    parts: Any = kind if isinstance(kind, types.BaseTuple) else ()
-    return isinstance(kind, types.Array) or any(has_arrays(part) for part in parts)
-
-
 def name_of(function: Any) -> str:
-    """The name of a function for messages, with its module."""
-    return f"{(function.__module__ or '').removeprefix('lmd.')}.{function.__qualname__}"
+    """The name of a function for messages, with its module, file and line."""
+    code, module = function.__code__, (function.__module__ or "").removeprefix("lmd.")
+    return f"{module}.{function.__qualname__} ({code.co_filename}, line {code.co_firstlineno})"

@@ -3,8 +3,10 @@
 They are subclasses for `lmd`'s own functions alone. Nothing of numba or llvmlite is changed.
 """
 
+import glob
 import hashlib
 import pickle
+from pathlib import Path
 from typing import Any
 
 from filelock import FileLock, Timeout
@@ -13,10 +15,12 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Flags
 
-from lmd.core.compile_clock import StrictCompiler
+from lmd.core.compile_clock import StrictCompiler, name_of
 from lmd.core.sources import classes_in, digest_of
 
+UNREADABLE = AttributeError, EOFError, ImportError, pickle.UnpicklingError  # the disk was full, or a class is gone
 PATIENCE_SECONDS = 60.0  # to wait for another process that compiles the same kernel: longer than any takes
+LOCKS: dict[Any, dict[str, FileLock]] = {}  # of the kernels that this process compiles, by function and signature
 FLAGS_HASH = hash(Flags())  # of the names of all options, so the same for all flags
 PYTHON_WRAPPER = "_ZN7cpython"  # how numba's names of the functions begin through which Python calls compiled code
 
@@ -109,11 +113,32 @@ class KernelCompiler(StrictCompiler):
         super().__init__(typing, target, library, *others)
         self.state.flags = _Flags(self.state.flags)
 
+    def compile_extra(self, func: Any) -> Any:
+        """See `TimedCompiler`; what cannot be compiled holds up no other process."""
+        try:
+            return super().compile_extra(func)
+        except BaseException:
+            locks = LOCKS.get(func, {})
+            while locks:
+                locks.popitem()[1].release()
+            raise
+
 
 class InnerCompiler(KernelCompiler):
-    """Compiles inner functions."""
+    """Compiles inner functions, unless they use objects of Python, as `print` does: these are not linked."""
 
     library = _InnerLibrary
+
+    def compile_extra(self, func: Any) -> Any:
+        """See `TimedCompiler`.
+
+        Raises:
+            TypeError: it uses objects of Python.
+        """
+        result = super().compile_extra(func)
+        if any("missing Environment" in str(each) for each in result.library._final_module.global_variables):
+            raise TypeError(f"{name_of(func)} prints, or uses objects of Python, which a kernel alone may do.")
+        return result
 
 
 class AllocatingCompiler(InnerCompiler):
@@ -131,7 +156,7 @@ class Cache(FunctionCache):
 
     def __init__(self, function: Any) -> None:
         super().__init__(function)
-        self._locks: dict[str, FileLock] = {}  # of what this process compiles, or could not
+        self._locks = LOCKS.setdefault(function, {})
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The kernel that was kept; where another process is about to compile it, once that has."""
@@ -140,9 +165,11 @@ class Cache(FunctionCache):
         base = f"{self._impl.filename_base}-{hashlib.sha256(repr(names).encode()).hexdigest()[:8]}"
         digest = digest_of(self._py_func, classes)
         self._enabled = digest is not None
+        if digest is None:
+            return None
         self._cache_file = _Index(self._cache_path, base, digest)
         found = super().load_overload(sig, target_context)
-        if found is None and self._enabled and str(sig) not in self._locks:
+        if found is None and str(sig) not in self._locks:
             name = hashlib.sha256(str(sig).encode()).hexdigest()[:16]
             lock = FileLock(f"{self._cache_file._index_path}.{name}.lock")
             try:
@@ -150,10 +177,11 @@ class Cache(FunctionCache):
                 lock.acquire(timeout=PATIENCE_SECONDS)
             except (OSError, Timeout):
                 return None
-            self._locks[str(sig)] = lock
             found = super().load_overload(sig, target_context)
-            if found is not None:
-                self._locks.pop(str(sig)).release()
+            if found is None:
+                self._locks[str(sig)] = lock
+            else:
+                lock.release()
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -166,14 +194,30 @@ class Cache(FunctionCache):
 
 
 class _Index(IndexDataCacheFile):
-    """Written by one process at a time; empty where it cannot be read, as when the disk was full or a class is gone."""
+    """Written by one process at a time; files that cannot be read are as if they were not there.
+
+    Files of kernels have the digest in their name: one that was written before is never taken for another.
+    """
+
+    def __init__(self, folder: str, base: str, digest: str) -> None:
+        super().__init__(folder, base, digest)
+        self._data_name_pattern = f"{base}.{digest[:16]}.{{number:d}}.nbc"
 
     def _load_index(self) -> Any:
         try:
             return super()._load_index()
-        except (AttributeError, EOFError, ImportError, pickle.UnpicklingError):
+        except UNREADABLE:
             return {}
+
+    def _load_data(self, name: str) -> Any:
+        try:
+            return super()._load_data(name)
+        except UNREADABLE as error:
+            raise OSError(f"{name} cannot be read") from error  # for numba, it is not there
 
     def save(self, key: Any, data: Any) -> None:
         with FileLock(f"{self._index_path}.lock"):
+            if not self._load_index():  # what there is was made of other code
+                for old in Path(self._cache_path).glob(f"{glob.escape(self._index_name.removesuffix('nbi'))}*.nbc"):
+                    old.unlink(missing_ok=True)
             super().save(key, data)

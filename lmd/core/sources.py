@@ -15,6 +15,7 @@ from numba import types
 
 # Top-level packages whose files do not count. numba's own cache knows its version.
 NOT_COUNTED = (sys.stdlib_module_names - {"__main__"}) | {"llvmlite", "numba", "numpy"}
+ENGINE = ("lmd.core.compiled", "lmd.core.dispatch", "lmd.core.inside_numba")  # how code is compiled
 CONSTANTS = (bool, int, float, complex, str, bytes, type(None), Enum, np.generic)
 
 
@@ -28,35 +29,37 @@ def package_digest() -> str:
 
 
 def digest_of(kernel: FunctionType, classes: Iterable[type]) -> str | None:
-    """A digest of the code that a kernel is compiled from; None if some of it is in no file.
+    """A digest of the code that a kernel is compiled from; None if some of it is in no module's file.
 
-    It covers the files that define the kernel, the functions that it calls, directly or not, and the classes of its
-    arguments; and the values of the constants that these functions use. They are found by their names in the code of
-    the functions. Of a function that is `dispatched` those count that these classes registered.
+    It covers the kernel, the functions that it calls, directly or not, as they were loaded, the files that define them
+    and the classes of its arguments, and the values of the constants that the functions use. All are found by the names
+    in the code of the functions. Of a function that is `dispatched` those count that these classes registered.
 
     Args:
         kernel: the plain function.
         classes: of its arguments, see `classes_in`.
     """
-    kinds, constants = frozenset(classes), set[str]()
-    functions, waiting, modules = set[FunctionType](), [kernel], {kind.__module__ for kind in kinds}
-    while waiting:
-        function = waiting.pop()
-        if function in functions:
-            continue
-        functions.add(function)
-        modules.add(function.__module__)
-        for name, value in _used_by(function):
-            if isinstance(value, type):
-                modules.add(value.__module__)
-            elif isinstance(value, FunctionType):
-                waiting += _resolved(value, kinds)
-            else:
-                constants.add(f"{function.__module__}.{name} = {_text_of(value)}")
-    digest = hashlib.sha256(repr(sorted(constants)).encode())
-    for module in sorted(modules):
-        if module.partition(".")[0] not in NOT_COUNTED:
-            source = _source_of(module)
+    kinds, known = set(classes), -1
+    while known != len(kinds):  # functions name further classes, for which others may be registered
+        known = len(kinds)
+        texts, functions, waiting = set[str](), set[FunctionType](), [kernel]
+        while waiting:
+            function = waiting.pop()
+            if function in functions:
+                continue
+            functions.add(function)
+            texts.add(f"{function.__module__}.{function.__qualname__}: {_text_of_code(function.__code__)}")
+            for name, value in _used_by(function):
+                if isinstance(value, type):
+                    kinds |= {value} if _counts(value.__module__) else set()
+                elif isinstance(value, FunctionType):
+                    waiting += _resolved(value, kinds)
+                else:
+                    texts.add(f"{function.__module__}.{name} = {_text_of(value)}")
+    digest = hashlib.sha256(repr(sorted(texts)).encode())
+    for module in sorted({*ENGINE, *(each.__module__ for each in (*functions, *kinds))}):
+        if _counts(module):
+            source = None if module == "__main__" else _source_of(module)
             if source is None:
                 return None
             digest.update(source)
@@ -74,17 +77,25 @@ def classes_in(kinds: Any) -> set[type]:
     return found
 
 
+def _counts(module: str) -> bool:
+    return module.partition(".")[0] not in NOT_COUNTED
+
+
 def _used_by(function: FunctionType) -> Iterator[tuple[str, Any]]:
     """The names in the code of a function, and the values that they have there; functions as Python wrote them."""
     names = set(_names_in(function.__code__))
-    known = [function.__globals__, inspect.getclosurevars(function).nonlocals]
-    modules = [space[name] for space in known for name in names & space.keys() if isinstance(space[name], ModuleType)]
-    known += [vars(module) for module in modules if module.__name__.partition(".")[0] not in NOT_COUNTED]
-    for space in known:
+    spaces = [function.__globals__, inspect.getclosurevars(function).nonlocals]
+    values = [("default", value) for value in function.__defaults__ or ()]
+    for space in spaces:  # it grows by the modules that are named
         for name in names & space.keys():
             value = space[name]
             if not isinstance(value, ModuleType):
-                yield name, value if isinstance(value, type) else inspect.unwrap(value)
+                values.append((name, value))
+            elif _counts(value.__name__) and not any(vars(value) is other for other in spaces):
+                spaces.append(vars(value))
+    for name, value in values:
+        for part in value if type(value) is tuple else (value,):
+            yield name, part if isinstance(part, type) else inspect.unwrap(part)
 
 
 def _names_in(code: CodeType) -> Iterator[str]:
@@ -94,7 +105,13 @@ def _names_in(code: CodeType) -> Iterator[str]:
             yield from _names_in(part)
 
 
-def _resolved(function: FunctionType, kinds: frozenset[type]) -> list[FunctionType]:
+def _text_of_code(code: CodeType) -> str:
+    """The instructions of a function, and what they name; of nested functions too."""
+    constants = [_text_of_code(each) if isinstance(each, CodeType) else _text_of(each) for each in code.co_consts]
+    return f"{code.co_code.hex()} {code.co_names} {code.co_varnames} {constants}"
+
+
+def _resolved(function: FunctionType, kinds: set[type]) -> list[FunctionType]:
     """The function; one that is `dispatched`, with those that are registered for some of the classes."""
     table = getattr(function, "registered", {})
     return [function, *(inspect.unwrap(table[kind]) for kind in kinds & table.keys())]
@@ -104,8 +121,8 @@ def _text_of(value: Any) -> str:
     """A constant's value, as text; the type of what cannot be one."""
     if isinstance(value, np.ndarray):
         return f"{value.dtype}{value.shape}{value.tobytes().hex()}"
-    if isinstance(value, tuple):
-        return f"({', '.join(map(_text_of, value))})"
+    if isinstance(value, tuple | frozenset):
+        return f"({', '.join(sorted(map(_text_of, value)) if isinstance(value, frozenset) else map(_text_of, value))})"
     return repr(value) if isinstance(value, CONSTANTS) else f"<{type(value).__name__}>"
 
 

@@ -125,6 +125,40 @@ def test_arrays_that_nothing_would_hold_are_not_returned(refused, name):
     assert not compile_clock.CLOCK.active
 
 
+@inner
+def _same(values):
+    return values
+
+
+@kernel
+def _hand_on_a_list(n):
+    return len(_same([float(n), 2.0]))
+
+
+@kernel
+def _hand_on_a_text(n):
+    return len(_same(str(n)))
+
+
+@inner
+def _printed(x):
+    print(x)
+    return x
+
+
+@kernel
+def _print_within(x):
+    return _printed(x)
+
+
+def test_inner_functions_return_no_other_memory_and_print_nothing():
+    for refused in (_hand_on_a_list, _hand_on_a_text):
+        with pytest.raises(TypeError, match=r"\._same \(.* returns arrays that nothing"):
+            refused(3)
+    with pytest.raises(TypeError, match=r"\._printed \(.* prints, or uses objects of Python"):
+        _print_within(3)
+
+
 @allocating
 def _doubled(a):
     return a * 2.0, a * 4.0
@@ -202,6 +236,7 @@ def test_where_nothing_can_be_written_kernels_are_compiled_all_the_same(monkeypa
 @pytest.mark.parametrize("damage", [b"", b"cgone.module\nClass\n.", b"cmath\ngone\n.", b"\x80"])
 def test_an_index_that_cannot_be_read_is_written_anew(tmp_path, damage):
     index = inside_numba._Index(str(tmp_path), "kernel", "stamp")
+    assert index.load("key") is None
     index.save("key", "machine code")
     assert index.load("key") == "machine code"
     path = tmp_path / "kernel.nbi"
@@ -211,6 +246,37 @@ def test_an_index_that_cannot_be_read_is_written_anew(tmp_path, damage):
     assert index.load("key") is None
     index.save("key", "machine code")
     assert index.load("key") == "machine code"
+
+
+@pytest.mark.parametrize("damage", [b"", b"\x80", b"cgone.module\nClass\n."])
+def test_a_kernel_that_cannot_be_read_is_compiled_anew(tmp_path, damage):
+    index = inside_numba._Index(str(tmp_path), "kernel", "stamp")
+    index.save("key", "machine code")
+    (path,) = tmp_path.glob("*.nbc")
+    path.write_bytes(damage)
+    assert index.load("key") is None
+    index.save("key", "machine code")
+    assert index.load("key") == "machine code"
+
+
+def test_what_other_code_has_left_is_never_taken_for_a_kernel(tmp_path, monkeypatch):
+    """As when a process is killed between the index and the kernel, which is written after it."""
+    inside_numba._Index(str(tmp_path), "kernel", "before").save("key", "machine code of before")
+    after = inside_numba._Index(str(tmp_path), "kernel", "after")
+    with monkeypatch.context() as patch:
+        patch.setattr(after, "_save_data", lambda *_: None)
+        after.save("key", "machine code")
+    assert after.load("key") is None
+    after.save("key", "machine code")
+    assert after.load("key") == "machine code"
+    assert len(list(tmp_path.glob("*.nbc"))) == 1
+
+
+def test_a_kernel_that_cannot_be_compiled_holds_up_no_other_process():
+    wrong = kernel(lambda x: x.nothing)
+    with pytest.raises(numba.core.errors.TypingError):
+        wrong(1.0)
+    assert not inside_numba.LOCKS[wrong.py_func]
 
 
 MINE = """

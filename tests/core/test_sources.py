@@ -73,6 +73,38 @@ def test_the_digest_is_that_of_what_a_kernel_calls(digest):
     assert digest() == before
 
 
+MODULES = {
+    "default": ("def work(x, factor=SIZE):\n    return x * factor\n", "from parts import SIZE\n"),
+    "a tuple of functions": ("def work(x):\n    return ALL[0](x)\n", "from parts import half\nALL = (half,)\n"),
+    "a module of a module": ("def work(x):\n    return package.parts.half(x)\n", "import package\n"),
+}
+
+
+@pytest.mark.parametrize("case", MODULES)
+def test_the_digest_has_what_is_named_in_other_ways(case, digest, monkeypatch):
+    body, head = MODULES[case]
+
+    def read(**texts):
+        package = ModuleType("package")
+        monkeypatch.setitem(sys.modules, "package", package)
+        digest(**texts)
+        package.parts = sys.modules["parts"]
+        return digest(work=head + body, **texts)
+
+    before = read()
+    assert read(other=OTHER + "# changed") == before
+    assert read(parts=PARTS.replace("3", "4")) != before
+
+
+def test_code_that_was_edited_after_it_was_loaded_has_another_digest(digest, tmp_path):
+    before = digest()
+    path = tmp_path / "parts.py"
+    path.write_text(PARTS.replace("3", "4"))
+    sources._source_of.cache_clear()
+    loaded_before = digest_of(sys.modules["work"].work, ())
+    assert len({before, loaded_before, digest(parts=PARTS.replace("3", "4"))}) == 3
+
+
 def test_what_is_in_no_file_has_no_digest():
     space = {"__name__": "nowhere"}
     exec("def work(x): return x", space)
@@ -127,5 +159,5 @@ def test_all_functions_that_are_compiled_for_a_kernel_are_in_its_digest(kernel, 
 
 
 def test_classes_are_found_in_tuples_of_named_tuples():
-    kind = numba.typeof((Places(np.zeros(1), np.zeros(1), np.zeros(1)), (1, 2.0)))
+    kind = numba.typeof((Places(np.zeros((6, 1)), np.zeros(1)), (1, 2.0)))
     assert classes_in([kind, numba.float64]) == {Places}
