@@ -1,17 +1,63 @@
 """Kernels as plain Python, for a debugger or for coverage: `NUMBA_DISABLE_JIT=1`."""
 
 import json
+import subprocess
+import sys
+from dataclasses import replace
 
 import pytest
-from processes import call
+from floor_plans import lab
+from paper import paper_camera, paper_room, paper_scene
+from processes import ROOT, call, environment
 
-SETTINGS = ("budget.evaluations=3", "room.spacing=2", "validate=false", "picture=false", "tracking=none")
+import lmd
+from lmd.objectives.coverage import Coverage
+from lmd.objectives.localisation import Localisation
+from lmd.optimisers.annealing import Annealing
+from lmd.problem import Problem
+from lmd.scene import pdf
+from lmd.scene.deployment_sources import RandomDeployment
+from lmd.scene.rig import Mount, Rig
+from lmd.scene.tag import Tag
+
+RIG = Rig((Mount(paper_camera(), (0.0, 0.1, 0.3)), Mount(paper_camera(focal_length=8.0), yaw=2.0)))
+ROOM = paper_room(spacing=2.5)
+COVERAGE, LOCALISATION = Coverage(2, 0.1), Localisation(n=2, tolerance=0.3)
+CASES = {
+    "camera": (ROOM, paper_camera(), COVERAGE),
+    "rig": (ROOM, RIG, COVERAGE),
+    "localisation": (ROOM, paper_camera(), LOCALISATION),
+    "localisation of a rig": (ROOM, RIG, LOCALISATION),
+    "among obstacles": (lab(spacing=2.0), paper_camera(), COVERAGE),
+}
+WHOLE = ("budget.evaluations=3", "room.spacing=2", "validate=false", "picture=false", "tracking=none")
 
 
-def found_in(folder):
+def found_by_walking(name):
+    room, camera, objective = CASES[name]
+    scene = paper_scene(room, camera, pdf.grid_with_ends(2), thold=0.1, nu=0.3, occlusion="line_of_sight")
+    problem = Problem(replace(scene, tag=Tag(0.2)), objective, RandomDeployment(8), threads=1)
+    found = lmd.optimise(problem, evaluations=4, optimiser=Annealing(walkers=1))
+    return [found.fitness, found.deployment.positions.tolist(), found.deployment.normals.tolist()]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_walks_in_plain_python_end_at_the_same_bits(name, tmp_path):
+    """2 s of processor time each."""
+    code = f"import json, test_disabled_compiler as t; print(json.dumps(t.found_by_walking({name!r})))"
+    environ = environment(ROOT / "tests") | {"NUMBA_DISABLE_JIT": "1"}
+    line = [sys.executable, "-c", code]
+    done = subprocess.run(line, cwd=tmp_path, env=environ, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "Warning" not in done.stderr
+    assert json.loads(done.stdout) == found_by_walking(name)
+
+
+def found_by_a_run(folder):
     """All that a run says of what it found; without the time that it took."""
     folder.mkdir()
-    done = call("optimise", "hydra.run.dir=run", cwd=folder, settings=SETTINGS, fresh=True)
+    done = call("optimise", "hydra.run.dir=run", cwd=folder, settings=WHOLE, fresh=True)
     assert done.returncode == 0, done.stderr
     assert "Warning" not in done.stderr
     run = folder / "run"
@@ -22,8 +68,8 @@ def found_in(folder):
 
 
 @pytest.mark.slow
-def test_kernels_as_plain_python_find_the_same_to_the_bit(tmp_path, monkeypatch):
-    """30 s of processor time: the walk of 90 landmarks, uncompiled."""
-    compiled = found_in(tmp_path / "compiled")
+def test_a_run_in_plain_python_has_the_same_figures(tmp_path, monkeypatch):
+    """30 s of processor time: the walk of 90 landmarks in the paper's room, not compiled."""
+    compiled = found_by_a_run(tmp_path / "compiled")
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
-    assert found_in(tmp_path / "python") == compiled
+    assert found_by_a_run(tmp_path / "python") == compiled

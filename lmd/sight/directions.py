@@ -18,10 +18,10 @@ import numpy as np
 
 from lmd.core.bits import BITS, LANES, ZERO
 from lmd.core.checks import FloatArray, IntArray
-from lmd.core.compiled import inner, kernel
+from lmd.core.compiled import PYTHON, inner, kernel
 from lmd.scene.criteria import Sight, in_view, largest
 
-SIDE = 64
+SIDE = 16 if PYTHON else 64  # plain Python would fill larger tables for seconds; what they settle is the same
 NOWHERE = SIDE * SIDE  # one row more than there are cells: no axis at all
 CERTAIN, POSSIBLE = 0, 1  # the tables: axes that have every direction of a cell in view, and some
 # Added to rho, rad: far more than rounding moves a direction, a corner or an angle.
