@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, integer
+from lmd.core.compiled import PYTHON
 from lmd.evaluation.held_out import describe_held_out, held_out_metrics
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
@@ -139,6 +140,8 @@ def sampled_evaluators(scene: Scene, seed: int, sample: Sample, threads: int) ->
         most, finest = MOST_OF_A_RIG
         sample = Sample(sample.groups, min(sample.positions, most), min(sample.divisions, finest))
     rng = np.random.default_rng([seed, VALIDATION_STREAM])
+    by_reference = PYTHON and not isinstance(scene.camera, Rig)  # kernels as plain Python would take hours
     for _ in range(sample.groups):
         positions = scene.room.sample_evenly(sample.positions, rng)
-        yield Evaluator(replace(scene, pdf=scene.pdf.stratified(sample.divisions, rng)), positions, threads)
+        drawn = replace(scene, pdf=scene.pdf.stratified(sample.divisions, rng))
+        yield Evaluator(drawn, positions, threads, by_reference)

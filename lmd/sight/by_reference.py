@@ -29,13 +29,14 @@ class ReferenceViews:
     """The views of a camera, or of a rig, from P positions, with D orientations.
 
     Args:
-        scene: its visibility model has no compiled half.
+        scene: its visibility model need have no compiled half.
         positions: of the camera, or of the body of the rig, `(P, 3)`, metres.
     """
 
     def __init__(self, scene: Scene, positions: FloatArray) -> None:
         self._scene, self._positions, self._axes = scene, positions, scene.orientations.axes
-        _tell(type(scene.visibility).__name__)
+        if not scene.is_compiled:
+            _tell(type(scene.visibility).__name__)
 
     def caps(self, deployment: Deployment, p: int) -> BoolArray:
         """Which landmarks each orientation covers from position p, `(D, K)`."""

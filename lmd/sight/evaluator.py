@@ -51,9 +51,16 @@ class Evaluator:
         scene: what stays fixed.
         positions: `(P, 3)` camera positions, metres; the room's grid by default.
         threads: worker threads; all available processors by default. Results do not depend on it.
+        by_reference: whether NumPy decides instead of kernels; so it is where criteria have no compiled half.
     """
 
-    def __init__(self, scene: Scene, positions: FloatArray | None = None, threads: int | None = None) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        positions: FloatArray | None = None,
+        threads: int | None = None,
+        by_reference: bool = False,
+    ) -> None:
         self.scene = scene
         self.positions = for_kernels(scene.room.grid() if positions is None else positions)
         self._low, self._high = self.positions.min(axis=0), self.positions.max(axis=0)
@@ -65,7 +72,7 @@ class Evaluator:
         self._sized: dict[tuple[float, ...], Evaluator] = {}
         self.parts: tuple[Part, ...] = ()
         self.views: RigViews | ReferenceViews | None = None  # instead of the kernels for a single camera
-        if not scene.is_compiled:
+        if by_reference or not scene.is_compiled:
             self.views = ReferenceViews(scene, self.positions)
             return
         blockers, self.parts = scene.room.blockers(), parts_of(scene)
@@ -102,7 +109,7 @@ class Evaluator:
 
     @property
     def by_reference(self) -> bool:
-        """Whether the visibility model has no compiled half."""
+        """Whether NumPy decides instead of kernels."""
         return isinstance(self.views, ReferenceViews)
 
     @property
