@@ -201,3 +201,11 @@ def test_bounds_say_that_they_need_the_compiled_half():
     for bound in (affordable, average_upper_bound, fitness_upper_bound):
         with pytest.raises(InputError, match=r"^an upper bound needs the compiled half of Plain, which has none"):
             bound(problem, 10, search)
+
+
+def test_a_class_with_covered_alone_is_told_what_to_derive_from():
+    class Bare:
+        covered = Ahead.covered
+
+    with pytest.raises(InputError, match=r"Bare has no `sight`: derive it from lmd\.scene\.criteria\.Covering"):
+        replace(paper_scene(), visibility=Bare())

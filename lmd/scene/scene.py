@@ -52,6 +52,12 @@ class Scene:
     edges: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
+        if not hasattr(self.visibility, "sight"):
+            name = type(self.visibility).__name__
+            raise InputError(
+                f"{name} has no `sight`: derive it from lmd.scene.criteria.Covering if it has `covered` alone.",
+                "visibility",
+            )
         seen = getattr(self.visibility, "tag", None)
         object.__setattr__(self, "tag", self.tag or seen or Tag())
         if seen is not None and seen != self.tag:
