@@ -44,7 +44,7 @@ def found_by_walking(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_walks_in_plain_python_end_at_the_same_bits(name, tmp_path):
-    """2 s of processor time each."""
+    """30 s of processor time together, once their kernels are compiled."""
     code = f"import json, test_disabled_compiler as t; print(json.dumps(t.found_by_walking({name!r})))"
     environ = environment(ROOT / "tests") | {"NUMBA_DISABLE_JIT": "1"}
     line = [sys.executable, "-c", code]
@@ -69,7 +69,7 @@ def found_by_a_run(folder):
 
 @pytest.mark.slow
 def test_a_run_in_plain_python_has_the_same_figures(tmp_path, monkeypatch):
-    """30 s of processor time: the walk of 90 landmarks in the paper's room, not compiled."""
+    """10 s of processor time: the walk of 90 landmarks in the paper's room, not compiled."""
     compiled = found_by_a_run(tmp_path / "compiled")
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
     assert found_by_a_run(tmp_path / "python") == compiled
