@@ -40,7 +40,9 @@ def walked(n, occlusion, stage):
             surrogate._surfaces,
             surrogate._papers,
         )
-        getattr(module.walk, "py_func", module.walk)(200, walker.places, walker.members, walker.group, *here, settings, rng, walker.best)
+        getattr(module.walk, "py_func", module.walk)(
+            200, walker.places, walker.members, walker.group, *here, settings, rng, walker.best
+        )
     return [*moves.copied(walker.state), walker.best.fitness, *walker.best.places, rng.random()], len(finished)
 
 
