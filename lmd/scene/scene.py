@@ -52,11 +52,10 @@ class Scene:
     edges: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
-        if not hasattr(self.visibility, "sight"):
+        if hasattr(self.visibility, "covered") and not hasattr(self.visibility, "sight"):
             name = type(self.visibility).__name__
             raise InputError(
-                f"{name} has no `sight`: derive it from lmd.scene.criteria.Covering if it has `covered` alone.",
-                "visibility",
+                f"{name} has `covered` and no `sight`: derive it from lmd.scene.criteria.Covering.", "visibility"
             )
         seen = getattr(self.visibility, "tag", None)
         object.__setattr__(self, "tag", self.tag or seen or Tag())
