@@ -208,6 +208,6 @@ def test_a_class_with_covered_alone_is_told_what_to_derive_from():
         covered = Ahead.covered
 
     with pytest.raises(
-        InputError, match="Bare has `covered` and no `sight`: derive it from lmd.scene.criteria.Covering"
+        InputError, match=r"Bare has `covered` and no `sight`: derive it from lmd\.scene\.criteria\.Covering"
     ):
         replace(paper_scene(), visibility=Bare())
