@@ -64,7 +64,7 @@ def test_what_other_code_has_computed_is_not_taken(tmp_path, monkeypatch):
     scored = []
     monkeypatch.setattr(ladder, "figures_of", lambda *_: scored.append(0) or {"share": len(scored)})
     assert [known.figures(6, found)["share"] for _ in range(2)] == [1, 1]
-    monkeypatch.setattr("lmd.core.compiled.sources", lambda: "other code")
+    monkeypatch.setattr("lmd.core.sources.package_digest", lambda: "other code")
     assert known.figures(6, found)["share"] == 2
 
 
