@@ -1,6 +1,6 @@
 """The compiler of `lmd`'s own functions, which numba takes as an option: it is timed and says what it compiles.
 
-Nothing is heard of what others compile.
+Functions that others compile are not timed.
 """
 
 import gc

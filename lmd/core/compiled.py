@@ -36,10 +36,10 @@ def _inside() -> Any:
 _numba = _inside()
 LINKED = _numba is not None and numba.__version__.rpartition(".")[0] in KNOWN and not os.environ.get(PLAIN)
 
-# A division by zero gives infinity or NaN instead of an exception, as in NumPy. Nobody calls kernels from C: a wrapper
-# for that would take a twelfth of the time of compiling.
+# A division by zero gives infinity or NaN instead of an exception, as in NumPy. Kernels are
+# not called from C: a wrapper for that would take a twelfth of the time of compiling.
 _OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-# Of what kernels alone call. Without `forceinline` numba takes the flags of the first caller.
+# Options of inner functions. `forceinline` is set in any case: unset, a function inherits it from its first caller.
 _CALLED: Any = _OPTIONS | {"no_cpython_wrapper": True, "forceinline": False}
 # Arrays that are handed on need not be counted: the kernel holds them. Counting, by instructions that lock the memory,
 # would take a seventh of a move, and more where two threads count the same array.
@@ -92,7 +92,7 @@ def _made_kernel(function: Callable[..., Any], options: Any) -> Any:
 
 
 def inner(function: Callable[..., Any]) -> Any:
-    """A function that kernels, and other such functions, call: compiled within each kernel. For Python it is Python.
+    """A function that kernels call, compiled within each of them. Python calls it as plain Python.
 
     With numba's own compiler, LLVM optimises and translates a function once for itself, once for each that calls it,
     and so on: most of the time of compiling, where functions are nested as deeply as here.
@@ -119,7 +119,7 @@ def allocating(function: Callable[..., Any]) -> Any:
 def _made_inner(function: Callable[..., Any], compiler: Any, options: Any) -> Any:
     if not PYTHON:
         compiled: Any = numba.njit(pipeline_class=compiler, **(_CALLED | options))(function)
-        # By this attribute numba asks what compiled code names for its type. The type does not hold what it is of.
+        # numba types a function that compiled code names by the first attribute; the second keeps the dispatcher alive.
         function._numba_type_, function.compiled = types.Dispatcher(compiled), compiled  # type: ignore[attr-defined]
     return function
 
