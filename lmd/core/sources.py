@@ -94,7 +94,7 @@ def _used_by(function: FunctionType) -> Iterator[tuple[str, Any]]:
             elif _counts(value.__name__) and not any(vars(value) is other for other in spaces):
                 spaces.append(vars(value))
     for name, value in values:
-        for part in value if type(value) is tuple else (value,):
+        for part in (value, *value) if type(value) is tuple else (value,):
             yield name, part if isinstance(part, type) else inspect.unwrap(part)
 
 

@@ -98,6 +98,11 @@ def test_the_digest_has_what_is_named_in_other_ways(case, digest, monkeypatch):
     assert read(parts=PARTS.replace("3", "4")) != before
 
 
+def test_the_order_of_constants_counts(digest):
+    work = "from parts import PAIR\ndef work(x):\n    return PAIR[0] * x\n"
+    assert digest(parts="PAIR = (1, 2)\n", work=work) != digest(parts="PAIR = (2, 1)\n", work=work)
+
+
 def test_code_that_was_edited_after_it_was_loaded_has_another_digest(digest, tmp_path):
     before = digest()
     path = tmp_path / "parts.py"
