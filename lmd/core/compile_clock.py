@@ -63,7 +63,7 @@ class CompileClock:
 
     @property
     def active(self) -> bool:
-        """Whether the compiler is at work."""
+        """True while the compiler is at work."""
         return self._compiling > 0
 
     def read(self) -> float:

@@ -62,7 +62,7 @@ A run would else take longer if it is the first one of an installation.
 
 
 def is_compiling() -> bool:
-    """Whether this process waits for the compiler, which nothing but a signal can interrupt."""
+    """True while this process waits for the compiler, which only a signal can interrupt."""
     return CLOCK.active
 
 

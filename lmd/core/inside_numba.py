@@ -1,4 +1,4 @@
-"""The parts of numba's inside that kernels rely on: libraries, compilers and a cache; docs/engine.md lists them.
+"""The parts of numba's inside that kernels rely on: libraries, compilers and a cache (docs/engine.md).
 
 They are subclasses for `lmd`'s own functions alone. Nothing of numba or llvmlite is changed.
 """

@@ -75,7 +75,7 @@ NO_UNITS = np.empty((0, 0), dtype=np.int64)
 
 
 class Places(NamedTuple):
-    """Where K landmarks are."""
+    """The poses and surfaces of K landmarks."""
 
     poses: np.ndarray
     """`(6, K)` positions, metres, and unit normals."""
@@ -139,7 +139,7 @@ def worth(target, p, units):  # type: ignore[no-untyped-def]
 
 @overridable
 def placed(state):  # type: ignore[no-untyped-def]
-    """What in a state has its `poses` and `surfaces`: the state, but for classes that have them in a part."""
+    """The part of a state that has `poses` and `surfaces`: the state itself, unless its class registers another."""
     return state
 
 

@@ -1,4 +1,4 @@
-"""What the moves of single landmarks work on: the coverage of one deployment, and working memory.
+"""State and scratch of moves of single landmarks: the coverage of one deployment, and working memory.
 
 Arrays of one type and shape are rows of one array, with a name for each row: numba hands each array over as 5 + 2n
 numbers, n its dimensions, to all that is not inlined.

@@ -18,7 +18,7 @@ from lmd.sight.kernels import PROBABILITY_ONE
 
 
 class ReferenceState(NamedTuple):
-    """Where K landmarks are, and what that is worth at Q positions."""
+    """The poses and surfaces of K landmarks, and the values at Q positions."""
 
     poses: np.ndarray
     """`(6, K)` positions, metres, and unit normals."""

@@ -178,7 +178,7 @@ class Scene:
 
     @property
     def is_compiled(self) -> bool:
-        """Whether the visibility model has a compiled half."""
+        """True if the visibility model has a compiled half."""
         return self.visibility.sight(self.cameras[0]) is not None
 
     def check_compiled(self, what: str) -> None:

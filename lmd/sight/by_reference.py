@@ -1,4 +1,4 @@
-"""What cameras cover where the visibility model has no compiled half: by the reference, position by position.
+"""Coverage by the reference, position by position, for visibility models without a compiled half.
 
 `reference` says what is covered. Here it is summed up as `rig_views` does for rigs, in the same units.
 """
@@ -39,7 +39,7 @@ class ReferenceViews:
             _tell(type(scene.visibility).__name__)
 
     def caps(self, deployment: Deployment, p: int) -> BoolArray:
-        """Which landmarks each orientation covers from position p, `(D, K)`."""
+        """Landmarks that each orientation covers from position p, flags `(D, K)`."""
         return coverage_caps(self._scene, deployment, self._positions[p], self._axes)
 
     def evaluate(
@@ -79,7 +79,7 @@ class ReferenceViews:
 def seen_from(
     scene: Scene, camera: Camera, deployment: Deployment, positions: FloatArray, axes: FloatArray
 ) -> BoolArray:
-    """Which landmarks a camera covers from poses, `(N, K)`: positions `(N, 3)`, axes `(N, 6)`."""
+    """Landmarks that a camera covers, flags `(N, K)`, from poses with positions `(N, 3)` and axes `(N, 6)`."""
     seen = np.empty((len(positions), len(deployment)), dtype=np.bool_)
     places, place = np.unique(positions, axis=0, return_inverse=True)
     order = np.argsort(place.reshape(-1), kind="stable")

@@ -109,7 +109,7 @@ class Evaluator:
 
     @property
     def by_reference(self) -> bool:
-        """Whether NumPy decides instead of kernels."""
+        """True if NumPy decides instead of kernels."""
         return isinstance(self.views, ReferenceViews)
 
     @property

@@ -77,7 +77,7 @@ class ReferenceLogDeterminant:
                 self._known[p] = log_det_of(e.scene, self._sums[p])
 
     def _with(self, e: Evaluator, pose: Deployment, p: int) -> FloatArray:
-        """What is known of the views from position p once a pose is chosen, `(width, D)`."""
+        """Information of the views from position p with one more pose, `(width, D)`."""
         axes = e.scene.orientations.axes
         told = information_of(e.scene, pose, self._precision(e.scene), e.positions[p], axes)
         return np.asarray(self._sums[p] + told[: self._width])

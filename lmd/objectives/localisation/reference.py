@@ -126,7 +126,7 @@ def _density(lens: Any, axes: FloatArray, offset: FloatArray) -> FloatArray:
 def decided(
     scene: Scene, deployment: Deployment, n: int, asked: Any, position: FloatArray, axes: FloatArray
 ) -> tuple[BoolArray, BoolArray, FloatArray]:
-    """Which views cover n landmarks, and which of these are localised, `(A,)` each.
+    """Views that cover n landmarks, and those of them that are localised, flags `(A,)` each.
 
     Also the variance of the position in each, in the units of `variance`, infinite where not enough is seen, `(A,)`.
 
@@ -145,7 +145,7 @@ def decided(
 def _judged(
     scene: Scene, deployment: Deployment, asked: Any, position: FloatArray, axes: FloatArray
 ) -> tuple[BoolArray, FloatArray]:
-    """Which views are what is `asked`, and the variance of the position in each, `(A,)` each."""
+    """Views that meet the precision `asked`, flags, and the variance of the position in each, `(A,)` each."""
     with np.errstate(all="ignore"):
         if isinstance(scene.camera, Rig):
             sums, covered = body_information(scene, deployment, asked, position, axes)
@@ -163,7 +163,7 @@ def _judged(
 def localised(
     scene: Scene, deployment: Deployment, n: int, asked: Any, position: FloatArray, axes: FloatArray
 ) -> BoolArray:
-    """Which views are localised, `(A,)`; arguments as in `decided`."""
+    """Views that are localised, flags `(A,)`; arguments as in `decided`."""
     return decided(scene, deployment, n, asked, position, axes)[1]
 
 
@@ -175,7 +175,7 @@ def log_det_of(scene: Scene, sums: FloatArray) -> FloatArray:
 def information_of(
     scene: Scene, deployment: Deployment, asked: Any, position: FloatArray, axes: FloatArray
 ) -> FloatArray:
-    """What each view tells, `(width, A)`: of the camera, `view_information`, or of a rig, `body_information`."""
+    """Fisher information of each view, `(width, A)`: `view_information` of a camera, `body_information` of a rig."""
     if isinstance(scene.camera, Rig):
         return body_information(scene, deployment, asked, position, axes)[0].T
     return view_information(scene, deployment, asked, position, axes)

@@ -59,7 +59,7 @@ class Best(NamedTuple):
     fitness: np.ndarray
     """`(1,)` what it is worth."""
     places: Places
-    """Where its landmarks are."""
+    """The poses and surfaces of its landmarks."""
 
 
 @inner
