@@ -78,7 +78,8 @@ class Checkout:
         folders = os.pathsep.join(map(str, (code, code / "benchmarks")))
         environment = os.environ | {"PYTHONPATH": folders, "NUMBA_CACHE_DIR": str(cache / code.name)}
         # This file is run by its path, from a folder without modules: all that it imports is the checkout's own.
-        run = f"import sys, runpy; sys.argv = ['', '--serve', '{script}']; runpy.run_path({__file__!r}, run_name='__main__')"
+        arguments, path = ["", "--serve", script], str(Path(__file__).resolve())
+        run = f"import sys, runpy; sys.argv = {arguments}; runpy.run_path({path!r}, run_name='__main__')"
         pipe = subprocess.PIPE
         self._process = subprocess.Popen(
             [sys.executable, "-c", run], cwd=cache, env=environment, stdin=pipe, stdout=pipe, text=True
