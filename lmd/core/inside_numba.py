@@ -53,6 +53,9 @@ class _KernelLibrary(_Library):
                 function.add_function_attribute("noinline")
                 function.add_function_attribute("optnone")
         self._linked_into(self._final_module)
+        for function in self._final_module.functions:
+            if function.linkage == Linkage.linkonce_odr and not function.is_declaration:
+                function.linkage = "internal"  # LLVM inlines what is called once, and drops arguments that are not used
         self._linking_libraries.clear()
         super().finalize()
 

@@ -25,7 +25,7 @@ landmark, position *and* orientation. Pixels count as square with the geometric 
 A landmark that is a point counts as one corner. Two points leave a turn about the line through them open. One tag alone
 has two poses that look nearly alike, of which these formulas know nothing: see `ambiguity`.
 
-The functions here are inlined on numbers or on arrays alike: kernels compile what the reference calls, so that both
+The functions here take numbers or arrays alike: kernels compile what the reference calls, so that both
 decide by the same bits. Each landmark's share of a view is rounded to a multiple of `QUANTUM`: sums of such are exact
 in any order, so that landmarks may be added and taken away again.
 """
