@@ -257,8 +257,10 @@ def _poses(cfg: DictConfig) -> "tuple[Space, OrientationPdf, RecordedPoses | Non
     from lmd.core.checks import InputError
 
     room, recorded = instantiate(cfg.room), bool(cfg.get("poses"))  # runs of old have none
-    if doubt := getattr(getattr(room, "scan", None), "doubt", None):  # of a mesh
-        print(f"warning: room.up: is it right for {room.scan.path!r}? {doubt[0].upper()}{doubt[1:]}", file=sys.stderr)
+    if scan := getattr(room, "scan", None):  # of a mesh
+        if doubt := scan.doubt:
+            print(f"warning: room.up: is it right for {scan.path!r}? {doubt[0].upper()}{doubt[1:]}", file=sys.stderr)
+        note(scan.mesh.note)
     if recorded == bool(cfg.pdf):
         needed = "poses=recorded, which says how the camera looks, needs pdf=recorded"
         cure = "add it to the command line where an experiment has chosen another one"
