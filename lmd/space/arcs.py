@@ -63,7 +63,7 @@ class Arc:
         reach = np.full(count + 1, self.radius * np.sqrt(step / np.sin(step)))
         reach[[0, -1]] = self.radius
         around = reach[:, None] * np.stack([np.cos(angles), side * np.sin(angles)], axis=1)
-        return around + (self.centre if self.centre is not None else -around[[0, -1]].mean(axis=0))
+        return np.asarray(around + (self.centre if self.centre is not None else -around[[0, -1]].mean(axis=0)))
 
 
 def strips(arc: Arc, half: FloatArray, others: Sequence[FloatArray], name: str) -> list[FloatArray]:

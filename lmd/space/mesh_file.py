@@ -24,7 +24,7 @@ FORMATS = (".gltf", ".glb", ".obj", ".stl", ".ply", CAPTURED)
 # Corners that differ by less are the same, metres: files have 32 bits for a number.
 CORNER_DIGITS = 6
 # Metres in the units that programs export, and the longest side of rooms that are hinted at, metres.
-UNITS = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048}
+UNITS = {"metres": 1.0, "millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048}
 LIKELY = (2.0, 100.0)
 # Of more triangles, what has to be known of each would take gigabytes and minutes.
 MOST_TRIANGLES = 5_000_000

@@ -128,9 +128,8 @@ def test_the_same_sweep_again_does_only_what_is_missing(faulty):
 
 def test_glob_finds_what_the_command_line_adds_and_the_command_of_a_job_names_no_folder_of_the_sweep(tmp_path):
     (tmp_path / "mine" / "optimiser").mkdir(parents=True)
-    for name in ("x_one", "x_two"):
-        text = "_target_: lmd.optimisers.random_search.RandomSearch\n"
-        (tmp_path / "mine" / "optimiser" / f"{name}.yaml").write_text(text)
+    for name, target in {"x_one": "random_search.RandomSearch", "x_two": "sga.SGA"}.items():
+        (tmp_path / "mine" / "optimiser" / f"{name}.yaml").write_text(f"_target_: lmd.optimisers.{target}\n")
     store = f"tracking.uri=sqlite:///{tmp_path}/store.db"
     added = ("hydra.mode=MULTIRUN", f"hydra.searchpath=[file://{tmp_path}/mine]", "budget.evaluations=40", store)
     done = call("optimise", *added, "optimiser=glob(x_*)", cwd=tmp_path)
