@@ -7,7 +7,7 @@ from typing import Any
 from lmd.core.checks import InputError
 from lmd.core.files import read_keys
 
-OUTLINE = "take the corners of the floor from it, in metres, as room.outline of room=floor_plan (docs/rooms.md)"
+OUTLINE = "take the corners of the floor from it, in metres, as the outline of a floor plan (docs/rooms.md)"
 MODEL = "export .glb or .obj from the program that made it, or import it into Blender and export it from there"
 GRID = f"an occupancy grid has no walls to hang tags on; {OUTLINE}: pixels times its resolution, from its origin"
 # The kind of a file and the way to one that is read, by its ending.
@@ -33,7 +33,7 @@ ENDINGS = {
         (".las", ".laz", ".e57", ".pcd", ".pts", ".ptx", ".xyz"),
         ("a cloud of points", "make a mesh of it in MeshLab or CloudCompare, and flatten its walls"),
     ),
-    ".sh3d": ("a home of Sweet Home 3D", "export its 3D view to OBJ, in centimetres: room.scale=0.01"),
+    ".sh3d": ("a home of Sweet Home 3D", "export its 3D view to OBJ, in centimetres: a scale of 0.01"),
     **dict.fromkeys(
         (".world", ".sdf", ".urdf"), ("a world of Gazebo", "name the mesh that it places, or export it as .glb")
     ),
@@ -62,7 +62,7 @@ def kind_of_keys(keys: Mapping[str, Any]) -> str | None:
     rooms = keys.get("rooms")
     if isinstance(rooms, list) and "walls" not in keys and any(isinstance(r, dict) and "walls" in r for r in rooms):
         told = "it is a CapturedStructure of RoomPlan's"
-        return f"{told} with {len(rooms)} rooms: `jq '.rooms[0]' structure.json > room.json` saves the first"
+        return f"{told} with {len(rooms)} rooms: `jq '.rooms[0]' structure.json > one.json` saves the first"
     walls = keys.get("walls")
     first = walls[0] if isinstance(walls, list) and walls else {}
     if isinstance(first, dict) and {"xStart", "yStart"} <= first.keys():

@@ -8,7 +8,7 @@ from lmd.core.checks import InputError
 from lmd.space.foreign import ENDINGS
 from lmd.space.mesh_file import FORMATS, read_mesh
 
-OUTLINE = "room.outline of room=floor_plan"
+OUTLINE = "the outline of a floor plan"
 WALL = {"xStart": 0.0, "yStart": 0.0, "xEnd": 600.0, "yEnd": 0.0, "height": 250.0}
 CAPTURED = {"walls": [{"transform": [1], "dimensions": [1, 1, 0]}]}
 
