@@ -186,15 +186,18 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
     """
     import numpy as np
 
-    from lmd.core.checks import InputError, boolean, choice, integer, seed_number
+    from lmd.core.checks import InputError, boolean, check_members, choice, integer, seed_number
     from lmd.core.optional import optional
     from lmd.core.threads import MOST_THREADS
+    from lmd.objectives.base import Objective
     from lmd.objectives.localisation import Localisation
     from lmd.optimisers.encoding import KINDS
     from lmd.problem import Problem
     from lmd.scene.carried import carried
+    from lmd.scene.criteria import Criteria
     from lmd.scene.scene import Scene
     from lmd.scene.tag import Tag
+    from lmd.space.space import Space
 
     for group in GROUPS:
         settings_of(cfg, group)
@@ -212,11 +215,14 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
     tag = instantiate(cfg.tag) if cfg.get("tag") else Tag()  # runs of old have none
     camera, visibility = camera_of(cfg.camera), instantiate(cfg.visibility)
     room, pdf, recorded = _poses(cfg)
+    check_members("room", room, Space, "docs/api/space.md")
+    check_members("visibility", visibility, Criteria, "docs/api/scene.md")
     scene = Scene(room, camera, pdf, visibility, tag, recorded)
     threads = None if cfg.threads is None else integer("threads", cfg.threads, low=1, high=MOST_THREADS)
     choice("encoding.kind", cfg.encoding.kind, KINDS)
     boolean("encoding.flush", cfg.encoding.flush)
     objective = instantiate(cfg.objective)
+    check_members("objective", objective, Objective, "docs/api/objectives.md")
     if isinstance(objective, Localisation):
         with keyed(rig="camera.rig"):
             scene = carried(scene)
@@ -257,8 +263,10 @@ def _poses(cfg: DictConfig) -> "tuple[Space, OrientationPdf, RecordedPoses | Non
     from lmd.core.checks import InputError
 
     room, recorded = instantiate(cfg.room), bool(cfg.get("poses"))  # runs of old have none
-    if doubt := getattr(getattr(room, "scan", None), "doubt", None):  # of a mesh
-        print(f"warning: room.up: is it right for {room.scan.path!r}? {doubt[0].upper()}{doubt[1:]}", file=sys.stderr)
+    if scan := getattr(room, "scan", None):  # of a mesh
+        if doubt := scan.doubt:
+            print(f"warning: room.up: is it right for {scan.path!r}? {doubt[0].upper()}{doubt[1:]}", file=sys.stderr)
+        note(scan.mesh.note)
     if recorded == bool(cfg.pdf):
         needed = "poses=recorded, which says how the camera looks, needs pdf=recorded"
         cure = "add it to the command line where an experiment has chosen another one"

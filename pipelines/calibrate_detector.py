@@ -75,14 +75,20 @@ VIEWS_STREAM = 0x7669657773
 
 def to_markdown(figures: dict[str, dict[str, float]]) -> str:
     """A row for each detector: its limits, and how well they predict what they were not fitted to."""
-    from lmd.core.words import markdown_table
+    from lmd.core.words import escaped, markdown_table
 
     head = ["detector", "views", "a", "k", "m [px]", "b [degrees]", "held-out accuracy / precision / recall"]
     head += [f"rooms: P(>= {n}) predicted / detected" for n in range(1, 5)]
     head += ["rooms: precision / recall", "rooms: frames agree on >= 2"]
     rows = []
     for name, row in figures.items():
-        cells = [name, f"{row['views']:.0f}", f"{row['pitch']:.2g}", f"{row['blur']:.2g}", f"{row['edge']:.3g}"]
+        cells = [
+            escaped(name),
+            f"{row['views']:.0f}",
+            f"{row['pitch']:.2g}",
+            f"{row['blur']:.2g}",
+            f"{row['edge']:.3g}",
+        ]
         cells += [f"{row['incidence']:.0f}"]
         cells += [f"{row['accuracy']:.3f} / {row['precision']:.3f} / {row['recall']:.3f}"]
         if "room_frames" in row:

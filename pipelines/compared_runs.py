@@ -18,7 +18,7 @@ from .outputs import columns_of
 if TYPE_CHECKING:
     from lmd.evaluation.comparison import OptimiserRun
 
-LANDMARKS, HISTORY, RECORD = "landmarks.csv", "history.csv", "run.json"
+LANDMARKS, HISTORY, RECORD = FILES = "landmarks.csv", "history.csv", "run.json"
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,14 +69,18 @@ class Job:
         """What the run has found in a comparison, and the tracked run of that; None if it is not there.
 
         Raises:
-            InputError: its tables are damaged.
+            InputError: its tables are damaged, or one of its files is a link that leads out of the comparison.
         """
+        from lmd.core.checks import InputError
         from lmd.core.tables import read_numbers
         from lmd.evaluation.comparison import OptimiserRun
         from lmd.optimisers.ledger import Record
         from lmd.scene.deployment import Deployment
 
         folder = self.folder(comparison)
+        for name in FILES:
+            if not (folder / name).resolve().is_relative_to(comparison.resolve()):
+                raise InputError(f"resume: {str(folder / name)!r} is a link that leads out of the folder.", "resume")
         record: dict[str, Any] = read_document(folder / RECORD, lambda values: {**values}) or {}
         if record.get("digest") != self.digest:
             return None
@@ -112,6 +116,14 @@ def kept_of(resume: Any, jobs: Iterable[Job], directory: Path) -> Kept:
     found = {job: saved for job in jobs if (saved := job.saved(earlier)) is not None}
     if earlier.resolve() != directory.resolve():
         for job in found:
-            shutil.copytree(job.folder(earlier), job.folder(directory), dirs_exist_ok=True)
+            _copy(job, earlier, directory)
     parent = next((parent for _, parent in found.values()), None)
     return Kept({job: run for job, (run, _) in found.items()}, parent)
+
+
+def _copy(job: Job, earlier: Path, directory: Path) -> None:
+    """Copy the files of a run that was read from the folder of a comparison to that of another."""
+    folder = job.folder(directory)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in FILES:
+        shutil.copyfile(job.folder(earlier) / name, folder / name)

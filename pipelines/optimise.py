@@ -144,7 +144,7 @@ def run_optimiser(
     """Optimise; returns what was found, and whether it was told to stop so urgently that it left a batch undone."""
     from lmd.core.compiled import is_compiling
 
-    from .progress import Progress
+    from .progress import Progress, Watch
 
     directory, optimiser = run_directory(), checkpoint.optimiser
     goes_on, before = tracker.run_id == checkpoint.run_id, optimiser.ledger.evaluations
@@ -152,7 +152,12 @@ def run_optimiser(
     progress = Progress(budget, tracker, checkpoint, directory, cfg.checkpoint_seconds, logged=goes_on)
     with space_reserved(directory), closing(progress):
         try:
-            with stop.deferred(lambda: optimiser.ledger.evaluations > before and not is_compiling()):
+            watch = Watch(optimiser, budget)
+
+            def worth_waiting() -> bool:
+                return optimiser.ledger.evaluations > before and not is_compiling() and not watch.is_overdue
+
+            with stop.deferred(worth_waiting), watch:
                 result = optimiser.run(problem, budget, progress)
                 progress.flush(optimiser)
             return result, False

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
+from itertools import pairwise
 from pathlib import Path
 
 import hydra
@@ -91,6 +92,16 @@ def _experiment_of_another(pipeline: str) -> _Experiment | None:
     return _Experiment(file.stem, commands, "mode: MULTIRUN" in text) if commands and pipeline not in commands else None
 
 
+def _refuse_configuration_of_another(pipeline: str) -> None:
+    """Exit where `--config-name` names the configuration of another command."""
+    words = [word for argument in sys.argv[1:] for word in argument.split("=", 1)]
+    for option, name in pairwise(words):
+        named = name.removesuffix(".yaml")
+        is_command = Path(CONF, f"{named}.yaml").is_file() and Path(__file__).with_name(f"{named}.py").is_file()
+        if option in ("--config-name", "-cn") and named != pipeline and is_command:
+            sys.exit(f"error: --config-name {name} is the configuration of another command: {command_of(named)}")
+
+
 Task = Callable[[DictConfig], float | None]
 
 
@@ -126,6 +137,7 @@ class Pipeline:
             sys.argv.append("hydra.help.template=${lmd.help:}")
             # For another template Hydra would read all files twice, which is most of what it takes.
             Hydra.format_config_groups = lambda *_: ""  # type: ignore[method-assign]
+        _refuse_configuration_of_another(self.name)
         _refuse_launcher_that_is_missing()
         _refuse_run(self.name)
         experiment = _experiment_of_another(self.name)

@@ -1,24 +1,29 @@
 """Following a run: progress bar, curve, checkpoints."""
 
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
+from types import TracebackType
 from typing import Any
 
 from tqdm import tqdm
 
 from lmd.core.checks import InputError
+from lmd.core.compiled import clock, is_compiling
 from lmd.optimisers.base import Optimiser
 from lmd.optimisers.checkpoint import Checkpoint
 from lmd.optimisers.ledger import Budget, Record
 
-from .operations.signals import stop
+from .operations.signals import stop, tell
 from .operations.tracking import Tracker
 
 CURVE_POINTS = 500  # points of a whole run kept in the tracked curve
+PATIENCE = 5.0  # seconds after which it is said that an optimiser is waited for
+LOOK_SECONDS = 0.2  # between two looks at whether it is
 
 
 def thinned(history: Sequence[Record], most: int = CURVE_POINTS) -> list[tuple[int, float, float]]:
@@ -101,3 +106,44 @@ class Progress:
         """Remove the bar."""
         with suppress(OSError):
             self.bar.close()
+
+
+class Watch:
+    """Says that a run that is to end, by a signal or by its seconds, waits for its optimiser; then a signal ends it.
+
+    An optimiser looks at the budget between batches, and one of another library may take any time to propose one.
+
+    Args:
+        optimiser: that runs.
+        budget: of the run.
+    """
+
+    def __init__(self, optimiser: Optimiser, budget: Budget) -> None:
+        self.optimiser, self.budget = optimiser, budget
+        self.is_overdue = False
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._look, daemon=True)
+
+    def __enter__(self) -> "Watch":
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._ended.set()
+
+    def _look(self) -> None:
+        ledger = self.optimiser.ledger
+        began, done, due = clock() - ledger.seconds, ledger.evaluations, None
+        while not self._ended.wait(LOOK_SECONDS):
+            if ledger.evaluations != done or is_compiling():
+                done, due, self.is_overdue = ledger.evaluations, None, False
+            is_late = self.budget.seconds is not None and clock() - began > self.budget.seconds
+            if not (is_late or stop.requested) or self.is_overdue:
+                continue
+            due = due or time.monotonic() + PATIENCE
+            if time.monotonic() > due:
+                self.is_overdue = True
+                why = "told to stop" if stop.requested else f"budget.seconds = {self.budget.seconds:g} is over"
+                again = "once more" if stop.requested else "Ctrl-C"
+                waited = f"{self.optimiser.called} has been waited for {PATIENCE:g} s"
+                tell(f"{why}, {waited}; {again} to stop at once with the best so far")

@@ -13,6 +13,7 @@ from typing import Any
 from omegaconf import DictConfig
 
 from .app import CONF, IN_CHECKOUT, command_of, flat_settings
+from .operations.sweeps.folder import current_job
 from .operations.sweeps.names import at
 
 # What a run is about is a parameter; what only says how it is done, where it goes on and where it is kept is none.
@@ -36,7 +37,10 @@ def resuming(pipeline: str, folder: Path) -> str:
 def source_tags(pipeline: str) -> dict[str, str]:
     """Tags of a run, most under the names by which mlflow shows them: who ran what, from which commit."""
     tags = {"mlflow.source.name": command_of(pipeline), "mlflow.source.type": "LOCAL", "mlflow.user": _user()}
-    return tags | {"command": command_line(pipeline, sys.argv[1:])} | _version()
+    given = sys.argv[1:]
+    if current_job() is not None:  # again by itself, it must not write into the folder of the sweep
+        given = [word for word in given if not word.startswith(("hydra.run.dir=", "resume="))]
+    return tags | {"command": command_line(pipeline, given)} | _version()
 
 
 def _user() -> str:

@@ -1,5 +1,6 @@
 """Checks of user input: each raises `InputError` with one sentence that names the value."""
 
+import inspect
 import math
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -166,6 +167,22 @@ def vector(name: str, value: Any, size: int | None, **bounds: Any) -> tuple[floa
     if (not entries) if size is None else len(entries) != size:
         raise InputError(f"{wanted}, got {entries!r}.", name)
     return tuple(real(f"{name}[{i}]", entry, **bounds) for i, entry in enumerate(entries))
+
+
+def check_members(name: str, part: Any, protocol: type, page: str) -> None:
+    """Raise `InputError` if `part`, which may be of a user's own class, lacks a method or property of a protocol.
+
+    Args:
+        name: the argument that it came from.
+        page: where these are described.
+    """
+    wanted = [member for member in vars(protocol) if not member.startswith("_")]
+    # Only what seems to lack is asked for by itself: a property may take long, or raise.
+    absent = [member for member in wanted if inspect.getattr_static(part, member, wanted) is wanted]
+    lacking = [member for member in absent if not hasattr(part, member)]
+    if lacking:
+        kind = f"{type(part).__module__}.{type(part).__qualname__}"
+        raise InputError(f"{name} is a {kind}, which has no {', '.join(lacking)}; {page} has what is needed.", name)
 
 
 def check_fields(instance: Any, check: Callable[..., Any], *names: str, **bounds: Any) -> None:

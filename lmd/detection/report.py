@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 from lmd.core.checks import BoolArray, FloatArray
-from lmd.core.words import markdown_table
+from lmd.core.words import escaped, markdown_table
 from lmd.detection.evaluation import TAG_NUMBERS, agreement, at_least, corner_error, precision_recall, quantiles_by
 from lmd.detection.frames import Sightings
 from lmd.detection.pose import body_from_corners, pose_error
@@ -168,7 +168,7 @@ def to_markdown(table: pd.DataFrame) -> str:
         "deployment",
         "detector",
         "detected, not predicted",
-        *(f"of these fail {c.replace('_', ' ')}" for c in criteria),
+        *(escaped(f"of these fail {c.replace('_', ' ')}") for c in criteria),
     ]
     blame += ["predicted, not detected", "of these cut by the border", "of the others overlapping"]
     looks = ["detector with itself on >= 2", "tags found both times"] if "repeated_tags" in table else []
@@ -178,7 +178,7 @@ def to_markdown(table: pd.DataFrame) -> str:
             f"{row[f'predicted_{n}']:.3f} / {row[f'detected_{n}']:.3f} ± {row[f'detected_{n}_error']:.3f}"
             for n in TAG_NUMBERS
         ]
-        names = [str(row["deployment"]), str(row["detector"])]
+        names = [escaped(row["deployment"]), escaped(row["detector"])]
         rows.append([
             *names,
             *shares,

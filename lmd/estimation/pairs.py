@@ -5,7 +5,7 @@ import pandas as pd
 from scipy.stats import wilcoxon
 
 from lmd.core.checks import FloatArray
-from lmd.core.words import markdown_table
+from lmd.core.words import escaped, markdown_table
 
 PAIRED_FIGURE = "within_20mm"
 
@@ -57,9 +57,9 @@ def to_markdown(pairs: pd.DataFrame) -> str:
     head = ["deployment", "against", "estimator", "position error", "smaller in", "p", "more frames within 20 mm", "p"]
     rows = [
         [
-            row["deployment"],
-            row["against"],
-            row["estimator"],
+            escaped(row["deployment"]),
+            escaped(row["against"]),
+            escaped(row["estimator"]),
             f"x {row['position_ratio']:.2f}",
             f"{row['position_better']} of {row['flights']} flights",
             f"{row['position_p']:.2g}",

@@ -9,7 +9,7 @@ import pandas as pd
 
 from lmd.core.checks import FloatArray, InputError, IntArray, argument_of, check_fields, real
 from lmd.core.memory import check_memory
-from lmd.core.words import markdown_table
+from lmd.core.words import escaped, markdown_table
 from lmd.estimation.errors import Errors, pose_errors
 from lmd.estimation.estimators import Estimator
 from lmd.estimation.flights import TrajectorySource
@@ -251,8 +251,8 @@ def to_markdown(figures: pd.DataFrame, n: int) -> str:
         middle = runs.median(numeric_only=True)
         low, high = runs.mean_error.quantile(QUANTILES[0]), runs.mean_error.quantile(QUANTILES[2])
         rows.append([
-            f"{name}",
-            f"{estimator}",
+            escaped(name),
+            escaped(estimator),
             *(f"{runs[f'share_visible_{m}'].mean():.2%}" for m in sorted({n, 3})),
             f"{middle.mean_error:.3g} ({low:.3g} to {high:.3g})",
             f"{middle.settling_time:.1f}" if np.isfinite(middle.settling_time) else "–",

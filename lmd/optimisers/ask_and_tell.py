@@ -1,13 +1,14 @@
 """Any object with `ask` and `tell` behind `AskTell`."""
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from lmd.core.checks import FloatArray, InputError, choice, integer
-from lmd.optimisers.wrapped import Session, Wrapped
+from lmd.optimisers.wrapped import Session, Wrapped, name_of, with_tuples
 
 STOP_METHODS = ("stop", "should_stop")  # methods that say whether an object has ended by its own rules
 
@@ -40,9 +41,14 @@ class AskAndTell(Wrapped):
         super().__init__(seed, encoding)
         if not callable(make):
             raise InputError(f"make must be a class or a function, got {make!r}.", "make")
-        self.make, self.takes = make, inspect.signature(make).parameters
+        self.make, self.takes = with_tuples(make), inspect.signature(make).parameters
         self.starts_at = choice("start", start, list(self.takes))
         self.batch, self.pairs = integer("batch", batch, low=1), choice("told", told, ("arrays", "pairs")) == "pairs"
+
+    @property
+    @override
+    def called(self) -> str:
+        return name_of(self.make)
 
     def _open(self, start: FloatArray, rng: np.random.Generator) -> Session:
         given = {"seed": int(rng.integers(1, 2**31)), "bounds": np.tile([0.0, 1.0], (start.shape[1], 1))}
@@ -51,6 +57,9 @@ class AskAndTell(Wrapped):
             made = self.make(**{self.starts_at: start[0], **arguments})
         except Exception as error:  # each library refuses parameters in its own way
             raise InputError(f"make failed: {error}", "make") from error
+        for method in ("ask", "tell"):
+            if not callable(getattr(made, method, None)):
+                raise InputError(f"make: {self.called} makes an object without the method {method}.", "make")
         return _Session(made, self.batch, self.pairs)
 
 
@@ -58,13 +67,14 @@ class _Session:
     def __init__(self, made: Any, batch: int, pairs: bool) -> None:
         self.made, self.batch, self.pairs = made, batch, pairs
 
-    def ask(self) -> FloatArray | None:
+    def ask(self) -> Any:
         if any(getattr(self.made, name, bool)() for name in STOP_METHODS):
             return None
-        asked = np.asarray(self.made.ask(), dtype=np.float64)
-        if asked.ndim > 1:
+        asked = self.made.ask()
+        first = asked[0] if isinstance(asked, Sequence | np.ndarray) and len(asked) else asked
+        if np.ndim(first):
             return asked
-        return np.stack([asked, *(self.made.ask() for _ in range(self.batch - 1))])
+        return [asked, *(self.made.ask() for _ in range(self.batch - 1))] if self.batch > 1 else asked
 
     def tell(self, genes: FloatArray, losses: FloatArray) -> None:
         if self.pairs:

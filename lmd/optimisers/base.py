@@ -66,6 +66,11 @@ class Optimiser(ABC):
         self.seed = seed_number(seed)
         self.ledger = Ledger()
 
+    @property
+    def called(self) -> str:
+        """What messages call the method."""
+        return type(self).__name__
+
     def state(self) -> dict[str, Any]:
         """What a checkpoint keeps: what was found by running, as data.
 
@@ -167,10 +172,21 @@ class AskTell(Optimiser):
         """Learn the fitness `(B,)` of the genes just asked for; never NaN, a failed evaluation is -inf."""
 
     def ask(self) -> FloatArray:
-        """The next batch, `(B, dim)`, clipped to the unit box."""
-        genes = np.atleast_2d(np.asarray(self._ask(), dtype=np.float64))
+        """The next batch, `(B, dim)`, clipped to the unit box.
+
+        Raises:
+            InputError: the method has asked for something else than genes.
+        """
+        asked = self._ask()
+        try:
+            genes = np.atleast_2d(np.asarray(asked, dtype=np.float64))
+        except (TypeError, ValueError):
+            raise InputError(f"{self.called} asked for {asked!r}, not for genes (B, {self.dim}).") from None
         if genes.shape[1:] != (self.dim,) or not len(genes):
-            raise InputError(f"{type(self).__name__} asked for genes of shape {genes.shape}, not (B, {self.dim}).")
+            raise InputError(f"{self.called} asked for genes of shape {genes.shape}, not (B, {self.dim}).")
+        if missing := int(np.isnan(genes).sum()):
+            when = f"after {self.ledger.evaluations:g} evaluations"
+            raise InputError(f"{self.called} asked for genes of which {missing} of {genes.size} are NaN, {when}.")
         return np.clip(genes, 0.0, 1.0)
 
     def tell(self, genes: FloatArray, fitness: FloatArray) -> None:

@@ -7,9 +7,16 @@ from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
+from typing_extensions import override
 
 from lmd.core.checks import FloatArray, InputError
-from lmd.optimisers.wrapped import Session, Wrapped
+from lmd.core.memory import check_memory
+from lmd.optimisers.wrapped import Session, Wrapped, name_of, with_tuples
+from lmd.problem import Problem
+
+# shgo keeps every corner of the unit box, with its neighbours, bytes of each as measured.
+CORNER_BYTES = 2000.0
+MOST_GENES = 900  # beyond, the number of corners is none that a float holds
 
 
 class Scipy(Wrapped):
@@ -29,9 +36,23 @@ class Scipy(Wrapped):
 
     def __init__(self, minimise: Callable[..., Any], encoding: str | None = None, seed: int = 0) -> None:
         super().__init__(seed, encoding)
-        self.minimise = minimise
         if not callable(minimise) or "bounds" not in inspect.signature(minimise).parameters:
             raise InputError(f"minimise must be a function of an objective and bounds, got {minimise!r}.", "minimise")
+        self.minimise = with_tuples(minimise)
+
+    @property
+    @override
+    def called(self) -> str:
+        return name_of(self.minimise)
+
+    @override
+    def check(self, problem: Problem) -> None:
+        """Refuse what would begin with all corners of the unit box, of which there are 2 to the number of genes."""
+        super().check(problem)
+        if self.called == "shgo":
+            dim = self._genome(problem).dim
+            corners = f"minimise: shgo, which begins with the 2^{dim} corners of a box of {dim} genes,"
+            check_memory(CORNER_BYTES * 2.0 ** min(dim, MOST_GENES), corners, "minimise")
 
     def _open(self, start: FloatArray, rng: np.random.Generator) -> Session:
         return _Session(self.minimise, start[0], rng)

@@ -1,11 +1,13 @@
 """What the wrapped libraries share: seeding, silence and restarts."""
 
+import inspect
 import io
 import random
 import warnings
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
+from functools import partial
 from typing import Any, Protocol
 from unittest.mock import patch
 
@@ -74,8 +76,8 @@ class Wrapped(AskTell):
                 self.session = self._open(self.best[1], self.session_rng)
                 genes = self.session.ask()
         if genes is None:
-            raise InputError(f"{type(self).__name__}: the library's optimiser ended before its first proposal.")
-        return np.asarray(genes, dtype=np.float64)
+            raise InputError(f"{self.called}: the library's optimiser ended before its first proposal.")
+        return genes
 
     @contextmanager
     def _own_world(self) -> Iterator[None]:
@@ -97,6 +99,32 @@ class Wrapped(AskTell):
         finally:
             self.global_state = _global_state()
             _set_global_state(outside)
+
+
+def _inner(call: Callable[..., Any]) -> Callable[..., Any]:
+    """The function that a node with `_partial_: true` names."""
+    while isinstance(call, partial):
+        call = call.func
+    return call
+
+
+def name_of(call: Callable[..., Any]) -> str:
+    """What messages call a function or a class of a library."""
+    return str(getattr(_inner(call), "__qualname__", call))
+
+
+def with_tuples(call: Callable[..., Any]) -> Callable[..., Any]:
+    """A function of a library with tuples for lists where its defaults are tuples: configurations have lists alone."""
+    if not isinstance(call, partial):
+        return call
+    parameters = inspect.signature(call).parameters
+    originals = inspect.signature(_inner(call)).parameters
+    lists = {
+        key: tuple(value)
+        for key, value in call.keywords.items()
+        if isinstance(value, list) and key in parameters and isinstance(originals[key].default, tuple)
+    }
+    return partial(call, **lists)
 
 
 def _global_state() -> tuple[Any, Any]:

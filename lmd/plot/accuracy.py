@@ -50,7 +50,7 @@ def save_accuracy_figure(path: str | Path, deployments: Mapping[str, tuple[Probl
         axes.quiver(*deployment.positions[:, :2].T, *arrows.T, color=common.LANDMARK, angles="xy",
                     scale_units="xy", scale=1.0, width=0.003, zorder=3)  # fmt: skip
         axes.plot(*deployment.positions[:, :2].T, "o", color=common.LANDMARK, ms=2.5, zorder=3)
-        axes.set(xlabel=common.AXIS_LABELS[0], title=heading, aspect="equal")
+        axes.set(xlabel=common.AXIS_LABELS[0], title=common.literal(heading), aspect="equal")
     panels[0].set_ylabel(common.AXIS_LABELS[1])
     label = "median predicted error of the position [mm];\ngrey where most views see too few landmarks"
     bar = figure.colorbar(mesh, ax=list(panels), label=label, extend="max", orientation="horizontal", aspect=60)

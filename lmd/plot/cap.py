@@ -62,7 +62,7 @@ def save_cap_figure(
     colours = ListedColormap([*_shades("Greys", 0.08, 0.35, n), *_shades("Greens", 0.4, 0.95, most - n + 1)])
 
     figure = new_figure((10.0, 5.6))
-    figure.suptitle(title, fontsize=14)
+    figure.suptitle(common.literal(title), fontsize=14)
     panels = figure.subplots(1, 2)
     for axes, half, view, name in zip(panels, halves, views, HALF_TITLES, strict=True):
         image = axes.imshow(

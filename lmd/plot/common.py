@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray
+from lmd.core.checks import BoolArray, FloatArray, printable
 from lmd.space.space import Space
 
 ARROW_LENGTH = 0.35  # metres, drawn along the normal of a landmark
@@ -99,13 +99,18 @@ def qualified_labels(is_qualified: BoolArray, threshold: float) -> tuple[str, st
     )
 
 
+def literal(text: object) -> str:
+    """A text from a file or a name that matplotlib draws as it is: `$` begins no formula."""
+    return printable(str(text)).replace("$", r"\$")
+
+
 def new_figure(inches: tuple[float, float], title: str | None = None) -> Any:
     """A figure of this width and height at 100 dots an inch, which lays itself out."""
     from matplotlib.figure import Figure  # slow to load
 
     figure = Figure(figsize=inches, dpi=100, layout="constrained", facecolor="white")
     if title is not None:
-        figure.suptitle(title)
+        figure.suptitle(literal(title))
     return figure
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from lmd.evaluation.comparison import OptimiserRun, attained, best_at, by_optimiser, curve_targets
 from lmd.objectives.base import Headline
-from lmd.plot.common import logarithmic_ticks, new_figure
+from lmd.plot.common import literal, logarithmic_ticks, new_figure
 
 
 def save_comparison_figure(
@@ -40,7 +40,9 @@ def save_comparison_figure(
         convergence.fill_between(
             at[known], curves[:, known].min(axis=0), curves[:, known].max(axis=0), color=colour, alpha=0.2, lw=0
         )
-        convergence.plot(at[known], median, color=colour, lw=1.8, label=f"{name} {median[-1]:.1f}{headline.unit}")
+        convergence.plot(
+            at[known], median, color=colour, lw=1.8, label=f"{literal(name)} {median[-1]:.1f}{headline.unit}"
+        )
         distribution.step(at, attained(group, axis, at, targets), color=colour, lw=1.8, where="post")
     ticks = logarithmic_ticks(at[0], at[-1])
     low, high = headline.scale * targets[[0, -1]]

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lmd.objectives.base import Headline
-from lmd.plot.common import new_figure
+from lmd.plot.common import literal, new_figure
 
 
 def save_convergence_figure(path: str | Path, history: Mapping[str, ArrayLike], headline: Headline, title: str) -> None:
@@ -26,7 +26,7 @@ def save_convergence_figure(path: str | Path, history: Mapping[str, ArrayLike], 
     axes = figure.add_subplot()
     axes.step(evaluations, best, where="post", linewidth=1.8)
     axes.plot(evaluations[-1], best[-1], "o", color="C0", clip_on=False)
-    axes.set(title=title, xlabel="evaluations", ylabel=f"best fitness [{headline.unit}]", ylim=headline.limits)
+    axes.set(title=literal(title), xlabel="evaluations", ylabel=f"best fitness [{headline.unit}]", ylim=headline.limits)
     axes.set_xlim(left=0)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.xaxis.set_major_formatter("{x:,.0f}")

@@ -12,7 +12,7 @@ from lmd.core.optional import optional
 from lmd.detection.calibration import Calibration
 from lmd.detection.evaluation import TAG_NUMBERS
 from lmd.detection.report import PLACES
-from lmd.plot.common import new_figure, shrink
+from lmd.plot.common import literal, new_figure, shrink
 from lmd.render.imaging import UInt8Array
 
 # Outlines in frames, red, green, blue.
@@ -45,8 +45,8 @@ def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd
         for i, (label, row, which, colour) in enumerate(bars):
             share, error = ([row[f"{which}_{n}{end}"] for n in TAG_NUMBERS] for end in ("", "_error"))
             at = TAG_NUMBERS + (i - len(detectors) / 2.0) * width
-            axes.bar(at, share, width, yerr=error, color=colour, label=label, error_kw={"lw": 1.0})
-        axes.set(title=name, xticks=TAG_NUMBERS, xticklabels=[f"≥ {n}" for n in TAG_NUMBERS], ylim=(0.0, 1.02))
+            axes.bar(at, share, width, yerr=error, color=colour, label=literal(label), error_kw={"lw": 1.0})
+        axes.set(title=literal(name), xticks=TAG_NUMBERS, xticklabels=[f"≥ {n}" for n in TAG_NUMBERS], ylim=(0.0, 1.02))
         axes.set_xlabel("tags in a frame")
         axes.grid(axis="y", alpha=0.3)
     for axes, name in zip(panels[1], names, strict=True):
@@ -54,7 +54,7 @@ def save_calibration_figure(path: str | Path, figures: pd.DataFrame, pitches: pd
             rows = pitches[(pitches.deployment == name) & (pitches.detector == detector)]
             if i == 0:
                 axes.plot(_middle(rows), rows.predicted, "o--", color="#9e9e9e", label="predicted")
-            axes.plot(_middle(rows), rows.detected, "o-", color=f"C{i}", label=detector)
+            axes.plot(_middle(rows), rows.detected, "o-", color=f"C{i}", label=literal(detector))
         axes.set(xscale="log", xlabel="pixels a module, tags wholly in the image", ylim=(-0.02, 1.02))
         axes.set_xticks(PITCH_TICKS, [f"{tick:g}" for tick in PITCH_TICKS])
         axes.set_xticks([], minor=True)
@@ -105,7 +105,7 @@ def save_limits_figure(path: str | Path, calibrations: Mapping[str, Calibration]
             left.plot(views.sigma[chosen], views.pitch[chosen], ".", ms=3.0, alpha=0.5, color=colour, label=label)
         sigma = np.linspace(views.sigma.min(), views.sigma.max(), 100)
         left.plot(sigma, np.hypot(limits.pitch, limits.blur * sigma), "k", label="limit")
-        left.set(title=name, xlabel="blur sigma [px]", ylabel="pixels a module", ylim=(0.0, None))
+        left.set(title=literal(name), xlabel="blur sigma [px]", ylabel="pixels a module", ylim=(0.0, None))
         left.legend(loc="upper left", markerscale=3.0, framealpha=0.9)
         ratio = views.pitch / np.hypot(limits.pitch, limits.blur * views.sigma)
         place = np.searchsorted(RATIOS, ratio, side="right") - 1

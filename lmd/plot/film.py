@@ -44,7 +44,7 @@ def save_film(
     pictures = []
     for i, moment in enumerate(moments):
         figure.clear()
-        figure.suptitle(title, fontsize=11, y=0.985)
+        figure.suptitle(common.literal(title), fontsize=11, y=0.985)
         _draw_frame(figure, moment)
         _draw_room(figure, moment, camera, room, landmarks, track[: i + 1])
         canvas.draw()

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from lmd.plot.common import new_figure
+from lmd.plot.common import literal, new_figure
 
 DARK_BELOW = 0.6  # of the colour scale; text on darker cells is white
 
@@ -29,14 +29,14 @@ def save_heat_map(path: str | Path, tables: Mapping[str, pd.DataFrame], title: s
             text = "no run" if np.isnan(value) else f"{value:.2%}"
             colour = "white" if value > DARK_BELOW else "black"
             axes.text(column, row, text, ha="center", va="center", color=colour)
-        axes.set_title(name, fontsize=11)
+        axes.set_title(literal(name), fontsize=11)
         axes.set_xticks(range(columns), [_written(value) for value in table.columns])
         axes.set_yticks(range(rows), [_written(value) for value in table.index])
-        axes.set_xlabel(table.columns.name)
-    panels[0].set_ylabel(table.index.name)
+        axes.set_xlabel(literal(table.columns.name))
+    panels[0].set_ylabel(literal(table.index.name))
     figure.colorbar(image, ax=panels, format="{x:.0%}", label=label)
     figure.savefig(path)
 
 
 def _written(value: object) -> str:
-    return f"{value:.2f}" if isinstance(value, float) else str(value)
+    return f"{value:.2f}" if isinstance(value, float) else literal(value)

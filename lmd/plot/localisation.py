@@ -9,7 +9,7 @@ import pandas as pd
 from lmd.core.checks import FloatArray, IntArray
 from lmd.estimation.cramer_rao import CramerRaoMap
 from lmd.plot import common
-from lmd.plot.common import new_figure
+from lmd.plot.common import literal, new_figure
 from lmd.space.space import Space
 
 QUANTITIES = {
@@ -44,14 +44,14 @@ def save_error_figure(
                 curve = curves[(curves.estimator == estimator) & (curves.deployment == name)]
                 low, median, high = (curve[f"{quantity}_{part}"].to_numpy() for part in ("low", "median", "high"))
                 axes.fill_between(curve.time, low, high, color=f"C{i}", alpha=0.2, lw=0)
-                axes.plot(curve.time, median, color=f"C{i}", lw=1.6, label=name)
+                axes.plot(curve.time, median, color=f"C{i}", lw=1.6, label=literal(name))
             axes.set_yscale("log")
             axes.grid(alpha=0.3)
         top = float(curves[f"{quantity}_high"].max())
         if top > 0.0:  # a bound without noise is 0 and has no logarithm
             row[0].set_ylim(bottom=max(top * 10.0**-DECADES, 0.3 * _least_positive(curves[f"{quantity}_low"])))
     for axes, estimator in zip(panels[0], estimators, strict=True):
-        axes.set_title(estimator)
+        axes.set_title(literal(estimator))
     panels[0][-1].legend(frameon=False)
     axes = lower.subplots()
     for i, name in enumerate(names):

@@ -45,7 +45,7 @@ def save_scene_page(path: str | Path, problem: Problem, deployment: Deployment, 
     surroundings = _box_traces(room)
     for group in common.landmark_groups(len(deployment), problem.fixed_count):
         surroundings += _landmark_traces(deployment[group.chosen], problem.scene.tag, group.label, group.colour)
-    name = re.sub("_(.*)", r"<sub>\1</sub>", objective.value_name)
+    name = re.sub("_(.*)", r"<sub>\1</sub>", html.escape(objective.value_name))
     hover = [f"{name} = {value:.4f}<br>{_place(at)}" for value, at in zip(values, positions, strict=True)]
 
     def balls(chosen: Any, name: str, **marker: Any) -> Any:

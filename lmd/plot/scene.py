@@ -33,7 +33,7 @@ def save_scene_figure(path: str | Path, problem: Problem, deployment: Deployment
     good = objective.qualified(values)
     groups = common.landmark_groups(len(deployment), problem.fixed_count)
     figure = Figure(figsize=(15.0, 7.5), dpi=100, facecolor="white")
-    figure.suptitle(title, fontsize=17, y=0.97)
+    figure.suptitle(common.literal(title), fontsize=17, y=0.97)
     left, right = (
         figure.add_axes((x, 0.1, 0.5, 0.86), projection="3d", computed_zorder=False) for x in (-0.005, 0.495)
     )
@@ -74,7 +74,7 @@ def save_deployments_figure(
 
     rows = math.ceil(len(deployments) / 2)
     figure = Figure(figsize=(11.0, 4.6 * rows + 0.8), dpi=80, facecolor="white")
-    figure.suptitle(title, fontsize=14, y=1.0 - 0.1 / figure.get_figheight())
+    figure.suptitle(common.literal(title), fontsize=14, y=1.0 - 0.1 / figure.get_figheight())
     margin = 0.4 / figure.get_figheight()
     height = (1.0 - 2.0 * margin) / rows
     drawn: list[common.Group] = []
@@ -86,7 +86,7 @@ def save_deployments_figure(
         drawn += groups
         _draw_surroundings(axes, problem.scene.room, deployment, groups)
         _draw_balls(axes, problem.scene.room, problem.evaluator.positions, c=_faces(good))
-        label = f"{name}: {good.mean():.2%} qualified"
+        label = f"{common.literal(name)}: {good.mean():.2%} qualified"
         figure.text(left + 0.25, bottom + 0.97 * height, label, ha="center", va="top", fontsize=13)
     handles = [
         *_arrows(drawn),

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from lmd.core.checks import FloatArray
-from lmd.plot.common import LANDMARK, PARTS, new_figure, shrink
+from lmd.plot.common import LANDMARK, PARTS, literal, new_figure, shrink
 from lmd.space.space import Space
 from lmd.survey.report import tag_columns
 from lmd.survey.survey import Survey
@@ -32,7 +32,7 @@ def save_survey_figure(path: str | Path, survey: Survey, room: Space | None, tit
         _draw_sigmas(right, survey)
     else:
         _draw_offsets(right, survey)
-    figure.suptitle(title, fontsize=13)
+    figure.suptitle(literal(title), fontsize=13)
     figure.savefig(path)
     shrink(path)
 

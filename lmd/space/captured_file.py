@@ -13,12 +13,17 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, vector
 from lmd.core.files import flat
 from lmd.geometry.se3 import pose_of
+from lmd.space.arcs import Arc, strips
+from lmd.space.foreign import kind_of_keys
 
 Keys = Mapping[str, Any]
 # Nothing hangs there, and they lie on a wall: its own triangles are enough.
 ON_WALLS = ("door", "door_frame", "window", "window_frame", "opening", "wall_art")
 # No thing, or the same once more.
 LEFT_OUT = ("global_mesh", "invisible_wall_face", "inner_wall_face")
+CURVED = "curved walls are made of flat strips, within 1 cm; those that may bend either way bend away from the room"
+# How far a matrix of a file may be from a rotation: files have few digits.
+ROTATION_TOLERANCE = 1e-2
 # The faces of a box by its corners, of which the bits are x, y and z.
 BOX = np.array([[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]])
 
@@ -35,6 +40,7 @@ class Captured(NamedTuple):
 
     parts: tuple[Part, ...]
     on_walls: tuple[Part, ...]
+    note: str = ""
 
 
 def read_captured(keys: Keys) -> Captured:
@@ -43,11 +49,13 @@ def read_captured(keys: Keys) -> Captured:
     Raises:
         InputError: it is none of these formats, has several rooms, or a value in it is wrong.
     """
+    if kind := kind_of_keys(keys):
+        raise InputError(f"{kind}.")
     for mark, reader in READERS.items():
         if mark in keys:
             try:
                 found = list(reader(keys))
-            except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+            except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
                 if isinstance(error, InputError):
                     raise
                 raise InputError(f"the key or value {' '.join(str(error).split())} is missing or wrong.") from None
@@ -55,7 +63,7 @@ def read_captured(keys: Keys) -> Captured:
     else:
         raise InputError(
             f"it is no room of a headset or a phone that is known here ({', '.join(READERS)}): it has "
-            f"{', '.join(keys)[:200] or 'no keys'}."
+            f"{', '.join(keys)[:200] or 'no keys'} (docs/rooms.md)."
         )
     counts: Counter[str] = Counter()
     parts: list[Part] = []
@@ -65,10 +73,11 @@ def read_captured(keys: Keys) -> Captured:
     if "floor_0" not in (part.name for part in parts):
         parts.append(_floor_below(parts))
     on_walls = [part for part in parts if part.name.rpartition("_")[0] in ON_WALLS]
-    return Captured(tuple(part for part in parts if part not in on_walls), tuple(on_walls))
+    curved = any(thing.get("curve") for thing in keys.get("walls") or ())
+    return Captured(tuple(part for part in parts if part not in on_walls), tuple(on_walls), CURVED if curved else "")
 
 
-def triangles_of(face: FloatArray) -> FloatArray:
+def cut(face: FloatArray) -> FloatArray:
     """Cut a flat polygon `(N, 3)` into triangles `(T, 3, 3)`; none if it crosses itself or has no area."""
     import shapely
 
@@ -119,17 +128,18 @@ def _webxr(keys: Keys) -> Iterator[tuple[str, list[FloatArray]]]:
         if label in LEFT_OUT or "locatable_META" not in thing:
             continue
         place = thing["locatable_META"]
-        turn = Rotation.from_quat(_xyz(place["orientation"], "xyzw")).as_matrix()
+        turn = Rotation.from_quat(vector("orientation", _xyz(place["orientation"], "xyzw"), 4)).as_matrix()
         pose = pose_of(turn, np.array(vector("position", _xyz(place["position"]), 3)))
         if "bounded3D_META" in thing:
             bounds = thing["bounded3D_META"]
-            low, size = _xyz(bounds["offset"]), _xyz(bounds["extent"], ("width", "height", "depth"))  # type: ignore[arg-type]
-            yield label, _placed(pose, _box(low, np.add(low, size).tolist()))
+            low = np.array(vector("offset", _xyz(bounds["offset"]), 3))
+            size = vector("extent", [bounds["extent"][name] for name in ("width", "height", "depth")], 3)
+            yield label, _placed(pose, _box(low, low + size))
         elif "bounded2D_META" in thing:
             bounds = thing["bounded2D_META"]
-            low = _xyz(bounds["offset"], "xy")
-            high = [low[0] + bounds["extent"]["width"], low[1] + bounds["extent"]["height"]]
-            yield label, _placed(pose, [_rectangle(low, high)[:, [0, 2, 1]]])
+            low = np.array(vector("offset", _xyz(bounds["offset"], "xy"), 2))
+            size = vector("extent", [bounds["extent"][name] for name in ("width", "height")], 2)
+            yield label, _placed(pose, [_rectangle(low, low + size)[:, [0, 2, 1]]])
 
 
 def _mruk(keys: Keys) -> Iterator[tuple[str, list[FloatArray]]]:
@@ -161,19 +171,34 @@ def _mruk(keys: Keys) -> Iterator[tuple[str, list[FloatArray]]]:
 
 
 def _roomplan(keys: Keys) -> Iterator[tuple[str, list[FloatArray]]]:
-    """Poses column by column, surfaces in their plane z = 0, boxes around their middle."""
+    """Poses column by column, surfaces in their plane z = 0 or along an arc, boxes around their middle."""
+    ends = [
+        _placed(pose, [half * [[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]])[0] for _, pose, half in _surfaces(keys, "walls")
+    ]
     for kind in ("walls", "doors", "windows", "openings", "floors", "objects"):
-        for thing in keys.get(kind) or ():
-            pose = np.array(vector("transform", flat(thing["transform"]), 16)).reshape(4, 4).T
-            half = np.array(vector("dimensions", thing["dimensions"], 3)) / 2.0
+        for i, (thing, pose, half) in enumerate(_surfaces(keys, kind)):
             if kind == "objects":
                 category = thing.get("category", "object")
-                label = next(iter(category)) if isinstance(category, Mapping) else str(category)
-                yield label.lower(), _placed(pose, _box((-half).tolist(), half.tolist()))
+                label = next(iter(category), "object") if isinstance(category, Mapping) else str(category)
+                yield label.lower(), _placed(pose, _box(-half, half))
+            elif curve := thing.get("curve"):
+                others = [(at - pose[:3, 3]) @ pose[:3, :3] for j, at in enumerate(ends) if (kind, j) != ("walls", i)]
+                arc = Arc.of(curve, f"{kind}[{i}].curve")
+                yield kind[:-1], _placed(pose, strips(arc, half[:2], others, f"{kind}[{i}].curve"))
             elif len(ring := thing.get("polygonCorners") or ()) > 2:
                 yield kind[:-1], _placed(pose, [np.array([vector("polygonCorners", at, 3) for at in ring])])
             else:
-                yield kind[:-1], _placed(pose, [_rectangle((-half[:2]).tolist(), half[:2].tolist())])
+                yield kind[:-1], _placed(pose, [_rectangle(-half[:2], half[:2])])
+
+
+def _surfaces(keys: Keys, kind: str) -> Iterator[tuple[Keys, FloatArray, FloatArray]]:
+    """The things of a kind in a file of RoomPlan's, with the pose and half the size `(3,)` of each."""
+    for i, thing in enumerate(keys.get(kind) or ()):
+        pose = np.array(vector("transform", flat(thing["transform"]), 16)).reshape(4, 4).T
+        turn = pose[:3, :3]
+        if (pose[3] != [0.0, 0.0, 0.0, 1.0]).any() or np.abs(turn.T @ turn - np.eye(3)).max() > ROTATION_TOLERANCE:
+            raise InputError(f"{kind}[{i}].transform is no rotation and translation, written column by column.")
+        yield thing, pose, np.array(vector("dimensions", thing["dimensions"], 3)) / 2.0
 
 
 # By the key that only files of this format have.

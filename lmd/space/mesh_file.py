@@ -11,8 +11,10 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, IntArray, choice, file_path, printable, real, said_of
 from lmd.core.files import read_bytes
 from lmd.core.optional import optional
-from lmd.space.captured_file import Captured, read_captured, triangles_of
-from lmd.space.parts import check_metres
+from lmd.space.captured_file import Captured, cut, read_captured
+from lmd.space.foreign import refuse_ending
+from lmd.space.gltf_file import header_of, triangles_of, with_fractions
+from lmd.space.parts import box_text, check_metres
 from lmd.space.triangles import THINNEST_M
 
 UP_AXES = ("z", "y")
@@ -21,11 +23,11 @@ Y_UP = (".gltf", ".glb", CAPTURED)  # what their standard says
 FORMATS = (".gltf", ".glb", ".obj", ".stl", ".ply", CAPTURED)
 # Corners that differ by less are the same, metres: files have 32 bits for a number.
 CORNER_DIGITS = 6
+# Metres in the units that programs export, and the longest side of rooms that are hinted at, metres.
+UNITS = {"metres": 1.0, "millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048}
+LIKELY = (2.0, 100.0)
 # Of more triangles, what has to be known of each would take gigabytes and minutes.
 MOST_TRIANGLES = 5_000_000
-# Levels of nodes in glTF, and the numbers in a value of each type.
-DEEPEST_LEVEL = 32
-NUMBERS_OF_TYPE = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 
 
 class Mesh(NamedTuple):
@@ -43,6 +45,8 @@ class Mesh(NamedTuple):
     """The axis of the file that points up."""
     on_walls: tuple[tuple[str, FloatArray], ...] = ()
     """What lies on walls where nothing hangs: names, and corners `(N, 3)`."""
+    note: str = ""
+    """What a user should know of how it was read."""
 
 
 def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None) -> Mesh:
@@ -61,13 +65,14 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
     file = file_path("path", path)
     scale = real("scale", scale, above=0.0)
     if file.suffix.lower() not in FORMATS:
-        raise InputError(f"path = {str(file)!r} must end in one of {', '.join(FORMATS)}.", "path")
+        refuse_ending(file, FORMATS)
     if up is None:
         up = "y" if file.suffix.lower() in Y_UP else "z"
     captured = _captured(file) if file.suffix.lower() == CAPTURED else None
     parts = _parts(file, choice("up", up, UP_AXES)) if captured is None else _triangulated(captured, up)
     if not parts:
-        raise InputError(f"path: {str(file)!r} holds no triangles.", "path")
+        cure = "make a mesh of a cloud of points in MeshLab or CloudCompare"
+        raise InputError(f"path: {str(file)!r} holds no triangles; {cure}.", "path")
     trimesh = optional("trimesh", "mesh")
     names = tuple(map(printable, parts))
     _check_count(file, sum(len(part.faces) for part in parts.values()))
@@ -75,7 +80,7 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
     whole = trimesh.util.concatenate(list(parts.values()))
     mesh = trimesh.Trimesh(whole.vertices * scale, whole.faces, process=False)
     size = np.ptp(mesh.vertices[mesh.faces].reshape(-1, 3), axis=0)
-    check_metres(size, f"scale = {scale:g} makes {str(file)!r}", "a file in millimetres takes 0.001", "scale")
+    check_metres(size, f"scale = {scale:g} makes {str(file)!r}", _hint(size / scale), "scale")
     mesh.merge_vertices(digits_vertex=CORNER_DIGITS)
     kept = mesh.unique_faces() & mesh.nondegenerate_faces(height=THINNEST_M)
     if not kept.any():
@@ -84,7 +89,18 @@ def read_mesh(path: str | Path | None, scale: float = 1.0, up: str | None = None
     mesh.remove_unreferenced_vertices()
     things = () if captured is None else captured.on_walls
     on_walls = tuple((part.name, scale * _turned(face, up)) for part in things for face in part.faces)
-    return Mesh(np.array(mesh.vertices), np.array(mesh.faces, dtype=np.int64), of[kept], names, up, on_walls)
+    faces, note = np.array(mesh.faces, dtype=np.int64), "" if captured is None else captured.note
+    return Mesh(np.array(mesh.vertices), faces, of[kept], names, up, on_walls, note)
+
+
+def _hint(size: FloatArray) -> str:
+    """What to do about a file with such lengths `(3,)` along x, y and z, in its own unit."""
+    told = [
+        f"a file in {unit} takes {per:g}, which makes {box_text(per * size)}"
+        for unit, per in UNITS.items()
+        if LIKELY[0] <= per * size.max() <= LIKELY[1]
+    ]
+    return "; ".join(told) or "no usual unit makes a room of it"
 
 
 def _turned(points: FloatArray, up: str) -> FloatArray:
@@ -110,7 +126,7 @@ def _triangulated(captured: Captured, up: str) -> dict[str, Any]:
     trimesh = optional("trimesh", "mesh")
     parts = {}
     for part in captured.parts:
-        corners = np.concatenate([triangles_of(_turned(face, up)) for face in part.faces])
+        corners = np.concatenate([cut(_turned(face, up)) for face in part.faces])
         parts[part.name] = trimesh.Trimesh(
             corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3), process=False
         )
@@ -126,7 +142,9 @@ def _parts(file: Path, up: str) -> dict[str, Any]:
     options = {"split_objects": True} if kind == "obj" else {}
     try:
         if file.suffix.lower() in Y_UP:
-            _check_gltf(file, content)
+            header = header_of(file, content)
+            _check_count(file, triangles_of(header))
+            content, kind = with_fractions(header, content, kind)
         # Of bytes, nothing says where they are from: no other file is looked for, such as materials or textures.
         # Not processed, or corners that are no numbers would be left out with their triangles.
         with np.errstate(all="ignore"):  # of numbers that are refused below
@@ -156,51 +174,6 @@ def _check_corners(file: Path, name: str, vertices: FloatArray, faces: IntArray)
     if not (finite := np.isfinite(corners).all(axis=1)).all():
         place = ", ".join(f"{x:g}" for x in corners[~finite][0])
         raise InputError(f"path: {str(file)!r} has a corner of {name!r} at ({place}), which is no place.", "path")
-
-
-def _check_gltf(file: Path, content: bytes) -> None:
-    """Raise `InputError` if a glTF has its triangles in another file, or stands for far more than it holds.
-
-    What is read must be in the file that is named: by its contents another run knows whether it is the same.
-    """
-    header = json.loads(content if file.suffix.lower() == ".gltf" else content[20 : 20 + _word(content, 12)])
-    for buffer in header.get("buffers", []):
-        if not buffer.get("uri", "data:").startswith("data:"):
-            where = f"path = {str(file)!r} has its triangles in {buffer['uri']!r}"
-            raise InputError(f"{where}; save it as one file, .glb with everything in it.", "path")
-    accessors = header.get("accessors", [])
-    if any("sparse" in part for part in accessors):
-        raise ValueError("an accessor is sparse, which is not read")
-    counts = [part["count"] for part in accessors]
-    if not all(isinstance(count, int) and count >= 0 for count in counts):
-        raise ValueError("an accessor has a count that is none")
-    numbers = sum(n * NUMBERS_OF_TYPE[part["type"]] for n, part in zip(counts, accessors, strict=True))
-    if numbers > len(content):
-        raise InputError(f"path: {str(file)!r}, of {len(content)} bytes, asks for {numbers:.4g} numbers.", "path")
-    corners = []
-    for mesh in header.get("meshes", []):
-        read = [i for part in mesh["primitives"] for i in (part["attributes"]["POSITION"], part.get("indices"))]
-        corners.append(sum(counts[i] for i in read if i is not None))
-    nodes = header.get("nodes", [])
-    _check_count(file, sum(corners[node["mesh"]] for node in nodes if "mesh" in node) / 3)
-    _check_tree([node.get("children", []) for node in nodes])
-
-
-def _check_tree(children: list[list[int]]) -> None:
-    """Raise `ValueError` if nodes are no tree, or one so deep that the way to a node takes long to be multiplied."""
-    parents = {child: node for node, theirs in enumerate(children) for child in theirs}
-    if len(parents) < sum(map(len, children)):
-        raise ValueError("a node has two parents")
-    for node in range(len(children)):
-        above, depth = parents.get(node), 0
-        while above is not None:
-            above, depth = parents.get(above), depth + 1
-            if depth > DEEPEST_LEVEL:
-                raise ValueError(f"its nodes are nested more than {DEEPEST_LEVEL} deep")
-
-
-def _word(content: bytes, at: int) -> int:
-    return int.from_bytes(content[at : at + 4], "little")
 
 
 def _check_count(file: Path, triangles: float) -> None:

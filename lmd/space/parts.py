@@ -12,8 +12,8 @@ from lmd.space.surface import Surface
 
 FACES = ("x_min", "x_max", "y_min", "y_max", "bottom", "top")
 
-# A room whose longest side is not between these, metres, was not given in metres.
-SHORTEST, LONGEST = 0.3, 1000.0
+# A room whose longest side is not between these, or whose shortest is longer, metres, was not given in metres.
+SHORTEST, LONGEST, FLATTEST = 0.3, 1000.0, 200.0
 
 T = TypeVar("T")
 
@@ -24,13 +24,17 @@ def check_metres(size: Iterable[float], makes: str, hint: str, argument: str) ->
     Args:
         size: along x, y and z.
         makes: what made it so, the beginning of the sentence.
-        hint: what to do about millimetres, the end of it.
+        hint: what to do about it, the end of the sentence.
         argument: its name.
     """
     lengths = list(size)
-    if not SHORTEST <= max(lengths) <= LONGEST:
-        box = " x ".join(f"{length:.4g}" for length in lengths)
-        raise InputError(f"{makes} a room of {box} m; {hint}.", argument)
+    if not SHORTEST <= max(lengths) <= LONGEST or min(lengths) > FLATTEST:
+        raise InputError(f"{makes} a room of {box_text(lengths)}; {hint}.", argument)
+
+
+def box_text(lengths: Iterable[float]) -> str:
+    """Lengths along x, y and z, metres, for messages."""
+    return " x ".join(f"{length:.4g}" for length in lengths) + " m"
 
 
 @dataclass(frozen=True)

@@ -76,7 +76,7 @@ class Stop:
             if self.requested or not worth_waiting():
                 self._raise(number)
             self._number = number
-            _tell("stopping after this batch; once more to stop at once")
+            tell("stopping after this batch; once more to stop at once")
 
         with self._acting(act):
             yield
@@ -114,7 +114,7 @@ class Stop:
             if not self._is_under_way:
                 raise
             before, self._is_under_way = _ignore, False
-            _tell(f"while stopping: {type(error).__name__}: {error}")
+            tell(f"while stopping: {type(error).__name__}: {error}")
             raise Stopped(self._number) from error
         finally:
             self._act = before
@@ -129,11 +129,11 @@ class Stop:
     def _raise(self, number: int) -> None:
         self._number, self._act, self._is_under_way = number, _ignore, True
         os.environ["HYDRA_FULL_ERROR"] = "1"  # or Hydra would print what a library made of it, and exit with 1
-        _tell("stopping")
+        tell("stopping")
         raise Stopped(number)
 
 
-def _tell(text: str) -> None:
+def tell(text: str) -> None:
     """Write a line past Python's own buffers, which the signal may have found half full."""
     with suppress(OSError):  # whoever read it may be gone
         os.write(2, f"\n{text}\n".encode())

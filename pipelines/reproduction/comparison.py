@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from lmd.core.words import as_code, escaped
 from lmd.evaluation.comparison import Comparison
 from lmd.objectives.base import Headline
 
@@ -16,11 +17,11 @@ def as_text(comparison: Comparison, headline: Headline) -> Table:
     has_off_grid = OFF_GRID in table
     head = ["optimiser", "runs", f"{headline.label}: median (95% interval)", *["off the grid"] * has_off_grid, "rank"]
     head += [f"evaluations to {target:.2%}" for target in comparison.targets]
-    head += ["seconds", f"A12 against `{comparison.reference}`", "p"]
+    head += ["seconds", f"A12 against {as_code(comparison.reference)}", "p"]
     rows: list[list[str]] = []
     for row in table.to_dict("records"):
         middle, low, high = (headline.text(row[name]) for name in (key, f"{key}_low", f"{key}_high"))
-        cells = [f"`{row['optimiser']}`", f"{row['runs']}", f"**{middle}** ({low} to {high})"]
+        cells = [as_code(row["optimiser"]), f"{row['runs']}", f"**{middle}** ({low} to {high})"]
         cells += [headline.text(row[OFF_GRID])] if has_off_grid else []
         cells.append(_known(row["rank"], ".1f"))
         running = [row[f"evaluations_to_{i}"] for i in range(1, len(comparison.targets) + 1)]
@@ -38,5 +39,5 @@ def _known(value: float, form: str) -> str:
 
 def to_markdown(comparison: Comparison, headline: Headline) -> str:
     """A comparison as a Markdown table, with what was tested below it."""
-    below = f"\n{comparison.test}\n" if comparison.test else ""
+    below = f"\n{escaped(comparison.test)}\n" if comparison.test else ""
     return f"{as_text(comparison, headline).markdown()}\n{below}"

@@ -1,6 +1,7 @@
 """A page of text, tables and pictures, written as Markdown and as self-contained HTML.
 
-Texts and table cells may use two marks of Markdown, `code` between backticks and **bold**.
+Texts and table cells may use two marks of Markdown, `code` between backticks and **bold**, and what
+`lmd.core.words.escaped` and `as_code` make of texts from elsewhere.
 """
 
 import base64
@@ -9,6 +10,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import quote
 
 from lmd.core.words import markdown_table
 
@@ -74,7 +76,7 @@ def to_markdown(sections: Sequence[Section], pictures: str) -> str:
             elif isinstance(block, Table):
                 blocks.append(block.markdown())
             else:
-                blocks.append(f"![{block.caption}]({pictures}{block.path.name})")
+                blocks.append(f"![{block.caption}]({quote(pictures + block.path.name)})")
     return "\n\n".join(blocks) + "\n"
 
 
@@ -106,6 +108,8 @@ def _row(tag: str, cells: Sequence[str]) -> str:
 
 
 def _inline(text: str) -> str:
-    """Escaped text with its marks turned into tags."""
-    text = re.sub(r"\*\*(.+?)\*\*", r"<strong>\1</strong>", html.escape(text))
+    """Escaped text with its marks turned into tags; what is escaped already stays as it is."""
+    text = re.sub(r"&amp;(#\d+;)", r"&\1", html.escape(text))
+    text = re.sub(r"&lt;(/?code)&gt;", r"<\1>", text)
+    text = re.sub(r"\*\*(.+?)\*\*", r"<strong>\1</strong>", text)
     return re.sub(r"`([^`]*)`", r"<code>\1</code>", text)

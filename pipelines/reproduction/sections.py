@@ -5,6 +5,7 @@ import shlex
 import numpy as np
 import pandas as pd
 
+from lmd.core.words import as_code, escaped
 from lmd.evaluation.comparison import OptimiserRun, compared
 from lmd.objectives.coverage import Coverage
 from lmd.plot.cap import save_cap_figure
@@ -73,7 +74,8 @@ def _table_2(source: Source) -> Blocks:
 
 
 def _convergence(source: Source, jobs: pd.DataFrame) -> Blocks:
-    return [_curves(source, "convergence", source.optimiser_runs(jobs), "EGA and SGA")]
+    runs = source.optimiser_runs(jobs)
+    return [_curves(source, "convergence", runs, "EGA and SGA") if runs else _missing("table2")]
 
 
 def _cap(source: Source, jobs: pd.DataFrame) -> Blocks:
@@ -125,7 +127,7 @@ def _each_for_itself(source: Source, own: pd.DataFrame) -> Blocks:
 
 
 def _landmark_count(source: Source, jobs: pd.DataFrame) -> Blocks:
-    ratios = pd.DataFrame({"count": jobs[COUNT].astype(int), "qualified_ratio": jobs[RATIO]})
+    ratios = pd.DataFrame({"count": jobs[COUNT].astype(float).astype(int), "qualified_ratio": jobs[RATIO]})
     groups = ratios.groupby("count")["qualified_ratio"]
     rows = [[f"{count}", f"{len(values)}", _spread(values)] for count, values in groups]
     target = TABLE_2["EGA"].qualified_ratio
@@ -152,9 +154,11 @@ def _landmark_count(source: Source, jobs: pd.DataFrame) -> Blocks:
 
 def _optimisers(source: Source, jobs: pd.DataFrame) -> Blocks:
     runs = source.optimiser_runs(jobs)
+    if not runs:
+        return [_missing("optimisers")]
     picture = _curves(source, "optimisers", runs, "Optimisers")
     found = compared(runs, Coverage.headline.key)
-    return [*_origins(source, "optimisers"), as_text(found, Coverage.headline), Text(found.test), picture]
+    return [*_origins(source, "optimisers"), as_text(found, Coverage.headline), Text(escaped(found.test)), picture]
 
 
 def _curves(source: Source, name: str, runs: list[OptimiserRun], title: str) -> Picture:
@@ -175,23 +179,25 @@ def _origin(source: Source, sweep: str) -> Text:
     jobs = source.jobs(sweep)
     if jobs.empty:
         return _missing(sweep)
-    parent = source.runs.loc[jobs[PARENT].iloc[-1]]
+    began = f"the last began on {jobs['started'].max():%Y-%m-%d at %H:%M} UTC"
+    if (sweep_id := jobs[PARENT].iloc[-1]) not in source.runs.index:
+        gone = f"whose own run, {as_code(sweep_id)}, is gone from the store"
+        return Text(f"{len(jobs)} runs of a sweep {as_code(sweep)}, {gone}; {began}.")
+    parent = source.runs.loc[sweep_id]
     given = {str(key).removeprefix(OVERRIDE): value for key, value in parent.filter(like=OVERRIDE).dropna().items()}
     overrides = shlex.join(
         f"{key}={value}" for key, value in sorted(given.items(), key=lambda item: item[0] != "experiment")
     )
-    command = f"{command_of(parent['tags.pipeline'])} {overrides}"
+    command = f"{command_of(str(parent.get('tags.pipeline', 'optimise')))} {overrides}"
     planned = parent.get("metrics.jobs", np.nan)  # known once the sweep has ended
     share = f"{len(jobs)}" if pd.isna(planned) else f"{len(jobs)} of {planned:.0f}"
     spent = jobs[BUDGET].dropna().unique()
-    budget = f" with a budget of {' or '.join(spent)} evaluations" if len(spent) else ""
-    return Text(
-        f"{share} runs of `{command}`{budget}; the last began on {jobs['started'].max():%Y-%m-%d at %H:%M} UTC."
-    )
+    budget = f" with a budget of {escaped(' or '.join(map(str, spent)))} evaluations" if len(spent) else ""
+    return Text(f"{share} runs of {as_code(command)}{budget}; {began}.")
 
 
 def _missing(sweep: str) -> Text:
-    return Text(f"There are no finished runs of the sweep `{sweep}`; `{COMMANDS[sweep]}` makes them.")
+    return Text(f"There are no finished runs of the sweep {as_code(sweep)}; {as_code(COMMANDS[sweep])} makes them.")
 
 
 def _of_row(jobs: pd.DataFrame, name: str) -> pd.DataFrame:

@@ -6,12 +6,14 @@ from pathlib import Path
 
 import pandas as pd
 
+from lmd.core.checks import LARGEST, InputError, printable
 from lmd.evaluation.comparison import OptimiserRun
 from lmd.optimisers.ledger import Record
 from lmd.plot.common import shrink
 from lmd.problem import Problem
 from lmd.scene.deployment import Deployment
 
+from ..notes import note
 from ..operations.tracking import PARENT_TAG, MlflowReader
 from .document import Picture
 
@@ -23,16 +25,26 @@ INDICES = {
 RATIO = "metrics.qualified_ratio"
 GRID_FREE = "metrics.validation/grid_free_qualified_ratio"
 PAIR = ["params.objective.n", "params.objective.thold_p"]
+SEED = "params.seed"
 PARENT = f"tags.{PARENT_TAG}"
+OPTIMISER = "tags.choice.optimiser"
 BUDGET = "params.budget.evaluations"
 COUNT = "params.deployment.count"
 
 # Everything a report looks at in a job's run; a store may lack some.
 COLUMNS = [
-    *("status", "started", "tags.sweep", "tags.job", PARENT, "tags.choice.optimiser", "tags.choice.deployment"),
-    *("params.seed", BUDGET, COUNT, *PAIR, *(f"metrics.{index}" for index in INDICES), GRID_FREE),
+    *("status", "started", "tags.sweep", "tags.job", PARENT, OPTIMISER, "tags.choice.deployment"),
+    *(SEED, BUDGET, COUNT, *PAIR, *(f"metrics.{index}" for index in INDICES), GRID_FREE),
 ]
 
+# What a section takes for numbers, by its sweep; parameters are texts, and anybody may have written them.
+NUMBERS = {
+    "table2": [SEED],
+    "table3": PAIR,
+    "table3_reoptimised": PAIR,
+    "landmark_count": [COUNT],
+    "optimisers": [SEED],
+}
 # The problem and the deployment of a run, by its id.
 Load = Callable[[str], tuple[Problem, Deployment]]
 
@@ -54,26 +66,39 @@ class Source:
     folder: Path
 
     def jobs(self, sweep: str) -> pd.DataFrame:
-        """The finished runs of the newest sweep of that name, one for each job, the oldest first."""
+        """The finished runs of the newest sweep of that name, one for each job, the oldest first.
+
+        Those in which something is no number are left out, and named.
+        """
         runs = self.runs.reindex(columns=COLUMNS)
         jobs: pd.DataFrame = runs[(runs["tags.sweep"] == sweep) & (runs["status"] == "FINISHED") & runs[PARENT].notna()]
         if jobs.empty:
             return jobs
         jobs = jobs[jobs[PARENT] == jobs[PARENT].iloc[-1]]
-        return jobs.drop_duplicates("tags.job", keep="last")
+        jobs = jobs.drop_duplicates("tags.job", keep="last")
+        for key in NUMBERS.get(sweep, ()):
+            numbers = pd.to_numeric(jobs[key], errors="coerce")
+            is_number = numbers.abs() <= LARGEST
+            for run_id, value in jobs[key][~is_number].items():
+                note(printable(f"run {run_id} is left out: its {key} is {value!r}, which is no number"))
+            jobs = jobs[is_number]
+        return jobs
 
     def optimiser_runs(self, jobs: pd.DataFrame) -> list[OptimiserRun]:
-        """What optimisations found, and how they converged."""
-        return [
-            OptimiserRun(
-                job["tags.choice.optimiser"],
-                int(job["params.seed"]),
-                {index: job[f"metrics.{index}"] for index in INDICES},
-                [Record(*point) for point in self.reader.curve(str(run_id), "best_fitness")],
-                Deployment.from_csv(self.reader.artifact(str(run_id), "landmarks.csv")),
-            )
-            for run_id, job in jobs.iterrows()
-        ]
+        """What optimisations found, and how they converged; those whose files or curve are gone are named."""
+        found = []
+        for run_id, job in jobs.iterrows():
+            curve = [Record(*point) for point in self.reader.curve(str(run_id), "best_fitness")]
+            try:
+                if not curve:
+                    raise InputError("it has no curve best_fitness")
+                deployment = Deployment.from_csv(self.reader.artifact(str(run_id), "landmarks.csv"))
+            except InputError as error:
+                note(printable(f"run {run_id} is left out: {error}"))
+                continue
+            metrics = {index: job[f"metrics.{index}"] for index in INDICES}
+            found.append(OptimiserRun(str(job[OPTIMISER]), int(float(job[SEED])), metrics, curve, deployment))
+        return found
 
     def picture(self, name: str, caption: str, draw: Callable[[Path], None]) -> Picture:
         """A picture drawn by `draw` into the folder."""

@@ -1,10 +1,11 @@
 import math
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import pytest
 
-from lmd.core.checks import InputError, boolean, file_path, integer, radians, real, seconds, seed_number
+from lmd.core.checks import InputError, boolean, check_members, file_path, integer, radians, real, seconds, seed_number
 
 
 @pytest.mark.parametrize("value", [1000, 1e3, np.int64(1000), np.float64(1000.0)])
@@ -77,3 +78,31 @@ def test_angles_beyond_one_turn_look_like_degrees():
     radians("flight.csv", yaw=np.array([-6.2832, 6.2832]), pitch=np.array([1.57]))
     with pytest.raises(InputError, match=r"^flight\.csv: yaw = -90 looks like degrees; angles are in radians"):
         radians("flight.csv", yaw=np.array([45.0, -90.0]), pitch=np.zeros(2))
+
+
+class Shape(Protocol):
+    @property
+    def sides(self):
+        """How many."""
+
+    def area(self):
+        """Square metres."""
+
+
+def test_a_part_that_lacks_a_method_is_named():
+    class Round:
+        sides = None
+
+    class Whole(Round):
+        def area(self):
+            return 1.0
+
+    class Delegating:
+        def __getattr__(self, name):
+            return getattr(Whole(), name)
+
+    for part in (Whole(), Delegating()):
+        check_members("shape", part, Shape, "docs/shapes.md")
+    told = r"^shape is a .*Round, which has no area; docs/shapes\.md has what is needed\.$"
+    with pytest.raises(InputError, match=told):
+        check_members("shape", Round(), Shape, "docs/shapes.md")

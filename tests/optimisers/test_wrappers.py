@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from composing import composed
 from contracts.optimiser import check_going_on
+from omegaconf import OmegaConf
 from processes import environment
-from scipy.optimize import differential_evolution, direct, dual_annealing
+from scipy.optimize import differential_evolution, direct, dual_annealing, minimize, shgo
 from small import problem
 
 from lmd.core.checks import InputError
@@ -23,7 +24,9 @@ from lmd.optimisers.pymoo import Pymoo
 from lmd.optimisers.random_search import RandomSearch
 from lmd.optimisers.scipy import Scipy
 from lmd.optimisers.wrapped import Wrapped
+from lmd.scene.deployment_sources import RandomDeployment
 from pipelines.building import instantiate
+from pipelines.hyperparameters import completed
 
 
 def run(optimiser, batches, dim=12, fitness=lambda genes: -np.abs(genes - 0.3).sum(axis=1)):
@@ -126,6 +129,69 @@ def test_an_object_that_cannot_be_made_says_why():
         run(AskAndTell(OneByOne, start="mean"), 1)
     with pytest.raises(InputError, match=r"^make must be a class or a function, got 3"):
         AskAndTell(3)
+
+
+class Asking:
+    """Asks for what it is told to."""
+
+    def __init__(self, x0, asked):
+        self.asked = asked
+
+    def ask(self):
+        return self.asked
+
+    def tell(self, genes, losses):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ([np.nan] * 12, "Asking asked for genes of which 12 of 12 are NaN, after 0 evaluations."),
+        (np.where(np.eye(12) > 0, np.nan, 0.5), "Asking asked for genes of which 12 of 144 are NaN"),
+        (["a"] * 12, "Asking asked for ['a', 'a'"),
+        ([["0.1"] * 12, [None] * 11], "Asking asked for [['0.1'"),
+        (object, "Asking asked for <class 'object'>, not for genes (B, 12)."),
+        ([[0.5] * 11], "Asking asked for genes of shape (1, 11), not (B, 12)."),
+        ([], "Asking asked for genes of shape (1, 0), not (B, 12)."),
+    ],
+)
+def test_what_is_no_genes_is_refused_at_once_with_the_name_of_what_asked(asked, message):
+    with pytest.raises(InputError) as told:
+        run(AskAndTell(partial(Asking, asked=asked)), 1)
+    assert str(told.value).startswith(message)
+
+
+def test_nan_is_refused_after_a_good_start_too():
+    optimiser = AskAndTell(partial(Asking, asked=[0.5] * 12))
+    run(optimiser, 3)
+    optimiser.session.made.asked = [np.nan] * 12
+    with pytest.raises(InputError, match=r"NaN, after 3 evaluations\."):
+        run(optimiser, 1)
+
+
+def test_an_object_that_lacks_a_method_is_named():
+    class Mute(Asking):
+        tell = None
+
+    with pytest.raises(InputError, match=r"^make: .*Mute makes an object without the method tell\."):
+        run(AskAndTell(partial(Mute, asked=[0.5])), 1)
+
+
+def test_lists_of_a_configuration_are_tuples_where_a_function_has_them():
+    """The defaults of `minimize` come back as `args: []`, which Nelder-Mead refuses."""
+    node = completed(OmegaConf.create({"_target_": "scipy.optimize.minimize", "_partial_": True}))
+    assert (node["args"], node["constraints"]) == ([], [])
+    optimiser = Scipy(partial(minimize, **(node | {"method": "Nelder-Mead", "tol": 1e-9})))
+    run(optimiser, 60)
+    assert optimiser.ledger.best_fitness > -3.6 + 1e-6
+
+
+def test_shgo_is_refused_where_the_corners_of_its_box_do_not_fit_into_memory():
+    Scipy(partial(shgo)).check(problem(RandomDeployment(4)))
+    for count, corners in ((30, 60), (1000, 2000)):
+        with pytest.raises(InputError, match=rf"^minimise: shgo, which begins with the 2\^{corners} corners of a box"):
+            Scipy(shgo).check(problem(RandomDeployment(count)))
 
 
 @pytest.mark.parametrize("name", ["GA", "DE", "PSO", "ISRES", "G3PCX"])

@@ -8,6 +8,7 @@ from processes import refused
 
 from lmd.core.checks import InputError
 from pipelines.building import build_optimiser, build_problem, instantiate, keyed
+from pipelines.pipeline import _refuse_configuration_of_another
 
 # Overrides of `evaluate`, and how the refusal begins.
 REFUSED = {
@@ -122,3 +123,30 @@ def test_what_an_experiment_sets_for_another_choice_is_said_to_be_its(tmp_path):
     message = "deployment.path is no setting that is known; experiment=frc_2025 sets it for another deployment"
     overrides = ("experiment=frc_2025", "deployment=random", "hydra.run.dir=run")
     refused("optimise", *overrides, message=message, cwd=tmp_path, settings=())
+
+
+class Half:
+    n = 1
+
+
+@pytest.mark.parametrize(
+    ("group", "page", "lacks"),
+    [("objective", "objectives", "has no sampling, headline"), ("visibility", "scene", "has no needs_roll, spacing")],
+)
+def test_a_part_of_ones_own_that_lacks_a_method_is_named(group, page, lacks):
+    cfg = composed("evaluate", "deployment=uniform")
+    cfg[group] = {"_target_": f"{__name__}.Half"}
+    with pytest.raises(InputError, match=rf"^{group} is a {__name__}\.Half, which {lacks}.*; docs/api/{page}\.md"):
+        build_problem(cfg)
+
+
+@pytest.mark.parametrize(
+    "option", [["--config-name", "evaluate"], ["--config-name=evaluate.yaml"], ["-cn", "evaluate"]]
+)
+def test_the_configuration_of_another_command_is_refused(option, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["optimise", *option])
+    with pytest.raises(
+        SystemExit, match=r"^error: --config-name evaluate\S* is the configuration of another command: "
+    ):
+        _refuse_configuration_of_another("optimise")
+    _refuse_configuration_of_another("evaluate")

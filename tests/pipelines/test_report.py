@@ -6,7 +6,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from markdown import markdown as markdown_to_html
 from matplotlib.image import imread
+from mlflow import MlflowClient
 from processes import call
 from tracked import record_all, record_sweep, write_report
 
@@ -133,6 +135,52 @@ def test_a_chosen_sweep_is_reported_without_what_failed_and_the_rest_names_its_c
     for sweep, command in COMMANDS.items():
         sentence = f"There are no finished runs of the sweep `{sweep}`; `{command}` makes them."
         assert (sentence in markdown) == (sweep != "table2")
+
+
+HOSTILE = "</code>`<script>alert(1)</script>` | [x](javascript:alert(1))\n\n<script>alert(2)</script>"
+
+
+def test_a_strangers_store_puts_no_markup_into_a_page(tmp_path):
+    """Tags and parameters are what anybody has written; the site makes HTML of the Markdown."""
+    uri = f"sqlite:///{tmp_path}/mlflow.db"
+    jobs = [({"optimiser": "ega", "budget.evaluations": HOSTILE}, 0.5, "FINISHED")]
+    sweep = record_sweep(uri, tmp_path, "table2", jobs, pipeline=HOSTILE)
+    optimisers = [({"optimiser": name}, 0.5, "FINISHED") for name in (HOSTILE, "$x_{", "annealing")]
+    record_sweep(uri, tmp_path, "optimisers", optimisers)
+    client = MlflowClient(tracking_uri=uri)
+    for key in ("override.experiment", f"override.{'a' * 20}"):
+        client.set_tag(sweep, key, HOSTILE)
+    text = write_report(tmp_path / "report", f"tracking.uri={uri}")
+    page = (tmp_path / "report" / "report.html").read_text()
+    for made in (markdown_to_html(text, extensions=["tables", "attr_list"]), page):
+        assert "<script" not in made
+        assert "href" not in made
+        assert "alert(2)" in made
+
+
+def test_a_run_with_a_value_that_is_no_number_is_left_out_and_named(tmp_path, capsys):
+    uri = f"sqlite:///{tmp_path}/mlflow.db"
+    counts = [({"deployment.count": count}, 0.6, "FINISHED") for count in ("many", "1e999", 60)]
+    record_sweep(uri, tmp_path, "landmark_count", counts)
+    record_sweep(uri, tmp_path, "optimisers", [({"optimiser": "ega", "seed": "first"}, 0.5, "FINISHED")])
+    pairs = [({"objective.n": n, "objective.thold_p": 0.5}, 0.5, "FINISHED") for n in ("two", 2)]
+    record_sweep(uri, tmp_path, "table3", pairs)
+    text = write_report(tmp_path / "report", f"tracking.uri={uri}")
+    told = capsys.readouterr().err
+    values = {"deployment.count": "many", "seed": "first", "objective.n": "two"}
+    for what in (*(f"{key} is {value!r}" for key, value in values.items()), "deployment.count is '1e999'"):
+        assert f"is left out: its params.{what}, which is no number" in told
+    assert rows(text, ["60"]) == [["1", "60.00%"]]
+    assert rows(text, ["2", "0.50"])[0][0] == "1"
+    assert "There are no finished runs of the sweep `optimisers`" in text
+
+
+def test_a_sweep_whose_own_run_is_gone_is_named(tmp_path):
+    uri = f"sqlite:///{tmp_path}/mlflow.db"
+    sweep = record_sweep(uri, tmp_path, "landmark_count", [({"deployment.count": 60}, 0.6, "FINISHED")])
+    MlflowClient(tracking_uri=uri).delete_run(sweep)
+    text = write_report(tmp_path / "report", f"tracking.uri={uri}")
+    assert f"1 runs of a sweep `landmark_count`, whose own run, `{sweep}`, is gone from the store; the last" in text
 
 
 @pytest.mark.parametrize(("sweep", "command"), COMMANDS.items())

@@ -124,3 +124,27 @@ def test_the_same_sweep_again_does_only_what_is_missing(faulty):
     assert "reason" not in parent.data.tags
     assert statuses(children)["none"] == ["FINISHED"]
     assert statuses(children)["kill"] == ["FAILED", "FINISHED"]
+
+
+def test_glob_finds_what_the_command_line_adds_and_the_command_of_a_job_names_no_folder_of_the_sweep(tmp_path):
+    (tmp_path / "mine" / "optimiser").mkdir(parents=True)
+    for name, target in {"x_one": "random_search.RandomSearch", "x_two": "sga.SGA"}.items():
+        (tmp_path / "mine" / "optimiser" / f"{name}.yaml").write_text(f"_target_: lmd.optimisers.{target}\n")
+    store = f"tracking.uri=sqlite:///{tmp_path}/store.db"
+    added = ("hydra.mode=MULTIRUN", f"hydra.searchpath=[file://{tmp_path}/mine]", "budget.evaluations=40", store)
+    done = call("optimise", *added, "optimiser=glob(x_*)", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "2 of 2 jobs finished" in done.stdout
+    found = MlflowClient(tracking_uri=f"sqlite:///{tmp_path}/store.db").search_runs(["1"], "tags.job != ''")
+    commands = [run.data.tags["command"] for run in found]
+    assert sorted(re.search(r"optimiser=(\S+)", command)[1] for command in commands) == ["x_one", "x_two"]
+    assert not any("run.dir" in command or "resume" in command for command in commands)
+    assert all("hydra.mode=RUN" in command for command in commands)
+
+
+@pytest.mark.parametrize("nothing", ["optimiser=glob(zz_*)", "seed=range(3,3)"])
+def test_a_sweep_without_jobs_is_refused(nothing, tmp_path):
+    done = call("optimise", "hydra.mode=MULTIRUN", nothing, "tracking=none", cwd=tmp_path)
+    assert done.returncode == 1
+    assert f"error: {nothing} has no values, so that there is nothing to run." in done.stderr
+    assert not list(tmp_path.glob("outputs/*/*"))

@@ -1,16 +1,12 @@
-"""One room of 4 x 3 x 2.5 m in the forms in which headsets and phones keep it, with numbers worked out by hand.
-
-Its floor is around the origin. In the middle of the wall at y = -1.5 is a door of 1 x 2 m, before the opposite one
-stands a chest of 1 x 0.5 x 0.8 m.
-"""
+"""Rooms of headsets and phones, see `captured`."""
 
 import json
-import math
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from captured import MRUK, ROOMS, anchor, entity, rectangle, surface
 from numpy.testing import assert_allclose
 
 from lmd.core.checks import InputError
@@ -18,106 +14,6 @@ from lmd.space.mesh_file import read_mesh
 from lmd.space.mesh_room import from_mesh
 
 REAL = Path(__file__).parents[2] / "../shared/real/rooms"
-HALF = math.sqrt(0.5)
-
-
-def anchor(label, place, turn, **bounds):
-    pose = {"Translation": place, "Rotation": turn, "Scale": [1, 1, 1]}
-    return {"SemanticClassifications": [label], "Transform": pose, **bounds}
-
-
-def plane(width, height):
-    return {"PlaneBounds": {"Min": [-width / 2, -height / 2], "Max": [width / 2, height / 2]}}
-
-
-# Unity: x to the right, y up, z ahead; z of an anchor points out of its plane, degrees about y turn clockwise.
-MRUK = {
-    "CoordinateSystem": "Unity",
-    "Rooms": [
-        {
-            "Anchors": [
-                anchor("FLOOR", [0, 0, 0], [270, 0, 0], PlaneBoundary2D=[[-2, -1.5], [2, -1.5], [2, 1.5], [-2, 1.5]]),
-                anchor("CEILING", [0, 2.5, 0], [90, 0, 0], **plane(4, 3)),
-                anchor("WALL_FACE", [0, 1.25, 1.5], [0, 180, 0], **plane(4, 2.5)),
-                anchor("WALL_FACE", [0, 1.25, -1.5], [0, 0, 0], **plane(4, 2.5)),
-                anchor("WALL_FACE", [2, 1.25, 0], [0, 270, 0], **plane(3, 2.5)),
-                anchor("WALL_FACE", [-2, 1.25, 0], [0, 90, 0], **plane(3, 2.5)),
-                anchor("DOOR_FRAME", [0, 1, -1.49], [0, 0, 0], **plane(1, 2)),
-                anchor(
-                    "STORAGE",
-                    [0, 0.8, 1.25],
-                    [270, 0, 0],
-                    VolumeBounds={"Min": [-0.5, -0.25, -0.8], "Max": [0.5, 0.25, 0]},
-                ),
-                anchor("GLOBAL_MESH", [0, 0, 0], [0, 0, 0]),
-            ]
-        }
-    ],
-}
-
-
-def entity(label, place, turn, **bounds):
-    orientation, position = dict(zip("xyzw", turn, strict=True)), dict(zip("xyz", place, strict=True))
-    return {
-        "semanticLabel_META": label,
-        "locatable_META": {"orientation": orientation, "position": position},
-        **bounds,
-    }
-
-
-def rectangle(width, height):
-    offset = {"x": -width / 2, "y": -height / 2}
-    return {"bounded2D_META": {"offset": offset, "extent": {"width": width, "height": height}}}
-
-
-# y up, and rectangles lie in x and z: those of walls stand after a quarter of a turn about x or z.
-WEBXR = {
-    "spatialEntities": [
-        entity("FLOOR", [0, 0, 0], [0, 0, 0, 1], **rectangle(4, 3)),
-        entity("CEILING", [0, 2.5, 0], [0, 0, 0, 1], **rectangle(4, 3)),
-        entity("WALL_FACE", [0, 1.25, -1.5], [HALF, 0, 0, HALF], **rectangle(4, 2.5)),
-        entity("WALL_FACE", [0, 1.25, 1.5], [HALF, 0, 0, HALF], **rectangle(4, 2.5)),
-        entity("WALL_FACE", [2, 1.25, 0], [0, 0, HALF, HALF], **rectangle(2.5, 3)),
-        entity("WALL_FACE", [-2, 1.25, 0], [0, 0, HALF, HALF], **rectangle(2.5, 3)),
-        entity("DOOR_FRAME", [0, 1, 1.49], [HALF, 0, 0, HALF], **rectangle(1, 2)),
-        entity(
-            "STORAGE",
-            [0, 0, -1.25],
-            [0, 0, 0, 1],
-            bounded3D_META={
-                "offset": {"x": -0.5, "y": 0, "z": -0.25},
-                "extent": {"width": 1, "height": 0.8, "depth": 0.5},
-            },
-        ),
-        {"semanticLabel_META": "OTHER"},
-    ]
-}
-
-
-def surface(place, right, size, **more):
-    """A surface of RoomPlan: its pose column by column, x along `right`, y up."""
-    up = [0, 1, 0]
-    return {"transform": [*right, 0, *up, 0, *np.cross(right, up).tolist(), 0, *place, 1], "dimensions": size, **more}
-
-
-# y up; no floor was found, and there never is a ceiling.
-ROOMPLAN = {
-    "version": 2,
-    "walls": [
-        surface([0, 1.25, -1.5], [1, 0, 0], [4, 2.5, 0]),
-        surface([0, 1.25, 1.5], [1, 0, 0], [4, 2.5, 0]),
-        surface([2, 1.25, 0], [0, 0, 1], [3, 2.5, 0]),
-        surface(
-            [-2, 1.25, 0],
-            [0, 0, 1],
-            [3, 2.5, 0],
-            polygonCorners=[[-1.5, -1.25, 0], [1.5, -1.25, 0], [1.5, 1.25, 0], [-1.5, 1.25, 0]],
-        ),
-    ],
-    "doors": [surface([0, 1, 1.5], [1, 0, 0], [1, 2, 0])],
-    "objects": [surface([0, 0.4, -1.25], [1, 0, 0], [1, 0.8, 0.5], category={"storage": {}})],
-}
-ROOMS = {"MRUK": MRUK, "WebXR": WEBXR, "RoomPlan": ROOMPLAN}
 
 
 @pytest.mark.parametrize("kind", ROOMS)
@@ -160,6 +56,14 @@ def test_a_polygon_may_have_any_shape(write):
         ({"walls": [{"transform": [1.0], "dimensions": [4, 2.5, 0]}]}, "transform must be a list of 16 numbers"),
         ({"walls": [{"dimensions": [4, 2.5, 0]}]}, "the key or value 'transform' is missing or wrong."),
         ({"walls": 3}, "the key or value "),
+        ({"walls": [surface([0, 1, 0], [10**400, 0, 0], [4, 2.5, 0])]}, "transform[0] must be finite"),
+        ({"walls": [surface([0, 1, 0], [2, 0, 0], [4, 2.5, 0])]}, "walls[0].transform is no rotation and translation"),
+        ({"spatialEntities": [entity("WALL", [10**400, 0, 0], [0, 0, 0, 1])]}, "position[0] must be finite"),
+        ({"spatialEntities": [entity("WALL", [0, 0, 0], [0, 0, 0, 10**400])]}, "orientation[3] must be finite"),
+        (
+            {"spatialEntities": [entity("WALL", [0, 0, 0], [0, 0, 0, 1], **rectangle(10**400, 1))]},
+            "must be finite",
+        ),
         ([], "has no keys"),
         ("{", "cannot be read as JSON"),
     ],

@@ -71,6 +71,60 @@ def test_a_gltf_that_stands_for_more_than_it_holds_is_refused(name, change, mess
     assert message in refused(written(tmp_path / name, gltf(**change)))
 
 
+# A room of 6 x 2.5 x 4 m (y up) in integers: fractions of what the node makes of 1, and of its middle.
+QUANTISED = {5120: ("b", 127), 5121: ("B", 255), 5122: ("h", 32767), 5123: ("H", 65535)}
+
+
+@pytest.mark.parametrize("name", ["room.gltf", "room.glb"])
+@pytest.mark.parametrize("component", QUANTISED)
+def test_integers_that_stand_for_fractions(name, component, tmp_path):
+    """KHR_mesh_quantization: c / 32767 and so on, then scaled and moved by the node."""
+    kind, largest = QUANTISED[component]
+    low = 0 if kind.isupper() else -largest
+    corners = [(x, y, z) for x in (low, largest) for y in (low, largest) for z in (low, largest)]
+    row = struct.Struct(f"<3{kind}{'x' * (1 if kind in 'bB' else 2)}")
+    positions = b"".join(row.pack(*corner) for corner in corners)
+    faces = [0, 1, 3, 0, 3, 2, 4, 6, 7, 4, 7, 5, 0, 4, 5, 0, 5, 1, 2, 3, 7, 2, 7, 6]
+    data = positions + struct.pack(f"<{len(faces)}H", *faces)
+    size = [6.0, 2.5, 4.0] if low == 0 else [3.0, 1.25, 2.0]
+    document = gltf("data:application/octet-stream;base64," + base64.b64encode(data).decode()) | {
+        "extensionsRequired": ["KHR_mesh_quantization"],
+        "nodes": [{"mesh": 0, "scale": size, "translation": [0.0] * 3 if low == 0 else size}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "bufferViews": [
+            {"buffer": 0, "byteLength": len(positions), "byteStride": row.size},
+            {"buffer": 0, "byteOffset": len(positions), "byteLength": len(data) - len(positions)},
+        ],
+        "accessors": [
+            {"bufferView": 0, "componentType": component, "normalized": True, "count": 8, "type": "VEC3"},
+            {"bufferView": 1, "componentType": 5123, "count": len(faces), "type": "SCALAR"},
+        ],
+    }
+    document["buffers"][0]["byteLength"] = len(data)
+    mesh = read_mesh(written(tmp_path / name, document))
+    assert np.abs(mesh.vertices.min(axis=0) - [0, -4, 0]).max() < 1e-5
+    assert np.abs(mesh.vertices.max(axis=0) - [6, 0, 2.5]).max() < 1e-5
+    assert len(mesh.faces) == 8
+    document["accessors"][0]["byteOffset"] = 10**9
+    assert "reaches beyond its buffer" in refused(written(tmp_path / name, document))
+
+
+@pytest.mark.parametrize("name", ["room.gltf", "room.glb"])
+@pytest.mark.parametrize(
+    ("extension", "message"),
+    [
+        ("KHR_draco_mesh_compression", "`gltf-transform cp room.gl"),
+        ("EXT_meshopt_compression", "`gltf-transform cp room.gl"),
+        ("EXT_of_tomorrow", "needs the extension EXT_of_tomorrow of glTF, which is not read; import it into Blender"),
+    ],
+)
+def test_an_extension_that_decides_where_triangles_are(name, extension, message, tmp_path):
+    told = refused(written(tmp_path / name, gltf() | {"extensionsRequired": [extension]}))
+    assert message in told
+    assert "scale" not in told
+    assert len(read_mesh(written(tmp_path / name, gltf() | {"extensionsRequired": ["KHR_materials_unlit"]})).faces) == 1
+
+
 def test_a_mesh_of_too_many_triangles_is_refused(tmp_path, monkeypatch):
     many = gltf(nodes=[{"children": [1, 2]}, {"mesh": 0}, {"mesh": 0}])
     assert len(read_mesh(written(tmp_path / "room.gltf", many)).faces) == 1  # one that is there twice

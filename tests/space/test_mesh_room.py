@@ -200,7 +200,7 @@ def test_a_file_with_no_room_in_it_gets_one_sentence(tmp_path):
         ({"path": 3}, r"^path must be the path of a file"),
         (
             {"scale": 1000.0},
-            r"^scale = 1000 makes .* a room of 6000 x 4000 x 2500 m; a file in millimetres takes 0\.001",
+            r"^scale = 1000 makes .* a room of 6000 x 4000 x 2500 m; a file in metres takes 1, which makes 6 x 4",
         ),
         ({"up": "x"}, r"^up must be one of z, y, got 'x'"),
         ({"least_area": 30.0}, r"^least_area = 30 m2 is more than any planar patch"),

@@ -3,6 +3,8 @@
 import atexit
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +36,8 @@ class SweepRecord(Callback):
 
         from ..tracking import RunStart
 
+        with _refused():
+            _check_jobs(config)
         folder = SweepFolder(pin_sweep_folder(config))
         before = folder.load()
         overrides = swept(config)
@@ -72,6 +76,45 @@ class SweepRecord(Callback):
             failed = True
         if failed:
             sys.exit(1)
+
+
+@contextmanager
+def _refused() -> Iterator[None]:
+    """Print an `InputError`, and exit with 1: Hydra would make it a warning, and go on."""
+    from lmd.core.checks import InputError
+
+    try:
+        yield
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(1)
+
+
+def _check_jobs(config: DictConfig) -> None:
+    """Let `glob` find what is on the search path of the command line, and refuse values that are none.
+
+    Hydra composes with that path, and expands `glob` without it.
+
+    Raises:
+        InputError: a key that varies takes no value.
+    """
+    from hydra._internal.config_repository import ConfigRepository
+    from hydra.core.global_hydra import GlobalHydra
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+    from hydra.core.override_parser.types import IntervalSweep
+
+    from lmd.core.checks import InputError
+
+    loader: Any = GlobalHydra.instance().config_loader()
+    known = {entry.path for entry in loader.config_search_path.get_path()}
+    for path in config.hydra.searchpath or ():
+        if path not in known:
+            loader.config_search_path.prepend("hydra.searchpath", path, "schema")
+    loader.repository = ConfigRepository(loader.config_search_path)
+    for each in OverridesParser.create(config_loader=loader).parse_overrides(swept(config)):
+        is_listed = each.is_sweep_override() and not isinstance(each.value(), IntervalSweep)
+        if is_listed and next(iter(each.sweep_string_iterator()), None) is None:
+            raise InputError(f"{each.input_line} has no values, so that there is nothing to run.")
 
 
 def _cut_short(config: DictConfig) -> None:
@@ -113,8 +156,8 @@ def _close(config: DictConfig, reason: str = "") -> bool:
     print(f"{done} of {len(jobs)} jobs finished: {folder.table}", flush=True)
     for its_folder, job in failed:
         print(f"{job.status}: {job.label}: {job.reason} ({its_folder.output})", file=sys.stderr)
-    if failed:
-        reason = reason or f"{len(failed)} of {len(jobs)} jobs failed"
+    if failed or not jobs:
+        reason = reason or (f"{len(failed)} of {len(jobs)} jobs failed" if jobs else "the sweep had no jobs")
     tracker: Tracker = instantiate(config.tracking)
     about = f"{description(sweep, found)}\n\n`{source_tags(config.hydra.job.name)['command']}`\n\nfiles: {folder.path}"
     tracker.start(RunStart(sweep.name, folder.path, tags={"mlflow.note.content": about}), sweep.run_id)

@@ -59,18 +59,28 @@ def best_and_median(sweep: Sweep, found: Found) -> dict[str, float]:
 
 def description(sweep: Sweep, found: Found) -> str:
     """What varied, and the best and the median of every group of jobs, in Markdown."""
-    from lmd.core.words import markdown_table
+    from lmd.core.words import as_code, escaped, markdown_table
 
     keys, groups = _groups(sweep, found)
     counts = {key: len({job.varied[key] for _, job, _ in found if key in job.varied}) for key in sweep.varied}
-    varied = ", ".join(f"`{key}` ({count} values)" for key, count in counts.items())
+    varied = ", ".join(f"{as_code(key)} ({count} values)" for key, count in counts.items())
     told = {key: label for key, label in TOLD.items() if _values(found, key)}
-    head = [*keys, "jobs finished", *(f"{label}: {what}" for label in told.values() for what in ("best", "median"))]
+    head = [
+        *map(escaped, keys),
+        "jobs finished",
+        *(f"{label}: {what}" for label in told.values() for what in ("best", "median")),
+    ]
     rows = []
     for group, members in groups.items():
         values = [_values(members, key) for key in told]
         figures = [f"{figure(each):.2%}" if each else "" for each in values for figure in (max, median)]
-        rows.append([*group, f"{sum(job.status == 'finished' for _, job, _ in members)} of {len(members)}", *figures])
+        rows.append(
+            [
+                *map(escaped, group),
+                f"{sum(job.status == 'finished' for _, job, _ in members)} of {len(members)}",
+                *figures,
+            ]
+        )
     return "\n".join([f"varies: {varied or 'nothing'}", "", markdown_table(head, rows)])
 
 

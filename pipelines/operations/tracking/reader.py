@@ -54,7 +54,7 @@ class MlflowReader:
             page = self._client.search_runs([self._experiment_id], order_by=["start_time"], page_token=token)
             for run in page:
                 row = {"name": run.info.run_name, "status": run.info.status}
-                row["started"] = pd.Timestamp(run.info.start_time, unit="ms", tz="UTC")
+                row["started"] = pd.to_datetime(run.info.start_time, unit="ms", utc=True, errors="coerce")
                 for kind in ("params", "tags", "metrics"):
                     row |= {f"{kind}.{key}": value for key, value in getattr(run.data, kind).items()}
                 rows[run.info.run_id] = row
