@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import deepcopy
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import hydra
 from omegaconf import DictConfig, OmegaConf, open_dict
@@ -18,13 +18,17 @@ from .spelling import meant
 from .tag_sizes import divide_paper, spell_counts
 
 if TYPE_CHECKING:
+    from lmd.objectives.base import Objective
     from lmd.optimisers.base import Optimiser
     from lmd.optimisers.ledger import Budget
     from lmd.problem import Problem
     from lmd.scene.camera import Camera
+    from lmd.scene.deployment import Deployment
+    from lmd.scene.deployment_sources import DeploymentSource
     from lmd.scene.pdf import OrientationPdf
     from lmd.scene.recorded_poses import RecordedPoses
     from lmd.scene.rig import Rig
+    from lmd.scene.scene import Scene
     from lmd.space.space import Space
 
 # What every problem has settings of.
@@ -175,6 +179,22 @@ def mounts_of(node: DictConfig) -> Any:
         return read_mounts(plain) if isinstance(plain, str) else plain
 
 
+class Parts(NamedTuple):
+    """What a configuration describes a problem by, see `lmd.problem.Problem`."""
+
+    scene: "Scene"
+    objective: "Objective"
+    start: "DeploymentSource"
+    threads: int | None
+    fixed: "Deployment | None"
+
+    def draw(self, seed: int) -> "Deployment":
+        """A deployment of the problem."""
+        import numpy as np
+
+        return self.scene.plates.draw(self.start, np.random.default_rng(seed), self.fixed)
+
+
 def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem":
     """The problem a composed configuration describes.
 
@@ -184,6 +204,15 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
     Raises:
         InputError: its parts do not fit together.
     """
+    from lmd.problem import Problem
+
+    parts = build_parts(cfg, count)
+    with keyed("objective", rig="camera.rig"):
+        return Problem(*parts)
+
+
+def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
+    """The parts of a problem, of which the objective need not fit the landmarks; see `build_problem`."""
     import numpy as np
 
     from lmd.core.checks import InputError, boolean, choice, integer, seed_number
@@ -191,7 +220,6 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
     from lmd.core.threads import MOST_THREADS
     from lmd.objectives.localisation import Localisation
     from lmd.optimisers.encoding import KINDS
-    from lmd.problem import Problem
     from lmd.scene.carried import carried
     from lmd.scene.scene import Scene
     from lmd.scene.tag import Tag
@@ -221,7 +249,7 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
         with keyed(rig="camera.rig"):
             scene = carried(scene)
     with keyed("deployment", count=count):
-        fixed = fixed_of(cfg.deployment, tag.family)
+        fixed = fixed_of(cfg.deployment, tag.own_family)
     with keyed("tag"):
         scene, found = divide_paper(cfg, scene, objective, threads, fixed)
         tag = scene.tag
@@ -239,6 +267,7 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
         if isinstance(start, partial):  # a source that depends on what the landmarks are for
             start = start(scene=scene, objective=objective, threads=threads, **hung)
         drawn = scene.plates.draw(start, np.random.default_rng(0), **hung)
+        note(drawn.note)
         ids = drawn.ids
         if total not in (None, len(ids)):
             raise InputError(f"count = {total}, but with the fixed ones there are {len(ids)} landmarks.", "count")
@@ -248,8 +277,7 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
         note_edges(tag, drawn)
     if cfg.deployment.get("free"):
         note_outside(scene.room, tag, drawn)
-    with keyed("objective", rig="camera.rig"):
-        return Problem(scene, objective, start, threads, **hung)
+    return Parts(scene, objective, start, threads, hung.get("fixed"))
 
 
 def _poses(cfg: DictConfig) -> "tuple[Space, OrientationPdf, RecordedPoses | None]":

@@ -4,11 +4,12 @@ import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 
 from .app import run_directory
-from .building import build_problem, keyed
+from .building import build_parts, keyed, settings_of
 from .earlier_run import read_earlier_run
+from .fixed import axes_in
 from .outputs import write_all
 from .pipeline import Pipeline
 
@@ -43,35 +44,57 @@ def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
 
 def export(cfg: DictConfig) -> None:
     """Write the configured deployment in the configured formats, all files or none."""
-    import numpy as np
-
     from lmd.core.checks import InputError
     from lmd.mapping.formats import FORMATS
     from lmd.mapping.sheets import describe_sheets
     from lmd.mapping.tag_map import TagMap
 
-    from .tracked_run import keep, title_of, tracked
+    from .tracked_run import keep, tracked
 
-    problem = build_problem(cfg)
-    scene = problem.scene
+    _take_sizes(cfg)
+    parts = build_parts(cfg)
+    scene = parts.scene
     chosen = build_export(cfg, "formats", scene.tag)
     if not chosen.formats:
         raise InputError("formats lists none, so there is nothing to write.")
-    deployment = problem.draw(np.random.default_rng(cfg.seed))
+    deployment = parts.draw(cfg.seed)
     writers = chosen.writers(scene.room, scene.tag, deployment)
     tags = TagMap(scene.room, scene.tag, deployment)
     for name, reason in chosen.unfit(tags).items():
         print(f"note: {FORMATS[name].file} is not written: {reason}", file=sys.stderr)
     for name in chosen.silent(tags):
         print(f"note: {FORMATS[name].file} does not say that tags have {tags.edges_in_words}", file=sys.stderr)
-    with tracked(cfg, "export", title_of(problem, "export")) as tracker:
+    with tracked(cfg, "export", f"export {parts.objective.name} K={len(deployment)}") as tracker:
         files = write_all(run_directory(), writers)
         keep(tracker, files, {})
-    print(f"tags   {problem.count} of {scene.tag.family}, {tags.edges_in_words}")
+    print(f"tags   {len(deployment)} of {scene.tag.family}, {tags.edges_in_words}")
     if "sheets" in chosen.formats:
         print(f"sheets {describe_sheets(tags, chosen.paper)}")
     print(f"files  {run_directory()}: {', '.join(file.name for file in files)}")
     print(f"mlflow {tracker.describe()}")
+
+
+def _take_sizes(cfg: DictConfig) -> None:
+    """Take the sizes that the files of all tags say for `tag.edges`, if the user gives none.
+
+    Raises:
+        InputError: a file cannot be read.
+    """
+    import numpy as np
+
+    from lmd.scene.tag_map_files import read_deployment
+
+    node = settings_of(cfg, "deployment")
+    tag = cfg.get("tag")  # runs of old have none
+    if not tag or tag.get("edge") is not None or tag.get("edges") is not None or node.get("path") is None:
+        return
+    files = [(name, node[name]) for name in ("path", "fixed") if node.get(name) is not None]
+    with keyed("deployment"):
+        edges = [read_deployment(path, name, axes=axes_in(node)).edges for name, path in files]
+    known = np.concatenate([[np.nan] if own is None else own for own in edges])
+    if np.isfinite(known).all():
+        with open_dict(cfg):
+            cfg.tag.edges = np.unique(known).tolist()
 
 
 main = Pipeline("export", export, (read_earlier_run,))

@@ -62,7 +62,9 @@ def test_wpilib_drawings_are_in_inches_and_degrees(read):
     found = read("ID,X,Y,Z,Z-Rotation,X-Rotation\n4,100,50,10,90,30\n7,0,0,0,180,0\n")
     assert_allclose(found.positions[0], [2.54, 1.27, 0.254])
     assert_allclose(found.normals[0], [0.0, np.cos(np.pi / 6), -0.5], atol=1e-12)
-    assert_is(read("id, x, y, z, rotation\n3,100,50,10,180\n"), 3, [2.54, 1.27, 0.254], [-1, 0, 0])
+    assert_is(read("ID, X, Y, Z, Rotation\n3,100,50,10,180\n"), 3, [2.54, 1.27, 0.254], [-1, 0, 0])
+    with pytest.raises(InputError, match="it has id, x, y, z, rotation; WPILib's own, in inches and degrees, has the"):
+        read("id,x,y,z,rotation\n1,6.0,1.0,0.6,180\n")
 
 
 def test_frc971_looks_into_the_tag(read):
@@ -112,7 +114,7 @@ tag_bundles:
     assert_allclose(found.normals, [[0, 0, 1], [0, -1, 0]], atol=1e-12)
     assert_allclose(found.ups, [[0, 1, 0], [0, 0, 1]], atol=1e-12)
     assert found.edges.tolist() == [0.05, 0.1]
-    with pytest.raises(InputError, match="standalone_tags, which have no places"):
+    with pytest.raises(InputError, match="standalone_tags without places: they need x, y, z, qx"):
         read("standalone_tags: [{id: 1, size: 0.1}]\n")
     with pytest.raises(InputError, match="it has the bundles a, b, each in a frame of its own"):
         read("tag_bundles: [{name: a, layout: [{id: 1, size: 0.1}]}, {name: b, layout: [{id: 2, size: 0.1}]}]\n")
@@ -178,7 +180,7 @@ def test_fiducial_slam_saves_degrees_and_what_it_saw_beside_a_tag(read):
     assert_allclose(found.positions, [[1.0, 2.0, 0.5], [1.0, 2.0, 1.5]])
     assert_allclose(found.normals, [[0, -1, 0], [1, 0, 0]], atol=1e-9)
     assert_allclose(found.ups, [UP, UP], atol=1e-9)
-    with pytest.raises(InputError, match=r"'8 1 2' must be: id x y z roll pitch yaw variance observations"):
+    with pytest.raises(InputError, match=r"line 2, '8 1 2', must be: id x y z roll pitch yaw variance observations"):
         read("7 1.0 2.0 0.5 90.0 0.0 0.0 0.04 31\n8 1 2\n")
 
 
@@ -215,15 +217,15 @@ objects:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('{"tags": [{"ID": 1}]}', "'pose' is missing or wrong"),
+        ('{"tags": [{"ID": 1}]}', "the key 'pose' is missing"),
         ('{"tags": []}', "it has no tags with places"),
-        ('{"tags": [{"ID": -1, "pose": 3}]}', "is missing or wrong"),
+        ('{"tags": [{"ID": -1, "pose": 3}]}', r"pose must be a mapping with keys, got 3"),
         ('{"layout": []}', "no tag map that is known here .*: it has layout"),
-        ("tag_bundles: [3]", "a mapping was expected where there is none"),
-        ("/**: {ros__parameters: {family: 36h11}}", r"no tag map that is known here .*: it has /\*\*"),
+        ("tag_bundles: [3]", r"tag_bundles\[0\] must be a mapping with keys, got 3"),
+        ("/**: {ros__parameters: {family: 36h11}}", "no tag map that is known here .*: it has family"),
         ("1 0.3 a 2", "could not convert string to float"),
         ("1 0.3 1 2 3 4 5 6 7.5", "must be: id x y z roll pitch yaw variance observations"),
-        ("1 0 0 0 0 0 0 0\n", "length must be greater than 0"),
+        ("1 0 0 0 0 0 0 0\n", "an edge of 0 m would be none of a tag. What are its values"),
         ("1 0.1 0 0\n1 0.1 1 0\n", "id 1 belongs to 2 landmarks"),
         (json.dumps(WPILIB).replace('"Z": 1.0', '"Z": 2.0'), "must have length 1, it has 2"),
         ("{", "cannot be read as YAML or JSON"),
