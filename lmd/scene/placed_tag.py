@@ -112,7 +112,7 @@ def edge_of(name: str, value: Any, unit: float = METRE) -> float:
         counted = "metres" if unit == METRE else "millimetres"
         raise InputError(
             f"{name} = {value:g} is in {counted} here, which makes a tag of {edge:g} m: is that meant? Edges of "
-            f"{SMALLEST_EDGE:g} to {LARGEST_EDGE:g} m are taken as they are; a table with a column edge may have others."
+            f"{SMALLEST_EDGE:g} to {LARGEST_EDGE:g} m are taken as they are; a table with a column edge has any."
         )
     return edge
 

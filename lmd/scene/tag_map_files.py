@@ -107,10 +107,10 @@ def _found(path: Any, text: str, name: str, axes: Sequence[str] | None) -> Found
     if PRIORS.search(text) is not None or "|" in first:
         read = read_priors(text)
         return Found(read.tags, None, [tag.family for tag in read.tags], read.by_opencv)
-    if IS_JSON.match(text) or IS_YAML.match(first):
-        return _by_keys(path, text, name)
     if (reason := why_not_read(first)) is not None:
         raise InputError(reason)
+    if IS_JSON.match(text) or IS_YAML.match(first):
+        return _by_keys(path, text, name)
     if IS_NUMBER.match(first):
         lines_read = read_lines(path, text)
         if lines_read.table is None:
