@@ -15,7 +15,7 @@ from .app import CONF
 from .fixed import fixed_of, others_of, total_of
 from .notes import note, note_edges, note_outside
 from .spelling import meant
-from .tag_sizes import divide_paper, spell_counts
+from .tag_sizes import divide_paper, spell_counts, take_sizes
 
 if TYPE_CHECKING:
     from lmd.objectives.base import Objective
@@ -237,6 +237,9 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
     if cfg.get("page"):
         optional("plotly", "page")
     spell_counts(cfg)
+    if "tag" in cfg.visibility:  # it is of tags, not of points
+        with keyed("deployment"):
+            take_sizes(cfg)
     tag = instantiate(cfg.tag) if cfg.get("tag") else Tag()  # runs of old have none
     camera, visibility = camera_of(cfg.camera), instantiate(cfg.visibility)
     room, pdf, recorded = _poses(cfg)

@@ -4,14 +4,14 @@ import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf import DictConfig, OmegaConf
 
 from .app import run_directory
 from .building import build_parts, keyed, settings_of
 from .earlier_run import read_earlier_run
-from .fixed import axes_in
 from .outputs import write_all
 from .pipeline import Pipeline
+from .tag_sizes import take_sizes
 
 if TYPE_CHECKING:
     from lmd.mapping.formats import Export
@@ -51,7 +51,9 @@ def export(cfg: DictConfig) -> None:
 
     from .tracked_run import keep, tracked
 
-    _take_sizes(cfg)
+    settings_of(cfg, "deployment")
+    with keyed("deployment"):
+        take_sizes(cfg)
     parts = build_parts(cfg)
     scene = parts.scene
     chosen = build_export(cfg, "formats", scene.tag)
@@ -72,29 +74,6 @@ def export(cfg: DictConfig) -> None:
         print(f"sheets {describe_sheets(tags, chosen.paper)}")
     print(f"files  {run_directory()}: {', '.join(file.name for file in files)}")
     print(f"mlflow {tracker.describe()}")
-
-
-def _take_sizes(cfg: DictConfig) -> None:
-    """Take the sizes that the files of all tags say for `tag.edges`, if the user gives none.
-
-    Raises:
-        InputError: a file cannot be read.
-    """
-    import numpy as np
-
-    from lmd.scene.tag_map_files import read_deployment
-
-    node = settings_of(cfg, "deployment")
-    tag = cfg.get("tag")  # runs of old have none
-    if not tag or tag.get("edge") is not None or tag.get("edges") is not None or node.get("path") is None:
-        return
-    files = [(name, node[name]) for name in ("path", "fixed") if node.get(name) is not None]
-    with keyed("deployment"):
-        edges = [read_deployment(path, name, axes=axes_in(node)).edges for name, path in files]
-    known = np.concatenate([[np.nan] if own is None else own for own in edges])
-    if np.isfinite(known).all():
-        with open_dict(cfg):
-            cfg.tag.edges = np.unique(known).tolist()
 
 
 main = Pipeline("export", export, (read_earlier_run,))
