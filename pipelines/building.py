@@ -251,7 +251,7 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
     if isinstance(objective, Localisation):
         with keyed(rig="camera.rig"):
             scene = carried(scene)
-    with keyed("deployment", count=count):
+    with keyed("deployment", count=count, family="tag.family"):
         fixed = fixed_of(cfg.deployment, tag.own_family)
     with keyed("tag"):
         scene, found = divide_paper(cfg, scene, objective, threads, fixed)
@@ -265,7 +265,7 @@ def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
     # What only shows when the parts meet; the problem would refuse it too, but could not tell whose argument it is.
     with keyed("room.relevance"):
         scene.room.relevance.weights(scene.room.grid())
-    with keyed("deployment", count=count, counts="tag.counts"):
+    with keyed("deployment", count=count, counts="tag.counts", family="tag.family"):
         hung = {} if fixed is None else {"fixed": scene.plates.hung(fixed, start)}
         if isinstance(start, partial):  # a source that depends on what the landmarks are for
             start = start(scene=scene, objective=objective, threads=threads, **hung)

@@ -47,7 +47,7 @@ def evaluate(cfg: DictConfig) -> float:
     problem = build_problem(cfg)
     seed = seed_number(cfg.seed)
     deployment = plan = problem.draw(np.random.default_rng(seed))
-    with keyed("deployment", path=MEASURED):
+    with keyed("deployment", path=MEASURED, family="tag.family"):
         if cfg.deployment.measured is not None:
             from lmd.evaluation.survey import read_measured  # slow to load
 

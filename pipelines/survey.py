@@ -144,7 +144,7 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "Known":
     node = settings_of(cfg, "deployment")
     if "path" not in node:
         raise InputError("deployment must be a file, deployment.path=plan.csv, or that of a run, run=DIR.")
-    with keyed("deployment"):
+    with keyed("deployment", family="tag.family"):
         plan = None if node.path is None else read_deployment(node.path, "path", tag.own_family, axes_in(node))
         fixed = fixed_of(node, tag.own_family)
     note("" if plan is None else plan.note)

@@ -42,13 +42,13 @@ def one_family(named: Iterable[str | None]) -> str | None:
     return families[0] if families else None
 
 
-def check_family(told: str | None, wanted: str | None) -> None:
-    """Raise `InputError` if the tags of a map are of another family than is wanted, if both are known."""
+def check_family(path: Any, told: str | None, wanted: str | None) -> None:
+    """Raise `InputError` if the tags of a map at `path` are of another family than is wanted, if both are known."""
     if told is None or wanted is None or told == wanted:
         return
     if told not in FAMILIES:
         raise InputError(
-            f"its tags are of the family {told}, which is not known here: it must be one of {', '.join(FAMILIES)}, or "
-            "the landmarks be points (tag.edge=null)."
+            f"{path}: its tags are of the family {told}, which is not known here: it must be one of "
+            f"{', '.join(FAMILIES)}, or the landmarks be points."
         )
-    raise InputError(f"its tags are of the family {told}, but tag.family is {wanted}: set tag.family={told}.")
+    raise InputError(f"family={told} is needed: the tags of {path} are of that family, and not of {wanted}.", "family")

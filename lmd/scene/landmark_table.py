@@ -103,9 +103,10 @@ def turned_deployment(table: Table, axes: Sequence[str] | None) -> Deployment:
     rows, frame = table.numbers((*PLACE, *columns), None), axes_of(axes)
     labels = Labels.of(table, (*PLACE, *columns, EDGE))
     turns = np.array([_turn(int(number), row[3:]) for number, row in zip(labels.ids, rows, strict=True)]) @ frame.T
+    pointing = ", ".join(RIGHT_UP_OUT if axes is None else axes)
     note = (
-        f"{table.path} is read as {' '.join((ID, *PLACE, *columns))}; the axes x, y, z of a tag point "
-        f"{', '.join(RIGHT_UP_OUT if axes is None else axes)} (deployment.axes)"
+        f"{table.path} is read as {' '.join((ID, *PLACE, *columns))}; the axes x, y, z of a tag point {pointing}"
+        f"{', and axes can say otherwise' if axes is None else ''}"
     )
     deployment = Deployment(rows[:, :3], turns[:, :, 2], labels=labels, edges=edge_column(table), note=note)
     return deployment.turned(table.path, turns[:, :, 1])

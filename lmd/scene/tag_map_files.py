@@ -75,7 +75,7 @@ def read_deployment(
     text = read_text(path, name)
     try:
         found = _found(path, text, name, axes)
-        check_family(one_family(found.families), family)
+        check_family(path, one_family(found.families), family)
         if found.deployment is not None:
             return found.deployment
         if not found.tags:

@@ -25,7 +25,7 @@ BY_TEXT: tuple[tuple[re.Pattern[str], str], ...] = (
 )
 TABLE = (
     "write its tags as a table: a header id,x,y,z,qx,qy,qz,qw,edge, or with roll,pitch,yaw for the quaternion, metres "
-    "and radians, and deployment.axes for where the frame of a tag points (docs/mounting.md)"
+    "and radians, and axes for where the frame of a tag points (docs/mounting.md)"
 )
 
 
