@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import deepcopy
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import hydra
 from omegaconf import DictConfig, OmegaConf, open_dict
@@ -15,16 +15,20 @@ from .app import CONF
 from .fixed import fixed_of, others_of, total_of
 from .notes import note, note_edges, note_outside
 from .spelling import meant
-from .tag_sizes import divide_paper, spell_counts
+from .tag_sizes import divide_paper, spell_counts, take_sizes
 
 if TYPE_CHECKING:
+    from lmd.objectives.base import Objective
     from lmd.optimisers.base import Optimiser
     from lmd.optimisers.ledger import Budget
     from lmd.problem import Problem
     from lmd.scene.camera import Camera
+    from lmd.scene.deployment import Deployment
+    from lmd.scene.deployment_sources import DeploymentSource
     from lmd.scene.pdf import OrientationPdf
     from lmd.scene.recorded_poses import RecordedPoses
     from lmd.scene.rig import Rig
+    from lmd.scene.scene import Scene
     from lmd.space.space import Space
 
 # What every problem has settings of.
@@ -175,6 +179,22 @@ def mounts_of(node: DictConfig) -> Any:
         return read_mounts(plain) if isinstance(plain, str) else plain
 
 
+class Parts(NamedTuple):
+    """What a configuration describes a problem by, see `lmd.problem.Problem`."""
+
+    scene: "Scene"
+    objective: "Objective"
+    start: "DeploymentSource"
+    threads: int | None
+    fixed: "Deployment | None"
+
+    def draw(self, seed: int) -> "Deployment":
+        """A deployment of the problem."""
+        import numpy as np
+
+        return self.scene.plates.draw(self.start, np.random.default_rng(seed), self.fixed)
+
+
 def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem":
     """The problem a composed configuration describes.
 
@@ -184,6 +204,15 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
     Raises:
         InputError: its parts do not fit together.
     """
+    from lmd.problem import Problem
+
+    parts = build_parts(cfg, count)
+    with keyed("objective", rig="camera.rig"):
+        return Problem(*parts)
+
+
+def build_parts(cfg: DictConfig, count: str = "deployment.count") -> Parts:
+    """The parts of a problem, of which the objective need not fit the landmarks; see `build_problem`."""
     import numpy as np
 
     from lmd.core.checks import InputError, boolean, check_members, choice, integer, seed_number
@@ -192,7 +221,6 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
     from lmd.objectives.base import Objective
     from lmd.objectives.localisation import Localisation
     from lmd.optimisers.encoding import KINDS
-    from lmd.problem import Problem
     from lmd.scene.carried import carried
     from lmd.scene.criteria import Criteria
     from lmd.scene.scene import Scene
@@ -212,6 +240,9 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
     if cfg.get("page"):
         optional("plotly", "page")
     spell_counts(cfg)
+    if "tag" in cfg.visibility:  # it is of tags, not of points
+        with keyed("deployment"):
+            take_sizes(cfg)
     tag = instantiate(cfg.tag) if cfg.get("tag") else Tag()  # runs of old have none
     camera, visibility = camera_of(cfg.camera), instantiate(cfg.visibility)
     room, pdf, recorded = _poses(cfg)
@@ -226,8 +257,8 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
     if isinstance(objective, Localisation):
         with keyed(rig="camera.rig"):
             scene = carried(scene)
-    with keyed("deployment", count=count):
-        fixed = fixed_of(cfg.deployment, tag.family)
+    with keyed("deployment", count=count, family="tag.family"):
+        fixed = fixed_of(cfg.deployment, tag.own_family)
     with keyed("tag"):
         scene, found = divide_paper(cfg, scene, objective, threads, fixed)
         tag = scene.tag
@@ -240,11 +271,12 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
     # What only shows when the parts meet; the problem would refuse it too, but could not tell whose argument it is.
     with keyed("room.relevance"):
         scene.room.relevance.weights(scene.room.grid())
-    with keyed("deployment", count=count, counts="tag.counts"):
+    with keyed("deployment", count=count, counts="tag.counts", family="tag.family"):
         hung = {} if fixed is None else {"fixed": scene.plates.hung(fixed, start)}
         if isinstance(start, partial):  # a source that depends on what the landmarks are for
             start = start(scene=scene, objective=objective, threads=threads, **hung)
         drawn = scene.plates.draw(start, np.random.default_rng(0), **hung)
+        note(drawn.note)
         ids = drawn.ids
         if total not in (None, len(ids)):
             raise InputError(f"count = {total}, but with the fixed ones there are {len(ids)} landmarks.", "count")
@@ -254,8 +286,7 @@ def build_problem(cfg: DictConfig, count: str = "deployment.count") -> "Problem"
         note_edges(tag, drawn)
     if cfg.deployment.get("free"):
         note_outside(scene.room, tag, drawn)
-    with keyed("objective", rig="camera.rig"):
-        return Problem(scene, objective, start, threads, **hung)
+    return Parts(scene, objective, start, threads, hung.get("fixed"))
 
 
 def _poses(cfg: DictConfig) -> "tuple[Space, OrientationPdf, RecordedPoses | None]":

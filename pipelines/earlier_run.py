@@ -13,6 +13,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from .app import choices, search_path
+from .fixed import PATH
 from .operations.sweeps.names import quoted
 from .trust import Trust, read_yaml
 
@@ -80,8 +81,9 @@ def read_earlier_robot() -> None:
 
 
 def read_earlier_problem() -> None:
-    """As `read_earlier_run`, but of the landmarks take only how many there were."""
-    read_earlier_run("deployment=random")
+    """As `read_earlier_run`, but of the landmarks take only how many there were, unless they come from a file."""
+    from_file = any(argument.startswith(f"{PATH}=") for argument in sys.argv[1:])
+    read_earlier_run(f"deployment={'file' if from_file else 'random'}")
 
 
 def count_of(run: str | Path) -> int:

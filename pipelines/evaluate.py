@@ -12,6 +12,8 @@ from omegaconf import DictConfig
 from .app import choices, run_directory
 from .building import build_problem, instantiate, keyed, settings_of
 from .earlier_run import read_earlier_run
+from .fixed import axes_in
+from .notes import note
 from .pipeline import Pipeline
 
 if TYPE_CHECKING:
@@ -45,11 +47,12 @@ def evaluate(cfg: DictConfig) -> float:
     problem = build_problem(cfg)
     seed = seed_number(cfg.seed)
     deployment = plan = problem.draw(np.random.default_rng(seed))
-    with keyed("deployment", path=MEASURED):
+    with keyed("deployment", path=MEASURED, family="tag.family"):
         if cfg.deployment.measured is not None:
             from lmd.evaluation.survey import read_measured  # slow to load
 
-            deployment = read_measured(cfg.deployment.measured, problem, plan)
+            deployment = read_measured(cfg.deployment.measured, problem, plan, axes_in(cfg.deployment))
+            note(deployment.note)
         error: MountingError = instantiate(settings_of(cfg, MOUNTING))
     history = [Record(1, problem.metrics(deployment)["fitness"], clock() - began)]
     subject = choices()["deployment"]

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 from omegaconf import DictConfig, OmegaConf
 
 from .app import run_directory
-from .building import build_problem, keyed
+from .building import build_parts, keyed, settings_of
 from .earlier_run import read_earlier_run
 from .outputs import write_all
 from .pipeline import Pipeline
+from .tag_sizes import take_sizes
 
 if TYPE_CHECKING:
     from lmd.mapping.formats import Export
@@ -43,31 +44,32 @@ def build_export(cfg: DictConfig, key: str, tag: "Tag") -> "Export":
 
 def export(cfg: DictConfig) -> None:
     """Write the configured deployment in the configured formats, all files or none."""
-    import numpy as np
-
     from lmd.core.checks import InputError
     from lmd.mapping.formats import FORMATS
     from lmd.mapping.sheets import describe_sheets
     from lmd.mapping.tag_map import TagMap
 
-    from .tracked_run import keep, title_of, tracked
+    from .tracked_run import keep, tracked
 
-    problem = build_problem(cfg)
-    scene = problem.scene
+    settings_of(cfg, "deployment")
+    with keyed("deployment"):
+        take_sizes(cfg)
+    parts = build_parts(cfg)
+    scene = parts.scene
     chosen = build_export(cfg, "formats", scene.tag)
     if not chosen.formats:
         raise InputError("formats lists none, so there is nothing to write.")
-    deployment = problem.draw(np.random.default_rng(cfg.seed))
+    deployment = parts.draw(cfg.seed)
     writers = chosen.writers(scene.room, scene.tag, deployment)
     tags = TagMap(scene.room, scene.tag, deployment)
     for name, reason in chosen.unfit(tags).items():
         print(f"note: {FORMATS[name].file} is not written: {reason}", file=sys.stderr)
     for name in chosen.silent(tags):
         print(f"note: {FORMATS[name].file} does not say that tags have {tags.edges_in_words}", file=sys.stderr)
-    with tracked(cfg, "export", title_of(problem, "export")) as tracker:
+    with tracked(cfg, "export", f"export {parts.objective.name} K={len(deployment)}") as tracker:
         files = write_all(run_directory(), writers)
         keep(tracker, files, {})
-    print(f"tags   {problem.count} of {scene.tag.family}, {tags.edges_in_words}")
+    print(f"tags   {len(deployment)} of {scene.tag.family}, {tags.edges_in_words}")
     if "sheets" in chosen.formats:
         print(f"sheets {describe_sheets(tags, chosen.paper)}")
     print(f"files  {run_directory()}: {', '.join(file.name for file in files)}")

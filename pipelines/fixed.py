@@ -2,16 +2,20 @@
 
 import re
 from copy import deepcopy
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from omegaconf import DictConfig, open_dict
+from omegaconf import DictConfig, OmegaConf, open_dict
+
+from .notes import note
 
 if TYPE_CHECKING:
     from lmd.scene.deployment import Deployment
 
 COUNT = "deployment.count="
+PATH = "deployment.path"
 # Keys of the group that say nothing of where landmarks come from.
 NO_SOURCE = ("fixed", "marked", "measured", "mounting_error")
+TABLES = "axes"  # the key for all tables of tags, of which those of a source are one
 MORE = re.compile(r"\+(\d+)")
 
 
@@ -20,16 +24,17 @@ def quoted(override: str) -> str:
     return re.sub(rf"(?<=[=,]){MORE.pattern}(?=,|$)", r"'+\1'", override) if override.startswith(COUNT) else override
 
 
-def fixed_of(node: DictConfig, family: str) -> "Deployment | None":
+def fixed_of(node: DictConfig, family: str | None) -> "Deployment | None":
     """The landmarks that a configured deployment keeps where they are; None for none.
 
     Of a file that holds the others too, as that of a run does, they are those it marks, if `marked` is true.
 
     Args:
         node: the group `deployment`.
+        family: of the tags; None for points.
 
     Raises:
-        InputError: the file cannot be read, or what it holds is no deployment.
+        InputError: the file cannot be read, or what it holds is no deployment of that family.
     """
     import numpy as np
 
@@ -39,9 +44,16 @@ def fixed_of(node: DictConfig, family: str) -> "Deployment | None":
     path = node.get("fixed")  # runs of old have none
     if path is None:
         return None
-    found = read_deployment(path, "fixed", family)
+    found = read_deployment(path, "fixed", family, axes_in(node))
+    note(found.note)
     marks = found.labels.columns.get(COLUMN) if found.labels and node.get("marked") else None
     return found if marks is None else found[np.array(marks) == "1"]
+
+
+def axes_in(node: DictConfig) -> Any:
+    """Where the axes of the frame of a tag point in the tables that a group `deployment` names; None for our own."""
+    axes = node.get(TABLES)  # runs of old have none
+    return OmegaConf.to_container(axes) if OmegaConf.is_config(axes) else axes
 
 
 def total_of(node: DictConfig, fixed: "Deployment | None") -> int | None:
@@ -75,6 +87,8 @@ def others_of(node: DictConfig, fixed: "Deployment | None", total: int | None) -
     with open_dict(source):
         for key in NO_SOURCE:
             source.pop(key, None)
+        if source.get(TABLES) is None or "path" not in source:
+            source.pop(TABLES, None)
     if fixed is not None and total is not None:
         source.count = None if "path" in source else total - len(fixed)
     return source

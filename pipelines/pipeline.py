@@ -16,7 +16,7 @@ from hydra._internal.hydra import Hydra
 from omegaconf import DictConfig
 
 from .app import CONF, GARBAGE, PACKAGE, command_of, ends_reported
-from .fixed import quoted
+from .fixed import PATH, quoted
 from .hyperparameters import HELP, over_defaults
 from .operations.signals import Stopped, stop
 from .operations.sweeps import search  # noqa: F401 # from here on Hydra knows this sweeper
@@ -37,6 +37,17 @@ INSTEAD = {
     "runs": "resume=ID goes on with one of the runs that it lists",
     "sync": "folder=DIR hands in what runs below a folder have kept",
 }
+
+
+def with_file(arguments: list[str], pipeline: str) -> list[str]:
+    """The command line with `deployment=file` before a `deployment.path` that nothing else chooses an option for."""
+    keys = [argument.partition("=")[0].lstrip("+") for argument in arguments]
+    chosen = {"deployment", "deployments", "run"}.intersection(keys)
+    if PATH not in keys or chosen or "- deployment:" not in Path(CONF, f"{pipeline}.yaml").read_text(encoding="utf-8"):
+        return arguments
+    place = keys.index(PATH)
+    plain = [argument.lstrip("+") if key == PATH else argument for key, argument in zip(keys, arguments, strict=True)]
+    return [*plain[:place], "deployment=file", *plain[place:]]
 
 
 def _refuse_run(pipeline: str) -> None:
@@ -129,6 +140,7 @@ class Pipeline:
 
     def __call__(self) -> None:
         """Do what the command line says."""
+        sys.argv[1:] = with_file(sys.argv[1:], self.name)
         for change in self.prepare:
             change()
         gc.set_threshold(GARBAGE)

@@ -15,7 +15,8 @@ from .deployments import any_deployment
 from .documents import write_document
 from .earlier_run import read_earlier_run
 from .export import build_export
-from .fixed import fixed_of
+from .fixed import axes_in, fixed_of
+from .notes import note
 from .outputs import write_all
 from .pipeline import Pipeline
 
@@ -143,9 +144,10 @@ def _known(cfg: DictConfig, tag: "Tag", given: "Camera | Rig") -> "Known":
     node = settings_of(cfg, "deployment")
     if "path" not in node:
         raise InputError("deployment must be a file, deployment.path=plan.csv, or that of a run, run=DIR.")
-    with keyed("deployment"):
-        plan = None if node.path is None else read_deployment(node.path, "path", tag.family)
-        fixed = fixed_of(node, tag.family)
+    with keyed("deployment", family="tag.family"):
+        plan = None if node.path is None else read_deployment(node.path, "path", tag.own_family, axes_in(node))
+        fixed = fixed_of(node, tag.own_family)
+    note("" if plan is None else plan.note)
     with keyed("survey"):
         return Known(plan, hanging, fixed, points, boards, mounts, origin, floor)
 

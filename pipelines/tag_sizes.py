@@ -1,14 +1,40 @@
-"""`deployment.count=[20,10,3]`, `tag.paper`, `tag.budget`: how many tags of each of the sizes `tag.edges` there are."""
+"""`deployment.count=[20,10,3]`, `tag.paper`, `tag.budget`: how many tags of each of the sizes `tag.edges` there are.
+
+And these sizes, where a map has them.
+"""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig, ListConfig, open_dict
 
+from .fixed import axes_in
+
 if TYPE_CHECKING:
     from lmd.objectives.base import Objective
     from lmd.scene.deployment import Deployment
     from lmd.scene.scene import Scene
+
+
+def take_sizes(cfg: DictConfig) -> None:
+    """Take the sizes that the files of all tags say for `tag.edges`, if the user gives none.
+
+    Raises:
+        InputError: a file cannot be read.
+    """
+    import numpy as np
+
+    from lmd.scene.tag_map_files import read_deployment
+
+    node, tag = cfg.deployment, cfg.get("tag")  # runs of old have none
+    if not tag or tag.get("edge") is not None or tag.get("edges") is not None or node.get("path") is None:
+        return
+    files = [(name, node[name]) for name in ("path", "fixed") if node.get(name) is not None]
+    edges = [read_deployment(path, name, axes=axes_in(node)).edges for name, path in files]
+    known = np.concatenate([[np.nan] if own is None else own for own in edges])
+    if np.isfinite(known).all():
+        with open_dict(cfg):
+            cfg.tag.edges = np.unique(known).tolist()
 
 
 def spell_counts(cfg: DictConfig) -> None:

@@ -110,6 +110,9 @@ def read_table(path: Any, *, name: str) -> Table:
         raise InputError(f"{path} has semicolons between its columns: save it with commas, and with points in numbers.")
     if len(header) > MOST_COLUMNS:
         raise InputError(f"{path} has {len(header)} columns, more than {MOST_COLUMNS}; the first line is its header.")
+    if any(_is_number(column) for column in header):
+        first = ",".join(header)[:200]
+        raise InputError(f"{path} has no header: its first line, {first!r}, must name the columns.")
     for i, column in enumerate(header):
         if column in header[:i]:
             raise InputError(f"{path} names the column {column!r} twice; the first line is its header.")

@@ -1,5 +1,6 @@
 """As measured: where tags hang beside where they were planned, and what the difference is worth."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,7 +23,9 @@ RANDOM_VIEWS = 2000  # random poses
 SURVEY_STREAM = 0x737572766579  # keeps the noise apart from every other use of the same seed
 
 
-def read_measured(path: str | Path, problem: Problem, plan: Deployment) -> Deployment:
+def read_measured(
+    path: str | Path, problem: Problem, plan: Deployment, axes: Sequence[str] | None = None
+) -> Deployment:
     """The measured places of the tags of a plan, in its order and with its labels.
 
     They are taken as they are: measured places need not be flush, and papers may seem to overlap. If those of the plan
@@ -31,12 +34,13 @@ def read_measured(path: str | Path, problem: Problem, plan: Deployment) -> Deplo
     Args:
         path: a CSV like those of plans, or a tag map.
         plan: K landmarks.
+        axes: where the axes of the frame of a tag point in a table, see `lmd.scene.placed_tag.axes_of`.
 
     Raises:
         InputError: the file is no deployment, does not have the ids of the plan, or a tag is outside the room and
             belongs to no surface.
     """
-    measured = read_deployment(path, "measured", problem.scene.tag.family)
+    measured = read_deployment(path, "measured", problem.scene.tag.own_family, axes)
     for name, ids in (
         ("lacks the", np.setdiff1d(plan.ids, measured.ids)),
         ("has a", np.setdiff1d(measured.ids, plan.ids)),
@@ -46,7 +50,7 @@ def read_measured(path: str | Path, problem: Problem, plan: Deployment) -> Deplo
             raise InputError(f"measured: {path} {name} landmark {ids[0]} {other} ({len(ids)} in all).", "measured")
     places = np.argsort(measured.ids)[np.searchsorted(np.sort(measured.ids), plan.ids)]
     with said_of(f"measured: {path}", "measured"):
-        measured, scene = measured[places], problem.scene
+        measured, scene = replace(measured[places], note=measured.note), problem.scene
         hung = measured.hung(scene.room, as_they_are(problem.start), scene.plates.papers(measured))
     told, planned = with_gaps(hung.edges, len(plan)), with_gaps(plan.edges, len(plan))
     return replace(hung, labels=plan.labels, edges=np.where(np.isnan(told), planned, told))

@@ -11,13 +11,14 @@ from lmd.mapping.tag_map_writers import write_document
 from lmd.scene.deployment import COLUMNS, UP_COLUMNS
 from lmd.scene.edges import EDGE
 from lmd.scene.labels import ID
+from lmd.scene.landmark_table import FAMILY
 
 CORNER_NAMES = ("top_left", "top_right", "bottom_right", "bottom_left")
 FRAME = "metres; z up; of a tag x is right, y up, z out of it; its quaternion turns this frame to the world"
 
 
 def write_csv(path: Path, tags: TagMap) -> None:
-    """Write `tags.csv`: what `Deployment.to_csv` writes, then the quaternion and the corners."""
+    """Write `tags.csv`: what `Deployment.to_csv` writes, then quaternion, corners and family."""
     deployment = tags.deployment
     placed = np.hstack([deployment.places, deployment.normals, deployment.ups])
     turned = np.hstack([tags.quaternions, tags.corners.reshape(-1, 12)])
@@ -27,6 +28,7 @@ def write_csv(path: Path, tags: TagMap) -> None:
         **dict(zip((*COLUMNS, *UP_COLUMNS), placed.T, strict=True)),
         **({} if deployment.edges is None else {EDGE: tags.sizes}),
         **dict(zip((*QUATERNION, *corners), turned.T, strict=True)),
+        FAMILY: [tags.tag.family] * len(tags.ids),
     }
     labels = {} if deployment.labels is None else deployment.labels.columns
     write_table(path, columns | {name: texts for name, texts in labels.items() if name not in columns})

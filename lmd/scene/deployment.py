@@ -1,13 +1,13 @@
 """Deployments: where the landmarks are."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TextIO
 
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, said_of
-from lmd.core.tables import read_table, write_table
+from lmd.core.tables import Table, read_table, write_table
 from lmd.geometry.squares import upright
 from lmd.scene.edges import EDGE, checked_edges, edge_column, edges_or, joined
 from lmd.scene.labels import ID, Labels
@@ -41,6 +41,7 @@ class Deployment:
             their plane; None where `positions` are the places and all hang upright.
         edges: of the black squares of tags that have a size of their own, `(K,)`, metres, NaN for those that have none;
             None where none has. See `edges_of`.
+        note: how a file was read that may mean something else, a sentence; empty where there is no doubt.
 
     Raises:
         InputError: wrong shapes, no landmark, a value that is not finite, a normal that is not unit, or an edge that is
@@ -53,6 +54,7 @@ class Deployment:
     labels: Labels | None = None
     surveyed: Surveyed | None = None
     edges: FloatArray | None = None
+    note: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
         for name in ("positions", "normals"):
@@ -281,7 +283,12 @@ class Deployment:
         Raises:
             InputError: the file cannot be read, or what it holds is no deployment, or an up is not in its tag's plane.
         """
-        table = read_table(path, name=name)
+        return cls.from_table(read_table(path, name=name))
+
+    @classmethod
+    def from_table(cls, table: Table) -> "Deployment":
+        """The same of a table that was read."""
+        path = table.path
         columns = COLUMNS + UP_COLUMNS if any(name in table for name in UP_COLUMNS) else COLUMNS
         rows, labels = table.numbers(columns, None), Labels.of(table, (*columns, EDGE))
         edges = edge_column(table)

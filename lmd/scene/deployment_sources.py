@@ -8,6 +8,7 @@ import numpy as np
 from lmd.core.checks import FloatArray, InputError, IntArray, boolean, choice, integer, said_of
 from lmd.core.memory import check_memory
 from lmd.scene.deployment import Deployment
+from lmd.scene.placed_tag import axes_of
 from lmd.scene.tag import Tag
 from lmd.scene.tag_map_files import read_deployment
 from lmd.space.space import Space
@@ -106,23 +107,30 @@ class FileDeployment:
         count: K; if given, the file must have that many rows.
         free: whether landmarks are taken as they are: they may stand free in the room or outside, face into the surface
             they hang on or hang where none may, and papers may overlap.
-        family: of the tags, which some maps need to say what is up.
+        family: of the tags, in place of that of the tag that hangs there.
+        axes: where x, y and z of the frame of a tag point in a table, see `lmd.scene.placed_tag.axes_of`.
+
+    Raises:
+        InputError: `free` is neither true nor false, or the axes are no frame.
     """
 
     path: str | None
     count: int | None = None
     free: bool = False
     family: str | None = None
+    axes: tuple[str, ...] | None = None
     varies = False
 
     def __post_init__(self) -> None:
         boolean("free", self.free)
+        axes_of(self.axes)
 
     def draw(self, room: Space, rng: np.random.Generator, tag: Tag = POINT) -> Deployment:
         """See `DeploymentSource.draw`."""
         if self.path is None:
             raise InputError("path is missing: a CSV of landmarks or a tag map is needed.", "path")
-        deployment = read_deployment(self.path, family=self.family)
+        family = None if tag.is_point else self.family or tag.family
+        deployment = read_deployment(self.path, family=family, axes=self.axes)
         if self.count is not None and self.count != len(deployment):
             raise InputError(f"count = {self.count}, but {self.path} has {len(deployment)} landmarks.", "count")
         with said_of(self.path):

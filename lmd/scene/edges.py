@@ -6,6 +6,7 @@ from lmd.core.checks import FloatArray, InputError, IntArray
 from lmd.core.tables import Table
 from lmd.scene.tag import Tag
 
+LARGEST_EDGE = 10.0  # metres, of a file: what is beyond is in millimetres
 EDGE = "edge"  # the column with the edge of each tag, metres; empty where the scene's tag says it
 
 
@@ -52,11 +53,15 @@ def edge_column(table: Table) -> FloatArray | None:
     """The edges that a file says, `(K,)`, NaN where it leaves one out; None where it has no such column.
 
     Raises:
-        InputError: one is no number.
+        InputError: one is no number, or looks like millimetres.
     """
     if EDGE not in table:
         return None
     try:
-        return np.array([float(text or "nan") for text in table.texts[EDGE]])
+        edges = np.array([float(text or "nan") for text in table.texts[EDGE]])
     except ValueError as error:
         raise InputError(f"{table.path}: {EDGE} must be positive metres: {error}.") from None
+    if (wrong := np.flatnonzero((edges > LARGEST_EDGE) & np.isfinite(edges))).size:
+        place = f"{table.path} line {table.lines[wrong[0]]}"
+        raise InputError(f"{place}: {EDGE} = {edges[wrong[0]]:g} looks like millimetres; edges are in metres.")
+    return edges

@@ -102,7 +102,7 @@ def _chain(keys: Keys) -> dict[str, Callable[[], FloatArray]] | None:
 def _read(name: str, path: Any, pose: Callable[[], FloatArray]) -> FloatArray:
     try:
         return pose()
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         reason = " ".join(str(error).split())
         raise InputError(f"{name}: {path}: the pose of the camera cannot be read ({reason}).", name) from None
 
@@ -110,6 +110,8 @@ def _read(name: str, path: Any, pose: Callable[[], FloatArray]) -> FloatArray:
 def _matrix(values: Any) -> FloatArray:
     matrix = np.array(values, dtype=np.float64).reshape(4, 4)
     turn = matrix[:3, :3]
+    if are_rotations(turn) and np.any(matrix[3, :3]) and not np.any(matrix[:3, 3]):
+        raise ValueError("its matrix looks as if it was written column by column, and must be written row by row")
     if not (are_rotations(turn) and np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0])):
         raise ValueError("its matrix is no rigid motion")
     return pose_of(nearest_rotations(turn), matrix[:3, 3])

@@ -43,4 +43,5 @@ def beside(fixed: Deployment, others: Deployment) -> Deployment:
     assert others.labels is not None, "they were given some"
     labels = (fixed.labels or Labels(fixed.ids)) + others.labels
     marks = ["1"] * len(fixed) + ["0"] * len(others)
-    return replace(fixed + others, labels=replace(labels, columns={**labels.columns, COLUMN: marks}))
+    labels = replace(labels, columns={**labels.columns, COLUMN: marks})
+    return replace(fixed + others, labels=labels, note=others.note)

@@ -148,6 +148,11 @@ class Tag:
         """Whether the landmarks have no size."""
         return self.edge is None
 
+    @property
+    def own_family(self) -> str | None:
+        """The family of the tags; None of landmarks that are points."""
+        return None if self.is_point else self.family
+
     def check_edge(self) -> None:
         """Raise `InputError` if the tag is a point."""
         if self.is_point:

@@ -1,96 +1,159 @@
 """Tag maps of several ecosystems, read as deployments; `lmd.mapping` writes them.
 
-Which format a file has follows from its content. `lmd.scene.tag_map_readers` has those in YAML and JSON; here are the
-texts.
+Which format a file has follows from its content: `lmd.scene.tag_map_readers` has those in YAML and JSON,
+`lmd.scene.tag_map_texts` the texts, `lmd.scene.landmark_table` the table for all others. `lmd.scene.tag_map_others`
+names formats that are not read.
 
-Sources: `convert_apriltag_layouts.py` of WPILib; `ArucoMap::addMarker` of CopterExpress/clover; `Map::saveMap` of
-UbiquityRobotics/fiducials; `Marker/Priors` of RTAB-Map.
+Source: `convert_apriltag_layouts.py` of WPILib.
 """
 
 import re
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import InputError, real
+from lmd.core.checks import FloatArray, InputError
 from lmd.core.files import parse_keys, read_text
-from lmd.core.tables import COMMENT, read_table
+from lmd.core.tables import COMMENT, Table, read_table
 from lmd.geometry.frames import roll_pitch_yaw
 from lmd.scene.deployment import Deployment
+from lmd.scene.families import check_family, one_family
 from lmd.scene.labels import Labels
+from lmd.scene.landmark_table import families_of, is_by_normals, named_columns, turned_deployment
+from lmd.scene.placed_tag import PlacedTag, number_of
 from lmd.scene.tag import FAMILIES
-from lmd.scene.tag_map_readers import HALF_TURN, OUT_RIGHT_UP, READERS, PlacedTag, number_of
+from lmd.scene.tag_map_others import why_keys_not_read, why_not_read
+from lmd.scene.tag_map_readers import HALF_TURN, OUT_RIGHT_UP, READERS, parameters_of
+from lmd.scene.tag_map_texts import PRIORS, read_lines, read_priors
 
 LARGEST_MAP = 1 << 22  # characters of YAML or JSON; a tag has some hundred
 INCH = 0.0254  # metres
-FIDUCIAL_SLAM_VALUES = 9  # at least, in a line; Clover has at most 8
 EDGE_DIGITS = 12  # the rest is rounding: of millimetres as metres, or of the sides of a square
 IS_JSON = re.compile(r"(\s|//[^\n]*\n|/\*.*?\*/)*{", re.DOTALL)  # comments may come first
+IS_YAML = re.compile(r"%YAML|---|\s*['\"]?[\w/*]+['\"]?\s*:")
+IS_NUMBER = re.compile(r"\s*[-+.\d]")
+# The headers of WPILib's drawings; the same columns under other names may be in any unit.
+WPILIB_HEADERS = tuple(
+    f"ID,X,Y,Z,{rotations}" for rotations in ("Rotation", "Z-Rotation,X-Rotation", "Z-Rotation,Y-Rotation")
+)
 
 
-def read_deployment(path: Any, name: str = "path", family: str | None = None) -> Deployment:
-    """The tags of a map, or the landmarks of a CSV, see `Deployment.from_csv`.
+class Found(NamedTuple):
+    """What a file holds.
+
+    Args:
+        tags: of a map of others.
+        deployment: of a table, in place of these.
+        families: of the tags, as they are called here, where the file says them.
+        by_opencv: whether those who read such files detect by OpenCV.
+        note: what was taken for granted, a sentence; empty for nothing.
+    """
+
+    tags: list[PlacedTag]
+    deployment: Deployment | None = None
+    families: Sequence[str | None] = ()
+    by_opencv: bool = False
+    note: str = ""
+
+
+def read_deployment(
+    path: Any, name: str = "path", family: str | None = None, axes: Sequence[str] | None = None
+) -> Deployment:
+    """The tags of a map, or the landmarks of a table, see `lmd.scene.landmark_table`.
 
     Maps that say how large each tag is give `Deployment.edges`.
 
     Args:
         name: the argument the path came from, for messages.
-        family: of the tags, for maps of those who detect by OpenCV.
+        family: of the tags, which a file must not contradict, and by which OpenCV has another up; None for points.
+        axes: where the axes of the frame of a tag point in a table, see `lmd.scene.placed_tag.axes_of`.
 
     Raises:
-        InputError: the file cannot be read, or is no map with the places of tags.
+        InputError: the file cannot be read, is no map with the places of tags, or one of another family.
     """
     text = read_text(path, name)
     try:
-        tags, by_opencv = _tags_of(path, text, name)
-        if tags is None:
-            return Deployment.from_csv(path, name)
-        if not tags:
+        found = _found(path, text, name, axes)
+        check_family(path, one_family(found.families), family)
+        if found.deployment is not None:
+            return found.deployment
+        if not found.tags:
             raise InputError("it has no tags with places.")
-        if by_opencv and family is not None and FAMILIES[family].apriltag:
-            tags = [tag._replace(axes=tag.axes @ HALF_TURN) for tag in tags]
-        return _deployment(path, tags)
+        turned = found.by_opencv and family is not None and FAMILIES[family].apriltag
+        tags = [tag._replace(axes=tag.axes @ HALF_TURN) for tag in found.tags] if turned else found.tags
+        return _deployment(path, tags, found.note)
     except InputError as error:
-        known = error.argument == name or str(path) in str(error)
+        known = error.argument in (name, "axes") or str(path) in str(error)
         raise error if known else InputError(f"{path}: {error}") from None
-    except (KeyError, IndexError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: the key or value {error} is missing or wrong.") from None
-    except AttributeError:
-        raise InputError(f"{path}: a mapping was expected where there is none.") from None
+    except KeyError as error:
+        raise InputError(f"{path}: the key {error} is missing.") from None
+    except (IndexError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
+        raise InputError(f"{path}: a value in it is of another kind than a tag map has there ({error}).") from None
 
 
-def _deployment(path: str | Path, tags: Sequence[PlacedTag]) -> Deployment:
+def _deployment(path: Any, tags: Sequence[PlacedTag], note: str) -> Deployment:
     edges = np.array([np.nan if tag.edge is None else float(f"{tag.edge:.{EDGE_DIGITS}g}") for tag in tags])
     labels = Labels(np.array([tag.number for tag in tags]))
     axes = np.array([tag.axes for tag in tags])
-    deployment = Deployment(np.array([tag.position for tag in tags]), axes[:, :, 2], labels=labels, edges=edges)
+    positions: FloatArray = np.array([tag.position for tag in tags])
+    deployment = Deployment(positions, axes[:, :, 2], labels=labels, edges=edges, note=note)
     return deployment.turned(path, axes[:, :, 1])
 
 
-def _tags_of(path: Any, text: str, name: str) -> tuple[list[PlacedTag] | None, bool]:
-    """The tags of a map, and whether those who read it detect by OpenCV; None for a CSV of landmarks."""
+def _found(path: Any, text: str, name: str, axes: Sequence[str] | None) -> Found:
     lines = [line for line in text.splitlines() if line.strip() and line.lstrip()[0] != COMMENT]
     first = lines[0] if lines else ""
-    if IS_JSON.match(text) or re.match(r"%YAML|---|\s*['\"]?[\w/*]+['\"]?\s*:", first):
-        if len(text) > LARGEST_MAP:
-            raise InputError(f"a map has at most {LARGEST_MAP} characters, it has {len(text)}.")
-        keys = parse_keys(path, text, name)
-        for reader in READERS:
-            if reader.marks <= keys.keys():
-                return list(reader.read(keys)), reader.by_opencv
-        known = ", ".join(dict.fromkeys(reader.format for reader in READERS))
-        raise InputError(f"it is no tag map that is known here ({known}, and texts): it has {', '.join(keys)[:200]}.")
-    if "|" in text or (len(lines) == 1 and len(first.split()) == 7 and "," not in first):
-        return _rtabmap(text), True
-    if re.match(r"\s*\d+\s+[-+.\d]", first):
-        read = _clover if len(_values(first)) < FIDUCIAL_SLAM_VALUES else _fiducial_slam
-        return [read(line) for line in lines], True
-    header = [column.strip().lower() for column in first.split(",")]
-    if header[:4] == ["id", "x", "y", "z"] and "rotation" in "".join(header[4:]):
-        return _wpilib_csv(path, name), False
-    return None, False
+    if PRIORS.search(text) is not None or "|" in first:
+        read = read_priors(text)
+        return Found(read.tags, None, [tag.family for tag in read.tags], read.by_opencv)
+    if (reason := why_not_read(first)) is not None:
+        raise InputError(reason)
+    if IS_JSON.match(text) or IS_YAML.match(first):
+        return _by_keys(path, text, name)
+    if IS_NUMBER.match(first):
+        lines_read = read_lines(path, text)
+        if lines_read.table is None:
+            return Found(lines_read.tags, by_opencv=lines_read.by_opencv, note=lines_read.note)
+        return _by_table(lines_read.table, axes)
+    if ",".join(part.strip() for part in first.split(",")) in WPILIB_HEADERS:
+        return Found(_wpilib_csv(path, name))
+    return _by_table(_table(path, lines, name), axes)
+
+
+def _by_keys(path: Any, text: str, name: str) -> Found:
+    if len(text) > LARGEST_MAP:
+        raise InputError(f"a map has at most {LARGEST_MAP} characters, it has {len(text)}.")
+    keys = parameters_of(parse_keys(path, text, name))
+    for reader in READERS:
+        if reader.marks <= keys.keys():
+            tags = list(reader.read(keys))
+            return Found(tags, None, [tag.family for tag in tags], reader.by_opencv)
+    raise InputError(why_keys_not_read(keys, ", ".join(dict.fromkeys(reader.format for reader in READERS))))
+
+
+def _table(path: Any, lines: Sequence[str], name: str) -> Table:
+    """A table with its header, whose columns may be apart by commas or by spaces."""
+    header = lines[0].split() if lines else []
+    if not header or len(header) == 1 or "," in lines[0]:
+        return read_table(path, name=name)
+    rows = [line.split(COMMENT)[0].split() for line in lines[1:]]
+    for row in rows:
+        if len(row) != len(header):
+            raise InputError(f"the line {' '.join(row)[:200]!r} has {len(row)} values, the header {len(header)}.")
+    if len(set(header)) < len(header):
+        raise InputError("its header names a column twice.")
+    return Table(
+        str(path), range(2, len(lines) + 1), {column: [row[j] for row in rows] for j, column in enumerate(header)}
+    )
+
+
+def _by_table(table: Table, axes: Sequence[str] | None) -> Found:
+    if is_by_normals(table):
+        return Found([], Deployment.from_table(table), families_of(table))
+    columns = list(table.texts)
+    renamed = Table(table.path, table.lines, dict(zip(named_columns(columns), table.texts.values(), strict=True)))
+    return Found([], turned_deployment(renamed, axes), families_of(renamed))
 
 
 def _wpilib_csv(path: Any, name: str) -> list[PlacedTag]:
@@ -101,40 +164,4 @@ def _wpilib_csv(path: Any, name: str) -> list[PlacedTag]:
     for number, x, y, z, yaw, pitch in np.pad(rows, ((0, 0), (0, 6 - rows.shape[1]))).tolist():
         turn = roll_pitch_yaw(np.radians([0.0, pitch, yaw]))
         found.append(PlacedTag(number_of(number), INCH * np.array([x, y, z]), turn @ OUT_RIGHT_UP.T))
-    return found
-
-
-def _values(line: str) -> list[str]:
-    """Before a comment."""
-    return line.split(COMMENT)[0].split()
-
-
-def _fiducial_slam(line: str) -> PlacedTag:
-    """`id x y z roll pitch yaw variance observations`, degrees, and the tags that were seen with it."""
-    number, *values = _values(line)
-    if len(values) < FIDUCIAL_SLAM_VALUES - 1 or not values[7].isdecimal():
-        raise InputError(f"{line.strip()!r} must be: id x y z roll pitch yaw variance observations, as the first line.")
-    pose = np.array([float(value) for value in values[:6]])
-    return PlacedTag(number_of(int(number)), pose[:3], roll_pitch_yaw(np.radians(pose[3:])))
-
-
-def _clover(line: str) -> PlacedTag:
-    """`id length x y z yaw pitch roll`, of which what follows y may be missing."""
-    number, edge, *values = _values(line)
-    if not 2 <= len(values) <= 6:
-        raise InputError(f"{line.strip()!r} must be: id length x y z yaw pitch roll.")
-    x, y, z, yaw, pitch, roll = np.pad([float(value) for value in values], (0, 6 - len(values)))
-    turn = roll_pitch_yaw([roll, pitch, yaw])
-    return PlacedTag(number_of(int(number)), np.array([x, y, z]), turn, real("length", float(edge), above=0.0))
-
-
-def _rtabmap(text: str) -> list[PlacedTag]:
-    """`id x y z roll pitch yaw`, tags with a `|` between them."""
-    found = []
-    for entry in filter(None, (part.strip(" \t\r\n\"'") for part in text.split("|"))):
-        number, *values = entry.split()
-        if len(values) != 6:
-            raise InputError(f"{entry!r} must be: id x y z roll pitch yaw.")
-        place = np.array([float(value) for value in values])
-        found.append(PlacedTag(number_of(int(number)), place[:3], roll_pitch_yaw(place[3:])))
     return found

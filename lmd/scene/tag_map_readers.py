@@ -1,215 +1,242 @@
 """The keys of tag maps in YAML and JSON, as several ecosystems write them.
 
-Every reader gives the poses of tags in one frame: x to the right of the tag, y up, z out of it to whoever looks at it.
-A format is the same with axes named otherwise, or counted from another origin.
+A format is that of `lmd.scene.placed_tag` with axes named otherwise, or counted from another origin.
 
 Sources: `AprilTagFieldLayout` of WPILib; `TagDetector` of AprilRobotics/apriltag_ros; `Board::parse` and
 `example/tagslam.yaml` of TagSLAM; `Marker::corners_f_map` of ptrmu/fiducial_vlam; `MarkerMap` of ArUco 3;
 `SE2Transform` of duckietown-world; `target_map.fbs` of frc971; "AprilTag Map Specification" of Limelight.
 """
 
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, integer, real, vector
+from lmd.core.checks import FloatArray, InputError, integer, radians, real, vector
 from lmd.geometry.frames import roll_pitch_yaw
-from lmd.geometry.se3 import QUATERNION_TOLERANCE, are_rotations, exp, nearest_rotations
+from lmd.geometry.se3 import exp
 from lmd.scene.edges import EDGE
+from lmd.scene.families import family_named
+from lmd.scene.placed_tag import (
+    MM,
+    Keys,
+    PlacedTag,
+    axes_of,
+    edge_of,
+    mapping,
+    mappings,
+    number_of,
+    numbers,
+    transform_of,
+    turn_by_angles,
+    turn_by_quaternion,
+)
 
-Keys = Mapping[str, Any]
-MM = 1e-3  # metres
 SQUARE_TOLERANCE = 0.05  # of the sides of a measured square, relative to the longest
 METRES = 1  # aruco_bc_mInfoType of a map in metres
+PIXELS = 0  # the same of a board in pixels
+MOST_ROWS = 200  # of a board of TagSLAM, and columns
+PLACE, QUATERNION = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
+NODE = "ros__parameters"  # begins the parameters of a node of ROS 2
+NODE_DEPTH = 4  # of namespaces above it
 # The columns are a format's axes in the frame of a tag: x right, y up, z out.
-OUT_RIGHT_UP = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # WPILib: x out, y to the right, z up
-INTO = np.diag([1.0, -1.0, -1.0])  # frc971, as AprilTag 3: x right, y down, z into the tag
+OUT_RIGHT_UP = axes_of(("out", "right", "up"))  # WPILib
+INTO = axes_of(("right", "down", "into"))  # frc971, as AprilTag 3
 FACING_BACK = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # the axes of frc971 if it looks along -y
 # OpenCV has the pictures of AprilTag turned by half a turn: whoever detects with it means another up.
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 
 
-class PlacedTag(NamedTuple):
-    """A tag of a map.
-
-    Args:
-        number: its id.
-        position: of its centre, `(3,)`, metres.
-        axes: from its frame (x right, y up, z out) to that of the map, `(3, 3)`.
-        edge: of the black square, metres; None where the map does not say.
-    """
-
-    number: int
-    position: FloatArray
-    axes: FloatArray
-    edge: float | None = None
-
-
-def _numbers(keys: Keys, names: Iterable[str]) -> FloatArray:
-    return np.array([real(name, keys[name]) for name in names])
-
-
-def number_of(value: Any) -> int:
-    """The id of a tag; raises `InputError` if it is none."""
-    return integer("id", value, low=0)
-
-
-def _turn(x: float, y: float, z: float, w: float) -> FloatArray:
-    """The matrix of a unit quaternion.
+def parameters_of(keys: Keys) -> Keys:
+    """The parameters of the node in a file of ROS 2; the keys themselves of any other file.
 
     Raises:
-        InputError: its length is not 1.
+        InputError: they are those of several nodes.
     """
-    from scipy.spatial.transform import Rotation  # slow to load
+    nodes = list(_nodes(keys, NODE_DEPTH))
+    if len(nodes) > 1:
+        raise InputError(f"it has {NODE} of {len(nodes)} nodes: leave those with the tags in the file.")
+    return {str(key): value for key, value in nodes[0].items()} if nodes else keys
 
-    length = float(np.linalg.norm([x, y, z, w]))
-    if abs(length - 1.0) > QUATERNION_TOLERANCE:
-        raise InputError(
-            f"the quaternion x, y, z, w = {x:g}, {y:g}, {z:g}, {w:g} must have length 1, it has {length:g}."
-        )
-    return np.asarray(Rotation.from_quat([x, y, z, w]).as_matrix())
+
+def _nodes(keys: Keys, depth: int) -> Iterable[Keys]:
+    for key, value in keys.items():
+        if key == NODE:
+            yield mapping(NODE, value)
+        elif depth and isinstance(value, dict):
+            yield from _nodes(value, depth - 1)
 
 
 def _wpilib(keys: Keys) -> Iterable[PlacedTag]:
-    for tag in keys["tags"] if "tags" in keys else keys["field-tags"]:  # which it is from 2027 on
-        pose = tag["pose"]
-        turn = _turn(*_numbers(pose["rotation"]["quaternion"], "XYZW"))
-        yield PlacedTag(number_of(tag["ID"]), _numbers(pose["translation"], "xyz"), turn @ OUT_RIGHT_UP.T)
+    name = "tags" if "tags" in keys else "field-tags"  # which it is from 2027 on
+    for tag in mappings(name, keys[name]):
+        pose = mapping("pose", tag["pose"])
+        turn = turn_by_quaternion(*numbers(_within(pose, "rotation", "quaternion"), "XYZW"))
+        place = numbers(_within(pose, "translation"), "xyz")
+        yield PlacedTag(number_of(tag["ID"]), place, turn @ OUT_RIGHT_UP.T)
+
+
+def _within(keys: Keys, *path: str) -> Keys:
+    """The mapping below some keys."""
+    for key in path:
+        keys = mapping(key, keys[key])
+    return keys
 
 
 def _own_json(keys: Keys) -> Iterable[PlacedTag]:
-    for tag in keys["tags"]:
-        turn = _turn(*_numbers(tag["quaternion"], "xyzw"))
+    family = family_named(keys["family"])
+    for tag in mappings("tags", keys["tags"]):
+        turn = turn_by_quaternion(*numbers(_within(tag, "quaternion"), "xyzw"))
         edge = real(EDGE, tag.get(EDGE, keys[EDGE]), above=0.0)
-        yield PlacedTag(number_of(tag["id"]), np.array(vector("position", tag["position"], 3)), turn, edge)
+        place = np.array(vector("position", tag["position"], 3))
+        yield PlacedTag(number_of(tag["id"]), place, turn, edge, family)
 
 
 def _limelight(keys: Keys) -> Iterable[PlacedTag]:
     """From the middle of the field, as the file counts; from its corner where the file says how large the field is."""
     middle = np.array([real(name, keys.get(name, 0.0)) / 2.0 for name in ("fieldlength", "fieldwidth")])
-    for tag in keys["fiducials"]:
-        pose = np.array(vector("transform", tag["transform"], 16)).reshape(4, 4)
-        axes = _orthonormal(pose[:3, :3])
-        edge = MM * real("size", tag["size"], above=0.0) if "size" in tag else None
-        yield PlacedTag(number_of(tag["id"]), pose[:3, 3] + [*middle, 0.0], axes @ OUT_RIGHT_UP.T, edge)
-
-
-def _orthonormal(matrix: FloatArray) -> FloatArray:
-    """The rotation nearest to a matrix printed with a few decimals.
-
-    Raises:
-        InputError: it is none.
-    """
-    if not are_rotations(matrix):
-        raise InputError(f"the rotation {np.round(matrix, 4).tolist()} must be orthonormal and right-handed.")
-    return nearest_rotations(matrix)
+    for tag in mappings("fiducials", keys["fiducials"]):
+        number = number_of(tag["id"])
+        place, axes = transform_of(number, tag["transform"])
+        edge = edge_of("size", tag["size"], MM) if "size" in tag else None
+        family = family_named(tag["family"]) if "family" in tag else None
+        yield PlacedTag(number, place + np.array([*middle, 0.0]), axes @ OUT_RIGHT_UP.T, edge, family)
 
 
 def _frc971(keys: Keys) -> Iterable[PlacedTag]:
     """By a quaternion, or by degrees about the turning axes of a tag that looks along -y, as in 2025."""
     from scipy.spatial.transform import Rotation  # slow to load
 
-    for tag in keys["target_poses"]:
-        if "w" in (turned := tag["orientation"]):
-            turn = _turn(*_numbers(turned, "xyzw"))
+    for tag in mappings("target_poses", keys["target_poses"]):
+        if "w" in (turned := _within(tag, "orientation")):
+            turn = turn_by_quaternion(*numbers(turned, "xyzw"))
         else:
-            turn = FACING_BACK @ Rotation.from_euler("XYZ", _numbers(turned, "xyz"), degrees=True).as_matrix()
-        yield PlacedTag(number_of(tag["id"]), _numbers(tag["position"], "xyz"), turn @ INTO)
+            turn = FACING_BACK @ Rotation.from_euler("XYZ", numbers(turned, "xyz"), degrees=True).as_matrix()
+        yield PlacedTag(number_of(tag["id"]), numbers(_within(tag, "position"), "xyz"), turn @ INTO)
 
 
 def _apriltag_ros(keys: Keys) -> Iterable[PlacedTag]:
-    bundles = [bundle for bundle in keys.get("tag_bundles") or () if bundle.get("layout")]
-    if not bundles:
-        raise InputError("its tags are standalone_tags, which have no places; a map is a bundle of tag_bundles.")
+    """Tags of the bundle, whose frame is the world; or standalone tags, where they are given places in the world."""
+    listed = keys.get("tag_bundles") or ()
+    if isinstance(listed, dict):
+        raise InputError(
+            "its tag_bundles are those of a port to ROS 2, whose transform has four numbers for a quaternion in an "
+            "order that the file does not say: write them as ROS 1 has them, [{name: ..., layout: [{id, size, x, y, z, "
+            "qx, qy, qz, qw}, ...]}]."
+        )
+    bundles = [bundle for bundle in mappings("tag_bundles", listed) if bundle.get("layout")]
+    alone = mappings("standalone_tags", keys.get("standalone_tags") or ())
+    placed = [tag for tag in alone if not tag.keys().isdisjoint(PLACE)]
+    if not bundles and not placed:
+        raise InputError(
+            "its tags are standalone_tags without places: they need x, y, z, qx, qy, qz, qw, or a bundle of "
+            "tag_bundles with these."
+        )
+    if bundles and placed:
+        raise InputError("it has places in standalone_tags and in tag_bundles: leave one of the two in the file.")
     if len(bundles) > 1:
-        names = ", ".join(str(bundle.get("name", "without a name")) for bundle in bundles)
+        names = ", ".join(str(bundle.get("name", "without a name"))[:80] for bundle in bundles)
         raise InputError(f"it has the bundles {names}, each in a frame of its own: leave one of them in the file.")
-    # What TagDetector takes for keys that are not there.
-    defaults = {"x": 0.0, "y": 0.0, "z": 0.0, "qx": 0.0, "qy": 0.0, "qz": 0.0, "qw": 1.0}
-    for tag in bundles[0]["layout"]:
-        values = _numbers({**defaults, **tag}, defaults)
-        yield PlacedTag(number_of(tag["id"]), values[:3], _turn(*values[3:]), real("size", tag["size"], above=0.0))
+    # What TagDetector takes for keys of a layout that are not there.
+    defaults = {**dict.fromkeys((*PLACE, *QUATERNION), 0.0), "qw": 1.0} if bundles else {}
+    for tag in mappings("layout", bundles[0]["layout"]) if bundles else alone:
+        values = numbers({**defaults, **tag}, (*PLACE, *QUATERNION))
+        yield PlacedTag(number_of(tag["id"]), values[:3], turn_by_quaternion(*values[3:]), edge_of("size", tag["size"]))
 
 
 def _tagslam(keys: Keys) -> Iterable[PlacedTag]:
     """Tags of the static bodies; the others are what TagSLAM looks for."""
-    bodies = [body for entry in keys["bodies"] for body in entry.values()]
-    if not any(body.get("is_static") for body in bodies if body.get("tags") or body.get("board")):
+    named = [
+        (name, mapping(str(name), body)) for entry in mappings("bodies", keys["bodies"]) for name, body in entry.items()
+    ]
+    if not any(body.get("is_static") for _, body in named if body.get("tags") or body.get("board")):
         raise InputError("no body with tags is static: a map is of tags on bodies with is_static: true and a pose.")
-    for entry in keys["bodies"]:
-        for name, body in entry.items():
-            own = list(_on_body(body)) if body.get("is_static") else []
-            if own and not body.get("pose"):
-                raise InputError(f"the body {name!r} has no pose: give it one, such as that which TagSLAM found.")
-            if own:
-                position, turn = _tagslam_pose(body["pose"])
-                for tag in own:
-                    yield tag._replace(position=turn @ tag.position + position, axes=turn @ tag.axes)
+    for name, body in named:
+        own = list(_on_body(body)) if body.get("is_static") else []
+        if own and not body.get("pose"):
+            raise InputError(f"the body {name!r} has no pose: give it one, such as that which TagSLAM found.")
+        if own:
+            position, turn = _tagslam_pose(mapping("pose", body["pose"]))
+            for tag in own:
+                yield tag._replace(position=turn @ tag.position + position, axes=turn @ tag.axes)
 
 
 def _on_body(body: Keys) -> Iterable[PlacedTag]:
     """The tags of a body in its frame: listed, or those of a board in rows from its corner on."""
-    for tag in body.get("tags") or ():
-        position, turn = _tagslam_pose(tag.get("pose") or {})
-        size = real("size", tag.get("size", body.get("default_tag_size")), above=0.0)
+    for tag in mappings("tags", body.get("tags") or ()):
+        position, turn = _tagslam_pose(mapping("pose", tag.get("pose") or {}))
+        size = edge_of("size", tag.get("size", body.get("default_tag_size")))
         yield PlacedTag(number_of(tag["id"]), position, turn, size)
-    if board := body.get("board"):
-        size = real("tag_size", board["tag_size"], above=0.0)
+    if body.get("board"):
+        board = mapping("board", body["board"])
+        size = edge_of("tag_size", board["tag_size"])
         pitch = size * (1.0 + real("tag_spacing", board["tag_spacing"]))
-        rows, columns = (integer(name, board[name], low=1, high=1000) for name in ("tag_rows", "tag_columns"))
+        rows, columns = (integer(name, board[name], low=1, high=MOST_ROWS) for name in ("tag_rows", "tag_columns"))
         for k in range(rows * columns):
             centre = pitch * np.array([k % columns, k // columns, 0.0])
             yield PlacedTag(number_of(board["tag_start_id"]) + k, centre, np.eye(3), size)
 
 
 def _tagslam_pose(pose: Keys) -> tuple[FloatArray, FloatArray]:
-    """Position and rotation; what is not there is zero."""
+    """Position and rotation, as its axis times its angle; what is not there is zero."""
     position, rotation = (
-        _numbers(pose.get(key) or dict.fromkeys("xyz", 0.0), "xyz") for key in ("position", "rotation")
+        numbers(mapping(key, pose.get(key) or dict.fromkeys("xyz", 0.0)), "xyz") for key in ("position", "rotation")
     )
+    radians("pose", rotation=rotation)
     return position, exp(np.concatenate([rotation, np.zeros(3)]))[:3, :3]
 
 
 def _fiducial_vlam(keys: Keys) -> Iterable[PlacedTag]:
-    edge = real("marker_length", keys["marker_length"], above=0.0)
-    for tag in keys["markers"]:
+    edge = edge_of("marker_length", keys["marker_length"])
+    for tag in mappings("markers", keys["markers"]):
+        number = number_of(tag["id"])
         if "q" in tag:  # of older files
-            position, turn = tag["t"], _turn(*vector("q", tag["q"], 4))
+            position, turn = tag["t"], turn_by_quaternion(*vector("q", tag["q"], 4))
         else:
-            position, turn = tag["xyz"], roll_pitch_yaw(vector("rpy", tag["rpy"], 3))
-        yield PlacedTag(number_of(tag["id"]), np.array(vector("xyz", position, 3)), turn, edge)
+            position, turn = tag["xyz"], turn_by_angles(number, *vector("rpy", tag["rpy"], 3))
+        yield PlacedTag(number, np.array(vector("xyz", position, 3)), turn, edge)
 
 
 def _aruco(keys: Keys) -> Iterable[PlacedTag]:
-    if keys.get("aruco_bc_mInfoType", METRES) != METRES:
-        raise InputError(f"aruco_bc_mInfoType must be {METRES}, metres, got {keys['aruco_bc_mInfoType']!r}.")
-    for tag in keys["aruco_bc_markers"]:
+    kind = keys.get("aruco_bc_mInfoType", METRES)
+    if kind != METRES:
+        board = "; a board in pixels has no places in a room" if kind == PIXELS else ""
+        raise InputError(f"aruco_bc_mInfoType must be {METRES}, metres, got {str(kind)[:80]}{board}.")
+    family = family_named(keys["aruco_bc_dict"]) if "aruco_bc_dict" in keys else None
+    for tag in mappings("aruco_bc_markers", keys["aruco_bc_markers"]):
+        number = number_of(tag["id"])
         corners = np.array([vector("corners", corner, 3) for corner in tag["corners"]])
         if corners.shape != (4, 3):
-            raise InputError(f"the marker {tag['id']} must have four corners, it has {len(corners)}.")
+            raise InputError(f"the marker {number} must have four corners, it has {len(corners)}.")
         sides = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1)
         if np.ptp(sides) > SQUARE_TOLERANCE * sides.max():
-            raise InputError(f"the marker {tag['id']} must be a square, its sides are {np.round(sides, 6).tolist()} m.")
+            raise InputError(f"the marker {number} must be a square, its sides are {np.round(sides, 6).tolist()} m.")
+        edge = edge_of("side", float(sides.mean()))
         # From the left to the right and from the lower to the upper corners, clockwise from the top left.
         right, up = corners[1] + corners[2] - corners[0] - corners[3], corners[0] + corners[1] - corners[2] - corners[3]
+        if min(np.linalg.norm(right), np.linalg.norm(up)) < edge:  # each is twice the edge
+            raise InputError(f"the marker {number} must have its corners one after the other around it.")
         right /= np.linalg.norm(right)
         up -= (up @ right) * right
         up /= np.linalg.norm(up)
         axes = np.stack([right, up, np.cross(right, up)], axis=-1)
-        yield PlacedTag(number_of(tag["id"]), corners.mean(axis=0), axes, float(sides.mean()))
+        yield PlacedTag(number, corners.mean(axis=0), axes, edge, family)
 
 
 def _duckietown(keys: Keys) -> Iterable[PlacedTag]:
     """Tags that lie on the floor; those of traffic signs belong to signs, whose heights the map does not say."""
-    for thing in keys["objects"].values():
+    for name, value in mapping("objects", keys["objects"]).items():
+        thing = mapping(str(name), value)
         if thing.get("kind") != "floor_tag":
             continue
-        tag, pose = thing["tag"]["~TagInstance"], thing["pose"]["~SE2Transform"]
-        x, y = vector("p", pose["p"], 2)
-        theta = real("theta", np.radians(pose["theta_deg"]) if "theta_deg" in pose else pose.get("theta", 0.0))
-        edge = real("size", tag["size"], above=0.0)
-        yield PlacedTag(number_of(tag["tag_id"]), np.array([x, y, 0.0]), roll_pitch_yaw([0.0, 0.0, theta]), edge)
+        tag, pose = _within(thing, "tag", "~TagInstance"), _within(thing, "pose", "~SE2Transform")
+        number, (x, y) = number_of(tag["tag_id"]), vector("p", pose["p"], 2)
+        if "theta_deg" in pose:
+            turn = roll_pitch_yaw([0.0, 0.0, np.radians(real("theta_deg", pose["theta_deg"]))])
+        else:
+            turn = turn_by_angles(number, 0.0, 0.0, real("theta", pose.get("theta", 0.0)))
+        edge, family = edge_of("size", tag["size"]), family_named(tag["family"]) if "family" in tag else None
+        yield PlacedTag(number, np.array([x, y, 0.0]), turn, edge, family)
 
 
 class Reader(NamedTuple):

@@ -15,6 +15,7 @@ import numpy as np
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray, check_fields, real
 from lmd.core.tables import read_table
 from lmd.geometry.se3 import adjoint, exp, inverse, log, pose_of
+from lmd.scene.labels import Labels
 from lmd.survey.student import DEGREES_OF_FREEDOM, solved, weight_of
 
 # Standard deviations of how a sheet bends, off its plane (metres) and out of it (rad), and of turns in it, rad.
@@ -62,7 +63,7 @@ class Boards:
         if "board" not in table:
             raise InputError(f"{path} lacks the column board.", "boards")
         rows = table.numbers(("id", "x", "y"), None)
-        return cls(tuple(table.texts["board"]), rows[:, 0].astype(np.int64), rows[:, 1:], printed)
+        return cls(tuple(table.texts["board"]), Labels.of(table, ()).ids, rows[:, 1:], printed)
 
     def among(self, ids: IntArray) -> "Sheets":
         """What is known of the tags with these `ids` `(K,)`, ascending."""

@@ -9,6 +9,7 @@ from lmd.core.checks import FloatArray, InputError, IntArray, boolean, check_fie
 from lmd.core.tables import read_table
 from lmd.geometry.se3 import inverse, laid_over, pose_of
 from lmd.scene.deployment import Deployment
+from lmd.scene.labels import Labels
 from lmd.survey.residuals import Prior
 from lmd.survey.student import DEGREES_OF_FREEDOM
 
@@ -89,8 +90,9 @@ class Points:
         Raises:
             InputError: the file cannot be read, or what it holds are no such points.
         """
-        rows = read_table(path, name="points").numbers(("id", "x", "y", "z"), None)
-        return cls(rows[:, 0].astype(np.int64), rows[:, 1:])
+        table = read_table(path, name="points")
+        rows = table.numbers(("id", "x", "y", "z"), None)
+        return cls(Labels.of(table, ()).ids, rows[:, 1:])
 
 
 def aligned(tags: FloatArray, prior: Prior) -> FloatArray | None:

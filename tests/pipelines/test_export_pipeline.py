@@ -100,6 +100,21 @@ def test_a_map_of_one_stack_becomes_that_of_another(work):
     assert "formats has rtabmap: it has one edge for all tags, and these have 0.05, 0.15 m" in done.stderr
 
 
+def test_a_map_that_says_the_sizes_of_its_tags_needs_no_edge_and_one_tag_no_objective(work):
+    (work / "map.txt").write_text("# Clover\n3 0.15 0 2 3 1.5707963267948966 0 1.5707963267948966\n")
+    given = "deployment.path=map.txt", "tag.family=4x4_50", "tracking=none", "formats=[json,rtabmap]"
+    done = call("export", *given, "hydra.run.dir=out", cwd=work, settings=())
+    assert done.returncode == 0, done.stderr
+    assert json.loads((work / "out" / "tags.json").read_text())["edge"] == 0.15
+    again = "deployment.path=out/tags.json", "tracking=none", "formats=[json]"
+    done = call("export", *again, "hydra.run.dir=again", cwd=work, settings=())
+    assert done.returncode == 1
+    assert "tag.family=4x4_50 is needed: the tags of out/tags.json are of that family, and not of 36h11" in done.stderr
+    done = call("export", *again, "tag.family=4x4_50", "hydra.run.dir=again", cwd=work, settings=())
+    assert done.returncode == 0, done.stderr
+    assert (work / "again" / "tags.json").read_bytes() == (work / "out" / "tags.json").read_bytes()
+
+
 @pytest.mark.parametrize(
     ("pipeline", "overrides", "message"),
     [

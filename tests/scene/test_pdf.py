@@ -154,7 +154,7 @@ def test_a_csv_is_read_by_column_name(write):
         ("yaw,pitch,weight\n0,0,0.5\n1,0,0.4\n", "must sum to 1, they sum to 0.9"),
         ("yaw,pitch,tilt,weight\n0,0,0,1\n", "unknown column 'tilt'"),
         ("yaw,weight\n0,1\n", "lacks the column 'pitch'"),
-        ("0,0,1\n", "names the column '0' twice; the first line is its header"),
+        ("0,0,1\n", "has no header: its first line, '0,0,1', must name the columns"),
         ("", "is empty"),
         ("\n\n", "is empty"),
         ("yaw,pitch,weight\n", "header but no rows"),

@@ -9,6 +9,8 @@ from numpy.testing import assert_allclose
 
 from lmd.core.checks import InputError
 from lmd.scene.deployment_sources import FileDeployment
+from lmd.scene.families import NUMBERS, family_named
+from lmd.scene.tag import FAMILIES, Tag
 from lmd.scene.tag_map_files import LARGEST_MAP, read_deployment
 from lmd.space.cuboid import Cuboid
 from pipelines.app import CONF
@@ -62,7 +64,9 @@ def test_wpilib_drawings_are_in_inches_and_degrees(read):
     found = read("ID,X,Y,Z,Z-Rotation,X-Rotation\n4,100,50,10,90,30\n7,0,0,0,180,0\n")
     assert_allclose(found.positions[0], [2.54, 1.27, 0.254])
     assert_allclose(found.normals[0], [0.0, np.cos(np.pi / 6), -0.5], atol=1e-12)
-    assert_is(read("id, x, y, z, rotation\n3,100,50,10,180\n"), 3, [2.54, 1.27, 0.254], [-1, 0, 0])
+    assert_is(read("ID, X, Y, Z, Rotation\n3,100,50,10,180\n"), 3, [2.54, 1.27, 0.254], [-1, 0, 0])
+    with pytest.raises(InputError, match="it has id, x, y, z, rotation; WPILib's own, in inches and degrees, has the"):
+        read("id,x,y,z,rotation\n1,6.0,1.0,0.6,180\n")
 
 
 def test_frc971_looks_into_the_tag(read):
@@ -90,6 +94,132 @@ def test_limelight_counts_from_the_middle(read):
     assert_allclose(read({"fieldlength": 16.0, "fieldwidth": 8.0, "fiducials": [tag]}).positions[0], [14.8, 0.2, 1.3])
 
 
+def test_a_transform_is_written_row_by_row(read):
+    turn = [0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 2.5, -1.25, 1.4, 1]
+    with pytest.raises(
+        InputError, match=r"tag 1: the last row of its transform must be 0, 0, 0, 1, it is 2\.5, -1\.25, 1\.4"
+    ):
+        read({"fiducials": [{"id": 1, "size": 165.1, "transform": turn}]})
+    rows = np.reshape(turn, (4, 4)).T.ravel().tolist()
+    assert_is(read({"fiducials": [{"id": 1, "size": 165.1, "transform": rows}]}), 1, [2.5, -1.25, 1.4], [0, 1, 0])
+    with pytest.raises(InputError, match="the last row of its transform must be 0, 0, 0, 1, it is 0, 0, 0, 2"):
+        read({"fiducials": [{"id": 1, "size": 165.1, "transform": [*rows[:15], 2]}]})
+    with pytest.raises(InputError, match=r"size = 0.1651 is in millimetres here, which makes a tag of 0.0001651 m"):
+        read({"fiducials": [{"id": 1, "size": 0.1651, "transform": rows}]})
+
+
+def fmap(*families):
+    turn = np.eye(4).ravel().tolist()
+    tags = [{"id": k, "size": 165.1, "transform": turn} | ({"family": f} if f else {}) for k, f in enumerate(families)]
+    return {"fiducials": tags}
+
+
+def test_a_map_keeps_to_the_family_that_it_names(read):
+    assert len(read(fmap("apriltag3_16h5_classic", None), family="16h5")) == 2
+    assert len(read(fmap("apriltag3_16h5_classic"))) == 1  # points have no family
+    with pytest.raises(
+        InputError, match=r"^family=16h5 is needed: the tags of .*map are of that family, and not of 36h11"
+    ):
+        read(fmap("apriltag3_16h5_classic"), family="36h11")
+    with pytest.raises(InputError, match="its tags are of the families 16h5 and 36h11"):
+        read(fmap("apriltag3_16h5_classic", "apriltag3_36h11_classic"))
+    with pytest.raises(
+        InputError, match="of the family tagStandard41h12, which is not known here: it must be one of 36h"
+    ):
+        read(fmap("tagStandard41h12"), family="36h11")
+    with pytest.raises(InputError, match="the family of a tag must be a text, got 3"):
+        read(fmap(3))
+
+
+@pytest.mark.parametrize(
+    ("name", "family"),
+    [
+        ("TAG25h9", "25h9"),
+        ("tag36h11", "36h11"),
+        ("DICT_APRILTAG_36h11", "36h11"),
+        ("DICT_APRILTAG_36H11", "36h11"),
+        ("DICT_4X4_50", "4x4_50"),
+        ("aruco_5x5_1000", "5x5_1000"),
+        ("36h11b1", "36h11"),
+        ("ARUCO_MIP_36h12", "ARUCO_MIP_36h12"),
+        ("4x4_17", "4x4_17"),
+        ("ARUCO", "ARUCO"),
+    ],
+)
+def test_families_go_by_many_names(name, family):
+    assert family_named(name) == family
+
+
+def test_the_numbers_of_families_are_those_of_opencv():
+    aruco = pytest.importorskip("cv2").aruco
+    for number, name in NUMBERS.items():
+        if name in FAMILIES:
+            assert getattr(aruco, FAMILIES[name].dictionary) == number
+
+
+def test_a_source_asks_for_the_family_of_its_tag_and_not_of_points(tmp_path):
+    (tmp_path / "map.fmap").write_text(json.dumps(fmap("apriltag3_16h5_classic")))
+    room, rng = Cuboid((8.0, 4.0, 3.0), (7.0, 3.0, 1.0), 0.5), np.random.default_rng(0)
+    for source in (
+        FileDeployment(tmp_path / "map.fmap", free=True),
+        FileDeployment(tmp_path / "map.fmap", None, True, "36h11"),
+    ):
+        assert len(source.draw(room, rng)) == 1
+        with pytest.raises(InputError, match=r"^family=16h5 is needed"):
+            source.draw(room, rng, Tag(0.1))
+
+
+def test_standalone_tags_may_have_places_and_ros_2_wraps_its_parameters(read):
+    tag = "{id: 7, size: 0.1, x: 2.0, y: 0.0, z: 1.2, qx: 0.7071067811865476, qy: 0, qz: 0, qw: 0.7071067811865476}"
+    for text in (
+        f"standalone_tags: [{tag}]\n",
+        f"/**:\n  ros__parameters:\n    tag_bundles:\n      - name: wall\n        layout: [{tag}]\n",
+        f"space:\n  node:\n    ros__parameters: {{standalone_tags: [{tag}]}}\n",
+    ):
+        found = read(text)
+        assert_is(found, 7, [2, 0, 1.2], [0, -1, 0])
+        assert found.edges.tolist() == [0.1]
+    with pytest.raises(InputError, match="the key 'z' is missing"):
+        read("standalone_tags: [{id: 7, size: 0.1, x: 2.0, y: 0.0}]\n")
+    with pytest.raises(InputError, match="places in standalone_tags and in tag_bundles"):
+        read(f"standalone_tags: [{tag}]\ntag_bundles: [{{name: a, layout: [{tag}]}}]\n")
+    with pytest.raises(InputError, match="it has ros__parameters of 2 nodes"):
+        read("a: {ros__parameters: {}}\nb: {ros__parameters: {}}\n")
+    with pytest.raises(InputError, match="four numbers for a quaternion in an order that the file does not say"):
+        read("tag_bundles: {bundle_names: [a], a: {ids: [0], 0: {size: 0.1, transform: [2, 0, 1.2, 1, 0, 0, 0]}}}\n")
+
+
+def test_rtabmap_keeps_tags_in_its_settings_and_among_its_poses(read):
+    text = "[Core]\nVersion=0.21\nMarker\\Priors=7 2.0 0.0 1.2 1.5707963267948966 0 0\nMarker\\Length=0.1\n"
+    found = read(text)
+    assert_is(found, 7, [2, 0, 1.2], [0, -1, 0])
+    assert found.edges.tolist() == [0.1]
+    with pytest.raises(InputError, match=r"^family=16h5 is needed"):
+        read(text + "Marker\\Dictionary=17\n", family="36h11")
+    poses = "#timestamp x y z qx qy qz qw id\n0.0 2 0 1.2 0.5 -0.5 -0.5 0.5 -7\n1700000000.1 0 0 0 0 0 0 1 1\n"
+    assert_is(read(poses), 7, [2, 0, 1.2], [-1, 0, 0])
+    with pytest.raises(InputError, match="poses of RTAB-Map, and no tag"):
+        read(poses.replace(" -7", " 7"))
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("VERTEX_SE3:QUAT 7 2 0 1.2 0 0 0 1\n", "g2o"),
+        ("marker_id,vert_0_x,vert_0_y\n7,0,0\n", "Pupil"),
+        ("- name: wall\n  markers_x: 2\n", "aruco_opencv"),
+        ('{"tag_locations": {}}', "pytagmapper"),
+        ('{"reconstructed_tags": []}', "Visual Marker Mapping"),
+        ("/**: {ros__parameters: {general: {}, marker_000: {}}}\n", "ZED"),
+        ("/**: {ros__parameters: {family: 36h11, size: 0.1, tag: {ids: [1]}}}\n", "apriltag_ros for ROS 2"),
+        ("landmarks: [{id: 1, position: [0, 0, 0]}]\n", "which way the frame of a tag points"),
+    ],
+)
+def test_formats_that_are_not_read_are_named_with_what_is(read, text, name):
+    with pytest.raises(InputError, match=rf"{name}.*; write its tags as a table: a header id,x,y,z,qx,qy,qz,qw,edge"):
+        read(text)
+
+
 def test_a_bundle_of_apriltag_ros(read):
     text = """
 standalone_tags:
@@ -112,7 +242,7 @@ tag_bundles:
     assert_allclose(found.normals, [[0, 0, 1], [0, -1, 0]], atol=1e-12)
     assert_allclose(found.ups, [[0, 1, 0], [0, 0, 1]], atol=1e-12)
     assert found.edges.tolist() == [0.05, 0.1]
-    with pytest.raises(InputError, match="standalone_tags, which have no places"):
+    with pytest.raises(InputError, match="standalone_tags without places: they need x, y, z, qx"):
         read("standalone_tags: [{id: 1, size: 0.1}]\n")
     with pytest.raises(InputError, match="it has the bundles a, b, each in a frame of its own"):
         read("tag_bundles: [{name: a, layout: [{id: 1, size: 0.1}]}, {name: b, layout: [{id: 2, size: 0.1}]}]\n")
@@ -178,7 +308,7 @@ def test_fiducial_slam_saves_degrees_and_what_it_saw_beside_a_tag(read):
     assert_allclose(found.positions, [[1.0, 2.0, 0.5], [1.0, 2.0, 1.5]])
     assert_allclose(found.normals, [[0, -1, 0], [1, 0, 0]], atol=1e-9)
     assert_allclose(found.ups, [UP, UP], atol=1e-9)
-    with pytest.raises(InputError, match=r"'8 1 2' must be: id x y z roll pitch yaw variance observations"):
+    with pytest.raises(InputError, match=r"line 2, '8 1 2', must be: id x y z roll pitch yaw variance observations"):
         read("7 1.0 2.0 0.5 90.0 0.0 0.0 0.04 31\n8 1 2\n")
 
 
@@ -215,15 +345,15 @@ objects:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('{"tags": [{"ID": 1}]}', "'pose' is missing or wrong"),
+        ('{"tags": [{"ID": 1}]}', "the key 'pose' is missing"),
         ('{"tags": []}', "it has no tags with places"),
-        ('{"tags": [{"ID": -1, "pose": 3}]}', "is missing or wrong"),
+        ('{"tags": [{"ID": -1, "pose": 3}]}', r"pose must be a mapping with keys, got 3"),
         ('{"layout": []}', "no tag map that is known here .*: it has layout"),
-        ("tag_bundles: [3]", "a mapping was expected where there is none"),
-        ("/**: {ros__parameters: {family: 36h11}}", r"no tag map that is known here .*: it has /\*\*"),
+        ("tag_bundles: [3]", r"tag_bundles\[0\] must be a mapping with keys, got 3"),
+        ("/**: {ros__parameters: {family: 36h11}}", "no tag map that is known here .*: it has family"),
         ("1 0.3 a 2", "could not convert string to float"),
         ("1 0.3 1 2 3 4 5 6 7.5", "must be: id x y z roll pitch yaw variance observations"),
-        ("1 0 0 0 0 0 0 0\n", "length must be greater than 0"),
+        ("1 0 0 0 0 0 0 0\n", "an edge of 0 m would be none of a tag. What are its values"),
         ("1 0.1 0 0\n1 0.1 1 0\n", "id 1 belongs to 2 landmarks"),
         (json.dumps(WPILIB).replace('"Z": 1.0', '"Z": 2.0'), "must have length 1, it has 2"),
         ("{", "cannot be read as YAML or JSON"),

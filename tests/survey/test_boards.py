@@ -93,7 +93,8 @@ def test_sheets_may_hang_anywhere(room):
     ("text", "message"),
     [
         ("id,x,y\n1,0,0\n", "lacks the column board"),
-        ("board,id,x,y\na,1,0,0\na,1,0,1\n", r"^boards has tag 1 twice\.$"),
+        ("board,id,x,y\na,1,0,0\na,1,0,1\n", r"boards\.csv: id 1 belongs to 2 landmarks"),
+        ("board,id,x,y\na,1.5,0,0\na,2,0,1\n", r"line 2: id must be a whole number from 0 to .*, got 1\.5"),
         ("board,id,x,y\na,1,0,0\na,2,0,1\nb,3,0,0\n", r"^boards has one tag only on board 'b'\.$"),
     ],
 )
