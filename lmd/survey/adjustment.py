@@ -120,8 +120,7 @@ class Adjustment:
 
     def costs(self, poses: Poses) -> list[float]:
         """What the priors add to what is minimised."""
-        squares, exact = self.prior.squares(self._off(poses.tags)), self.prior.exact
-        costs = [_cost(squares[~exact], 6), float(squares[exact].sum() / 2.0)]
+        costs = [_cost(self.prior.squares(self._off(poses.tags)), 6)]
         if self.prior.sheets is not None:
             costs.append(_cost(self.prior.sheets.fitted(poses.tags).squares, 6))
         return costs
@@ -259,7 +258,7 @@ class Adjustment:
         off = self._off(poses.tags)
         known = self.prior.information
         if weight is None:
-            known = known * np.where(self.prior.exact, 1.0, weight_of(self.prior.squares(off), 6))[:, None]
+            known = known * weight_of(self.prior.squares(off), 6)[:, None]
         diagonal[:count] += known[..., None] * np.eye(6)
         right[:count] -= known * off
         if (sheets := self.prior.sheets) is not None:

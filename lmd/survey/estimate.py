@@ -8,9 +8,9 @@ from threadpoolctl import threadpool_limits
 from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.geometry.se3 import exp, inverse, log
 from lmd.survey.adjustment import Adjustment
-from lmd.survey.alignment import QUARTERS, aligned, turned_as
 from lmd.survey.gauge import blocks_of, without_gauge
-from lmd.survey.residuals import EXACT_SIGMA, Poses, Prior, errors_at
+from lmd.survey.known import EXACT_SIGMA, aligned, turned_as
+from lmd.survey.residuals import Poses, Prior, errors_at
 from lmd.survey.sightings import Sightings
 from lmd.survey.start import FLOOR_PIXELS, place
 
@@ -101,8 +101,7 @@ def estimate(sightings: Sightings, prior: Prior, origin: int | None = None) -> E
         rough, group = place(sightings.apart(), planned)
         if group.max(initial=-1) < 0:
             raise InputError("detections never show two tags at once, of which one leaves no doubt.", "detections")
-        whole = joined(sightings, rough, prior.mounts)
-        sightings, poses, group, prior = _in_one_world(sightings, whole, group, prior, origin)
+        poses, group, prior = _in_one_world(sightings, joined(sightings, rough, prior.mounts), group, prior, origin)
         return adjusted(sightings, prior, poses, group, FLOOR_PIXELS)
 
 
@@ -120,7 +119,6 @@ def adjusted(sightings: Sightings, prior: Prior, poses: Poses, group: IntArray, 
     information = np.where((group == 0)[:, None], prior.information, 0.0)
     sheets = None if sheets is None or not len(sheets.tag) else sheets
     prior = replace(prior, information=information, sheets=sheets)
-    poses = replace(poses, tags=np.where(prior.exact[:, None, None], prior.tags, poses.tags))
     for steps in (STEPS, FINAL_STEPS):
         used = twice_in_frame(sightings, used)
         if not used.any():
@@ -194,21 +192,15 @@ def _middle(poses: FloatArray) -> FloatArray:
 
 def _in_one_world(
     sightings: Sightings, poses: Poses, group: IntArray, prior: Prior, origin: int | None
-) -> tuple[Sightings, Poses, IntArray, Prior]:
-    """Every group that the prior knows a tag of, in its world, as group 0; the others behind them.
-
-    The corners of tags that are turned against the prior are counted anew.
-    """
+) -> tuple[Poses, IntArray, Prior]:
+    """Every group that the prior knows a tag of, in its world, as group 0; the others behind them."""
     tags, frames = poses.tags.copy(), poses.frames.copy()
     owner = np.full(sightings.frames, -1)
     placed = group[sightings.tag] >= 0
     owner[sightings.frame[placed]] = group[sightings.tag[placed]]
     counts = np.bincount(sightings.tag, minlength=len(group))
     order = np.argsort(-np.bincount(group[group >= 0], counts[group >= 0]), kind="stable")
-    found = {g: aligned(np.where((group == g)[:, None, None], tags, np.nan), prior) for g in order.tolist()}
-    motions = {g: None if one is None else one.motion for g, one in found.items()}
-    turns = sum((one.turns for one in found.values() if one is not None), np.zeros_like(group))
-    sightings, tags = sightings.renumbered(turns), tags @ QUARTERS[-turns % 4]
+    motions = {g: aligned(np.where((group == g)[:, None, None], tags, np.nan), prior) for g in order.tolist()}
     if all(motion is None for motion in motions.values()):
         if prior.information[group >= 0].any():
             raise InputError(
@@ -226,7 +218,7 @@ def _in_one_world(
         tags[group == g] = motion @ tags[group == g]
         frames[owner == g] = motion @ frames[owner == g]
     frames[(owner < 0) | (number[owner] != 0)] = np.nan
-    return sightings, Poses(tags, frames, poses.mounts), number[group], turned_as(prior, tags)
+    return Poses(tags, frames, poses.mounts), number[group], turned_as(prior, tags)
 
 
 def _origin(

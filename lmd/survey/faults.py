@@ -80,7 +80,7 @@ def _settled(found: Estimate) -> tuple[Estimate, Faults]:
         edges[list(sizes)], group[list(sizes)] = list(sizes.values()), 0
         found = adjusted(replace(found.sightings, edges=edges), found.prior, poses, group, found.floor)
     places = _second_places(found)
-    last = [p for p in places if p.moved is not None and p.later and not found.prior.exact[p.tag]]
+    last = [place for place in places if place.moved is not None and place.later]
     error = errors_at(found.sightings, found.poses)
     gross = found.misfits & np.isfinite(error) & ~agreeing(found.sightings, error)
     misread = np.bincount(found.sightings.tag[gross], minlength=len(found.group))
@@ -118,11 +118,7 @@ def _second_places(found: Estimate) -> list[SecondPlace]:
         here = found.sightings.frame[found.used & (found.sightings.tag == tag)]
         own = found.poses.tags[tag]
         away = np.linalg.norm(own[:3, 3] - placing.tags[tag, :3, 3]) / found.sightings.edges[tag]
-        if away < APART_EDGES and angle_between(own, placing.tags[tag]) < TURNED_RAD:
-            continue
-        if not here.size:
-            if found.prior.exact[tag]:
-                places.append(SecondPlace(tag, placing.tags[tag], len(there), None, later=False))
+        if not here.size or (away < APART_EDGES and angle_between(own, placing.tags[tag]) < TURNED_RAD):
             continue
         later = bool(np.median(there) > np.median(here))
         moved = _change(here, there) if later else _change(there, here)

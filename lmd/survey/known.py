@@ -1,16 +1,20 @@
 """What is known of tags before they are photographed: a plan, tags that were measured, or the frame of one tag."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from lmd.core.checks import FloatArray, InputError, IntArray, boolean, check_fields, real
 from lmd.core.tables import read_table
-from lmd.geometry.se3 import pose_of
+from lmd.geometry.se3 import inverse, laid_over, pose_of
 from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
+from lmd.survey.residuals import Prior
+from lmd.survey.student import DEGREES_OF_FREEDOM
 
+# Standard deviations of what is taken for exact, metres and rad.
+EXACT_SIGMA = 1e-6
 # Standard deviation of a centre that a tape measure says, metres.
 TAPE_SIGMA_M = 0.005
 # Points fix a world if there are three, which extend so far beside a line, metres.
@@ -89,6 +93,41 @@ class Points:
         table = read_table(path, name="points")
         rows = table.numbers(("id", "x", "y", "z"), None)
         return cls(Labels.of(table, ()).ids, rows[:, 1:])
+
+
+def aligned(tags: FloatArray, prior: Prior) -> FloatArray | None:
+    """The motion, `(4, 4)`, from the world of `tags` `(K, 4, 4)` to the prior's; None if the prior does not fix it.
+
+    Every tag whose pose is known proposes a motion; the one with which most of the others are where they are expected
+    is taken. Without any, it is the one that brings centres best to where they are known to be, three or more.
+    """
+    there = np.isfinite(tags[:, 0, 0])
+    known = np.flatnonzero(prior.information[:, :3].any(axis=1) & there)
+    if not known.size:
+        return _laid_over(tags, prior, np.flatnonzero(prior.information.any(axis=1) & there))
+    motions = prior.tags[known] @ inverse(tags[known])
+    some = Prior(prior.tags[known], prior.information[known])
+    costs = [np.log1p(some.squares(some.off(motion @ tags[known])) / DEGREES_OF_FREEDOM).sum() for motion in motions]
+    return np.asarray(motions[int(np.argmin(costs))])
+
+
+def _laid_over(tags: FloatArray, prior: Prior, known: IntArray) -> FloatArray | None:
+    """The motion that brings the centres of the tags `known` nearest to where the prior has them."""
+    here, there = tags[known, :3, 3], prior.tags[known, :3, 3]
+    if len(known) < FEWEST_POINTS or np.linalg.svd(here - here.mean(axis=0), compute_uv=False)[1] < NO_LINE:
+        return None
+    return laid_over(here, there)
+
+
+def turned_as(prior: Prior, tags: FloatArray) -> Prior:
+    """The prior with those tags of which only the centre is known turned as `tags` `(K, 4, 4)` are, if these are known.
+
+    How a twist changes the way to a centre depends on how the tag is turned.
+    """
+    only = ~prior.information[:, :3].any(axis=1) & prior.information.any(axis=1) & np.isfinite(tags[:, 0, 0])
+    poses = prior.tags.copy()
+    poses[only, :3, :3] = tags[only, :3, :3]
+    return replace(prior, tags=poses)
 
 
 def levelled(tags: FloatArray, floor: IntArray, origin: int) -> FloatArray:

@@ -157,7 +157,7 @@ def _slopes(
     zero = np.zeros(count, dtype=np.int64)
     some = Sightings(
         every.ids, every.edges, 1, 1, zero, zero, own, corners, directions, slope(camera, directions), sides, noise,
-        np.empty((count, RESIDUALS, 0)), every.turns,
+        np.empty((count, RESIDUALS, 0)),
     )  # fmt: skip
     still = np.broadcast_to(np.eye(4), (count, 4, 4))
     at = linearise(some, tags[own], np.broadcast_to(pose, (count, 4, 4)), still)

@@ -203,9 +203,6 @@ def document(survey: Survey) -> dict[str, Any]:
             }
             for place in survey.faults.second_places
         ],
-        "turned": {
-            str(survey.ids[k]): int(90 * found.sightings.turns[k]) for k in np.flatnonzero(found.sightings.turns)
-        },
         "sizes": {str(survey.ids[tag]): edge for tag, edge in survey.faults.sizes.items()},
         "misread": {str(survey.ids[k]): int(survey.faults.misread[k]) for k in np.flatnonzero(survey.faults.misread)},
         "tags": [dict(zip(columns, row, strict=True)) for row in zip(*map(_plain, columns.values()), strict=True)],
@@ -258,23 +255,6 @@ def to_text(survey: Survey) -> str:
     return "\n".join(f"{label:<{width}} {text}" for label, text in lines.items())
 
 
-def _turned(survey: Survey) -> str:
-    """The tags whose corners were counted anew, and by how many degrees they are turned; empty for none."""
-    some = survey.found.sightings
-    seen = np.flatnonzero(np.bincount(some.tag, minlength=len(survey.ids)))
-    turned = seen[some.turns[seen] > 0]
-    if not turned.size:
-        return ""
-    degrees = {int(turn) for turn in some.turns[turned]}
-    every = "all, by {} degrees" if len(turned) == len(seen) and len(degrees) == 1 else ""
-    named = (
-        every.format(90 * degrees.pop())
-        if every
-        else _few(f"{survey.ids[k]} ({90 * some.turns[k]} degrees)" for k in turned)
-    )
-    return f"{named}, counter-clockwise in their planes: their corners are counted anew, from the upper left one"
-
-
 def _troubles(survey: Survey) -> dict[str, str]:
     """What somebody should look at, in words; empty where there is nothing."""
     ids, times, faults, state = survey.ids.tolist(), survey.detected.times, survey.faults, tag_columns(survey)["state"]
@@ -295,6 +275,5 @@ def _troubles(survey: Survey) -> dict[str, str]:
         "other size": _few(f"{ids[tag]} ({1e3 * edge:.4g} mm)" for tag, edge in faults.sizes.items()),
         "blurred": _few(f"{name} ({pixels:.2g} pixels)" for name, pixels in survey.detected.blurred.items()),
         "misread": _few(f"{ids[k]} ({faults.misread[k]} x)" for k in np.flatnonzero(faults.misread)),
-        "turned": _turned(survey),
         "photograph": _few(worst) + "; known worst" * bool(worst),
     }

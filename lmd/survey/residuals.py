@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lmd.core.checks import BoolArray, FloatArray, IntArray
+from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import cross, inverse, log
 from lmd.survey.sightings import Sightings
 from lmd.survey.student import RESIDUALS
@@ -18,8 +18,6 @@ from lmd.survey.student import RESIDUALS
 if TYPE_CHECKING:
     from lmd.survey.boards import Sheets
 
-# Standard deviations of what is taken for exact, metres and rad.
-EXACT_SIGMA = 1e-6
 # A corner that is hardly in front of the camera, or behind it, fits nowhere: metres, and pixels.
 NEAREST, NOWHERE = 1e-3, 1e4
 
@@ -65,11 +63,6 @@ class Prior:
     def squares(self, off: FloatArray) -> FloatArray:
         """chi^2 of each, `(K,)`, by how far `off` they are."""
         return np.asarray((self.information * off**2).sum(axis=1))
-
-    @property
-    def exact(self) -> BoolArray:
-        """The tags whose poses are taken for exact, `(K,)`: photographs do not outvote these."""
-        return np.asarray((self.information >= EXACT_SIGMA**-2.0).all(axis=1))
 
 
 def in_cameras(sightings: Sightings, tags: FloatArray, frames: FloatArray, mounts: FloatArray) -> FloatArray:

@@ -37,8 +37,6 @@ class Sightings:
         noise: standard deviation of a coordinate of a corner that the detector alone accounts for, pixels, `(N,)`.
         lens: how e changes with the intrinsics, each in units of what it may be off, `(N, 8, 6 L)`, see
             `lmd.survey.intrinsics`; L is 0 where they are known.
-        turns: by how many quarters, counter-clockwise as one looks at it, each tag was turned against what is known of
-            it: its corners are counted from another one than they were, `(K,)`.
     """
 
     ids: IntArray
@@ -54,7 +52,6 @@ class Sightings:
     sizes: FloatArray
     noise: FloatArray
     lens: FloatArray
-    turns: IntArray
 
     def __len__(self) -> int:
         return len(self.frame)
@@ -63,18 +60,7 @@ class Sightings:
         """The sightings that `chosen` selects; tags and frames keep their numbers."""
         names = ("frame", "camera", "tag", "image", "directions", "tangents", "sizes", "noise", "lens")
         rest = (getattr(self, name)[chosen] for name in names)
-        return Sightings(self.ids, self.edges, self.frames, self.cameras, *rest, turns=self.turns)
-
-    def renumbered(self, turns: IntArray) -> "Sightings":
-        """The sightings with the corners of tags that are `turns` `(K,)` turned counted from the upper left one again.
-
-        Args:
-            turns: quarters, counter-clockwise.
-        """
-        order = (np.arange(4) + turns[self.tag, None]) % 4
-        rows = np.arange(len(self))[:, None]
-        image, directions, tangents = (each[rows, order] for each in (self.image, self.directions, self.tangents))
-        return replace(self, image=image, directions=directions, tangents=tangents, turns=(self.turns + turns) % 4)
+        return Sightings(self.ids, self.edges, self.frames, self.cameras, *rest)
 
     def apart(self) -> "Sightings":
         """The sightings as if every camera were a body of its own: C F frames, those of the first camera first."""
@@ -141,6 +127,5 @@ def sightings_of(
         sizes=sides,
         noise=errors.sigma(sides / modules),
         lens=np.empty((len(chosen), 8, 0)),
-        turns=np.zeros(len(ids), dtype=np.int64),
     )
     return every.of(np.flatnonzero(whole & np.isfinite(tangents).all(axis=(1, 2, 3))))

@@ -8,13 +8,13 @@ at last all try again among all that is placed. After each turn what is placed i
 the group begins another one, in a world of its own.
 
 With a plan all begins with the tags where they were planned, and that is taken if most sightings agree with what comes
-of it, and no tag is turned against its plan.
+of it.
 """
 
 import numpy as np
 
 from lmd.core.checks import BoolArray, FloatArray, IntArray
-from lmd.geometry.se3 import angle_between, exp, inverse
+from lmd.geometry.se3 import exp, inverse
 from lmd.survey.adjustment import Adjustment
 from lmd.survey.proposals import Proposals, proposals
 from lmd.survey.residuals import Poses, Prior, errors_at, in_cameras, linearise, residuals, summing
@@ -35,9 +35,8 @@ PROPOSING, IMPROVED = 8, 3
 JUDGED_BY = 60
 IMPROVING_STEPS, WIDE, NARROW = 12, 40.0, 3.0  # the scale of the weights goes from wide to narrow, pixels
 STEPS, FINAL_STEPS = 3, 8
-# A beginning with all tags where they were planned is good enough if so many sightings agree, and no tag is turned so
-# far from its plan, rad.
-AS_PLANNED, TURNED_RAD = 0.8, 0.8
+# A beginning with all tags where they were planned is good enough if so many sightings agree.
+AS_PLANNED = 0.8
 FLOOR_PIXELS = 3.0  # pixels; adjustments on the way take that much to be unexplained, at most
 ANCHOR_SIGMA = 1e-4  # metres and rad, by which the first tag of a group may move
 
@@ -278,8 +277,7 @@ def place(sightings: Sightings, planned: FloatArray) -> tuple[Poses, IntArray]:
     if (known := seen & best.placed(planned)).any():
         best.tags[known], best.group[known] = planned[known], 0
         best.fill()
-        turned = angle_between(best.tags[known], planned[known]) > TURNED_RAD
-        if best.agreed() >= AS_PLANNED * len(sightings) and not turned.any():
+        if best.agreed() >= AS_PLANNED * len(sightings):
             return best.poses, best.group
     alone = Placing(sightings, proposed)
     alone.fill()

@@ -16,8 +16,8 @@ from lmd.survey.estimate import Estimate, estimate
 from lmd.survey.faults import Faults, settled
 from lmd.survey.held_out import Localised, held_out
 from lmd.survey.intrinsics import Calibrated, calibrated, judged
-from lmd.survey.known import TAPE_SIGMA_M, Hanging, Points, levelled, poses_of
-from lmd.survey.residuals import EXACT_SIGMA, Prior
+from lmd.survey.known import EXACT_SIGMA, TAPE_SIGMA_M, Hanging, Points, levelled, poses_of
+from lmd.survey.residuals import Prior
 from lmd.survey.sightings import Sightings, sightings_of
 
 # A tag of which nothing is known is believed if so many sightings agree where it hangs: ids are misread.
@@ -185,16 +185,16 @@ def survey(
     def sighted(through: Sequence[Camera]) -> Sightings:
         return sightings_of(detected, through, ids, known.edges(ids, tag), tag.modules, errors)
 
-    found, refined = estimate(sighted(cameras), known.prior(ids), known.origin), tuple(cameras)
+    sightings, refined = sighted(cameras), tuple(cameras)
+    found = estimate(sightings, known.prior(ids), known.origin)
     if calibrate:
-        turns = found.sightings.turns
-        found, refined = calibrated(found, cameras, lambda through: sighted(through).renumbered(turns))
+        found, refined = calibrated(found, cameras, sighted)
+        sightings = found.sightings
     found, faults = settled(found)
-    _check_fixed(found, faults)
     if known.floor:
         first = int(np.flatnonzero(found.prior.information.any(axis=1))[0])
         found = found.moved(levelled(found.poses.tags, np.flatnonzero(np.isin(ids, known.floor)), first))
-    used = np.bincount(found.sightings.tag[found.used], minlength=len(ids))
+    used = np.bincount(sightings.tag[found.used], minlength=len(ids))
     placed = (found.group == 0) & (used >= np.where(np.isin(ids, known.ids), 1, FEWEST_BELIEVED))
     if not placed.any():
         text = f"detections: no tag is placed, as no {FEWEST_BELIEVED} sightings of one agree: more frames are needed."
@@ -203,16 +203,3 @@ def survey(
     return Survey(
         detected, known, found, faults, placed, localised, judged(found, cameras, refined) if calibrate else ()
     )
-
-
-def _check_fixed(found: Estimate, faults: Faults) -> None:
-    """Raise `InputError` if a tag that is fixed is seen somewhere else alone."""
-    used = np.bincount(found.sightings.tag[found.used], minlength=len(found.group))
-    for place in faults.second_places:
-        if found.prior.exact[place.tag] and not used[place.tag]:
-            away = float(np.linalg.norm(place.pose[:3, 3] - found.prior.tags[place.tag, :3, 3]))
-            raise InputError(
-                f"fixed has tag {found.sightings.ids[place.tag]} {away:.3g} m from where {place.sightings} detections "
-                "show it beside the others: correct its place, or leave it out.",
-                "fixed",
-            )
