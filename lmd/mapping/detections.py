@@ -34,6 +34,7 @@ class DetectedTags:
         ids: numbers of the tags, `(N,)`.
         corners: pixels from the border, top left, top right, bottom right, bottom left of the tag, `(N, 4, 2)`.
         blurred: frames whose detections were left out, with their blur, pixels, by their name.
+        in_order: whether corners are known to begin at the top left, because a detector of `lmd.detection` found them.
 
     Raises:
         InputError: shapes do not match, or there is no detection.
@@ -46,6 +47,7 @@ class DetectedTags:
     ids: IntArray
     corners: FloatArray
     blurred: Mapping[str, float] = field(default_factory=dict)
+    in_order: bool = False
 
     def __post_init__(self) -> None:
         count = len(self.ids)
@@ -68,7 +70,8 @@ class DetectedTags:
         nothing = Detections(np.empty(0, dtype=np.int64), np.empty((0, 4, 2)))
         ids = np.concatenate([one.ids for one in (nothing, *found)])
         corners = np.concatenate([one.corners for one in (nothing, *found)])
-        return cls(tuple(names[: len(found)]), ("",), frame, np.zeros(len(ids), dtype=np.int64), ids, corners)
+        camera = np.zeros(len(ids), dtype=np.int64)
+        return cls(tuple(names[: len(found)]), ("",), frame, camera, ids, corners, in_order=True)
 
     @classmethod
     def together(cls, parts: Mapping[str, "DetectedTags"]) -> "DetectedTags":
@@ -78,12 +81,24 @@ class DetectedTags:
         camera = np.repeat(np.arange(len(parts)), [len(part) for part in parts.values()])
         ids, corners = (np.concatenate([getattr(part, name) for part in parts.values()]) for name in ("ids", "corners"))
         blurs = {f"{name}/{time}": blur for name, part in parts.items() for time, blur in part.blurred.items()}
-        return cls(tuple(times), tuple(parts), np.concatenate(places), camera, ids, corners, blurs)
+        in_order = all(part.in_order for part in parts.values())
+        return cls(tuple(times), tuple(parts), np.concatenate(places), camera, ids, corners, blurs, in_order)
 
     def of(self, chosen: IntArray) -> "DetectedTags":
         """Those that `chosen` selects, among the same frames and cameras."""
         names = ("frame", "camera", "ids", "corners")
         return replace(self, **{name: getattr(self, name)[chosen] for name in names})
+
+    def renumbered(self, ids: IntArray, quarters: IntArray) -> "DetectedTags":
+        """The same with the corners of tags with some `ids` `(K,)`, ascending, numbered from others.
+
+        Args:
+            quarters: by how many corners the first one moves back, `(K,)`.
+        """
+        place = np.minimum(np.searchsorted(ids, self.ids), len(ids) - 1)
+        back = np.where(ids[place] == self.ids, quarters[place], 0)
+        order = (np.arange(4) - back[:, None]) % 4
+        return replace(self, corners=np.take_along_axis(self.corners, order[..., None], axis=1))
 
     def without(self, blurs: Mapping[str, float]) -> "DetectedTags":
         """Those of other frames than some that are blurred.

@@ -4,8 +4,8 @@ A sighting has eight residuals e in pixels, see `lmd.survey.sightings`, and the 
 where sigma^2 is the detector's own variance and a floor: lenses and bodies are not quite what their calibration says.
 The errors are taken for those of Student's distribution with nu degrees of freedom, so what is minimised is the sum of
 (nu + 8) / 2 log(1 + chi^2 / nu). Each step is one of Levenberg and Marquardt with the weights (nu + 8) / (nu + chi^2):
-a sighting that does not fit counts next to nothing. The floor is that with which the weighted mean of chi^2 is the one
-that normal errors have.
+a sighting that does not fit counts next to nothing. So does what is known of a tag, unless it is exact. The floor is
+that with which the weighted mean of chi^2 is the one that normal errors have.
 
 A sighting connects one frame with one tag, so frames are eliminated (Schur complement): with the blocks H_ff of the
 frames, H_kk of what is kept (tags, cameras on the body but the first, and intrinsics) and H_kf, the step of what is
@@ -26,7 +26,7 @@ from lmd.core.checks import FloatArray, IntArray
 from lmd.geometry.se3 import exp, nearest_rotations, pose_of
 from lmd.survey.residuals import Linearised, Poses, Prior, errors_at, gathered, linearise, summing
 from lmd.survey.sightings import Sightings
-from lmd.survey.student import DEGREES_OF_FREEDOM, RESIDUALS, solved, weight_of
+from lmd.survey.student import DEGREES_OF_FREEDOM, RESIDUALS, cost_of, solved, weight_of
 
 # The mean of (nu + 8) chi^2 / (nu + chi^2) where chi^2 has its own distribution with 8 degrees of freedom.
 NORMAL_MEAN = 7.5625
@@ -35,10 +35,6 @@ FRAME_CHUNK = 128  # frames that are eliminated at once
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-9, 1e6
 # What remains to be gained, relative to the number of sightings, when a step is the last.
 LEAST_GAIN = 1e-7
-
-
-def _cost(square: FloatArray, residuals: int = RESIDUALS) -> float:
-    return float((DEGREES_OF_FREEDOM + residuals) / 2.0 * np.log1p(square / DEGREES_OF_FREEDOM).sum())
 
 
 @dataclass(frozen=True)
@@ -120,14 +116,14 @@ class Adjustment:
 
     def costs(self, poses: Poses) -> list[float]:
         """What the priors add to what is minimised."""
-        costs = [_cost(self.prior.squares(self._off(poses.tags)), 6)]
+        costs = [self.prior.cost(self.prior.squares(self._off(poses.tags)))]
         if self.prior.sheets is not None:
-            costs.append(_cost(self.prior.sheets.fitted(poses.tags).squares, 6))
+            costs.append(cost_of(self.prior.sheets.fitted(poses.tags).squares, 6))
         return costs
 
     def cost(self, error: FloatArray, costs: Sequence[float], floor: float) -> float:
         """What is minimised, by the squared errors of sightings and what the priors add."""
-        return sum(costs, _cost(self.squares(error, floor)))
+        return sum(costs, cost_of(self.squares(error, floor)))
 
     def floor(self, error: FloatArray, most: float) -> float:
         """The floor that the squared errors of sightings speak of, pixels, at most `most`."""
@@ -258,7 +254,7 @@ class Adjustment:
         off = self._off(poses.tags)
         known = self.prior.information
         if weight is None:
-            known = known * weight_of(self.prior.squares(off), 6)[:, None]
+            known = known * self.prior.weights(self.prior.squares(off))[:, None]
         diagonal[:count] += known[..., None] * np.eye(6)
         right[:count] -= known * off
         if (sheets := self.prior.sheets) is not None:

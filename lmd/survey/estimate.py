@@ -9,10 +9,11 @@ from lmd.core.checks import BoolArray, FloatArray, InputError, IntArray
 from lmd.geometry.se3 import exp, inverse, log
 from lmd.survey.adjustment import Adjustment
 from lmd.survey.gauge import blocks_of, without_gauge
-from lmd.survey.known import EXACT_SIGMA, aligned, turned_as
-from lmd.survey.residuals import Poses, Prior, errors_at
+from lmd.survey.known import aligned, turned_as
+from lmd.survey.residuals import EXACT_SIGMA, Poses, Prior, errors_at
 from lmd.survey.sightings import Sightings
 from lmd.survey.start import FLOOR_PIXELS, place
+from lmd.survey.turns import as_seen
 
 # A sighting whose chi^2 is larger, with eight degrees of freedom, does not show the tag where it hangs.
 MISFIT_CHI_SQUARE = 60.0
@@ -82,7 +83,37 @@ class Estimate:
         return np.asarray(np.sqrt(errors_at(self.sightings.of(self.used), self.poses) / 4.0))
 
 
-def estimate(sightings: Sightings, prior: Prior, origin: int | None = None) -> Estimate:
+@dataclass(frozen=True)
+class Start:
+    """Where an adjustment begins.
+
+    Args:
+        poses: rough ones, of each camera by itself, see `Sightings.apart`.
+        group: of each tag, `(K,)`, -1 for those that are not placed. Each group has a world of its own.
+    """
+
+    poses: Poses
+    group: IntArray
+
+
+def started(sightings: Sightings, prior: Prior) -> Start:
+    """Where to begin.
+
+    Raises:
+        InputError: no two tags were seen together.
+    """
+    with threadpool_limits(limits=ONE_THREAD):
+        known = np.asarray(prior.information[:, :3].any(axis=1))
+        apart = sightings.apart()
+        rough, group = place(apart, np.where(known[:, None, None], prior.tags, np.nan))
+        if group.max(initial=-1) < 0:
+            raise InputError("detections never show two tags at once, of which one leaves no doubt.", "detections")
+        return Start(as_seen(apart, rough), group)
+
+
+def estimate(
+    sightings: Sightings, prior: Prior, origin: int | None = None, start: Start | None = None
+) -> Estimate:
     """Estimate all poses together.
 
     Args:
@@ -90,18 +121,16 @@ def estimate(sightings: Sightings, prior: Prior, origin: int | None = None) -> E
         prior: what is known of the tags. What it knows nothing of hangs where the photographs say.
         origin: id of the tag whose frame is the world where the prior knows none of the tags; None for the one that
             was seen most often.
+        start: where to begin; None for `started`.
 
     Raises:
         InputError: no two tags were seen together, `origin` could not be placed, or centres that are known are too few
             for a world.
     """
+    start = started(sightings, prior) if start is None else start
     with threadpool_limits(limits=ONE_THREAD):
-        known = np.asarray(prior.information[:, :3].any(axis=1))
-        planned = np.where(known[:, None, None], prior.tags, np.nan)
-        rough, group = place(sightings.apart(), planned)
-        if group.max(initial=-1) < 0:
-            raise InputError("detections never show two tags at once, of which one leaves no doubt.", "detections")
-        poses, group, prior = _in_one_world(sightings, joined(sightings, rough, prior.mounts), group, prior, origin)
+        rough = joined(sightings, start.poses, prior.mounts)
+        poses, group, prior = in_one_world(sightings, rough, start.group, prior, origin)
         return adjusted(sightings, prior, poses, group, FLOOR_PIXELS)
 
 
@@ -190,7 +219,7 @@ def _middle(poses: FloatArray) -> FloatArray:
     return np.asarray(middle)
 
 
-def _in_one_world(
+def in_one_world(
     sightings: Sightings, poses: Poses, group: IntArray, prior: Prior, origin: int | None
 ) -> tuple[Poses, IntArray, Prior]:
     """Every group that the prior knows a tag of, in its world, as group 0; the others behind them."""

@@ -12,9 +12,8 @@ from lmd.scene.deployment import Deployment
 from lmd.scene.labels import Labels
 from lmd.survey.residuals import Prior
 from lmd.survey.student import DEGREES_OF_FREEDOM
+from lmd.survey.turns import by_places
 
-# Standard deviations of what is taken for exact, metres and rad.
-EXACT_SIGMA = 1e-6
 # Standard deviation of a centre that a tape measure says, metres.
 TAPE_SIGMA_M = 0.005
 # Points fix a world if there are three, which extend so far beside a line, metres.
@@ -98,13 +97,17 @@ class Points:
 def aligned(tags: FloatArray, prior: Prior) -> FloatArray | None:
     """The motion, `(4, 4)`, from the world of `tags` `(K, 4, 4)` to the prior's; None if the prior does not fix it.
 
-    Every tag whose pose is known proposes a motion; the one with which most of the others are where they are expected
-    is taken. Without any, it is the one that brings centres best to where they are known to be, three or more.
+    Centres and normals of the tags that are exactly known, or else of all, say where the world is. Where these fix no
+    turn, each tag whose pose is known proposes a motion, and the one with which most of the others are where they are
+    expected is taken. Without any, it is the one that brings centres best to where they are known to be, three or more.
     """
     there = np.isfinite(tags[:, 0, 0])
-    known = np.flatnonzero(prior.information[:, :3].any(axis=1) & there)
+    posed = prior.information[:, :3].any(axis=1) & there
+    known = np.flatnonzero(posed & prior.exact if (posed & prior.exact).any() else posed)
     if not known.size:
         return _laid_over(tags, prior, np.flatnonzero(prior.information.any(axis=1) & there))
+    if (motion := by_places(tags[known], prior.tags[known])) is not None:
+        return motion
     motions = prior.tags[known] @ inverse(tags[known])
     some = Prior(prior.tags[known], prior.information[known])
     costs = [np.log1p(some.squares(some.off(motion @ tags[known])) / DEGREES_OF_FREEDOM).sum() for motion in motions]

@@ -21,6 +21,7 @@ AXES = ("x", "y", "z", "rx", "ry", "rz")
 # A tag of the map needs another photograph if fewer sightings place it, or it is so many times worse known than most.
 FEW, LOOSE = 3, 3.0
 NOTICED = 0.01  # pixels
+TURNS = ("a quarter turn clockwise", "half a turn", "a quarter turn counter-clockwise")
 _few = partial(few, most=12)  # tags that a terminal names
 
 
@@ -269,6 +270,8 @@ def _troubles(survey: Survey) -> dict[str, str]:
     worst = [f"{ids[k]} ({1e3 * sigma[k]:.2g} mm)" for k in again(survey) if survey.placed[k]]
     return {
         **{text: _few(numbers) for text, numbers in by_state.items() if text != "placed"},
+        "turned": _turned(survey),
+        "fixed": _off_fixed(survey),
         "not planned": _few(unplanned),
         "moved": _few(f"{ids[place.tag]} from {times[place.moved or 0]} on" for place in moved),
         "twice": _few(ids[place.tag] for place in faults.second_places if place.moved is None),
@@ -277,3 +280,26 @@ def _troubles(survey: Survey) -> dict[str, str]:
         "misread": _few(f"{ids[k]} ({faults.misread[k]} x)" for k in np.flatnonzero(faults.misread)),
         "photograph": _few(worst) + "; known worst" * bool(worst),
     }
+
+
+def _turned(survey: Survey) -> str:
+    """Which tags are turned beside their plan, by how much, and what was made of that."""
+    turns, parts = survey.turns, []
+    for quarters, words in enumerate(TURNS, 1):
+        for renumbered in (True, False):
+            own = np.flatnonzero((turns.seen == quarters) & ((turns.renumbered == quarters) == renumbered))
+            if own.size:
+                made = "; their corners are renumbered" if renumbered else "; they hang so in the map"
+                parts.append(f"{words} beside their plan: {_few(survey.ids[own])}{made}")
+    return ". ".join(parts)
+
+
+def _off_fixed(survey: Survey) -> str:
+    """How far photographs have tags from where they are fixed."""
+    away = zip(survey.ids.tolist(), survey.off_fixed.tolist(), strict=True)
+    texts = [
+        f"{number} ({f'{1e3 * metres:.2g} mm' if metres == metres else f'{np.degrees(rad):.2g} degrees'})"
+        for number, (metres, rad) in away
+        if metres == metres or rad == rad
+    ]
+    return _few(texts) + "; elsewhere in the photographs: is the file exact?" * bool(texts)

@@ -10,16 +10,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, IntArray
+from lmd.core.checks import BoolArray, FloatArray, IntArray
 from lmd.geometry.se3 import cross, inverse, log
 from lmd.survey.sightings import Sightings
-from lmd.survey.student import RESIDUALS
+from lmd.survey.student import RESIDUALS, cost_of, weight_of
 
 if TYPE_CHECKING:
     from lmd.survey.boards import Sheets
 
 # A corner that is hardly in front of the camera, or behind it, fits nowhere: metres, and pixels.
 NEAREST, NOWHERE = 1e-3, 1e4
+# Standard deviation of what is taken for exact, metres and rad.
+EXACT_SIGMA = 1e-6
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,11 @@ class Prior:
     sheets: "Sheets | None" = None
     mounts: FloatArray | None = None
 
+    @property
+    def exact(self) -> BoolArray:
+        """Which tags are taken to be exactly where they are known to be, `(K,)`: no sighting moves them."""
+        return np.asarray((self.information >= 0.5 * EXACT_SIGMA**-2.0).all(axis=1))
+
     def off(self, tags: FloatArray) -> FloatArray:
         """How far `tags` are from what is known of them: twists, `(K, 6)`; 0 where nothing is known."""
         known = self.information.any(axis=1)
@@ -63,6 +70,15 @@ class Prior:
     def squares(self, off: FloatArray) -> FloatArray:
         """chi^2 of each, `(K,)`, by how far `off` they are."""
         return np.asarray((self.information * off**2).sum(axis=1))
+
+    def weights(self, squares: FloatArray) -> FloatArray:
+        """How much each counts, `(K,)`, by its chi^2: what is exact always counts in full."""
+        return weight_of(np.where(self.exact, 0.0, squares), 6)
+
+    def cost(self, squares: FloatArray) -> float:
+        """What the prior adds to the sum that is minimised, by chi^2 of each."""
+        exact = self.exact
+        return cost_of(squares[~exact], 6) + float(weight_of(np.zeros(1), 6)[0] / 2.0 * squares[exact].sum())
 
 
 def in_cameras(sightings: Sightings, tags: FloatArray, frames: FloatArray, mounts: FloatArray) -> FloatArray:

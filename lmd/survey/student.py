@@ -19,3 +19,8 @@ def solved(matrices: FloatArray, right: FloatArray) -> FloatArray:
 def weight_of(square: FloatArray, residuals: int = RESIDUALS) -> FloatArray:
     """(nu + d) / (nu + chi^2) for d residuals."""
     return np.asarray((DEGREES_OF_FREEDOM + residuals) / (DEGREES_OF_FREEDOM + square))
+
+
+def cost_of(square: FloatArray, residuals: int = RESIDUALS) -> float:
+    """The sum of (nu + d) / 2 log(1 + chi^2 / nu) for d residuals."""
+    return float((DEGREES_OF_FREEDOM + residuals) / 2.0 * np.log1p(square / DEGREES_OF_FREEDOM).sum())

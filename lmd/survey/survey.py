@@ -1,7 +1,7 @@
 """From detections to the map of the tags, all steps in order."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,13 +12,15 @@ from lmd.scene.camera import Camera
 from lmd.scene.deployment import Deployment
 from lmd.scene.tag import Tag
 from lmd.survey.boards import Boards
-from lmd.survey.estimate import Estimate, estimate
+from lmd.survey.estimate import Estimate, estimate, started
 from lmd.survey.faults import Faults, settled
+from lmd.survey.fixed import off_fixed
 from lmd.survey.held_out import Localised, held_out
 from lmd.survey.intrinsics import Calibrated, calibrated, judged
-from lmd.survey.known import EXACT_SIGMA, TAPE_SIGMA_M, Hanging, Points, levelled, poses_of
-from lmd.survey.residuals import Prior
+from lmd.survey.known import TAPE_SIGMA_M, Hanging, Points, levelled, poses_of
+from lmd.survey.residuals import EXACT_SIGMA, Prior
 from lmd.survey.sightings import Sightings, sightings_of
+from lmd.survey.turns import Turns, turns_of
 
 # A tag of which nothing is known is believed if so many sightings agree where it hangs: ids are misread.
 FEWEST_BELIEVED = 2
@@ -127,6 +129,8 @@ class Survey:
         faults: what did not fit.
         placed: which tags are in the map, `(K,)`.
         localised: frames held out, see `lmd.survey.held_out`.
+        turns: how tags are turned beside their plan.
+        off_fixed: how far photographs have tags from where they are fixed, `(K, 2)`, see `lmd.survey.fixed`.
         calibrated: the cameras as the photographs say, if that was asked for; else none.
         proposed: what to photograph next, see `lmd.survey.next_photographs`.
     """
@@ -137,6 +141,8 @@ class Survey:
     faults: Faults
     placed: BoolArray
     localised: dict[str, Localised]
+    turns: Turns
+    off_fixed: FloatArray
     calibrated: tuple[Calibrated, ...] = ()
     proposed: tuple[Photograph, ...] = ()
 
@@ -175,7 +181,8 @@ def survey(
         calibrate: whether the intrinsics of the cameras are found, too.
 
     Raises:
-        InputError: the detections do not connect two tags, place none, or are of other tags or cameras.
+        InputError: the detections do not connect two tags, place none, or are of other tags or cameras; or tags that
+            are fixed hang elsewhere beside each other.
     """
     often, counts = np.unique(detected.ids[detected.ids < tag.ids], return_counts=True)
     ids = np.union1d(known.ids, often[counts >= FEWEST_BELIEVED])
@@ -183,14 +190,20 @@ def survey(
         raise InputError("detections has no tag of the plan, and no other one twice.", "detections")
 
     def sighted(through: Sequence[Camera]) -> Sightings:
-        return sightings_of(detected, through, ids, known.edges(ids, tag), tag.modules, errors)
+        return sightings_of(shown, through, ids, known.edges(ids, tag), tag.modules, errors)
 
-    sightings, refined = sighted(cameras), tuple(cameras)
-    found = estimate(sightings, known.prior(ids), known.origin)
+    shown, refined = detected, tuple(cameras)
+    sightings, prior = sighted(cameras), known.prior(ids)
+    start = started(sightings, prior)
+    if turns := turns_of(start.poses, start.group, prior, detected.in_order):
+        shown = detected.renumbered(ids, turns.renumbered)
+        sightings, prior, start = sighted(cameras), turns.planned(prior), replace(start, poses=turns.of_renumbered(start.poses))
+    found = estimate(sightings, prior, known.origin, start)
     if calibrate:
         found, refined = calibrated(found, cameras, sighted)
         sightings = found.sightings
     found, faults = settled(found)
+    off = off_fixed(found, start)
     if known.floor:
         first = int(np.flatnonzero(found.prior.information.any(axis=1))[0])
         found = found.moved(levelled(found.poses.tags, np.flatnonzero(np.isin(ids, known.floor)), first))
@@ -200,6 +213,5 @@ def survey(
         text = f"detections: no tag is placed, as no {FEWEST_BELIEVED} sightings of one agree: more frames are needed."
         raise InputError(text, "detections")
     localised = held_out(found, known.planned(ids))
-    return Survey(
-        detected, known, found, faults, placed, localised, judged(found, cameras, refined) if calibrate else ()
-    )
+    judgements = judged(found, cameras, refined) if calibrate else ()
+    return Survey(detected, known, found, faults, placed, localised, turns, off, judgements)
