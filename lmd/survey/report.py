@@ -302,4 +302,4 @@ def _off_fixed(survey: Survey) -> str:
         for number, (metres, rad) in away
         if metres == metres or rad == rad
     ]
-    return _few(texts) + "; elsewhere in the photographs: is the file exact?" * bool(texts)
+    return _few(texts) + "; elsewhere in the photographs: is the file exact, and each edge right?" * bool(texts)

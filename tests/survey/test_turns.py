@@ -1,0 +1,161 @@
+"""Tags whose corners begin elsewhere, or that hang turned: images by cv2.projectPoints of squares made here."""
+
+import cv2
+import numpy as np
+import pytest
+import walks
+
+from lmd.core.checks import InputError
+from lmd.geometry.se3 import inverse
+from lmd.mapping.detections import DetectedTags
+from lmd.scene.deployment import Deployment
+from lmd.scene.labels import Labels
+from lmd.scene.tag import Tag
+from lmd.survey.report import map_of, to_text
+from lmd.survey.survey import Known, survey
+
+IDS = np.array([2, 3, 5, 7, 11])
+PLACES = np.array([[0.5, 0.0, 1.0], [1.0, 0.0, 1.4], [1.6, 0.0, 0.9], [2.0, 0.0, 1.5], [0.0, 0.7, 1.2]])
+NORMALS = np.array([[0.0, 1.0, 0.0]] * 4 + [[1.0, 0.0, 0.0]])
+EYES = [(1.0, 2.0, 1.2), (1.6, 1.8, 1.6), (0.9, 2.4, 0.8), (1.3, 1.6, 1.1), (2.0, 2.2, 1.3), (0.8, 2.0, 1.7)]
+EDGE, SIGMA = 0.15, 0.1
+WORDS = {1: "a quarter turn clockwise", 2: "half a turn", 3: "a quarter turn counter-clockwise"}
+
+
+def plan(places=PLACES):
+    return Deployment(places, NORMALS, labels=Labels(IDS))
+
+
+def seen(clockwise, places=PLACES, rolled=0):
+    """What six photographs show of tags turned clockwise by quarters, with corners that begin at the one `rolled`."""
+    camera, rng = walks.CAMERA, np.random.default_rng(3)
+    matrix = np.eye(3)
+    (matrix[0, 0], matrix[1, 1]), matrix[:2, 2] = camera.focal_pixels, camera.principal_point
+    rows = []
+    for frame, eye in enumerate(EYES):
+        ahead = np.array([1.0, 0.1, 1.2]) - eye
+        ahead /= np.linalg.norm(ahead)
+        right = np.cross(ahead, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        turn = np.stack([right, np.cross(ahead, right), ahead])
+        for k, normal in enumerate(NORMALS):
+            tag_right = np.cross([0.0, 0.0, 1.0], normal)
+            angle = -clockwise[k] * np.pi / 2.0
+            x = np.cos(angle) * tag_right + np.sin(angle) * np.array([0.0, 0.0, 1.0])
+            y = np.cross(normal, x)
+            square = [places[k] + EDGE / 2.0 * (a * x + b * y) for a, b in ((-1, 1), (1, 1), (1, -1), (-1, -1))]
+            image = cv2.projectPoints(np.array(square), turn, -turn @ np.array(eye), matrix, None)[0].reshape(4, 2)
+            corners = [image[(corner + rolled) % 4] for corner in range(4)]
+            rows.append((frame, IDS[k], corners + rng.normal(0.0, SIGMA, (4, 2))))
+    frames, ids, corners = (np.array(column) for column in zip(*rows, strict=True))
+    return DetectedTags(tuple("abcdef"), ("",), frames, 0 * frames, ids, corners)
+
+
+def surveyed(detected, **known):
+    return survey(detected, [walks.CAMERA], Tag(EDGE), walks.constant_errors(SIGMA), Known(**known))
+
+
+def line(found, label):
+    """What stands behind a label in the terminal; None without that line."""
+    rows = dict(row.split(maxsplit=1) for row in to_text(found).splitlines())
+    return rows.get(label)
+
+
+@pytest.mark.parametrize("rolled", [1, 2, 3])
+@pytest.mark.parametrize("as_fixed", [True, False])
+def test_corners_that_begin_elsewhere_are_renumbered_and_the_tags_named(rolled, as_fixed):
+    found = surveyed(seen([0] * 5, rolled=rolled), **{"fixed" if as_fixed else "plan": plan()})
+    tags = map_of(found)
+    assert tags.ids.tolist() == IDS.tolist()
+    np.testing.assert_allclose(tags.places, PLACES, atol=1e-6 if as_fixed else 2e-3)
+    np.testing.assert_allclose(tags.ups, np.tile([0.0, 0.0, 1.0], (5, 1)), atol=0.01)
+    assert line(found, "turned") == f"{WORDS[rolled]} beside their plan: 2, 3, 5, 7, 11; their corners are renumbered"
+
+
+def test_tags_as_planned_have_no_such_line():
+    for known in ({"plan": plan()}, {"fixed": plan()}):
+        found = surveyed(seen([0] * 5), **known)
+        assert line(found, "turned") is None
+        assert line(found, "fixed") is None
+
+
+@pytest.mark.parametrize("clockwise", [(0, 2, 0, 0, 0), (2, 0, 0, 2, 0), (1, 3, 0, 0, 0), (0, 0, 0, 0, 1)])
+def test_some_that_hang_turned_hang_so_in_the_map_of_a_plan(clockwise):
+    found = surveyed(seen(clockwise), plan=plan())
+    tags = map_of(found)
+    np.testing.assert_allclose(tags.places, PLACES, atol=2e-3)
+    for k, quarters in enumerate(clockwise):
+        right = np.cross([0.0, 0.0, 1.0], NORMALS[k])
+        up = [np.array([0.0, 0.0, 1.0]), right, np.array([0.0, 0.0, -1.0]), -right][quarters]
+        np.testing.assert_allclose(tags.ups[k], up, atol=0.01)
+        if quarters:
+            assert f"{WORDS[quarters]} beside their plan: " in line(found, "turned")
+    assert "they hang so in the map" in line(found, "turned")
+
+
+@pytest.mark.parametrize("clockwise", [(0, 2, 0, 0, 0), (2, 0, 0, 2, 1), (0, 0, 0, 0, 3), (2, 2, 2, 2, 0)])
+def test_fixed_tags_stay_as_they_are_fixed_however_they_are_turned(clockwise):
+    found = surveyed(seen(clockwise), fixed=plan())
+    np.testing.assert_allclose(map_of(found).places, PLACES, atol=1e-6)
+    np.testing.assert_allclose(map_of(found).ups, np.tile([0.0, 0.0, 1.0], (5, 1)), atol=1e-6)
+    assert "their corners are renumbered" in line(found, "turned")
+    named = "".join(line(found, "turned"))
+    assert all(str(IDS[k]) in named for k in np.flatnonzero(clockwise))
+
+
+def test_two_fixed_tags_are_enough(few=slice(0, 2)):
+    found = surveyed(seen([0] * 5, rolled=2), fixed=plan()[few])
+    np.testing.assert_allclose(map_of(found).places, PLACES, atol=0.01)
+    np.testing.assert_allclose(map_of(found).places[few], PLACES[few], atol=1e-6)
+
+
+def test_corners_of_lmds_own_detectors_are_not_renumbered():
+    """Then all tags do hang upside down, which a map must say."""
+    detected = seen([2] * 5)
+    own = DetectedTags.together({"": detected})
+    assert not own.in_order
+    found = surveyed(DetectedTags(**{**vars(own), "in_order": True}), plan=plan())
+    np.testing.assert_allclose(map_of(found).places, PLACES, atol=2e-3)
+    np.testing.assert_allclose(map_of(found).ups, np.tile([0.0, 0.0, -1.0], (5, 1)), atol=0.01)
+    assert "they hang so in the map" in line(found, "turned")
+
+
+def test_without_a_plan_the_world_is_that_of_the_tag_as_it_was_seen():
+    found = surveyed(seen([0] * 5, rolled=2), origin=2)
+    tags = map_of(found)
+    away = np.linalg.norm(tags.places[:, None] - tags.places, axis=-1)
+    np.testing.assert_allclose(away, np.linalg.norm(PLACES[:, None] - PLACES, axis=-1), atol=5e-3)
+    np.testing.assert_allclose(tags.ups[:4], np.tile([0.0, 1.0, 0.0], (4, 1)), atol=0.01)
+
+
+@pytest.mark.parametrize("rolled", [0, 2])
+def test_a_fixed_tag_that_hangs_elsewhere_is_refused(rolled):
+    hangs = PLACES.copy()
+    hangs[2] += [0.0, 0.0, 0.3]
+    with pytest.raises(InputError, match=r"^fixed has tag 5 (29|30)\d mm from where the photographs have it"):
+        surveyed(seen([0] * 5, hangs, rolled), fixed=plan())
+
+
+def test_two_fixed_tags_that_contradict_each_other_are_refused():
+    hangs = PLACES.copy()
+    hangs[1] += [0.1, 0.0, 0.0]
+    with pytest.raises(InputError, match=r"^fixed has tag [23] \d\d(\.\d)? mm from where the photographs have it"):
+        surveyed(seen([0] * 5, hangs), fixed=plan()[:2])
+
+
+def test_a_fixed_tag_that_is_a_little_off_stays_and_is_named():
+    hangs = PLACES.copy()
+    hangs[3] += [0.006, 0.0, 0.0]
+    found = surveyed(seen([0] * 5, hangs), fixed=plan())
+    tags = map_of(found)
+    there = np.isin(IDS, tags.ids)
+    assert there.sum() >= 4
+    np.testing.assert_allclose(tags.places, PLACES[there], atol=1e-6)
+    assert "7 (5." in line(found, "fixed")
+    assert line(found, "fixed").endswith(" mm); elsewhere in the photographs: is the file exact, and each edge right?")
+
+
+def test_an_exact_tag_weighs_more_than_any_sighting():
+    found = surveyed(seen([0] * 5), fixed=plan())
+    off = inverse(found.found.prior.tags) @ found.found.poses.tags - np.eye(4)
+    assert np.abs(off).max() < 1e-5
