@@ -1,9 +1,9 @@
 """Recorded trajectories: from a file of somebody's recorder to poses of the camera in the frame of the room."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from lmd.geometry.trajectory import Trajectory
 from lmd.scene.extrinsics import read_mount
 from lmd.scene.rig import OPTICAL
 from lmd.scene.trajectory_readers import read_rows
+from lmd.scene.trajectory_rows import Rows
 from lmd.space.inside import check_positions
 from lmd.space.space import Space
 
@@ -22,6 +23,8 @@ FRAMES = {"optical": np.eye(3), "body": OPTICAL}
 FEWEST = 3  # points that say how two frames lie to each other
 # How far points of two frames may miss each other, in parts of their extent, and how thin their triangle may be.
 MISS, THIN = 0.05, 0.02
+# Views that look up or down: the sine of their pitch, and the share of them that raises a question.
+STEEP, NEARLY_ALL = np.cos(np.radians(30.0)), 0.9
 
 
 @dataclass(frozen=True)
@@ -29,11 +32,12 @@ class TrajectoryFile:
     """The file of a trajectory, and what has to be said of its frames.
 
     Args:
-        path: a format of `lmd.scene.trajectory_readers`, or a CSV with the columns time,x,y,z,yaw,pitch, if you like
-            roll, or time,x,y,z,qx,qy,qz,qw: seconds, metres, and radians as in `lmd.geometry.frames.rotation`.
+        path: a format of `lmd.scene.trajectory_readers`, or a table with the columns time,x,y,z and one of:
+            qx,qy,qz,qw; roll,pitch,yaw of a body as ROS has them; yaw_from_y,pitch_up (and roll_left) of a camera as
+            in `lmd.geometry.frames.rotation`, which time,x,y,z,yaw,pitch are too. Seconds, metres, radians.
         frame: that orientations are about: `optical` (x right, y down, z the optical axis) or `body` (x along the
-            optical axis, y left, z up). Not asked where there is a `mount`, nor of yaw and pitch.
-        times: a file with the time of each pose, one a line, where the trajectory has none (KITTI).
+            optical axis, y left, z up; yaw, pitch and roll are then ROS's). Not asked where there is a `mount`.
+        times: a file with the time of each pose, one a line, where the trajectory has none (KITTI, COLMAP).
         rate: poses a second in place of it.
         align: where the frame of the recording is in the room: [x, y, z, yaw] of its origin, where its z points up and
             yaw turns counter-clockwise seen from above; [x, y, z, qx, qy, qz, qw]; or at least three points, each as
@@ -44,6 +48,9 @@ class TrajectoryFile:
     Raises:
         InputError: a value is refused.
     """
+
+    group: ClassVar[str] = ""
+    """The group of a configuration that has these keys, with a dot, for hints."""
 
     path: str | None
     frame: str = "optical"
@@ -57,21 +64,48 @@ class TrajectoryFile:
 
     @cached_property
     def _read(self) -> tuple[Trajectory, str]:
-        """The poses of the camera in the room, and what was left out of the file."""
+        """The poses of the camera in the room, and what to say of them."""
         if self.path is None:
             raise InputError("path is missing: a file of poses is needed.", "path")
-        rows = read_rows(self.path, self.times, self.rate)
+        rows = read_rows(self.path, self.times, self.rate, self.frame)
+        if rows.frame == "optical" and self.frame == "body":
+            raise InputError(f"frame must be optical: {self.path} has the poses of a camera.", "frame")
         poses = rows.poses
         if self.mount is not None:
             if rows.angles:  # they speak of where x looks
                 poses = _turned(poses, FRAMES["body"].T)
+            elif rows.frame == "optical":
+                raise InputError(f"mount must be left out: {self.path} has the poses of the camera itself.", "mount")
             poses = poses @ _mounted(self.mount)
-        elif not rows.angles:
-            poses = _turned(poses, FRAMES[self.frame])
+        else:
+            poses = _turned(poses, FRAMES[rows.frame or self.frame])
         if self.align is not None:
             poses = alignment(self.align) @ poses
+        notes = rows.notes if rows.angles else (*rows.notes, *self._doubts(rows, poses))
         with said_of(self.path, "path"):
-            return Trajectory(rows.time, poses), rows.note
+            return Trajectory(rows.time, poses), "; ".join(notes)
+
+    def _doubts(self, rows: Rows, poses: FloatArray) -> Iterator[str]:
+        """A question where nearly all views go up or down, as those of a body do that is taken for a camera."""
+        steep = poses[:, 2, 2]
+        up, down = (float((sign * steep > STEEP).mean()) for sign in (1.0, -1.0))
+        if up + down < NEARLY_ALL:
+            return
+        way = "up" if up > down else "down"
+        cures = [
+            "mount, of a camera that sits otherwise"
+            if self.mount is not None
+            else "frame=body, of a body with x ahead and z up"
+        ]
+        cures.append("align, of a recording whose z does not point up")
+        if rows.frame == "body" or self.frame == "body":
+            cures[:1] = ["mount, of a camera that looks elsewhere than along x"]
+        elif rows.frame == "optical":
+            cures = cures[1:]
+        yield (
+            f"{up + down:.0%} of the views of {self.path} look straight {way}, within 30 degrees: does the camera? If "
+            f"not, say so by {' or '.join(f'{self.group}{cure}' for cure in cures)}"
+        )
 
     @property
     def trajectory(self) -> Trajectory:
@@ -84,7 +118,7 @@ class TrajectoryFile:
 
     @property
     def note(self) -> str:
-        """What was left out of the file, a sentence; empty if nothing."""
+        """What was left out of the file, taken for granted or is to be asked of it; empty if nothing."""
         return self._read[1]
 
     def check_inside(self, room: Space, check: Callable[[Trajectory, Space], None] = check_positions) -> Trajectory:
