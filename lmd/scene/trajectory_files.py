@@ -1,6 +1,6 @@
 """Recorded trajectories: from a file of somebody's recorder to poses of the camera in the frame of the room."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -14,7 +14,7 @@ from lmd.geometry.trajectory import Trajectory
 from lmd.scene.extrinsics import read_mount
 from lmd.scene.rig import OPTICAL
 from lmd.scene.trajectory_readers import read_rows
-from lmd.scene.trajectory_rows import Rows
+from lmd.scene.trajectory_rows import Rows, steep
 from lmd.space.inside import check_positions
 from lmd.space.space import Space
 
@@ -23,8 +23,6 @@ FRAMES = {"optical": np.eye(3), "body": OPTICAL}
 FEWEST = 3  # points that say how two frames lie to each other
 # How far points of two frames may miss each other, in parts of their extent, and how thin their triangle may be.
 MISS, THIN = 0.05, 0.02
-# Views that look up or down: the sine of their pitch, and the share of them that raises a question.
-STEEP, NEARLY_ALL = np.cos(np.radians(30.0)), 0.9
 
 
 @dataclass(frozen=True)
@@ -81,31 +79,20 @@ class TrajectoryFile:
             poses = _turned(poses, FRAMES[rows.frame or self.frame])
         if self.align is not None:
             poses = alignment(self.align) @ poses
-        notes = rows.notes if rows.angles else (*rows.notes, *self._doubts(rows, poses))
+        notes = (*rows.notes, self._doubt(rows, poses))
         with said_of(self.path, "path"):
-            return Trajectory(rows.time, poses), "; ".join(notes)
+            return Trajectory(rows.time, poses), "; ".join(filter(None, notes))
 
-    def _doubts(self, rows: Rows, poses: FloatArray) -> Iterator[str]:
-        """A question where nearly all views go up or down, as those of a body do that is taken for a camera."""
-        steep = poses[:, 2, 2]
-        up, down = (float((sign * steep > STEEP).mean()) for sign in (1.0, -1.0))
-        if up + down < NEARLY_ALL:
-            return
-        way = "up" if up > down else "down"
-        cures = [
-            "mount, of a camera that sits otherwise"
-            if self.mount is not None
-            else "frame=body, of a body with x ahead and z up"
-        ]
-        cures.append("align, of a recording whose z does not point up")
-        if rows.frame == "body" or self.frame == "body":
-            cures[:1] = ["mount, of a camera that looks elsewhere than along x"]
-        elif rows.frame == "optical":
-            cures = cures[1:]
-        yield (
-            f"{up + down:.0%} of the views of {self.path} look straight {way}, within 30 degrees: does the camera? If "
-            f"not, say so by {' or '.join(f'{self.group}{cure}' for cure in cures)}"
-        )
+    def _doubt(self, rows: Rows, poses: FloatArray) -> str:
+        """A question where nearly all views go up or down, with the keys that answer it."""
+        if rows.angles or not (said := steep(poses[:, 2, 2], self.path)):
+            return ""
+        cures = ["align, of a recording whose z does not point up"]
+        if self.mount is not None or rows.frame == "body" or self.frame == "body":
+            cures.insert(0, "mount, of a camera that looks elsewhere on the body")
+        elif rows.frame is None:
+            cures.insert(0, "frame=body, of a body with x ahead and z up")
+        return f"{said} If not, say so by {' or '.join(f'{self.group}{cure}' for cure in cures)}"
 
     @property
     def trajectory(self) -> Trajectory:

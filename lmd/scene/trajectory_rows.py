@@ -13,6 +13,8 @@ NANOSECONDS = 1e16  # a time beyond it counts them: seconds would be 300 million
 # Times beyond, but not beyond that, are no seconds: milliseconds or microseconds since 1970, or nanoseconds of a clock
 # that began with the machine.
 UNCLEAR = 1e11
+# Views that look up or down: the sine of their pitch, and the share of them that raises a question.
+STEEP, NEARLY_ALL = np.cos(np.radians(30.0)), 0.9
 FASTEST = 1e-6  # seconds from pose to pose: less is a wrong unit
 
 
@@ -123,3 +125,17 @@ def given_times(count: int, what: str, times: str | None, rate: float | None) ->
         return checked_seconds(str(times), time, None, None)
     except InputError as error:
         raise InputError(f"times: {times}: {str(error).removeprefix(f'{times}: ')}", "times") from None
+
+
+def steep(sines: FloatArray, path: object) -> str:
+    """A question where nearly all views look up or down, as those of a body do that is taken for a camera.
+
+    Args:
+        sines: of the pitch of each view, `(T,)`.
+        path: the file, for the question.
+    """
+    up, down = (float((sign * sines > STEEP).mean()) for sign in (1.0, -1.0))
+    if up + down < NEARLY_ALL:
+        return ""
+    way = "up" if up > down else "down"
+    return f"{up + down:.0%} of the views of {path} look straight {way}, within 30 degrees: does the camera?"
