@@ -199,6 +199,13 @@ def test_a_calibration_without_extrinsics_or_with_several_cameras_is_refused(wri
         ({"cam0": {"T_cam_imu": [1, 2]}}, None, "the pose of the camera cannot be read"),
         ({"cam0": {"T_cam_imu": (2 * np.eye(4)).tolist()}}, None, "its matrix is no rigid motion"),
         ({"T_imu_cam": [{"px": 1}]}, None, "the pose of the camera cannot be read"),
+        ({"T_imu_cam": ["x"]}, None, "the pose of the camera cannot be read .it must have the keys px"),
+        (
+            {"T_imu_cam": [dict.fromkeys(("px", "py", "pz", "qx", "qy", "qz", "qw"), 10**400)]},
+            None,
+            "px must be finite",
+        ),
+        ({"T_BS": {"data": [10**400] * 16}}, None, r"its matrix\[0\] must be finite"),
     ):
         mount = {"path": write(json.dumps(content), "mount.json"), "name": name}
         with pytest.raises(InputError, match=f"^mount: .*{message}"):
