@@ -248,7 +248,7 @@ def _photonvision(keys: Keys) -> dict[str, Keys]:
 
 def _frc971(keys: Keys) -> dict[str, Keys]:
     size = keys.get("image_width"), keys.get("image_height")  # which it does not say
-    return {"": _ros(size, keys["intrinsics"], keys["dist_coeffs"])}
+    return {"": _ros(size, keys["intrinsics"], keys["dist_coeffs"], keys.get("distortion_model"))}
 
 
 def _basalt(keys: Keys) -> dict[str, Keys]:

@@ -153,13 +153,14 @@ def _calibration(path: str, keys: Mapping[str, Any], size: tuple[float, ...] | N
     width, height = (keys.get(name, None if size is None else size[i]) for i, name in enumerate(SIZE))
     if width is None or height is None:
         raise InputError(f"{' or '.join(SIZE)} is missing: give image_size, [width, height] in pixels.")
-    if "distortion_model" not in keys and asked is None and len(lens) == UNCLEAR and any(lens):
+    name = keys.get("distortion_model") or asked  # drivers leave it empty
+    if name is None and len(lens) == UNCLEAR and any(lens):
         raise InputError(
             f"distortion_model must be given: {path} names no model, and its 4 coefficients may be those of "
             "cv2.fisheye (fisheye) or k1, k2, p1, p2 (plumb_bob).",
             "distortion_model",
         )
-    name = keys.get("distortion_model", asked or "plumb_bob")
+    name = name or "plumb_bob"
     model = LENS_MODELS[known_lens(name, LENS_MODELS)]
     if asked is not None and LENS_MODELS[known_lens(asked, LENS_MODELS)] != model:
         raise InputError(f"distortion_model must be {name}, as the file has it, got {asked}.", "distortion_model")

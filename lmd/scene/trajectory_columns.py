@@ -155,7 +155,8 @@ def lacking(table: Table, columns: Mapping[str, Column]) -> InputError:
     turns = EULER if any(name in columns for name in EULER) and "qw" not in columns else QUATERNION
     missing = [name for name in (*POSITION, *turns) if name not in columns]
     plane = (
-        " Of a motion in the plane z is the height, qx = qy = 0, qz = sin(yaw / 2) and qw = cos(yaw / 2), of a body."
+        " Of a motion in the plane add z, the height, and roll = pitch = 0 beside yaw (of a body, counter-clockwise "
+        "from x, radians): time,x,y,z,roll,pitch,yaw."
     )
     return InputError(
         f"it lacks {', '.join(missing)}: a pose has {NEEDED} (or roll, pitch, yaw), and its columns are {said}."

@@ -235,12 +235,12 @@ def _oriented(
         )
     angles = dict(zip(given, values(table, columns, given).T, strict=True))
     radians("the trajectory", **angles)
-    turns = roll_pitch_yaw(np.stack([angles.get(name, np.zeros(len(place))) for name in EULER], axis=1))
+    turn = roll_pitch_yaw(np.stack([angles.get(name, np.zeros(len(place))) for name in EULER], axis=1))
     note = (
         f"{', '.join(given)} of {table.path} are taken as ROS has them, of a body: x ahead, y left, z up, yaw "
         "counter-clockwise from x"
     )
-    return pose_of(turns, place), "body", False, note
+    return pose_of(turn, place), "body", False, note
 
 
 def _frame_of_ros(table: Table, frame: str) -> tuple[str | None, str]:

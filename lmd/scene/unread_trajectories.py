@@ -18,6 +18,11 @@ UNREAD = (
         "it is a message that ROS prints as YAML: record it as CSV, by ros2 topic echo --csv TOPIC or rostopic echo -p "
         "TOPIC",
     ),
+    (
+        r"^VehicleName\s",
+        "it is a recording of AirSim, in milliseconds, whose axes point north, east and down: write a table with "
+        "time_ms,x,y,z,qw,qx,qy,qz from TimeStamp, POS_X, -POS_Y, -POS_Z, Q_W, Q_X, -Q_Y, -Q_Z, of a body",
+    ),
     (r"\A\s*NVM_V3", "it is a model of VisualSFM: COLMAP's images.txt is read, or " + AS_TEXT),
     (r"\A\s*[{\[]", "it is JSON, and trajectories are read as text or CSV: " + AS_TEXT),
     (r"\A\s*<", "it is XML, and trajectories are read as text or CSV: " + AS_TEXT),

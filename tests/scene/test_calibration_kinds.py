@@ -39,6 +39,14 @@ UNCLEAR = {
     "a row": without_size(FISHEYE | {"D": [[row[0] for row in D]]}),
     "a list": without_size(FISHEYE | {"D": [row[0] for row in D]}),
     "a message": {"width": 640, "height": 480, "K": K, "D": [row[0] for row in D]},
+    "a driver that leaves it empty": {
+        "width": 640,
+        "height": 480,
+        "K": K,
+        "D": [row[0] for row in D],
+        "distortion_model": "",
+    },
+    "a script": {"intrinsics": K, "dist_coeffs": D, "image_width": 640, "image_height": 480},
     "ROS without a model": {
         "image_width": 640,
         "image_height": 480,

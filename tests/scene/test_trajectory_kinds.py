@@ -102,6 +102,7 @@ KAPTURE = (
         ("VERTEX_SE3:QUAT 0 1 2 3 0 0 0 1\n", "a pose graph of g2o, which has no times"),
         ("header:\n  stamp:\n    sec: 1\n", "record it as CSV, by ros2 topic echo --csv"),
         ('{"frames": [{"transform_matrix": []}]}', "it is JSON"),
+        ("VehicleName\tTimeStamp\tPOS_X\tPOS_Y\tPOS_Z\tQ_W\tQ_X\tQ_Y\tQ_Z\n", "AirSim, .* north, east and down"),
         ("NVM_V3\n\n2\n", "VisualSFM"),
         ("lidar0,100.000000,100.000000,1,0,0,0,1\n", "line 1 begins with 'lidar0', which is neither a number nor"),
         (
@@ -117,7 +118,10 @@ KAPTURE = (
         ("time,x [ft],y [ft],z [ft],qx,qy,qz,qw\n0,1,1,1,0,0,0,1\n", r"the unit 'ft' of the column 'x \[ft\]' is not"),
         ("timestamp,position[0],position[1],position[2],q[0],q[1],q[2],q[3]\n1,1,1,1,1,0,0,0\n", "lacks x|which is w"),
         ("timestamp,x,y,z,q[0],q[1],q[2],q[3]\n1,1,1,1,1,0,0,0\n", r"from 'q\[0\]' on do not say which is w"),
-        ("Timestamp,/a/translation/x,/a/translation/y,/a/rotation/value\n0,1,1,0\n", "lacks z, .* z is the height"),
+        (
+            "Timestamp,/a/translation/x,/a/translation/y,/a/rotation/value\n0,1,1,0\n",
+            "lacks z, .* add z, the height, and roll = pitch = 0",
+        ),
         ("1478254247676381 1 1 1 0 0 0 1\n", "looks like milliseconds, microseconds or nanoseconds: divide it, or let"),
         ("# time_ns x y z qx qy qz qw\n0.0 1 1 1 0 0 0 1\n0.1 1 1 1 0 0 0 1\n", "cannot be in the unit that it names"),
         ("0 1 1 1 0 0 0.001 0.029\n1 1 1 1 0 0 0 1\n", "line 1: the quaternion must have length 1, it has 0.0290"),
