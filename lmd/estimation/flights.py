@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -184,8 +184,6 @@ class Waypoints:
 @dataclass(frozen=True)
 class FileTrajectory(TrajectoryFile):
     """A recorded or planned trajectory, one pose for each frame, see `TrajectoryFile`."""
-
-    group: ClassVar[str] = "trajectory."
 
     def draw(self, scene: Scene, rng: np.random.Generator) -> Trajectory:
         """See `TrajectorySource.draw`; nothing here is random."""

@@ -9,7 +9,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
 
 import numpy as np
 
@@ -58,8 +57,6 @@ class RecordedPoses(TrajectoryFile):
     Raises:
         InputError: a value is out of range, the file is no trajectory, or it is too short for a block to be held out.
     """
-
-    group: ClassVar[str] = "poses."
 
     spacing: float | Sequence[float]
     bandwidth: float

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -47,9 +47,6 @@ class TrajectoryFile:
         InputError: a value is refused.
     """
 
-    group: ClassVar[str] = ""
-    """The group of a configuration that has these keys, with a dot, for hints."""
-
     path: str | None
     frame: str = "optical"
     times: str | None = None
@@ -61,8 +58,8 @@ class TrajectoryFile:
         choice("frame", self.frame, list(FRAMES))
 
     @cached_property
-    def _read(self) -> tuple[Trajectory, str]:
-        """The poses of the camera in the room, and what to say of them."""
+    def _read(self) -> tuple[Trajectory, Rows]:
+        """The poses of the camera in the room, and the rows that they were read from."""
         if self.path is None:
             raise InputError("path is missing: a file of poses is needed.", "path")
         rows = read_rows(self.path, self.times, self.rate, self.frame)
@@ -79,20 +76,8 @@ class TrajectoryFile:
             poses = _turned(poses, FRAMES[rows.frame or self.frame])
         if self.align is not None:
             poses = alignment(self.align) @ poses
-        notes = (*rows.notes, self._doubt(rows, poses))
         with said_of(self.path, "path"):
-            return Trajectory(rows.time, poses), "; ".join(filter(None, notes))
-
-    def _doubt(self, rows: Rows, poses: FloatArray) -> str:
-        """A question where nearly all views go up or down, with the keys that answer it."""
-        if rows.angles or not (said := steep(poses[:, 2, 2], self.path)):
-            return ""
-        cures = ["align, of a recording whose z does not point up"]
-        if self.mount is not None or rows.frame == "body" or self.frame == "body":
-            cures.insert(0, "mount, of a camera that looks elsewhere on the body")
-        elif rows.frame is None:
-            cures.insert(0, "frame=body, of a body with x ahead and z up")
-        return f"{said} If not, say so by {' or '.join(f'{self.group}{cure}' for cure in cures)}"
+            return Trajectory(rows.time, poses), rows
 
     @property
     def trajectory(self) -> Trajectory:
@@ -106,7 +91,24 @@ class TrajectoryFile:
     @property
     def note(self) -> str:
         """What was left out of the file, taken for granted or is to be asked of it; empty if nothing."""
-        return self._read[1]
+        return self.note_of("")
+
+    def note_of(self, group: str) -> str:
+        """The same, where the keys of a configuration begin with `group`."""
+        notes = (*self._read[1].notes, self._doubt(group))
+        return "; ".join(filter(None, notes))
+
+    def _doubt(self, group: str) -> str:
+        """A question where nearly all views go up or down, with the keys that answer it."""
+        trajectory, rows = self._read
+        if rows.angles or not (said := steep(trajectory.poses[:, 2, 2], self.path)):
+            return ""
+        cures = ["align, of a recording whose z does not point up"]
+        if self.mount is not None or rows.frame == "body" or self.frame == "body":
+            cures.insert(0, "mount, of a camera that looks elsewhere on the body")
+        elif rows.frame is None:
+            cures.insert(0, "frame=body, of a body with x ahead and z up")
+        return f"{said} If not, say so by {' or '.join(f'{group}{cure}' for cure in cures)}"
 
     def check_inside(self, room: Space, check: Callable[[Trajectory, Space], None] = check_positions) -> Trajectory:
         """The trajectory, which must lie inside a room.

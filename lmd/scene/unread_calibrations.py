@@ -10,7 +10,7 @@ AS_ROS = (
     "write it as ROS does, with image_width, image_height, camera_matrix: {data: [fx, 0, cx, 0, fy, cy, 0, 0, 1]}, "
     "distortion_model and distortion_coefficients: {data: [k1, k2, p1, p2, k3]}"
 )
-TOPIC = "ros2 topic echo --once TOPIC/camera_info > camera.yaml"
+TOPIC = "ros2 topic echo --once TOPIC/camera_info > info.yaml"
 _NUMBER = r"[-+]?\.?\d[-+.\deE]*"
 # By what the first characters hold.
 TEXTS = (
