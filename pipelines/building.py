@@ -307,7 +307,7 @@ def _poses(cfg: DictConfig) -> "tuple[Space, OrientationPdf, RecordedPoses | Non
     poses = instantiate(cfg.poses)
     with keyed("poses"):
         visited = poses.visited(room)
-    note(poses.note)
+    note(poses.note_of("poses."))
     return visited, poses.pdf, poses
 
 

@@ -8,6 +8,7 @@ from omegaconf import DictConfig
 from .app import choices, flat_settings, run_directory
 from .building import instantiate, keyed, settings_of
 from .documents import write_document
+from .notes import note
 from .pipeline import Pipeline
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ def estimate(cfg: DictConfig) -> None:
     source = instantiate(settings_of(cfg, "recording"))
     with keyed("recording"):
         recording = source.record(rng)
+    note(recording.note)
     result = estimate_pdf(
         recording,
         rng,

@@ -52,7 +52,8 @@ def observe(cfg: DictConfig) -> None:
         raise InputError("film needs rendered frames: detector=rendered.")
     with keyed("trajectory", seeds="seeds"):
         flights = Flights.draw(problem, trajectory, start, seeds)
-    note(getattr(trajectory, "note", ""))  # of a file
+    if hasattr(trajectory, "note_of"):  # a file
+        note(trajectory.note_of("trajectory."))
     directory, n = run_directory(), problem.objective.n
     with tracked(cfg, "observe", title_of(problem, "observe")) as tracker:
         with keyed(estimators="estimator", family="tag.family"):

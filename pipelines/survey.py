@@ -65,7 +65,10 @@ def survey(cfg: DictConfig) -> None:
     exports = build_export(cfg, "export", tag)
     if exports.formats and room is None:
         raise InputError("export needs the room that the tags hang in: run=DIR, or room=... with its keys.")
-    detected, source = _detected(cfg, cameras, detector, tag.modules), "photographs" if cfg.detections is None else "detections"
+    detected, source = (
+        _detected(cfg, cameras, detector, tag.modules),
+        "photographs" if cfg.detections is None else "detections",
+    )
     errors = CORNER_ERRORS[name.removesuffix("_fine")]
     with keyed("survey", detections=source, cameras="camera", fixed="deployment.fixed"):
         found = find(detected, cameras, tag, errors, known, boolean("calibrate", cfg.survey.calibrate))

@@ -138,6 +138,17 @@ MAP_TEXTS = {
     "wpilib drawing": "ID,X,Y,Z,Z-Rotation,X-Rotation\n4,100,50,10,90,30\n",
 }
 CALIBRATIONS = {
+    "basalt": {
+        "value0": {
+            "intrinsics": [
+                {
+                    "camera_type": "kb4",
+                    "intrinsics": {"fx": 500, "fy": 500, "cx": 320, "cy": 240, "k1": 0, "k2": 0, "k3": 0, "k4": 0},
+                }
+            ],
+            "resolution": [[640, 480]],
+        },
+    },
     "ros": {
         "image_width": 640,
         "image_height": 480,

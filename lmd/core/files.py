@@ -23,6 +23,18 @@ MEMORY_PER_BYTE = 20.0
 # A calibration has a few kilobytes; so much is read in some seconds.
 LARGEST_YAML = 1 << 19
 
+# Files that are no text, by their first bytes, and the way to a text.
+_BINARIES = {
+    b"PK\x03\x04": "an archive, such as NumPy's .npz: write what it holds as text",
+    b"\x93NUMPY": "an array of NumPy: write what it holds as text",
+    b"MATLAB 5.0": "a file of MATLAB: write what it holds as text",
+    b"SQLite format 3": "a database, such as a bag of ROS 2: play it, and ros2 topic echo --csv TOPIC > drive.csv",
+    b"\x89MCAP0": "a bag of ROS 2: play it, and ros2 topic echo --csv TOPIC > drive.csv",
+    b"#ROSBAG": "a bag of ROS: rostopic echo -b FILE -p TOPIC > drive.csv",
+    b"ULog": "a log of PX4: ulog2csv FILE writes tables",
+    b"\xff\xfe": "in UTF-16: save it as UTF-8",
+    b"\xfe\xff": "in UTF-16: save it as UTF-8",
+}
 _KINDS = {stat.S_IFDIR: "a directory", stat.S_IFIFO: "a pipe", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device"}
 
 
@@ -83,8 +95,11 @@ def read_text(path: Any, name: str, largest: float = math.inf) -> str:
     Raises:
         InputError: as there, or it is no such text.
     """
+    content = read_bytes(path, name, largest)
+    if kind := next((kind for start, kind in _BINARIES.items() if content.startswith(start)), ""):
+        raise InputError(f"{name}: {str(path)!r} cannot be read as text: it is {kind}.", name)
     try:
-        return read_bytes(path, name, largest).decode("utf-8-sig")
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{name}: {str(path)!r} cannot be read as text ({error}).", name) from None
 

@@ -38,7 +38,14 @@ def rotation(yaw: ArrayLike, pitch: ArrayLike, roll: ArrayLike = 0.0) -> FloatAr
 
 
 def roll_pitch_yaw(angles: ArrayLike) -> FloatArray:
-    """The matrix of ROS's `setRPY` from roll, pitch and yaw, Rz(yaw) Ry(pitch) Rx(roll), right-handed, `(3, 3)`."""
+    """The matrix of ROS's `setRPY` from roll, pitch and yaw, Rz(yaw) Ry(pitch) Rx(roll), right-handed.
+
+    Args:
+        angles: radians, `(3,)` or `(T, 3)`.
+
+    Returns:
+        `(3, 3)` or `(T, 3, 3)`.
+    """
     from scipy.spatial.transform import Rotation  # slow to load
 
     return np.asarray(Rotation.from_euler("xyz", angles).as_matrix())

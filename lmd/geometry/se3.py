@@ -6,6 +6,8 @@ coordinates has the angular part first, rad (or rad/s), then the linear part, m 
 of arrays with any leading shape `(...)`.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -38,8 +40,11 @@ def pose_of(orientation: FloatArray, position: FloatArray) -> FloatArray:
     return pose
 
 
-def poses_from_rows(rows: FloatArray) -> FloatArray:
+def poses_from_rows(rows: FloatArray, lines: Sequence[int] | None = None) -> FloatArray:
     """Poses `(T, 4, 4)` from rows `(T, 7)` with the columns `ROW`.
+
+    Args:
+        lines: where each row stands in a file, from 1, for messages.
 
     Raises:
         InputError: a quaternion is not unit.
@@ -49,7 +54,8 @@ def poses_from_rows(rows: FloatArray) -> FloatArray:
     length = np.linalg.norm(rows[:, 3:], axis=1)
     worst = int(np.argmax(np.abs(length - 1.0)))
     if abs(length[worst] - 1.0) > QUATERNION_TOLERANCE:
-        raise InputError(f"frame {worst}: the quaternion must have length 1, it has {length[worst]:g}.")
+        where = f"frame {worst}" if lines is None else f"line {lines[worst]}"
+        raise InputError(f"{where}: the quaternion must have length 1, it has {length[worst]:g}.")
     return pose_of(Rotation.from_quat(rows[:, 3:]).as_matrix(), rows[:, :3])
 
 

@@ -13,11 +13,13 @@ from lmd.core.checks import FloatArray, InputError, radians, real, seconds
 from lmd.core.memory import check_memory
 from lmd.core.tables import read_table
 from lmd.geometry.frames import normal_angles
+from lmd.scene.trajectory_columns import OWN_ANGLES
+from lmd.scene.trajectory_rows import steep
 
 ANGLES = ("yaw", "pitch")
 QUATERNION = ("qw", "qx", "qy", "qz")
 # What a recording of poses has besides; the optical axis does not depend on it.
-IGNORED = ("x", "y", "z", "roll")
+IGNORED = ("x", "y", "z", OWN_ANGLES[2])
 UNIT_TOLERANCE = 1e-3  # of a quaternion printed with a few decimals
 RECORD_BYTES = 200  # what a record takes while it is simulated: two dozen numbers
 
@@ -31,6 +33,7 @@ class OrientationRecording:
         yaw: radians, any turn, `(R,)`.
         pitch: radians in [-pi/2, pi/2], positive looks up, `(R,)`.
         name: where it came from, for messages.
+        note: what to ask of it, a sentence without an end; empty if nothing.
 
     Raises:
         InputError: shapes differ, fewer than two records, a value is not finite, time does not increase, or a pitch
@@ -41,6 +44,7 @@ class OrientationRecording:
     yaw: FloatArray
     pitch: FloatArray
     name: str = "recording"
+    note: str = ""
 
     def __post_init__(self) -> None:
         for field in ("time", *ANGLES):
@@ -88,14 +92,21 @@ class OrientationRecording:
         """Read a CSV with the columns time (s), yaw and pitch (rad), or time and qw, qx, qy, qz.
 
         The quaternion turns the camera's optical frame (x right, y down, z along the optical axis) to the world
-        frame. Columns x, y, z and roll are ignored. A yaw lies within a turn of zero: larger ones look like degrees.
+        frame. Yaw and pitch may be called yaw_from_y and pitch_up, as in recordings of poses. Columns x, y, z are
+        ignored. A yaw lies within a turn of zero: larger ones look like degrees.
 
         Raises:
-            InputError: the file cannot be read, or what it holds is no recording.
+            InputError: the file cannot be read, what it holds is no recording, or its angles may be others.
         """
         table = read_table(path, name="path")
+        if "yaw" in table and "roll" in table:
+            raise InputError(
+                f"{path} has roll, pitch and yaw, which may be ROS's, of a body: call them {', '.join(OWN_ANGLES)} if "
+                "they are a camera's (yaw clockwise from y, pitch up); else give qw, qx, qy, qz of the camera."
+            )
         if "yaw" in table or "qw" not in table:
-            time, yaw, pitch = table.numbers(("time", *ANGLES), (*IGNORED, *QUATERNION)).T
+            names = OWN_ANGLES[:2] if OWN_ANGLES[0] in table else ANGLES
+            time, yaw, pitch = table.numbers(("time", *names), (*IGNORED, *QUATERNION)).T
             radians(table.path, yaw=yaw, pitch=pitch)
             return cls(time, yaw, pitch, str(path))
         rows = table.numbers(("time", *QUATERNION), IGNORED)
@@ -107,7 +118,8 @@ class OrientationRecording:
             raise InputError(f"{path} line {line}: the quaternion must have length 1, it has {its:g}.")
         axis = Rotation.from_quat(quaternion, scalar_first=True).apply([0.0, 0.0, 1.0])
         yaw, pitch = (-angle for angle in normal_angles(axis))  # the normal has both angles with the opposite sign
-        return cls(time, yaw, pitch, str(path))
+        doubt = f"{said} If not, its quaternions are a body's: turn them" if (said := steep(axis[:, 2], path)) else ""
+        return cls(time, yaw, pitch, str(path), doubt)
 
 
 class RecordingSource(Protocol):

@@ -14,10 +14,11 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from lmd.core.checks import InputError, vector
-from lmd.core.files import parse_keys, read_text
+from lmd.core.files import flat, parse_keys, read_text
 from lmd.geometry.central_models import GOOD_PIXELS, MODELS, PINHOLE, restated
 from lmd.geometry.lens import EQUIDISTANT
 from lmd.scene.opencv_calibrations import opencv, opencv_xml
+from lmd.scene.unread_calibrations import AS_ROS, check_text
 
 Keys = Mapping[str, Any]
 COLMAP_CAMERA = re.compile(r"^\d+[ \t]+[A-Z_]+[ \t]+\d+[ \t]+\d+[ \t]+\S.*$", re.MULTILINE)
@@ -47,12 +48,15 @@ LENS_MODELS = {
 # Of the first pixel, from the image's border: ROS and OpenCV count from the centre, COLMAP from the border.
 PIXEL_CENTRE = 0.5
 NOTE = "(note)"  # among the keys of ROS: what to say of the lens
+MRCAL = re.compile(r"\s*(#[^\n]*\n\s*)*\{\s*['\"]lensmodel['\"]\s*:")  # the first key
 MRCAL_LENSES = {"PINHOLE": 0, "OPENCV4": 4, "OPENCV5": 5, "OPENCV8": 8, "OPENCV12": 12}
 BROWN_CONRADY = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 FISHEYE_COEFFICIENTS = ("k1", "k2", "k3", "k4")
 # Of camodocal's fisheye, by the names of the same parameters here.
 CAMODOCAL_FISHEYE = {"fx": "mu", "fy": "mv", "cx": "u0", "cy": "v0", "k1": "k2", "k2": "k3", "k3": "k4", "k4": "k5"}
 CAMODOCAL_UNIFIED = {"fx": "gamma1", "fy": "gamma2", "cx": "u0", "cy": "v0"}
+# ROS's tools print one message after the other.
+FIRST_MESSAGE = re.compile(r"(?<=\n)---[ \t]*\n(?=header:)")
 KALIBR_CAMERA = re.compile(r"cam\d+")
 # Some calibrations hold every point that was seen, or the images. A literal of Python takes more memory than JSON.
 LARGEST, LARGEST_LITERAL = 1 << 25, 1 << 20
@@ -68,12 +72,13 @@ def read_cameras(path: Any, only: str | None = None) -> dict[str, Keys]:
     Raises:
         InputError: the file cannot be read, a key is missing, or the lens is of a model that is not known here.
     """
-    text = read_text(path, "path", LARGEST)
     try:
+        text = FIRST_MESSAGE.split(read_text(path, "path", LARGEST))[0]
         if rows := COLMAP_CAMERA.findall(text):
             return _colmap(rows)
-        if re.search(r"^[{\s]*['\"]lensmodel['\"]\s*:", text, re.MULTILINE):
+        if MRCAL.match(text):
             return {"": _mrcal(text)}
+        check_text(text)
         keys = opencv_xml(text) if text.lstrip().startswith("<") else parse_keys(path, text, "path")
         if isinstance(section := keys.get("Camera"), Mapping):  # stella_vslam's, as OpenVSLAM's with dots
             keys = {**keys, **{f"Camera.{name}": value for name, value in section.items()}}
@@ -85,16 +90,35 @@ def read_cameras(path: Any, only: str | None = None) -> dict[str, Keys]:
                 return reader(keys)
         return {"": opencv(keys)}
     except InputError as error:
+        if str(path).endswith((".npz", ".npy")):
+            raise InputError(f"path: {str(path)!r} is a file of NumPy: {AS_ROS}.", "path") from None
         raise error if error.argument == "path" else InputError(f"{path}: {error}") from None
-    except (KeyError, IndexError, TypeError, ValueError) as error:
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         raise InputError(f"{path}: the key or value {error} is missing or wrong.") from None
 
 
-def _ros(size: Any, matrix: Any, lens: Any, model: str = "plumb_bob") -> Keys:
-    """The keys of ROS; `size` is (width, height), of None where the file does not say; `matrix` has nine numbers."""
-    keys = {"camera_matrix": {"data": matrix}, "distortion_model": model, "distortion_coefficients": {"data": lens}}
-    sizes = zip(("image_width", "image_height"), size, strict=True)
-    return keys | {name: value for name, value in sizes if value is not None}
+def _ros(size: Any, matrix: Any, lens: Any, model: str | None = "plumb_bob") -> Keys:
+    """The keys of ROS; `size` and `model` are None where the file does not say; `matrix` has nine numbers."""
+    matrix, lens = (flat(values) if isinstance(values, list) else values for values in (matrix, lens))
+    keys = {"camera_matrix": {"data": matrix}, "distortion_coefficients": {"data": lens}}
+    named = zip(("image_width", "image_height", "distortion_model"), (*size, model), strict=True)
+    return keys | {name: value for name, value in named if value is not None}
+
+
+def _section(keys: Any, name: str) -> Keys:
+    """The keys within a key, or an `InputError`."""
+    if not isinstance(keys, Mapping) or name not in keys:
+        raise InputError(f"the key {name} is missing.")
+    if not isinstance(section := keys[name], Mapping):
+        raise InputError(f"{name} must have keys, got {section!r}.")
+    return section
+
+
+def _list(keys: Any, name: str) -> list[Any]:
+    """The list of a key, or an `InputError`."""
+    if not isinstance(keys, Mapping) or not isinstance(values := keys.get(name), list):
+        raise InputError(f"the key {name} must be a list.")
+    return values
 
 
 def _kalibr(prefix: str, camera: Any, lens: str = "distortion_coeffs") -> Keys:
@@ -128,8 +152,10 @@ def _euroc(keys: Keys) -> dict[str, Keys]:
 
 def _okvis(keys: Keys) -> dict[str, Keys]:
     cameras = {}
-    for index, camera in enumerate(keys["cameras"]):
-        (fx, fy), (cx, cy) = camera["focal_length"], camera["principal_point"]
+    for index, camera in enumerate(_list(keys, "cameras")):
+        if not isinstance(camera, Mapping):
+            raise InputError(f"cameras[{index}] must have keys, got {camera!r}.")
+        (fx, fy), (cx, cy) = (vector(name, camera[name], 2) for name in ("focal_length", "principal_point"))
         model = known_lens(camera["distortion_type"], ("radialtangential", EQUIDISTANT))
         model, lens = "plumb_bob" if model != EQUIDISTANT else model, camera["distortion_coefficients"]
         matrix = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
@@ -141,7 +167,9 @@ def _camodocal(keys: Keys) -> dict[str, Keys]:
     """The settings of VINS, whose fisheye is Kannala-Brandt's with other names."""
     known = {"PINHOLE": {}, "KANNALA_BRANDT": CAMODOCAL_FISHEYE, "MEI": CAMODOCAL_UNIFIED}
     model, size = known_lens(keys["model_type"], known), (keys["image_width"], keys["image_height"])
-    values = keys["projection_parameters"] | keys.get("distortion_parameters", {}) | keys.get("mirror_parameters", {})
+    values: dict[str, Any] = {}
+    for name in ("projection_parameters", "distortion_parameters", "mirror_parameters"):
+        values |= _section(keys, name) if name in keys else {}
     values |= {name: values[theirs] for name, theirs in known[model].items()}
     return {"": _central(size, values, "omni") if model == "MEI" else _named(size, values, model == "KANNALA_BRANDT")}
 
@@ -204,32 +232,32 @@ def _mrcal(text: str) -> Keys:
             f"it is no cameramodel of mrcal ({' '.join(str(error).split()) or type(error).__name__})."
         ) from None
     size = MRCAL_LENSES[known_lens(str(keys["lensmodel"]).removeprefix("LENSMODEL_"), MRCAL_LENSES)]
-    fx, fy, cx, cy, *lens = vector("intrinsics", list(keys["intrinsics"]), 4 + size)
+    fx, fy, cx, cy, *lens = vector("intrinsics", keys["intrinsics"], 4 + size)
     return _ros(keys["imagersize"], [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0], lens or [0.0] * 4)
 
 
 def _message(keys: Keys) -> dict[str, Keys]:
     matrix, lens = (keys[name] if name in keys else keys[name.lower()] for name in "KD")
-    return {"": _ros((keys["width"], keys["height"]), matrix, lens, keys.get("distortion_model", "plumb_bob"))}
+    return {"": _ros((keys["width"], keys["height"]), matrix, lens, keys.get("distortion_model"))}
 
 
 def _photonvision(keys: Keys) -> dict[str, Keys]:
-    size = keys["resolution"]
-    return {"": _ros((size["width"], size["height"]), keys["cameraIntrinsics"]["data"], keys["distCoeffs"]["data"])}
+    size, matrix, lens = (_section(keys, name) for name in ("resolution", "cameraIntrinsics", "distCoeffs"))
+    return {"": _ros((size["width"], size["height"]), matrix["data"], lens["data"])}
 
 
 def _frc971(keys: Keys) -> dict[str, Keys]:
     size = keys.get("image_width"), keys.get("image_height")  # which it does not say
-    return {"": _ros(size, keys["intrinsics"], keys["dist_coeffs"])}
+    return {"": _ros(size, keys["intrinsics"], keys["dist_coeffs"], keys.get("distortion_model"))}
 
 
 def _basalt(keys: Keys) -> dict[str, Keys]:
     known = {"pinhole": False, "pinhole-radtan8": False, "kb4": True, "ds": None, "eucm": None}
     cameras = {}
-    for index, (camera, size) in enumerate(
-        zip(keys["value0"]["intrinsics"], keys["value0"]["resolution"], strict=True)
-    ):
-        values, fisheye = camera["intrinsics"], known[model := known_lens(camera["camera_type"], known)]
+    inner = _section(keys, "value0")
+    for index, (camera, size) in enumerate(zip(_list(inner, "intrinsics"), _list(inner, "resolution"), strict=True)):
+        values, fisheye = _section(camera, "intrinsics"), known[model := known_lens(camera["camera_type"], known)]
+        size = vector("resolution", size, 2)
         cameras[f"cam{index}"] = _central(size, values, model) if fisheye is None else _named(size, values, fisheye)
     return cameras
 

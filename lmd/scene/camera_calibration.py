@@ -15,6 +15,7 @@ from lmd.scene.calibration_files import LENS_MODELS, NOTE, PIXEL_CENTRE, known_l
 from lmd.scene.camera import Camera
 
 SIZE = ("image_width", "image_height")
+UNCLEAR = 4  # coefficients, which a pinhole may have and a fisheye
 OPTICS = ("focal_length", "aperture", "focus_distance", "image_circle")  # what no calibration says
 
 
@@ -116,7 +117,8 @@ def read_calibration(
     Args:
         name: the camera in a file with several, such as `cam1` of Kalibr; not needed where there is only one.
         image_size: width and height, pixels; needed where the file has none.
-        distortion_model: of the lens, where the file names none, as OpenCV's scripts do: `fisheye` for its fisheye.
+        distortion_model: of the lens, where the file names none, as OpenCV's scripts do: `fisheye` for its fisheye;
+            needed where there are four coefficients.
 
     Raises:
         InputError: the file cannot be read, a key is missing or wrong, the size or the model is another than that of
@@ -125,6 +127,8 @@ def read_calibration(
     if path is None:
         raise InputError("path is missing: a calibration file is needed.", "path")
     restated = read_cameras(path, name)
+    if not restated:
+        raise InputError(f"path: {path} has no camera in its list.", "path")
     cameras = [key for key in restated if key]
     if name is None and len(cameras) > 1:
         raise InputError(f"name must be given: {path} has the cameras {', '.join(cameras)}.", "name")
@@ -133,14 +137,14 @@ def read_calibration(
     chosen = name or (cameras[0] if cameras else "")
     size = None if image_size is None else vector("image_size", image_size, 2, above=0.0)
     with said_of(path, known=("distortion_model",)):
-        found = _calibration(restated[chosen], size, distortion_model)
+        found = _calibration(path, restated[chosen], size, distortion_model)
     if size not in (None, known := (found.image_width, found.image_height)):
         raise InputError(f"image_size must be {list(known)}, as {path} has it, got {list(size)}.", "image_size")
     return replace(found, note=f"{path}: {found.note}") if found.note else found
 
 
-def _calibration(keys: Mapping[str, Any], size: tuple[float, ...] | None, asked: str | None) -> Calibration:
-    """From the keys of ROS; of those who use them, only ROS names the model."""
+def _calibration(path: str, keys: Mapping[str, Any], size: tuple[float, ...] | None, asked: str | None) -> Calibration:
+    """From the keys of ROS; of those who use them, only ROS names the model. The path is for messages."""
     matrix = vector("camera_matrix.data", _entry(keys, "camera_matrix", "data"), 9)
     focal_u, skew, centre_u, below, focal_v, centre_v, *last = matrix
     if (skew, below, *last) != (0.0, 0.0, 0.0, 0.0, 1.0):
@@ -149,7 +153,14 @@ def _calibration(keys: Mapping[str, Any], size: tuple[float, ...] | None, asked:
     width, height = (keys.get(name, None if size is None else size[i]) for i, name in enumerate(SIZE))
     if width is None or height is None:
         raise InputError(f"{' or '.join(SIZE)} is missing: give image_size, [width, height] in pixels.")
-    name = keys.get("distortion_model", asked or "plumb_bob")
+    name = keys.get("distortion_model") or asked  # drivers leave it empty
+    if name is None and len(lens) == UNCLEAR and any(lens):
+        raise InputError(
+            f"distortion_model must be given: {path} names no model, and its 4 coefficients may be those of "
+            "cv2.fisheye (fisheye) or k1, k2, p1, p2 (plumb_bob).",
+            "distortion_model",
+        )
+    name = name or "plumb_bob"
     model = LENS_MODELS[known_lens(name, LENS_MODELS)]
     if asked is not None and LENS_MODELS[known_lens(asked, LENS_MODELS)] != model:
         raise InputError(f"distortion_model must be {name}, as the file has it, got {asked}.", "distortion_model")

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError
-from lmd.core.files import read_keys
+from lmd.core.checks import FloatArray, InputError, real, vector
+from lmd.core.files import flat, read_keys
 from lmd.geometry.se3 import are_rotations, inverse, nearest_rotations, pose_of, poses_from_rows
 
 Keys = Mapping[str, Any]
@@ -102,13 +102,16 @@ def _chain(keys: Keys) -> dict[str, Callable[[], FloatArray]] | None:
 def _read(name: str, path: Any, pose: Callable[[], FloatArray]) -> FloatArray:
     try:
         return pose()
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        reason = " ".join(str(error).split())
+    except KeyError as error:
+        raise InputError(f"{name}: {path}: the pose of the camera cannot be read ({error} is missing).", name) from None
+    except (TypeError, ValueError, OverflowError) as error:
+        reason = " ".join(str(error).split()).removesuffix(".")
         raise InputError(f"{name}: {path}: the pose of the camera cannot be read ({reason}).", name) from None
 
 
 def _matrix(values: Any) -> FloatArray:
-    matrix = np.array(values, dtype=np.float64).reshape(4, 4)
+    rows = flat(values) if isinstance(values, list) else values
+    matrix = np.array(vector("its matrix", rows, 16)).reshape(4, 4)
     turn = matrix[:3, :3]
     if are_rotations(turn) and np.any(matrix[3, :3]) and not np.any(matrix[:3, 3]):
         raise ValueError("its matrix looks as if it was written column by column, and must be written row by row")
@@ -118,5 +121,7 @@ def _matrix(values: Any) -> FloatArray:
 
 
 def _pose(keys: Any) -> FloatArray:
-    row = [float(keys[key]) for key in ("px", "py", "pz", "qx", "qy", "qz", "qw")]
+    if not isinstance(keys, Mapping):
+        raise InputError(f"it must have the keys px, py, pz, qx, qy, qz, qw, got {keys!r}")
+    row = [real(key, keys[key]) for key in ("px", "py", "pz", "qx", "qy", "qz", "qw")]
     return np.asarray(poses_from_rows(np.array([row]))[0])

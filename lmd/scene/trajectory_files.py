@@ -14,6 +14,7 @@ from lmd.geometry.trajectory import Trajectory
 from lmd.scene.extrinsics import read_mount
 from lmd.scene.rig import OPTICAL
 from lmd.scene.trajectory_readers import read_rows
+from lmd.scene.trajectory_rows import Rows, steep
 from lmd.space.inside import check_positions
 from lmd.space.space import Space
 
@@ -29,11 +30,12 @@ class TrajectoryFile:
     """The file of a trajectory, and what has to be said of its frames.
 
     Args:
-        path: a format of `lmd.scene.trajectory_readers`, or a CSV with the columns time,x,y,z,yaw,pitch, if you like
-            roll, or time,x,y,z,qx,qy,qz,qw: seconds, metres, and radians as in `lmd.geometry.frames.rotation`.
+        path: a format of `lmd.scene.trajectory_readers`, or a table with the columns time,x,y,z and one of:
+            qx,qy,qz,qw; roll,pitch,yaw of a body as ROS has them; yaw_from_y,pitch_up (and roll_left) of a camera as
+            in `lmd.geometry.frames.rotation`, which time,x,y,z,yaw,pitch are too. Seconds, metres, radians.
         frame: that orientations are about: `optical` (x right, y down, z the optical axis) or `body` (x along the
-            optical axis, y left, z up). Not asked where there is a `mount`, nor of yaw and pitch.
-        times: a file with the time of each pose, one a line, where the trajectory has none (KITTI).
+            optical axis, y left, z up; yaw, pitch and roll are then ROS's). Not asked where there is a `mount`.
+        times: a file with the time of each pose, one a line, where the trajectory has none (KITTI, COLMAP).
         rate: poses a second in place of it.
         align: where the frame of the recording is in the room: [x, y, z, yaw] of its origin, where its z points up and
             yaw turns counter-clockwise seen from above; [x, y, z, qx, qy, qz, qw]; or at least three points, each as
@@ -56,22 +58,26 @@ class TrajectoryFile:
         choice("frame", self.frame, list(FRAMES))
 
     @cached_property
-    def _read(self) -> tuple[Trajectory, str]:
-        """The poses of the camera in the room, and what was left out of the file."""
+    def _read(self) -> tuple[Trajectory, Rows]:
+        """The poses of the camera in the room, and the rows that they were read from."""
         if self.path is None:
             raise InputError("path is missing: a file of poses is needed.", "path")
-        rows = read_rows(self.path, self.times, self.rate)
+        rows = read_rows(self.path, self.times, self.rate, self.frame)
+        if rows.frame == "optical" and self.frame == "body":
+            raise InputError(f"frame must be optical: {self.path} has the poses of a camera.", "frame")
         poses = rows.poses
         if self.mount is not None:
             if rows.angles:  # they speak of where x looks
                 poses = _turned(poses, FRAMES["body"].T)
+            elif rows.frame == "optical":
+                raise InputError(f"mount must be left out: {self.path} has the poses of the camera itself.", "mount")
             poses = poses @ _mounted(self.mount)
-        elif not rows.angles:
-            poses = _turned(poses, FRAMES[self.frame])
+        else:
+            poses = _turned(poses, FRAMES[rows.frame or self.frame])
         if self.align is not None:
             poses = alignment(self.align) @ poses
         with said_of(self.path, "path"):
-            return Trajectory(rows.time, poses), rows.note
+            return Trajectory(rows.time, poses), rows
 
     @property
     def trajectory(self) -> Trajectory:
@@ -84,8 +90,25 @@ class TrajectoryFile:
 
     @property
     def note(self) -> str:
-        """What was left out of the file, a sentence; empty if nothing."""
-        return self._read[1]
+        """What was left out of the file, taken for granted or is to be asked of it; empty if nothing."""
+        return self.note_of("")
+
+    def note_of(self, group: str) -> str:
+        """The same, where the keys of a configuration begin with `group`."""
+        notes = (*self._read[1].notes, self._doubt(group))
+        return "; ".join(filter(None, notes))
+
+    def _doubt(self, group: str) -> str:
+        """A question where nearly all views go up or down, with the keys that answer it."""
+        trajectory, rows = self._read
+        if rows.angles or not (said := steep(trajectory.poses[:, 2, 2], self.path)):
+            return ""
+        cures = ["align, of a recording whose z does not point up"]
+        if self.mount is not None or rows.frame == "body" or self.frame == "body":
+            cures.insert(0, "mount, of a camera that looks elsewhere on the body")
+        elif rows.frame is None:
+            cures.insert(0, "frame=body, of a body with x ahead and z up")
+        return f"{said} If not, say so by {' or '.join(f'{group}{cure}' for cure in cures)}"
 
     def check_inside(self, room: Space, check: Callable[[Trajectory, Space], None] = check_positions) -> Trajectory:
         """The trajectory, which must lie inside a room.

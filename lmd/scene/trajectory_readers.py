@@ -1,175 +1,274 @@
-"""Formats of trajectories, chosen by what a file holds: TUM's, EuRoC's, KITTI's, CSVs whose header names columns."""
+"""Formats of trajectories, chosen by what a file holds.
+
+TUM's, EuRoC's, KITTI's, COLMAP's, ROS's, and tables whose header names columns.
+"""
 
 import re
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from lmd.core.checks import FloatArray, InputError, radians, real, seconds
-from lmd.core.tables import Headless, Table, read_headless, read_table
-from lmd.geometry.se3 import ROW, are_rotations, camera_pose, nearest_rotations, pose_of, poses_from_rows
-from lmd.geometry.trajectory import check_order
+from lmd.core.checks import FloatArray, InputError, radians
+from lmd.core.files import read_text
+from lmd.core.tables import COMMENT, Headless, Table, read_headless, read_table
+from lmd.geometry.frames import roll_pitch_yaw
+from lmd.geometry.se3 import ROW, camera_pose, pose_of, poses_from_rows
+from lmd.scene.trajectory_columns import (
+    EULER,
+    OWN_ANGLES,
+    OWN_HEADER,
+    POSITION,
+    QUATERNION,
+    Column,
+    is_header,
+    known_columns,
+    lacking,
+    values,
+)
+from lmd.scene.trajectory_rows import NANOSECONDS, Rows, checked_seconds, cleaned
+from lmd.scene.unread_trajectories import check_kind
+from lmd.scene.untimed_trajectories import KITTI, colmap_images, images_in_order, matrices
 
-POSITION = ("x", "y", "z")
-ANGLES = ("time", *POSITION, "yaw", "pitch")
-QUATERNIONS = ("time", *ROW)  # the order of TUM's trajectories
+TUM = ("time", *ROW)
 EUROC = ("time", *POSITION, "qw", "qx", "qy", "qz")
 VELOCITIES = ("vx", "vy", "vz")  # which VINS writes behind a pose in EuRoC's order
-KITTI = tuple(f"m{row}{column}" for row in range(3) for column in range(4))  # [R p], row by row
 # Numbers after a pose of TUM's: covariances of rotation and position, or of all six, as halves or in full.
 COVARIANCES = (12, 21, 36)
-NANOSECONDS = 1e16  # a time beyond it counts them: seconds would be 300 million years
-# The names of columns with units, prefixes and frames, as EuRoC's, TUM's and ROS's tools write them.
-_UNIT = re.compile(r"[\[(].*?[\])]")
-_TIME = re.compile(r"[%_]*(time(_?stamp)?s?|stamp|t)(_?n?s(ec)?)?", re.IGNORECASE)
-# Between the letter and the axis EuRoC and OKVIS write their frames: of RS in R, or of WS in W.
-_PLACE = re.compile(r"(?:(?:p|t|pos|(?:.*[._/])?position)[._/]?)?(?:(?:rs_r|ws_w)_)?([xyz])", re.IGNORECASE)
-_TURN = re.compile(r"(?:q|quat|quaternion|(?:.*[._/])?orientation)[._/]?(?:rs_|ws_)?([wxyz])", re.IGNORECASE)
+# A stamp of 0 among stamps of a clock that counts from 1970 is none.
+EPOCH = 1e8
+# `ros2 topic echo --csv`: how many names of frames follow the time in two parts, and how many values a line has.
+ROS_LINES = {(1, 10), (1, 46), (2, 11), (2, 89)}  # PoseStamped, with covariance; TransformStamped, Odometry
+ROS_BODIES = re.compile(r"/?(.*/)?(base_link|base_footprint|base|body|robot)")
+ROS_OPTICAL = re.compile(r".*optical(_frame|_link)?")
 
 
-@dataclass(frozen=True)
-class Rows:
-    """What a file says, row by row.
-
-    Args:
-        time: seconds, increasing, `(T,)`.
-        poses: of what moves, in the frame of the recording, `(T, 4, 4)`.
-        angles: whether the orientations are the yaw, pitch and roll of a camera, not of a frame.
-        note: what was left out, a sentence; empty if nothing.
-    """
-
-    time: FloatArray
-    poses: FloatArray
-    angles: bool
-    note: str
-
-
-def read_rows(path: str, times: str | None, rate: float | None) -> Rows:
+def read_rows(path: str, times: str | None, rate: float | None, frame: str) -> Rows:
     """Read a trajectory of any format that is known.
 
     Args:
-        times: a file with the time of each pose, one a line, for a format that has none (KITTI).
+        times: a file with the time of each pose, one a line, for a format that has none (KITTI, COLMAP).
         rate: poses a second in place of it, from time 0.
+        frame: that orientations are said to be about, `optical` or `body`: what yaw and pitch mean depends on it.
 
     Raises:
         InputError: the file cannot be read, or what it holds is no trajectory; the message names the file.
     """
-    text = read_headless(path, name="path")
     try:
-        if text is not None and text.width == len(KITTI):
-            matrices = text.table(KITTI)
-            return _rows(matrices, _given_times(len(matrices.lines), times, rate), _matrices(matrices))
-        if times is not None or rate is not None:
-            name = "rate" if times is None else "times"
-            raise InputError(f"{name} must be left out: {path} has a time in each line.", name)
-        table = _named(read_table(path, name="path")) if text is None else _without_header(text)
-        return _with_times(table)
+        return cleaned(_rows(path, times, rate, frame))
     except InputError as error:
         if error.argument is not None or str(path) in str(error):
             raise
         raise InputError(f"{path}: {error}") from None
 
 
-def _canonical(name: str) -> str:
-    """What a column is called here, if it is one of ours; else its own name."""
-    plain = _UNIT.sub("", name).strip().lstrip("#").strip()
-    if _TIME.fullmatch(plain):
-        return "time"
-    if (place := _PLACE.fullmatch(plain)) is not None:
-        return place[1].lower()
-    return "q" + turn[1].lower() if (turn := _TURN.fullmatch(plain)) is not None else plain
+def _rows(path: str, times: str | None, rate: float | None, frame: str) -> Rows:
+    text = read_text(path, "path")
+    check_kind(text)
+    if (images := colmap_images(text)) is not None:
+        return images_in_order(str(path), images, times, rate)
+    headless = read_headless(path, name="path")
+    header = None if headless is None else _comment_header(headless)
+    if headless is not None and header is None and headless.width == len(KITTI):
+        return matrices(headless, times, rate)
+    if times is not None or rate is not None:
+        name = "rate" if times is None else "times"
+        raise InputError(f"{name} must be left out: {path} has a time in each line.", name)
+    if headless is None:
+        table = _headed(path, text)
+    elif (stamps := _ros_lines(headless)) is not None:
+        return _of_ros(headless, stamps, frame)
+    else:
+        table = headless.table(_named(headless, header) if header else _by_count(headless))
+    return _of_table(table, frame)
 
 
-def _columns(names: Iterable[str]) -> list[str]:
-    """What columns are called here; of several times the first is it."""
-    columns: list[str] = []
-    for name in names:
-        column = _canonical(name)
-        columns.append(name if column == "time" and column in columns else column)
-    return columns
+def _headed(path: str, text: str) -> Table:
+    """A table whose first line names its columns, with commas or spaces between them."""
+    lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
+    lines = [(i, line) for i, line in lines if line.lstrip()[0] != COMMENT]
+    if lines:
+        at, first = lines[0]
+        words = _words(first)
+        if sum(_is_number(word) for word in words) >= 3:
+            raise InputError(
+                f"line {at} begins with {words[0][:80]!r}, which is neither a number nor the name of a column: lines "
+                "of a trajectory begin with the time in seconds."
+            )
+        if not any(mark in first for mark in ",;") and len(words) > 1:
+            split = "\t" if "\t" in first.strip() else None
+            body = [(i, [value.strip() for value in line.split(split)]) for i, line in lines[1:]]
+            return Headless(str(path), [first], False, body).table([word.strip() for word in first.split(split)])
+    return read_table(path, name="path")
 
 
-def _named(table: Table) -> Table:
-    """A table with its columns by the names that they have here; those of EuRoC stand beside others."""
-    names = dict(zip(table.texts, _columns(table.texts), strict=True))
-    if len(set(names.values())) < len(names) or not set(QUATERNIONS) <= set(names.values()):
-        return table
-    return Table(table.path, table.lines, {names[column]: texts for column, texts in table.texts.items()})
+def _words(line: str) -> list[str]:
+    return [word for word in re.split(r"[,\s]+", line.strip()) if word]
 
 
-def _without_header(text: Headless) -> Table:
-    """The columns of a text, named by the comment above it or, without one, by how many there are."""
-    for comment in text.comments:
-        columns = _columns(re.split(r"[,\s]+", _UNIT.sub("", comment).strip()))
-        if "time" not in columns and columns[0] not in ROW:  # whatever it is called
-            columns[0] = "time"
-        if len(columns) == text.width and set(QUATERNIONS) <= set(columns) and len(set(columns)) == len(columns):
-            return text.table(columns)
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _comment_header(text: Headless) -> list[str] | None:
+    """The names of the columns in a comment above the values, if one has them; the last counts."""
+    for comment in reversed(text.comments):
+        names = [name.strip() for name in comment.split(",")] if "," in comment else []
+        certain = text.commas and len(names) == text.width
+        # Units stand apart from the names in some files: p_x [m].
+        words = re.split(r"\s+", re.sub(r"\s+([\[(])", r"\1", comment).strip())
+        for found in (names, [word.strip(",") for word in words]):
+            if found and found[-1] in ("...", ""):
+                found = found[:-1]
+            fits = len(found) == text.width
+            known = {"x", *QUATERNION} <= known_columns(found).keys() or {"x", *EULER} <= known_columns(found).keys()
+            if known and len(found) > text.width:
+                raise InputError(
+                    f"a comment names {len(found)} columns, {', '.join(found)[:200]}, and line {text.rows[0][0]} has "
+                    f"{text.width} values."
+                )
+            if known or (fits and len(found) > 1 and (certain or is_header(found))):
+                return found
+    return None
+
+
+def _named(text: Headless, header: Sequence[str]) -> list[str]:
+    """The names of all columns of a text whose first ones have the names of a header."""
+    names = [*header, *(f"column {i + 1}" for i in range(len(header), text.width))]
+    if len(set(names)) < len(names):
+        raise InputError(f"a comment names a column twice: {', '.join(names)[:200]}.")
+    return names
+
+
+def _by_count(text: Headless) -> list[str]:
+    """The names of columns of a text that does not name them."""
     first = text.rows[0][1][0]
-    order = EUROC if text.commas and abs(float(first)) > NANOSECONDS else QUATERNIONS
+    nanoseconds = abs(float(first)) > NANOSECONDS
+    if text.commas and not nanoseconds and text.width == len(TUM):
+        raise InputError(
+            "it has commas and no names of its columns, so that qx or qw may be first: write a first line such as "
+            "time,x,y,z,qx,qy,qz,qw."
+        )
+    order = EUROC if text.commas and nanoseconds else TUM
     more = text.width - len(order)
     if order == EUROC and more == len(VELOCITIES):
-        return text.table([*order, *VELOCITIES])
-    return text.table([*order, *(f"column {len(order) + i + 1}" for i in range(more if more in COVARIANCES else 0))])
+        return [*order, *VELOCITIES]
+    if more in (0, *COVARIANCES):
+        return [*order, *(f"column {len(order) + i + 1}" for i in range(more))]
+    raise InputError(
+        f"line {text.rows[0][0]} has {text.width} values, not 8: {' '.join(order)}. Name other columns in a line above "
+        "them, such as '# time x y z roll pitch yaw' (ROS's angles of a body: x ahead, y left, z up, radians)."
+    )
 
 
-def _with_times(table: Table) -> Rows:
-    quaternions = "qw" in table
-    angles = (*ANGLES, "roll") if "roll" in table else ANGLES
-    # What a program writes beside a pose, such as covariances or velocities, has names of its own.
-    rows = table.numbers(QUATERNIONS, None) if quaternions else table.numbers(angles)
-    time = rows[:, 0]
-    if np.abs(time).max() > NANOSECONDS:
-        time = time / 1e9
-    seconds(table.path, time, rows[:, 1:4])
-    if quaternions:
-        return _rows(table, time, poses_from_rows(rows[:, 1:]))
-    turns = dict(zip(("yaw", "pitch", "roll"), rows[:, 4:].T, strict=False))
-    radians("the trajectory", **turns)
-    return _rows(table, time, camera_pose(rows[:, 1:4], **turns), angles=True)
+def _of_table(table: Table, frame: str) -> Rows:
+    """Rows of a table with a time in each line."""
+    if not table.texts:
+        raise InputError(f"{table.path} is empty; expected the columns {','.join(TUM)}.")
+    columns = known_columns(list(table.texts))
+    if "time" not in columns or not set(POSITION) <= columns.keys():
+        raise lacking(table, columns)
+    scale = columns["time"].scale if columns["time"].unit else None
+    time = values(table, {"time": replace(columns["time"], unit="")}, ["time"])[:, 0]
+    if (rest := _nanoseconds_beside(table, columns["time"])) is not None:
+        time, scale = time + 1e-9 * rest, 1.0
+    place = values(table, columns, POSITION)
+    poses, about, angles, note = _oriented(table, columns, place, frame)
+    known = np.ones(len(time), dtype=np.bool_)
+    notes = [note] if note else []
+    if "id" in table and not any(not _is_number(text) for text in table.texts["id"]):
+        known &= table.numbers(["id"], None)[:, 0] >= 0.0
+        if not known.all():
+            left_out = f"{np.count_nonzero(~known)} of {len(known)} rows of {table.path}"
+            notes.append(f"{left_out} have a negative id, as landmarks of RTAB-Map, and are left out")
+    stamps = np.abs(time[known & (time != 0.0)])
+    if stamps.size and (stamps * (scale or 1.0)).min() > EPOCH and (unstamped := known & (time == 0.0)).any():
+        known &= ~unstamped
+        left_out = f"{np.count_nonzero(unstamped)} of {len(known)} rows of {table.path}"
+        notes.append(f"{left_out} have the time 0 among times since 1970, and are left out")
+    if not known.any():
+        raise InputError("it has no pose: all its rows have a negative id.")
+    rows = Rows(table.path, table.lines, time, poses, about, angles).kept(known, *notes)
+    return replace(rows, time=checked_seconds(table.path, rows.time, scale, place[known]))
 
 
-def _matrices(table: Table) -> FloatArray:
-    """Poses whose rows are written one after the other, `(T, 4, 4)`, with the nearest rotations."""
-    matrices = table.numbers(KITTI).reshape(-1, 3, 4)
-    turns = matrices[:, :, :3]
-    bad = np.flatnonzero(~are_rotations(turns))
-    if bad.size:
+def _nanoseconds_beside(table: Table, time: Column) -> FloatArray | None:
+    """The rest of a time whose whole seconds stand in a column of their own; None where there is none."""
+    found = re.fullmatch(r"(.*?)(secs?|seconds)", time.name)
+    if found is None:
+        return None
+    for unit in ("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"):
+        if f"{found[1]}{unit}" in table:
+            rest = table.numbers([f"{found[1]}{unit}"], None)[:, 0]
+            return rest if ((rest >= 0.0) & (rest < 1e9)).all() else None
+    return None
+
+
+def _oriented(
+    table: Table, columns: dict[str, Column], place: FloatArray, frame: str
+) -> tuple[FloatArray, str | None, bool, str]:
+    """Poses by the columns that there are, the frame that they are about, whether they are angles, and a note."""
+    if set(QUATERNION) <= columns.keys():
+        about, note = _frame_of_ros(table, frame)
+        numbers = np.hstack([place, values(table, columns, QUATERNION)])
+        return poses_from_rows(numbers, table.lines), about, False, note
+    header, given = tuple(table.texts), [name for name in EULER if name in columns]
+    own = set(OWN_ANGLES[:2]) <= columns.keys()
+    if own or (header == OWN_HEADER and frame == "optical"):
+        names = [name for name in (OWN_ANGLES if own else ("yaw", "pitch")) if name in columns]
+        turns = dict(zip(("yaw", "pitch", "roll"), values(table, columns, names).T, strict=False))
+        radians("the trajectory", **turns)
+        return camera_pose(place, **turns), "optical", True, ""
+    if not {"yaw", "pitch"} <= set(given):
+        raise lacking(table, columns)
+    order = list(columns)
+    if frame != "body" and ("roll" not in given or order.index("roll") > order.index("yaw")):
         raise InputError(
-            f"{table.path} line {table.lines[bad[0]]}: the first three columns of its 3 x 4 matrix are no rotation."
+            f"frame must be body if {', '.join(given)} of {table.path} are ROS's (x ahead, y left, z up, yaw "
+            f"counter-clockwise from x). If they are a camera's (yaw clockwise from y, pitch up), call them "
+            f"{', '.join(OWN_ANGLES[: len(given)])}.",
+            "frame",
         )
-    return pose_of(nearest_rotations(turns), matrices[:, :, 3])
+    angles = dict(zip(given, values(table, columns, given).T, strict=True))
+    radians("the trajectory", **angles)
+    turn = roll_pitch_yaw(np.stack([angles.get(name, np.zeros(len(place))) for name in EULER], axis=1))
+    note = (
+        f"{', '.join(given)} of {table.path} are taken as ROS has them, of a body: x ahead, y left, z up, yaw "
+        "counter-clockwise from x"
+    )
+    return pose_of(turn, place), "body", False, note
 
 
-def _given_times(count: int, times: str | None, rate: float | None) -> FloatArray:
-    """The times of `count` poses `(count,)`, seconds, which their own file does not have."""
-    if (times is None) == (rate is None):
-        needed = "needs one" if times is None else "takes only one"
-        either = f"{needed} of times (a file) and rate (poses a second)"
-        raise InputError(f"a trajectory of 12 numbers a line, as KITTI has them, {either}.")
-    if rate is not None:
-        return np.arange(count) / real("rate", rate, above=0.0)
-    text = read_headless(times, name="times")
-    if text is None or text.width != 1:
-        raise InputError(f"times: {times} must have one number a line, seconds.", "times")
-    time = text.table(["time"]).numbers(["time"])[:, 0]
-    if len(time) != count:
-        raise InputError(f"times: {times} has {len(time)} times for {count} poses.", "times")
-    return time
+def _frame_of_ros(table: Table, frame: str) -> tuple[str | None, str]:
+    """The frame that the column `child_frame_id` of ROS names by REP 103 and REP 105, if it does, and a note."""
+    found = {text for name in table.texts if name.lower().endswith("child_frame_id") for text in table.texts[name]}
+    if len(found) != 1:
+        return None, ""
+    name = found.pop()
+    if ROS_OPTICAL.fullmatch(name):
+        if frame == "body":
+            raise InputError(f"frame must be optical: the poses of {table.path} are those of {name!r}.", "frame")
+        return "optical", ""
+    if ROS_BODIES.fullmatch(name):
+        return "body", f"poses of {table.path} are those of {name!r}, taken for a body's: x ahead, y left, z up"
+    return None, ""
 
 
-def _rows(table: Table, time: FloatArray, poses: FloatArray, angles: bool = False) -> Rows:
-    """The rows without those that have the time of the one before, as recorders write when a clock is coarse."""
-    again = np.append(False, np.diff(time) == 0.0)
-    note = ""
-    if again.any():
-        apart = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)[again[1:]].max()
-        first = np.flatnonzero(again)[0]
-        note = (
-            f"{np.count_nonzero(again)} of {len(time)} poses of {table.path} have the time of the one before, at most "
-            f"{1000.0 * apart:.3g} mm away, and are left out; the first is in line {table.lines[first]}"
-        )
-    lines = [line for line, repeated in zip(table.lines, again, strict=True) if not repeated]
-    check_order(time[~again], lines)
-    return Rows(time[~again], poses[~again], angles, note)
+def _ros_lines(text: Headless) -> int | None:
+    """How many names of frames stand in a line of `ros2 topic echo --csv`; None where it is no such text."""
+    row = text.rows[0][1]
+    if not text.commas or len(row) < 4 or not (row[0].isdigit() and row[1].isdigit() and len(row[1]) < 10):
+        return None
+    frames = 2 if not _is_number(row[3]) else 1
+    return frames if not _is_number(row[2]) and (frames, len(row)) in ROS_LINES else None
+
+
+def _of_ros(text: Headless, frames: int, frame: str) -> Rows:
+    """Poses that `ros2 topic echo --csv` printed: seconds, nanoseconds, names of frames, position, quaternion."""
+    names = ["sec", "nanosec", *("frame_id", "child_frame_id")[:frames], *ROW]
+    table = text.table([*names, *(f"column {i + 1}" for i in range(len(names), text.width))])
+    return _of_table(table, frame)

@@ -111,9 +111,7 @@ def started(sightings: Sightings, prior: Prior) -> Start:
         return Start(as_seen(apart, rough), group)
 
 
-def estimate(
-    sightings: Sightings, prior: Prior, origin: int | None = None, start: Start | None = None
-) -> Estimate:
+def estimate(sightings: Sightings, prior: Prior, origin: int | None = None, start: Start | None = None) -> Estimate:
     """Estimate all poses together.
 
     Args:

@@ -197,7 +197,11 @@ def survey(
     start = started(sightings, prior)
     if turns := turns_of(start.poses, start.group, prior, detected.in_order):
         shown = detected.renumbered(ids, turns.renumbered)
-        sightings, prior, start = sighted(cameras), turns.planned(prior), replace(start, poses=turns.of_renumbered(start.poses))
+        sightings, prior, start = (
+            sighted(cameras),
+            turns.planned(prior),
+            replace(start, poses=turns.of_renumbered(start.poses)),
+        )
     found = estimate(sightings, prior, known.origin, start)
     if calibrate:
         found, refined = calibrated(found, cameras, sighted)

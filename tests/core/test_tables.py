@@ -43,7 +43,7 @@ def test_a_file_may_begin_with_a_mark_of_its_encoding_and_have_any_ends_of_lines
         (b"x,y\n1,2,3\n", "table.csv line 2 has 3 values, but the header has 2 columns"),
         (b"x,y\n1,\x00\n", "table.csv line 2: y is '\\x00', not a number"),
         (b'x,y\n1,"2\n', "table.csv' cannot be read as CSV (unexpected end of data)"),
-        ("x,y\n1,2\n".encode("utf-16"), "table.csv' cannot be read as text ('utf-8' codec can't decode byte 0xff"),
+        ("x,y\n1,2\n".encode("utf-16"), "table.csv' cannot be read as text: it is in UTF-16: save it as UTF-8."),
     ],
 )
 def test_a_file_that_is_no_such_table_is_refused(tmp_path, content, named):

@@ -41,6 +41,16 @@ def test_a_quaternion_is_that_of_the_optical_frame(write):
     assert_allclose(recording.pitch, pitch, atol=1e-9)
 
 
+def test_angles_may_have_names_that_say_what_they_are_and_a_body_raises_a_question(write):
+    rows = "0,0.3,0.1\n1,0.4,0.2\n"
+    named = OrientationRecording.from_csv(write(f"time,yaw_from_y,pitch_up\n{rows}"))
+    assert_allclose([named.yaw, named.pitch], [[0.3, 0.4], [0.1, 0.2]])
+    assert named.note == ""
+    body = OrientationRecording.from_csv(write("time,qw,qx,qy,qz\n0,1,0,0,0\n1,0.6,0,0,0.8\n"))
+    assert "100% of the views of" in body.note
+    assert "look straight up" in body.note
+
+
 BAD_RECORDINGS = [
     ("time,yaw,pitch\n0,0,0\n", "has 1 records; a recording needs at least 2"),
     ("time,yaw,pitch\n0,0,0\n2,0,0\n1,0,0\n", "time must increase, but 2 s is followed by 1 s"),
@@ -51,6 +61,10 @@ BAD_RECORDINGS = [
     ("time,yaw\n0,0\n", "lacks the column 'pitch'"),
     ("time,yaw,pitch,speed\n0,0,0,1\n", "unknown column 'speed'"),
     ("time,yaw,pitch\n0,nan,0\n", "line 2: yaw is 'nan', not a finite number"),
+    (
+        "time,x,y,z,roll,pitch,yaw\n0,0,0,0,0,0,0\n",
+        "may be ROS's, of a body: call them yaw_from_y, pitch_up, roll_left",
+    ),
     ("", "is empty"),
     ("time,qw,qx,qy,qz\n0,1,0,0,0\n1,1,1,0,0\n", "line 3: the quaternion must have length 1, it has 1.41421"),
 ]

@@ -238,10 +238,13 @@ def test_a_size_is_given_beside(text, write):
 
 def test_a_fisheye_that_is_not_called_one_is_taken_as_what_it_is_said_to_be(write):
     script = write(json.dumps(SCRIPT | {"distortion_coefficients": FISHEYE, "image_size": [640, 480]}))
-    assert read_calibration(script).distortion_model == "plumb_bob"
+    message = r"^distortion_model must be given: .* names no model, and its 4 coefficients may be those of cv2\.fisheye"
+    with pytest.raises(InputError, match=message):
+        read_calibration(script)
+    assert read_calibration(script, distortion_model="plumb_bob").distortion_model == "plumb_bob"
     assert read_calibration(script, distortion_model="fisheye").distortion_model == "equidistant"
     with pytest.raises(InputError, match=r"^distortion_model must be plumb_bob, as the file has it, got fisheye\.$"):
-        read_calibration(write(FILES["message"]), distortion_model="fisheye")
+        read_calibration(write(FILES["PhotonVision"]), distortion_model="fisheye")
     with pytest.raises(InputError, match=r"the lens model 'omni' is not known here"):
         read_calibration(script, distortion_model="omni")
 

@@ -206,7 +206,7 @@ def test_annealing_climbs_recorded_poses_and_threads_change_nothing(write, objec
 
 def test_a_trajectory_reads_alike_from_angles_quaternions_and_tums_text(write):
     poses = se3.camera_pose([[1, 2, 3], [1.5, 2, 3]], [0.5, 0.6], [0.2, -0.2], [0.1, 0.3])
-    angles = "time,x,y,z,yaw,pitch,roll\n0,1,2,3,0.5,0.2,0.1\n0.5,1.5,2,3,0.6,-0.2,0.3\n"
+    angles = "time,x,y,z,yaw_from_y,pitch_up,roll_left\n0,1,2,3,0.5,0.2,0.1\n0.5,1.5,2,3,0.6,-0.2,0.3\n"
     assert_allclose(TrajectoryFile(write(angles)).trajectory.poses, poses)
     for frame, turn in (("optical", np.eye(3)), ("body", np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0.0]]))):
         quaternions = Rotation.from_matrix(poses[:, :3, :3] @ turn.T).as_quat()
@@ -240,7 +240,7 @@ def test_angles_are_those_of_the_rotation():
         (HEADER + "0,1,1,1,90,0\n1,1,1,1,0,0\n", "yaw = 90 looks like degrees"),
         (HEADER + "0,1,1,1,0,0\n1,9,1,1,0,0\n", r"^path: .*camera at 1 s, \(9, 1, 1\), is outside the room"),
         ("0 1 1 1 0 0 0 1\n1 1 1 1 0 0 0\n", "table.csv line 2 has 7 values, not 8"),
-        ("0 1 1 1 0 0 0 2\n1 1 1 1 0 0 0 1\n", "frame 0: the quaternion must have length 1, it has 2"),
+        ("0 1 1 1 0 0 0 2\n1 1 1 1 0 0 0 1\n", "line 1: the quaternion must have length 1, it has 2"),
         (HEADER + "0,1,1,1,0,0\n", "must have at least 2 frames, got 1"),
     ],
 )

@@ -15,7 +15,7 @@ from lmd.scene.trajectory_files import TrajectoryFile
 REAL = Path(__file__).parents[3] / "shared/real"
 TIME = np.array([1520530308.25, 1520530308.5, 1520530308.75])
 AT = np.array([[1.0, 2.0, 3.0], [1.5, 2.25, 3.0], [2.0, 2.5, 2.75]])
-TURN = Rotation.from_euler("xyz", [[0.1, 0.2, 0.3], [0.1, -0.2, 0.7], [-0.4, 0.2, 1.3]])
+TURN = Rotation.from_euler("xyz", [[-1.5, 0.2, 0.3], [-1.4, -0.2, 0.7], [-1.9, 0.2, 1.3]])  # level, as cameras look
 X, Y, Z, W = TURN.as_quat().T
 
 
@@ -59,7 +59,7 @@ KITTI = text(*np.concatenate([TURN.as_matrix(), AT[:, :, None]], axis=2).reshape
         text(NS, *AT.T, W, X, Y, Z, *AT.T, [""] * 3, between=","),
         text(NS, *AT.T, X, Y, Z, W, *AT.T, between=",", head=OKVIS_HEAD),
         text(NS, *AT.T, X, Y, Z, W, between=",", head="#timestamp_ns,tx,ty,tz,qx,qy,qz,qw\n"),
-        text(TIME, *AT.T, W, X, Y, Z, head="# moment tx ty tz qw qx qy qz\n"),
+        text(TIME, *AT.T, W, X, Y, Z, head="# secs tx ty tz qw qx qy qz\n"),
         text(TIME, COUNT, *AT.T, X, Y, Z, W, between=",", head="timestamp,time_ns,x,y,z,qx,qy,qz,qw\n"),
         text(NS, *AT.T, W, X, Y, Z, between=",", head="timestamp,x,y,z,qw,qx,qy,qz\n"),
         text(NS, COUNT, NS, *AT.T, X, Y, Z, W, COUNT, between=",", head=ROS_HEAD),
@@ -160,8 +160,8 @@ def test_a_mount_turns_angles_as_it_turns_quaternions(write):
 @pytest.mark.parametrize(
     ("content", "settings", "message"),
     [
-        (KITTI, {}, "needs one of times"),
-        (KITTI, {"rate": 1.0, "times": "t.txt"}, "takes only one of times"),
+        (KITTI, {}, r"^rate \(poses a second\) or times \(a file\) must be given: .* has 12 numbers"),
+        (KITTI, {"rate": 1.0, "times": "t.txt"}, "^rate must be left out where times is given"),
         (KITTI, {"rate": 0.0}, "^rate must be greater than 0"),
         (KITTI, {"times": "no.txt"}, "^times: there is no file 'no.txt'"),
         (KITTI.replace(KITTI.split()[0], "3", 1), {"rate": 1.0}, "line 1: the first three columns .* are no rotation"),
@@ -199,6 +199,13 @@ def test_a_calibration_without_extrinsics_or_with_several_cameras_is_refused(wri
         ({"cam0": {"T_cam_imu": [1, 2]}}, None, "the pose of the camera cannot be read"),
         ({"cam0": {"T_cam_imu": (2 * np.eye(4)).tolist()}}, None, "its matrix is no rigid motion"),
         ({"T_imu_cam": [{"px": 1}]}, None, "the pose of the camera cannot be read"),
+        ({"T_imu_cam": ["x"]}, None, "the pose of the camera cannot be read .it must have the keys px"),
+        (
+            {"T_imu_cam": [dict.fromkeys(("px", "py", "pz", "qx", "qy", "qz", "qw"), 10**400)]},
+            None,
+            "px must be finite",
+        ),
+        ({"T_BS": {"data": [10**400] * 16}}, None, r"its matrix\[0\] must be finite"),
     ):
         mount = {"path": write(json.dumps(content), "mount.json"), "name": name}
         with pytest.raises(InputError, match=f"^mount: .*{message}"):

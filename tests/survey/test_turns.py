@@ -103,7 +103,8 @@ def test_fixed_tags_stay_as_they_are_fixed_however_they_are_turned(clockwise):
     assert all(str(IDS[k]) in named for k in np.flatnonzero(clockwise))
 
 
-def test_two_fixed_tags_are_enough(few=slice(0, 2)):
+def test_two_fixed_tags_are_enough():
+    few = slice(0, 2)
     found = surveyed(seen([0] * 5, rolled=2), fixed=plan()[few])
     np.testing.assert_allclose(map_of(found).places, PLACES, atol=0.01)
     np.testing.assert_allclose(map_of(found).places[few], PLACES[few], atol=1e-6)
