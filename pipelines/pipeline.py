@@ -97,8 +97,9 @@ def _refuse_configuration_of_another(pipeline: str) -> None:
     words = [word for argument in sys.argv[1:] for word in argument.split("=", 1)]
     for option, name in pairwise(words):
         named = name.removesuffix(".yaml")
-        is_command = Path(CONF, f"{named}.yaml").is_file() and Path(__file__).with_name(f"{named}.py").is_file()
-        if option in ("--config-name", "-cn") and named != pipeline and is_command:
+        if option not in ("--config-name", "-cn") or named == pipeline or not named.isidentifier():
+            continue
+        if Path(CONF, f"{named}.yaml").is_file() and Path(__file__).with_name(f"{named}.py").is_file():
             sys.exit(f"error: --config-name {name} is the configuration of another command: {command_of(named)}")
 
 
